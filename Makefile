@@ -1,0 +1,49 @@
+# make demo   install into .venv and run one full truck shift over CAN
+# make test   install into .venv and run the tests (needs no root, no CAN hardware)
+# make lint   ruff, mypy and the import rules
+PYTHON ?= python3
+VENV   ?= .venv
+PY     := $(VENV)/bin/python
+MARK   ?= not slow and not vcan
+DEMO   ?= runs/demo
+
+.PHONY: demo test slow lint clean
+.DELETE_ON_ERROR:
+
+# One stamp per set of extras; an edited requirement installs again, edited source does not.
+define install
+	@test -x $(PY) || $(PYTHON) -m venv $(VENV) || { \
+	    echo "make: no virtual environment; on Debian: apt-get install python3-venv" >&2; exit 1; }
+	@echo "installing into $(VENV) ..."
+	@if command -v uv >/dev/null 2>&1; then \
+	    uv pip install --quiet --python $(PY) -c constraints.txt -e '$(1)'; \
+	else \
+	    $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '$(1)'; \
+	fi
+	@touch $@
+endef
+
+$(VENV)/.run: pyproject.toml constraints.txt
+	$(call install,.)
+
+$(VENV)/.dev: pyproject.toml constraints.txt
+	$(call install,.[dev])
+	@touch $(VENV)/.run
+
+demo: $(VENV)/.run
+	@$(VENV)/bin/opc4 run full_shift --transport local --out $(DEMO) --force
+	@echo "picture: $(DEMO)/shift.png   page: $(DEMO)/report.html"
+
+test: $(VENV)/.dev
+	$(PY) -m pytest -m "$(MARK)" tests
+
+slow: $(VENV)/.dev
+	$(PY) -m pytest -m "slow and not vcan" tests
+
+lint: $(VENV)/.dev
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/mypy
+	$(VENV)/bin/lint-imports
+
+clean:
+	rm -rf runs build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
