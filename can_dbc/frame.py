@@ -1,0 +1,85 @@
+"""Classic CAN frames with 29-bit identifiers and their J1939 parts.
+
+Identifier layout, most significant bit first: priority (3), extended data page (1), data page (1),
+PDU format (8), PDU specific (8), source address (8). Source: SAE J1939-21.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+MAX_ID = 0x1FFF_FFFF
+MAX_LENGTH = 8
+EDP_BIT = 1 << 25
+"""Extended data page: reserved by J1939 together with data page 0, so free to mark lockstep."""
+
+DP_BIT = 1 << 24
+"""Data page; set together with EDP in lockstep control frames, clear in offers."""
+
+
+class Frame(NamedTuple):
+    """A classic CAN data frame: 29-bit identifier and 0 to 8 bytes."""
+
+    can_id: int
+    data: bytes
+
+
+class J1939Id(NamedTuple):
+    """The parts of a 29-bit identifier; `destination` is 255 (global) for broadcast groups."""
+
+    priority: int
+    pgn: int
+    source: int
+    destination: int
+
+
+def split_id(can_id: int) -> J1939Id:
+    """Split a 29-bit identifier into priority, parameter group, source and destination.
+
+    A PDU format below 240 carries a destination, which is not part of the group number.
+    Source: SAE J1939-21. Checked by: tests/unit/can_dbc/test_frame.py
+    """
+    if not 0 <= can_id <= MAX_ID:
+        raise ValueError(f"not a 29-bit identifier: {can_id:#x}")
+    pgn = can_id >> 8 & 0x3FFFF
+    destination = 0xFF
+    if pgn >> 8 & 0xFF < 240:
+        destination = pgn & 0xFF
+        pgn &= 0x3FF00
+    return J1939Id(can_id >> 26, pgn, can_id & 0xFF, destination)
+
+
+def join_id(priority: int, pgn: int, source: int, destination: int = 0xFF) -> int:
+    """Build the 29-bit identifier of a parameter group; inverse of `split_id`.
+
+    Raises ValueError for a part that does not fit.
+    """
+    if not (0 <= priority <= 7 and 0 <= pgn <= 0x3FFFF and 0 <= source <= 0xFF):
+        raise ValueError(f"not J1939 parts: priority {priority}, PGN {pgn:#x}, source {source}")
+    if not 0 <= destination <= 0xFF:
+        raise ValueError(f"not a J1939 destination: {destination}")
+    if pgn >> 8 & 0xFF < 240:
+        if pgn & 0xFF:
+            raise ValueError(f"PGN {pgn:#x} is destination specific: its low byte must be 0")
+        pgn |= destination
+    return priority << 26 | pgn << 8 | source
+
+
+def is_lockstep(can_id: int) -> bool:
+    """Whether an identifier lies in the lockstep space: offers and control frames."""
+    return bool(can_id & EDP_BIT)
+
+
+def is_offer(can_id: int) -> bool:
+    """Whether an identifier marks a participant's frame that still waits for arbitration."""
+    return can_id & (EDP_BIT | DP_BIT) == EDP_BIT
+
+
+def to_offer(frame: Frame) -> Frame:
+    """The frame as its sender hands it to the bus authority: the same with EDP set."""
+    return Frame(frame.can_id | EDP_BIT, frame.data)
+
+
+def from_offer(frame: Frame) -> Frame:
+    """The frame of an offer as it travels on the simulated bus: the same with EDP cleared."""
+    return Frame(frame.can_id & ~EDP_BIT, frame.data)

@@ -1,0 +1,263 @@
+"""One frozen dataclass per message of opc4.dbc, in SI units, with the enums they use.
+
+Values lie on the grid of the DBC after a round trip through the codec. The counter and CRC of the
+end-to-end protection are not fields: `can_dbc.e2e` owns them.
+Checked by: tests/unit/can_dbc/test_messages.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+GEAR_PARK = 126
+"""Value of the J1939 gear fields that means park (raw 251)."""
+
+
+class Gear(IntEnum):
+    """Position of the length stroke; UNKNOWN while none is confirmed."""
+
+    NEUTRAL = 0
+    BACKWARD = 1
+    FORWARD = 2
+    UNKNOWN = 3
+
+
+class Chamber(IntEnum):
+    """Air chamber of the actuator; NONE where no chamber is meant."""
+
+    B = 0
+    N = 1
+    F = 2
+    NONE = 3
+
+
+class ShiftState(IntEnum):
+    """State of the firmware's shift sequence."""
+
+    INIT = 0
+    IDLE = 1
+    PUSH = 2
+    CONFIRM = 3
+    BLOW = 4
+    HOLD = 5
+    VENT = 6
+    FAULT = 7
+
+
+class Fault(IntFlag):
+    """Faults that the firmware sees, one bit each."""
+
+    NONE = 0
+    POSITION_LOST = 1
+    POSITION_IMPLAUSIBLE = 2
+    REQUEST_LOST = 4
+    SPEEDS_LOST = 8
+    SHIFT_TIMEOUT = 16
+    SENSOR_STUCK = 32
+    REQUEST_INVALID = 64
+    INTERNAL = 128
+
+
+class ParticipantId(IntEnum):
+    """Numbers of the known participants in lockstep frames; others may use 4 to 254."""
+
+    COORDINATOR = 0
+    PLANT = 1
+    CONTROLLER = 2
+    DRIVER = 3
+
+
+class StopReason(IntEnum):
+    """Why the coordinator ends a lockstep run."""
+
+    END = 0
+    ABORTED = 1
+
+
+@dataclass(frozen=True, slots=True)
+class ShiftRequest:
+    """The driver's or vehicle unit's wish for a gear; shift console to OPC4, every 20 ms."""
+
+    target: Gear
+
+
+@dataclass(frozen=True, slots=True)
+class ValveCommand:
+    """Duty cycles 0..1 of the three solenoid valves and the gear they serve; OPC4, every tick."""
+
+    duty_b: float
+    duty_n: float
+    duty_f: float
+    target: Gear
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyBlow:
+    """The blow into a chamber after confirmation, and how long it still lasts; OPC4, every tick."""
+
+    chamber: Chamber
+    active: bool
+    remaining_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class PositionPulse:
+    """One measurement of the inductive sensor: time to 8 V, coil temperature, number mod 256."""
+
+    pulse_s: float
+    coil_temperature_k: float
+    sample_index: int
+
+
+@dataclass(frozen=True, slots=True)
+class DrivelineSpeeds:
+    """Shaft speeds referred to the synchronizer: equal means synchronized; every 10 ms."""
+
+    input_rad_s: float
+    output_rad_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerStatus:
+    """What the firmware believes: state, confirmed gear, position, faults; OPC4, every tick."""
+
+    state: ShiftState
+    confirmed: Gear
+    estimate_m: float
+    faults: Fault
+
+
+@dataclass(frozen=True, slots=True)
+class Etc1:
+    """J1939 Electronic Transmission Controller 1 (PGN 61442), source address 3, every 10 ms.
+
+    None: the sender has no valid value (sent as not available; received as that or as error).
+    SPN: driveline engaged 560, lockup 573, shift in process 574, lockup transition 4816, output
+    shaft speed 191, clutch slip (0..1) 522, momentary overspeed 606, progressive shift disabled
+    607, momentary maximum power 5015, input shaft speed 161, controlling address 1482.
+    """
+
+    driveline_engaged: bool | None = None
+    torque_converter_lockup: bool | None = None
+    shift_in_process: bool | None = None
+    lockup_transition: bool | None = None
+    output_shaft_rad_s: float | None = None
+    clutch_slip: float | None = None
+    momentary_overspeed: bool | None = None
+    progressive_shift_disabled: bool | None = None
+    momentary_maximum_power: bool | None = None
+    input_shaft_rad_s: float | None = None
+    controlling_address: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Etc2:
+    """J1939 Electronic Transmission Controller 2 (PGN 61445), source address 3, every 10 ms.
+
+    Gears: negative reverse, 0 neutral, positive forward, `GEAR_PARK` park. Ranges: the two
+    characters as shown to the driver, the second one used first (" N"). None: no valid value.
+    SPN: selected gear 524, actual ratio 526, current gear 523, requested range 162, current 163.
+    """
+
+    selected_gear: int | None = None
+    gear_ratio: float | None = None
+    current_gear: int | None = None
+    requested_range: str | None = None
+    current_range: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PlantMotion:
+    """True motion for recorders: stay position and velocity, positions of the two pistons."""
+
+    position_m: float
+    velocity_m_s: float
+    piston_1_m: float
+    piston_2_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class PlantPressures:
+    """True absolute pressures for recorders: chambers B, N, F and supply."""
+
+    pressure_b_pa: float
+    pressure_n_pa: float
+    pressure_f_pa: float
+    supply_pa: float
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Coordinator to all: answer with `Done` and your first event; the run ends at `end_ns`."""
+
+    end_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Coordinator to all: the run is over at `time_ns`."""
+
+    reason: StopReason
+    time_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Grant:
+    """Coordinator to one participant: advance to `time_ns`.
+
+    `frames`: number mod 256 of frames delivered to it since its previous grant, so that a
+    transport that loses a frame is found at once.
+    """
+
+    participant: int
+    time_ns: int
+    frames: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """Participant to coordinator: granted time reached; its next event is at `next_event_ns`.
+
+    `frames`: number mod 256 of frames it offered in this step.
+    """
+
+    participant: int
+    next_event_ns: int
+    frames: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class BusTime:
+    """Coordinator to all: the frames that follow arrived at `time_ns`."""
+
+    time_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """Participant to coordinator: the offers that follow are released to the bus at `time_ns`."""
+
+    participant: int
+    time_ns: int
+
+
+Message = (
+    ShiftRequest
+    | ValveCommand
+    | SafetyBlow
+    | PositionPulse
+    | DrivelineSpeeds
+    | ControllerStatus
+    | Etc1
+    | Etc2
+    | PlantMotion
+    | PlantPressures
+    | Start
+    | Stop
+    | Grant
+    | Done
+    | BusTime
+    | Release
+)
+"""Any message of opc4.dbc."""
