@@ -1,0 +1,105 @@
+"""The command `opc4`: a table of commands, each in a file of its own that is imported when asked for."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+PASSED, FAILED, BAD_INPUT, NOT_FINISHED = 0, 1, 2, 3
+
+COMMANDS = {
+    "run": "run one scenario: plant and controller over CAN",
+}
+"""Command name to one line of help; the command itself is the module of that name in this package,
+with `add_arguments(parser)` and `run(arguments) -> exit code`."""
+
+_HELP = """\
+usage: opc4 COMMAND ...
+
+Software-in-the-loop simulator of the Opticruise gear shift.
+
+commands:
+{commands}
+
+exit codes: 0 done and passed, 1 an expectation failed or a difference was found,
+            2 bad input or usage, 3 a participant died or the run could not finish
+
+opc4 COMMAND --help tells more, with an example; opc4 --version prints the version.
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser whose complaint is one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one `opc4` command and return its exit code (0, 1, 2 or 3).
+
+    Bad input and usage end in one line on standard error; with --json the same line is also the
+    `error` of the one object on standard output.  Checked by test_cli.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] in ("-h", "--help"):
+        rows = "\n".join(f"  {name:<10} {summary}" for name, summary in COMMANDS.items())
+        print(_HELP.format(commands=rows), end="")
+        return PASSED if arguments else BAD_INPUT
+    if arguments[0] == "--version":
+        from importlib.metadata import version
+
+        print(f"opc4-sil {version('opc4-sil')}")
+        return PASSED
+    name = arguments[0]
+    if name not in COMMANDS:
+        import difflib
+
+        near = difflib.get_close_matches(name, COMMANDS, n=3) or list(COMMANDS)
+        print(f"opc4: no command {name!r}; nearest: {', '.join(near)}", file=sys.stderr)
+        return BAD_INPUT
+    command: Any = importlib.import_module(f"sil.cli.{name}")
+    parser = _Parser(
+        prog=f"opc4 {name}",
+        description=command.__doc__,
+        epilog=command.EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    command.add_arguments(parser)
+    try:
+        parsed = parser.parse_args(arguments[1:])
+    except SystemExit as leaving:
+        return leaving.code if isinstance(leaving.code, int) else BAD_INPUT
+    return _guarded(name, command, parsed)
+
+
+def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
+    """Run the command; turn what a user can cause into one line and an exit code."""
+    from can_dbc.errors import InputError, RunError
+
+    try:
+        code: int = command.run(parsed)
+        sys.stdout.flush()
+        return code
+    except InputError as error:
+        message, code = str(error), BAD_INPUT
+    except RunError as error:
+        message, code = str(error), NOT_FINISHED
+    except KeyboardInterrupt:
+        message, code = "interrupted", NOT_FINISHED
+    except BrokenPipeError:  # the reader of our output went away: nobody to tell
+        sys.stderr.close()
+        return NOT_FINISHED
+    except OSError as error:  # disk full, no permission: the path is in the message
+        message, code = str(error), NOT_FINISHED
+    except ModuleNotFoundError as error:
+        message, code = f"the library {error.name!r} is not installed", NOT_FINISHED
+    print(f"opc4 {name}: {message}", file=sys.stderr)
+    if getattr(parsed, "json", False):
+        print(json.dumps({"error": message, "exit_code": code}))
+    return code

@@ -1,0 +1,521 @@
+"""shift.png: what was true, what the controller believed, what valves and bus did, on one time axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from can_dbc.messages import ControllerStatus, ValveCommand
+from sil.metrics import OPEN_ABOVE, Shift
+from sil.report.theme import LIGHT, Theme
+from sil.run_record import CHAMBERS, NS, Floats, RunRecord
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MM = 1e3
+BAR = 1e-5
+MS = 1e3
+MOST_COLUMNS = 3
+
+
+@dataclass(frozen=True)
+class Window:
+    """One column of the picture: a span of simulated time, and the shift in it if there is one."""
+
+    start_s: float
+    end_s: float
+    shift: Shift | None
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What all panels of a picture share."""
+
+    record: RunRecord
+    theme: Theme
+    figure: Figure
+
+
+def windows(record: RunRecord, shifts: Sequence[Shift]) -> list[Window]:
+    """Return the spans worth a zoom: each shift from just before its request until it has settled.
+
+    Without a shift it is the whole run.
+    """
+    end = float(record.truth["time_s"][-1])
+    found = []
+    for index, shift in enumerate(shifts[:MOST_COLUMNS]):
+        marks = (shift.arrived_s, shift.confirmed_s, shift.valve_open_s, shift.commanded_s)
+        last = max((m for m in marks if m is not None), default=end)
+        if shift.arrived_s is None:
+            last = max(last, min(shift.requested_s + 0.5, end))
+        closing = 0.06
+        stop = max(last + closing, (shift.blow_end_s or 0.0) + closing)
+        until = shifts[index + 1].requested_s if index + 1 < len(shifts) else end
+        start = max(shift.requested_s - 0.02, 0.0)
+        stop = min(max(stop, start + 0.1), until)
+        found.append(Window(start, stop, shift))
+    return found or [Window(0.0, end, None)]
+
+
+def draw_shift(
+    record: RunRecord,
+    shifts: Sequence[Shift],
+    title: str,
+    subtitle: str,
+    theme: Theme = LIGHT,
+    dots_per_inch: int = 140,
+) -> bytes:
+    """Return the picture of a run as PNG bytes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    figure = draw(record, shifts, title, subtitle, theme)
+    FigureCanvasAgg(figure)
+    image = BytesIO()
+    figure.savefig(image, format="png", dpi=dots_per_inch, facecolor=theme.paper)
+    return image.getvalue()
+
+
+def draw(
+    record: RunRecord, shifts: Sequence[Shift], title: str, subtitle: str, theme: Theme
+) -> Figure:
+    """Return the picture as a matplotlib figure: an overview, then one column of panels per shift."""
+    from matplotlib.figure import Figure
+
+    columns = windows(record, shifts)
+    figure = Figure(figsize=(13.0, 11.0), facecolor=theme.paper)
+    drawing = Drawing(record, theme, figure)
+    grid = figure.add_gridspec(
+        6,
+        len(columns),
+        height_ratios=[0.85, 3.6, 1.9, 2.4, 0.42, 2.5],
+        width_ratios=[max(w.end_s - w.start_s, 0.15) ** 0.6 for w in columns],
+        left=0.085,
+        right=0.985,
+        top=0.925,
+        bottom=0.05,
+        hspace=0.1,
+        wspace=0.06,
+    )
+    figure.text(0.012, 0.982, title, fontsize=15, weight="bold", color=theme.ink, va="top")
+    figure.text(0.012, 0.957, subtitle, fontsize=9.5, color=theme.faint, va="top")
+    _overview(drawing, figure.add_subplot(grid[0, :]), columns)
+    for number, window in enumerate(columns):
+        first: Axes | None = None
+        for row, panel in enumerate((_position, _valves, _pressures, _states, _bus), start=1):
+            axes = figure.add_subplot(grid[row, number], sharex=first)
+            first = first or axes
+            _style(axes, theme)
+            panel(drawing, axes, window, number == 0, number == len(columns) - 1)
+            axes.tick_params(labelbottom=row == 5, length=3 if row == 5 else 0)
+            if number:
+                axes.tick_params(labelleft=False)
+        assert first is not None
+        first.set_xlim(window.start_s * MS, window.end_s * MS)
+        axes.set_xlabel("simulated time, ms", color=theme.ink, fontsize=9)
+    return figure
+
+
+def _style(axes: Axes, theme: Theme) -> None:
+    axes.set_facecolor(theme.paper)
+    axes.grid(True, color=theme.grid, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.tick_params(colors=theme.ink, labelsize=8.5)
+    for side, spine in axes.spines.items():
+        spine.set_visible(side in ("left", "bottom"))
+        spine.set_color(theme.grid)
+
+
+def _overview(drawing: Drawing, axes: Axes, columns: Sequence[Window]) -> None:
+    theme, record = drawing.theme, drawing.record
+    _style(axes, theme)
+    time = record.truth["time_s"]
+    axes.plot(time * MS, record.truth["position_m"] * MM, color=theme.truth, linewidth=1.2)
+    for window in columns:
+        axes.axvspan(window.start_s * MS, window.end_s * MS, color=theme.band, zorder=0)
+    stroke = record.stroke_m * MM
+    axes.set_yticks([-stroke, 0.0, stroke], ["forward", "neutral", "backward"])
+    axes.set_ylim(-1.25 * stroke, 1.25 * stroke)
+    axes.set_xlim(0.0, float(time[-1]) * MS)
+    axes.tick_params(labeltop=True, labelbottom=False, length=0)
+    axes.annotate(
+        "whole run, ms; shaded: enlarged below",
+        (0.998, 0.06),
+        xycoords="axes fraction",
+        ha="right",
+        fontsize=8,
+        color=theme.faint,
+    )
+
+
+def _inside(window: Window, times: Floats, margin_s: float = 0.02) -> Any:
+    return (times >= window.start_s - margin_s) & (times <= window.end_s + margin_s)
+
+
+def _position(
+    drawing: Drawing, axes: Axes, window: Window, is_first: bool, is_last: bool
+) -> None:
+    theme, record = drawing.theme, drawing.record
+    shift = window.shift
+    time = record.truth["time_s"]
+    seen = _inside(window, time)
+    t, x = time[seen] * MS, record.truth["position_m"][seen] * MM
+    when, believed = record.believed
+    stroke = record.stroke_m * MM
+    ends = [float(x[0]), float(x[-1])] if len(x) else [0.0]
+    low = min(-1.0, min(ends) - 2.0, float(x.min()) - 2.0 if len(x) else 0.0)
+    high = max(1.0, max(ends) + 2.0, float(x.max()) + 2.0 if len(x) else 0.0)
+    if shift is not None:
+        axes.axvline(shift.requested_s * MS, color=theme.faint, linewidth=0.9, linestyle=":")
+        axes.annotate(
+            f"{shift.to_gear} requested",
+            (shift.requested_s * MS, 0.02),
+            xycoords=("data", "axes fraction"),
+            xytext=(3, 0),
+            textcoords="offset points",
+            fontsize=8,
+            color=theme.faint,
+            rotation=90,
+        )
+    for name, line in _pistons(record, window):
+        axes.plot(t, line[seen] * MM, color=theme.faint, linewidth=1.0, linestyle=(0, (4, 2)))
+        _label_on_line(axes, theme, t, line[seen] * MM, name, theme.faint, low, high)
+    axes.plot(t, x, color=theme.truth, linewidth=2.2, zorder=4)
+    axes.step(
+        when * MS, believed * MM, where="post", color=theme.believed, linewidth=1.8, zorder=5
+    )
+    inside = _inside(window, when, 0.0)
+    axes.plot(
+        when[inside] * MS, believed[inside] * MM, ".", color=theme.believed, markersize=5, zorder=5
+    )
+    axes.set_ylim(low, high)
+    stops = [s for s in (-stroke, 0.0, stroke) if low < s < high]
+    for stop in stops:
+        axes.axhline(stop, color=theme.grid, linewidth=1.4, zorder=1)
+    if shift is not None:
+        _lag_arrows(drawing, axes, window, x, shift)
+    if is_first:
+        axes.set_ylabel("position, mm", color=theme.ink, fontsize=9)
+        axes.legend(
+            handles=_legend_lines(theme),
+            loc="upper left" if ends[-1] < ends[0] else "lower right",
+            bbox_to_anchor=(0.02, 0.02, 0.96, 0.96),
+            fontsize=8.5,
+            frameon=True,
+            facecolor=theme.paper,
+            edgecolor=theme.grid,
+            labelcolor=theme.ink,
+        ).set_zorder(9)
+
+
+def _legend_lines(theme: Theme) -> list[Any]:
+    from matplotlib.lines import Line2D
+
+    return [
+        Line2D([], [], color=theme.truth, linewidth=2.2, label="true position of the stay"),
+        Line2D(
+            [], [], color=theme.believed, linewidth=1.8, marker=".", label="what the controller believes"
+        ),
+        Line2D(
+            [], [], color=theme.faint, linewidth=1.0, linestyle=(0, (4, 2)),
+            label="moving piston, where it would touch the stay",
+        ),
+    ]
+
+
+def _pistons(record: RunRecord, window: Window) -> list[tuple[str, Floats]]:
+    """Return the piston that carries this shift, drawn where its driving contact meets the stay.
+
+    Out of neutral it pushes on the collar, so its free travel is taken off; towards neutral it
+    pulls on the nut. Piston 2 is the mirror image.
+    """
+    shift = window.shift
+    if shift is None:
+        return []
+    away = shift.to_gear != "neutral"
+    side = shift.to_gear if away else shift.from_gear
+    free = record.free_travel_m if away else 0.0
+    if side == "backward":
+        return [("piston 1", record.truth["piston_1_m"] - free)]
+    if side == "forward":
+        return [("piston 2", -(record.truth["piston_2_m"] - free))]
+    return []
+
+
+def _label_on_line(
+    axes: Axes, theme: Theme, t: Floats, y: Floats, text: str, color: str, low: float, high: float
+) -> None:
+    moving = np.flatnonzero((y > low + 0.5) & (y < high - 0.5) & (np.abs(np.gradient(y)) > 1e-3))
+    if len(moving) == 0:
+        return
+    i = int(moving[0])
+    axes.annotate(
+        text, (float(t[i]), float(y[i])), xytext=(-4, 4), textcoords="offset points",
+        ha="right", fontsize=8, color=color,
+    )
+
+
+def _lag_arrows(
+    drawing: Drawing, axes: Axes, window: Window, x: Floats, shift: Shift
+) -> None:
+    """Mark how late the believed position is at 10 % and 90 % of travel, and the impact."""
+    theme, record = drawing.theme, drawing.record
+    if shift.arrived_s is None:
+        return
+    time, position = record.truth["time_s"], record.truth["position_m"]
+    start = float(np.interp(shift.requested_s, time, position))
+    goal = float(np.interp(shift.arrived_s, time, position))
+    for share, lag, mean in (
+        (0.1, shift.position_lag_10_held_s, shift.position_lag_10_s),
+        (0.9, shift.position_lag_90_held_s, shift.position_lag_90_s),
+    ):
+        if lag is None or mean is None:
+            continue
+        level = start + share * (goal - start)
+        after = (time >= shift.requested_s) & (time <= shift.arrived_s + 1e-3)
+        beyond = after & ((position >= level) if goal > start else (position <= level))
+        if not beyond.any():
+            continue
+        true_at = float(time[int(np.argmax(beyond))]) * MS
+        axes.annotate(
+            "",
+            (true_at + lag * MS, level * MM),
+            (true_at, level * MM),
+            arrowprops={"arrowstyle": "<->", "color": theme.alarm, "lw": 1.5, "shrinkA": 0, "shrinkB": 0},
+            zorder=7,
+        )
+        axes.annotate(
+            f"{lag * MS:.0f} ms late",
+            (true_at + lag * MS, level * MM),
+            xytext=(5, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=9,
+            weight="bold",
+            color=theme.alarm,
+            zorder=7,
+            bbox={"facecolor": theme.paper, "edgecolor": "none", "pad": 1.0, "alpha": 0.85},
+        )
+    if shift.impact_speed_m_s is not None and shift.impact_energy_j is not None:
+        rising = goal > start
+        axes.annotate(
+            f"stop: {shift.impact_speed_m_s:.2f} m/s, {shift.impact_energy_j:.1f} J",
+            (shift.arrived_s * MS, goal * MM),
+            xytext=(0, 7 if rising else -7),
+            textcoords="offset points",
+            ha="center",
+            va="bottom" if rising else "top",
+            fontsize=8.5,
+            color=theme.ink,
+            zorder=8,
+        )
+
+
+def _spans(times: Floats, on: Any, end: float) -> list[tuple[float, float]]:
+    """Return the (start, length) of each run of True in a held boolean series."""
+    spans = []
+    begun: float | None = None
+    for at, is_on in zip(times, on, strict=True):
+        if is_on and begun is None:
+            begun = float(at)
+        elif not is_on and begun is not None:
+            spans.append((begun, float(at) - begun))
+            begun = None
+    if begun is not None:
+        spans.append((begun, end - begun))
+    return spans
+
+
+def valve_spans(
+    record: RunRecord, chamber: str
+) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+    """Return (start, length) in s of a valve commanded open on the bus, and actually open."""
+    end = float(record.truth["time_s"][-1])
+    times, duty = record.series(ValveCommand, f"duty_{chamber.lower()}")
+    commanded = _spans(times, [d > OPEN_ABOVE for d in duty], end)
+    moves = [(e.time_s, e.name) for e in record.events if e.name.startswith(f"valve_{chamber}_")]
+    first = bool(record.truth[f"valve_{chamber}"][0] > 0.5)
+    at = np.array([0.0, *(t for t, _ in moves)])
+    actual = _spans(at, [first, *(n.endswith("_open") for _, n in moves)], end)
+    return commanded, actual
+
+
+def _valves(drawing: Drawing, axes: Axes, window: Window, is_first: bool, is_last: bool) -> None:
+    theme, record = drawing.theme, drawing.record
+    ticks, names = [], []
+    for lane, chamber in enumerate(reversed(CHAMBERS)):
+        color = theme.chamber[chamber]
+        commanded, actual = valve_spans(record, chamber)
+        base = lane * 1.0
+        for spans, offset, alpha in ((commanded, 0.46, 0.35), (actual, 0.08, 1.0)):
+            axes.broken_barh(
+                [(a * MS, b * MS) for a, b in spans],
+                (base + offset, 0.36),
+                facecolors=color,
+                alpha=alpha,
+                linewidth=0,
+            )
+            ticks.append(base + offset + 0.18)
+        names += [f"{chamber} command", f"{chamber} valve"]
+        _delays(axes, theme, window, commanded, actual, base, color)
+        axes.axhline(base, color=theme.grid, linewidth=0.8)
+    axes.set_yticks(ticks, names)
+    axes.set_ylim(-0.02, 3.0)
+    axes.grid(False, axis="y")
+    if is_first:
+        axes.set_ylabel("valves", color=theme.ink, fontsize=9)
+
+
+def _delays(
+    axes: Axes,
+    theme: Theme,
+    window: Window,
+    commanded: list[tuple[float, float]],
+    actual: list[tuple[float, float]],
+    base: float,
+    color: str,
+) -> None:
+    """Write the opening and closing delay beside each pair of bars."""
+    for start, length in commanded:
+        answer = next(((a, n) for a, n in actual if a >= start and a <= start + length), None)
+        if answer is None:
+            continue
+        for wanted, reacted in ((start, answer[0]), (start + length, answer[0] + answer[1])):
+            if not window.start_s <= reacted <= window.end_s:
+                continue
+            axes.plot(
+                [wanted * MS, wanted * MS, reacted * MS, reacted * MS],
+                [base + 0.46, base + 0.45, base + 0.45, base + 0.44],
+                color=theme.ink,
+                linewidth=1.0,
+            )
+            axes.annotate(
+                f"{(reacted - wanted) * MS:.0f} ms",
+                (reacted * MS, base + 0.64),
+                xytext=(3, 0),
+                textcoords="offset points",
+                fontsize=8.5,
+                va="center",
+                color=theme.ink,
+                bbox={"facecolor": theme.paper, "edgecolor": "none", "pad": 0.6, "alpha": 0.8},
+            )
+
+
+def _pressures(
+    drawing: Drawing, axes: Axes, window: Window, is_first: bool, is_last: bool
+) -> None:
+    theme, record = drawing.theme, drawing.record
+    time = record.truth["time_s"]
+    seen = _inside(window, time)
+    t = time[seen] * MS
+    supply = record.supply_pressure_pa * BAR
+    axes.axhline(supply, color=theme.faint, linewidth=0.9, linestyle="--")
+    axes.annotate(
+        "supply", (0.005, supply), xycoords=("axes fraction", "data"), xytext=(0, -3),
+        textcoords="offset points", va="top", fontsize=8, color=theme.faint,
+    )
+    peaks = {}
+    for chamber in CHAMBERS:
+        pressure = record.truth[f"pressure_{chamber}_pa"][seen] * BAR
+        axes.plot(t, pressure, color=theme.chamber[chamber], linewidth=1.8)
+        peaks[chamber] = pressure
+    top = supply * 1.12
+    axes.set_ylim(0.0, top)
+    for chamber, (x, y) in _label_places(window, t, peaks, top).items():
+        axes.annotate(
+            chamber, (x, y), ha="center", va="center", fontsize=9, weight="bold",
+            color=theme.chamber[chamber],
+            bbox={"facecolor": theme.paper, "edgecolor": "none", "pad": 0.8},
+        )
+    if is_first:
+        axes.set_ylabel("pressure, bar abs", color=theme.ink, fontsize=9)
+
+
+def _label_places(
+    window: Window, t: Floats, lines: dict[str, Floats], top: float
+) -> dict[str, tuple[float, float]]:
+    """Return a place on each line where it is furthest from the others."""
+    places: dict[str, tuple[float, float]] = {}
+    usable = (t > (window.start_s + 0.04 * (window.end_s - window.start_s)) * MS) & (
+        t < (window.end_s - 0.04 * (window.end_s - window.start_s)) * MS
+    )
+    if not usable.any():
+        return places
+    for order, (name, line) in enumerate(lines.items()):
+        others = [np.abs(line - other) for key, other in lines.items() if key != name]
+        gap = np.minimum(np.minimum.reduce(others), 0.25 * top)
+        # Lines that lie on one another get their letters side by side.
+        gap = gap + 1e-3 * top * np.cos((t - t[0]) / (t[-1] - t[0] + 1e-9) * 6.0 + 2.0 * order)
+        i = int(np.argmax(np.where(usable, gap, -1.0)))
+        places[name] = (float(t[i]), float(line[i]))
+    return places
+
+
+def _states(drawing: Drawing, axes: Axes, window: Window, is_first: bool, is_last: bool) -> None:
+    theme, record = drawing.theme, drawing.record
+    times, states = record.series(ControllerStatus, "state")
+    axes.set_yticks([0.5], ["firmware state"])
+    axes.set_ylim(0.0, 1.0)
+    axes.grid(False)
+    end = float(record.truth["time_s"][-1])
+    span = window.end_s - window.start_s
+    start = 0
+    for i in range(1, len(states) + 1):
+        if i < len(states) and states[i] == states[start]:
+            continue
+        since = float(times[start])
+        until = float(times[i]) if i < len(states) else end
+        name = states[start].name
+        axes.axvspan(since * MS, until * MS, color=theme.state[name], linewidth=0)
+        left, right = max(since, window.start_s), min(until, window.end_s)
+        if right - left > 0.016 * len(name) * span * 0.8:
+            axes.text(
+                0.5 * (left + right) * MS, 0.46, name.lower(), ha="center", va="center",
+                fontsize=8.5, color=theme.ink,
+            )
+        start = i
+
+
+def _bus(drawing: Drawing, axes: Axes, window: Window, is_first: bool, is_last: bool) -> None:
+    """One lane per message, lowest identifier (highest priority) on top: queued to arrived."""
+    theme, record = drawing.theme, drawing.record
+    lanes = sorted(
+        ((entries[0][0].frame.can_id, kind, entries) for kind, entries in record.messages.items()),
+        key=lambda lane: -lane[0],
+    )
+    sender_color = {"controller": theme.believed, "plant": theme.truth}
+    names = []
+    for lane, (_, kind, entries) in enumerate(lanes):
+        names.append(kind.__name__)
+        seen = [
+            (e.released_ns / NS * MS, e.arrival_ns / NS * MS)
+            for e, _ in entries
+            if window.start_s - 0.01 <= e.arrival_ns / NS <= window.end_s + 0.01
+        ]
+        if not seen:
+            continue
+        color = sender_color.get(entries[0][0].sender, theme.chamber["B"])
+        axes.broken_barh(
+            [(a, max(b - a, 0.1)) for a, b in seen], (lane - 0.32, 0.64), facecolors=color,
+            edgecolors=color, linewidth=0.7,
+        )
+    axes.set_yticks(range(len(names)), names)
+    axes.tick_params(axis="y", labelsize=7.5)
+    axes.set_ylim(-0.7, len(names) - 0.3)
+    if is_first:
+        axes.set_ylabel("CAN frames", color=theme.ink, fontsize=9)
+        handles = [
+            ("driver", theme.chamber["B"]),
+            ("controller", theme.believed),
+            ("plant", theme.truth),
+        ]
+        for i, (name, color) in enumerate(handles):
+            axes.annotate(
+                f"■ {name}", (0.004 + 0.0, 1.0), xycoords="axes fraction",
+                xytext=(62 * i, 2), textcoords="offset points", fontsize=7.5, color=color,
+            )

@@ -1,0 +1,69 @@
+"""Colours of pictures and pages: Okabe and Ito's colour-blind-safe palette, on light and dark."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Theme:
+    """The colours of one look; `chamber` maps B, N and F."""
+
+    name: str
+    paper: str
+    ink: str
+    faint: str
+    grid: str
+    band: str
+    truth: str
+    believed: str
+    alarm: str
+    chamber: dict[str, str]
+    state: dict[str, str]
+
+
+LIGHT = Theme(
+    name="light",
+    paper="#ffffff",
+    ink="#1a1a1a",
+    faint="#6b6b6b",
+    grid="#e3e3e3",
+    band="#f1f3f5",
+    truth="#000000",
+    believed="#c2458f",
+    alarm="#d55e00",
+    chamber={"B": "#0072b2", "N": "#009e73", "F": "#c98500"},
+    state={
+        "INIT": "#dddddd",
+        "IDLE": "#eceff1",
+        "PUSH": "#56b4e9",
+        "CONFIRM": "#f0e442",
+        "BLOW": "#8fd3bd",
+        "HOLD": "#b3cde0",
+        "VENT": "#e2cfe9",
+        "FAULT": "#e8896b",
+    },
+)
+
+DARK = Theme(
+    name="dark",
+    paper="#14171a",
+    ink="#eceff1",
+    faint="#a0a7ad",
+    grid="#2b3136",
+    band="#1d2226",
+    truth="#ffffff",
+    believed="#f08cc4",
+    alarm="#ff8a4c",
+    chamber={"B": "#56b4e9", "N": "#2cc79a", "F": "#f0b429"},
+    state={
+        "INIT": "#3a4046",
+        "IDLE": "#262c31",
+        "PUSH": "#1f6f9f",
+        "CONFIRM": "#8a8000",
+        "BLOW": "#1f7a5f",
+        "HOLD": "#36566f",
+        "VENT": "#5c4468",
+        "FAULT": "#a3431f",
+    },
+)

@@ -1,0 +1,183 @@
+"""What a run leaves on disk besides its recordings: result.json, JUnit, and the folder rules."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import platform
+import re
+from collections.abc import Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal
+from xml.etree import ElementTree
+
+import msgspec
+
+from can_dbc.errors import InputError
+
+RESULT = "result.json"
+RUN_FILES = frozenset(
+    (RESULT, "trace.csv", "bus.log", "report.html", "shift.png", "events.jsonl", "scenario.json")
+)
+"""The files of a run folder; any of them in a folder marks it as holding a run."""
+
+LIBRARIES = ("opc4-sil", "numpy", "numba", "scipy", "python-can", "cantools", "msgspec")
+
+
+class Check(msgspec.Struct, frozen=True, kw_only=True):
+    """One expectation after the run: what was found beside what was asked."""
+
+    name: str
+    passed: bool
+    value: Any
+    limit: Any
+
+
+class Result(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
+    """Everything in result.json. `complete` is false when the run ended early; `why` says why."""
+
+    format: int = 1
+    scenario_name: str
+    passed: bool
+    complete: bool
+    why: str | None
+    expectations: list[Check]
+    metrics: dict[str, Any]
+    trace_sha256: str | None
+    seed: int
+    transport: str
+    versions: dict[str, str]
+    bus: dict[str, Any]
+    balances: dict[str, Any]
+    speed: dict[str, float]
+    scenario: Any
+    model: Any
+
+    status: Literal["passed", "failed", "incomplete"]
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the libraries that a result depends on."""
+    found = {"python": platform.python_version()}
+    for name in LIBRARIES:
+        with contextlib.suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
+
+
+def finite(value: Any) -> Any:
+    """Return the value with every not-finite float replaced by None, as JSON wants it."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(v) for v in value]
+    return value
+
+
+def as_json(result: Result) -> str:
+    """Return the result as one JSON object, in the order of its fields."""
+    return json.dumps(finite(msgspec.to_builtins(result)), indent=1, ensure_ascii=False)
+
+
+def write_result(result: Result, folder: Path) -> None:
+    """Write result.json whole or not at all."""
+    write_whole(folder / RESULT, as_json(result) + "\n")
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file under another name and move it in place, so that no half file is ever seen."""
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)
+
+
+def prepare_folder(out: Path | None, name: str, force: bool) -> Path:
+    """Return the folder of a new run, made if missing.
+
+    Without `out` it is the first free runs/<name>-<n>. A folder that holds another run is refused
+    unless `force`, which removes that run's files and nothing else. Raises InputError.
+    Checked by test_results.
+    """
+    if out is None:
+        return _next_free(Path("runs"), name)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        held = sorted(RUN_FILES.intersection(p.name for p in out.iterdir()))
+    except FileExistsError:
+        raise InputError(f"{out}: --out: is a file; expected a folder") from None
+    except OSError as error:
+        raise InputError(f"{out}: --out: {error.strerror}; expected a folder to write in") from None
+    if held and not force:
+        raise InputError(
+            f"{out}: --out: holds another run ({held[0]}); expected an empty folder, or --force"
+        )
+    for file in held:
+        (out / file).unlink()
+    if not os.access(out, os.W_OK):
+        raise InputError(f"{out}: --out: no permission; expected a folder to write in")
+    return out
+
+
+def _next_free(parent: Path, name: str) -> Path:
+    stem = re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "run"
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        taken = [
+            int(m[1])
+            for p in parent.iterdir()
+            if (m := re.fullmatch(re.escape(stem) + r"-(\d{1,9})", p.name))
+        ]
+        number = max(taken, default=0) + 1
+        while True:
+            try:
+                (folder := parent / f"{stem}-{number}").mkdir()
+                return folder
+            except FileExistsError:  # another run took the number meanwhile
+                number += 1
+    except OSError as error:
+        raise InputError(f"{parent}: {error.strerror}; expected a folder, or --out DIR") from None
+
+
+def junit_xml(result: Result) -> str:
+    """Return the result as a JUnit test suite: one case per expectation.
+
+    A run that did not finish is one case more, an error. Checked by test_results.
+    """
+    failed = [c for c in result.expectations if not c.passed]
+    cases: Sequence[Check] = result.expectations
+    suite = ElementTree.Element(
+        "testsuite",
+        name=result.scenario_name,
+        tests=str(len(cases) + (not result.complete)),
+        failures=str(len(failed)),
+        errors=str(int(not result.complete)),
+        skipped="0",
+        time=f"{result.speed.get('wall_s', 0.0):.3f}",
+    )
+    for check in cases:
+        case = ElementTree.SubElement(
+            suite, "testcase", classname=result.scenario_name, name=check.name
+        )
+        if not check.passed:
+            told = f"{check.name}: {check.value!r}; expected {check.limit!r}"
+            ElementTree.SubElement(case, "failure", message=_xml_text(told))
+    if not result.complete:
+        case = ElementTree.SubElement(
+            suite, "testcase", classname=result.scenario_name, name="run finished"
+        )
+        ElementTree.SubElement(case, "error", message=_xml_text(result.why or "not finished"))
+    root = ElementTree.Element("testsuites")
+    root.append(suite)
+    ElementTree.indent(root)
+    text: str = ElementTree.tostring(root, encoding="unicode", xml_declaration=False)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + text + "\n"
+
+
+def _xml_text(text: str) -> str:
+    """Drop the control characters that XML 1.0 cannot hold."""
+    return "".join(c if c in "\t\n" or ord(c) >= 32 else "?" for c in text)

@@ -1,0 +1,83 @@
+"""What a finished run left behind, as arrays and messages: the one input of metrics and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from can_dbc import codec
+from can_dbc.frame import Frame
+from can_dbc.messages import ControllerStatus
+
+Floats = NDArray[np.float64]
+M = TypeVar("M")
+
+NS = 1_000_000_000
+CHAMBERS = ("B", "N", "F")
+
+
+@dataclass(frozen=True)
+class BusFrame:
+    """One frame as it crossed the bus: released by its sender, arrived at everybody else."""
+
+    released_ns: int
+    arrival_ns: int
+    sender: str
+    frame: Frame
+
+
+@dataclass(frozen=True)
+class PlantEvent:
+    """Something the plant located exactly: a valve moved, the stay stopped, a block released."""
+
+    time_s: float
+    name: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """The truth (columns over time_s), the plant's events and every frame of one run."""
+
+    truth: Mapping[str, Floats]
+    events: Sequence[PlantEvent]
+    frames: Sequence[BusFrame]
+    stroke_m: float
+    free_travel_m: float
+    supply_pressure_pa: float
+
+    @cached_property
+    def messages(self) -> dict[type, list[tuple[BusFrame, Any]]]:
+        """All frames that our contract knows, decoded, by message type in order of arrival.
+
+        Frames of other ids and damaged ones are left out here: they stay in `frames`.
+        """
+        found: dict[type, list[tuple[BusFrame, Any]]] = {}
+        for entry in self.frames:
+            try:
+                message = codec.decode(entry.frame)
+            except codec.CodecError:
+                continue
+            found.setdefault(type(message), []).append((entry, message))
+        return found
+
+    def of(self, kind: type[M]) -> list[tuple[BusFrame, M]]:
+        """Return (frame, message) of one message type in order of arrival."""
+        return self.messages.get(kind, [])
+
+    def series(self, kind: type, name: str) -> tuple[Floats, list[Any]]:
+        """Return arrival times in s, and the values, of one field of one message type."""
+        entries = self.of(kind)
+        times = np.array([e.arrival_ns for e, _ in entries], dtype=np.float64) / NS
+        return times, [getattr(m, name) for _, m in entries]
+
+    @cached_property
+    def believed(self) -> tuple[Floats, Floats]:
+        """Times (s) and positions (m) that the controller put on the bus as its estimate."""
+        times, values = self.series(ControllerStatus, "estimate_m")
+        return times, np.array(values, dtype=np.float64)

@@ -1,0 +1,41 @@
+"""What all tests share: the repository's root, and one way to run the installed command."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def opc4(tmp_path: Path) -> Run:
+    """Run `opc4 ...` in a process of its own, inside the test's folder."""
+
+    def run(*arguments: str, timeout: float = 120.0) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "sil.cli", *arguments],
+            cwd=tmp_path,
+            env=_environment(),
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            check=False,
+        )
+
+    return run
+
+
+def _environment() -> dict[str, str]:
+    import os
+
+    environment = dict(os.environ)
+    environment["PYTHONPATH"] = str(ROOT)
+    environment["PYTHONWARNINGS"] = "error"
+    return environment
