@@ -1,0 +1,1 @@
+"""The continuous hybrid model of the actuator: chambers, valves, friction, pistons, damper."""

@@ -1,0 +1,412 @@
+"""The hybrid integrator: continuous steps, events located on the dense output, resets.
+
+One kernel for every use: a stroke in one call, or pieces under lockstep.  Valve switchings are
+known instants and split the steps; everything else (sticking, slipping, contacts, stops, the
+synchronizer, the damper's modes) is a guard, located to rounding on the step's interpolant, after
+which the modes are chosen anew.  Nothing is smoothed.
+
+Checked by: tests/physics/
+"""
+
+from __future__ import annotations
+
+from .compiled import called, kernel
+from .fixed_equations import fixed_guards, fixed_impacts, fixed_settle
+from .layout import FIXED, LOIL, M_DAMPER, M_SYSTEM, P_ATM, SPENT, SYNC_IMPULSE
+from .length_contacts import (
+    G_OIL_EMPTY,
+    G_SPEED1,
+    G_SPEED2,
+    G_STAY_SPEED,
+    G_SYNC,
+    GUARDS,
+    impacts,
+    note_side,
+    settle,
+)
+from .length_contacts import guards as length_guards
+from .layout import FOIL, FV, V1, V2, VS
+from .steppers import (
+    derivative,
+    explicit_dense,
+    explicit_step,
+    interpolate,
+    jacobian,
+    stiff_dense,
+    stiff_step,
+)
+
+# Columns of the event record.
+EVENT_TIME, EVENT_GUARD, EVENT_LOST, EVENT_SPEED, EVENT_BLOCK, EVENT_X, EVENT_V = range(7)
+EVENT_COLUMNS = 7
+
+# Why `advance` stopped.
+DONE, TOO_MANY_EVENTS, STEP_TOO_SMALL, NOT_FINITE = 0, 1, 2, 3
+
+LONGEST_STEP_S = 5e-3
+FIRST_STEP_S = 2e-5
+# A velocity below this after an event is rounding.
+ZERO_M_S = 1e-12
+
+
+@called
+def all_guards(t, y, m, p, work, g):
+    """Guards of the stroke's system -> g."""
+    if m[M_SYSTEM] == FIXED:
+        fixed_guards(t, y, m, p, g)
+    else:
+        length_guards(t, y, m, p, work, g)
+
+
+@called
+def choose_modes(t, y, m, p, work):
+    """Modes that continue the motion from here (sticking, joined, moving)."""
+    if m[M_SYSTEM] == FIXED:
+        fixed_settle(t, y, m, p)
+    else:
+        settle(t, y, m, p, work)
+
+
+@called
+def smallest(g):
+    """Smallest guard and its index."""
+    index = 0
+    for k in range(1, GUARDS):
+        if g[k] < g[index]:
+            index = k
+    return index
+
+
+@called
+def locate(t, h, dense, y, m, p, work, g, g0, n_all):
+    """Fraction of the step at which the first guard crosses zero; y, g hold the state there.
+
+    g0: guards at the step's start, all positive; g: at its end, one negative.  Bracketing secant
+    (Illinois) on whichever negative guard would cross first, with bisection when it stalls.
+    """
+    low = 0.0
+    high = 1.0
+    stale = 0
+    weight = 1.0
+    for iteration in range(80):
+        theta = high
+        index = -1
+        for k in range(GUARDS):
+            if g[k] < 0.0:
+                base = max(g0[k], 0.0) * weight
+                candidate = low + (high - low) * base / (base - g[k])
+                if candidate < theta or index < 0:
+                    theta = candidate
+                    index = k
+        if (high - low) * h < 1e-15 or high - low < 1e-15:
+            break
+        if iteration % 3 == 2:
+            theta = 0.5 * (low + high)
+        width = high - low
+        theta = min(max(theta, low + 1e-3 * width), high - 1e-3 * width)
+        interpolate(theta, dense, y, n_all)
+        trial = work[6 : 6 + GUARDS]
+        all_guards(t + theta * h, y, m, p, work, trial)
+        negative = False
+        for k in range(GUARDS):
+            if trial[k] < 0.0:
+                negative = True
+        if negative:
+            high = theta
+            for k in range(GUARDS):
+                g[k] = trial[k]
+            stale = stale + 1 if stale > 0 else 1
+            weight = 0.5 if stale > 1 else 1.0
+        else:
+            low = theta
+            for k in range(GUARDS):
+                g0[k] = trial[k]
+            stale = stale - 1 if stale < 0 else -1
+            weight = 1.0
+    interpolate(high, dense, y, n_all)
+    return high
+
+
+@called
+def after_event(t, index, y, m, p, record, work):
+    """Reset at an event and choose the modes that follow."""
+    if m[M_SYSTEM] == FIXED:
+        if index == G_STAY_SPEED:
+            y[FV] = 0.0
+        if index == G_OIL_EMPTY:
+            y[FOIL] = p[P_ATM]
+        if abs(y[FV]) < ZERO_M_S:
+            y[FV] = 0.0
+        fixed_impacts(y, m, p, record)
+        fixed_settle(t, y, m, p)
+        return
+    if index == G_STAY_SPEED:
+        if m[3] != 0:
+            y[V1] = 0.0
+        if m[4] != 0:
+            y[V2] = 0.0
+        y[VS] = 0.0
+    elif index == G_SPEED1:
+        y[V1] = 0.0
+    elif index == G_SPEED2:
+        y[V2] = 0.0
+    elif index == G_SYNC:
+        y[SPENT] = p[SYNC_IMPULSE]
+    elif index == G_OIL_EMPTY:
+        y[LOIL] = p[P_ATM]
+    for i in (VS, V1, V2):
+        if abs(y[i]) < ZERO_M_S:
+            y[i] = 0.0
+    impacts(y, m, p, record)
+    settle(t, y, m, p, work)
+
+
+@kernel
+def start(y, m, p, workspace):
+    """Choose the modes of an initial state."""
+    choose_modes(0.0, y, m, p, workspace[0])
+
+
+@kernel
+def advance(
+    duration,
+    y,
+    m,
+    u0,
+    du,
+    p,
+    c,
+    scale,
+    n,
+    quad,
+    tolerance,
+    step,
+    switches,
+    samples,
+    out,
+    events,
+    counts,
+    workspace,
+):
+    """Integrate from time 0 to `duration` [s]; returns DONE or the reason to stop.
+
+    Parameters
+    ----------
+    y : float64 [n + quadratures], state, updated in place
+    m : int64 [MODES], modes, updated in place
+    u0, du : float64 [3], valve positions u0 + du t, updated in place to the end of the interval
+    p, c : parameters and flow-map coefficients
+    scale : float64 [n], typical size of each state, for the error control
+    quad : 0, or number of quadratures behind the states
+    step : float64 [1], size of the next step, carried over from call to call
+    switches : float64 [k, 4] rows (time, chamber, position, slope), times ascending
+    samples : float64 [s], times at which the state is wanted, ascending -> out [s, n]
+    events : float64 [e, EVENT_COLUMNS], filled in order
+    counts : int64 [4]: events, steps, rejected steps, samples written; added to
+    workspace : float64 [40, >= 64] scratch
+    """
+    n_all = n + quad
+    with_quad = quad > 0
+    work = workspace[0]
+    g = workspace[1]
+    g0 = workspace[2]
+    stage = workspace[3]
+    err = workspace[4]
+    y1 = workspace[5]
+    record = workspace[6]
+    column = workspace[7]
+    ft = workspace[8]
+    k = workspace[9:16]
+    dense = workspace[16:21]
+    jac = workspace[21:61]
+    lu = workspace[61:73]
+    pivot = m[16:32]
+    t = 0.0
+    i_switch = 0
+    i_sample = 0
+    n_switch = switches.shape[0]
+    n_sample = samples.shape[0]
+    stiff = m[M_DAMPER] == 2
+    h = step[0]
+    fresh = True
+    have_jacobian = False
+    limit_events = counts[0] + 4000
+    while True:
+        while i_switch < n_switch and switches[i_switch, 0] <= t:
+            chamber = int(switches[i_switch, 1])
+            du[chamber] = switches[i_switch, 3]
+            u0[chamber] = switches[i_switch, 2] - du[chamber] * switches[i_switch, 0]
+            i_switch += 1
+            fresh = True
+        if t >= duration:
+            break
+        t_next = duration
+        if i_switch < n_switch and switches[i_switch, 0] < duration:
+            t_next = switches[i_switch, 0]
+        left = t_next - t
+        if fresh:
+            derivative(t, y, k[6], m, u0, du, p, c, work, with_quad)
+            all_guards(t, y, m, p, work, g0)
+            worst = smallest(g0)
+            if g0[worst] < 0.0:
+                # a jump of input or parameters has already passed a guard: act on it now
+                after_event(t, worst, y, m, p, record, work)
+                n_event = counts[0]
+                if n_event >= events.shape[0] or n_event >= limit_events:
+                    return TOO_MANY_EVENTS
+                events[n_event, EVENT_TIME] = t
+                events[n_event, EVENT_GUARD] = worst
+                events[n_event, EVENT_LOST] = record[0]
+                events[n_event, EVENT_SPEED] = record[1]
+                events[n_event, EVENT_BLOCK] = record[2]
+                events[n_event, EVENT_X] = y[0]
+                events[n_event, EVENT_V] = y[1]
+                counts[0] += 1
+                continue
+            fresh = False
+            have_jacobian = False
+        if m[M_SYSTEM] != FIXED:
+            note_side(y, m, p)
+        last = h >= left * (1.0 - 1e-12)
+        trial = left if last else min(h, 0.5 * left)
+        if stiff:
+            if not have_jacobian:
+                jacobian(
+                    t, y, k[6], jac, m, u0, du, p, c, work, stage, scale, n, n_all, with_quad, column
+                )
+                ramp = du[0] != 0.0 or du[1] != 0.0 or du[2] != 0.0
+                for i in range(n_all):
+                    ft[i] = 0.0
+                if ramp:
+                    delta = 1e-9
+                    derivative(t + delta, y, column, m, u0, du, p, c, work, with_quad)
+                    for i in range(n_all):
+                        ft[i] = (column[i] - k[6, i]) / delta
+                have_jacobian = True
+            norm = stiff_step(
+                t,
+                trial,
+                y,
+                y1,
+                k,
+                m,
+                u0,
+                du,
+                p,
+                c,
+                work,
+                stage,
+                err,
+                scale,
+                n,
+                n_all,
+                with_quad,
+                tolerance,
+                jac,
+                lu,
+                pivot,
+                ft,
+            )
+            power = 0.25
+        else:
+            for i in range(n_all):
+                k[0, i] = k[6, i]
+            norm = explicit_step(
+                t,
+                trial,
+                y,
+                y1,
+                k,
+                m,
+                u0,
+                du,
+                p,
+                c,
+                work,
+                stage,
+                err,
+                scale,
+                n,
+                n_all,
+                with_quad,
+                tolerance,
+            )
+            power = 0.2
+        if not norm <= 1.0e300:
+            h = 0.1 * trial
+            if h < 1e-14:
+                return NOT_FINITE
+            if not stiff:
+                for i in range(n_all):
+                    k[6, i] = k[0, i]
+            counts[2] += 1
+            continue
+        factor = 5.0 if norm < 1e-12 else min(5.0, max(0.2, 0.9 * norm ** (-power)))
+        if norm > 1.0:
+            h = trial * min(factor, 0.9)
+            if h < 1e-14:
+                return STEP_TOO_SMALL
+            if not stiff:
+                for i in range(n_all):
+                    k[6, i] = k[0, i]
+            counts[2] += 1
+            continue
+        counts[1] += 1
+        if last:
+            h = max(h, trial * factor) if trial < h else trial * factor
+        else:
+            h = trial * factor
+        h = min(h, LONGEST_STEP_S)
+        if stiff:
+            stiff_dense(y, y1, k, dense, n_all)
+        else:
+            explicit_dense(trial, y, y1, k, dense, n_all)
+        all_guards(t + trial, y1, m, p, work, g)
+        index = smallest(g)
+        fired = g[index] < 0.0
+        theta = 1.0
+        if fired:
+            theta = locate(t, trial, dense, y1, m, p, work, g, g0, n_all)
+            index = smallest(g)
+        t_end = t + theta * trial
+        if last and not fired:
+            t_end = t_next
+        while i_sample < n_sample and samples[i_sample] <= t_end:
+            place = min(max((samples[i_sample] - t) / trial, 0.0), theta)
+            interpolate(place, dense, stage, n)
+            for i in range(n):
+                out[i_sample, i] = stage[i]
+            i_sample += 1
+        for i in range(n_all):
+            y[i] = y1[i]
+        t = t_end
+        if fired:
+            after_event(t, index, y, m, p, record, work)
+            n_event = counts[0]
+            if n_event >= events.shape[0] or n_event >= limit_events:
+                return TOO_MANY_EVENTS
+            events[n_event, EVENT_TIME] = t
+            events[n_event, EVENT_GUARD] = index
+            events[n_event, EVENT_LOST] = record[0]
+            events[n_event, EVENT_SPEED] = record[1]
+            events[n_event, EVENT_BLOCK] = record[2]
+            events[n_event, EVENT_X] = y[0]
+            events[n_event, EVENT_V] = y[1]
+            counts[0] += 1
+            fresh = True
+            h = min(h, max(FIRST_STEP_S, 0.3 * trial))
+        else:
+            if stiff:
+                derivative(t, y, k[6], m, u0, du, p, c, work, with_quad)
+            have_jacobian = False
+            for i in range(GUARDS):
+                g0[i] = g[i]
+    while i_sample < n_sample:
+        for i in range(n):
+            out[i_sample, i] = y[i]
+        i_sample += 1
+    for j in range(3):
+        u0[j] = u0[j] + du[j] * duration
+    step[0] = max(h, 1e-9)
+    counts[3] += i_sample
+    return DONE

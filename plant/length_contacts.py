@@ -1,0 +1,545 @@
+"""Guards and resets of the length stroke: stops, contacts, sticking, the synchronizer's block.
+
+Three bodies on one line.  A contact has a body behind and one ahead: moving in + the body behind
+pushes the one ahead.  Collar 1: piston 1 behind, stay ahead; nut 1: stay behind, piston 1 ahead;
+nut 2: piston 2 behind, stay ahead; collar 2: stay behind, piston 2 ahead.
+"""
+
+from __future__ import annotations
+
+from .compiled import called, inlined
+from .layout import (
+    COLLAR,
+    FREE,
+    LOIL,
+    M_BLOCKED,
+    M_DAMPER,
+    M_INSIDE,
+    M_JOINED1,
+    M_JOINED2,
+    M_OIL_REST,
+    M_P,
+    M_PISTON1,
+    M_PISTON2,
+    M_S,
+    M_STAY,
+    NUT,
+    P_ATM,
+    PB,
+    PF,
+    PN,
+    RESTITUTION,
+    SPENT,
+    STOP_OFFSET,
+    STROKE,
+    SYNC_IMPULSE,
+    V1,
+    V2,
+    VS,
+    X1,
+    X2,
+    X_BLOCK,
+    X_FREE,
+    XS,
+)
+from .length_equations import (
+    accelerations,
+    net_forces,
+    oil_rate,
+    piston_sliding,
+    piston_static,
+    stay_sliding,
+    stay_static,
+)
+
+TOUCH_M = 1e-9
+EPS_M = 1e-13
+EPS_M_S = 1e-11
+EPS_N = 1e-7
+EPS_PA = 1e-7
+# A rebound slower than this is a stop: the end of a Zeno sequence.
+REST_M_S = 1e-4
+# Equal velocities of touching bodies, up to rounding.
+SAME_M_S = 1e-10
+FAR = 1.0e30
+
+GUARDS = 20
+(
+    G_STAY_SPEED,
+    G_SPEED1,
+    G_SPEED2,
+    G_STAY_HIGH,
+    G_STAY_LOW,
+    G_OUTER1,
+    G_OUTER2,
+    G_NUT1,
+    G_COLLAR1,
+    G_NUT2,
+    G_COLLAR2,
+    G_CONTACT1,
+    G_CONTACT2,
+    G_HOLD_STAY,
+    G_HOLD1,
+    G_HOLD2,
+    G_SYNC,
+    G_OIL_EMPTY,
+    G_OIL_FILL,
+    G_NEUTRAL,
+) = range(GUARDS)
+
+
+@inlined
+def stay_limits(y, m, p):
+    """Highest and lowest stay position now: the end stops, or the synchronizer while unspent."""
+    high = p[STROKE] + p[STOP_OFFSET]
+    if m[M_INSIDE] != 0 and y[SPENT] < p[SYNC_IMPULSE]:
+        high = p[X_BLOCK]
+    return high, -high
+
+
+@inlined
+def note_side(y, m, p):
+    """Remember on which side of the blocking position the stay stands (a step must not jump it)."""
+    m[M_INSIDE] = 1 if abs(y[XS]) <= p[X_BLOCK] + TOUCH_M else 0
+
+
+@inlined
+def sign_ahead(which, contact):
+    """+1 if piston `which` is the body ahead in its contact with the stay, -1 if behind."""
+    if which == 1:
+        return 1 if contact == NUT else -1
+    return 1 if contact == COLLAR else -1
+
+
+@inlined
+def piston_holds(direction, which, y):
+    """True if a piston cannot move in `direction` (of x_s): it stands on its outer stop."""
+    if which == 1:
+        return direction < 0 and y[X1] <= TOUCH_M
+    return direction > 0 and y[X2] <= TOUCH_M
+
+
+@called
+def rest_margins(y, m, p, force, g):
+    """Margins before something at rest moves [N]: static friction minus driving force -> g."""
+    high, low = stay_limits(y, m, p)
+    static1p = piston_static(1.0, y[PB] - y[PN], p)
+    static1m = piston_static(-1.0, y[PB] - y[PN], p)
+    static2p = piston_static(1.0, y[PF] - y[PN], p)
+    static2m = piston_static(-1.0, y[PF] - y[PN], p)
+    c1 = m[M_JOINED1]
+    c2 = m[M_JOINED2]
+    if m[M_STAY] == 0:
+        # the stay with everything joined to it, each direction unless blocked
+        for d in (1, -1):
+            blocked = (d > 0 and y[XS] >= high - TOUCH_M) or (d < 0 and y[XS] <= low + TOUCH_M)
+            total = d * force[0]
+            cap = stay_static(y[XS], d, p)
+            if c1 != FREE:
+                blocked = blocked or piston_holds(d, 1, y)
+                total += d * force[1]
+                cap += static1p if d > 0 else static1m
+            elif not blocked:
+                # a resting piston in the way without being joined: only touching
+                gap = y[X1] - y[XS]
+                if d > 0 and gap <= TOUCH_M and m[M_PISTON1] == 0:
+                    total += d * force[1]
+                    cap += static1p
+                if d < 0 and gap >= p[X_FREE] - TOUCH_M and m[M_PISTON1] == 0:
+                    total += d * force[1]
+                    cap += static1m
+                    blocked = blocked or piston_holds(d, 1, y)
+            if c2 != FREE:
+                blocked = blocked or piston_holds(d, 2, y)
+                total += d * force[2]
+                cap += static2p if d > 0 else static2m
+            elif not blocked:
+                gap = y[X2] + y[XS]
+                if d < 0 and gap <= TOUCH_M and m[M_PISTON2] == 0:
+                    total += d * force[2]
+                    cap += static2m
+                if d > 0 and gap >= p[X_FREE] - TOUCH_M and m[M_PISTON2] == 0:
+                    total += d * force[2]
+                    cap += static2p
+                    blocked = blocked or piston_holds(d, 2, y)
+            if not blocked:
+                g[G_HOLD_STAY] = min(g[G_HOLD_STAY], cap - total)
+            # leaving a contact: the stay (with the other piston) away from piston 1, 2
+            if c1 != FREE and d == -sign_ahead(1, c1):
+                away = d * force[0]
+                hold = stay_static(y[XS], d, p)
+                stopped = (d > 0 and y[XS] >= high - TOUCH_M) or (d < 0 and y[XS] <= low + TOUCH_M)
+                if c2 != FREE:
+                    away += d * force[2]
+                    hold += static2p if d > 0 else static2m
+                    stopped = stopped or piston_holds(d, 2, y)
+                if not stopped:
+                    g[G_HOLD_STAY] = min(g[G_HOLD_STAY], hold - away)
+            if c2 != FREE and d == -sign_ahead(2, c2):
+                away = d * force[0]
+                hold = stay_static(y[XS], d, p)
+                stopped = (d > 0 and y[XS] >= high - TOUCH_M) or (d < 0 and y[XS] <= low + TOUCH_M)
+                if c1 != FREE:
+                    away += d * force[1]
+                    hold += static1p if d > 0 else static1m
+                    stopped = stopped or piston_holds(d, 1, y)
+                if not stopped:
+                    g[G_HOLD_STAY] = min(g[G_HOLD_STAY], hold - away)
+    if m[M_PISTON1] == 0:
+        for d in (1, -1):
+            if c1 != FREE and d != sign_ahead(1, c1):
+                continue
+            if not piston_holds(d, 1, y):
+                g[G_HOLD1] = min(g[G_HOLD1], (static1p if d > 0 else static1m) - d * force[1])
+    if m[M_PISTON2] == 0:
+        for d in (1, -1):
+            if c2 != FREE and d != sign_ahead(2, c2):
+                continue
+            if not piston_holds(d, 2, y):
+                g[G_HOLD2] = min(g[G_HOLD2], (static2p if d > 0 else static2m) - d * force[2])
+
+
+@called
+def guards(t, y, m, p, work, g):
+    """Guards of the present modes -> g[0:GUARDS]; each is positive until its event.
+
+    Shifted by a rounding-sized amount so that a guard just fired does not fire again.
+    """
+    for k in range(GUARDS):
+        g[k] = FAR
+    force = work[0:3]
+    acc = work[3:6]
+    net_forces(y, m, p, t, force)
+    d = m[M_STAY]
+    d1 = m[M_PISTON1]
+    d2 = m[M_PISTON2]
+    c1 = m[M_JOINED1]
+    c2 = m[M_JOINED2]
+    w1 = y[V1]
+    w2 = -y[V2]
+    if d != 0:
+        g[G_STAY_SPEED] = d * y[VS] + EPS_M_S
+        high, low = stay_limits(y, m, p)
+        if d > 0:
+            g[G_STAY_HIGH] = high - y[XS] + EPS_M
+        else:
+            g[G_STAY_LOW] = y[XS] - low + EPS_M
+    if d1 != 0:
+        if c1 == FREE:
+            g[G_SPEED1] = d1 * w1 + EPS_M_S
+        g[G_OUTER1] = y[X1] + EPS_M
+    if d2 != 0:
+        if c2 == FREE:
+            g[G_SPEED2] = d2 * w2 + EPS_M_S
+        g[G_OUTER2] = y[X2] + EPS_M
+    if c1 == FREE and (d1 != 0 or d != 0):
+        gap = y[X1] - y[XS]
+        if gap < 0.5 * p[X_FREE]:
+            g[G_NUT1] = gap + EPS_M
+        else:
+            g[G_COLLAR1] = p[X_FREE] - gap + EPS_M
+    if c2 == FREE and (d2 != 0 or d != 0):
+        gap = y[X2] + y[XS]
+        if gap < 0.5 * p[X_FREE]:
+            g[G_NUT2] = gap + EPS_M
+        else:
+            g[G_COLLAR2] = p[X_FREE] - gap + EPS_M
+    if d != 0 and (c1 != FREE or c2 != FREE):
+        accelerations(m, p, force, acc)
+        if c1 != FREE:
+            g[G_CONTACT1] = sign_ahead(1, c1) * (p[M_P] * acc[0] - force[1]) + EPS_N
+        if c2 != FREE:
+            g[G_CONTACT2] = sign_ahead(2, c2) * (p[M_P] * acc[0] - force[2]) + EPS_N
+    if d == 0 or d1 == 0 or d2 == 0:
+        rest_margins(y, m, p, force, g)
+        g[G_HOLD_STAY] += EPS_N
+        g[G_HOLD1] += EPS_N
+        g[G_HOLD2] += EPS_N
+    if m[M_BLOCKED] != 0:
+        g[G_SYNC] = p[SYNC_IMPULSE] - y[SPENT]
+    if m[M_DAMPER] == 2:
+        side = 1.0 if y[XS] >= 0.0 else -1.0
+        if m[M_OIL_REST] != 0:
+            if d != 0:
+                g[G_OIL_FILL] = EPS_M_S - side * y[VS]
+        else:
+            g[G_OIL_EMPTY] = y[LOIL] - p[P_ATM] + EPS_PA
+        if d != 0:
+            # crossing neutral: the damper acts on the other side from there
+            g[G_NEUTRAL] = (side * y[XS] + EPS_M) if d * side < 0 else FAR
+
+
+@inlined
+def join_velocity(y, m, p, which):
+    """Inelastic contact of the stay (with the other piston, if joined) and one piston.
+
+    Conserves momentum; returns the kinetic energy lost [J].  A piston at rest on its outer stop
+    that would be pushed inward is fixed (thesis 3.3.2): the stay stops or rebounds.
+    """
+    w1 = y[V1]
+    w2 = -y[V2]
+    mass = p[M_S]
+    other = m[M_JOINED2] if which == 1 else m[M_JOINED1]
+    if other != FREE:
+        mass += p[M_P]
+    v = (mass * y[VS] + p[M_P] * (w1 if which == 1 else w2)) / (mass + p[M_P])
+    relative = y[VS] - (w1 if which == 1 else w2)
+    lost = 0.5 * mass * p[M_P] / (mass + p[M_P]) * relative * relative
+    y[VS] = v
+    if which == 1:
+        y[V1] = v
+        if other != FREE:
+            y[V2] = -v
+    else:
+        y[V2] = -v
+        if other != FREE:
+            y[V1] = v
+    return lost
+
+
+@inlined
+def rebound(v, p):
+    """Velocity after a stop: -e v, or 0 when slower than a rebound that counts."""
+    after = -p[RESTITUTION] * v
+    return after if abs(after) > REST_M_S else 0.0
+
+
+@called
+def impacts(y, m, p, record):
+    """Resolve all closing contacts and stops at this instant; record[0] energy lost [J],
+    record[1] speed of the stay into an end stop, record[2] 1 if it was the synchronizer."""
+    record[0] = 0.0
+    record[1] = 0.0
+    record[2] = 0.0
+    for _ in range(12):
+        high, low = stay_limits(y, m, p)
+        again = False
+        held = 0.0
+        # pistons on their outer stops
+        if y[X1] <= TOUCH_M and y[V1] < 0.0:
+            y[X1] = 0.0
+            after = rebound(y[V1], p)
+            record[0] += 0.5 * p[M_P] * (y[V1] * y[V1] - after * after)
+            y[V1] = after
+            again = True
+        if y[X2] <= TOUCH_M and y[V2] < 0.0:
+            y[X2] = 0.0
+            after = rebound(y[V2], p)
+            record[0] += 0.5 * p[M_P] * (y[V2] * y[V2] - after * after)
+            y[V2] = after
+            again = True
+        # the stay on its stops
+        if y[XS] >= high - TOUCH_M and y[VS] > 0.0:
+            held = 1.0
+            y[XS] = high
+        elif y[XS] <= low + TOUCH_M and y[VS] < 0.0:
+            held = -1.0
+            y[XS] = low
+        # neutral: a piston at rest on its outer stop is as fixed as the housing
+        elif y[VS] < 0.0 and y[X2] + y[XS] <= TOUCH_M and y[X2] <= TOUCH_M and y[V2] <= 0.0:
+            held = -2.0
+            y[XS] = -y[X2]
+        elif y[VS] > 0.0 and y[X1] - y[XS] <= TOUCH_M and y[X1] <= TOUCH_M and y[V1] <= 0.0:
+            held = 2.0
+            y[XS] = y[X1]
+        if held != 0.0:
+            at_block = abs(held) == 1.0 and abs(y[XS]) < p[STROKE] + p[STOP_OFFSET] - TOUCH_M
+            after = 0.0 if at_block else rebound(y[VS], p)
+            record[0] += 0.5 * p[M_S] * (y[VS] * y[VS] - after * after)
+            if abs(y[VS]) > record[1]:
+                record[1] = abs(y[VS])
+                record[2] = 1.0 if at_block else 0.0
+            y[VS] = after
+            again = True
+        # contacts of stay and pistons
+        gap = y[X1] - y[XS]
+        relative = y[V1] - y[VS]
+        if (gap <= TOUCH_M and relative < -SAME_M_S) or (
+            gap >= p[X_FREE] - TOUCH_M and relative > SAME_M_S
+        ):
+            stopped = (
+                (y[XS] >= high - TOUCH_M and relative > 0.0)
+                or (y[XS] <= low + TOUCH_M and relative < 0.0)
+                or (relative < 0.0 and y[X2] + y[XS] <= TOUCH_M and y[X2] <= TOUCH_M)
+            ) and y[VS] == 0.0
+            if stopped:
+                record[0] += 0.5 * p[M_P] * y[V1] * y[V1]
+                y[V1] = 0.0
+            else:
+                record[0] += join_velocity(y, m, p, 1)
+            again = True
+        gap = y[X2] + y[XS]
+        relative = y[VS] + y[V2]
+        if (gap <= TOUCH_M and relative < -SAME_M_S) or (
+            gap >= p[X_FREE] - TOUCH_M and relative > SAME_M_S
+        ):
+            stopped = (
+                (y[XS] <= low + TOUCH_M and relative > 0.0)
+                or (y[XS] >= high - TOUCH_M and relative < 0.0)
+                or (relative < 0.0 and y[X1] - y[XS] <= TOUCH_M and y[X1] <= TOUCH_M)
+            ) and y[VS] == 0.0
+            if stopped:
+                record[0] += 0.5 * p[M_P] * y[V2] * y[V2]
+                y[V2] = 0.0
+            else:
+                record[0] += join_velocity(y, m, p, 2)
+            again = True
+        if not again:
+            break
+
+
+@inlined
+def group_acceleration(v, drive, cap_plus, cap_minus, run_plus, run_minus, mass, stop_plus, stop_minus):
+    """Acceleration of one group of joined bodies: set-valued friction at rest, stops one-sided."""
+    if v > 0.0:
+        return (drive - run_plus) / mass
+    if v < 0.0:
+        return (drive + run_minus) / mass
+    if drive > cap_plus and not stop_plus:
+        return (drive - run_plus) / mass
+    if drive < -cap_minus and not stop_minus:
+        return (drive + run_minus) / mass
+    return 0.0
+
+
+@inlined
+def direction_of(v, a):
+    """+1, -1 or 0: the way a body moves, or starts to move."""
+    if v > 0.0:
+        return 1
+    if v < 0.0:
+        return -1
+    if a > 0.0:
+        return 1
+    if a < 0.0:
+        return -1
+    return 0
+
+
+@called
+def settle(t, y, m, p, work):
+    """Choose the modes that continue the motion from here: who is joined, who rests, who moves.
+
+    Bodies start apart; touching bodies whose accelerations (or pushes at rest) would close the
+    contact are joined, until none closes (the one-dimensional contact problem, solved as
+    pool-adjacent-violators does).  Friction at rest is set-valued.
+    """
+    force = work[0:3]
+    note_side(y, m, p)
+    m[M_STAY] = 0
+    m[M_PISTON1] = 0
+    m[M_PISTON2] = 0
+    net_forces(y, m, p, t, force)
+    drive_s = force[0]
+    drive1 = force[1]
+    drive2 = force[2]
+    high, low = stay_limits(y, m, p)
+    gap1 = y[X1] - y[XS]
+    gap2 = y[X2] + y[XS]
+    same1 = abs(y[V1] - y[VS]) <= SAME_M_S
+    same2 = abs(y[V2] + y[VS]) <= SAME_M_S
+    touch1 = FREE
+    if same1:
+        touch1 = NUT if gap1 <= TOUCH_M else (COLLAR if gap1 >= p[X_FREE] - TOUCH_M else FREE)
+    touch2 = FREE
+    if same2:
+        touch2 = NUT if gap2 <= TOUCH_M else (COLLAR if gap2 >= p[X_FREE] - TOUCH_M else FREE)
+    c1 = FREE
+    c2 = FREE
+    pressure1 = y[PB] - y[PN]
+    pressure2 = y[PF] - y[PN]
+    a = 0.0
+    a1 = 0.0
+    a2 = 0.0
+    for _ in range(3):
+        drive = drive_s
+        mass = p[M_S]
+        cap_plus = stay_static(y[XS], 1.0, p)
+        cap_minus = stay_static(y[XS], -1.0, p)
+        stop_plus = y[XS] >= high - TOUCH_M
+        stop_minus = y[XS] <= low + TOUCH_M
+        run_plus = stay_sliding(y[XS], y[VS], 1.0, p)
+        run_minus = stay_sliding(y[XS], y[VS], -1.0, p)
+        if c1 != FREE:
+            drive += drive1
+            mass += p[M_P]
+            cap_plus += piston_static(1.0, pressure1, p)
+            cap_minus += piston_static(-1.0, pressure1, p)
+            run_plus += piston_sliding(y[VS], 1.0, pressure1, p)
+            run_minus += piston_sliding(y[VS], -1.0, pressure1, p)
+            stop_minus = stop_minus or y[X1] <= TOUCH_M
+        if c2 != FREE:
+            drive += drive2
+            mass += p[M_P]
+            cap_plus += piston_static(1.0, pressure2, p)
+            cap_minus += piston_static(-1.0, pressure2, p)
+            run_plus += piston_sliding(y[VS], 1.0, pressure2, p)
+            run_minus += piston_sliding(y[VS], -1.0, pressure2, p)
+            stop_plus = stop_plus or y[X2] <= TOUCH_M
+        a = group_acceleration(
+            y[VS], drive, cap_plus, cap_minus, run_plus, run_minus, mass, stop_plus, stop_minus
+        )
+        if c1 != FREE:
+            a1 = a
+        else:
+            a1 = group_acceleration(
+                y[V1],
+                drive1,
+                piston_static(1.0, pressure1, p),
+                piston_static(-1.0, pressure1, p),
+                piston_sliding(y[V1], 1.0, pressure1, p),
+                piston_sliding(y[V1], -1.0, pressure1, p),
+                p[M_P],
+                False,
+                y[X1] <= TOUCH_M,
+            )
+        if c2 != FREE:
+            a2 = a
+        else:
+            a2 = group_acceleration(
+                -y[V2],
+                drive2,
+                piston_static(1.0, pressure2, p),
+                piston_static(-1.0, pressure2, p),
+                piston_sliding(y[V2], 1.0, pressure2, p),
+                piston_sliding(y[V2], -1.0, pressure2, p),
+                p[M_P],
+                y[X2] <= TOUCH_M,
+                False,
+            )
+        joined = False
+        if c1 == FREE and touch1 != FREE and sign_ahead(1, touch1) * (a1 - a) < 0.0:
+            c1 = touch1
+            joined = True
+        elif c2 == FREE and touch2 != FREE and sign_ahead(2, touch2) * (a2 - a) < 0.0:
+            c2 = touch2
+            joined = True
+        if not joined:
+            break
+    m[M_JOINED1] = c1
+    m[M_JOINED2] = c2
+    m[M_STAY] = direction_of(y[VS], a)
+    m[M_PISTON1] = m[M_STAY] if c1 != FREE else direction_of(y[V1], a1)
+    m[M_PISTON2] = m[M_STAY] if c2 != FREE else direction_of(-y[V2], a2)
+    if touch1 != FREE:
+        y[X1] = y[XS] + (p[X_FREE] if touch1 == COLLAR else 0.0)
+        y[V1] = y[VS]
+    if touch2 != FREE:
+        y[X2] = (p[X_FREE] if touch2 == COLLAR else 0.0) - y[XS]
+        y[V2] = -y[VS]
+    m[M_BLOCKED] = 0
+    if m[M_STAY] == 0 and y[SPENT] < p[SYNC_IMPULSE]:
+        if abs(y[XS] - p[X_BLOCK]) <= TOUCH_M:
+            m[M_BLOCKED] = 1
+        elif abs(y[XS] + p[X_BLOCK]) <= TOUCH_M:
+            m[M_BLOCKED] = -1
+    if m[M_DAMPER] == 2:
+        side = 1.0 if y[XS] >= 0.0 else -1.0
+        if y[XS] == 0.0 and m[M_STAY] != 0:
+            side = float(m[M_STAY])
+        m[M_OIL_REST] = 0
+        if y[LOIL] <= p[P_ATM] + EPS_PA:
+            y[LOIL] = p[P_ATM]
+            if oil_rate(abs(y[XS]), side * y[VS], y[LOIL], p) <= 0.0:
+                moving_out = m[M_STAY] != 0 and side * m[M_STAY] > 0
+                m[M_OIL_REST] = 0 if moving_out else 1

@@ -1,0 +1,242 @@
+"""Parameter sets: every number with its value, unit and source.
+
+A set is a TOML file of sections with entries `key = { value, unit, source }`.  The shipped set
+`nominal` is the calibrated actuator.  An extended model names its base and adds `[effect.<id>]`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+
+Number = float | tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One number (or list of numbers) with its unit and where it comes from."""
+
+    value: Number
+    unit: str
+    source: str
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """A named, immutable set of parameters, addressed as `section.key`.
+
+    `effects` holds the extensions of an extended model, `effect id -> name -> Parameter`.
+    """
+
+    name: str
+    entries: Mapping[str, Parameter]
+    effects: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
+
+    def __getitem__(self, path: str) -> Parameter:
+        """The parameter at `section.key`; InputError with the nearest names if there is none."""
+        try:
+            return self.entries[path]
+        except KeyError:
+            raise InputError(unknown_path(path, self.entries, self.name)) from None
+
+    def __contains__(self, path: object) -> bool:
+        return path in self.entries
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.entries)
+
+    def value(self, path: str) -> float:
+        """The single number at `section.key`, in the unit of the set."""
+        value = self[path].value
+        if isinstance(value, tuple):
+            raise InputError(f"{self.name}: {path}: is a list; expected one number")
+        return value
+
+    def values(self, path: str) -> tuple[float, ...]:
+        """The list of numbers at `section.key`."""
+        value = self[path].value
+        return value if isinstance(value, tuple) else (value,)
+
+    def override(self, changes: Mapping[str, float | int | list[float] | tuple[float, ...]]) -> (
+        "ParameterSet"
+    ):
+        """A new set with some values replaced; unknown paths and wrong kinds raise InputError."""
+        entries = dict(self.entries)
+        for path, raw in changes.items():
+            old = self[path]
+            value = number(raw, f"{self.name}: {path}")
+            if isinstance(value, tuple) != isinstance(old.value, tuple):
+                kind = "a list of numbers" if isinstance(old.value, tuple) else "one number"
+                raise InputError(f"{self.name}: {path}: expected {kind}, got {raw!r}")
+            entries[path] = Parameter(value, old.unit, f"override of: {old.source}")
+        return ParameterSet(self.name, entries, self.effects)
+
+
+def unknown_path(path: str, known: Mapping[str, Any], name: str) -> str:
+    """One line that says which path does not exist and which come nearest."""
+    near = difflib.get_close_matches(path, list(known), n=3, cutoff=0.4)
+    if not near:
+        tail = path.rsplit(".", 1)[-1]
+        near = [k for k in known if k.rsplit(".", 1)[-1].lower() == tail.lower()][:3]
+    hint = ", ".join(near) if near else ", ".join(sorted({k.split(".")[0] for k in known}))
+    return f"{name}: {path}: no such parameter; nearest: {hint}"
+
+
+def number(raw: object, place: str) -> Number:
+    """A finite number or list of finite numbers, or InputError naming the place."""
+    if isinstance(raw, (list, tuple)):
+        return tuple(scalar(item, place) for item in raw)
+    return scalar(raw, place)
+
+
+def scalar(raw: object, place: str) -> float:
+    """A finite number, or InputError naming the place."""
+    if isinstance(raw, bool) or not isinstance(raw, (int, float)):
+        raise InputError(f"{place}: expected a number, got {raw!r}")
+    try:
+        value = float(raw)
+    except OverflowError:
+        raise InputError(f"{place}: number too large") from None
+    if not math.isfinite(value):
+        raise InputError(f"{place}: expected a finite number, got {raw!r}")
+    return value
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parse a TOML file; unreadable or malformed files raise InputError naming file and place."""
+    try:
+        text = path.read_bytes().decode("utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: byte {error.start}: not UTF-8 text; expected TOML") from None
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path}: not valid TOML: nested too deeply") from None
+
+
+def parameter(raw: object, place: str) -> Parameter:
+    """One `{ value, unit, source }` table as a Parameter; anything else raises InputError."""
+    if not isinstance(raw, dict):
+        raise InputError(f"{place}: expected {{ value, unit, source }}, got {raw!r}")
+    unknown = set(raw) - {"value", "unit", "source", "low", "high"}
+    if unknown:
+        raise InputError(
+            f"{place}: unknown key {sorted(unknown)[0]!r}; expected value, unit, source"
+        )
+    for key in ("value", "unit", "source"):
+        if key not in raw:
+            raise InputError(f"{place}: no {key}; expected value, unit, source")
+    for key in ("unit", "source"):
+        if not isinstance(raw[key], str) or not raw[key].strip():
+            raise InputError(f"{place}: {key}: expected a non-empty text, got {raw[key]!r}")
+    bounds = [
+        scalar(raw[key], f"{place}.{key}") if key in raw else None for key in ("low", "high")
+    ]
+    return Parameter(
+        number(raw["value"], f"{place}.value"), raw["unit"], raw["source"], bounds[0], bounds[1]
+    )
+
+
+def shipped() -> list[str]:
+    """Names of the parameter sets that come with the package."""
+    return sorted(path.stem for path in Path(__file__).parent.glob("*.toml"))
+
+
+def load(model: str | Path = "nominal") -> ParameterSet:
+    """Load a shipped set by name, or a model file by path.
+
+    A file may be a full set, or start with `[base] model = "nominal"` and change or add to it;
+    every key it sets must exist in the base, with the same unit.  `[effect.<id>]` tables become
+    `effects`.
+    """
+    text = str(model)
+    path = Path(text)
+    if not text.endswith(".toml"):
+        path = Path(__file__).parent / f"{text}.toml"
+        if not path.is_file():
+            near = difflib.get_close_matches(text, shipped(), n=3, cutoff=0.3) or shipped()
+            raise InputError(
+                f"model {text!r}: no such parameter set; shipped: {', '.join(near)}, "
+                "or give the path of a .toml file"
+            )
+    return parse(read_toml(path), path.stem if path.parent == Path(__file__).parent else str(path))
+
+
+def parse(raw: Mapping[str, Any], name: str) -> ParameterSet:
+    """A parsed model file as a ParameterSet (see `load`)."""
+    entries: dict[str, Parameter] = {}
+    effects: dict[str, dict[str, Parameter]] = {}
+    base: ParameterSet | None = None
+    if "base" in raw:
+        table = raw["base"]
+        if not isinstance(table, dict) or set(table) != {"model"}:
+            raise InputError(f'{name}: [base]: expected model = "<name>"')
+        if not isinstance(table["model"], str):
+            raise InputError(f"{name}: base.model: expected a name, got {table['model']!r}")
+        base = load(table["model"])
+        entries.update(base.entries)
+        effects.update({k: dict(v) for k, v in base.effects.items()})
+    for section, table in raw.items():
+        if section == "base":
+            continue
+        if not isinstance(table, dict):
+            raise InputError(f"{name}: {section}: expected a section, got {table!r}")
+        if section == "effect":
+            for effect, body in table.items():
+                place = f"{name}: [effect.{effect}]"
+                if not isinstance(body, dict):
+                    raise InputError(f"{place}: expected a table of parameters")
+                effects[effect] = {
+                    key: parameter(value, f"{place} {key}") for key, value in body.items()
+                }
+            continue
+        for key, value in table.items():
+            place = f"{name}: [{section}] {key}"
+            item = parameter(value, place)
+            full = f"{section}.{key}"
+            if base is not None:
+                if full not in entries:
+                    raise InputError(unknown_path(full, entries, name))
+                if entries[full].unit != item.unit:
+                    raise InputError(
+                        f"{place}: unit {item.unit!r}; expected {entries[full].unit!r}"
+                    )
+            entries[full] = item
+    if base is None:
+        check_complete(entries, name)
+    return ParameterSet(name, entries, effects)
+
+
+def check_complete(entries: Mapping[str, Parameter], name: str) -> None:
+    """Refuse a full set that lacks or adds keys, or changes units, against the nominal one."""
+    reference = Path(__file__).parent / "nominal.toml"
+    wanted = {
+        f"{section}.{key}": value["unit"]
+        for section, table in read_toml(reference).items()
+        for key, value in table.items()
+    }
+    for path, unit in wanted.items():
+        if path not in entries:
+            raise InputError(
+                f"{name}: no {path}; expected a full set, or [base] model = \"nominal\""
+            )
+        if entries[path].unit != unit:
+            raise InputError(
+                f"{name}: {path}: unit {entries[path].unit!r}; expected {unit!r}"
+            )
+    for path in entries:
+        if path not in wanted:
+            raise InputError(unknown_path(path, wanted, name))
