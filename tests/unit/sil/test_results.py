@@ -1,0 +1,106 @@
+"""Run folders, result.json and JUnit."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from can_dbc.errors import InputError
+from sil.results import (
+    Check,
+    Result,
+    as_json,
+    finite,
+    junit_xml,
+    prepare_folder,
+    versions,
+    write_whole,
+)
+
+
+def made(**changes: object) -> Result:
+    fields: dict[str, object] = {
+        "scenario_name": "example",
+        "passed": True,
+        "complete": True,
+        "why": None,
+        "expectations": [Check(name="final gear", passed=True, value="neutral", limit="neutral")],
+        "metrics": {"shift_time_s": 0.1},
+        "trace_sha256": "0" * 64,
+        "seed": 1,
+        "transport": "inproc",
+        "versions": {},
+        "bus": {},
+        "balances": {},
+        "speed": {"wall_s": 0.5},
+        "scenario": {},
+        "model": {},
+        "status": "passed",
+    }
+    return Result(**(fields | changes))  # type: ignore[arg-type]
+
+
+def test_default_folders_are_numbered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    folders = [prepare_folder(None, "a b/../c", False) for _ in range(3)]
+    assert [str(f) for f in folders] == ["runs/a-b-..-c-1", "runs/a-b-..-c-2", "runs/a-b-..-c-3"]
+    assert prepare_folder(None, "..", False) == Path("runs/run-1")
+
+
+def test_folder_of_another_run_is_refused_and_force_removes_only_run_files(tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "run"
+    assert prepare_folder(out, "x", False) == out and out.is_dir()
+    (out / "result.json").write_text("{}")
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"holds another run \(result.json\)"):
+        prepare_folder(out, "x", False)
+    prepare_folder(out, "x", True)
+    assert [p.name for p in out.iterdir()] == ["notes.txt"]
+
+
+def test_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="is a file"):
+        prepare_folder(tmp_path / "file", "x", False)
+    with pytest.raises(InputError, match="expected a folder"):
+        prepare_folder(tmp_path / "file" / "below", "x", False)
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    target = tmp_path / "result.json"
+    write_whole(target, "old")
+    with pytest.raises(UnicodeEncodeError):
+        write_whole(target, "new \ud800")
+    assert target.read_text() == "old"
+    write_whole(target, "new")
+    assert target.read_text() == "new" and os.listdir(tmp_path) == ["result.json", ]
+
+
+def test_json_has_no_nan_and_the_promised_names() -> None:
+    told = json.loads(as_json(made(metrics={"a": float("nan"), "b": [float("inf"), 1.0]})))
+    assert told["metrics"] == {"a": None, "b": [None, 1.0]}
+    assert {"passed", "expectations", "metrics", "trace_sha256", "seed", "versions", "scenario"} <= (
+        told.keys()
+    )
+    assert finite({1: (float("-inf"), "x")}) == {"1": [None, "x"]}
+
+
+def test_versions_name_the_libraries_a_result_depends_on() -> None:
+    assert {"python", "numpy", "numba", "python-can"} <= versions().keys()
+
+
+def test_junit_counts_failures_and_an_unfinished_run() -> None:
+    bad = Check(name='<a> & "b"', passed=False, value=None, limit={"max": 1.0})
+    text = junit_xml(made(expectations=[*made().expectations, bad], passed=False))
+    suite = ElementTree.fromstring(text.split("\n", 1)[1])[0]
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("2", "1", "0")
+    assert [c.get("name") for c in suite] == ["final gear", '<a> & "b"']
+    ended = junit_xml(made(complete=False, why="plant was killed\x00", passed=False))
+    suite = ElementTree.fromstring(ended.split("\n", 1)[1])[0]
+    assert (suite.get("tests"), suite.get("errors")) == ("2", "1")
+    error = suite.find("testcase[@name='run finished']/error")
+    assert error is not None and error.get("message") == "plant was killed?"
