@@ -1,1 +1,1 @@
-"""The contract between plant and controller: identifiers, messages, codec and end-to-end protection."""
+"""The contract between plant and controller: messages, codec and end-to-end protection."""
