@@ -1,0 +1,321 @@
+"""The control unit's program: one pure step from inputs to outputs."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+from can_dbc.messages import (
+    Chamber,
+    ControllerStatus,
+    DrivelineSpeeds,
+    Etc1,
+    Etc2,
+    Fault,
+    Gear,
+    PositionPulse,
+    SafetyBlow,
+    ShiftRequest,
+    ShiftState,
+    ValveCommand,
+)
+from controller import strategies
+from controller.config import FirmwareConfig, nanoseconds
+from controller.position import Estimate, GearWindows, PositionEstimator
+from controller.shift import ShiftMachine, View
+from controller.strategies import OFF, Duties, ShiftContext
+
+BROADCAST_NS = 10_000_000
+"""Period of ETC1 and ETC2, ns (SAE J1939-71)."""
+
+CHAMBER_OF = {
+    Gear.BACKWARD: Chamber.B,
+    Gear.NEUTRAL: Chamber.N,
+    Gear.FORWARD: Chamber.F,
+    Gear.UNKNOWN: Chamber.NONE,
+}
+"""Chamber whose filling leads to a gear."""
+
+J1939_GEAR = {Gear.NEUTRAL: 0, Gear.FORWARD: 1, Gear.BACKWARD: 2, Gear.UNKNOWN: None}
+"""Gears as ETC2 counts them: forward and backward name the stroke, not the truck's direction."""
+
+J1939_RANGE = {Gear.NEUTRAL: " N", Gear.FORWARD: " F", Gear.BACKWARD: " B", Gear.UNKNOWN: None}
+"""The same as the two characters of the range fields."""
+
+J1939_SPEED_RAD_S = 841.0
+"""ETC1 carries shaft speeds from zero to this; others are sent as not available."""
+
+
+class ChannelState(IntEnum):
+    """State of a received channel's end-to-end protection."""
+
+    INIT = 0
+    VALID = 1
+    INVALID = 2
+
+
+class Inputs(NamedTuple):
+    """What has arrived since the last step: new pulses, and of the others the latest good one."""
+
+    pulses: tuple[PositionPulse, ...] = ()
+    request: ShiftRequest | None = None
+    speeds: DrivelineSpeeds | None = None
+    position_state: ChannelState = ChannelState.INIT
+    request_state: ChannelState = ChannelState.INIT
+    speeds_state: ChannelState = ChannelState.INIT
+
+
+class Outputs(NamedTuple):
+    """The messages of one step; ETC1 and ETC2 are None where they are not due."""
+
+    valves: ValveCommand
+    blow: SafetyBlow
+    status: ControllerStatus
+    etc1: Etc1 | None
+    etc2: Etc2 | None
+
+
+class Firmware:
+    """Today's control unit, or another strategy in its place.
+
+    No input or output, no clock, bounded work per step, and no knowledge of being simulated: the
+    same calls give the same results. It never energises backward and forward together, never
+    energises a valve in FAULT, and reports a gear as confirmed only while the position it believes
+    is in that gear's window. Checked by test_firmware.
+    """
+
+    def __init__(self, config: FirmwareConfig) -> None:
+        self.config = config
+        self._estimator = PositionEstimator(config)
+        self._windows = GearWindows(config.windows)
+        self._strategy = strategies.create(config)
+        self._machine = ShiftMachine(config, self._strategy.blow_s)
+        self._startup_ns = nanoseconds(config.e2e.startup_s)
+        self._apart_ns = nanoseconds(config.shift.interlock_s) + config.period_ns
+        self._sync_tolerance_rad_s = config.shift.sync_tolerance_rad_s
+        self._start_ns: int | None = None
+        self._now_ns = 0
+        self._broadcast_ns = 0
+        self._latched = Fault.NONE
+        self._energised_ns: list[int | None] = [None, None, None]
+        self._heard = dict.fromkeys(("position", "request", "speeds"), False)
+        self._position_timeout_ns = nanoseconds(config.e2e.position_timeout_s)
+        self._sampled_ns = 0
+        self._passive = Chamber.NONE
+
+    def step(self, now_ns: int, inputs: Inputs) -> Outputs:
+        """Take the inputs of one period and return the messages to send.
+
+        Raises ValueError unless time increases from step to step.
+        """
+        if self._start_ns is None:
+            self._start_ns = self._broadcast_ns = self._sampled_ns = now_ns
+        elif now_ns <= self._now_ns:
+            raise ValueError(f"step at {now_ns} ns after one at {self._now_ns} ns")
+        self._now_ns = now_ns
+        waking = now_ns - self._start_ns < self._startup_ns
+
+        estimate, position_faults = self._sense(now_ns, inputs, waking)
+        live, wanted = self._judge_inputs(inputs, waking)
+        live |= position_faults
+        speeds = inputs.speeds if inputs.speeds_state is ChannelState.VALID else None
+        self._run_machine(now_ns, estimate, wanted, speeds)
+        duties = self._drive(now_ns, estimate)
+
+        machine = self._machine
+        if machine.raised & Fault.SENSOR_STUCK:
+            self._estimator.distrust()
+        if machine.state is ShiftState.FAULT and not self._latched:
+            self._latched = machine.raised | position_faults
+        elif machine.recovered:
+            self._latched = Fault.NONE
+        if self._estimator.stuck:
+            live |= Fault.SENSOR_STUCK
+        return self._report(now_ns, estimate, duties, live | self._latched, speeds)
+
+    def _lost(self, channel: str, state: ChannelState, waking: bool) -> bool:
+        """Whether a channel is lost: no longer valid, or never valid when it should be by now."""
+        if state is ChannelState.VALID:
+            self._heard[channel] = True
+            return False
+        return state is ChannelState.INVALID or self._heard[channel] or not waking
+
+    def _sense(self, now_ns: int, inputs: Inputs, waking: bool) -> tuple[Estimate, Fault]:
+        """Return the estimate and the faults of the position.
+
+        A channel that is valid but brings no usable sample for its timeout is lost as well.
+        """
+        faults = Fault.NONE
+        lost = self._lost("position", inputs.position_state, waking)
+        valid = inputs.position_state is ChannelState.VALID
+        if not valid:
+            self._sampled_ns = now_ns
+        estimate = self._estimator.update(inputs.pulses, not valid)
+        if estimate.samples:
+            self._sampled_ns = now_ns
+        elif now_ns - self._sampled_ns > self._position_timeout_ns:
+            lost = True
+            estimate = self._estimator.update((), True)
+        if lost:
+            faults |= Fault.POSITION_LOST
+        if self._estimator.implausible:
+            faults |= Fault.POSITION_IMPLAUSIBLE
+        return estimate, faults
+
+    def _judge_inputs(self, inputs: Inputs, waking: bool) -> tuple[Fault, Gear | None]:
+        """Return the faults of request and speeds, and the driver's wish if it is valid."""
+        live = Fault.NONE
+        if self._lost("speeds", inputs.speeds_state, waking):
+            live |= Fault.SPEEDS_LOST
+        if self._lost("request", inputs.request_state, waking):
+            live |= Fault.REQUEST_LOST
+        if inputs.request_state is not ChannelState.VALID or inputs.request is None:
+            return live, None
+        if inputs.request.target is Gear.UNKNOWN:
+            return live | Fault.REQUEST_INVALID, None
+        return live, inputs.request.target
+
+    def _run_machine(
+        self,
+        now_ns: int,
+        estimate: Estimate,
+        wanted: Gear | None,
+        speeds: DrivelineSpeeds | None,
+    ) -> None:
+        windows = self._windows
+        windows.update(estimate)
+        trusted = not self._estimator.stuck
+        agree = None
+        if speeds is not None:
+            apart_rad_s = abs(speeds.input_rad_s - speeds.output_rad_s)
+            agree = apart_rad_s <= self._sync_tolerance_rad_s
+        machine = self._machine
+        machine.step(
+            now_ns,
+            View(
+                position_valid=estimate.valid,
+                gear=windows.gear if trusted else Gear.UNKNOWN,
+                run=windows.run,
+                moved=self._estimator.moved,
+                wanted=wanted,
+                synchronized=agree,
+                clear_b=self._clear(now_ns, Chamber.F),
+                clear_f=self._clear(now_ns, Chamber.B),
+                recoverable=not self._latched & Fault.INTERNAL,
+            ),
+        )
+        if machine.new_leg:
+            self._estimator.mark()
+            if machine.leg is not Gear.NEUTRAL:
+                self._passive = Chamber.N
+            else:
+                self._passive = Chamber.B if estimate.position_m > 0.0 else Chamber.F
+        if machine.new_attempt:
+            self._strategy.reset()
+
+    def _clear(self, now_ns: int, chamber: Chamber) -> bool:
+        """Whether a chamber has been off for the interlock time, closing valve included."""
+        last_ns = self._energised_ns[chamber]
+        return last_ns is None or now_ns - last_ns >= self._apart_ns
+
+    def _drive(self, now_ns: int, estimate: Estimate) -> Duties:
+        """Ask the strategy while a push is under way, check its answer, and note what is open."""
+        machine = self._machine
+        duties = OFF
+        if machine.driving:
+            b_ns, n_ns, f_ns = self._energised_ns
+            duties = self._strategy.command(
+                now_ns,
+                estimate,
+                ShiftContext(
+                    leg=machine.leg,
+                    final=machine.final,
+                    charged=CHAMBER_OF[machine.leg],
+                    passive=self._passive,
+                    start_ns=machine.attempt_ns,
+                    attempt=machine.attempt,
+                    energised_ns=(b_ns, n_ns, f_ns),
+                ),
+            )
+            if not self._allowed(now_ns, duties):
+                machine.fail(Fault.INTERNAL)
+                duties = OFF
+        blown = self._blown()
+        for chamber, duty in zip((Chamber.B, Chamber.N, Chamber.F), duties, strict=True):
+            if duty > self.config.duty_closed or chamber is blown:
+                self._energised_ns[chamber] = now_ns
+        return duties
+
+    def _allowed(self, now_ns: int, duties: Duties) -> bool:
+        """Whether duties are duties, and backward and forward are not filled too close in time."""
+        closed = self.config.duty_closed
+        b, n, f = duties
+        if not (0.0 <= b <= 1.0 and 0.0 <= n <= 1.0 and 0.0 <= f <= 1.0):
+            return False
+        if b > closed:
+            return f <= closed and self._clear(now_ns, Chamber.F)
+        return f <= closed or self._clear(now_ns, Chamber.B)
+
+    def _blown(self) -> Chamber:
+        machine = self._machine
+        return CHAMBER_OF[machine.leg] if machine.state is ShiftState.BLOW else Chamber.NONE
+
+    def _report(
+        self,
+        now_ns: int,
+        estimate: Estimate,
+        duties: Duties,
+        faults: Fault,
+        speeds: DrivelineSpeeds | None,
+    ) -> Outputs:
+        machine = self._machine
+        blown = self._blown()
+        etc1 = etc2 = None
+        if now_ns >= self._broadcast_ns:
+            late_ns = now_ns - self._broadcast_ns
+            self._broadcast_ns += BROADCAST_NS * (1 + late_ns // BROADCAST_NS)
+            etc1, etc2 = self._broadcast(speeds)
+        return Outputs(
+            ValveCommand(
+                duty_b=duties.b,
+                duty_n=duties.n,
+                duty_f=duties.f,
+                target=machine.leg if machine.driving else machine.confirmed,
+            ),
+            SafetyBlow(
+                chamber=blown,
+                active=blown is not Chamber.NONE,
+                remaining_s=machine.blow_remaining_ns(now_ns) * 1e-9,
+            ),
+            ControllerStatus(
+                state=machine.state,
+                confirmed=machine.confirmed,
+                estimate_m=estimate.position_m,
+                faults=faults,
+            ),
+            etc1,
+            etc2,
+        )
+
+    def _broadcast(self, speeds: DrivelineSpeeds | None) -> tuple[Etc1, Etc2]:
+        machine = self._machine
+        current = machine.confirmed
+        selected = machine.final if machine.in_process else current
+        engaged = None if current is Gear.UNKNOWN else current is not Gear.NEUTRAL
+        etc1 = Etc1(
+            driveline_engaged=engaged,
+            shift_in_process=machine.in_process,
+            output_shaft_rad_s=None if speeds is None else _j1939_speed(speeds.output_rad_s),
+            input_shaft_rad_s=None if speeds is None else _j1939_speed(speeds.input_rad_s),
+        )
+        etc2 = Etc2(
+            selected_gear=J1939_GEAR[selected],
+            current_gear=J1939_GEAR[current],
+            requested_range=J1939_RANGE[selected],
+            current_range=J1939_RANGE[current],
+        )
+        return etc1, etc2
+
+
+def _j1939_speed(speed_rad_s: float) -> float | None:
+    return speed_rad_s if 0.0 <= speed_rad_s <= J1939_SPEED_RAD_S else None

@@ -1,0 +1,288 @@
+"""Pulse duration to position: calibration, plausibility, filter, and the gear windows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from can_dbc.messages import Gear, PositionPulse
+from controller.config import FirmwareConfig, SensorConfig, WindowConfig
+from controller.filters import SectionFilter, butterworth
+from controller.velocity import TwoSampleVelocity
+
+
+class Sample(NamedTuple):
+    """One accepted sensor sample: as measured, filtered, and the filtered velocity."""
+
+    raw_m: float
+    position_m: float
+    velocity_m_s: float
+
+
+class Estimate(NamedTuple):
+    """What the firmware believes of the stay; positions in m from neutral, backward positive.
+
+    `samples` holds those accepted in this step, oldest first; the other fields repeat the newest.
+    While `valid` is false they stand still and mean nothing.
+    """
+
+    valid: bool
+    raw_m: float
+    position_m: float
+    velocity_m_s: float
+    samples: tuple[Sample, ...]
+
+
+class Calibration:
+    """Inverse of t8V = (t_mid + slope x)(1 + temp_coeff (T - T_ref)).
+
+    Source: thesis 2.2.4. Checked by test_position.
+    """
+
+    __slots__ = ("_slope_s_per_m", "_t_mid_s", "_t_ref_k", "_temp_coeff_per_k", "still_m")
+
+    def __init__(self, sensor: SensorConfig) -> None:
+        self._t_mid_s = sensor.t_mid_s
+        self._slope_s_per_m = sensor.slope_s_per_m
+        self._temp_coeff_per_k = sensor.temp_coeff_per_k
+        self._t_ref_k = sensor.t_ref_k
+        self.still_m = sensor.still_ticks * sensor.timer_resolution_s / sensor.slope_s_per_m
+
+    def position_m(self, pulse_s: float, coil_temperature_k: float) -> float:
+        """Return the position, m from neutral, of a pulse at a coil temperature."""
+        warmth = 1.0 + self._temp_coeff_per_k * (coil_temperature_k - self._t_ref_k)
+        return (pulse_s / warmth - self._t_mid_s) / self._slope_s_per_m
+
+
+class Plausibility:
+    """Tells samples that the stay can have produced from those that it cannot.
+
+    A sample is bad when temperature or position is out of range, when it is further from the one
+    before than the stay can move, or when the travel of the last moments exceeds what a shift
+    can need. A bad sample raises the level by 2, a good one lowers it by 1; at the limit the
+    position is implausible until the level is back at zero. Checked by test_position.
+    """
+
+    __slots__ = (
+        "_bad_limit",
+        "_coldest_k",
+        "_hottest_k",
+        "_leak_m",
+        "_level",
+        "_range_m",
+        "_reach_m",
+        "_slack_m",
+        "_travel_limit_m",
+        "_travel_m",
+        "_travel_top_m",
+        "implausible",
+    )
+
+    def __init__(self, sensor: SensorConfig, stroke_m: float, slack_m: float) -> None:
+        self._coldest_k = sensor.temperature_min_k
+        self._hottest_k = sensor.temperature_max_k
+        self._range_m = stroke_m + sensor.overtravel_m
+        self._reach_m = sensor.max_speed_m_s * sensor.period_s
+        self._slack_m = slack_m
+        self._leak_m = sensor.travel_leak_m_s * sensor.period_s
+        self._travel_limit_m = sensor.travel_limit_m
+        self._travel_top_m = sensor.travel_limit_m + stroke_m
+        self._travel_m = 0.0
+        self._bad_limit = sensor.bad_limit
+        self._level = 0
+        self.implausible = False
+
+    def restart(self) -> None:
+        """Forget the travel; the level stays."""
+        self._travel_m = 0.0
+
+    def in_range(self, raw_m: float, coil_temperature_k: float) -> bool:
+        """Return whether a sample on its own is possible."""
+        return (
+            self._coldest_k <= coil_temperature_k <= self._hottest_k
+            and -self._range_m <= raw_m <= self._range_m
+        )
+
+    def follows(self, distance_m: float, samples: int) -> bool:
+        """Return whether the stay can have come so far in so many sample periods; note the way."""
+        way_m = abs(distance_m)
+        travel_m = max(0.0, self._travel_m - self._leak_m * samples) + way_m
+        self._travel_m = min(travel_m, self._travel_top_m)
+        reach_m = self._reach_m * samples + self._slack_m
+        return way_m <= reach_m and travel_m <= self._travel_limit_m
+
+    def count(self, good: bool) -> None:
+        """Move the level by one verdict."""
+        if good:
+            self._level = max(0, self._level - 1)
+            if self._level == 0:
+                self.implausible = False
+        else:
+            self._level = min(self._bad_limit, self._level + 2)
+            if self._level == self._bad_limit:
+                self.implausible = True
+
+
+class PositionEstimator:
+    """From pulses to the estimate: one filter step per sensor sample, bounded work per step.
+
+    The filter starts at rest at the first valid sample. Samples that are missing in between (their
+    index is skipped, or they were bad) are interpolated, so that the filter keeps its time base;
+    after a longer gap it starts afresh. Checked by test_position.
+    """
+
+    def __init__(self, config: FirmwareConfig) -> None:
+        sensor = config.sensor
+        self._calibration = Calibration(sensor)
+        self._still_m = self._calibration.still_m
+        self._plausibility = Plausibility(sensor, config.windows.stroke_m, self._still_m)
+        self._filter: SectionFilter | None = None
+        if config.filter.enabled:
+            rate_hz = 1.0 / sensor.period_s
+            self._filter = SectionFilter(
+                butterworth(config.filter.order, config.filter.fc_hz, rate_hz)
+            )
+        self._velocity = TwoSampleVelocity(sensor.period_s)
+        self._most_pulses = int(config.period_s / sensor.period_s) + 3
+        self._longest_gap = min(64, int(config.e2e.position_timeout_s / sensor.period_s))
+        self._settled = False
+        self._index = 0  # of the last good sample
+        self._seen = False
+        self._seen_index = 0  # of the last sample in range
+        self._seen_m = 0.0
+        self._last = Sample(0.0, 0.0, 0.0)
+        self._lowest_m = 0.0
+        self._highest_m = 0.0
+        self._stuck_at_m: float | None = None
+
+    @property
+    def implausible(self) -> bool:
+        """Whether the sensor has sent too much that cannot be true."""
+        return self._plausibility.implausible
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the sensor was found stuck and has not moved since."""
+        return self._stuck_at_m is not None
+
+    @property
+    def moved(self) -> bool:
+        """Whether the sensor has changed by more than its ticks since `mark`."""
+        return self._highest_m - self._lowest_m > self._still_m
+
+    def mark(self) -> None:
+        """Watch for motion from here on."""
+        self._lowest_m = self._highest_m = self._last.raw_m
+
+    def distrust(self) -> None:
+        """Take the sensor for stuck until it changes."""
+        self._stuck_at_m = self._last.raw_m
+
+    def update(self, pulses: Sequence[PositionPulse], lost: bool) -> Estimate:
+        """Take the pulses since the last step (the newest ones only, should they be too many).
+
+        `lost` says that the channel is not valid: the estimate is void and starts afresh later.
+        """
+        accepted: list[Sample] = []
+        if lost:
+            self._settled = self._seen = False
+            self._plausibility.restart()
+        else:
+            for pulse in pulses[-self._most_pulses :]:
+                self._take(pulse, accepted)
+        raw_m, position_m, velocity_m_s = self._last
+        return Estimate(self._settled, raw_m, position_m, velocity_m_s, tuple(accepted))
+
+    def _take(self, pulse: PositionPulse, accepted: list[Sample]) -> None:
+        raw_m = self._calibration.position_m(pulse.pulse_s, pulse.coil_temperature_k)
+        index = pulse.sample_index
+        if not self._plausibility.in_range(raw_m, pulse.coil_temperature_k):
+            self._judge(False)
+            return
+        good = True
+        if self._seen:
+            steps = (index - self._seen_index) % 256
+            if steps == 0:  # the same sample again tells nothing
+                return
+            good = self._plausibility.follows(raw_m - self._seen_m, steps)
+        self._seen, self._seen_m, self._seen_index = True, raw_m, index
+        self._judge(good)
+        if not good or self._plausibility.implausible:
+            return
+        gap = (index - self._index) % 256
+        if not self._settled or gap > self._longest_gap:
+            self._settle(raw_m)
+        else:
+            self._filter_to(raw_m, gap)
+        self._accept(index, accepted)
+
+    def _judge(self, good: bool) -> None:
+        self._plausibility.count(good)
+        if self._plausibility.implausible:
+            self._settled = False
+
+    def _settle(self, raw_m: float) -> None:
+        if self._filter is not None:
+            self._filter.settle(raw_m)
+        self._velocity.settle(raw_m)
+        self._settled = True
+        self._last = Sample(raw_m, raw_m, 0.0)
+
+    def _filter_to(self, raw_m: float, steps: int) -> None:
+        start_m = self._last.raw_m
+        position_m = velocity_m_s = 0.0
+        for step in range(1, steps + 1):
+            position_m = start_m + (raw_m - start_m) * step / steps
+            if self._filter is not None:
+                position_m = self._filter.update(position_m)
+            velocity_m_s = self._velocity.update(position_m)
+        self._last = Sample(raw_m, position_m, velocity_m_s)
+
+    def _accept(self, index: int, accepted: list[Sample]) -> None:
+        self._index = index
+        raw_m = self._last.raw_m
+        self._lowest_m = min(self._lowest_m, raw_m)
+        self._highest_m = max(self._highest_m, raw_m)
+        if self._stuck_at_m is not None and abs(raw_m - self._stuck_at_m) > self._still_m:
+            self._stuck_at_m = None
+        accepted.append(self._last)
+
+
+class GearWindows:
+    """Tells in which gear the stay is believed to be, and for how many samples in a row.
+
+    A sample is in a window only if it is so both as measured and filtered: the filter overshoots,
+    so that it alone would see a stay held short of its end position as arrived.
+    Checked by test_position.
+    """
+
+    __slots__ = ("_engaged_m", "_neutral_m", "gear", "run")
+
+    def __init__(self, windows: WindowConfig) -> None:
+        self._neutral_m = windows.neutral_tolerance_m
+        self._engaged_m = windows.stroke_m - windows.gear_tolerance_m
+        self.gear = Gear.UNKNOWN
+        self.run = 0
+
+    def gear_at(self, position_m: float) -> Gear:
+        """Return the gear whose window holds a position, or UNKNOWN between the windows."""
+        if position_m >= self._engaged_m:
+            return Gear.BACKWARD
+        if position_m <= -self._engaged_m:
+            return Gear.FORWARD
+        if -self._neutral_m <= position_m <= self._neutral_m:
+            return Gear.NEUTRAL
+        return Gear.UNKNOWN
+
+    def update(self, estimate: Estimate) -> None:
+        """Take the samples of a step; an invalid estimate belongs to no gear."""
+        if not estimate.valid:
+            self.gear = Gear.UNKNOWN
+            self.run = 0
+            return
+        for sample in estimate.samples:
+            gear = self.gear_at(sample.position_m)
+            if gear != self.gear_at(sample.raw_m):
+                gear = Gear.UNKNOWN
+            self.run = self.run + 1 if gear == self.gear else 1
+            self.gear = gear

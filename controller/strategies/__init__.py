@@ -1,0 +1,116 @@
+"""How a push is carried out: the interface of a strategy and the registry of those there are."""
+
+from __future__ import annotations
+
+import abc
+import importlib
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+from msgspec import Struct
+
+from can_dbc.errors import InputError
+from can_dbc.messages import Chamber, Gear
+from controller import config as settings
+
+if TYPE_CHECKING:
+    from controller.config import FirmwareConfig
+    from controller.position import Estimate
+
+NAMES: Mapping[str, str] = {"open_loop": "controller.strategies.open_loop:OpenLoop"}
+"""Name of each strategy and where its class is; loaded when first used."""
+
+
+class Duties(NamedTuple):
+    """Duty cycles of the three valves, 0 to 1."""
+
+    b: float
+    n: float
+    f: float
+
+
+OFF = Duties(0.0, 0.0, 0.0)
+"""All chambers vented."""
+
+
+class ShiftContext(NamedTuple):
+    """What a strategy may know of the push it carries out.
+
+    `charged` is the chamber that drives the stay to `leg`, `passive` the one it compresses.
+    `start_ns` is the start of this push, `attempt` counts the earlier ones of the same leg.
+    `energised_ns` tells, in the order B, N, F, the last step whose output opened each valve (None
+    before the first), so that an estimator knows which chambers may still hold air.
+    """
+
+    leg: Gear
+    final: Gear
+    charged: Chamber
+    passive: Chamber
+    start_ns: int
+    attempt: int
+    energised_ns: tuple[int | None, int | None, int | None]
+
+
+def one_chamber(chamber: Chamber, duty: float) -> Duties:
+    """Return the duties that open one valve and leave the others closed."""
+    return Duties(
+        duty if chamber is Chamber.B else 0.0,
+        duty if chamber is Chamber.N else 0.0,
+        duty if chamber is Chamber.F else 0.0,
+    )
+
+
+class Strategy(abc.ABC):
+    """Decides the duties while a position is pushed for and until it is confirmed.
+
+    The firmware around it decides when to push, when the position is confirmed, and what happens
+    after that; it refuses duties that would fill backward and forward together (an internal fault).
+    A strategy keeps a bounded state, does bounded work per call, and reads no clock.
+    Checked by test_strategies.
+    """
+
+    class Parameters(Struct, frozen=True, forbid_unknown_fields=True):
+        """Settings of the strategy, from `strategy_parameters`."""
+
+    name: ClassVar[str]
+
+    def __init__(self, config: FirmwareConfig, parameters: Struct) -> None:
+        self.config = config
+        self.parameters = parameters
+
+    @abc.abstractmethod
+    def reset(self) -> None:
+        """Forget the last push; a new one starts with the next `command`."""
+
+    @abc.abstractmethod
+    def command(self, now_ns: int, estimate: Estimate, shift: ShiftContext) -> Duties:
+        """Return the duties for the coming period; called once per step of a push."""
+
+    def blow_s(self, configured_s: float, leg: Gear, follows: bool) -> float:
+        """Return how long the safety blow lasts after `leg` is confirmed, at most as configured.
+
+        `follows` tells that a gear is to be engaged next.
+        """
+        return configured_s
+
+
+def _load(name: str) -> type[Strategy]:
+    if name not in NAMES:
+        raise InputError(f"strategy: {name!r} is {settings.unknown_name(NAMES, name)}")
+    module, _, attribute = NAMES[name].partition(":")
+    found: type[Strategy] = getattr(importlib.import_module(module), attribute)
+    return found
+
+
+def parameters(name: str, table: Mapping[str, Any]) -> Struct:
+    """Make the settings record of a strategy from its table.
+
+    Raises InputError for an unknown strategy (naming the nearest) and for a wrong table.
+    """
+    kind = _load(name).Parameters
+    return settings.convert(dict(table), kind, "strategy_parameters")
+
+
+def create(config: FirmwareConfig) -> Strategy:
+    """Make the strategy that the settings name. Raises InputError as `parameters` does."""
+    return _load(config.strategy)(config, parameters(config.strategy, config.strategy_parameters))
