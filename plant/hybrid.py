@@ -171,6 +171,11 @@ class HybridSystem:
         return tuple(float(u) for u in self._u0[: len(self.chambers)])
 
     @property
+    def packed(self) -> Floats:
+        """A copy of the parameter array (layout: plant/layout.py)."""
+        return self._p.copy()
+
+    @property
     def steps(self) -> tuple[int, int]:
         """Accepted and rejected integration steps so far."""
         return int(self._counts[1]), int(self._counts[2])
@@ -282,7 +287,7 @@ class HybridSystem:
         return [float(self._y[first + k]) for k in range(len(self.chambers))]
 
     def _pv(self) -> list[float]:
-        return [p * v for p, v in zip(self._pressures(), self._volumes(), strict=True)]
+        return [float(p * v) for p, v in zip(self._pressures(), self._volumes(), strict=True)]
 
     def _kinetic(self) -> float:
         p, y = self._p, self._y
@@ -307,7 +312,7 @@ class HybridSystem:
             + self._impact_j
         )
         gas = tuple(
-            pv - pv0 - float(q[L.Q_GAS + k]) - float(q[L.Q_HEAT + k])
+            float(pv - pv0 - q[L.Q_GAS + k] - q[L.Q_HEAT + k])
             for k, (pv, pv0) in enumerate(zip(self._pv(), self._pv0, strict=True))
         )
         return Balance(
