@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from can_dbc.messages import ControllerStatus, ValveCommand
+from can_dbc.messages import Chamber, ControllerStatus, SafetyBlow, ValveCommand
 from sil.metrics import OPEN_ABOVE, Shift
 from sil.report.theme import LIGHT, Theme
 from sil.run_record import CHAMBERS, NS, Floats, RunRecord
@@ -88,22 +88,23 @@ def draw(
     from matplotlib.figure import Figure
 
     columns = windows(record, shifts)
-    figure = Figure(figsize=(13.0, 11.0), facecolor=theme.paper)
+    width = 9.0 + 4.5 * len(columns)
+    figure = Figure(figsize=(width, 11.0), facecolor=theme.paper)
     drawing = Drawing(record, theme, figure)
     grid = figure.add_gridspec(
         6,
         len(columns),
         height_ratios=[0.85, 3.6, 1.9, 2.4, 0.42, 2.5],
         width_ratios=[max(w.end_s - w.start_s, 0.15) ** 0.6 for w in columns],
-        left=0.085,
-        right=0.985,
+        left=1.45 / width,
+        right=1.0 - 0.2 / width,
         top=0.925,
         bottom=0.05,
         hspace=0.1,
         wspace=0.06,
     )
-    figure.text(0.012, 0.982, title, fontsize=15, weight="bold", color=theme.ink, va="top")
-    figure.text(0.012, 0.957, subtitle, fontsize=9.5, color=theme.faint, va="top")
+    figure.text(0.15 / width, 0.982, title, fontsize=15, weight="bold", color=theme.ink, va="top")
+    figure.text(0.15 / width, 0.957, subtitle, fontsize=9.5, color=theme.faint, va="top")
     _overview(drawing, figure.add_subplot(grid[0, :]), columns)
     for number, window in enumerate(columns):
         first: Axes | None = None
@@ -167,17 +168,20 @@ def _position(
     t, x = time[seen] * MS, record.truth["position_m"][seen] * MM
     when, believed = record.believed
     stroke = record.stroke_m * MM
-    ends = [float(x[0]), float(x[-1])] if len(x) else [0.0]
-    low = min(-1.0, min(ends) - 2.0, float(x.min()) - 2.0 if len(x) else 0.0)
-    high = max(1.0, max(ends) + 2.0, float(x.max()) + 2.0 if len(x) else 0.0)
+    ends = [float(x[0]), float(x[-1])]
+    inside = _inside(window, when, 0.0)
+    shown = np.concatenate([x, np.clip(believed[inside] * MM, -1.6 * stroke, 1.6 * stroke)])
+    low, high = float(shown.min()) - 1.8, float(shown.max()) + 1.8
     if shift is not None:
         axes.axvline(shift.requested_s * MS, color=theme.faint, linewidth=0.9, linestyle=":")
         axes.annotate(
             f"{shift.to_gear} requested",
-            (shift.requested_s * MS, 0.02),
+            (shift.requested_s * MS, 0.5),
             xycoords=("data", "axes fraction"),
-            xytext=(3, 0),
+            xytext=(-2, 0),
             textcoords="offset points",
+            ha="right",
+            va="center",
             fontsize=8,
             color=theme.faint,
             rotation=90,
@@ -189,7 +193,6 @@ def _position(
     axes.step(
         when * MS, believed * MM, where="post", color=theme.believed, linewidth=1.8, zorder=5
     )
-    inside = _inside(window, when, 0.0)
     axes.plot(
         when[inside] * MS, believed[inside] * MM, ".", color=theme.believed, markersize=5, zorder=5
     )
@@ -250,13 +253,13 @@ def _pistons(record: RunRecord, window: Window) -> list[tuple[str, Floats]]:
 def _label_on_line(
     axes: Axes, theme: Theme, t: Floats, y: Floats, text: str, color: str, low: float, high: float
 ) -> None:
-    moving = np.flatnonzero((y > low + 0.5) & (y < high - 0.5) & (np.abs(np.gradient(y)) > 1e-3))
+    moving = np.flatnonzero((y > low + 0.3) & (y < high - 0.3) & (np.abs(np.gradient(y)) > 1e-3))
     if len(moving) == 0:
         return
     i = int(moving[0])
     axes.annotate(
-        text, (float(t[i]), float(y[i])), xytext=(-4, 4), textcoords="offset points",
-        ha="right", fontsize=8, color=color,
+        text, (float(t[i]), float(y[i])), xytext=(-5, -2), textcoords="offset points",
+        ha="right", va="center", fontsize=8, color=color,
     )
 
 
@@ -291,15 +294,15 @@ def _lag_arrows(
         )
         axes.annotate(
             f"{lag * MS:.0f} ms late",
-            (true_at + lag * MS, level * MM),
-            xytext=(5, 0),
+            (true_at + 0.5 * lag * MS, level * MM),
+            xytext=(0, -3),
             textcoords="offset points",
-            va="center",
+            ha="center",
+            va="top",
             fontsize=9,
             weight="bold",
             color=theme.alarm,
             zorder=7,
-            bbox={"facecolor": theme.paper, "edgecolor": "none", "pad": 1.0, "alpha": 0.85},
         )
     if shift.impact_speed_m_s is not None and shift.impact_energy_j is not None:
         rising = goal > start
@@ -331,18 +334,38 @@ def _spans(times: Floats, on: Any, end: float) -> list[tuple[float, float]]:
     return spans
 
 
-def valve_spans(
-    record: RunRecord, chamber: str
-) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
-    """Return (start, length) in s of a valve commanded open on the bus, and actually open."""
+Span = tuple[float, float]
+
+
+def valve_spans(record: RunRecord, chamber: str) -> tuple[list[Span], list[Span], list[Span]]:
+    """Return (start, length) in s of a valve commanded open, blowing, and actually open.
+
+    Commanded is what the bus carried: a duty that opens, or an active safety blow.
+    """
     end = float(record.truth["time_s"][-1])
+    blow_times, blows = record.series(SafetyBlow, "active")
+    _, chambers = record.series(SafetyBlow, "chamber")
+    blowing = [a and c == Chamber[chamber] for a, c in zip(blows, chambers, strict=True)]
     times, duty = record.series(ValveCommand, f"duty_{chamber.lower()}")
-    commanded = _spans(times, [d > OPEN_ABOVE for d in duty], end)
+    opening = [d > OPEN_ABOVE for d in duty]
+    commanded = _spans(*_either(times, opening, blow_times, blowing), end)
     moves = [(e.time_s, e.name) for e in record.events if e.name.startswith(f"valve_{chamber}_")]
     first = bool(record.truth[f"valve_{chamber}"][0] > 0.5)
     at = np.array([0.0, *(t for t, _ in moves)])
     actual = _spans(at, [first, *(n.endswith("_open") for _, n in moves)], end)
-    return commanded, actual
+    return commanded, _spans(blow_times, blowing, end), actual
+
+
+def _either(
+    times: Floats, on: list[bool], other_times: Floats, other_on: list[bool]
+) -> tuple[Floats, list[bool]]:
+    """Return the held series that is on while either of two held series is."""
+    merged = np.unique(np.concatenate([times, other_times]))
+    held = [
+        np.concatenate([[False], s])[np.searchsorted(t, merged, side="right")]
+        for t, s in ((times, on), (other_times, other_on))
+    ]
+    return merged, [bool(v) for v in np.logical_or(*held)]
 
 
 def _valves(drawing: Drawing, axes: Axes, window: Window, is_first: bool, is_last: bool) -> None:
@@ -350,9 +373,9 @@ def _valves(drawing: Drawing, axes: Axes, window: Window, is_first: bool, is_las
     ticks, names = [], []
     for lane, chamber in enumerate(reversed(CHAMBERS)):
         color = theme.chamber[chamber]
-        commanded, actual = valve_spans(record, chamber)
+        commanded, blowing, actual = valve_spans(record, chamber)
         base = lane * 1.0
-        for spans, offset, alpha in ((commanded, 0.46, 0.35), (actual, 0.08, 1.0)):
+        for spans, offset, alpha in ((actual, 0.08, 1.0), (commanded, 0.52, 0.35)):
             axes.broken_barh(
                 [(a * MS, b * MS) for a, b in spans],
                 (base + offset, 0.36),
@@ -361,14 +384,27 @@ def _valves(drawing: Drawing, axes: Axes, window: Window, is_first: bool, is_las
                 linewidth=0,
             )
             ticks.append(base + offset + 0.18)
-        names += [f"{chamber} command", f"{chamber} valve"]
+        axes.broken_barh(
+            [(a * MS, b * MS) for a, b in blowing],
+            (base + 0.52, 0.36),
+            facecolors="none",
+            edgecolors=color,
+            hatch="////",
+            linewidth=0,
+        )
+        for start, length in blowing:
+            if window.start_s <= start <= window.end_s:
+                axes.text(
+                    (start + 0.5 * length) * MS, base + 0.70, "safety blow", ha="center",
+                    va="center", fontsize=8, color=theme.ink, clip_on=True,
+                    bbox={"facecolor": theme.paper, "edgecolor": "none", "pad": 0.8, "alpha": 0.8},
+                )
+        names += [f"{chamber} valve", f"{chamber} command"]
         _delays(axes, theme, window, commanded, actual, base, color)
         axes.axhline(base, color=theme.grid, linewidth=0.8)
     axes.set_yticks(ticks, names)
     axes.set_ylim(-0.02, 3.0)
     axes.grid(False, axis="y")
-    if is_first:
-        axes.set_ylabel("valves", color=theme.ink, fontsize=9)
 
 
 def _delays(
@@ -390,19 +426,20 @@ def _delays(
                 continue
             axes.plot(
                 [wanted * MS, wanted * MS, reacted * MS, reacted * MS],
-                [base + 0.46, base + 0.45, base + 0.45, base + 0.44],
+                [base + 0.52, base + 0.48, base + 0.48, base + 0.44],
                 color=theme.ink,
                 linewidth=1.0,
             )
             axes.annotate(
                 f"{(reacted - wanted) * MS:.0f} ms",
-                (reacted * MS, base + 0.64),
-                xytext=(3, 0),
+                (reacted * MS, base + 0.26),
+                xytext=(4, 0),
                 textcoords="offset points",
                 fontsize=8.5,
                 va="center",
                 color=theme.ink,
-                bbox={"facecolor": theme.paper, "edgecolor": "none", "pad": 0.6, "alpha": 0.8},
+                bbox={"facecolor": theme.paper, "edgecolor": "none", "pad": 0.6, "alpha": 0.85},
+                clip_on=True,
             )
 
 
@@ -508,7 +545,6 @@ def _bus(drawing: Drawing, axes: Axes, window: Window, is_first: bool, is_last: 
     axes.tick_params(axis="y", labelsize=7.5)
     axes.set_ylim(-0.7, len(names) - 0.3)
     if is_first:
-        axes.set_ylabel("CAN frames", color=theme.ink, fontsize=9)
         handles = [
             ("driver", theme.chamber["B"]),
             ("controller", theme.believed),
