@@ -1,0 +1,308 @@
+"""End-to-end protection of the safety-relevant messages: AUTOSAR E2E profile 2.
+
+Byte 0 is CRC-8 0x2F over bytes 1 to 7 and the data id that belongs to the counter, the low nibble
+of byte 1 the counter. The 16 data ids of each message stand in opc4.dbc and no two messages share
+one, so that a masqueraded frame never passes. The CRC is the autosar-e2e library's; the check and
+the state machine of the receiver follow AUTOSAR PRS E2E Protocol (profile 2 check, E2E_SM with the
+status mapping of release 4.2 and later), extended by a timeout in simulated time.
+Checked by: tests/contracts/test_e2e.py, tests/unit/can_dbc/test_e2e.py
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generic, TypeVar
+
+from e2e.p02 import e2e_p02_check, e2e_p02_protect
+
+from can_dbc import messages as m
+from can_dbc.codec import decode, encode, spec_of
+from can_dbc.errors import CodecError, InputError
+from can_dbc.frame import Frame
+
+COUNTERS = 16
+LARGEST_COUNTER = COUNTERS - 1
+TIMEOUT_CYCLES = 3
+
+PROTECTED: tuple[type, ...] = (
+    m.ShiftRequest,
+    m.ValveCommand,
+    m.SafetyBlow,
+    m.PositionPulse,
+    m.DrivelineSpeeds,
+    m.ControllerStatus,
+)
+"""Message types that travel with counter and CRC."""
+
+M = TypeVar("M")
+
+
+class E2eStatus(Enum):
+    """Result of checking one reception (AUTOSAR E2E_P02CheckStatusType)."""
+
+    OK = "ok"
+    OK_SOME_LOST = "ok, some lost"
+    REPEATED = "repeated"
+    WRONG_SEQUENCE = "wrong sequence"
+    ERROR = "error"
+    NO_NEW_DATA = "no new data"
+    INITIAL = "initial"
+    SYNC = "sync"
+
+
+_CONFIRMING = frozenset((E2eStatus.OK, E2eStatus.OK_SOME_LOST, E2eStatus.INITIAL, E2eStatus.SYNC))
+"""Frames that show a living sender."""
+
+_FOR_STATE_MACHINE = {
+    E2eStatus.OK: E2eStatus.OK,
+    E2eStatus.OK_SOME_LOST: E2eStatus.OK,
+    E2eStatus.SYNC: E2eStatus.OK,
+    E2eStatus.INITIAL: E2eStatus.WRONG_SEQUENCE,
+    E2eStatus.WRONG_SEQUENCE: E2eStatus.WRONG_SEQUENCE,
+    E2eStatus.REPEATED: E2eStatus.REPEATED,
+    E2eStatus.NO_NEW_DATA: E2eStatus.NO_NEW_DATA,
+    E2eStatus.ERROR: E2eStatus.ERROR,
+}
+"""E2E_P02MapStatusToSM with profileBehavior TRUE."""
+
+
+class E2eState(Enum):
+    """Whether a channel may be trusted; INIT includes AUTOSAR's NODATA (nothing heard yet)."""
+
+    INIT = "init"
+    VALID = "valid"
+    INVALID = "invalid"
+
+
+@dataclass(frozen=True, slots=True)
+class E2eConfig:
+    """What a receiver tolerates; names as in AUTOSAR.
+
+    `timeout_ns`: time without a valid frame after which the channel is INVALID.
+    `max_delta_counter_init`: one less than the largest counter step accepted directly after a
+    good frame; each check that does not accept a frame allows one step more.
+    `max_no_new_or_repeated`: repetitions after which the sequence must be confirmed anew, by
+    `sync_counter_init` frames.
+    The window holds the latest `window_size` checks; the number of OK and of ERROR among them
+    decides when a channel in each state becomes (or stays) VALID.
+    Raises InputError for limits that contradict each other.
+    """
+
+    timeout_ns: int
+    max_delta_counter_init: int = 2
+    max_no_new_or_repeated: int = 3
+    sync_counter_init: int = 1
+    window_size: int = 3
+    min_ok_state_init: int = 1
+    max_error_state_init: int = 1
+    min_ok_state_valid: int = 1
+    max_error_state_valid: int = 1
+    min_ok_state_invalid: int = 2
+    max_error_state_invalid: int = 0
+
+    def __post_init__(self) -> None:
+        largest = {
+            "timeout_ns": (1, 2**63 - 1),
+            "max_delta_counter_init": (1, LARGEST_COUNTER - 1),
+            "max_no_new_or_repeated": (0, LARGEST_COUNTER),
+            "sync_counter_init": (0, LARGEST_COUNTER),
+            "window_size": (1, 255),
+            "min_ok_state_init": (1, self.window_size),
+            "max_error_state_init": (0, self.window_size - 1),
+            "min_ok_state_valid": (1, min(self.min_ok_state_init, self.min_ok_state_invalid)),
+            "max_error_state_valid": (self.max_error_state_invalid, self.window_size - 1),
+            "min_ok_state_invalid": (1, self.window_size),
+            "max_error_state_invalid": (0, self.window_size - 1),
+        }
+        for name, (low, high) in largest.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError(f"E2E: {name}: {value}; expected {low} to {high}")
+
+
+def default_config(message_type: type) -> E2eConfig:
+    """The usual tolerance of a receiver: `TIMEOUT_CYCLES` cycles of the DBC without a frame."""
+    return E2eConfig(timeout_ns=TIMEOUT_CYCLES * spec_of(message_type).cycle_ns)
+
+
+def _data_ids(message_type: type) -> bytes:
+    data_ids = spec_of(message_type).e2e_data_ids if message_type in PROTECTED else b""
+    if not data_ids:
+        raise TypeError(f"{message_type.__name__} is not protected end to end")
+    return data_ids
+
+
+def with_counter(message_type: type, frame: Frame, counter: int) -> Frame:
+    """The frame with that counter and the CRC that belongs to it.
+
+    Senders use `Protector`; this is for test doubles and injected faults.
+    """
+    data = bytearray(frame.data)
+    data[1] = data[1] & 0xF0 | counter
+    e2e_p02_protect(data, _data_ids(message_type), increment_counter=False)
+    return Frame(frame.can_id, bytes(data))
+
+
+class Protector(Generic[M]):
+    """The sending end of one channel: numbers its frames and adds their CRC.
+
+    Source: AUTOSAR PRS E2E Protocol, profile 2. Checked by: tests/contracts/test_e2e.py
+    """
+
+    def __init__(self, message_type: type[M]) -> None:
+        self.message_type = message_type
+        self.counter = 0
+        """Counter of the next frame."""
+        self._data_ids = _data_ids(message_type)
+
+    def protect(self, message: M) -> Frame:
+        """The next frame of the channel. Raises CodecError as `can_dbc.codec.encode` does."""
+        if message.__class__ is not self.message_type:
+            raise TypeError(f"{message!r} does not belong to the {self.message_type.__name__}s")
+        can_id, encoded = encode(message)  # type: ignore[arg-type]
+        data = bytearray(encoded)
+        data[1] |= self.counter
+        e2e_p02_protect(data, self._data_ids, increment_counter=False)
+        self.counter = (self.counter + 1) % COUNTERS
+        return Frame(can_id, bytes(data))
+
+
+class Receiver(Generic[M]):
+    """The receiving end of one channel: checks each frame and says whether to trust the channel.
+
+    `message` is the message of the latest frame with status OK or OK_SOME_LOST and `message_ns`
+    its arrival; use it only while `state(now_ns)` is VALID. `counts` counts each status,
+    `reason` says what was wrong with the latest frame of status ERROR.
+    Assumes non-decreasing times. Source: AUTOSAR PRS E2E Protocol, profile 2 and E2E_SM.
+    Checked by: tests/contracts/test_e2e.py, tests/unit/can_dbc/test_e2e.py
+    """
+
+    def __init__(
+        self, message_type: type[M], config: E2eConfig | None = None, start_ns: int = 0
+    ) -> None:
+        self.message_type = message_type
+        self.config = config or default_config(message_type)
+        self.status = E2eStatus.NO_NEW_DATA
+        self.message: M | None = None
+        self.message_ns = -1
+        self.counts: Counter[E2eStatus] = Counter()
+        self.reason = ""
+        self._data_ids = _data_ids(message_type)
+        self._spec = spec_of(message_type)
+        self._state = E2eState.INIT
+        self._window: deque[E2eStatus] = deque(maxlen=self.config.window_size)
+        self._alive_ns = self._now_ns = start_ns
+        self._waiting_for_first = True
+        self._last_counter = 0
+        self._max_delta = 0
+        self._no_new_or_repeated = 0
+        self._sync = 0
+
+    def receive(self, now_ns: int, frame: Frame | None) -> E2eStatus:
+        """Check the frame that arrived now, or None where one was due and none came.
+
+        Raises ValueError for a frame of another identifier and for time running backwards.
+        """
+        self._advance_to(now_ns)
+        if self._max_delta < LARGEST_COUNTER:
+            self._max_delta += 1
+        status = self.status = self._check(now_ns, frame)
+        self.counts[status] += 1
+        if status in _CONFIRMING:
+            self._alive_ns = now_ns
+        self._decide(_FOR_STATE_MACHINE[status])
+        return status
+
+    def state(self, now_ns: int) -> E2eState:
+        """Whether the channel may be trusted now."""
+        self._advance_to(now_ns)
+        return self._state
+
+    def _advance_to(self, now_ns: int) -> None:
+        if now_ns < self._now_ns:
+            raise ValueError(f"time runs backwards: {now_ns} ns after {self._now_ns} ns")
+        self._now_ns = now_ns
+        if now_ns - self._alive_ns > self.config.timeout_ns:
+            self._state = E2eState.INVALID
+            self._window.clear()
+
+    def _check(self, now_ns: int, frame: Frame | None) -> E2eStatus:
+        """E2E_P02Check; a frame with a right CRC that the codec refuses is an ERROR too."""
+        if frame is None:
+            self._count_no_new_or_repeated()
+            return E2eStatus.NO_NEW_DATA
+        can_id, data = frame
+        if can_id != self._spec.can_id:
+            raise ValueError(f"identifier {can_id:#010x} is not a {self.message_type.__name__}")
+        if len(data) != self._spec.length:
+            self.reason = f"{len(data)} bytes instead of {self._spec.length}"
+            return E2eStatus.ERROR
+        if not e2e_p02_check(data, self._data_ids, length=len(data)):
+            self.reason = "CRC does not match"
+            return E2eStatus.ERROR
+        try:
+            message = decode(frame)
+        except CodecError as error:
+            self.reason = str(error)
+            return E2eStatus.ERROR
+        status = self._check_counter(data[1] & LARGEST_COUNTER)
+        if status is E2eStatus.OK or status is E2eStatus.OK_SOME_LOST:
+            self.message = message  # type: ignore[assignment]
+            self.message_ns = now_ns
+        return status
+
+    def _check_counter(self, counter: int) -> E2eStatus:
+        delta = (counter - self._last_counter) % COUNTERS
+        if self._waiting_for_first:
+            self._waiting_for_first = False
+            self._accept(counter)
+            return E2eStatus.INITIAL
+        if delta == 0:
+            self._count_no_new_or_repeated()
+            return E2eStatus.REPEATED
+        if delta > self._max_delta:
+            self._no_new_or_repeated = 0
+            self._sync = self.config.sync_counter_init
+            if self._sync:
+                self._accept(counter)
+            return E2eStatus.WRONG_SEQUENCE
+        self._accept(counter)
+        interrupted = self._no_new_or_repeated > self.config.max_no_new_or_repeated
+        self._no_new_or_repeated = 0
+        if interrupted:
+            self._sync = self.config.sync_counter_init
+            return E2eStatus.SYNC
+        if self._sync:
+            self._sync -= 1
+            return E2eStatus.SYNC
+        return E2eStatus.OK if delta == 1 else E2eStatus.OK_SOME_LOST
+
+    def _accept(self, counter: int) -> None:
+        self._last_counter = counter
+        self._max_delta = self.config.max_delta_counter_init
+
+    def _count_no_new_or_repeated(self) -> None:
+        if self._no_new_or_repeated < LARGEST_COUNTER:
+            self._no_new_or_repeated += 1
+
+    def _decide(self, status: E2eStatus) -> None:
+        """E2E_SMCheck with the latest `window_size` checks."""
+        nothing_heard = self._waiting_for_first and self._state is E2eState.INIT
+        if nothing_heard and status in (E2eStatus.ERROR, E2eStatus.NO_NEW_DATA):
+            return
+        self._window.append(status)
+        ok = self._window.count(E2eStatus.OK)
+        errors = self._window.count(E2eStatus.ERROR)
+        c = self.config
+        if self._state is E2eState.VALID:
+            if ok < c.min_ok_state_valid or errors > c.max_error_state_valid:
+                self._state = E2eState.INVALID
+        elif self._state is E2eState.INIT:
+            if errors > c.max_error_state_init:
+                self._state = E2eState.INVALID
+            elif ok >= c.min_ok_state_init:
+                self._state = E2eState.VALID
+        elif ok >= c.min_ok_state_invalid and errors <= c.max_error_state_invalid:
+            self._state = E2eState.VALID
