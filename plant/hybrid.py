@@ -130,6 +130,8 @@ class HybridSystem:
         load: Load,
         charged: Sequence[str],
         tolerance: float,
+        *,
+        has_line: bool = False,
     ) -> None:
         self._system = system
         self._n = L.FIXED_STATES if system == L.FIXED else L.LENGTH_STATES
@@ -137,6 +139,7 @@ class HybridSystem:
         self._c = c
         self._y = y
         self._m = modes(system, load)
+        self._m[L.M_LINE] = 1 if has_line else 0
         self._tolerance = tolerance
         self._scale = scales(system)
         self._u0 = np.zeros(3)
@@ -184,7 +187,7 @@ class HybridSystem:
     def advance(
         self,
         until_ns: int,
-        switches: Sequence[tuple[int, int, float]] = (),
+        switches: Sequence[tuple[int, int, float] | tuple[int, int, float, float]] = (),
         sample_ns: NDArray[np.int64] | None = None,
     ) -> Floats:
         """Integrate to `until_ns`; returns the states at `sample_ns`, one row each.
@@ -192,8 +195,8 @@ class HybridSystem:
         Parameters
         ----------
         until_ns : simulated time to reach, not before `now_ns`
-        switches : (instant ns, chamber index, position 0 or 1), ascending, within (now, until]
-            or at now
+        switches : (instant ns, chamber index, position 0 to 1, slope 1/s if it moves on),
+            ascending, within [now, until]; one at `until` acts from there on
         sample_ns : instants within [now, until], ascending
 
         Raises
@@ -205,11 +208,16 @@ class HybridSystem:
             raise ValueError(f"cannot advance back from {self.now_ns} ns to {until_ns} ns")
         rows = np.zeros((len(switches), 4))
         last = self.now_ns
-        for k, (instant, chamber, position) in enumerate(switches):
+        for k, (instant, chamber, position, *slope) in enumerate(switches):
             if not last <= instant <= until_ns:
                 raise ValueError(f"switch at {instant} ns is out of order or out of the interval")
             last = instant
-            rows[k] = ((instant - self.now_ns) / NS, chamber, position, 0.0)
+            rows[k] = (
+                (instant - self.now_ns) / NS,
+                chamber,
+                position,
+                slope[0] if slope else 0.0,
+            )
         if sample_ns is None:
             samples = np.zeros(0)
         else:
@@ -241,10 +249,6 @@ class HybridSystem:
             raise IntegrationError(
                 f"integration stopped after {self.now_ns / NS:.6f} s: {REASONS[code]}"
             )
-        # a switch exactly at the end acts from there on
-        for instant, chamber, position in switches:
-            if instant == until_ns:
-                self._u0[chamber] = position
         self.now_ns = until_ns
         return out
 

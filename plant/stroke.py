@@ -12,70 +12,14 @@ import numpy as np
 from . import layout as L
 from .errors import InputError
 from .hybrid import DEFAULT_TOLERANCE, NS, Balance, Event, HybridSystem
-from .packing import Floats, Load, flow_coefficients, initial_state, pack
 from .one_equation import steady_oil_pressure
+from .packing import Floats, initial_state
 from .parameters import ParameterSet
-from .sensors import InternalChain
-from .valve import ValveTiming, switch_schedule
+from .setup import Setup, make_setup
+from .stroke_conditions import FULL_DUTY, KINDS, StrokeConditions
+from .valve import seconds_to_ns, switch_schedule
 
-KINDS = ("fixed", "N-B", "B-N", "N-F", "F-N")
-FULL_DUTY = 0.98
-
-
-@dataclass(frozen=True)
-class StrokeConditions:
-    """What is known of a stroke before it runs.
-
-    kind: one of KINDS; pressures absolute [Pa]; load "none", "damper" or "spring"; spring rate
-    [N/m] and start offset [m] (fixed rig; the spring is unloaded there); commands are
-    (time s, valve, duty); charged_before names the chambers at supply pressure at time 0;
-    mesh_force_n is the force barrier into gear, or out of gear for a shift to neutral;
-    theoretical_flow replaces the mapped flows by 3.13/3.20.
-    """
-
-    kind: str
-    supply_pressure_pa: float
-    commands: tuple[tuple[float, str, float], ...]
-    atmosphere_pa: float = 101325.0
-    temperature_k: float = 293.15
-    load: str = "none"
-    spring_n_per_m: float = 0.0
-    start_offset_m: float = 0.0
-    charged_before: tuple[str, ...] = ()
-    damper_model: str = "compressible"
-    mounted: bool = False
-    mesh_force_n: float = 0.0
-    sync_impulse_n_s: float = 0.0
-    rest_s: float = 60.0
-    theoretical_flow: bool = False
-
-    @property
-    def system(self) -> int:
-        """Layout number of the actuator: FIXED or LENGTH."""
-        return L.FIXED if self.kind == "fixed" else L.LENGTH
-
-    @property
-    def chambers(self) -> tuple[str, ...]:
-        """Names of its chambers in order."""
-        return ("1", "2") if self.kind == "fixed" else ("B", "N", "F")
-
-    @property
-    def into_gear(self) -> bool:
-        """True if the stroke engages a gear."""
-        return self.kind in ("N-B", "N-F")
-
-    def loads(self) -> Load:
-        """The loads on the stay, as the equations take them."""
-        return Load(
-            damper=self.damper_model if self.load == "damper" else None,
-            spring_n_per_m=self.spring_n_per_m if self.load == "spring" else 0.0,
-            spring_x0_m=self.start_offset_m,
-            mounted=self.mounted,
-            mesh_force_n=self.mesh_force_n if self.into_gear else 0.0,
-            pull_force_n=0.0 if self.into_gear else self.mesh_force_n,
-            sync_impulse_n_s=self.sync_impulse_n_s if self.into_gear else 0.0,
-        )
-
+__all__ = ["KINDS", "Stroke", "StrokeConditions", "run_setup", "simulate"]
 
 @dataclass(frozen=True)
 class Stroke:
@@ -129,20 +73,11 @@ class Stroke:
 class StrokeSystem(HybridSystem):
     """Either actuator, set up from a stroke's conditions at time 0."""
 
-    def __init__(
-        self, parameters: ParameterSet, conditions: StrokeConditions, tolerance: float
-    ) -> None:
+    def __init__(self, setup: Setup, tolerance: float) -> None:
+        conditions = setup.conditions
         self.chambers = conditions.chambers
         system = conditions.system
-        load = conditions.loads()
-        p = pack(
-            parameters,
-            system,
-            supply_pressure_pa=conditions.supply_pressure_pa,
-            atmosphere_pa=conditions.atmosphere_pa,
-            load=load,
-            theoretical_flow=conditions.theoretical_flow,
-        )
+        p = setup.p
         position: str | float
         position = conditions.start_offset_m if system == L.FIXED else conditions.kind[0]
         if system == L.FIXED and not 0.0 <= conditions.start_offset_m <= p[L.STROKE]:
@@ -156,30 +91,46 @@ class StrokeSystem(HybridSystem):
             charged=conditions.charged_before,
             quadratures=L.QUADRATURES,
         )
+        first = L.FP1 if system == L.FIXED else L.PB
+        for chamber, pressure in setup.residual_pa.items():
+            if chamber not in conditions.charged_before:
+                y[first + self.chambers.index(chamber)] += pressure
         super().__init__(
             system,
             p,
-            flow_coefficients(parameters),
+            setup.c,
             y,
-            load,
+            conditions.loads(),
             conditions.charged_before,
             tolerance,
+            has_line=setup.has_line,
         )
 
 
-def valve_moves(
-    parameters: ParameterSet, conditions: StrokeConditions, until_ns: int
-) -> list[tuple[int, int, float]]:
-    """Instants (ns) at which the valves really move: (instant, chamber index, 1 or 0), ascending."""
+def valve_moves(setup: Setup, until_ns: int) -> list[tuple[int, int, float, float]]:
+    """Moves of the valves: (instant ns, chamber index, position, slope 1/s), ascending.
+
+    A valve moves at once (slope 0), or over the plunger's travel time.
+    """
+    conditions = setup.conditions
     names = conditions.chambers
     switches = switch_schedule(
         [(time_s, names.index(valve), duty) for time_s, valve, duty in conditions.commands],
-        ValveTiming.from_parameters(parameters),
+        setup.timing,
         len(names),
         [names.index(name) for name in conditions.charged_before],
         FULL_DUTY,
     )
-    return [switch for switch in switches if switch[0] <= until_ns]
+    travel_ns = seconds_to_ns(setup.creep_s)
+    moves: list[tuple[int, int, float, float]] = []
+    for instant, chamber, target in switches:
+        if travel_ns > 0:
+            slope = (2.0 * target - 1.0) / setup.creep_s
+            moves.append((instant, chamber, 1.0 - target, slope))
+            moves.append((instant + travel_ns, chamber, target, 0.0))
+        else:
+            moves.append((instant, chamber, target, 0.0))
+    return sorted(move for move in moves if move[0] <= until_ns)
 
 
 def duty_at(conditions: StrokeConditions, time_s: Floats) -> Floats:
@@ -191,6 +142,25 @@ def duty_at(conditions: StrokeConditions, time_s: Floats) -> Floats:
             if target == name:
                 duty[time_s >= when - 1e-9, index] = value
     return duty
+
+
+def lagged(time_s: Floats, values: Floats, lag_s: float) -> Floats:
+    """Values behind a first-order lag, exact for a signal that is straight between samples.
+
+    y' = (x - y) / lag, settled at the start.  values: [n] or [n, k].
+    """
+    if lag_s <= 0.0:
+        return values
+    out = np.empty_like(values)
+    out[0] = values[0]
+    for k in range(1, len(time_s)):
+        step = time_s[k] - time_s[k - 1]
+        decay = np.exp(-step / lag_s)
+        slope = (values[k] - values[k - 1]) / step
+        out[k] = (
+            values[k] - lag_s * slope + (out[k - 1] - values[k - 1] + lag_s * slope) * decay
+        )
+    return out
 
 
 def simulate(
@@ -213,23 +183,45 @@ def simulate(
 
     Checked by: tests/physics/test_stroke.py
     """
-    sample_ns = np.rint(np.asarray(time_s) * NS).astype(np.int64)
+    return run_setup(make_setup(parameters, conditions), time_s, tolerance, internal)
+
+
+def run_setup(
+    setup: Setup, time_s: Floats, tolerance: float = DEFAULT_TOLERANCE, internal: bool = True
+) -> Stroke:
+    """Simulate a stroke that is ready to run (see `simulate`)."""
+    conditions = setup.conditions
+    time_s = np.asarray(time_s, dtype=np.float64)
+    sample_ns = np.rint(time_s * NS).astype(np.int64)
     end_ns = int(sample_ns[-1])
-    system = StrokeSystem(parameters, conditions, tolerance)
-    chain = InternalChain.from_parameters(parameters)
+    system = StrokeSystem(setup, tolerance)
+    chain = setup.chain
     end_s = float(time_s[-1])
-    instants = np.minimum(chain.measurement_instants_ns(end_s), end_ns)
-    wanted = np.unique(np.concatenate([sample_ns, instants]))
-    states = system.advance(end_ns, valve_moves(parameters, conditions, end_ns), wanted)
+    wanted = sample_ns
+    instants = sample_ns[:0]
+    if internal:
+        instants = np.minimum(chain.measurement_instants_ns(end_s, setup.phase_s), end_ns)
+        wanted = np.unique(np.concatenate([sample_ns, instants]))
+    states = system.advance(end_ns, valve_moves(setup, end_ns), wanted)
     reported = np.zeros(0)
     if internal:
         measured = states[np.searchsorted(wanted, instants), 0]
-        reported = chain.held_m(np.asarray(time_s), chain.ticks_s(end_s), measured)
+        clock_s = time_s - setup.clock_offset_s - setup.clock_drift * time_s
+        reported = setup.internal_gain * chain.held_m(
+            clock_s, chain.ticks_s(end_s, setup.phase_s), measured
+        )
+    if internal and len(wanted) != len(sample_ns):
+        states = states[np.searchsorted(wanted, sample_ns)]
+    if setup.gauge_lag_s > 0.0:
+        first, count = (L.FP1, 2) if conditions.system == L.FIXED else (L.PB, 3)
+        states[:, first : first + count] = lagged(
+            time_s, states[:, first : first + count], setup.gauge_lag_s
+        )
     return Stroke(
         conditions=conditions,
-        time_s=np.asarray(time_s),
-        states=states[np.searchsorted(wanted, sample_ns)],
-        duty=duty_at(conditions, np.asarray(time_s)),
+        time_s=time_s,
+        states=states,
+        duty=duty_at(conditions, time_s),
         internal_m=reported,
         events=tuple(system.events),
         balance=system.balance(),

@@ -1,0 +1,50 @@
+"""Candidate extensions of the model: what each changes, in which equation, within which bounds.
+
+An effect changes a stroke's `Setup`; at its neutral parameters the stroke is the nominal one.
+Identifiers and classes are those of the vocabulary of causes.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+
+from ..errors import InputError
+from ..parameters import Parameter, ParameterSet
+from ..setup import Setup
+from . import damper, flow, friction, mechanics, sensors, term, thermal, valves
+from .effect import Effect, EffectParameter
+
+__all__ = ["CATALOGUE", "Effect", "EffectParameter", "apply_effects", "effect"]
+
+CATALOGUE: dict[str, Effect] = {
+    item.id: item
+    for module in (friction, flow, valves, thermal, damper, mechanics, sensors, term)
+    for item in module.EFFECTS
+}
+
+
+def effect(name: str) -> Effect:
+    """The effect of that id; InputError with the nearest names if there is none."""
+    try:
+        return CATALOGUE[name]
+    except KeyError:
+        near = difflib.get_close_matches(name, CATALOGUE, n=3, cutoff=0.3) or list(CATALOGUE)
+        raise InputError(f"effect {name!r}: no such effect; nearest: {', '.join(near)}") from None
+
+
+def check_effects(effects: Mapping[str, Mapping[str, Parameter]], name: str) -> None:
+    """Refuse unknown effects, parameters and units, and values outside the physical bounds."""
+    for identifier, table in effects.items():
+        try:
+            item = effect(identifier)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from None
+        item.check(table, f"{name}: [effect.{identifier}]")
+
+
+def apply_effects(setup: Setup, parameters: ParameterSet) -> None:
+    """Apply every effect of an extended model to a stroke's setup."""
+    check_effects(parameters.effects, parameters.name)
+    for identifier, table in parameters.effects.items():
+        effect(identifier).apply(setup, {key: item.value for key, item in table.items()})

@@ -1,0 +1,128 @@
+"""Leaks, supply, restrictions, volumes and what was left in a chamber."""
+
+from __future__ import annotations
+
+from .. import layout as L
+from ..setup import Setup
+from .effect import Effect, EffectParameter
+
+
+def piston_leak(setup: Setup, values: dict[str, float]) -> None:
+    """Orifice C_d A across each piston, from chamber to chamber."""
+    setup.p[L.LEAK_PISTON] = values["cda_m2"]
+
+
+def leak_out(setup: Setup, values: dict[str, float]) -> None:
+    """Orifice C_d A from a chamber on supply to the atmosphere."""
+    setup.p[L.LEAK_ATM] = values["cda_m2"]
+
+
+def supply_low(setup: Setup, values: dict[str, float]) -> None:
+    """True supply pressure below the stated one by a share."""
+    setup.p[L.P_SUPPLY] *= 1.0 - values["deficit"]
+
+
+def droop(setup: Setup, values: dict[str, float]) -> None:
+    """Supply line of a volume behind an orifice: the pressure at the valve sags while it feeds."""
+    if values["cda_m2"] <= 0.0:
+        return
+    setup.has_line = True
+    setup.p[L.LINE_CDA] = values["cda_m2"]
+    setup.p[L.LINE_VOLUME] = values["volume_m3"]
+
+
+def exhaust_clog(setup: Setup, values: dict[str, float]) -> None:
+    """Exhaust flows times a factor."""
+    setup.p[L.K_OUT] *= values["factor"]
+
+
+def inlet_clog(setup: Setup, values: dict[str, float]) -> None:
+    """Charge flows times a factor."""
+    setup.p[L.K_IN] *= values["factor"]
+
+
+def dead_charge(setup: Setup, values: dict[str, float]) -> None:
+    """Extra dead volume on the chamber that drives the stroke."""
+    setup.p[setup.volume_index(setup.charged_chamber)] += values["volume_m3"]
+
+
+def dead_passive(setup: Setup, values: dict[str, float]) -> None:
+    """Extra dead volume on the chamber that the stroke compresses."""
+    for chamber in setup.passive_chambers:
+        setup.p[setup.volume_index(chamber)] += values["volume_m3"]
+
+
+def residual(setup: Setup, values: dict[str, float]) -> None:
+    """Overpressure at time 0 in the chamber that the stroke compresses."""
+    for chamber in setup.passive_chambers:
+        setup.residual_pa[chamber] = setup.residual_pa.get(chamber, 0.0) + values["pressure_pa"]
+
+
+CDA = EffectParameter("cda_m2", "m^2", 0.0, 0.0, 2e-5, 2e-7, 1)
+VOLUME = EffectParameter("volume_m3", "m^3", 0.0, -5e-5, 5e-4, 5e-6, 1)
+
+EFFECTS = (
+    Effect("piston_leak", "leak", "chamber", "flow past the moving piston", (CDA,), piston_leak),
+    Effect(
+        "leak_to_atmosphere", "leak", "chamber", "a charged chamber leaks outside", (CDA,), leak_out
+    ),
+    Effect(
+        "supply_low",
+        "supply",
+        "chamber",
+        "true supply pressure below the stated one by a share",
+        (EffectParameter("deficit", "-", 0.0, -0.5, 0.8, 0.05, 1),),
+        supply_low,
+    ),
+    Effect(
+        "hose_droop",
+        "supply",
+        "chamber",
+        "restriction and finite volume upstream of the valve",
+        (
+            EffectParameter("cda_m2", "m^2", 0.0, 0.0, 1e-3, 5e-6, 1),
+            EffectParameter("volume_m3", "m^3", 5e-5, 1e-6, 1e-2, 5e-5),
+        ),
+        droop,
+    ),
+    Effect(
+        "exhaust_clog",
+        "flow restriction",
+        "chamber",
+        "exhaust flows times a factor",
+        (EffectParameter("factor", "-", 1.0, 0.02, 3.0, 0.2, -1),),
+        exhaust_clog,
+    ),
+    Effect(
+        "inlet_clog",
+        "flow restriction",
+        "chamber",
+        "charge flows times a factor",
+        (EffectParameter("factor", "-", 1.0, 0.02, 3.0, 0.2, -1),),
+        inlet_clog,
+    ),
+    Effect(
+        "dead_volume_charge",
+        "volume",
+        "chamber",
+        "extra volume on the charged chamber",
+        (VOLUME,),
+        dead_charge,
+    ),
+    Effect(
+        "dead_volume_passive",
+        "volume",
+        "chamber",
+        "extra volume on the discharging chamber",
+        (VOLUME,),
+        dead_passive,
+    ),
+    Effect(
+        "residual_pressure",
+        "initial state",
+        "initial",
+        "the passive chamber was not vented at the start",
+        (EffectParameter("pressure_pa", "Pa", 0.0, -9e4, 1e6, 3e4, 1),),
+        residual,
+    ),
+)

@@ -1,0 +1,75 @@
+"""Valve timing: delays longer, dependent on pressure, or a plunger that takes its time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from .. import layout as L
+from ..setup import Setup
+from ..valve import seconds_to_ns
+from .effect import Effect, EffectParameter
+
+FULL_SUPPLY_PA = 900000.0
+
+
+def open_later(setup: Setup, values: dict[str, float]) -> None:
+    """Opening delay longer by a time."""
+    shift_rise(setup, values["delay_s"])
+
+
+def open_by_pressure(setup: Setup, values: dict[str, float]) -> None:
+    """Opening delay plus slope (P_s - 9 bar): the plunger opens against the supply."""
+    shift_rise(setup, values["slope_s_pa"] * (setup.p[L.P_SUPPLY] - FULL_SUPPLY_PA))
+
+
+def shift_rise(setup: Setup, delay_s: float) -> None:
+    """Change the opening delay, never below zero."""
+    rise = max(0, setup.timing.rise_ns + seconds_to_ns(delay_s))
+    setup.timing = replace(setup.timing, rise_ns=rise)
+
+
+def close_later(setup: Setup, values: dict[str, float]) -> None:
+    """Closing delay longer by a time."""
+    fall = max(0, setup.timing.fall_ns + seconds_to_ns(values["delay_s"]))
+    setup.timing = replace(setup.timing, fall_ns=fall)
+
+
+def creep(setup: Setup, values: dict[str, float]) -> None:
+    """The plunger crosses in a straight ramp of this duration, both ways."""
+    setup.creep_s = values["travel_s"]
+
+
+EFFECTS = (
+    Effect(
+        "valve_open_delay",
+        "valve timing",
+        "valve",
+        "opens later",
+        (EffectParameter("delay_s", "s", 0.0, -0.008, 0.1, 0.003, 1),),
+        open_later,
+    ),
+    Effect(
+        "valve_delay_pressure",
+        "valve timing",
+        "valve",
+        "opening delay depends on the supply pressure",
+        (EffectParameter("slope_s_pa", "s/Pa", 0.0, -1e-7, 1e-7, 1e-8),),
+        open_by_pressure,
+    ),
+    Effect(
+        "valve_slow_close",
+        "valve timing",
+        "valve",
+        "closes later",
+        (EffectParameter("delay_s", "s", 0.0, -0.035, 0.2, 0.01, 1),),
+        close_later,
+    ),
+    Effect(
+        "valve_creep",
+        "valve timing",
+        "valve",
+        "the plunger crosses slowly instead of at once",
+        (EffectParameter("travel_s", "s", 0.0, 0.0, 0.1, 0.005, 1),),
+        creep,
+    ),
+)

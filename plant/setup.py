@@ -1,0 +1,87 @@
+"""A stroke made ready to run: packed parameters, valve timing, start, sensors.
+
+Effects (plant.effects) change a `Setup`; nothing else knows how.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from . import layout as L
+from .packing import Floats, flow_coefficients, pack
+from .parameters import ParameterSet
+from .sensors import InternalChain
+from .stroke_conditions import StrokeConditions
+from .valve import ValveTiming
+
+
+@dataclass
+class Setup:
+    """Everything that decides a stroke.
+
+    p, c: packed parameters and flow map; timing: valve thresholds and delays; creep_s: time of the
+    plunger's travel [s]; residual_pa: overpressure of chambers at the start [Pa]; chain: the
+    control unit's position chain, its pulses at `phase_s` within the period, with `internal_gain`,
+    and its clock running `clock_offset_s + clock_drift t` late; gauge_lag_s: time constant of the
+    pressure lines [s]; has_line: the supply line has a volume and a restriction of its own.
+    """
+
+    conditions: StrokeConditions
+    p: Floats
+    c: Floats
+    timing: ValveTiming
+    chain: InternalChain
+    phase_s: float = 0.0
+    creep_s: float = 0.0
+    residual_pa: dict[str, float] = field(default_factory=dict)
+    internal_gain: float = 1.0
+    clock_offset_s: float = 0.0
+    clock_drift: float = 0.0
+    gauge_lag_s: float = 0.0
+    has_line: bool = False
+
+    @property
+    def passive_chambers(self) -> tuple[str, ...]:
+        """Chambers that the stroke's motion compresses (the far one of the length stroke is not)."""
+        return {"fixed": ("2",), "N-B": ("N",), "N-F": ("N",), "B-N": ("B",), "F-N": ("F",)}[
+            self.conditions.kind
+        ]
+
+    @property
+    def charged_chamber(self) -> str:
+        """The chamber that drives the stroke."""
+        return {"fixed": "1", "N-B": "B", "N-F": "F", "B-N": "N", "F-N": "N"}[self.conditions.kind]
+
+    def volume_index(self, chamber: str) -> int:
+        """Place of a chamber's dead volume in `p`."""
+        return {
+            "1": L.VOL_B,
+            "2": L.VOL_N,
+            "B": L.VOL_B,
+            "N": L.VOL_N,
+            "F": L.VOL_F,
+        }[chamber]
+
+
+def make_setup(parameters: ParameterSet, conditions: StrokeConditions) -> Setup:
+    """The setup of a stroke, with the effects of an extended model applied."""
+    from .effects import apply_effects
+
+    timing = ValveTiming.from_parameters(parameters)
+    setup = Setup(
+        conditions=conditions,
+        p=pack(
+            parameters,
+            conditions.system,
+            supply_pressure_pa=conditions.supply_pressure_pa,
+            atmosphere_pa=conditions.atmosphere_pa,
+            load=conditions.loads(),
+            theoretical_flow=conditions.theoretical_flow,
+        ),
+        c=flow_coefficients(parameters),
+        timing=timing,
+        chain=InternalChain.from_parameters(parameters),
+    )
+    if parameters.effects:
+        apply_effects(setup, parameters)
+    return setup
