@@ -62,10 +62,11 @@ class InductiveSensor:
         """Whole timer ticks nearest to a duration [s]."""
         return np.rint(np.asarray(duration_s, dtype=np.float64) / self.tick_s)
 
-    def pulse_s(self, position_m: float, temperature_k: float) -> float:
-        """Pulse duration [s] as the timer counts it."""
+    def pulse_s(self, position_m: float, temperature_k: float, noise_s: float = 0.0) -> float:
+        """Pulse duration [s] as the timer counts it, `noise_s` added before it does."""
         cold = self.t_mid_s + self.slope_s_m * position_m
-        return round(cold * self._warmth(temperature_k) / self.tick_s) * self.tick_s
+        duration_s = cold * self._warmth(temperature_k) + noise_s
+        return max(0, round(duration_s / self.tick_s)) * self.tick_s
 
     def position_m(self, pulse_s: ArrayLike, temperature_k: float) -> Floats:
         """Position [m] that a pulse [s] stands for if the coil is at `temperature_k` [K]."""
@@ -164,7 +165,7 @@ class InternalChain:
         first_s = phase_s % self.period_s
         last_s = end_s - 0.5 * self.sensor.t_mid_s
         count = max(0, int(np.floor((last_s - first_s) / self.period_s + 1e-9)) + 1)
-        return first_s + np.arange(-1, count) * self.period_s
+        return np.asarray(first_s + np.arange(-1, count) * self.period_s, dtype=np.float64)
 
     def measurement_instants_ns(self, end_s: float, phase_s: float = 0.0) -> Instants:
         """Instants [ns] whose position the pulses of `ticks_s` tell; rest before time 0."""
