@@ -69,9 +69,9 @@ class SensorConfig(Settings, frozen=True):
     """A sample this far beyond an end position is still plausible."""
     max_speed_m_s: Annotated[float, _number(0.1, 100.0, "m/s")] = 4.0
     """A jump from sample to sample faster than this is implausible."""
-    travel_limit_m: Annotated[float, _number(0.005, 1.0, "m")] = 0.045
+    travel_limit_m: Annotated[float, _number(0.005, 1.0, "m")] = 0.035
     """More travel than this within a short time is implausible: the stay moves one stroke a leg."""
-    travel_leak_m_s: Annotated[float, _number(0.0, 10.0, "m/s")] = 0.1
+    travel_leak_m_s: Annotated[float, _number(0.0, 10.0, "m/s")] = 0.3
     """Rate at which old travel is forgotten."""
     bad_limit: Annotated[int, _number(1, 100, "")] = 6
     """The position counts as lost at this level; a bad sample adds 2, a good one takes 1."""
@@ -262,8 +262,8 @@ def convert(raw: object, kind: type[T], place: str = "") -> T:
     Raises InputError 'PLACE: what; expected ...', naming the nearest known names of an unknown
     one. Checked by test_config.
     """
-    for steps, name, known in _strangers(raw, kind, place):
-        raise InputError(f"{dotted(steps, name)}: {unknown_name(known, name)}")
+    for complaint in _strangers(raw, kind, place):
+        raise InputError(complaint)
     try:
         return msgspec.convert(raw, kind)
     except msgspec.ValidationError as error:
@@ -275,16 +275,19 @@ def convert(raw: object, kind: type[T], place: str = "") -> T:
         raise InputError(f"{inside or 'settings'}: wrong value; expected {expected}") from None
 
 
-def _strangers(raw: object, kind: Any, place: str) -> Iterator[tuple[str, str, list[str]]]:
-    """Yield (place, name, known names) of every name that a settings record does not have."""
-    if not (isinstance(raw, Mapping) and isinstance(kind, type) and issubclass(kind, Struct)):
-        return
-    fields = {field.name: field.type for field in msgspec.structs.fields(kind)}
-    for name, value in raw.items():
-        if name not in fields:
-            yield place, str(name), sorted(fields)
-        else:
-            yield from _strangers(value, fields[name], dotted(place, name))
+def _strangers(raw: object, kind: Any, place: str) -> Iterator[str]:
+    """Yield a line for every name and every choice that a settings record does not know."""
+    if typing.get_origin(kind) is Literal and isinstance(raw, str):
+        if raw not in typing.get_args(kind):
+            yield f"{place}: {raw!r} is {unknown_name(typing.get_args(kind), raw)}"
+    elif isinstance(raw, Mapping) and isinstance(kind, type) and issubclass(kind, Struct):
+        fields = {field.name: field.type for field in msgspec.structs.fields(kind)}
+        for name, value in raw.items():
+            inside = dotted(place, str(name))
+            if name in fields:
+                yield from _strangers(value, fields[name], inside)
+            else:
+                yield f"{inside}: {unknown_name(sorted(fields), str(name))}"
 
 
 def dotted(place: str, name: str) -> str:
@@ -293,7 +296,7 @@ def dotted(place: str, name: str) -> str:
 
 
 def unknown_name(known: Iterable[str], name: str) -> str:
-    """Return 'unknown; expected one of ...', the nearest names when there are any near ones."""
+    """Return 'unknown; expected one of ...': the nearest names, or all when none is near."""
     names = list(known)
-    near = difflib.get_close_matches(name, names, n=3, cutoff=0.4)
-    return f"unknown; expected one of {', '.join(near or names)}"
+    near = difflib.get_close_matches(name, names, n=3)
+    return f"unknown; expected one of {', '.join(near or names) or 'none'}"

@@ -1,0 +1,116 @@
+"""The control unit as a participant on the bus: frames in, a step at every tick, frames out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from can_dbc.codec import can_id_of, encode
+from can_dbc.e2e import E2eConfig, E2eState, E2eStatus, Protector, Receiver
+from can_dbc.frame import Frame
+from can_dbc.messages import (
+    ControllerStatus,
+    DrivelineSpeeds,
+    PositionPulse,
+    SafetyBlow,
+    ShiftRequest,
+    ValveCommand,
+)
+from controller.config import FirmwareConfig, nanoseconds
+from controller.firmware import ChannelState, Firmware, Inputs, Outputs
+
+_CHANNEL_STATE = {
+    E2eState.INIT: ChannelState.INIT,
+    E2eState.VALID: ChannelState.VALID,
+    E2eState.INVALID: ChannelState.INVALID,
+}
+_GOOD = (E2eStatus.OK, E2eStatus.OK_SOME_LOST)
+
+
+class ControllerNode:
+    """The firmware with its end-to-end protected channels; ticks at k times the period.
+
+    A frame that arrives at the instant of a tick is seen by that tick. All frames of a step are
+    released together, the computation time after the tick. A frame that is corrupt, of a wrong
+    length or out of range is counted by its receiver and otherwise ignored; frames of other
+    identifiers are ignored. Checked by test_node and test_firmware_contract.
+    """
+
+    name = "controller"
+
+    def __init__(self, config: FirmwareConfig) -> None:
+        self.config = config
+        self.firmware = Firmware(config)
+        self.outputs: Outputs | None = None
+        """Answer of the latest step."""
+        e2e = config.e2e
+        self.pulses = _receiver(PositionPulse, e2e.position_timeout_s)
+        self.requests = _receiver(ShiftRequest, e2e.request_timeout_s)
+        self.speeds = _receiver(DrivelineSpeeds, e2e.speeds_timeout_s)
+        self._receivers: dict[int, Receiver[Any]] = {
+            can_id_of(receiver.message_type): receiver
+            for receiver in (self.pulses, self.requests, self.speeds)
+        }
+        self._protect_valves = Protector(ValveCommand)
+        self._protect_blow = Protector(SafetyBlow)
+        self._protect_status = Protector(ControllerStatus)
+        self._new_pulses: list[PositionPulse] = []
+        self._tick_ns = 0
+
+    def start(self) -> int:
+        """Return the time of the first tick, ns."""
+        return self._tick_ns
+
+    def advance(
+        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
+    ) -> tuple[list[tuple[int, Frame]], int]:
+        """Take the frames that arrived up to `until_ns`, and step if that is a tick.
+
+        Returns the frames to send with their release times, and the time of the next tick, ns.
+        Raises ValueError for a time beyond the next tick, which would skip it.
+        """
+        if until_ns > self._tick_ns:
+            raise ValueError(f"advance to {until_ns} ns skips the tick at {self._tick_ns} ns")
+        for arrival_ns, frame in deliveries:
+            self._receive(arrival_ns, frame)
+        if until_ns < self._tick_ns:  # the run ends between two ticks
+            return [], self._tick_ns
+        self._tick_ns += self.config.period_ns
+        released_ns = until_ns + self.config.computation_ns
+        return [(released_ns, frame) for frame in self._step(until_ns)], self._tick_ns
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def _receive(self, arrival_ns: int, frame: Frame) -> None:
+        receiver = self._receivers.get(frame.can_id)
+        if receiver is None:
+            return
+        status = receiver.receive(arrival_ns, frame)
+        if receiver is self.pulses and status in _GOOD:
+            pulse = self.pulses.message
+            assert pulse is not None  # a good status comes with a message
+            self._new_pulses.append(pulse)
+
+    def _step(self, now_ns: int) -> list[Frame]:
+        inputs = Inputs(
+            pulses=tuple(self._new_pulses),
+            request=self.requests.message,
+            speeds=self.speeds.message,
+            position_state=_CHANNEL_STATE[self.pulses.state(now_ns)],
+            request_state=_CHANNEL_STATE[self.requests.state(now_ns)],
+            speeds_state=_CHANNEL_STATE[self.speeds.state(now_ns)],
+        )
+        self._new_pulses.clear()
+        self.outputs = out = self.firmware.step(now_ns, inputs)
+        frames = [
+            self._protect_valves.protect(out.valves),
+            self._protect_blow.protect(out.blow),
+            self._protect_status.protect(out.status),
+        ]
+        frames += [encode(message) for message in (out.etc1, out.etc2) if message is not None]
+        return frames
+
+
+def _receiver(message_type: type[Any], timeout_s: float) -> Receiver[Any]:
+    return Receiver(message_type, E2eConfig(timeout_ns=nanoseconds(timeout_s)))

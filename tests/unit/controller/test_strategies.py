@@ -1,0 +1,86 @@
+"""The interface of strategies, the registry, and the open loop."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from can_dbc.errors import InputError
+from can_dbc.messages import Chamber, Gear
+from controller import strategies
+from controller.config import FirmwareConfig
+from controller.position import Estimate
+from controller.strategies import OFF, Duties, ShiftContext, Strategy, one_chamber
+from controller.strategies.open_loop import OpenLoop
+
+ANYWHERE = Estimate(True, 0.003, 0.002, 0.5, ())
+
+
+def context(charged: Chamber) -> ShiftContext:
+    return ShiftContext(
+        leg=Gear.BACKWARD,
+        final=Gear.BACKWARD,
+        charged=charged,
+        passive=Chamber.N,
+        start_ns=0,
+        attempt=0,
+        energised_ns=(None, None, None),
+    )
+
+
+@pytest.mark.parametrize("name", list(strategies.NAMES))
+def test_every_registered_strategy_can_be_made(name: str) -> None:
+    strategy = strategies.create(FirmwareConfig(strategy=name))
+    assert isinstance(strategy, Strategy)
+    assert strategy.name == name
+    assert type(strategy.parameters) is strategy.Parameters
+    assert strategy.config.strategy == name
+
+
+def test_open_loop_is_the_default() -> None:
+    assert type(strategies.create(FirmwareConfig())) is OpenLoop
+
+
+@pytest.mark.parametrize(
+    ("chamber", "duties"),
+    [
+        (Chamber.B, Duties(0.98, 0.0, 0.0)),
+        (Chamber.N, Duties(0.0, 0.98, 0.0)),
+        (Chamber.F, Duties(0.0, 0.0, 0.98)),
+        (Chamber.NONE, OFF),
+    ],
+)
+def test_one_chamber(chamber: Chamber, duties: Duties) -> None:
+    assert one_chamber(chamber, 0.98) == duties
+
+
+@pytest.mark.parametrize("chamber", [Chamber.B, Chamber.N, Chamber.F])
+def test_open_loop_fills_the_charged_chamber_whatever_happens(chamber: Chamber) -> None:
+    strategy = strategies.create(FirmwareConfig(duty=0.9))
+    for now_ns in (0, 10_000_000, 10**12):
+        assert strategy.command(now_ns, ANYWHERE, context(chamber)) == one_chamber(chamber, 0.9)
+    strategy.reset()
+    assert strategy.command(0, ANYWHERE, context(chamber)) == one_chamber(chamber, 0.9)
+
+
+def test_the_blow_is_as_configured_unless_a_strategy_says_otherwise() -> None:
+    strategy = strategies.create(FirmwareConfig())
+    for follows in (False, True):
+        assert strategy.blow_s(0.123, Gear.NEUTRAL, follows) == 0.123
+
+
+def test_unknown_name() -> None:
+    said = "strategy: 'open-loop' is unknown; expected one of open_loop"
+    with pytest.raises(InputError, match=f"^{re.escape(said)}$"):
+        strategies.parameters("open-loop", {})
+
+
+def test_unknown_parameter() -> None:
+    said = "strategy_parameters.gain: unknown; expected one of none"
+    with pytest.raises(InputError, match=f"^{re.escape(said)}$"):
+        strategies.parameters("open_loop", {"gain": 2.0})
+
+
+def test_off_is_off() -> None:
+    assert Duties(0.0, 0.0, 0.0) == OFF
