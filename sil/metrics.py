@@ -206,7 +206,7 @@ def _stop_event(
 ) -> PlantEvent | None:
     """Return the stay's first impact on the stop of the wanted gear."""
     for event in events:
-        if event.name == "stay_stop" and start <= event.time_s <= until:
+        if event.name == "stop" and start <= event.time_s <= until:
             if abs(float(event.values["position_m"]) - goal_m) <= ARRIVED_WITHIN_M:
                 return event
     return None
