@@ -1,0 +1,43 @@
+"""Simulated time: whole nanoseconds since the start of the run, never the wall clock."""
+
+from __future__ import annotations
+
+import math
+
+from can_dbc.errors import InputError
+
+NS_PER_S = 1_000_000_000
+NEVER_NS = (1 << 48) - 1
+"""The instant of an event that does not come; also the largest instant that a lockstep frame
+carries, some 78 simulated hours."""
+
+
+def to_ns(seconds: float, place: str = "time") -> int:
+    """Return the whole nanosecond nearest to `seconds`.
+
+    `place` names the value in the message.  Raises InputError for a value that is not finite, is
+    negative, or lies beyond what the lockstep carries (78 h).  Checked by test_clock.
+    """
+    if not math.isfinite(seconds) or seconds < 0.0:
+        raise InputError(f"{place}: {seconds!r} s; expected a finite time, zero or more")
+    nanoseconds = round(seconds * NS_PER_S)
+    if nanoseconds >= NEVER_NS:
+        raise InputError(f"{place}: {seconds!r} s; expected less than {NEVER_NS / NS_PER_S:.0f} s")
+    return nanoseconds
+
+
+def to_seconds(nanoseconds: int) -> float:
+    """Return the float64 nearest to `nanoseconds` in seconds.  Checked by test_clock."""
+    return nanoseconds / NS_PER_S
+
+
+def next_tick(after_ns: int, period_ns: int, phase_ns: int = 0) -> int:
+    """Return the first instant of the schedule phase + k * period (k = 0, 1, ...) after `after_ns`.
+
+    Raises ValueError for a period below 1 ns.  Checked by test_clock.
+    """
+    if period_ns < 1:
+        raise ValueError(f"period {period_ns} ns; expected at least 1")
+    if after_ns < phase_ns:
+        return phase_ns
+    return phase_ns + ((after_ns - phase_ns) // period_ns + 1) * period_ns

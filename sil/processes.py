@@ -1,0 +1,106 @@
+"""Participants as child processes: started, watched, and never outliving the coordinator."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import subprocess
+import tempfile
+from collections.abc import Iterator, Sequence
+
+from can_dbc.errors import RunError
+
+_PR_SET_PDEATHSIG = 1
+
+
+class ChildProcess:
+    """One participant in a process of its own, in a session of its own.
+
+    An interrupt typed at the terminal reaches the coordinator alone, which then ends its children.
+    What the child prints is kept: its last line is the reason given when it ends too early.
+    Checked by test_participants.
+    """
+
+    def __init__(self, name: str, command: Sequence[str]) -> None:
+        """Start `command`.  Raises RunError when it cannot be started."""
+        self.name = name
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
+        try:
+            self._process = subprocess.Popen(
+                list(command),
+                stdin=subprocess.DEVNULL,
+                stdout=self._output,
+                stderr=self._output,
+                start_new_session=True,
+            )
+        except OSError as error:
+            self._output.close()
+            raise RunError(f"{name} could not be started: {error}") from None
+        self.pid = self._process.pid
+        self._pidfd = os.pidfd_open(self.pid)
+
+    def fileno(self) -> int:
+        """Return a descriptor that becomes readable when the process has ended."""
+        return self._pidfd
+
+    def output(self) -> str:
+        """Return what the child has printed so far."""
+        length = os.fstat(self._output.fileno()).st_size
+        return os.pread(self._output.fileno(), length, 0).decode(errors="replace")
+
+    def how_it_ended(self, wait_s: float = 0.5) -> str | None:
+        """Return "was killed by SIGKILL" or the like, or None when it runs on for `wait_s`."""
+        try:
+            status = self._process.wait(wait_s)
+        except subprocess.TimeoutExpired:
+            return None
+        if status < 0:
+            return f"was killed by {signal.Signals(-status).name}"
+        last = next((line for line in reversed(self.output().splitlines()) if line.strip()), "")
+        return f"ended with exit status {status}" + (f": {last.strip()}" if last else "")
+
+    def end(self, grace_s: float) -> None:
+        """Wait `grace_s` for the process to end, then kill it; reap it and close everything."""
+        if self._output.closed:
+            return
+        try:
+            self._process.wait(grace_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        os.close(self._pidfd)
+        self._output.close()
+
+
+def end_with_parent(parent_pid: int) -> None:
+    """Have the kernel kill this process when its parent, `parent_pid`, ends.
+
+    Raises RunError when that parent is gone already.  Checked by test_participants.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
+        raise RunError(f"prctl: {os.strerror(ctypes.get_errno())}")
+    if os.getppid() != parent_pid:
+        raise RunError(f"the process {parent_pid} that started this one has ended")
+
+
+@contextlib.contextmanager
+def pinned_to_one_core() -> Iterator[int | None]:
+    """Keep this process, and the children it starts meanwhile, on one core; yield which.
+
+    Two processes in lockstep take turns, and a turn passed to a neighbour core that sleeps costs
+    several times one passed on the same core.  Yields None where there is but one core.  The
+    affinity that stood before is put back.  Checked by test_participants.
+    """
+    allowed = os.sched_getaffinity(0)
+    if len(allowed) < 2:
+        yield None
+        return
+    core = sorted(allowed)[os.getpid() % len(allowed)]
+    os.sched_setaffinity(0, {core})
+    try:
+        yield core
+    finally:
+        os.sched_setaffinity(0, allowed)

@@ -1,0 +1,175 @@
+"""What is kept while a run goes on: the bus log and the plant's trace, on disk after each step."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from can_dbc.errors import InputError
+
+if TYPE_CHECKING:
+    from sil.bus import Delivery
+
+BUS_LOG = "bus.log"
+PLANT_TRACE = "plant.trace"
+_TRACE_FORMAT = "opc4-trace-1"
+_HEADER_BYTES_AT_MOST = 65536
+_HASHED_FRAME = struct.Struct("<QIB")
+
+
+class _AppendedFile:
+    """A new file to which whole blocks are appended, each on disk when `append` returns.
+
+    "On disk" means with the operating system: whatever dies, save the machine itself, the block
+    stays readable.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_CLOEXEC
+        self._descriptor = os.open(path, flags, 0o666)
+
+    def append(self, block: bytes) -> None:
+        left = memoryview(block)
+        while left:
+            try:
+                left = left[os.write(self._descriptor, left) :]
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(self.path)) from None
+
+    def close(self) -> None:
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def __enter__(self) -> _AppendedFile:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+class BusLog(_AppendedFile):
+    """The delivered frames as a log of the form `candump -l` writes, and their hash.
+
+    A line is `(sssssssss.uuuuuu) opc4 0CFF2503#0011223344556677`, the arrival in simulated time.
+    Microseconds, because canplayer takes no other form; at 125 kbit/s to 1 Mbit/s, with releases on
+    whole microseconds, they are exact.  An arrival between two microseconds gets nine digits: no
+    time is rounded, and canplayer refuses that file, loudly.  Checked by test_recorder.
+    """
+
+    def __init__(self, path: Path, channel: str = "opc4") -> None:
+        super().__init__(path)
+        self._channel = channel
+        self._hash = hashlib.sha256()
+        self.frames = 0
+        self.whole_microseconds = True
+
+    def record(self, deliveries: Sequence[Delivery]) -> None:
+        """Append the frames delivered in one step."""
+        lines = []
+        for delivery in deliveries:
+            arrival_ns, frame = delivery.arrival_ns, delivery.frame
+            payload = frame.data
+            self._hash.update(_HASHED_FRAME.pack(arrival_ns, frame.can_id, len(payload)) + payload)
+            seconds, nanoseconds = divmod(arrival_ns, 1_000_000_000)
+            if nanoseconds % 1000:
+                self.whole_microseconds = False
+                fraction = f"{nanoseconds:09d}"
+            else:
+                fraction = f"{nanoseconds // 1000:06d}"
+            lines.append(
+                f"({seconds:010d}.{fraction}) {self._channel} "
+                f"{frame.can_id:08X}#{payload.hex().upper()}\n"
+            )
+        self.frames += len(lines)
+        self.append("".join(lines).encode())
+
+    def digest(self) -> bytes:
+        """Return the SHA-256 over arrival (ns), identifier, length and data of all frames."""
+        return self._hash.digest()
+
+
+class TraceWriter(_AppendedFile):
+    """The plant's rows at full precision, appended by whichever process runs the plant.
+
+    The file is one line of JSON (format, columns) and then the rows, float64, little endian.
+    Checked by test_recorder.
+    """
+
+    def __init__(self, path: Path, columns: Sequence[str]) -> None:
+        super().__init__(path)
+        self._width = len(columns)
+        header = {"format": _TRACE_FORMAT, "columns": list(columns)}
+        self.append(json.dumps(header).encode() + b"\n")
+
+    def write(self, rows: NDArray[np.float64]) -> None:
+        """Append rows, shape (any number, number of columns)."""
+        if rows.ndim != 2 or rows.shape[1] != self._width:
+            raise ValueError(f"rows of shape {rows.shape}; expected (n, {self._width})")
+        if len(rows):
+            self.append(np.ascontiguousarray(rows, dtype="<f8").tobytes())
+
+
+class Trace(NamedTuple):
+    """A trace as read: its columns, its rows, and how many bytes of a torn last row were left."""
+
+    columns: tuple[str, ...]
+    rows: NDArray[np.float64]
+    torn_bytes: int
+
+
+def read_trace(path: Path) -> Trace:
+    """Read what a TraceWriter wrote, also while it still writes or after it was killed.
+
+    Raises InputError for a file that is none.  Checked by test_recorder.
+    """
+    with open(path, "rb") as file:
+        columns = _columns(path, file.readline(_HEADER_BYTES_AT_MOST))
+        content = file.read()
+    row_bytes = 8 * len(columns)
+    torn = len(content) % row_bytes
+    values = np.frombuffer(content[: len(content) - torn], dtype="<f8")
+    return Trace(columns, values.reshape(-1, len(columns)).astype(np.float64), torn)
+
+
+def trace_sha256(frames_digest: bytes, trace_path: Path) -> str:
+    """Return the run's hash: SHA-256 over the frames' digest and the plant's trace, byte by byte.
+
+    Two runs have one hash when every frame arrived at the same nanosecond with the same data and
+    every value of every trace row has the same bits.  Checked by test_transport_contract.
+    """
+    total = hashlib.sha256(frames_digest)
+    with open(trace_path, "rb") as file:
+        total.update(hashlib.file_digest(file, "sha256").digest())
+    return total.hexdigest()
+
+
+def _columns(path: Path, line: bytes) -> tuple[str, ...]:
+    expected = f'expected one line of JSON with "format": "{_TRACE_FORMAT}" and "columns"'
+    try:
+        header = json.loads(line)
+        columns = tuple(header["columns"])
+        if header["format"] != _TRACE_FORMAT or not columns or not line.endswith(b"\n"):
+            raise InputError(f"{path}: line 1: another format; {expected}")
+        if not all(isinstance(column, str) for column in columns):
+            raise InputError(f"{path}: line 1: a column without a name; {expected}")
+    except (ValueError, KeyError, TypeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: line 1: not the head of a trace; {expected}") from None
+    return columns

@@ -1,0 +1,110 @@
+"""Where the local bus's sockets are: one folder per user, one socket per channel."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import re
+import socket
+import stat
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from can_dbc.errors import InputError, RunError
+
+_LONGEST_PATH = 107
+"""sun_path holds 108 bytes, the last one zero."""
+
+
+def folder() -> Path:
+    """Return the folder of the sockets, made if missing, for this user only.
+
+    `$XDG_RUNTIME_DIR/opc4`, or `opc4-UID` in the folder for temporary files.  Raises RunError when
+    that belongs to somebody else or is open to others.
+    """
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    path = Path(runtime, "opc4") if runtime else Path(tempfile.gettempdir(), f"opc4-{os.getuid()}")
+    try:
+        path.mkdir(mode=0o700, exist_ok=True)
+        found = path.lstat()
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror}; expected a folder for sockets") from None
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise RunError(f"{path}: expected a folder of this user that nobody else may enter")
+    return path
+
+
+def socket_path(channel: str) -> Path:
+    """Return the socket of a channel: a name (letters, digits, `_.-`), or a path with a slash.
+
+    Raises InputError for another text, or a path too long for a socket.  Checked by test_address.
+    """
+    if "/" in channel:
+        path = Path(channel)
+    elif re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}", channel):
+        path = folder() / f"{channel}.sock"
+    else:
+        raise InputError(
+            f"channel {channel!r}: expected a name of letters, digits, '_', '.', '-', or a path"
+        )
+    if len(os.fsencode(path)) > _LONGEST_PATH:
+        raise InputError(f"channel {channel!r}: {path} is longer than {_LONGEST_PATH} bytes")
+    return path
+
+
+def running_channels() -> list[str]:
+    """Return the names of the channels on which a hub listens, sorted.  Checked by test_address."""
+    return sorted(path.stem for path in folder().glob("*.sock") if _listened_to(path))
+
+
+def listen(channel: str) -> tuple[socket.socket, Path]:
+    """Open the listening socket of a channel, in place of one that a killed hub left behind.
+
+    Raises RunError when a hub listens there.  Checked by test_address.
+    """
+    path = socket_path(channel)
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        with _folder_locked(path.parent):  # two hubs starting at once must not both clear the way
+            if _listened_to(path):
+                raise RunError(f"channel {channel!r}: another run uses it ({path})")
+            if path.is_socket():
+                path.unlink()
+            listener.bind(str(path))
+            path.chmod(0o600)
+            listener.listen(64)
+            listener.setblocking(False)
+    except OSError as error:
+        listener.close()
+        raise RunError(f"channel {channel!r}: {path}: {error.strerror}") from None
+    except RunError:
+        listener.close()
+        raise
+    return listener, path
+
+
+@contextlib.contextmanager
+def _folder_locked(path: Path) -> Iterator[None]:
+    lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(lock)
+
+
+def _listened_to(path: Path) -> bool:
+    probe = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        probe.setblocking(False)
+        probe.connect(str(path))
+    except BlockingIOError:  # its queue of new connections is full: somebody is there
+        return True
+    except OSError:
+        return False
+    else:
+        return True
+    finally:
+        probe.close()

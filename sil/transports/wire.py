@@ -1,0 +1,210 @@
+"""The lockstep protocol: what participants and coordinator say to each other, byte by byte.
+
+A channel carries records of 16 bytes, each one SocketCAN `struct can_frame`: a CAN channel one per
+frame, the local socket many per datagram.  The data page bits of the identifier (EDP and DP) tell
+what a record is:
+
+    EDP clear         a frame of the simulated bus.  Only the coordinator sends these, in the order
+                      of their simulated arrival, each right after its BusTime.
+    EDP set           an offer: the frame of a participant that waits for arbitration, with EDP set.
+    EDP and DP set    a control frame: 8 data bytes, byte 0 the number of the participant it is
+                      about, byte 1 an additional number, bytes 2 to 7 a value, little endian; an
+                      instant is in nanoseconds (up to 78 h).  What is not used has all bits set.
+
+One run, seen by a participant of number n:
+
+    participant  Hello(n, version, nonce and scenario)    again every 100 ms until answered
+    coordinator  Welcome(n, version, nonce)               or Refused(n, reason, nonce)
+    coordinator  Start(end of the run)                    once everybody has joined
+    participant  Done(n, 0, first event)
+    then, at each of its events:
+    coordinator  BusTime(sender, checksum, arrival), frame       any number of times
+                 Sync(n)                                         now and then; answer Ack(n)
+                 Grant(n, number of frames, now)                 now: its own event, or the end
+    participant  Release(n, instant)                             before offers released after now
+                 offers
+                 Done(n, number of offers, next event)
+    coordinator  Retire(n)                                       n is granted no more time
+                 Stop(reason, instant)                           the end
+
+The numbers of frames are modulo 256; that of a Grant counts the frames of others since the last
+Grant, so that either side sees when the channel lost something.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+from collections.abc import Iterator
+from enum import IntEnum
+from typing import NamedTuple
+from zlib import crc32
+
+from can_dbc.frame import DP_BIT, EDP_BIT, MAX_ID, MAX_LENGTH, Frame
+from can_dbc.messages import ParticipantId
+from sil.clock import NEVER_NS
+
+if sys.byteorder != "little":
+    raise ImportError("the lockstep records are those of a little-endian machine")
+
+VERSION = 1
+"""Version of the protocol; Hello and Welcome carry it, and another one is refused."""
+
+COORDINATOR = int(ParticipantId.COORDINATOR)
+PARTICIPANTS = {p.name.lower(): int(p) for p in ParticipantId if p != ParticipantId.COORDINATOR}
+"""Participant name to its number on the wire."""
+NAMES = {number: name for name, number in PARTICIPANTS.items()}
+NOBODY = 255
+
+EXTENDED = 0x8000_0000
+"""SocketCAN's flag of a 29-bit identifier; remote and error frames carry others and are refused."""
+RECORD = struct.Struct("<IB3x8s")
+RECORD_BYTES = RECORD.size
+LONGEST_BATCH = 2048
+"""Records in one datagram of the local socket at most."""
+
+_CONTROL = struct.Struct("<IB3xQ")
+_CONTROL_BITS = EDP_BIT | DP_BIT
+_UNUSED_BYTE = 0xFF
+
+
+class Kind(IntEnum):
+    """The control frames, by identifier: PGN 3FF00 + n; the coordinator sends those from F9."""
+
+    START = 0x1FFF_00F9
+    STOP = 0x1FFF_01F9
+    GRANT = 0x1FFF_02F9
+    BUS_TIME = 0x1FFF_03F9
+    DONE = 0x1FFF_04FA
+    RELEASE = 0x1FFF_05FA
+    HELLO = 0x1FFF_06FA
+    WELCOME = 0x1FFF_07F9
+    REFUSED = 0x1FFF_08F9
+    FAILED = 0x1FFF_09FA
+    SYNC = 0x1FFF_0AF9
+    ACK = 0x1FFF_0BFA
+    RETIRE = 0x1FFF_0CF9
+    MONITOR = 0x1FFF_0DFA
+
+
+class Refusal(IntEnum):
+    """Why a Hello, or a frame of a program that takes no part, was refused."""
+
+    VERSION = 1
+    UNEXPECTED = 2
+    DUPLICATE = 3
+    SCENARIO = 4
+    NO_PARTICIPANT = 5
+
+
+_REASONS: dict[int, str] = {
+    Refusal.VERSION: "the coordinator speaks another version of the lockstep protocol",
+    Refusal.UNEXPECTED: "the run waits for no participant of this name",
+    Refusal.DUPLICATE: "a participant of this name has joined already",
+    Refusal.SCENARIO: "the coordinator runs another scenario",
+    Refusal.NO_PARTICIPANT: "a lockstep run takes frames from its participants only",
+}
+
+
+class Control(NamedTuple):
+    """A control frame taken apart; see the module's text for the meaning per kind."""
+
+    kind: Kind
+    participant: int
+    extra: int
+    value: int
+
+
+class WireError(ValueError):
+    """Bytes on a channel that no program speaking the protocol sends."""
+
+
+def reason(refusal: int) -> str:
+    """Return in words why something was refused."""
+    return _REASONS.get(refusal, f"code {refusal}")
+
+
+def control(
+    kind: Kind, participant: int = NOBODY, extra: int = _UNUSED_BYTE, value: int = NEVER_NS
+) -> bytes:
+    """Return the record of a control frame.
+
+    `participant` and `extra` are taken modulo 256; raises struct.error for a value outside 48 bits.
+    Checked by test_wire.
+    """
+    word = value << 16 | (extra & 0xFF) << 8 | participant & 0xFF
+    return _CONTROL.pack(EXTENDED | kind, 8, word)
+
+
+def parse_control(can_id: int, payload: bytes) -> Control | None:
+    """Return the control frame, or None when the identifier is not one.
+
+    Raises WireError for one that is unknown or not 8 bytes long.  Checked by test_wire.
+    """
+    if can_id & _CONTROL_BITS != _CONTROL_BITS:
+        return None
+    kind = _KINDS.get(can_id)
+    if kind is None or len(payload) != 8:
+        raise WireError(f"control frame 0x{can_id:08X} of {len(payload)} bytes is none of ours")
+    word = int.from_bytes(payload, "little")
+    return Control(kind, word & 0xFF, word >> 8 & 0xFF, word >> 16)
+
+
+_KINDS = {int(kind): kind for kind in Kind}
+
+
+def real(frame: Frame) -> bytes:
+    """Return the record of a frame as the simulated bus delivers it.  Checked by test_wire."""
+    return RECORD.pack(frame.can_id | EXTENDED, len(frame.data), frame.data)
+
+
+def offer(frame: Frame) -> bytes:
+    """Return the record of a frame that waits for arbitration: the same, EDP set."""
+    return RECORD.pack(frame.can_id | (EXTENDED | EDP_BIT), len(frame.data), frame.data)
+
+
+def can_be_offered(frame: Frame) -> bool:
+    """Tell whether a participant may send the frame.
+
+    Classic, 29-bit, both data page bits clear: set they mean an offer or a control frame.
+    Checked by test_wire.
+    """
+    return (
+        0 <= frame.can_id <= MAX_ID
+        and not frame.can_id & _CONTROL_BITS
+        and len(frame.data) <= MAX_LENGTH
+    )
+
+
+def announced(sender: int, arrival_ns: int, frame: Frame) -> bytes:
+    """Return the two records of a delivered frame: its BusTime and itself.
+
+    The checksum in BusTime, the low byte of the CRC-32 of the frame's record, lets a participant
+    tell the announced frame from one that a stranger put on the channel at that moment.
+    Checked by test_wire.
+    """
+    record = RECORD.pack(frame.can_id | EXTENDED, len(frame.data), frame.data)
+    word = arrival_ns << 16 | (crc32(record) & 0xFF) << 8 | sender
+    return _CONTROL.pack(EXTENDED | Kind.BUS_TIME, 8, word) + record
+
+
+def checksum(can_id: int, payload: bytes) -> int:
+    """Return the checksum that BusTime carries for this frame."""
+    return crc32(RECORD.pack(can_id | EXTENDED, len(payload), payload)) & 0xFF
+
+
+def split(records: bytes | memoryview) -> Iterator[tuple[int, bytes]]:
+    """Yield the identifier (29 bits) and data of each record.
+
+    Raises WireError for a torn record, an identifier of 11 bits, a remote or error frame, or a
+    length over 8.  Checked by test_wire.
+    """
+    if len(records) % RECORD_BYTES:
+        raise WireError(f"{len(records)} bytes; expected a multiple of {RECORD_BYTES}")
+    for flagged_id, length, payload in RECORD.iter_unpack(records):
+        if flagged_id & ~MAX_ID != EXTENDED or length > MAX_LENGTH:
+            raise WireError(
+                f"record with identifier word 0x{flagged_id:08X} and length {length}; "
+                "expected a classic data frame with a 29-bit identifier"
+            )
+        yield flagged_id & MAX_ID, payload[:length]

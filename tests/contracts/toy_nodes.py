@@ -1,0 +1,163 @@
+"""Small participants for the transports' tests: whatever they hear changes whatever they say.
+
+As a program: `toy_nodes.py NAME CHANNEL [--trace FILE] [--at NS WHAT]` joins a run as that node.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import struct
+import sys
+import time
+import zlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from can_dbc.frame import Frame
+from sil.participants import open_link, take_part
+from sil.recorder import TraceWriter
+
+MS = 1_000_000
+PERIODS_NS = {"driver": 20 * MS, "controller": 10 * MS, "plant": 5 * MS}
+PHASES_NS = {"driver": 0, "controller": 0, "plant": 2 * MS + 500_000}
+IDS = {"driver": 0x0CFF0105, "controller": 0x08FF0203, "plant": 0x0CFF0390}
+FRAME_NS = 262_000
+COLUMNS = ("time_s", "heard", "position_m")
+
+
+class Delivery(NamedTuple):
+    """One frame at the end of its transmission."""
+
+    arrival_ns: int
+    frame: Frame
+    sender: str
+    queued_ns: int
+
+
+class SerialBus:
+    """A bus on which every frame takes 262 µs: lowest identifier first among those released."""
+
+    def __init__(self) -> None:
+        self._queue: list[tuple[int, int, Frame, str]] = []
+        self._count = 0
+        self._free_ns = 0
+
+    def queue(self, release_ns: int, frame: Frame, sender: str) -> None:
+        self._queue.append((release_ns, self._count, frame, sender))
+        self._count += 1
+
+    def advance(self, until_ns: int) -> list[Delivery]:
+        delivered = []
+        while self._queue:
+            start_ns = max(self._free_ns, min(entry[0] for entry in self._queue))
+            if start_ns + FRAME_NS > until_ns:
+                break
+            released = [entry for entry in self._queue if entry[0] <= start_ns]
+            first = min(released, key=lambda entry: (entry[2].can_id, entry[1]))
+            self._queue.remove(first)
+            self._free_ns = start_ns + FRAME_NS
+            delivered.append(Delivery(self._free_ns, first[2], first[3], first[0]))
+        return delivered
+
+
+class ToyNode:
+    """Sends two frames at each event, the second one released 100 µs late.
+
+    Their content is a running checksum of everything heard, arrival instants included.  The one
+    with a trace writes a row per event.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        trace: TraceWriter | None = None,
+        misbehave: Callable[[int], None] = lambda now_ns: None,
+        burst: int = 1,
+    ) -> None:
+        self.name = name
+        self.closed = False
+        self.heard = 0
+        self.instants: list[int] = []
+        self._sum = zlib.crc32(name.encode())
+        self._trace = trace
+        self._misbehave = misbehave
+        self._burst = burst
+
+    def start(self) -> int:
+        return PHASES_NS[self.name]
+
+    def advance(
+        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
+    ) -> tuple[list[tuple[int, Frame]], int]:
+        self._misbehave(until_ns)
+        self.instants.append(until_ns)
+        for arrival_ns, frame in deliveries:
+            self.heard += 1
+            heard = struct.pack("<QI", arrival_ns, frame.can_id) + frame.data
+            self._sum = zlib.crc32(heard, self._sum)
+        if self._trace is not None:
+            row = (until_ns / 1e9, float(self.heard), self._sum / 3.0e11)
+            self._trace.write(np.array([row]))
+        content = struct.pack("<IHBB", self._sum, self.heard & 0xFFFF, 0xAA, len(deliveries) & 0xFF)
+        frame = Frame(IDS[self.name], content)
+        late = Frame(IDS[self.name] + (1 << 26), content[: self._sum % 9])
+        period_ns = PERIODS_NS[self.name]
+        next_ns = until_ns - (until_ns - PHASES_NS[self.name]) % period_ns + period_ns
+        return [*[(until_ns, frame)] * self._burst, (until_ns + 100_000, late)], next_ns
+
+    def close(self) -> None:
+        self.closed = True
+        if self._trace is not None:
+            self._trace.close()
+
+
+def misbehaviour(at_ns: int, what: str) -> Callable[[int], None]:
+    """Return what does nothing until `at_ns` and then dies, stalls, fails or exits."""
+
+    def misbehave(now_ns: int) -> None:
+        if now_ns < at_ns:
+            return
+        if what == "die":
+            os.kill(os.getpid(), signal.SIGKILL)
+        elif what == "stall":
+            time.sleep(600.0)
+        elif what == "exit":
+            os._exit(7)
+        elif what == "fail":
+            raise ValueError("toy node asked to fail")
+        elif what == "slow":
+            time.sleep(0.002)
+        else:
+            raise ValueError(what)
+
+    return misbehave
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Take part in a run as one toy node."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("name")
+    parser.add_argument("channel")
+    parser.add_argument("--trace", type=Path)
+    parser.add_argument("--at", nargs=2, metavar=("NS", "WHAT"))
+    parser.add_argument("--scenario", type=int, default=0)
+    parser.add_argument("--burst", type=int, default=1)
+    parser.add_argument("--start-timeout", type=float, default=10.0)
+    given = parser.parse_args(arguments)
+    trace = TraceWriter(given.trace, COLUMNS) if given.trace else None
+    misbehave = misbehaviour(int(given.at[0]), given.at[1]) if given.at else lambda now_ns: None
+    take_part(
+        ToyNode(given.name, trace, misbehave, given.burst),
+        open_link(given.channel, given.start_timeout),
+        scenario=given.scenario,
+        start_timeout_s=given.start_timeout,
+    )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

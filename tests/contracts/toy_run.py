@@ -1,0 +1,118 @@
+"""One run of the toy nodes over any transport; the driver always lives with the coordinator."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from sil.lockstep import Downtime, Lockstep
+from sil.processes import ChildProcess
+from sil.realtime import Pacer
+from sil.recorder import BUS_LOG, PLANT_TRACE, BusLog, TraceWriter, trace_sha256
+from sil.transports.channel import Channel, Patience
+from sil.transports.hub import Hub
+from sil.transports.inproc import InProcess
+from sil.transports.remote import RemoteChannel
+from sil.transports.socketcan import SocketCan
+from tests.contracts.toy_nodes import COLUMNS, SerialBus, ToyNode
+
+ROOT = Path(__file__).resolve().parents[2]
+REMOTE = ("controller", "plant")
+PATIENCE = Patience(start_s=20.0, answer_s=2.0, close_s=5.0)
+
+
+@dataclass
+class ToyRun:
+    """A coordinator with its toy nodes, ready to run; `log` and `trace` are in `folder`."""
+
+    lockstep: Lockstep
+    log: BusLog
+    folder: Path
+    remote: RemoteChannel | None
+    children: dict[str, ChildProcess]
+    nodes: dict[str, ToyNode] = field(default_factory=dict)
+
+    def sha256(self) -> str:
+        return trace_sha256(self.log.digest(), self.folder / PLANT_TRACE)
+
+
+def channel_name(transport: str) -> str:
+    """Return what a node is told: the toy runs' local channel is named after this process."""
+    return f"local:toy-{os.getpid()}" if transport == "local" else transport
+
+
+def command(name: str, channel: str, *options: str) -> list[str]:
+    """Return what starts a toy node in a process of its own."""
+    node = [sys.executable, "-m", "tests.contracts.toy_nodes", name, channel, *options]
+    return ["env", f"PYTHONPATH={ROOT}", *node]
+
+
+@contextlib.contextmanager
+def toy_run(
+    transport: str,
+    folder: Path,
+    end_ns: int,
+    *,
+    options: Mapping[str, Sequence[str]] | None = None,
+    external: Sequence[str] = (),
+    downtime: Downtime | None = None,
+    pacer: Pacer | None = None,
+    patience: Patience = PATIENCE,
+    scenario: int = 0,
+    say: Callable[[str], None] = lambda message: None,
+) -> Iterator[ToyRun]:
+    """Open a run; `options` go to the node processes, `external` ones the test starts itself."""
+    folder.mkdir()
+    trace = folder / PLANT_TRACE
+    given = dict(options or {})
+    children: dict[str, ChildProcess] = {}
+    remote: RemoteChannel | None = None
+    nodes: list[ToyNode]
+    if transport == "inproc":
+        burst = _burst(given.get("controller", ()))
+        writer = TraceWriter(trace, COLUMNS)
+        nodes = [ToyNode("driver"), ToyNode("controller", burst=burst), ToyNode("plant", writer)]
+        channels: list[Channel] = [InProcess(nodes)]
+    else:
+        nodes = [ToyNode("driver")]
+        channel = channel_name(transport)
+        given["plant"] = [*given.get("plant", ()), "--trace", str(trace)]
+        if transport == "local":
+            remote = Hub(
+                channel.removeprefix("local:"),
+                REMOTE,
+                scenario=scenario,
+                patience=patience,
+                say=say,
+            )
+        else:
+            remote = SocketCan(
+                transport,
+                REMOTE,
+                scenario=scenario,
+                patience=patience,
+                say=say,
+            )
+        channels = [remote, InProcess(nodes)]
+        for name in REMOTE:
+            if name not in external:
+                children[name] = remote.spawn(name, command(name, channel, *given.get(name, ())))
+    log = BusLog(folder / BUS_LOG)
+    lockstep = Lockstep(
+        SerialBus(), channels, end_ns, record=log.record, downtime=downtime, pacer=pacer
+    )
+    try:
+        with lockstep:
+            yield ToyRun(
+                lockstep, log, folder, remote, children, {node.name: node for node in nodes}
+            )
+    finally:
+        log.close()
+
+
+def _burst(options: Sequence[str]) -> int:
+    return int(options[options.index("--burst") + 1]) if "--burst" in options else 1
