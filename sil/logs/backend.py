@@ -1,0 +1,221 @@
+"""What a log format has to offer; one file per format implements it."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import shutil
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from types import TracebackType
+from typing import BinaryIO, Final, NamedTuple, Protocol, Self
+
+from can_dbc.errors import InputError
+from sil.logs.byte_source import ByteSource
+from sil.logs.frame import LogFrame, is_ordinary, require_possible
+from sil.logs.report import LogReport
+
+WRITE_BATCH: Final = 2048
+
+
+class Batch(NamedTuple):
+    """Frames in the log's order and the line (text) or byte (binary) at which each begins."""
+
+    frames: list[LogFrame]
+    places: Sequence[int]
+
+
+class ReadOptions(NamedTuple):
+    """times: "auto", or "delta" / "recorded" where a candump log's kind is known better."""
+
+    times: str = "auto"
+
+
+class Backend(Protocol):
+    """A log format."""
+
+    name: str
+    suffixes: tuple[str, ...]
+    place_word: str
+
+    def sniff(self, head: bytes) -> bool:
+        """Whether a file that begins so is of this format."""
+        ...
+
+    def batches(
+        self, source: ByteSource, report: LogReport, options: ReadOptions
+    ) -> Iterator[Batch]:
+        """The frames of a log; broken places go to the report."""
+        ...
+
+    def writer(self, path: str) -> LogWriter:
+        """A writer for a new log."""
+        ...
+
+
+class LogWriter(ABC):
+    """Writes a log beside its final name and puts it there only when it is whole.
+
+    losses: what the format could not hold, by name, counted; nothing is dropped without it.
+    channel_numbers: for formats that number their channels, which number stands for which name.
+    """
+
+    format: str = ""
+    patched = False
+    """The beginning of the file is written last, so that packing has to wait for it."""
+
+    def __init__(self, path: str) -> None:
+        """Open a temporary file beside `path`.
+
+        Raises: InputError when that is not possible.
+        """
+        self.path = path
+        self.frames = 0
+        self.losses: Counter[str] = Counter()
+        self.channel_numbers: dict[str, int] = {}
+        self._held: list[LogFrame] = []
+        self._closed = False
+        self._channels_seen: set[str] = set()
+        if os.path.isdir(path):
+            raise InputError(f"{path}: is a folder; expected the name of a log file")
+        self._file, self._partial = open_beside(path)
+        self._out: BinaryIO = self._file
+        if path.endswith(".gz") and not self.patched:
+            self._out = gzip.GzipFile(filename="", mode="wb", fileobj=self._file, mtime=0)  # type: ignore[assignment]
+
+    def write(self, frame: LogFrame) -> None:
+        """Append one frame.
+
+        Raises: InputError for a frame that no bus or this format can carry.
+        """
+        if frame.channel not in self._channels_seen or not is_ordinary(frame):
+            require_possible(frame, f"{self.path}: frame {self.frames + 1}")
+            self._channels_seen.add(frame.channel)
+        self._held.append(frame)
+        self.frames += 1
+        if len(self._held) >= WRITE_BATCH:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand the frames held back to the file."""
+        if self._held:
+            held, self._held = self._held, []
+            self._guarded(held)
+
+    def _guarded(self, held: list[LogFrame]) -> None:
+        try:
+            self._write_batch(held)
+        except OSError as error:
+            raise InputError(f"{self.path}: {error.strerror}; expected room to write") from None
+
+    @abstractmethod
+    def _write_batch(self, frames: list[LogFrame]) -> None:
+        """Write frames, in order; the first call of all comes with the first frames."""
+
+    def _finish(self) -> None:
+        """Write what comes after the last frame (and, for no frames at all, the beginning)."""
+
+    def close(self) -> None:
+        """Finish the log and give it its name; a second call does nothing.
+
+        Raises: InputError when the disk refuses; then nothing is left behind.
+        """
+        if self._closed:
+            return
+        try:
+            self.flush()
+            self._finish()
+            if self._out is not self._file:
+                self._out.close()
+            elif self.path.endswith(".gz"):
+                self._pack()
+            self._file.close()
+            os.replace(self._partial, self.path)
+        except OSError as error:
+            self.abort()
+            raise InputError(f"{self.path}: {error.strerror}; expected room to write") from None
+        except BaseException:
+            self.abort()
+            raise
+        self._closed = True
+
+    def _pack(self) -> None:
+        """Replace the finished temporary file by a gzipped one."""
+        self._file.seek(0)
+        plain, plain_name = self._file, self._partial
+        self._file, self._partial = open_beside(self.path)
+        with plain, gzip.GzipFile(filename="", mode="wb", fileobj=self._file, mtime=0) as packed:
+            shutil.copyfileobj(plain, packed, 1 << 20)
+        os.unlink(plain_name)
+
+    def abort(self) -> None:
+        """Throw away what was written; the final name stays as it was."""
+        if self._closed:
+            return
+        self._closed = True
+        self._file.close()
+        if os.path.exists(self._partial):
+            os.unlink(self._partial)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abort()
+
+    def channel_number(self, channel: str, lowest: int = 1) -> int:
+        """The number (`lowest`..255) that stands for a channel name.
+
+        A number stands for itself; can0, vcan0, ... become 1, as can-utils has it; a name whose
+        number is taken gets the next free one. An unnamed channel is 1.
+        """
+        known = self.channel_numbers.get(channel)
+        if known is not None:
+            return known
+        taken = set(self.channel_numbers.values())
+        digits = channel[len(channel.rstrip("0123456789")) :][-3:]
+        wanted = 1
+        if channel.isdecimal() and channel.isascii():
+            wanted = int(digits)
+        elif digits:
+            wanted = int(digits) + 1
+        if not lowest <= wanted <= 255 or wanted in taken:
+            wanted = next((n for n in range(1, 256) if n not in taken), -1)
+            if wanted < 0:
+                raise InputError(
+                    f"{self.path}: more than 255 channels; expected a format with names"
+                )
+        self.channel_numbers[channel] = wanted
+        if str(wanted) != channel:
+            self.losses[f"channel {channel or '(unnamed)'} written as {wanted}"] += 1
+        return wanted
+
+
+def open_beside(path: str) -> tuple[BinaryIO, str]:
+    """Open a new file for a result that shall be named `path` once it is whole.
+
+    Returns: the file and its name for now.
+    Raises: InputError when it cannot be made.
+    """
+    folder, name = os.path.split(os.path.abspath(path))
+    for attempt in range(1000):
+        partial = os.path.join(folder, f".{name}.{os.getpid()}.{attempt}.part")
+        try:
+            descriptor = os.open(partial, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise InputError(
+                f"{path}: {error.strerror}; expected a place where a file can be written"
+            ) from None
+        return os.fdopen(descriptor, "w+b"), partial
+    raise InputError(f"{path}: a thousand unfinished files beside it; expected room for one more")

@@ -1,0 +1,110 @@
+"""The one record type that every log format is read into and written from."""
+
+from __future__ import annotations
+
+import re
+from typing import Final, NamedTuple
+
+from can_dbc.errors import InputError
+
+DLC_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+"""Bytes of data by CAN FD data length code (ISO 11898-1)."""
+
+LENGTH_DLC: Final = tuple(
+    next(code for code, length in enumerate(DLC_LENGTHS) if length >= wanted)
+    for wanted in range(65)
+)
+"""Smallest CAN FD data length code that holds so many bytes."""
+
+MAX_STANDARD_ID: Final = 0x7FF
+MAX_EXTENDED_ID: Final = 0x1FFFFFFF
+MAX_TIME_NS: Final = 2**63 - 1
+_CHANNEL = re.compile(r"[!-~]{0,64}\Z")
+_DIRECTIONS: Final = frozenset(("", "Rx", "Tx"))
+
+
+class LogFrame(NamedTuple):
+    """One CAN frame as a log recorded it.
+
+    time_ns: absolute (since 1970, UTC) or relative, as the log has it.
+    data: empty for a remote frame.
+    raw_dlc: the length code where `data` does not tell it: 0..15 of a remote frame, 9..15 of a
+    classic frame of eight bytes; else 0.
+    error: an error frame; `can_id` is then the recorder's error class, `data` its details, if any.
+    channel: the recorder's name or number of the bus, "" where it has none.
+    direction: "Rx", "Tx" or "" where it is not recorded.
+
+    Checked by: tests/unit/sil/logs/test_frame.py.
+    """
+
+    time_ns: int
+    can_id: int
+    data: bytes = b""
+    extended: bool = True
+    remote: bool = False
+    error: bool = False
+    fd: bool = False
+    brs: bool = False
+    esi: bool = False
+    channel: str = ""
+    direction: str = ""
+    raw_dlc: int = 0
+
+    @property
+    def dlc(self) -> int:
+        """Data length code 0..15 as on the wire."""
+        if self.remote:
+            return self.raw_dlc
+        return self.raw_dlc or LENGTH_DLC[len(self.data)]
+
+
+def is_ordinary(frame: LogFrame) -> bool:
+    """Whether it is surely a possible classic data frame; a quick look before `frame_problem`."""
+    return (
+        len(frame.data) <= 8
+        and 0 <= frame.can_id <= (MAX_EXTENDED_ID if frame.extended else MAX_STANDARD_ID)
+        and 0 <= frame.time_ns <= MAX_TIME_NS
+        and not frame.raw_dlc
+        and not frame.remote
+        and frame.direction in _DIRECTIONS
+    )
+
+
+def frame_problem(frame: LogFrame) -> str | None:
+    """Say what makes a frame impossible on any CAN bus, or None when nothing does.
+
+    Checked by: tests/unit/sil/logs/test_frame.py.
+    """
+    length = len(frame.data)
+    problem: str | None = None
+    if not 0 <= frame.can_id <= MAX_EXTENDED_ID:
+        problem = f"identifier {frame.can_id:#x} has more than 29 bits"
+    elif not (frame.extended or frame.error) and frame.can_id > MAX_STANDARD_ID:
+        problem = f"standard identifier {frame.can_id:#x} has more than 11 bits"
+    elif abs(frame.time_ns) > MAX_TIME_NS:
+        problem = f"time {frame.time_ns} ns is out of range"
+    elif frame.remote and length:
+        problem = "a remote frame carries no data"
+    elif length > (64 if frame.fd else 8):
+        problem = f"{length} bytes of data in a {'CAN FD' if frame.fd else 'classic'} frame"
+    elif length not in DLC_LENGTHS:
+        problem = f"no CAN FD frame has {length} bytes"
+    elif not 0 <= frame.raw_dlc <= 15:
+        problem = f"data length code {frame.raw_dlc}"
+    elif frame.direction not in _DIRECTIONS:
+        problem = f"direction {frame.direction!r}"
+    elif not _CHANNEL.match(frame.channel):
+        problem = f"channel name {frame.channel[:70]!r} is not 0 to 64 visible ASCII characters"
+    elif frame.raw_dlc and not frame.remote and (frame.fd or length != 8 or frame.raw_dlc < 9):
+        problem = f"raw length code {frame.raw_dlc} beside {length} bytes"
+    return problem
+
+
+def require_possible(frame: LogFrame, place: str) -> None:
+    """Refuse a frame that no CAN bus can carry.
+
+    Raises: InputError naming `place` and what is wrong.
+    """
+    problem = frame_problem(frame)
+    if problem is not None:
+        raise InputError(f"{place}: {problem}; expected a CAN frame")

@@ -1,0 +1,95 @@
+"""Lines of a text log in bounded memory, with their numbers and byte offsets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import BinaryIO, Final, NamedTuple
+
+CHUNK_BYTES: Final = 1 << 18
+LONGEST_LINE: Final = 1 << 16
+"""A longer "line" is no log line; its excess is dropped so that memory stays bounded."""
+
+
+class Chunk(NamedTuple):
+    """Whole lines of a log.
+
+    text: the lines, each ended by a newline (Latin-1, so that every byte has a character).
+    line: number of the first one (1-based); byte: its offset.
+    unterminated: the very last line of the file, and it had no newline of its own.
+    """
+
+    text: str
+    line: int
+    byte: int
+    unterminated: bool
+
+
+def chunks(stream: BinaryIO) -> Iterator[Chunk]:
+    """Split a stream into chunks of whole lines.
+
+    A carriage return before the newline is kept; a lone carriage return ends no line.
+    Checked by: tests/unit/sil/logs/test_text_lines.py.
+    """
+    line = 1
+    offset = 0
+    rest = b""
+    while True:
+        block = stream.read(CHUNK_BYTES)
+        if not block:
+            break
+        held = rest + block
+        end = held.rfind(b"\n") + 1
+        whole, rest = held[:end], held[end:]
+        if whole:
+            yield Chunk(whole.decode("latin-1"), line, offset, False)
+            line += whole.count(b"\n")
+            offset += len(whole)
+        if len(rest) > LONGEST_LINE:
+            dropped, ended, rest = _skip_to_newline(stream, rest)
+            yield Chunk(rest_of_long_line(dropped), line, offset, False)
+            line += 1
+            offset += ended
+    if rest:
+        yield Chunk(rest.decode("latin-1") + "\n", line, offset, True)
+
+
+def rest_of_long_line(head: bytes) -> str:
+    """What is kept of an overlong line: enough to be refused and named."""
+    return head[:LONGEST_LINE].decode("latin-1") + "\n"
+
+
+def _skip_to_newline(stream: BinaryIO, head: bytes) -> tuple[bytes, int, bytes]:
+    """Read on to the next newline, keeping only the head; return it, bytes passed, and the rest."""
+    passed = len(head)
+    while True:
+        block = stream.read(CHUNK_BYTES)
+        if not block:
+            return head, passed, b""
+        end = block.find(b"\n")
+        if end >= 0:
+            return head, passed + end + 1, block[end + 1 :]
+        passed += len(block)
+
+
+class Line(NamedTuple):
+    """One line without its end, its number (1-based), byte offset, and whether it had an end."""
+
+    text: str
+    number: int
+    byte: int
+    unterminated: bool
+
+
+def lines(stream: BinaryIO) -> Iterator[Line]:
+    """The lines of a stream, in bounded memory."""
+    for chunk in chunks(stream):
+        yield from chunk_lines(chunk)
+
+
+def chunk_lines(chunk: Chunk) -> Iterator[Line]:
+    """The lines of a chunk; only its last can be unterminated."""
+    number, byte = chunk.line, chunk.byte
+    for text in chunk.text[:-1].split("\n"):
+        yield Line(text.removesuffix("\r"), number, byte, chunk.unterminated)
+        number += 1
+        byte += len(text) + 1

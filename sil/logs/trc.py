@@ -1,0 +1,372 @@
+"""PEAK TRC logs, versions 1.0 to 2.1 read, 2.1 written.
+
+python-can's reader knows no version 1.2, drops error frames, and carries times as floats; its
+writer drops error, remote and FD frames. So ours stand in front.
+Source: PEAK CAN TRC file format, as the files of PCAN-View and PEAK-Converter show it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Final
+
+from can_dbc.errors import InputError
+from sil.logs.backend import Batch, LogWriter, ReadOptions
+from sil.logs.byte_source import ByteSource
+from sil.logs.frame import DLC_LENGTHS, LogFrame, frame_problem
+from sil.logs.report import LogReport, Place
+from sil.logs.text_lines import Line, chunk_lines, chunks
+from sil.logs.times import (
+    NS_PER_MS,
+    NS_PER_S,
+    RELATIVE_BELOW_NS,
+    format_ns,
+    parse_decimal_ns,
+    utc_calendar,
+    utc_ns,
+)
+
+_DAY_NS: Final = 86_400 * NS_PER_S
+_EPOCH_DAYS: Final = 25_569
+"""Days from 1899-12-30, where PEAK's times begin, to 1970-01-01."""
+
+_VERSION_1: Final = re.compile(
+    r"(\d+)\)\s+(\d+(?:\.\d+)?)\s+(?:(?:(\d{1,2})\s+)?(Rx|Tx|Warng|Error)\s+)?"
+    r"([0-9A-F]{4,8})\s+(?:-\s+)?(\d{1,2})(?:\s+(.*))?\Z"
+)
+_VERSION_1_LOOK: Final = re.compile(r"\s*\d+\)\s+\d+(?:\.\d+)?\s+\S+\s+\S")
+_START_TEXT: Final = re.compile(
+    r";\s*Start time:\s*(\d\d)\.(\d\d)\.(\d{4}) (\d\d):(\d\d):(\d\d)\.(\d{3})"
+)
+_DEFAULT_COLUMNS: Final = {"2.0": "N,O,T,I,d,l,D", "2.1": "N,O,T,B,I,d,R,L,D"}
+_KNOWN_COLUMNS: Final = frozenset("NOTBIdRlLDSA")
+_FD_TYPES: Final = {
+    "FD": (False, False),
+    "FB": (True, False),
+    "FE": (True, True),
+    "BI": (False, True),
+}
+_OTHER_TYPES: Final = {"ST": "status line", "EC": "error counter line", "EV": "event"}
+_HEX_BYTE: Final = re.compile(r"[0-9A-F]{2}\Z", re.IGNORECASE)
+_IDENTIFIER: Final = re.compile(r"[0-9A-F]{1,8}\Z", re.IGNORECASE)
+
+
+class _Other(Exception):  # noqa: N818 not an error: a line that is known and no frame
+    """A line that is no frame; its argument names it."""
+
+
+class TrcReader:
+    """State of one reading: version, columns, and the instant the offsets count from."""
+
+    def __init__(self, report: LogReport) -> None:
+        self._report = report
+        self._version = ""
+        self._columns: list[str] = []
+        self._origin_ns: int | None = None
+        report.time_base = "relative"
+
+    def read(self, source: ByteSource) -> Iterator[Batch]:
+        """Frames chunk by chunk."""
+        for chunk in chunks(source):
+            frames: list[LogFrame] = []
+            places: list[int] = []
+            for line in chunk_lines(chunk):
+                try:
+                    frame = self._line(line)
+                except _Other as known:
+                    self._report.other[known.args[0]] += 1
+                except ValueError as error:
+                    place = Place(str(error), line.number, line.byte)
+                    if line.unterminated:
+                        self._report.cut(place)
+                    else:
+                        self._report.skip(place)
+                else:
+                    if frame is not None:
+                        frames.append(frame)
+                        places.append(line.number)
+            if frames:
+                yield Batch(frames, places)
+
+    def _line(self, line: Line) -> LogFrame | None:
+        text = line.text.strip()
+        if not text:
+            return None
+        if text[0] == ";":
+            self._header(text)
+            return None
+        first = _VERSION_1.match(text)
+        if first:
+            frame = self._version_1(first)
+        elif self._version.startswith("2"):
+            frame = self._version_2(text)
+        else:
+            raise ValueError(f"{text[:40]!r} is no TRC line")
+        problem = frame_problem(frame)
+        if problem is not None:
+            raise ValueError(problem)
+        return frame
+
+    def _header(self, text: str) -> None:
+        report = self._report
+        name, _, value = text.partition("=")
+        if name == ";$FILEVERSION":
+            self._version = value.strip()
+            if self._version not in ("1.0", "1.1", "1.2", "1.3", "2.0", "2.1"):
+                raise InputError(
+                    f"{report.path}: TRC version {value[:20]!r}; expected one from 1.0 to 2.1"
+                )
+            self._columns = _DEFAULT_COLUMNS.get(self._version, "").split(",")
+        elif name == ";$STARTTIME":
+            days_ns = parse_decimal_ns(value.strip(), _DAY_NS)
+            self._origin_ns = days_ns - _EPOCH_DAYS * _DAY_NS
+            absolute = self._origin_ns >= RELATIVE_BELOW_NS
+            report.time_base = "absolute" if absolute else "relative"
+            report.start_ns = self._origin_ns if absolute else None
+        elif name == ";$COLUMNS":
+            columns = [column.strip() for column in value.split(",")]
+            needed = {"O", "T", "I", "D"} <= set(columns) and {"l", "L"} & set(columns)
+            if not needed or not set(columns) <= _KNOWN_COLUMNS or columns[-1] != "D":
+                raise InputError(
+                    f"{report.path}: columns {value[:40]!r}; expected N,O,T,B,I,d,R,L,D or alike"
+                )
+            self._columns = columns
+        elif report.start_ns is None:
+            start = _START_TEXT.match(text)
+            if start:
+                day, month, year, hour, minute, second, milli = map(int, start.groups())
+                report.start_ns = utc_ns(year, month, day, hour, minute, second, milli * NS_PER_MS)
+
+    def _time(self, text: str) -> int:
+        """Milliseconds from the start as nanoseconds from 1970 or from the start."""
+        offset_ns = parse_decimal_ns(text, NS_PER_MS)
+        if self._origin_ns is None:
+            if self._version not in ("", "1.0"):
+                self._report.note("no $STARTTIME: times are counted from the start of the log")
+            return offset_ns
+        return self._origin_ns + offset_ns
+
+    def _version_1(self, match: re.Match[str]) -> LogFrame:
+        _, offset, bus, kind, digits, length_text, rest = match.groups()
+        length = int(length_text)
+        words = (rest or "").split()
+        if kind == "Warng" or (kind is None and digits == "FFFFFFFF"):
+            raise _Other("status line")
+        can_id = int(digits, 16)
+        channel = str(int(bus)) if bus else ""
+        direction = kind if kind in ("Rx", "Tx") else ""
+        time_ns = self._time(offset)
+        if kind == "Error":
+            data = _bytes(words, min(length, 8))
+            return LogFrame(time_ns, can_id, data, False, error=True, channel=channel)
+        extended = len(digits) > 4
+        if words[:1] == ["RTR"]:
+            return LogFrame(
+                time_ns,
+                can_id,
+                b"",
+                extended,
+                remote=True,
+                channel=channel,
+                direction=direction,
+                raw_dlc=length,
+            )
+        data = _bytes(words, min(length, 8))
+        return LogFrame(
+            time_ns,
+            can_id,
+            data,
+            extended,
+            channel=channel,
+            direction=direction,
+            raw_dlc=length if length > 8 else 0,
+        )
+
+    def _version_2(self, text: str) -> LogFrame:
+        columns = self._columns
+        words = text.split(maxsplit=len(columns) - 1)
+        type_at = columns.index("T")
+        if len(words) <= type_at:
+            raise ValueError(f"{text[:40]!r} is no TRC line")
+        kind = words[type_at]
+        if kind in _OTHER_TYPES:
+            raise _Other(_OTHER_TYPES[kind])
+        if kind not in _FD_TYPES and kind not in ("DT", "RR", "ER"):
+            raise ValueError(f"{kind[:10]!r} is no type of a message")
+        identifier_at = columns.index("I")
+        if kind == "ER" and words[identifier_at : identifier_at + 1] in (["Rx"], ["Tx"]):
+            words = text.split(maxsplit=len(columns) - 2)
+            words.insert(identifier_at, "-")
+        if len(words) < len(columns) - 1:
+            raise ValueError(f"{len(words)} columns where {len(columns)} are told")
+        column = dict(zip(columns, [*words, ""], strict=False))
+        return self._frame(kind, column)
+
+    def _frame(self, kind: str, column: dict[str, str]) -> LogFrame:
+        """The frame of a version 2 line, from its columns by their letters."""
+        time_ns = self._time(column["O"])
+        bus = column.get("B", "")
+        if bus and not (bus.isdecimal() and len(bus) < 4):
+            raise ValueError(f"bus {bus[:10]!r} is no number")
+        channel = str(int(bus)) if bus else ""
+        direction = column.get("d", "")
+        coded = "L" in column
+        length_text = column["L"] if coded else column["l"]
+        if not (length_text.isdecimal() and int(length_text) <= (15 if coded else 64)):
+            raise ValueError(f"length {length_text[:10]!r}")
+        number = int(length_text)
+        fd = kind in _FD_TYPES
+        words = column["D"].split()
+        if kind == "ER":
+            data = _bytes(words, min(number, 8))
+            return LogFrame(
+                time_ns, 0, data, False, error=True, channel=channel, direction=direction
+            )
+        digits = column["I"]
+        if not _IDENTIFIER.match(digits):
+            raise ValueError(f"identifier {digits[:10]!r}")
+        extended = len(digits) > 4
+        if kind == "RR":
+            return LogFrame(
+                time_ns,
+                int(digits, 16),
+                b"",
+                extended,
+                remote=True,
+                channel=channel,
+                direction=direction,
+                raw_dlc=number,
+            )
+        length = DLC_LENGTHS[number] if coded and fd else number if fd else min(number, 8)
+        brs, esi = _FD_TYPES.get(kind, (False, False))
+        return LogFrame(
+            time_ns,
+            int(digits, 16),
+            _bytes(words, length),
+            extended,
+            False,
+            False,
+            fd,
+            brs,
+            esi,
+            channel,
+            direction,
+            number if not fd and number > 8 else 0,
+        )
+
+
+def _bytes(words: list[str], length: int) -> bytes:
+    """Exactly `length` bytes; after them only place holders may follow.
+
+    Raises: ValueError for fewer or other words.
+    """
+    told = words[:length]
+    if len(told) != length or not all(_HEX_BYTE.match(word) for word in told):
+        raise ValueError(f"no {length} bytes of data as told")
+    if any(word != "--" for word in words[length:]):
+        raise ValueError(f"more than the {length} bytes of data told")
+    return bytes(int(word, 16) for word in told)
+
+
+class TrcWriter(LogWriter):
+    """Writes version 2.1, times in milliseconds with three decimals as PEAK's own tools."""
+
+    format = "trc"
+
+    def __init__(self, path: str) -> None:
+        super().__init__(path)
+        self._begun = False
+        self._origin_ns = 0
+        self._number = 0
+
+    def _begin(self, frames: list[LogFrame]) -> None:
+        self._begun = True
+        first_ns = min((frame.time_ns for frame in frames), default=0)
+        if first_ns >= RELATIVE_BELOW_NS:
+            self._origin_ns = first_ns // NS_PER_MS * NS_PER_MS
+        days, part_ns = divmod(self._origin_ns, _DAY_NS)
+        fraction = (part_ns * 10**15 + _DAY_NS // 2) // _DAY_NS
+        moment = utc_calendar(self._origin_ns)
+        milliseconds = self._origin_ns // NS_PER_MS % 1000
+        header = (
+            ";$FILEVERSION=2.1\n"
+            f";$STARTTIME={days + _EPOCH_DAYS}.{fraction:015d}\n"
+            ";$COLUMNS=N,O,T,B,I,d,R,L,D\n"
+            ";\n"
+            f";   Start time: {moment:%d.%m.%Y %H:%M:%S}.{milliseconds:03d}.000\n"
+            ";---------------------------------------------------------------------\n"
+            ";   Message   Time    Type    ID     Rx/Tx\n"
+            ";   Number    Offset  |  Bus  [hex]  |  Reserved\n"
+            ";   |         [ms]    |  |    |      |  |  Data Length Code\n"
+            ";   |         |       |  |    |      |  |  |    Data [hex] ...\n"
+            ";---+-- ------+------ +- +- --+----- +- +- +--- +- -- -- -- -- -- -- --\n"
+        )
+        self._out.write(header.encode("ascii"))
+
+    def _write_batch(self, frames: list[LogFrame]) -> None:
+        if not self._begun:
+            self._begin(frames)
+        self._out.write("".join([self._text(frame) for frame in frames]).encode("ascii"))
+
+    def _text(self, frame: LogFrame) -> str:
+        time_ns = frame.time_ns - self._origin_ns
+        if time_ns < 0:
+            raise InputError(
+                f"{self.path}: a frame at {format_ns(frame.time_ns)} s lies before the start of "
+                f"the log at {format_ns(self._origin_ns)} s; expected candump, csv or mf4 for it"
+            )
+        if time_ns % 1000:
+            self.losses["times rounded to the microsecond"] += 1
+        whole, fraction = divmod((time_ns + 500) // 1000, 1000)
+        self._number += 1
+        bus = self.channel_number(frame.channel)
+        if not frame.direction:
+            self.losses["direction not recorded, written as Rx"] += 1
+        identifier = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:04X}"
+        kind = "RR" if frame.remote else "DT"
+        if frame.fd and not frame.remote:
+            kind = (("FD", "BI"), ("FB", "FE"))[frame.brs][frame.esi]
+        elif frame.fd:
+            self.losses["CAN FD flag of a remote frame"] += 1
+        if frame.error:
+            kind, identifier = "ER", "-"
+            if frame.can_id or frame.extended or frame.fd or frame.remote:
+                self.losses["error frame class and flags"] += 1
+            if len(frame.data) > 8:
+                self.losses["bytes of an error frame after the eighth"] += 1
+                frame = frame._replace(data=frame.data[:8])
+        return (
+            f"{self._number:>7} {whole:>9}.{fraction:03d} {kind} {bus:<2} {identifier:>8} "
+            f"{frame.direction or 'Rx'} -  {frame.dlc:<2}   {frame.data.hex(' ').upper()}\n"
+        )
+
+    def _finish(self) -> None:
+        if not self._begun:
+            self._begin([])
+
+
+class Trc:
+    """The TRC format."""
+
+    name = "trc"
+    suffixes: tuple[str, ...] = (".trc",)
+    place_word = "line"
+
+    def sniff(self, head: bytes) -> bool:
+        """Whether there is a TRC header, or a first line as version 1 has them."""
+        text = head.decode("latin-1")
+        if ";$FILEVERSION=" in text:
+            return True
+        lines = [line for line in text.split("\n") if line.strip() and line[0] != ";"]
+        return bool(lines) and bool(_VERSION_1_LOOK.match(lines[0]))
+
+    def batches(
+        self, source: ByteSource, report: LogReport, options: ReadOptions
+    ) -> Iterator[Batch]:
+        """The frames of a TRC log."""
+        return TrcReader(report).read(source)
+
+    def writer(self, path: str) -> LogWriter:
+        """A writer of a new TRC log."""
+        return TrcWriter(path)
