@@ -285,7 +285,7 @@ class Firmware:
             SafetyBlow(
                 chamber=blown,
                 active=blown is not Chamber.NONE,
-                remaining_s=machine.blow_remaining_ns(now_ns) * 1e-9,
+                remaining_s=machine.blow_remaining_ns(now_ns) / 1e9,
             ),
             ControllerStatus(
                 state=machine.state,

@@ -42,7 +42,8 @@ class ShiftMachine:
     INIT (which gear is it?) - IDLE - PUSH - CONFIRM - BLOW - HOLD - VENT - IDLE. From gear to gear
     the way leads through neutral: after the blow into N the next PUSH follows at once. A request
     counts when it differs from both the confirmed gear and the last request that was served (or
-    failed), so that a gear that drops out, or a failed shift, is not tried again by itself.
+    failed), so that a gear that drops out, or a failed shift, is not tried again by itself. A push
+    ends the confirmation of the gear it leaves.
 
     A request that changes during a shift: on the way to neutral only what follows changes; a push
     into, or a blow on, a gear is given up and neutral pushed; in HOLD and VENT the new shift starts
@@ -205,6 +206,7 @@ class ShiftMachine:
 
     def _push_now(self, now_ns: int, view: View) -> None:
         self.state = ShiftState.PUSH
+        self.confirmed = Gear.UNKNOWN  # from here on the sensor tells late, or never, where it is
         self._pending = False
         self._leg_ns = self.attempt_ns = now_ns
         self._earliest_ns = now_ns + self._settle_ns if view.gear == self.leg else now_ns

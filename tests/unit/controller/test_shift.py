@@ -147,7 +147,7 @@ class TestIdle:
         bench = Bench(here)
         bench.until(S.IDLE)
         assert bench.step(wanted=wanted) is S.PUSH
-        assert bench.facts() == (S.PUSH, leg, wanted, here)
+        assert bench.facts() == (S.PUSH, leg, wanted, U)
         machine = bench.machine
         assert machine.new_leg
         assert machine.new_attempt
@@ -224,7 +224,7 @@ class TestPush:
     def test_a_push_that_starts_in_its_window_must_stay_there_for_120_ms(self) -> None:
         bench = Bench(N).pushing(B)
         assert bench.step(wanted=N) is S.PUSH  # at once back: sensor and filter still see neutral
-        assert bench.facts() == (S.PUSH, N, N, N)
+        assert bench.facts() == (S.PUSH, N, N, U)
         for _ in range(11):
             assert bench.step() is S.CONFIRM
         assert bench.step() is S.BLOW
@@ -421,14 +421,14 @@ class TestBlow:
         assert bench.machine.in_process
         assert bench.step() is S.BLOW
         assert bench.step(synchronized=True) is S.PUSH
-        assert bench.facts() == (S.PUSH, F, F, N)
+        assert bench.facts() == (S.PUSH, F, F, U)
         assert bench.machine.new_leg
 
     def test_agreeing_speeds_at_confirmation_skip_it(self) -> None:
         bench = Bench(B).pushing(F)
         bench.step(gear=U, run=1)
         assert bench.step(gear=N, run=2, synchronized=True) is S.PUSH
-        assert bench.facts() == (S.PUSH, F, F, N)
+        assert bench.facts() == (S.PUSH, F, F, U)
 
     @pytest.mark.parametrize("synchronized", [False, None])
     def test_else_it_is_full_and_the_next_push_follows_at_once(
@@ -446,7 +446,7 @@ class TestBlow:
 
     @pytest.mark.parametrize("blow", [BlowConfig(cut="confirmation"), BlowConfig(duration_s=0.0)])
     def test_cut_at_confirmation(self, blow: BlowConfig) -> None:
-        assert self.to_neutral_on_the_way(blow=blow).facts() == (S.PUSH, F, F, N)
+        assert self.to_neutral_on_the_way(blow=blow).facts() == (S.PUSH, F, F, U)
         bench = Bench(N, blow=blow).pushing(B)
         bench.step(gear=U, run=1)
         assert bench.step(gear=B, run=2) is S.HOLD
@@ -509,7 +509,7 @@ class TestBlow:
     def test_a_new_request_in_a_gear_leaves_it_at_once(self, wanted: Gear) -> None:
         bench = Bench(N).blowing(B)
         assert bench.step(wanted=wanted) is S.PUSH
-        assert bench.facts() == (S.PUSH, N, wanted, B)
+        assert bench.facts() == (S.PUSH, N, wanted, U)
         assert bench.machine.new_leg
 
     def test_a_new_request_in_neutral_changes_what_follows(self) -> None:
@@ -544,7 +544,7 @@ class TestAfterwards:
         bench.until(state)
         assert not bench.machine.in_process
         assert bench.step(wanted=F) is S.PUSH
-        assert bench.facts() == (S.PUSH, N, F, B)
+        assert bench.facts() == (S.PUSH, N, F, U)
 
     @pytest.mark.parametrize("state", [S.HOLD, S.VENT])
     def test_a_gear_that_slips_out_is_told_and_seen_again(self, state: ShiftState) -> None:
@@ -640,7 +640,7 @@ class TestWaiting:
         bench = self.waiting()
         assert bench.step(wanted=F) is S.HOLD
         assert bench.step(synchronized=True) is S.PUSH
-        assert bench.facts() == (S.PUSH, F, F, N)
+        assert bench.facts() == (S.PUSH, F, F, U)
 
     def test_drifting_out_of_neutral_it_is_pushed_there_first(self) -> None:
         bench = self.waiting()

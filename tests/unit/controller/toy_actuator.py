@@ -7,8 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import groupby
 
-import pytest
-
 from can_dbc.messages import (
     Chamber,
     DrivelineSpeeds,
@@ -198,8 +196,3 @@ def asks(*wishes: tuple[float, Gear]) -> Callable[[int], ShiftRequest]:
         return ShiftRequest(gear)
 
     return request
-
-
-@pytest.fixture
-def rig() -> type[Rig]:
-    return Rig

@@ -1,0 +1,716 @@
+"""The whole firmware in a loop with a toy of the actuator: shifts, faults, broadcasts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from can_dbc.messages import (
+    Chamber,
+    DrivelineSpeeds,
+    Fault,
+    Gear,
+    PositionPulse,
+    ShiftRequest,
+    ShiftState,
+)
+from controller import firmware as module
+from controller.config import (
+    BlowConfig,
+    FilterConfig,
+    FirmwareConfig,
+    SensorConfig,
+    ShiftConfig,
+)
+from controller.firmware import ChannelState, Firmware, Inputs, Outputs
+from controller.position import Estimate
+from controller.strategies import Duties, ShiftContext, one_chamber
+from controller.strategies.open_loop import OpenLoop
+from tests.unit.controller.toy_actuator import MS, STROKE_M, Rig, Row, Stay, asks, pulse_s
+
+N, B, F, U = Gear.NEUTRAL, Gear.BACKWARD, Gear.FORWARD, Gear.UNKNOWN
+S = ShiftState
+AT = {N: 0.0, B: STROKE_M, F: -STROKE_M}
+ONE_LEG = ["INIT", "IDLE", "PUSH", "CONFIRM", "BLOW", "HOLD", "VENT", "IDLE"]
+
+
+def shift(start: Gear, *wishes: tuple[float, Gear], **more: Any) -> Rig:
+    """A rig that stands in a gear, is asked for it, and from 100 ms on for what is given."""
+    return Rig(
+        stay=more.pop("stay", Stay(position_m=AT[start])),
+        request=asks((0.0, start), *wishes),
+        **more,
+    )
+
+
+def duties(out: Outputs) -> tuple[float, float, float]:
+    return out.valves.duty_b, out.valves.duty_n, out.valves.duty_f
+
+
+def check_invariants(rows: Sequence[Row], config: FirmwareConfig | None = None) -> None:
+    """What must hold in every step of every run."""
+    config = config or FirmwareConfig()
+    last_ns: dict[Chamber, int] = {}
+    for row in rows:
+        out, status = row.out, row.out.status
+        on = {c for c, d in zip((Chamber.B, Chamber.N, Chamber.F), duties(out), strict=True) if d}
+        if out.blow.active:
+            on.add(out.blow.chamber)
+            assert duties(out) == (0.0, 0.0, 0.0)
+            assert 0.0 < out.blow.remaining_s <= 0.15
+        else:
+            assert out.blow.chamber is Chamber.NONE
+            assert out.blow.remaining_s == 0.0
+        assert not {Chamber.B, Chamber.F} <= on
+        for chamber, other in ((Chamber.B, Chamber.F), (Chamber.F, Chamber.B)):
+            if chamber in on and other in last_ns:
+                off_ns = row.time_ns - last_ns[other] - config.period_ns
+                assert off_ns >= config.shift.interlock_s * 1e9
+        last_ns.update(dict.fromkeys(on, row.time_ns))
+        if status.state is S.FAULT:
+            assert not on
+            assert status.confirmed is U
+            assert status.faults
+        if on:
+            assert status.state in (S.PUSH, S.CONFIRM, S.BLOW)
+        if status.state in (S.PUSH, S.CONFIRM):
+            assert status.confirmed is U
+        assert (status.state is S.BLOW) == out.blow.active
+        assert all(0.0 <= d <= 1.0 for d in duties(out))
+        x_m = status.estimate_m
+        if status.confirmed is N:
+            assert abs(x_m) <= 0.0025
+        elif status.confirmed is B:
+            assert x_m >= STROKE_M - 0.0015
+        elif status.confirmed is F:
+            assert x_m <= -(STROKE_M - 0.0015)
+
+
+class TestShifts:
+    @pytest.mark.parametrize(("start", "end"), [(N, B), (B, N), (N, F), (F, N)])
+    def test_one_leg(self, start: Gear, end: Gear) -> None:
+        rig = shift(start, (100, end)).run(600)
+        assert rig.states() == ONE_LEG
+        chamber = {B: Chamber.B, N: Chamber.N, F: Chamber.F}[end]
+        for row in rig.rows:
+            if row.state in (S.PUSH, S.CONFIRM):
+                assert duties(row.out) == one_chamber(chamber, 0.98)
+                assert row.out.valves.target is end
+            else:
+                assert duties(row.out) == (0.0, 0.0, 0.0)
+                assert row.out.valves.target is row.out.status.confirmed
+            if row.state is S.BLOW:
+                assert row.out.blow.chamber is chamber
+        assert rig.spent_ms(S.BLOW) == pytest.approx(150.0)
+        assert rig.spent_ms(S.HOLD) == pytest.approx(40.0)
+        assert rig.spent_ms(S.VENT) == pytest.approx(110.0)
+        assert rig.when(S.PUSH) == 100 * MS
+        assert rig.last.status.confirmed is end
+        assert rig.stay.position_m == AT[end]
+        assert rig.faults() == Fault.SPEEDS_LOST  # the rig has no speed sensors
+        check_invariants(rig.rows)
+
+    @pytest.mark.parametrize(("start", "end"), [(F, B), (B, F)])
+    def test_through_neutral(self, start: Gear, end: Gear) -> None:
+        rig = shift(start, (100, end)).run(900)
+        assert rig.states() == ["INIT", "IDLE", "PUSH", "CONFIRM", "BLOW", *ONE_LEG[2:]]
+        assert rig.last.status.confirmed is end
+        assert rig.spent_ms(S.BLOW) == pytest.approx(300.0)
+        # the next chamber is filled in the very step in which the blow into neutral ends
+        second = rig.when(S.PUSH, 1)
+        before = next(r for r in rig.rows if r.time_ns == second - 10 * MS)
+        assert before.out.blow.chamber is Chamber.N
+        assert before.out.blow.remaining_s == pytest.approx(0.01)
+        check_invariants(rig.rows)
+
+    def test_blow_counts_down(self) -> None:
+        rig = shift(N, (100, B)).run(400)
+        left = [r.out.blow.remaining_s for r in rig.rows if r.state is S.BLOW]
+        assert left == pytest.approx([0.15 - 0.01 * i for i in range(15)])
+
+    def test_agreeing_speeds_save_the_rest_of_the_blow_on_the_way(self) -> None:
+        full = shift(F, (100, B), speeds=lambda now_ns: DrivelineSpeeds(100.0, 97.9)).run(900)
+        cut = shift(F, (100, B), speeds=lambda now_ns: DrivelineSpeeds(98.0, 100.0)).run(900)
+        assert full.spent_ms(S.BLOW) == pytest.approx(300.0)
+        assert cut.spent_ms(S.BLOW) == pytest.approx(150.0)
+        assert full.faults() == cut.faults() == Fault.NONE
+        check_invariants(cut.rows)
+
+    def test_speeds_that_become_equal_end_it(self) -> None:
+        rig = shift(
+            F,
+            (100, B),
+            speeds=lambda now_ns: DrivelineSpeeds(100.0, 100.0 if now_ns >= 250 * MS else 50.0),
+        ).run(900)
+        assert rig.when(S.PUSH, 1) == 250 * MS
+
+    def test_without_speeds_the_blow_is_full(self) -> None:
+        rig = shift(F, (100, B)).run(900)
+        assert rig.spent_ms(S.BLOW) == pytest.approx(300.0)
+        assert rig.last.status.faults == Fault.SPEEDS_LOST
+
+    def test_waits_for_the_speeds_when_told_to(self) -> None:
+        config = FirmwareConfig(shift=ShiftConfig(wait_for_sync=True))
+        rig = shift(
+            N,
+            (100, B),
+            config=config,
+            speeds=lambda now_ns: DrivelineSpeeds(0.0, 0.0 if now_ns >= 300 * MS else 9.0),
+        ).run(800)
+        assert rig.states() == ["INIT", "IDLE", "HOLD", *ONE_LEG[2:]]
+        assert rig.when(S.PUSH) == 300 * MS
+
+    @pytest.mark.parametrize("blow", [BlowConfig(cut="confirmation"), BlowConfig(duration_s=0.0)])
+    def test_without_a_blow(self, blow: BlowConfig) -> None:
+        rig = shift(N, (100, B), config=FirmwareConfig(blow=blow)).run(500)
+        assert rig.states() == [s for s in ONE_LEG if s != "BLOW"]
+        assert rig.last.status.confirmed is B
+
+    def test_a_stay_held_short_of_its_end_is_not_confirmed(self) -> None:
+        """Blocked at 10.5 mm: the filter overshoots into the window, the sample does not."""
+        rig = shift(N, (100, B), stay=Stay(block_m=0.0105)).run(600)
+        estimates = [r.out.status.estimate_m for r in rig.rows]
+        assert max(estimates) > STROKE_M - 0.0015
+        assert rig.states() == ["INIT", "IDLE", "PUSH"]
+
+    def test_a_synchronizer_only_delays(self) -> None:
+        stay = Stay(block_m=0.006)
+        rig = shift(N, (100, B), stay=stay).run(500)
+        assert rig.last.status.state is S.PUSH
+        assert rig.last.status.estimate_m == pytest.approx(0.006, abs=2e-4)
+        stay.block_m = None
+        rig.run(1200)
+        assert rig.states() == ONE_LEG
+        assert rig.faults() == Fault.SPEEDS_LOST
+
+    def test_fast_firmware_fast_sensor(self) -> None:
+        """2.5 ms throughout, without filter: the same sequence, confirmed 30 ms sooner."""
+        slow = shift(N, (100, B)).run(600)
+        config = FirmwareConfig(
+            period_s=0.0025,
+            sensor=SensorConfig(period_s=0.0025),
+            filter=FilterConfig(enabled=False),
+        )
+        fast = shift(N, (100, B), config=config, sensor_phase_ns=0).run(600)
+        assert fast.states() == ONE_LEG
+        assert slow.when(S.BLOW) - fast.when(S.BLOW) >= 35 * MS
+        assert fast.spent_ms(S.BLOW) == pytest.approx(150.0)
+        check_invariants(fast.rows, config)
+
+    def test_slow_firmware_fast_sensor(self) -> None:
+        """10 ms steps, a sample every 2.5 ms: four samples a step, confirmed within one step."""
+        config = FirmwareConfig(
+            sensor=SensorConfig(period_s=0.0025), filter=FilterConfig(enabled=False)
+        )
+        rig = shift(N, (100, B), config=config, sensor_phase_ns=0).run(600)
+        assert rig.states() == [s for s in ONE_LEG if s != "CONFIRM"]
+        assert rig.last.status.confirmed is B
+        check_invariants(rig.rows, config)
+
+    @pytest.mark.parametrize("period_s", [0.002, 0.003, 0.02])
+    def test_other_periods(self, period_s: float) -> None:
+        config = FirmwareConfig(
+            period_s=period_s, sensor=SensorConfig(period_s=0.0025 if period_s < 0.01 else 0.01)
+        )
+        rig = shift(F, (100, B), config=config, sensor_phase_ns=0).run(1200)
+        assert rig.last.status.confirmed is B
+        assert rig.stay.position_m == STROKE_M
+        check_invariants(rig.rows, config)
+
+
+class TestChangingRequests:
+    def test_back_to_neutral_in_the_middle_of_a_push(self) -> None:
+        for back_ms in range(110, 200, 10):
+            rig = shift(N, (100, B), (back_ms, N)).run(900)
+            assert rig.last.status.state is S.IDLE
+            assert rig.last.status.confirmed is N
+            assert rig.stay.position_m == 0.0
+            check_invariants(rig.rows)
+
+    def test_confirmed_is_true_whenever_the_request_flips(self) -> None:
+        """A gear is reported while the stay is there, give or take what the sensor cannot see."""
+        for flip_ms in range(105, 260, 5):
+            rig = shift(N, (100, B), (flip_ms, F)).run(1500)
+            assert rig.last.status.confirmed is F
+            assert rig.stay.position_m == -STROKE_M
+            check_invariants(rig.rows)
+            for row in rig.rows:
+                if row.out.status.confirmed is not U:
+                    assert row.position_m == pytest.approx(AT[row.out.status.confirmed], abs=2e-3)
+
+    def test_a_driver_who_cannot_decide(self) -> None:
+        gears = [B, F, N, F, B]
+        wishes = [(100.0 + 35.0 * i, gears[i * i % 5]) for i in range(60)]
+        rig = shift(N, *wishes, (2300, F)).run(3500)
+        check_invariants(rig.rows)
+        assert not rig.faults() & ~Fault.SPEEDS_LOST
+        assert rig.last.status.confirmed is F
+        assert rig.stay.position_m == -STROKE_M
+
+    def test_request_lost_on_the_way_to_neutral_stops_there(self) -> None:
+        rig = shift(F, (100, B))
+        asked = rig.request
+        rig.request = lambda now_ns: None if 150 * MS <= now_ns < 800 * MS else asked(now_ns)
+        rig.run(790)
+        assert rig.last.status.state is S.IDLE
+        assert rig.last.status.confirmed is N
+        assert rig.last.status.faults == Fault.REQUEST_LOST | Fault.SPEEDS_LOST
+        rig.run(1500)
+        assert rig.last.status.confirmed is B
+        assert not rig.last.status.faults & Fault.REQUEST_LOST
+
+    def test_request_lost_when_idle_keeps_the_gear(self) -> None:
+        rig = shift(B)
+        asked = rig.request
+        rig.request = lambda now_ns: None if now_ns >= 200 * MS else asked(now_ns)
+        rig.run(1000)
+        assert rig.states() == ["INIT", "IDLE"]
+        assert rig.last.status.confirmed is B
+        assert rig.last.status.faults & Fault.REQUEST_LOST
+
+    def test_an_invalid_request_is_no_request(self) -> None:
+        rig = shift(N, (100, U)).run(400)
+        assert rig.states() == ["INIT", "IDLE"]
+        assert rig.last.status.faults == Fault.REQUEST_INVALID | Fault.SPEEDS_LOST
+
+
+class TestPositionFaults:
+    @pytest.mark.parametrize("state", [S.PUSH, S.CONFIRM, S.BLOW, S.HOLD, S.VENT])
+    def test_lost_during_a_shift(self, state: ShiftState) -> None:
+        known = shift(N, (100, B)).run(500)
+        lost_ns = known.when(state) + 10 * MS
+        rig = shift(
+            N,
+            (100, B),
+            (900, N),
+            position_state=lambda now_ns: (
+                ChannelState.INVALID
+                if lost_ns <= now_ns < lost_ns + 100 * MS
+                else ChannelState.VALID
+            ),
+        ).run(890)
+        at = next(r for r in rig.rows if r.time_ns == lost_ns)
+        assert at.state is S.FAULT
+        assert at.out.status.faults & Fault.POSITION_LOST
+        check_invariants(rig.rows)
+        # the position is back, the fault stays told, until another request comes
+        assert rig.last.status.state is S.FAULT
+        assert rig.last.status.faults == Fault.POSITION_LOST | Fault.SPEEDS_LOST
+        rig.run(1800)
+        assert rig.last.status.state is S.IDLE
+        assert rig.last.status.confirmed is N
+        assert rig.last.status.faults == Fault.SPEEDS_LOST
+        assert rig.stay.position_m == 0.0
+        check_invariants(rig.rows)
+
+    def test_lost_when_idle(self) -> None:
+        rig = shift(
+            B,
+            position_state=lambda now_ns: (
+                ChannelState.INVALID if 200 * MS <= now_ns < 300 * MS else ChannelState.VALID
+            ),
+        ).run(500)
+        assert rig.states() == ["INIT", "IDLE", "INIT", "IDLE"]
+        assert rig.last.status.confirmed is B
+        assert rig.faults() & Fault.POSITION_LOST
+        assert rig.last.status.faults == Fault.SPEEDS_LOST
+        lost = [r for r in rig.rows if r.out.status.faults & Fault.POSITION_LOST]
+        assert {r.out.status.confirmed for r in lost} == {U}
+        assert lost[0].time_ns == 200 * MS
+
+    def test_a_valid_channel_without_samples_is_lost_after_its_timeout(self) -> None:
+        rig = shift(N, (100, B), pulse=lambda now_ns, p: p if now_ns < 110 * MS else None).run(400)
+        faulty = next(r for r in rig.rows if r.state is S.FAULT)
+        assert faulty.time_ns == 170 * MS  # the last sample came at 110 ms, the timeout is 50 ms
+        assert faulty.out.status.faults & Fault.POSITION_LOST
+        check_invariants(rig.rows)
+
+    def test_short_gaps_do_not_matter(self) -> None:
+        rig = shift(
+            N, (100, B), pulse=lambda now_ns, p: p if p.sample_index % 4 in (0, 1) else None
+        ).run(700)
+        assert rig.states() == ONE_LEG
+        assert rig.last.status.confirmed is B
+
+    def test_garbage_during_a_push(self) -> None:
+        rig = shift(
+            N,
+            (100, B),
+            pulse=lambda now_ns, p: replace(p, pulse_s=0.004) if now_ns > 150 * MS else p,
+        ).run(800)
+        assert rig.last.status.state is S.FAULT
+        assert rig.when(S.FAULT) <= 190 * MS
+        assert rig.last.status.faults & Fault.POSITION_IMPLAUSIBLE
+        check_invariants(rig.rows)
+
+    def test_garbage_within_the_range(self) -> None:
+        places = [0.0, 0.011, -0.008, 0.0125, -0.012, 0.003]
+
+        def garbled(now_ns: int, pulse: PositionPulse) -> PositionPulse:
+            if now_ns < 120 * MS:
+                return pulse
+            return replace(pulse, pulse_s=pulse_s(places[pulse.sample_index * 7 % 6]))
+
+        rig = shift(N, (100, B), pulse=garbled).run(800)
+        assert rig.last.status.state is S.FAULT
+        assert rig.when(S.FAULT) <= 320 * MS
+        assert rig.last.status.faults & Fault.POSITION_IMPLAUSIBLE
+        assert {r.out.status.confirmed for r in rig.rows if r.time_ns >= 100 * MS} == {U}
+        check_invariants(rig.rows)
+
+    @pytest.mark.parametrize("real", [True, False])
+    def test_stuck_in_a_push(self, real: bool) -> None:
+        """The sensor stands still although the stay moves, or the stay does."""
+        stay = Stay(frozen=not real)
+        stuck = pulse_s(0.0)
+        rig = shift(
+            N,
+            (100, B),
+            stay=stay,
+            pulse=lambda now_ns, p: replace(p, pulse_s=stuck) if now_ns > 90 * MS else p,
+        ).run(800)
+        assert rig.when(S.FAULT) == 500 * MS
+        assert rig.last.status.faults == Fault.SENSOR_STUCK | Fault.SPEEDS_LOST
+        assert rig.last.status.confirmed is U
+        check_invariants(rig.rows)
+
+    def test_a_stuck_sensor_is_not_believed_until_it_moves(self) -> None:
+        """It stood in neutral while backward was engaged: asked for neutral, it must not agree."""
+        stuck = pulse_s(0.0)
+        rig = shift(
+            N,
+            (100, B),
+            (700, N),
+            (1600, F),
+            pulse=lambda now_ns, p: (
+                replace(p, pulse_s=stuck) if 90 * MS < now_ns < 1700 * MS else p
+            ),
+        )
+        rig.run(690)
+        assert rig.stay.position_m == STROKE_M
+        rig.run(1590)
+        states = [r.state for r in rig.rows if r.time_ns >= 700 * MS]
+        assert states[0] is S.INIT
+        assert S.PUSH in states
+        assert states[-1] is S.FAULT
+        assert {r.out.status.confirmed for r in rig.rows if r.time_ns >= 100 * MS} == {U}
+        told = [r.out.status.faults for r in rig.rows if 700 * MS <= r.time_ns < 1590 * MS]
+        assert all(f & Fault.SENSOR_STUCK for f in told)
+        # it comes back to life: the push for neutral cannot show it, the one for forward does
+        rig.stay.position_m = 0.004
+        rig.run(3500)
+        assert rig.last.status.state is S.IDLE
+        assert rig.last.status.confirmed is F
+        assert rig.last.status.faults == Fault.SPEEDS_LOST
+        check_invariants(rig.rows)
+
+    def test_blocked_for_good_is_a_timeout_after_one_retry(self) -> None:
+        rig = shift(N, (100, B), (2400, N), stay=Stay(block_m=0.006)).run(2390)
+        assert rig.states() == ["INIT", "IDLE", "PUSH", "VENT", "PUSH", "FAULT"]
+        assert rig.when(S.VENT) == 1100 * MS
+        assert rig.when(S.FAULT) == 2200 * MS
+        assert rig.last.status.faults == Fault.SHIFT_TIMEOUT | Fault.SPEEDS_LOST
+        rig.run(3000)
+        assert rig.last.status.confirmed is N
+        assert rig.last.status.faults == Fault.SPEEDS_LOST
+        check_invariants(rig.rows)
+
+
+class TestStart:
+    def test_channels_that_never_come_are_lost_after_200_ms(self) -> None:
+        firmware = Firmware(FirmwareConfig())
+        lost = Fault.POSITION_LOST | Fault.REQUEST_LOST | Fault.SPEEDS_LOST
+        start_ns = 7 * 10**12
+        for k in range(40):
+            out = firmware.step(start_ns + k * 10 * MS, Inputs())
+            assert out.status.faults == (Fault.NONE if k < 20 else lost)
+            assert out.status.state is S.INIT
+
+    def test_a_channel_that_was_valid_has_no_grace(self) -> None:
+        firmware = Firmware(FirmwareConfig())
+        valid, none = ChannelState.VALID, ChannelState.INIT
+        pulse = PositionPulse(pulse_s(0.0), 293.15, 0)
+        firmware.step(
+            0,
+            Inputs((pulse,), ShiftRequest(N), DrivelineSpeeds(0.0, 0.0), valid, valid, valid),
+        )
+        for changed, fault in (
+            (Inputs((), None, None, none, valid, valid), Fault.POSITION_LOST),
+            (Inputs((), None, None, valid, none, valid), Fault.REQUEST_LOST),
+            (Inputs((), None, None, valid, valid, none), Fault.SPEEDS_LOST),
+        ):
+            now_ns = firmware._now_ns + MS
+            assert firmware.step(now_ns, changed).status.faults == fault
+
+    def test_an_invalid_channel_has_no_grace_either(self) -> None:
+        firmware = Firmware(FirmwareConfig())
+        bad = ChannelState.INVALID
+        out = firmware.step(0, Inputs((), None, None, bad, bad, bad))
+        assert out.status.faults == Fault.POSITION_LOST | Fault.REQUEST_LOST | Fault.SPEEDS_LOST
+
+    def test_stale_messages_of_a_channel_that_is_not_valid_are_not_used(self) -> None:
+        rig = shift(N).run(200)
+        firmware = rig.firmware
+        for k in range(5):
+            out = firmware.step(
+                (300 + k) * MS,
+                Inputs(
+                    (PositionPulse(pulse_s(0.0), 293.15, 100 + k),),
+                    ShiftRequest(B),
+                    DrivelineSpeeds(1.0, 1.0),
+                    ChannelState.VALID,
+                    ChannelState.INVALID,
+                    ChannelState.INVALID,
+                ),
+            )
+            assert out.status.state is S.IDLE
+
+    def test_half_engaged_at_start_neutral_can_be_reached(self) -> None:
+        rig = shift(N, stay=Stay(position_m=0.006)).run(1200)
+        assert rig.states() == ONE_LEG
+        assert rig.last.status.confirmed is N
+        assert rig.when(S.IDLE) >= 300 * MS
+
+    def test_time_must_increase(self) -> None:
+        firmware = Firmware(FirmwareConfig())
+        firmware.step(5, Inputs())
+        with pytest.raises(ValueError, match=r"step at 5 ns after one at 5 ns"):
+            firmware.step(5, Inputs())
+        firmware.step(6, Inputs())
+        with pytest.raises(ValueError, match=r"step at 3 ns after one at 6 ns"):
+            firmware.step(3, Inputs())
+
+    def test_same_inputs_same_outputs(self) -> None:
+        runs = [shift(F, (100, B), (300, N)).run(900) for _ in range(2)]
+        assert runs[0].rows == runs[1].rows
+
+    def test_temperature_is_compensated(self) -> None:
+        cold = shift(N, (100, B)).run(600)
+        hot = shift(
+            N,
+            (100, B),
+            pulse=lambda now_ns, p: PositionPulse(
+                p.pulse_s * (1.0 + 0.0012 * 60.0), 353.15, p.sample_index
+            ),
+        ).run(600)
+        for a, b in zip(cold.rows, hot.rows, strict=True):
+            assert a.out.status.estimate_m == pytest.approx(b.out.status.estimate_m, abs=1e-12)
+
+
+class Meddler(OpenLoop):
+    """A strategy that does what a test tells it to, and notes what it was told."""
+
+    def __init__(self, config: FirmwareConfig, parameters: Any) -> None:
+        super().__init__(config, parameters)
+        self.seen: list[tuple[int, Estimate, ShiftContext]] = []
+        self.resets = 0
+        self.answer: Duties | None = None
+
+    def reset(self) -> None:
+        self.resets += 1
+
+    def command(self, now_ns: int, estimate: Estimate, shift: ShiftContext) -> Duties:
+        self.seen.append((now_ns, estimate, shift))
+        if self.answer is not None:
+            return self.answer
+        return super().command(now_ns, estimate, shift)
+
+    def blow_s(self, configured_s: float, leg: Gear, follows: bool) -> float:
+        return configured_s / 3
+
+
+class TestStrategies:
+    @pytest.fixture
+    def meddled(self, monkeypatch: pytest.MonkeyPatch) -> Any:
+        monkeypatch.setattr(
+            module.strategies, "create", lambda config: Meddler(config, OpenLoop.Parameters())
+        )
+
+        def make(start: Gear, *wishes: tuple[float, Gear], **more: Any) -> tuple[Rig, Meddler]:
+            rig = shift(start, *wishes, **more)
+            strategy = rig.firmware._strategy
+            assert isinstance(strategy, Meddler)
+            return rig, strategy
+
+        return make
+
+    def test_what_it_is_told(self, meddled: Any) -> None:
+        rig, strategy = meddled(B, (100, F))
+        rig.run(600)
+        legs = [c for _, _, c in strategy.seen]
+        first, second = legs[0], next(c for c in legs if c.leg is F)
+        assert first == ShiftContext(N, F, Chamber.N, Chamber.B, 100 * MS, 0, (None, None, None))
+        assert second.charged is Chamber.F
+        assert second.passive is Chamber.N
+        assert second.start_ns == rig.when(S.PUSH, 1)
+        blown_until_ns = second.start_ns - 10 * MS
+        assert second.energised_ns == (None, blown_until_ns, None)
+        later = [c for c in legs if c.leg is F][1]
+        assert later.energised_ns == (None, blown_until_ns, second.start_ns)
+        assert strategy.resets == 2
+        assert {r.state for r in rig.rows if r.time_ns in {t for t, _, _ in strategy.seen}} <= {
+            S.PUSH,
+            S.CONFIRM,
+        }
+        for now_ns, estimate, _ in strategy.seen:
+            row = next(r for r in rig.rows if r.time_ns == now_ns)
+            assert estimate.position_m == row.out.status.estimate_m
+            assert estimate.valid
+
+    @pytest.mark.parametrize(("start", "passive"), [(B, Chamber.B), (F, Chamber.F)])
+    def test_the_passive_chamber_on_the_way_to_neutral(
+        self, meddled: Any, start: Gear, passive: Chamber
+    ) -> None:
+        rig, strategy = meddled(start, (100, N))
+        rig.run(300)
+        assert {c.passive for _, _, c in strategy.seen} == {passive}
+
+    def test_it_may_shorten_the_blow(self, meddled: Any) -> None:
+        rig, _ = meddled(N, (100, B))
+        rig.run(600)
+        assert rig.spent_ms(S.BLOW) == pytest.approx(50.0)
+
+    def test_a_retry_is_told_and_resets_it(self, meddled: Any) -> None:
+        rig, strategy = meddled(N, (100, B), stay=Stay(block_m=0.006))
+        rig.run(1500)
+        assert strategy.resets == 2
+        first, last = strategy.seen[0][2], strategy.seen[-1][2]
+        assert (first.attempt, first.start_ns) == (0, 100 * MS)
+        assert (last.attempt, last.start_ns) == (1, 1200 * MS)
+
+    @pytest.mark.parametrize(
+        "answer",
+        [
+            Duties(0.98, 0.0, 0.98),
+            Duties(0.34, 0.0, 0.34),
+            Duties(1.01, 0.0, 0.0),
+            Duties(0.0, 1.01, 0.0),
+            Duties(0.0, 0.0, 1.01),
+            Duties(-0.01, 0.0, 0.0),
+            Duties(0.0, -0.01, 0.0),
+            Duties(0.0, 0.0, -0.01),
+            Duties(float("nan"), 0.0, 0.0),
+            Duties(0.0, float("nan"), 0.0),
+            Duties(0.0, 0.0, float("inf")),
+        ],
+    )
+    def test_forbidden_duties_end_in_a_fault_for_good(self, meddled: Any, answer: Duties) -> None:
+        rig, strategy = meddled(N, (100, B), (200, N), (300, F))
+        strategy.answer = answer
+        rig.run(500)
+        assert rig.when(S.FAULT) == 100 * MS
+        assert rig.last.status.state is S.FAULT
+        assert rig.last.status.faults == Fault.INTERNAL | Fault.SPEEDS_LOST
+        assert len(strategy.seen) == 1
+        check_invariants(rig.rows)
+
+    @pytest.mark.parametrize(
+        "answer",
+        [
+            Duties(1.0, 1.0, 0.33),
+            Duties(0.33, 1.0, 1.0),
+            Duties(0.33, 0.33, 0.33),
+            Duties(0.0, 0.0, 0.0),
+        ],
+    )
+    def test_allowed_duties_go_out_as_they_are(self, meddled: Any, answer: Duties) -> None:
+        rig, strategy = meddled(N, (100, B))
+        strategy.answer = answer
+        rig.run(200)
+        assert {duties(r.out) for r in rig.rows if r.state is S.PUSH} == {answer}
+        assert rig.faults() == Fault.SPEEDS_LOST
+
+    @pytest.mark.parametrize(
+        ("one", "other"),
+        [(Duties(0.98, 0, 0), Duties(0, 0, 0.98)), (Duties(0, 0, 0.98), Duties(0.98, 0, 0))],
+    )
+    @pytest.mark.parametrize(("pause_ms", "allowed"), [(0, False), (30, False), (40, True)])
+    def test_backward_and_forward_need_a_pause_between_them(
+        self, meddled: Any, one: Duties, other: Duties, pause_ms: int, allowed: bool
+    ) -> None:
+        rig, strategy = meddled(N, (100, B), stay=Stay(frozen=True))
+        strategy.answer = one
+        rig.run(110)
+        strategy.answer = Duties(0.0, 0.33, 0.33)
+        rig.run(110 + pause_ms)
+        strategy.answer = other
+        rig.run(120 + pause_ms)
+        assert (rig.last.status.state is S.PUSH) == allowed
+        assert bool(rig.last.status.faults & Fault.INTERNAL) != allowed
+
+
+class TestBroadcast:
+    def test_every_10_ms_at_10_ms(self) -> None:
+        rig = shift(N).run(200)
+        assert all(r.out.etc1 is not None and r.out.etc2 is not None for r in rig.rows)
+
+    @pytest.mark.parametrize(
+        ("period_s", "steps"),
+        [
+            (0.0025, [0, 4, 8, 12]),
+            (0.003, [0, 4, 7, 10, 14]),
+            (0.02, [0, 1, 2, 3]),
+            (0.015, [0, 1, 2, 3]),
+        ],
+    )
+    def test_as_near_to_10_ms_as_the_period_allows(self, period_s: float, steps: list[int]) -> None:
+        firmware = Firmware(FirmwareConfig(period_s=period_s))
+        start_ns = 123
+        sent = []
+        for k in range(steps[-1] + 1):
+            out = firmware.step(start_ns + k * firmware.config.period_ns, Inputs())
+            assert (out.etc1 is None) == (out.etc2 is None)
+            if out.etc1 is not None:
+                sent.append(k)
+        assert sent == steps
+
+    def test_a_shift_as_a_truck_tool_sees_it(self) -> None:
+        rig = shift(F, (100, B)).run(900)
+        seen = []
+        for row in rig.rows:
+            assert row.out.etc1 is not None
+            assert row.out.etc2 is not None
+            etc1, etc2 = row.out.etc1, row.out.etc2
+            what = (
+                etc1.shift_in_process,
+                etc1.driveline_engaged,
+                etc2.selected_gear,
+                etc2.current_gear,
+                etc2.requested_range,
+                etc2.current_range,
+            )
+            if not seen or seen[-1] != what:
+                seen.append(what)
+        assert seen == [
+            (False, None, None, None, None, None),
+            (False, True, 1, 1, " F", " F"),
+            (True, None, 2, None, " B", None),
+            (True, False, 2, 0, " B", " N"),
+            (True, None, 2, None, " B", None),
+            (False, True, 2, 2, " B", " B"),
+        ]
+
+    @pytest.mark.parametrize(
+        ("given", "sent"),
+        [
+            ((0.0, 841.0), (0.0, 841.0)),
+            ((100.0, 50.0), (100.0, 50.0)),
+            ((-0.1, 841.1), (None, None)),
+        ],
+    )
+    def test_shaft_speeds(
+        self, given: tuple[float, float], sent: tuple[float | None, float | None]
+    ) -> None:
+        rig = shift(N, speeds=lambda now_ns: DrivelineSpeeds(*given)).run(50)
+        etc1 = rig.last.etc1
+        assert etc1 is not None
+        assert (etc1.input_shaft_rad_s, etc1.output_shaft_rad_s) == sent
+
+    def test_without_speeds(self) -> None:
+        etc1 = shift(N).run(50).last.etc1
+        assert etc1 is not None
+        assert etc1.input_shaft_rad_s is None
+        assert etc1.output_shaft_rad_s is None
