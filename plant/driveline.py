@@ -135,6 +135,7 @@ class Driveline:
         if distance > self.x_block_m:
             self.is_engaged = True
             self.difference_rad_s = 0.0
+            self.armed_n_s = 0.0  # used up: what was spent belongs to this engagement
             return None
         if distance > self.neutral_band_m:
             self._spend(spent_impulse_n_s)

@@ -106,6 +106,18 @@ def test_a_stay_pushed_back_from_the_block_needs_only_the_rest() -> None:
     assert driveline.input_rad_s - 80.0 == pytest.approx(3.6)
 
 
+def test_what_one_engagement_spent_does_not_count_for_the_next() -> None:
+    config = DrivelineConfig(residual_rad_s=9.0, engine_delay_s=0.0, engine_ramp_rad_s2=100.0)
+    driveline = Driveline(config, X_BLOCK, 0.0)
+    assert driveline.advance(0, 0.0, 0.0, BACKWARD) == pytest.approx(25.0)
+    driveline.advance(10 * MS, STROKE, 25.0, BACKWARD)
+    driveline.advance(20 * MS, 0.0055, 25.0, NO_GEAR)
+    driveline.advance(30 * MS, 0.0040, 25.0, NO_GEAR)
+    assert driveline.input_rad_s - 80.0 == 30.0
+    assert driveline.advance(40 * MS, 0.0, 25.0, NO_GEAR) == pytest.approx(29.0 * 0.25 / 0.09)
+    assert driveline.input_rad_s - 80.0 == pytest.approx(29.0)
+
+
 def test_impulse_is_left_alone_between_neutral_and_the_block() -> None:
     driveline = Driveline(DrivelineConfig(residual_rad_s=9.0), X_BLOCK, 0.0)
     driveline.advance(0, 0.0, 0.0, BACKWARD)

@@ -1,0 +1,334 @@
+"""The plant as a participant on the bus: valve commands in, sensor frames and truth out.
+
+Checked by: tests/unit/plant/test_node.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from can_dbc.codec import encode
+from can_dbc.e2e import Protector
+from can_dbc.frame import Frame
+from can_dbc.messages import DrivelineSpeeds, Gear, PlantMotion, PlantPressures, PositionPulse
+
+from . import layout
+from .driveline import BACKWARD, FORWARD, NO_GEAR, Driveline, DrivelineConfig
+from .hybrid import Balance
+from .length_stroke import LengthStroke
+from .parameters import ParameterSet
+from .position_circuit import PositionCircuit, SensorConfig, SensorFault
+from .sensors import InductiveSensor
+from .trace import CMD, PULSE, SPEEDS, TRACE_COLUMNS, VALVE, TraceRows, TraceSink, Update
+from .valve import NS_PER_S, Valve, ValveTiming, seconds_to_ns
+from .valve_driver import ValveDriver, ValveDriverConfig
+
+ChamberName = Literal["B", "N", "F"]
+Released = list[tuple[int, Frame]]
+Switch = tuple[int, int, float]  # instant in ns, chamber, 1 on or open, 0 off or closed
+
+__all__ = ["TRACE_COLUMNS", "EventSink", "PlantConfig", "PlantNode", "TraceSink"]
+
+CHAMBERS: tuple[ChamberName, ...] = ("B", "N", "F")
+OVERTRAVEL_M = 0.001  # beyond the stroke, for worn stops and bounce, that a pulse must still tell
+PRESSURE_LIMIT_PA = 3_276_750.0  # ends of the truth frames' ranges, where these saturate
+TRAVEL_LIMIT_M = 0.032767
+SPEED_LIMIT_M_S = 16.0
+
+EVENT_NAMES = {"stop": "stay_stop", "block": "sync_block", "unblock": "sync_unblock"}
+DIRECTIONS = {Gear.BACKWARD: BACKWARD, Gear.FORWARD: FORWARD}
+
+
+EventSink = Callable[[float, str, Mapping[str, float]], None]
+"""Takes (time in s, name, values) of an event located inside the run; see `PlantNode`."""
+
+
+class PlantConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The actuator's conditions and the schedule of its frames; the numbers are in the model set.
+
+    initial: gear at time 0. charged: chambers that stand at supply pressure then, valves open but
+    no longer energised. supply_pressure_pa: absolute, left out the set's supply.P_s. mounted: on
+    the gearbox. mesh_force_n, pull_force_n: peaks of the barriers into and out of gear.
+    closing_follows_duty: closing delay of the valves by their duty instead of D_fall.
+    speeds_period_s, truth_period_s: of DrivelineSpeeds, and of PlantMotion and PlantPressures;
+    broadcast_phase_s: of both, left out together with the pulse report. trace_period_s: of the
+    trace rows, None for none. seed: of the sensor's noise and faults.
+    """
+
+    initial: ChamberName = "N"
+    charged: tuple[ChamberName, ...] = ()
+    supply_pressure_pa: Annotated[float, Meta(ge=1e5, le=2e6)] | None = None
+    mounted: bool = False
+    damper: Literal["none", "incompressible", "compressible"] = "none"
+    mesh_force_n: Annotated[float, Meta(ge=0.0, le=1e5)] = 0.0
+    pull_force_n: Annotated[float, Meta(ge=0.0, le=1e5)] = 0.0
+    closing_follows_duty: bool = False
+    driveline: DrivelineConfig = DrivelineConfig()
+    valve_driver: ValveDriverConfig = ValveDriverConfig()
+    sensor: SensorConfig = SensorConfig()
+    sensor_faults: tuple[SensorFault, ...] = ()
+    speeds_period_s: Annotated[float, Meta(ge=0.001, le=0.02)] = 0.01
+    truth_period_s: Annotated[float, Meta(ge=0.001, le=1.0)] = 0.01
+    broadcast_phase_s: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    trace_period_s: Annotated[float, Meta(ge=1e-5, le=1.0)] | None = 0.001
+    seed: Annotated[int, Meta(ge=0)] = 0
+
+
+class _Cycle:
+    """Instants first_ns + k period_ns; `next_ns` is the one to come."""
+
+    def __init__(self, period_ns: int, phase_ns: int) -> None:
+        self.period_ns = period_ns
+        self.next_ns = phase_ns % period_ns
+
+    def take(self, now_ns: int) -> bool:
+        """Whether `now_ns` is the next instant; if so, move on."""
+        if now_ns != self.next_ns:
+            return False
+        self.next_ns += self.period_ns
+        return True
+
+
+class PlantNode:
+    """Length stroke, valves with their driver, position sensor and driveline: one participant.
+
+    Its events are the instants at which it publishes, all of them a static schedule. Everything
+    inside an interval acts at its own instant: arrival of a command, timeout, end of a blow, move
+    of a valve, measurement; at one instant frames come before timers, timers before valve moves,
+    these in the order B, N, F, and a measurement or trace row sees them all.
+
+    Events handed to `on_event`: "stay_stop" and the other resets of the motion (position_m,
+    speed_m_s, energy_j), "sync_block" and "sync_unblock", "valve_B_open" and "valve_B_close" (the
+    plunger), "coil_B_on" and "coil_B_off" (energised or not), N and F alike, and on closing
+    "balance".
+    Raises InputError for conditions outside their range.
+    """
+
+    name = "plant"
+
+    def __init__(
+        self,
+        config: PlantConfig,
+        parameters: ParameterSet,
+        trace: TraceSink | None = None,
+        on_event: EventSink | None = None,
+    ) -> None:
+        self.config = config
+        self._on_event = on_event
+        duty = parameters.value("valve.duty_nominal")
+        timing = ValveTiming.from_parameters(parameters, config.closing_follows_duty)
+        self.valves = tuple(
+            Valve(timing, is_open=c in config.charged, duty=duty if c in config.charged else 0.0)
+            for c in CHAMBERS
+        )
+        self.driver = ValveDriver(config.valve_driver, blow_duty=duty)
+        self.stroke = LengthStroke(
+            parameters,
+            initial=config.initial,
+            supply_pressure_pa=config.supply_pressure_pa,
+            charged=config.charged,
+            mounted=config.mounted,
+            damper=None if config.damper == "none" else config.damper,
+            mesh_force_n=config.mesh_force_n,
+            pull_force_n=config.pull_force_n,
+        )
+        self.supply_pressure_pa = float(self.stroke.packed[layout.P_SUPPLY])
+        self.circuit = PositionCircuit(
+            config.sensor,
+            InductiveSensor.from_parameters(parameters),
+            parameters.value("length.stroke") + OVERTRAVEL_M,
+            config.sensor_faults,
+            config.seed,
+        )
+        self.driveline = Driveline(
+            config.driveline,
+            parameters.value("synchronizer.x_block"),
+            self.stroke.position_m,
+            has_synchronizer=config.mounted,
+        )
+        phase_ns = (
+            self.circuit.next_report_ns
+            if config.broadcast_phase_s is None
+            else seconds_to_ns(config.broadcast_phase_s)
+        )
+        self._speeds = _Cycle(seconds_to_ns(config.speeds_period_s), phase_ns)
+        self._truth = _Cycle(seconds_to_ns(config.truth_period_s), phase_ns)
+        self._rows = TraceRows(
+            self.stroke, config.damper, trace, seconds_to_ns(config.trace_period_s or 0.0)
+        )
+        self._protect_pulse: Protector[PositionPulse] = Protector(PositionPulse)
+        self._protect_speeds: Protector[DrivelineSpeeds] = Protector(DrivelineSpeeds)
+        self._events_told = 0
+        self._closed = False
+
+    # --- participant ------------------------------------------------------------------------
+    def start(self) -> int:
+        """Settle time 0 and return the simulated instant [ns] of the first event."""
+        updates: list[Update] = []
+        for chamber, valve in enumerate(self.valves):
+            updates.append((0, VALVE + chamber, float(valve.is_open)))
+            valve.command(0, 0.0)
+        self._arm_synchronizer(0)
+        updates.append((0, SPEEDS, self.driveline.input_rad_s))
+        updates.append((0, SPEEDS + 1, self.driveline.output_rad_s))
+        self._rows.write(self._rows.instants_ns(0), self.stroke.row()[np.newaxis], updates)
+        return self._next_event_ns()
+
+    def advance(
+        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
+    ) -> tuple[Released, int]:
+        """Advance to `until_ns` with the frames that arrived since; see `sil.transports`.
+
+        Raises ValueError for an interval that would skip an event of this participant.
+        """
+        if until_ns > self._next_event_ns():
+            raise ValueError(f"advance to {until_ns} ns skips the event at {self._next_event_ns()}")
+        updates: list[Update] = []
+        coils: list[Switch] = []
+        switches = self._drive_valves(until_ns, deliveries, updates, coils)
+        measured = self.circuit.measurement_instants_ns(until_ns)
+        rows = self._rows.instants_ns(until_ns)
+        samples = rows
+        if measured:
+            samples = np.concatenate([rows, np.array(measured, dtype=np.int64)])
+            samples.sort()
+        states = self.stroke.advance(until_ns, switches, samples)
+        for instant in measured:
+            self.circuit.measure(float(states[np.searchsorted(samples, instant), 0]))
+        frames = self._publish(until_ns, updates)
+        self._tell_events(coils, switches)
+        if measured:
+            states = states[np.searchsorted(samples, rows)]
+        self._rows.write(rows, states, updates)
+        return [(until_ns, frame) for frame in frames], self._next_event_ns()
+
+    def close(self) -> None:
+        """Hand the balances to `on_event`; the sinks stay open."""
+        if self._closed:
+            return
+        self._closed = True
+        if self._on_event is not None:
+            self._on_event(self.stroke.now_ns / NS_PER_S, "balance", _flat(self.balance()))
+
+    def balance(self) -> Balance:
+        """Energy and gas balances since the start; air_in_kg is the air used."""
+        return self.stroke.balance()
+
+    # --- one interval -----------------------------------------------------------------------
+    def _next_event_ns(self) -> int:
+        return min(self.circuit.next_report_ns, self._speeds.next_ns, self._truth.next_ns)
+
+    def _drive_valves(
+        self,
+        until_ns: int,
+        deliveries: Sequence[tuple[int, Frame]],
+        updates: list[Update],
+        coils: list[Switch],
+    ) -> list[Switch]:
+        """Commands through driver and coils; returns the moves of the plungers, ordered."""
+        for instant, duties in self.driver.advance(until_ns, deliveries):
+            for chamber, (valve, duty) in enumerate(zip(self.valves, duties, strict=True)):
+                before = valve.is_energised
+                valve.command(instant, duty)
+                if valve.is_energised != before:
+                    coils.append((instant, chamber, float(valve.is_energised)))
+                updates.append((instant, CMD + chamber, duty))
+        switches = [
+            (instant, chamber, u)
+            for chamber, valve in enumerate(self.valves)
+            for instant, u in valve.moves(until_ns)
+        ]
+        if len(switches) > 1:
+            switches.sort()
+        updates.extend((instant, VALVE + chamber, u) for instant, chamber, u in switches)
+        return switches
+
+    def _publish(self, now_ns: int, updates: list[Update]) -> list[Frame]:
+        """Frames of the events due at `now_ns`."""
+        frames = []
+        if now_ns == self.circuit.next_report_ns:
+            reading = self.circuit.report()
+            if reading is not None:
+                frames.append(self._protect_pulse.protect(PositionPulse(*reading)))
+                updates.append((now_ns, PULSE, reading.pulse_s))
+        if self._speeds.take(now_ns):
+            self._arm_synchronizer(now_ns)
+            line = self.driveline
+            speeds = DrivelineSpeeds(line.input_rad_s, line.output_rad_s)
+            frames.append(self._protect_speeds.protect(speeds))
+            updates.append((now_ns, SPEEDS, speeds.input_rad_s))
+            updates.append((now_ns, SPEEDS + 1, speeds.output_rad_s))
+        if self._truth.take(now_ns):
+            stroke = self.stroke
+            motion = [stroke.position_m, stroke.velocity_m_s, *stroke.pistons_m]
+            limits = (TRAVEL_LIMIT_M, SPEED_LIMIT_M_S, TRAVEL_LIMIT_M, TRAVEL_LIMIT_M)
+            frames.append(
+                encode(
+                    PlantMotion(
+                        *(max(-lim, min(lim, v)) for v, lim in zip(motion, limits, strict=True))
+                    )
+                )
+            )
+            pressures = (*stroke.pressures_pa, self.supply_pressure_pa)
+            frames.append(encode(PlantPressures(*(min(p, PRESSURE_LIMIT_PA) for p in pressures))))
+        return frames
+
+    def _arm_synchronizer(self, now_ns: int) -> None:
+        stroke = self.stroke
+        direction = DIRECTIONS.get(self.driver.target, NO_GEAR)
+        impulse = self.driveline.advance(
+            now_ns, stroke.position_m, stroke.spent_impulse_n_s, direction
+        )
+        if impulse is not None:
+            stroke.set_sync_impulse(impulse)
+
+    def _tell_events(self, coils: Sequence[Switch], switches: Sequence[Switch]) -> None:
+        if self._on_event is None:
+            return
+        told: list[tuple[float, str, dict[str, float]]] = [
+            (instant / NS_PER_S, f"coil_{CHAMBERS[chamber]}_{'on' if on else 'off'}", {})
+            for instant, chamber, on in coils
+        ]
+        told += [
+            (
+                event.time_s,
+                EVENT_NAMES.get(event.name, event.name.replace(" ", "_")),
+                {
+                    "position_m": event.position_m,
+                    "speed_m_s": event.speed_m_s,
+                    "energy_j": event.energy_j,
+                },
+            )
+            for event in self.stroke.events[self._events_told :]
+        ]
+        self._events_told = len(self.stroke.events)
+        for instant, chamber, u in switches:
+            name = f"valve_{CHAMBERS[chamber]}_{'open' if u else 'close'}"
+            told.append((instant / NS_PER_S, name, {}))
+        told.sort(key=lambda event: event[0])
+        for time_s, name, values in told:
+            self._on_event(time_s, name, values)
+
+
+def _flat(balance: Balance) -> dict[str, float]:
+    """Numbers of the balances, those of the chambers under their names."""
+    numbers: dict[str, float] = {"closed": float(balance.closed)}
+    for name in (
+        "energy_residual_j",
+        "energy_scale_j",
+        "gas_scale_j",
+        "air_in_kg",
+        "air_out_kg",
+        "friction_j",
+        "damper_j",
+        "impact_j",
+    ):
+        numbers[name] = getattr(balance, name)
+    for chamber, residual in zip(CHAMBERS, balance.gas_residual_j, strict=True):
+        numbers[f"gas_residual_{chamber}_j"] = residual
+    return numbers

@@ -1,0 +1,106 @@
+"""Trace rows: true states at regular instants, and signals that hold between their changes.
+
+Checked by: tests/unit/plant/test_node.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .length_stroke import LengthStroke
+from .one_equation import steady_oil_pressure
+from .valve import NS_PER_S
+
+Floats = NDArray[np.float64]
+Instants = NDArray[np.int64]
+Update = tuple[int, int, float]  # instant in ns, column of HELD, value from then on
+
+STATES = (
+    "position_m",
+    "velocity_m_s",
+    "piston_1_m",
+    "piston_2_m",
+    "pressure_B_pa",
+    "pressure_N_pa",
+    "pressure_F_pa",
+    "pressure_oil2_pa",
+    "spent_impulse_n_s",
+)
+HELD = (
+    "cmd_B",
+    "cmd_N",
+    "cmd_F",
+    "valve_B",
+    "valve_N",
+    "valve_F",
+    "pulse_s",
+    "input_rad_s",
+    "output_rad_s",
+)
+TRACE_COLUMNS = ("time_s", *STATES, *HELD)
+"""Columns of a trace row: time, true states, and signals that hold between their changes: duty at
+the coil, actual valve position, duration in the latest pulse report (0 before the first), and shaft
+speeds as last published. A row shows what has changed at its very instant."""
+
+CMD, VALVE, PULSE, SPEEDS = 0, 3, 6, 7  # where each group begins in HELD
+_OIL = 1 + STATES.index("pressure_oil2_pa")
+_HELD_FROM = 1 + len(STATES)
+
+
+class TraceSink(Protocol):
+    """Where trace rows go while the run goes on; belongs to the caller."""
+
+    def write(self, rows: Floats) -> None:
+        """Keep rows [any number, len(TRACE_COLUMNS)]."""
+
+
+class TraceRows:
+    """Makes the rows at 0, period_ns, 2 period_ns, ... and hands them to a sink."""
+
+    def __init__(
+        self, stroke: LengthStroke, damper: str, sink: TraceSink | None, period_ns: int
+    ) -> None:
+        """`damper` as in `PlantConfig`; no rows without a sink or with period_ns 0."""
+        self._stroke = stroke
+        self._oil_follows_motion = damper == "incompressible"
+        self._sink = sink if period_ns else None
+        self._period_ns = period_ns
+        self._next_ns = 0
+        self._columns = [stroke.columns.index(name) for name in STATES]
+        self._held = np.zeros(len(HELD))
+
+    def instants_ns(self, until_ns: int) -> Instants:
+        """Instants of the rows up to `until_ns` that have not been written yet."""
+        if self._sink is None or self._next_ns > until_ns:
+            return np.empty(0, dtype=np.int64)
+        return np.arange(self._next_ns, until_ns + 1, self._period_ns, dtype=np.int64)
+
+    def write(self, instants: Instants, states: Floats, updates: Sequence[Update]) -> None:
+        """Write the rows at `instants` from the states [n, all columns] there.
+
+        `updates` are the changes of held signals since the last call, each column's in order.
+        """
+        if self._sink is not None and len(instants):
+            rows = np.empty((len(instants), len(TRACE_COLUMNS)))
+            rows[:, 0] = instants / NS_PER_S
+            rows[:, 1:_HELD_FROM] = states[:, self._columns]
+            if self._oil_follows_motion:
+                rows[:, _OIL] = self._oil_pressure_pa(states)
+            rows[:, _HELD_FROM:] = self._held
+            for instant, column, value in updates:
+                rows[np.searchsorted(instants, instant) :, _HELD_FROM + column] = value
+            self._next_ns += self._period_ns * len(instants)
+            self._sink.write(rows)
+        for _, column, value in updates:
+            self._held[column] = value
+
+    def _oil_pressure_pa(self, states: Floats) -> Floats:
+        """Oil pressure where it is no state but follows from the motion [n]."""
+        oil = np.empty(len(states))
+        position, velocity = np.ascontiguousarray(states[:, :2].T)
+        steady_oil_pressure(position, velocity, self._stroke.packed, oil)
+        return oil
