@@ -19,10 +19,11 @@ from typing import Any, ClassVar, NoReturn, get_args, get_type_hints
 
 from can_dbc import messages as m
 from can_dbc.contract import MessageSpec, SignalSpec, contract
+from can_dbc.dbc import load_dbc
 from can_dbc.errors import CodecError
 from can_dbc.frame import Frame, split_id
 
-__all__ = ["can_id_of", "decode", "encode", "message_type_of", "spec_of"]
+__all__ = ["can_id_of", "decode", "encode", "load_dbc", "message_type_of", "spec_of"]
 
 SIGNALS: dict[type, dict[str, str]] = {
     m.ShiftRequest: {"target": "TargetGear"},

@@ -1,0 +1,205 @@
+"""Databases of other people, read through cantools.
+
+cantools declares no exceptions for malformed files and some files make it expand ranges without
+end, so that impossible numbers are refused first and everything it raises becomes one line.
+Checked by: tests/unit/can_dbc/test_dbc.py, tests/fuzz/test_fuzz_dbc.py
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from bisect import bisect_right
+from typing import TYPE_CHECKING, NoReturn
+
+from can_dbc.errors import InputError
+
+if TYPE_CHECKING:
+    from cantools.database import Database
+
+LARGEST_FILE = 64 << 20
+LONGEST_MESSAGE = 1785
+"""Bytes of a J1939 transport protocol message, the longest that a DBC for CAN describes."""
+
+_LARGEST_RANGE = 1 << 16
+_LARGEST_TO_BISECT = 200_000
+_LONGEST_REASON = 160
+_STRING = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
+_MESSAGE = re.compile(r"\bBO_\s+(\d+)\s+(\w+)\s*:\s*(\d+)")
+_SIGNAL = re.compile(r"\bSG_\s+(\w+)[^:;]*:\s*(\d+)\s*\|\s*(\d+)\s*@")
+_MULTIPLEXED = re.compile(r"\bSG_MUL_VAL_\b[^;]*")
+_RANGE = re.compile(r"(\d+)\s*-\s*(\d+)")
+_STATEMENT = re.compile(
+    r"^[ \t]*(?:BO_|SG_|BU_|CM_|BA_|VAL_|EV_|SIG_|SG_MUL_|BO_TX|ENV)", re.MULTILINE
+)
+
+
+class _Text:
+    """A file's text with the line of each offset."""
+
+    def __init__(self, source: str, text: str) -> None:
+        self.source = source
+        self.text = text
+        self.line_ends = [match.start() for match in re.finditer("\n", text)]
+
+    def refuse(self, offset: int | None, what: str) -> NoReturn:
+        """Raise the InputError for a place, or for the file as a whole."""
+        place = "" if offset is None else f" line {bisect_right(self.line_ends, offset - 1) + 1}:"
+        raise InputError(f"{self.source}:{place} {what}")
+
+
+def load_dbc(path: str | os.PathLike[str], strict: bool = True) -> Database:
+    """Read a DBC file, in UTF-8 or else in Windows-1252.
+
+    `strict` also refuses overlapping signals and signals that leave their message.
+    Raises InputError with file, line (where it can be told) and reason for all that is wrong.
+    Checked by: tests/unit/can_dbc/test_dbc.py, tests/fuzz/test_fuzz_dbc.py
+    """
+    source = os.fspath(path)
+    try:
+        if os.path.getsize(source) > LARGEST_FILE:
+            raise InputError(f"{source}: more than {LARGEST_FILE >> 20} MiB; expected a DBC file")
+        with open(source, "rb") as file:
+            content = file.read()
+    except OSError as error:
+        raise InputError(f"{source}: cannot be read: {error.strerror}") from None
+    return parse_dbc(content, source, strict)
+
+
+def parse_dbc(content: bytes, source: str = "DBC", strict: bool = True) -> Database:
+    """The same for the bytes of a file, `source` being its name in messages."""
+    text = _Text(source, _decoded(content, source))
+    _refuse_impossible(text)
+    try:
+        database = _parse(text.text, strict)
+    except Exception as error:  # whatever cantools raises is the file's fault
+        text.refuse(_offset_of(error, text, strict), _reason(error))
+    _refuse_unusable(database, text)
+    return database
+
+
+def _decoded(content: bytes, source: str) -> str:
+    if b"\0" in content:
+        raise InputError(f"{source}: holds zero bytes; expected the text of a DBC file")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        pass  # not UTF-8, so the encoding that the DBC format grew up with
+    try:
+        return content.decode("cp1252")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        byte = content[error.start]
+        raise InputError(
+            f"{source}: line {line}: byte {byte:#04x}; expected text in UTF-8 or Windows-1252"
+        ) from None
+
+
+def _parse(text: str, strict: bool) -> Database:
+    from cantools.database.can import Database
+
+    database = Database(strict=strict)
+    database.add_dbc_string(text)
+    return database
+
+
+def _refuse_impossible(text: _Text) -> None:
+    """Refuse what makes cantools expand something huge or overwrite one message by another."""
+    code = _STRING.sub(lambda match: re.sub(r"[^\n]", " ", match.group()), text.text)
+    names: set[str] = set()
+    identifiers: dict[str, str] = {}
+    for match in _MESSAGE.finditer(code):
+        identifier, name = match.group(1).lstrip("0"), match.group(2)
+        if name in names:
+            text.refuse(match.start(), f"message {name} is declared twice")
+        if identifier in identifiers:
+            other = identifiers[identifier]
+            text.refuse(match.start(), f"messages {other} and {name} share an identifier")
+        names.add(name)
+        identifiers[identifier] = name
+        if _above(match.group(3), LONGEST_MESSAGE):
+            text.refuse(
+                match.start(),
+                f"message {match.group(2)} has {match.group(3)[:20]} bytes; "
+                f"expected at most {LONGEST_MESSAGE}",
+            )
+    for match in _SIGNAL.finditer(code):
+        for number in match.groups()[1:]:
+            if _above(number, 8 * LONGEST_MESSAGE):
+                text.refuse(
+                    match.start(),
+                    f"signal {match.group(1)} reaches bit {number[:20]}; "
+                    f"expected at most {8 * LONGEST_MESSAGE}",
+                )
+    for statement in _MULTIPLEXED.finditer(code):
+        for match in _RANGE.finditer(statement.group()):
+            low, high = match.groups()
+            if _above(high, 1 << 63) or int(high) - int(low) > _LARGEST_RANGE:
+                text.refuse(
+                    statement.start() + match.start(),
+                    f"multiplexer range {low[:20]}-{high[:20]}; "
+                    f"expected at most {_LARGEST_RANGE} values",
+                )
+
+
+def _above(digits: str, limit: int) -> bool:
+    return len(digits.lstrip("0")) > 20 or int(digits) > limit
+
+
+def _offset_of(error: Exception, text: _Text, strict: bool) -> int | None:
+    """Offset that the error names, else of the first statement that brings it about."""
+    offset = getattr(error, "offset", None)
+    if isinstance(offset, int) and 0 <= offset <= len(text.text):
+        return offset
+    if len(text.text) > _LARGEST_TO_BISECT:
+        return None
+    starts = [match.start() for match in _STATEMENT.finditer(text.text)]
+    ends = [*starts[1:], len(text.text)]
+    good, bad = 0, len(ends)
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        if _fails_alike(text.text[: ends[middle - 1]], strict, error):
+            bad = middle
+        else:
+            good = middle
+    return starts[bad - 1] if bad <= len(starts) and starts else None
+
+
+def _fails_alike(text: str, strict: bool, error: Exception) -> bool:
+    try:
+        _parse(text, strict)
+    except Exception as other:
+        return type(other) is type(error)
+    return False
+
+
+def _reason(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    if len(text) > _LONGEST_REASON:
+        text = text[: _LONGEST_REASON - 3] + "..."
+    column = getattr(error, "column", None)
+    if column is not None:
+        return f"column {column}: {text.split(': ', 1)[-1]} is not DBC grammar"
+    if isinstance(error, KeyError):
+        return f"refers to {text}, which is not declared"
+    if type(error).__module__.startswith("cantools"):
+        return text
+    return f"not a DBC that can be understood ({type(error).__name__}: {text})"
+
+
+def _refuse_unusable(database: Database, text: _Text) -> None:
+    """Refuse what cantools takes without a word although nothing can be done with it."""
+    for message in database.messages:
+        declared = re.search(rf"\bBO_\s+\d+\s+{re.escape(message.name)}\b", text.text)
+        offset = declared.start() if declared else None
+        if message.cycle_time is not None and message.cycle_time < 0:
+            text.refuse(offset, f"message {message.name}: negative cycle time")
+        for signal in message.signals:
+            where = f"signal {signal.name} of {message.name}"
+            scale, shift = signal.conversion.scale, signal.conversion.offset
+            if scale == 0:
+                text.refuse(offset, f"{where}: factor 0")
+            for number in (scale, shift, signal.minimum, signal.maximum):
+                if number is not None and not math.isfinite(number):
+                    text.refuse(offset, f"{where}: {number} where a finite number is expected")
