@@ -169,6 +169,7 @@ class PlantNode:
     # --- participant ------------------------------------------------------------------------
     def start(self) -> int:
         """Settle time 0 and return the simulated instant [ns] of the first event."""
+        self.stroke.advance(0)  # loads the compiled kernel before anybody waits for a grant
         updates: list[Update] = []
         for chamber, valve in enumerate(self.valves):
             updates.append((0, VALVE + chamber, float(valve.is_open)))
