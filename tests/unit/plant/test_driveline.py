@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plant.driveline import BACKWARD, FORWARD, NO_GEAR, Driveline, DrivelineConfig
@@ -60,6 +60,7 @@ def test_impulse_follows_from_speed_difference_inertia_and_cone() -> None:
     assert driveline.advance(10 * MS, 0.0, 0.0, BACKWARD) is None  # armed already
 
 
+@settings(deadline=None)
 @given(st.floats(0.5, 40.0), st.lists(st.floats(0.0, 1.0), max_size=6))
 def test_speeds_converge_in_proportion_to_the_spent_impulse(
     residual: float, shares: list[float]

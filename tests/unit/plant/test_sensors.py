@@ -8,7 +8,7 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
@@ -48,6 +48,7 @@ def test_pulse_at_neutral_and_at_the_reference_temperature_is_0_9_ms() -> None:
     assert SENSOR.measurement_offset_ns == 450_000
 
 
+@settings(deadline=None)
 @given(st.floats(-0.014, 0.014), st.floats(233.0, 413.0))
 def test_conversion_undoes_the_pulse_within_half_a_tick(
     position: float, temperature: float

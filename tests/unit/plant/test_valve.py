@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import log
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plant.valve import Valve, ValveTiming, seconds_to_ns, switch_schedule
@@ -88,6 +88,7 @@ COMMANDS = st.lists(
 ).map(lambda raw: sorted(((t * MS, duty) for t, duty in raw), key=lambda c: c[0]))
 
 
+@settings(deadline=None)
 @given(COMMANDS, st.lists(st.integers(0, 300), max_size=5))
 def test_moves_do_not_depend_on_how_often_they_are_asked_for(
     commands: list[tuple[int, float]], asks: list[int]
@@ -106,6 +107,7 @@ def test_moves_do_not_depend_on_how_often_they_are_asked_for(
     assert seen == whole
 
 
+@settings(deadline=None)
 @given(COMMANDS)
 def test_moves_alternate_and_follow_a_command_by_exactly_one_delay(
     commands: list[tuple[int, float]],

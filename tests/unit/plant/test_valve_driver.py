@@ -184,13 +184,13 @@ def test_masqueraded_frame_does_not_pass() -> None:
     assert unit.advance(35 * MS, frames) == []
 
 
-@settings(max_examples=300)
-@given(
-    st.lists(
-        st.tuples(st.integers(0, 39), st.binary(min_size=0, max_size=8)), min_size=1, max_size=12
-    )
+DAMAGE = st.lists(
+    st.tuples(st.integers(0, 39), st.binary(min_size=0, max_size=8)), min_size=1, max_size=12
 )
-def test_bytes_at_random_never_energise_a_valve(damage: list[tuple[int, bytes]]) -> None:
+
+
+def check_damaged(damage: list[tuple[int, bytes]]) -> None:
+    """Frames replaced by any bytes: the commanded valve or none, and none in the end."""
     unit, sender = driver(), Controller()
     frames = sender.ticks(range(0, 200, 10))
     for index, data in damage:
@@ -202,11 +202,24 @@ def test_bytes_at_random_never_energise_a_valve(damage: list[tuple[int, bytes]])
     assert unit.duties == DE_ENERGISED
 
 
+@settings(max_examples=300, deadline=None)
+@given(DAMAGE)
+def test_bytes_at_random_never_energise_a_wrong_valve(damage: list[tuple[int, bytes]]) -> None:
+    check_damaged(damage)
+
+
+@pytest.mark.slow
+@settings(max_examples=10_000, deadline=None)
+@given(DAMAGE)
+def test_ten_thousand_damaged_sequences(damage: list[tuple[int, bytes]]) -> None:
+    check_damaged(damage)
+
+
 def replace_data(frame: Frame, data: bytes) -> Frame:
     return Frame(frame.can_id, data)
 
 
-@settings(max_examples=300)
+@settings(max_examples=300, deadline=None)
 @given(st.integers(0, 39), st.integers(0, 63), st.integers(0, 63))
 def test_up_to_two_flipped_bits_are_always_found(index: int, first: int, second: int) -> None:
     sender = Controller()
@@ -219,6 +232,7 @@ def test_up_to_two_flipped_bits_are_always_found(index: int, first: int, second:
 
 
 # --- determinism -------------------------------------------------------------------------------
+@settings(deadline=None)
 @given(st.lists(st.integers(1, 400), max_size=12), st.sets(st.integers(0, 59), max_size=40))
 def test_changes_do_not_depend_on_how_often_the_driver_is_advanced(
     cuts: list[int], lost: set[int]
