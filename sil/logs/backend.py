@@ -62,6 +62,9 @@ class LogWriter(ABC):
     """
 
     format: str = ""
+    batch = WRITE_BATCH
+    """Frames that are handed over at once."""
+
     patched = False
     """The beginning of the file is written last, so that packing has to wait for it."""
 
@@ -94,7 +97,7 @@ class LogWriter(ABC):
             self._channels_seen.add(frame.channel)
         self._held.append(frame)
         self.frames += 1
-        if len(self._held) >= WRITE_BATCH:
+        if len(self._held) >= self.batch:
             self.flush()
 
     def flush(self) -> None:
@@ -113,6 +116,7 @@ class LogWriter(ABC):
     def _write_batch(self, frames: list[LogFrame]) -> None:
         """Write frames, in order; the first call of all comes with the first frames."""
 
+    @abstractmethod
     def _finish(self) -> None:
         """Write what comes after the last frame (and, for no frames at all, the beginning)."""
 
@@ -210,12 +214,11 @@ def open_beside(path: str) -> tuple[BinaryIO, str]:
     for attempt in range(1000):
         partial = os.path.join(folder, f".{name}.{os.getpid()}.{attempt}.part")
         try:
-            descriptor = os.open(partial, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+            return open(partial, "x+b"), partial
         except FileExistsError:
             continue
         except OSError as error:
             raise InputError(
                 f"{path}: {error.strerror}; expected a place where a file can be written"
             ) from None
-        return os.fdopen(descriptor, "w+b"), partial
     raise InputError(f"{path}: a thousand unfinished files beside it; expected room for one more")

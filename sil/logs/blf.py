@@ -60,9 +60,8 @@ class BlfReader:
         feed = _Feed(source)
         told_size = self._header(feed)
         while True:
-            if not feed.fill(blf.OBJECT.size + 8):
-                if not feed.window.strip(b"\x00"):
-                    break
+            if not feed.fill(blf.OBJECT.size + 8) and not feed.window.strip(b"\x00"):
+                break
             yield from self._object(feed)
         if self._tail.strip(b"\x00"):
             self._report.cut(Place("the log ends inside an object", byte=feed.offset))
@@ -96,9 +95,7 @@ class BlfReader:
             report.cut(Place("the log ends inside an object", byte=feed.offset))
             feed.drop(len(feed.window))
             return
-        problem = (
-            "no object begins here" if skip < 0 else blf.plausible_header(feed.window, skip)
-        )
+        problem = "no object begins here" if skip < 0 else blf.plausible_header(feed.window, skip)
         if problem is None:
             feed.drop(skip)
             _, header_size, _, size, kind = blf.OBJECT.unpack_from(feed.window)
@@ -229,9 +226,7 @@ class BlfWriter(LogWriter):
                 self.losses["bytes of an error frame after the eighth"] += 1
             kind = blf.TYPE_CAN_ERROR_EXT
             length = min(len(frame.data), 8)
-            body = blf.CAN_ERROR_EXT.pack(
-                channel, 0, 0, 0, 0, length, 0, word, 0, frame.data[:8]
-            )
+            body = blf.CAN_ERROR_EXT.pack(channel, 0, 0, 0, 0, length, 0, word, 0, frame.data[:8])
         elif frame.fd:
             kind = blf.TYPE_CAN_FD
             fd_flags = 1 | frame.brs << 1 | frame.esi << 2

@@ -116,7 +116,7 @@ class ByteSource:
             self._held = self._held[3:]
         self.head = self._held
 
-    def read(self, size: int) -> bytes:
+    def read(self, size: int, /) -> bytes:
         """Up to `size` bytes, fewer only at the end."""
         if not self._held:
             return _guarded(self.path, lambda: self._read(size))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Final
 
 from can_dbc.errors import InputError
@@ -117,9 +118,7 @@ class CandumpReader:
                 else:
                     report.skip(place)
                 continue
-            if line.unterminated and not surely_whole(
-                parsed, self._earlier + frames
-            ):
+            if line.unterminated and not surely_whole(parsed, self._earlier + frames):
                 report.cut(
                     Place("the last line has no end and may be cut short", line.number, line.byte)
                 )
@@ -176,7 +175,7 @@ def look_like_deltas(frames: list[LogFrame]) -> bool:
     times = [frame.time_ns for frame in frames]
     if len(times) < 3 or times[0] != 0:
         return False
-    steps = [after - before for before, after in zip(times[1:], times[2:], strict=False)]
+    steps = [after - before for before, after in pairwise(times[1:])]
     falls = sum(step < 0 for step in steps)
     same = not any(steps) and times[1] != 0 and len(steps) >= 2
     return same or 5 * falls >= len(steps)
@@ -229,6 +228,9 @@ class CandumpWriter(LogWriter):
                 body = f"{can_id:03X}#{data.hex().upper()}"
             lines.append(f"({stamp}) {name} {body}{letter}\n")
         self._out.write("".join(lines).encode("ascii"))
+
+    def _finish(self) -> None:
+        """There is nothing after the last line."""
 
     def _interface(self, channel: str) -> str:
         """The network interface name of a channel; numbered channels count from can0."""

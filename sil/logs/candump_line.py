@@ -17,8 +17,8 @@ from sil.logs.times import parse_decimal_ns, utc_ns
 ERROR_FLAG: Final = 0x20000000
 
 
-class NotAFrame(Exception):  # noqa: N818 not an error: a line that is known and no frame
-    """A line that belongs in such a log and is no CAN frame; its argument names it ("" = nothing)."""
+class NotAFrame(Exception):
+    """A line that belongs in such a log and is no frame; its argument names it ("" for nothing)."""
 
 
 class Parsed(NamedTuple):
@@ -59,7 +59,7 @@ _DROPPED = re.compile(r"DROPCOUNT: dropped (\d+) CAN frame")
 def parse_line(text: str) -> Parsed:
     """Parse one line.
 
-    Raises: NotAFrame for a known line that is no frame; ValueError with the reason for a broken one.
+    Raises: NotAFrame for a known line that is no frame; ValueError with what is broken.
     Checked by: tests/unit/sil/logs/test_candump.py.
     """
     if "\x1b" in text:
@@ -99,9 +99,9 @@ def _time(text: str) -> int:
         if time_ns < 0:
             raise ValueError(f"time {text} is negative")
         return time_ns
-    fields = [int(date[i]) for i in range(1, 7)]
+    year, month, day, hour, minute, second = (int(date[i]) for i in range(1, 7))
     try:
-        return utc_ns(*fields, ns=int(date[7].ljust(9, "0")))
+        return utc_ns(year, month, day, hour, minute, second, int(date[7].ljust(9, "0")))
     except (ValueError, OverflowError):
         raise ValueError(f"there is no date {text}") from None
 

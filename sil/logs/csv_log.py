@@ -260,6 +260,9 @@ class CsvWriter(LogWriter):
             )
         self._out.write("".join(rows).encode("ascii"))
 
+    def _finish(self) -> None:
+        """There is nothing after the last row."""
+
 
 class CsvLog:
     """The CSV formats."""

@@ -131,7 +131,7 @@ class MdfFile:
         """
         if not address:
             return
-        found, length, _ = self._head(address)
+        found = self._head(address)[0]
         if found == "HL":
             address = self.block(address, "HL").link(0)
             found = self._head(address)[0] if address else ""

@@ -8,7 +8,6 @@ unsorted, packed and plain files in bounded memory without any library, and name
 from __future__ import annotations
 
 import heapq
-import shutil
 import struct
 import tempfile
 from collections.abc import Iterator
@@ -58,7 +57,8 @@ class Mf4Reader:
             yield from self._read(MdfFile(source.file))
             return
         with tempfile.TemporaryFile() as unpacked:
-            shutil.copyfileobj(source, unpacked, 1 << 20)  # type: ignore[misc]
+            while block := source.read(1 << 20):
+                unpacked.write(block)
             yield from self._read(MdfFile(unpacked))
 
     def _read(self, file: MdfFile) -> Iterator[Batch]:
@@ -162,12 +162,42 @@ class Mf4Reader:
         records = Records(file, self._report, open_end)
         groups = data_group.groups
         if len(groups) == 1:
-            return [
-                sorted_records(records, groups[0], data_group.data_link, data_group.id_size)
-            ]
+            return [sorted_records(records, groups[0], data_group.data_link, data_group.id_size)]
         if not data_group.id_size:
             raise MdfError(groups[0].address, "several groups without record numbers")
         return [unsorted_records(records, groups, data_group.data_link, data_group.id_size)]
+
+
+def holds_signals_only(path: str) -> bool:
+    """Whether an MF4 file has groups of decoded signals and none of CAN frames."""
+    return bool(signal_groups(path))
+
+
+def signal_groups(path: str) -> list[int]:
+    """The numbers of the groups of decoded signals; none when there are CAN frames, or no MF4."""
+    report = LogReport(path, "mf4")
+    source = ByteSource(path, report)
+    found: list[int] = []
+    number = 0
+    try:
+        if source.packed or not Mf4().sniff(source.head):
+            return []
+        file = MdfFile(source.file)
+        for data_group in file.chain(file.block(64, "HD").link(0), "DG"):
+            for group in file.chain(data_group.link(1), "CG"):
+                channels = read_channels(file, group.link(1)) if group.link(1) else []
+                if frame_kind(channels) is not None:
+                    return []
+                if channels and group.unpack(_GROUP)[1]:
+                    found.append(number)
+                number += 1
+    except MdfError as error:
+        raise InputError(
+            f"{path}: byte {error.byte}: {error.reason}; expected a whole MF4"
+        ) from None
+    finally:
+        source.close()
+    return found
 
 
 class Mf4:

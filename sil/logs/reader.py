@@ -39,9 +39,7 @@ class LogReader:
         report = self.report = LogReport(self.path, self.format, strict=self._strict)
         source = ByteSource(self.path, report)
         try:
-            yield from self._watched(
-                self._backend.batches(source, report, self._options), report
-            )
+            yield from self._watched(self._backend.batches(source, report, self._options), report)
         finally:
             source.close()
         self._refuse_silence(report)

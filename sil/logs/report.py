@@ -14,7 +14,7 @@ KEPT_PLACES: Final = 10
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A spot in a file: line (1-based) of a text log, byte offset of a binary one, and what is wrong.
+    """A spot in a file, by line (from 1) in text or byte (from 0), and what is wrong there.
 
     In a compressed file both are counted in the unpacked text.
     """

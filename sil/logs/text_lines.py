@@ -3,7 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import BinaryIO, Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
+
+
+class Readable(Protocol):
+    """Anything that gives bytes, in order."""
+
+    def read(self, size: int, /) -> bytes:
+        """Up to `size` bytes, b"" at the end."""
+        ...
+
 
 CHUNK_BYTES: Final = 1 << 18
 LONGEST_LINE: Final = 1 << 16
@@ -24,7 +33,7 @@ class Chunk(NamedTuple):
     unterminated: bool
 
 
-def chunks(stream: BinaryIO) -> Iterator[Chunk]:
+def chunks(stream: Readable) -> Iterator[Chunk]:
     """Split a stream into chunks of whole lines.
 
     A carriage return before the newline is kept; a lone carriage return ends no line.
@@ -58,7 +67,7 @@ def rest_of_long_line(head: bytes) -> str:
     return head[:LONGEST_LINE].decode("latin-1") + "\n"
 
 
-def _skip_to_newline(stream: BinaryIO, head: bytes) -> tuple[bytes, int, bytes]:
+def _skip_to_newline(stream: Readable, head: bytes) -> tuple[bytes, int, bytes]:
     """Read on to the next newline, keeping only the head; return it, bytes passed, and the rest."""
     passed = len(head)
     while True:
@@ -80,7 +89,7 @@ class Line(NamedTuple):
     unterminated: bool
 
 
-def lines(stream: BinaryIO) -> Iterator[Line]:
+def lines(stream: Readable) -> Iterator[Line]:
     """The lines of a stream, in bounded memory."""
     for chunk in chunks(stream):
         yield from chunk_lines(chunk)

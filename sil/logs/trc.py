@@ -52,7 +52,7 @@ _HEX_BYTE: Final = re.compile(r"[0-9A-F]{2}\Z", re.IGNORECASE)
 _IDENTIFIER: Final = re.compile(r"[0-9A-F]{1,8}\Z", re.IGNORECASE)
 
 
-class _Other(Exception):  # noqa: N818 not an error: a line that is known and no frame
+class _Other(Exception):
     """A line that is no frame; its argument names it."""
 
 

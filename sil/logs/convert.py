@@ -1,0 +1,107 @@
+"""Conversion between log formats, and of signal tables (traces) to and from MF4."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from can_dbc.errors import InputError
+from sil.logs.registry import open_log, open_writer
+from sil.logs.report import LogReport
+
+if TYPE_CHECKING:
+    from sil.logs.traces import TraceReport
+
+
+@dataclass(slots=True)
+class ConvertReport:
+    """What a conversion read and wrote.
+
+    losses: what the target format could not hold, by name, counted.  Every frame read is written.
+    signals: rows and names of a converted signal table, None for a log of frames.
+    """
+
+    source: str
+    target: str
+    read: LogReport | None = None
+    format: str = ""
+    written: int = 0
+    losses: dict[str, int] = field(default_factory=dict)
+    signals: TraceReport | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it as plain JSON values."""
+        return {
+            "source": self.source,
+            "target": self.target,
+            "format": self.format,
+            "written": self.written,
+            "losses": dict(sorted(self.losses.items())),
+            "read": self.read.as_dict() if self.read is not None else None,
+            "signals": self.signals.as_dict() if self.signals is not None else None,
+        }
+
+    def lines(self) -> list[str]:
+        """The report for a reader, one fact per line."""
+        if self.signals is not None:
+            return [
+                f"{self.target}: {self.signals.rows} rows of {len(self.signals.names)} signals "
+                f"({', '.join(self.signals.names)})"
+            ]
+        found = [f"{self.target}: {self.written} frames ({self.format})"]
+        found += [f"not kept: {name}: {count}" for name, count in sorted(self.losses.items())]
+        if self.read is not None:
+            found.append(f"{self.source}:")
+            found += [f"  {line}" for line in self.read.lines()]
+        return found
+
+
+def convert(
+    src: str | os.PathLike[str],
+    dst: str | os.PathLike[str],
+    *,
+    strict: bool = False,
+    times: str = "auto",
+    source_format: str | None = None,
+    target_format: str | None = None,
+) -> ConvertReport:
+    """Read a log and write it in another format, frame by frame in constant memory.
+
+    A table of signals (a CSV that begins with time_s) goes to MF4 with units, and an MF4 of such
+    signals to CSV.  The target appears only when it is whole.
+    Raises: InputError for what cannot be read (with `strict` also for anything broken) or written.
+    Checked by: tests/unit/sil/logs/test_convert.py, tests/contracts/test_log_formats.py.
+    """
+    source, target = os.fspath(src), os.fspath(dst)
+    if os.path.exists(target) and os.path.exists(source) and os.path.samefile(source, target):
+        raise InputError(f"{target}: is the source itself; expected another name")
+    if source_format is None:
+        signals = _signals(source, target)
+        if signals is not None:
+            return ConvertReport(source, target, signals=signals, written=signals.rows)
+    reader = open_log(source, format=source_format, strict=strict, times=times)
+    writer = open_writer(target, format=target_format)
+    with writer:
+        for frame in reader:
+            writer.write(frame)
+    return ConvertReport(
+        source, target, reader.report, writer.format, writer.frames, dict(writer.losses)
+    )
+
+
+def _signals(source: str, target: str) -> TraceReport | None:
+    """Convert a table of signals if the source is one."""
+    from sil.logs.traces import is_signal_mf4, is_trace_csv, mf4_to_trace, trace_to_mf4
+
+    plain = target.removesuffix(".gz").lower()
+    if is_trace_csv(source):
+        if not plain.endswith((".mf4", ".mdf")) or target != target.removesuffix(".gz"):
+            raise InputError(
+                f"{source}: holds signals, no CAN frames; expected a target .mf4 (the bus log of "
+                "the same run holds the frames)"
+            )
+        return trace_to_mf4(source, target)
+    if plain.endswith(".csv") and is_signal_mf4(source):
+        return mf4_to_trace(source, target)
+    return None

@@ -1,0 +1,225 @@
+"""Tables of signals over time: trace CSV to MF4 with units, and back."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import IO, Any, Final
+
+from can_dbc.errors import InputError
+from sil.logs.backend import open_beside
+from sil.logs.byte_source import ByteSource
+from sil.logs.mf4_writer import import_asammdf, new_measurement
+from sil.logs.report import LogReport
+from sil.logs.text_lines import lines
+
+_ROWS: Final = 1 << 14
+_UNITS: Final = (
+    ("_rad_s", "rad/s"),
+    ("_m_s", "m/s"),
+    ("_n_s", "N·s"),
+    ("_pa", "Pa"),
+    ("_kg", "kg"),
+    ("_rad", "rad"),
+    ("_ns", "ns"),
+    ("_m", "m"),
+    ("_n", "N"),
+    ("_s", "s"),
+    ("_k", "K"),
+    ("_j", "J"),
+)
+_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_.\[\]]*\Z")
+
+
+@dataclass(frozen=True, slots=True)
+class TraceReport:
+    """A converted table: its rows, and its signals' names and units beside the time."""
+
+    rows: int
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it as plain JSON values."""
+        return {"rows": self.rows, "names": list(self.names), "units": list(self.units)}
+
+
+def unit_of(name: str) -> str:
+    """The unit that a signal's name carries at its end, "" for none.
+
+    Checked by: tests/unit/sil/logs/test_traces.py.
+    """
+    return next((unit for suffix, unit in _UNITS if name.endswith(suffix)), "")
+
+
+def is_trace_csv(path: str) -> bool:
+    """Whether a file is a table of signals: CSV with time_s first that is no log of frames."""
+    if not path.removesuffix(".gz").lower().endswith(".csv"):
+        return False
+    source = ByteSource(path, LogReport(path, "csv"))
+    source.close()
+    names = source.head.split(b"\n", 1)[0].decode("latin-1").strip().split(",")
+    return names[0] == "time_s" and len(names) > 1 and "data" not in names
+
+
+def is_signal_mf4(path: str) -> bool:
+    """Whether a file is an MF4 with signals and without CAN frames."""
+    from sil.logs.mf4 import holds_signals_only
+
+    return holds_signals_only(path)
+
+
+def _rows(path: str) -> Iterator[tuple[int, list[float]]]:
+    """Rows of a trace with their line numbers, the header's names checked by the caller.
+
+    Raises: InputError at a row that is not whole: a trace has no spare rows to skip.
+    """
+    source = ByteSource(path, LogReport(path, "csv", strict=True))
+    try:
+        count = 0
+        for line in lines(source):
+            text = line.text.strip()
+            if line.number == 1:
+                count = len(text.split(","))
+                continue
+            if not text:
+                continue
+            try:
+                values = [float(word) if word else float("nan") for word in text.split(",")]
+            except ValueError:
+                raise InputError(
+                    f"{path}: line {line.number}: {text[:40]!r} is not numbers; expected {count}"
+                ) from None
+            if len(values) != count:
+                raise InputError(
+                    f"{path}: line {line.number}: {len(values)} columns; expected {count}"
+                )
+            yield line.number, values
+    finally:
+        source.close()
+
+
+def _names(path: str) -> list[str]:
+    source = ByteSource(path, LogReport(path, "csv"))
+    source.close()
+    names = source.head.split(b"\n", 1)[0].decode("latin-1").strip().split(",")
+    for name in names:
+        if not _NAME.match(name) or names.count(name) > 1:
+            raise InputError(
+                f"{path}: line 1: column {name[:40]!r}; expected distinct names of signals"
+            )
+    return names
+
+
+def trace_to_mf4(source: str, target: str) -> TraceReport:
+    """Write a trace as one MF4 group with time in s and every signal with its unit.
+
+    Raises: InputError for a torn trace, a time that falls, or when asammdf is missing.
+    Checked by: tests/unit/sil/logs/test_traces.py.
+    """
+    asammdf = import_asammdf(target)
+    import numpy as np
+
+    names = _names(source)
+    signals = tuple(names[1:])
+    units = tuple(unit_of(name) for name in signals)
+    measurement = new_measurement(target, 0)
+    file, partial = open_beside(target)
+    written = 0
+    try:
+        held: list[list[float]] = []
+        last_s = float("-inf")
+
+        def flush() -> None:
+            nonlocal written
+            table = np.array(held, dtype=np.float64).reshape(len(held), len(names))
+            times = np.ascontiguousarray(table[:, 0])
+            columns = [np.ascontiguousarray(table[:, i + 1]) for i in range(len(signals))]
+            if not written:
+                measurement.append(
+                    [
+                        asammdf.Signal(samples=column, timestamps=times, name=name, unit=unit)
+                        for name, unit, column in zip(signals, units, columns, strict=True)
+                    ],
+                    acq_name="trace",
+                    common_timebase=True,
+                )
+            else:
+                measurement.extend(0, [(times, None), *((column, None) for column in columns)])
+            written += len(held)
+            held.clear()
+
+        for number, values in _rows(source):
+            if not values[0] >= last_s:
+                raise InputError(
+                    f"{source}: line {number}: time {values[0]} s after {last_s} s; expected "
+                    "times that do not fall"
+                )
+            last_s = values[0]
+            held.append(values)
+            if len(held) >= _ROWS:
+                flush()
+        if held:
+            flush()
+        if not written:
+            raise InputError(f"{source}: no rows under the header; expected a trace")
+        measurement.save(file, compression=1, add_history_block=False)
+        file.close()
+        os.replace(partial, target)
+    finally:
+        measurement.close()
+        file.close()
+        if os.path.exists(partial):
+            os.unlink(partial)
+    return TraceReport(written, signals, units)
+
+
+def mf4_to_trace(source: str, target: str) -> TraceReport:
+    """Write the signals of an MF4 group as a trace CSV; times from the start of the file.
+
+    Only a file with one group of signals is one table; others are refused.
+    Raises: InputError for such files, for signals that are no numbers, or when asammdf is missing.
+    Checked by: tests/unit/sil/logs/test_traces.py.
+    """
+    asammdf = import_asammdf(source)
+    from sil.logs.mf4 import signal_groups
+
+    groups = signal_groups(source)
+    if len(groups) != 1:
+        raise InputError(
+            f"{source}: signals in {len(groups)} groups with times of their own; expected one "
+            "group, which is one table"
+        )
+    with asammdf.MDF(source) as measurement:
+        names = [
+            channel.name
+            for channel in measurement.groups[groups[0]].channels
+            if channel.channel_type not in (2, 3)
+        ]
+        columns = [
+            measurement.get(name, group=groups[0], ignore_invalidation_bits=True) for name in names
+        ]
+    for name, column in zip(names, columns, strict=True):
+        if column.samples.ndim != 1 or column.samples.dtype.kind not in "fiub":
+            raise InputError(f"{source}: signal {name}: no plain numbers; expected a table of them")
+    file, partial = open_beside(target)
+    try:
+        _write_trace(file, names, columns)
+        file.close()
+        os.replace(partial, target)
+    finally:
+        file.close()
+        if os.path.exists(partial):
+            os.unlink(partial)
+    units = tuple(str(column.unit or "") for column in columns)
+    return TraceReport(len(columns[0].timestamps), tuple(names), units)
+
+
+def _write_trace(file: IO[bytes], names: list[str], columns: list[Any]) -> None:
+    file.write(",".join(["time_s", *names]).encode("utf-8") + b"\n")
+    times = columns[0].timestamps.tolist()
+    values = [column.samples.tolist() for column in columns]
+    for row in zip(times, *values, strict=True):
+        file.write((",".join([repr(value) for value in row]) + "\n").encode("ascii"))
