@@ -206,7 +206,7 @@ def _stop_event(
 ) -> PlantEvent | None:
     """Return the stay's first impact on the stop of the wanted gear."""
     for event in events:
-        if event.name == "stop" and start <= event.time_s <= until:
+        if event.name == "stay_stop" and start <= event.time_s <= until:
             if abs(float(event.values["position_m"]) - goal_m) <= ARRIVED_WITHIN_M:
                 return event
     return None
@@ -261,7 +261,8 @@ def valve_switchings(record: RunRecord) -> int:
     )
 
 
-def summary(record: RunRecord, found: Sequence[Shift], air_used_kg: float) -> dict[str, Any]:
+def summary(record: RunRecord, found: Sequence[Shift], air_used_kg: float | None
+) -> dict[str, Any]:
     """Return the metrics of result.json.
 
     `shift_time_s` is the time spent shifting: the sum over the shifts of request to arrival at the

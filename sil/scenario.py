@@ -15,9 +15,11 @@ from msgspec import Meta
 from can_dbc.errors import InputError
 from controller.config import FirmwareConfig
 from plant.driveline import DrivelineConfig
+from plant.position_circuit import SensorConfig, SensorFault
+from plant.valve_driver import ValveDriverConfig
 from sil import typed_toml
 from sil.expectations import ChamberName, Expectations, GearName
-from sil.faults import BusFault
+from sil.faults import BusFault, FaultPlan
 
 if TYPE_CHECKING:
     from plant.parameters import ParameterSet
@@ -32,19 +34,20 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """A table of a scenario file; unknown names are refused."""
 
 
-class Request(_Table, frozen=True):
+class Request(_Table, frozen=True, kw_only=True):
     """From `at_s` on the driver asks for `gear`, until the next request."""
 
     at_s: Seconds
     gear: GearName
 
 
-class PlantTable(_Table, frozen=True):
+class PlantTable(_Table, frozen=True, kw_only=True):
     """Conditions of the actuator: where it is mounted, what it is fed with, what resists it.
 
     `supply_pressure_pa` left out is the model's supply.P_s. `charged` names the chambers that stand
     at supply pressure at the start, the others at atmosphere. `mesh_force_n` and `pull_force_n` are
-    the peaks of the force barriers into and out of a gear.
+    the peaks of the force barriers into and out of a gear. `closing_follows_duty`: the valves close
+    the sooner the smaller the duty was. `truth_period_s`: of the frames that carry the truth.
     """
 
     mounted: bool = False
@@ -53,46 +56,44 @@ class PlantTable(_Table, frozen=True):
     damper: Literal["none", "incompressible", "compressible"] = "none"
     mesh_force_n: Newtons = 0.0
     pull_force_n: Newtons = 0.0
+    closing_follows_duty: bool = False
+    speeds_period_s: Annotated[float, Meta(ge=0.001, le=0.02)] = 0.01
+    truth_period_s: Annotated[float, Meta(ge=0.001, le=1.0)] = 0.01
 
 
-class SensorTable(_Table, frozen=True):
-    """The position sensor: when its pulses start, and how warm its coil really is.
+class DriverTable(_Table, frozen=True, kw_only=True):
+    """When the driver's frames go out: at phase_s + k period_s."""
 
-    A pulse starts at phase_s + k period_s; left out, the phase is the one that gives the
-    firmware its newest possible sample half a default period old. `delay_s` is added to the
-    instant at which the pulse is published. `measured_temperature_k` is what the firmware
-    compensates for; left out, it is right.
-    """
-
-    period_s: Annotated[float, Meta(ge=0.001, le=0.1)] = 0.01
-    phase_s: Annotated[float, Meta(ge=0.0, le=0.1)] | None = None
-    delay_s: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.0
-    coil_temperature_k: Annotated[float, Meta(ge=200.0, le=450.0)] = 293.15
-    measured_temperature_k: Annotated[float, Meta(ge=200.0, le=450.0)] | None = None
+    period_s: Annotated[float, Meta(ge=0.001, le=1.0)] = 0.02
+    phase_s: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
 
 
-class BusTable(_Table, frozen=True):
-    """The CAN bus: bit rate, and the share of it that other nodes' frames take."""
+class BusTable(_Table, frozen=True, kw_only=True):
+    """The CAN bus: bit rate, and the share of it that other nodes' frames of a priority take."""
 
     bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 500_000
     extra_load: Annotated[float, Meta(ge=0.0, le=0.95)] = 0.0
+    extra_priority: Annotated[int, Meta(ge=0, le=7)] = 3
 
 
-class Scenario(_Table, frozen=True):
+class Scenario(_Table, frozen=True, kw_only=True):
     """One run, complete. `model` holds overrides of model parameters by their path."""
 
     name: Annotated[str, Meta(min_length=1, max_length=80)]
     description: str = ""
     duration_s: Annotated[float, Meta(gt=0.0, le=86400.0)]
-    seed: Annotated[int, Meta(ge=0, lt=1 << 63)] = 1
+    seed: Annotated[int, Meta(ge=0, le=(1 << 53) - 1)] = 1
     initial_gear: GearName = "neutral"
     request: list[Request]
+    driver: DriverTable = DriverTable()
     plant: PlantTable = PlantTable()
-    driveline: DrivelineConfig | None = None
-    sensor: SensorTable = SensorTable()
+    driveline: DrivelineConfig = DrivelineConfig()
+    valve_driver: ValveDriverConfig = ValveDriverConfig()
+    sensor: SensorConfig = SensorConfig()
     controller: FirmwareConfig = FirmwareConfig()
     bus: BusTable = BusTable()
     fault: list[BusFault] = []
+    sensor_fault: list[SensorFault] = []
     model_set: str = "nominal"
     model: dict[str, float | list[float]] = {}
     trace_period_s: Annotated[float, Meta(ge=1e-5, le=1.0)] = 0.0005
@@ -143,7 +144,7 @@ def load(
         raw["seed"] = seed
     _normalise(raw, "--set")
     scenario = _build(raw, "--set" if settings or seed is not None else source)
-    _check_requests(scenario, source)
+    _check_consistent(scenario, source)
     return Loaded(scenario, _overridden(parameters, scenario.model, source), source)
 
 
@@ -267,8 +268,8 @@ def _apply(raw: dict[str, Any], text: str, parameters: ParameterSet) -> None:
         )
 
 
-def _check_requests(scenario: Scenario, source: str) -> None:
-    """Refuse requests out of order or after the end."""
+def _check_consistent(scenario: Scenario, source: str) -> None:
+    """Refuse what each value allows and the whole does not: order of requests, empty faults."""
     last = -1.0
     for index, request in enumerate(scenario.request):
         place = f"{source}: request[{index}].at_s"
@@ -281,3 +282,7 @@ def _check_requests(scenario: Scenario, source: str) -> None:
         last = request.at_s
     if len(set(scenario.plant.charged)) != len(scenario.plant.charged):
         raise InputError(f"{source}: plant.charged: a chamber twice; expected each once")
+    try:
+        FaultPlan(scenario.fault, scenario.seed)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from None

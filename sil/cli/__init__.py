@@ -13,6 +13,8 @@ PASSED, FAILED, BAD_INPUT, NOT_FINISHED = 0, 1, 2, 3
 
 COMMANDS = {
     "run": "run one scenario: plant and controller over CAN",
+    "node": "run one participant of a scenario alone, on a bus",
+    "bus": "transports found here; load and worst-case response times",
 }
 """Command name to one line of help; the command itself is the module of that name in this package,
 with `add_arguments(parser)` and `run(arguments) -> exit code`."""

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from can_dbc.messages import Chamber, ControllerStatus, SafetyBlow, ValveCommand
-from sil.metrics import OPEN_ABOVE, Shift
+from can_dbc.messages import Chamber, ControllerStatus, SafetyBlow
+from sil.metrics import Shift
 from sil.report.theme import LIGHT, Theme
 from sil.run_record import CHAMBERS, NS, Floats, RunRecord
 
@@ -338,34 +338,35 @@ Span = tuple[float, float]
 
 
 def valve_spans(record: RunRecord, chamber: str) -> tuple[list[Span], list[Span], list[Span]]:
-    """Return (start, length) in s of a valve commanded open, blowing, and actually open.
+    """Return (start, length) in s of a coil energised, a safety blow under way, a valve open.
 
-    Commanded is what the bus carried: a duty that opens, or an active safety blow.
+    The coil is what commands and blows amount to at the valve driver, timeouts included.
     """
     end = float(record.truth["time_s"][-1])
-    blow_times, blows = record.series(SafetyBlow, "active")
+    times, active = record.series(SafetyBlow, "active")
     _, chambers = record.series(SafetyBlow, "chamber")
-    blowing = [a and c == Chamber[chamber] for a, c in zip(blows, chambers, strict=True)]
-    times, duty = record.series(ValveCommand, f"duty_{chamber.lower()}")
-    opening = [d > OPEN_ABOVE for d in duty]
-    commanded = _spans(*_either(times, opening, blow_times, blowing), end)
-    moves = [(e.time_s, e.name) for e in record.events if e.name.startswith(f"valve_{chamber}_")]
-    first = bool(record.truth[f"valve_{chamber}"][0] > 0.5)
-    at = np.array([0.0, *(t for t, _ in moves)])
-    actual = _spans(at, [first, *(n.endswith("_open") for _, n in moves)], end)
-    return commanded, _spans(blow_times, blowing, end), actual
+    blowing = [a and c == Chamber[chamber] for a, c in zip(active, chambers, strict=True)]
+    coil = _event_spans(record, f"coil_{chamber}_", ("on", "off"), False, end)
+    is_open = bool(record.truth[f"valve_{chamber}"][0] > 0.5)
+    valve = _event_spans(record, f"valve_{chamber}_", ("open", "close"), is_open, end)
+    return coil, _overlap(_spans(times, blowing, end), coil), valve
 
 
-def _either(
-    times: Floats, on: list[bool], other_times: Floats, other_on: list[bool]
-) -> tuple[Floats, list[bool]]:
-    """Return the held series that is on while either of two held series is."""
-    merged = np.unique(np.concatenate([times, other_times]))
-    held = [
-        np.concatenate([[False], s])[np.searchsorted(t, merged, side="right")]
-        for t, s in ((times, on), (other_times, other_on))
+def _event_spans(
+    record: RunRecord, prefix: str, names: tuple[str, str], at_start: bool, end: float
+) -> list[Span]:
+    """Return the spans between a pair of plant events that switch something on and off."""
+    moves = [(e.time_s, e.name) for e in record.events if e.name.startswith(prefix)]
+    times = np.array([0.0, *(t for t, _ in moves)])
+    return _spans(times, [at_start, *(n == prefix + names[0] for _, n in moves)], end)
+
+
+def _overlap(spans: list[Span], others: list[Span]) -> list[Span]:
+    """Return the parts of spans that lie within other spans."""
+    pairs = [
+        (max(a, c), min(a + b, c + d)) for a, b in spans for c, d in others if a < c + d and c < a + b
     ]
-    return merged, [bool(v) for v in np.logical_or(*held)]
+    return [(start, stop - start) for start, stop in pairs]
 
 
 def _valves(drawing: Drawing, axes: Axes, window: Window, is_first: bool, is_last: bool) -> None:

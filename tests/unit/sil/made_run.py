@@ -78,7 +78,7 @@ def made() -> RunRecord:
     events = [
         PlantEvent(0.118, "valve_B_open"),
         PlantEvent(
-            0.150, "stop", {"position_m": STROKE, "speed_m_s": 0.6425, "energy_j": 0.2}
+            0.150, "stay_stop", {"position_m": STROKE, "speed_m_s": 0.6425, "energy_j": 0.2}
         ),
         PlantEvent(0.2355, "valve_B_close"),
     ]

@@ -1,0 +1,199 @@
+"""Participants made from a scenario, in this process or in processes of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+from zlib import crc32
+
+from can_dbc.errors import InputError
+from can_dbc.frame import Frame
+from can_dbc.messages import Gear
+from sil.clock import to_ns
+from sil.scenario import Loaded, Scenario, expanded
+from sil.transports.channel import Channel, ParticipantLost, Patience
+from sil.transports.inproc import InProcess, Participant
+
+if TYPE_CHECKING:
+    from plant.node import PlantConfig, PlantNode
+    from sil.event_log import EventLog
+    from sil.recorder import TraceWriter
+
+SCENARIO = "scenario.json"
+REMOTE = ("controller", "plant")
+"""Who runs in a process of its own on every transport but inproc; driver and traffic never do."""
+
+PATIENCE = Patience(start_s=300.0, answer_s=2.0, close_s=5.0)
+INITIAL = {"neutral": "N", "backward": "B", "forward": "F"}
+
+Say = Callable[[str], None]
+
+
+def gear_of(name: str) -> Gear:
+    """Return the gear of a scenario's word for it."""
+    return Gear[name.upper()]
+
+
+def scenario_number(scenario: Scenario) -> int:
+    """Return 32 bits that tell scenarios apart when a participant joins; never 0."""
+    return crc32(json.dumps(expanded(scenario), sort_keys=True).encode()) or 1
+
+
+def plant_config(scenario: Scenario) -> PlantConfig:
+    """Return the plant's settings of a scenario."""
+    from plant.node import PlantConfig
+
+    table = scenario.plant
+    return PlantConfig(
+        initial=INITIAL[scenario.initial_gear],  # type: ignore[arg-type]
+        charged=tuple(table.charged),
+        supply_pressure_pa=table.supply_pressure_pa,
+        mounted=table.mounted,
+        damper=table.damper,
+        mesh_force_n=table.mesh_force_n,
+        pull_force_n=table.pull_force_n,
+        closing_follows_duty=table.closing_follows_duty,
+        driveline=scenario.driveline,
+        valve_driver=scenario.valve_driver,
+        sensor=scenario.sensor,
+        sensor_faults=tuple(scenario.sensor_fault),
+        speeds_period_s=table.speeds_period_s,
+        truth_period_s=table.truth_period_s,
+        trace_period_s=scenario.trace_period_s,
+        seed=scenario.seed,
+    )
+
+
+class RecordedPlant:
+    """The plant node together with the files that its trace and events go to."""
+
+    name = "plant"
+
+    def __init__(self, node: PlantNode, trace: TraceWriter, events: EventLog) -> None:
+        self.node = node
+        self._files = (trace, events)
+
+    def start(self) -> int:
+        """Return the instant of the plant's first event, ns."""
+        return self.node.start()
+
+    def advance(
+        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
+    ) -> tuple[list[tuple[int, Frame]], int]:
+        """Advance the plant. Raises ParticipantLost when its motion cannot be continued."""
+        from plant.hybrid import IntegrationError
+
+        try:
+            return self.node.advance(until_ns, deliveries)
+        except IntegrationError as error:
+            raise ParticipantLost("plant", f"could not go on: {error}") from None
+
+    def close(self) -> None:
+        """Close the node, which tells its balances, then the files."""
+        self.node.close()
+        for file in self._files:
+            file.close()
+
+
+def make_participant(name: str, loaded: Loaded, folder: Path) -> Participant:
+    """Return one participant of a scenario; the plant records into `folder`. Raises InputError."""
+    scenario = loaded.scenario
+    if name == "driver":
+        from sil.driver import DriverNode
+
+        schedule = [(to_ns(r.at_s), gear_of(r.gear)) for r in scenario.request]
+        driver = scenario.driver
+        return DriverNode(
+            gear_of(scenario.initial_gear), schedule, to_ns(driver.period_s), to_ns(driver.phase_s)
+        )
+    if name == "controller":
+        from controller.node import ControllerNode
+
+        return ControllerNode(scenario.controller)
+    if name == "traffic":
+        from sil.traffic import TrafficNode
+
+        bus = scenario.bus
+        return TrafficNode(bus.extra_load, bus.extra_priority, bus.bitrate, scenario.seed)
+    if name != "plant":
+        raise InputError(f"participant {name!r}: expected driver, controller or plant")
+    from plant.node import TRACE_COLUMNS, PlantNode
+    from sil.event_log import EVENTS, EventLog
+    from sil.recorder import PLANT_TRACE, TraceWriter
+
+    trace, events = TraceWriter(folder / PLANT_TRACE, TRACE_COLUMNS), EventLog(folder / EVENTS)
+    try:
+        node = PlantNode(plant_config(scenario), loaded.parameters, trace, events)
+        warm_up(loaded)
+    except InputError as error:
+        raise InputError(f"{loaded.source}: {error}") from None
+    return RecordedPlant(node, trace, events)
+
+
+def warm_up(loaded: Loaded) -> None:
+    """Load (or compile) the plant's kernels now, not within the first turn of a run."""
+    import numpy as np
+
+    from plant.length_stroke import LengthStroke
+
+    stroke = LengthStroke(loaded.parameters)
+    stroke.advance(1_000_000, [(500_000, 0, 1.0)], np.array([1_000_000], dtype=np.int64))
+
+
+def participant_names(scenario: Scenario) -> tuple[str, ...]:
+    """Return who takes part in a scenario."""
+    names = ("driver", "controller", "plant")
+    return (*names, "traffic") if scenario.bus.extra_load > 0.0 else names
+
+
+def open_channels(
+    loaded: Loaded,
+    folder: Path,
+    transport: str,
+    external: Iterable[str],
+    say: Say,
+    closing: contextlib.ExitStack,
+) -> list[Channel]:
+    """Return the channels to all participants of a run, their processes started.
+
+    `transport`: inproc, local, or a CAN interface; participants named in `external` are started by
+    somebody else. The files that the plant's process writes are in `folder`.
+    Raises InputError for a transport that this machine does not have, RunError for one in use.
+    """
+    names = participant_names(loaded.scenario)
+    external = set(external)
+    if transport == "inproc":
+        if external:
+            raise InputError("--external: needs --transport local or a CAN interface")
+        return [InProcess([make_participant(name, loaded, folder) for name in names])]
+    number = scenario_number(loaded.scenario)
+    if transport == "local":
+        from sil.transports.hub import Hub
+
+        channel = f"run-{os.getpid()}"
+        remote: Hub | SocketCan = Hub(channel, REMOTE, scenario=number, patience=PATIENCE, say=say)
+        channel = f"local:{channel}"
+    else:
+        from sil.transports.socketcan import SocketCan
+
+        channel = transport
+        remote = SocketCan(transport, REMOTE, scenario=number, patience=PATIENCE, say=say)
+    closing.callback(remote.close, aborted=True)  # until the coordinator has it
+    for name in REMOTE:
+        if name in external:
+            say(f"waiting for {name}: opc4 node {name} --channel {channel} --scenario ...")
+        else:
+            remote.spawn(name, node_command(name, channel, folder))
+    here = [make_participant(name, loaded, folder) for name in names if name not in REMOTE]
+    return [remote, InProcess(here)]
+
+
+def node_command(name: str, channel: str, folder: Path) -> list[str]:
+    """Return the command that runs one participant of the run in `folder` in its own process."""
+    command = [sys.executable, "-m", "sil.cli", "node", name, "--channel", channel]
+    return [*command, "--scenario", str(folder / SCENARIO), "--out", str(folder), "--force"]

@@ -1,0 +1,106 @@
+"""Show the transports found on this machine, and load and worst-case response times of a bus.
+
+Without --dbc it is the project's own contract; with a scenario, the periods are that scenario's."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from sil.cli.options import add_json
+
+EXAMPLE = """\
+example:
+  opc4 bus --bitrate 250000
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--dbc", metavar="FILE", help="another database [the project's]")
+    parser.add_argument("--scenario", metavar="SCENARIO", help="take periods and bit rate from it")
+    parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="[500000]")
+    add_json(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from can_dbc.errors import InputError
+    from sil import wcrt
+
+    if arguments.dbc and arguments.scenario:
+        raise InputError("--dbc, --scenario: both given; expected one of them")
+    bitrate = 500_000
+    if arguments.dbc:
+        from can_dbc.dbc import load_dbc
+
+        messages = wcrt.database_messages(load_dbc(arguments.dbc))
+    elif arguments.scenario:
+        from sil import scenario
+        from sil.bus_figures import scenario_messages
+
+        loaded = scenario.load(arguments.scenario).scenario
+        bitrate, messages = loaded.bus.bitrate, scenario_messages(loaded)
+    else:
+        messages = wcrt.contract_messages()
+    bitrate = arguments.bitrate or bitrate
+    load = float(wcrt.utilisation(messages, bitrate))
+    responses = wcrt.response_times(messages, bitrate)
+    transports = _transports()
+    told: dict[str, Any] = {
+        "transports": transports,
+        "bitrate": bitrate,
+        "worst_case_load": load,
+        "messages": [
+            {
+                "name": r.name,
+                "can_id": f"{r.can_id:08X}",
+                "period_s": r.period_ns / 1e9,
+                "transmission_s": r.transmission_ns / 1e9,
+                "blocking_s": r.blocking_ns / 1e9,
+                "worst_case_s": r.response_ns / 1e9,
+                "deadline_s": r.deadline_ns / 1e9,
+                "in_time": r.in_time,
+            }
+            for r in responses
+        ],
+    }
+    if arguments.json:
+        print(json.dumps(told, indent=1))
+    else:
+        _tell(told)
+    return 0 if all(r.in_time for r in responses) else 1
+
+
+def _transports() -> dict[str, Any]:
+    """Return what a run can use here: always one process, and what the system has."""
+    import socket
+
+    from sil.transports.address import running_channels
+
+    interfaces = []
+    for _, name in socket.if_nameindex():
+        try:
+            with open(f"/sys/class/net/{name}/type", encoding="ascii") as file:
+                if file.read().strip() == "280":  # ARPHRD_CAN
+                    interfaces.append(name)
+        except OSError:
+            continue
+    return {"inproc": True, "local": True, "local_runs": running_channels(), "can": interfaces}
+
+
+def _tell(told: dict[str, Any]) -> None:
+    found = told["transports"]
+    print("transports: inproc, local" + "".join(f", {name}" for name in found["can"]))
+    if not found["can"]:
+        print("  no CAN interface on this machine")
+    for name in found["local_runs"]:
+        print(f"  a run listens on local:{name}")
+    print(f"bus: {told['bitrate']} bit/s, {100 * told['worst_case_load']:.1f} % loaded at worst")
+    print(f"  {'message':<18} {'identifier':>10} {'period ms':>10} {'frame ms':>9} {'blocked ms':>11} {'worst ms':>9}")
+    for m in told["messages"]:
+        late = "" if m["in_time"] else "  too late"
+        print(
+            f"  {m['name']:<18} {m['can_id']:>10} {1e3 * m['period_s']:>10.1f} "
+            f"{1e3 * m['transmission_s']:>9.3f} {1e3 * m['blocking_s']:>11.3f} "
+            f"{1e3 * m['worst_case_s']:>9.3f}{late}"
+        )

@@ -1,0 +1,146 @@
+"""Run one scenario: plant and controller over CAN.
+
+SCENARIO is a file, the name of a shipped scenario (see --list), or the result.json of an earlier
+run, which then runs again as it was."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sil.cli.options import add_json, add_model, add_out, say
+
+if TYPE_CHECKING:
+    from sil.cosim import Finished
+    from sil.scenario import Loaded
+
+EXAMPLE = """\
+example:
+  opc4 run full_shift --transport local --out first
+  opc4 run lab_n_b --set controller.filter=false --set valve.D_fall=0.01
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="file or shipped name")
+    parser.add_argument("--list", action="store_true", help="list the shipped scenarios")
+    parser.add_argument(
+        "--transport",
+        default="inproc",
+        metavar="inproc|local|CHANNEL",
+        help="one process; processes on a local bus; processes on a CAN interface [inproc]",
+    )
+    parser.add_argument(
+        "--external",
+        action="append",
+        default=[],
+        choices=("controller", "plant"),
+        help="do not start this participant: it joins from elsewhere",
+    )
+    parser.add_argument("--realtime", action="store_true", help="pace by the wall clock")
+    parser.add_argument(
+        "--speed",
+        type=float,
+        metavar="FACTOR",
+        help="simulated seconds per wall second in real time [1]; implies --realtime",
+    )
+    add_model(parser)
+    parser.add_argument("--seed", type=int, metavar="N", help="seed of everything random")
+    parser.add_argument("--junit", type=Path, metavar="FILE", help="write the checks as JUnit XML")
+    parser.add_argument("--no-report", action="store_true", help="no picture and no page")
+    add_out(parser, "runs/SCENARIO-N")
+    add_json(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from can_dbc.errors import InputError
+
+    if arguments.list:
+        return _list()
+    if arguments.scenario is None:
+        raise InputError("no SCENARIO; expected a file or a shipped name, see opc4 run --list")
+    from sil import scenario
+    from sil.results import as_json, junit_xml, prepare_folder, write_whole
+
+    loaded = scenario.load(
+        arguments.scenario,
+        model=arguments.model,
+        settings=arguments.settings,
+        seed=arguments.seed,
+    )
+    speed = arguments.speed if arguments.speed is not None else 1.0 if arguments.realtime else None
+    folder = prepare_folder(arguments.out, loaded.scenario.name, arguments.force)
+    _tell_first_use()
+    from sil import cosim
+
+    finished = cosim.run(
+        loaded,
+        folder,
+        transport=arguments.transport,
+        speed=speed,
+        external=arguments.external,
+        say=say,
+    )
+    if not arguments.no_report and finished.record is not None:
+        from sil.report.run_report import write_report
+
+        write_report(finished, folder)
+    if arguments.junit is not None:
+        write_whole(arguments.junit, junit_xml(finished.result))
+    if arguments.json:
+        print(as_json(finished.result))
+    else:
+        _tell(loaded, finished, folder)
+    if not finished.result.complete:
+        say(f"opc4 run: {finished.result.why}; what was recorded is in {folder}")
+        return 3
+    return 0 if finished.result.passed else 1
+
+
+def _list() -> int:
+    from sil import scenario
+
+    for name in scenario.shipped():
+        loaded = scenario.load(name)
+        first = loaded.scenario.description.strip().split("\n")[0]
+        print(f"{name:<24} {first}")
+    return 0
+
+
+def _tell_first_use() -> None:
+    from plant.compiled import is_warm
+
+    if not is_warm():
+        say("compiling the plant's equations, once; this takes about a minute ...")
+
+
+def _tell(loaded: Loaded, finished: Finished, folder: Path) -> None:
+    """Print what a user wants to know at once."""
+    result = finished.result
+    met = sum(check.passed for check in result.expectations)
+    print(f"{result.scenario_name}: {result.status}, {met} of {len(result.expectations)} checks met")
+    for check in result.expectations:
+        if not check.passed:
+            print(f"  not met: {check.name}: {check.value}; expected {check.limit}")
+    for shift in finished.shifts:
+        line = f"  {shift.from_gear} to {shift.to_gear}: "
+        if shift.shift_time_s is None:
+            line += "never arrived"
+        else:
+            line += f"{1e3 * shift.shift_time_s:.0f} ms from request to stop"
+        if shift.impact_speed_m_s is not None and shift.impact_energy_j is not None:
+            line += f", impact {shift.impact_speed_m_s:.2f} m/s ({shift.impact_energy_j:.1f} J)"
+        if shift.position_lag_10_s is not None and shift.position_lag_90_s is not None:
+            line += (
+                f"; controller's position late by {1e3 * shift.position_lag_10_s:.0f} ms at 10 %, "
+                f"{1e3 * shift.position_lag_90_s:.0f} ms at 90 % of travel"
+            )
+        print(line)
+    if result.bus:
+        print(f"  bus {100 * result.bus['load']:.0f} % loaded, {result.bus['frames']} frames")
+    if "late_p50_s" in result.speed:
+        late = [f"{q} {1e3 * result.speed[f'late_{q}_s']:.2f} ms" for q in ("p50", "p99", "max")]
+        print(f"  real time: late by {', '.join(late)}; {result.speed['overruns']:.0f} overruns")
+    names = sorted(p.name for p in folder.iterdir())
+    print(f"  {folder}: {' '.join(names)}")

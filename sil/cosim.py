@@ -1,0 +1,232 @@
+"""One run of a scenario: participants, bus and recorder put together, run, and judged."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from can_dbc.errors import InputError, RunError
+from sil import assembly, expectations, metrics
+from sil.assembly import SCENARIO, Say
+from sil.bus import BusModel, Delivery
+from sil.bus_figures import bus_figures, response_check
+from sil.clock import to_ns
+from sil.event_log import EVENTS, read_events
+from sil.faults import FaultPlan
+from sil.lockstep import TURN_ORDER, Lockstep, RunSummary
+from sil.realtime import Pacer
+from sil.recorder import BUS_LOG, PLANT_TRACE, BusLog, read_trace, trace_sha256
+from sil.results import Check, Result, versions, write_result, write_whole
+from sil.run_record import BusFrame, RunRecord
+from sil.scenario import Loaded, expanded
+from sil.trace_csv import write_trace_csv
+
+CUT_OFF = "the run was cut off before it could say why"
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A run that has ended, well or not: its result, and what it left when there is enough of it."""
+
+    result: Result
+    record: RunRecord | None
+    shifts: list[metrics.Shift]
+
+
+def run(
+    loaded: Loaded,
+    folder: Path,
+    *,
+    transport: str = "inproc",
+    speed: float | None = None,
+    external: Iterable[str] = (),
+    say: Say = lambda message: None,
+) -> Finished:
+    """Run a scenario into an empty folder and write everything but pictures there.
+
+    `speed`: simulated seconds per wall second in real-time mode, None as fast as it goes. A run
+    that a participant ends early is written too, marked incomplete with the reason; result.json
+    stands from the start, so even a killed run says that it is not complete.
+    Raises InputError for what the scenario or the transport cannot be; the folder is then empty.
+    Checked by test_end_to_end, test_crash.
+    """
+    scenario = loaded.scenario
+    begun = time.perf_counter()
+    pacer = None if speed is None else Pacer(speed)
+    plan = FaultPlan(scenario.fault, scenario.seed)
+    bus = BusModel(
+        scenario.bus.bitrate,
+        frame_filter=plan.frame_filter if plan.touches_frames else None,
+        is_off=plan.is_off if plan.touches_frames else None,
+    )
+    base = _blank(loaded, transport)
+    frames: list[BusFrame] = []
+    summary: RunSummary | None = None
+    why: str | None = None
+    try:
+        with contextlib.ExitStack() as closing:
+            write_whole(folder / SCENARIO, json.dumps({"scenario": expanded(scenario)}, indent=1))
+            channels = assembly.open_channels(loaded, folder, transport, external, say, closing)
+            write_result(_with(base, why=CUT_OFF), folder)
+            log = BusLog(folder / BUS_LOG)
+            closing.callback(log.close)
+
+            def record(deliveries: list[Delivery]) -> None:
+                log.record(deliveries)
+                frames.extend(BusFrame(d.queued_ns, d.arrival_ns, d.sender, d.frame) for d in deliveries)
+
+            lockstep = closing.enter_context(
+                Lockstep(
+                    bus,
+                    channels,
+                    to_ns(scenario.duration_s),
+                    record=record,
+                    outages=plan if scenario.fault else None,
+                    pacer=pacer,
+                    order=(*TURN_ORDER, "traffic"),
+                )
+            )
+            summary = lockstep.run()
+    except InputError:
+        _discard(folder)
+        raise
+    except RunError as error:
+        why = str(error)
+    except KeyboardInterrupt:
+        why = "interrupted"
+    if summary is not None:
+        for warning in lockstep.warnings:
+            say(warning)
+    return _judge(loaded, folder, base, why, frames, log, bus, plan, summary, begun)
+
+
+def _blank(loaded: Loaded, transport: str) -> Result:
+    scenario = loaded.scenario
+    return Result(
+        scenario_name=scenario.name,
+        passed=False,
+        complete=False,
+        why=None,
+        expectations=[],
+        metrics={},
+        trace_sha256=None,
+        seed=scenario.seed,
+        transport=transport,
+        versions=versions(),
+        bus={},
+        balances={},
+        speed={},
+        scenario=expanded(scenario),
+        model={path: loaded.parameters[path].value for path in loaded.parameters},
+        status="incomplete",
+    )
+
+
+def _with(result: Result, **changes: Any) -> Result:
+    import msgspec
+
+    return msgspec.structs.replace(result, **changes)
+
+
+def _discard(folder: Path) -> None:
+    """Remove what a run that could not begin has put into its folder."""
+    for name in (SCENARIO, BUS_LOG, PLANT_TRACE, EVENTS, "result.json"):
+        (folder / name).unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # not empty: it was there before us
+        folder.rmdir()
+
+
+def _judge(
+    loaded: Loaded,
+    folder: Path,
+    base: Result,
+    why: str | None,
+    frames: list[BusFrame],
+    log: BusLog,
+    bus: BusModel,
+    plan: FaultPlan,
+    summary: RunSummary | None,
+    begun: float,
+) -> Finished:
+    """Turn what was recorded into metrics and checks, and write result.json and trace.csv."""
+    scenario = loaded.scenario
+    record = _read_record(loaded, folder, frames)
+    found: list[metrics.Shift] = []
+    figures: dict[str, Any] = {}
+    checks: list[Check] = []
+    balances: dict[str, Any] = {}
+    bus_told = bus_figures(scenario, bus, plan)
+    if record is not None:
+        initial = assembly.gear_of(scenario.initial_gear)
+        found = metrics.shifts(record, initial)
+        balances = next((dict(e.values) for e in record.events if e.name == "balance"), {})
+        figures = metrics.summary(record, found, balances.get("air_in_kg"))
+        write_trace_csv(record, folder / "trace.csv")
+        if why is None:
+            checks = expectations.evaluate(scenario.expect, record, found, figures)
+            checks += _balance_checks(balances)
+            checks += response_check(scenario, bus_told)
+    complete = why is None and summary is not None and record is not None
+    passed = complete and all(c.passed for c in checks)
+    wall = time.perf_counter() - begun
+    speed: dict[str, float] = {"wall_s": wall}
+    if summary is not None:
+        speed["loop_wall_s"] = summary.wall_s
+        speed["simulated_per_wall"] = scenario.duration_s / summary.wall_s
+        speed["turns"] = summary.turns
+        if summary.lateness is not None:
+            late = summary.lateness
+            speed |= {f"late_{q}_s": getattr(late, f"{q}_s") for q in ("p50", "p99", "max")}
+            speed["overruns"] = late.overruns
+    result = _with(
+        base,
+        passed=passed,
+        complete=complete,
+        why=why,
+        expectations=checks,
+        metrics=figures,
+        trace_sha256=trace_sha256(log.digest(), folder / PLANT_TRACE) if complete else None,
+        bus=bus_told,
+        balances=balances,
+        speed=speed,
+        status="passed" if passed else "failed" if complete else "incomplete",
+    )
+    write_result(result, folder)
+    if record is not None:
+        (folder / PLANT_TRACE).unlink()
+    (folder / SCENARIO).unlink()
+    return Finished(result, record, found)
+
+
+def _balance_checks(balances: dict[str, Any]) -> list[Check]:
+    if not balances:
+        return [Check(name="mass and energy balances", passed=False, value=None, limit="closed")]
+    closed = balances["closed"] == 1.0
+    told = "closed" if closed else "open"
+    return [Check(name="mass and energy balances", passed=closed, value=told, limit="closed")]
+
+
+def _read_record(loaded: Loaded, folder: Path, frames: list[BusFrame]) -> RunRecord | None:
+    """Return what was recorded, or None when the plant never got as far as two rows."""
+    if not (folder / PLANT_TRACE).exists():
+        return None
+    trace = read_trace(folder / PLANT_TRACE)
+    if len(trace.rows) < 2:
+        return None
+    parameters, table = loaded.parameters, loaded.scenario.plant
+    supply = table.supply_pressure_pa
+    return RunRecord(
+        truth={name: np.ascontiguousarray(trace.rows[:, i]) for i, name in enumerate(trace.columns)},
+        events=read_events(folder / EVENTS),
+        frames=frames,
+        stroke_m=parameters.value("length.stroke"),
+        free_travel_m=parameters.value("length.x_free_total"),
+        supply_pressure_pa=parameters.value("supply.P_s") if supply is None else supply,
+    )
