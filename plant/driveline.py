@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import msgspec
 
+from .errors import InputError
 from .valve import NS_PER_S, seconds_to_ns
 
 BACKWARD, NO_GEAR, FORWARD = 1, 0, -1  # direction of a gear, as the sign of the stay's position
+
+LARGEST = 1e6  # of any value below, in its unit: far beyond every drivetrain
 
 
 class DrivelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -38,6 +41,10 @@ class DrivelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     impulse_forward_n_s: float | None = None
 
     def __post_init__(self) -> None:
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
+            if value is not None and not abs(value) <= LARGEST:
+                raise ValueError(f"{name} must lie within -{LARGEST:g}..{LARGEST:g}")
         for name in ("engine_ramp_rad_s2", "inertia_kg_m2", "cone_gain_m"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be positive")
@@ -68,11 +75,12 @@ class Driveline:
     ) -> None:
         """Start at rest with the stay at `position_m`, in gear beyond `x_block_m` from neutral.
 
-        In neutral the engine has already synchronised. Without a synchronizer (on a rig) only a
+        In neutral the engine has already synchronised. Raises InputError unless `x_block_m` is
+        positive. Without a synchronizer (on a rig) only a
         stated impulse blocks.
         """
         if not x_block_m > 0.0:
-            raise ValueError("x_block_m must be positive")
+            raise InputError(f"synchronizer.x_block: {x_block_m:g}; expected above 0 m")
         self.config = config
         self.has_synchronizer = has_synchronizer
         self.x_block_m = x_block_m

@@ -19,6 +19,7 @@ from can_dbc.messages import DrivelineSpeeds, Gear, PlantMotion, PlantPressures,
 
 from . import layout
 from .driveline import BACKWARD, FORWARD, NO_GEAR, Driveline, DrivelineConfig
+from .errors import InputError
 from .hybrid import Balance
 from .length_stroke import LengthStroke
 from .parameters import ParameterSet
@@ -121,7 +122,14 @@ class PlantNode:
         self.config = config
         self._on_event = on_event
         duty = parameters.value("valve.duty_nominal")
+        if not 0.0 <= duty <= 1.0:
+            raise InputError(f"valve.duty_nominal: {duty:g}; expected 0 to 1")
         timing = ValveTiming.from_parameters(parameters, config.closing_follows_duty)
+        if config.charged and duty < timing.duty_open:
+            raise InputError(
+                f"valve.duty_nominal: {duty:g}; expected at least valve.duty_open, "
+                f"{timing.duty_open:g}, where a chamber is charged"
+            )
         self.valves = tuple(
             Valve(timing, is_open=c in config.charged, duty=duty if c in config.charged else 0.0)
             for c in CHAMBERS

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .errors import InputError
 from .valve import NS_PER_S, ParameterValues, seconds_to_ns
 
 Floats = NDArray[np.float64]
@@ -32,6 +33,7 @@ class InductiveSensor:
     t8V(x, T) = (t_mid + slope x) (1 + temp_coeff (T - T_ref)), x in m from neutral.
 
     Parameters: t_mid_s [s], slope_s_m [s/m], temp_coeff_1_k [1/K], t_ref_k [K], tick_s [s].
+    Raises InputError for a time, slope or tick that cannot be.
     Source: thesis 2.2.4; numbers inferred.
     """
 
@@ -40,6 +42,15 @@ class InductiveSensor:
     temp_coeff_1_k: float
     t_ref_k: float
     tick_s: float
+
+    def __post_init__(self) -> None:
+        for name, size in (
+            ("t_mid", self.t_mid_s),
+            ("slope", abs(self.slope_s_m)),
+            ("timer_resolution", self.tick_s),
+        ):
+            if not size > 0.0:
+                raise InputError(f"position_sensor.{name}: {size:g}; expected other than 0")
 
     @classmethod
     def from_parameters(cls, parameters: ParameterValues) -> InductiveSensor:
@@ -86,13 +97,17 @@ def butterworth_sections(order: int, cutoff_hz: float, rate_hz: float) -> Floats
     """Second-order sections [n, 5] (b0 b1 b2 a1 a2) of a digital Butterworth low-pass filter.
 
     Poles of H(s) = prod 1/(s - p_k), p_k = exp(j pi (2k + n + 1)/(2n)), through the bilinear
-    transform with the cut-off prewarped; every section has unit gain at rest.
-    Raises ValueError unless `order` is even and 0 < cutoff_hz < rate_hz/2.
+    transform with the cut-off prewarped; every section has unit gain at rest. An odd order's last
+    section is of first order.
+    Raises InputError unless 1 <= order <= 12 and 0 < cutoff_hz < rate_hz/2.
     """
-    if order < 2 or order % 2:
-        raise ValueError(f"filter order {order} is not a positive even number")
+    if not 1 <= order <= 12:
+        raise InputError(f"position_sensor.butter_order: {order}; expected 1 to 12, or 0 for none")
     if not 0.0 < cutoff_hz < 0.5 * rate_hz:
-        raise ValueError(f"cut-off {cutoff_hz} Hz is not within 0..{0.5 * rate_hz} Hz")
+        raise InputError(
+            f"position_sensor.butter_fc: {cutoff_hz:g}; expected above 0 and below "
+            f"{0.5 * rate_hz:g} Hz, half the sample rate"
+        )
     w = np.tan(np.pi * cutoff_hz / rate_hz)
     k = np.arange(order // 2)
     damping = 2.0 * np.sin(np.pi * (2 * k + 1) / (2 * order))  # s^2 + damping s + 1
@@ -100,7 +115,11 @@ def butterworth_sections(order: int, cutoff_hz: float, rate_hz: float) -> Floats
     b0 = w * w / a0
     a1 = 2.0 * (w * w - 1.0) / a0
     a2 = (1.0 - damping * w + w * w) / a0
-    return np.stack([b0, 2.0 * b0, b0, a1, a2], axis=1)
+    sections = np.stack([b0, 2.0 * b0, b0, a1, a2], axis=1)
+    if order % 2:
+        b0 = w / (1.0 + w)
+        sections = np.vstack([sections, [b0, b0, 0.0, (w - 1.0) / (w + 1.0), 0.0]])
+    return sections
 
 
 def filter_from_rest(sections: Floats, samples: Floats) -> Floats:
@@ -140,6 +159,12 @@ class InternalChain:
     cutoff_hz: float
     coil_temperature_k: float
     measured_temperature_k: float
+
+    def __post_init__(self) -> None:
+        if not 1e-6 <= self.period_s <= 10.0:
+            raise InputError(f"position_sensor.period: {self.period_s:g}; expected 1e-6 to 10 s")
+        if not 0.0 <= self.latency_s <= 10.0:
+            raise InputError(f"position_sensor.latency: {self.latency_s:g}; expected 0 to 10 s")
 
     @classmethod
     def from_parameters(cls, parameters: ParameterValues) -> InternalChain:

@@ -10,7 +10,10 @@ from dataclasses import dataclass
 from math import log
 from typing import Protocol
 
+from .errors import InputError
+
 NS_PER_S = 1_000_000_000
+LONGEST_DELAY_S = 10.0  # of a valve; ten times any that a plunger could have
 
 
 def seconds_to_ns(seconds: float) -> int:
@@ -35,7 +38,7 @@ class ValveTiming:
     energised and `fall_delay_ns` after it is not.
 
     Parameters: duties 0..1, delays in ns; `fall_base_s` and `fall_tau_s` in s, used only when
-    `closing_follows_duty`.
+    `closing_follows_duty`. Raises InputError naming the parameter that is out of range.
     Source: thesis 3.1.3 (8 ms, 35 ms, 33 %, 35 %); the duty-dependent closing is inferred from
     its remark on the freewheel diode.
     """
@@ -49,10 +52,20 @@ class ValveTiming:
     fall_tau_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.rise_ns < 0 or self.fall_ns < 0 or self.fall_base_s < 0 or self.fall_tau_s < 0:
-            raise ValueError("valve delays must not be negative")
+        delays_s = {
+            "D_rise": self.rise_ns / NS_PER_S,
+            "D_fall": self.fall_ns / NS_PER_S,
+            "fall_base": self.fall_base_s,
+            "fall_tau": self.fall_tau_s,
+        }
+        for name, delay_s in delays_s.items():
+            if not 0.0 <= delay_s <= LONGEST_DELAY_S:
+                raise InputError(f"valve.{name}: {delay_s:g}; expected 0 to {LONGEST_DELAY_S:g} s")
         if not 0.0 <= self.duty_closed < self.duty_open <= 1.0:
-            raise ValueError("valve thresholds must hold 0 <= duty_closed < duty_open <= 1")
+            raise InputError(
+                f"valve.duty_closed, valve.duty_open: {self.duty_closed:g}, {self.duty_open:g}; "
+                "expected 0 <= duty_closed < duty_open <= 1"
+            )
 
     @classmethod
     def from_parameters(

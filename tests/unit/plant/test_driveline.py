@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from can_dbc.errors import InputError
 from plant.driveline import BACKWARD, FORWARD, NO_GEAR, Driveline, DrivelineConfig
 
 MS = 1_000_000
@@ -138,9 +139,12 @@ def test_impossible_values_are_refused() -> None:
     for text in ('{"inertia_kg_m2": 0.0}', '{"impulse_forward_n_s": -1}', '{"engine_delay_s": -1}'):
         with pytest.raises(msgspec.ValidationError, match="must"):
             msgspec.json.decode(text.encode(), type=DrivelineConfig)
+    for value in (float("nan"), float("inf"), -1e9):
+        with pytest.raises(ValueError, match="residual_rad_s must"):
+            DrivelineConfig(residual_rad_s=value)
     with pytest.raises(msgspec.ValidationError, match="unknown field"):
         msgspec.json.decode(b'{"output": 1}', type=DrivelineConfig)
-    with pytest.raises(ValueError, match="x_block_m"):
+    with pytest.raises(InputError, match=r"synchronizer.x_block: "):
         Driveline(DrivelineConfig(), 0.0, 0.0)
     driveline = Driveline(DrivelineConfig(), X_BLOCK, 0.0)
     driveline.advance(10, 0.0, 0.0, NO_GEAR)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from can_dbc.codec import decode
 from can_dbc.e2e import E2eStatus, Protector, Receiver
+from can_dbc.errors import InputError
 from can_dbc.frame import Frame
 from can_dbc.messages import (
     Chamber,
@@ -457,3 +458,17 @@ def test_configuration_is_typed_and_closed() -> None:
     ):
         with pytest.raises(msgspec.ValidationError):
             msgspec.json.decode(text.encode(), type=PlantConfig)
+
+
+def test_impossible_parameters_are_named() -> None:
+    for changes, charged, text in (
+        ({"valve.duty_nominal": 1.2}, (), "valve.duty_nominal"),
+        ({"valve.duty_nominal": 0.3}, ("B",), "valve.duty_nominal"),
+        ({"valve.D_rise": -0.001}, (), "valve.D_rise"),
+        ({"valve.duty_open": 0.2}, (), "valve.duty_open"),
+        ({"position_sensor.t_mid": 0.002}, (), "sensor.capture_s"),
+        ({"synchronizer.x_block": 0.0}, (), "synchronizer.x_block"),
+    ):
+        config = msgspec.structs.replace(PlantConfig(), charged=charged)
+        with pytest.raises(InputError, match=text):
+            PlantNode(config, NOMINAL.override(changes))

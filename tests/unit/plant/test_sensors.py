@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
+from can_dbc.errors import InputError
 from plant.sensors import (
     Gauge,
     InductiveSensor,
@@ -71,7 +72,9 @@ def test_a_pulse_and_its_discharge_fit_into_2_to_3_ms() -> None:
 
 
 # --- filter ------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("order", "cutoff"), [(2, 5.0), (4, 22.0), (6, 22.0), (8, 45.0)])
+@pytest.mark.parametrize(
+    ("order", "cutoff"), [(1, 10.0), (2, 5.0), (3, 22.0), (6, 22.0), (8, 45.0)]
+)
 def test_sections_have_the_response_of_scipys_design(order: int, cutoff: float) -> None:
     sections = butterworth_sections(order, cutoff, 100.0)
     ours = np.insert(sections, 3, 1.0, axis=1)
@@ -96,11 +99,22 @@ def test_filter_is_settled_at_its_first_sample_and_vectorised() -> None:
 
 
 @pytest.mark.parametrize(
-    ("order", "cutoff", "text"), [(5, 22.0, "even"), (0, 22.0, "even"), (6, 50.0, "cut-off")]
+    ("order", "cutoff", "text"),
+    [(13, 22.0, "butter_order"), (0, 22.0, "butter_order"), (6, 50.0, "butter_fc")],
 )
 def test_impossible_filters_are_refused(order: int, cutoff: float, text: str) -> None:
-    with pytest.raises(ValueError, match=text):
+    with pytest.raises(InputError, match=text):
         butterworth_sections(order, cutoff, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"), [("t_mid", 0.0), ("slope", 0.0), ("period", 0.0), ("latency", -1.0)]
+)
+def test_impossible_parameters_are_named(path: str, value: float) -> None:
+    nominal = Nominal()
+    nominal.sections["position_sensor"][path]["value"] = value
+    with pytest.raises(InputError, match=f"position_sensor.{path}: "):
+        InternalChain.from_parameters(nominal)
 
 
 # --- the chain ---------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from can_dbc.errors import InputError
 from plant.valve import Valve, ValveTiming, seconds_to_ns, switch_schedule
 
 MS = 1_000_000
@@ -73,9 +74,9 @@ def test_impossible_duty_is_refused(duty: float) -> None:
 def test_impossible_start_timing_and_order_are_refused() -> None:
     with pytest.raises(ValueError, match="cannot be open"):
         Valve(TIMING, is_open=True, duty=0.0)
-    with pytest.raises(ValueError, match="delays"):
+    with pytest.raises(InputError, match=r"valve.D_rise: "):
         ValveTiming(-1, 0, 0.33, 0.35)
-    with pytest.raises(ValueError, match="thresholds"):
+    with pytest.raises(InputError, match=r"valve.duty_open: "):
         ValveTiming(1, 1, 0.35, 0.35)
     valve = Valve(TIMING)
     valve.command(5, 0.98)
