@@ -1,8 +1,9 @@
 """End-to-end protection of the safety-relevant messages: AUTOSAR E2E profile 2.
 
 Byte 0 is CRC-8 0x2F over bytes 1 to 7 and the data id that belongs to the counter, the low nibble
-of byte 1 the counter. The 16 data ids of each message stand in opc4.dbc and no two messages share
-one, so that a masqueraded frame never passes. The CRC is the autosar-e2e library's; the check and
+of byte 1 the counter. The 16 data ids of each message stand in opc4.dbc. No two messages share one,
+so that a masqueraded frame never passes, and they are chosen such that every error of one or two
+bits is found, also where it hits the counter. The CRC is the autosar-e2e library's; the check and
 the state machine of the receiver follow AUTOSAR PRS E2E Protocol (profile 2 check, E2E_SM with the
 status mapping of release 4.2 and later), extended by a timeout in simulated time.
 Checked by: tests/contracts/test_e2e.py, tests/unit/can_dbc/test_e2e.py
@@ -172,9 +173,10 @@ class Protector(Generic[M]):
 class Receiver(Generic[M]):
     """The receiving end of one channel: checks each frame and says whether to trust the channel.
 
-    `message` is the message of the latest frame with status OK or OK_SOME_LOST and `message_ns`
-    its arrival; use it only while `state(now_ns)` is VALID. `counts` counts each status,
-    `reason` says what was wrong with the latest frame of status ERROR.
+    `message` is the message of the latest frame with status OK, OK_SOME_LOST or SYNC and
+    `message_ns` its arrival; use it only while `state(now_ns)` is VALID: then it is there and not
+    older than the timeout. `counts` counts each status, `reason` says what was wrong with the
+    latest frame of status ERROR.
     Assumes non-decreasing times. Source: AUTOSAR PRS E2E Protocol, profile 2 and E2E_SM.
     Checked by: tests/contracts/test_e2e.py, tests/unit/can_dbc/test_e2e.py
     """
@@ -248,7 +250,7 @@ class Receiver(Generic[M]):
             self.reason = str(error)
             return E2eStatus.ERROR
         status = self._check_counter(data[1] & LARGEST_COUNTER)
-        if status is E2eStatus.OK or status is E2eStatus.OK_SOME_LOST:
+        if _FOR_STATE_MACHINE[status] is E2eStatus.OK:
             self.message = message  # type: ignore[assignment]
             self.message_ns = now_ns
         return status

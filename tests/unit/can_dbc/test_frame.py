@@ -1,0 +1,85 @@
+"""Identifiers: hand-worked J1939 splits, the inverse, lockstep bits."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from can_dbc.frame import (
+    MAX_ID,
+    Frame,
+    J1939Id,
+    from_offer,
+    is_lockstep,
+    is_offer,
+    join_id,
+    split_id,
+    to_offer,
+)
+
+
+@pytest.mark.parametrize(
+    ("can_id", "parts"),
+    [
+        (0x0CF00203, J1939Id(3, 61442, 3, 255)),  # ETC1 of a transmission
+        (0x18F00503, J1939Id(6, 61445, 3, 255)),  # ETC2
+        (0x0CF00400, J1939Id(3, 61444, 0, 255)),  # EEC1 of an engine
+        (0x0C000003, J1939Id(3, 0, 3, 0)),  # TSC1, destination engine
+        (0x18EAFF17, J1939Id(6, 59904, 0x17, 255)),  # request to all
+        (0x18EF3112, J1939Id(6, 61184, 0x12, 0x31)),  # proprietary A, PDU format 239
+        (0x1CFF4090, J1939Id(7, 0xFF40, 0x90, 255)),
+        (0x1FFF02F9, J1939Id(7, 0x3FF02, 0xF9, 255)),
+        (0, J1939Id(0, 0, 0, 0)),
+        (MAX_ID, J1939Id(7, 0x3FFFF, 255, 255)),
+    ],
+)
+def test_known_identifiers(can_id: int, parts: J1939Id) -> None:
+    assert split_id(can_id) == parts
+    assert join_id(*parts) == can_id
+
+
+@given(st.integers(0, MAX_ID))
+def test_join_inverts_split(can_id: int) -> None:
+    assert join_id(*split_id(can_id)) == can_id
+
+
+@pytest.mark.parametrize("can_id", [-1, MAX_ID + 1])
+def test_split_refuses_what_is_not_29_bits(can_id: int) -> None:
+    with pytest.raises(ValueError, match="29-bit"):
+        split_id(can_id)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        (8, 0, 0, 0),
+        (-1, 0, 0, 0),
+        (0, 0x40000, 0, 0),
+        (0, -1, 0, 0),
+        (0, 0, 256, 0),
+        (0, 0, -1, 0),
+        (0, 0, 0, 256),
+        (0, 0, 0, -1),
+        (0, 1, 0, 0),  # a destination-specific group whose low byte is not 0
+    ],
+)
+def test_join_refuses_parts_that_do_not_fit(parts: tuple[int, int, int, int]) -> None:
+    with pytest.raises(ValueError, match=r"J1939|destination"):
+        join_id(*parts)
+
+
+def test_offers_and_control_frames() -> None:
+    frame = Frame(0x08FF1003, b"12345678")
+    offer = to_offer(frame)
+    assert offer == Frame(0x0AFF1003, b"12345678")
+    assert from_offer(offer) == frame
+    assert (is_lockstep(offer.can_id), is_offer(offer.can_id)) == (True, True)
+    assert (is_lockstep(frame.can_id), is_offer(frame.can_id)) == (False, False)
+    grant = 0x1FFF02F9
+    assert (is_lockstep(grant), is_offer(grant)) == (True, False)
+    ordinary_with_data_page = 0x0DFF1003
+    assert (is_lockstep(ordinary_with_data_page), is_offer(ordinary_with_data_page)) == (
+        False,
+        False,
+    )
