@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -25,11 +24,12 @@ from controller.config import (
     SensorConfig,
     ShiftConfig,
 )
-from controller.firmware import ChannelState, Firmware, Inputs, Outputs
+from controller.firmware import ChannelState, Firmware, Inputs
 from controller.position import Estimate
 from controller.strategies import Duties, ShiftContext, one_chamber
 from controller.strategies.open_loop import OpenLoop
-from tests.unit.controller.toy_actuator import MS, STROKE_M, Rig, Row, Stay, asks, pulse_s
+from tests.unit.controller.invariants import check_invariants, duties
+from tests.unit.controller.toy_actuator import MS, STROKE_M, Rig, Stay, asks, pulse_s
 
 N, B, F, U = Gear.NEUTRAL, Gear.BACKWARD, Gear.FORWARD, Gear.UNKNOWN
 S = ShiftState
@@ -44,49 +44,6 @@ def shift(start: Gear, *wishes: tuple[float, Gear], **more: Any) -> Rig:
         request=asks((0.0, start), *wishes),
         **more,
     )
-
-
-def duties(out: Outputs) -> tuple[float, float, float]:
-    return out.valves.duty_b, out.valves.duty_n, out.valves.duty_f
-
-
-def check_invariants(rows: Sequence[Row], config: FirmwareConfig | None = None) -> None:
-    """What must hold in every step of every run."""
-    config = config or FirmwareConfig()
-    last_ns: dict[Chamber, int] = {}
-    for row in rows:
-        out, status = row.out, row.out.status
-        on = {c for c, d in zip((Chamber.B, Chamber.N, Chamber.F), duties(out), strict=True) if d}
-        if out.blow.active:
-            on.add(out.blow.chamber)
-            assert duties(out) == (0.0, 0.0, 0.0)
-            assert 0.0 < out.blow.remaining_s <= 0.15
-        else:
-            assert out.blow.chamber is Chamber.NONE
-            assert out.blow.remaining_s == 0.0
-        assert not {Chamber.B, Chamber.F} <= on
-        for chamber, other in ((Chamber.B, Chamber.F), (Chamber.F, Chamber.B)):
-            if chamber in on and other in last_ns:
-                off_ns = row.time_ns - last_ns[other] - config.period_ns
-                assert off_ns >= config.shift.interlock_s * 1e9
-        last_ns.update(dict.fromkeys(on, row.time_ns))
-        if status.state is S.FAULT:
-            assert not on
-            assert status.confirmed is U
-            assert status.faults
-        if on:
-            assert status.state in (S.PUSH, S.CONFIRM, S.BLOW)
-        if status.state in (S.PUSH, S.CONFIRM):
-            assert status.confirmed is U
-        assert (status.state is S.BLOW) == out.blow.active
-        assert all(0.0 <= d <= 1.0 for d in duties(out))
-        x_m = status.estimate_m
-        if status.confirmed is N:
-            assert abs(x_m) <= 0.0025
-        elif status.confirmed is B:
-            assert x_m >= STROKE_M - 0.0015
-        elif status.confirmed is F:
-            assert x_m <= -(STROKE_M - 0.0015)
 
 
 class TestShifts:
