@@ -22,6 +22,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 KERNEL_SOURCES = (
     "compiled.py",
+    "views.py",
     "layout.py",
     "flow.py",
     "chamber.py",
@@ -73,7 +74,7 @@ def kernel(function: F) -> F:
     previous = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = _FOLDER
     try:
-        compiled: F = numba.njit(cache=True, error_model="numpy")(function)
+        compiled: F = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
     finally:
         numba.config.CACHE_DIR = previous
     return compiled

@@ -12,7 +12,20 @@ from __future__ import annotations
 
 from .compiled import called, kernel
 from .fixed_equations import fixed_guards, fixed_impacts, fixed_settle
-from .layout import FIXED, LOIL, M_DAMPER, M_SYSTEM, P_ATM, SPENT, SYNC_IMPULSE
+from .layout import (
+    FIXED,
+    FOIL,
+    FV,
+    LOIL,
+    M_DAMPER,
+    M_SYSTEM,
+    P_ATM,
+    SPENT,
+    SYNC_IMPULSE,
+    V1,
+    V2,
+    VS,
+)
 from .length_contacts import (
     G_OIL_EMPTY,
     G_SPEED1,
@@ -25,7 +38,6 @@ from .length_contacts import (
     settle,
 )
 from .length_contacts import guards as length_guards
-from .layout import FOIL, FV, V1, V2, VS
 from .steppers import (
     derivative,
     explicit_dense,
@@ -35,6 +47,7 @@ from .steppers import (
     stiff_dense,
     stiff_step,
 )
+from .views import rows, view
 
 # Columns of the event record.
 EVENT_TIME, EVENT_GUARD, EVENT_LOST, EVENT_SPEED, EVENT_BLOCK, EVENT_X, EVENT_V = range(7)
@@ -45,6 +58,8 @@ DONE, TOO_MANY_EVENTS, STEP_TOO_SMALL, NOT_FINITE = 0, 1, 2, 3
 
 LONGEST_STEP_S = 5e-3
 FIRST_STEP_S = 2e-5
+# Shape of the scratch array.
+WORKSPACE_ROWS, ROW = 80, 64
 # A velocity below this after an event is rounding.
 ZERO_M_S = 1e-12
 
@@ -164,7 +179,7 @@ def after_event(t, index, y, m, p, record, work):
 @kernel
 def start(y, m, p, workspace):
     """Choose the modes of an initial state."""
-    choose_modes(0.0, y, m, p, workspace[0])
+    choose_modes(0.0, view(y, 0), view(m, 0), view(p, 0), view(workspace, 0))
 
 
 @kernel
@@ -203,24 +218,31 @@ def advance(
     samples : float64 [s], times at which the state is wanted, ascending -> out [s, n]
     events : float64 [e, EVENT_COLUMNS], filled in order
     counts : int64 [4]: events, steps, rejected steps, samples written; added to
-    workspace : float64 [40, >= 64] scratch
+    workspace : float64 [WORKSPACE_ROWS, ROW] scratch
     """
+    y = view(y, 0)
+    pivot = view(m, 16)
+    m = view(m, 0)
+    u0 = view(u0, 0)
+    du = view(du, 0)
+    p = view(p, 0)
+    c = view(c, 0)
+    scale = view(scale, 0)
     n_all = n + quad
     with_quad = quad > 0
-    work = workspace[0]
-    g = workspace[1]
-    g0 = workspace[2]
-    stage = workspace[3]
-    err = workspace[4]
-    y1 = workspace[5]
-    record = workspace[6]
-    column = workspace[7]
-    ft = workspace[8]
-    k = workspace[9:16]
-    dense = workspace[16:21]
-    jac = workspace[21:61]
-    lu = workspace[61:73]
-    pivot = m[16:32]
+    work = view(workspace, 0 * ROW)
+    g = view(workspace, 1 * ROW)
+    g0 = view(workspace, 2 * ROW)
+    stage = view(workspace, 3 * ROW)
+    err = view(workspace, 4 * ROW)
+    y1 = view(workspace, 5 * ROW)
+    record = view(workspace, 6 * ROW)
+    column = view(workspace, 7 * ROW)
+    ft = view(workspace, 8 * ROW)
+    k = rows(view(workspace, 9 * ROW), ROW)
+    dense = rows(view(workspace, 16 * ROW), ROW)
+    jac = rows(view(workspace, 21 * ROW), ROW)
+    lu = rows(view(workspace, 61 * ROW), ROW)
     t = 0.0
     i_switch = 0
     i_sample = 0
