@@ -10,7 +10,7 @@ Checked by: tests/physics/test_steppers.py (order of convergence, dense output, 
 
 from __future__ import annotations
 
-from .compiled import called
+from .compiled import called, inlined
 from .fixed_equations import fixed_rates
 from .layout import FIXED, M_SYSTEM
 from .length_equations import rates
@@ -37,48 +37,72 @@ def error_norm(y, y1, err, scale, n, tolerance):
     return (total / n) ** 0.5
 
 
-@called
-def explicit_step(t, h, y, y1, k, m, u0, du, p, c, work, stage, err, scale, n, n_all, quad, tol):
-    """Dormand-Prince 5(4) from y (k[0] = f(t, y)) -> y1, k[6] = f(t + h, y1); returns error norm."""
-    for i in range(n_all):
-        stage[i] = y[i] + h * 0.2 * k[0, i]
-    derivative(t + 0.2 * h, stage, k[1], m, u0, du, p, c, work, quad)
-    for i in range(n_all):
-        stage[i] = y[i] + h * (3.0 / 40.0 * k[0, i] + 9.0 / 40.0 * k[1, i])
-    derivative(t + 0.3 * h, stage, k[2], m, u0, du, p, c, work, quad)
-    for i in range(n_all):
-        stage[i] = y[i] + h * (
+@inlined
+def stage_1(h, y, k, out, count):
+    """State of the first inner stage: y + h/5 k0."""
+    for i in range(count):
+        out[i] = y[i] + h * 0.2 * k[0, i]
+
+
+@inlined
+def stage_2(h, y, k, out, count):
+    """State of the second inner stage."""
+    for i in range(count):
+        out[i] = y[i] + h * (3.0 / 40.0 * k[0, i] + 9.0 / 40.0 * k[1, i])
+
+
+@inlined
+def stage_3(h, y, k, out, count):
+    """State of the third inner stage."""
+    for i in range(count):
+        out[i] = y[i] + h * (
             44.0 / 45.0 * k[0, i] - 56.0 / 15.0 * k[1, i] + 32.0 / 9.0 * k[2, i]
         )
-    derivative(t + 0.8 * h, stage, k[3], m, u0, du, p, c, work, quad)
-    for i in range(n_all):
-        stage[i] = y[i] + h * (
+
+
+@inlined
+def stage_4(h, y, k, out, count):
+    """State of the fourth inner stage."""
+    for i in range(count):
+        out[i] = y[i] + h * (
             19372.0 / 6561.0 * k[0, i]
             - 25360.0 / 2187.0 * k[1, i]
             + 64448.0 / 6561.0 * k[2, i]
             - 212.0 / 729.0 * k[3, i]
         )
-    derivative(t + 8.0 / 9.0 * h, stage, k[4], m, u0, du, p, c, work, quad)
-    for i in range(n_all):
-        stage[i] = y[i] + h * (
+
+
+@inlined
+def stage_5(h, y, k, out, count):
+    """State of the fifth inner stage, at the end of the step."""
+    for i in range(count):
+        out[i] = y[i] + h * (
             9017.0 / 3168.0 * k[0, i]
             - 355.0 / 33.0 * k[1, i]
             + 46732.0 / 5247.0 * k[2, i]
             + 49.0 / 176.0 * k[3, i]
             - 5103.0 / 18656.0 * k[4, i]
         )
-    derivative(t + h, stage, k[5], m, u0, du, p, c, work, quad)
-    for i in range(n_all):
-        y1[i] = y[i] + h * (
+
+
+@inlined
+def stage_6(h, y, k, out, count):
+    """The solution of order 5, which is also the last stage."""
+    for i in range(count):
+        out[i] = y[i] + h * (
             35.0 / 384.0 * k[0, i]
             + 500.0 / 1113.0 * k[2, i]
             + 125.0 / 192.0 * k[3, i]
             - 2187.0 / 6784.0 * k[4, i]
             + 11.0 / 84.0 * k[5, i]
         )
-    derivative(t + h, y1, k[6], m, u0, du, p, c, work, quad)
-    for i in range(n):
-        err[i] = h * (
+
+
+@inlined
+def local_error(h, k, out, count):
+    """Difference of the solutions of order 5 and 4."""
+    for i in range(count):
+        out[i] = h * (
             71.0 / 57600.0 * k[0, i]
             - 71.0 / 16695.0 * k[2, i]
             + 71.0 / 1920.0 * k[3, i]
@@ -86,7 +110,38 @@ def explicit_step(t, h, y, y1, k, m, u0, du, p, c, work, stage, err, scale, n, n
             + 22.0 / 525.0 * k[5, i]
             - 1.0 / 40.0 * k[6, i]
         )
+
+
+@called
+def explicit_step(t, h, y, y1, k, m, u0, du, p, c, work, stage, err, scale, n, n_all, quad, tol):
+    """Dormand-Prince 5(4) from y (k[0] = f(t, y)) -> y1, k[6] = f(t + h, y1); error norm."""
+    stage_1(h, y, k, stage, n_all)
+    derivative(t + 0.2 * h, stage, k[1], m, u0, du, p, c, work, quad)
+    stage_2(h, y, k, stage, n_all)
+    derivative(t + 0.3 * h, stage, k[2], m, u0, du, p, c, work, quad)
+    stage_3(h, y, k, stage, n_all)
+    derivative(t + 0.8 * h, stage, k[3], m, u0, du, p, c, work, quad)
+    stage_4(h, y, k, stage, n_all)
+    derivative(t + 8.0 / 9.0 * h, stage, k[4], m, u0, du, p, c, work, quad)
+    stage_5(h, y, k, stage, n_all)
+    derivative(t + h, stage, k[5], m, u0, du, p, c, work, quad)
+    stage_6(h, y, k, y1, n_all)
+    derivative(t + h, y1, k[6], m, u0, du, p, c, work, quad)
+    local_error(h, k, err, n)
     return error_norm(y, y1, err, scale, n, tol)
+
+
+@inlined
+def dense_quartic(h, k, i):
+    """Last coefficient of element i of the order-4 interpolant."""
+    return h * (
+        -12715105075.0 / 11282082432.0 * k[0, i]
+        + 87487479700.0 / 32700410799.0 * k[2, i]
+        - 10690763975.0 / 1880347072.0 * k[3, i]
+        + 701980252875.0 / 199316789632.0 * k[4, i]
+        - 1453857185.0 / 822651844.0 * k[5, i]
+        + 69997945.0 / 29380423.0 * k[6, i]
+    )
 
 
 @called
@@ -99,14 +154,7 @@ def explicit_dense(h, y, y1, k, dense, n_all):
         dense[1, i] = d
         dense[2, i] = b
         dense[3, i] = d - h * k[6, i] - b
-        dense[4, i] = h * (
-            -12715105075.0 / 11282082432.0 * k[0, i]
-            + 87487479700.0 / 32700410799.0 * k[2, i]
-            - 10690763975.0 / 1880347072.0 * k[3, i]
-            + 701980252875.0 / 199316789632.0 * k[4, i]
-            - 1453857185.0 / 822651844.0 * k[5, i]
-            + 69997945.0 / 29380423.0 * k[6, i]
-        )
+        dense[4, i] = dense_quartic(h, k, i)
 
 
 @called
