@@ -20,10 +20,9 @@ def to_ns(seconds: float, place: str = "time") -> int:
     """
     if not math.isfinite(seconds) or seconds < 0.0:
         raise InputError(f"{place}: {seconds!r} s; expected a finite time, zero or more")
-    nanoseconds = round(seconds * NS_PER_S)
-    if nanoseconds >= NEVER_NS:
-        raise InputError(f"{place}: {seconds!r} s; expected less than {NEVER_NS / NS_PER_S:.0f} s")
-    return nanoseconds
+    if seconds >= NEVER_NS // NS_PER_S:
+        raise InputError(f"{place}: {seconds!r} s; expected less than {NEVER_NS // NS_PER_S} s")
+    return round(seconds * NS_PER_S)
 
 
 def to_seconds(nanoseconds: int) -> float:

@@ -13,7 +13,7 @@ from can_dbc.errors import RunError
 from can_dbc.frame import Frame
 from sil.clock import NEVER_NS, to_seconds
 from sil.realtime import Lateness, Pacer
-from sil.transports.channel import Channel, ParticipantLost, Turn
+from sil.transports.channel import NOBODY, Channel, ParticipantLost, Turn
 from sil.transports.inproc import InProcess
 from sil.transports.wire import can_be_offered
 
@@ -36,8 +36,11 @@ class BusAuthority(Protocol):
         """Return the frames that arrived up to and at `until_ns`, in order of arrival."""
 
 
-class Downtime(Protocol):
-    """When participants do not run; `sil.faults` has the one of the scenarios."""
+class Outages(Protocol):
+    """When participants do not run or do not hear; `sil.faults.FaultPlan` is one."""
+
+    def deaf(self, instant_ns: int) -> frozenset[str]:
+        """Return who does not hear a frame that arrives at this instant."""
 
     def next_event(self, name: str, event_ns: int, period_ns: int) -> int:
         """Return the participant's first event from `event_ns` on at which it runs.
@@ -76,7 +79,7 @@ class Lockstep:
         end_ns: int,
         *,
         record: Callable[[list[Delivery]], None],
-        downtime: Downtime | None = None,
+        outages: Outages | None = None,
         pacer: Pacer | None = None,
         order: Sequence[str] = TURN_ORDER,
     ) -> None:
@@ -95,7 +98,7 @@ class Lockstep:
         self._channels = sorted(channels, key=lambda channel: isinstance(channel, InProcess))
         self._channel_of = {name: channel for channel in channels for name in channel.names}
         self._record = record
-        self._downtime = downtime
+        self._outages = outages
         self._pacer = pacer
         self._next: dict[str, int] = {}
         self._running = threading.Event()
@@ -181,15 +184,9 @@ class Lockstep:
         if deliveries:
             self._frames += len(deliveries)
             self._record(deliveries)
-        if self._pacer is None:
-            if deliveries:
-                for channel in self._channels:
-                    channel.deliver(deliveries)
-        else:
-            for delivery in deliveries:
-                self._pacer.wait(delivery.arrival_ns, self._idle)
-                for channel in self._channels:
-                    channel.deliver((delivery,))
+        if deliveries:
+            self._deliver(deliveries)
+        if self._pacer is not None:
             self._pacer.wait(now_ns, self._idle)
         self.now_ns = now_ns
         for channel in self._channels:
@@ -200,6 +197,18 @@ class Lockstep:
         for name in due:
             self._take(name, now_ns, turns[name])
         self._turns += len(due)
+
+    def _deliver(self, deliveries: list[Delivery]) -> None:
+        if self._pacer is None and self._outages is None:
+            for channel in self._channels:
+                channel.deliver(deliveries)
+            return
+        for delivery in deliveries:
+            if self._pacer is not None:
+                self._pacer.wait(delivery.arrival_ns, self._idle)
+            deaf = NOBODY if self._outages is None else self._outages.deaf(delivery.arrival_ns)
+            for channel in self._channels:
+                channel.deliver((delivery,), deaf)
 
     def _take(self, name: str, now_ns: int, turn: Turn) -> None:
         for release_ns, frame in turn.frames:
@@ -223,9 +232,9 @@ class Lockstep:
             )
 
     def _running_event(self, name: str, event_ns: int, period_ns: int) -> int:
-        if self._downtime is None:
+        if self._outages is None:
             return event_ns
-        return self._downtime.next_event(name, event_ns, period_ns)
+        return self._outages.next_event(name, event_ns, period_ns)
 
     def _idle(self, seconds: float) -> None:
         """Pass wall time on all channels at once: the last one waits, the others are served."""

@@ -168,7 +168,7 @@ def _columns(path: Path, line: bytes) -> tuple[str, ...]:
             raise InputError(f"{path}: line 1: another format; {expected}")
         if not all(isinstance(column, str) for column in columns):
             raise InputError(f"{path}: line 1: a column without a name; {expected}")
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: line 1: not the head of a trace; {expected}") from None

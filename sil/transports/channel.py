@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from sil.bus import Delivery
 
 
+NOBODY: frozenset[str] = frozenset()
+
+
 class Turn(NamedTuple):
     """A participant's answer to a grant.
 
@@ -77,8 +80,11 @@ class Channel(Protocol):
     def start(self, end_ns: int) -> dict[str, int]:
         """Wait for the participants; return the instant of the first event of each, in ns."""
 
-    def deliver(self, deliveries: Sequence[Delivery]) -> None:
-        """Pass on frames that arrived, in order of arrival, to everybody but their senders."""
+    def deliver(self, deliveries: Sequence[Delivery], deaf: frozenset[str] = NOBODY) -> None:
+        """Pass on frames that arrived, in order of arrival.
+
+        They reach everybody but their senders and those named in `deaf`.
+        """
 
     def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
         """Grant `now_ns` to those of the named participants that are on this channel."""

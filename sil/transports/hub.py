@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import select
 import socket
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from can_dbc.frame import EDP_BIT
 from sil.transports import address, wire
-from sil.transports.channel import ParticipantLost, Patience, Turn
+from sil.transports.channel import NOBODY, ParticipantLost, Patience, Turn
 from sil.transports.remote import Peer, RemoteChannel, silent
 from sil.transports.wire import Kind, Refusal
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 _BUFFER_BYTES = wire.LONGEST_BATCH * wire.RECORD_BYTES
 _FLUSH_RECORDS = 512
+MOST_CLIENTS = 250
 MONITOR_BACKLOG_BYTES = 8 << 20
 """What the hub keeps for a monitor that does not read, some 250,000 frames; then it lets it go."""
 
@@ -94,21 +95,23 @@ class Hub(RemoteChannel):
         self._waiting: dict[int, list[bytes]] = {number: [] for number in self._peers}
         self._granted: list[Peer] = []
         self._deadline = 0.0
-        self._attend(self._listener.fileno(), self._accept)
+        self._served_first = self._listener.fileno()
+        self._attend(self._served_first, self._accept)
 
     # -- turns ------------------------------------------------------------------------------
 
-    def deliver(self, deliveries: Sequence[Delivery]) -> None:
+    def deliver(self, deliveries: Sequence[Delivery], deaf: frozenset[str] = NOBODY) -> None:
         everything: list[bytes] = []
+        hearing = {n: w for n, w in self._waiting.items() if self._peers[n].name not in deaf}
         for delivery in deliveries:
             sender = wire.PARTICIPANTS.get(delivery.sender, wire.NOBODY)
             records = wire.announced(sender, delivery.arrival_ns, delivery.frame)
             everything.append(records)
-            for number, waiting in self._waiting.items():
+            for number, waiting in hearing.items():
                 if number != sender:
                     waiting.append(records)
                     self._peers[number].delivered += 1
-        for number, waiting in self._waiting.items():
+        for number, waiting in hearing.items():
             if len(waiting) >= _FLUSH_RECORDS:
                 self._flush(self._peers[number])
         for client in list(self._clients.values()):
@@ -175,11 +178,18 @@ class Hub(RemoteChannel):
     # -- connections ------------------------------------------------------------------------
 
     def _accept(self, events: int) -> None:
-        with contextlib.suppress(BlockingIOError):
-            connection, _ = self._listener.accept()
+        while True:
+            try:
+                connection, _ = self._listener.accept()
+            except BlockingIOError:
+                return
+            if len(self._clients) >= MOST_CLIENTS:
+                self.counts.warn(f"more than {MOST_CLIENTS} connections: further ones were closed")
+                connection.close()
+                continue
             client = _Client(connection)
             self._clients[client.fileno] = client
-            self._attend(client.fileno, lambda events: self._serve_client(client, events))
+            self._attend(client.fileno, partial(self._serve_client, client))
 
     def _serve_client(self, client: _Client, events: int) -> None:
         if events & select.EPOLLOUT:

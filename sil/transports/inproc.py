@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol
 
 from can_dbc.frame import Frame
-from sil.transports.channel import ChannelCounts, Turn
+from sil.transports.channel import NOBODY, ChannelCounts, Turn
 
 if TYPE_CHECKING:
     from sil.bus import Delivery
@@ -58,13 +58,10 @@ class InProcess:
     def start(self, end_ns: int) -> dict[str, int]:
         return {name: participant.start() for name, participant in self._participants.items()}
 
-    def deliver(self, deliveries: Sequence[Delivery]) -> None:
+    def deliver(self, deliveries: Sequence[Delivery], deaf: frozenset[str] = NOBODY) -> None:
         for name, inbox in self._inboxes.items():
-            inbox.extend(
-                (delivery.arrival_ns, delivery.frame)
-                for delivery in deliveries
-                if delivery.sender != name
-            )
+            if name not in deaf:
+                inbox.extend((d.arrival_ns, d.frame) for d in deliveries if d.sender != name)
 
     def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
         for name in names:

@@ -89,8 +89,11 @@ class LocalLink(Link):
             raise RunError(f"{self._path}: {error.strerror}: the coordinator is gone") from None
         if length == 0:
             raise RunError(f"{self._path}: the coordinator is gone")
-        with memoryview(self._buffer) as view:
-            return list(wire.split(view[:length]))
+        try:
+            with memoryview(self._buffer) as view:
+                return list(wire.split(view[:length]))
+        except wire.WireError as error:
+            raise RunError(f"{self._path}: no coordinator of ours: {error}") from None
 
     def write(self, records: Sequence[bytes]) -> None:
         try:
@@ -174,6 +177,7 @@ class Session:
         self._inbox: list[tuple[int, Frame]] = []
         self._announced: wire.Control | None = None
         self._records: deque[tuple[int, bytes]] = deque()
+        self._skip = False
         self._now_ns = 0
         self._first_event_ns = 0
 
@@ -193,8 +197,10 @@ class Session:
             if now >= next_hello:
                 self._link.write([hello])
                 next_hello = now + self._link.hello_again_s
-            for can_id, payload in self._link.read(min(deadline, next_hello) - now):
-                said = wire.parse_control(can_id, payload) if can_id & EDP_BIT else None
+            self._records.extend(self._link.read(max(0.0, min(deadline, next_hello) - now)))
+            while self._records:
+                can_id, payload = self._records.popleft()
+                said = self._parse(can_id, payload)
                 if said is None or said.participant != self._number or said.value != nonce:
                     continue
                 if said.kind == Kind.REFUSED:
@@ -215,11 +221,7 @@ class Session:
                 if not can_id & EDP_BIT:
                     self._hear(can_id, payload)
                     continue
-                try:
-                    said = wire.parse_control(can_id, payload)
-                except wire.WireError:
-                    self.foreign_frames += 1
-                    continue
+                said = self._parse(can_id, payload)
                 if said is None:
                     continue
                 if said.kind == Kind.BUS_TIME:
@@ -236,6 +238,8 @@ class Session:
                     return None
                 elif said.participant != self._number:
                     continue
+                elif said.kind == Kind.SKIP:
+                    self._skip = True
                 elif said.kind == Kind.SYNC:
                     self._link.write([wire.control(Kind.ACK, self._number)])
                 elif said.kind == Kind.GRANT:
@@ -268,6 +272,14 @@ class Session:
         """Tell the coordinator that this participant cannot go on."""
         self._link.write([wire.control(Kind.FAILED, self._number)])
 
+    def _parse(self, can_id: int, payload: bytes) -> wire.Control | None:
+        """Return the control frame, or None for another one, or a stranger's nonsense."""
+        try:
+            return wire.parse_control(can_id, payload)
+        except wire.WireError:
+            self.foreign_frames += 1
+            return None
+
     def _hear(self, can_id: int, payload: bytes) -> None:
         """Keep the frame if it is the announced one and somebody else's."""
         announced = self._announced
@@ -275,7 +287,8 @@ class Session:
             self.foreign_frames += 1
             return
         self._announced = None
-        if announced.participant != self._number:
+        skip, self._skip = self._skip, False
+        if announced.participant != self._number and not skip:
             self._received += 1
             self._inbox.append((announced.value, Frame(can_id, payload)))
 

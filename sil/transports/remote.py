@@ -13,7 +13,7 @@ from can_dbc.frame import EDP_BIT, Frame
 from can_dbc.messages import StopReason
 from sil.processes import ChildProcess
 from sil.transports import wire
-from sil.transports.channel import ChannelCounts, ParticipantLost, Patience, Turn
+from sil.transports.channel import NOBODY, ChannelCounts, ParticipantLost, Patience, Turn
 from sil.transports.wire import Kind, Refusal
 
 if TYPE_CHECKING:
@@ -124,6 +124,7 @@ class RemoteChannel(ABC):
         self._closed = False
         self._poll = select.epoll()
         self._handlers: dict[int, Callable[[int], None]] = {}
+        self._served_first = -1
 
     # -- what a subclass provides -------------------------------------------------------------
 
@@ -144,7 +145,7 @@ class RemoteChannel(ABC):
         """Forget a retired participant's connection, if there is one."""
 
     @abstractmethod
-    def deliver(self, deliveries: Sequence[Delivery]) -> None:
+    def deliver(self, deliveries: Sequence[Delivery], deaf: frozenset[str] = NOBODY) -> None:
         """See `Channel.deliver`."""
 
     @abstractmethod
@@ -228,7 +229,10 @@ class RemoteChannel(ABC):
 
     def _pump(self, timeout_s: float) -> None:
         """Serve whatever is ready, waiting at most `timeout_s` for the first."""
-        for fileno, events in self._poll.poll(timeout_s):
+        ready = self._poll.poll(timeout_s)
+        if len(ready) > 1:  # who connected before a frame was sent gets it
+            ready.sort(key=lambda entry: entry[0] != self._served_first)
+        for fileno, events in ready:
             handler = self._handlers.get(fileno)
             if handler is not None:
                 handler(events)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import DP_BIT, EDP_BIT, MAX_ID
 from sil.transports import wire
-from sil.transports.channel import ParticipantLost, Patience, Turn
+from sil.transports.channel import NOBODY, ParticipantLost, Patience, Turn
 from sil.transports.remote import Peer, RemoteChannel, silent
 from sil.transports.wire import Kind
 
@@ -167,13 +167,15 @@ class SocketCan(RemoteChannel):
         self._attend(self._can.fileno(), self._read)
         self._attend(self._listener.fileno(), self._accept)
 
-    def deliver(self, deliveries: Sequence[Delivery]) -> None:
+    def deliver(self, deliveries: Sequence[Delivery], deaf: frozenset[str] = NOBODY) -> None:
         for delivery in deliveries:
+            for name in deaf & self._by_name.keys():
+                self._can.send(wire.control(Kind.SKIP, self._by_name[name].number))
             sender = wire.PARTICIPANTS.get(delivery.sender, wire.NOBODY)
             self._can.send(wire.announced(sender, delivery.arrival_ns, delivery.frame))
             for number, peer in self._peers.items():
-                peer.delivered += number != sender
-                self._unread[number] += 2
+                peer.delivered += number != sender and peer.name not in deaf
+                self._unread[number] += 2 + len(deaf)
             self._let_them_read()
 
     def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:

@@ -20,6 +20,8 @@ One run, seen by a participant of number n:
     then, at each of its events:
     coordinator  BusTime(sender, checksum, arrival), frame       any number of times
                  Sync(n)                                         now and then; answer Ack(n)
+                 Skip(n)                                         n is bus-off: the next frame is
+                                                                 not for it, and not counted
                  Grant(n, number of frames, now)                 now: its own event, or the end
     participant  Release(n, instant)                             before offers released after now
                  offers
@@ -85,6 +87,7 @@ class Kind(IntEnum):
     ACK = 0x1FFF_0BFA
     RETIRE = 0x1FFF_0CF9
     MONITOR = 0x1FFF_0DFA
+    SKIP = 0x1FFF_0EF9
 
 
 class Refusal(IntEnum):

@@ -12,7 +12,17 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import RunError
-from sil.clock import NEVER_NS
+from sil.faults import (
+    BusFault,
+    BusOff,
+    Dead,
+    Delay,
+    DetectedCorruption,
+    FrozenCounter,
+    Loss,
+    Stalled,
+    UndetectedCorruption,
+)
 from sil.processes import ChildProcess
 from sil.realtime import Pacer
 from sil.recorder import BUS_LOG, PLANT_TRACE, read_trace
@@ -20,7 +30,7 @@ from sil.transports import address
 from sil.transports.channel import ParticipantLost, Patience
 from sil.transports.hub import Hub
 from sil.transports.socketcan import CanSocket
-from tests.contracts.toy_nodes import COLUMNS, FRAME_NS, MS, PERIODS_NS, PHASES_NS
+from tests.contracts.toy_nodes import COLUMNS, IDS, MS, PERIODS_NS, PHASES_NS
 from tests.contracts.toy_run import channel_name, command, toy_run
 
 END_NS = 300 * MS + 1
@@ -118,19 +128,10 @@ def test_a_burst_of_ten_thousand_frames_arrives_whole(transport: str, tmp_path: 
     for folder, kind in (("expected", "inproc"), ("run", transport)):
         with toy_run(kind, tmp_path / folder, 12 * MS, options=options) as run:
             run.lockstep.run()
-        counts.append((run.log.frames, run.sha256()))
+        counts.append((run.log.frames, run.bus.waiting, run.sha256()))
     assert counts[0] == counts[1]
-    assert counts[0][0] == 12 * MS // FRAME_NS, "the bus was busy without a gap"
-
-
-class _Dead:
-    """Downtime of one participant from an instant on."""
-
-    def __init__(self, name: str, from_ns: int) -> None:
-        self._name, self._from_ns = name, from_ns
-
-    def next_event(self, name: str, event_ns: int, period_ns: int) -> int:
-        return NEVER_NS if name == self._name and event_ns >= self._from_ns else event_ns
+    assert counts[0][0] + counts[0][1] > 30_000
+    assert run.bus.load > 0.99
 
 
 @every_transport
@@ -139,15 +140,40 @@ def test_a_participant_that_is_dead_in_the_simulation_is_silent(
 ) -> None:
     hashes = []
     for folder, kind in (("expected", "inproc"), ("run", transport)):
-        downtime = _Dead("controller", 50 * MS)
-        with toy_run(kind, tmp_path / folder, END_NS, downtime=downtime) as run:
+        with toy_run(
+            kind, tmp_path / folder, END_NS, faults=[Dead(node="controller", start_s=0.05)]
+        ) as run:
             run.lockstep.run()
         hashes.append(run.sha256())
         lines = (run.folder / BUS_LOG).read_text().splitlines()
-        last = [line for line in lines if " opc4 08FF0203#" in line][-1]
+        last = [line for line in lines if f" opc4 {IDS['controller']:08X}#" in line][-1]
         assert 0.040 < float(last[1:18]) < 0.050
         assert len(lines) == 2 * (15 + 60 + 5), "the others went on"
     assert hashes[0] == hashes[1]
+
+
+FAULTS: list[BusFault] = [
+    Loss(message="PositionPulse", probability=0.3),
+    DetectedCorruption(message="ShiftRequest", every=3, attempts=2),
+    UndetectedCorruption(message="ValveCommand", probability=0.5, bits=3, end_s=0.1),
+    Delay(message="PositionPulse", delay_s=0.002, jitter_s=0.004, start_s=0.1),
+    FrozenCounter(message="ValveCommand", start_s=0.15),
+    BusOff(node="controller", start_s=0.2, end_s=0.2301),
+    BusOff(node="driver", start_s=0.2, end_s=0.2601),
+    Stalled(node="controller", start_s=0.25, end_s=0.2705),
+]
+
+
+@every_transport
+def test_faults_are_the_same_everywhere(transport: str, tmp_path: Path, reference: str) -> None:
+    hashes = []
+    for folder, kind in (("expected", "inproc"), ("run", transport)):
+        with toy_run(kind, tmp_path / folder, END_NS, faults=FAULTS) as run:
+            run.lockstep.run()
+        hashes.append(run.sha256())
+        assert all(hits > 3 for hits in run.plan.hits.values())
+        assert len(run.plan.hits) == 5
+    assert hashes[0] == hashes[1] != reference
 
 
 @every_remote_transport
@@ -216,17 +242,19 @@ def test_a_stopped_process_is_missed_within_two_seconds(transport: str, tmp_path
 @every_remote_transport
 def test_a_late_starter_is_waited_for(transport: str, tmp_path: Path, reference: str) -> None:
     said: list[str] = []
-    with toy_run(
-        transport, tmp_path / "run", END_NS, external=["controller"], say=said.append
-    ) as run:
-        late = command("controller", channel_name(transport))
+
+    def start_it(message: str) -> None:
+        said.append(message)
         assert run.remote is not None
-        start = threading.Timer(2.5, run.remote.spawn, ("controller", late))
-        start.start()
+        run.remote.spawn("controller", command("controller", channel_name(transport)))
+
+    with toy_run(
+        transport, tmp_path / "run", END_NS, external=["controller"], say=start_it
+    ) as run:
         run.lockstep.run()
-        start.join()
     assert run.sha256() == reference
-    assert said == [f"waiting for controller to join (--channel {channel_name(transport)})"]
+    assert len(said) == 1 and said[0].startswith("waiting for controller")
+    assert said[0].endswith(f"to join (--channel {channel_name(transport)})")
 
 
 @every_remote_transport

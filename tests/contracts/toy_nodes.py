@@ -14,55 +14,24 @@ import time
 import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
+from can_dbc.codec import can_id_of
 from can_dbc.frame import Frame
+from can_dbc.messages import PositionPulse, ShiftRequest, ValveCommand
 from sil.participants import open_link, take_part
 from sil.recorder import TraceWriter
 
 MS = 1_000_000
 PERIODS_NS = {"driver": 20 * MS, "controller": 10 * MS, "plant": 5 * MS}
 PHASES_NS = {"driver": 0, "controller": 0, "plant": 2 * MS + 500_000}
-IDS = {"driver": 0x0CFF0105, "controller": 0x08FF0203, "plant": 0x0CFF0390}
-FRAME_NS = 262_000
+IDS = {
+    "driver": can_id_of(ShiftRequest),
+    "controller": can_id_of(ValveCommand),
+    "plant": can_id_of(PositionPulse),
+}
 COLUMNS = ("time_s", "heard", "position_m")
-
-
-class Delivery(NamedTuple):
-    """One frame at the end of its transmission."""
-
-    arrival_ns: int
-    frame: Frame
-    sender: str
-    queued_ns: int
-
-
-class SerialBus:
-    """A bus on which every frame takes 262 µs: lowest identifier first among those released."""
-
-    def __init__(self) -> None:
-        self._queue: list[tuple[int, int, Frame, str]] = []
-        self._count = 0
-        self._free_ns = 0
-
-    def queue(self, release_ns: int, frame: Frame, sender: str) -> None:
-        self._queue.append((release_ns, self._count, frame, sender))
-        self._count += 1
-
-    def advance(self, until_ns: int) -> list[Delivery]:
-        delivered = []
-        while self._queue:
-            start_ns = max(self._free_ns, min(entry[0] for entry in self._queue))
-            if start_ns + FRAME_NS > until_ns:
-                break
-            released = [entry for entry in self._queue if entry[0] <= start_ns]
-            first = min(released, key=lambda entry: (entry[2].can_id, entry[1]))
-            self._queue.remove(first)
-            self._free_ns = start_ns + FRAME_NS
-            delivered.append(Delivery(self._free_ns, first[2], first[3], first[0]))
-        return delivered
 
 
 class ToyNode:

@@ -9,7 +9,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from sil.lockstep import Downtime, Lockstep
+from sil.bus import BusModel
+from sil.faults import BusFault, FaultPlan
+from sil.lockstep import Lockstep
 from sil.processes import ChildProcess
 from sil.realtime import Pacer
 from sil.recorder import BUS_LOG, PLANT_TRACE, BusLog, TraceWriter, trace_sha256
@@ -18,7 +20,7 @@ from sil.transports.hub import Hub
 from sil.transports.inproc import InProcess
 from sil.transports.remote import RemoteChannel
 from sil.transports.socketcan import SocketCan
-from tests.contracts.toy_nodes import COLUMNS, SerialBus, ToyNode
+from tests.contracts.toy_nodes import COLUMNS, ToyNode
 
 ROOT = Path(__file__).resolve().parents[2]
 REMOTE = ("controller", "plant")
@@ -30,6 +32,8 @@ class ToyRun:
     """A coordinator with its toy nodes, ready to run; `log` and `trace` are in `folder`."""
 
     lockstep: Lockstep
+    bus: BusModel
+    plan: FaultPlan
     log: BusLog
     folder: Path
     remote: RemoteChannel | None
@@ -59,7 +63,7 @@ def toy_run(
     *,
     options: Mapping[str, Sequence[str]] | None = None,
     external: Sequence[str] = (),
-    downtime: Downtime | None = None,
+    faults: Sequence[BusFault] = (),
     pacer: Pacer | None = None,
     patience: Patience = PATIENCE,
     scenario: int = 0,
@@ -102,13 +106,22 @@ def toy_run(
             if name not in external:
                 children[name] = remote.spawn(name, command(name, channel, *given.get(name, ())))
     log = BusLog(folder / BUS_LOG)
+    plan = FaultPlan(faults, seed=1)
+    bus = BusModel(500_000, frame_filter=plan.frame_filter, is_off=plan.is_off)
     lockstep = Lockstep(
-        SerialBus(), channels, end_ns, record=log.record, downtime=downtime, pacer=pacer
+        bus, channels, end_ns, record=log.record, outages=plan if faults else None, pacer=pacer
     )
     try:
         with lockstep:
             yield ToyRun(
-                lockstep, log, folder, remote, children, {node.name: node for node in nodes}
+                lockstep,
+                bus,
+                plan,
+                log,
+                folder,
+                remote,
+                children,
+                {node.name: node for node in nodes},
             )
     finally:
         log.close()
