@@ -127,7 +127,7 @@ class ShiftMachine:
                 self._hold(now_ns, view)
             case ShiftState.VENT:
                 self._vent(now_ns, view)
-            case ShiftState.FAULT:
+            case _:  # FAULT
                 self._recover(view)
 
     def fail(self, fault: Fault) -> None:

@@ -56,12 +56,6 @@ def feed(estimator: PositionEstimator, positions_m: Sequence[float], start: int 
 
 
 class TestCalibration:
-    @given(x_m=st.floats(-0.016, 0.016), temperature_k=st.floats(233.15, 423.15))
-    def test_inverts_the_pulse_law(self, x_m: float, temperature_k: float) -> None:
-        pulse = exact(x_m, 0, temperature_k)
-        got_m = Calibration(SensorConfig()).position_m(pulse.pulse_s, temperature_k)
-        assert got_m == pytest.approx(x_m, abs=1e-12)
-
     def test_worked_example(self) -> None:
         """1.0 ms at 303.15 K: (0.001/1.012 - 0.0009)/0.022 = 4.00647 mm."""
         got_m = Calibration(SensorConfig()).position_m(0.001, 303.15)
@@ -172,19 +166,6 @@ class TestPlausibility:
             p.count(True)
         p.count(False)
         assert p.implausible
-
-    @given(st.lists(st.booleans(), max_size=60))
-    def test_one_bad_in_three_is_tolerated_for_ever_one_in_two_is_not(
-        self, verdicts: list[bool]
-    ) -> None:
-        p = self.make(bad_limit=6)
-        level, tripped = 0, False
-        for good in verdicts:
-            p.count(good)
-            level = max(level - 1, 0) if good else min(level + 2, 6)
-            tripped = level == 6 or (tripped and level > 0)
-            assert p.implausible == tripped
-
 
 class TestEstimator:
     def test_nothing_yet(self) -> None:
@@ -428,36 +409,6 @@ class TestEstimator:
         feed(estimator, [0.001], 4)
         assert not estimator.stuck
 
-    @given(
-        st.lists(
-            st.lists(
-                st.builds(
-                    PositionPulse,
-                    st.floats(0.0, 0.004),
-                    st.floats(0.0, 1000.0),
-                    st.integers(0, 255),
-                ),
-                max_size=6,
-            ),
-            max_size=40,
-        ),
-        st.booleans(),
-    )
-    @settings(max_examples=150, deadline=None)
-    def test_whatever_comes_the_estimate_stays_finite_and_in_bounds(
-        self, steps: list[list[PositionPulse]], enabled: bool
-    ) -> None:
-        estimator = PositionEstimator(FirmwareConfig(filter=FilterConfig(enabled=enabled)))
-        for batch in steps:
-            estimate = estimator.update(batch, False)
-            assert abs(estimate.raw_m) <= 0.01585
-            assert abs(estimate.position_m) <= 0.01585 * 1.7424  # the filter's largest gain
-            assert math.isfinite(estimate.velocity_m_s)
-            assert len(estimate.samples) <= 4
-            if estimate.samples:
-                assert not estimator.implausible or not estimate.valid
-
-
 class TestWindows:
     def estimate(self, *samples: tuple[float, float], valid: bool = True) -> Estimate:
         made = tuple(Sample(raw_m, position_m, 0.0) for raw_m, position_m in samples)
@@ -512,3 +463,51 @@ class TestWindows:
         assert (windows.gear, windows.run) == (Gear.UNKNOWN, 0)
         windows.update(self.estimate((0.0, 0.0)))
         assert windows.run == 1
+
+
+@given(x_m=st.floats(-0.016, 0.016), temperature_k=st.floats(233.15, 423.15))
+def test_inverts_the_pulse_law(x_m: float, temperature_k: float) -> None:
+    pulse = exact(x_m, 0, temperature_k)
+    got_m = Calibration(SensorConfig()).position_m(pulse.pulse_s, temperature_k)
+    assert got_m == pytest.approx(x_m, abs=1e-12)
+
+
+@given(st.lists(st.booleans(), max_size=60))
+def test_level_is_a_leaky_count(verdicts: list[bool]) -> None:
+    p = Plausibility(SensorConfig(bad_limit=6), 0.01285, 0.001)
+    level, tripped = 0, False
+    for good in verdicts:
+        p.count(good)
+        level = max(level - 1, 0) if good else min(level + 2, 6)
+        tripped = level == 6 or (tripped and level > 0)
+        assert p.implausible == tripped
+
+
+@given(
+    st.lists(
+        st.lists(
+            st.builds(
+                PositionPulse,
+                st.floats(0.0, 0.004),
+                st.floats(0.0, 1000.0),
+                st.integers(0, 255),
+            ),
+            max_size=6,
+        ),
+        max_size=40,
+    ),
+    st.booleans(),
+)
+@settings(max_examples=150, deadline=None)
+def test_whatever_comes_the_estimate_stays_finite_and_in_bounds(
+    steps: list[list[PositionPulse]], enabled: bool
+) -> None:
+    estimator = PositionEstimator(FirmwareConfig(filter=FilterConfig(enabled=enabled)))
+    for batch in steps:
+        estimate = estimator.update(batch, False)
+        assert abs(estimate.raw_m) <= 0.01585
+        assert abs(estimate.position_m) <= 0.01585 * 1.7424  # the filter's largest gain
+        assert math.isfinite(estimate.velocity_m_s)
+        assert len(estimate.samples) <= 4
+        if estimate.samples:
+            assert not estimator.implausible or not estimate.valid
