@@ -1,0 +1,181 @@
+"""What was measured, made ready for comparison: instants, channels, expected noise.
+
+The record is thinned where nothing happens: full resolution while something moves, coarse while
+chambers fill; neighbouring samples of a resting potentiometer carry one piece of information.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant import layout as L
+from plant.parameters import ParameterSet
+from plant.prediction import Predictor
+from plant.setup import Setup, make_setup
+from plant.stroke_conditions import StrokeConditions
+from sil.campaign import Campaign, CampaignStroke, Record
+
+Floats = NDArray[np.float64]
+NS = 1_000_000_000
+
+DENSE_UNTIL_S = 0.06
+"""Behind the last valve event, the record is read densely for this long."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured quantity of a stroke: where it lies in the record and in the prediction."""
+
+    name: str
+    kind: str  # "position", "pressure", "oil", "internal"
+    state: int
+    measured: Floats
+    sd: Floats
+    rows: NDArray[np.int64]  # rows of the predictor's instants
+
+
+@dataclass(frozen=True)
+class InternalSamples:
+    """The reported position, one value per publication, and when each pulse was measured."""
+
+    published_s: Floats
+    values_m: Floats
+    phase_s: float
+    period_s: float
+
+
+@dataclass
+class StrokeObservation:
+    """One stroke: base setup, instants, channels."""
+
+    entry: CampaignStroke
+    setup: Setup
+    predictor: Predictor
+    time_s: Floats
+    channels: tuple[Channel, ...]
+    internal: InternalSamples | None
+
+    @property
+    def conditions(self) -> StrokeConditions:
+        """The stroke's stated conditions."""
+        return self.entry.conditions
+
+    @property
+    def size(self) -> int:
+        """How many numbers are compared."""
+        return sum(len(channel.measured) for channel in self.channels)
+
+
+def observe(
+    campaign: Campaign, entry: CampaignStroke, parameters: ParameterSet
+) -> StrokeObservation:
+    """Read and thin one stroke of a campaign.
+
+    Raises InputError for a file that cannot be read or lacks position and pressures alike.
+    """
+    record = campaign.record(entry)
+    setup = make_setup(parameters, entry.conditions)
+    time_s = record.time_s - record.time_s[0]
+    rows = thinned(time_s, entry.conditions, setup)
+    internal = internal_samples(record, time_s, setup)
+    sample_ns = np.rint(time_s[rows] * NS).astype(np.int64)
+    value = parameters.value
+    channels = []
+    chambers = entry.conditions.chambers
+    first = L.FP1 if entry.conditions.system == L.FIXED else L.PB
+    pot_sd = float(
+        np.hypot(value("potentiometer.noise_sd"), value("potentiometer.resolution") / 12**0.5)
+    )
+    if "position_m" in record:
+        measured = record["position_m"][rows]
+        # a resting wiper stays on one wire: its samples are one observation, not hundreds
+        runs = run_lengths(measured)
+        sd = pot_sd * np.sqrt(np.maximum(1.0, runs / 4.0))
+        channels.append(Channel("position_m", "position", 0, measured, sd, np.arange(len(rows))))
+    adc = value("gauge.range_air") / 2 ** value("gauge.adc_bits") / 12**0.5
+    air_sd = float(np.hypot(value("gauge.noise_sd_air"), adc))
+    for k, name in enumerate(chambers):
+        column = f"pressure_{name}_pa"
+        if column in record:
+            measured = record[column][rows]
+            channels.append(
+                Channel(
+                    column,
+                    "pressure",
+                    first + k,
+                    measured,
+                    np.full(len(rows), air_sd),
+                    np.arange(len(rows)),
+                )
+            )
+    if "pressure_oil2_pa" in record and entry.conditions.load == "damper":
+        adc = value("gauge.range_oil") / 2 ** value("gauge.adc_bits") / 12**0.5
+        oil_sd = float(np.hypot(value("gauge.noise_sd_oil"), adc))
+        state = L.FOIL if entry.conditions.system == L.FIXED else L.LOIL
+        channels.append(
+            Channel(
+                "pressure_oil2_pa",
+                "oil",
+                state,
+                record["pressure_oil2_pa"][rows],
+                np.full(len(rows), oil_sd),
+                np.arange(len(rows)),
+            )
+        )
+    return StrokeObservation(
+        entry, setup, Predictor(sample_ns), time_s[rows], tuple(channels), internal
+    )
+
+
+def thinned(time_s: Floats, conditions: StrokeConditions, setup: Setup) -> NDArray[np.int64]:
+    """Rows of the record to compare: every second while things happen, every tenth otherwise."""
+    keep = np.zeros(len(time_s), dtype=bool)
+    keep[::10] = True
+    for when, _valve, duty in conditions.commands:
+        opens = duty >= setup.timing.duty_open
+        begin = when + 0.004 if opens else when + 0.02
+        end = when + (0.11 if opens else 0.06)
+        dense = (time_s >= begin) & (time_s <= end)
+        keep[1::2] |= dense[1::2]
+    keep[-1] = True
+    return np.flatnonzero(keep)
+
+
+def run_lengths(values: Floats) -> Floats:
+    """Length of the run of near-equal neighbours that each sample belongs to."""
+    close = np.abs(np.diff(values)) < 0.7e-4
+    same = np.concatenate([[False], close])
+    start = np.flatnonzero(~same)
+    lengths = np.diff(np.concatenate([start, [len(values)]]))
+    # only long level stretches count as rest: the wiper's level must not drift
+    out = np.ones(len(values))
+    for begin, length in zip(start, lengths, strict=True):
+        stretch = values[begin : begin + length]
+        if length > 8:
+            level = np.abs(stretch - np.median(stretch)) < 1.2e-4
+            out[begin : begin + length][level] = np.count_nonzero(level)
+    return out
+
+
+def internal_samples(record: Record, time_s: Floats, setup: Setup) -> InternalSamples | None:
+    """Publications of the control unit's position, found by its steps; None if it never moves.
+
+    The pulse phase within the period follows from the instants of publication, so a record may
+    start anywhere in the period.
+    """
+    if "position_internal_m" not in record:
+        return None
+    values = record["position_internal_m"]
+    edges = np.flatnonzero(np.abs(np.diff(values)) > 1e-9) + 1
+    if len(edges) < 4:
+        return None
+    period = setup.chain.period_s
+    half = 0.5 * float(time_s[1] - time_s[0])
+    duration = setup.chain.calibration.duration_s(values[edges], setup.chain.measured_temperature_k)
+    begun = time_s[edges] - half - setup.chain.latency_s - duration
+    angle = 2.0 * np.pi * begun / period
+    phase = float(np.angle(np.mean(np.exp(1j * angle)))) / (2.0 * np.pi) * period % period
+    return InternalSamples(time_s[edges], values[edges], phase, period)
