@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from cantools.database import Database
 
 NS_PER_MS = 1_000_000
-_MOST_STEPS = 100_000
+_MOST_STEPS = 20_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,12 +200,11 @@ def _response_time(
     ) -> int:
         return sum(-(-(window_ns + k.jitter_ns + extra_ns) // k.period_ns) * c for k, c in sources)
 
-    busy = cost
-    for _ in range(_MOST_STEPS):
+    busy, steps = 0, 0
+    longer = cost
+    while longer != busy and steps < _MOST_STEPS:
+        busy, steps = longer, steps + 1
         longer = blocking + interference(busy, [*higher, (message, cost)], 0)
-        if longer == busy:
-            break
-        busy = longer
     instances = -(-(busy + message.jitter_ns) // message.period_ns)
     if longer != busy or instances > _MOST_STEPS:
         raise InputError(
