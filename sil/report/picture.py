@@ -22,6 +22,8 @@ MM = 1e3
 BAR = 1e-5
 MS = 1e3
 MOST_COLUMNS = 3
+AFTERMATH_S = 0.025
+"""What is shown after everything has settled."""
 
 
 @dataclass(frozen=True)
@@ -50,16 +52,17 @@ def windows(record: RunRecord, shifts: Sequence[Shift]) -> list[Window]:
     end = float(record.truth["time_s"][-1])
     found = []
     for index, shift in enumerate(shifts[:MOST_COLUMNS]):
-        marks = (shift.arrived_s, shift.confirmed_s, shift.valve_open_s, shift.commanded_s)
-        last = max((m for m in marks if m is not None), default=end)
-        if shift.arrived_s is None:
-            last = max(last, min(shift.requested_s + 0.5, end))
-        closing = 0.06
-        stop = max(last + closing, (shift.blow_end_s or 0.0) + closing)
         until = shifts[index + 1].requested_s if index + 1 < len(shifts) else end
-        start = max(shift.requested_s - 0.02, 0.0)
-        stop = min(max(stop, start + 0.1), until)
-        found.append(Window(start, stop, shift))
+        settled = [shift.arrived_s, shift.confirmed_s, shift.requested_s + 0.1]
+        settled += [
+            e.time_s
+            for e in record.events
+            if e.name.endswith("_close") and shift.requested_s <= e.time_s <= until
+        ]
+        last = max(instant for instant in settled if instant is not None)
+        found.append(
+            Window(max(shift.requested_s - 0.02, 0.0), min(last + AFTERMATH_S, until), shift)
+        )
     return found or [Window(0.0, end, None)]
 
 
@@ -97,14 +100,18 @@ def draw(
         height_ratios=[0.85, 3.6, 1.9, 2.4, 0.42, 2.5],
         width_ratios=[max(w.end_s - w.start_s, 0.15) ** 0.6 for w in columns],
         left=1.45 / width,
-        right=1.0 - 0.2 / width,
+        right=1.0 - 0.3 / width,
         top=0.925,
         bottom=0.05,
         hspace=0.1,
-        wspace=0.06,
+        wspace=0.045 * len(columns),
     )
     figure.text(0.15 / width, 0.982, title, fontsize=15, weight="bold", color=theme.ink, va="top")
     figure.text(0.15 / width, 0.957, subtitle, fontsize=9.5, color=theme.faint, va="top")
+    note = "top: whole run, ms; shaded: enlarged below"
+    figure.text(
+        1.0 - 0.2 / width, 0.957, note, fontsize=8.5, color=theme.faint, va="top", ha="right"
+    )
     _overview(drawing, figure.add_subplot(grid[0, :]), columns)
     for number, window in enumerate(columns):
         first: Axes | None = None
@@ -113,8 +120,8 @@ def draw(
             first = first or axes
             _style(axes, theme)
             panel(drawing, axes, window, number == 0, number == len(columns) - 1)
-            axes.tick_params(labelbottom=row == 5, length=3 if row == 5 else 0)
-            if number:
+            axes.tick_params(labelbottom=row == 5, length=0)
+            if number and row > 1:  # the same scale as in the first column
                 axes.tick_params(labelleft=False)
         assert first is not None
         first.set_xlim(window.start_s * MS, window.end_s * MS)
@@ -144,14 +151,6 @@ def _overview(drawing: Drawing, axes: Axes, columns: Sequence[Window]) -> None:
     axes.set_ylim(-1.25 * stroke, 1.25 * stroke)
     axes.set_xlim(0.0, float(time[-1]) * MS)
     axes.tick_params(labeltop=True, labelbottom=False, length=0)
-    axes.annotate(
-        "whole run, ms; shaded: enlarged below",
-        (0.998, 0.06),
-        xycoords="axes fraction",
-        ha="right",
-        fontsize=8,
-        color=theme.faint,
-    )
 
 
 def _inside(window: Window, times: Floats, margin_s: float = 0.02) -> Any:
@@ -173,19 +172,10 @@ def _position(
     shown = np.concatenate([x, np.clip(believed[inside] * MM, -1.6 * stroke, 1.6 * stroke)])
     low, high = float(shown.min()) - 1.8, float(shown.max()) + 1.8
     if shift is not None:
-        axes.axvline(shift.requested_s * MS, color=theme.faint, linewidth=0.9, linestyle=":")
-        axes.annotate(
-            f"{shift.to_gear} requested",
-            (shift.requested_s * MS, 0.5),
-            xycoords=("data", "axes fraction"),
-            xytext=(-2, 0),
-            textcoords="offset points",
-            ha="right",
-            va="center",
-            fontsize=8,
-            color=theme.faint,
-            rotation=90,
-        )
+        _instant(axes, theme, shift.requested_s, f"{shift.to_gear} requested")
+        if shift.confirmed_s is not None:
+            _instant(axes, theme, shift.confirmed_s, f"{shift.to_gear} confirmed")
+        _plateau(drawing, axes, window)
     for name, line in _pistons(record, window):
         axes.plot(t, line[seen] * MM, color=theme.faint, linewidth=1.0, linestyle=(0, (4, 2)))
         _label_on_line(axes, theme, t, line[seen] * MM, name, theme.faint, low, high)
@@ -206,7 +196,7 @@ def _position(
         axes.set_ylabel("position, mm", color=theme.ink, fontsize=9)
         axes.legend(
             handles=_legend_lines(theme),
-            loc="upper left" if ends[-1] < ends[0] else "lower right",
+            loc="upper right" if ends[-1] < ends[0] else "lower right",
             bbox_to_anchor=(0.02, 0.02, 0.96, 0.96),
             fontsize=8.5,
             frameon=True,
@@ -214,6 +204,49 @@ def _position(
             edgecolor=theme.grid,
             labelcolor=theme.ink,
         ).set_zorder(9)
+
+
+def _instant(axes: Axes, theme: Theme, at_s: float, text: str) -> None:
+    axes.axvline(at_s * MS, color=theme.faint, linewidth=0.9, linestyle=":")
+    axes.annotate(
+        text,
+        (at_s * MS, 0.5),
+        xycoords=("data", "axes fraction"),
+        xytext=(-2, 0),
+        textcoords="offset points",
+        ha="right",
+        va="center",
+        fontsize=8,
+        color=theme.faint,
+        rotation=90,
+        annotation_clip=True,
+    )
+
+
+def _plateau(drawing: Drawing, axes: Axes, window: Window) -> None:
+    """Say where the synchronizer holds the stay."""
+    begun: float | None = None
+    for event in drawing.record.events:
+        if not window.start_s <= event.time_s <= window.end_s:
+            continue
+        if event.name == "sync_block":
+            begun = event.time_s
+        elif event.name in ("sync_unblock", "breakaway") and begun is not None:
+            where = float(event.values["position_m"]) * MM
+            text = f"synchronizer holds {(event.time_s - begun) * MS:.0f} ms"
+            axes.annotate(
+                text, (0.5 * (begun + event.time_s) * MS, where), xytext=(0, -4),
+                textcoords="offset points", ha="center", va="top", fontsize=8,
+                color=drawing.theme.ink, path_effects=_outline(drawing.theme), zorder=6,
+            )
+            begun = None
+
+
+def _outline(theme: Theme) -> list[Any]:
+    """Return text effects that keep letters readable on top of lines."""
+    from matplotlib.patheffects import withStroke
+
+    return [withStroke(linewidth=2.5, foreground=theme.paper)]
 
 
 def _legend_lines(theme: Theme) -> list[Any]:
@@ -303,6 +336,7 @@ def _lag_arrows(
             weight="bold",
             color=theme.alarm,
             zorder=7,
+            path_effects=_outline(theme),
         )
     if shift.impact_speed_m_s is not None and shift.impact_energy_j is not None:
         rising = goal > start
@@ -418,13 +452,14 @@ def _delays(
     color: str,
 ) -> None:
     """Write the opening and closing delay beside each pair of bars."""
-    for start, length in commanded:
-        answer = next(((a, n) for a, n in actual if a >= start and a <= start + length), None)
-        if answer is None:
-            continue
-        for wanted, reacted in ((start, answer[0]), (start + length, answer[0] + answer[1])):
-            if not window.start_s <= reacted <= window.end_s:
+    for opened, length in actual:
+        closed = opened + length
+        before = [a for a, n in commanded if a <= opened <= a + n]
+        after = [a + n for a, n in commanded if opened < a + n <= closed]
+        for causes, reacted, side in ((before, opened, "left"), (after, closed, "right")):
+            if not causes or not window.start_s <= reacted <= window.end_s:
                 continue
+            wanted = causes[-1]
             axes.plot(
                 [wanted * MS, wanted * MS, reacted * MS, reacted * MS],
                 [base + 0.52, base + 0.48, base + 0.48, base + 0.44],
@@ -433,13 +468,14 @@ def _delays(
             )
             axes.annotate(
                 f"{(reacted - wanted) * MS:.0f} ms",
-                (reacted * MS, base + 0.26),
-                xytext=(4, 0),
+                (reacted * MS, base + 0.25),
+                xytext=(4 if side == "left" else -4, 0),
                 textcoords="offset points",
                 fontsize=8.5,
+                ha=side,
                 va="center",
                 color=theme.ink,
-                bbox={"facecolor": theme.paper, "edgecolor": "none", "pad": 0.6, "alpha": 0.85},
+                path_effects=_outline(theme),
                 clip_on=True,
             )
 
@@ -502,21 +538,48 @@ def _states(drawing: Drawing, axes: Axes, window: Window, is_first: bool, is_las
     axes.grid(False)
     end = float(record.truth["time_s"][-1])
     span = window.end_s - window.start_s
-    start = 0
-    for i in range(1, len(states) + 1):
-        if i < len(states) and states[i] == states[start]:
-            continue
-        since = float(times[start])
-        until = float(times[i]) if i < len(states) else end
-        name = states[start].name
-        axes.axvspan(since * MS, until * MS, color=theme.state[name], linewidth=0)
+    for since, until, name in state_spans(times, [state.name for state in states], end):
+        color = theme.state.get(name, theme.paper)
+        axes.axvspan(
+            since * MS,
+            until * MS,
+            facecolor=color,
+            edgecolor=theme.faint,
+            linewidth=0,
+            hatch=None if name in theme.state else "////",
+        )
         left, right = max(since, window.start_s), min(until, window.end_s)
-        if right - left > 0.016 * len(name) * span * 0.8:
-            axes.text(
-                0.5 * (left + right) * MS, 0.46, name.lower(), ha="center", va="center",
-                fontsize=8.5, color=theme.ink,
-            )
-        start = i
+        for size in (8.5, 6.5):
+            if right - left > 0.00135 * size * len(name) * span:
+                axes.text(
+                    0.5 * (left + right) * MS, 0.46, name.lower(), ha="center", va="center",
+                    fontsize=size, color=theme.ink, path_effects=_outline(theme)
+                    if name not in theme.state
+                    else [],
+                )
+                break
+
+
+SILENT = "SILENT"
+
+
+def state_spans(times: Floats, names: Sequence[str], end: float) -> list[tuple[float, float, str]]:
+    """Return (start, end, state) of each state as reported; SILENT where three reports are missing."""
+    if len(times) == 0:
+        return [(0.0, end, SILENT)]
+    step = float(np.median(np.diff(times))) if len(times) > 1 else end
+    spans: list[tuple[float, float, str]] = []
+    for i, name in enumerate(names):
+        since = float(times[i])
+        until = float(times[i + 1]) if i + 1 < len(times) else end
+        heard = until if until - since < 3.5 * step else since + step
+        if spans and spans[-1][2] == name and spans[-1][1] == since:
+            spans[-1] = (spans[-1][0], heard, name)
+        else:
+            spans.append((since, heard, name))
+        if heard < until:
+            spans.append((heard, until, SILENT))
+    return spans
 
 
 def _bus(drawing: Drawing, axes: Axes, window: Window, is_first: bool, is_last: bool) -> None:
