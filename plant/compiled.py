@@ -34,6 +34,7 @@ KERNEL_SOURCES = (
     "length_contacts.py",
     "steppers.py",
     "integrate.py",
+    "filling.py",
     "lanes.py",
     "one_equation.py",
 )

@@ -117,6 +117,12 @@ def seal(y, p):
     return p[SEAL_MU] * abs(y[FP1] - y[FP2]) * p[AREA_P]
 
 
+@inlined
+def fixed_volumes(y, p):
+    """Volumes of chambers 1 and 2 [m^3]: V10 + A1 x, V20 - A2 x."""
+    return p[VOL_B] + p[AREA_P] * y[FX], p[VOL_N] - p[AREA_P2] * y[FX]
+
+
 @called
 def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
     """Time derivatives of the fixed piston -> dy; with `quadratures`, those behind the states."""
@@ -158,8 +164,7 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
     am2 = p[ALPHA_M2]
     a1 = p[ALPHA_1] + p[ALPHA_SPEED] * abs(v)
     a2 = p[ALPHA_2] + p[ALPHA_SPEED] * abs(v)
-    vol1 = p[VOL_B] + p[AREA_P] * y[FX]
-    vol2 = p[VOL_N] - p[AREA_P2] * y[FX]
+    vol1, vol2 = fixed_volumes(y, p)
     rate1 = p[AREA_P] * v
     rate2 = -p[AREA_P2] * v
     dy[FP1] = pressure_rate(y[FP1], u1, in1, out1, leak1, vol1, rate1, r, am1, a1, am2, a2)

@@ -349,6 +349,18 @@ def blocked_force(m, p, force):
     return total * m[M_BLOCKED]
 
 
+@inlined
+def length_volumes(y, p):
+    """Volumes of chambers B, N and F [m^3]."""
+    area = p[AREA_P]
+    area_s = p[AREA_S]
+    return (
+        p[VOL_B] + area * y[X1] + area_s * y[XS],
+        p[VOL_N] - area * (y[X1] + y[X2]),
+        p[VOL_F] + area * y[X2] - area_s * y[XS],
+    )
+
+
 @called
 def rates(t, y, dy, m, u0, du, p, c, work, quadratures):
     """Time derivatives of the length stroke -> dy; with `quadratures`, those behind the states."""
@@ -367,9 +379,7 @@ def rates(t, y, dy, m, u0, du, p, c, work, quadratures):
     dy[V2] = -acc[2]
     area = p[AREA_P]
     area_s = p[AREA_S]
-    vol_b = p[VOL_B] + area * y[X1] + area_s * y[XS]
-    vol_n = p[VOL_N] - area * (y[X1] + y[X2])
-    vol_f = p[VOL_F] + area * y[X2] - area_s * y[XS]
+    vol_b, vol_n, vol_f = length_volumes(y, p)
     rate_b = area * v1 + area_s * vs
     rate_n = -area * (v1 + v2)
     rate_f = area * v2 - area_s * vs
