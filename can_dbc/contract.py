@@ -224,7 +224,10 @@ def parse(text: str, source: str = "opc4.dbc") -> Contract:
                 f"{source}: line {number}: {line[:60]!r} is not a statement that the contract "
                 "uses; expected a single-line DBC statement in the form of its neighbours"
             )
-    return reader.contract()
+    try:
+        return reader.contract()
+    except ValueError as error:
+        raise InputError(f"{source}: an attribute has an impossible value: {error}") from None
 
 
 @cache

@@ -27,7 +27,7 @@ _LARGEST_TO_BISECT = 200_000
 _LONGEST_REASON = 160
 _STRING = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
 _MESSAGE = re.compile(r"\bBO_\s+(\d+)\s+(\w+)\s*:\s*(\d+)")
-_SIGNAL = re.compile(r"\bSG_\s+(\w+)[^:;]*:\s*(\d+)\s*\|\s*(\d+)\s*@")
+_SIGNAL = re.compile(r"\bSG_\s+(\w+)[^:;]*:\s*(\d+)\s*\|\s*(\d+)\s*@\s*(\d+)")
 _MULTIPLEXED = re.compile(r"\bSG_MUL_VAL_\b[^;]*")
 _RANGE = re.compile(r"(\d+)\s*-\s*(\d+)")
 _STATEMENT = re.compile(
@@ -105,7 +105,7 @@ def _parse(text: str, strict: bool) -> Database:
 
 
 def _refuse_impossible(text: _Text) -> None:
-    """Refuse what makes cantools expand something huge or overwrite one message by another."""
+    """Refuse what cantools would expand without end, overwrite or misread without a word."""
     code = _STRING.sub(lambda match: re.sub(r"[^\n]", " ", match.group()), text.text)
     names: set[str] = set()
     identifiers: dict[str, str] = {}
@@ -125,7 +125,13 @@ def _refuse_impossible(text: _Text) -> None:
                 f"expected at most {LONGEST_MESSAGE}",
             )
     for match in _SIGNAL.finditer(code):
-        for number in match.groups()[1:]:
+        if match.group(4) not in ("0", "1"):
+            text.refuse(
+                match.start(),
+                f"signal {match.group(1)} has byte order {match.group(4)[:20]}; "
+                "expected 0 (big-endian) or 1 (little-endian)",
+            )
+        for number in match.group(2, 3):
             if _above(number, 8 * LONGEST_MESSAGE):
                 text.refuse(
                     match.start(),

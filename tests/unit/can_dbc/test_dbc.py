@@ -1,0 +1,190 @@
+"""Reading foreign DBC files: what is read, and each refusal with its line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from can_dbc import dbc
+from can_dbc.dbc import load_dbc, parse_dbc
+from can_dbc.errors import InputError
+
+GOOD = """VERSION ""
+
+BU_: A B
+BO_ 5 Speeds: 8 A
+ SG_ Left : 0|16@1+ (0.5,0) [0|100] "rpm" B
+ SG_ Right : 16|16@1+ (0.5,0) [0|100] "rpm" B
+
+BO_ 2566844926 Engine: 8 A
+ SG_ Load : 7|8@0+ (1,0) [0|0] "%" B
+
+CM_ SG_ 5 Left "Spinning
+BO_ 5 Speeds: 9999 quoted";
+BA_DEF_ BO_ "GenMsgCycleTime" INT -10 65535;
+BA_DEF_DEF_ "GenMsgCycleTime" 0;
+BA_ "GenMsgCycleTime" BO_ 5 20;
+VAL_ 5 Left 0 "still" 1 "slow" ;
+"""
+
+
+def refusal(text: str | bytes, strict: bool = True) -> str:
+    content = text.encode() if isinstance(text, str) else text
+    with pytest.raises(InputError) as caught:
+        parse_dbc(content, "x.dbc", strict)
+    line = str(caught.value)
+    assert "\n" not in line
+    assert len(line) < 300
+    return line
+
+
+def changed(old: str, new: str) -> str:
+    assert GOOD.count(old) == 1
+    return GOOD.replace(old, new)
+
+
+def test_a_file_is_read_as_cantools_reads_it(tmp_path: Path) -> None:
+    path = tmp_path / "good.dbc"
+    path.write_text(GOOD)
+    database = load_dbc(path)
+    speeds = database.get_message_by_name("Speeds")
+    assert speeds.cycle_time == 20
+    assert speeds.decode(bytes(8)) == {"Left": "still", "Right": 0}
+    assert database.get_message_by_name("Engine").frame_id == 0x18FEF1FE
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
+def test_encodings(encoding: str) -> None:
+    text = GOOD.replace("Spinning", "Raddrehzahl für °C")
+    database = parse_dbc(text.encode(encoding))
+    comment = database.get_message_by_name("Speeds").get_signal_by_name("Left").comment
+    assert comment is not None
+    assert comment.startswith("Raddrehzahl für °C")
+
+
+def test_windows_line_ends() -> None:
+    assert len(parse_dbc(GOOD.replace("\n", "\r\n").encode()).messages) == 2
+
+
+def test_an_empty_database_is_one() -> None:
+    assert parse_dbc(b'VERSION ""\n').messages == []
+
+
+def test_files_that_cannot_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match=r"none.dbc: cannot be read: No such file"):
+        load_dbc(tmp_path / "none.dbc")
+    with pytest.raises(InputError, match=r"cannot be read: Is a directory"):
+        load_dbc(tmp_path)
+    path = tmp_path / "huge.dbc"
+    path.write_text(GOOD)
+    monkeypatch.setattr(dbc, "LARGEST_FILE", 10)
+    with pytest.raises(InputError, match=r"huge.dbc: more than 0 MiB; expected a DBC file"):
+        load_dbc(path)
+
+
+def test_problems_carry_the_name_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "bad.dbc"
+    path.write_text(GOOD + "nonsense\n")
+    with pytest.raises(InputError, match=rf"^{path}: line 17: column 1: .*nonsense.*not DBC gram"):
+        load_dbc(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            changed("0|16@1+", "0|16@3+"),
+            "x.dbc: line 5: signal Left has byte order 3; expected 0 (big-endian) or 1",
+        ),
+        (changed("BO_ 5 Speeds: 8 A", "BO_ 5 Speeds 8 A"), "x.dbc: line 4: column 14"),
+        (changed('1 "slow" ;', '1 "slow'), "x.dbc: line 16: column 25: "),
+        (
+            changed("VAL_ 5 Left", "VAL_ 6 Left"),
+            "x.dbc: line 16: not a DBC that can be",
+        ),
+        (changed('"GenMsgCycleTime" BO_ 5 20', '"Nothing" BO_ 5 20'), "x.dbc: line 15: refers to"),
+        (changed("Speeds: 8 A", "Speeds: 1786 A"), "x.dbc: line 4: message Speeds has 1786 bytes"),
+        (
+            changed("Speeds: 8 A", "Speeds: 9" + 30 * "9" + " A"),
+            "x.dbc: line 4: message Speeds has 99999999999999999999 bytes",
+        ),
+        (changed("7|8@0+", "7|99999@0+"), "x.dbc: line 9: signal Load reaches bit 99999; expected"),
+        (changed("7|8@0+", "14281|8@0+"), "x.dbc: line 9: signal Load reaches bit 14281;"),
+        (
+            changed("BO_ 2566844926 Engine", "BO_ 2566844926 Speeds"),
+            "x.dbc: line 8: message Speeds is declared twice",
+        ),
+        (
+            changed("BO_ 2566844926 Engine", "BO_ 05 Engine"),
+            "x.dbc: line 8: messages Speeds and Engine share an identifier",
+        ),
+        (
+            GOOD + "SG_MUL_VAL_ 5 Left Right 0-4000000000;\n",
+            "x.dbc: line 17: multiplexer range 0-4000000000; expected at most 65536 values",
+        ),
+        (
+            GOOD + "SG_MUL_VAL_ 5 Left Right 0-1,5-" + 40 * "9" + ";\n",
+            "x.dbc: line 17: multiplexer range 5-99999999999999999999",
+        ),
+        (
+            changed("(1,0) [0|0]", "(0,0) [0|0]"),
+            "x.dbc: line 8: signal Load of Engine: factor 0",
+        ),
+        (
+            changed("(1,0) [0|0]", "(1e999,0) [0|0]"),
+            "x.dbc: line 8: signal Load of Engine: inf where a finite number is expected",
+        ),
+        (
+            changed("BO_ 5 20", "BO_ 5 -5"),
+            "x.dbc: line 4: message Speeds: negative cycle time",
+        ),
+        (
+            GOOD.replace(" 5 ", " 4096 "),
+            "x.dbc: line 4: Standard frame id 0x1000 is more than 11 bits",
+        ),
+        (changed("16|16@1+", "8|16@1+"), "x.dbc: line 6: The signals Right and Left are overlap"),
+        (changed("16|16@1+", "60|16@1+"), "x.dbc: line 6: The signal Right does not fit in mess"),
+        (changed("16|16@1+", "16|0@1+"), "x.dbc: line 6: The signal Right length 0 is not great"),
+    ],
+)
+def test_refusals(text: str, expected: str) -> None:
+    assert refusal(text).startswith(expected)
+
+
+def test_strictness_about_overlaps_is_a_choice() -> None:
+    text = changed("16|16@1+", "8|16@1+")
+    assert len(parse_dbc(text.encode(), strict=False).messages) == 2
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"VERSION\0", "x.dbc: holds zero bytes; expected the text of a DBC file"),
+        (
+            GOOD.encode() + b'CM_ "\n\x81 \xff";',
+            "x.dbc: line 18: byte 0x81; expected text in UTF-8 or Windows-1252",
+        ),
+    ],
+)
+def test_what_is_no_text(content: bytes, expected: str) -> None:
+    assert refusal(content) == expected
+
+
+def test_quoted_text_is_not_taken_for_statements() -> None:
+    """The comment in GOOD quotes a message of 9999 bytes; lines behind it still count right."""
+    assert refusal(GOOD + "nonsense\n").startswith("x.dbc: line 17: column 1: ")
+
+
+def test_large_files_are_refused_without_searching_for_the_line() -> None:
+    filler = f'CM_ BU_ A "{"x" * 200_000}";\n'
+    line = refusal(changed("VAL_ 5 Left", "VAL_ 6 Left").replace("CM_ SG_", filler + "CM_ SG_"))
+    assert line.startswith("x.dbc: not a DBC that can be understood (ValueError: unused VAL_")
+
+
+def test_long_reasons_are_cut() -> None:
+    names = [f"S{'x' * 120}{number}" for number in range(2)]
+    text = "BO_ 5 M: 8 A\n" + "".join(f' SG_ {n} : 0|8@1+ (1,0) [0|0] "" B\n' for n in names)
+    line = refusal(text)
+    assert line.endswith("...")
+    assert line.startswith("x.dbc: line 3: The signals S")
