@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -129,30 +130,47 @@ def load(
     Checked by test_scenario.
     """
     path = find(where)
-    raw = _read(path)
-    source = str(path)
+    return from_table(
+        _read(path), str(path), model=model, settings=settings, seed=seed, folder=path.parent
+    )
+
+
+def from_table(
+    table: Mapping[str, Any],
+    source: str,
+    *,
+    model: str | None = None,
+    settings: Sequence[str] = (),
+    seed: int | None = None,
+    folder: Path = Path(),
+) -> Loaded:
+    """Build a scenario from a parsed file; `source` names it, model files are beside `folder`."""
+    raw = copy.deepcopy(dict(table))
     _normalise(raw, source)
-    _build(raw, source)
+    scenario = _build(raw, source)
     if model is not None:
         raw["model_set"] = model
-    elif str(raw.get("model_set", "")).endswith(".toml"):
-        raw["model_set"] = str(path.parent / raw["model_set"])
-    parameters = _parameters(raw.get("model_set", "nominal"))
-    for text in settings:
-        _apply(raw, text, parameters)
-    if seed is not None:
-        raw["seed"] = seed
-    _normalise(raw, "--set")
-    scenario = _build(raw, "--set" if settings or seed is not None else source)
+    elif scenario.model_set.endswith(".toml"):
+        raw["model_set"] = str(folder / scenario.model_set)
+    parameters = _parameters(raw.get("model_set", scenario.model_set), source)
+    if settings or seed is not None:
+        for text in settings:
+            _apply(raw, text, parameters)
+        if seed is not None:
+            raw["seed"] = seed
+        typed_toml.refuse_not_finite(raw, "--set")
+        _normalise(raw, "--set")
+        scenario = _build(raw, "--set")
+    else:
+        scenario = _build(raw, source)
     _check_consistent(scenario, source)
     return Loaded(scenario, _overridden(parameters, scenario.model, source), source)
 
 
 def restore(raw: Mapping[str, Any], source: str) -> Loaded:
     """Rebuild a scenario from its expanded form (as in result.json)."""
-    table = copy.deepcopy(dict(raw))
-    scenario = _build(table, source)
-    parameters = _parameters(scenario.model_set)
+    scenario = _build(copy.deepcopy(dict(raw)), source)
+    parameters = _parameters(scenario.model_set, source)
     return Loaded(scenario, _overridden(parameters, scenario.model, source), source)
 
 
@@ -233,10 +251,21 @@ def _build(raw: dict[str, Any], source: str) -> Scenario:
     return typed_toml.convert(raw, Scenario, source)
 
 
-def _parameters(model_set: str) -> ParameterSet:
+def _parameters(model_set: str, source: str) -> ParameterSet:
+    try:
+        return _shipped_parameters(model_set) if model_set == "nominal" else _load(model_set)
+    except InputError as error:
+        raise InputError(f"{source}: model_set: {typed_toml.one_line(str(error))}") from None
+
+
+def _load(model_set: str) -> ParameterSet:
     from plant.parameters import load as load_parameters
 
     return load_parameters(model_set)
+
+
+_shipped_parameters = functools.cache(_load)
+"""Parameter sets cannot be changed, so the one that every scenario starts from is read once."""
 
 
 def _overridden(

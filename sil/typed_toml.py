@@ -51,7 +51,7 @@ def parse_toml(raw: bytes, source: str) -> dict[str, Any]:
         raise InputError(f"{source}: top level: nested too deeply; expected TOML") from None
     except ValueError as error:  # an impossible date, an integer of too many digits
         raise InputError(f"{source}: {one_line(str(error))}; expected TOML") from None
-    _refuse_not_finite(table, source)
+    refuse_not_finite(table, source)
     return table
 
 
@@ -88,6 +88,11 @@ def convert(raw: Any, kind: type[T], source: str, place: str = "") -> T:
         found = _PLACE.match(str(error))
         assert found is not None  # the pattern matches any text
         steps = _named(raw, kind, tuple(_steps(found["path"] or "$")))
+        if isinstance(error.__cause__, ValueError):  # a record that checks itself says it all
+            inside = dotted((place, *steps) if place else steps)
+            joint = "." if isinstance(error.__cause__, InputError) else ": "
+            told = f"{inside}{joint}{found['what']}" if inside else found["what"]
+            raise InputError(f"{source}: {one_line(told, 400)}") from None
         raise InputError(_complaint(raw, kind, source, place, found["what"], steps)) from None
 
 
@@ -242,7 +247,8 @@ def _choices(kind: Any, value: Any, key: str | None) -> list[str]:
     return tags or _choices(field_types(kind, value).get(key), None, None)
 
 
-def _refuse_not_finite(value: Any, source: str) -> None:
+def refuse_not_finite(value: Any, source: str) -> None:
+    """Refuse a number that is not finite anywhere in a parsed table, naming its place."""
     pending: list[tuple[tuple[str | int, ...], Any]] = [((), value)]
     while pending:
         steps, item = pending.pop()
@@ -286,7 +292,9 @@ def set_value(raw: dict[str, Any], kind: Any, path: str, value: Any) -> bool:
     A list is entered by index, request[0].gear or request.0.gear.
     """
     steps = [
-        int(s) if s.isdigit() else s for s in re.split(r"[.\[]", path.replace("]", "")) if s != ""
+        int(s) if re.fullmatch(r"[0-9]{1,6}", s) else s
+        for s in re.split(r"[.\[]", path.replace("]", ""))
+        if s
     ]
     if not steps:
         return False

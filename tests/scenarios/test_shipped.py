@@ -1,0 +1,71 @@
+"""Every shipped scenario runs and meets what it expects; the folder it leaves is complete."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sil import cosim, scenario
+
+NAMES = sorted(scenario.shipped())
+
+
+def test_at_least_the_promised_scenarios_are_shipped() -> None:
+    assert set(NAMES) >= {
+        "lab_n_b",
+        "lab_b_n",
+        "lab_n_f",
+        "lab_f_n",
+        "truck_to_neutral_easy",
+        "truck_into_gear_easy",
+        "truck_into_gear_2200n",
+        "full_shift",
+        "charged_neutral",
+        "lost_frames",
+        "dead_controller",
+        "stuck_sensor",
+        "firmware_2500us",
+        "oil_damper",
+        "filter_off",
+    }
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_shipped_scenario(name: str, tmp_path: Path) -> None:
+    finished = cosim.run(scenario.load(name), tmp_path)
+    failed = [c for c in finished.result.expectations if not c.passed]
+    assert finished.result.complete, finished.result.why
+    assert not failed
+    assert len(finished.result.expectations) >= 10, "too little is expected of this scenario"
+    assert finished.result.metrics["valve_switchings"] >= 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "bus.log",
+        "events.jsonl",
+        "result.json",
+        "trace.csv",
+    ]
+    assert json.loads((tmp_path / "result.json").read_text())["passed"] is True
+
+
+def test_a_result_runs_again_as_it_was(tmp_path: Path) -> None:
+    first = cosim.run(
+        scenario.load("lab_n_b", settings=["valve.D_fall=0.02", "controller.filter=false"], seed=7),
+        tmp_path,
+    )
+    again_folder = tmp_path / "again"
+    again_folder.mkdir()
+    again = cosim.run(scenario.load(str(tmp_path / "result.json")), again_folder)
+    assert again.result.trace_sha256 == first.result.trace_sha256
+    assert again.result.scenario == first.result.scenario
+    assert first.result.model["valve.D_fall"] == 0.02
+
+
+def test_an_expectation_that_does_not_hold_fails_the_run(tmp_path: Path) -> None:
+    finished = cosim.run(
+        scenario.load("lab_n_b", settings=["expect.final_gear=forward"]), tmp_path
+    )
+    assert finished.result.complete and not finished.result.passed
+    assert finished.result.status == "failed"
+    assert [c.name for c in finished.result.expectations if not c.passed] == ["final gear"]
