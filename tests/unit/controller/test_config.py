@@ -172,7 +172,7 @@ LINES = [
     ),
     (
         {"strategy_parameters": {"gain": 1}},
-        "s.toml: strategy_parameters.gain: unknown; expected one of none",
+        "s.toml: strategy_parameters.gain: unknown; expected none",
     ),
 ]
 
@@ -234,7 +234,7 @@ def test_small_parts() -> None:
     )
     assert unknown_name(["alpha", "beta"], "alpa") == "unknown; expected one of alpha"
     assert unknown_name(["alpha", "beta"], "zzz") == "unknown; expected one of alpha, beta"
-    assert unknown_name([], "zzz") == "unknown; expected one of none"
+    assert unknown_name([], "zzz") == "unknown; expected none"
     many = ["aaa1", "aaa2", "aaa3", "aaa4"]
     assert len(unknown_name(many, "aaa").split(",")) == 3
 

@@ -77,7 +77,7 @@ def test_unknown_name() -> None:
 
 
 def test_unknown_parameter() -> None:
-    said = "strategy_parameters.gain: unknown; expected one of none"
+    said = "strategy_parameters.gain: unknown; expected none"
     with pytest.raises(InputError, match=f"^{re.escape(said)}$"):
         strategies.parameters("open_loop", {"gain": 2.0})
 
