@@ -15,15 +15,17 @@ from collections.abc import Callable
 from enum import IntEnum, IntFlag
 from functools import cache
 from operator import attrgetter, index
-from typing import Any, ClassVar, NoReturn, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, get_args, get_type_hints
 
 from can_dbc import messages as m
 from can_dbc.contract import MessageSpec, SignalSpec, contract
-from can_dbc.dbc import load_dbc
 from can_dbc.errors import CodecError
-from can_dbc.frame import Frame, split_id
+from can_dbc.frame import Frame, is_lockstep, split_id
 
-__all__ = ["can_id_of", "decode", "encode", "load_dbc", "message_type_of", "spec_of"]
+if TYPE_CHECKING:
+    from can_dbc.lockstep import ControlMessage
+
+__all__ = ["can_id_of", "decode", "encode", "message_type_of", "spec_of"]
 
 SIGNALS: dict[type, dict[str, str]] = {
     m.ShiftRequest: {"target": "TargetGear"},
@@ -82,14 +84,8 @@ SIGNALS: dict[type, dict[str, str]] = {
         "pressure_f_pa": "PressureF",
         "supply_pa": "PressureSupply",
     },
-    m.Start: {"end_ns": "EndTime"},
-    m.Stop: {"reason": "StopReason", "time_ns": "StopTime"},
-    m.Grant: {"participant": "Participant", "time_ns": "GrantedTime", "frames": "Frames"},
-    m.Done: {"participant": "Participant", "next_event_ns": "NextEvent", "frames": "Frames"},
-    m.BusTime: {"time_ns": "ArrivalTime"},
-    m.Release: {"participant": "Participant", "time_ns": "ReleaseTime"},
 }
-"""Which signal carries which field."""
+"""Which signal carries which field; those of the lockstep are in `can_dbc.lockstep`."""
 
 _SI = {
     "": (1.0, 1.0),
@@ -250,7 +246,7 @@ class _MessageCodec:
     def __init__(self, message_type: type) -> None:
         spec = spec_of(message_type)
         hints = get_type_hints(message_type)
-        names = SIGNALS[message_type]
+        names = _signals(message_type)
         signals = {field: spec.signal(names[field]) for field in hints}
         self.message_type = message_type
         self.can_id = spec.can_id
@@ -338,20 +334,37 @@ def _types() -> dict[int, type]:
     return {can_id_of(message_type): message_type for message_type in SIGNALS}
 
 
+@cache
+def _lockstep_types() -> dict[int, type]:
+    from can_dbc import lockstep  # most programs never look at control frames
+
+    return {can_id_of(message_type): message_type for message_type in lockstep.SIGNALS}
+
+
 def message_type_of(can_id: int) -> type | None:
     """Message type that an identifier carries; None outside the contract."""
-    return _types().get(can_id)
+    return (_lockstep_types() if is_lockstep(can_id) else _types()).get(can_id)
+
+
+def _signals(message_type: type) -> dict[str, str]:
+    if message_type.__module__ == "can_dbc.lockstep":
+        from can_dbc import lockstep
+
+        return lockstep.SIGNALS[message_type]
+    return SIGNALS[message_type]
 
 
 class _Encoders(dict[type, Callable[[Any], Frame]]):
     """Encoder per message type, made when first asked for."""
 
     def __missing__(self, message_type: type) -> Callable[[Any], Frame]:
-        if message_type not in SIGNALS:
+        try:
+            _signals(message_type)
+        except KeyError:
             raise CodecError(
                 f"opc4.dbc: {message_type.__name__} is not a message; expected one of "
                 + ", ".join(known.__name__ for known in SIGNALS)
-            )
+            ) from None
         self[message_type] = encoder = _codec(message_type).encode
         return encoder
 
@@ -372,7 +385,7 @@ _encoders = _Encoders()
 _decoders = _Decoders()
 
 
-def encode(message: m.Message) -> Frame:
+def encode(message: m.Message | ControlMessage) -> Frame:
     """The frame of a message, rounded half to even to the resolution of the DBC.
 
     Raises CodecError for a value out of range, NaN or of another type, naming the field.
@@ -381,11 +394,11 @@ def encode(message: m.Message) -> Frame:
     return _encoders[message.__class__](message)
 
 
-def decode(frame: Frame) -> m.Message:
+def decode(frame: Frame) -> m.Message | ControlMessage:
     """The message in a frame, in SI units; the inverse of `encode` on the grid of the DBC.
 
     Raises CodecError for an unknown identifier, a wrong length, a value without meaning or unused
     bits that are not 1. Checked by: tests/contracts/test_codec.py
     """
-    message: m.Message = _decoders[frame[0]](frame[1])
+    message: m.Message | ControlMessage = _decoders[frame[0]](frame[1])
     return message

@@ -1,4 +1,4 @@
-"""One frozen dataclass per message of opc4.dbc, in SI units, with the enums they use.
+"""One frozen dataclass per message of the simulated bus, in SI units, with the enums they use.
 
 Values lie on the grid of the DBC after a round trip through the codec. The counter and CRC of the
 end-to-end protection are not fields: `can_dbc.e2e` owns them.
@@ -187,61 +187,6 @@ class PlantPressures:
     supply_pa: float
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
-    """Coordinator to all: answer with `Done` and your first event; the run ends at `end_ns`."""
-
-    end_ns: int
-
-
-@dataclass(frozen=True, slots=True)
-class Stop:
-    """Coordinator to all: the run is over at `time_ns`."""
-
-    reason: StopReason
-    time_ns: int
-
-
-@dataclass(frozen=True, slots=True)
-class Grant:
-    """Coordinator to one participant: advance to `time_ns`.
-
-    `frames`: number mod 256 of frames delivered to it since its previous grant, so that a
-    transport that loses a frame is found at once.
-    """
-
-    participant: int
-    time_ns: int
-    frames: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Done:
-    """Participant to coordinator: granted time reached; its next event is at `next_event_ns`.
-
-    `frames`: number mod 256 of frames it offered in this step.
-    """
-
-    participant: int
-    next_event_ns: int
-    frames: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class BusTime:
-    """Coordinator to all: the frames that follow arrived at `time_ns`."""
-
-    time_ns: int
-
-
-@dataclass(frozen=True, slots=True)
-class Release:
-    """Participant to coordinator: the offers that follow are released to the bus at `time_ns`."""
-
-    participant: int
-    time_ns: int
-
-
 Message = (
     ShiftRequest
     | ValveCommand
@@ -253,11 +198,5 @@ Message = (
     | Etc2
     | PlantMotion
     | PlantPressures
-    | Start
-    | Stop
-    | Grant
-    | Done
-    | BusTime
-    | Release
 )
-"""Any message of opc4.dbc."""
+"""Any message of the simulated bus; those of the lockstep are in `can_dbc.lockstep`."""

@@ -16,13 +16,16 @@ from cantools.database.can import Message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from can_dbc import codec, lockstep
 from can_dbc import messages as m
-from can_dbc.codec import SIGNALS, can_id_of, decode, encode, load_dbc, message_type_of
+from can_dbc.codec import can_id_of, decode, encode, message_type_of
 from can_dbc.contract import DBC_PATH
+from can_dbc.dbc import load_dbc
 from can_dbc.errors import CodecError, InputError
 from can_dbc.frame import Frame
 
-TYPES = get_args(m.Message)
+TYPES = get_args(m.Message) + get_args(lockstep.ControlMessage)
+SIGNALS = codec.SIGNALS | lockstep.SIGNALS
 NAMES = [message_type.__name__ for message_type in TYPES]
 every_message = pytest.mark.parametrize("message_type", TYPES, ids=NAMES)
 
@@ -213,6 +216,7 @@ COMMAND = m.ValveCommand(0.98, 0.33, 0.35, m.Gear.FORWARD)
 BLOW = m.SafetyBlow(m.Chamber.N, True, 0.15)
 PULSE = m.PositionPulse(0.9e-3, 293.15, 255)
 SPEEDS = m.DrivelineSpeeds(-12.5, 100.0)
+GRANT = lockstep.Grant(1, 0, 0)
 STATUS = m.ControllerStatus(m.ShiftState.BLOW, m.Gear.NEUTRAL, -0.01285, m.Fault.INTERNAL)
 
 
@@ -255,10 +259,10 @@ STATUS = m.ControllerStatus(m.ShiftState.BLOW, m.Gear.NEUTRAL, -0.01285, m.Fault
         (m.Etc2(), "requested_range", "\xff1"),
         (m.Etc2(), "requested_range", "1\xff"),
         (m.Etc2(), "requested_range", "€1"),
-        (m.Grant(1, 0), "time_ns", 1 << 48),
-        (m.Grant(1, 0), "time_ns", -1),
-        (m.Grant(1, 0), "participant", 255),
-        (m.Grant(1, 0), "frames", 256),
+        (GRANT, "time_ns", 1 << 48),
+        (GRANT, "time_ns", -1),
+        (GRANT, "participant", 255),
+        (GRANT, "frames", 256),
     ],
 )
 def test_what_cannot_be_sent_is_refused_by_field(message: Any, field: str, value: object) -> None:
@@ -324,8 +328,8 @@ def with_bits(frame: Frame, start: int, length: int, raw: int) -> Frame:
         (SPEEDS, 40, 24, (1 << 24) - 1_024_001, "output_rad_s"),
         (STATUS, 12, 4, 8, "state: raw value 0x8 has no meaning; expected a ShiftState"),
         (STATUS, 32, 24, 8_000_001, "estimate_m"),
-        (m.Stop(m.StopReason.END, 0), 0, 8, 2, "reason"),
-        (m.Grant(1, 0), 0, 8, 255, "participant"),
+        (lockstep.Stop(m.StopReason.END, 0), 0, 8, 2, "reason"),
+        (GRANT, 0, 8, 255, "participant"),
         (m.Etc1(), 8, 16, 0xFB00, "output_shaft_rad_s: raw value 0xfb00 has no meaning"),
         (m.Etc1(), 24, 8, 0xFB, "clutch_slip"),
         (m.Etc2(), 0, 8, 0xFC, "selected_gear"),
@@ -430,7 +434,9 @@ def test_bits_that_later_editions_may_assign_are_ignored_in_public_groups_only()
 
 def test_unused_bits_are_sent_as_1() -> None:
     assert encode(m.ShiftRequest(m.Gear.FORWARD)).data == bytes.fromhex("00 E0 FF FF FF FF FF FF")
-    assert encode(m.BusTime(0x0102030405)).data[2:] == bytes.fromhex("05 04 03 02 01 00")
+    assert encode(lockstep.BusTime(2, 0xAB, 0x0102030405)).data == bytes.fromhex(
+        "02 AB 05 04 03 02 01 00"
+    )
 
 
 def test_truth_values_of_numpy_and_flags() -> None:
@@ -449,8 +455,6 @@ def test_truth_values_of_numpy_and_flags() -> None:
 
 
 def test_a_codec_that_contradicts_itself_says_so() -> None:
-    from can_dbc import codec
-
     own = codec._MessageCodec(m.ShiftRequest)
     with pytest.raises(AssertionError, match="although every field can be sent"):
         own.refuse_message(m.ShiftRequest(m.Gear.FORWARD))

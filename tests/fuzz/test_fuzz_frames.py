@@ -13,14 +13,16 @@ import pytest
 from cantools.database.can import Message
 from e2e.p02 import e2e_p02_check
 
+from can_dbc import lockstep
 from can_dbc import messages as m
-from can_dbc.codec import can_id_of, decode, encode, load_dbc, spec_of
+from can_dbc.codec import can_id_of, decode, encode, spec_of
 from can_dbc.contract import DBC_PATH
+from can_dbc.dbc import load_dbc
 from can_dbc.e2e import PROTECTED, E2eStatus, Protector, Receiver, with_counter
 from can_dbc.errors import CodecError
 from can_dbc.frame import Frame
 
-TYPES = get_args(m.Message)
+TYPES = get_args(m.Message) + get_args(lockstep.ControlMessage)
 FEW, MANY = 1_500, 20_000
 
 

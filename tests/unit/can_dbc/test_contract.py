@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import inspect
+from types import ModuleType, UnionType
 from typing import get_args
 
 import pytest
 from cantools.database.can import Database
 
-from can_dbc import codec, dbc, e2e
+from can_dbc import codec, dbc, e2e, lockstep
 from can_dbc import contract as contract_module
 from can_dbc import messages as m
 from can_dbc.contract import DBC_PATH, contract, parse
 from can_dbc.errors import InputError
-from can_dbc.frame import DP_BIT, EDP_BIT, split_id
+from can_dbc.frame import DP_BIT, EDP_BIT, is_lockstep, split_id
 
 
 @pytest.fixture(scope="module")
@@ -106,20 +107,27 @@ def test_identifiers_and_cycles(message_type: type, can_id: int, cycle_ms: int) 
     assert spec.cycle_ns == cycle_ms * 1_000_000
 
 
-def test_every_message_has_its_dataclass_and_every_signal_its_field() -> None:
-    types = get_args(m.Message)
-    defined = [
-        x for _, x in inspect.getmembers(m, inspect.isclass) if hasattr(x, "__dataclass_fields__")
-    ]
-    assert {t.__name__ for t in types} == {spec.name for spec in contract().messages}
-    assert set(types) == set(defined) == set(codec.SIGNALS)
+@pytest.mark.parametrize(
+    ("module", "union", "signals"),
+    [(m, m.Message, codec.SIGNALS), (lockstep, lockstep.ControlMessage, lockstep.SIGNALS)],
+)
+def test_every_message_has_its_dataclass_and_every_signal_its_field(
+    module: ModuleType, union: UnionType, signals: dict[type, dict[str, str]]
+) -> None:
+    types = get_args(union)
+    classes = [x for _, x in inspect.getmembers(module, inspect.isclass)]
+    defined = [x for x in classes if hasattr(x, "__dataclass_fields__")]
+    specs = [spec for spec in contract().messages if is_lockstep(spec.can_id) == (module is not m)]
+    assert {t.__name__ for t in types} == {spec.name for spec in specs}
+    assert set(types) == set(defined) == set(signals)
     for message_type in types:
         spec = codec.spec_of(message_type)
         header = {"Crc", "Counter"} if message_type in e2e.PROTECTED else set()
-        fields = codec.SIGNALS[message_type]
+        fields = signals[message_type]
         assert set(fields) == set(message_type.__dataclass_fields__)
         assert set(fields.values()) | header == {s.name for s in spec.signals}
         assert not set(fields.values()) & header
+        assert codec.message_type_of(spec.can_id) is message_type
 
 
 def test_signals_neither_overlap_nor_leave_their_message() -> None:
@@ -140,14 +148,15 @@ def test_signals_neither_overlap_nor_leave_their_message() -> None:
         (m.SafetyBlow, "chamber", m.Chamber),
         (m.ControllerStatus, "state", m.ShiftState),
         (m.ControllerStatus, "confirmed", m.Gear),
-        (m.Stop, "reason", m.StopReason),
-        (m.Grant, "participant", m.ParticipantId),
-        (m.Done, "participant", m.ParticipantId),
-        (m.Release, "participant", m.ParticipantId),
+        (lockstep.Stop, "reason", m.StopReason),
+        (lockstep.Grant, "participant", m.ParticipantId),
+        (lockstep.Done, "participant", m.ParticipantId),
+        (lockstep.Release, "participant", m.ParticipantId),
     ],
 )
 def test_value_tables_are_the_enums(message_type: type, field: str, enum: type[m.Gear]) -> None:
-    signal = codec.spec_of(message_type).signal(codec.SIGNALS[message_type][field])
+    signals = codec.SIGNALS | lockstep.SIGNALS
+    signal = codec.spec_of(message_type).signal(signals[message_type][field])
     assert signal.choices == {member.value: member.name for member in enum}
 
 
@@ -166,14 +175,13 @@ def test_protected_messages_carry_the_header_of_profile_2() -> None:
 
 
 def test_lockstep_frames_stay_off_the_simulated_bus() -> None:
-    lockstep = {spec.name for spec in contract().messages if spec.can_id & EDP_BIT}
-    assert {"Start", "Stop", "Grant", "Done", "BusTime", "Release"} <= lockstep
     for spec in contract().messages:
-        if spec.name in lockstep:
+        if spec.name in {message_type.__name__ for message_type in lockstep.SIGNALS}:
+            assert spec.can_id & EDP_BIT
             assert spec.can_id & DP_BIT
             assert spec.cycle_ns == 0
         else:
-            assert not spec.can_id & DP_BIT
+            assert not spec.can_id & (EDP_BIT | DP_BIT)
             assert spec.cycle_ns > 0
 
 
