@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, NamedTuple
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
+from can_dbc.frame import Frame
 
 if TYPE_CHECKING:
     from sil.bus import Delivery
@@ -85,7 +86,7 @@ class BusLog(_AppendedFile):
         for delivery in deliveries:
             arrival_ns, frame = delivery.arrival_ns, delivery.frame
             payload = frame.data
-            self._hash.update(_HASHED_FRAME.pack(arrival_ns, frame.can_id, len(payload)) + payload)
+            self._hash.update(hashed_frame(arrival_ns, frame))
             seconds, nanoseconds = divmod(arrival_ns, 1_000_000_000)
             if nanoseconds % 1000:
                 self.whole_microseconds = False
@@ -114,8 +115,7 @@ class TraceWriter(_AppendedFile):
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
         super().__init__(path)
         self._width = len(columns)
-        header = {"format": _TRACE_FORMAT, "columns": list(columns)}
-        self.append(json.dumps(header).encode() + b"\n")
+        self.append(trace_header(columns))
 
     def write(self, rows: NDArray[np.float64]) -> None:
         """Append rows, shape (any number, number of columns)."""
@@ -153,10 +153,26 @@ def trace_sha256(frames_digest: bytes, trace_path: Path) -> str:
     Two runs have one hash when every frame arrived at the same nanosecond with the same data and
     every value of every trace row has the same bits.  Checked by test_transport_contract.
     """
-    total = hashlib.sha256(frames_digest)
     with open(trace_path, "rb") as file:
-        total.update(hashlib.file_digest(file, "sha256").digest())
-    return total.hexdigest()
+        return run_sha256(frames_digest, iter(lambda: file.read(1 << 20), b""))
+
+
+def run_sha256(frames_digest: bytes, trace: Iterable[bytes]) -> str:
+    """Return the hash of a run from its frames' digest and the pieces of its trace file."""
+    rows = hashlib.sha256()
+    for piece in trace:
+        rows.update(piece)
+    return hashlib.sha256(frames_digest + rows.digest()).hexdigest()
+
+
+def hashed_frame(arrival_ns: int, frame: Frame) -> bytes:
+    """Return what of a delivered frame goes into the digest: arrival, identifier, length, data."""
+    return _HASHED_FRAME.pack(arrival_ns, frame.can_id, len(frame.data)) + frame.data
+
+
+def trace_header(columns: Sequence[str]) -> bytes:
+    """Return the first line of a trace file."""
+    return json.dumps({"format": _TRACE_FORMAT, "columns": list(columns)}).encode() + b"\n"
 
 
 def _columns(path: Path, line: bytes) -> tuple[str, ...]:

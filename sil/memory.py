@@ -1,0 +1,115 @@
+"""A scenario run in memory: the CAN path and equations of `opc4 run`, without files or pictures.
+
+Sweeps and claims use it; a test holds it equal to `opc4 run`, trace hash included.
+Checked by: tests/unit/sil/test_memory.py
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sil import assembly, metrics
+from sil.bus import BusModel, Delivery
+from sil.clock import to_ns
+from sil.faults import FaultPlan
+from sil.lockstep import TURN_ORDER, Lockstep
+from sil.recorder import hashed_frame, run_sha256, trace_header
+from sil.run_record import BusFrame, PlantEvent, RunRecord
+from sil.scenario import Loaded
+from sil.transports.inproc import InProcess
+
+
+@dataclass
+class MemoryRun:
+    """A finished run: record, shifts, metrics, balances; `trace_sha256` as `opc4 run` gives it."""
+
+    record: RunRecord
+    shifts: list[metrics.Shift]
+    figures: dict[str, Any]
+    balances: dict[str, Any]
+    trace_sha256: str
+
+
+class TraceRows:
+    """Keeps the plant's trace rows, and their hash."""
+
+    def __init__(self) -> None:
+        self.rows: list[np.ndarray] = []
+
+    def write(self, rows: np.ndarray) -> None:
+        """Keep a copy of some rows."""
+        self.rows.append(np.array(rows))
+
+
+class EventList:
+    """Keeps the plant's events."""
+
+    def __init__(self) -> None:
+        self.events: list[PlantEvent] = []
+
+    def __call__(self, time_s: float, name: str, values: Any) -> None:
+        self.events.append(PlantEvent(time_s, name, dict(values)))
+
+
+def run_in_memory(loaded: Loaded) -> MemoryRun:
+    """Run a scenario as `opc4 run --transport inproc` does; nothing is written.
+
+    Raises InputError for what the scenario cannot be, RunError when a participant fails.
+    """
+    from plant.node import TRACE_COLUMNS, PlantNode
+
+    scenario = loaded.scenario
+    trace, events = TraceRows(), EventList()
+    node = PlantNode(assembly.plant_config(scenario), loaded.parameters, trace, events)
+    participants = [
+        node if name == "plant" else assembly.make_participant(name, loaded, Path())
+        for name in assembly.participant_names(scenario)
+    ]
+    plan = FaultPlan(scenario.fault, scenario.seed)
+    bus = BusModel(
+        scenario.bus.bitrate,
+        frame_filter=plan.frame_filter if plan.touches_frames else None,
+        is_off=plan.is_off if plan.touches_frames else None,
+    )
+    frames: list[BusFrame] = []
+    digest = hashlib.sha256()
+
+    def record(deliveries: list[Delivery]) -> None:
+        for d in deliveries:
+            digest.update(hashed_frame(d.arrival_ns, d.frame))
+            frames.append(BusFrame(d.queued_ns, d.arrival_ns, d.sender, d.frame))
+
+    with Lockstep(
+        bus,
+        [InProcess(participants)],
+        to_ns(scenario.duration_s),
+        record=record,
+        outages=plan if scenario.fault else None,
+        order=(*TURN_ORDER, "traffic"),
+    ) as lockstep:
+        lockstep.run()
+    rows = np.concatenate(trace.rows)
+    parameters, table = loaded.parameters, loaded.scenario.plant
+    supply = table.supply_pressure_pa
+    kept = RunRecord(
+        truth={name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(TRACE_COLUMNS)},
+        events=events.events,
+        frames=frames,
+        stroke_m=parameters.value("length.stroke"),
+        free_travel_m=parameters.value("length.x_free_total"),
+        supply_pressure_pa=parameters.value("supply.P_s") if supply is None else supply,
+    )
+    found = metrics.shifts(kept, assembly.gear_of(scenario.initial_gear))
+    balances = next((dict(e.values) for e in events.events if e.name == "balance"), {})
+    return MemoryRun(
+        record=kept,
+        shifts=found,
+        figures=metrics.summary(kept, found, balances.get("air_in_kg")),
+        balances=balances,
+        trace_sha256=run_sha256(digest.digest(), [trace_header(TRACE_COLUMNS), rows.tobytes()]),
+    )
