@@ -4,8 +4,9 @@ Byte 0 is CRC-8 0x2F over bytes 1 to 7 and the data id that belongs to the count
 of byte 1 the counter. The 16 data ids of each message stand in opc4.dbc. No two messages share one,
 so that a masqueraded frame never passes, and they are chosen such that every error of one or two
 bits is found, also where it hits the counter. The CRC is the autosar-e2e library's; the check and
-the state machine of the receiver follow AUTOSAR PRS E2E Protocol (profile 2 check, E2E_SM with the
-status mapping of release 4.2 and later), extended by a timeout in simulated time.
+the state machine of the receiver follow AUTOSAR PRS E2E Protocol (profile 2 check, E2E_SM), with
+two additions on the safe side: a timeout in simulated time, and a SYNC frame, whose sequence is not
+confirmed yet, counts as little as one of wrong sequence.
 Checked by: tests/contracts/test_e2e.py, tests/unit/can_dbc/test_e2e.py
 """
 
@@ -53,20 +54,11 @@ class E2eStatus(Enum):
     SYNC = "sync"
 
 
-_CONFIRMING = frozenset((E2eStatus.OK, E2eStatus.OK_SOME_LOST, E2eStatus.INITIAL, E2eStatus.SYNC))
-"""Frames that show a living sender."""
+_ACCEPTED = frozenset((E2eStatus.OK, E2eStatus.OK_SOME_LOST))
+"""Frames whose content is taken over."""
 
-_FOR_STATE_MACHINE = {
-    E2eStatus.OK: E2eStatus.OK,
-    E2eStatus.OK_SOME_LOST: E2eStatus.OK,
-    E2eStatus.SYNC: E2eStatus.OK,
-    E2eStatus.INITIAL: E2eStatus.WRONG_SEQUENCE,
-    E2eStatus.WRONG_SEQUENCE: E2eStatus.WRONG_SEQUENCE,
-    E2eStatus.REPEATED: E2eStatus.REPEATED,
-    E2eStatus.NO_NEW_DATA: E2eStatus.NO_NEW_DATA,
-    E2eStatus.ERROR: E2eStatus.ERROR,
-}
-"""E2E_P02MapStatusToSM with profileBehavior TRUE."""
+_ALIVE = _ACCEPTED | {E2eStatus.INITIAL}
+"""Frames that start the timeout anew."""
 
 
 class E2eState(Enum):
@@ -173,10 +165,10 @@ class Protector(Generic[M]):
 class Receiver(Generic[M]):
     """The receiving end of one channel: checks each frame and says whether to trust the channel.
 
-    `message` is the message of the latest frame with status OK, OK_SOME_LOST or SYNC and
-    `message_ns` its arrival; use it only while `state(now_ns)` is VALID: then it is there and not
-    older than the timeout. `counts` counts each status, `reason` says what was wrong with the
-    latest frame of status ERROR.
+    `message` is the message of the latest frame with status OK or OK_SOME_LOST and `message_ns`
+    its arrival; use it only while `state(now_ns)` is VALID: then it is there and not older than
+    the timeout. `counts` counts each status, `reason` says what was wrong with the latest frame of
+    status ERROR.
     Assumes non-decreasing times. Source: AUTOSAR PRS E2E Protocol, profile 2 and E2E_SM.
     Checked by: tests/contracts/test_e2e.py, tests/unit/can_dbc/test_e2e.py
     """
@@ -212,9 +204,9 @@ class Receiver(Generic[M]):
             self._max_delta += 1
         status = self.status = self._check(now_ns, frame)
         self.counts[status] += 1
-        if status in _CONFIRMING:
+        if status in _ALIVE:
             self._alive_ns = now_ns
-        self._decide(_FOR_STATE_MACHINE[status])
+        self._decide(status)
         return status
 
     def state(self, now_ns: int) -> E2eState:
@@ -250,7 +242,7 @@ class Receiver(Generic[M]):
             self.reason = str(error)
             return E2eStatus.ERROR
         status = self._check_counter(data[1] & LARGEST_COUNTER)
-        if _FOR_STATE_MACHINE[status] is E2eStatus.OK:
+        if status in _ACCEPTED:
             self.message = message  # type: ignore[assignment]
             self.message_ns = now_ns
         return status
@@ -295,7 +287,7 @@ class Receiver(Generic[M]):
         if nothing_heard and status in (E2eStatus.ERROR, E2eStatus.NO_NEW_DATA):
             return
         self._window.append(status)
-        ok = self._window.count(E2eStatus.OK)
+        ok = sum(status in _ACCEPTED for status in self._window)
         errors = self._window.count(E2eStatus.ERROR)
         c = self.config
         if self._state is E2eState.VALID:

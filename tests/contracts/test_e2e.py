@@ -238,7 +238,7 @@ def test_whatever_happens_to_a_channel(steps: list[int], bits: list[int]) -> Non
         if receiver.state(now_ns) is E2eState.VALID:
             assert receiver.message is not None
             assert now_ns - receiver.message_ns <= timeout_ns
-    for _ in range(6):
+    for _ in range(6):  # sequence accepted, confirmed, good often enough
         now_ns += cycle_ns
         receiver.receive(now_ns, protector.protect(EXAMPLES[message_type]))
     assert receiver.state(now_ns) is E2eState.VALID

@@ -146,8 +146,10 @@ def test_silence_makes_invalid_and_two_frames_in_sequence_valid_again() -> None:
     assert receiver.receive(60 * MS, frame(6)) is S.SYNC
     assert receiver.state(60 * MS) is V.INVALID
     assert receiver.receive(70 * MS, frame(7)) is S.OK
-    assert receiver.state(70 * MS) is V.VALID
-    assert receiver.state(100 * MS) is V.VALID
+    assert receiver.state(70 * MS) is V.INVALID
+    assert receiver.receive(80 * MS, frame(8)) is S.OK
+    assert receiver.state(80 * MS) is V.VALID
+    assert receiver.state(110 * MS) is V.VALID
 
 
 def test_good_frames_from_before_a_silence_do_not_count_after_it() -> None:
@@ -169,6 +171,28 @@ def test_errors_and_repetitions_do_not_stop_the_timeout() -> None:
             receiver.receive(number * CYCLE, arrival)
         assert receiver.state(40 * MS) is V.VALID
         assert receiver.state(40 * MS + 1) is V.INVALID
+
+
+def test_frames_that_only_resynchronise_keep_nothing_alive() -> None:
+    """A counter that jumps every other frame: WRONG_SEQUENCE and SYNC for ever."""
+    receiver = Receiver(m.ShiftRequest, replace(CONFIG, window_size=200))
+    receiver.receive(0, frame(0))
+    receiver.receive(10 * MS, frame(1))
+    counter = 1
+    for number in range(2, 5):
+        counter += 8 if number % 2 == 0 else 1
+        status = receiver.receive(number * CYCLE, frame(counter % 16))
+        assert status is (S.WRONG_SEQUENCE if number % 2 == 0 else S.SYNC)
+    assert receiver.state(40 * MS) is V.VALID
+    assert receiver.state(40 * MS + 1) is V.INVALID
+    assert receiver.message_ns == 10 * MS
+
+
+def test_a_channel_that_starts_with_jumps_is_not_valid_without_a_message() -> None:
+    _, states, receiver = run([0, 8, 9, 0, 1])
+    assert states == [V.INIT] * 5
+    assert receiver.status is S.SYNC
+    assert receiver.message is None
 
 
 def test_a_channel_that_never_speaks_becomes_invalid() -> None:
@@ -197,7 +221,10 @@ def test_message_is_kept_from_good_frames_only() -> None:
     assert (receiver.message, receiver.message_ns) == (m.ShiftRequest(m.Gear.FORWARD), 1)
     receiver.receive(4, protector.protect(m.ShiftRequest(m.Gear.BACKWARD)))
     assert receiver.status is S.SYNC
-    assert (receiver.message, receiver.message_ns) == (m.ShiftRequest(m.Gear.BACKWARD), 4)
+    assert (receiver.message, receiver.message_ns) == (m.ShiftRequest(m.Gear.FORWARD), 1)
+    receiver.receive(5, protector.protect(m.ShiftRequest(m.Gear.BACKWARD)))
+    assert receiver.status is S.OK
+    assert (receiver.message, receiver.message_ns) == (m.ShiftRequest(m.Gear.BACKWARD), 5)
 
 
 def test_time_does_not_run_backwards() -> None:
