@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
         external=arguments.external,
         say=say,
     )
-    if not arguments.no_report and finished.record is not None:
+    if not arguments.no_report and finished.result.complete:
         from sil.report.run_report import write_report
 
         write_report(finished, folder)

@@ -34,7 +34,8 @@ def test_full_shift_from_the_command_line(opc4: Run, tmp_path: Path) -> None:
         assert 0.004 < shift["valve_open_s"] - shift["commanded_s"] < 0.0085
     assert all(check["passed"] for check in result["expectations"])
 
-    rows = list(csv.DictReader((tmp_path / "first" / "trace.csv").open()))
+    with (tmp_path / "first" / "trace.csv").open() as file:
+        rows = list(csv.DictReader(file))
     assert float(rows[0]["position_m"]) == 0.01285
     assert float(rows[-1]["position_m"]) == -0.01285
     assert {r["valve_F"] for r in rows} == {"0", "1"}
