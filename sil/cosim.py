@@ -33,7 +33,7 @@ CUT_OFF = "the run was cut off before it could say why"
 
 @dataclass(frozen=True)
 class Finished:
-    """A run that has ended, well or not: its result, and what it left when there is enough of it."""
+    """A run that has ended, well or not: its result, and what it left, if that is enough."""
 
     result: Result
     record: RunRecord | None
@@ -80,7 +80,9 @@ def run(
 
             def record(deliveries: list[Delivery]) -> None:
                 log.record(deliveries)
-                frames.extend(BusFrame(d.queued_ns, d.arrival_ns, d.sender, d.frame) for d in deliveries)
+                frames.extend(
+                    BusFrame(d.queued_ns, d.arrival_ns, d.sender, d.frame) for d in deliveries
+                )
 
             lockstep = closing.enter_context(
                 Lockstep(
@@ -223,7 +225,9 @@ def _read_record(loaded: Loaded, folder: Path, frames: list[BusFrame]) -> RunRec
     parameters, table = loaded.parameters, loaded.scenario.plant
     supply = table.supply_pressure_pa
     return RunRecord(
-        truth={name: np.ascontiguousarray(trace.rows[:, i]) for i, name in enumerate(trace.columns)},
+        truth={
+            name: np.ascontiguousarray(trace.rows[:, i]) for i, name in enumerate(trace.columns)
+        },
         events=read_events(folder / EVENTS),
         frames=frames,
         stroke_m=parameters.value("length.stroke"),

@@ -45,5 +45,3 @@ def read_events(path: Path) -> list[PlantEvent]:
                 f"{path}: line {number}: not an event; expected time_s, name and values"
             ) from None
     return events
-
-

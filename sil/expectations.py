@@ -118,9 +118,7 @@ def _equal(name: str, value: Any, limit: Any) -> Check:
     return Check(name=name, passed=value == limit, value=value, limit=limit)
 
 
-def _not_vacuous(
-    wanted: Expectations, record: RunRecord, found: Sequence[Shift]
-) -> list[Check]:
+def _not_vacuous(wanted: Expectations, record: RunRecord, found: Sequence[Shift]) -> list[Check]:
     checks = []
     for kind in (ShiftRequest, ValveCommand, ControllerStatus, PlantMotion):
         count = len(record.of(kind))
@@ -143,8 +141,8 @@ def _ends(wanted: Expectations, record: RunRecord) -> list[Check]:
         checks.append(_equal("final gear", gear, wanted.final_gear))
     status = record.of(ControllerStatus)
     if wanted.confirmed_gear is not None:
-        gear = status[-1][1].confirmed.name.lower() if status else None
-        checks.append(_equal("confirmed gear", gear, wanted.confirmed_gear))
+        confirmed = status[-1][1].confirmed.name.lower() if status else None
+        checks.append(_equal("confirmed gear", confirmed, wanted.confirmed_gear))
     if wanted.faults is not None:
         seen = Fault.NONE
         for _, message in status:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import msgspec
@@ -17,7 +17,7 @@ from can_dbc.messages import (
     ShiftRequest,
     ValveCommand,
 )
-from sil.run_record import CHAMBERS, NS, Floats, PlantEvent, RunRecord
+from sil.run_record import CHAMBERS, NS, Floats, M, PlantEvent, RunRecord
 
 ARRIVED_WITHIN_M = 5e-5
 """The stay counts as arrived this close to its stop: one step of the external potentiometer."""
@@ -138,7 +138,7 @@ def shifts(record: RunRecord, initial: Gear) -> list[Shift]:
 
 
 def _first(
-    record: RunRecord, kind: type, start: float, until: float, wanted: Any
+    record: RunRecord, kind: type[M], start: float, until: float, wanted: Callable[[M], bool]
 ) -> float | None:
     for entry, message in record.of(kind):
         at = entry.arrival_ns / NS
@@ -169,14 +169,21 @@ def _shift(record: RunRecord, start: float, source: Gear, target: Gear, until: f
     duty = f"duty_{letter.lower()}"
     commanded = _first(record, ValveCommand, start, until, lambda m: getattr(m, duty) > OPEN_ABOVE)
     opened = next(
-        (e.time_s for e in record.events if e.name == f"valve_{letter}_open" and e.time_s >= start
-         and e.time_s <= until), None)
+        (
+            e.time_s
+            for e in record.events
+            if e.name == f"valve_{letter}_open" and e.time_s >= start and e.time_s <= until
+        ),
+        None,
+    )
     blow = [
         e.arrival_ns / NS
         for e, m in record.of(SafetyBlow)
         if m.active and m.chamber == Chamber[letter] and start <= e.arrival_ns / NS <= until
     ]
-    lags = _lags(record, origin, goal, start, until) if known and arrived is not None else [None] * 6
+    lags = (
+        _lags(record, origin, goal, start, until) if known and arrived is not None else [None] * 6
+    )
     return Shift(
         from_gear=source.name.lower(),
         to_gear=target.name.lower(),
@@ -185,9 +192,7 @@ def _shift(record: RunRecord, start: float, source: Gear, target: Gear, until: f
         valve_open_s=opened,
         first_motion_s=first_motion,
         arrived_s=arrived,
-        confirmed_s=_first(
-            record, ControllerStatus, start, until, lambda m: m.confirmed == target
-        ),
+        confirmed_s=_first(record, ControllerStatus, start, until, lambda m: m.confirmed == target),
         blow_end_s=blow[-1] if blow else None,
         shift_time_s=None if arrived is None else arrived - start,
         impact_speed_m_s=None if stop is None else abs(float(stop.values["speed_m_s"])),
@@ -206,17 +211,18 @@ def _stop_event(
 ) -> PlantEvent | None:
     """Return the stay's first impact on the stop of the wanted gear."""
     for event in events:
-        if event.name == "stay_stop" and start <= event.time_s <= until:
-            if abs(float(event.values["position_m"]) - goal_m) <= ARRIVED_WITHIN_M:
-                return event
+        if event.name != "stay_stop" or not start <= event.time_s <= until:
+            continue
+        if abs(float(event.values["position_m"]) - goal_m) <= ARRIVED_WITHIN_M:
+            return event
     return None
 
 
 def _lags(
     record: RunRecord, origin: float, goal: float, start: float, until: float
 ) -> list[float | None]:
-    """Return the lag at 10 % and 90 % of travel: phase-averaged, as held in this run, and as the bus
-    log alone gives it (the plant's truth frames against the controller's status frames)."""
+    """Return the lag at 10 % and 90 % of travel: phase-averaged, as held in this run, and as the
+    bus log alone gives it (the plant's truth frames against the controller's status frames)."""
     rising = goal > origin
     levels = [origin + share * (goal - origin) for share in (0.1, 0.9)]
     time, position = record.truth["time_s"], record.truth["position_m"]
@@ -256,13 +262,10 @@ def _minus(later: float | None, earlier: float | None) -> float | None:
 
 def valve_switchings(record: RunRecord) -> int:
     """Return how often any valve actually moved (either way)."""
-    return sum(
-        1 for e in record.events if e.name.startswith("valve_") and e.name[6:7] in CHAMBERS
-    )
+    return sum(1 for e in record.events if e.name.startswith("valve_") and e.name[6:7] in CHAMBERS)
 
 
-def summary(record: RunRecord, found: Sequence[Shift], air_used_kg: float | None
-) -> dict[str, Any]:
+def summary(record: RunRecord, found: Sequence[Shift], air_used_kg: float | None) -> dict[str, Any]:
     """Return the metrics of result.json.
 
     `shift_time_s` is the time spent shifting: the sum over the shifts of request to arrival at the

@@ -1,4 +1,4 @@
-"""What a finished run left behind, as arrays and messages: the one input of metrics and pictures."""
+"""What a finished run left behind, as arrays and messages: the input of metrics and pictures."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class RunRecord:
         """Return (frame, message) of one message type in order of arrival."""
         return self.messages.get(kind, [])
 
-    def series(self, kind: type, name: str) -> tuple[Floats, list[Any]]:
+    def series(self, kind: type[Any], name: str) -> tuple[Floats, list[Any]]:
         """Return arrival times in s, and the values, of one field of one message type."""
         entries = self.of(kind)
         times = np.array([e.arrival_ns for e, _ in entries], dtype=np.float64) / NS

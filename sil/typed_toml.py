@@ -68,7 +68,7 @@ def nearest(name: str, known: Iterable[str], count: int = 3) -> list[str]:
 
 
 def unknown_name(name: str, known: Iterable[str]) -> str:
-    """Return 'unknown; expected one of ...' for a name, with the nearest ones when they are many."""
+    """Return 'unknown; expected one of ...' for a name; of many names, the nearest."""
     names = sorted(known)
     near = nearest(name, names)
     if len(names) > 12 and near:
@@ -241,9 +241,7 @@ def _choices(kind: Any, value: Any, key: str | None) -> list[str]:
                 found += [str(a) for a in typing.get_args(member)]
         return found
     structs = [m for m in _members(kind) if _is_struct(m)]
-    tags = [
-        str(s.__struct_config__.tag) for s in structs if s.__struct_config__.tag_field == key
-    ]
+    tags = [str(s.__struct_config__.tag) for s in structs if s.__struct_config__.tag_field == key]
     return tags or _choices(field_types(kind, value).get(key), None, None)
 
 
@@ -271,7 +269,7 @@ def parse_value(text: str) -> Any:
 
 
 def leaf_paths(kind: Any, value: Any, prefix: tuple[str | int, ...] = ()) -> Iterator[str]:
-    """Yield the dotted path of every value that a record of this type, holding `value`, may have."""
+    """Yield the dotted path of every value that a record of this type may have beside `value`."""
     if not field_types(kind, value):
         yield dotted(prefix)
         return
@@ -310,10 +308,10 @@ def set_value(raw: dict[str, Any], kind: Any, path: str, value: Any) -> bool:
         elif not isinstance(at, dict) or isinstance(step, int):
             return False
         if last:
-            at[step] = value  # type: ignore[index]
+            at[step] = value
             return True
         if isinstance(at, dict) and at.get(str(step)) is None:
             at[str(step)] = {}
-        at = at[step]  # type: ignore[index]
+        at = at[step]
         kind = child
     return False

@@ -1,4 +1,4 @@
-"""The command `opc4`: a table of commands, each in a file of its own that is imported when asked for."""
+"""The command `opc4`: a table of commands, each in a file of its own, imported when asked for."""
 
 from __future__ import annotations
 

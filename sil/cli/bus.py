@@ -96,7 +96,10 @@ def _tell(told: dict[str, Any]) -> None:
     for name in found["local_runs"]:
         print(f"  a run listens on local:{name}")
     print(f"bus: {told['bitrate']} bit/s, {100 * told['worst_case_load']:.1f} % loaded at worst")
-    print(f"  {'message':<18} {'identifier':>10} {'period ms':>10} {'frame ms':>9} {'blocked ms':>11} {'worst ms':>9}")
+    print(
+        f"  {'message':<18} {'identifier':>10} {'period ms':>10} {'frame ms':>9} "
+        f"{'blocked ms':>11} {'worst ms':>9}"
+    )
     for m in told["messages"]:
         late = "" if m["in_time"] else "  too late"
         print(

@@ -10,7 +10,10 @@ from pathlib import Path
 def add_out(parser: argparse.ArgumentParser, default: str) -> None:
     """Add --out and --force; `default` says where output goes without."""
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help=f"folder for the output, made if missing [{default}]"
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help=f"folder for the output, made if missing [{default}]",
     )
     parser.add_argument(
         "--force", action="store_true", help="replace the run that the folder holds"

@@ -119,7 +119,9 @@ def _tell(loaded: Loaded, finished: Finished, folder: Path) -> None:
     """Print what a user wants to know at once."""
     result = finished.result
     met = sum(check.passed for check in result.expectations)
-    print(f"{result.scenario_name}: {result.status}, {met} of {len(result.expectations)} checks met")
+    print(
+        f"{result.scenario_name}: {result.status}, {met} of {len(result.expectations)} checks met"
+    )
     for check in result.expectations:
         if not check.passed:
             print(f"  not met: {check.name}: {check.value}; expected {check.limit}")

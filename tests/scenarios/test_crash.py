@@ -128,7 +128,11 @@ def test_existing_run_is_not_overwritten(tmp_path: Path) -> None:
     (folder / "result.json").write_text("mine")
     done = subprocess.run(
         [sys.executable, "-m", "sil.cli", "run", "lab_n_b", "--out", str(folder)],
-        cwd=ROOT, capture_output=True, text=True, check=False, timeout=60,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
     )
     assert done.returncode == 2 and "holds another run" in done.stderr
     assert (folder / "result.json").read_text() == "mine"
@@ -137,9 +141,22 @@ def test_existing_run_is_not_overwritten(tmp_path: Path) -> None:
 def test_a_transport_that_is_not_there_leaves_nothing_behind(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     done = subprocess.run(
-        [sys.executable, "-m", "sil.cli", "run", "lab_n_b", "--transport", "nocan9", "--out",
-         str(folder)],
-        cwd=ROOT, capture_output=True, text=True, check=False, timeout=60,
+        [
+            sys.executable,
+            "-m",
+            "sil.cli",
+            "run",
+            "lab_n_b",
+            "--transport",
+            "nocan9",
+            "--out",
+            str(folder),
+        ],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
     )
     assert done.returncode == 2, done.stderr
     assert done.stderr.count("\n") == 1 and "nocan9" in done.stderr

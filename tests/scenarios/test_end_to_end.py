@@ -27,8 +27,14 @@ def test_full_shift_from_the_command_line(opc4: Run, tmp_path: Path) -> None:
     for shift in shifts:
         instants = [
             shift[f"{name}_s"]
-            for name in ("requested", "commanded", "valve_open", "first_motion", "arrived",
-                         "confirmed")
+            for name in (
+                "requested",
+                "commanded",
+                "valve_open",
+                "first_motion",
+                "arrived",
+                "confirmed",
+            )
         ]
         assert instants == sorted(instants)
         assert 0.004 < shift["valve_open_s"] - shift["commanded_s"] < 0.0085

@@ -63,9 +63,7 @@ def test_a_result_runs_again_as_it_was(tmp_path: Path) -> None:
 
 
 def test_an_expectation_that_does_not_hold_fails_the_run(tmp_path: Path) -> None:
-    finished = cosim.run(
-        scenario.load("lab_n_b", settings=["expect.final_gear=forward"]), tmp_path
-    )
+    finished = cosim.run(scenario.load("lab_n_b", settings=["expect.final_gear=forward"]), tmp_path)
     assert finished.result.complete and not finished.result.passed
     assert finished.result.status == "failed"
     assert [c.name for c in finished.result.expectations if not c.passed] == ["final gear"]

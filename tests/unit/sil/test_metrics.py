@@ -64,7 +64,7 @@ def test_shift_instants() -> None:
 
 
 def test_lags_from_truth_and_from_the_bus_alone() -> None:
-    """The estimate is 20 ms old when sent, 1 ms on the bus, and held for 10 ms: 26 ms on average."""
+    """The estimate is 20 ms old when sent, 1 ms on the bus, held for 10 ms: 26 ms on average."""
     (shift,) = metrics.shifts(made_run.made(), Gear.NEUTRAL)
     for lag in (shift.position_lag_10_s, shift.position_lag_90_s):
         assert lag == pytest.approx(0.026, abs=1.5e-3)

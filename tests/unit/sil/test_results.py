@@ -77,15 +77,23 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
         write_whole(target, "new \ud800")
     assert target.read_text() == "old"
     write_whole(target, "new")
-    assert target.read_text() == "new" and os.listdir(tmp_path) == ["result.json", ]
+    assert target.read_text() == "new" and os.listdir(tmp_path) == [
+        "result.json",
+    ]
 
 
 def test_json_has_no_nan_and_the_promised_names() -> None:
     told = json.loads(as_json(made(metrics={"a": float("nan"), "b": [float("inf"), 1.0]})))
     assert told["metrics"] == {"a": None, "b": [None, 1.0]}
-    assert {"passed", "expectations", "metrics", "trace_sha256", "seed", "versions", "scenario"} <= (
-        told.keys()
-    )
+    assert {
+        "passed",
+        "expectations",
+        "metrics",
+        "trace_sha256",
+        "seed",
+        "versions",
+        "scenario",
+    } <= (told.keys())
     assert finite({1: (float("-inf"), "x")}) == {"1": [None, "x"]}
 
 

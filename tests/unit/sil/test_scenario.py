@@ -66,7 +66,10 @@ def test_defaults_are_those_of_the_parts(tmp_path: Path) -> None:
         (GOOD + "[controller.filter]\nfc_hz = 60.0\n", "controller.filter.fc_hz: 60.0 is wrong"),
         (GOOD + "[driveline]\nengine_ramp_rad_s2 = 0\n", "driveline: engine_ramp_rad_s2 must"),
         (GOOD + "[[fault]]\nkind = 'los'\n", "fault[0].kind: 'los' is unknown; "),
-        (GOOD + "[[fault]]\nkind = 'gremlin'\n", "fault[0].kind: 'gremlin' is unknown; expected one"),
+        (
+            GOOD + "[[fault]]\nkind = 'gremlin'\n",
+            "fault[0].kind: 'gremlin' is unknown; expected one",
+        ),
         (GOOD + "[[fault]]\nkind = 'dead'\nnode = 'plant'\n", "fault[0].node: 'plant' is unknown"),
         (
             GOOD + "[[fault]]\nkind = 'stalled'\nnode = 'driver'\n",
@@ -159,7 +162,7 @@ def test_set_is_refused(tmp_path: Path, setting: str, told: str) -> None:
 def test_model_file_and_seed(tmp_path: Path) -> None:
     model = tmp_path / "m.toml"
     model.write_text(
-        '[base]\nmodel = "nominal"\n[valve]\nD_fall = { value = 0.01, unit = "s", source = "test" }\n'
+        '[base]\nmodel = "nominal"\n[valve]\nD_fall = {value = 0.01, unit = "s", source = "test"}\n'
     )
     loaded = load(tmp_path, GOOD, model=str(model), seed=9)
     assert loaded.parameters.value("valve.D_fall") == 0.01

@@ -1,0 +1,63 @@
+"""Check the thesis's claims: claimed, achieved, met or not."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter
+from dataclasses import asdict
+from pathlib import Path
+
+EXAMPLE = "example: opc4 claims F07 F16 F36"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("id", nargs="*", metavar="ID", help="claims to check (default: all)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for claims.json, claims.md")
+    parser.add_argument("--force", action="store_true", help="replace claims in DIR")
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Check and print; 0 also when a claim is not met: that is an answer."""
+    from sil.claims.claim import Finding, check, chosen
+    from sil.results import prepare_folder, write_whole
+
+    wanted = chosen(arguments.id)
+    folder = None
+    if arguments.out is not None:
+        folder = prepare_folder(arguments.out, "claims", arguments.force)
+    found: list[Finding] = []
+    for item in wanted:
+        finding = check(item)
+        found.append(finding)
+        if not arguments.json:
+            print(f"{finding.id:5} {finding.verdict:15} {finding.claimed}")
+            print(f"      {finding.achieved}")
+            if finding.reason:
+                print(f"      because: {finding.reason}")
+    counts = Counter(finding.verdict for finding in found)
+    table = {"claims": [asdict(finding) for finding in found], "verdicts": dict(counts)}
+    if folder is not None:
+        write_whole(folder / "claims.json", json.dumps(table, indent=1, ensure_ascii=False) + "\n")
+        write_whole(folder / "claims.md", markdown(found))
+    if arguments.json:
+        print(json.dumps(table, ensure_ascii=False))
+    else:
+        print(", ".join(f"{number} {verdict}" for verdict, number in counts.most_common()))
+    return 0
+
+
+def markdown(found: list) -> str:  # type: ignore[type-arg]
+    """The findings as one Markdown table."""
+    lines = [
+        "| claim | section | the thesis | here | verdict | shown by |",
+        "|---|---|---|---|---|---|",
+    ]
+    for item in found:
+        why = f" ({item.reason})" if item.reason else ""
+        cells = [item.id, item.section, item.claimed, item.achieved + why, item.verdict]
+        cells = [cell.replace("|", "\\|") for cell in cells]
+        lines.append("| " + " | ".join(cells) + f" | `{item.command}` |")
+    return "\n".join(lines) + "\n"
