@@ -14,7 +14,7 @@ from typing import Final
 from can_dbc.errors import InputError
 from sil.logs.backend import Batch, LogWriter, ReadOptions
 from sil.logs.byte_source import ByteSource
-from sil.logs.candump_line import ERROR_FLAG, NotAFrame, parse_line, surely_whole
+from sil.logs.candump_line import DROPPED, ERROR_FLAG, NotAFrame, parse_line, surely_whole
 from sil.logs.frame import LogFrame
 from sil.logs.report import LogReport, Place
 from sil.logs.text_lines import Chunk, chunk_lines, chunks
@@ -29,6 +29,9 @@ _PLAIN = re.compile(
 
 _DIRECTION: Final = {"": "", "R": "Rx", "T": "Tx"}
 _LETTER: Final = {"": "", "Rx": " R", "Tx": " T"}
+_DECIDED_BY: Final = 256
+"""Frames that are looked at (if there are so many) to tell differences of time from times."""
+
 _BUS_ERROR: Final = 0x80
 """SocketCAN's class of an error seen on the bus (CAN_ERR_BUSERROR)."""
 
@@ -47,11 +50,19 @@ class CandumpReader:
 
     def read(self, source: ByteSource) -> Iterator[Batch]:
         """Frames chunk by chunk."""
+        held = Batch([], [])
         for chunk in chunks(source):
             batch = self._plain(chunk) or self._mixed(chunk)
             if batch.frames:
-                yield self._with_times(batch)
                 self._earlier = batch.frames
+                if not self._decided:
+                    held = Batch(held.frames + batch.frames, [*held.places, *batch.places])
+                    if len(held.frames) < _DECIDED_BY:
+                        continue
+                    batch, held = held, Batch([], [])
+                yield self._with_times(batch)
+        if held.frames:
+            yield self._with_times(held)
 
     def _plain(self, chunk: Chunk) -> Batch | None:
         """The frames of a chunk when every line of it is a common one."""
@@ -108,8 +119,8 @@ class CandumpReader:
             try:
                 parsed = parse_line(line.text)
             except NotAFrame as known:
-                if known.args[0]:
-                    report.other[known.args[0]] += 1
+                if known.name:
+                    report.other[known.name] += known.count
                 continue
             except ValueError as error:
                 place = Place(str(error), line.number, line.byte)
@@ -277,7 +288,7 @@ class Candump:
             try:
                 parse_line(text.removesuffix("\r"))
             except NotAFrame as known:
-                if known.args[0].startswith("report of frames"):
+                if known.name == DROPPED:
                     return True
             except ValueError:
                 continue

@@ -15,10 +15,19 @@ from sil.logs.frame import LogFrame, frame_problem
 from sil.logs.times import parse_decimal_ns, utc_ns
 
 ERROR_FLAG: Final = 0x20000000
+DROPPED: Final = "frame dropped by the recorder"
 
 
 class NotAFrame(Exception):
-    """A line that belongs in such a log and is no frame; its argument names it ("" for nothing)."""
+    """A line that belongs in such a log and is no frame.
+
+    name: what it is, "" for what need not be counted; count: how many of these it stands for.
+    """
+
+    def __init__(self, name: str, count: int = 1) -> None:
+        super().__init__(name)
+        self.name = name
+        self.count = count
 
 
 class Parsed(NamedTuple):
@@ -71,7 +80,7 @@ def parse_line(text: str) -> Parsed:
         raise NotAFrame("error frame explanation line")
     dropped = _DROPPED.match(line)
     if dropped:
-        raise NotAFrame("report of frames the recorder dropped")
+        raise NotAFrame(DROPPED, int(dropped[1][:9]))
     timed = _TIME.match(line)
     time_ns = 0
     if timed:

@@ -192,6 +192,8 @@ class CsvReader:
                 self._row = self._header(line.text)
                 continue
             try:
+                if line.unterminated and self._row is _savvycan and line.text[-2:-1] == ",":
+                    raise ValueError("the last line has no end and may be cut short")
                 frame = self._row(line.text)
                 problem = frame_problem(frame)
                 if problem is not None:

@@ -151,8 +151,8 @@ class Mf4Reader:
         if self._signal_groups:
             names = ", ".join(self._signals)
             raise InputError(
-                f"{report.path}: holds decoded signals only ({names}, ... in {self._signal_groups} "
-                "groups), no CAN frames; expected a bus log with CAN_DataFrame groups"
+                f"{report.path}: holds decoded signals only ({names}, ...; groups: "
+                f"{self._signal_groups}), no CAN frames; expected a log of CAN_DataFrame groups"
             )
         report.note("no CAN frame groups in it")
 

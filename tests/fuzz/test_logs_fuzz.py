@@ -1,0 +1,250 @@
+"""Damaged logs of every format: InputError or frames, never a crash, a hang or a frame invented."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from can_dbc.errors import InputError
+from sil.logs import LogFrame, open_log, open_writer
+from sil.logs.frame import DLC_LENGTHS, frame_problem
+from sil.logs.j1939 import summarize
+from tests.unit.sil.logs.unsorted_mf4 import logger_file
+
+FIXTURES = Path(__file__).resolve().parent.parent / "data" / "logs"
+LONGEST_S = 2.0
+SEED = 20_240_607
+
+TEXT_SEEDS = sorted(path.name for path in FIXTURES.iterdir() if path.suffix != ".md")
+WRITTEN = ("log", "asc", "trc", "csv", "blf", "mf4", "log.gz", "blf.gz")
+
+
+def made_frames(count: int) -> list[LogFrame]:
+    """Frames of every kind, one after the other in time."""
+    rng = random.Random(SEED)
+    found = []
+    time_ns = 1_700_000_000_000_000_000
+    for index in range(count):
+        time_ns += rng.randrange(100, 3_000) * 1000
+        extended = rng.random() < 0.7
+        can_id = rng.randrange(1 << 29 if extended else 1 << 11)
+        kind = index % 8
+        base = LogFrame(time_ns, can_id, b"", extended, channel="1", direction="Rx")
+        if kind == 6:
+            found.append(base._replace(remote=True, raw_dlc=rng.randrange(9)))
+        elif kind == 7:
+            data = rng.randbytes(rng.choice(DLC_LENGTHS))
+            found.append(base._replace(fd=True, brs=rng.random() < 0.5, data=data))
+        else:
+            found.append(base._replace(data=rng.randbytes(rng.randrange(9))))
+    return found
+
+
+@pytest.fixture(scope="module")
+def seeds(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """Whole logs of every format, by a name with their suffix."""
+    folder = tmp_path_factory.mktemp("seeds")
+    found = {name: (FIXTURES / name).read_bytes() for name in TEXT_SEEDS}
+    frames = made_frames(40)
+    for suffix in WRITTEN:
+        path = folder / f"made.{suffix}"
+        with open_writer(path) as writer:
+            for frame in frames:
+                writer.write(frame)
+        found[path.name] = path.read_bytes()
+    plain = [(i * 1000, frame.can_id, frame.data[:8]) for i, frame in enumerate(frames)]
+    found["logger.mf4"] = logger_file(plain, 1_700_000_000_000_000_000, error_at=[1500])
+    return found
+
+
+def mutated(rng: random.Random, blob: bytes) -> bytes:
+    """The bytes after one to four accidents."""
+    damaged = bytearray(blob)
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        if not damaged:
+            break
+        place = rng.randrange(len(damaged))
+        length = min(rng.choice((1, 2, 4, 8, 64)), len(damaged) - place)
+        accident = rng.randrange(9)
+        if accident == 0:
+            damaged[place] ^= 1 << rng.randrange(8)
+        elif accident == 1:
+            damaged[place] = rng.randrange(256)
+        elif accident == 2:
+            del damaged[place : place + length]
+        elif accident == 3:
+            damaged[place:place] = rng.randbytes(length)
+        elif accident == 4:
+            del damaged[place:]
+        elif accident == 5:
+            damaged[place:place] = damaged[place : place + length]
+        elif accident == 6:
+            damaged[place : place + length] = bytes([rng.choice((0, 0xFF, 0x30, 0x0A))]) * length
+        elif accident == 7:
+            other = rng.randrange(len(damaged))
+            damaged[place : place + length] = damaged[other : other + length]
+        else:
+            damaged[place : place + 8] = rng.choice((2**63, 2**32, 64, len(blob), 1)).to_bytes(
+                8, "little"
+            )[: max(length, 1)]
+    return bytes(damaged)
+
+
+def read(path: Path, *, strict: bool = False) -> list[LogFrame]:
+    """All frames of a log, none for a refused one; anything else than InputError goes up."""
+    begun = time.process_time()
+    frames: list[LogFrame] = []
+    try:
+        frames.extend(open_log(path, strict=strict))
+    except InputError as error:
+        assert "\n" not in str(error)
+        assert str(path) in str(error)
+    assert time.process_time() - begun < LONGEST_S
+    return frames
+
+
+def most_frames(blob: bytes, name: str) -> int:
+    """More frames than this cannot be in a file: one for each line, or for each record."""
+    if name.endswith((".blf", ".mf4", ".gz")):
+        return 10_000
+    return blob.count(b"\n") + 1
+
+
+def check_mutants(seeds: dict[str, bytes], folder: Path, count: int, seed: int) -> Counter[str]:
+    """Read `count` damaged logs of each seed, count how they ended."""
+    ends: Counter[str] = Counter()
+    for name, blob in seeds.items():
+        rng = random.Random(f"{seed} {name}")
+        path = folder / name
+        for _ in range(count):
+            damaged = mutated(rng, blob)
+            path.write_bytes(damaged)
+            frames = read(path, strict=rng.random() < 0.2)
+            assert len(frames) <= most_frames(damaged, name), name
+            for frame in frames:
+                assert frame_problem(frame) is None, (name, frame)
+            ends["read" if frames else "nothing"] += 1
+    return ends
+
+
+def test_mutants_are_read_or_refused(seeds: dict[str, bytes], tmp_path: Path) -> None:
+    ends = check_mutants(seeds, tmp_path, 25, SEED)
+    assert ends["read"] > ends["nothing"] > 0
+
+
+@pytest.mark.slow
+def test_twenty_thousand_mutants(seeds: dict[str, bytes], tmp_path: Path) -> None:
+    count = -(-20_000 // len(seeds))
+    ends = check_mutants(seeds, tmp_path, count, SEED + 1)
+    assert sum(ends.values()) >= 20_000
+    assert ends["read"] > ends["nothing"] > 0
+
+
+def identity(frame: LogFrame) -> tuple[object, ...]:
+    return frame.time_ns, frame.can_id, frame.data, frame.extended, frame.remote, frame.error
+
+
+def cuts(blob: bytes, rng: random.Random, count: int) -> Iterator[bytes]:
+    for _ in range(count):
+        yield blob[: rng.randrange(len(blob))]
+
+
+def check_cut_logs(seeds: dict[str, bytes], folder: Path, count: int) -> None:
+    """A log that is cut off gives nothing but frames of the whole log, in their order."""
+    for name, blob in seeds.items():
+        if name.startswith("torn"):
+            continue
+        path = folder / name
+        path.write_bytes(blob)
+        whole = [identity(frame) for frame in read(path)]
+        rng = random.Random(f"cut {name}")
+        for damaged in cuts(blob, rng, count):
+            path.write_bytes(damaged)
+            left = iter(whole)
+            for frame in read(path):
+                assert identity(frame) in left, (name, len(damaged), frame)
+
+
+def test_cut_logs_invent_nothing(seeds: dict[str, bytes], tmp_path: Path) -> None:
+    check_cut_logs(seeds, tmp_path, 20)
+
+
+@pytest.mark.slow
+def test_logs_cut_at_a_thousand_places(seeds: dict[str, bytes], tmp_path: Path) -> None:
+    check_cut_logs(seeds, tmp_path, 1000)
+
+
+def test_garbage_lines_add_nothing(seeds: dict[str, bytes], tmp_path: Path) -> None:
+    for name in TEXT_SEEDS:
+        if name.startswith("torn") or name == "signals.csv":
+            continue
+        path = tmp_path / name
+        path.write_bytes(seeds[name])
+        sound = open_log(path)
+        whole = list(sound)
+        rng = random.Random(f"garbage {name}")
+        lines = seeds[name].splitlines(keepends=True)
+        for _ in range(5):
+            garbage = bytes(rng.choice(b"?!~{}|^$") for _ in range(rng.randrange(1, 60))) + b"\n"
+            torn = [*lines]
+            torn.insert(rng.randrange(1, len(torn) + 1), garbage)
+            path.write_bytes(b"".join(torn))
+            reader = open_log(path)
+            assert list(reader) == whole, name
+            assert reader.report.skipped == sound.report.skipped + 1, name
+            with pytest.raises(InputError, match=r"line \d+"):
+                list(open_log(path, strict=True))
+
+
+def test_damaged_packed_containers_invent_nothing(seeds: dict[str, bytes], tmp_path: Path) -> None:
+    """BLF containers and MF4 blocks carry a checksum: a damaged one is left out whole."""
+    for name, first in (("made.blf", 300), ("made.log.gz", 40)):
+        blob = seeds[name]
+        path = tmp_path / name
+        path.write_bytes(blob)
+        whole = {identity(frame) for frame in read(path)}
+        rng = random.Random(f"packed {name}")
+        for _ in range(60):
+            damaged = bytearray(blob)
+            damaged[rng.randrange(first, len(blob) - 8)] ^= 1 << rng.randrange(8)
+            path.write_bytes(damaged)
+            if name.endswith(".blf"):
+                assert {identity(frame) for frame in read(path)} <= whole
+            else:
+                reader = open_log(path)
+                try:
+                    frames = list(reader)
+                except InputError:
+                    continue
+                report = reader.report
+                assert report.skipped or report.truncated or len(frames) == len(whole)
+
+
+@pytest.mark.parametrize("suffix", ["log", "asc", "blf", "trc", "mf4", "csv", "log.gz"])
+def test_noise_is_refused(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"noise.{suffix}"
+    rng = random.Random(suffix)
+    for length in (1, 100, 10_000, 300_000):
+        path.write_bytes(rng.randbytes(length))
+        with pytest.raises(InputError, match="expected"):
+            list(open_log(path))
+
+
+@pytest.mark.parametrize("finder", [summarize])
+def test_summaries_of_mutants(
+    finder: Callable[[Path], object], seeds: dict[str, bytes], tmp_path: Path
+) -> None:
+    rng = random.Random("summary")
+    for name, blob in seeds.items():
+        path = tmp_path / name
+        for _ in range(4):
+            path.write_bytes(mutated(rng, blob))
+            try:
+                finder(path)
+            except InputError:
+                continue
