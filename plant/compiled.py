@@ -35,8 +35,11 @@ KERNEL_SOURCES = (
     "steppers.py",
     "integrate.py",
     "filling.py",
+    "rest.py",
+    "lane_steps.py",
     "lanes.py",
     "one_equation.py",
+    "driven.py",
 )
 
 
