@@ -13,6 +13,9 @@ PASSED, FAILED, BAD_INPUT, NOT_FINISHED = 0, 1, 2, 3
 
 COMMANDS = {
     "run": "run one scenario: plant and controller over CAN",
+    "simulate": "the plant alone, under the conditions of a measurement campaign",
+    "claims": "the thesis's claims: claimed, achieved, met or not",
+    "convert": "convert logs between candump, ASC, BLF, TRC, MF4 and CSV",
     "node": "run one participant of a scenario alone, on a bus",
     "bus": "transports found here; load and worst-case response times",
 }

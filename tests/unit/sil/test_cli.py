@@ -46,7 +46,7 @@ def test_every_command_has_help_with_an_example(
 ) -> None:
     assert cli.main([name, "--help"]) == 0
     told = capsys.readouterr().out
-    assert f"example:\n  opc4 {name} " in told or f"example:\n  opc4 {name}\n" in told
+    assert f"opc4 {name} " in told[told.index("example:") :]
     assert importlib.import_module(f"sil.cli.{name}").__doc__
 
 
