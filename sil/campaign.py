@@ -120,7 +120,9 @@ def load_campaign(path: str | Path) -> Campaign:
     name = str(file)
     unknown = sorted(set(raw) - TOP_KEYS)
     if unknown:
-        raise InputError(f"{name}: {unknown[0]}: unknown key; expected {', '.join(sorted(TOP_KEYS))}")
+        raise InputError(
+            f"{name}: {unknown[0]}: unknown key; expected {', '.join(sorted(TOP_KEYS))}"
+        )
     strokes = raw.get("stroke")
     if not isinstance(strokes, list) or not strokes:
         raise InputError(f"{name}: no [[stroke]]; expected at least one")
@@ -250,9 +252,7 @@ def text(
     return value
 
 
-def real(
-    table: Mapping[str, Any], key: str, place: str, *, low: float, high: float
-) -> float:
+def real(table: Mapping[str, Any], key: str, place: str, *, low: float, high: float) -> float:
     """A number of a table within [low, high]."""
     if key not in table:
         raise InputError(f"{place}: no {key}")
@@ -360,9 +360,7 @@ def write_record(path: Path, columns: Mapping[str, Floats]) -> None:
         formats.append(f"%.{decimals}f")
     table = np.column_stack(list(columns.values()))
     with path.open("w", encoding="ascii", newline="\n") as file:
-        np.savetxt(
-            file, table, fmt=formats, delimiter=",", header=",".join(columns), comments=""
-        )
+        np.savetxt(file, table, fmt=formats, delimiter=",", header=",".join(columns), comments="")
 
 
 def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:

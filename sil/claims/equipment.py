@@ -40,8 +40,11 @@ def sampling() -> Outcome:
         times, _ = loop(name).record.series(ControllerStatus, "estimate_m")
         periods.append(float(np.mean(np.diff(times))))
     good = abs(periods[0] - 0.010) < 1e-4 and abs(periods[1] - 0.0025) < 1e-4
-    return judged(good, f"status every {1e3 * periods[0]:.2f} ms; at the fast setting "
-                  f"{1e3 * periods[1]:.2f} ms", "another raster")
+    return judged(
+        good,
+        f"status every {1e3 * periods[0]:.2f} ms; at the fast setting {1e3 * periods[1]:.2f} ms",
+        "another raster",
+    )
 
 
 @claim("F03", "2.2.1", "MPC563, 40 MHz, 32 kB RAM, 512 kB flash")
@@ -127,8 +130,10 @@ def sensor_lag() -> Outcome:
     early, late = lags()
     good = abs(early - 0.030) < 0.003 and abs(late - 0.040) < 0.003
     return judged(
-        good, f"{1e3 * early:.1f} ms at 10 %, {1e3 * late:.1f} ms at 90 % of travel, over "
-        f"{len(PHASES)} sampling phases", "other lags"
+        good,
+        f"{1e3 * early:.1f} ms at 10 %, {1e3 * late:.1f} ms at 90 % of travel, over "
+        f"{len(PHASES)} sampling phases",
+        "other lags",
     )
 
 
@@ -150,8 +155,12 @@ def unfiltered_lag() -> Outcome:
     )
 
 
-@claim("F09", "2.2.4", "in the truck the sensor is even slower in longer processes",
-       "opc4 run truck_into_gear_2200n")
+@claim(
+    "F09",
+    "2.2.4",
+    "in the truck the sensor is even slower in longer processes",
+    "opc4 run truck_into_gear_2200n",
+)
 def slower_in_truck() -> Outcome:
     shift = loop("truck_into_gear_2200n").shifts[-1]
     late = shift.position_lag_90_s
@@ -165,8 +174,12 @@ def slower_in_truck() -> Outcome:
     )
 
 
-@claim("F10", "2.2.4, 6.3", "with reduced sampling a value every 2-3 ms is possible",
-       "opc4 run firmware_2500us")
+@claim(
+    "F10",
+    "2.2.4, 6.3",
+    "with reduced sampling a value every 2-3 ms is possible",
+    "opc4 run firmware_2500us",
+)
 def fast_sampling() -> Outcome:
     from can_dbc.messages import PositionPulse
 

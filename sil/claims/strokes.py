@@ -89,20 +89,17 @@ def both(*changes: Change) -> Change:
 
 
 def radius(factor: float) -> Change:
-    """A piston of another radius in the fixed-piston actuator: areas and volumes with r^2."""
+    """A piston of another radius in the fixed-piston actuator; the dead volumes stay.
+
+    Areas grow with r^2, the swept volumes with them: chamber two starts larger, ends as it was.
+    """
 
     def change(setup: Setup) -> None:
         p = setup.p
-        area1 = p[L.AREA_P] * factor**2
-        stroke = p[L.STROKE]
-        old = p[L.AREA_P]
-        p[L.AREA_P] = area1
-        p[L.AREA_P2] = area1 - p[L.AREA_S]
-        grow = area1 / old
-        p[L.VOL_B] *= grow
-        p[L.VOL_N] = p[L.VOL_N] * grow
-        if p[L.VOL_N] - p[L.AREA_P2] * stroke <= 0.0:
-            raise ValueError("no volume left in chamber two")
+        dead = p[L.VOL_N] - p[L.AREA_P2] * p[L.STROKE]
+        p[L.AREA_P] *= factor**2
+        p[L.AREA_P2] = p[L.AREA_P] - p[L.AREA_S]
+        p[L.VOL_N] = dead + p[L.AREA_P2] * p[L.STROKE]
 
     return change
 

@@ -16,7 +16,11 @@ from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, nominal, run
 def into_gear(mesh_n: float, impulse_n_s: float) -> Stroke:
     """A truck shift from neutral to backward."""
     return run(
-        "N-B", mounted=True, mesh_force_n=mesh_n, sync_impulse_n_s=impulse_n_s, until_s=0.6,
+        "N-B",
+        mounted=True,
+        mesh_force_n=mesh_n,
+        sync_impulse_n_s=impulse_n_s,
+        until_s=0.6,
         step_s=2e-4,
     )
 
@@ -37,19 +41,28 @@ def together_s(stroke: Stroke) -> float:
     return impact.time_s - first
 
 
-@claim("F44", "4.1.1", "force barrier first, then smooth; the stay stops at the synchronizer",
-       "opc4 run truck_into_gear_2200n")
+@claim(
+    "F44",
+    "4.1.1",
+    "force barrier first, then smooth; the stay stops at the synchronizer",
+    "opc4 run truck_into_gear_2200n",
+)
 def plateau() -> Outcome:
     value = nominal().value
     stroke = into_gear(800.0, 40.0)
     held = np.abs(stroke.position_m - value("synchronizer.x_block")) < 1e-6
     span = float(np.count_nonzero(held)) * 2e-4
     good = span > 0.01 and stroke.impact is not None
-    return judged(good, f"stays at {1e3 * value('synchronizer.x_block'):.1f} mm for {1e3 * span:.0f} ms, "
-                  "then goes on to its stop")
+    return judged(
+        good,
+        f"stays at {1e3 * value('synchronizer.x_block'):.1f} mm for {1e3 * span:.0f} ms, "
+        "then goes on to its stop",
+    )
 
 
-@claim("F45", "4.2.1", "stay and piston move together for 40-100 ms to neutral, 70-120 ms into gear")
+@claim(
+    "F45", "4.2.1", "stay and piston move together for 40-100 ms to neutral, 70-120 ms into gear"
+)
 def intervals() -> Outcome:
     value = nominal()
     mesh = value.values("synchronizer.F_mesh_typ")
@@ -57,8 +70,11 @@ def intervals() -> Outcome:
     pull = value.values("synchronizer.F_pull_typ")
     gear = [1e3 * together_s(into_gear(m, j)) for m, j in zip(mesh, impulse, strict=True)]
     neutral = [1e3 * together_s(to_neutral(f)) for f in pull]
-    good = 60 <= gear[0] <= 80 and 110 <= gear[1] <= 130 and 35 <= neutral[0] <= 55 and (
-        85 <= neutral[1] <= 110
+    good = (
+        60 <= gear[0] <= 80
+        and 110 <= gear[1] <= 130
+        and 35 <= neutral[0] <= 55
+        and (85 <= neutral[1] <= 110)
     )
     return Outcome(
         MET if good else PARTLY,
@@ -74,21 +90,29 @@ def samples() -> Outcome:
     return judged(abs(count - 7) < 1e-9, f"{count:.0f} samples")
 
 
-@claim("F47", "4.2.1", "the last part takes about 40 ms; 30 + 10 + 8 ms are gone before a valve opens: "
-       "feedback is impossible", "opc4 run truck_into_gear_easy")
+@claim(
+    "F47",
+    "4.2.1",
+    "the last part takes about 40 ms; 30 + 10 + 8 ms are gone before a valve opens: "
+    "feedback is impossible",
+    "opc4 run truck_into_gear_easy",
+)
 def budget() -> Outcome:
     from sil.claims.equipment import lags
 
     value = nominal().value
-    stroke = into_gear(500.0, 18.0)
-    free = [e.time_s for e in stroke.events if e.name == "unblock"]
-    impact = stroke.impact
-    last = (impact.time_s - free[-1]) if impact and free else float("nan")
+    lasts = []
+    for mesh, impulse in ((500.0, 18.0), (1300.0, 18.0)):
+        stroke = into_gear(mesh, impulse)
+        free = [e.time_s for e in stroke.events if e.name == "unblock"]
+        impact = stroke.impact
+        lasts.append((impact.time_s - free[-1]) if impact and free else float("nan"))
+    last = max(lasts)
     sensor = lags()[0]
     spent = sensor + value("opc4.velocity_delay") + value("valve.D_rise")
     return judged(
         spent > last,
-        f"last part {1e3 * last:.0f} ms; sensor {1e3 * sensor:.0f} + second sample "
+        f"last part {1e3 * min(lasts):.0f}-{1e3 * last:.0f} ms; sensor {1e3 * sensor:.0f} + second sample "
         f"{1e3 * value('opc4.velocity_delay'):.0f} + valve {1e3 * value('valve.D_rise'):.0f} = "
         f"{1e3 * spent:.0f} ms",
     )
@@ -108,20 +132,27 @@ def spread() -> Outcome:
     times = [s.impact.time_s * 1e3 for s in found if s.impact]
     speeds = [s.impact.speed_m_s for s in found if s.impact]
     good = len(times) == 4 and max(times) - min(times) > 40.0 and max(speeds) / min(speeds) > 1.1
-    return judged(good, f"the same command ends after {min(times):.0f}-{max(times):.0f} ms with "
-                  f"{min(speeds):.2f}-{max(speeds):.2f} m/s over the loads")
+    return judged(
+        good,
+        f"the same command ends after {min(times):.0f}-{max(times):.0f} ms with "
+        f"{min(speeds):.2f}-{max(speeds):.2f} m/s over the loads",
+    )
 
 
-@claim("F50", "4.1", "all truck shifts are without damper; only pressures and the internal sensor are "
-       "recorded", "opc4 run full_shift")
+@claim(
+    "F50",
+    "4.1",
+    "all truck shifts are without damper; only pressures and the internal sensor are recorded",
+    "opc4 run full_shift",
+)
 def truck_channels() -> Outcome:
     from sil.claims.equipment import loop
     from sil.scenario import load
 
     mounted = load("full_shift").scenario.plant
     arrived = all(s.arrived_s is not None for s in loop("full_shift").shifts)
-    return judged(mounted.mounted and mounted.damper == "none" and arrived,
-                  "the truck scenarios mount no damper; a campaign without position_m is read, and what it "
-                  "can no longer decide is said")
-
-
+    return judged(
+        mounted.mounted and mounted.damper == "none" and arrived,
+        "the truck scenarios mount no damper; a campaign without position_m is read, and what it "
+        "can no longer decide is said",
+    )

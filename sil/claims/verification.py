@@ -45,12 +45,18 @@ def durations() -> Outcome:
     p1 = stroke.pressure_pa("1")
     filled = float(stroke.time_s[np.argmax(p1 > 0.99 * 900000.0)]) - 0.01
     good = abs(motion - 0.015) < 0.0025 and 0.15 < filled < 0.26
-    return judged(good, f"motion {1e3 * motion:.1f} ms, 99 % of supply {1e3 * filled:.0f} ms after the "
-                  "command")
+    return judged(
+        good,
+        f"motion {1e3 * motion:.1f} ms, 99 % of supply {1e3 * filled:.0f} ms after the command",
+    )
 
 
-@claim("F37", "3.3.2", "one piston is always fixed; the other walks x_free alone, then carries the stay; "
-       "the walk is not observable")
+@claim(
+    "F37",
+    "3.3.2",
+    "one piston is always fixed; the other walks x_free alone, then carries the stay; "
+    "the walk is not observable",
+)
 def walk() -> Outcome:
     stroke = plain("N-B")
     contact = next(e for e in stroke.events if e.name == "collar 1 contact")
@@ -59,11 +65,16 @@ def walk() -> Outcome:
     other = float(np.max(np.abs(stroke.states[:, L.X2])))
     walked = float(np.interp(contact.time_s, stroke.time_s, stroke.states[:, L.X1]))
     good = still < 1e-9 and other < 1e-9 and abs(walked - 0.013) < 1e-4
-    return judged(good, f"piston 1 walks {1e3 * walked:.1f} mm while the stay moves {1e3 * still:.4f} mm; "
-                  f"piston 2 moves {1e3 * other:.4f} mm, by the equations, not by decree")
+    return judged(
+        good,
+        f"piston 1 walks {1e3 * walked:.1f} mm while the stay moves {1e3 * still:.4f} mm; "
+        f"piston 2 moves {1e3 * other:.4f} mm, by the equations, not by decree",
+    )
 
 
-@claim("F38", "T3.3", "damper stroke with imposed position: mean/max error P1 1.7/3.5 %, P2 3.8/9.3 %")
+@claim(
+    "F38", "T3.3", "damper stroke with imposed position: mean/max error P1 1.7/3.5 %, P2 3.8/9.3 %"
+)
 def imposed_position() -> Outcome:
     from plant.driven import pressures_along
     from plant.setup import make_setup
@@ -93,8 +104,10 @@ def spring_volumes() -> Outcome:
     x0 = value("spring_test.x0")
     one = value("fixed.A1") * x0 / value("fixed.V10")
     two = value("fixed.A2") * x0 / value("fixed.V20")
-    return judged(abs(one - 0.43) < 1e-3 and abs(two - 0.16) < 1e-3,
-                  f"one start offset of {1e3 * x0:.2f} mm gives V1 +{100 * one:.1f} %, V2 -{100 * two:.1f} %")
+    return judged(
+        abs(one - 0.43) < 1e-3 and abs(two - 0.16) < 1e-3,
+        f"one start offset of {1e3 * x0:.2f} mm gives V1 +{100 * one:.1f} %, V2 -{100 * two:.1f} %",
+    )
 
 
 def spring(change=None) -> Stroke:  # type: ignore[no-untyped-def]
@@ -109,7 +122,11 @@ def spring(change=None) -> Stroke:  # type: ignore[no-untyped-def]
     )
 
 
-@claim("F40", "T3.4", "spring: x 5.1/11.1 %, P1 4.3/5.9 %, P2 5.4/10.3 %; simulated motion about 2 ms off")
+@claim(
+    "F40",
+    "T3.4",
+    "spring: x 5.1/11.1 %, P1 4.3/5.9 %, P2 5.4/10.3 %; simulated motion about 2 ms off",
+)
 def spring_errors() -> Outcome:
     measured, simulated = spring(triple_friction), spring()
     inside = window(measured)
@@ -128,10 +145,15 @@ def friction_matters() -> Outcome:
     base = plain("N-B")
     shifts = {}
     for name, indices, amount in (
-        ("friction +20 %", (L.F_RUN_S, L.BETA_S, L.F_RUN_P, L.BETA_P, L.F_STATIC_S, L.F_STATIC_P), 1.2),
+        (
+            "friction +20 %",
+            (L.F_RUN_S, L.BETA_S, L.F_RUN_P, L.BETA_P, L.F_STATIC_S, L.F_STATIC_P),
+            1.2,
+        ),
         ("flow +3 %", (L.K_IN,), 1.03),
         ("volumes +3 %", (L.VOL_B, L.VOL_N, L.VOL_F), 1.03),
     ):
+
         def change(setup: Setup, indices=indices, amount=amount) -> None:  # type: ignore[no-untyped-def]
             for index in indices:
                 setup.p[index] *= amount
@@ -140,9 +162,13 @@ def friction_matters() -> Outcome:
         shifts[name] = float(np.max(np.abs(other.position_m - base.position_m)))
     good = max(shifts, key=lambda k: shifts[k]).startswith("friction")
     told = ", ".join(f"{k}: {1e3 * v:.2f} mm" for k, v in shifts.items())
-    return judged(good, f"largest change of position, each at the size of its known uncertainty: {told}; "
-                  f"scatter of {100 * nominal().value('repeatability.friction_sd'):.0f} % a stroke is a "
-                  "parameter", "another parameter matters more")
+    return judged(
+        good,
+        f"largest change of position, each at the size of its known uncertainty: {told}; "
+        f"scatter of {100 * nominal().value('repeatability.friction_sd'):.0f} % a stroke is a "
+        "parameter",
+        "another parameter matters more",
+    )
 
 
 def length_errors(simulated: Stroke, measured: Stroke) -> dict[str, tuple[float, float]]:
@@ -173,20 +199,32 @@ def real_stroke() -> Stroke:
     return run("N-B", change=change)
 
 
-@claim("F42", "T3.5", "N-B: x 10.1/34.0 %, charging 2.2/5.4 %, discharging 17.8/76.7 %; simulated too fast")
+@claim(
+    "F42",
+    "T3.5",
+    "N-B: x 10.1/34.0 %, charging 2.2/5.4 %, discharging 17.8/76.7 %; simulated too fast",
+)
 def too_fast() -> Outcome:
     measured = run("N-B", change=triple_friction)
     errors = length_errors(plain("N-B"), measured)
     a, b = measured.impact, plain("N-B").impact
     faster = a is not None and b is not None and b.time_s < a.time_s
-    order = errors["charging"][0] < errors["x"][0] and errors["charging"][0] < errors["discharging"][0]
+    order = (
+        errors["charging"][0] < errors["x"][0] and errors["charging"][0] < errors["discharging"][0]
+    )
     peak = np.max(plain("N-B").pressure_pa("N")) > np.max(measured.pressure_pa("N"))
     verdict = PARTLY if faster and order and peak else "not met"
-    return Outcome(verdict, f"{told_errors(errors)}; the simulation is too fast and its passive "
-                   "pressure rushes, as printed", f"{DISTURBED} (dynamic friction times three)")
+    return Outcome(
+        verdict,
+        f"{told_errors(errors)}; the simulation is too fast and its passive "
+        "pressure rushes, as printed",
+        f"{DISTURBED} (dynamic friction times three)",
+    )
 
 
-@claim("F43", "T3.6", "dynamic friction x3: x 2.8/9.9 %, charging 2.1/5.2 %, discharging 10.6/62.4 %")
+@claim(
+    "F43", "T3.6", "dynamic friction x3: x 2.8/9.9 %, charging 2.1/5.2 %, discharging 10.6/62.4 %"
+)
 def friction_repairs() -> Outcome:
     measured = real_stroke()
     before = length_errors(plain("N-B"), measured)
@@ -194,8 +232,9 @@ def friction_repairs() -> Outcome:
     repaired = after["x"][0] < 0.5 * before["x"][0]
     remains = after["discharging"][0] > 0.2 * before["discharging"][0]
     verdict = PARTLY if repaired and remains else "not met"
-    return Outcome(verdict, f"{told_errors(before)} become {told_errors(after)}: friction repairs the "
-                   "position, the discharging chamber keeps an error",
-                   f"{DISTURBED} (friction times three and another exhaust)")
-
-
+    return Outcome(
+        verdict,
+        f"{told_errors(before)} become {told_errors(after)}: friction repairs the "
+        "position, the discharging chamber keeps an error",
+        f"{DISTURBED} (friction times three and another exhaust)",
+    )
