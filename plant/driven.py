@@ -86,7 +86,7 @@ def pressures_along(setup: Setup, time_s: Floats, position_m: Floats) -> Floats:
     if conditions.kind != "fixed":
         raise ValueError("the position of the stay does not tell where the pistons are")
     p = setup.p
-    moves = valve_moves(setup, int(round(float(time_s[-1]) * 1e9)))
+    moves = valve_moves(setup, round(float(time_s[-1]) * 1e9))
     out = np.zeros((len(time_s), 2))
     volumes = (
         p[L.VOL_B] + p[L.AREA_P] * position_m,
