@@ -298,6 +298,6 @@ def dotted(place: str, name: str) -> str:
 def unknown_name(known: Iterable[str], name: str) -> str:
     """Return 'unknown; expected one of ...': the nearest names, or all when none is near."""
     names = list(known)
-    near = difflib.get_close_matches(name, names, n=3)
+    near = difflib.get_close_matches(name, names)
     expected = f"one of {', '.join(near or names)}" if names else "none"
     return f"unknown; expected {expected}"

@@ -145,7 +145,6 @@ class Firmware:
 
         A channel that is valid but brings no usable sample for its timeout is lost as well.
         """
-        faults = Fault.NONE
         lost = self._lost("position", inputs.position_state, waking)
         valid = inputs.position_state is ChannelState.VALID
         if not valid:
@@ -156,17 +155,15 @@ class Firmware:
         elif now_ns - self._sampled_ns > self._position_timeout_ns:
             lost = True
             estimate = self._estimator.update((), True)
-        if lost:
-            faults |= Fault.POSITION_LOST
+        faults = Fault.POSITION_LOST if lost else Fault.NONE
         if self._estimator.implausible:
             faults |= Fault.POSITION_IMPLAUSIBLE
         return estimate, faults
 
     def _judge_inputs(self, inputs: Inputs, waking: bool) -> tuple[Fault, Gear | None]:
         """Return the faults of request and speeds, and the driver's wish if it is valid."""
-        live = Fault.NONE
-        if self._lost("speeds", inputs.speeds_state, waking):
-            live |= Fault.SPEEDS_LOST
+        lost = self._lost("speeds", inputs.speeds_state, waking)
+        live = Fault.SPEEDS_LOST if lost else Fault.NONE
         if self._lost("request", inputs.request_state, waking):
             live |= Fault.REQUEST_LOST
         if inputs.request_state is not ChannelState.VALID or inputs.request is None:
@@ -272,8 +269,7 @@ class Firmware:
         blown = self._blown()
         etc1 = etc2 = None
         if now_ns >= self._broadcast_ns:
-            late_ns = now_ns - self._broadcast_ns
-            self._broadcast_ns += BROADCAST_NS * (1 + late_ns // BROADCAST_NS)
+            self._broadcast_ns += BROADCAST_NS
             etc1, etc2 = self._broadcast(speeds)
         return Outputs(
             ValveCommand(

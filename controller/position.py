@@ -230,7 +230,6 @@ class PositionEstimator:
 
     def _filter_to(self, raw_m: float, steps: int) -> None:
         start_m = self._last.raw_m
-        position_m = velocity_m_s = 0.0
         for step in range(1, steps + 1):
             position_m = start_m + (raw_m - start_m) * step / steps
             if self._filter is not None:

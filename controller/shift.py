@@ -288,7 +288,6 @@ class ShiftMachine:
 
     def _wait_in_neutral(self, now_ns: int, view: View) -> None:
         """Hold before a push into gear: leave when nothing holds it back, or the wish changes."""
-        self._see_again(view, Gear.NEUTRAL)
         self.final = Gear.NEUTRAL if view.wanted is None else view.wanted
         if self.confirmed != Gear.NEUTRAL:
             self._start_leg(now_ns, view, Gear.NEUTRAL)

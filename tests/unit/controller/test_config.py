@@ -167,6 +167,12 @@ LINES = [
         "overlap: below stroke_m - gear_tolerance_m, 0.01135 m",
     ),
     (
+        {"windows": {"stroke_m": 0.0625, "neutral_tolerance_m": 0.03125,
+                     "gear_tolerance_m": 0.03125}},
+        "s.toml: windows.neutral_tolerance_m: 0.03125 is wrong; expected windows that do not "
+        "overlap: below stroke_m - gear_tolerance_m, 0.03125 m",
+    ),
+    (
         {"strategy": "open_lop"},
         "s.toml: strategy: 'open_lop' is unknown; expected one of open_loop",
     ),

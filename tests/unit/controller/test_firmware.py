@@ -86,7 +86,7 @@ class TestShifts:
     def test_blow_counts_down(self) -> None:
         rig = shift(N, (100, B)).run(400)
         left = [r.out.blow.remaining_s for r in rig.rows if r.state is S.BLOW]
-        assert left == pytest.approx([0.15 - 0.01 * i for i in range(15)])
+        assert left == [(150 - 10 * i) / 1000 for i in range(15)]
 
     def test_agreeing_speeds_save_the_rest_of_the_blow_on_the_way(self) -> None:
         full = shift(F, (100, B), speeds=lambda now_ns: DrivelineSpeeds(100.0, 97.9)).run(900)
@@ -424,6 +424,18 @@ class TestStart:
                 ),
             )
             assert out.status.state is S.IDLE
+
+    def test_stale_speeds_do_not_cut_a_blow_and_are_not_broadcast(self) -> None:
+        rig = shift(F, (100, B))
+        step = rig.firmware.step
+        equal = DrivelineSpeeds(70.0, 70.0)
+        rig.firmware.step = lambda now_ns, inputs: step(  # type: ignore[method-assign]
+            now_ns, inputs._replace(speeds=equal)
+        )
+        rig.run(900)
+        assert rig.spent_ms(S.BLOW) == pytest.approx(300.0)
+        assert rig.last.etc1 is not None
+        assert rig.last.etc1.input_shaft_rad_s is None
 
     def test_half_engaged_at_start_neutral_can_be_reached(self) -> None:
         rig = shift(N, stay=Stay(position_m=0.006)).run(1200)

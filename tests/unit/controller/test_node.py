@@ -140,6 +140,14 @@ def test_awake_and_a_request_is_obeyed() -> None:
     assert command.target is Gear.BACKWARD
 
 
+def test_speeds_reach_the_firmware() -> None:
+    bus = Bus().awake()
+    out = bus.node.outputs
+    assert out is not None
+    assert out.etc1 is not None
+    assert (out.etc1.input_shaft_rad_s, out.etc1.output_shaft_rad_s) == (10.0, 10.0)
+
+
 def test_every_pulse_between_two_ticks_reaches_the_firmware_once() -> None:
     bus = Bus().awake()
     places = [0.0001, 0.0002, 0.0003]

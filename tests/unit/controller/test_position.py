@@ -252,8 +252,15 @@ class TestEstimator:
             assert (estimate.velocity_m_s == 0.0) == afresh
 
     def test_index_wraps(self) -> None:
-        estimator = PositionEstimator(unfiltered())
-        assert len(feed(estimator, [0.0] * 600, 250).samples) == 1
+        """As if the number had no end: same filter state, same reach across the wrap."""
+        wraps, plain = PositionEstimator(FirmwareConfig()), PositionEstimator(FirmwareConfig())
+        for i in range(20):
+            a = wraps.update([exact(0.0005 * i, 250 + i)], False)
+            b = plain.update([exact(0.0005 * i, i)], False)
+            assert a == b
+        tight = PositionEstimator(unfiltered(max_speed_m_s=1.0))
+        feed(tight, [0.0], 255)
+        assert tight.update([exact(0.0105, 256)], False).samples == ()
 
     def test_the_same_sample_again_is_ignored(self) -> None:
         estimator = PositionEstimator(unfiltered())

@@ -288,10 +288,23 @@ class TestPush:
         bench = Bench(N, shift=shift).pushing(B)
         bench.step(gear=U, run=1)
         pushes = 1
-        while bench.machine.state is not S.FAULT:
+        for _ in range(200):
             before = bench.machine.state
             pushes += bench.step() is S.PUSH and before is S.VENT
+        assert bench.machine.state is S.FAULT
         assert pushes == 1 + retries
+
+    def test_a_retry_that_succeeds_ends_as_any_shift(self) -> None:
+        bench = Bench(N).pushing(B)
+        bench.step(gear=U, run=1)
+        bench.until(S.VENT)
+        bench.until(S.PUSH)
+        assert bench.step(gear=B, run=2) is S.BLOW
+        assert not bench.machine.in_process
+        bench.until(S.HOLD)
+        assert bench.until(S.VENT) == 40
+        assert bench.until(S.IDLE) == 110
+        assert bench.machine.confirmed is B
 
     def test_a_retry_is_not_taken_for_stuck(self) -> None:
         """It stands where the first attempt left it: blocked, but the sensor has moved before."""
@@ -546,6 +559,14 @@ class TestAfterwards:
         assert bench.step(wanted=F) is S.PUSH
         assert bench.facts() == (S.PUSH, N, F, U)
 
+    @pytest.mark.parametrize(("state", "ms"), [(S.HOLD, 40), (S.VENT, 110)])
+    def test_a_new_request_in_the_last_moment_too(self, state: ShiftState, ms: int) -> None:
+        bench = Bench(N).blowing(B)
+        bench.until(state)
+        for _ in range(ms // 10 - 1):
+            assert bench.step() is state
+        assert bench.step(wanted=F) is S.PUSH
+
     @pytest.mark.parametrize("state", [S.HOLD, S.VENT])
     def test_a_gear_that_slips_out_is_told_and_seen_again(self, state: ShiftState) -> None:
         bench = Bench(N).blowing(B)
@@ -646,6 +667,14 @@ class TestWaiting:
         bench = self.waiting()
         assert bench.step(gear=U, run=1) is S.PUSH
         assert bench.facts() == (S.PUSH, N, B, U)
+
+    def test_taken_back_and_slipped_out_it_is_not_pushed_again(self) -> None:
+        bench = self.waiting()
+        assert bench.step(wanted=N) is S.VENT
+        bench.step(gear=U, run=1)
+        bench.until(S.IDLE)
+        for _ in range(10):
+            assert bench.step() is S.IDLE
 
     def test_having_slipped_before_the_wait_it_must_be_seen_again(self) -> None:
         bench = self.waiting()
