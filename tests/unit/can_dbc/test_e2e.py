@@ -79,6 +79,8 @@ def test_sync_lasts_as_long_as_configured() -> None:
     got, _, _ = run([0, 1, 9, 10, 11, 12, 13, 14], never)
     # The reference stays at 1; a step of 10, 11, 12, ... is accepted once enough checks passed.
     assert got == [S.INITIAL, S.OK, *[S.WRONG_SEQUENCE] * 6]
+    got, _, _ = run([0, 1, 9, 1, 1, 1, 2], never)  # repetitions count from the jump
+    assert got == [S.INITIAL, S.OK, S.WRONG_SEQUENCE, *[S.REPEATED] * 3, S.OK]
     got, _, _ = run([0, 1, 8, 8, 8, 8, 8], never)
     assert got == [S.INITIAL, S.OK, *[S.WRONG_SEQUENCE] * 4, S.OK_SOME_LOST]
 

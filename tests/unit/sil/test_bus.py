@@ -106,6 +106,37 @@ def test_equal_identifiers_keep_the_order_of_release() -> None:
     assert [d.frame for d in bus.advance(10**9)] == [SLACK, first, second]
 
 
+def test_equal_identifiers_released_together_keep_the_order_of_queueing() -> None:
+    bus = BusModel()
+    frames = [Frame(7, bytes([number])) for number in range(12)]
+    for frame in frames:
+        bus.queue(0, frame, "a")
+    assert [d.frame for d in bus.advance(10**9)] == frames
+
+
+def test_arrivals_at_the_same_instant_keep_the_order_of_the_bus() -> None:
+    meet_ns = 5_000_000
+    bus = BusModel(
+        frame_filter=lambda sent: [d._replace(arrival_ns=meet_ns) for d in sent.delivered()]
+    )
+    frames = [Frame(number, b"") for number in range(12)]
+    for frame in reversed(frames):
+        bus.queue(0, frame, "a")
+    assert [d.frame for d in bus.advance(meet_ns)] == frames
+
+
+def test_the_number_of_frames_waiting() -> None:
+    bus = BusModel()
+    for number in range(3):
+        bus.queue(0, USUAL, "a")
+        bus.queue(10**9 * (number + 1), SLACK, "a")
+    assert bus.waiting == 6
+    bus.advance(1)  # one on the bus, two released, three to be released
+    assert bus.waiting == 5
+    bus.advance(10**8)
+    assert bus.waiting == 3
+
+
 class Offer(NamedTuple):
     release_ns: int
     frame: Frame
