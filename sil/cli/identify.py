@@ -1,0 +1,73 @@
+"""Identify flow maps, friction, process exponents or the oil damper from a campaign."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+EXAMPLE = "example: opc4 identify friction measured/ --out friction/"
+
+WHAT = ("flow", "friction", "alpha", "damper")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("what", metavar="WHAT", choices=WHAT, help=", ".join(WHAT))
+    parser.add_argument("campaign", metavar="CAMPAIGN", help="campaign folder")
+    parser.add_argument("--model", default="nominal", help="parameter set or model file")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write")
+    parser.add_argument("--force", action="store_true", help="replace what DIR holds")
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Identify, write the model file and a picture, print the values with their intervals."""
+    from plant.parameters import load
+    from sil.campaign import load_campaign
+    from sil.identify.estimate import Identified, model_file
+    from sil.identify.picture import draw
+    from sil.results import finite, prepare_folder, write_whole
+
+    parameters = load(arguments.model)
+    campaign = load_campaign(arguments.campaign)
+    found: Identified
+    if arguments.what == "flow":
+        from sil.identify.flow import identify_flow as method
+    elif arguments.what == "friction":
+        from sil.identify.friction import identify_friction as method
+    elif arguments.what == "alpha":
+        from sil.identify.exponents import identify_alpha as method
+    else:
+        from sil.identify.oil import identify_damper as method
+    found = method(campaign, parameters)
+    name = f"{campaign.name}-{arguments.what}"
+    folder = prepare_folder(arguments.out, name, arguments.force)
+    write_whole(folder / "model.toml", model_file(found, parameters))
+    draw(found, folder / f"{arguments.what}.png")
+    if arguments.json:
+        table = {
+            "what": found.what,
+            "out": str(folder),
+            "estimates": [asdict(item) for item in found.estimates],
+            "beside": [asdict(item) for item in found.beside],
+            "notes": list(found.notes),
+        }
+        print(json.dumps(finite(table)))
+        return 0
+    for title, items in (("", found.estimates), ("the thesis's way:", found.beside)):
+        if title and items:
+            print(title)
+        for item in items:
+            if isinstance(item.value, tuple):
+                shown = "[" + ", ".join(f"{v:.4g}" for v in item.value) + "]"
+            else:
+                shown = f"{item.value:.5g}"
+                if item.low is not None and item.high is not None:
+                    shown += f"  ({item.low:.5g} to {item.high:.5g})"
+            print(f"{item.path:24} {shown} {parameters[item.path].unit}")
+    for line in found.notes:
+        print(line)
+    print(f"model file and picture in {folder}")
+    return 0
