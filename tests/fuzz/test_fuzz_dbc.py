@@ -18,7 +18,7 @@ from can_dbc.dbc import parse_dbc
 from can_dbc.errors import InputError
 
 FEW, MANY = 250, 10_000
-SLOWEST_S = 10.0
+SLOWEST_S = 5.0
 OURS = Path(DBC_PATH).read_bytes()
 TOKENS = (
     *(b"0", b"-1", b"1e999", b"nan", b"99999999999999999999", b"4294967295", b"3221225472"),
@@ -64,7 +64,7 @@ def fuzz(seed: int, cases: int) -> Counter[str]:
     outcome: Counter[str] = Counter()
     for _ in range(cases):
         content = mutated(rng)
-        began = time.perf_counter()
+        began = time.process_time()
         try:
             database = parse_dbc(content, "x.dbc")
         except InputError as error:
@@ -77,7 +77,7 @@ def fuzz(seed: int, cases: int) -> Counter[str]:
             outcome["read"] += 1
             for message in database.messages:
                 assert message.length <= 1785
-        assert time.perf_counter() - began < SLOWEST_S, content
+        assert time.process_time() - began < SLOWEST_S, content
     return outcome
 
 
