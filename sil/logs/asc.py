@@ -17,11 +17,12 @@ from sil.logs.asc_line import AscEvent, AscFrame, AscState, parse_event
 from sil.logs.backend import Batch, LogWriter, ReadOptions
 from sil.logs.byte_source import ByteSource
 from sil.logs.calendar_text import parse_date, write_date
-from sil.logs.frame import LogFrame
+from sil.logs.frame import MOST_KNOWN_IDS, LogFrame, ordinary_frame
 from sil.logs.report import LogReport, Place
-from sil.logs.text_lines import Line, chunk_lines, chunks
+from sil.logs.text_lines import Chunk, Line, chunk_lines, chunks, line_at
 from sil.logs.times import (
     NS_PER_MS,
+    NS_PER_S,
     RELATIVE_BELOW_NS,
     enough_decimals,
     format_ns,
@@ -44,6 +45,14 @@ _OTHER_HEADER: Final = re.compile(
     r"(?:(?:no\s+)?internal\s+events\s+logged|begin\s+triggerblock\b.*|end\s+triggerblock)\s*\Z",
     re.IGNORECASE,
 )
+_PLAIN: Final = re.compile(
+    r"^(?: *(\d{1,9})\.(\d{1,9}) +(0|[1-9]\d{0,3}) +([0-9A-F]{1,8})(x?) +(Rx|Tx) +d ([0-8])"
+    r"((?: [0-9A-F]{2}){0,8})(?: +Length = [^\n]*)?[ \r]*|([^\n]*))$",
+    re.MULTILINE,
+)
+"""A line as nearly all are, taken apart; of any other line, the whole of it."""
+
+_SCALE: Final = tuple(10 ** (9 - decimals) for decimals in range(10))
 _ORIGIN: Final = re.compile(r"//\s*time origin (\d{1,10}\.\d{1,9}) s\s*\Z")
 _TIMED: Final = re.compile(r"(\d{1,10}\.\d{1,12})\s+(\S.*)\Z")
 
@@ -57,24 +66,67 @@ class AscReader:
         self._deltas = False
         self._origin_ns = 0
         self._last_ns = 0
+        self._ids: dict[str, int] = {}
         report.time_base = "relative"
 
     def read(self, source: ByteSource) -> Iterator[Batch]:
         """Frames chunk by chunk."""
         for chunk in chunks(source):
-            frames: list[LogFrame] = []
-            places: list[int] = []
-            for line in chunk_lines(chunk):
-                try:
-                    frame = self._line(line)
-                except ValueError as error:
-                    self._broken(line, str(error))
+            batch = self._plain(chunk) if self._is_plain(chunk) else self._mixed(chunk)
+            if batch.frames:
+                yield batch
+
+    def _is_plain(self, chunk: Chunk) -> bool:
+        """Whether the header lies before this chunk and tells hex numbers and plain times."""
+        if chunk.line == 1 or chunk.unterminated or self._deltas or self._state.decimal:
+            return False
+        return "base" not in chunk.text.lower()
+
+    def _mixed(self, chunk: Chunk) -> Batch:
+        """The frames of a chunk, each line looked at."""
+        frames: list[LogFrame] = []
+        places: list[int] = []
+        for line in chunk_lines(chunk):
+            frame = self._guarded(line)
+            if frame is not None:
+                frames.append(frame)
+                places.append(line.number)
+        return Batch(frames, places)
+
+    def _guarded(self, line: Line) -> LogFrame | None:
+        """The frame of a line; a broken line goes to the report."""
+        try:
+            return self._line(line)
+        except ValueError as error:
+            self._broken(line, str(error))
+            return None
+
+    def _plain(self, chunk: Chunk) -> Batch:
+        """The frames of a chunk in which most lines are data frames in hex."""
+        frames: list[LogFrame] = []
+        places: list[int] = []
+        ids = self._ids
+        found = _PLAIN.findall(chunk.text[:-1])
+        for index, words in enumerate(found):
+            seconds, fraction, channel, digits, mark, way, code, data, other = words
+            can_id = ids.get(digits + mark, -1)
+            if not seconds or can_id < 0 or len(data) != 3 * int(code):
+                if not seconds and not other:
                     continue
-                if frame is not None:
-                    frames.append(frame)
-                    places.append(line.number)
-            if frames:
-                yield Batch(frames, places)
+                frame = self._guarded(line_at(chunk, index))
+                if frame is None:
+                    continue
+                if seconds and len(ids) < MOST_KNOWN_IDS:
+                    ids[digits + mark] = frame.can_id
+            else:
+                time_ns = int(seconds) * NS_PER_S + int(fraction) * _SCALE[len(fraction)]
+                payload = bytes.fromhex(data)
+                frame = ordinary_frame(
+                    self._origin_ns + time_ns, can_id, payload, mark == "x", channel, way
+                )
+            frames.append(frame)
+            places.append(chunk.line + index)
+        return Batch(frames, places)
 
     def _broken(self, line: Line, reason: str) -> None:
         place = Place(reason, line.number, line.byte)

@@ -74,7 +74,7 @@ class LogWriter(ABC):
         Raises: InputError when that is not possible.
         """
         self.path = path
-        self.frames = 0
+        self._written = 0
         self.losses: Counter[str] = Counter()
         self.channel_numbers: dict[str, int] = {}
         self._held: list[LogFrame] = []
@@ -87,24 +87,37 @@ class LogWriter(ABC):
         if path.endswith(".gz") and not self.patched:
             self._out = gzip.GzipFile(filename="", mode="wb", fileobj=self._file, mtime=0)  # type: ignore[assignment]
 
+    @property
+    def frames(self) -> int:
+        """Frames taken so far."""
+        return self._written + len(self._held)
+
     def write(self, frame: LogFrame) -> None:
         """Append one frame.
 
-        Raises: InputError for a frame that no bus or this format can carry.
+        Raises: InputError, now or when the batch it is in is written, for a frame that no bus
+        or this format can carry.
         """
-        if frame.channel not in self._channels_seen or not is_ordinary(frame):
-            require_possible(frame, f"{self.path}: frame {self.frames + 1}")
-            self._channels_seen.add(frame.channel)
         self._held.append(frame)
-        self.frames += 1
         if len(self._held) >= self.batch:
             self.flush()
 
     def flush(self) -> None:
         """Hand the frames held back to the file."""
         if self._held:
-            held, self._held = self._held, []
+            held = self._held
+            self._check(held)
+            self._held = []
             self._guarded(held)
+            self._written += len(held)
+
+    def _check(self, frames: list[LogFrame]) -> None:
+        """Refuse frames that no bus can carry."""
+        seen = self._channels_seen
+        for number, frame in enumerate(frames, self._written + 1):
+            if frame.channel not in seen or not is_ordinary(frame):
+                require_possible(frame, f"{self.path}: frame {number}")
+                seen.add(frame.channel)
 
     def _guarded(self, held: list[LogFrame]) -> None:
         try:

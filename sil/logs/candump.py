@@ -6,7 +6,6 @@ floats (0.2 µs off today); so this reader stands in front of it for every file.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from itertools import pairwise
 from typing import Final
@@ -15,19 +14,12 @@ from can_dbc.errors import InputError
 from sil.logs.backend import Batch, LogWriter, ReadOptions
 from sil.logs.byte_source import ByteSource
 from sil.logs.candump_line import DROPPED, ERROR_FLAG, NotAFrame, parse_line, surely_whole
+from sil.logs.candump_plain import PlainChunks
 from sil.logs.frame import LogFrame
 from sil.logs.report import LogReport, Place
 from sil.logs.text_lines import Chunk, chunk_lines, chunks
 from sil.logs.times import NS_PER_S, RELATIVE_BELOW_NS, enough_decimals
 
-_PLAIN = re.compile(
-    r"^\((\d{1,9}|[1-8]\d{9})\.(\d{6}|\d{9})\) ([!-~]{1,64}) ([01][0-9A-F]{7}|[0-7][0-9A-F]{2})"
-    r"#((?:[0-9A-F]{2}){0,8})(?: ([RT]))?\r?$",
-    re.MULTILINE,
-)
-"""The common line, ten times faster to take apart than the general one."""
-
-_DIRECTION: Final = {"": "", "R": "Rx", "T": "Tx"}
 _LETTER: Final = {"": "", "Rx": " R", "Tx": " T"}
 _DECIDED_BY: Final = 256
 """Frames that are looked at (if there are so many) to tell differences of time from times."""
@@ -45,7 +37,7 @@ class CandumpReader:
         self._decided = False
         self._timed: bool | None = None
         self._sum_ns = 0
-        self._ids: dict[str, tuple[int, bool]] = {}
+        self._plain_chunks = PlainChunks()
         self._earlier: list[LogFrame] = []
 
     def read(self, source: ByteSource) -> Iterator[Batch]:
@@ -66,48 +58,13 @@ class CandumpReader:
 
     def _plain(self, chunk: Chunk) -> Batch | None:
         """The frames of a chunk when every line of it is a common one."""
-        count = chunk.text.count("\n")
         if chunk.unterminated or self._timed is False:
             return None
-        if not _PLAIN.match(chunk.text):
-            return None
-        found = _PLAIN.findall(chunk.text)
-        if len(found) != count:
+        count = chunk.text.count("\n")
+        frames = self._plain_chunks.frames(chunk.text, count)
+        if frames is None:
             return None
         self._timed = True
-        ids = self._ids
-        new = tuple.__new__
-        from_hex = bytes.fromhex
-        frames: list[LogFrame] = []
-        append = frames.append
-        for seconds, fraction, channel, digits, data, letter in found:
-            time_ns = int(seconds) * NS_PER_S + (
-                int(fraction) * 1000 if len(fraction) == 6 else int(fraction)
-            )
-            identity = ids.get(digits)
-            if identity is None:
-                if len(ids) > 100_000:
-                    ids.clear()
-                identity = ids[digits] = int(digits, 16), len(digits) == 8
-            append(
-                new(
-                    LogFrame,
-                    (
-                        time_ns,
-                        identity[0],
-                        from_hex(data),
-                        identity[1],
-                        False,
-                        False,
-                        False,
-                        False,
-                        False,
-                        channel,
-                        _DIRECTION[letter],
-                        0,
-                    ),
-                )
-            )
         return Batch(frames, range(chunk.line, chunk.line + count))
 
     def _mixed(self, chunk: Chunk) -> Batch:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from operator import lt
 
 from can_dbc.errors import InputError
 from sil.logs.backend import Backend, Batch, ReadOptions
@@ -18,8 +19,8 @@ _WATCHED_INSTANT = 64
 class LogReader:
     """Frames of a log, in its order, in bounded memory; `report` tells what was found.
 
-    Each iteration reads the file anew and begins a new report; the report is complete when the
-    iteration has ended.
+    Each iteration reads the file anew and begins a new report; frames are read and counted some
+    thousands ahead, and the report is complete when the iteration has ended.
 
     Raises on iteration: InputError for an unreadable log, and with `strict` for every broken line
     or record, every step of the clock backwards, every duplicate, and a log that is cut off.
@@ -37,64 +38,15 @@ class LogReader:
 
     def __iter__(self) -> Iterator[LogFrame]:
         report = self.report = LogReport(self.path, self.format, strict=self._strict)
+        watch = _Watch(report, self._backend.place_word)
         source = ByteSource(self.path, report)
         try:
-            yield from self._watched(self._backend.batches(source, report, self._options), report)
+            for batch in self._backend.batches(source, report, self._options):
+                watch.take(batch)
+                yield from batch.frames
         finally:
             source.close()
         self._refuse_silence(report)
-
-    def _watched(self, batches: Iterator[Batch], report: LogReport) -> Iterator[LogFrame]:
-        """Hand the frames on, counting, and watching the clock."""
-        last_ns = None
-        instant: list[LogFrame] = []
-        for batch in batches:
-            frames = batch.frames
-            timed = report.time_base != "none"
-            for index, frame in enumerate(frames):
-                time_ns = frame[0]
-                if last_ns is None or time_ns > last_ns or not timed:
-                    if last_ns is None:
-                        report.first_ns = time_ns
-                    instant = [frame]
-                elif time_ns == last_ns:
-                    if frame in instant:
-                        self._duplicate(report, frame, batch.places[index])
-                    elif len(instant) < _WATCHED_INSTANT:
-                        instant.append(frame)
-                else:
-                    self._backwards(report, last_ns, time_ns, batch.places[index])
-                    instant = [frame]
-                last_ns = time_ns
-                report.frames += 1
-                if frame[4] or frame[5] or frame[6]:
-                    report.remote += frame.remote
-                    report.error += frame.error
-                    report.fd += frame.fd
-                yield frame
-            report.last_ns = last_ns
-
-    def _backwards(self, report: LogReport, before_ns: int, after_ns: int, place: int) -> None:
-        report.backwards += 1
-        where = (
-            f"{self._backend.place_word} {place}: the clock steps back from "
-            f"{format_ns(before_ns)} s to {format_ns(after_ns)} s"
-        )
-        if report.strict:
-            raise InputError(f"{self.path}: {where}; expected times that do not fall")
-        if len(report.backwards_places) < KEPT_PLACES:
-            report.backwards_places.append(where)
-
-    def _duplicate(self, report: LogReport, frame: LogFrame, place: int) -> None:
-        report.duplicates += 1
-        where = (
-            f"{self._backend.place_word} {place}: the frame {frame.can_id:X} at "
-            f"{format_ns(frame.time_ns)} s is there twice"
-        )
-        if report.strict:
-            raise InputError(f"{self.path}: {where}; expected every frame once")
-        if len(report.duplicate_places) < KEPT_PLACES:
-            report.duplicate_places.append(where)
 
     def _refuse_silence(self, report: LogReport) -> None:
         """A log of which nothing could be read is refused; an empty one is noted."""
@@ -106,3 +58,76 @@ class LogReader:
                 f"{self.path}: {first}; no CAN frame found, expected a {self.format} log"
             )
         report.note("no CAN frames in it")
+
+
+class _Watch:
+    """Counts frames and watches the clock and duplicates, batch by batch."""
+
+    def __init__(self, report: LogReport, place_word: str) -> None:
+        self._report = report
+        self._place_word = place_word
+        self._last_ns: int | None = None
+        self._instant: list[LogFrame] = []
+
+    def take(self, batch: Batch) -> None:
+        """Count the frames of a batch and look at their times."""
+        frames, report = batch.frames, self._report
+        if not frames:
+            return
+        report.frames += len(frames)
+        for frame in [frame for frame in frames if frame[4] or frame[5] or frame[6]]:
+            report.remote += frame.remote
+            report.error += frame.error
+            report.fd += frame.fd
+        times_ns = [frame[0] for frame in frames]
+        if report.first_ns is None:
+            report.first_ns = times_ns[0]
+        if report.time_base != "none":
+            runs_on = all(map(lt, times_ns, times_ns[1:]))
+            if not runs_on or (self._last_ns is not None and times_ns[0] <= self._last_ns):
+                self._look(batch)
+            else:
+                self._instant = [frames[-1]]
+        self._last_ns = report.last_ns = times_ns[-1]
+
+    def _look(self, batch: Batch) -> None:
+        """Find the steps back and the duplicates of a batch in which time does not simply run."""
+        last_ns, instant = self._last_ns, self._instant
+        for frame, place in zip(batch.frames, batch.places, strict=True):
+            time_ns = frame[0]
+            if last_ns is None or time_ns > last_ns:
+                instant = [frame]
+            elif time_ns == last_ns:
+                if frame in instant:
+                    self._duplicate(frame, place)
+                elif len(instant) < _WATCHED_INSTANT:
+                    instant.append(frame)
+            else:
+                self._backwards(last_ns, time_ns, place)
+                instant = [frame]
+            last_ns = time_ns
+        self._instant = instant
+
+    def _backwards(self, before_ns: int, after_ns: int, place: int) -> None:
+        report = self._report
+        report.backwards += 1
+        where = (
+            f"{self._place_word} {place}: the clock steps back from {format_ns(before_ns)} s "
+            f"to {format_ns(after_ns)} s"
+        )
+        if report.strict:
+            raise InputError(f"{report.path}: {where}; expected times that do not fall")
+        if len(report.backwards_places) < KEPT_PLACES:
+            report.backwards_places.append(where)
+
+    def _duplicate(self, frame: LogFrame, place: int) -> None:
+        report = self._report
+        report.duplicates += 1
+        where = (
+            f"{self._place_word} {place}: the frame {frame.can_id:X} at "
+            f"{format_ns(frame.time_ns)} s is there twice"
+        )
+        if report.strict:
+            raise InputError(f"{report.path}: {where}; expected every frame once")
+        if len(report.duplicate_places) < KEPT_PLACES:
+            report.duplicate_places.append(where)

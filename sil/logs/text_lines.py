@@ -14,13 +14,13 @@ class Readable(Protocol):
         ...
 
 
-CHUNK_BYTES: Final = 1 << 18
+CHUNK_BYTES: Final = 1 << 15
 LONGEST_LINE: Final = 1 << 16
 """A longer "line" is no log line; its excess is dropped so that memory stays bounded."""
 
 
 class Chunk(NamedTuple):
-    """Whole lines of a log.
+    """Whole lines of a log, some hundreds: what a processor's cache holds is read fastest.
 
     text: the lines, each ended by a newline (Latin-1, so that every byte has a character).
     line: number of the first one (1-based); byte: its offset.
@@ -102,3 +102,13 @@ def chunk_lines(chunk: Chunk) -> Iterator[Line]:
         yield Line(text.removesuffix("\r"), number, byte, chunk.unterminated)
         number += 1
         byte += len(text) + 1
+
+
+def line_at(chunk: Chunk, index: int) -> Line:
+    """The line of a chunk at an index, counted from 0."""
+    begin = 0
+    for _ in range(index):
+        begin = chunk.text.index("\n", begin) + 1
+    end = chunk.text.index("\n", begin)
+    text = chunk.text[begin:end].removesuffix("\r")
+    return Line(text, chunk.line + index, chunk.byte + begin, chunk.unterminated)

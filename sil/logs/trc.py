@@ -14,9 +14,15 @@ from typing import Final
 from can_dbc.errors import InputError
 from sil.logs.backend import Batch, LogWriter, ReadOptions
 from sil.logs.byte_source import ByteSource
-from sil.logs.frame import DLC_LENGTHS, LogFrame, frame_problem
+from sil.logs.frame import (
+    DLC_LENGTHS,
+    MOST_KNOWN_IDS,
+    LogFrame,
+    frame_problem,
+    ordinary_frame,
+)
 from sil.logs.report import LogReport, Place
-from sil.logs.text_lines import Line, chunk_lines, chunks
+from sil.logs.text_lines import Chunk, Line, chunk_lines, chunks, line_at
 from sil.logs.times import (
     NS_PER_MS,
     NS_PER_S,
@@ -36,6 +42,22 @@ _VERSION_1: Final = re.compile(
     r"([0-9A-F]{4,8})\s+(?:-\s+)?(\d{1,2})(?:\s+(.*))?\Z"
 )
 _VERSION_1_LOOK: Final = re.compile(r"\s*\d+\)\s+\d+(?:\.\d+)?\s+\S+\s+\S")
+_TIME_TEXT: Final = r" *\d+\)? +(\d{1,12})\.(\d{1,6})"
+_DATA_TEXT: Final = r" +([0-8])((?: +[0-9A-F]{2}){0,8})[ \r]*"
+_ID_TEXT: Final = r"([0-9A-F]{4}|[0-9A-F]{8})"
+_PLAIN: Final = {
+    "1.1": re.compile(
+        rf"^(?:{_TIME_TEXT}()(?= +\w+ +{_ID_TEXT}) +(Rx|Tx) +\w+{_DATA_TEXT}|([^\n]*))$",
+        re.MULTILINE,
+    ),
+    "2.1": re.compile(
+        rf"^(?:{_TIME_TEXT} +DT +([1-9]\d?) +{_ID_TEXT} +(Rx|Tx) +-{_DATA_TEXT}|([^\n]*))$",
+        re.MULTILINE,
+    ),
+}
+"""Common lines: time, bus, identifier, direction, length, data; of any other line, all of it."""
+
+_SCALE: Final = tuple(10 ** (6 - decimals) for decimals in range(7))
 _START_TEXT: Final = re.compile(
     r";\s*Start time:\s*(\d\d)\.(\d\d)\.(\d{4}) (\d\d):(\d\d):(\d\d)\.(\d{3})"
 )
@@ -63,31 +85,82 @@ class TrcReader:
         self._report = report
         self._version = ""
         self._columns: list[str] = []
+        self._ids: dict[str, int] = {}
         self._origin_ns: int | None = None
         report.time_base = "relative"
 
     def read(self, source: ByteSource) -> Iterator[Batch]:
         """Frames chunk by chunk."""
         for chunk in chunks(source):
-            frames: list[LogFrame] = []
-            places: list[int] = []
-            for line in chunk_lines(chunk):
-                try:
-                    frame = self._line(line)
-                except _Other as known:
-                    self._report.other[known.args[0]] += 1
-                except ValueError as error:
-                    place = Place(str(error), line.number, line.byte)
-                    if line.unterminated:
-                        self._report.cut(place)
-                    else:
-                        self._report.skip(place)
-                else:
-                    if frame is not None:
-                        frames.append(frame)
-                        places.append(line.number)
-            if frames:
-                yield Batch(frames, places)
+            plain = None if chunk.unterminated or ";$" in chunk.text else self._pattern()
+            batch = self._mixed(chunk) if plain is None else self._plain(chunk, plain)
+            if batch.frames:
+                yield batch
+
+    def _pattern(self) -> re.Pattern[str] | None:
+        """What a common line of this log is like, None where there is no pattern for it."""
+        if self._version == "2.1" and ",".join(self._columns) != _DEFAULT_COLUMNS["2.1"]:
+            return None
+        return _PLAIN.get(self._version) if self._origin_ns is not None else None
+
+    def _mixed(self, chunk: Chunk) -> Batch:
+        """The frames of a chunk, each line looked at."""
+        frames: list[LogFrame] = []
+        places: list[int] = []
+        for line in chunk_lines(chunk):
+            frame = self._guarded(line)
+            if frame is not None:
+                frames.append(frame)
+                places.append(line.number)
+        return Batch(frames, places)
+
+    def _guarded(self, line: Line) -> LogFrame | None:
+        """The frame of a line; other lines and broken ones go to the report."""
+        try:
+            return self._line(line)
+        except _Other as known:
+            self._report.other[known.args[0]] += 1
+        except ValueError as error:
+            place = Place(str(error), line.number, line.byte)
+            if line.unterminated:
+                self._report.cut(place)
+            else:
+                self._report.skip(place)
+        return None
+
+    def _plain(self, chunk: Chunk, pattern: re.Pattern[str]) -> Batch:
+        """The frames of a chunk in which most lines are classic data frames."""
+        frames: list[LogFrame] = []
+        places: list[int] = []
+        ids = self._ids
+        origin_ns = self._origin_ns or 0
+        found = pattern.findall(chunk.text[:-1])
+        for index, words in enumerate(found):
+            whole, fraction, channel, digits, way, code, data, other = words
+            can_id = ids.get(digits, -1)
+            frame: LogFrame | None
+            payload = bytes.fromhex(data)
+            if can_id < 0 or len(payload) != int(code):
+                if not whole and not other:
+                    continue
+                frame = self._guarded(line_at(chunk, index))
+                if frame is None:
+                    continue
+                if whole and len(ids) < MOST_KNOWN_IDS:
+                    ids[digits] = frame.can_id
+            else:
+                offset_ns = int(whole) * NS_PER_MS + int(fraction) * _SCALE[len(fraction)]
+                frame = ordinary_frame(
+                    origin_ns + offset_ns,
+                    can_id,
+                    payload,
+                    len(digits) > 4,
+                    channel,
+                    way,
+                )
+            frames.append(frame)
+            places.append(chunk.line + index)
+        return Batch(frames, places)
 
     def _line(self, line: Line) -> LogFrame | None:
         text = line.text.strip()
