@@ -7,17 +7,14 @@ Coulomb level and slope together with each stroke's own scatter of valve delay a
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from can_dbc.errors import InputError
 from plant import layout as L
 from plant.parameters import ParameterSet
-from plant.prediction import Predictor, copied
-from plant.setup import Setup, make_setup
-from plant.valve import seconds_to_ns
+from plant.setup import make_setup
 from sil.campaign import Campaign, CampaignStroke, Record
+from sil.identify.campaign_fit import Fitted, fit_factors
 from sil.identify.estimate import Curve, Estimate, Floats, Identified, Panel, interval
 
 
@@ -49,21 +46,32 @@ def net_force(record: Record, p: Floats, atmosphere_pa: float) -> Floats:
 
 
 def breakaway_s(time_s: Floats, position_m: Floats) -> float:
-    """Instant of first motion: the cube root of travel, straight in time, followed back to zero.
+    """Instant of first motion, from the beginning of the travel followed back to zero.
 
-    At breakaway the force rises steadily, so the travel grows with the third power of time.
+    At breakaway the friction falls at once from static to sliding while the force goes on rising:
+    the travel begins as a/2 t^2 + j/6 t^3 after that instant, fitted over its first eighth.
     """
+    from scipy.optimize import least_squares
+
     start = float(np.median(position_m[: max(5, len(position_m) // 100)]))
     travel = position_m - start
     top = float(np.max(travel))
-    inside = np.flatnonzero((travel > 0.01 * top) & (travel < 0.12 * top))
-    first = np.flatnonzero(travel > 0.15 * top)[0]
-    inside = inside[inside < first]
-    if len(inside) < 4:
+    first = int(np.flatnonzero(travel > 0.12 * top)[0])
+    inside = np.arange(max(0, first - 120), first + 1)
+    if first < 20 or np.count_nonzero(travel[inside] > 0.01 * top) < 4:
         raise InputError("too few samples between rest and motion; expected 10 kHz")
-    root = np.cbrt(travel[inside])
-    slope, offset = np.polyfit(time_s[inside], root, 1)
-    return float(-offset / slope)
+    t, x = time_s[inside], travel[inside]
+    end = float(t[-1])
+
+    def residual(q: Floats) -> Floats:
+        late = np.maximum(t - q[0], 0.0)
+        return np.asarray((0.5 * q[1] * late**2 + q[2] * late**3 / 6.0 - x) / 2e-5)
+
+    guess = np.array([end - 0.006, 20.0, 1e4])
+    fit = least_squares(
+        residual, guess, bounds=([float(t[0]), 0.0, 0.0], [end, 1e4, 1e8]), x_scale=[1e-3, 10.0, 1e4]
+    )
+    return float(fit.x[0])
 
 
 def identify_friction(campaign: Campaign, parameters: ParameterSet) -> Identified:
@@ -119,12 +127,13 @@ def identify_friction(campaign: Campaign, parameters: ParameterSet) -> Identifie
             "friction_fixed.beta", slope, beta_low, beta_high, f"F - m a against v, {n} strokes"
         ),
     )
-    better = whole_record(strokes, parameters)
+    fitted = whole_record(campaign, strokes, parameters)
+    better = fitted.estimates
     line = np.array([float(np.min(v)), float(np.max(v))])
     notes = (
         f"scatter about the line {np.std(f - slope * v - offset):.0f} N: twice-differentiated position",
         f"breakaway of single strokes {min(static):.1f} to {max(static):.1f} N",
-        "values written are those of the whole-record fit",
+        f"values written are those of the whole-record fit, standardised rms {fitted.rms:.2f}",
     )
     panel = Panel(
         "Friction against speed",
@@ -142,80 +151,20 @@ def identify_friction(campaign: Campaign, parameters: ParameterSet) -> Identifie
 
 
 def whole_record(
-    strokes: list[tuple[CampaignStroke, Record]], parameters: ParameterSet
-) -> tuple[Estimate, ...]:
-    """Breakaway, Coulomb level and slope fitted to whole records, with each stroke's own scatter."""
-    from scipy.optimize import least_squares
-
-    value = parameters.value
-    names = ("friction_fixed.F_sf", "friction_fixed.F_rf", "friction_fixed.beta")
-    base = np.array([value(name) for name in names])
-    spread = np.array(
-        [
-            value("repeatability.friction_sd"),
-            value("repeatability.valve_delay_sd") + value("repeatability.unit_valve_delay_sd"),
-            value("repeatability.supply_sd"),
-        ]
+    campaign: Campaign,
+    strokes: list[tuple[CampaignStroke, Record]],
+    parameters: ParameterSet,
+) -> Fitted:
+    """Breakaway, Coulomb level and slope fitted to whole records, healthy scatter included."""
+    return fit_factors(
+        campaign,
+        [entry for entry, _record in strokes],
+        parameters,
+        {
+            "friction_fixed.F_sf": (L.F_STATIC_S,),
+            "friction_fixed.F_rf": (L.F_RUN_S,),
+            "friction_fixed.beta": (L.BETA_S,),
+        },
+        ("friction",),
+        f"whole-record fit of {len(strokes)} strokes with their scatter",
     )
-    prepared = []
-    for entry, record in strokes:
-        setup = make_setup(parameters, entry.conditions)
-        time_s = record.time_s - record.time_s[0]
-        opens = min(t for t, _v, d in entry.conditions.commands if d > 0.34)
-        keep = np.flatnonzero((time_s > opens + 0.004) & (time_s < opens + 0.05))[::2]
-        instants = np.rint(time_s[keep] * 1e9).astype(np.int64)
-        quiet = slice(0, max(5, len(record) // 100))
-        atmosphere = entry.conditions.atmosphere_pa
-        measured = np.concatenate(
-            [record["position_m"][keep] - np.median(record["position_m"][quiet])]
-            + [
-                record[c][keep] - np.mean(record[c][quiet]) + atmosphere
-                for c in ("pressure_1_pa", "pressure_2_pa")
-            ]
-        )
-        n = len(keep)
-        sd = np.concatenate([np.full(n, 2e-5), np.full(2 * n, 400.0)])
-        prepared.append((setup, Predictor(instants), measured, sd))
-
-    def changed(setup: Setup, shared: Floats, own: Floats) -> Setup:
-        twin = copied(setup)
-        factor = 1.0 + own[0] * spread[0]
-        twin.p[L.F_STATIC_S], twin.p[L.F_RUN_S], twin.p[L.BETA_S] = shared * base * factor
-        rise = max(0, twin.timing.rise_ns + seconds_to_ns(own[1] * spread[1]))
-        twin.timing = replace(twin.timing, rise_ns=rise)
-        twin.p[L.P_SUPPLY] *= 1.0 + own[2] * spread[2]
-        return twin
-
-    def residual(x: Floats) -> Floats:
-        shared, own = x[:3], x[3:].reshape(-1, 3)
-        parts = []
-        for (setup, predictor, measured, sd), scatter in zip(prepared, own, strict=True):
-            states = predictor.states(changed(setup, shared, scatter))
-            predicted = np.concatenate(
-                [states[:, L.FX], states[:, L.FP1], states[:, L.FP2]]
-            )
-            parts.append((measured - predicted) / sd)
-        parts.append(x[3:])
-        return np.concatenate(parts)
-
-    start = np.concatenate([np.ones(3), np.zeros(3 * len(prepared))])
-    low = np.concatenate([np.full(3, 0.05), np.full(3 * len(prepared), -6.0)])
-    high = np.concatenate([np.full(3, 20.0), np.full(3 * len(prepared), 6.0)])
-    fit = least_squares(
-        residual, start, bounds=(low, high), diff_step=1e-3, x_scale="jac", max_nfev=25, method="trf"
-    )
-    covariance = np.linalg.pinv(fit.jac.T @ fit.jac)
-    out = []
-    for k, name in enumerate(names):
-        centre = float(fit.x[k] * base[k])
-        half = float(1.96 * np.sqrt(covariance[k, k]) * base[k])
-        out.append(
-            Estimate(
-                name,
-                centre,
-                centre - half,
-                centre + half,
-                f"whole-record fit of {len(prepared)} strokes with their scatter",
-            )
-        )
-    return tuple(out)

@@ -1,0 +1,73 @@
+"""Parameters of the model fitted to whole records of a campaign, healthy scatter included.
+
+The same whole-campaign fit as the diagnosis': tolerances of the unit, gauge offsets and each
+stroke's own scatter are fitted with the parameters, under their priors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from plant.effects import Effect, EffectParameter
+from plant.parameters import ParameterSet
+from plant.setup import Setup
+from sil.campaign import Campaign, CampaignStroke
+from sil.diagnosis.fit import Fitter
+from sil.diagnosis.hypotheses import Candidate
+from sil.diagnosis.model import CampaignModel
+from sil.diagnosis.nuisance import Spread
+from sil.diagnosis.observations import observe
+from sil.identify.estimate import Estimate
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Estimates of the parameters, and the standardised rms of what is left."""
+
+    estimates: tuple[Estimate, ...]
+    rms: float
+
+
+def fit_factors(
+    campaign: Campaign,
+    strokes: Sequence[CampaignStroke],
+    parameters: ParameterSet,
+    places: dict[str, tuple[int, ...]],
+    known: Sequence[str],
+    source: str,
+) -> Fitted:
+    """Fit factors on packed parameters.
+
+    places: parameter path -> positions in the packed array that it stands at; known: healthy unit
+    tolerances that the parameters themselves express (kept at zero).
+    """
+    observed = [replace(observe(campaign, entry, parameters), internal=None) for entry in strokes]
+    model = CampaignModel(observed, Spread.of(parameters))
+    paths = tuple(places)
+
+    def change(setup: Setup, values: dict[str, float]) -> None:
+        for path in paths:
+            for place in places[path]:
+                setup.p[place] *= values[path]
+
+    own = tuple(EffectParameter(path, "-", 1.0, 0.05, 20.0, 0.1) for path in paths)
+    effect = Effect("identified", "identified", "force", source, own, change)
+    candidate = Candidate(effect, "", own, ())
+    layout = model.layout((candidate,))
+    frozen = [layout.names.index(name) for name in known]
+    start = np.zeros(len(layout.names))
+    found = Fitter(model).fit((candidate,), start=start, freeze=frozen, iterations=20)
+    free = [k for k in range(len(layout.names)) if k not in frozen]
+    covariance = np.linalg.pinv(found.normal[np.ix_(free, free)])
+    reduced = max(1.0, found.chi2 / found.size)
+    estimates = []
+    for k, path in enumerate(paths):
+        place = free.index(layout.effect_slice.start + k)
+        base = parameters.value(path)
+        centre = base * found.values[0][path]
+        half = 1.96 * float(np.sqrt(covariance[place, place] * reduced)) * 0.1 * base
+        estimates.append(Estimate(path, centre, centre - half, centre + half, source))
+    return Fitted(tuple(estimates), float(np.sqrt(found.chi2 / found.size)))
