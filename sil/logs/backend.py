@@ -13,7 +13,7 @@ from typing import BinaryIO, Final, NamedTuple, Protocol, Self
 
 from can_dbc.errors import InputError
 from sil.logs.byte_source import ByteSource
-from sil.logs.frame import LogFrame, is_ordinary, require_possible
+from sil.logs.frame import LogFrame, all_ordinary, require_possible
 from sil.logs.report import LogReport
 
 WRITE_BATCH: Final = 2048
@@ -80,6 +80,7 @@ class LogWriter(ABC):
         self._held: list[LogFrame] = []
         self._closed = False
         self._channels_seen: set[str] = set()
+        self._ordinary = False
         if os.path.isdir(path):
             raise InputError(f"{path}: is a folder; expected the name of a log file")
         self._file, self._partial = open_beside(path)
@@ -113,11 +114,12 @@ class LogWriter(ABC):
 
     def _check(self, frames: list[LogFrame]) -> None:
         """Refuse frames that no bus can carry."""
-        seen = self._channels_seen
+        self._ordinary = all_ordinary(frames, self._channels_seen)
+        if self._ordinary:
+            return
         for number, frame in enumerate(frames, self._written + 1):
-            if frame.channel not in seen or not is_ordinary(frame):
-                require_possible(frame, f"{self.path}: frame {number}")
-                seen.add(frame.channel)
+            require_possible(frame, f"{self.path}: frame {number}")
+            self._channels_seen.add(frame.channel)
 
     def _guarded(self, held: list[LogFrame]) -> None:
         try:

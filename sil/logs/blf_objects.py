@@ -10,7 +10,14 @@ import struct
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-from sil.logs.frame import MAX_STANDARD_ID, LogFrame, frame_problem
+from sil.logs.frame import (
+    MAX_EXTENDED_ID,
+    MAX_STANDARD_ID,
+    MAX_TIME_NS,
+    LogFrame,
+    frame_problem,
+    ordinary_frame,
+)
 from sil.logs.times import NS_PER_MS, utc_calendar, utc_ns
 
 FILE_HEADER: Final = struct.Struct("<4sLBBBBBBBBQQLL8H8H")
@@ -39,6 +46,12 @@ TYPE_CAN_FD: Final = 100
 TYPE_CAN_FD_64: Final = 101
 TYPE_CAN_FD_ERROR_64: Final = 104
 
+PLAIN: Final = struct.Struct("<4sHHLLL4xQHBBL8s")
+"""A classic frame as a whole: header, time flag, ticks, and `CAN`."""
+
+_PLAIN_HEADERS: Final = frozenset(
+    (b"LOBJ", OBJECT.size + TIMES_V1.size, 1, PLAIN.size, kind) for kind in (TYPE_CAN, TYPE_CAN_2)
+)
 EXTENDED: Final = 0x80000000
 REMOTE: Final = 0x80
 TICK_NS: Final = {1: 10_000, 2: 1}
@@ -139,6 +152,9 @@ def objects(data: bytes, start_ns: int) -> Iterator[LogFrame | Other | Broken | 
     """
     pos, end = 0, len(data)
     while True:
+        for frame in _run_of_plain(data, pos, start_ns):
+            yield frame
+            pos += PLAIN.size
         found = data.find(b"LOBJ", pos, pos + 8)
         if found < 0:
             if end - pos < 8:
@@ -178,6 +194,31 @@ def objects(data: bytes, start_ns: int) -> Iterator[LogFrame | Other | Broken | 
                 body = data[pos + header_size : pos + size]
                 yield _frame(kind, body, start_ns + ticks * tick_ns, header_size)
         pos += size
+
+
+def _run_of_plain(data: bytes, pos: int, start_ns: int) -> Iterator[LogFrame]:
+    """Classic data frames, one after the other, as long as there is nothing else."""
+    end = pos + (len(data) - pos) // PLAIN.size * PLAIN.size
+    for fields in PLAIN.iter_unpack(memoryview(data)[pos:end]):
+        if fields[:5] not in _PLAIN_HEADERS or fields[5] != 2:
+            return
+        ticks, channel, flags, dlc, word, payload = fields[6:]
+        extended = word > MAX_EXTENDED_ID
+        if flags > 1 or dlc > 8 or (not extended and word > MAX_STANDARD_ID):
+            return
+        if extended and word >> 29 != 4:
+            return
+        time_ns = start_ns + ticks
+        if time_ns > MAX_TIME_NS:
+            return
+        yield ordinary_frame(
+            time_ns,
+            word & MAX_EXTENDED_ID,
+            payload[:dlc],
+            extended,
+            str(channel),
+            "Tx" if flags else "Rx",
+        )
 
 
 def _next_object(data: bytes, pos: int) -> int:

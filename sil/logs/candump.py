@@ -15,7 +15,7 @@ from sil.logs.backend import Batch, LogWriter, ReadOptions
 from sil.logs.byte_source import ByteSource
 from sil.logs.candump_line import DROPPED, ERROR_FLAG, NotAFrame, parse_line, surely_whole
 from sil.logs.candump_plain import PlainChunks
-from sil.logs.frame import LogFrame
+from sil.logs.frame import MOST_KNOWN_IDS, LogFrame
 from sil.logs.report import LogReport, Place
 from sil.logs.text_lines import Chunk, chunk_lines, chunks
 from sil.logs.times import NS_PER_S, RELATIVE_BELOW_NS, enough_decimals
@@ -163,42 +163,67 @@ class CandumpWriter(LogWriter):
         self._decimals = decimals
         self._exact = False
         self._names: dict[str, str] = {}
+        self._prefixes: dict[tuple[int, bool], str] = {}
 
     def _write_batch(self, frames: list[LogFrame]) -> None:
         if self._decimals is None:
             self._decimals = enough_decimals(frames)
             self._exact = True
+        if self._ordinary and self._decimals == 6 and not any(f[0] % 1000 for f in frames):
+            text = self._plain(frames)
+        else:
+            text = "".join([self._line(frame) for frame in frames])
+        self._out.write(text.encode("ascii"))
+
+    def _plain(self, frames: list[LogFrame]) -> str:
+        """Lines of classic data frames at whole microseconds."""
+        names = {frame[9]: self._name(frame[9]) for frame in frames}
+        hexes = "\n".join([frame[2].hex() for frame in frames]).upper().split("\n")
+        prefixes = self._prefixes
+        if len(prefixes) > MOST_KNOWN_IDS:
+            prefixes.clear()
+        lines = []
+        for frame, digits in zip(frames, hexes, strict=True):
+            time_ns, can_id, _, extended, _, _, _, _, _, channel, direction, _ = frame
+            prefix = prefixes.get((can_id, extended))
+            if prefix is None:
+                prefix = prefixes[can_id, extended] = _identifier(frame)
+            lines.append(
+                f"({time_ns // NS_PER_S:010d}.{time_ns % NS_PER_S // 1000:06d}) {names[channel]} "
+                f"{prefix}#{digits}{_LETTER[direction]}\n"
+            )
+        return "".join(lines)
+
+    def _line(self, frame: LogFrame) -> str:
+        """The line of any frame."""
+        time_ns = frame.time_ns
+        if time_ns < 0:
+            raise InputError(f"{self.path}: time {time_ns} ns; candump expected times from 0")
         decimals = self._decimals
-        lines: list[str] = []
-        names = self._names
-        for frame in frames:
-            time_ns, can_id, data, extended, *_ = frame
-            if time_ns < 0:
-                raise InputError(f"{self.path}: time {time_ns} ns; candump expected times from 0")
-            if decimals == 6 and time_ns % 1000 and not self._exact:
+        if decimals == 6 and time_ns % 1000:
+            if self._exact:
+                decimals = 9
+            else:
                 self.losses["times rounded to the microsecond"] += 1
                 time_ns += 500
-            if decimals == 9 or (time_ns % 1000 and self._exact):
-                seconds, nano = divmod(time_ns, NS_PER_S)
-                stamp = f"{seconds:010d}.{nano:09d}"
-            else:
-                seconds, micro = divmod(time_ns // 1000, 1_000_000)
-                stamp = f"{seconds:010d}.{micro:06d}"
-            name = names.get(frame.channel)
-            if name is None:
-                name = names[frame.channel] = self._interface(frame.channel)
-            letter = _LETTER[frame.direction]
-            if frame.error or frame.remote or frame.fd or frame.raw_dlc:
-                body = self._special(frame)
-            elif extended:
-                body = f"{can_id:08X}#{data.hex().upper()}"
-            else:
-                body = f"{can_id:03X}#{data.hex().upper()}"
-            lines.append(f"({stamp}) {name} {body}{letter}\n")
-        self._out.write("".join(lines).encode("ascii"))
+        seconds, nano = divmod(time_ns, NS_PER_S)
+        stamp = (
+            f"{seconds:010d}.{nano:09d}" if decimals == 9 else f"{seconds:010d}.{nano // 1000:06d}"
+        )
+        if frame.error or frame.remote or frame.fd or frame.raw_dlc:
+            body = self._special(frame)
+        else:
+            body = f"{_identifier(frame)}#{frame.data.hex().upper()}"
+        return f"({stamp}) {self._name(frame.channel)} {body}{_LETTER[frame.direction]}\n"
 
     def _finish(self) -> None:
         """There is nothing after the last line."""
+
+    def _name(self, channel: str) -> str:
+        name = self._names.get(channel)
+        if name is None:
+            name = self._names[channel] = self._interface(channel)
+        return name
 
     def _interface(self, channel: str) -> str:
         """The network interface name of a channel; numbered channels count from can0."""
@@ -212,7 +237,7 @@ class CandumpWriter(LogWriter):
         return channel
 
     def _special(self, frame: LogFrame) -> str:
-        digits = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
+        digits = _identifier(frame)
         if frame.error:
             if frame.extended or frame.remote or frame.fd:
                 self.losses["flags of an error frame"] += 1
@@ -230,6 +255,10 @@ class CandumpWriter(LogWriter):
             flags = 4 | frame.brs | frame.esi << 1
             return f"{digits}##{flags:X}{frame.data.hex().upper()}"
         return f"{digits}#{frame.data.hex().upper()}_{frame.raw_dlc:X}"
+
+
+def _identifier(frame: LogFrame) -> str:
+    return f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
 
 
 class Candump:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence, Set
+from itertools import compress
+from operator import not_
 from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
@@ -69,16 +72,22 @@ def ordinary_frame(
     return tuple.__new__(LogFrame, (*fields, channel, direction, 0))
 
 
-def is_ordinary(frame: LogFrame) -> bool:
-    """Whether it is surely a possible classic data frame; a quick look before `frame_problem`."""
-    time_ns, can_id, data, extended, remote, _, _, _, _, _, direction, raw_dlc = frame
+def all_ordinary(frames: Sequence[LogFrame], channels: Set[str]) -> bool:
+    """Whether all are surely possible classic data frames of known channels; a quick look."""
+    times_ns, ids, data, extended, remote, error, fd, *_, names, ways, raw = zip(
+        *frames, strict=True
+    )
+    if any(remote) or any(error) or any(fd) or any(raw):
+        return False
+    if min(ids) < 0 or max(ids) > MAX_EXTENDED_ID or max(map(len, data)) > 8:
+        return False
+    if not all(extended) and max(compress(ids, map(not_, extended))) > MAX_STANDARD_ID:
+        return False
     return (
-        len(data) <= 8
-        and 0 <= can_id <= (MAX_EXTENDED_ID if extended else MAX_STANDARD_ID)
-        and 0 <= time_ns <= MAX_TIME_NS
-        and not raw_dlc
-        and not remote
-        and direction in _DIRECTIONS
+        min(times_ns) >= 0
+        and max(times_ns) <= MAX_TIME_NS
+        and channels >= set(names)
+        and set(ways) <= _DIRECTIONS
     )
 
 

@@ -27,14 +27,12 @@ from sil.logs.times import (
     NS_PER_MS,
     NS_PER_S,
     RELATIVE_BELOW_NS,
-    format_ns,
     parse_decimal_ns,
-    utc_calendar,
     utc_ns,
 )
 
-_DAY_NS: Final = 86_400 * NS_PER_S
-_EPOCH_DAYS: Final = 25_569
+DAY_NS: Final = 86_400 * NS_PER_S
+EPOCH_DAYS: Final = 25_569
 """Days from 1899-12-30, where PEAK's times begin, to 1970-01-01."""
 
 _VERSION_1: Final = re.compile(
@@ -192,8 +190,8 @@ class TrcReader:
                 )
             self._columns = _DEFAULT_COLUMNS.get(self._version, "").split(",")
         elif name == ";$STARTTIME":
-            days_ns = parse_decimal_ns(value.strip(), _DAY_NS)
-            self._origin_ns = days_ns - _EPOCH_DAYS * _DAY_NS
+            days_ns = parse_decimal_ns(value.strip(), DAY_NS)
+            self._origin_ns = days_ns - EPOCH_DAYS * DAY_NS
             absolute = self._origin_ns >= RELATIVE_BELOW_NS
             report.time_base = "absolute" if absolute else "relative"
             report.start_ns = self._origin_ns if absolute else None
@@ -342,83 +340,6 @@ def _bytes(words: list[str], length: int) -> bytes:
     return bytes(int(word, 16) for word in told)
 
 
-class TrcWriter(LogWriter):
-    """Writes version 2.1, times in milliseconds with three decimals as PEAK's own tools."""
-
-    format = "trc"
-
-    def __init__(self, path: str) -> None:
-        super().__init__(path)
-        self._begun = False
-        self._origin_ns = 0
-        self._number = 0
-
-    def _begin(self, frames: list[LogFrame]) -> None:
-        self._begun = True
-        first_ns = min((frame.time_ns for frame in frames), default=0)
-        if first_ns >= RELATIVE_BELOW_NS:
-            self._origin_ns = first_ns // NS_PER_MS * NS_PER_MS
-        days, part_ns = divmod(self._origin_ns, _DAY_NS)
-        fraction = (part_ns * 10**15 + _DAY_NS // 2) // _DAY_NS
-        moment = utc_calendar(self._origin_ns)
-        milliseconds = self._origin_ns // NS_PER_MS % 1000
-        header = (
-            ";$FILEVERSION=2.1\n"
-            f";$STARTTIME={days + _EPOCH_DAYS}.{fraction:015d}\n"
-            ";$COLUMNS=N,O,T,B,I,d,R,L,D\n"
-            ";\n"
-            f";   Start time: {moment:%d.%m.%Y %H:%M:%S}.{milliseconds:03d}.000\n"
-            ";---------------------------------------------------------------------\n"
-            ";   Message   Time    Type    ID     Rx/Tx\n"
-            ";   Number    Offset  |  Bus  [hex]  |  Reserved\n"
-            ";   |         [ms]    |  |    |      |  |  Data Length Code\n"
-            ";   |         |       |  |    |      |  |  |    Data [hex] ...\n"
-            ";---+-- ------+------ +- +- --+----- +- +- +--- +- -- -- -- -- -- -- --\n"
-        )
-        self._out.write(header.encode("ascii"))
-
-    def _write_batch(self, frames: list[LogFrame]) -> None:
-        if not self._begun:
-            self._begin(frames)
-        self._out.write("".join([self._text(frame) for frame in frames]).encode("ascii"))
-
-    def _text(self, frame: LogFrame) -> str:
-        time_ns = frame.time_ns - self._origin_ns
-        if time_ns < 0:
-            raise InputError(
-                f"{self.path}: a frame at {format_ns(frame.time_ns)} s lies before the start of "
-                f"the log at {format_ns(self._origin_ns)} s; expected candump, csv or mf4 for it"
-            )
-        if time_ns % 1000:
-            self.losses["times rounded to the microsecond"] += 1
-        whole, fraction = divmod((time_ns + 500) // 1000, 1000)
-        self._number += 1
-        bus = self.channel_number(frame.channel)
-        if not frame.direction:
-            self.losses["direction not recorded, written as Rx"] += 1
-        identifier = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:04X}"
-        kind = "RR" if frame.remote else "DT"
-        if frame.fd and not frame.remote:
-            kind = (("FD", "BI"), ("FB", "FE"))[frame.brs][frame.esi]
-        elif frame.fd:
-            self.losses["CAN FD flag of a remote frame"] += 1
-        if frame.error:
-            kind, identifier = "ER", "-"
-            if frame.can_id or frame.extended or frame.fd or frame.remote:
-                self.losses["error frame class and flags"] += 1
-            if len(frame.data) > 8:
-                self.losses["bytes of an error frame after the eighth"] += 1
-                frame = frame._replace(data=frame.data[:8])
-        return (
-            f"{self._number:>7} {whole:>9}.{fraction:03d} {kind} {bus:<2} {identifier:>8} "
-            f"{frame.direction or 'Rx'} -  {frame.dlc:<2}   {frame.data.hex(' ').upper()}\n"
-        )
-
-    def _finish(self) -> None:
-        if not self._begun:
-            self._begin([])
-
-
 class Trc:
     """The TRC format."""
 
@@ -442,4 +363,6 @@ class Trc:
 
     def writer(self, path: str) -> LogWriter:
         """A writer of a new TRC log."""
+        from sil.logs.trc_writer import TrcWriter
+
         return TrcWriter(path)
