@@ -50,7 +50,7 @@ def run(
     setup = make_setup(nominal(), conditions(kind, **changes))
     if change is not None:
         change(setup)
-    time_s = np.arange(round(until_s / step_s) + 1) * step_s
+    time_s = (np.arange(round(until_s / step_s) + 1) * step_s).astype(np.float64)
     return run_setup(setup, time_s, internal=False)
 
 

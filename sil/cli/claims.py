@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def markdown(found: list) -> str:  # type: ignore[type-arg]
+def markdown(found: list) -> str:
     """The findings as one Markdown table."""
     lines = [
         "| claim | section | the thesis | here | verdict | shown by |",
