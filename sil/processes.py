@@ -3,33 +3,44 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
+import select
 import signal
 import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 
 from can_dbc.errors import RunError
 
-_PR_SET_PDEATHSIG = 1
+_TIED_TO_ITS_PARENT = """
+import ctypes, os, sys
+libc, parent = ctypes.CDLL(None), int(sys.argv[1])
+if libc.prctl(1, 9, 0, 0, 0) or os.getppid() != parent:  # PR_SET_PDEATHSIG, SIGKILL
+    sys.exit("the process that started this one has ended")
+try:
+    os.execvp(sys.argv[2], sys.argv[2:])
+except OSError as error:
+    sys.exit(f"{sys.argv[2]}: {error.strerror}")
+"""
 
 
 class ChildProcess:
-    """One participant in a process of its own, in a session of its own.
+    """One participant in a process of its own, which never outlives the one that started it.
 
-    An interrupt typed at the terminal reaches the coordinator alone, which then ends its children.
-    What the child prints is kept: its last line is the reason given when it ends too early.
-    Checked by test_participants.
+    The kernel kills it when the thread that started it ends, however that happens.  It is in a
+    session of its own: an interrupt typed at the terminal reaches the coordinator alone, which then
+    ends its children.  What the child prints is kept: its last line is the reason given when it
+    ends too early.  Checked by test_participants.
     """
 
     def __init__(self, name: str, command: Sequence[str]) -> None:
-        """Start `command`.  Raises RunError when it cannot be started."""
+        """Start `command`.  Raises RunError when this machine starts no more processes."""
         self.name = name
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
         try:
             self._process = subprocess.Popen(
-                list(command),
+                [sys.executable, "-I", "-S", "-c", _TIED_TO_ITS_PARENT, str(os.getpid()), *command],
                 stdin=subprocess.DEVNULL,
                 stdout=self._output,
                 stderr=self._output,
@@ -52,10 +63,9 @@ class ChildProcess:
 
     def how_it_ended(self, wait_s: float = 0.5) -> str | None:
         """Return "was killed by SIGKILL" or the like, or None when it runs on for `wait_s`."""
-        try:
-            status = self._process.wait(wait_s)
-        except subprocess.TimeoutExpired:
+        if not self._has_ended(wait_s):
             return None
+        status = self._process.wait()
         if status < 0:
             return f"was killed by {signal.Signals(-status).name}"
         last = next((line for line in reversed(self.output().splitlines()) if line.strip()), "")
@@ -65,25 +75,16 @@ class ChildProcess:
         """Wait `grace_s` for the process to end, then kill it; reap it and close everything."""
         if self._output.closed:
             return
-        try:
-            self._process.wait(grace_s)
-        except subprocess.TimeoutExpired:
+        if not self._has_ended(grace_s):
             self._process.kill()
-            self._process.wait()
+        self._process.wait()
         os.close(self._pidfd)
         self._output.close()
 
-
-def end_with_parent(parent_pid: int) -> None:
-    """Have the kernel kill this process when its parent, `parent_pid`, ends.
-
-    Raises RunError when that parent is gone already.  Checked by test_participants.
-    """
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
-        raise RunError(f"prctl: {os.strerror(ctypes.get_errno())}")
-    if os.getppid() != parent_pid:
-        raise RunError(f"the process {parent_pid} that started this one has ended")
+    def _has_ended(self, wait_s: float) -> bool:
+        poll = select.poll()
+        poll.register(self._pidfd, select.POLLIN)
+        return bool(poll.poll(wait_s * 1000.0))
 
 
 @contextlib.contextmanager

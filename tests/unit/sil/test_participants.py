@@ -18,7 +18,7 @@ import pytest
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
 from sil.participants import open_link, take_part
-from sil.processes import ChildProcess, end_with_parent, pinned_to_one_core
+from sil.processes import ChildProcess, pinned_to_one_core
 from sil.transports.hub import Hub
 from sil.transports.link import LocalLink
 
@@ -75,8 +75,10 @@ def test_a_child_that_goes_on_is_killed_after_the_grace() -> None:
 
 
 def test_what_cannot_be_started_is_named() -> None:
-    with pytest.raises(RunError, match=r"plant could not be started: .*no-such-program"):
-        ChildProcess("plant", ["/no-such-program"])
+    child = ChildProcess("plant", ["/no-such-program"])
+    expected = "ended with exit status 1: /no-such-program: No such file or directory"
+    assert child.how_it_ended(10.0) == expected
+    child.end(0.0)
 
 
 def test_a_child_has_its_own_session_so_that_control_c_reaches_the_coordinator_alone() -> None:
@@ -86,49 +88,41 @@ def test_a_child_has_its_own_session_so_that_control_c_reaches_the_coordinator_a
 
 
 PARENT = """
-    import subprocess, sys, time
-    child = subprocess.Popen([sys.executable, "-c", sys.argv[1]], stdout=subprocess.PIPE)
-    child.stdout.readline()
-    print(child.pid, flush=True)
-    time.sleep(600)
-"""
-CHILD = """
 import os, sys, time
 sys.path.insert(0, {root!r})
-from sil.processes import end_with_parent
-end_with_parent(os.getppid())
-print("tied", flush=True)
+from sil.processes import ChildProcess
+sleeper = "import time; print(1, flush=True); time.sleep(600)"
+child = ChildProcess("plant", [sys.executable, "-c", sleeper])
+while not child.output():
+    time.sleep(0.01)
+print(child.pid, flush=True)
 time.sleep(600)
 """
 
 
-def test_a_node_ends_when_its_parent_is_killed() -> None:
-    code = CHILD.format(root=str(ROOT))
-    parent = subprocess.Popen([*python(PARENT), code], stdout=subprocess.PIPE, text=True)
+def test_a_child_ends_when_its_parent_is_killed() -> None:
+    code = PARENT.format(root=str(ROOT))
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     assert parent.stdout is not None
     child_pid = int(parent.stdout.readline())
+    assert not is_gone(child_pid, 0.1)
     parent.kill()
     parent.wait()
     parent.stdout.close()
     assert is_gone(child_pid, 2.0)
 
 
-def test_a_parent_that_is_gone_already_is_noticed() -> None:
-    code = f"""
-        import sys
-        sys.path.insert(0, {str(ROOT)!r})
-        from can_dbc.errors import RunError
-        from sil.processes import end_with_parent
-        try:
-            end_with_parent(1 << 22)
-        except RunError as error:
-            print(error)
-    """
-    child = ChildProcess("plant", python(code))
-    assert child.how_it_ended(10.0) == (
-        "ended with exit status 0: the process 4194304 that started this one has ended"
+def test_a_child_whose_parent_is_gone_already_does_not_begin() -> None:
+    from sil.processes import _TIED_TO_ITS_PARENT
+
+    begun = subprocess.run(
+        [sys.executable, "-c", _TIED_TO_ITS_PARENT, "4194304", "echo", "begun"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
-    child.end(0.0)
+    assert (begun.returncode, begun.stdout) == (1, "")
+    assert begun.stderr == "the process that started this one has ended\n"
 
 
 def test_pinning_lasts_as_long_as_the_block() -> None:
@@ -263,14 +257,6 @@ def test_a_link_waits_for_its_hub() -> None:
     opener.join()
     link.close()
     hubs[0].close(aborted=True)
-
-
-def test_ending_with_a_wrong_parent_is_refused_in_process() -> None:
-    with pytest.raises(RunError, match="has ended"):
-        end_with_parent(os.getpid())
-    import ctypes
-
-    ctypes.CDLL(None).prctl(1, 0, 0, 0, 0)  # this process must not die with its parent
 
 
 def test_signals_have_names() -> None:
