@@ -17,6 +17,7 @@ from can_dbc.messages import (
     ShiftRequest,
     ValveCommand,
 )
+from sil.interpolation import hermite, monotone_slopes
 from sil.run_record import CHAMBERS, NS, Floats, M, PlantEvent, RunRecord
 
 ARRIVED_WITHIN_M = 5e-5
@@ -81,28 +82,19 @@ def phase_averaged_crossing(
     one sampling period later, half a period on average: t + (t[i] - t[i-1]) / 2.
     Assumes the line is monotone near the crossing. Checked by test_metrics.
     """
-    from scipy.interpolate import PchipInterpolator
-
     beyond = values >= level if rising else values <= level
     if not beyond.any():
         return None
     i = int(np.argmax(beyond))
     if i == 0:
         return float(times[0])
-    low, high = max(i - 4, 0), i + 4
-    line = PchipInterpolator(times[low:high], values[low:high])
+    near = slice(max(i - 4, 0), i + 4)
+    t, y = times[near], values[near]
     fine = np.linspace(times[i - 1], times[i], 201)
-    between = crossing(fine, line(fine), level, rising)
+    line = hermite(t, y, monotone_slopes(t, y), fine) if len(t) > 2 else np.interp(fine, t, y)
+    between = crossing(fine, line, level, rising)
     assert between is not None  # the last sample is beyond the level
     return between + 0.5 * float(times[i] - times[i - 1])
-
-
-def hermite(times: Floats, values: Floats, slopes: Floats, step_s: float) -> tuple[Floats, Floats]:
-    """Return a finer line through samples of value and slope (cubic Hermite)."""
-    from scipy.interpolate import CubicHermiteSpline
-
-    fine = np.arange(times[0], times[-1], step_s)
-    return fine, np.asarray(CubicHermiteSpline(times, values, slopes)(fine))
 
 
 def gear_position_m(gear: Gear, stroke_m: float) -> float:
@@ -252,8 +244,9 @@ def _truth_on_bus(
     if len(entries) < 2:
         return [None for _ in levels]
     times, values, slopes = np.array(entries, dtype=np.float64).T
-    fine_times, fine = hermite(times, values, slopes, 1e-4)
-    return [crossing(fine_times, fine, level, rising) for level in levels]
+    fine = np.arange(times[0], times[-1], 1e-4)
+    line = hermite(times, values, slopes, fine)
+    return [crossing(fine, line, level, rising) for level in levels]
 
 
 def _minus(later: float | None, earlier: float | None) -> float | None:

@@ -56,8 +56,8 @@ def tiles(metrics: dict[str, Any]) -> list[dict[str, str]]:
     ]
 
 
-def run_page(result: Result, pictures: dict[str, bytes] | None) -> str:
-    """Return the page of a run; `pictures` holds PNG bytes for light and dark."""
+def run_page(result: Result, picture: bytes | None) -> str:
+    """Return the page of a run; `picture` is a PNG on light paper."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -79,7 +79,6 @@ def run_page(result: Result, pictures: dict[str, bytes] | None) -> str:
     return environment.get_template("run.html").render(
         result=plain,
         tiles=tiles(result.metrics),
-        pictures=pictures
-        and {name: base64.b64encode(image).decode() for name, image in pictures.items()},
+        picture=picture and base64.b64encode(picture).decode(),
         details=json.dumps(finite(details), indent=1, ensure_ascii=False),
     )

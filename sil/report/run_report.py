@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from sil.report.page import run_page
 from sil.report.picture import draw_shift
-from sil.report.theme import DARK, LIGHT
 from sil.results import write_whole
 
 if TYPE_CHECKING:
@@ -15,14 +14,11 @@ if TYPE_CHECKING:
 
 
 def write_report(finished: Finished, folder: Path) -> None:
-    """Write the picture, and the page with it in both looks. Needs a record."""
+    """Write the picture, and the page with it. Needs a record."""
     result, record = finished.result, finished.record
     assert record is not None
     title = f"{result.scenario_name}: {result.status}"
     subtitle = result.scenario["description"].strip().split("\n")[0]
-    pictures = {
-        theme.name: draw_shift(record, finished.shifts, title, subtitle, theme)
-        for theme in (LIGHT, DARK)
-    }
-    (folder / "shift.png").write_bytes(pictures["light"])
-    write_whole(folder / "report.html", run_page(result, pictures))
+    picture = draw_shift(record, finished.shifts, title, subtitle)
+    (folder / "shift.png").write_bytes(picture)
+    write_whole(folder / "report.html", run_page(result, picture))

@@ -53,7 +53,9 @@ def test_lag(settings: tuple[str, ...], at_10: float, at_90: float, tmp_path: Pa
 def test_the_filter_makes_it_three_times_slower_and_growing(tmp_path: Path) -> None:
     with_filter = lags(tmp_path / "on")
     without = lags(tmp_path / "off", "controller.filter=false")
-    assert np.mean(with_filter["held_10"]) / np.mean(without["held_10"]) == pytest.approx(3, abs=0.5)
+    assert np.mean(with_filter["held_10"]) / np.mean(without["held_10"]) == pytest.approx(
+        3, abs=0.5
+    )
     assert np.mean(with_filter["held_90"] - with_filter["held_10"]) > 0.008
     assert abs(np.mean(without["held_90"] - without["held_10"])) < 0.002
 
