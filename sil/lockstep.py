@@ -177,7 +177,7 @@ class Lockstep:
             self._step(now_ns, due)
             self._wall_s += time.perf_counter() - started
         except ParticipantLost as lost:
-            raise lost.at(to_seconds(now_ns)) from None
+            raise lost.at(to_seconds(now_ns)) from lost.__cause__
 
     def _step(self, now_ns: int, due: Sequence[str]) -> None:
         deliveries = self._bus.advance(now_ns)

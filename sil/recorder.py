@@ -67,7 +67,7 @@ class _AppendedFile:
 class BusLog(_AppendedFile):
     """The delivered frames as a log of the form `candump -l` writes, and their hash.
 
-    A line is `(sssssssss.uuuuuu) opc4 0CFF2503#0011223344556677`, the arrival in simulated time.
+    A line is `(0000000001.234567) opc4 0CFF2503#0011223344556677`, the arrival in simulated time.
     Microseconds, because canplayer takes no other form; at 125 kbit/s to 1 Mbit/s, with releases on
     whole microseconds, they are exact.  An arrival between two microseconds gets nine digits: no
     time is rounded, and canplayer refuses that file, loudly.  Checked by test_recorder.

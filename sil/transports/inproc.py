@@ -6,8 +6,9 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol
 
+from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
-from sil.transports.channel import NOBODY, ChannelCounts, Turn
+from sil.transports.channel import NOBODY, ChannelCounts, ParticipantLost, Turn
 
 if TYPE_CHECKING:
     from sil.bus import Delivery
@@ -68,7 +69,13 @@ class InProcess:
             inbox = self._inboxes.get(name)
             if inbox is not None:
                 self._inboxes[name] = []
-                self._turns[name] = Turn(*self._participants[name].advance(now_ns, inbox))
+                try:
+                    self._turns[name] = Turn(*self._participants[name].advance(now_ns, inbox))
+                except (InputError, RunError):
+                    raise
+                except Exception as error:  # as when its process dies of it: the run is over
+                    what = f"failed: {type(error).__name__}: {error}"
+                    raise ParticipantLost(name, what) from error
 
     def end_turn(self) -> dict[str, Turn]:
         turns, self._turns = self._turns, {}

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
+from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
 from sil.bus import BusModel, Delivery
 from sil.clock import NEVER_NS
@@ -176,6 +177,34 @@ def test_a_participant_against_the_rules_ends_the_run(
         coordinator.run()
     assert lost.value.participant == "controller"
     assert node.closed == 1
+
+
+def test_a_participant_that_raises_ends_the_run_by_name_and_keeps_its_error() -> None:
+    def fail(now: int) -> tuple[Said, int]:
+        raise ZeroDivisionError("no gear at all")
+
+    coordinator, _ = lockstep(10_000 * US, Node("plant", [], fail, first_ns=1000 * US))
+    with (
+        coordinator,
+        pytest.raises(
+            ParticipantLost,
+            match=r"^plant failed: ZeroDivisionError: no gear at all \(at 0.001000 s simulated\)$",
+        ) as lost,
+    ):
+        coordinator.run()
+    assert isinstance(lost.value.__cause__, ZeroDivisionError)
+
+
+@pytest.mark.parametrize("error", [InputError("a file"), RunError("a disk"), KeyboardInterrupt()])
+def test_errors_for_the_user_pass_unchanged(error: BaseException) -> None:
+    def fail(now: int) -> tuple[Said, int]:
+        raise error
+
+    node = Node("plant", [], fail)
+    coordinator, _ = lockstep(10_000 * US, node)
+    with coordinator, pytest.raises(type(error)) as raised:
+        coordinator.run()
+    assert raised.value is error and node.closed == 1
 
 
 def test_a_first_event_before_the_start_is_refused() -> None:
