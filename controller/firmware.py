@@ -81,7 +81,8 @@ class Firmware:
     No input or output, no clock, bounded work per step, and no knowledge of being simulated: the
     same calls give the same results. It never energises backward and forward together, never
     energises a valve in FAULT, and reports a gear as confirmed only while the position it believes
-    is in that gear's window. Checked by test_firmware.
+    is in that gear's window. Checked by
+    test_firmware and test_invariants.
     """
 
     def __init__(self, config: FirmwareConfig) -> None:

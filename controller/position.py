@@ -128,7 +128,7 @@ class PositionEstimator:
 
     The filter starts at rest at the first valid sample. Samples that are missing in between (their
     index is skipped, or they were bad) are interpolated, so that the filter keeps its time base;
-    after a longer gap it starts afresh. Checked by test_position.
+    after a longer gap it starts afresh. Checked by test_estimator.
     """
 
     def __init__(self, config: FirmwareConfig) -> None:

@@ -10,8 +10,9 @@ from controller.config import FirmwareConfig, nanoseconds
 
 BlowLength = Callable[[float, Gear, bool], float]
 
-UNDER_WAY = frozenset({ShiftState.PUSH, ShiftState.CONFIRM, ShiftState.BLOW, ShiftState.HOLD,
-                       ShiftState.VENT})
+UNDER_WAY = frozenset(
+    {ShiftState.PUSH, ShiftState.CONFIRM, ShiftState.BLOW, ShiftState.HOLD, ShiftState.VENT}
+)
 """States of a shift in process, its after-treatment included."""
 
 
@@ -50,7 +51,7 @@ class ShiftMachine:
     at once. A request that is lost: the leg under way is finished, none follows.
     A lost position ends a shift in FAULT; so does a push that fails. FAULT is left by a request
     that differs from the failed one, once the faults are gone.
-    Checked by test_shift.
+    Checked by test_shift, test_shift_blow and test_shift_requests.
     """
 
     def __init__(self, config: FirmwareConfig, blow_s: BlowLength) -> None:

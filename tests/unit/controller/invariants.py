@@ -59,9 +59,7 @@ def check_invariants(rows: Sequence[Row], config: FirmwareConfig | None = None) 
         # a gear is confirmed only while the believed position is there, and never during a push
         if state in (ShiftState.PUSH, ShiftState.CONFIRM, ShiftState.INIT):
             assert confirmed is Gear.UNKNOWN
-        if status.faults & (
-            Fault.POSITION_LOST | Fault.POSITION_IMPLAUSIBLE | Fault.SENSOR_STUCK
-        ):
+        if status.faults & (Fault.POSITION_LOST | Fault.POSITION_IMPLAUSIBLE | Fault.SENSOR_STUCK):
             assert confirmed is Gear.UNKNOWN
         if confirmed is Gear.NEUTRAL:
             assert abs(status.estimate_m) <= windows.neutral_tolerance_m

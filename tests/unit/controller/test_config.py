@@ -167,8 +167,13 @@ LINES = [
         "overlap: below stroke_m - gear_tolerance_m, 0.01135 m",
     ),
     (
-        {"windows": {"stroke_m": 0.0625, "neutral_tolerance_m": 0.03125,
-                     "gear_tolerance_m": 0.03125}},
+        {
+            "windows": {
+                "stroke_m": 0.0625,
+                "neutral_tolerance_m": 0.03125,
+                "gear_tolerance_m": 0.03125,
+            }
+        },
         "s.toml: windows.neutral_tolerance_m: 0.03125 is wrong; expected windows that do not "
         "overlap: below stroke_m - gear_tolerance_m, 0.03125 m",
     ),

@@ -131,8 +131,14 @@ def test_worst_gain_keeps_the_estimate_in_the_range_of_the_status() -> None:
 
 @pytest.mark.parametrize(
     ("order", "fc_hz", "rate_hz"),
-    [(0, 22.0, 100.0), (-1, 22.0, 100.0), (6, 0.0, 100.0), (6, 50.0, 100.0), (6, -1.0, 100.0),
-     (6, math.nan, 100.0)],
+    [
+        (0, 22.0, 100.0),
+        (-1, 22.0, 100.0),
+        (6, 0.0, 100.0),
+        (6, 50.0, 100.0),
+        (6, -1.0, 100.0),
+        (6, math.nan, 100.0),
+    ],
 )
 def test_impossible_designs(order: int, fc_hz: float, rate_hz: float) -> None:
     with pytest.raises(ValueError, match=f"no Butterworth low-pass of order {order}, {fc_hz} Hz"):

@@ -130,7 +130,7 @@ def test_promises_hold_whatever_comes_in() -> None:
     visited: Counter[ShiftState] = Counter()
 
     @given(config=CONFIGS, scenes=st.one_of(SCENES, SCENES.map(lambda scenes: [WAKE, *scenes])))
-    @settings(max_examples=400, deadline=None, derandomize=True, database=None)
+    @settings(max_examples=300, deadline=None, derandomize=True, database=None)
     def run(config: FirmwareConfig, scenes: list[Scene]) -> None:
         check_scenes(config, scenes, visited)
 

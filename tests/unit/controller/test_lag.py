@@ -67,9 +67,7 @@ def lags_ms(config: FirmwareConfig, path: Path, lead_s: float) -> tuple[float, f
         started_s = 0.1 + phase / PHASES * config.period_s
         told = held(config, path, started_s, lead_s)
         for share in (0.1, 0.9):
-            true_s = next(
-                t * 1e-5 for t in range(2000) if path(t * 1e-5) >= share * STROKE_M
-            )
+            true_s = next(t * 1e-5 for t in range(2000) if path(t * 1e-5) >= share * STROKE_M)
             lag_s = first_above(told, share * STROKE_M) - started_s - true_s
             if share == 0.1:
                 low_s += lag_s

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import groupby
+from typing import Any
 
 from can_dbc.messages import (
     Chamber,
@@ -22,6 +23,11 @@ from controller.firmware import ChannelState, Firmware, Inputs, Outputs
 MS = 1_000_000
 STROKE_M = 0.01285
 GRID_NS = 250_000
+T_K = 293.15
+
+N, B, F, U = Gear.NEUTRAL, Gear.BACKWARD, Gear.FORWARD, Gear.UNKNOWN
+S = ShiftState
+AT = {N: 0.0, B: STROKE_M, F: -STROKE_M}
 
 
 @dataclass
@@ -196,3 +202,18 @@ def asks(*wishes: tuple[float, Gear]) -> Callable[[int], ShiftRequest]:
         return ShiftRequest(gear)
 
     return request
+
+
+def shift(start: Gear, *wishes: tuple[float, Gear], **more: Any) -> Rig:
+    """A rig that stands in a gear, is asked for it, and later for what is given (ms, gear)."""
+    return Rig(
+        stay=more.pop("stay", Stay(position_m=AT[start])),
+        request=asks((0.0, start), *wishes),
+        **more,
+    )
+
+
+def exact(position_m: float, index: int, temperature_k: float = T_K) -> PositionPulse:
+    """An ideal pulse, not rounded to ticks."""
+    warmth = 1.0 + 0.0012 * (temperature_k - T_K)
+    return PositionPulse((0.0009 + 0.022 * position_m) * warmth, temperature_k, index % 256)

@@ -1,0 +1,72 @@
+"""A machine of its own and what it sees, for the tests of the shift sequence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from can_dbc.messages import Gear, ShiftState
+from controller.config import FirmwareConfig
+from controller.shift import ShiftMachine, View
+
+MS = 1_000_000
+N, B, F, U = Gear.NEUTRAL, Gear.BACKWARD, Gear.FORWARD, Gear.UNKNOWN
+S = ShiftState
+
+
+def as_configured(configured_s: float, leg: Gear, follows: bool) -> float:
+    return configured_s
+
+
+class Bench:
+    """A machine, and a view that stays as it is until a test changes it."""
+
+    def __init__(self, gear: Gear = N, blow_s: Any = as_configured, **config: Any) -> None:
+        self.machine = ShiftMachine(FirmwareConfig(**config), blow_s)
+        self.now_ns = 0
+        self.view = View(
+            position_valid=True,
+            gear=gear,
+            run=10,
+            moved=True,
+            wanted=None,
+            synchronized=None,
+            clear_b=True,
+            clear_f=True,
+            recoverable=True,
+        )
+
+    def step(self, ms: float = 10, **changes: Any) -> ShiftState:
+        """Change the view, let time pass, step once."""
+        self.view = self.view._replace(**changes)
+        self.now_ns += round(ms * MS)
+        self.machine.step(self.now_ns, self.view)
+        return self.machine.state
+
+    def until(self, state: ShiftState, limit_ms: int = 5000) -> int:
+        """Step every 10 ms until a state is there; return the ms that took."""
+        start_ns = self.now_ns
+        while self.machine.state is not state:
+            self.step()
+            assert self.now_ns - start_ns <= limit_ms * MS, f"{state.name} never came"
+        return (self.now_ns - start_ns) // MS
+
+    def idle(self) -> Bench:
+        assert self.step() is S.IDLE
+        return self
+
+    def pushing(self, target: Gear) -> Bench:
+        """From idle in the present gear into a push for the first leg to a target."""
+        self.idle()
+        assert self.step(wanted=target) is S.PUSH
+        return self
+
+    def blowing(self, target: Gear) -> Bench:
+        """Into the blow after a leg that ends in a target."""
+        self.pushing(target)
+        self.step(gear=U, run=1)
+        assert self.step(gear=target, run=2) is S.BLOW
+        return self
+
+    def facts(self) -> tuple[ShiftState, Gear, Gear, Gear]:
+        m = self.machine
+        return m.state, m.leg, m.final, m.confirmed

@@ -1,0 +1,171 @@
+"""What the firmware tells a strategy, and what it lets it do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from can_dbc.messages import (
+    Chamber,
+    Fault,
+    Gear,
+)
+from controller import firmware as module
+from controller.config import FirmwareConfig
+from controller.position import Estimate
+from controller.strategies import Duties, ShiftContext
+from controller.strategies.open_loop import OpenLoop
+from tests.unit.controller.invariants import check_invariants, duties
+from tests.unit.controller.toy_actuator import (
+    MS,
+    B,
+    F,
+    N,
+    Rig,
+    S,
+    Stay,
+    shift,
+)
+
+
+class Meddler(OpenLoop):
+    """A strategy that does what a test tells it to, and notes what it was told."""
+
+    def __init__(self, config: FirmwareConfig, parameters: Any) -> None:
+        super().__init__(config, parameters)
+        self.seen: list[tuple[int, Estimate, ShiftContext]] = []
+        self.resets = 0
+        self.answer: Duties | None = None
+
+    def reset(self) -> None:
+        self.resets += 1
+
+    def command(self, now_ns: int, estimate: Estimate, shift: ShiftContext) -> Duties:
+        self.seen.append((now_ns, estimate, shift))
+        if self.answer is not None:
+            return self.answer
+        return super().command(now_ns, estimate, shift)
+
+    def blow_s(self, configured_s: float, leg: Gear, follows: bool) -> float:
+        return configured_s / 3
+
+
+class TestStrategies:
+    @pytest.fixture
+    def meddled(self, monkeypatch: pytest.MonkeyPatch) -> Any:
+        monkeypatch.setattr(
+            module.strategies, "create", lambda config: Meddler(config, OpenLoop.Parameters())
+        )
+
+        def make(start: Gear, *wishes: tuple[float, Gear], **more: Any) -> tuple[Rig, Meddler]:
+            rig = shift(start, *wishes, **more)
+            strategy = rig.firmware._strategy
+            assert isinstance(strategy, Meddler)
+            return rig, strategy
+
+        return make
+
+    def test_what_it_is_told(self, meddled: Any) -> None:
+        rig, strategy = meddled(B, (100, F))
+        rig.run(600)
+        legs = [c for _, _, c in strategy.seen]
+        first, second = legs[0], next(c for c in legs if c.leg is F)
+        assert first == ShiftContext(N, F, Chamber.N, Chamber.B, 100 * MS, 0, (None, None, None))
+        assert second.charged is Chamber.F
+        assert second.passive is Chamber.N
+        assert second.start_ns == rig.when(S.PUSH, 1)
+        blown_until_ns = second.start_ns - 10 * MS
+        assert second.energised_ns == (None, blown_until_ns, None)
+        later = [c for c in legs if c.leg is F][1]
+        assert later.energised_ns == (None, blown_until_ns, second.start_ns)
+        assert strategy.resets == 2
+        assert {r.state for r in rig.rows if r.time_ns in {t for t, _, _ in strategy.seen}} <= {
+            S.PUSH,
+            S.CONFIRM,
+        }
+        for now_ns, estimate, _ in strategy.seen:
+            row = next(r for r in rig.rows if r.time_ns == now_ns)
+            assert estimate.position_m == row.out.status.estimate_m
+            assert estimate.valid
+
+    @pytest.mark.parametrize(("start", "passive"), [(B, Chamber.B), (F, Chamber.F)])
+    def test_the_passive_chamber_on_the_way_to_neutral(
+        self, meddled: Any, start: Gear, passive: Chamber
+    ) -> None:
+        rig, strategy = meddled(start, (100, N))
+        rig.run(300)
+        assert {c.passive for _, _, c in strategy.seen} == {passive}
+
+    def test_it_may_shorten_the_blow(self, meddled: Any) -> None:
+        rig, _ = meddled(N, (100, B))
+        rig.run(600)
+        assert rig.spent_ms(S.BLOW) == pytest.approx(50.0)
+
+    def test_a_retry_is_told_and_resets_it(self, meddled: Any) -> None:
+        rig, strategy = meddled(N, (100, B), stay=Stay(block_m=0.006))
+        rig.run(1500)
+        assert strategy.resets == 2
+        first, last = strategy.seen[0][2], strategy.seen[-1][2]
+        assert (first.attempt, first.start_ns) == (0, 100 * MS)
+        assert (last.attempt, last.start_ns) == (1, 1200 * MS)
+
+    @pytest.mark.parametrize(
+        "answer",
+        [
+            Duties(0.98, 0.0, 0.98),
+            Duties(0.34, 0.0, 0.34),
+            Duties(1.01, 0.0, 0.0),
+            Duties(0.0, 1.01, 0.0),
+            Duties(0.0, 0.0, 1.01),
+            Duties(-0.01, 0.0, 0.0),
+            Duties(0.0, -0.01, 0.0),
+            Duties(0.0, 0.0, -0.01),
+            Duties(float("nan"), 0.0, 0.0),
+            Duties(0.0, float("nan"), 0.0),
+            Duties(0.0, 0.0, float("inf")),
+        ],
+    )
+    def test_forbidden_duties_end_in_a_fault_for_good(self, meddled: Any, answer: Duties) -> None:
+        rig, strategy = meddled(N, (100, B), (200, N), (300, F))
+        strategy.answer = answer
+        rig.run(500)
+        assert rig.when(S.FAULT) == 100 * MS
+        assert rig.last.status.state is S.FAULT
+        assert rig.last.status.faults == Fault.INTERNAL | Fault.SPEEDS_LOST
+        assert len(strategy.seen) == 1
+        check_invariants(rig.rows)
+
+    @pytest.mark.parametrize(
+        "answer",
+        [
+            Duties(1.0, 1.0, 0.33),
+            Duties(0.33, 1.0, 1.0),
+            Duties(0.33, 0.33, 0.33),
+            Duties(0.0, 0.0, 0.0),
+        ],
+    )
+    def test_allowed_duties_go_out_as_they_are(self, meddled: Any, answer: Duties) -> None:
+        rig, strategy = meddled(N, (100, B))
+        strategy.answer = answer
+        rig.run(200)
+        assert {duties(r.out) for r in rig.rows if r.state is S.PUSH} == {answer}
+        assert rig.faults() == Fault.SPEEDS_LOST
+
+    @pytest.mark.parametrize(
+        ("one", "other"),
+        [(Duties(0.98, 0, 0), Duties(0, 0, 0.98)), (Duties(0, 0, 0.98), Duties(0.98, 0, 0))],
+    )
+    @pytest.mark.parametrize(("pause_ms", "allowed"), [(0, False), (30, False), (40, True)])
+    def test_backward_and_forward_need_a_pause_between_them(
+        self, meddled: Any, one: Duties, other: Duties, pause_ms: int, allowed: bool
+    ) -> None:
+        rig, strategy = meddled(N, (100, B), stay=Stay(frozen=True))
+        strategy.answer = one
+        rig.run(110)
+        strategy.answer = Duties(0.0, 0.33, 0.33)
+        rig.run(110 + pause_ms)
+        strategy.answer = other
+        rig.run(120 + pause_ms)
+        assert (rig.last.status.state is S.PUSH) == allowed
+        assert bool(rig.last.status.faults & Fault.INTERNAL) != allowed
