@@ -1,0 +1,90 @@
+"""Run a study: any values of model, firmware, sensor and bus swept, one table and its pictures."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+EXAMPLE = "example: opc4 whatif sensor_delay --workers 2 --out sweep/"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("study", metavar="STUDY", nargs="?", help="study file, or a shipped study")
+    parser.add_argument("--list", action="store_true", help="list the shipped studies")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default 1)")
+    parser.add_argument("--cluster", metavar="ADDRESS", help="dask.distributed scheduler")
+    parser.add_argument("--resume", action="store_true", help="continue the sweep in DIR")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write")
+    parser.add_argument("--force", action="store_true", help="replace a sweep in DIR")
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the rows, write table, summary, pictures and page."""
+    from can_dbc.errors import InputError
+    from sil.results import finite, prepare_folder, write_whole
+    from sil.whatif.engine import RESULTS, STATE, run_study
+    from sil.whatif.page import page
+    from sil.whatif.pictures import draw
+    from sil.whatif.study import load_study, shipped
+    from sil.whatif.table import read_table, summary
+
+    if arguments.list:
+        for name, path in shipped().items():
+            print(f"{name:24} {load_study(str(path)).study.description}")
+        return 0
+    if arguments.study is None:
+        raise InputError("whatif: no study; expected a study file, or --list")
+    if arguments.workers < 1:
+        raise InputError(f"--workers {arguments.workers}: expected 1 or more")
+    study = load_study(arguments.study)
+    if arguments.resume:
+        if arguments.out is None or not (arguments.out / RESULTS).exists():
+            raise InputError("--resume: no sweep to continue; expected --out DIR of one")
+        folder = arguments.out
+    else:
+        folder = prepare_folder(arguments.out, study.study.name, arguments.force)
+        held = [name for name in (RESULTS, STATE) if (folder / name).exists()]
+        if held and not arguments.force:
+            raise InputError(
+                f"{folder}: --out: holds another sweep; expected --resume, --force or another folder"
+            )
+    terminal = sys.stderr.isatty()
+
+    def progress(done: int, size: int) -> None:
+        if terminal:
+            print(f"\r{done} of {size} rows", end="", file=sys.stderr, flush=True)
+
+    now = run_study(
+        study,
+        folder,
+        workers=arguments.workers,
+        cluster=arguments.cluster,
+        resume=arguments.resume,
+        progress=progress,
+    )
+    if terminal:
+        print(file=sys.stderr)
+    table = read_table(study, folder)
+    told = summary(study, table)
+    write_whole(folder / "summary.json", json.dumps(finite(told), indent=1) + "\n")
+    pictures = draw(study, table, folder)
+    write_whole(folder / "report.html", page(study, told, pictures))
+    if arguments.json:
+        print(json.dumps(finite({"out": str(folder), "rows_now": now, **told})))
+        return 0
+    for name, entry in told["groups"].items():
+        speed = entry.get("impact_speed_m_s")
+        time = entry.get("shift_time_s") or entry.get("arrival_s")
+        parts = [f"{entry['rows']} rows"]
+        if time:
+            parts.append(f"time {1e3 * time['median']:.0f} ms ({1e3 * time['max']:.0f} at worst)")
+        if speed:
+            parts.append(f"impact {speed['median']:.2f} m/s ({speed['max']:.2f} at worst)")
+        parts.append(f"failed {100 * entry['failed_share']:.1f} %")
+        print(f"{name or study.study.name}: {', '.join(parts)}")
+    print(f"{told['rows']} rows ({now} run now) in {folder}")
+    return 0

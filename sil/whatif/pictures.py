@@ -1,0 +1,184 @@
+"""Pictures of a study: metrics over what was swept, and curves over time for its variants."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sil.whatif.rows import columns, stroke_of
+from sil.whatif.study import LoadedStudy
+from sil.whatif.table import Table
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31")
+UNITS = {"_s": ("ms", 1e3), "_m_s": ("m/s", 1.0), "_m": ("mm", 1e3), "_pa": ("bar", 1e-5)}
+UNITS |= {"_j": ("J", 1.0), "_kg": ("g", 1e3)}
+
+
+def shown(name: str) -> tuple[str, float]:
+    """Axis label and factor for a metric."""
+    for suffix in ("_m_s", "_s", "_m", "_pa", "_j", "_kg"):
+        if name.endswith(suffix):
+            unit, factor = UNITS[suffix]
+            return f"{name.removesuffix(suffix).replace('_', ' ')}, {unit}", factor
+    return name.replace("_", " "), 1.0
+
+
+def draw(study: LoadedStudy, table: Table, folder: Path) -> list[Path]:
+    """All pictures that this study's shape allows, as PNG files."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    made = []
+    numeric = [s.path for s in study.study.sweep if s.path in table.numbers]
+    if study.study.design.kind == "grid" and len(numeric) == 2 and len(study.study.sweep) == 2:
+        made.append(draw_map(study, table, folder))
+    if numeric:
+        made.append(draw_lines(study, table, folder))
+    if study.study.stroke is not None and study.size <= 12:
+        made.append(draw_curves(study, folder))
+    return made
+
+
+def read_metrics(study: LoadedStudy) -> list[str]:
+    """The metrics to show first."""
+    known = columns(study)
+    default = ["impact_speed_m_s", "shift_time_s" if "shift_time_s" in known else "arrival_s"]
+    return [name for name in study.study.reads or default if name in known]
+
+
+def groups_of(study: LoadedStudy, table: Table) -> dict[str, np.ndarray]:
+    """Rows of each combination of choices."""
+    keys = [name for name, _items in study.groups]
+    if not keys:
+        return {"": np.arange(table.size)}
+    labels = [" / ".join(parts) for parts in zip(*(table.texts[k] for k in keys), strict=True)]
+    return {
+        label: np.flatnonzero([found == label for found in labels])
+        for label in dict.fromkeys(labels)
+    }
+
+
+def draw_lines(study: LoadedStudy, table: Table, folder: Path) -> Path:
+    """Each metric against each swept value; a grid's other values as a band of least to greatest."""
+    from matplotlib import pyplot
+
+    metrics = read_metrics(study)
+    sweeps = [s for s in study.study.sweep if s.path in table.numbers]
+    figure, axes = pyplot.subplots(
+        len(metrics),
+        len(sweeps),
+        figsize=(4.8 * len(sweeps) + 1.5, 3.4 * len(metrics)),
+        squeeze=False,
+        sharey="row",
+    )
+    for row, metric in enumerate(metrics):
+        label, factor = shown(metric)
+        for column, sweep in enumerate(sweeps):
+            axis = axes[row][column]
+            for k, (name, rows) in enumerate(groups_of(study, table).items()):
+                x = table.numbers[sweep.path][rows]
+                y = table.numbers[metric][rows] * factor
+                colour = COLOURS[k % len(COLOURS)]
+                levels = np.unique(x)
+                if len(levels) < 0.6 * len(x) or len(sweeps) == 1:
+                    with_values = [v for v in levels if not np.all(np.isnan(y[x == v]))]
+                    middle = [np.nanmedian(y[x == v]) for v in with_values]
+                    low = [np.nanmin(y[x == v]) for v in with_values]
+                    high = [np.nanmax(y[x == v]) for v in with_values]
+                    axis.plot(with_values, middle, "o-", ms=3, color=colour, label=name or None)
+                    axis.fill_between(with_values, low, high, color=colour, alpha=0.12, lw=0)
+                else:
+                    axis.plot(x, y, ".", ms=3, alpha=0.5, color=colour, label=name or None)
+            if sweep.scale == "log":
+                axis.set_xscale("log")
+            axis.grid(alpha=0.3)
+            if column == 0:
+                axis.set_ylabel(label)
+            if row == len(metrics) - 1:
+                unit = f", {sweep.unit}" if sweep.unit else ""
+                axis.set_xlabel(f"{sweep.label or sweep.path}{unit}")
+    handles, labels = axes[0][0].get_legend_handles_labels()
+    if labels:
+        axes[0][-1].legend(handles, labels, frameon=False, fontsize=8)
+    figure.suptitle(study.study.name.replace("_", " "), x=0.02, ha="left", fontweight="bold")
+    return saved(figure, folder / "lines.png")
+
+
+def draw_map(study: LoadedStudy, table: Table, folder: Path) -> Path:
+    """The first metric over a grid of two values, one panel a combination of choices; worst = max."""
+    from matplotlib import pyplot
+
+    metric = read_metrics(study)[0]
+    label, factor = shown(metric)
+    first, second = study.study.sweep
+    groups = groups_of(study, table)
+    figure, axes = pyplot.subplots(
+        1, len(groups), figsize=(4.6 * len(groups) + 1, 4.2), squeeze=False, sharey=True
+    )
+    x = np.unique(table.numbers[first.path])
+    y = np.unique(table.numbers[second.path])
+    values = table.numbers[metric] * factor
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    mesh: Any = None
+    for axis, (name, rows) in zip(axes[0], groups.items(), strict=True):
+        grid = np.full((len(y), len(x)), np.nan)
+        for index in rows:
+            i = int(np.searchsorted(y, table.numbers[second.path][index]))
+            j = int(np.searchsorted(x, table.numbers[first.path][index]))
+            grid[i, j] = np.nanmax([grid[i, j], values[index]]) if not np.isnan(
+                values[index]
+            ) else grid[i, j]
+        mesh = axis.pcolormesh(x, y, grid, cmap="viridis", vmin=low, vmax=high, shading="nearest")
+        axis.set_title(name)
+        axis.set_xlabel(f"{first.label or first.path} {first.unit}")
+    axes[0][0].set_ylabel(f"{second.label or second.path} {second.unit}")
+    figure.colorbar(mesh, ax=list(axes[0]), label=label)
+    target = folder / "map.png"
+    figure.savefig(target, dpi=110, bbox_inches="tight")
+    pyplot.close(figure)
+    return target
+
+
+def draw_curves(study: LoadedStudy, folder: Path) -> Path:
+    """Position and pressures over time of each row of a plant-only study."""
+    from matplotlib import pyplot
+
+    base = study.study.stroke
+    assert base is not None
+    names = {"fixed": ("1", "2"), "B-N": ("N", "B"), "F-N": ("N", "F"), "N-F": ("F", "N")}
+    driving, passive = names.get(base.kind, ("B", "N"))
+    figure, axes = pyplot.subplots(3, 1, figsize=(8.6, 8.4), sharex=True)
+    end = 0.0
+    for k, row in enumerate(study.rows()):
+        stroke = stroke_of(base, study, row)
+        sweeps = [f"{s.label or s.path} {row.settings[s.path]}" for s in study.study.sweep]
+        label = ", ".join([*row.choices, *sweeps])
+        ms = 1e3 * stroke.time_s
+        colour = COLOURS[k % len(COLOURS)]
+        axes[0].plot(ms, 1e3 * stroke.position_m, color=colour, label=label)
+        axes[1].plot(ms, 1e-5 * stroke.pressure_pa(driving), color=colour)
+        axes[2].plot(ms, 1e-5 * stroke.pressure_pa(passive), color=colour)
+        if stroke.impact:
+            end = max(end, stroke.impact.time_s)
+    axes[0].set_ylabel("stay, mm")
+    axes[1].set_ylabel(f"P{driving}, bar abs")
+    axes[2].set_ylabel(f"P{passive}, bar abs")
+    axes[2].set_xlabel("time, ms")
+    axes[2].set_xlim(0.0, 1e3 * min(base.until_s, 1.6 * end + 0.02 if end else base.until_s))
+    for axis in axes:
+        axis.grid(alpha=0.3)
+    axes[0].legend(frameon=False, fontsize=8)
+    figure.suptitle(study.study.description or study.study.name, x=0.02, ha="left", wrap=True)
+    return saved(figure, folder / "curves.png")
+
+
+def saved(figure: Any, path: Path) -> Path:
+    """Write a figure and close it."""
+    from matplotlib import pyplot
+
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+    pyplot.close(figure)
+    return path

@@ -1,0 +1,264 @@
+"""A study file: what is run, which values change, over which loads and strategies."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from can_dbc.errors import InputError
+from plant.parameters import read_toml
+
+SHIPPED = Path(__file__).parent.parent / "studies"
+
+Value = float | int | bool | str
+MOST_ROWS = 5_000_000
+
+
+class StrokeBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The plant alone: one stroke by a list of commands (time s, valve, duty)."""
+
+    kind: Literal["fixed", "N-B", "B-N", "N-F", "F-N"]
+    commands: list[tuple[float, str, float]]
+    until_s: float = 0.3
+    supply_pressure_pa: float = 900000.0
+    load: Literal["none", "damper", "spring"] = "none"
+    damper_model: Literal["compressible", "incompressible"] = "compressible"
+    charged_before: list[str] = []
+    mounted: bool = False
+    mesh_force_n: float = 0.0
+    sync_impulse_n_s: float = 0.0
+
+
+class Sweep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One swept value: a list of values, or a range (for designs: its bounds).
+
+    `scale` "log" spaces a range by equal ratios.
+    """
+
+    path: str
+    values: list[Value] | None = None
+    low: float | None = None
+    high: float | None = None
+    steps: int | None = None
+    scale: Literal["linear", "log"] = "linear"
+    label: str = ""
+    unit: str = ""
+
+
+class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A named set of values: a load case, a strategy, a variant of the hardware."""
+
+    name: str
+    set: dict[str, Value] = {}
+
+
+class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How swept values are combined: full grid, side by side (list), Latin hypercube, Sobol."""
+
+    kind: Literal["grid", "list", "lhs", "sobol"] = "grid"
+    samples: int = 0
+    seed: int = 0
+
+
+class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A study; exactly one of `scenario` and `stroke` is the base."""
+
+    name: str
+    description: str = ""
+    scenario: str | None = None
+    stroke: StrokeBase | None = None
+    model: str = "nominal"
+    seed: int | None = None
+    sweep: list[Sweep] = []
+    design: Design = Design()
+    load: list[Choice] = []
+    strategy: list[Choice] = []
+    variant: list[Choice] = []
+    curves: list[str] = []
+    reads: list[str] = []
+    """Metrics that the summary and the pictures show first."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One run of a study: its number, the names of its choices, the values it sets."""
+
+    number: int
+    choices: tuple[str, ...]
+    settings: dict[str, Value]
+
+    @property
+    def texts(self) -> list[str]:
+        """The settings as PATH=VALUE, as the command line takes them."""
+        return [f"{path}={toml_value(value)}" for path, value in self.settings.items()]
+
+
+@dataclass(frozen=True)
+class LoadedStudy:
+    """A study with its file and its rows."""
+
+    study: Study
+    source: str
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of everything that decides the rows."""
+        text = json.dumps(msgspec.to_builtins(self.study), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @cached_property
+    def points(self) -> list[tuple[Value, ...]]:
+        """The design's points, one value a sweep."""
+        return design_points(self.study, self.source)
+
+    @property
+    def groups(self) -> list[tuple[str, list[Choice]]]:
+        """The kinds of choices this study has, in column order."""
+        kinds = [("variant", self.study.variant), ("strategy", self.study.strategy)]
+        return [(name, items) for name, items in [*kinds, ("load", self.study.load)] if items]
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        total = len(self.points)
+        for _name, items in self.groups:
+            total *= len(items)
+        return total
+
+    def rows(self, begin: int = 0) -> Iterator[Row]:
+        """The rows from number `begin` on, in their fixed order."""
+        combos = list(itertools.product(*(items for _name, items in self.groups)))
+        for number in range(begin, self.size):
+            point, combo = divmod(number, len(combos))
+            settings: dict[str, Value] = {}
+            for choice in combos[combo]:
+                settings |= choice.set
+            for sweep, value in zip(self.study.sweep, self.points[point], strict=True):
+                settings[sweep.path] = value
+            yield Row(number, tuple(choice.name for choice in combos[combo]), settings)
+
+
+def shipped() -> dict[str, Path]:
+    """The studies that come with the package, by name."""
+    return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
+
+
+def load_study(where: str) -> LoadedStudy:
+    """Read a study file, or a shipped study by name.
+
+    Raises InputError naming file, place, what is wrong and what was expected.
+    """
+    path = Path(where)
+    if not where.endswith(".toml"):
+        known = shipped()
+        if where not in known:
+            import difflib
+
+            near = difflib.get_close_matches(where, known, n=3, cutoff=0.3) or list(known)
+            raise InputError(f"study {where!r}: no such study; nearest: {', '.join(near)}")
+        path = known[where]
+    raw = read_toml(path)
+    try:
+        study = msgspec.convert(raw, Study)
+    except msgspec.ValidationError as error:
+        raise InputError(f"{path}: {error}") from None
+    check(study, str(path))
+    loaded = LoadedStudy(study, str(path))
+    if loaded.size > MOST_ROWS:
+        raise InputError(f"{path}: {loaded.size} rows; expected at most {MOST_ROWS}")
+    return loaded
+
+
+def check(study: Study, source: str) -> None:
+    """What the types cannot say: one base, complete sweeps, unique names."""
+    if (study.scenario is None) == (study.stroke is None):
+        raise InputError(f"{source}: expected either scenario = or [stroke], exactly one")
+    for index, sweep in enumerate(study.sweep):
+        place = f"{source}: sweep[{index}] {sweep.path}"
+        ranged = sweep.low is not None or sweep.high is not None
+        if (sweep.values is None) == (not ranged):
+            raise InputError(f"{place}: expected values, or low and high")
+        if sweep.values is not None and not sweep.values:
+            raise InputError(f"{place}: values: empty; expected at least one")
+        if ranged:
+            if sweep.low is None or sweep.high is None or not sweep.low < sweep.high:
+                raise InputError(f"{place}: expected low < high")
+            if sweep.scale == "log" and sweep.low <= 0.0:
+                raise InputError(f"{place}: a log range needs low > 0")
+            if study.design.kind in ("grid", "list") and (sweep.steps is None or sweep.steps < 2):
+                raise InputError(f"{place}: steps: expected 2 or more")
+        if study.design.kind in ("lhs", "sobol") and not ranged:
+            raise InputError(f"{place}: a {study.design.kind} design needs low and high")
+    if study.design.kind in ("lhs", "sobol") and study.design.samples < 1:
+        raise InputError(f"{source}: design.samples: expected 1 or more")
+    for name in ("load", "strategy", "variant"):
+        names = [item.name for item in getattr(study, name)]
+        if len(set(names)) != len(names):
+            raise InputError(f"{source}: {name}: a name stands twice")
+
+
+def levels(sweep: Sweep) -> list[Value]:
+    """The values of one sweep in a grid or list."""
+    if sweep.values is not None:
+        return list(sweep.values)
+    low, high = float(sweep.low or 0.0), float(sweep.high or 0.0)
+    steps = sweep.steps or 2
+    if sweep.scale == "log":
+        return [float(x) for x in np.geomspace(low, high, steps)]
+    return [float(x) for x in np.linspace(low, high, steps)]
+
+
+def design_points(study: Study, source: str) -> list[tuple[Value, ...]]:
+    """All points of the design, in a fixed order."""
+    if not study.sweep:
+        return [()]
+    if study.design.kind == "grid":
+        return list(itertools.product(*(levels(sweep) for sweep in study.sweep)))
+    if study.design.kind == "list":
+        columns = [levels(sweep) for sweep in study.sweep]
+        if len({len(column) for column in columns}) != 1:
+            raise InputError(f"{source}: design list: the sweeps have different lengths")
+        return list(zip(*columns, strict=True))
+    from scipy.stats import qmc
+
+    dimension = len(study.sweep)
+    if study.design.kind == "lhs":
+        unit = qmc.LatinHypercube(dimension, rng=study.design.seed).random(study.design.samples)
+    else:
+        sampler = qmc.Sobol(dimension, scramble=True, rng=study.design.seed)
+        power = int(np.ceil(np.log2(max(study.design.samples, 1))))
+        unit = sampler.random_base2(power)[: study.design.samples]
+    points = []
+    for row in unit:
+        values: list[Value] = []
+        for sweep, share in zip(study.sweep, row, strict=True):
+            low, high = float(sweep.low or 0.0), float(sweep.high or 0.0)
+            if sweep.scale == "log":
+                values.append(float(low * (high / low) ** share))
+            else:
+                values.append(float(low + (high - low) * share))
+        points.append(tuple(values))
+    return points
+
+
+def toml_value(value: Value) -> str:
+    """A value as TOML text."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value)
+    return repr(value)
+
+
+def described(study: Study) -> Mapping[str, Any]:
+    """The study as plain data."""
+    return dict(msgspec.to_builtins(study))
