@@ -122,6 +122,7 @@ def make_participant(name: str, loaded: Loaded, folder: Path) -> Participant:
         return TrafficNode(bus.extra_load, bus.extra_priority, bus.bitrate, scenario.seed)
     if name != "plant":
         raise InputError(f"participant {name!r}: expected driver, controller or plant")
+    from plant.hybrid import IntegrationError
     from plant.node import TRACE_COLUMNS, PlantNode
     from sil.event_log import EVENTS, EventLog
     from sil.recorder import PLANT_TRACE, TraceWriter
@@ -132,6 +133,8 @@ def make_participant(name: str, loaded: Loaded, folder: Path) -> Participant:
         warm_up(loaded)
     except InputError as error:
         raise InputError(f"{loaded.source}: {error}") from None
+    except IntegrationError as error:
+        raise InputError(f"{loaded.source}: the plant cannot even start: {error}") from None
     return RecordedPlant(node, trace, events)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -27,6 +28,9 @@ from sil.results import Check, Result, versions, write_result, write_whole
 from sil.run_record import BusFrame, RunRecord
 from sil.scenario import Loaded, expanded
 from sil.trace_csv import write_trace_csv
+
+REFUSED_BY_A_PARTICIPANT = re.compile(r"ended with exit status 2: opc4 node: (?P<told>.*)")
+"""A process that did not take its settings: bad input here as in one process."""
 
 CUT_OFF = "the run was cut off before it could say why"
 
@@ -101,6 +105,11 @@ def run(
         raise
     except RunError as error:
         why = str(error)
+        refused = REFUSED_BY_A_PARTICIPANT.search(why)
+        if refused is not None and not frames:
+            _discard(folder)
+            told = refused["told"].replace(str(folder / SCENARIO), loaded.source)
+            raise InputError(told) from None
     except KeyboardInterrupt:
         why = "interrupted"
     if summary is not None:

@@ -309,6 +309,11 @@ def _check_consistent(scenario: Scenario, source: str) -> None:
                 f"{place}: {request.at_s}; expected before the end, {scenario.duration_s} s"
             )
         last = request.at_s
+    if scenario.trace_period_s > 0.1 * scenario.duration_s:
+        raise InputError(
+            f"{source}: trace_period_s: {scenario.trace_period_s}; expected at most a tenth of "
+            f"duration_s, {0.1 * scenario.duration_s:g} s"
+        )
     if len(set(scenario.plant.charged)) != len(scenario.plant.charged):
         raise InputError(f"{source}: plant.charged: a chamber twice; expected each once")
     try:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from can_dbc.errors import InputError
 from sil import cosim, scenario
+from tests.conftest import ROOT
 
 
 def run(folder: Path, name: str, **how: object) -> cosim.Finished:
@@ -51,3 +56,68 @@ def test_a_speed_that_cannot_be_is_refused(tmp_path: Path) -> None:
         cosim.run(scenario.load("lab_n_b"), tmp_path, speed=0.0)
     with pytest.raises(InputError, match="--external"):
         cosim.run(scenario.load("lab_n_b"), tmp_path, external=["plant"])
+
+
+@pytest.mark.parametrize("transport", ["inproc", "local"])
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ("position_sensor.t_mid=1", "sensor.capture_s: 0.0015; expected at least"),
+        ("valve.D_rise=-1", "valve.D_rise: -1; expected"),
+    ],
+)
+def test_what_only_the_plant_can_refuse_is_bad_input_on_every_transport(
+    transport: str, setting: str, told: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    with pytest.raises(InputError) as caught:
+        cosim.run(scenario.load("lab_n_b", settings=[setting]), folder, transport=transport)
+    assert str(caught.value).startswith(str(scenario.shipped()["lab_n_b"]) + ": ")
+    assert told in str(caught.value)
+    assert not folder.exists()
+
+
+def test_a_participant_that_the_user_starts_joins_the_run(tmp_path: Path) -> None:
+    """opc4 run --external controller, and opc4 node controller beside it: the same bits."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    opc4 = [sys.executable, "-m", "sil.cli"]
+    with subprocess.Popen(
+        [
+            *opc4,
+            "run",
+            "lab_n_b",
+            "--transport",
+            "local",
+            "--external",
+            "controller",
+            "--json",
+            "--no-report",
+            "--out",
+            "run",
+        ],
+        cwd=tmp_path,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as coordinator:
+        assert coordinator.stderr is not None
+        told = ""
+        while "opc4 node" not in told:
+            told = coordinator.stderr.readline()
+            assert told, "the coordinator ended"
+        channel = told.split("--channel ")[1].split()[0]
+        node = subprocess.run(
+            [*opc4, "node", "controller", "--channel", channel, "--scenario", "lab_n_b"],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=200,
+        )
+        out, err = coordinator.communicate(timeout=60)
+    assert (node.returncode, coordinator.returncode) == (0, 0), (node.stderr, err)
+    alone = run(tmp_path / "inproc", "lab_n_b")
+    assert json.loads(out)["trace_sha256"] == alone.result.trace_sha256
