@@ -127,14 +127,19 @@ def make_participant(name: str, loaded: Loaded, folder: Path) -> Participant:
     from sil.event_log import EVENTS, EventLog
     from sil.recorder import PLANT_TRACE, TraceWriter
 
-    trace, events = TraceWriter(folder / PLANT_TRACE, TRACE_COLUMNS), EventLog(folder / EVENTS)
-    try:
-        node = PlantNode(plant_config(scenario), loaded.parameters, trace, events)
-        warm_up(loaded)
-    except InputError as error:
-        raise InputError(f"{loaded.source}: {error}") from None
-    except IntegrationError as error:
-        raise InputError(f"{loaded.source}: the plant cannot even start: {error}") from None
+    with contextlib.ExitStack() as on_error:
+        trace = TraceWriter(folder / PLANT_TRACE, TRACE_COLUMNS)
+        on_error.callback(trace.close)
+        events = EventLog(folder / EVENTS)
+        on_error.callback(events.close)
+        try:
+            node = PlantNode(plant_config(scenario), loaded.parameters, trace, events)
+            warm_up(loaded)
+        except InputError as error:
+            raise InputError(f"{loaded.source}: {error}") from None
+        except IntegrationError as error:
+            raise InputError(f"{loaded.source}: the plant cannot even start: {error}") from None
+        on_error.pop_all()
     return RecordedPlant(node, trace, events)
 
 
