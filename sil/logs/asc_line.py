@@ -38,7 +38,7 @@ _SYMBOLIC = re.compile(r"\d+\s+[A-Za-z_]\w*x?\s+(?:Rx|Tx|TxRq)\s", re.IGNORECASE
 _ERROR = re.compile(r"(\d{1,5})\s+ErrorFrame\b", re.IGNORECASE)
 _FD = re.compile(
     r"CANFD\s+(\d{1,5})\s+(Rx|TxRq|Tx)\s+([0-9A-F]{1,8})(x?)\s+(?:(?![01]\s+[01]\s+[0-9A-F]\s+\d)"
-    r"(\S+)\s+)?([01])\s+([01])\s+([0-9A-F])\s+(\d{1,2})(?:\s+(.*))?\Z",
+    r"([A-Za-z_]\S*)\s+)?([01])\s+([01])\s+([0-9A-F])\s+(\d{1,2})(?:\s+(.*))?\Z",
     re.IGNORECASE,
 )
 _FD_ERROR = re.compile(r"CANFD\s+(\d{1,5})\s+(Rx|TxRq|Tx)\s+ErrorFrame\b", re.IGNORECASE)

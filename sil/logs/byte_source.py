@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import zlib
 from collections.abc import Callable
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, Protocol
 
 from can_dbc.errors import InputError
 from sil.logs.report import LogReport, Place
@@ -25,6 +25,10 @@ _REFUSED_MAGIC: Final = (
     (b"\xd4\xc3\xb2\xa1", "a pcap capture"),
     (b"SQLite format 3", "an SQLite database"),
 )
+
+
+class _Inflate(Protocol):
+    def decompress(self, data: bytes, max_length: int = 0, /) -> bytes: ...
 
 
 class Gunzip:
@@ -66,14 +70,27 @@ class Gunzip:
                 self._ended = True
                 self._report.cut(Place("the gzip file ends too early", byte=self._packed.tell()))
                 return b""
+        before = self._inflate.copy()
         try:
             piece = self._inflate.decompress(self._held, size)
         except zlib.error as error:
             self._ended = True
             self._report.skip(Place(f"damaged gzip block ({error})", byte=self._packed.tell()))
-            return b""
+            return self._up_to_damage(before)
         self._held = self._inflate.unconsumed_tail
         return piece
+
+    def _up_to_damage(self, inflate: _Inflate) -> bytes:
+        """What the last block gives before its damaged byte."""
+        out = bytearray()
+        for index in range(len(self._held)):
+            try:
+                out += inflate.decompress(self._held[index : index + 1])
+            except zlib.error:
+                break
+            if len(out) > HEAD_BYTES << 6:
+                break
+        return bytes(out)
 
 
 class ByteSource:

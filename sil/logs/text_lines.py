@@ -44,8 +44,6 @@ def chunks(stream: Readable) -> Iterator[Chunk]:
     rest = b""
     while True:
         block = stream.read(CHUNK_BYTES)
-        if not block:
-            break
         held = rest + block
         end = held.rfind(b"\n") + 1
         whole, rest = held[:end], held[end:]
@@ -53,11 +51,14 @@ def chunks(stream: Readable) -> Iterator[Chunk]:
             yield Chunk(whole.decode("latin-1"), line, offset, False)
             line += whole.count(b"\n")
             offset += len(whole)
+        if not block:
+            break
         if len(rest) > LONGEST_LINE:
-            dropped, ended, rest = _skip_to_newline(stream, rest)
-            yield Chunk(rest_of_long_line(dropped), line, offset, False)
+            passed, after = _skip_to_newline(stream, len(rest))
+            yield Chunk(rest_of_long_line(rest), line, offset, False)
             line += 1
-            offset += ended
+            offset += passed
+            rest = after
     if rest:
         yield Chunk(rest.decode("latin-1") + "\n", line, offset, True)
 
@@ -67,16 +68,15 @@ def rest_of_long_line(head: bytes) -> str:
     return head[:LONGEST_LINE].decode("latin-1") + "\n"
 
 
-def _skip_to_newline(stream: Readable, head: bytes) -> tuple[bytes, int, bytes]:
-    """Read on to the next newline, keeping only the head; return it, bytes passed, and the rest."""
-    passed = len(head)
+def _skip_to_newline(stream: Readable, passed: int) -> tuple[int, bytes]:
+    """Read on to the next newline; return the bytes passed, and those after it already read."""
     while True:
         block = stream.read(CHUNK_BYTES)
         if not block:
-            return head, passed, b""
+            return passed, b""
         end = block.find(b"\n")
         if end >= 0:
-            return head, passed + end + 1, block[end + 1 :]
+            return passed + end + 1, block[end + 1 :]
         passed += len(block)
 
 

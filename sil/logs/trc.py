@@ -45,7 +45,7 @@ _DATA_TEXT: Final = r" +([0-8])((?: +[0-9A-F]{2}){0,8})[ \r]*"
 _ID_TEXT: Final = r"([0-9A-F]{4}|[0-9A-F]{8})"
 _PLAIN: Final = {
     "1.1": re.compile(
-        rf"^(?:{_TIME_TEXT}()(?= +\w+ +{_ID_TEXT}) +(Rx|Tx) +\w+{_DATA_TEXT}|([^\n]*))$",
+        rf"^(?:{_TIME_TEXT}()(?= +\w+ +{_ID_TEXT} ) +(Rx|Tx) +\w+{_DATA_TEXT}|([^\n]*))$",
         re.MULTILINE,
     ),
     "2.1": re.compile(
@@ -116,6 +116,8 @@ class TrcReader:
         """The frame of a line; other lines and broken ones go to the report."""
         try:
             return self._line(line)
+        except InputError:
+            raise
         except _Other as known:
             self._report.other[known.args[0]] += 1
         except ValueError as error:

@@ -114,7 +114,9 @@ ERROR_FRAME = (
 )
 
 
-def data_record(time_ns: int, can_id: int, data: bytes, offset: int, extended: bool = True) -> bytes:
+def data_record(
+    time_ns: int, can_id: int, data: bytes, offset: int, extended: bool = True
+) -> bytes:
     """A record of `DATA_FRAME` on channel 1, received."""
     word = can_id << 3 | 1 << 1 | extended
     flags = len(data) << 1
@@ -129,7 +131,9 @@ def logger_file(
     frames: nanoseconds from the start, identifier, data. error_at: times of error frames.
     """
     build = Mf4Builder(finished=False)
-    header = build.block(b"HD", [0] * 6, struct.pack("<QhhBBBB", start_ns, 0, 0, 0, 0, 0, 0) + bytes(16))
+    header = build.block(
+        b"HD", [0] * 6, struct.pack("<QhhBBBB", start_ns, 0, 0, 0, 0, 0, 0) + bytes(16)
+    )
     assert header == 64
     values = build.group(2, 0, 0, flags=1)
     data = build.group(1, build.channels(DATA_FRAME, values), 22)

@@ -1,0 +1,231 @@
+"""ASC: kinds of lines, number bases, kinds of times, and what is left out by name."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from can_dbc.errors import InputError
+from sil.logs import LogFrame, open_log, open_writer
+from sil.logs.asc import AscWriter
+from sil.logs.asc_line import AscEvent, AscState, parse_event
+from sil.logs.times import utc_ns
+
+DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
+
+
+def test_a_torn_log_of_all_kinds() -> None:
+    reader = open_log(DATA / "torn.asc")
+    frames = list(reader)
+    rx = LogFrame(0, 0, channel="1", direction="Rx")
+    tx = rx._replace(direction="Tx")
+    assert frames == [
+        tx._replace(time_ns=1_100_000_000, can_id=0x180, data=b"\x6a" + bytes(7), extended=False),
+        tx._replace(
+            time_ns=1_100_001_000,
+            can_id=0x3FF,
+            data=bytes.fromhex("55AA010203040506"),
+            extended=False,
+            raw_dlc=13,
+        ),
+        rx._replace(time_ns=1_100_002_000, can_id=0x123, remote=True, raw_dlc=8),
+        LogFrame(1_100_003_000, 0, b"", False, error=True, channel="2"),
+        rx._replace(
+            time_ns=1_100_007_000,
+            can_id=0x300,
+            data=bytes(range(1, 13)),
+            extended=False,
+            fd=True,
+            brs=True,
+            channel="2",
+        ),
+        tx._replace(
+            time_ns=1_100_008_000, can_id=0x50005, remote=True, fd=True, raw_dlc=5, channel="2"
+        ),
+        LogFrame(1_100_009_000, 0, b"", False, error=True, fd=True, channel="5", direction="Tx"),
+    ]
+    report = reader.report
+    assert report.other == {
+        "status line": 2,
+        "request to send": 1,
+        "frame with a symbolic name in place of its identifier": 1,
+        "reassembled J1939 message": 1,
+    }
+    assert [place.line for place in report.skipped_places] == [15, 20, 21]
+    assert report.start_ns == utc_ns(2022, 4, 28, 10, 44, 52, 480_000_000)
+
+
+def test_relative_times_are_summed_and_decimal_numbers_read() -> None:
+    """Every line counts, those of other events too."""
+    reader = open_log(DATA / "relative_decimal.asc")
+    assert [(f.time_ns, f.can_id, f.data) for f in reader] == [
+        (500_000_000, 256, bytes((17, 255))),
+        (1_000_000_000, 256, bytes((18,))),
+    ]
+    assert reader.report.time_base == "delta"
+
+
+def test_classic_frames_in_canfd_lines_and_long_classic_lines() -> None:
+    classic, long = open_log(DATA / "classic_in_canfd.asc")
+    assert (classic.fd, classic.data) == (False, bytes(range(1, 9)))
+    assert (long.fd, long.data) == (True, bytes(range(64)))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1 180 Rx d 2 6A",
+        "1 180 Rx d 2 6A 0",
+        "1 180 Rx d 2 6A 00 11",
+        "1 180 Rx d",
+        "1 180 Rx d Z 00",
+        "1 800 Rx d 0",
+        "1 20000000x Rx d 0",
+        "1 180 Rx q 0",
+        "1 180x d 1 00",
+        "CANFD 1 Rx 300 1 0 9 12 01 02",
+        "CANFD 1 Rx 300 1 0 9 16 " + "00 " * 16,
+        "CANFD 1 Rx 300 2 0 1 1 00",
+        "CANFD 1 Sx 300 1 0 1 1 00",
+        "CANFD",
+    ],
+)
+def test_broken_frame_lines(text: str) -> None:
+    if text == "1 180x d 1 00":
+        assert isinstance(parse_event(text, AscState()), AscEvent)
+        return
+    with pytest.raises(ValueError, match=r"\w"):
+        parse_event(text, AscState())
+
+
+@pytest.mark.parametrize("text", ["1 1A0 Rx d 1 00", "1 256 Rx d A 00", "1 256 Rx d 1 256"])
+def test_decimal_logs_have_decimal_numbers(text: str) -> None:
+    with pytest.raises(ValueError, match=r"\w"):
+        parse_event(text, AscState(decimal=True))
+
+
+common = st.tuples(
+    st.integers(0, 10**15).map(lambda us: us * 1000),
+    st.integers(1, 40),
+    st.integers(0, 0x1FFFFFFF),
+    st.booleans(),
+    st.binary(max_size=8),
+    st.sampled_from(("Rx", "Tx")),
+)
+
+
+@given(rows=st.lists(common, min_size=1, max_size=40), data=st.data())
+@settings(max_examples=50, deadline=None)
+def test_common_and_other_lines_mixed(
+    rows: list[tuple[int, int, int, bool, bytes, str]],
+    data: st.DataObject,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    """The quick reading of chunks gives what each line gives by itself."""
+    frames = [
+        LogFrame(t, i if x else i & 0x7FF, d, x, channel=str(c), direction=w)
+        for t, c, i, x, d, w in rows
+    ]
+    lines = [
+        f"{f.time_ns // 10**9}.{f.time_ns % 10**9 // 1000:06d} {f.channel} "
+        f"{f.can_id:X}{'x' * f.extended} {f.direction} d {len(f.data)} {f.data.hex(' ').upper()}"
+        for f in frames
+    ]
+    for _ in range(data.draw(st.integers(0, 4))):
+        place = data.draw(st.integers(0, len(lines)))
+        other = data.draw(st.sampled_from(("", "0.1 1 Statistic: D 2", "// remark", "rubbish")))
+        lines.insert(place, other)
+    path = tmp_path_factory.mktemp("asc") / "log.asc"
+    header = "date Sat Sep 30 10:06:13.191 PM 2017\nbase hex  timestamps absolute\n"
+    path.write_text(header + f"// {'x' * 1000}\n" * 40 + "\n".join(lines) + "\n")
+    reader = open_log(path)
+    assert list(reader) == frames
+    assert reader.report.skipped == lines.count("rubbish")
+
+
+def test_a_later_header_changes_the_reading(tmp_path: Path) -> None:
+    """Logs put one behind the other: each has its own number base."""
+    path = tmp_path / "log.asc"
+    body = "".join(f"{i}.000000 1 10 Rx d 1 10\n" for i in range(3000))
+    path.write_text(f"base hex timestamps absolute\n{body}base dec timestamps absolute\n{body}")
+    found = [(f.can_id, f.data) for f in open_log(path)]
+    assert found == [(0x10, b"\x10")] * 3000 + [(10, b"\x0a")] * 3000
+
+
+class TestUnterminated:
+    """The last line, when it has no line end."""
+
+    @pytest.mark.parametrize(
+        ("line", "kept"),
+        [
+            ("1.0 1 180 Rx d 2 6A 00", True),
+            ("1.0 1 180 Rx d 2 6A 0", False),
+            ("1.0 1 180 Rx r 8", True),
+            ("1.0 1 180 Rx r", False),
+            ("1.0 1 ErrorFrame", True),
+            ("1.0 CANFD 1 Rx 300 1 0 1 1 00 0 0 3000 0", True),
+            ("1.0 CANFD 1 Rx 300 1 0 1 1 00 0 0 3000", False),
+        ],
+    )
+    def test_kept(self, line: str, kept: bool, tmp_path: Path) -> None:
+        path = tmp_path / "log.asc"
+        path.write_text(f"base hex  timestamps absolute\n0.5 1 ErrorFrame\n{line}")
+        reader = open_log(path)
+        assert len(list(reader)) == 1 + kept
+        assert reader.report.truncated is not kept
+
+
+def test_absolute_times_come_back_through_the_origin(tmp_path: Path) -> None:
+    path = tmp_path / "log.asc"
+    times_ns = [1_700_000_000_123_456_789, 1_700_000_000_123_000_000, 1_700_000_001_000_000_000]
+    with open_writer(path) as writer:
+        for time_ns in times_ns:
+            writer.write(LogFrame(time_ns, 1, b"", channel="1", direction="Rx"))
+    text = path.read_text()
+    assert text.startswith("date Tue Nov 14 22:13:20.123 2023\nbase hex  timestamps absolute\n")
+    assert "// time origin 1700000000.123000000 s\n" in text
+    assert text.endswith("End TriggerBlock\n")
+    assert [f.time_ns for f in open_log(path)] == times_ns
+
+
+def test_a_frame_before_the_start_is_refused(tmp_path: Path) -> None:
+    start_ns = 1_700_000_000_000_000_000
+    for suffix in ("asc", "blf", "trc"):
+        writer = open_writer(tmp_path / f"log.{suffix}")
+        with pytest.raises(InputError, match=r"lies before the start .*; expected candump"), writer:
+            for i in range(writer.batch):
+                writer.write(LogFrame(start_ns + i, 1, b"", channel="1"))
+            writer.write(LogFrame(start_ns - 10**9, 1, b"", channel="1"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_told_decimals(tmp_path: Path) -> None:
+    path = tmp_path / "log.asc"
+    with AscWriter(str(path), decimals=6) as writer:
+        writer.write(LogFrame(1_500, 1, b"", channel="1", direction="Rx"))
+    assert [f.time_ns for f in open_log(path)] == [2_000]
+    assert writer.losses["times rounded to the microsecond"] == 1
+
+
+ASC2LOG = shutil.which("asc2log")
+if ASC2LOG is not None:
+
+    def test_can_utils_read_our_asc(tmp_path: Path) -> None:
+        asc, log = tmp_path / "log.asc", tmp_path / "log.log"
+        frames = [
+            LogFrame(
+                i * 1_000_000, 0x100 + i, bytes(i % 9), i % 2 == 0, channel="1", direction="Rx"
+            )
+            for i in range(20)
+        ]
+        with open_writer(asc) as writer:
+            for frame in frames:
+                writer.write(frame)
+        subprocess.run([str(ASC2LOG), "-I", asc, "-O", log], check=True)
+        found = [(f.can_id, f.extended, f.data) for f in open_log(log)]
+        assert found == [(f.can_id, f.extended, f.data) for f in frames]

@@ -1,0 +1,112 @@
+"""CSV logs: our table and those of other tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from can_dbc.errors import InputError
+from sil.logs import LogFrame, open_log, open_writer
+from sil.logs.csv_log import OUR_HEADER
+
+DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
+
+
+def test_python_can_table() -> None:
+    assert list(open_log(DATA / "python_can.csv")) == [
+        LogFrame(1_483_389_946_197_000_000, 0xDADADA, b"[42, 9]"),
+        LogFrame(1_483_389_946_198_000_000, 0x123, bytes(range(6)), False),
+        LogFrame(1_483_389_946_199_000_000, 0x123, b"", False, remote=True, raw_dlc=8),
+    ]
+
+
+def test_savvycan_table() -> None:
+    assert list(open_log(DATA / "savvycan.csv")) == [
+        LogFrame(10**9, 0x18FEF100, bytes.fromhex("FFFF7D06FFFFFFFF"), channel="0", direction="Rx"),
+        LogFrame(1_000_123_000, 0x123, b"\x01\xa2", False, channel="1", direction="Tx"),
+    ]
+
+
+def test_css_electronics_table() -> None:
+    assert list(open_log(DATA / "css.csv")) == [
+        LogFrame(
+            1_578_922_367_777_150_000,
+            0x14FEF131,
+            bytes.fromhex("CFFFFFF300FFFF30"),
+            channel="1",
+            direction="Rx",
+        ),
+        LogFrame(
+            1_578_922_367_777_750_000,
+            0x123,
+            bytes(range(12)),
+            False,
+            fd=True,
+            brs=True,
+            channel="1",
+            direction="Tx",
+        ),
+    ]
+
+
+def test_our_table_is_plain(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    with open_writer(path) as writer:
+        writer.write(LogFrame(-1, 0x18FEF100, b"\x01\xff", channel="can0", direction="Rx"))
+    assert path.read_text() == (f"{OUR_HEADER}\n-0.000000001,can0,Rx,18FEF100,1,0,0,0,0,0,2,01FF\n")
+    assert [frame.time_ns for frame in open_log(path)] == [-1]
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        "0.1,can0,Rx,123,0,0,0,0,0,0,2,01",
+        "0.1,can0,Rx,123,0,0,0,0,0,0,2,010203",
+        "0.1,can0,Rx,123,0,0,0,0,0,0,1,0",
+        "0.1,can0,Rx,123,0,0,0,0,0,0,1",
+        "0.1,can0,Rx,123,2,0,0,0,0,0,1,01",
+        "0.1,can0,Rx,XYZ,0,0,0,0,0,0,1,01",
+        "0.1,can0,Up,123,0,0,0,0,0,0,1,01",
+        "0.1,can0,Rx,123,0,0,0,0,0,0,16,01",
+        "0.1,can0,Rx,123,0,0,0,1,0,0,9,01",
+        "later,can0,Rx,123,0,0,0,0,0,0,1,01",
+        "0.1,ca n,Rx,123,0,0,0,0,0,0,1,01",
+    ],
+)
+def test_broken_rows(row: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(f"{OUR_HEADER}\n0.0,can0,Rx,123,0,0,0,0,0,0,1,01\n{row}\n")
+    reader = open_log(path)
+    assert len(list(reader)) == 1
+    assert reader.report.skipped_places[0].line == 3
+
+
+def test_signals_are_named() -> None:
+    with pytest.raises(InputError, match=r"holds signals \(position_m, .*no CAN frames"):
+        list(open_log(DATA / "signals.csv"))
+
+
+def test_an_unknown_header_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("a,b,c\n1,2,3\n")
+    with pytest.raises(InputError, match=r"line 1: header 'a,b,c' is unknown"):
+        list(open_log(path))
+
+
+def test_a_comma_in_a_channel_name_is_refused(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path / "log.csv")
+    with pytest.raises(InputError, match="comma"), writer:
+        writer.write(LogFrame(0, 1, b"", channel="a,b"))
+
+
+@pytest.mark.parametrize(("last", "kept"), [("5,A2", True), ("5,A", False), ("5,", True)])
+def test_a_last_savvycan_row_without_end(last: str, kept: bool, tmp_path: Path) -> None:
+    count = 2 if last.startswith("5,A") else 1
+    path = tmp_path / "log.csv"
+    header = (DATA / "savvycan.csv").read_text().splitlines()[0]
+    sound = "1000000,00000123,false,Tx,1,1,1A,"
+    path.write_text(f"{header}\n{sound}\n1000123,00000123,false,Tx,1,{count},{last}")
+    reader = open_log(path)
+    assert len(list(reader)) == 1 + kept
+    assert reader.report.truncated is not kept

@@ -1,0 +1,177 @@
+"""Reports, places and refusals that all formats share."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from can_dbc.errors import InputError
+from sil.logs import FORMATS, LogFrame, open_log, open_writer
+
+DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
+
+
+def test_everything_wrong_is_counted_and_located() -> None:
+    reader = open_log(DATA / "torn.log")
+    frames = list(reader)
+    report = reader.report
+    assert [(f.time_ns // 10**6, f.can_id) for f in frames] == [
+        (10_000, 0x123),
+        (10_000, 0x123),
+        (9_500, 0x124),
+        (11_300, 0x125),
+    ]
+    assert report.skipped == 6
+    assert [(place.line, place.byte) for place in report.skipped_places[:2]] == [(3, 48), (4, 56)]
+    text = (DATA / "torn.log").read_bytes()
+    assert text[48:].startswith(b"garbage\n")
+    assert text[56:].startswith(b"(10.100000) can0 123#1\n")
+    assert report.duplicates == 1
+    assert report.duplicate_places == ["line 2: the frame 123 at 10.000000 s is there twice"]
+    assert report.backwards == 1
+    assert report.backwards_places[0].startswith("line 5: the clock steps back from 10.000000 s")
+    assert report.truncated
+    assert report.other == {"CAN XL frame": 1, "frame dropped by the recorder": 7}
+    assert (report.first_ns, report.last_ns) == (10 * 10**9, 11_300_000_000)
+    assert json.loads(json.dumps(report.as_dict()))["skipped"] == 6
+    lines = report.lines()
+    assert lines[0] == "4 frames (candump, relative times)"
+    assert "broken and skipped: 6" in lines
+    assert "not frames: 7 frame dropped by the recorder" in lines
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("garbage", r"line 2: 'garbage' is no candump line; expected a whole candump log"),
+        ("(0.5) can0 123#11", r"line 2: the clock steps back"),
+        ("(1.000000) can0 123#11", r"line 2: the frame 123 .* twice"),
+    ],
+)
+def test_strict_refuses_at_the_place(line: str, expected: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.log"
+    path.write_text(f"(1.000000) can0 123#11\n{line}\n")
+    assert len(list(open_log(path))) >= 1
+    with pytest.raises(InputError, match=expected) as caught:
+        list(open_log(path, strict=True))
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_strict_refuses_a_cut_log(tmp_path: Path) -> None:
+    path = tmp_path / "log.log"
+    path.write_text("(1.000000) can0 123#11\n(2.000000) can0 12")
+    with pytest.raises(InputError, match="not cut off"):
+        list(open_log(path, strict=True))
+
+
+def test_garbage_alone_is_never_silence(tmp_path: Path) -> None:
+    path = tmp_path / "log.log"
+    path.write_text("nothing\nof a log\n")
+    with pytest.raises(InputError, match=r"line 1: .* no CAN frame found, expected a candump log"):
+        list(open_log(path))
+
+
+def test_places_kept_are_few_and_counts_are_all(tmp_path: Path) -> None:
+    path = tmp_path / "log.log"
+    path.write_text("(1.000000) can0 123#11\n" + "?\n" * 5000)
+    reader = open_log(path)
+    list(reader)
+    assert reader.report.skipped == 5000
+    assert len(reader.report.skipped_places) == 10
+    assert "  and 4990 more" in reader.report.lines()
+
+
+def test_each_reading_begins_anew() -> None:
+    reader = open_log(DATA / "candump_log.log")
+    first, second = list(reader), list(reader)
+    assert first == second
+    assert reader.report.frames == len(first)
+
+
+def test_a_reading_may_end_early() -> None:
+    reader = open_log(DATA / "candump_log.log")
+    assert next(iter(reader)).can_id == 0x44
+
+
+def test_duplicates_are_found_among_frames_of_one_instant(tmp_path: Path) -> None:
+    path = tmp_path / "log.log"
+    words = ["(1.0) can0 123#11", "(1.0) can0 123#12", "(1.0) can1 123#11", "(1.0) can0 123#11"]
+    path.write_text("\n".join([*words, "(2.0) can0 123#11", ""]))
+    reader = open_log(path)
+    assert len(list(reader)) == 5
+    assert reader.report.duplicates == 1
+    assert "line 4" in reader.report.duplicate_places[0]
+
+
+def test_times_across_batches_are_watched(tmp_path: Path) -> None:
+    path = tmp_path / "log.log"
+    count = 5000
+    lines = [f"({i}.000000) can0 123#11" for i in range(count)]
+    lines[3000] = f"({2998}.500000) can0 123#11"
+    path.write_text("\n".join([*lines, ""]))
+    reader = open_log(path)
+    assert len(list(reader)) == count
+    assert reader.report.backwards_places == [
+        "line 3001: the clock steps back from 2999.000000 s to 2998.500000 s"
+    ]
+
+
+def test_unknown_formats_and_names(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'pcap' is unknown; expected one of candump"):
+        open_log(DATA / "candump_log.log", format="pcap")
+    with pytest.raises(InputError, match="tells no log format"):
+        open_writer(tmp_path / "log.xyz")
+    with pytest.raises(InputError, match="times 'later'"):
+        open_log(DATA / "candump_log.log", times="later")
+    strange = tmp_path / "log.xyz"
+    strange.write_text("?")
+    with pytest.raises(InputError, match="neither content nor name"):
+        open_log(strange)
+    with pytest.raises(InputError, match=r"is a folder|Is a directory"):
+        open_writer(tmp_path, format="candump")
+    with pytest.raises(InputError, match="No such file"):
+        open_writer(tmp_path / "missing" / "log.log")
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_told_format_is_believed(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "bare"
+    with open_writer(path, format=name) as writer:
+        writer.write(LogFrame(10**9, 0x123, b"\x01", channel="1", direction="Rx"))
+    assert [frame.can_id for frame in open_log(path, format=name)] == [0x123]
+    other = "blf" if name != "blf" else "mf4"
+    with pytest.raises(InputError):
+        list(open_log(path, format=other))
+
+
+def test_close_twice_abort_after_close(tmp_path: Path) -> None:
+    path = tmp_path / "log.log"
+    writer = open_writer(path)
+    writer.write(LogFrame(0, 1, b""))
+    writer.close()
+    writer.close()
+    writer.abort()
+    assert path.exists()
+
+
+def test_channels_get_numbers_and_losses_tell(tmp_path: Path) -> None:
+    path = tmp_path / "log.asc"
+    names = ["can0", "vcan0", "can4", "engine", "5", ""]
+    with open_writer(path) as writer:
+        for i, name in enumerate(names):
+            writer.write(LogFrame(i * 1000, 1, b"", channel=name, direction="Rx"))
+    found = [frame.channel for frame in open_log(path)]
+    assert found[0] == "1"
+    assert found[2] == "5"
+    assert len(set(found)) == len(names)
+    assert writer.channel_numbers == dict(zip(names, map(int, found), strict=True))
+    assert writer.losses["channel can0 written as 1"] == 1
+
+
+def test_too_many_channels_for_numbers(tmp_path: Path) -> None:
+    writer = open_writer(tmp_path / "log.blf")
+    with pytest.raises(InputError, match="more than 255 channels"), writer:
+        for i in range(300):
+            writer.write(LogFrame(i, 1, b"", channel=f"bus{i}x"))
