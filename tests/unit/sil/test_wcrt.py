@@ -93,6 +93,13 @@ def test_a_release_within_the_bit_of_arbitration_still_interferes() -> None:
     assert last(392 * US + 1) == 3_280 * US
 
 
+def test_a_response_at_the_deadline_is_in_time() -> None:
+    message = standard("m", 1, 10 * MS)
+    for deadline_ns, in_time in ((MS, True), (MS - 1, False)):
+        (result,) = response_times([replace(message, deadline_ns=deadline_ns)], 125_000)
+        assert (result.response_ns, result.in_time) == (MS, in_time)
+
+
 def test_own_jitter_counts_from_the_period() -> None:
     (alone,) = response_times([standard("m", 1, 10 * MS, jitter_ns=3 * MS)], 125_000)
     assert alone.response_ns == 4 * MS
