@@ -150,7 +150,10 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
     if p[LEAK_ATM] != 0.0:
         leak1 -= u1 * leak_flow(y[FP1], p[P_ATM], p[LEAK_ATM], p)
         leak2 -= u2 * leak_flow(y[FP2], p[P_ATM], p[LEAK_ATM], p)
-    if p[TERM_EQUATION] >= 2.0:
+    if p[TERM_EQUATION] == 8.0:
+        leak1 -= term_value(p, y[FP1])
+        leak2 -= term_value(p, y[FP2])
+    elif p[TERM_EQUATION] >= 2.0 and p[TERM_EQUATION] <= 4.0:
         kind = p[TERM_VARIABLE]
         first = p[TERM_EQUATION] == 2.0
         own = y[FP1] if first else y[FP2]
@@ -164,6 +167,10 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
     am2 = p[ALPHA_M2]
     a1 = p[ALPHA_1] + p[ALPHA_SPEED] * abs(v)
     a2 = p[ALPHA_2] + p[ALPHA_SPEED] * abs(v)
+    if p[TERM_EQUATION] == 9.0:
+        shift = term_value(p, abs(v))
+        a1 += shift
+        a2 += shift
     vol1, vol2 = fixed_volumes(y, p)
     rate1 = p[AREA_P] * v
     rate2 = -p[AREA_P2] * v

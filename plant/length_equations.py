@@ -124,30 +124,6 @@ from .synchronizer import barrier
 
 
 @inlined
-def valve_flow_in(pressure, supply, p, c):
-    """Charge flow at u = 1 by the selected flow model, with the unit's factor [K kg/s]."""
-    if p[FLOW_MODEL] == 0.0:
-        return p[K_IN] * charge(pressure, supply, c)
-    return p[K_IN] * orifice(supply, pressure, p[CDA_IN], p[T_GAS], p[GAMMA], p[R_AIR])
-
-
-@inlined
-def valve_flow_out(pressure, p, c):
-    """Discharge flow at u = 0 by the selected flow model, with the unit's factor [K kg/s]."""
-    if p[FLOW_MODEL] == 0.0:
-        return p[K_OUT] * discharge(pressure, p[P_ATM], c)
-    return p[K_OUT] * orifice(pressure, p[P_ATM], p[CDA_OUT], p[T_GAS], p[GAMMA], p[R_AIR])
-
-
-@inlined
-def leak_flow(upstream, downstream, cda, p):
-    """Flow T m_dot of a leak from upstream to downstream [K kg/s]; none without an area."""
-    if cda == 0.0:
-        return 0.0
-    return orifice(upstream, downstream, cda, p[T_GAS], p[GAMMA], p[R_AIR])
-
-
-@inlined
 def term_value(p, variable):
     """Non-parametric term: nodes joined by straight lines, constant outside [unit of its equation]."""
     count = int(p[TERM_COUNT])
@@ -159,6 +135,42 @@ def term_value(p, variable):
     k = int(place)
     w = place - k
     return (1.0 - w) * p[TERM_0 + k] + w * p[TERM_0 + k + 1]
+
+
+@inlined
+def valve_flow_in(pressure, supply, p, c):
+    """Charge flow at u = 1 by the selected flow model, with the unit's factor [K kg/s].
+
+    A non-parametric term of equation 6 changes it by a share that depends on P / P_s.
+    """
+    factor = p[K_IN]
+    if p[TERM_EQUATION] == 6.0:
+        factor *= max(0.0, 1.0 + term_value(p, pressure / supply))
+    if p[FLOW_MODEL] == 0.0:
+        return factor * charge(pressure, supply, c)
+    return factor * orifice(supply, pressure, p[CDA_IN], p[T_GAS], p[GAMMA], p[R_AIR])
+
+
+@inlined
+def valve_flow_out(pressure, p, c):
+    """Discharge flow at u = 0 by the selected flow model, with the unit's factor [K kg/s].
+
+    A non-parametric term of equation 7 changes it by a share that depends on P / P_atm.
+    """
+    factor = p[K_OUT]
+    if p[TERM_EQUATION] == 7.0:
+        factor *= max(0.0, 1.0 + term_value(p, pressure / p[P_ATM]))
+    if p[FLOW_MODEL] == 0.0:
+        return factor * discharge(pressure, p[P_ATM], c)
+    return factor * orifice(pressure, p[P_ATM], p[CDA_OUT], p[T_GAS], p[GAMMA], p[R_AIR])
+
+
+@inlined
+def leak_flow(upstream, downstream, cda, p):
+    """Flow T m_dot of a leak from upstream to downstream [K kg/s]; none without an area."""
+    if cda == 0.0:
+        return 0.0
+    return orifice(upstream, downstream, cda, p[T_GAS], p[GAMMA], p[R_AIR])
 
 
 @inlined
@@ -189,17 +201,29 @@ def extra_drag(x, direction, p):
 
 
 @inlined
+def term_drag(x, speed, p):
+    """The non-parametric resistance of position (variable 1) or speed (2) [N]."""
+    return term_value(p, x if p[TERM_VARIABLE] == 1.0 else speed)
+
+
+@inlined
 def stay_sliding(x, v, direction, p):
     """Sliding friction of the stay in its direction of motion [N], >= 0."""
     level = sliding(v, p[F_STATIC_S], p[F_RUN_S], p[BETA_S], p[STRIBECK_V])
-    return level * direction_factor(direction, p) + extra_drag(x, direction, p)
+    level = level * direction_factor(direction, p) + extra_drag(x, direction, p)
+    if p[TERM_EQUATION] == 5.0:
+        level = max(0.0, level + term_drag(x, abs(v), p))
+    return level
 
 
 @inlined
 def stay_static(x, direction, p):
     """Breakaway friction of the stay towards a direction [N]."""
     level = max(p[F_STATIC_S], p[F_RUN_S]) * direction_factor(direction, p)
-    return level + extra_drag(x, direction, p)
+    level += extra_drag(x, direction, p)
+    if p[TERM_EQUATION] == 5.0:
+        level = max(0.0, level + term_drag(x, 0.0, p))
+    return level
 
 
 @inlined
@@ -406,7 +430,11 @@ def rates(t, y, dy, m, u0, du, p, c, work, quadratures):
         leak_b -= ub * leak_flow(y[PB], p[P_ATM], p[LEAK_ATM], p)
         leak_n -= un * leak_flow(y[PN], p[P_ATM], p[LEAK_ATM], p)
         leak_f -= uf * leak_flow(y[PF], p[P_ATM], p[LEAK_ATM], p)
-    if p[TERM_EQUATION] >= 2.0:
+    if p[TERM_EQUATION] == 8.0:
+        leak_b -= term_value(p, y[PB])
+        leak_n -= term_value(p, y[PN])
+        leak_f -= term_value(p, y[PF])
+    elif p[TERM_EQUATION] >= 2.0 and p[TERM_EQUATION] <= 4.0:
         kind = p[TERM_VARIABLE]
         which = int(p[TERM_EQUATION]) - 2
         own = y[PB] if which == 0 else (y[PN] if which == 1 else y[PF])
@@ -424,6 +452,10 @@ def rates(t, y, dy, m, u0, du, p, c, work, quadratures):
     a2 = p[ALPHA_2]
     if p[ALPHA_SPEED] != 0.0:
         shift = p[ALPHA_SPEED] * max(abs(vs), abs(v1), abs(v2))
+        a1 += shift
+        a2 += shift
+    if p[TERM_EQUATION] == 9.0:
+        shift = term_value(p, max(abs(vs), abs(v1), abs(v2)))
         a1 += shift
         a2 += shift
     dy[PB] = pressure_rate(y[PB], ub, in_b, out_b, leak_b, vol_b, rate_b, r, am1, a1, am2, a2)

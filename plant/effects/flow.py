@@ -42,23 +42,43 @@ def inlet_clog(setup: Setup, values: dict[str, float]) -> None:
 
 
 def dead_charge(setup: Setup, values: dict[str, float]) -> None:
-    """Extra dead volume on the chamber that drives the stroke."""
-    setup.p[setup.volume_index(setup.charged_chamber)] += values["volume_m3"]
+    """Extra dead volume on the chamber that drives the stroke (where 0) or on B, F, 1 (where 1)."""
+    if values["where"] == 1.0:
+        setup.p[L.VOL_B] += values["volume_m3"]
+        setup.p[L.VOL_F] += values["volume_m3"]
+    else:
+        setup.p[setup.volume_index(setup.charged_chamber)] += values["volume_m3"]
 
 
 def dead_passive(setup: Setup, values: dict[str, float]) -> None:
-    """Extra dead volume on the chamber that the stroke compresses."""
-    for chamber in setup.passive_chambers:
-        setup.p[setup.volume_index(chamber)] += values["volume_m3"]
+    """Extra dead volume on the chamber that the stroke compresses (where 0) or on N, 2 (where 1)."""
+    if values["where"] == 1.0:
+        setup.p[L.VOL_N] += values["volume_m3"]
+    else:
+        for chamber in setup.passive_chambers:
+            setup.p[setup.volume_index(chamber)] += values["volume_m3"]
 
 
 def residual(setup: Setup, values: dict[str, float]) -> None:
-    """Overpressure at time 0 in the chamber that the stroke compresses."""
-    for chamber in setup.passive_chambers:
+    """Overpressure at time 0 in a chamber that is not on supply.
+
+    where 0: the one that the stroke compresses; 1: the one that drives it; 2: chamber N or 2;
+    3: every chamber.
+    """
+    where = values["where"]
+    chambers: tuple[str, ...] = setup.passive_chambers
+    if where == 1.0:
+        chambers = (setup.charged_chamber,)
+    elif where == 2.0:
+        chambers = ("N",) if "N" in setup.conditions.chambers else ("2",)
+    elif where == 3.0:
+        chambers = setup.conditions.chambers
+    for chamber in chambers:
         setup.residual_pa[chamber] = setup.residual_pa.get(chamber, 0.0) + values["pressure_pa"]
 
 
 CDA = EffectParameter("cda_m2", "m^2", 0.0, 0.0, 2e-5, 2e-7, 1)
+WHERE = EffectParameter("where", "-", 0.0, 0.0, 3.0, 1.0, optional=True)
 VOLUME = EffectParameter("volume_m3", "m^3", 0.0, -5e-5, 5e-4, 5e-6, 1)
 
 EFFECTS = (
@@ -106,7 +126,7 @@ EFFECTS = (
         "volume",
         "chamber",
         "extra volume on the charged chamber",
-        (VOLUME,),
+        (VOLUME, WHERE),
         dead_charge,
     ),
     Effect(
@@ -114,7 +134,7 @@ EFFECTS = (
         "volume",
         "chamber",
         "extra volume on the discharging chamber",
-        (VOLUME,),
+        (VOLUME, WHERE),
         dead_passive,
     ),
     Effect(
@@ -122,7 +142,7 @@ EFFECTS = (
         "initial state",
         "initial",
         "the passive chamber was not vented at the start",
-        (EffectParameter("pressure_pa", "Pa", 0.0, -9e4, 1e6, 3e4, 1),),
+        (EffectParameter("pressure_pa", "Pa", 0.0, -9e4, 1e6, 3e4, 1), WHERE),
         residual,
     ),
 )

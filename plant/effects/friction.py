@@ -30,9 +30,12 @@ def asymmetry(setup: Setup, values: dict[str, float]) -> None:
 
 
 def bump(setup: Setup, values: dict[str, float]) -> None:
-    """Drag force_n exp(-(x - x0)^2 / (2 w^2)) on the stay."""
+    """Drag force_n exp(-(x - x0)^2 / (2 w^2)) on the stay; mirrored 1: at x0 on both sides."""
+    place = values["position_m"]
+    if values["mirrored"] == 1.0 and setup.conditions.kind in ("N-F", "F-N"):
+        place = -place
     setup.p[L.BUMP_FORCE] = values["force_n"]
-    setup.p[L.BUMP_X] = values["position_m"]
+    setup.p[L.BUMP_X] = place
     setup.p[L.BUMP_WIDTH] = values["width_m"]
 
 
@@ -83,6 +86,7 @@ EFFECTS = (
             EffectParameter("force_n", "N", 0.0, 0.0, 5000.0, 100.0, 1),
             EffectParameter("position_m", "m", 0.006, -0.02, 0.02, 0.002),
             EffectParameter("width_m", "m", 0.001, 1e-4, 0.01, 0.001),
+            EffectParameter("mirrored", "-", 0.0, 0.0, 1.0, 1.0, optional=True),
         ),
         bump,
     ),

@@ -14,6 +14,7 @@ PASSED, FAILED, BAD_INPUT, NOT_FINISHED = 0, 1, 2, 3
 COMMANDS = {
     "run": "run one scenario: plant and controller over CAN",
     "simulate": "the plant alone, under the conditions of a measurement campaign",
+    "diagnose": "measured against simulated: what is wrong, why, what it gains to know",
     "claims": "the thesis's claims: claimed, achieved, met or not",
     "convert": "convert logs between candump, ASC, BLF, TRC, MF4 and CSV",
     "node": "run one participant of a scenario alone, on a bus",

@@ -2,46 +2,89 @@
 
 A hypothesis is a tuple of effects.  Where the vocabulary leaves open what exactly an effect does
 (on which chamber, say), it stands in variants that share its identifier.
+Checked by: tests/unit/sil/diagnosis/test_hypotheses.py
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
-from plant import layout as L
 from plant.effects import CATALOGUE, Effect, EffectParameter
 from plant.setup import Setup
 
-Change = Callable[[Setup, dict[str, float]], None]
+Starts = tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One cause that a fit can try: an effect, or a variant of it."""
+    """One cause that a fit can try: an effect, or a variant of it.
 
-    id: str
-    klass: str
-    equation: str
+    parameters: those that are fitted; fixed: the others, that make the variant; starts: values of
+    the fitted ones to begin from.
+    """
+
+    effect: Effect
     variant: str
     parameters: tuple[EffectParameter, ...]
-    change: Change
-    starts: tuple[tuple[float, ...], ...]
+    starts: Starts
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    told_class: str = ""
+
+    def __post_init__(self) -> None:
+        KNOWN[self.name] = self
+
+    def __reduce__(self):  # type: ignore[no-untyped-def]
+        """Between processes a candidate travels by name: the forked ones inherit them all."""
+        return known, (self.name,)
+
+    @property
+    def id(self) -> str:
+        """Identifier in the vocabulary."""
+        return self.effect.id
+
+    @property
+    def klass(self) -> str:
+        """Class in the vocabulary."""
+        return self.told_class or self.effect.klass
 
     @property
     def name(self) -> str:
-        """Identifier with the variant, for logs."""
+        """Identifier with the variant."""
         return f"{self.id}:{self.variant}" if self.variant else self.id
 
+    def change(self, setup: Setup, values: Mapping[str, float]) -> None:
+        """Change a stroke's setup by these values of the fitted parameters."""
+        self.effect.apply(setup, {**self.fixed, **values})
 
-def starts_of(parameters: tuple[EffectParameter, ...]) -> tuple[tuple[float, ...], ...]:
+    def physical(self, values: Mapping[str, float]) -> bool:
+        """Whether the main parameter lies on the side that the cause's description means."""
+        main = self.parameters[0]
+        return main.one_sided * (values[main.name] - main.neutral) >= 0.0
+
+
+KNOWN: dict[str, Candidate] = {}
+"""Every candidate made in this process, by name."""
+
+
+def known(name: str) -> Candidate:
+    """The candidate of that name."""
+    return KNOWN[name]
+
+
+def compatible(candidate: Candidate, others: Sequence[Candidate]) -> bool:
+    """Whether a candidate can stand beside others: no two variants of one cause."""
+    return all(candidate.id != other.id for other in others)
+
+
+def starts_of(parameters: tuple[EffectParameter, ...]) -> Starts:
     """Points to start a search from: the main parameter at several sizes, the others at rest."""
     main = parameters[0]
     rest = tuple(item.neutral for item in parameters[1:])
     found = []
     signs = (1.0, -1.0) if main.one_sided == 0 else (float(main.one_sided),)
     for sign in signs:
-        for size in (0.5, 1.5, 4.0):
+        for size in (0.15, 0.5, 1.5, 4.0):
             value = main.neutral + sign * size * main.typical
             if main.one_sided == -1 and main.neutral == 1.0:
                 value = 1.0 / (1.0 + size * main.typical)
@@ -50,161 +93,58 @@ def starts_of(parameters: tuple[EffectParameter, ...]) -> tuple[tuple[float, ...
     return tuple(found)
 
 
-def from_effect(effect: Effect) -> Candidate:
-    """The effect as the catalogue has it."""
-    return Candidate(
-        effect.id,
-        effect.klass,
-        effect.equation,
-        "",
-        effect.parameters,
-        effect.change,
-        starts_of(effect.parameters),
-    )
+SPOTS_M = (0.003, 0.0065, 0.010)
+"""Where a local drag is looked for first: three places on either side."""
 
+SPECIAL: dict[str, tuple[tuple[str, dict[str, float], Starts | None, bool], ...]] = {
+    "friction_bump": (
+        (
+            "",
+            {},
+            tuple((80.0, s * x, 0.0012) for s in (1.0, -1.0) for x in SPOTS_M),
+            False,
+        ),
+        ("both sides", {"mirrored": 1.0}, tuple((80.0, x, 0.0012) for x in SPOTS_M), True),
+    ),
+    "hose_droop": (
+        ("", {}, ((2e-5, 5e-5), (8e-6, 5e-5), (8e-6, 4e-4), (2e-5, 1e-5), (5e-5, 2e-5)), False),
+    ),
+    "residual_pressure": (
+        ("", {}, None, False),
+        ("driving chamber", {"where": 1.0}, None, False),
+        ("inner chamber", {"where": 2.0}, None, True),
+        ("every chamber", {"where": 3.0}, None, False),
+    ),
+    "dead_volume_charge": (
+        ("", {}, None, False),
+        ("outer chambers", {"where": 1.0}, None, True),
+    ),
+    "dead_volume_passive": (
+        ("", {}, None, False),
+        ("inner chamber", {"where": 1.0}, None, True),
+    ),
+    "clock_skew": (
+        ("", {}, ((0.003, 0.0), (-0.003, 0.0), (0.01, 0.0), (-0.01, 0.0), (0.003, 0.01)), False),
+    ),
+}
+"""Variants (name, what they fix, where they start, whether only the length stroke has them)."""
 
-def spots(effect: Effect) -> tuple[tuple[float, ...], ...]:
-    """Starts for a bump: a few places along the stroke on either side."""
-    return tuple(
-        (force, place, 0.0012)
-        for force in (80.0,)
-        for place in (0.003, 0.0065, 0.010, -0.003, -0.0065, -0.010)
-    )
-
-
-def mirrored_bump(setup: Setup, values: dict[str, float]) -> None:
-    """A bump at the same distance from neutral on both sides: on the side of this stroke."""
-    CATALOGUE["friction_bump"].change(setup, values)
-    if setup.conditions.kind in ("N-F", "F-N"):
-        setup.p[L.BUMP_X] = -setup.p[L.BUMP_X]
-
-
-def residual_in(chambers: dict[str, str]) -> Change:
-    """Overpressure at the start in one chamber a kind of stroke."""
-
-    def change(setup: Setup, values: dict[str, float]) -> None:
-        chamber = chambers.get(setup.conditions.kind)
-        if chamber is not None:
-            before = setup.residual_pa.get(chamber, 0.0)
-            setup.residual_pa[chamber] = before + values["pressure_pa"]
-
-    return change
-
-
-def volume_named(indices: tuple[int, ...]) -> Change:
-    """Extra volume on fixed chambers, whatever their role in a stroke."""
-
-    def change(setup: Setup, values: dict[str, float]) -> None:
-        for index in indices:
-            setup.p[index] += values["volume_m3"]
-
-    return change
+VARIANT_KEYS = ("where", "mirrored")
 
 
 def candidates(has_damper: bool, has_internal: bool, has_length: bool) -> list[Candidate]:
     """All candidates that this campaign's strokes can show at all."""
     found: list[Candidate] = []
     for effect in CATALOGUE.values():
-        if effect.id == "unnamed":
-            continue
-        if effect.needs_damper and not has_damper:
+        if effect.id == "unnamed" or (effect.needs_damper and not has_damper):
             continue
         if effect.equation in ("sensor", "clock") and not has_internal:
             continue
         if effect.id == "free_play" and not has_length:
             continue
-        base = from_effect(effect)
-        if effect.id == "friction_bump":
-            found.append(
-                Candidate(
-                    base.id,
-                    base.klass,
-                    base.equation,
-                    "",
-                    base.parameters,
-                    base.change,
-                    spots(effect),
-                )
-            )
-            if has_length:
-                found.append(
-                    Candidate(
-                        base.id,
-                        base.klass,
-                        base.equation,
-                        "both sides",
-                        base.parameters,
-                        mirrored_bump,
-                        spots(effect)[:3],
-                    )
-                )
-        elif effect.id == "hose_droop":
-            found.append(
-                Candidate(
-                    base.id,
-                    base.klass,
-                    base.equation,
-                    "",
-                    base.parameters,
-                    base.change,
-                    ((2e-5, 5e-5), (8e-6, 5e-5), (8e-6, 4e-4), (2e-5, 1e-5)),
-                )
-            )
-        elif effect.id == "residual_pressure":
-            found.append(base)
-            found.append(
-                Candidate(
-                    base.id,
-                    base.klass,
-                    base.equation,
-                    "driving chamber",
-                    base.parameters,
-                    residual_in(
-                        {"fixed": "1", "N-B": "B", "N-F": "F", "B-N": "N", "F-N": "N"}
-                    ),
-                    base.starts,
-                )
-            )
-            if has_length:
-                found.append(
-                    Candidate(
-                        base.id,
-                        base.klass,
-                        base.equation,
-                        "neutral chamber",
-                        base.parameters,
-                        residual_in(dict.fromkeys(("N-B", "N-F", "B-N", "F-N"), "N")),
-                        base.starts,
-                    )
-                )
-        elif effect.id == "dead_volume_charge":
-            found.append(base)
-            if has_length:
-                found.append(
-                    Candidate(
-                        base.id,
-                        base.klass,
-                        base.equation,
-                        "outer chambers",
-                        base.parameters,
-                        volume_named((L.VOL_B, L.VOL_F)),
-                        base.starts,
-                    )
-                )
-        elif effect.id == "dead_volume_passive":
-            found.append(base)
-            if has_length:
-                found.append(
-                    Candidate(
-                        base.id,
-                        base.klass,
-                        base.equation,
-                        "inner chamber",
-                        base.parameters,
-                        volume_named((L.VOL_N,)),
-                        base.starts,
-                    )
-                )
-        else:
-            found.append(base)
+        free = tuple(p for p in effect.parameters if p.name not in VARIANT_KEYS)
+        usual = starts_of(free)
+        for variant, fixed, starts, length_only in SPECIAL.get(effect.id, (("", {}, None, False),)):
+            if has_length or not length_only:
+                found.append(Candidate(effect, variant, free, starts or usual, fixed))
     return found

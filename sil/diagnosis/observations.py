@@ -12,11 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant import layout as L
+from plant.one_equation import steady_oil_pressure
 from plant.parameters import ParameterSet
 from plant.prediction import Predictor
 from plant.setup import Setup, make_setup
 from plant.stroke_conditions import StrokeConditions
-from sil.campaign import Campaign, CampaignStroke, Record
+from sil.campaign import CampaignStroke, Record
+
+from .internal import InternalSamples, internal_samples
 
 Floats = NDArray[np.float64]
 NS = 1_000_000_000
@@ -35,16 +38,6 @@ class Channel:
     measured: Floats
     sd: Floats
     rows: NDArray[np.int64]  # rows of the predictor's instants
-
-
-@dataclass(frozen=True)
-class InternalSamples:
-    """The reported position, one value per publication, and when each pulse was measured."""
-
-    published_s: Floats
-    values_m: Floats
-    phase_s: float
-    period_s: float
 
 
 @dataclass
@@ -68,19 +61,32 @@ class StrokeObservation:
         """How many numbers are compared."""
         return sum(len(channel.measured) for channel in self.channels)
 
+    @property
+    def total(self) -> int:
+        """How many numbers are compared, the control unit's positions included."""
+        return self.size + (0 if self.internal is None else len(self.internal.values_m))
+
+    def oil_pressure_pa(self, states: Floats, setup: Setup) -> Floats:
+        """Absolute pressure of the damper's chamber two by the model in force [Pa]."""
+        fixed = self.conditions.system == L.FIXED
+        if self.conditions.damper_model != "incompressible":
+            return np.asarray(states[:, L.FOIL if fixed else L.LOIL])
+        out = np.zeros(len(states))
+        position = np.ascontiguousarray(states[:, 0])
+        steady_oil_pressure(position, np.ascontiguousarray(states[:, 1]), setup.p, out)
+        return out
+
 
 def observe(
-    campaign: Campaign, entry: CampaignStroke, parameters: ParameterSet
+    entry: CampaignStroke, record: Record, parameters: ParameterSet
 ) -> StrokeObservation:
-    """Read and thin one stroke of a campaign.
-
-    Raises InputError for a file that cannot be read or lacks position and pressures alike.
-    """
-    record = campaign.record(entry)
+    """Thin one stroke's record and set the stroke up as its conditions say."""
     setup = make_setup(parameters, entry.conditions)
     time_s = record.time_s - record.time_s[0]
     rows = thinned(time_s, entry.conditions, setup)
-    internal = internal_samples(record, time_s, setup)
+    internal = None
+    if "position_internal_m" in record:
+        internal = internal_samples(time_s, record["position_internal_m"])
     sample_ns = np.rint(time_s[rows] * NS).astype(np.int64)
     value = parameters.value
     channels = []
@@ -158,24 +164,3 @@ def run_lengths(values: Floats) -> Floats:
             level = np.abs(stretch - np.median(stretch)) < 1.2e-4
             out[begin : begin + length][level] = np.count_nonzero(level)
     return out
-
-
-def internal_samples(record: Record, time_s: Floats, setup: Setup) -> InternalSamples | None:
-    """Publications of the control unit's position, found by its steps; None if it never moves.
-
-    The pulse phase within the period follows from the instants of publication, so a record may
-    start anywhere in the period.
-    """
-    if "position_internal_m" not in record:
-        return None
-    values = record["position_internal_m"]
-    edges = np.flatnonzero(np.abs(np.diff(values)) > 1e-9) + 1
-    if len(edges) < 4:
-        return None
-    period = setup.chain.period_s
-    half = 0.5 * float(time_s[1] - time_s[0])
-    duration = setup.chain.calibration.duration_s(values[edges], setup.chain.measured_temperature_k)
-    begun = time_s[edges] - half - setup.chain.latency_s - duration
-    angle = 2.0 * np.pi * begun / period
-    phase = float(np.angle(np.mean(np.exp(1j * angle)))) / (2.0 * np.pi) * period % period
-    return InternalSamples(time_s[edges], values[edges], phase, period)

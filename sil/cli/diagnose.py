@@ -1,0 +1,60 @@
+"""Measured against simulated: what is wrong, why, an extended model, and what it gains."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+EXAMPLE = "example: opc4 diagnose measured/ --out diagnosis/"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("campaign", metavar="CAMPAIGN", help="campaign folder")
+    parser.add_argument("--model", default="nominal", help="parameter set or model file questioned")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write")
+    parser.add_argument("--force", action="store_true", help="replace a diagnosis in DIR")
+    parser.add_argument(
+        "--workers", type=int, default=2, metavar="N", help="processes (default 2)"
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Diagnose, write diagnosis.json, extended_model.toml and report.html; exit 1 if not consistent."""
+    from can_dbc.errors import InputError
+    from plant.parameters import load
+    from sil.campaign import load_campaign
+    from sil.diagnosis.diagnosis import diagnose
+    from sil.diagnosis.report import write_report
+    from sil.results import finite, prepare_folder
+
+    campaign = load_campaign(arguments.campaign)
+    parameters = load(arguments.model)
+    folder = prepare_folder(arguments.out, f"{campaign.name}-diagnosis", arguments.force)
+    if (folder / "diagnosis.json").exists() and not arguments.force:
+        raise InputError(
+            f"{folder}: --out: holds another diagnosis; expected an empty folder, or --force"
+        )
+
+    def told(text: str) -> None:
+        if sys.stderr.isatty():
+            print(text, file=sys.stderr)
+
+    result = diagnose(campaign, parameters, workers=max(1, arguments.workers), progress=told)
+    plain = finite(result.as_json())
+    text = json.dumps(plain, indent=1, ensure_ascii=False)
+    (folder / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
+    if result.extended is not None:
+        (folder / "extended_model.toml").write_text(result.extended, encoding="utf-8")
+    write_report(result, folder / "report.html", arguments.campaign, arguments.model)
+    if arguments.json:
+        print(json.dumps(plain, ensure_ascii=False))
+    else:
+        print(f"{campaign.name}: {result.verdict.kind}")
+        for cause in result.causes:
+            print(f"  {cause.probability:.2f} {cause.id} ({cause.klass}): {cause.evidence}")
+        print(f"  written to {folder}", file=sys.stderr)
+    return 0 if result.verdict.kind == "consistent" else 1

@@ -1,0 +1,245 @@
+"""Is this campaign what it claims to be: units, scales, channels, clocks, saturation.
+
+What cannot be compared is refused in one line (InputError); what is odd but usable is a finding.
+Checked by: tests/unit/sil/diagnosis/test_checks.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from can_dbc.errors import InputError
+from plant.parameters import ParameterSet
+from sil.campaign import CampaignStroke, Record
+
+from .fit import FitResult
+from .model import CampaignModel
+
+LEAST_DURATION_S = 0.02
+FEWEST_SAMPLES = 50
+SATURATED_SHARE = 0.005
+SHIFT_S = 0.002
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something odd about a file that the diagnosis could live with."""
+
+    file: str
+    channel: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.file}: {self.channel}: {self.text}"
+
+
+def check_record(
+    entry: CampaignStroke, record: Record, parameters: ParameterSet
+) -> list[Finding]:
+    """Refuse a stroke that cannot be compared; report what is odd about it.
+
+    Raises InputError naming file and column: too short, uneven sampling, wrong unit or scale,
+    a channel that stands still while the stroke moves.
+    """
+    path = record.path
+    time_s = record.time_s
+    if len(time_s) < FEWEST_SAMPLES or time_s[-1] - time_s[0] < LEAST_DURATION_S:
+        raise InputError(
+            f"{path}: {len(time_s)} samples over {time_s[-1] - time_s[0]:.4g} s; "
+            f"expected a whole stroke"
+        )
+    steps = np.diff(time_s)
+    if steps.max() > 3.0 * np.median(steps):
+        line = int(np.argmax(steps)) + 3
+        raise InputError(
+            f"{path}: line {line}: time_s jumps by {steps.max():.4g} s; "
+            f"expected steps of {np.median(steps):.4g} s"
+        )
+    last = max((when for when, _valve, _duty in entry.conditions.commands), default=0.0)
+    first = min((when for when, _valve, _duty in entry.conditions.commands), default=0.0)
+    if time_s[-1] - time_s[0] < first + 0.03:
+        raise InputError(
+            f"{path}: ends at {time_s[-1]:.4g} s; the stroke's first command is at {first:.4g} s"
+        )
+    findings = []
+    if time_s[-1] - time_s[0] < last:
+        findings.append(
+            Finding(entry.file, "time_s", f"ends before the last command at {last:.4g} s")
+        )
+    findings += check_position(entry, record, parameters)
+    findings += check_pressures(entry, record, parameters)
+    return findings
+
+
+def check_position(
+    entry: CampaignStroke, record: Record, parameters: ParameterSet
+) -> list[Finding]:
+    """The potentiometer: metres, within the rig's travel, and moving."""
+    if "position_m" not in record:
+        return []
+    path, values = record.path, record["position_m"]
+    section = "fixed" if entry.conditions.kind == "fixed" else "length"
+    stroke = parameters.value(f"{section}.stroke")
+    largest = float(np.abs(values).max())
+    if largest > 2.0 * stroke:
+        raise InputError(
+            f"{path}: position_m: reaches {largest:.4g}; expected metres, at most "
+            f"{1.2 * stroke:.4g} m{unit_hint(largest / stroke)}"
+        )
+    moved = float(np.ptp(values))
+    if moved < 0.02 * stroke and len(np.unique(values)) < 3:
+        charging = any(
+            column.startswith("pressure_") and float(np.ptp(record[column])) > 5e4
+            for column in record.columns
+        )
+        if charging:
+            raise InputError(
+                f"{path}: position_m: stands still at {values[0]:.5g} m while pressures move; "
+                "expected the stroke"
+            )
+    if moved < 0.05 * stroke and moved > 0.0 and "position_internal_m" in record:
+        internal = float(np.ptp(record["position_internal_m"]))
+        if internal > 0.5 * stroke:
+            raise InputError(
+                f"{path}: position_m: moves {moved:.3g} while position_internal_m moves "
+                f"{internal:.3g} m; expected metres"
+            )
+    return []
+
+
+def check_pressures(
+    entry: CampaignStroke, record: Record, parameters: ParameterSet
+) -> list[Finding]:
+    """The gauges: absolute pascals within their range, not stuck, not clipped."""
+    findings = []
+    atmosphere = entry.conditions.atmosphere_pa
+    supply = entry.conditions.supply_pressure_pa
+    for name in record.columns:
+        if not (name.startswith("pressure_") and name.endswith("_pa")):
+            continue
+        values = record[name]
+        path = record.path
+        oil = name == "pressure_oil2_pa"
+        top = parameters.value("gauge.range_oil" if oil else "gauge.range_air")
+        high, low = float(values.max()), float(values.min())
+        if high < 0.02 * atmosphere:
+            raise InputError(
+                f"{path}: {name}: at most {high:.4g}; expected pascals, absolute "
+                f"(about {atmosphere:.4g} at rest){unit_hint(high / supply)}"
+            )
+        if not oil and high > 2.0 * max(supply, atmosphere):
+            raise InputError(
+                f"{path}: {name}: reaches {high:.4g} Pa; expected at most the supply's "
+                f"{supply:.4g} Pa{unit_hint(high / supply)}"
+            )
+        if low < 0.5 * atmosphere and not oil:
+            raise InputError(
+                f"{path}: {name}: falls to {low:.4g} Pa; expected absolute pressure, about "
+                f"{atmosphere:.4g} Pa at rest (gauge pressure, or another unit?)"
+            )
+        if float(np.ptp(values)) == 0.0:
+            raise InputError(
+                f"{path}: {name}: constant at {values[0]:.6g} Pa; expected at least its noise "
+                "(leave a dead channel out)"
+            )
+        clipped = float(np.mean(values >= high - 1e-9))
+        if clipped > SATURATED_SHARE and high - float(np.median(values)) > 1e4 and (
+            high < 0.995 * supply or high >= 0.999 * top
+        ):
+            longest = longest_run(values >= high - 1e-9)
+            if longest >= 20:
+                findings.append(
+                    Finding(entry.file, name, f"saturated at {high:.6g} Pa ({clipped:.1%})")
+                )
+    return findings
+
+
+def longest_run(flags: np.ndarray) -> int:
+    """Length of the longest run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+def unit_hint(ratio: float) -> str:
+    """Which unit a value off by this factor was probably written in."""
+    for factor, text in (
+        (1e3, "millimetres or kilo-units"),
+        (1e-3, "kilo-units"),
+        (1e-5, "bar"),
+        (1e-6, "mega-units"),
+        (100.0, "centimetres"),
+        (1e5, "bar taken for pascals twice"),
+        (6894.76, "psi"),
+        (1.45e-4, "psi"),
+    ):
+        if 0.3 < ratio / factor < 3.0:
+            return f" (in {text}?)"
+    return ""
+
+
+def check_strokes(model: CampaignModel, fit: FitResult) -> list[Finding]:
+    """What the fit itself shows of single strokes: swapped channels, a shifted time base."""
+    findings = []
+    for k, stroke in enumerate(model.strokes):
+        block = fit.blocks.get(k)
+        if block is None:
+            continue
+        begin = 0
+        pressures = {}
+        for channel in stroke.channels:
+            end = begin + len(channel.measured)
+            if channel.kind == "pressure":
+                residual = block.residual[begin:end]
+                predicted = channel.measured - residual * channel.sd
+                pressures[channel.name] = (channel.measured, predicted)
+            begin = end
+        names = sorted(pressures)
+        for i, one in enumerate(names):
+            for two in names[i + 1 :]:
+                straight = misfit_of(pressures[one]) + misfit_of(pressures[two])
+                crossed = misfit_of((pressures[one][0], pressures[two][1])) + misfit_of(
+                    (pressures[two][0], pressures[one][1])
+                )
+                if straight > 1e8 and crossed < 0.25 * straight:
+                    findings.append(
+                        Finding(stroke.entry.file, f"{one}, {two}", "channels are swapped")
+                    )
+        shift = time_shift(stroke.time_s, pressures)
+        if abs(shift) >= SHIFT_S:
+            findings.append(
+                Finding(
+                    stroke.entry.file,
+                    "time_s",
+                    f"the record runs {1e3 * shift:+.1f} ms against its commands",
+                )
+            )
+    return findings
+
+
+def misfit_of(pair: tuple[np.ndarray, np.ndarray]) -> float:
+    """Mean squared difference of two signals [Pa^2]."""
+    return float(np.mean((pair[0] - pair[1]) ** 2))
+
+
+def time_shift(
+    time_s: np.ndarray, pressures: dict[str, tuple[np.ndarray, np.ndarray]]
+) -> float:
+    """Shift of the measured pressures against the predicted ones that explains them best [s].
+
+    Zero unless a shift removes nine tenths of the misfit.
+    """
+    if not pressures:
+        return 0.0
+    shifts = np.arange(-0.03, 0.0301, 0.0005)
+    costs = np.zeros(len(shifts))
+    for measured, predicted in pressures.values():
+        for j, shift in enumerate(shifts):
+            moved = np.interp(time_s - shift, time_s, predicted)
+            costs[j] += float(np.mean((measured - moved) ** 2))
+    here = costs[len(shifts) // 2]
+    best = int(np.argmin(costs))
+    if here > 1e8 and costs[best] < 0.1 * here:
+        return float(shifts[best])
+    return 0.0

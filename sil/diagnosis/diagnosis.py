@@ -1,0 +1,295 @@
+"""`diagnose`: from a campaign to what is wrong, why, what the extended model is and what it gains.
+
+Checked by: tests/unit/sil/diagnosis/test_diagnose.py
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from can_dbc.errors import InputError
+from plant import layout as L
+from plant.hybrid import IntegrationError
+from plant.parameters import ParameterSet
+from sil.campaign import Campaign
+
+from .checks import Finding, check_record, check_strokes
+from .evidence import sentence
+from .extend import extended_model
+from .fit import Fitter, FitResult
+from .gain import Gain, gain_between
+from .hypotheses import candidates
+from .intervals import Interval, intervals
+from .judge import Judged, judge
+from .model import CampaignModel
+from .next_experiment import NextExperiment, next_experiment
+from .nuisance import Spread
+from .observations import StrokeObservation, observe
+from .search import Found, Search
+from .split import split
+from .structure import Structure, structure_of
+from .unnamed import try_terms
+from .verdict import Verdict, acceptable, decide
+
+FALSE_ALARM_LEVEL = 0.01
+FALSE_ALARM_BASIS = (
+    "gain in log evidence of at least 15 and 1.5 a stroke, and a gain on held-out strokes; on clean "
+    "simulated campaigns the largest chance gain was 6"
+)
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A cause as reported: probability, parameters with intervals, one sentence of evidence."""
+
+    id: str
+    klass: str
+    probability: float
+    parameters: dict[str, Interval]
+    evidence: str
+    variant: str = ""
+
+
+@dataclass
+class Diagnosis:
+    """Everything found out about a campaign; `as_json` is what diagnosis.json holds."""
+
+    campaign: Campaign
+    parameters: ParameterSet
+    verdict: Verdict
+    causes: list[Cause]
+    gain: Gain
+    extended: str | None
+    next_experiment: NextExperiment | None
+    structure: Structure
+    findings: list[Finding]
+    model: CampaignModel
+    training: tuple[int, ...]
+    held_out: tuple[int, ...]
+    judged: list[Judged]
+    final: FitResult
+    healthy: FitResult
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """The object written to diagnosis.json."""
+        return {
+            "format": 1,
+            "campaign": self.campaign.name,
+            "verdict": self.verdict.kind,
+            "causes": [
+                {
+                    "id": cause.id,
+                    "class": cause.klass,
+                    "probability": round(cause.probability, 4),
+                    "parameters": {
+                        name: {
+                            "value": item.value,
+                            "low": item.low,
+                            "high": item.high,
+                            "unit": item.unit,
+                        }
+                        for name, item in cause.parameters.items()
+                    },
+                    "evidence": cause.evidence,
+                }
+                for cause in self.causes
+            ],
+            "rivals": [list(group) for group in self.verdict.rivals],
+            "next_experiment": None
+            if self.next_experiment is None
+            else self.next_experiment.as_json(),
+            "gain": self.gain.as_json(),
+            "false_alarm": {"level": FALSE_ALARM_LEVEL, "basis": FALSE_ALARM_BASIS},
+            "extended_model": None if self.extended is None else "extended_model.toml",
+            "findings": [str(item) for item in self.findings],
+            "detectability": self.structure.sentence(),
+        }
+
+
+def diagnose(
+    campaign: Campaign,
+    parameters: ParameterSet,
+    *,
+    workers: int = 2,
+    progress: Callable[[str], None] | None = None,
+) -> Diagnosis:
+    """Diagnose a campaign of the project's own rigs.
+
+    parameters: the model that is questioned.  Deterministic; the same with any number of workers.
+
+    Raises
+    ------
+    InputError : a campaign that cannot be read or compared, named in one line
+    """
+    told = progress or (lambda _text: None)
+    clock = Stopwatch()
+    strokes, findings = observed(campaign, parameters)
+    model = CampaignModel(strokes, Spread.of(parameters))
+    structure = structure_of(strokes)
+    clock.lap("read")
+    training, held_out = split(strokes)
+    told(f"{len(training)} strokes train, {len(held_out)} are held out")
+    search = Search(model, available(strokes), training, workers)
+    try:
+        found = search.run()
+    except IntegrationError as error:
+        raise InputError(
+            f"{campaign.folder}: the nominal model cannot follow this campaign: {error}"
+        ) from None
+    clock.lap("search")
+    told(f"{len(found.fits)} hypotheses fitted")
+    judged = judged_hypotheses(search, found, held_out, workers)
+    verdict = decide(judged, len(strokes))
+    clock.lap("judge")
+    if try_terms(search, found, verdict, judged, told):
+        judged = judged_hypotheses(search, found, held_out, workers)
+        verdict = decide(judged, len(strokes))
+    clock.lap("unnamed")
+    healthy = whole_fit(search.fitter, verdict.healthy)
+    final = healthy if not verdict.claimed else whole_fit(search.fitter, verdict.leader)
+    gain = gain_between(model, verdict, held_out)
+    causes = reported(model, search.fitter, verdict, judged, final, gain, workers)
+    told(f"verdict: {verdict.kind}")
+    extended = extended_model(parameters, final, causes, campaign) if verdict.claimed else None
+    following = next_experiment(model, verdict, judged)
+    findings += check_strokes(model, final)
+    clock.lap("report")
+    return Diagnosis(
+        campaign,
+        parameters,
+        verdict,
+        causes,
+        gain,
+        extended,
+        following,
+        structure,
+        findings,
+        model,
+        training,
+        held_out,
+        judged,
+        final,
+        healthy,
+        clock.laps,
+    )
+
+
+class Stopwatch:
+    """Wall time by stage."""
+
+    def __init__(self) -> None:
+        self.laps: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        """Book the time since the last lap."""
+        now = time.perf_counter()
+        self.laps[name] = self.laps.get(name, 0.0) + now - self._last
+        self._last = now
+
+
+def observed(
+    campaign: Campaign, parameters: ParameterSet
+) -> tuple[list[StrokeObservation], list[Finding]]:
+    """Strokes read and checked; what was odd about them but usable."""
+    strokes = []
+    findings: list[Finding] = []
+    for entry in campaign.strokes:
+        record = campaign.record(entry)
+        findings += check_record(entry, record, parameters)
+        strokes.append(observe(entry, record, parameters))
+    if not any(stroke.channels or stroke.internal for stroke in strokes):
+        raise InputError(f"{campaign.folder}: no position and no pressure in any stroke")
+    return strokes, findings
+
+
+def available(strokes: list[StrokeObservation]):  # type: ignore[no-untyped-def]
+    """Candidates that these strokes can show."""
+    return candidates(
+        any(stroke.conditions.load == "damper" for stroke in strokes),
+        any(stroke.internal is not None for stroke in strokes),
+        any(stroke.conditions.system == L.LENGTH for stroke in strokes),
+    )
+
+
+def judged_hypotheses(
+    search: Search, found: Found, held_out: tuple[int, ...], workers: int
+) -> list[Judged]:
+    """Held-out judgement of the healthy fit and of the best acceptable ones."""
+    chosen = [found.healthy, *found.of_size(1)[:8], *found.of_size(2)[:8], *found.of_size(3)[:2]]
+    judged = judge(search.fitter, chosen, held_out, workers)
+    kept = [item for item in judged if acceptable(item)]
+    from .judge import weigh
+
+    weigh(kept)
+    return kept
+
+
+def whole_fit(fitter: Fitter, item: Judged) -> FitResult:
+    """The hypothesis fitted to all strokes, from where the training left it."""
+    stroke = item.training.stroke.copy()
+    if item.held is not None:
+        places = list(item.held.use)
+        stroke[places] = item.held.stroke[places]
+    return fitter.fit(
+        item.training.candidates, start=item.training.shared, scatter=stroke, iterations=8
+    )
+
+
+def reported(
+    model: CampaignModel,
+    fitter: Fitter,
+    verdict: Verdict,
+    judged: list[Judged],
+    final: FitResult,
+    gain: Gain,
+    workers: int,
+) -> list[Cause]:
+    """Claimed causes and their rivals with parameters, most probable first."""
+    if not verdict.claimed:
+        return []
+    causes = []
+    own = intervals(fitter, final, verdict.leader.whole, workers)
+    for candidate in final.candidates:
+        causes.append(
+            Cause(
+                candidate.id,
+                candidate.klass,
+                verdict.probabilities[candidate.id],
+                own[candidate.name],
+                sentence(candidate, verdict, judged, gain, own[candidate.name]),
+                candidate.variant,
+            )
+        )
+    for name, probability in verdict.probabilities.items():
+        if name in verdict.claimed:
+            continue
+        item = next(i for i in judged if name in i.ids)
+        place = item.ids.index(name)
+        candidate = item.training.candidates[place]
+        theirs = intervals(fitter, item.training, item.whole, 1, profile=False)[candidate.name]
+        behind = item.score - verdict.leader.score
+        causes.append(
+            Cause(
+                name,
+                candidate.klass,
+                probability,
+                theirs,
+                f"cannot be told apart: {item.name} is {behind:.1f} behind in log evidence",
+                candidate.variant,
+            )
+        )
+    return sorted(causes, key=lambda cause: -cause.probability)
+
+
+def as_plain(value: Any) -> Any:
+    """Numpy numbers as Python's own."""
+    if isinstance(value, np.generic):
+        return value.item()
+    return value

@@ -1,0 +1,62 @@
+"""One sentence of evidence with figures for a claimed cause.
+
+Checked by: tests/unit/sil/diagnosis/test_verdict.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from .gain import Gain
+from .hypotheses import Candidate
+from .intervals import Interval
+from .judge import Judged
+from .terms import is_term, place_of
+from .verdict import Verdict
+
+
+def figure(item: Interval) -> str:
+    """A parameter with its interval."""
+    unit = "" if item.unit == "-" else f" {item.unit}"
+    return f"{item.value:.4g}{unit} [{item.low:.4g}, {item.high:.4g}]"
+
+
+def sentence(
+    candidate: Candidate,
+    verdict: Verdict,
+    judged: Sequence[Judged],
+    gain: Gain,
+    parameters: Mapping[str, Interval],
+) -> str:
+    """What speaks for the cause, and against the next best."""
+    gained = verdict.gains[candidate.id]
+    if is_term(candidate):
+        place = place_of(candidate)
+        sizes = [abs(item.value) for item in parameters.values()]
+        what = (
+            f"{place.what} depending on {place.on}, up to {max(sizes):.3g} {place.unit}, which no "
+            f"named cause describes"
+        )
+    else:
+        main = candidate.parameters[0]
+        where = f" ({candidate.variant})" if candidate.variant else ""
+        what = f"{candidate.effect.what}{where}: {main.name} {figure(parameters[main.name])}"
+    text = (
+        f"{what}; it gains {gained:.0f} in log evidence, and on held-out strokes the standardised "
+        f"residual falls from {gain.before:.3g} to {gain.after:.3g}"
+    )
+    other = next_best(candidate, verdict, judged)
+    if other is not None:
+        text += f"; the next best explanation, {other[0]}, is {other[1]:.0f} behind"
+    return text
+
+
+def next_best(
+    candidate: Candidate, verdict: Verdict, judged: Sequence[Judged]
+) -> tuple[str, float] | None:
+    """The best hypothesis without this cause, and how far it is behind."""
+    others = [item for item in judged if candidate.id not in item.ids and item.ids]
+    if not others:
+        return None
+    best = min(others, key=lambda item: item.score)
+    return best.name, best.score - verdict.leader.score

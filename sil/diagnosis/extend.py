@@ -1,0 +1,90 @@
+"""The extended model: the questioned model plus the effects found, with intervals and provenance.
+
+Checked by: tests/unit/sil/diagnosis/test_extend.py
+"""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+from plant.parameters import Parameter, ParameterSet
+from sil.campaign import Campaign
+
+from .fit import FitResult
+from .hypotheses import Candidate
+from .intervals import Interval
+from .terms import is_term, place_of
+
+if TYPE_CHECKING:
+    from .diagnosis import Cause
+
+
+def extended_model(
+    parameters: ParameterSet, final: FitResult, causes: list[Cause], campaign: Campaign
+) -> str:
+    """Text of extended_model.toml: [base] and one [effect.<id>] a claimed cause."""
+    source = f"diagnosed from campaign {campaign.name}, {len(campaign.strokes)} strokes"
+    lines = [
+        f"# the model {parameters.name} extended by what campaign {campaign.name} shows",
+        "[base]",
+        f"model = {json.dumps(parameters.name)}",
+    ]
+    for identifier, table in parameters.effects.items():
+        if identifier not in {item.id for item in final.candidates}:
+            lines += ["", f"[effect.{identifier}]"]
+            lines += [entry(name, item) for name, item in table.items()]
+    reported = {(cause.id, cause.variant): cause for cause in causes}
+    for candidate in final.candidates:
+        cause = reported[(candidate.id, candidate.variant)]
+        lines += ["", f"[effect.{candidate.id}]"]
+        if is_term(candidate):
+            lines += term_lines(candidate, cause.parameters, source)
+            continue
+        for name, item in cause.parameters.items():
+            lines.append(
+                f"{name} = {{ value = {item.value!r}, low = {item.low!r}, high = {item.high!r}, "
+                f"unit = {json.dumps(item.unit)}, "
+                f"source = {json.dumps(source + ', 95 % interval')} }}"
+            )
+        for name, value in candidate.fixed.items():
+            lines.append(
+                f"{name} = {{ value = {float(value)!r}, unit = \"-\", "
+                f"source = {json.dumps('variant ' + candidate.variant)} }}"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def entry(name: str, item: Parameter) -> str:
+    """One parameter as a line."""
+    value = list(item.value) if isinstance(item.value, tuple) else item.value
+    bounds = "".join(
+        f", {key} = {bound!r}"
+        for key, bound in (("low", item.low), ("high", item.high))
+        if bound is not None
+    )
+    return (
+        f"{name} = {{ value = {value!r}{bounds}, unit = {json.dumps(item.unit)}, "
+        f"source = {json.dumps(item.source)} }}"
+    )
+
+
+def term_lines(
+    candidate: Candidate, parameters: dict[str, Interval], source: str
+) -> list[str]:
+    """A non-parametric term as the effect "unnamed" holds it."""
+    place = place_of(candidate)
+    told = json.dumps(f"{source}: {place.what} of {place.on} [{place.unit}], class {place.klass}")
+    nodes = [item.value for item in parameters.values()]
+    step = (place.high - place.low) / (place.count - 1)
+    rows = {
+        "equation": place.equation,
+        "variable": place.variable,
+        "low": place.low,
+        "step": step,
+        "nodes": nodes,
+    }
+    return [
+        f'{name} = {{ value = {value!r}, unit = "-", source = {told} }}'
+        for name, value in rows.items()
+    ]

@@ -1,0 +1,71 @@
+"""What the extended model gains on strokes it has not seen.
+
+Checked by: tests/unit/sil/diagnosis/test_gain.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .fit import FitResult
+from .internal import INTERNAL_SD_M
+from .model import CampaignModel
+from .verdict import Verdict
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Rms of residuals before and after by channel (in the channel's unit) and standardised."""
+
+    files: tuple[str, ...]
+    channels: dict[str, tuple[float, float]]
+    before: float
+    after: float
+
+    def as_json(self) -> dict[str, Any]:
+        """The object `gain` of diagnosis.json."""
+        return {
+            "heldout_strokes": list(self.files),
+            "channels": {
+                name: {"before": before, "after": after, "unit": "rms"}
+                for name, (before, after) in self.channels.items()
+            },
+            "standardised": {"before": self.before, "after": self.after},
+        }
+
+
+def channel_rms(model: CampaignModel, fit: FitResult) -> dict[str, float]:
+    """Rms of residuals in each channel's own unit, over the strokes of a fit."""
+    sums: dict[str, list[float]] = {}
+    for k, block in fit.blocks.items():
+        begin = 0
+        stroke = model.strokes[k]
+        for channel in stroke.channels:
+            end = begin + len(channel.measured)
+            raw = block.residual[begin:end] * channel.sd
+            item = sums.setdefault(channel.name, [0.0, 0.0])
+            item[0] += float(raw @ raw)
+            item[1] += len(raw)
+            begin = end
+        if stroke.internal is not None:
+            raw = block.residual[begin:] * INTERNAL_SD_M
+            item = sums.setdefault("position_internal_m", [0.0, 0.0])
+            item[0] += float(raw @ raw)
+            item[1] += len(raw)
+    return {name: float(np.sqrt(total / max(1.0, n))) for name, (total, n) in sums.items()}
+
+
+def gain_between(model: CampaignModel, verdict: Verdict, held_out: tuple[int, ...]) -> Gain:
+    """Gain of the verdict's leader over the healthy model, each fitted to the training strokes."""
+    before = verdict.healthy.held or verdict.healthy.training
+    after = verdict.leader.held or verdict.leader.training
+    first, second = channel_rms(model, before), channel_rms(model, after)
+    return Gain(
+        tuple(model.strokes[k].entry.file for k in held_out),
+        {name: (first[name], second[name]) for name in first},
+        verdict.healthy.misfit.rms,
+        verdict.leader.misfit.rms,
+    )

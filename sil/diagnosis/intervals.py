@@ -1,0 +1,121 @@
+"""Intervals of fitted parameters: curvature first, then a likelihood profile of the main ones.
+
+A profile fixes the parameter, fits everything else again and looks where the cost has risen by
+1.92 (95 %), times the factor by which the residuals exceed their floor.  It closes on both sides,
+stops at a physical bound, and says which other parameter ran into its own on the way.
+
+Source: Raue et al. 2009 (profile likelihood); pyPESTO's profiles for the idea of reporting bounds.
+Checked by: tests/unit/sil/diagnosis/test_intervals.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plant.hybrid import IntegrationError
+
+from .fit import FARTHEST_SD, Fitter, FitResult
+from .floor import Misfit
+from .hypotheses import Candidate
+from .terms import is_term
+from .workers import spread_out
+
+RISE = 1.92
+PROFILE_STEPS = (1.0, 2.0, 3.0)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Value with its 95 % interval; `profiled`: by likelihood profile; note: what limited it."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    profiled: bool = False
+    note: str = ""
+
+
+def intervals(
+    fitter: Fitter, fit: FitResult, misfit: Misfit, workers: int, profile: bool = True
+) -> dict[str, dict[str, Interval]]:
+    """Intervals of every effect parameter of a fit, by candidate name."""
+    inflation = max(1.0, misfit.rms**2)
+    deviation = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0) * inflation)
+    found: dict[str, dict[str, Interval]] = {}
+    k = fit.layout.healthy
+    mains = []
+    for candidate, own in zip(fit.candidates, fit.values, strict=True):
+        table = {}
+        for j, parameter in enumerate(candidate.parameters):
+            half = 1.96 * float(deviation[k]) * parameter.typical
+            value = own[parameter.name]
+            low = max(parameter.low, value - half)
+            high = min(parameter.high, value + half)
+            table[parameter.name] = Interval(value, low, high, parameter.unit)
+            if j == 0 and not is_term(candidate):
+                mains.append((candidate, k, float(deviation[k])))
+            k += 1
+        found[candidate.name] = table
+    if not profile or not mains:
+        return found
+    jobs = [(c, place, sd, side) for c, place, sd in mains for side in (-1.0, 1.0)]
+
+    def work(job: tuple[Candidate, int, float, float]) -> tuple[float, str]:
+        return one_side(fitter, fit, job[1], job[2], job[3], inflation)
+
+    ends = spread_out(work, jobs, workers)
+    for (candidate, _place, _sd, side), (moved, note) in zip(jobs, ends, strict=True):
+        parameter = candidate.parameters[0]
+        old = found[candidate.name][parameter.name]
+        edge = old.value + moved * parameter.typical
+        edge = min(max(edge, parameter.low), parameter.high)
+        low, high = (edge, old.high) if side < 0 else (old.low, edge)
+        notes = "; ".join(text for text in (old.note, note) if text)
+        found[candidate.name][parameter.name] = Interval(
+            old.value, low, high, old.unit, True, notes
+        )
+    return found
+
+
+def one_side(
+    fitter: Fitter, fit: FitResult, place: int, sd: float, side: float, inflation: float
+) -> tuple[float, str]:
+    """Distance (signed, in typical sizes) at which the profiled cost has risen by the threshold."""
+    strokes = fit.use[:: max(1, len(fit.use) // 12)]
+    share = len(strokes) / len(fit.use)
+    base = fitter.fit(
+        fit.candidates, start=fit.shared, scatter=fit.stroke, use=strokes, iterations=3,
+        freeze=[place],
+    )
+    wide = sd / share**0.5
+    target = RISE * inflation * 1.0
+    before = (0.0, 0.0)
+    note = ""
+    begin = base
+    for step in PROFILE_STEPS:
+        there = base.shared.copy()
+        there[place] = base.shared[place] + side * step * wide
+        there = np.where(np.arange(len(there)) == place, there, begin.shared)
+        try:
+            moved = fitter.fit(
+                fit.candidates, start=there, scatter=begin.stroke, use=strokes, iterations=2,
+                freeze=[place],
+            )
+        except IntegrationError:
+            return side * step * sd, "beyond, the motion cannot be continued"
+        rise = moved.cost - base.cost
+        stuck = np.flatnonzero(np.abs(moved.shared[: fit.layout.healthy]) >= FARTHEST_SD - 1e-6)
+        if len(stuck):
+            note = f"{fit.layout.names[stuck[0]]} at its bound"
+        if rise >= target:
+            # the root of the parabola through the last two points and the optimum
+            edge = np.interp(
+                np.sqrt(target), [np.sqrt(max(before[1], 0.0)), np.sqrt(rise)], [before[0], step]
+            )
+            return side * float(edge) * sd, note
+        before = (step, rise)
+        begin = moved
+    return side * PROFILE_STEPS[-1] * sd, note or "flat profile"

@@ -1,0 +1,146 @@
+"""What the held-out strokes say about hypotheses, and how probable each is then.
+
+A hypothesis is scored by its evidence on the training strokes (Laplace) plus its cost on the
+held-out ones, where only the strokes' own scatter may be fitted.  As long as the best of them
+leaves a misfit that noise does not explain, score differences overstate what is known: then the
+model error has an unknown size, and marginalising over that turns the exponential into a power,
+
+    p_i ~ prior_i (1 + 2 (score_i - floor) / nu)^(-nu / 2),
+
+Student's form with nu effective observations; it is exp(-score) again once the misfit is nil.
+Checked by: tests/unit/sil/diagnosis/test_judge.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.hybrid import IntegrationError
+
+from .fit import Fitter, FitResult
+from .floor import Misfit, misfit
+from .workers import spread_out
+
+Floats = NDArray[np.float64]
+
+EFFECTIVE = 10.0
+"""Effective observations nu of the model error."""
+
+PAIR_PRIOR = 0.1
+"""Prior odds of two causes at once against one."""
+
+
+@dataclass
+class Judged:
+    """A hypothesis seen by all strokes.
+
+    training, held: fits; score: evidence/2 on the training plus cost on the held-out strokes;
+    misfit: over the held-out strokes (over the training ones if none are held out).
+    """
+
+    training: FitResult
+    held: FitResult | None
+    score: float
+    misfit: Misfit
+    whole: Misfit
+    probability: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Name of the hypothesis."""
+        return self.training.name
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Identifiers of its causes."""
+        return tuple(item.id for item in self.training.candidates)
+
+    @property
+    def prior(self) -> float:
+        """Prior weight."""
+        return PAIR_PRIOR if len(self.ids) > 1 else 1.0
+
+
+def judge(
+    fitter: Fitter, fits: Sequence[FitResult], held_out: Sequence[int], workers: int = 1
+) -> list[Judged]:
+    """Held-out evaluation of fits, best score first."""
+    model = fitter.model
+
+    def work(fit: FitResult) -> FitResult | None:
+        try:
+            held = fitter.fit(
+                fit.candidates,
+                start=fit.shared,
+                use=held_out,
+                iterations=4,
+                freeze=range(len(fit.shared)),
+            )
+        except IntegrationError:
+            return None
+        return held.light()
+
+    found = []
+    answers = spread_out(work, fits, workers) if held_out else [None] * len(fits)
+    for fit, held in zip(fits, answers, strict=True):
+        if held_out and held is None:
+            continue
+        cost = 0.5 * fit.evidence()
+        whole = fit
+        if held is not None:
+            # the priors of the shared parameters are counted once, with the training strokes
+            cost += 0.5 * held.chi2
+            blocks = {**fit.blocks, **held.blocks}
+            stroke = fit.stroke.copy()
+            stroke[list(held_out)] = held.stroke[list(held_out)]
+            whole = FitResult(
+                fit.candidates,
+                fit.layout,
+                tuple(sorted(blocks)),
+                fit.cost,
+                fit.shared,
+                stroke,
+                fit.normal,
+                fit.values,
+                fit.iterations,
+                blocks,
+            )
+        found.append(
+            Judged(fit, held, cost, misfit(model, held or fit), misfit(model, whole))
+        )
+    found.sort(key=lambda item: item.score)
+    weigh(found)
+    return found
+
+
+def weigh(judged: Sequence[Judged]) -> None:
+    """Fill in the probabilities of competing hypotheses."""
+    if not judged:
+        return
+    best = min(item.score for item in judged)
+    leader = min(judged, key=lambda item: item.score)
+    error = 0.5 * leader.whole.beyond
+    nu = EFFECTIVE
+    weights = np.array(
+        [
+            np.log(item.prior) - 0.5 * nu * np.log1p(2.0 * (item.score - best + error) / nu)
+            for item in judged
+        ]
+    )
+    weights = np.exp(weights - weights.max())
+    weights /= weights.sum()
+    for item, weight in zip(judged, weights, strict=True):
+        item.probability = float(weight)
+
+
+def by_cause(judged: Sequence[Judged]) -> dict[str, float]:
+    """Probability of each cause: of all hypotheses it takes part in."""
+    total: dict[str, float] = {}
+    for item in judged:
+        for name in item.ids:
+            total[name] = total.get(name, 0.0) + item.probability
+    return dict(sorted(total.items(), key=lambda entry: -entry[1]))

@@ -1,0 +1,256 @@
+"""A campaign's strokes as functions of what may be wrong: predictions, residuals, derivatives.
+
+All numbers are standardised by the expected noise of their channel.
+Checked by: tests/unit/sil/diagnosis/test_fit.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.hybrid import IntegrationError
+from plant.prediction import copied
+from plant.setup import Setup
+
+from .hypotheses import Candidate
+from .internal import INTERNAL_SD_M, internal_prediction
+from .nuisance import SIMULATED, Spread, shift
+from .observations import StrokeObservation
+
+Floats = NDArray[np.float64]
+
+DIFFERENCE = 0.2
+"""Step of the one-sided differences, in prior standard deviations of the quantity."""
+
+EFFECT_STEP = 0.02
+"""Step of the differences of effect parameters, in typical sizes."""
+
+
+@dataclass(frozen=True)
+class Shared:
+    """Names and positions of the shared parameters: unit tolerances, offsets, the hypothesis' own."""
+
+    unit: tuple[str, ...]
+    offsets: tuple[str, ...]
+    effects: tuple[str, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All shared parameters in order."""
+        return self.unit + self.offsets + self.effects
+
+    @property
+    def healthy(self) -> int:
+        """How many of them are healthy tolerances and offsets; they stand first."""
+        return len(self.unit) + len(self.offsets)
+
+    @property
+    def effect_slice(self) -> slice:
+        """Where the hypothesis' own parameters stand."""
+        return slice(self.healthy, self.healthy + len(self.effects))
+
+
+@dataclass(frozen=True)
+class Block:
+    """One stroke, linearised: residual, derivatives of the prediction by shared and scatter.
+
+    base: the smooth prediction that the derivatives belong to.
+    """
+
+    residual: Floats
+    shared: Floats
+    scatter: Floats
+    base: Floats
+
+
+class CampaignModel:
+    """The strokes of a campaign and the healthy spread: what any hypothesis is compared with."""
+
+    def __init__(self, strokes: Sequence[StrokeObservation], spread: Spread) -> None:
+        self.strokes = list(strokes)
+        self.spread = spread
+        gauges = sorted(
+            {
+                channel.name
+                for stroke in self.strokes
+                for channel in stroke.channels
+                if channel.kind in ("pressure", "oil")
+            }
+        )
+        positions = any(c.kind == "position" for s in self.strokes for c in s.channels)
+        self.offsets = (("position_m",) if positions else ()) + tuple(gauges)
+        self.unit = tuple(spread.unit)
+        self.scatter = tuple(spread.stroke)
+        self._measured = [self._standardised(stroke) for stroke in self.strokes]
+        self._offset_columns = [self._offsets_of(stroke) for stroke in self.strokes]
+
+    def layout(self, candidates: Sequence[Candidate]) -> Shared:
+        """Layout of the shared parameters under a hypothesis."""
+        effects = tuple(
+            f"{item.name}.{parameter.name}" for item in candidates for parameter in item.parameters
+        )
+        return Shared(self.unit, self.offsets, effects)
+
+    # --- prediction ---------------------------------------------------------------------------
+    def setup(
+        self,
+        k: int,
+        amounts: dict[str, float],
+        candidates: Sequence[Candidate],
+        values: Sequence[dict[str, float]],
+    ) -> Setup:
+        """Stroke k's setup with healthy amounts and effects applied."""
+        setup = copied(self.strokes[k].setup)
+        for name, amount in amounts.items():
+            if amount != 0.0:
+                shift(setup, name, amount)
+        for candidate, own in zip(candidates, values, strict=True):
+            candidate.change(setup, own)
+        return setup
+
+    def predict(self, k: int, setup: Setup, rounded: bool = False) -> Floats:
+        """All compared numbers of stroke k, without sensor offsets, standardised by their noise.
+
+        rounded: with the timer's rounding at rest, which has no derivative.
+
+        Raises IntegrationError where the motion cannot be continued.
+        """
+        stroke = self.strokes[k]
+        states = stroke.predictor.states(setup)
+        parts = []
+        for channel in stroke.channels:
+            if channel.kind == "oil":
+                values = stroke.oil_pressure_pa(states, setup)[channel.rows]
+            else:
+                values = states[channel.rows, channel.state]
+            parts.append(values / channel.sd)
+        if stroke.internal is not None:
+            reported = internal_prediction(
+                stroke.internal, stroke.time_s, states[:, 0], setup, rounded
+            )
+            parts.append(reported / INTERNAL_SD_M)
+        return np.concatenate(parts)
+
+    def _standardised(self, stroke: StrokeObservation) -> Floats:
+        parts = [channel.measured / channel.sd for channel in stroke.channels]
+        if stroke.internal is not None:
+            parts.append(stroke.internal.values_m / INTERNAL_SD_M)
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def measured(self, k: int) -> Floats:
+        """All compared numbers of stroke k as measured, standardised."""
+        return self._measured[k]
+
+    def _offsets_of(self, stroke: StrokeObservation) -> Floats:
+        columns = np.zeros((stroke.total, len(self.offsets)))
+        begin = 0
+        sizes = {
+            "position": self.spread.position_offset_m,
+            "pressure": self.spread.gauge_offset_pa,
+            "oil": self.spread.oil_gauge_offset_pa,
+        }
+        for channel in stroke.channels:
+            n = len(channel.measured)
+            place = self.offsets.index(channel.name)
+            columns[begin : begin + n, place] = sizes[channel.kind] / channel.sd
+            begin += n
+        return columns
+
+    def offset_part(self, k: int, offsets: Floats) -> Floats:
+        """Contribution of the sensors' offsets, in their standard deviations, to stroke k."""
+        return np.asarray(self._offset_columns[k] @ offsets)
+
+    def amounts(self, shared: Floats, scatter: Floats) -> dict[str, float]:
+        """Healthy amounts of one stroke from unit tolerances and its own scatter."""
+        total = dict.fromkeys(SIMULATED, 0.0)
+        for k, name in enumerate(self.unit):
+            total[name] += shared[k] * self.spread.unit[name]
+        for k, name in enumerate(self.scatter):
+            total[name] += scatter[k] * self.spread.stroke[name]
+        return total
+
+    def effect_values(
+        self, candidates: Sequence[Candidate], scaled: Floats
+    ) -> tuple[dict[str, float], ...]:
+        """Effect parameters from their scaled form, kept within the physical bounds."""
+        values = []
+        k = 0
+        for item in candidates:
+            own = {}
+            for parameter in item.parameters:
+                raw = parameter.neutral + scaled[k] * parameter.typical
+                own[parameter.name] = float(min(max(raw, parameter.low), parameter.high))
+                k += 1
+            values.append(own)
+        return tuple(values)
+
+    # --- one stroke ---------------------------------------------------------------------------
+    def residual(
+        self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
+    ) -> Floats:
+        """Standardised residual (measured - predicted) of stroke k."""
+        healthy = len(self.unit) + len(self.offsets)
+        values = self.effect_values(candidates, shared[healthy:])
+        setup = self.setup(k, self.amounts(shared, scatter), candidates, values)
+        offsets = shared[len(self.unit) : healthy]
+        return self.measured(k) - self.predict(k, setup, True) - self.offset_part(k, offsets)
+
+    def linearise(
+        self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
+    ) -> Block:
+        """Residual of stroke k, its derivatives by the shared and by the stroke's own parameters."""
+        layout = self.layout(candidates)
+        healthy = layout.healthy
+        values = self.effect_values(candidates, shared[healthy:])
+        amounts = self.amounts(shared, scatter)
+        base = self.predict(k, self.setup(k, amounts, candidates, values))
+        columns: dict[str, Floats] = {}
+        for name in SIMULATED:
+            step = DIFFERENCE * self.spread.stroke.get(name, self.spread.unit.get(name, 0.0))
+
+            def changed(h: float, name: str = name) -> Floats:
+                moved = dict(amounts)
+                moved[name] += h
+                return self.predict(k, self.setup(k, moved, candidates, values))
+
+            columns[name] = difference(changed, base, step)
+        shared_columns = np.zeros((len(base), len(layout.names)))
+        for j, name in enumerate(self.unit):
+            shared_columns[:, j] = columns[name] * self.spread.unit[name]
+        offset = self._offset_columns[k]
+        shared_columns[:, len(self.unit) : healthy] = offset
+        scaled = shared[healthy:]
+        parameters = [p for item in candidates for p in item.parameters]
+        for j, parameter in enumerate(parameters):
+            step = EFFECT_STEP
+            if (parameter.high - parameter.neutral) / parameter.typical - scaled[j] < step:
+                step = -step
+
+            def moved_effect(h: float, j: int = j) -> Floats:
+                trial = scaled.copy()
+                trial[j] += h
+                own = self.effect_values(candidates, trial)
+                return self.predict(k, self.setup(k, amounts, candidates, own))
+
+            shared_columns[:, healthy + j] = difference(moved_effect, base, step)
+        scatter_columns = np.column_stack(
+            [columns[name] * self.spread.stroke[name] for name in self.scatter]
+        )
+        return Block(
+            self.residual(k, shared, scatter, candidates), shared_columns, scatter_columns, base
+        )
+
+
+def difference(changed, base: Floats, step: float) -> Floats:  # type: ignore[no-untyped-def]
+    """One-sided difference quotient; the other side, or a smaller step, where the motion breaks off."""
+    for h in (step, -step, 0.1 * step, -0.1 * step):
+        try:
+            moved: Floats = changed(h)
+        except IntegrationError:
+            continue
+        return (moved - base) / h
+    raise IntegrationError("no direction in which the motion can be continued")

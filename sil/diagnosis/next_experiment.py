@@ -1,0 +1,106 @@
+"""The stroke that separates the remaining rivals best.
+
+Checked by: tests/unit/sil/diagnosis/test_next_experiment.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.hybrid import IntegrationError
+
+from .fit import FitResult
+from .judge import Judged
+from .model import CampaignModel
+from .verdict import Verdict
+
+Floats = NDArray[np.float64]
+
+ENOUGH = 15.0
+"""Distance in log evidence at which two rivals count as separated."""
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """Conditions of the stroke to measure, what it separates, and how well."""
+
+    conditions: dict[str, Any]
+    separates: tuple[str, ...]
+    expected_distance: float
+    why: str
+
+    def as_json(self) -> dict[str, Any]:
+        """The object `next_experiment` of diagnosis.json."""
+        return {
+            "conditions": self.conditions,
+            "separates": list(self.separates),
+            "expected_distance": self.expected_distance,
+            "why": self.why,
+        }
+
+
+def next_experiment(
+    model: CampaignModel, verdict: Verdict, judged: list[Judged]
+) -> NextExperiment | None:
+    """Of the kinds of strokes that were measured, the one at which two rivals differ most.
+
+    Each rival keeps its own fitted healthy quantities, and the stroke's own scatter is fitted away,
+    so the distance is what a repeat would really add.  None if nothing needs separating.
+    """
+    if not verdict.rivals:
+        return None
+    group = verdict.rivals[0]
+    first = verdict.leader
+    others = [item for item in judged if group[1] in item.ids or group[0] not in item.ids]
+    others = [item for item in others if item.ids and item is not first]
+    if not others:
+        return None
+    second = others[0]
+    best: tuple[float, int] | None = None
+    for k in range(len(model.strokes)):
+        try:
+            distance = separation(model, first.training, second.training, k)
+        except IntegrationError:
+            continue
+        if best is None or distance > best[0]:
+            best = (distance, k)
+    if best is None:
+        return None
+    distance, k = best
+    conditions = model.strokes[k].conditions
+    repeats = max(1, int(np.ceil(ENOUGH / max(distance, 0.05))))
+    return NextExperiment(
+        {
+            "kind": conditions.kind,
+            "supply_pressure_pa": conditions.supply_pressure_pa,
+            "load": conditions.load,
+            "rest_s": conditions.rest_s,
+            "charged_before": list(conditions.charged_before),
+            "commands": [list(item) for item in conditions.commands],
+            "repeats": repeats,
+        },
+        (first.name, second.name),
+        distance,
+        f"like {model.strokes[k].entry.file}: the two explanations differ there by {distance:.2g} "
+        f"in log evidence a stroke, more than in any other; {repeats} repeats decide",
+    )
+
+
+def separation(
+    model: CampaignModel, first: FitResult, second: FitResult, k: int
+) -> float:
+    """Half the squared standardised distance of two predictions, the stroke's scatter fitted away."""
+    zero = np.zeros(len(model.scatter))
+    one = model.linearise(k, first.shared, zero, first.candidates)
+    healthy = first.layout.healthy
+    setup = model.setup(k, model.amounts(second.shared, zero), second.candidates, second.values)
+    offsets = second.shared[len(model.unit) : healthy] - first.shared[len(model.unit) : healthy]
+    change = model.predict(k, setup) - one.base + model.offset_part(k, offsets)
+    b = one.scatter
+    inner = b.T @ change
+    inverse = np.linalg.inv(b.T @ b + np.eye(b.shape[1]))
+    return 0.5 * float(change @ change - inner @ inverse @ inner)

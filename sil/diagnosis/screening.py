@@ -1,0 +1,102 @@
+"""Which further effects could explain what a fit leaves: a score test, linear in everything.
+
+At a fitted hypothesis, the change c that a candidate makes to the prediction is freed of what the
+fitted parameters could imitate; the gain in cost of the best amount of it is (c'r)^2 / 2 c'c.
+No further fit is needed: one simulated stroke each.
+
+Source: Rao's score test; see Cox and Hinkley, Theoretical Statistics.
+Checked by: tests/unit/sil/diagnosis/test_screening.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.hybrid import IntegrationError
+
+from .fit import FitResult, arrow
+from .hypotheses import Candidate
+from .model import CampaignModel
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a candidate would gain on top of a fit, by the linear estimate.
+
+    gain: in cost (half chi squared); amount: in multiples of the start tried; start: that start.
+    """
+
+    candidate: Candidate
+    start: tuple[float, ...]
+    gain: float
+    amount: float
+
+
+def change_of(
+    model: CampaignModel,
+    fit: FitResult,
+    candidate: Candidate,
+    start: tuple[float, ...],
+    strokes: Sequence[int],
+) -> dict[int, Floats]:
+    """What the candidate at `start` changes in the standardised prediction of each stroke."""
+    changes = {}
+    own = {p.name: v for p, v in zip(candidate.parameters, start, strict=True)}
+    for k in strokes:
+        amounts = model.amounts(fit.shared, fit.stroke[k])
+        setup = model.setup(
+            k, amounts, (*fit.candidates, candidate), (*fit.values, own)
+        )
+        changes[k] = model.predict(k, setup) - fit.blocks[k].base
+    return changes
+
+
+def screen(
+    model: CampaignModel,
+    fit: FitResult,
+    candidates: Sequence[Candidate],
+    strokes: Sequence[int] | None = None,
+) -> list[Score]:
+    """Score of every candidate on top of a fit, largest gain first.
+
+    A candidate whose start cannot be simulated scores nothing.
+    """
+    use = list(fit.blocks) if strokes is None else list(strokes)
+    blocks = {k: fit.blocks[k] for k in use}
+    normal, gradient, inner = arrow(blocks, fit.stroke, fit.shared, fit.layout)
+    solved = np.linalg.pinv(normal)
+    found = []
+    for candidate in candidates:
+        best: Score | None = None
+        for start in candidate.starts:
+            try:
+                changes = change_of(model, fit, candidate, start, use)
+            except IntegrationError:
+                continue
+            slope = 0.0
+            square = 0.0
+            cross = np.zeros(len(normal))
+            for k in use:
+                block, c = blocks[k], changes[k]
+                inverse, hus, gs = inner[k]
+                bc = block.scatter.T @ c
+                slope += float(c @ block.residual) - float(bc @ inverse @ gs)
+                square += float(c @ c) - float(bc @ inverse @ bc)
+                cross += block.shared.T @ c - hus @ (inverse @ bc)
+            slope -= float(cross @ solved @ gradient)
+            square -= float(cross @ solved @ cross)
+            if square <= 1e-9 * max(1.0, float(sum(c @ c for c in changes.values()))):
+                continue
+            amount = slope / square
+            gain = 0.5 * slope * amount if amount > 0.0 else 0.0
+            if best is None or gain > best.gain:
+                best = Score(candidate, start, gain, amount)
+        if best is not None:
+            found.append(best)
+    return sorted(found, key=lambda score: -score.gain)

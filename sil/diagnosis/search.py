@@ -1,0 +1,221 @@
+"""Search over hypotheses: the healthy plant, every single cause, pairs of the promising ones.
+
+Everything here sees the training strokes alone; the held-out strokes judge afterwards.
+Checked by: tests/unit/sil/diagnosis/test_search.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.hybrid import IntegrationError
+
+from .fit import Fitter, FitResult
+from .floor import misfit
+from .hypotheses import Candidate, compatible
+from .model import CampaignModel
+from .screening import Score, screen
+from .workers import spread_out
+
+Floats = NDArray[np.float64]
+
+WORTH = 8.0
+"""Linear gain in cost below which a further effect is not even tried."""
+
+FIRST_ITERATIONS = 5
+LAST_ITERATIONS = 14
+SINGLES_KEPT = 8
+PARENTS = 4
+CHILDREN = 4
+
+
+@dataclass(frozen=True)
+class Task:
+    """One fit to run: candidates, where each begins, and the healthy part's beginning."""
+
+    candidates: tuple[Candidate, ...]
+    starts: tuple[tuple[tuple[float, ...], ...], ...]
+    begin: tuple[Floats, Floats] | None
+    iterations: int
+
+
+@dataclass
+class Found:
+    """Result of a search: fits by name (on the training strokes), the healthy one among them."""
+
+    healthy: FitResult
+    fits: dict[str, FitResult] = field(default_factory=dict)
+
+    def ordered(self) -> list[FitResult]:
+        """All fits, best evidence first."""
+        return sorted(self.fits.values(), key=lambda fit: fit.evidence())
+
+    def of_size(self, count: int) -> list[FitResult]:
+        """Fits of that many causes, best first."""
+        return [fit for fit in self.ordered() if len(fit.candidates) == count]
+
+
+class Search:
+    """Fits hypotheses to the training strokes of a campaign."""
+
+    def __init__(
+        self,
+        model: CampaignModel,
+        candidates: Sequence[Candidate],
+        training: Sequence[int],
+        workers: int = 1,
+    ) -> None:
+        self.model = model
+        self.fitter = Fitter(model)
+        self.candidates = list(candidates)
+        self.training = tuple(training)
+        self.workers = workers
+
+    def run(self) -> Found:
+        """Healthy fit, singles, pairs."""
+        healthy = self.fitter.fit(use=self.training, iterations=8)
+        found = Found(healthy)
+        self.singles(found)
+        self.pairs(found)
+        return found
+
+    # --- fits ---------------------------------------------------------------------------------
+    def begin_scaled(self, candidates: Sequence[Candidate], starts) -> Floats:  # type: ignore[no-untyped-def]
+        """Starts in typical sizes from neutral."""
+        return np.array(
+            [
+                (value - p.neutral) / p.typical
+                for item, start in zip(candidates, starts, strict=True)
+                for p, value in zip(item.parameters, start, strict=True)
+            ]
+        )
+
+    def attempt(self, task: Task) -> FitResult | None:
+        """Run one fit from the best of its starts; None if none of them can be simulated."""
+        model = self.model
+        healthy = len(model.unit) + len(model.offsets)
+        none = (np.zeros(healthy), np.zeros((len(model.strokes), len(model.scatter))))
+        begins = [none] if task.begin is None else [task.begin, none]
+        best: tuple[float, Floats, Floats] | None = None
+        for starts in task.starts:
+            scaled = self.begin_scaled(task.candidates, starts)
+            for shared, scatter in begins:
+                trial = np.concatenate([shared[:healthy], scaled])
+                limit = np.inf if best is None else best[0]
+                cost = self.fitter.cost(trial, scatter, task.candidates, self.training, limit)
+                if np.isfinite(cost) and (best is None or cost < best[0]):
+                    best = (cost, trial, scatter)
+        if best is None:
+            return None
+        try:
+            fit = self.fitter.fit(
+                task.candidates,
+                start=best[1],
+                scatter=best[2],
+                use=self.training,
+                iterations=task.iterations,
+            )
+        except IntegrationError:
+            return None
+        return fit.light()
+
+    def refine(self, fit: FitResult, iterations: int = LAST_ITERATIONS) -> FitResult:
+        """Continue a fit from where it stands."""
+        return self.fitter.fit(
+            fit.candidates,
+            start=fit.shared,
+            scatter=fit.stroke,
+            use=self.training,
+            iterations=iterations,
+        )
+
+    def run_tasks(self, tasks: Sequence[Task], found: Found) -> list[FitResult]:
+        """Run fits side by side and keep the better ones by name."""
+        done = []
+        for fit in spread_out(self.attempt, tasks, self.workers):
+            if fit is None:
+                continue
+            done.append(fit)
+            held = found.fits.get(fit.name)
+            if held is None or fit.cost < held.cost:
+                found.fits[fit.name] = fit
+        return done
+
+    def polish(self, found: Found, names: Sequence[str]) -> None:
+        """Bring some fits to their optimum."""
+        fits = [found.fits[name] for name in names]
+
+        def work(fit: FitResult) -> FitResult | None:
+            try:
+                return self.refine(fit).light()
+            except IntegrationError:
+                return None
+
+        for fit in spread_out(work, fits, self.workers):
+            if fit is not None and fit.cost <= found.fits[fit.name].cost:
+                found.fits[fit.name] = fit
+
+    # --- stages -------------------------------------------------------------------------------
+    def singles(self, found: Found) -> None:
+        """Every cause alone: all of them if the healthy fit is far off, else those that score."""
+        healthy = found.healthy
+        chosen: list[Candidate] = self.candidates
+        if misfit(self.model, healthy).per_number < 1.0:
+            scores = screen(self.model, healthy, self.candidates)
+            chosen = [s.candidate for s in scores if s.gain > WORTH][: 2 * SINGLES_KEPT]
+        begin = (healthy.shared, healthy.stroke)
+        tasks = [Task((item,), tuple((s,) for s in item.starts), begin, FIRST_ITERATIONS)
+                 for item in chosen]
+        self.run_tasks(tasks, found)
+        self.polish(found, [fit.name for fit in found.of_size(1)[:SINGLES_KEPT]])
+
+    def pairs(self, found: Found) -> None:
+        """A second cause on top of the best singles, by score; then the best pairs to the end."""
+        parents = self.parents(found)
+        tasks: dict[str, Task] = {}
+        for parent, scores in spread_out(self.scored, parents, self.workers):
+            for score in scores[:CHILDREN]:
+                if score.gain < WORTH:
+                    continue
+                task = self.pair_task(parent, score)
+                key = "+".join(sorted(item.name for item in task.candidates))
+                tasks.setdefault(key, task)
+        if not tasks:
+            return
+        self.run_tasks(list(tasks.values()), found)
+        self.polish(found, [fit.name for fit in found.of_size(2)[:6]])
+
+    def parents(self, found: Found) -> list[FitResult]:
+        """Singles that a second cause may stand beside: the best ones, one an identifier."""
+        kept: list[FitResult] = []
+        seen: set[str] = set()
+        for fit in found.of_size(1):
+            if fit.candidates[0].id not in seen and len(kept) < PARENTS:
+                kept.append(fit)
+                seen.add(fit.candidates[0].id)
+        return kept
+
+    def scored(self, parent: FitResult) -> tuple[FitResult, list[Score]]:
+        """Scores of every compatible candidate on top of a single."""
+        full = self.refine(parent, 0)
+        others = [c for c in self.candidates if compatible(c, parent.candidates)]
+        return parent, [s for s in screen(self.model, full, others) if s.gain > WORTH]
+
+    def pair_task(self, parent: FitResult, score: Score) -> Task:
+        """The fit of a pair, beginning at the single's optimum and the score's amount."""
+        own = tuple(parent.values[0][p.name] for p in parent.candidates[0].parameters)
+        starts = [(own, score.start)]
+        first = score.candidate.parameters[0]
+        value = first.neutral + score.amount * (score.start[0] - first.neutral)
+        if first.low <= value <= first.high:
+            starts.append((own, (value, *score.start[1:])))
+        return Task(
+            (parent.candidates[0], score.candidate),
+            tuple(starts),
+            (parent.shared, parent.stroke),
+            FIRST_ITERATIONS + 2,
+        )

@@ -1,0 +1,167 @@
+"""What the channels at hand can tell at all: detectability and isolability from structure.
+
+The model's equations and the unknowns they hold form a bipartite graph.  The Dulmage-Mendelsohn
+decomposition marks its overdetermined part: a fault is detectable if its equation lies there, and
+isolable from another if its equation still does once the other's is taken out.  No numbers enter.
+
+Source: Krysander and Frisk 2008, Sensor placement for fault diagnosis.
+Checked by: tests/unit/sil/diagnosis/test_structure.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import maximum_bipartite_matching
+
+from .observations import StrokeObservation
+
+Graph = Mapping[str, frozenset[str]]
+
+FAULTS = {
+    "force": "force balance of the stay",
+    "driving chamber": "mass balance of the driving chamber",
+    "passive chamber": "mass balance of the passive chamber",
+    "valve": "valve timing",
+    "supply": "supply",
+    "damper": "oil damper",
+    "potentiometer": "potentiometer",
+    "driving gauge": "gauge of the driving chamber",
+    "passive gauge": "gauge of the passive chamber",
+    "internal sensor": "internal sensor and its clock",
+}
+"""Fault classes by the equation that they enter."""
+
+
+def equations(channels: Iterable[str], has_damper: bool) -> dict[str, frozenset[str]]:
+    """Equations of one stroke and the unknowns in each; a channel adds its own.
+
+    Derivatives are taken as known functions of their signal: both stand as one unknown.
+    """
+    system = {
+        "force": frozenset({"x", "p_driving", "p_passive"} | ({"p_oil"} if has_damper else set())),
+        "driving chamber": frozenset({"p_driving", "x", "u", "p_supply"}),
+        "passive chamber": frozenset({"p_passive", "x", "u"}),
+        "valve": frozenset({"u"}),
+        "supply": frozenset({"p_supply"}),
+    }
+    if has_damper:
+        system["damper"] = frozenset({"p_oil", "x"})
+    known = set(channels)
+    if "position" in known:
+        system["potentiometer"] = frozenset({"x"})
+    if "driving" in known:
+        system["driving gauge"] = frozenset({"p_driving"})
+    if "passive" in known:
+        system["passive gauge"] = frozenset({"p_passive"})
+    if "oil" in known and has_damper:
+        system["oil gauge"] = frozenset({"p_oil"})
+    if "internal" in known:
+        system["internal sensor"] = frozenset({"x"})
+    return system
+
+
+def overdetermined(graph: Graph) -> frozenset[str]:
+    """Equations of the overdetermined part: reachable from an unmatched one by alternating paths."""
+    names = sorted(graph)
+    unknowns = sorted(set().union(*graph.values())) if graph else []
+    if not names or not unknowns:
+        return frozenset(names)
+    column = {name: j for j, name in enumerate(unknowns)}
+    matrix = np.zeros((len(names), len(unknowns)), dtype=np.int8)
+    for i, name in enumerate(names):
+        for unknown in graph[name]:
+            matrix[i, column[unknown]] = 1
+    match = maximum_bipartite_matching(csr_matrix(matrix), perm_type="column")
+    owner = {int(j): i for i, j in enumerate(match) if j >= 0}
+    reached = {i for i, j in enumerate(match) if j < 0}
+    queue = list(reached)
+    while queue:
+        i = queue.pop()
+        for j in np.flatnonzero(matrix[i]):
+            other = owner.get(int(j))
+            if other is not None and other not in reached:
+                reached.add(other)
+                queue.append(other)
+    return frozenset(names[i] for i in reached)
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Detectable faults and, for each pair (fault, other), whether one is isolable from the other."""
+
+    channels: tuple[str, ...]
+    faults: tuple[str, ...]
+    detectable: frozenset[str]
+    isolable: frozenset[tuple[str, str]]
+
+    def groups(self) -> list[tuple[str, ...]]:
+        """Detectable faults that cannot be told from each other either way."""
+        left = [fault for fault in self.faults if fault in self.detectable]
+        found = []
+        while left:
+            first = left.pop(0)
+            same = [
+                other
+                for other in left
+                if (first, other) not in self.isolable and (other, first) not in self.isolable
+            ]
+            left = [other for other in left if other not in same]
+            found.append((first, *same))
+        return found
+
+    def sentence(self) -> str:
+        """What can be decided, in one sentence, before anything is fitted."""
+        if not self.detectable:
+            return (
+                f"with {', '.join(self.channels) or 'no channel'} alone nothing can be detected "
+                "from structure: only sizes within the healthy tolerances speak"
+            )
+        hidden = [FAULTS[f] for f in self.faults if f not in self.detectable]
+        groups = [group for group in self.groups() if len(group) > 1]
+        text = f"channels {', '.join(self.channels)}: "
+        text += "everything can be detected" if not hidden else f"not {', '.join(hidden)}"
+        if len(groups) == 1 and len(groups[0]) == len(self.detectable):
+            return text + ", but nothing can be told apart"
+        if groups:
+            told = "; ".join(" / ".join(FAULTS[f] for f in group) for group in groups)
+            return text + f"; not told apart by structure: {told}"
+        return text + " and told apart"
+
+
+def analyse(channels: Sequence[str], has_damper: bool) -> Structure:
+    """Detectability and isolability of every fault class with these channels."""
+    graph = equations(channels, has_damper)
+    faults = tuple(name for name in FAULTS if name in graph)
+    plus = overdetermined(graph)
+    isolable = set()
+    for other in faults:
+        rest = {name: held for name, held in graph.items() if name != other}
+        kept = overdetermined(rest)
+        isolable |= {(fault, other) for fault in faults if fault in kept and fault != other}
+    return Structure(
+        tuple(channels), faults, frozenset(f for f in faults if f in plus), frozenset(isolable)
+    )
+
+
+def structure_of(strokes: Sequence[StrokeObservation]) -> Structure:
+    """Structure with the channels that the campaign's strokes have."""
+    known: list[str] = []
+    for stroke in strokes:
+        driving = f"pressure_{stroke.setup.charged_chamber}_pa"
+        passive = {f"pressure_{name}_pa" for name in stroke.setup.passive_chambers}
+        for channel in stroke.channels:
+            name = {"position": "position", "oil": "oil"}.get(channel.kind, "")
+            if channel.name == driving:
+                name = "driving"
+            elif channel.name in passive:
+                name = "passive"
+            if name and name not in known:
+                known.append(name)
+        if stroke.internal is not None and "internal" not in known:
+            known.append("internal")
+    damper = any(stroke.conditions.load == "damper" for stroke in strokes)
+    return analyse(known, damper)

@@ -1,0 +1,125 @@
+"""Terms that none of the named causes is: a bounded smooth function in exactly one equation.
+
+Each term is a candidate like any other, with the identifier "unnamed"; its parameters are the
+values at the nodes of a grid.
+Checked by: tests/unit/sil/diagnosis/test_terms.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plant.effects import CATALOGUE, Effect, EffectParameter
+from plant.setup import Setup
+
+from .hypotheses import Candidate
+
+
+@dataclass(frozen=True)
+class TermPlace:
+    """Where a term may enter: its equation and variable (codes of plant.effects.term), its grid."""
+
+    name: str
+    klass: str
+    equation: float
+    variable: float
+    low: float
+    high: float
+    count: int
+    typical: float
+    unit: str
+    what: str
+    on: str
+
+
+PLACES = (
+    TermPlace(
+        "force of position", "mechanics", 1.0, 1.0, -0.013, 0.013, 14, 20.0, "N",
+        "a force on the stay", "position [m]",
+    ),
+    TermPlace(
+        "force of time", "mechanics", 1.0, 0.0, 0.0, 0.3, 16, 20.0, "N",
+        "a force on the stay", "time [s]",
+    ),
+    TermPlace(
+        "friction of speed", "friction", 5.0, 2.0, 0.0, 1.6, 9, 10.0, "N",
+        "resistance against the stay's motion", "speed [m/s]",
+    ),
+    TermPlace(
+        "friction of position", "friction", 5.0, 1.0, -0.013, 0.013, 14, 10.0, "N",
+        "resistance against the stay's motion", "position [m]",
+    ),
+    TermPlace(
+        "friction of rest", "friction", 5.0, 3.0, 0.0, 3.0, 7, 10.0, "N",
+        "resistance against the stay's motion", "rest before the stroke [log10 s]",
+    ),
+    TermPlace(
+        "charge flow of pressure", "flow restriction", 6.0, 3.0, 0.1, 1.0, 9, 0.05, "-",
+        "a relative change of the charge flows", "chamber pressure over supply pressure",
+    ),
+    TermPlace(
+        "discharge flow of pressure", "flow restriction", 7.0, 3.0, 1.0, 9.0, 9, 0.05, "-",
+        "a relative change of the discharge flows", "chamber pressure over atmosphere",
+    ),
+    TermPlace(
+        "leak of pressure", "leak", 8.0, 3.0, 1e5, 9e5, 8, 2e-4, "K kg/s",
+        "a flow out of every chamber", "chamber pressure [Pa]",
+    ),
+    TermPlace(
+        "exponent of speed", "thermodynamics", 9.0, 2.0, 0.0, 1.6, 7, 0.05, "-",
+        "a shift of the process exponents of compression", "piston speed [m/s]",
+    ),
+)
+
+
+def grid(place: TermPlace) -> np.ndarray:
+    """The nodes of a place's grid."""
+    return np.linspace(place.low, place.high, place.count)
+
+
+def term_candidate(place: TermPlace) -> Candidate:
+    """The term at a place as a candidate."""
+    whole = CATALOGUE["unnamed"]
+    names = tuple(f"node_{k:02d}" for k in range(place.count))
+
+    def change(setup: Setup, values: dict[str, float]) -> None:
+        whole.change(
+            setup,
+            {
+                "equation": place.equation,
+                "variable": place.variable,
+                "low": place.low,
+                "step": (place.high - place.low) / (place.count - 1),
+                "nodes": tuple(values[name] for name in names),  # type: ignore[dict-item]
+            },
+        )
+
+    limit = 200.0 * place.typical
+    parameters = tuple(
+        EffectParameter(name, place.unit, 0.0, -limit, limit, place.typical) for name in names
+    )
+    effect = Effect("unnamed", place.klass, whole.equation, place.what, parameters, change)
+    return Candidate(
+        effect,
+        place.name,
+        parameters,
+        (tuple(0.0 for _ in names),),
+        told_class=place.klass,
+    )
+
+
+def term_candidates() -> list[tuple[TermPlace, Candidate]]:
+    """All terms."""
+    return [(place, term_candidate(place)) for place in PLACES]
+
+
+def is_term(candidate: Candidate) -> bool:
+    """Whether a candidate is a non-parametric term."""
+    return candidate.id == "unnamed"
+
+
+def place_of(candidate: Candidate) -> TermPlace:
+    """The place of a term."""
+    return next(place for place in PLACES if place.name == candidate.variant)

@@ -1,0 +1,55 @@
+"""None of the named: when the best named hypothesis leaves structure, try terms in its place.
+
+Checked by: tests/unit/sil/diagnosis/test_unnamed.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from .judge import Judged
+from .search import Found, Search, Task
+from .terms import term_candidates
+from .verdict import Verdict
+
+TERM_ITERATIONS = 6
+
+
+def try_terms(
+    search: Search,
+    found: Found,
+    verdict: Verdict,
+    judged: Sequence[Judged],
+    told: Callable[[str], None],
+) -> bool:
+    """Fit non-parametric terms alone and beside the best single; True if any was tried.
+
+    Only if the leading hypothesis' residuals stand above the band of a clean campaign.
+    """
+    best = min(judged, key=lambda item: item.score)
+    if best.whole.beyond <= 0.0:
+        return False
+    told(
+        f"the best named hypothesis, {best.name}, leaves {best.whole.rms:.3g} of the expected "
+        "scatter: terms"
+    )
+    tasks = []
+    parents = [found.healthy, *found.of_size(1)[:1]]
+    for _place, candidate in term_candidates():
+        for parent in parents:
+            own = tuple(
+                tuple(table[p.name] for p in item.parameters)
+                for item, table in zip(parent.candidates, parent.values, strict=True)
+            )
+            tasks.append(
+                Task(
+                    (*parent.candidates, candidate),
+                    ((*own, candidate.starts[0]),),
+                    (parent.shared, parent.stroke),
+                    TERM_ITERATIONS,
+                )
+            )
+    done = search.run_tasks(tasks, found)
+    done.sort(key=lambda fit: fit.evidence())
+    search.polish(found, [fit.name for fit in done[:2]])
+    return bool(done)

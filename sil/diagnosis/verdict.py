@@ -1,0 +1,134 @@
+"""From judged hypotheses to a verdict: which causes are claimed, how surely, and against what.
+
+A cause is claimed only if its sign is physical, its interval excludes nothing-there, leaving it out
+costs more than chance would (on training and on held-out strokes alike), and no look-alike does as
+well; look-alikes that do are named as rivals.
+Checked by: tests/unit/sil/diagnosis/test_verdict.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from .judge import Judged, by_cause
+from .terms import is_term
+
+CLAIM = 15.0
+"""Least gain in score (log evidence) of a cause; see `false_alarm` for how it was chosen."""
+
+CLAIM_PER_STROKE = 1.5
+"""... and least gain per stroke: an effect that changes next to nothing is not claimed."""
+
+RIVAL_SHARE = 0.05
+"""A cause at least this probable beside the leading one is a rival."""
+
+CLEAR = 0.7
+"""Below this probability of the leading cause the verdict is ambiguous."""
+
+SUREST = 0.98
+"""No cause is given more: the catalogue itself may be wrong."""
+
+EXPLAINED_SHARE = 0.9
+"""A named cause that leaves structure must at least explain this share of the misfit."""
+
+
+@dataclass
+class Verdict:
+    """What is concluded, before figures are put to it.
+
+    leader: the hypothesis that stands; claimed: its causes that are claimed; probabilities: of
+    every cause at least RIVAL_SHARE probable; gains: score lost by leaving a claimed cause out.
+    """
+
+    kind: str
+    leader: Judged
+    healthy: Judged
+    claimed: tuple[str, ...] = ()
+    probabilities: dict[str, float] = field(default_factory=dict)
+    gains: dict[str, float] = field(default_factory=dict)
+    rivals: tuple[tuple[str, ...], ...] = ()
+
+
+def acceptable(item: Judged) -> bool:
+    """Whether a hypothesis' main parameters have physical signs and exclude neutral."""
+    fit = item.training
+    covariance = fit.covariance
+    k = fit.layout.healthy
+    for candidate, own in zip(fit.candidates, fit.values, strict=True):
+        if not is_term(candidate):
+            if not candidate.physical(own):
+                return False
+            deviation = covariance[k, k] ** 0.5
+            if abs(fit.shared[k]) < 2.0 * deviation:
+                return False
+        k += len(candidate.parameters)
+    return True
+
+
+def gain_of(name: str, leader: Judged, judged: Sequence[Judged]) -> float:
+    """Score lost by leaving a cause out: against the best hypothesis of the remaining causes."""
+    rest = set(leader.ids) - {name}
+    without = [item for item in judged if set(item.ids) <= rest]
+    return min(item.score for item in without) - leader.score
+
+
+def held_gain(leader: Judged, judged: Sequence[Judged], name: str) -> float:
+    """Gain on the held-out strokes alone."""
+    rest = set(leader.ids) - {name}
+    without = min((i for i in judged if set(i.ids) <= rest), key=lambda item: item.score)
+    if leader.held is None or without.held is None:
+        return gain_of(name, leader, judged)
+    return 0.5 * (without.held.chi2 - leader.held.chi2)
+
+
+def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
+    """The verdict on judged hypotheses (the healthy one among them; weighed already)."""
+    healthy = next(item for item in judged if not item.ids)
+    needed = max(CLAIM, CLAIM_PER_STROKE * strokes)
+
+    def stands(item: Judged) -> bool:
+        return all(
+            gain_of(name, item, judged) >= needed and held_gain(item, judged, name) > 0.0
+            for name in item.ids
+        )
+
+    standing = [item for item in sorted(judged, key=lambda i: i.score) if stands(item)]
+    leader = standing[0] if standing else healthy
+    if not leader.ids:
+        return Verdict("consistent", healthy, healthy)
+    probabilities = by_cause(judged)
+    gains = {name: gain_of(name, leader, judged) for name in leader.ids}
+    groups = rivals_of(leader, judged, probabilities)
+    told = {
+        name: min(p, SUREST)
+        for name, p in probabilities.items()
+        if name in leader.ids or (p >= RIVAL_SHARE and any(name in group for group in groups))
+    }
+    surest = max(told.values())
+    if "unnamed" in leader.ids and told["unnamed"] >= max(0.5, surest - 1e-9):
+        kind = "unnamed"
+    elif any(told[name] < CLEAR for name in leader.ids):
+        kind = "ambiguous"
+    else:
+        kind = "named"
+    return Verdict(kind, leader, healthy, leader.ids, told, gains, groups)
+
+
+def rivals_of(
+    leader: Judged, judged: Sequence[Judged], probabilities: dict[str, float]
+) -> tuple[tuple[str, ...], ...]:
+    """Groups of causes that the data cannot tell apart: each claimed one with what may replace it."""
+    groups = []
+    for name in leader.ids:
+        rest = set(leader.ids) - {name}
+        group = {name}
+        for item in judged:
+            other = set(item.ids) - rest
+            if rest <= set(item.ids) or item.ids:
+                for candidate in other - {name}:
+                    if name not in item.ids and probabilities[candidate] >= RIVAL_SHARE:
+                        group.add(candidate)
+        if len(group) > 1:
+            groups.append(tuple(sorted(group, key=lambda n: -probabilities[n])))
+    return tuple(dict.fromkeys(groups))
