@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 from can_dbc.errors import InputError
+from can_dbc.lockstep import NEVER_NS as NEVER_NS  # the largest instant of the lockstep, 78 h
 
 NS_PER_S = 1_000_000_000
-NEVER_NS = (1 << 48) - 1
-"""The instant of an event that does not come; also the largest instant that a lockstep frame
-carries, some 78 simulated hours."""
 
 
 def to_ns(seconds: float, place: str = "time") -> int:

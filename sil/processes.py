@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import select
 import signal
@@ -88,20 +89,28 @@ class ChildProcess:
 
 
 @contextlib.contextmanager
-def pinned_to_one_core() -> Iterator[int | None]:
-    """Keep this process, and the children it starts meanwhile, on one core; yield which.
+def sharing_one_core(pids: Sequence[int]) -> Iterator[int | None]:
+    """Keep the calling thread and these processes on the core it runs on; yield which.
 
-    Two processes in lockstep take turns, and a turn passed to a neighbour core that sleeps costs
-    several times one passed on the same core.  Yields None where there is but one core.  The
-    affinity that stood before is put back.  Checked by test_participants.
+    Two processes in lockstep take turns, and waking a neighbour core that sleeps costs several
+    times what a turn passed on the same core does.  Yields None, and changes nothing, where there
+    is but one core or affinity may not be set.  The affinity of the calling thread is put back.
+    Checked by test_participants.
     """
     allowed = os.sched_getaffinity(0)
-    if len(allowed) < 2:
-        yield None
-        return
-    core = sorted(allowed)[os.getpid() % len(allowed)]
-    os.sched_setaffinity(0, {core})
     try:
-        yield core
+        yield _gathered((0, *pids), allowed)
     finally:
         os.sched_setaffinity(0, allowed)
+
+
+def _gathered(pids: Sequence[int], allowed: set[int]) -> int | None:
+    core: int = ctypes.CDLL(None).sched_getcpu()
+    if len(allowed) < 2 or core not in allowed:
+        return None
+    try:
+        for pid in pids:
+            os.sched_setaffinity(pid, {core})
+    except (PermissionError, ProcessLookupError):  # one is not ours, or is gone: leave it at that
+        return None
+    return core

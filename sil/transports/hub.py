@@ -83,11 +83,12 @@ class Hub(RemoteChannel):
         scenario: int = 0,
         patience: Patience | None = None,
         say: Callable[[str], None] = silent,
+        share_core: bool = True,
     ) -> None:
         """Open the channel.  Raises RunError when another hub has it, InputError for its name."""
         self._listener, self.path = address.listen(channel)
         self.channel = channel
-        super().__init__(names, scenario, patience or Patience(), say)
+        super().__init__(names, scenario, patience or Patience(), say, share_core)
         self._plain = not names
         self._buffer = bytearray(_BUFFER_BYTES + 1)
         self._clients: dict[int, _Client] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import select
 import time
 from abc import ABC, abstractmethod
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from can_dbc.frame import EDP_BIT, Frame
 from can_dbc.messages import StopReason
-from sil.processes import ChildProcess
+from sil.processes import ChildProcess, sharing_one_core
 from sil.transports import wire
 from sil.transports.channel import NOBODY, ChannelCounts, ParticipantLost, Patience, Turn
 from sil.transports.wire import Kind, Refusal
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
 
 def silent(message: str) -> None:
     """Say nothing: for runs whose user asked for no messages."""
+
+
+MOST_OFFERS = 100_000
+"""Frames that a participant may offer in one turn."""
 
 
 class Peer:
@@ -65,6 +70,8 @@ class Peer:
                     f"sent 0x{can_id:08X} past the arbitration; expected an offer (EDP set)"
                 )
             self._frames.append((self._release_ns, Frame(can_id & ~EDP_BIT, payload)))
+            if len(self._frames) > MOST_OFFERS:
+                raise self._against_rules(f"offered more than {MOST_OFFERS} frames in one turn")
         elif said.participant != self.number:
             raise self._against_rules(f"spoke as participant number {said.participant}")
         elif said.kind == Kind.RELEASE:
@@ -85,6 +92,11 @@ class Peer:
             raise ParticipantLost(self.name, "failed; its own error output says why")
         else:
             raise self._against_rules(f"sent {said.kind.name}, which is not its to send")
+
+    @property
+    def offered(self) -> int:
+        """Frames offered so far in this turn."""
+        return len(self._frames)
 
     def turn(self) -> Turn:
         """Return the finished turn."""
@@ -109,9 +121,11 @@ class RemoteChannel(ABC):
         scenario: int,
         patience: Patience,
         say: Callable[[str], None],
+        share_core: bool,
     ) -> None:
         """`scenario`: 32 bits that tell scenarios apart; 0 joins with any.  `say` takes messages
-        for the user while the run waits."""
+        for the user while the run waits.  `share_core`: once all have joined, keep this thread and
+        the processes spawned here on one core (`core` is which, None without)."""
         self.names = tuple(names)
         self.counts = ChannelCounts()
         self._by_name = {name: Peer(name, wire.PARTICIPANTS[name]) for name in names}
@@ -119,6 +133,9 @@ class RemoteChannel(ABC):
         self._children: dict[str, ChildProcess] = {}
         self._scenario = scenario
         self._patience = patience
+        self._share_core = share_core
+        self._sharing = contextlib.ExitStack()
+        self.core: int | None = None
         self._say = say
         self._now_ns = 0
         self._closed = False
@@ -185,6 +202,9 @@ class RemoteChannel(ABC):
             self._pump(min(deadline, told) - now)
         for peer in self._peers.values():
             peer.expect_first_event()
+        if self._share_core and self._children:
+            pids = [child.pid for child in self._children.values()]
+            self.core = self._sharing.enter_context(sharing_one_core(pids))
         self._send_all(wire.control(Kind.START, value=end_ns))
         answered = time.monotonic() + self._patience.answer_s
         return {p.name: self._await_answer(p, answered).next_ns for p in self._peers.values()}
@@ -216,6 +236,7 @@ class RemoteChannel(ABC):
             for child in self._children.values():
                 child.end(max(0.0, deadline - time.monotonic()))
             self._poll.close()
+            self._sharing.close()
 
     # -- for subclasses -----------------------------------------------------------------------
 
@@ -238,11 +259,19 @@ class RemoteChannel(ABC):
                 handler(events)
 
     def _await_answer(self, peer: Peer, deadline: float) -> Turn:
-        """Pump until the participant is done; raises ParticipantLost when that takes too long."""
+        """Pump until the participant is done.
+
+        Raises ParticipantLost when it says nothing at all until the deadline, or for as long again.
+        """
+        offered = 0
         while peer.done is None:
             left = deadline - time.monotonic()
             self._pump(max(0.0, left))
             if left <= 0.0 and peer.done is None:
+                if peer.offered > offered:
+                    offered = peer.offered
+                    deadline = time.monotonic() + self._patience.answer_s
+                    continue
                 raise ParticipantLost(
                     peer.name, f"did not answer within {self._patience.answer_s:g} s: it stalled"
                 )

@@ -147,6 +147,7 @@ class SocketCan(RemoteChannel):
         scenario: int = 0,
         patience: Patience | None = None,
         say: Callable[[str], None] = silent,
+        share_core: bool = True,
     ) -> None:
         """Open the channel.  Raises InputError when there is none, RunError when it is taken."""
         self._can = CanSocket(interface, ANY_FRAME)
@@ -159,7 +160,7 @@ class SocketCan(RemoteChannel):
             raise RunError(f"channel {interface!r}: another run uses it") from None
         self._listener.listen(16)
         self._listener.setblocking(False)
-        super().__init__(names, scenario, patience or Patience(), say)
+        super().__init__(names, scenario, patience or Patience(), say, share_core)
         self._speaker: Peer | None = None
         self._granted: list[Peer] = []
         self._unread = dict.fromkeys(self._peers, 0)

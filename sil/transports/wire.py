@@ -43,8 +43,8 @@ from typing import NamedTuple
 from zlib import crc32
 
 from can_dbc.frame import DP_BIT, EDP_BIT, MAX_ID, MAX_LENGTH, Frame
+from can_dbc.lockstep import NEVER_NS, NOBODY
 from can_dbc.messages import ParticipantId
-from sil.clock import NEVER_NS
 
 if sys.byteorder != "little":
     raise ImportError("the lockstep records are those of a little-endian machine")
@@ -56,8 +56,6 @@ COORDINATOR = int(ParticipantId.COORDINATOR)
 PARTICIPANTS = {p.name.lower(): int(p) for p in ParticipantId if p != ParticipantId.COORDINATOR}
 """Participant name to its number on the wire."""
 NAMES = {number: name for name, number in PARTICIPANTS.items()}
-NOBODY = 255
-
 EXTENDED = 0x8000_0000
 """SocketCAN's flag of a 29-bit identifier; remote and error frames carry others and are refused."""
 RECORD = struct.Struct("<IB3x8s")

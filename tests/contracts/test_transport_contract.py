@@ -72,10 +72,13 @@ def test_the_hash_sees_every_part_of_a_run(tmp_path: Path, reference: str) -> No
 
 @every_transport
 def test_same_hash_as_in_one_process(transport: str, tmp_path: Path, reference: str) -> None:
+    cores = os.sched_getaffinity(0)
     with toy_run(transport, tmp_path / "run", END_NS) as run:
         summary = run.lockstep.run()
     assert run.sha256() == reference
     assert run.lockstep.warnings == []
+    assert os.sched_getaffinity(0) == cores
+    assert run.remote is None or run.remote.core in {None, *cores}
     frames = len((run.folder / BUS_LOG).read_text().splitlines())
     assert summary.frames == frames > 200
     trace = read_trace(run.folder / PLANT_TRACE)

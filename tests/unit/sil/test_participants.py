@@ -18,7 +18,7 @@ import pytest
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
 from sil.participants import open_link, take_part
-from sil.processes import ChildProcess, pinned_to_one_core
+from sil.processes import ChildProcess, sharing_one_core
 from sil.transports.hub import Hub
 from sil.transports.link import LocalLink
 
@@ -125,21 +125,17 @@ def test_a_child_whose_parent_is_gone_already_does_not_begin() -> None:
     assert begun.stderr == "the process that started this one has ended\n"
 
 
-def test_pinning_lasts_as_long_as_the_block() -> None:
+def test_a_core_is_shared_as_long_as_the_block_lasts() -> None:
     before = os.sched_getaffinity(0)
-    with pinned_to_one_core() as core:
-        inside = os.sched_getaffinity(0)
-        seen = subprocess.run(
-            python("import os; print(sorted(os.sched_getaffinity(0)))"),
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
+    child = ChildProcess("plant", python("import time; time.sleep(600)"))
+    with sharing_one_core([child.pid]) as core:
+        inside = [os.sched_getaffinity(pid) for pid in (0, child.pid)]
     assert os.sched_getaffinity(0) == before
-    if len(before) > 1:
-        assert inside == {core} and seen.strip() == f"[{core}]"
-    else:
-        assert core is None and inside == before
+    assert (inside == [{core}] * 2) if len(before) > 1 else (core is None)
+    child.end(0.0)
+    with sharing_one_core([child.pid]) as core:
+        assert core is None, "a process that is gone is nobody to share with"
+    assert os.sched_getaffinity(0) == before
 
 
 class Counter:
