@@ -202,7 +202,7 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
         q[Q_MASS_OUT] = (1.0 - u1) * out1 / p[T_GAS]
         q[Q_MASS_OUT + 1] = (1.0 - u2) * out2 / p[T_GAS]
         q[Q_MASS_OUT + 2] = 0.0
-        q[Q_FRICTION] = (stay_sliding(y[FX], v, d, p) + seal(y, p)) * abs(v) if d != 0 else 0.0
+        q[Q_FRICTION] = (stay_sliding(y[FX], v, d, p) + seal(y, p)) * d * v if d != 0 else 0.0
         q[Q_DAMPER] = 0.0
         if m[M_DAMPER] != 0:
             q[Q_DAMPER] = v * p[A_OIL] * damper_difference(y[FX], v, y[FOIL], m, p)

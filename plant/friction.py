@@ -11,13 +11,14 @@ from .compiled import inlined
 def sliding(speed_m_s, static_n, run_n, beta, stribeck_m_s):
     """Kinetic friction F_rf + beta |v| [N], with a Stribeck fall from static if a speed is given.
 
+    The speed counts in the direction of motion, so that the law goes on smoothly through zero
+    within a step that ends at the turn.
     Source: thesis 3.1.5 (F_df); Stribeck term as in Armstrong-Helouvry 1991.
     Checked by: tests/physics/test_friction.py
     """
-    speed = abs(speed_m_s)
-    level = run_n + beta * speed
+    level = run_n + beta * speed_m_s
     if stribeck_m_s > 0.0 and static_n > run_n:
-        level += (static_n - run_n) * exp(-speed / stribeck_m_s)
+        level += (static_n - run_n) * exp(-max(speed_m_s, 0.0) / stribeck_m_s)
     return level
 
 

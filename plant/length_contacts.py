@@ -43,16 +43,18 @@ from .layout import (
     XS,
 )
 from .length_equations import (
+    TOUCH_M,
     accelerations,
+    damper_side,
     net_forces,
     oil_rate,
     piston_sliding,
     piston_static,
     stay_sliding,
     stay_static,
+    touching,
 )
 
-TOUCH_M = 1e-9
 EPS_M = 1e-13
 EPS_M_S = 1e-11
 EPS_N = 1e-7
@@ -61,6 +63,8 @@ EPS_PA = 1e-7
 REST_M_S = 1e-4
 # Equal velocities of touching bodies, up to rounding.
 SAME_M_S = 1e-10
+# Touching bodies that part slower than this stay together: the end of a Zeno sequence of contacts.
+SLOW_M_S = 1e-5
 FAR = 1.0e30
 
 GUARDS = 20
@@ -92,7 +96,7 @@ GUARDS = 20
 def stay_limits(y, m, p):
     """Highest and lowest stay position now: the end stops, or the synchronizer while unspent."""
     high = p[STROKE] + p[STOP_OFFSET]
-    if m[M_INSIDE] != 0 and y[SPENT] < p[SYNC_IMPULSE]:
+    if m[M_BLOCKED] != 0 or (m[M_INSIDE] != 0 and y[SPENT] < p[SYNC_IMPULSE]):
         high = p[X_BLOCK]
     return high, -high
 
@@ -227,11 +231,13 @@ def guards(t, y, m, p, work, g):
     if d1 != 0:
         if c1 == FREE:
             g[G_SPEED1] = d1 * w1 + EPS_M_S
-        g[G_OUTER1] = y[X1] + EPS_M
+        if d1 < 0:
+            g[G_OUTER1] = y[X1] + EPS_M
     if d2 != 0:
         if c2 == FREE:
             g[G_SPEED2] = d2 * w2 + EPS_M_S
-        g[G_OUTER2] = y[X2] + EPS_M
+        if d2 > 0:
+            g[G_OUTER2] = y[X2] + EPS_M
     if c1 == FREE and (d1 != 0 or d != 0):
         gap = y[X1] - y[XS]
         if gap < 0.5 * p[X_FREE]:
@@ -258,7 +264,7 @@ def guards(t, y, m, p, work, g):
     if m[M_BLOCKED] != 0:
         g[G_SYNC] = p[SYNC_IMPULSE] - y[SPENT]
     if m[M_DAMPER] == 2:
-        side = 1.0 if y[XS] >= 0.0 else -1.0
+        side = damper_side(y[XS], y[VS])
         if m[M_OIL_REST] != 0:
             if d != 0:
                 g[G_OIL_FILL] = EPS_M_S - side * y[VS]
@@ -270,31 +276,43 @@ def guards(t, y, m, p, work, g):
 
 
 @inlined
-def join_velocity(y, m, p, which):
-    """Inelastic contact of the stay (with the other piston, if joined) and one piston.
+def meets(contact, relative):
+    """True if touching bodies change their velocities: they close, or part too slowly to count.
 
-    Conserves momentum; returns the kinetic energy lost [J].  A piston at rest on its outer stop
-    that would be pushed inward is fixed (thesis 3.3.2): the stay stops or rebounds.
+    relative: rate at which their gap grows [m/s].
     """
+    if contact == FREE or abs(relative) <= SAME_M_S:
+        return False
+    return (relative if contact == NUT else -relative) < SLOW_M_S
+
+
+@inlined
+def join_velocity(y, p, which):
+    """Inelastic contact of the stay and one piston; returns the kinetic energy lost [J].
+
+    Conserves momentum.  The other piston takes part if it touches and does not part.
+    """
+    vs = y[VS]
     w1 = y[V1]
     w2 = -y[V2]
-    mass = p[M_S]
-    other = m[M_JOINED2] if which == 1 else m[M_JOINED1]
-    if other != FREE:
-        mass += p[M_P]
-    v = (mass * y[VS] + p[M_P] * (w1 if which == 1 else w2)) / (mass + p[M_P])
-    relative = y[VS] - (w1 if which == 1 else w2)
-    lost = 0.5 * mass * p[M_P] / (mass + p[M_P]) * relative * relative
-    y[VS] = v
+    before = p[M_S] * vs * vs + p[M_P] * (w1 * w1 + w2 * w2)
     if which == 1:
-        y[V1] = v
-        if other != FREE:
-            y[V2] = -v
+        v = (p[M_S] * vs + p[M_P] * w1) / (p[M_S] + p[M_P])
+        contact = touching(y[X2] + y[XS], p)
+        both = contact != FREE and sign_ahead(2, contact) * (w2 - v) < SLOW_M_S
     else:
+        v = (p[M_S] * vs + p[M_P] * w2) / (p[M_S] + p[M_P])
+        contact = touching(y[X1] - y[XS], p)
+        both = contact != FREE and sign_ahead(1, contact) * (w1 - v) < SLOW_M_S
+    if both:
+        v = (p[M_S] * vs + p[M_P] * (w1 + w2)) / (p[M_S] + 2.0 * p[M_P])
+    if both or which == 1:
+        y[V1] = v
+    if both or which == 2:
         y[V2] = -v
-        if other != FREE:
-            y[V1] = v
-    return lost
+    y[VS] = v
+    after = p[M_S] * v * v + p[M_P] * (y[V1] * y[V1] + y[V2] * y[V2])
+    return 0.5 * (before - after)
 
 
 @inlined
@@ -338,10 +356,12 @@ def impacts(y, m, p, record):
         # neutral: a piston at rest on its outer stop is as fixed as the housing
         elif y[VS] < 0.0 and y[X2] + y[XS] <= TOUCH_M and y[X2] <= TOUCH_M and y[V2] <= 0.0:
             held = -2.0
-            y[XS] = -y[X2]
+            y[XS] = 0.0
+            y[X2] = 0.0
         elif y[VS] > 0.0 and y[X1] - y[XS] <= TOUCH_M and y[X1] <= TOUCH_M and y[V1] <= 0.0:
             held = 2.0
-            y[XS] = y[X1]
+            y[XS] = 0.0
+            y[X1] = 0.0
         if held != 0.0:
             at_block = abs(held) == 1.0 and abs(y[XS]) < p[STROKE] + p[STOP_OFFSET] - TOUCH_M
             after = 0.0 if at_block else rebound(y[VS], p)
@@ -352,37 +372,33 @@ def impacts(y, m, p, record):
             y[VS] = after
             again = True
         # contacts of stay and pistons
-        gap = y[X1] - y[XS]
         relative = y[V1] - y[VS]
-        if (gap <= TOUCH_M and relative < -SAME_M_S) or (
-            gap >= p[X_FREE] - TOUCH_M and relative > SAME_M_S
-        ):
+        if meets(touching(y[X1] - y[XS], p), relative):
             stopped = (
                 (y[XS] >= high - TOUCH_M and relative > 0.0)
                 or (y[XS] <= low + TOUCH_M and relative < 0.0)
                 or (relative < 0.0 and y[X2] + y[XS] <= TOUCH_M and y[X2] <= TOUCH_M)
+                or abs(relative) < SLOW_M_S
             ) and y[VS] == 0.0
             if stopped:
                 record[0] += 0.5 * p[M_P] * y[V1] * y[V1]
                 y[V1] = 0.0
             else:
-                record[0] += join_velocity(y, m, p, 1)
+                record[0] += join_velocity(y, p, 1)
             again = True
-        gap = y[X2] + y[XS]
         relative = y[VS] + y[V2]
-        if (gap <= TOUCH_M and relative < -SAME_M_S) or (
-            gap >= p[X_FREE] - TOUCH_M and relative > SAME_M_S
-        ):
+        if meets(touching(y[X2] + y[XS], p), relative):
             stopped = (
                 (y[XS] <= low + TOUCH_M and relative > 0.0)
                 or (y[XS] >= high - TOUCH_M and relative < 0.0)
                 or (relative < 0.0 and y[X1] - y[XS] <= TOUCH_M and y[X1] <= TOUCH_M)
+                or abs(relative) < SLOW_M_S
             ) and y[VS] == 0.0
             if stopped:
                 record[0] += 0.5 * p[M_P] * y[V2] * y[V2]
                 y[V2] = 0.0
             else:
-                record[0] += join_velocity(y, m, p, 2)
+                record[0] += join_velocity(y, p, 2)
             again = True
         if not again:
             break
@@ -421,11 +437,13 @@ def settle(t, y, m, p, work):
     """Choose the modes that continue the motion from here: who is joined, who rests, who moves.
 
     Bodies start apart; touching bodies whose accelerations (or pushes at rest) would close the
-    contact are joined, until none closes (the one-dimensional contact problem, solved as
-    pool-adjacent-violators does).  Friction at rest is set-valued.
+    contact are joined, until none closes; then those that would pull are parted (the
+    one-dimensional contact problem, solved as pool-adjacent-violators does).  Friction at rest is
+    set-valued; touching bodies that break away together are all sliding from there on.
     """
     force = work[0:3]
     note_side(y, m, p)
+    m[M_BLOCKED] = 0
     m[M_STAY] = 0
     m[M_PISTON1] = 0
     m[M_PISTON2] = 0
@@ -438,12 +456,8 @@ def settle(t, y, m, p, work):
     gap2 = y[X2] + y[XS]
     same1 = abs(y[V1] - y[VS]) <= SAME_M_S
     same2 = abs(y[V2] + y[VS]) <= SAME_M_S
-    touch1 = FREE
-    if same1:
-        touch1 = NUT if gap1 <= TOUCH_M else (COLLAR if gap1 >= p[X_FREE] - TOUCH_M else FREE)
-    touch2 = FREE
-    if same2:
-        touch2 = NUT if gap2 <= TOUCH_M else (COLLAR if gap2 >= p[X_FREE] - TOUCH_M else FREE)
+    touch1 = touching(gap1, p) if same1 else FREE
+    touch2 = touching(gap2, p) if same2 else FREE
     c1 = FREE
     c2 = FREE
     pressure1 = y[PB] - y[PN]
@@ -501,8 +515,8 @@ def settle(t, y, m, p, work):
                 drive2,
                 piston_static(1.0, pressure2, p),
                 piston_static(-1.0, pressure2, p),
-                piston_sliding(y[V2], 1.0, pressure2, p),
-                piston_sliding(y[V2], -1.0, pressure2, p),
+                piston_sliding(-y[V2], 1.0, pressure2, p),
+                piston_sliding(-y[V2], -1.0, pressure2, p),
                 p[M_P],
                 y[X2] <= TOUCH_M,
                 False,
@@ -516,6 +530,32 @@ def settle(t, y, m, p, work):
             joined = True
         if not joined:
             break
+    # a contact that would have to pull is none: a piston that slides faster than the group leaves it
+    d = direction_of(y[VS], a)
+    for _ in range(2):
+        if d == 0 or (c1 == FREE and c2 == FREE):
+            break
+        alone1 = (drive1 - d * piston_sliding(y[VS], d, pressure1, p)) / p[M_P]
+        alone2 = (drive2 - d * piston_sliding(y[VS], d, pressure2, p)) / p[M_P]
+        if c1 != FREE and sign_ahead(1, c1) * (alone1 - a) > 0.0:
+            a1 = alone1
+            c1 = FREE
+        elif c2 != FREE and sign_ahead(2, c2) * (alone2 - a) > 0.0:
+            a2 = alone2
+            c2 = FREE
+        else:
+            break
+        mass = p[M_S]
+        a = drive_s - d * stay_sliding(y[XS], y[VS], d, p)
+        if c1 != FREE:
+            mass += p[M_P]
+            a += p[M_P] * alone1
+        if c2 != FREE:
+            mass += p[M_P]
+            a += p[M_P] * alone2
+        a /= mass
+        if y[VS] == 0.0 and d * a < 0.0:
+            a = 0.0
     m[M_JOINED1] = c1
     m[M_JOINED2] = c2
     m[M_STAY] = direction_of(y[VS], a)
@@ -527,14 +567,13 @@ def settle(t, y, m, p, work):
     if touch2 != FREE:
         y[X2] = (p[X_FREE] if touch2 == COLLAR else 0.0) - y[XS]
         y[V2] = -y[VS]
-    m[M_BLOCKED] = 0
     if m[M_STAY] == 0 and y[SPENT] < p[SYNC_IMPULSE]:
         if abs(y[XS] - p[X_BLOCK]) <= TOUCH_M:
             m[M_BLOCKED] = 1
         elif abs(y[XS] + p[X_BLOCK]) <= TOUCH_M:
             m[M_BLOCKED] = -1
     if m[M_DAMPER] == 2:
-        side = 1.0 if y[XS] >= 0.0 else -1.0
+        side = damper_side(y[XS], y[VS])
         if y[XS] == 0.0 and m[M_STAY] != 0:
             side = float(m[M_STAY])
         m[M_OIL_REST] = 0

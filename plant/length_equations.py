@@ -41,6 +41,7 @@ from .layout import (
     CD_SLOPE,
     CDA_IN,
     CDA_OUT,
+    COLLAR,
     DAMPER_DRAG,
     DETENT_FORCE,
     DETENT_WIDTH,
@@ -51,6 +52,7 @@ from .layout import (
     F_STATIC_P,
     F_STATIC_S,
     FLOW_MODEL,
+    FREE,
     GAMMA,
     K_IN,
     K_OUT,
@@ -74,6 +76,7 @@ from .layout import (
     M_S,
     M_STAY,
     MESH_FORCE,
+    NUT,
     P_ATM,
     P_SUPPLY,
     PB,
@@ -116,11 +119,15 @@ from .layout import (
     W_PULL,
     X1,
     X2,
+    X_FREE,
     X_HOLE,
     X_MESH,
     XS,
 )
 from .synchronizer import barrier
+
+# Bodies nearer than this touch.
+TOUCH_M = 1e-9
 
 
 @inlined
@@ -209,7 +216,7 @@ def term_drag(x, speed, p):
 @inlined
 def stay_sliding(x, v, direction, p):
     """Sliding friction of the stay in its direction of motion [N], >= 0."""
-    level = sliding(v, p[F_STATIC_S], p[F_RUN_S], p[BETA_S], p[STRIBECK_V])
+    level = sliding(direction * v, p[F_STATIC_S], p[F_RUN_S], p[BETA_S], p[STRIBECK_V])
     level = level * direction_factor(direction, p) + extra_drag(x, direction, p)
     if p[TERM_EQUATION] == 5.0:
         level = max(0.0, level + term_drag(x, abs(v), p))
@@ -234,8 +241,8 @@ def seal_drag(difference_pa, p):
 
 @inlined
 def piston_sliding(v, direction, difference_pa, p):
-    """Sliding friction of one piston [N]."""
-    level = sliding(v, p[F_STATIC_P], p[F_RUN_P], p[BETA_P], p[STRIBECK_V])
+    """Sliding friction of one piston [N]; v and direction are those of x_s."""
+    level = sliding(direction * v, p[F_STATIC_P], p[F_RUN_P], p[BETA_P], p[STRIBECK_V])
     return level * direction_factor(direction, p) + seal_drag(difference_pa, p)
 
 
@@ -284,12 +291,18 @@ def oil_rate(distance, speed, oil_pa, p):
 
 
 @inlined
+def damper_side(x, v):
+    """Side of neutral on which the damper acts, +1 or -1; at neutral the one the stay goes to."""
+    return 1.0 if x > 0.0 or (x == 0.0 and v >= 0.0) else -1.0
+
+
+@inlined
 def stay_force(y, m, p, t):
     """Net driving force on the stay without friction and contacts [N]."""
     x = y[XS]
     force = (y[PB] - y[PF]) * p[AREA_S] + conservative_force(x, p)
     if m[M_DAMPER] != 0:
-        side = 1.0 if x >= 0.0 else -1.0
+        side = damper_side(x, y[VS])
         force -= side * p[A_OIL] * damper_difference(abs(x), side * y[VS], y[LOIL], m, p)
     if p[TERM_EQUATION] == 1.0:
         force += term_force(y, p, t)
@@ -328,7 +341,7 @@ def net_forces(y, m, p, t, out):
     two = -dp2 * p[AREA_P]
     d2 = m[M_PISTON2]
     if d2 != 0:
-        two -= d2 * piston_sliding(y[V2], d2, dp2, p)
+        two -= d2 * piston_sliding(-y[V2], d2, dp2, p)
     out[0] = stay
     out[1] = one
     out[2] = two
@@ -360,16 +373,28 @@ def accelerations(m, p, force, out):
 
 
 @inlined
-def blocked_force(m, p, force):
-    """Force that would drive the stay through the synchronizer, positive outward [N].
+def touching(gap, p):
+    """Contact of stay and piston at this gap: NUT, COLLAR or FREE."""
+    if gap <= TOUCH_M:
+        return NUT
+    return COLLAR if gap >= p[X_FREE] - TOUCH_M else FREE
 
-    Net of the kinetic friction at 0+ of what would move: it is the force that would accelerate.
+
+@inlined
+def blocked_force(y, m, p, force):
+    """Driving force of the stay and of the pistons at rest on it against the synchronizer [N].
+
+    Positive outward; without friction, as the static friction's share is not determined.
     """
     total = force[0]
-    if m[M_JOINED1] != 0:
-        total += force[1]
-    if m[M_JOINED2] != 0:
-        total += force[2]
+    if m[M_PISTON1] == 0:
+        contact = touching(y[X1] - y[XS], p)
+        if (contact == NUT and force[1] < 0.0) or (contact == COLLAR and force[1] > 0.0):
+            total += force[1]
+    if m[M_PISTON2] == 0:
+        contact = touching(y[X2] + y[XS], p)
+        if (contact == NUT and force[2] > 0.0) or (contact == COLLAR and force[2] < 0.0):
+            total += force[2]
     return total * m[M_BLOCKED]
 
 
@@ -461,9 +486,9 @@ def rates(t, y, dy, m, u0, du, p, c, work, quadratures):
     dy[PB] = pressure_rate(y[PB], ub, in_b, out_b, leak_b, vol_b, rate_b, r, am1, a1, am2, a2)
     dy[PN] = pressure_rate(y[PN], un, in_n, out_n, leak_n, vol_n, rate_n, r, am1, a1, am2, a2)
     dy[PF] = pressure_rate(y[PF], uf, in_f, out_f, leak_f, vol_f, rate_f, r, am1, a1, am2, a2)
-    dy[SPENT] = max(0.0, blocked_force(m, p, force)) if m[M_BLOCKED] != 0 else 0.0
+    dy[SPENT] = max(0.0, blocked_force(y, m, p, force)) if m[M_BLOCKED] != 0 else 0.0
     if m[M_DAMPER] == 2 and m[M_OIL_REST] == 0:
-        side = 1.0 if y[XS] >= 0.0 else -1.0
+        side = damper_side(y[XS], vs)
         dy[LOIL] = oil_rate(abs(y[XS]), side * vs, y[LOIL], p)
     else:
         dy[LOIL] = 0.0
@@ -491,16 +516,17 @@ def rates(t, y, dy, m, u0, du, p, c, work, quadratures):
         q[Q_MASS_OUT] = (1.0 - ub) * out_b / temperature
         q[Q_MASS_OUT + 1] = (1.0 - un) * out_n / temperature
         q[Q_MASS_OUT + 2] = (1.0 - uf) * out_f / temperature
-        loss = 0.0
-        if m[M_STAY] != 0:
-            loss += stay_sliding(y[XS], vs, m[M_STAY], p) * abs(vs)
-        if m[M_PISTON1] != 0:
-            loss += piston_sliding(v1, m[M_PISTON1], y[PB] - y[PN], p) * abs(v1)
-        if m[M_PISTON2] != 0:
-            loss += piston_sliding(v2, m[M_PISTON2], y[PF] - y[PN], p) * abs(v2)
+        d = m[M_STAY]
+        loss = stay_sliding(y[XS], vs, d, p) * d * vs if d != 0 else 0.0
+        d = m[M_PISTON1]
+        if d != 0:
+            loss += piston_sliding(v1, d, y[PB] - y[PN], p) * d * v1
+        d = m[M_PISTON2]
+        if d != 0:
+            loss -= piston_sliding(-v2, d, y[PF] - y[PN], p) * d * v2
         q[Q_FRICTION] = loss
         if m[M_DAMPER] != 0:
-            side = 1.0 if y[XS] >= 0.0 else -1.0
+            side = damper_side(y[XS], vs)
             q[Q_DAMPER] = (
                 side * vs * p[A_OIL] * damper_difference(abs(y[XS]), side * vs, y[LOIL], m, p)
             )
