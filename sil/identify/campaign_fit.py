@@ -44,7 +44,7 @@ def fit_factors(
     places: parameter path -> positions in the packed array that it stands at; known: healthy unit
     tolerances that the parameters themselves express (kept at zero).
     """
-    observed = [replace(observe(campaign, entry, parameters), internal=None) for entry in strokes]
+    observed = [replace(observe(entry, campaign.record(entry), parameters), internal=None) for entry in strokes]
     model = CampaignModel(observed, Spread.of(parameters))
     paths = tuple(places)
 

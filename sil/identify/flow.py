@@ -23,7 +23,7 @@ from sil.campaign import Campaign
 from sil.identify.estimate import Curve, Estimate, Floats, Identified, Panel
 
 SMOOTH_S = 0.004
-SETTLE_S = 0.003
+SETTLE_S = 0.0015
 
 
 @dataclass(frozen=True)

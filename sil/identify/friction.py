@@ -45,8 +45,8 @@ def net_force(record: Record, p: Floats, atmosphere_pa: float) -> Floats:
     return np.asarray(one * p[L.AREA_P] - two * p[L.AREA_P2] - atmosphere_pa * p[L.AREA_S])
 
 
-def breakaway_s(time_s: Floats, position_m: Floats) -> float:
-    """Instant of first motion, from the beginning of the travel followed back to zero.
+def breakaway_s(time_s: Floats, position_m: Floats) -> tuple[float, float]:
+    """Instant of first motion and its standard error [s], from the beginning of the travel.
 
     At breakaway the friction falls at once from static to sliding while the force goes on rising:
     the travel begins as a/2 t^2 + j/6 t^3 after that instant, fitted over its first eighth.
@@ -71,7 +71,8 @@ def breakaway_s(time_s: Floats, position_m: Floats) -> float:
     fit = least_squares(
         residual, guess, bounds=([float(t[0]), 0.0, 0.0], [end, 1e4, 1e8]), x_scale=[1e-3, 10.0, 1e4]
     )
-    return float(fit.x[0])
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * max(1.0, 2.0 * fit.cost / (len(x) - 3))
+    return float(fit.x[0]), float(np.sqrt(covariance[0, 0]))
 
 
 def identify_friction(campaign: Campaign, parameters: ParameterSet) -> Identified:
@@ -79,15 +80,17 @@ def identify_friction(campaign: Campaign, parameters: ParameterSet) -> Identifie
     from scipy.signal import savgol_filter
 
     strokes = plain_strokes(campaign)
-    static, slopes, offsets = [], [], []
+    static, doubts, slopes, offsets = [], [], [], []
     speeds, forces = [], []
     for entry, record in strokes:
         p = make_setup(parameters, entry.conditions).p
         time_s = record.time_s - record.time_s[0]
         force = net_force(record, p, campaign.atmosphere_pa)
-        begin = breakaway_s(time_s, record["position_m"])
-        static.append(float(np.interp(begin, time_s, savgol_filter(force, 15, 2))))
+        begin, doubt = breakaway_s(time_s, record["position_m"])
         step = float(np.median(np.diff(time_s)))
+        static.append(float(np.interp(begin, time_s, savgol_filter(force, 15, 2))))
+        rising = float(np.interp(begin, time_s, savgol_filter(force, 15, 2, deriv=1, delta=step)))
+        doubts.append(abs(rising) * doubt)
         window = 2 * round(0.5 * 0.003 / step) + 1
         velocity = savgol_filter(record["position_m"], window, 3, deriv=1, delta=step)
         acceleration = savgol_filter(record["position_m"], window, 3, deriv=2, delta=step)
@@ -113,6 +116,9 @@ def identify_friction(campaign: Campaign, parameters: ParameterSet) -> Identifie
         slopes.append(a)
         offsets.append(b)
     mean, low, high = interval(static)
+    # the instant is not known better than its fit, the same way in every stroke: no averaging out
+    half = float(np.hypot(high - mean, 1.96 * np.mean(doubts)))
+    low, high = mean - half, mean + half
     beta_low, beta_high = (float(x) for x in np.percentile(slopes, [2.5, 97.5]))
     run_low, run_high = (float(x) for x in np.percentile(offsets, [2.5, 97.5]))
     n = len(strokes)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from can_dbc.errors import InputError, RunError
+from plant.parameters import ParameterSet
 from sil.whatif.study import LoadedStudy, Row, StrokeBase
 
 LOOP_COLUMNS = (
@@ -106,8 +107,8 @@ def stroke_of(base: StrokeBase, study: LoadedStudy, row: Row):  # type: ignore[n
     from plant.stroke_conditions import StrokeConditions
 
     own = {k[7:]: v for k, v in row.settings.items() if k.startswith("stroke.")}
-    model = {k: v for k, v in row.settings.items() if not k.startswith("stroke.")}
-    parameters = load(study.study.model).override(model)  # type: ignore[arg-type]
+    model = {k: v for k, v in row.settings.items() if not k.startswith(("stroke.", "effect."))}
+    parameters = with_effects(load(study.study.model).override(model), row)  # type: ignore[arg-type]
     values: dict[str, Any] = {
         "kind": base.kind,
         "supply_pressure_pa": base.supply_pressure_pa,
@@ -125,6 +126,26 @@ def stroke_of(base: StrokeBase, study: LoadedStudy, row: Row):  # type: ignore[n
         values[key] = tuple(str(value)) if key == "charged_before" else value
     time_s = np.arange(round(base.until_s / STEP_S) + 1) * STEP_S
     return simulate(parameters, StrokeConditions(**values), time_s, internal=False)
+
+
+def with_effects(parameters: ParameterSet, row: Row) -> ParameterSet:
+    """The set with the row's settings effect.<id>.<parameter> added as an extended model has them."""
+    from dataclasses import replace
+
+    from plant.effects import effect
+    from plant.parameters import Parameter
+
+    effects = {name: dict(table) for name, table in parameters.effects.items()}
+    for path, value in row.settings.items():
+        if not path.startswith("effect."):
+            continue
+        parts = path.split(".")
+        if len(parts) != 3 or isinstance(value, str):
+            raise InputError(f"{path}: expected effect.<id>.<parameter> = number")
+        units = {item.name: item.unit for item in effect(parts[1]).parameters}
+        unit = units.get(parts[2], "")
+        effects.setdefault(parts[1], {})[parts[2]] = Parameter(float(value), unit, "study")
+    return replace(parameters, effects=effects) if effects else parameters
 
 
 def run_stroke(study: LoadedStudy, row: Row) -> dict[str, float]:
