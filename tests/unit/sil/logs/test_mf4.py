@@ -1,0 +1,359 @@
+"""MF4: files as loggers and asammdf leave them, and every block broken."""
+
+from __future__ import annotations
+
+import importlib
+import struct
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from can_dbc.errors import InputError
+from sil.logs import LogFrame, open_log, open_writer
+from sil.logs.mdf_records import LocatedFrame, merged
+from sil.logs.mf4 import signal_groups
+from tests.unit.sil.logs.unsorted_mf4 import (
+    DATA_FRAME,
+    TIME,
+    Field,
+    Mf4Builder,
+    data_record,
+    logger_file,
+    signal_file,
+)
+
+START_NS = 1_700_000_000 * 10**9
+Events = Sequence[tuple[int, int, bytes]]
+EVENTS = [(0, 0x18FEF100, bytes(range(8))), (250_000, 0x7FF, b""), (251_001, 0x123, b"\x01\x02")]
+
+
+def read(blob: bytes, tmp_path: Path, *, strict: bool = False) -> tuple[list[LogFrame], Any]:
+    path = tmp_path / "log.mf4"
+    path.write_bytes(blob)
+    reader = open_log(path, strict=strict)
+    return list(reader), reader.report
+
+
+def expected(events: Events) -> list[LogFrame]:
+    return [
+        LogFrame(START_NS + t, can_id, data, channel="1", direction="Rx")
+        for t, can_id, data in events
+    ]
+
+
+def test_a_logger_file(tmp_path: Path) -> None:
+    frames, report = read(logger_file(EVENTS, START_NS, error_at=[100]), tmp_path)
+    error = LogFrame(START_NS + 100, 0, b"", False, error=True, channel="1")
+    wanted = expected(EVENTS)
+    assert frames == [wanted[0], error, *wanted[1:]]
+    assert report.clean
+    assert report.start_ns == START_NS
+    assert any("did not finish" in note for note in report.notes)
+
+
+def test_a_cut_logger_file_gives_whole_records(tmp_path: Path) -> None:
+    blob = logger_file(EVENTS, START_NS)
+    whole = expected(EVENTS)
+    for cut in range(1, 60):
+        try:
+            frames, report = read(blob[:-cut], tmp_path)
+        except InputError as error:
+            assert "no CAN frame" in str(error)
+            continue
+        assert frames == whole[: len(frames)]
+        assert len(frames) < len(whole)
+        between_records = cut in (7 + 23, 7 + 23 + 5 + 23)
+        assert (report.truncated or report.skipped > 0) is not between_records
+    with pytest.raises(InputError):
+        read(blob[:-1], tmp_path, strict=True)
+
+
+def sorted_file(
+    events: Events,
+    *,
+    cycles: int | None = None,
+    packed: int | None = None,
+    lists: bool = False,
+    id_size: int = 0,
+    record: int = 22,
+    fields: Sequence[Field] = DATA_FRAME,
+) -> bytes:
+    """A finished file: one group, data in SD blocks, records in DT, DZ or lists of them."""
+    build = Mf4Builder(finished=True)
+    build.block(b"HD", [0] * 6, struct.pack("<QhhBBBB", START_NS, 0, 0, 0, 0, 0, 0) + bytes(16))
+    values, records, offset = b"", b"", 0
+    for time_ns, can_id, data in events:
+        records += bytes(id_size) + data_record(time_ns, can_id, data, offset)
+        values += struct.pack("<I", len(data)) + data
+        offset += 4 + len(data)
+    value_block = build.block(b"SD", [], values)
+    count = len(events) if cycles is None else cycles
+    group = build.group(0, build.channels(fields, value_block), record, cycles=count)
+
+    def block_of(content: bytes) -> int:
+        if packed is None:
+            return build.block(b"DT", [], content)
+        columns = record if packed == 1 else 0
+        plain = content
+        if packed == 1:
+            rows = len(content) // columns
+            body = content[: rows * columns]
+            plain = b"".join(body[i::columns] for i in range(columns)) + content[rows * columns :]
+        squeezed = zlib.compress(plain)
+        head = struct.pack("<2sBBIQQ", b"DT", packed, 0, columns, len(content), len(squeezed))
+        return build.block(b"DZ", [], head + squeezed)
+
+    if lists:
+        parts = [block_of(records[i : i + 30]) for i in range(0, len(records), 30)]
+        second = build.block(b"DL", [0, *parts[1:]], bytes(8))
+        first = build.block(b"DL", [second, parts[0]], bytes(8))
+        data = build.block(b"HL", [first], bytes(8))
+    else:
+        data = block_of(records)
+    build.link(64, 0, build.data_group(group, data, id_size))
+    return bytes(build.blob)
+
+
+@pytest.mark.parametrize("packed", [None, 0, 1])
+@pytest.mark.parametrize("lists", [False, True])
+@pytest.mark.parametrize("id_size", [0, 1, 8])
+def test_sorted_files(packed: int | None, lists: bool, id_size: int, tmp_path: Path) -> None:
+    blob = sorted_file(EVENTS, packed=packed, lists=lists, id_size=id_size)
+    frames, report = read(blob, tmp_path)
+    assert frames == expected(EVENTS)
+    assert report.clean
+
+
+def test_records_that_are_told_and_missing(tmp_path: Path) -> None:
+    frames, report = read(sorted_file(EVENTS, cycles=5), tmp_path)
+    assert len(frames) == 3
+    assert report.truncated
+    frames, report = read(sorted_file(EVENTS, cycles=2), tmp_path)
+    assert len(frames) == 2
+    assert report.clean
+
+
+@pytest.mark.parametrize("size", [0, 2**31])
+def test_records_of_impossible_sizes(size: int, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"outside of its record|records of"):
+        read(sorted_file(EVENTS, record=size), tmp_path)
+
+
+def test_unknown_packing_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="packing method 4 is not known here"):
+        read(sorted_file(EVENTS, packed=4), tmp_path)
+
+
+def test_damaged_packing_is_refused(tmp_path: Path) -> None:
+    blob = bytearray(sorted_file(EVENTS * 20, packed=0))
+    at = blob.index(b"##DZ") + 24 + 24 + 30
+    blob[at] ^= 0xFF
+    with pytest.raises(InputError, match="damaged DZ block"):
+        read(bytes(blob), tmp_path)
+
+
+@pytest.mark.parametrize("packed", [0, 1, 2])
+def test_files_of_asammdf(packed: int, tmp_path: Path) -> None:
+    """Also python-can's own group layout, plain, packed and transposed."""
+    asammdf = importlib.import_module("asammdf")
+    path, again = tmp_path / "log.mf4", tmp_path / "again.mf4"
+    frames = expected([(i * 1000, i, bytes([i % 256]) * (i % 9)) for i in range(3000)])
+    with open_writer(path) as writer:
+        for frame in frames:
+            writer.write(frame)
+    with asammdf.MDF(path) as measurement:
+        measurement.save(again, compression=packed, overwrite=True)
+    assert list(open_log(again)) == frames
+
+
+def test_logger_file_is_what_asammdf_reads(tmp_path: Path) -> None:
+    asammdf = importlib.import_module("asammdf")
+    path = tmp_path / "log.mf4"
+    path.write_bytes(logger_file(EVENTS, START_NS))
+    with asammdf.MDF(path) as measurement:
+        ids = measurement.get("CAN_DataFrame.ID", group=0).samples
+        times = measurement.get("CAN_DataFrame.ID", group=0).timestamps
+    assert list(ids) == [event[1] for event in EVENTS]
+    assert list(times) == pytest.approx([event[0] / 1e9 for event in EVENTS], abs=1e-12)
+
+
+def test_signals_only_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"holds decoded signals only \(engine_speed, .*no CAN"):
+        read(signal_file(), tmp_path)
+    assert signal_groups(str(tmp_path / "log.mf4")) == [0]
+    (tmp_path / "log.mf4").write_bytes(logger_file(EVENTS, START_NS))
+    assert signal_groups(str(tmp_path / "log.mf4")) == []
+
+
+@pytest.mark.parametrize("version", [b"3.30    ", b"5.00    "])
+def test_other_versions_are_named(version: bytes, tmp_path: Path) -> None:
+    blob = bytearray(signal_file())
+    blob[8:16] = version
+    with pytest.raises(InputError, match=r"MDF version '\d.*; expected MDF 4"):
+        read(bytes(blob), tmp_path)
+
+
+def other_layout(fields: Sequence[Field], records: bytes, size: int) -> bytes:
+    """A finished file with records of another layout."""
+    build = Mf4Builder(finished=True)
+    build.block(b"HD", [0] * 6, bytes(32))
+    group = build.group(0, build.channels(fields), size, cycles=len(records) // size)
+    build.link(64, 0, build.data_group(group, build.block(b"DT", [], records), 0))
+    return bytes(build.blob)
+
+
+def test_times_as_whole_numbers_of_microseconds(tmp_path: Path) -> None:
+    """As loggers with 48-bit stamps write: exact, whatever the factor's double is."""
+    fields = (
+        Field("t", 0, 0, 48, 0, 2, (1, (0.0, 1e-6))),
+        Field("CAN_DataFrame", 6, 0, 64, 10),
+        Field("CAN_DataFrame.ID", 6, 0, 32),
+        Field("CAN_DataFrame.BusChannel", 0, 0, 0, 0, 6, (1, (9.0, 0.0))),
+        Field("CAN_DataFrame.DataLength", 10, 0, 4, 0, 0, (5, (0.0, 0.0, 1.0, 2.0))),
+        Field("CAN_DataFrame.DataBytes", 11, 0, 16, 10),
+    )
+    stamp = 3_607_123_457
+    records = b"".join(
+        stamp.to_bytes(6, "little") + struct.pack("<IB", can_id, code) + b"\xaa\xbb"
+        for can_id, code in ((0x123, 1), (0x9ABCDEF0, 0), (0x124, 7))
+    )
+    frames, report = read(other_layout(fields, records, 13), tmp_path)
+    assert [(f.time_ns, f.can_id, f.extended, f.data, f.channel) for f in frames] == [
+        (stamp * 1000, 0x123, False, b"\xaa\xbb", "9"),
+        (stamp * 1000, 0x1ABCDEF0, True, b"", "9"),
+    ]
+    assert "7 is not in its conversion table" in str(report.skipped_places[0])
+
+
+def test_big_endian_and_signed_fields(tmp_path: Path) -> None:
+    fields = (
+        Field("t", 0, 0, 64, 5, 2),
+        Field("CAN_DataFrame", 8, 0, 96, 10),
+        Field("CAN_DataFrame.ID", 8, 0, 32, 1),
+        Field("CAN_DataFrame.IDE", 12, 0, 1),
+        Field("CAN_DataFrame.DLC", 13, 0, 8, 3),
+        Field("CAN_DataFrame.DataBytes", 14, 0, 32, 10),
+        Field("CAN_DataFrame.Dir", 18, 0, 16, 6),
+    )
+    record = struct.pack(">dIBB4s2s", 1.25, 0x18FEF100, 1, 4, b"\x01\x02\x03\x04", b"Tx")
+    frames, _ = read(other_layout(fields, record, 20), tmp_path)
+    assert frames == [LogFrame(1_250_000_000, 0x18FEF100, b"\x01\x02\x03\x04", direction="Tx")]
+
+
+@pytest.mark.parametrize(
+    ("fields", "reason"),
+    [
+        ((TIME, Field("CAN_DataFrame", 8, 0, 8, 10)), "without an ID"),
+        (
+            (Field("CAN_DataFrame", 8, 0, 8, 10), Field("CAN_DataFrame.ID", 8, 0, 8)),
+            "without a time",
+        ),
+        ((TIME, Field("CAN_DataFrame", 8, 0, 8), Field("CAN_DataFrame.ID", 99, 0, 8)), "outside"),
+        (
+            (Field("t", 0, 0, 64, 4, 2, (1, (0.0, 0.0))), *DATA_FRAME[1:]),
+            "a time that does not run",
+        ),
+        ((Field("t", 0, 0, 24, 4, 2), *DATA_FRAME[1:]), "a float of 24 bits"),
+        ((Field("t", 0, 0, 64, 4, 2, (3, ())), *DATA_FRAME[1:]), "a time under conversion 3"),
+    ],
+)
+def test_groups_that_cannot_be_read(fields: tuple[Field, ...], reason: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=reason):
+        read(other_layout(fields, bytes(22), 22), tmp_path)
+
+
+def test_no_time_is_skipped(tmp_path: Path) -> None:
+    """Not-a-number as a time: the record is named, the others are read."""
+    blob = bytearray(logger_file(EVENTS, START_NS))
+    at = blob.rindex(b"##DT") + 24 + 1
+    struct.pack_into("<d", blob, at, float("nan"))
+    frames, report = read(bytes(blob), tmp_path)
+    assert frames == expected(EVENTS)[1:]
+    assert "a time that is no number" in str(report.skipped_places[0])
+
+
+def test_links_in_a_circle_end_the_search(tmp_path: Path) -> None:
+    blob = bytearray(logger_file(EVENTS, START_NS))
+    data_group = struct.unpack_from("<Q", blob, 64 + 24)[0]
+    struct.pack_into("<Q", blob, data_group + 24, data_group)
+    frames, report = read(bytes(blob), tmp_path)
+    assert frames == expected(EVENTS)
+    assert "linked in a circle" in str(report.skipped_places[0])
+    with pytest.raises(InputError, match="linked in a circle"):
+        read(bytes(blob), tmp_path, strict=True)
+
+
+def test_data_linked_twice_is_refused(tmp_path: Path) -> None:
+    build = Mf4Builder(finished=True)
+    build.block(b"HD", [0] * 6, bytes(32))
+    values = build.block(b"SD", [], struct.pack("<I", 0))
+    group = build.group(0, build.channels(DATA_FRAME, values), 22, cycles=100)
+    data = build.block(b"DT", [], data_record(0, 1, b"", 0))
+    chain = build.block(b"DL", [0, data, data], bytes(8))
+    build.link(64, 0, build.data_group(group, chain, 0))
+    frames, report = read(bytes(build.blob), tmp_path)
+    assert len(frames) == 1
+    assert "linked twice" in str(report.skipped_places[0])
+
+
+def test_unknown_record_numbers_end_the_group(tmp_path: Path) -> None:
+    blob = logger_file(EVENTS, START_NS)
+    frames, report = read(blob + b"\x77" * 40, tmp_path)
+    assert frames == expected(EVENTS)
+    assert report.truncated
+    frames, report = read(blob + bytes(40), tmp_path)
+    assert frames == expected(EVENTS)
+    assert report.clean
+
+
+def located(time_ns: int) -> LocatedFrame:
+    return LocatedFrame(LogFrame(time_ns, 1, b""), 0)
+
+
+@given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 50)), max_size=60))
+def test_merging_keeps_each_group_and_sorts_between(found: list[tuple[int, int]]) -> None:
+    order = [one.frame.time_ns for one in merged(iter([(g, located(t)) for g, t in found]))]
+    assert sorted(order) == sorted(t for _, t in found)
+    groups = {g: [t for h, t in found if h == g] for g in range(3)}
+    if all(times == sorted(times) for times in groups.values()):
+        assert order == sorted(order)
+
+
+@given(nanoseconds=st.lists(st.integers(0, 10**15), min_size=1, max_size=20, unique=True))
+@settings(deadline=None, max_examples=25)
+def test_times_are_exact_over_days(
+    nanoseconds: list[int], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("mf4") / "log.mf4"
+    times_ns = [START_NS + 123_456_789 + t for t in sorted(nanoseconds)]
+    with open_writer(path) as writer:
+        for time_ns in times_ns:
+            writer.write(LogFrame(time_ns, 1, b"", channel="1", direction="Rx"))
+    assert [frame.time_ns for frame in open_log(path)] == times_ns
+    assert not writer.losses
+
+
+def test_times_beyond_the_exact_span_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "log.mf4"
+    with open_writer(path) as writer:
+        writer.write(LogFrame(0, 1, b"", channel="1", direction="Rx"))
+        writer.write(LogFrame(4_000_001 * 10**9, 1, b"", channel="1", direction="Rx"))
+    assert writer.losses == {"times more than 46 days from the start, rounded": 1}
+
+
+def test_without_asammdf_writing_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    with pytest.raises(InputError, match=r"needs asammdf; expected it installed"):
+        open_writer(tmp_path / "log.mf4")
+    assert list(tmp_path.iterdir()) == []
+    blob = logger_file(EVENTS, START_NS)
+    assert read(blob, tmp_path)[0] == expected(EVENTS)

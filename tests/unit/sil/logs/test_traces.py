@@ -1,0 +1,105 @@
+"""Tables of signals go to MF4 with units and come back."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+import pytest
+
+from can_dbc.errors import InputError
+from sil.logs import convert
+from sil.logs.traces import is_trace_csv, unit_of
+from tests.unit.sil.logs.unsorted_mf4 import signal_file
+
+DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("position_m", "m"),
+        ("velocity_m_s", "m/s"),
+        ("pressure_B_pa", "Pa"),
+        ("sync_impulse_n_s", "N·s"),
+        ("input_rad_s", "rad/s"),
+        ("coil_temperature_k", "K"),
+        ("mesh_force_n", "N"),
+        ("pulse_s", "s"),
+        ("cmd_B", ""),
+    ],
+)
+def test_units_by_name(name: str, unit: str) -> None:
+    assert unit_of(name) == unit
+
+
+def test_a_trace_becomes_mf4_with_units(tmp_path: Path) -> None:
+    asammdf = importlib.import_module("asammdf")
+    target = tmp_path / "trace.mf4"
+    report = convert(DATA / "signals.csv", target)
+    assert report.signals is not None
+    assert report.signals.rows == report.written == 2
+    assert report.signals.names == ("position_m", "pressure_B_pa", "cmd_B")
+    assert report.lines()[0].startswith(f"{target}: 2 rows of 3 signals")
+    with asammdf.MDF(target) as measurement:
+        pressure = measurement.get("pressure_B_pa")
+        assert list(pressure.samples) == [101325.0, 101400.0]
+        assert list(pressure.timestamps) == [0.0, 0.001]
+        assert pressure.unit == "Pa"
+        assert measurement.get("position_m").unit == "m"
+        assert measurement.header.abs_time == 0
+
+
+def test_a_long_trace_comes_back_bit_by_bit(tmp_path: Path) -> None:
+    source, middle, target = (tmp_path / f"{n}" for n in ("a.csv", "b.mf4", "c.csv"))
+    rows = [(i * 1e-4, i / 3.0, -(i**0.5)) for i in range(40_000)]
+    text = "time_s,position_m,force_n\n" + "".join(
+        ",".join(repr(float(value)) for value in row) + "\n" for row in rows
+    )
+    source.write_text(text)
+    convert(source, middle)
+    report = convert(middle, target)
+    assert target.read_text() == text
+    assert report.signals is not None
+    assert report.signals.units == ("m", "N")
+
+
+def test_signals_of_others_become_a_table(tmp_path: Path) -> None:
+    source, target = tmp_path / "log.mf4", tmp_path / "log.csv"
+    source.write_bytes(signal_file())
+    convert(source, target)
+    assert target.read_text() == "time_s,engine_speed\n0.0,1.0\n0.1,2.0\n"
+    with pytest.raises(InputError, match="decoded signals only"):
+        convert(source, tmp_path / "log.blf")
+
+
+@pytest.mark.parametrize(
+    ("rows", "reason"),
+    [
+        ("0.0,1.0\n", r"line 2: 2 columns; expected 3"),
+        ("0.0,1.0,x\n", r"line 2: .* is not numbers"),
+        ("0.1,1,2\n0.0,1,2\n", r"line 3: time 0.0 s after 0.1 s"),
+        ("", r"no rows under the header"),
+        ("nan,1,2\n", r"line 2: time nan"),
+    ],
+)
+def test_torn_traces_are_refused(rows: str, reason: str, tmp_path: Path) -> None:
+    source = tmp_path / "trace.csv"
+    source.write_text(f"time_s,position_m,force_n\n{rows}")
+    with pytest.raises(InputError, match=reason):
+        convert(source, tmp_path / "trace.mf4")
+    assert [path.name for path in tmp_path.iterdir()] == ["trace.csv"]
+
+
+@pytest.mark.parametrize("header", ["time_s,a,a", "time_s,a b", "time_s,"])
+def test_odd_headers_are_refused(header: str, tmp_path: Path) -> None:
+    source = tmp_path / "trace.csv"
+    source.write_text(f"{header}\n0.0,1.0,2.0\n")
+    with pytest.raises(InputError, match="expected distinct names"):
+        convert(source, tmp_path / "trace.mf4")
+
+
+def test_what_is_a_trace(tmp_path: Path) -> None:
+    assert is_trace_csv(str(DATA / "signals.csv"))
+    assert not is_trace_csv(str(DATA / "python_can.csv"))
+    assert not is_trace_csv(str(DATA / "candump_log.log"))
