@@ -15,6 +15,9 @@ from .layout import (
     ALPHA_M1,
     ALPHA_M2,
     ALPHA_SPEED,
+    ALPHA_SPEED_2,
+    ALPHA_SPEED_M1,
+    ALPHA_SPEED_M2,
     AREA_P,
     AREA_P2,
     AREA_S,
@@ -163,10 +166,10 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
         else:
             leak2 += flow
     r = p[R_AIR]
-    am1 = p[ALPHA_M1]
-    am2 = p[ALPHA_M2]
+    am1 = p[ALPHA_M1] + p[ALPHA_SPEED_M1] * abs(v)
+    am2 = p[ALPHA_M2] + p[ALPHA_SPEED_M2] * abs(v)
     a1 = p[ALPHA_1] + p[ALPHA_SPEED] * abs(v)
-    a2 = p[ALPHA_2] + p[ALPHA_SPEED] * abs(v)
+    a2 = p[ALPHA_2] + p[ALPHA_SPEED_2] * abs(v)
     if p[TERM_EQUATION] == 9.0:
         shift = term_value(p, abs(v))
         a1 += shift

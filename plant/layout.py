@@ -104,7 +104,10 @@ FREE, NUT, COLLAR = 0, 1, 2
     LINE_VOLUME,
     LINE_CDA,
     # process exponents against speed
+    ALPHA_SPEED_M1,  # slope of alpha_m1 against the piston's speed, and of the others
     ALPHA_SPEED,
+    ALPHA_SPEED_M2,
+    ALPHA_SPEED_2,
     # oil damper
     A_OIL,
     A_SMALL,
@@ -124,7 +127,7 @@ FREE, NUT, COLLAR = 0, 1, 2
     TERM_STEP,
     TERM_COUNT,
     TERM_0,
-) = range(74)
+) = range(77)
 TERM_NODES = 24
 PARAMETERS = TERM_0 + TERM_NODES
 

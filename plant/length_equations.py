@@ -29,6 +29,9 @@ from .layout import (
     ALPHA_M1,
     ALPHA_M2,
     ALPHA_SPEED,
+    ALPHA_SPEED_2,
+    ALPHA_SPEED_M1,
+    ALPHA_SPEED_M2,
     AREA_P,
     AREA_S,
     ASYMMETRY,
@@ -475,12 +478,13 @@ def rates(t, y, dy, m, u0, du, p, c, work, quadratures):
     am2 = p[ALPHA_M2]
     a1 = p[ALPHA_1]
     a2 = p[ALPHA_2]
-    if p[ALPHA_SPEED] != 0.0:
-        shift = p[ALPHA_SPEED] * max(abs(vs), abs(v1), abs(v2))
-        a1 += shift
-        a2 += shift
+    speed = max(abs(vs), abs(v1), abs(v2))
+    am1 += p[ALPHA_SPEED_M1] * speed
+    a1 += p[ALPHA_SPEED] * speed
+    am2 += p[ALPHA_SPEED_M2] * speed
+    a2 += p[ALPHA_SPEED_2] * speed
     if p[TERM_EQUATION] == 9.0:
-        shift = term_value(p, max(abs(vs), abs(v1), abs(v2)))
+        shift = term_value(p, speed)
         a1 += shift
         a2 += shift
     dy[PB] = pressure_rate(y[PB], ub, in_b, out_b, leak_b, vol_b, rate_b, r, am1, a1, am2, a2)

@@ -48,8 +48,7 @@ class Predictor:
         first, count = (L.FP1, 2) if system == L.FIXED else (L.PB, 3)
         names = conditions.chambers
         for chamber, pressure in setup.residual_pa.items():
-            if chamber not in conditions.charged_before:
-                y[first + names.index(chamber)] += pressure
+            y[first + names.index(chamber)] += pressure
         m = modes(system, conditions.loads())
         m[L.M_LINE] = 1 if setup.has_line else 0
         n = active_states(system, m)

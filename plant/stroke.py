@@ -93,8 +93,7 @@ class StrokeSystem(HybridSystem):
         )
         first = L.FP1 if system == L.FIXED else L.PB
         for chamber, pressure in setup.residual_pa.items():
-            if chamber not in conditions.charged_before:
-                y[first + self.chambers.index(chamber)] += pressure
+            y[first + self.chambers.index(chamber)] += pressure
         super().__init__(
             system,
             p,

@@ -60,12 +60,13 @@ def dead_passive(setup: Setup, values: dict[str, float]) -> None:
 
 
 def residual(setup: Setup, values: dict[str, float]) -> None:
-    """Overpressure at time 0 in a chamber that is not on supply.
+    """Overpressure at time 0.
 
-    where 0: the one that the stroke compresses; 1: the one that drives it; 2: chamber N or 2;
-    3: every chamber.
+    where 0: in the chamber that the stroke compresses, whatever stands in it; 1: in the one that
+    drives the stroke; 2: in chamber N or 2; 3: in every chamber; 4: as 0, only if it was vented.
     """
     where = values["where"]
+    charged = setup.conditions.charged_before
     chambers: tuple[str, ...] = setup.passive_chambers
     if where == 1.0:
         chambers = (setup.charged_chamber,)
@@ -74,11 +75,13 @@ def residual(setup: Setup, values: dict[str, float]) -> None:
     elif where == 3.0:
         chambers = setup.conditions.chambers
     for chamber in chambers:
-        setup.residual_pa[chamber] = setup.residual_pa.get(chamber, 0.0) + values["pressure_pa"]
+        if where in (0.0, 2.0) or chamber not in charged:
+            held = setup.residual_pa.get(chamber, 0.0)
+            setup.residual_pa[chamber] = held + values["pressure_pa"]
 
 
 CDA = EffectParameter("cda_m2", "m^2", 0.0, 0.0, 2e-5, 2e-7, 1)
-WHERE = EffectParameter("where", "-", 0.0, 0.0, 3.0, 1.0, optional=True)
+WHERE = EffectParameter("where", "-", 0.0, 0.0, 4.0, 1.0, optional=True)
 VOLUME = EffectParameter("volume_m3", "m^3", 0.0, -5e-5, 5e-4, 5e-6, 1)
 
 EFFECTS = (

@@ -114,6 +114,7 @@ SPECIAL: dict[str, tuple[tuple[str, dict[str, float], Starts | None, bool], ...]
         ("driving chamber", {"where": 1.0}, None, False),
         ("inner chamber", {"where": 2.0}, None, True),
         ("every chamber", {"where": 3.0}, None, False),
+        ("vented", {"where": 4.0}, None, True),
     ),
     "dead_volume_charge": (
         ("", {}, None, False),
@@ -123,13 +124,19 @@ SPECIAL: dict[str, tuple[tuple[str, dict[str, float], Starts | None, bool], ...]
         ("", {}, None, False),
         ("inner chamber", {"where": 1.0}, None, True),
     ),
+    "alpha_speed": (
+        ("", {}, None, False),
+        ("all exponents", {"form": 1.0}, None, False),
+        ("all towards adiabatic", {"form": 2.0}, None, False),
+        ("towards adiabatic", {"form": 3.0}, None, False),
+    ),
     "clock_skew": (
         ("", {}, ((0.003, 0.0), (-0.003, 0.0), (0.01, 0.0), (-0.01, 0.0), (0.003, 0.01)), False),
     ),
 }
 """Variants (name, what they fix, where they start, whether only the length stroke has them)."""
 
-VARIANT_KEYS = ("where", "mirrored")
+VARIANT_KEYS = ("where", "mirrored", "form")
 
 
 def candidates(has_damper: bool, has_internal: bool, has_length: bool) -> list[Candidate]:

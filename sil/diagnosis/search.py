@@ -19,6 +19,7 @@ from .floor import misfit
 from .hypotheses import Candidate, compatible
 from .model import CampaignModel
 from .screening import Score, screen
+from .split import stratum
 from .workers import spread_out
 
 Floats = NDArray[np.float64]
@@ -29,7 +30,11 @@ WORTH = 8.0
 FIRST_ITERATIONS = 5
 LAST_ITERATIONS = 14
 SINGLES_KEPT = 8
-PARENTS = 4
+PAIRS_KEPT = 6
+SAMPLE = 8
+NEAR = 1.0
+"""Excess of chi squared per number below which the healthy fit's linear scores can be trusted."""
+PARENTS = 5
 CHILDREN = 4
 
 
@@ -73,6 +78,7 @@ class Search:
         self.fitter = Fitter(model)
         self.candidates = list(candidates)
         self.training = tuple(training)
+        self.sample = sample_of(model, self.training)
         self.workers = workers
 
     def run(self) -> Found:
@@ -106,7 +112,7 @@ class Search:
             for shared, scatter in begins:
                 trial = np.concatenate([shared[:healthy], scaled])
                 limit = np.inf if best is None else best[0]
-                cost = self.fitter.cost(trial, scatter, task.candidates, self.training, limit)
+                cost = self.fitter.cost(trial, scatter, task.candidates, self.sample, limit)
                 if np.isfinite(cost) and (best is None or cost < best[0]):
                     best = (cost, trial, scatter)
         if best is None:
@@ -116,7 +122,7 @@ class Search:
                 task.candidates,
                 start=best[1],
                 scatter=best[2],
-                use=self.training,
+                use=self.sample,
                 iterations=task.iterations,
             )
         except IntegrationError:
@@ -133,21 +139,16 @@ class Search:
             iterations=iterations,
         )
 
-    def run_tasks(self, tasks: Sequence[Task], found: Found) -> list[FitResult]:
-        """Run fits side by side and keep the better ones by name."""
-        done = []
+    def run_tasks(self, tasks: Sequence[Task]) -> list[FitResult]:
+        """First fits, side by side, on the sample of the training strokes; best first."""
+        done: dict[str, FitResult] = {}
         for fit in spread_out(self.attempt, tasks, self.workers):
-            if fit is None:
-                continue
-            done.append(fit)
-            held = found.fits.get(fit.name)
-            if held is None or fit.cost < held.cost:
-                found.fits[fit.name] = fit
-        return done
+            if fit is not None and (fit.name not in done or fit.cost < done[fit.name].cost):
+                done[fit.name] = fit
+        return sorted(done.values(), key=lambda fit: fit.evidence())
 
-    def polish(self, found: Found, names: Sequence[str]) -> None:
-        """Bring some fits to their optimum."""
-        fits = [found.fits[name] for name in names]
+    def polish(self, found: Found, fits: Sequence[FitResult]) -> None:
+        """Fit all training strokes from where first fits stand; keep the better ones by name."""
 
         def work(fit: FitResult) -> FitResult | None:
             try:
@@ -156,7 +157,10 @@ class Search:
                 return None
 
         for fit in spread_out(work, fits, self.workers):
-            if fit is not None and fit.cost <= found.fits[fit.name].cost:
+            if fit is None:
+                continue
+            held = found.fits.get(fit.name)
+            if held is None or fit.cost < held.cost:
                 found.fits[fit.name] = fit
 
     # --- stages -------------------------------------------------------------------------------
@@ -164,30 +168,25 @@ class Search:
         """Every cause alone: all of them if the healthy fit is far off, else those that score."""
         healthy = found.healthy
         chosen: list[Candidate] = self.candidates
-        if misfit(self.model, healthy).per_number < 1.0:
+        if misfit(self.model, healthy).per_number < NEAR:
             scores = screen(self.model, healthy, self.candidates)
             chosen = [s.candidate for s in scores if s.gain > WORTH][: 2 * SINGLES_KEPT]
         begin = (healthy.shared, healthy.stroke)
-        tasks = [Task((item,), tuple((s,) for s in item.starts), begin, FIRST_ITERATIONS)
-                 for item in chosen]
-        self.run_tasks(tasks, found)
-        self.polish(found, [fit.name for fit in found.of_size(1)[:SINGLES_KEPT]])
+        tasks = [
+            Task((item,), tuple((s,) for s in item.starts), begin, FIRST_ITERATIONS)
+            for item in chosen
+        ]
+        self.polish(found, self.run_tasks(tasks)[:SINGLES_KEPT])
 
     def pairs(self, found: Found) -> None:
         """A second cause on top of the best singles, by score; then the best pairs to the end."""
-        parents = self.parents(found)
         tasks: dict[str, Task] = {}
-        for parent, scores in spread_out(self.scored, parents, self.workers):
+        for parent, scores in spread_out(self.scored, self.parents(found), self.workers):
             for score in scores[:CHILDREN]:
-                if score.gain < WORTH:
-                    continue
                 task = self.pair_task(parent, score)
                 key = "+".join(sorted(item.name for item in task.candidates))
                 tasks.setdefault(key, task)
-        if not tasks:
-            return
-        self.run_tasks(list(tasks.values()), found)
-        self.polish(found, [fit.name for fit in found.of_size(2)[:6]])
+        self.polish(found, self.run_tasks(list(tasks.values()))[:PAIRS_KEPT])
 
     def parents(self, found: Found) -> list[FitResult]:
         """Singles that a second cause may stand beside: the best ones, one an identifier."""
@@ -219,3 +218,14 @@ class Search:
             (parent.shared, parent.stroke),
             FIRST_ITERATIONS + 2,
         )
+
+
+def sample_of(model: CampaignModel, training: Sequence[int]) -> tuple[int, ...]:
+    """A few training strokes for first fits: each stratum in turn, at most SAMPLE."""
+    seen: dict[tuple[str, str, bool], int] = {}
+    ranked = []
+    for k in training:
+        key = stratum(model.strokes[k])
+        seen[key] = seen.get(key, -1) + 1
+        ranked.append((seen[key], k))
+    return tuple(sorted(k for _rank, k in sorted(ranked)[:SAMPLE]))

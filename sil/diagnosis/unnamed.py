@@ -13,6 +13,7 @@ from .terms import term_candidates
 from .verdict import Verdict
 
 TERM_ITERATIONS = 6
+TERMS_KEPT = 3
 
 
 def try_terms(
@@ -49,7 +50,6 @@ def try_terms(
                     TERM_ITERATIONS,
                 )
             )
-    done = search.run_tasks(tasks, found)
-    done.sort(key=lambda fit: fit.evidence())
-    search.polish(found, [fit.name for fit in done[:2]])
+    done = search.run_tasks(tasks)
+    search.polish(found, done[:TERMS_KEPT])
     return bool(done)
