@@ -17,7 +17,12 @@ if TYPE_CHECKING:
     from controller.config import FirmwareConfig
     from controller.position import Estimate
 
-NAMES: Mapping[str, str] = {"open_loop": "controller.strategies.open_loop:OpenLoop"}
+NAMES: Mapping[str, str] = {
+    "open_loop": "controller.strategies.open_loop:OpenLoop",
+    "blow_cut": "controller.strategies.blow_cut:BlowCut",
+    "air_cushion": "controller.strategies.air_cushion:AirCushion",
+    "sliding_mode": "controller.strategies.sliding_mode:SlidingMode",
+}
 """Name of each strategy and where its class is; loaded when first used."""
 
 

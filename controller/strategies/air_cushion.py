@@ -1,0 +1,46 @@
+"""A cushion of air made by a burst into the chamber that the stay compresses."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+from controller.strategies.bounds import bounded
+from controller.strategies.into_gear import IntoGear, IntoGearParameters, Seen, Wish
+
+
+class AirCushion(IntoGear):
+    """Fill the neutral chamber for a moment just before the end (thesis 6.3).
+
+    The burst begins when x + v lead >= trigger; the lead stands for the delays of sensor and
+    valve. Some 4 additions, multiplications and comparisons a step.
+    Checked by test_strategies_feedback.
+    """
+
+    class Parameters(IntoGearParameters, frozen=True):
+        """When the burst begins and how long it lasts."""
+
+        trigger_m: Annotated[float, bounded(0.0, 0.1, "m")] = 0.006
+        """Travel from neutral at which the braking is to begin."""
+        lead_s: Annotated[float, bounded(0.0, 0.1, "s")] = 0.012
+        """How far ahead the position is extrapolated."""
+        burst_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.02
+        """Time for which the neutral chamber is filled."""
+        keep_charging: bool = True
+        """Whether the driving chamber goes on being filled during the burst."""
+
+    name: ClassVar[str] = "air_cushion"
+    parameters: AirCushion.Parameters
+
+    _begun_s: float | None = None
+
+    def reset(self) -> None:
+        """Forget the burst."""
+        self._begun_s = None
+
+    def decide(self, seen: Seen) -> Wish:
+        """Charge throughout, and brake during the burst."""
+        own = self.parameters
+        if self._begun_s is None and seen.travelled_m + own.lead_s * seen.speed_m_s >= own.trigger_m:
+            self._begun_s = seen.spent_s
+        burst = self._begun_s is not None and seen.spent_s - self._begun_s < own.burst_s
+        return Wish(own.keep_charging or not burst, burst)

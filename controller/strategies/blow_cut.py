@@ -1,0 +1,46 @@
+"""Today's push, with the safety blow cut where it only gets in the way."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from can_dbc.messages import Gear
+from controller.config import Settings
+from controller.strategies import Duties, ShiftContext, Strategy, one_chamber
+from controller.strategies.bounds import bounded
+
+if TYPE_CHECKING:
+    from controller.position import Estimate
+
+
+class BlowCut(Strategy):
+    """Open loop whose blow on neutral ends early when a gear is to follow (thesis 6.1).
+
+    The pressure left in the neutral chamber must be overcome by the next engagement, which costs
+    50-100 ms; it also cushions that engagement. No arithmetic but a choice of duty.
+    Checked by test_strategies_feedback.
+    """
+
+    class Parameters(Settings, frozen=True):
+        """How long the blow still lasts, in either case at most as configured."""
+
+        neutral_s: Annotated[float, bounded(0.0, 0.25, "s")] = 0.0
+        """After neutral is confirmed on the way to a gear."""
+        otherwise_s: Annotated[float, bounded(0.0, 0.25, "s")] = 0.25
+        """After a shift has ended, in gear or in neutral."""
+
+    name: ClassVar[str] = "blow_cut"
+    parameters: BlowCut.Parameters
+
+    def reset(self) -> None:
+        """Nothing to forget."""
+
+    def command(self, now_ns: int, estimate: Estimate, shift: ShiftContext) -> Duties:
+        """Return the configured duty on the charged chamber and zero on the others."""
+        return one_chamber(shift.charged, self.config.duty)
+
+    def blow_s(self, configured_s: float, leg: Gear, follows: bool) -> float:
+        """Return the shorter of the configured blow and this strategy's."""
+        own = self.parameters
+        wished_s = own.neutral_s if leg is Gear.NEUTRAL and follows else own.otherwise_s
+        return min(configured_s, wished_s)

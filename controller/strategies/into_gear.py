@@ -1,0 +1,83 @@
+"""What the strategies that brake the stay have in common: they act on the way into a gear only."""
+
+from __future__ import annotations
+
+import abc
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+from can_dbc.messages import Chamber, Gear
+from controller.config import Settings
+from controller.strategies import Duties, ShiftContext, Strategy, one_chamber
+from controller.strategies.bounds import bounded
+
+if TYPE_CHECKING:
+    from controller.position import Estimate
+
+
+class Wish(NamedTuple):
+    """Whether to fill the charged chamber, and the neutral one that brakes."""
+
+    charge: bool
+    brake: bool
+
+
+class Seen(NamedTuple):
+    """What there is to decide on, late as it is; from neutral towards the gear.
+
+    spent_s: since the push began. new_samples: of the sensor, since the last step.
+    """
+
+    spent_s: float
+    travelled_m: float
+    speed_m_s: float
+    new_samples: int
+
+
+PUSH = Wish(True, False)
+BRAKE = Wish(False, True)
+REST = Wish(False, False)
+
+
+class IntoGearParameters(Settings, frozen=True):
+    """Settings that every braking strategy has."""
+
+    patience_s: Annotated[float, bounded(0.02, 1.0, "s")] = 0.35
+    """A push that has lasted so long goes on in open loop: a hard synchronization has used up the
+    time, and a stay held short of its gear would never be confirmed."""
+
+
+class IntoGear(Strategy):
+    """A push into gear with a brake: the neutral chamber, which the motion compresses.
+
+    To neutral, in a repeated attempt and after `patience_s` the push is today's open loop (thesis
+    4.2.1: only the engagement needs the damper). Only the charged chamber and the neutral one are
+    ever filled, so backward and forward never meet. Checked by test_strategies_feedback.
+    """
+
+    parameters: IntoGearParameters
+
+    def command(self, now_ns: int, estimate: Estimate, shift: ShiftContext) -> Duties:
+        """Return the duties that `decide` wishes, or the open loop's."""
+        spent_ns = now_ns - shift.start_ns
+        impatient = spent_ns >= round(self.parameters.patience_s * 1e9)
+        if shift.leg is Gear.NEUTRAL or shift.attempt > 0 or impatient:
+            return one_chamber(shift.charged, self.config.duty)
+        towards = 1.0 if shift.leg is Gear.BACKWARD else -1.0
+        wish = self.decide(
+            Seen(
+                spent_s=spent_ns * 1e-9,
+                travelled_m=towards * estimate.position_m,
+                speed_m_s=towards * estimate.velocity_m_s,
+                new_samples=len(estimate.samples),
+            )
+        )
+        charged = self.config.duty if wish.charge else 0.0
+        return Duties(
+            charged if shift.charged is Chamber.B else 0.0,
+            self.config.duty if wish.brake else 0.0,
+            charged if shift.charged is Chamber.F else 0.0,
+        )
+
+    @abc.abstractmethod
+    def decide(self, seen: Seen) -> Wish:
+        """Choose the valves for the coming period."""

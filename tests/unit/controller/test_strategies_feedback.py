@@ -1,0 +1,123 @@
+"""Blow cut, air cushion and sliding mode: what they command for what they are told."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from can_dbc.errors import InputError
+from can_dbc.messages import Chamber, Gear
+from controller import strategies
+from controller.config import FirmwareConfig
+from controller.position import Estimate
+from controller.strategies import Duties, ShiftContext, Strategy
+
+MS = 1_000_000
+BRAKING = ("air_cushion", "sliding_mode")
+
+
+def made(name: str, **parameters: Any) -> Strategy:
+    strategy = strategies.create(FirmwareConfig(strategy=name, strategy_parameters=parameters))
+    strategy.reset()
+    return strategy
+
+
+def seen(position_m: float, velocity_m_s: float) -> Estimate:
+    return Estimate(True, position_m, position_m, velocity_m_s, ())
+
+
+def push(leg: Gear, attempt: int = 0) -> ShiftContext:
+    charged = {Gear.BACKWARD: Chamber.B, Gear.NEUTRAL: Chamber.N, Gear.FORWARD: Chamber.F}[leg]
+    passive = Chamber.B if leg is Gear.NEUTRAL else Chamber.N
+    return ShiftContext(leg, leg, charged, passive, 0, attempt, (None, None, None))
+
+
+@pytest.mark.parametrize("name", BRAKING)
+def test_to_neutral_and_in_a_second_attempt_it_is_the_open_loop(name: str) -> None:
+    strategy = made(name)
+    fast = seen(0.012, -3.0)
+    assert strategy.command(0, fast, push(Gear.NEUTRAL)) == Duties(0.0, 0.98, 0.0)
+    assert strategy.command(0, fast, push(Gear.BACKWARD, attempt=1)) == Duties(0.98, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("name", BRAKING)
+@pytest.mark.parametrize(("leg", "sign"), [(Gear.BACKWARD, 1.0), (Gear.FORWARD, -1.0)])
+def test_it_brakes_with_neutral_and_pushes_again_when_patience_ends(
+    name: str, leg: Gear, sign: float
+) -> None:
+    strategy = made(name, patience_s=0.1)
+    near_and_fast = seen(sign * 0.011, sign * 2.0)
+    braking = strategy.command(50 * MS, near_and_fast, push(leg))
+    assert braking.n == 0.98
+    after = strategy.command(100 * MS, near_and_fast, push(leg))
+    assert after == (Duties(0.98, 0.0, 0.0) if sign > 0 else Duties(0.0, 0.0, 0.98))
+
+
+@pytest.mark.parametrize("name", BRAKING)
+def test_the_two_gears_mirror_each_other(name: str) -> None:
+    one, other = made(name), made(name)
+    for step in range(12):
+        x_m, v_m_s = 0.0011 * step, 0.15 * step
+        b = one.command(step * 10 * MS, seen(x_m, v_m_s), push(Gear.BACKWARD))
+        f = other.command(step * 10 * MS, seen(-x_m, -v_m_s), push(Gear.FORWARD))
+        assert (b.b, b.n, b.f) == (f.f, f.n, f.b)
+
+
+def test_the_burst_begins_at_the_extrapolated_position_and_lasts_its_time() -> None:
+    strategy = made("air_cushion", trigger_m=0.006, lead_s=0.01, burst_s=0.02)
+    leg = push(Gear.BACKWARD)
+    assert strategy.command(0, seen(0.005, 0.09), leg) == Duties(0.98, 0.0, 0.0)
+    assert strategy.command(10 * MS, seen(0.005, 0.11), leg) == Duties(0.98, 0.98, 0.0)
+    assert strategy.command(20 * MS, seen(0.0, 0.0), leg) == Duties(0.98, 0.98, 0.0)
+    assert strategy.command(30 * MS, seen(0.012, 1.0), leg) == Duties(0.98, 0.0, 0.0)
+    strategy.reset()
+    assert strategy.command(40 * MS, seen(0.007, 0.0), leg).n == 0.98
+
+
+def test_the_charge_may_be_cut_during_the_burst() -> None:
+    strategy = made("air_cushion", trigger_m=0.006, keep_charging=False)
+    assert strategy.command(0, seen(0.007, 0.0), push(Gear.BACKWARD)) == Duties(0.0, 0.98, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("speed_m_s", "duties"),
+    [
+        (0.49, Duties(0.98, 0.0, 0.0)),  # s = 50 * 0.012 - 0.49 = 0.11: above the band
+        (0.51, Duties(0.0, 0.0, 0.0)),
+        (0.69, Duties(0.0, 0.0, 0.0)),
+        (0.71, Duties(0.0, 0.98, 0.0)),
+    ],
+)
+def test_sliding_mode_takes_the_side_of_its_surface(speed_m_s: float, duties: Duties) -> None:
+    strategy = made("sliding_mode", slope_per_s=50.0, band_m_s=0.1, beyond_m=0.0)
+    assert strategy.command(0, seen(0.00085, speed_m_s), push(Gear.BACKWARD)) == duties
+
+
+def test_blow_cut_ends_the_blow_on_neutral_only_when_a_gear_follows() -> None:
+    strategy = made("blow_cut")
+    assert strategy.blow_s(0.15, Gear.NEUTRAL, True) == 0.0
+    assert strategy.blow_s(0.15, Gear.NEUTRAL, False) == 0.15
+    assert strategy.blow_s(0.15, Gear.BACKWARD, False) == 0.15
+    assert made("blow_cut", neutral_s=0.03).blow_s(0.15, Gear.NEUTRAL, True) == 0.03
+    assert made("blow_cut", otherwise_s=0.01).blow_s(0.15, Gear.FORWARD, False) == 0.01
+
+
+def test_blow_cut_pushes_as_the_open_loop() -> None:
+    strategy = made("blow_cut")
+    for leg in (Gear.BACKWARD, Gear.NEUTRAL, Gear.FORWARD):
+        assert sum(strategy.command(0, seen(0.0, 0.0), push(leg))) == 0.98
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "place"),
+    [
+        ("air_cushion", {"lead_s": 3.0}, "lead_s"),
+        ("sliding_mode", {"slope_per_s": 0.0}, "slope_per_s"),
+        ("blow_cut", {"neutral_s": -1.0}, "neutral_s"),
+        ("blow_cut", {"neutral": 0.1}, "neutral"),
+    ],
+)
+def test_wrong_settings(name: str, parameters: dict[str, Any], place: str) -> None:
+    with pytest.raises(InputError, match=place):
+        strategies.parameters(name, parameters)
