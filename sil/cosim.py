@@ -112,6 +112,8 @@ def run(
             raise InputError(told) from None
     except KeyboardInterrupt:
         why = "interrupted"
+    except OSError as error:  # disk full and the like
+        why = str(error)
     if summary is not None:
         for warning in lockstep.warnings:
             say(warning)

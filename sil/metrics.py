@@ -125,7 +125,7 @@ def shifts(record: RunRecord, initial: Gear) -> list[Shift]:
     """Return one Shift for each change of the requested gear, in order."""
     changes = requests(record, initial)
     end = float(record.truth["time_s"][-1]) if len(record.truth["time_s"]) else 0.0
-    bounds = [t for t, _, _ in changes[1:]] + [end]
+    bounds = [*(t for t, _, _ in changes), max(end, changes[-1][0])][1:] if changes else []
     return [_shift(record, *change, until) for change, until in zip(changes, bounds, strict=True)]
 
 

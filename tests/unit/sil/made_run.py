@@ -74,6 +74,9 @@ def made() -> RunRecord:
         "valve_B": is_open,
         "valve_N": zero,
         "valve_F": zero,
+        "cmd_B": 0.98 * ((time_s >= 0.110) & (time_s < 0.2005)),
+        "cmd_N": zero,
+        "cmd_F": zero,
     }
     events = [
         PlantEvent(0.118, "valve_B_open"),

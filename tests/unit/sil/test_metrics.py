@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from can_dbc.messages import Gear
+from can_dbc.messages import Gear, ShiftRequest
 from sil import metrics
+from sil.report.picture import windows
+from sil.trace_csv import trace_columns
 from tests.unit.sil import made_run
 
 
@@ -74,6 +76,19 @@ def test_lags_from_truth_and_from_the_bus_alone() -> None:
     assert shift.position_lag_90_held_s == pytest.approx(0.021 + 0.002, abs=2e-4)
 
 
+def cut_off_requests(record: made_run.RunRecord) -> made_run.RunRecord:
+    asking = {entry.frame.can_id for entry, _ in record.of(ShiftRequest)}
+    frames = [f for f in record.frames if f.frame.can_id not in asking]
+    return made_run.RunRecord(
+        record.truth,
+        record.events,
+        frames,
+        record.stroke_m,
+        record.free_travel_m,
+        record.supply_pressure_pa,
+    )
+
+
 def test_a_request_that_leads_nowhere_has_no_times() -> None:
     record = made_run.made()
     record.truth["position_m"][:] = 0.0  # type: ignore[index]
@@ -101,7 +116,31 @@ def test_summary_of_the_run() -> None:
     assert figures["frames"] == 200
 
 
+@pytest.mark.parametrize("end_s", [0.0002, 0.05, 0.1001, 0.119, 0.14, 0.1505, 0.3])
+def test_a_run_that_ended_early_has_the_figures_it_got_to(end_s: float) -> None:
+    """Truth may end before the frames do, and the other way round."""
+    whole = made_run.made()
+    for frames_end_s in (0.0, 0.1003, end_s, 0.4):
+        rows = whole.truth["time_s"] <= end_s
+        cut = made_run.RunRecord(
+            truth={name: column[rows] for name, column in whole.truth.items()},
+            events=[e for e in whole.events if e.time_s <= end_s],
+            frames=[f for f in whole.frames if f.arrival_ns <= frames_end_s * 1e9],
+            stroke_m=whole.stroke_m,
+            free_travel_m=whole.free_travel_m,
+            supply_pressure_pa=whole.supply_pressure_pa,
+        )
+        found = metrics.shifts(cut, Gear.NEUTRAL)
+        assert len(found) == (frames_end_s >= 0.1003)
+        if found and end_s < 0.15:
+            assert found[0].arrived_s is None
+        metrics.summary(cut, found, None)
+        assert trace_columns(cut)["time_s"][-1] <= end_s + 1e-4
+        assert windows(cut, found)
+
+
 def test_no_request_no_shift() -> None:
     record = made_run.made()
+    assert metrics.shifts(cut_off_requests(record), Gear.NEUTRAL) == []
     assert metrics.shifts(record, Gear.BACKWARD)[0].to_gear == "neutral"
     assert [s.to_gear for s in metrics.shifts(record, Gear.BACKWARD)] == ["neutral", "backward"]
