@@ -22,6 +22,8 @@ NAMES: Mapping[str, str] = {
     "blow_cut": "controller.strategies.blow_cut:BlowCut",
     "air_cushion": "controller.strategies.air_cushion:AirCushion",
     "sliding_mode": "controller.strategies.sliding_mode:SlidingMode",
+    "bang_bang": "controller.strategies.bang_bang:BangBang",
+    "predictive": "controller.strategies.predictive:Predictive",
 }
 """Name of each strategy and where its class is; loaded when first used."""
 

@@ -40,7 +40,10 @@ class AirCushion(IntoGear):
     def decide(self, seen: Seen) -> Wish:
         """Charge throughout, and brake during the burst."""
         own = self.parameters
-        if self._begun_s is None and seen.travelled_m + own.lead_s * seen.speed_m_s >= own.trigger_m:
+        if (
+            self._begun_s is None
+            and seen.travelled_m + own.lead_s * seen.speed_m_s >= own.trigger_m
+        ):
             self._begun_s = seen.spent_s
         burst = self._begun_s is not None and seen.spent_s - self._begun_s < own.burst_s
         return Wish(own.keep_charging or not burst, burst)

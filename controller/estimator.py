@@ -1,0 +1,105 @@
+"""Speed and pressures of an engagement from the late position and the commands given so far."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from msgspec import Meta
+
+from controller.config import FirmwareConfig, Settings
+from controller.filters import SectionFilter, butterworth
+from controller.light_model import LightModel, ModelSettings, Motion, Valve
+
+STEP_S = 0.0005
+"""Step of the light model."""
+
+
+def _number(low: float, high: float, unit: str) -> Any:
+    return Meta(ge=low, le=high, description=unit)
+
+
+class ObserverSettings(Settings, frozen=True):
+    """How strongly the model follows what is measured."""
+
+    sensor_age_s: Annotated[float, _number(0.0, 0.05, "s")] = 0.00455
+    """Age of the newest sample at a step, without the filter (pulse, capture, bus, waiting)."""
+    position_gain: Annotated[float, _number(0.0, 2.0, "")] = 0.5
+    speed_gain_per_s: Annotated[float, _number(0.0, 1000.0, "1/s")] = 20.0
+    load_gain_n_m: Annotated[float, _number(0.0, 1e6, "N/m")] = 3e4
+    most_load_n: Annotated[float, _number(0.0, 5000.0, "N")] = 2200.0
+
+
+class Observer:
+    """The light model run along with the real thing, and corrected by what comes back late.
+
+    The model's own past position goes through the same filter as the sensor's, so that the two
+    differ only by what the model does not know; the difference moves position, speed and load.
+    Bounded work: period/0.5 ms model steps and one filter step a sample.
+    Checked by test_observer.
+    """
+
+    def __init__(
+        self, config: FirmwareConfig, model: ModelSettings, settings: ObserverSettings
+    ) -> None:
+        self._config = config
+        self._settings = settings
+        self.model = LightModel(model, config.windows.stroke_m)
+        self._past = round(settings.sensor_age_s / STEP_S)
+        self.reset()
+
+    def reset(self) -> None:
+        """Start in neutral, at rest, both chambers vented, valves closed."""
+        own = self.model.settings
+        self.motion = Motion(own.atmosphere_pa)
+        self.driving = Valve(own.valve_open_s, own.valve_close_s)
+        self.braking = Valve(own.valve_open_s, own.valve_close_s)
+        self.steps = 0  # of the model, since the push began
+        self._ring = [0.0] * (self._past + 1)
+        self._filter: SectionFilter | None = None
+        filtering = self._config.filter
+        if filtering.enabled:
+            rate_hz = 1.0 / self._config.sensor.period_s
+            self._filter = SectionFilter(butterworth(filtering.order, filtering.fc_hz, rate_hz))
+            self._filter.settle(0.0)
+
+    @property
+    def time_s(self) -> float:
+        """Time since the push began up to which the model has run."""
+        return self.steps * STEP_S
+
+    @property
+    def travelled_m(self) -> float:
+        """Where the stay is believed to be now, from neutral."""
+        return max(0.0, self.motion.piston_m - self.model.settings.gap_m)
+
+    def advance(self, until_s: float, measured_m: float, new_samples: int) -> None:
+        """Run the model up to now and correct it with a measured position, if it is new."""
+        goal = round(until_s / STEP_S)
+        while self.steps < goal:
+            now_s = self.time_s
+            self.model.step(self.motion, self.driving.at(now_s), self.braking.at(now_s), STEP_S)
+            self.steps += 1
+            self._ring[self.steps % len(self._ring)] = self.travelled_m
+        if new_samples:
+            self._correct(measured_m, new_samples)
+
+    def _correct(self, measured_m: float, new_samples: int) -> None:
+        expected_m = self._ring[(self.steps - self._past) % len(self._ring)]
+        if self._filter is not None:
+            sampled_m = expected_m
+            for _ in range(new_samples):
+                expected_m = self._filter.update(sampled_m)
+        own, motion = self._settings, self.motion
+        if motion.piston_m < self.model.settings.gap_m:
+            return  # the piston is on its own: the sensor cannot tell
+        error_m = measured_m - expected_m
+        moved_m = max(self.travelled_m + own.position_gain * error_m, 0.0)
+        motion.piston_m = min(self.model.settings.gap_m + moved_m, self.model.end_m)
+        motion.speed_m_s += own.speed_gain_per_s * error_m
+        motion.load_n = min(max(motion.load_n - own.load_gain_n_m * error_m, 0.0), own.most_load_n)
+
+    def command(self, charge: bool, brake: bool) -> None:
+        """Note the command of this step."""
+        at_s = self.time_s + self.model.settings.transport_s
+        self.driving.command(at_s, charge)
+        self.braking.command(at_s, brake)

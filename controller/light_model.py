@@ -1,0 +1,173 @@
+"""A light model of an engagement, in plain floats, for strategies that look ahead.
+
+One driving piston, the stay behind it, the neutral chamber that both compress. Ellipses stand for
+the measured flows, the far chamber is at the atmosphere, no synchronizer: its force is what an
+estimator must find. Positions in m from neutral towards the gear.
+Checked by test_light_model.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Annotated, Any
+
+from msgspec import Meta
+
+from controller.config import Settings
+
+R_AIR_J_KG_K = 287.0
+
+
+def _number(low: float, high: float, unit: str) -> Any:
+    return Meta(ge=low, le=high, description=unit)
+
+
+class ModelSettings(Settings, frozen=True):
+    """What the light model takes for true; the defaults are the laboratory's length stroke."""
+
+    supply_pa: Annotated[float, _number(2e5, 1.5e6, "Pa")] = 9e5
+    atmosphere_pa: Annotated[float, _number(5e4, 1.2e5, "Pa")] = 101325.0
+    valve_open_s: Annotated[float, _number(0.0, 0.1, "s")] = 0.008
+    valve_close_s: Annotated[float, _number(0.0, 0.2, "s")] = 0.035
+    transport_s: Annotated[float, _number(0.0, 0.02, "s")] = 0.00038
+    """From the start of a step to the command's arrival at the valve driver."""
+    stay_kg: Annotated[float, _number(0.05, 100.0, "kg")] = 0.9
+    piston_kg: Annotated[float, _number(0.01, 10.0, "kg")] = 0.2
+    stay_friction_n: Annotated[float, _number(0.0, 2000.0, "N")] = 22.0
+    piston_friction_n: Annotated[float, _number(0.0, 2000.0, "N")] = 29.0
+    damping_n_s_m: Annotated[float, _number(0.0, 1000.0, "N s/m")] = 39.0
+    piston_m2: Annotated[float, _number(1e-5, 0.1, "m2")] = 0.00251327412
+    stay_m2: Annotated[float, _number(0.0, 0.1, "m2")] = 0.000314159265
+    gap_m: Annotated[float, _number(0.0, 0.1, "m")] = 0.013
+    """Way of the piston before it meets the stay."""
+    driving_m3: Annotated[float, _number(1e-7, 0.01, "m3")] = 2.8e-5
+    braking_m3: Annotated[float, _number(1e-5, 0.01, "m3")] = 9.2968e-5
+    """Volumes of the driving chamber and of neutral, both when in neutral."""
+    flow_in: Annotated[float, _number(0.0, 1e-3, "K kg/(s Pa)")] = 2.27e-6
+    flow_in_critical: Annotated[float, _number(-2.0, 0.9, "")] = -0.605
+    flow_out: Annotated[float, _number(0.0, 1e-3, "K kg/(s Pa)")] = 2.42e-6
+    flow_out_critical: Annotated[float, _number(-2.0, 0.9, "")] = 0.281
+
+
+class Motion:
+    """State of the light model: piston's way since its stop, speed, pressures, load on the stay."""
+
+    __slots__ = ("braking_pa", "driving_pa", "load_n", "piston_m", "speed_m_s")
+
+    def __init__(self, atmosphere_pa: float) -> None:
+        self.piston_m = 0.0
+        self.speed_m_s = 0.0
+        self.driving_pa = atmosphere_pa
+        self.braking_pa = atmosphere_pa
+        self.load_n = 0.0
+
+    def copy(self) -> Motion:
+        """Return a state that can be changed without changing this one."""
+        twin = Motion(0.0)
+        twin.piston_m = self.piston_m
+        twin.speed_m_s = self.speed_m_s
+        twin.driving_pa = self.driving_pa
+        twin.braking_pa = self.braking_pa
+        twin.load_n = self.load_n
+        return twin
+
+
+class Valve:
+    """An on/off valve with delays; a command taken back before it has acted never acts."""
+
+    __slots__ = ("close_s", "due_s", "is_open", "open_s", "wanted")
+
+    def __init__(self, open_s: float, close_s: float) -> None:
+        self.open_s = open_s
+        self.close_s = close_s
+        self.is_open = self.wanted = False
+        self.due_s = 0.0
+
+    def command(self, at_s: float, on: bool) -> None:
+        """Take a command that arrives at a time."""
+        if on != self.wanted:
+            self.wanted = on
+            self.due_s = at_s + (self.open_s if on else self.close_s)
+
+    def at(self, time_s: float) -> bool:
+        """Return whether the valve is open; times may not go back."""
+        if self.wanted != self.is_open and time_s >= self.due_s - 1e-9:
+            self.is_open = self.wanted
+        return self.is_open
+
+    def copy(self) -> Valve:
+        """Return a valve that can be moved without moving this one."""
+        twin = Valve(self.open_s, self.close_s)
+        twin.is_open, twin.wanted, twin.due_s = self.is_open, self.wanted, self.due_s
+        return twin
+
+
+class LightModel:
+    """Equations of the engagement, one semi-implicit Euler step at a time.
+
+    P' = (R f - P V') / V with f = C P_up sqrt(1 - ((r - b)/(1 - b))^2), r = max(P_down/P_up, b);
+    m v' = A_p (P_d - P_n) + A_s (P_d - P_atm) - friction - load. Some 60 arithmetic operations
+    and 2 square roots a step. Checked by test_light_model.
+    """
+
+    def __init__(self, settings: ModelSettings, stroke_m: float) -> None:
+        self.settings = settings
+        self.end_m = settings.gap_m + stroke_m
+
+    def _flow(self, pressure_pa: float, is_open: bool) -> float:
+        """Return the flow into a chamber, kg K/s; negative when it vents."""
+        own = self.settings
+        if is_open:
+            ratio, upstream_pa = pressure_pa / own.supply_pa, own.supply_pa
+            critical, size = own.flow_in_critical, own.flow_in
+        else:
+            ratio, upstream_pa = own.atmosphere_pa / pressure_pa, pressure_pa
+            critical, size = own.flow_out_critical, -own.flow_out
+        if ratio >= 1.0:
+            return 0.0
+        share = (ratio - critical) / (1.0 - critical) if ratio > critical else 0.0
+        return size * upstream_pa * sqrt(1.0 - share * share)
+
+    def step(self, motion: Motion, driving: bool, braking: bool, step_s: float) -> None:
+        """Advance a state by one step with the valves as given."""
+        own = self.settings
+        z_m, v_m_s = motion.piston_m, motion.speed_m_s
+        joined = z_m >= own.gap_m
+        moved_m = z_m - own.gap_m if joined else 0.0
+        area_m2 = own.piston_m2 + own.stay_m2 if joined else own.piston_m2
+        driving_m3 = own.driving_m3 + own.piston_m2 * z_m + own.stay_m2 * moved_m
+        braking_m3 = own.braking_m3 - own.piston_m2 * z_m
+        force_n = own.piston_m2 * (motion.driving_pa - motion.braking_pa)
+        friction_n, mass_kg = own.piston_friction_n, own.piston_kg
+        load_n = 0.0
+        if joined:
+            force_n += own.stay_m2 * (motion.driving_pa - own.atmosphere_pa)
+            friction_n += own.stay_friction_n
+            mass_kg += own.stay_kg
+            load_n = motion.load_n
+        resist_n = friction_n + load_n + own.damping_n_s_m * abs(v_m_s)
+        if v_m_s > 0.0:
+            v_m_s = max(0.0, v_m_s + step_s * (force_n - resist_n) / mass_kg)
+        elif v_m_s < 0.0:
+            v_m_s = min(0.0, v_m_s + step_s * (force_n + resist_n - 2.0 * load_n) / mass_kg)
+        elif force_n > resist_n:
+            v_m_s = step_s * (force_n - resist_n) / mass_kg
+        elif force_n < -friction_n and z_m > 0.0:
+            v_m_s = step_s * (force_n + friction_n) / mass_kg
+        gain = R_AIR_J_KG_K * step_s
+        motion.driving_pa += (
+            gain * self._flow(motion.driving_pa, driving)
+            - step_s * motion.driving_pa * area_m2 * v_m_s
+        ) / driving_m3
+        motion.braking_pa += (
+            gain * self._flow(motion.braking_pa, braking)
+            + step_s * motion.braking_pa * own.piston_m2 * v_m_s
+        ) / braking_m3
+        z_m += step_s * v_m_s
+        if z_m >= self.end_m:
+            z_m, v_m_s = self.end_m, 0.0
+        elif z_m <= 0.0:
+            z_m, v_m_s = 0.0, 0.0
+        elif not joined and z_m >= own.gap_m:
+            v_m_s *= own.piston_kg / (own.piston_kg + own.stay_kg)
+        motion.piston_m, motion.speed_m_s = z_m, v_m_s

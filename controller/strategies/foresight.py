@@ -1,0 +1,89 @@
+"""What the strategies with a model have in common: an observer, and trials of what may come."""
+
+from __future__ import annotations
+
+import abc
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+from msgspec import Struct
+
+from controller.estimator import STEP_S, Observer, ObserverSettings
+from controller.light_model import ModelSettings
+from controller.strategies.bounds import bounded
+from controller.strategies.into_gear import IntoGear, IntoGearParameters, Seen, Wish
+
+if TYPE_CHECKING:
+    from controller.config import FirmwareConfig
+
+
+class ForesightParameters(IntoGearParameters, frozen=True):
+    """Settings of a strategy that carries the light model."""
+
+    model: ModelSettings = ModelSettings()
+    observer: ObserverSettings = ObserverSettings()
+    horizon_s: Annotated[float, bounded(0.005, 0.2, "s")] = 0.06
+    """How far a trial looks ahead."""
+
+
+class Outcome(NamedTuple):
+    """End of a trial: impact speed, and the time it took; no arrival counts the rest of the way."""
+
+    speed_m_s: float
+    time_s: float
+    left_m: float
+
+
+class Foresight(IntoGear):
+    """A push into gear planned with the light model.
+
+    Checked by test_strategies_foresight.
+    """
+
+    parameters: ForesightParameters
+
+    def __init__(self, config: FirmwareConfig, parameters: Struct) -> None:
+        super().__init__(config, parameters)
+        self.observer = Observer(config, self.parameters.model, self.parameters.observer)
+        self._steps = round(self.parameters.horizon_s / STEP_S)
+
+    def reset(self) -> None:
+        """Start the observer afresh."""
+        self.observer.reset()
+
+    def decide(self, seen: Seen) -> Wish:
+        """Bring the observer up to now, plan, and tell the observer what was chosen."""
+        observer = self.observer
+        observer.advance(seen.spent_s, seen.travelled_m, seen.new_samples)
+        wish = self.plan(seen.spent_s)
+        observer.command(wish.charge, wish.brake)
+        return wish
+
+    @abc.abstractmethod
+    def plan(self, spent_s: float) -> Wish:
+        """Choose the valves for the coming period from the observer's state."""
+
+    def trial(
+        self, brake_on_s: float, brake_off_s: float, charge_off_s: float, charge_on_s: float
+    ) -> Outcome:
+        """Run the light model on from now with commands at the given delays from now.
+
+        A delay beyond the horizon means never. At most horizon/0.5 ms model steps.
+        """
+        observer = self.observer
+        motion = observer.motion.copy()
+        driving, braking = observer.driving.copy(), observer.braking.copy()
+        model, start_s = observer.model, observer.time_s
+        transport_s = model.settings.transport_s
+        speed_m_s = 0.0
+        for step in range(self._steps):
+            ahead_s = step * STEP_S
+            now_s = start_s + ahead_s
+            given_s = ahead_s - transport_s
+            if given_s >= 0.0:
+                driving.command(now_s, not charge_off_s <= given_s < charge_on_s)
+                braking.command(now_s, brake_on_s <= given_s < brake_off_s)
+            speed_m_s = motion.speed_m_s
+            model.step(motion, driving.at(now_s), braking.at(now_s), STEP_S)
+            if motion.piston_m >= model.end_m:
+                return Outcome(max(speed_m_s, 0.0), ahead_s, 0.0)
+        return Outcome(0.0, self.parameters.horizon_s, model.end_m - motion.piston_m)
