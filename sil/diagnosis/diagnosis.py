@@ -21,7 +21,7 @@ from sil.campaign import Campaign
 from .checks import Finding, check_record, check_strokes
 from .evidence import sentence
 from .extend import extended_model
-from .fit import Fitter, FitResult
+from .fit import FitResult, Fitter
 from .gain import Gain, gain_between
 from .hypotheses import candidates
 from .intervals import Interval, intervals

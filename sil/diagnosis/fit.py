@@ -87,7 +87,7 @@ class FitResult:
         prior = 2.0 * len(self.scaled) * np.log(EFFECT_PRIOR)
         return float(2.0 * self.cost + logdet + prior)
 
-    def light(self) -> "FitResult":
+    def light(self) -> FitResult:
         """The same without the derivatives, small enough to travel between processes."""
         empty = np.zeros((0, 0))
         blocks = {k: Block(b.residual, empty, empty, empty) for k, b in self.blocks.items()}
@@ -223,14 +223,14 @@ def arrow(
 ) -> tuple[Floats, Floats, dict[int, tuple[Floats, Floats, Floats]]]:
     """Normal matrix and gradient of the shared parameters, the strokes' scatter eliminated."""
     n = len(layout.names)
-    normal = np.zeros((n, n))
-    gradient = np.zeros(n)
-    inner = {}
+    normal: Floats = np.zeros((n, n))
+    gradient: Floats = np.zeros(n)
+    inner: dict[int, tuple[Floats, Floats, Floats]] = {}
     for k, block in blocks.items():
         r, a, b = block.residual, block.shared, block.scatter
-        inverse = np.linalg.inv(b.T @ b + np.eye(b.shape[1]))
-        hus = a.T @ b
-        gs = b.T @ r - spread[k]
+        inverse: Floats = np.linalg.inv(b.T @ b + np.eye(b.shape[1]))
+        hus: Floats = a.T @ b
+        gs: Floats = b.T @ r - spread[k]
         normal += a.T @ a - hus @ inverse @ hus.T
         gradient += a.T @ r - hus @ (inverse @ gs)
         inner[k] = (inverse, hus, gs)

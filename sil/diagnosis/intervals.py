@@ -16,7 +16,7 @@ import numpy as np
 
 from plant.hybrid import IntegrationError
 
-from .fit import FARTHEST_SD, Fitter, FitResult
+from .fit import FARTHEST_SD, FitResult, Fitter
 from .floor import Misfit
 from .hypotheses import Candidate
 from .terms import is_term

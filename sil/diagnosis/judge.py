@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from plant.hybrid import IntegrationError
 
-from .fit import Fitter, FitResult
+from .fit import FitResult, Fitter
 from .floor import Misfit, misfit
 from .workers import spread_out
 

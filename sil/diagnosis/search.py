@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from plant.hybrid import IntegrationError
 
-from .fit import Fitter, FitResult
+from .fit import FitResult, Fitter
 from .floor import misfit
 from .hypotheses import Candidate, compatible
 from .model import CampaignModel
@@ -31,6 +31,10 @@ FIRST_ITERATIONS = 5
 LAST_ITERATIONS = 14
 SINGLES_KEPT = 8
 PAIRS_KEPT = 6
+FEWEST = 4
+HOPELESS = 6.0
+"""A first fit whose cost is larger than the best one's by this factor is not finished."""
+
 SAMPLE = 8
 NEAR = 1.0
 """Excess of chi squared per number below which the healthy fit's linear scores can be trusted."""
@@ -176,7 +180,7 @@ class Search:
             Task((item,), tuple((s,) for s in item.starts), begin, FIRST_ITERATIONS)
             for item in chosen
         ]
-        self.polish(found, self.run_tasks(tasks)[:SINGLES_KEPT])
+        self.polish(found, promising(self.run_tasks(tasks), SINGLES_KEPT))
 
     def pairs(self, found: Found) -> None:
         """A second cause on top of the best singles, by score; then the best pairs to the end."""
@@ -186,7 +190,7 @@ class Search:
                 task = self.pair_task(parent, score)
                 key = "+".join(sorted(item.name for item in task.candidates))
                 tasks.setdefault(key, task)
-        self.polish(found, self.run_tasks(list(tasks.values()))[:PAIRS_KEPT])
+        self.polish(found, promising(self.run_tasks(list(tasks.values())), PAIRS_KEPT))
 
     def parents(self, found: Found) -> list[FitResult]:
         """Singles that a second cause may stand beside: the best ones, one an identifier."""
@@ -218,6 +222,14 @@ class Search:
             (parent.shared, parent.stroke),
             FIRST_ITERATIONS + 2,
         )
+
+
+def promising(fits: Sequence[FitResult], most: int) -> list[FitResult]:
+    """Fits worth finishing: the FEWEST best, and others whose cost is not hopelessly larger."""
+    if not fits:
+        return []
+    limit = HOPELESS * fits[0].cost
+    return [fit for k, fit in enumerate(fits[:most]) if k < FEWEST or fit.cost < limit]
 
 
 def sample_of(model: CampaignModel, training: Sequence[int]) -> tuple[int, ...]:

@@ -65,7 +65,7 @@ def equations(channels: Iterable[str], has_damper: bool) -> dict[str, frozenset[
 
 
 def overdetermined(graph: Graph) -> frozenset[str]:
-    """Equations of the overdetermined part: reachable from an unmatched one by alternating paths."""
+    """Equations of the overdetermined part: those that an unmatched one reaches, alternating."""
     names = sorted(graph)
     unknowns = sorted(set().union(*graph.values())) if graph else []
     if not names or not unknowns:
@@ -91,7 +91,7 @@ def overdetermined(graph: Graph) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class Structure:
-    """Detectable faults and, for each pair (fault, other), whether one is isolable from the other."""
+    """Detectable faults, and the pairs (fault, other) of which one is isolable from the other."""
 
     channels: tuple[str, ...]
     faults: tuple[str, ...]

@@ -118,17 +118,16 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
 def rivals_of(
     leader: Judged, judged: Sequence[Judged], probabilities: dict[str, float]
 ) -> tuple[tuple[str, ...], ...]:
-    """Groups of causes that the data cannot tell apart: each claimed one with what may replace it."""
+    """Groups that the data cannot tell apart: each claimed cause with what may replace it."""
     groups = []
     for name in leader.ids:
         rest = set(leader.ids) - {name}
         group = {name}
         for item in judged:
-            other = set(item.ids) - rest
-            if rest <= set(item.ids) or item.ids:
-                for candidate in other - {name}:
-                    if name not in item.ids and probabilities[candidate] >= RIVAL_SHARE:
-                        group.add(candidate)
+            if name not in item.ids:
+                group |= {
+                    other for other in set(item.ids) - rest if probabilities[other] >= RIVAL_SHARE
+                }
         if len(group) > 1:
             groups.append(tuple(sorted(group, key=lambda n: -probabilities[n])))
     return tuple(dict.fromkeys(groups))

@@ -1,0 +1,136 @@
+"""Residuals shown: by channel and phase, the thesis's relative errors, whiteness, dependence.
+
+Relative errors after thesis 3.69/3.70: mean and maximum of |measured - simulated| over the largest
+measured value; the window is the whole record.
+Checked by: tests/unit/sil/diagnosis/test_residuals.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .fit import FitResult
+from .floor import FLOOR_RMS
+from .model import CampaignModel
+from .observations import Channel
+from .phases import PHASES, phases
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Relative:
+    """Relative errors of a channel (3.69, 3.70): mean and largest, shares of the maximum."""
+
+    mean: float
+    largest: float
+
+
+@dataclass
+class Shown:
+    """Residuals of a fit in figures.
+
+    by_phase: channel -> phase -> rms over its floor; relative; whiteness: lag-one correlation of
+    neighbouring samples; cross: correlation between channels; drift: change of a stroke's rms over
+    the campaign, per stroke; dependence: condition -> level -> rms.
+    """
+
+    by_phase: dict[str, dict[str, float]] = field(default_factory=dict)
+    relative: dict[str, Relative] = field(default_factory=dict)
+    whiteness: dict[str, float] = field(default_factory=dict)
+    cross: dict[tuple[str, str], float] = field(default_factory=dict)
+    drift: float = 0.0
+    dependence: dict[str, dict[str, float]] = field(default_factory=dict)
+    strokes: dict[str, float] = field(default_factory=dict)
+
+
+def channel_parts(
+    model: CampaignModel, fit: FitResult, k: int
+) -> Iterator[tuple[Channel, Floats]]:
+    """Channels of stroke k with their standardised residuals over the floor."""
+    begin = 0
+    for channel in model.strokes[k].channels:
+        end = begin + len(channel.measured)
+        yield channel, fit.blocks[k].residual[begin:end] / FLOOR_RMS[channel.kind]
+        begin = end
+
+
+def rms(values: Floats) -> float:
+    """Root mean square; 0 of nothing."""
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+
+
+CONDITIONS: dict[str, Callable[[object], str]] = {
+    "supply": lambda c: f"{c.supply_pressure_pa / 1e5:.3g} bar",  # type: ignore[attr-defined]
+    "stroke": lambda c: str(c.kind),  # type: ignore[attr-defined]
+    "load": lambda c: str(c.load),  # type: ignore[attr-defined]
+    "rest": lambda c: f"{c.rest_s:g} s",  # type: ignore[attr-defined]
+    "charged": lambda c: "yes" if c.charged_before else "no",  # type: ignore[attr-defined]
+}
+
+
+def show(model: CampaignModel, fit: FitResult) -> Shown:
+    """All figures of a fit's residuals."""
+    shown = Shown()
+    phase_parts: dict[str, dict[str, list[Floats]]] = {}
+    pairs: dict[tuple[str, str], list[tuple[float, int]]] = {}
+    white: dict[str, list[float]] = {}
+    errors: dict[str, list[tuple[float, float]]] = {}
+    levels: dict[str, dict[str, list[Floats]]] = {name: {} for name in CONDITIONS}
+    per_stroke = []
+    for k in fit.blocks:
+        stroke = model.strokes[k]
+        setup = model.setup(
+            k, model.amounts(fit.shared, fit.stroke[k]), fit.candidates, fit.values
+        )
+        phase = phases(stroke.time_s, stroke.predictor.states(setup), setup)
+        whole = []
+        seen: dict[str, Floats] = {}
+        for channel, r in channel_parts(model, fit, k):
+            table = phase_parts.setdefault(channel.name, {})
+            for place in np.unique(phase[channel.rows]):
+                table.setdefault(PHASES[place], []).append(r[phase[channel.rows] == place])
+            raw = np.abs(r * FLOOR_RMS[channel.kind] * channel.sd)
+            top = float(np.abs(channel.measured).max())
+            errors.setdefault(channel.name, []).append((raw.mean() / top, raw.max() / top))
+            if len(r) > 10 and np.std(r) > 0.0:
+                white.setdefault(channel.name, []).append(float(np.corrcoef(r[1:], r[:-1])[0, 1]))
+            seen[channel.name] = r
+            whole.append(r)
+        names = list(seen)
+        for i, one in enumerate(names):
+            for two in names[i + 1 :]:
+                if len(seen[one]) == len(seen[two]) > 10 and np.std(seen[one]) > 0.0:
+                    pairs.setdefault((one, two), []).append(
+                        (float(np.corrcoef(seen[one], seen[two])[0, 1]), len(seen[one]))
+                    )
+        joined = np.concatenate(whole) if whole else np.zeros(0)
+        shown.strokes[stroke.entry.file] = rms(joined)
+        per_stroke.append(rms(joined))
+        for name, level in CONDITIONS.items():
+            levels[name].setdefault(level(stroke.conditions), []).append(joined)
+    for name, table in phase_parts.items():
+        shown.by_phase[name] = {
+            phase: rms(np.concatenate(table[phase])) for phase in PHASES if phase in table
+        }
+    for name, values in errors.items():
+        shown.relative[name] = Relative(
+            float(np.mean([v[0] for v in values])), float(np.max([v[1] for v in values]))
+        )
+    shown.whiteness = {name: float(np.mean(values)) for name, values in white.items()}
+    shown.cross = {
+        pair: float(np.average([c for c, _n in values], weights=[n for _c, n in values]))
+        for pair, values in pairs.items()
+    }
+    if len(per_stroke) > 2:
+        shown.drift = float(np.polyfit(np.arange(len(per_stroke)), per_stroke, 1)[0])
+    shown.dependence = {
+        name: {level: rms(np.concatenate(parts)) for level, parts in sorted(table.items())}
+        for name, table in levels.items()
+        if len(table) > 1
+    }
+    return shown
