@@ -22,7 +22,7 @@ LARGEST_FILE = 64 << 20
 LONGEST_MESSAGE = 1785
 """Bytes of a J1939 transport protocol message, the longest that a DBC for CAN describes."""
 
-_LARGEST_RANGE = 1 << 16
+_MOST_MULTIPLEXED = 4096
 _LARGEST_TO_BISECT = 200_000
 _LONGEST_REASON = 160
 _STRING = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
@@ -139,13 +139,16 @@ def _refuse_impossible(text: _Text) -> None:
                     f"expected at most {8 * LONGEST_MESSAGE}",
                 )
     for statement in _MULTIPLEXED.finditer(code):
+        values = 0
         for match in _RANGE.finditer(statement.group()):
             low, high = match.groups()
-            if _above(high, 1 << 63) or int(high) - int(low) > _LARGEST_RANGE:
+            huge = _above(high, 1 << 63) or _above(low, 1 << 63)
+            values += 0 if huge else max(0, int(high) - int(low) + 1)
+            if huge or values > _MOST_MULTIPLEXED:
                 text.refuse(
                     statement.start() + match.start(),
                     f"multiplexer range {low[:20]}-{high[:20]}; "
-                    f"expected at most {_LARGEST_RANGE} values",
+                    f"expected at most {_MOST_MULTIPLEXED} values of a signal",
                 )
 
 

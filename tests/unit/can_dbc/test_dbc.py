@@ -121,7 +121,7 @@ def test_problems_carry_the_name_of_the_file(tmp_path: Path) -> None:
         ),
         (
             GOOD + "SG_MUL_VAL_ 5 Left Right 0-4000000000;\n",
-            "x.dbc: line 17: multiplexer range 0-4000000000; expected at most 65536 values",
+            "x.dbc: line 17: multiplexer range 0-4000000000; expected at most 4096 values",
         ),
         (
             GOOD + "SG_MUL_VAL_ 5 Left Right 0-1,5-" + 40 * "9" + ";\n",
@@ -188,3 +188,41 @@ def test_long_reasons_are_cut() -> None:
     line = refusal(text)
     assert line.endswith("...")
     assert line.startswith("x.dbc: line 3: The signals S")
+
+
+MULTIPLEXED = """BU_: A
+BO_ 5 Many: 8 A
+ SG_ Page m0M : 8|24@1+ (1,0) [0|0] "" A
+ SG_ Kind M : 0|8@1+ (1,0) [0|0] "" A
+ SG_ Value m0 : 32|8@1+ (1,0) [0|0] "" A
+
+SG_MUL_VAL_ 5 Page Kind 0-1;
+SG_MUL_VAL_ 5 Value Page %s;
+"""
+
+
+def test_multiplexer_ranges_up_to_the_limit() -> None:
+    database = parse_dbc((MULTIPLEXED % "100000-104095").encode())
+    value = database.get_message_by_name("Many").get_signal_by_name("Value")
+    assert value.multiplexer_ids == list(range(100_000, 104_096))
+    line = refusal(MULTIPLEXED % "100000-104096")
+    assert line.startswith("x.dbc: line 8: multiplexer range 100000-104096; expected at most 4096")
+    assert "range 0-3000000000" in refusal(MULTIPLEXED % "4000000000-0,0-3000000000")
+    assert f"range {20 * '9'}-0" in refusal(MULTIPLEXED % f"{30 * '9'}-0")
+    line = refusal(MULTIPLEXED % "0-2047,3000-5048")
+    assert line.startswith("x.dbc: line 8: multiplexer range 3000-5048; expected at most 4096")
+
+
+def test_without_a_name_it_is_the_dbc() -> None:
+    with pytest.raises(InputError, match=r"^DBC: line 1: column 1: "):
+        parse_dbc(b"?")
+
+
+def test_a_first_statement_that_fails_is_named() -> None:
+    assert refusal('VAL_ 5 Left 0 "still" ;\n').startswith("x.dbc: line 1: not a DBC that can")
+
+
+def test_cut_reasons_have_their_length() -> None:
+    names = [f"S{'x' * 120}{number}" for number in range(2)]
+    text = "BO_ 5 M: 8 A\n" + "".join(f' SG_ {n} : 0|8@1+ (1,0) [0|0] "" B\n' for n in names)
+    assert len(refusal(text)) == len("x.dbc: line 3: ") + 160
