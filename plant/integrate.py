@@ -10,34 +10,25 @@ Checked by: tests/physics/
 
 from __future__ import annotations
 
-from .compiled import called, kernel
-from .fixed_equations import fixed_guards, fixed_impacts, fixed_settle
+from .compiled import kernel
+from .events import (
+    after_event,
+    all_guards,
+    choose_modes,
+    hidden_turn,
+    locate,
+    smallest,
+    some_negative,
+)
 from .layout import (
     FIXED,
-    FOIL,
-    FV,
-    LOIL,
     M_DAMPER,
     M_SYSTEM,
-    P_ATM,
-    SPENT,
-    SYNC_IMPULSE,
-    V1,
-    V2,
-    VS,
 )
 from .length_contacts import (
-    G_OIL_EMPTY,
-    G_SPEED1,
-    G_SPEED2,
-    G_STAY_SPEED,
-    G_SYNC,
     GUARDS,
-    impacts,
     note_side,
-    settle,
 )
-from .length_contacts import guards as length_guards
 from .steppers import (
     derivative,
     explicit_dense,
@@ -60,120 +51,6 @@ LONGEST_STEP_S = 5e-3
 FIRST_STEP_S = 2e-5
 # Shape of the scratch array.
 WORKSPACE_ROWS, ROW = 80, 64
-# A velocity below this after an event is rounding.
-ZERO_M_S = 1e-12
-
-
-@called
-def all_guards(t, y, m, p, work, g):
-    """Guards of the stroke's system -> g."""
-    if m[M_SYSTEM] == FIXED:
-        fixed_guards(t, y, m, p, g)
-    else:
-        length_guards(t, y, m, p, work, g)
-
-
-@called
-def choose_modes(t, y, m, p, work):
-    """Modes that continue the motion from here (sticking, joined, moving)."""
-    if m[M_SYSTEM] == FIXED:
-        fixed_settle(t, y, m, p)
-    else:
-        settle(t, y, m, p, work)
-
-
-@called
-def smallest(g):
-    """Smallest guard and its index."""
-    index = 0
-    for k in range(1, GUARDS):
-        if g[k] < g[index]:
-            index = k
-    return index
-
-
-@called
-def locate(t, h, dense, y, m, p, work, g, g0, n_all):
-    """Fraction of the step at which the first guard crosses zero; y, g hold the state there.
-
-    g0: guards at the step's start, all positive; g: at its end, one negative.  Bracketing secant
-    (Illinois) on whichever negative guard would cross first, with bisection when it stalls.
-    """
-    low = 0.0
-    high = 1.0
-    stale = 0
-    weight = 1.0
-    for iteration in range(80):
-        theta = high
-        index = -1
-        for k in range(GUARDS):
-            if g[k] < 0.0:
-                base = max(g0[k], 0.0) * weight
-                candidate = low + (high - low) * base / (base - g[k])
-                if candidate < theta or index < 0:
-                    theta = candidate
-                    index = k
-        if (high - low) * h < 1e-15 or high - low < 1e-15:
-            break
-        if iteration % 3 == 2:
-            theta = 0.5 * (low + high)
-        width = high - low
-        theta = min(max(theta, low + 1e-3 * width), high - 1e-3 * width)
-        interpolate(theta, dense, y, n_all)
-        trial = work[6 : 6 + GUARDS]
-        all_guards(t + theta * h, y, m, p, work, trial)
-        negative = False
-        for k in range(GUARDS):
-            if trial[k] < 0.0:
-                negative = True
-        if negative:
-            high = theta
-            for k in range(GUARDS):
-                g[k] = trial[k]
-            stale = stale + 1 if stale > 0 else 1
-            weight = 0.5 if stale > 1 else 1.0
-        else:
-            low = theta
-            for k in range(GUARDS):
-                g0[k] = trial[k]
-            stale = stale - 1 if stale < 0 else -1
-            weight = 1.0
-    interpolate(high, dense, y, n_all)
-    return high
-
-
-@called
-def after_event(t, index, y, m, p, record, work):
-    """Reset at an event and choose the modes that follow."""
-    if m[M_SYSTEM] == FIXED:
-        if index == G_STAY_SPEED:
-            y[FV] = 0.0
-        if index == G_OIL_EMPTY:
-            y[FOIL] = p[P_ATM]
-        if abs(y[FV]) < ZERO_M_S:
-            y[FV] = 0.0
-        fixed_impacts(y, m, p, record)
-        fixed_settle(t, y, m, p)
-        return
-    if index == G_STAY_SPEED:
-        if m[3] != 0:
-            y[V1] = 0.0
-        if m[4] != 0:
-            y[V2] = 0.0
-        y[VS] = 0.0
-    elif index == G_SPEED1:
-        y[V1] = 0.0
-    elif index == G_SPEED2:
-        y[V2] = 0.0
-    elif index == G_SYNC:
-        y[SPENT] = p[SYNC_IMPULSE]
-    elif index == G_OIL_EMPTY:
-        y[LOIL] = p[P_ATM]
-    for i in (VS, V1, V2):
-        if abs(y[i]) < ZERO_M_S:
-            y[i] = 0.0
-    impacts(y, m, p, record)
-    settle(t, y, m, p, work)
 
 
 @kernel
@@ -269,8 +146,8 @@ def advance(
         if fresh:
             derivative(t, y, k[6], m, u0, du, p, c, work, with_quad)
             all_guards(t, y, m, p, work, g0)
-            worst = smallest(g0)
-            if g0[worst] < 0.0:
+            if some_negative(g0):
+                worst = smallest(g0)
                 # a jump of input or parameters has already passed a guard: act on it now
                 after_event(t, worst, y, m, p, record, work)
                 n_event = counts[0]
@@ -384,11 +261,19 @@ def advance(
         else:
             explicit_dense(trial, y, y1, k, dense, n_all)
         all_guards(t + trial, y1, m, p, work, g)
-        index = smallest(g)
-        fired = g[index] < 0.0
+        fired = some_negative(g)
         theta = 1.0
+        if not fired and not stiff:
+            theta = hidden_turn(trial, y, y1, k[0], k[6], m)
+            if theta < 1.0:
+                interpolate(theta, dense, stage, n_all)
+                all_guards(t + theta * trial, stage, m, p, work, g)
+                fired = some_negative(g)
+                if not fired:
+                    theta = 1.0
+                    all_guards(t + trial, y1, m, p, work, g)
         if fired:
-            theta = locate(t, trial, dense, y1, m, p, work, g, g0, n_all)
+            theta = locate(t, trial, theta, dense, y1, m, p, work, g, g0, n_all)
             index = smallest(g)
         t_end = t + theta * trial
         if last and not fired:

@@ -1,0 +1,208 @@
+"""Events of the hybrid integrator: guards of the present modes, their location, what follows them.
+
+Checked by: tests/physics/
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from .compiled import called, inlined
+from .fixed_equations import fixed_guards, fixed_impacts, fixed_settle
+from .layout import (
+    FIXED,
+    FOIL,
+    FREE,
+    FV,
+    LOIL,
+    M_JOINED1,
+    M_JOINED2,
+    M_PISTON1,
+    M_PISTON2,
+    M_STAY,
+    M_SYSTEM,
+    P_ATM,
+    SPENT,
+    SYNC_IMPULSE,
+    V1,
+    V2,
+    VS,
+)
+from .length_contacts import (
+    G_OIL_EMPTY,
+    G_SPEED1,
+    G_SPEED2,
+    G_STAY_SPEED,
+    G_SYNC,
+    GUARDS,
+    impacts,
+    settle,
+)
+from .length_contacts import guards as length_guards
+from .steppers import (
+    interpolate,
+)
+
+# A velocity below this after an event is rounding.
+ZERO_M_S = 1e-12
+
+
+@called
+def all_guards(t, y, m, p, work, g):
+    """Guards of the stroke's system -> g."""
+    if m[M_SYSTEM] == FIXED:
+        fixed_guards(t, y, m, p, g)
+    else:
+        length_guards(t, y, m, p, work, g)
+
+
+@called
+def choose_modes(t, y, m, p, work):
+    """Modes that continue the motion from here (sticking, joined, moving)."""
+    if m[M_SYSTEM] == FIXED:
+        fixed_settle(t, y, m, p)
+    else:
+        settle(t, y, m, p, work)
+
+
+@called
+def smallest(g):
+    """Smallest guard and its index."""
+    index = 0
+    for k in range(1, GUARDS):
+        if g[k] < g[index]:
+            index = k
+    return index
+
+
+@called
+def some_negative(g):
+    """True if a guard is negative: the quick question before `smallest`."""
+    count = 0
+    for k in range(GUARDS):
+        count += 1 if g[k] < 0.0 else 0
+    return count > 0
+
+
+@inlined
+def lowest_place(v0, v1, s0, s1):
+    """Where in 0..1 a velocity that ends as it began comes below zero, 1 if nowhere.
+
+    Asked of the cubic through both ends with the slopes s0, s1 there (per step).
+    """
+    if not (s0 < 0.0 < s1):
+        return 1.0
+    d = v1 - v0
+    b = 3.0 * d - 2.0 * s0 - s1
+    a = s0 + s1 - 2.0 * d
+    place = -s0 / (b + sqrt(max(b * b - 3.0 * a * s0, 0.0)))
+    if not 0.0 < place < 1.0:
+        return 1.0
+    lowest = v0 + place * (s0 + place * (b + place * a))
+    return place if lowest < 0.0 else 1.0
+
+
+@called
+def hidden_turn(h, y, y1, rate0, rate1, m):
+    """Fraction of a step at which a body has turned although both ends move the same way, or 1.
+
+    A body that would rest for a moment turns twice within a long step; the guards at its ends do
+    not see it.
+    """
+    d = m[M_STAY]
+    if m[M_SYSTEM] == FIXED:
+        if d == 0:
+            return 1.0
+        return lowest_place(d * y[FV], d * y1[FV], h * d * rate0[FV], h * d * rate1[FV])
+    stay = 1.0
+    if d != 0:
+        stay = lowest_place(d * y[VS], d * y1[VS], h * d * rate0[VS], h * d * rate1[VS])
+    one = 1.0
+    d = m[M_PISTON1]
+    if d != 0 and m[M_JOINED1] == FREE:
+        one = lowest_place(d * y[V1], d * y1[V1], h * d * rate0[V1], h * d * rate1[V1])
+    two = 1.0
+    d = -m[M_PISTON2]
+    if d != 0 and m[M_JOINED2] == FREE:
+        two = lowest_place(d * y[V2], d * y1[V2], h * d * rate0[V2], h * d * rate1[V2])
+    return min(stay, one, two)
+
+
+@called
+def locate(t, h, high, dense, y, m, p, work, g, g0, n_all):
+    """Fraction of the step at which the first guard crosses zero; y, g hold the state there.
+
+    g0: guards at the step's start, all positive; g: at its fraction `high`, one negative.
+    Bracketing secant (Illinois) on whichever negative guard would cross first, with bisection when
+    it stalls.
+    """
+    low = 0.0
+    stale = 0
+    weight = 1.0
+    for iteration in range(80):
+        theta = high
+        index = -1
+        for k in range(GUARDS):
+            if g[k] < 0.0:
+                base = max(g0[k], 0.0) * weight
+                candidate = low + (high - low) * base / (base - g[k])
+                if candidate < theta or index < 0:
+                    theta = candidate
+                    index = k
+        if (high - low) * h < 1e-15 or high - low < 1e-15:
+            break
+        if iteration % 3 == 2:
+            theta = 0.5 * (low + high)
+        width = high - low
+        theta = min(max(theta, low + 1e-3 * width), high - 1e-3 * width)
+        interpolate(theta, dense, y, n_all)
+        trial = work[6 : 6 + GUARDS]
+        all_guards(t + theta * h, y, m, p, work, trial)
+        if some_negative(trial):
+            high = theta
+            for k in range(GUARDS):
+                g[k] = trial[k]
+            stale = stale + 1 if stale > 0 else 1
+            weight = 0.5 if stale > 1 else 1.0
+        else:
+            low = theta
+            for k in range(GUARDS):
+                g0[k] = trial[k]
+            stale = stale - 1 if stale < 0 else -1
+            weight = 1.0
+    interpolate(high, dense, y, n_all)
+    return high
+
+
+@called
+def after_event(t, index, y, m, p, record, work):
+    """Reset at an event and choose the modes that follow."""
+    if m[M_SYSTEM] == FIXED:
+        if index == G_STAY_SPEED:
+            y[FV] = 0.0
+        if index == G_OIL_EMPTY:
+            y[FOIL] = p[P_ATM]
+        if abs(y[FV]) < ZERO_M_S:
+            y[FV] = 0.0
+        fixed_impacts(y, m, p, record)
+        fixed_settle(t, y, m, p)
+        return
+    if index == G_STAY_SPEED:
+        if m[3] != 0:
+            y[V1] = 0.0
+        if m[4] != 0:
+            y[V2] = 0.0
+        y[VS] = 0.0
+    elif index == G_SPEED1:
+        y[V1] = 0.0
+    elif index == G_SPEED2:
+        y[V2] = 0.0
+    elif index == G_SYNC:
+        y[SPENT] = p[SYNC_IMPULSE]
+    elif index == G_OIL_EMPTY:
+        y[LOIL] = p[P_ATM]
+    for i in (VS, V1, V2):
+        if abs(y[i]) < ZERO_M_S:
+            y[i] = 0.0
+    impacts(y, m, p, record)
+    settle(t, y, m, p, work)

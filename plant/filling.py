@@ -1,0 +1,263 @@
+"""Chambers that fill or empty while nothing moves: time and pressure in closed form.
+
+With the volume at rest, mapped flow and no leaks, every chamber follows one of two curves, the same
+for all volumes and supplies: with r = P/P_s (charging) or P/P_atm (discharging) and
+d tau = |phi'(1)| alpha_m R k dt / V,   dr/d tau = +-phi(r)/|phi'(1)|.
+Each curve is tabulated once per flow map, from the flow functions themselves; then a pressure is
+a look-up at any later time.  Between the nodes: cubic Hermite, error below 1e-9.  Beyond the
+table the flow is constant (below y_min) or the deviation decays as exp(-tau).
+
+Checked by: tests/unit/plant/test_filling.py
+"""
+# mypy: disallow-untyped-defs=False
+
+from __future__ import annotations
+
+from math import exp
+
+from .compiled import called, inlined, kernel
+from .fixed_equations import fixed_volumes
+from .flow import charge, discharge
+from .layout import (
+    ALPHA_M1,
+    ALPHA_M2,
+    C_SLOPE,
+    C_Y_MIN,
+    C_Y_SPLIT,
+    D_SLOPE,
+    D_Z_SPLIT,
+    FP1,
+    K_IN,
+    K_OUT,
+    P_ATM,
+    P_SUPPLY,
+    PB,
+    R_AIR,
+)
+from .length_equations import length_volumes
+from .views import rows, view
+
+# One curve: head, then nodes (r, dr/d tau) of its two regions, each with its own spacing.
+CELLS_FAR, CELLS_NEAR = 256, 1536
+HEAD_START, HEAD_SPLIT, HEAD_END, HEAD_STEP_FAR, HEAD_STEP_NEAR, HEAD_RATE = range(6)
+HEAD = 8
+FAR_NODES = HEAD
+NEAR_NODES = FAR_NODES + 2 * (CELLS_FAR + 1)
+CURVE = NEAR_NODES + 2 * (CELLS_NEAR + 1)
+CHARGE, DISCHARGE = 0, CURVE
+TABLE = 2 * CURVE
+# Ratio P/P_atm at which the discharge curve starts, and how far the near regions reach.
+Z_TOP = 16.0
+NEAR_REACH = 20.0
+SUBSTEPS = 8
+
+# How a chamber at rest goes on: constant, on a curve, or a deviation decaying to its reference.
+STILL, ON_CHARGE, ON_DISCHARGE, DECAY, UNKNOWN = range(5)
+W_KIND, W_TAU, W_RATE, W_REFERENCE = range(4)
+CHAMBER_ROW = 4
+
+
+@inlined
+def slope_of(r, charging, c):
+    """dr/d tau of the charge or the discharge curve, times its head's rate."""
+    return charge(r, 1.0, c) if charging else -discharge(r, 1.0, c)
+
+
+@called
+def fill_nodes(start, end, step, cells, charging, c, rate, out):
+    """Nodes of one region -> out, by classical Runge-Kutta; False if the flow stops or turns."""
+    r = start
+    h = step / SUBSTEPS
+    sign = 1.0 if charging else -1.0
+    for node in range(cells + 1):
+        slope = slope_of(r, charging, c) / rate
+        out[2 * node] = r
+        out[2 * node + 1] = slope
+        if not (slope * sign > 0.0 and sign * (1.0 - r) > 0.0):
+            return False
+        for _ in range(SUBSTEPS):
+            k1 = slope_of(r, charging, c) / rate
+            k2 = slope_of(r + 0.5 * h * k1, charging, c) / rate
+            k3 = slope_of(r + 0.5 * h * k2, charging, c) / rate
+            k4 = slope_of(r + h * k3, charging, c) / rate
+            r += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    # the last node of the far region is the border itself, up to integration error
+    return end == 0.0 or abs(out[2 * cells] - end) < 1e-9
+
+
+@called
+def fill_curve(charging, c, curve):
+    """One curve -> curve[0:CURVE]; False if the map is not a flow that ends at equal pressures."""
+    start = c[C_Y_MIN] if charging else Z_TOP
+    split = c[C_Y_SPLIT] if charging else c[D_Z_SPLIT]
+    rate = abs(c[C_SLOPE] if charging else c[D_SLOPE])
+    if not (rate > 0.0 and (start < split < 1.0 if charging else start > split > 1.0)):
+        return False
+    # length of the far region: Simpson's rule on d tau = rate dr / phi
+    panels = 2048
+    width = (split - start) / panels
+    total = 0.0
+    for k in range(panels):
+        left = start + k * width
+        # the last node belongs to the far region's polynomial
+        right = min(left + width, split) if charging else max(left + width, split)
+        right -= 1e-12 * width
+        total += (
+            width
+            / 6.0
+            * (
+                1.0 / slope_of(left, charging, c)
+                + 4.0 / slope_of(left + 0.5 * width, charging, c)
+                + 1.0 / slope_of(right, charging, c)
+            )
+        )
+    length = total * rate
+    if not 0.0 < length < 1e3:
+        return False
+    curve[HEAD_START] = start
+    curve[HEAD_SPLIT] = split
+    curve[HEAD_STEP_FAR] = length / CELLS_FAR
+    curve[HEAD_STEP_NEAR] = NEAR_REACH / CELLS_NEAR
+    curve[HEAD_RATE] = rate
+    far = fill_nodes(
+        start, split, length / CELLS_FAR, CELLS_FAR, charging, c, rate, curve[FAR_NODES:]
+    )
+    near = fill_nodes(
+        split, 0.0, NEAR_REACH / CELLS_NEAR, CELLS_NEAR, charging, c, rate, curve[NEAR_NODES:]
+    )
+    curve[HEAD_END] = curve[NEAR_NODES + 2 * CELLS_NEAR]
+    return far and near
+
+
+@kernel
+def tabulate(c, table):
+    """Both curves of a flow map -> table [TABLE]; False if it has no such curves.
+
+    c : float64 [FLOW_COEFFICIENTS]
+    """
+    coefficients = view(c, 0)
+    out = view(table, 0)
+    return fill_curve(True, coefficients, out[CHARGE:]) and fill_curve(
+        False, coefficients, out[DISCHARGE:]
+    )
+
+
+@inlined
+def hermite(nodes, cell, w, step):
+    """Cubic through two nodes with their slopes, at the fraction w of a cell."""
+    r0 = nodes[2 * cell]
+    s0 = step * nodes[2 * cell + 1]
+    d = nodes[2 * cell + 2] - r0
+    s1 = step * nodes[2 * cell + 3]
+    return r0 + w * (s0 + w * ((3.0 * d - 2.0 * s0 - s1) + w * (s0 + s1 - 2.0 * d)))
+
+
+@called
+def curve_value(curve, tau):
+    """Pressure ratio at tau; tau = 0 at the head of the table."""
+    if tau < 0.0:
+        return curve[HEAD_START] + tau * curve[FAR_NODES + 1]
+    step = curve[HEAD_STEP_FAR]
+    place = tau / step
+    if place < CELLS_FAR:
+        cell = int(place)
+        return hermite(curve[FAR_NODES:], cell, place - cell, step)
+    tau -= step * CELLS_FAR
+    step = curve[HEAD_STEP_NEAR]
+    place = tau / step
+    if place < CELLS_NEAR:
+        cell = int(max(place, 0.0))
+        return hermite(curve[NEAR_NODES:], cell, place - cell, step)
+    return 1.0 + (curve[HEAD_END] - 1.0) * exp(NEAR_REACH - tau)
+
+
+@called
+def curve_place(curve, r):
+    """tau at which the curve passes the ratio r: the inverse of curve_value.
+
+    r must lie between the start of the curve (any lower for charging) and the end of its table.
+    """
+    start = curve[HEAD_START]
+    split = curve[HEAD_SPLIT]
+    sign = 1.0 if split > start else -1.0
+    if sign * (r - start) < 0.0:
+        return (r - start) / curve[FAR_NODES + 1]
+    far = sign * (split - r) > 0.0
+    nodes = curve[FAR_NODES:] if far else curve[NEAR_NODES:]
+    step = curve[HEAD_STEP_FAR] if far else curve[HEAD_STEP_NEAR]
+    low = 0
+    high = CELLS_FAR if far else CELLS_NEAR
+    while high - low > 1:
+        middle = (low + high) // 2
+        if sign * (r - nodes[2 * middle]) >= 0.0:
+            low = middle
+        else:
+            high = middle
+    r0 = nodes[2 * low]
+    s0 = step * nodes[2 * low + 1]
+    d = nodes[2 * low + 2] - r0
+    s1 = step * nodes[2 * low + 3]
+    b = 3.0 * d - 2.0 * s0 - s1
+    a = s0 + s1 - 2.0 * d
+    w = (r - r0) / d
+    for _ in range(3):
+        w -= (r0 + w * (s0 + w * (b + w * a)) - r) / (s0 + w * (2.0 * b + w * 3.0 * a))
+    return (low + w) * step + (0.0 if far else curve[HEAD_STEP_FAR] * CELLS_FAR)
+
+
+@called
+def chamber_curve(pressure, u, volume, p, table, out):
+    """How one chamber at rest goes on -> out[0:CHAMBER_ROW]."""
+    charging = u == 1.0
+    curve = table[CHARGE:] if charging else table[DISCHARGE:]
+    reference = p[P_SUPPLY] if charging else p[P_ATM]
+    factor = p[ALPHA_M1] * p[K_IN] if charging else p[ALPHA_M2] * p[K_OUT]
+    ratio = pressure / reference
+    deviation = ratio - 1.0 if charging else 1.0 - ratio
+    out[W_REFERENCE] = reference
+    out[W_RATE] = curve[HEAD_RATE] * factor * p[R_AIR] / volume
+    out[W_KIND] = UNKNOWN
+    out[W_TAU] = 0.0
+    if u != 1.0 and u != 0.0:
+        return
+    if abs(deviation) < 1e-14:
+        out[W_KIND] = STILL
+        out[W_REFERENCE] = pressure
+    elif deviation > 0.0 or abs(deviation) <= abs(1.0 - curve[HEAD_END]):
+        out[W_KIND] = DECAY
+        out[W_TAU] = ratio - 1.0
+    elif charging or ratio <= Z_TOP:
+        out[W_KIND] = ON_CHARGE if charging else ON_DISCHARGE
+        out[W_TAU] = curve_place(curve, ratio)
+
+
+@inlined
+def chamber_pressure(dt, row, table):
+    """Pressure of a chamber a time dt after its row was written."""
+    kind = row[W_KIND]
+    if kind == STILL:
+        return row[W_REFERENCE]
+    if kind == DECAY:
+        return row[W_REFERENCE] * (1.0 + row[W_TAU] * exp(-row[W_RATE] * dt))
+    curve = table[CHARGE:] if kind == ON_CHARGE else table[DISCHARGE:]
+    return row[W_REFERENCE] * curve_value(curve, row[W_TAU] + row[W_RATE] * dt)
+
+
+@called
+def chamber_curves(fixed, y, u0, p, table, w):
+    """How every chamber goes on -> w; True if all are known."""
+    chambers = rows(w, CHAMBER_ROW)
+    if fixed:
+        volumes = fixed_volumes(y, p)
+        chamber_curve(y[FP1], u0[0], volumes[0], p, table, chambers[0])
+        chamber_curve(y[FP1 + 1], u0[1], volumes[1], p, table, chambers[1])
+        return chambers[0, W_KIND] != UNKNOWN and chambers[1, W_KIND] != UNKNOWN
+    volumes = length_volumes(y, p)
+    chamber_curve(y[PB], u0[0], volumes[0], p, table, chambers[0])
+    chamber_curve(y[PB + 1], u0[1], volumes[1], p, table, chambers[1])
+    chamber_curve(y[PB + 2], u0[2], volumes[2], p, table, chambers[2])
+    return (
+        chambers[0, W_KIND] != UNKNOWN
+        and chambers[1, W_KIND] != UNKNOWN
+        and chambers[2, W_KIND] != UNKNOWN
+    )

@@ -1,0 +1,319 @@
+"""One lane between two vector steps: accept or reject, events, switches, rests, samples.
+
+With the scalar kernel's own functions, on one lane of the flat array.
+
+Checked by: tests/unit/plant/test_batch.py
+"""
+# mypy: disallow-untyped-defs=False
+
+from __future__ import annotations
+
+from .compiled import called
+from .events import (
+    after_event,
+    all_guards,
+    choose_modes,
+    hidden_turn,
+    locate,
+    smallest,
+    some_negative,
+)
+from .integrate import (
+    DONE,
+    EVENT_BLOCK,
+    EVENT_COLUMNS,
+    EVENT_GUARD,
+    EVENT_LOST,
+    EVENT_SPEED,
+    EVENT_TIME,
+    EVENT_V,
+    EVENT_X,
+    FIRST_STEP_S,
+    LONGEST_STEP_S,
+    NOT_FINITE,
+    STEP_TOO_SMALL,
+    TOO_MANY_EVENTS,
+)
+from .lane_steps import (
+    ACCEPTED,
+    DENSE,
+    END,
+    FACTOR,
+    MODE,
+    NEXT,
+    NORM,
+    RATE,
+    RATE_0,
+    SPARE,
+    STAGE,
+    STEP,
+    TIME,
+    VALVE,
+    VALVE_RATE,
+    WANTED,
+    WIDTH,
+    C,
+    K,
+    P,
+    Y,
+)
+from .layout import (
+    MAX_STATES,
+    MODES,
+    TERM_0,
+)
+from .rest import at_rest, pressures_after, rest_jump
+from .steppers import derivative, explicit_dense, interpolate
+from .views import lane, rows
+
+# What a lane remembers beside the flat array.
+STROKE, NEXT_SWITCH, NEXT_SAMPLE, EVENTS, TAKEN, REJECTED, JUMPS = range(7)
+MEMORY = 7
+IDLE = -1
+
+# Columns of a stroke's result.
+R_STATUS, R_ARRIVAL, R_SPEED, R_ENERGY, R_EVENTS, R_STEPS, R_REJECTED, R_JUMPS = range(8)
+RESULTS = 8
+
+# What a lane does next, beside the reasons to stop.
+STEPPING = -1
+LIMIT_EVENTS = 4000
+STEP_AFTER_REST_S = 4e-4
+
+# Scratch of one lane at a time.
+SCRATCH_WORK, SCRATCH_G, SCRATCH_G0, SCRATCH_RECORD, SCRATCH_REST = 0, 64, 128, 192, 224
+SCRATCH = 256
+
+
+@called
+def next_step(f, j):
+    """Choose the step of a lane: what the error control wants, up to the next switch."""
+    left = f[NEXT * WIDTH + j] - f[TIME * WIDTH + j]
+    h = f[WANTED * WIDTH + j]
+    f[STEP * WIDTH + j] = left if h >= left * (1.0 - 1e-12) else min(h, 0.5 * left)
+
+
+@called
+def note_event(f, j, index, memory, record, events, room, result):
+    """Record an event of a lane, and the first impact on a stop as the arrival."""
+    count = memory[EVENTS * WIDTH + j]
+    t = f[TIME * WIDTH + j]
+    if count < room:
+        row = events[count * EVENT_COLUMNS :]
+        row[EVENT_TIME] = t
+        row[EVENT_GUARD] = index
+        row[EVENT_LOST] = record[0]
+        row[EVENT_SPEED] = record[1]
+        row[EVENT_BLOCK] = record[2]
+        row[EVENT_X] = f[Y * WIDTH + j]
+        row[EVENT_V] = f[(Y + 1) * WIDTH + j]
+    if record[1] > 0.0 and record[2] == 0.0 and not result[R_ARRIVAL] >= 0.0:
+        result[R_ARRIVAL] = t
+        result[R_SPEED] = record[1]
+        result[R_ENERGY] = record[0]
+    memory[EVENTS * WIDTH + j] = count + 1
+
+
+@called
+def apply_switches(f, j, memory, switches, n_switch):
+    """Move the valves that are due, and note the time of the next switch or of the end."""
+    t = f[TIME * WIDTH + j]
+    u = lane(f, VALVE, j, WIDTH, "")
+    du = lane(f, VALVE_RATE, j, WIDTH, "")
+    i = memory[NEXT_SWITCH * WIDTH + j]
+    while i < n_switch and switches[4 * i] <= t:
+        chamber = int(switches[4 * i + 1])
+        du[chamber] = switches[4 * i + 3]
+        u[chamber] = switches[4 * i + 2] - du[chamber] * switches[4 * i]
+        i += 1
+    memory[NEXT_SWITCH * WIDTH + j] = i
+    end = f[END * WIDTH + j]
+    f[NEXT * WIDTH + j] = min(switches[4 * i], end) if i < n_switch else end
+
+
+@called
+def sample_rest(f, j, fixed, memory, until, samples, n_sample, columns, n_columns, out, table, w):
+    """Samples of a rest, from its curves."""
+    t = f[TIME * WIDTH + j]
+    state = lane(f, STAGE, j, WIDTH, "")
+    i = memory[NEXT_SAMPLE * WIDTH + j]
+    while i < n_sample and samples[i] <= until:
+        pressures_after(max(samples[i] - t, 0.0), fixed, w, table, state)
+        for k in range(n_columns):
+            out[i * n_columns + k] = state[columns[k]]
+        i += 1
+    memory[NEXT_SAMPLE * WIDTH + j] = i
+
+
+@called
+def sample_step(f, j, n, memory, until, theta, samples, n_sample, columns, n_columns, out):
+    """Samples of a step, from its interpolant, up to its fraction theta."""
+    t = f[TIME * WIDTH + j]
+    h = f[STEP * WIDTH + j]
+    state = lane(f, SPARE, j, WIDTH, "")
+    dense = rows(lane(f, DENSE, j, WIDTH, ""), MAX_STATES)
+    i = memory[NEXT_SAMPLE * WIDTH + j]
+    while i < n_sample and samples[i] <= until:
+        interpolate(min(max((samples[i] - t) / h, 0.0), theta), dense, state, n)
+        for k in range(n_columns):
+            out[i * n_columns + k] = state[columns[k]]
+        i += 1
+    memory[NEXT_SAMPLE * WIDTH + j] = i
+
+
+@called
+def prepare(
+    f, j, fixed, n, memory, switches, n_switch, samples, n_sample, columns, n_columns, out,
+    events, room, result, tabulated, table, scratch,
+):  # fmt: skip
+    """Bring a lane to its next step, over switches, events at this instant and rests.
+
+    Returns STEPPING, DONE at the stroke's end, or TOO_MANY_EVENTS.
+    """
+    y = lane(f, Y, j, WIDTH, "")
+    y1 = lane(f, STAGE, j, WIDTH, "")
+    m = lane(f, MODE, j, WIDTH, "lane modes")
+    u = lane(f, VALVE, j, WIDTH, "")
+    du = lane(f, VALVE_RATE, j, WIDTH, "")
+    p = lane(f, P, j, WIDTH, "lane parameters")
+    c = lane(f, C, j, WIDTH, "")
+    work = scratch[SCRATCH_WORK:]
+    g = scratch[SCRATCH_G:]
+    record = scratch[SCRATCH_RECORD:]
+    w = scratch[SCRATCH_REST:]
+    while True:
+        apply_switches(f, j, memory, switches, n_switch)
+        t = f[TIME * WIDTH + j]
+        if t >= f[END * WIDTH + j]:
+            return DONE
+        if memory[EVENTS * WIDTH + j] > LIMIT_EVENTS:
+            return TOO_MANY_EVENTS
+        all_guards(t, y, m, p, work, g)
+        if some_negative(g):
+            worst = smallest(g)
+            after_event(t, worst, y, m, p, record, work)
+            note_event(f, j, worst, memory, record, events, room, result)
+            continue
+        still = du[0] == 0.0 and du[1] == 0.0 and du[2] == 0.0
+        if tabulated and still and at_rest(m):
+            span = f[NEXT * WIDTH + j] - t
+            corner = lane(f, SPARE, j, WIDTH, "")
+            dt, index = rest_jump(
+                t, span, fixed, y, y1, corner, m, u, p, table, w, work, g, n
+            )
+            if dt > 0.0 or index >= 0:
+                memory[JUMPS * WIDTH + j] += 1
+                until = f[NEXT * WIDTH + j] if dt == span and index < 0 else t + dt
+                for k in range(n):
+                    y[k] = y1[k]
+                sample_rest(
+                    f, j, fixed, memory, until, samples, n_sample, columns, n_columns, out, table, w
+                )
+                f[TIME * WIDTH + j] = until
+                if index >= 0:
+                    after_event(until, index, y, m, p, record, work)
+                    note_event(f, j, index, memory, record, events, room, result)
+                    f[WANTED * WIDTH + j] = STEP_AFTER_REST_S
+                continue
+        derivative(t, y, lane(f, RATE_0, j, WIDTH, ""), m, u, du, p, c, work, False)
+        next_step(f, j)
+        return STEPPING
+
+
+@called
+def judge(
+    f, j, n, memory, samples, n_sample, columns, n_columns, out, events, room, result, scratch
+):
+    """Accept or reject the step that a lane has just taken.
+
+    Returns STEPPING, DONE when something has happened (event, switch, end) and the lane must be
+    prepared anew, or the reason to stop.
+    """
+    h = f[STEP * WIDTH + j]
+    f[ACCEPTED * WIDTH + j] = 0.0
+    norm = f[NORM * WIDTH + j]
+    factor = f[FACTOR * WIDTH + j]
+    if not norm <= 1.0:
+        memory[REJECTED * WIDTH + j] += 1
+        finite = norm <= 1.0e300
+        h *= min(max(factor, 0.2), 0.9) if finite else 0.1
+        f[STEP * WIDTH + j] = h
+        f[WANTED * WIDTH + j] = h
+        if h < 1e-14:
+            return STEP_TOO_SMALL if finite else NOT_FINITE
+        return STEPPING
+    memory[TAKEN * WIDTH + j] += 1
+    t = f[TIME * WIDTH + j]
+    y = lane(f, Y, j, WIDTH, "")
+    y1 = lane(f, STAGE, j, WIDTH, "")
+    m = lane(f, MODE, j, WIDTH, "lane modes")
+    p = lane(f, P, j, WIDTH, "lane parameters")
+    work = scratch[SCRATCH_WORK:]
+    g = scratch[SCRATCH_G:]
+    record = scratch[SCRATCH_RECORD:]
+    last = h == f[NEXT * WIDTH + j] - t
+    until = f[NEXT * WIDTH + j] if last else t + h
+    wanted = f[WANTED * WIDTH + j]
+    grown = h * min(factor, 5.0)
+    f[WANTED * WIDTH + j] = min(max(wanted, grown) if h < wanted else grown, LONGEST_STEP_S)
+    all_guards(t + h, y1, m, p, work, g)
+    fired = some_negative(g)
+    theta = 1.0
+    if not fired:
+        rate0 = lane(f, RATE_0, j, WIDTH, "")
+        theta = hidden_turn(h, y, y1, rate0, lane(f, RATE, j, WIDTH, ""), m)
+    index = 0
+    i = memory[NEXT_SAMPLE * WIDTH + j]
+    if fired or theta < 1.0 or (i < n_sample and samples[i] <= until):
+        k = rows(lane(f, K, j, WIDTH, ""), MAX_STATES)
+        dense = rows(lane(f, DENSE, j, WIDTH, ""), MAX_STATES)
+        explicit_dense(1.0, y, y1, k, dense, n)
+        if theta < 1.0:
+            state = lane(f, SPARE, j, WIDTH, "")
+            interpolate(theta, dense, state, n)
+            all_guards(t + theta * h, state, m, p, work, g)
+            fired = some_negative(g)
+            if not fired:
+                theta = 1.0
+        if fired:
+            g0 = scratch[SCRATCH_G0:]
+            all_guards(t, y, m, p, work, g0)
+            theta = locate(t, h, theta, dense, y1, m, p, work, g, g0, n)
+            index = smallest(g)
+            until = t + theta * h
+        sample_step(f, j, n, memory, until, theta, samples, n_sample, columns, n_columns, out)
+    f[TIME * WIDTH + j] = until
+    if not (fired or last):
+        f[ACCEPTED * WIDTH + j] = 1.0
+        next_step(f, j)
+        return STEPPING
+    for e in range(n):
+        y[e] = y1[e]
+    if fired:
+        after_event(until, index, y, m, p, record, work)
+        note_event(f, j, index, memory, record, events, room, result)
+        f[WANTED * WIDTH + j] = min(f[WANTED * WIDTH + j], max(FIRST_STEP_S, 0.3 * h))
+    return DONE
+
+
+@called
+def begin(f, j, n, memory, packed, y0, m0, u0, duration, work):
+    """Put a stroke into a lane, at time 0."""
+    for k in range(TERM_0):
+        f[(P + k) * WIDTH + j] = packed[k]
+    for k in range(MODES):
+        f[(MODE + k) * WIDTH + j] = m0[k]
+    for k in range(n):
+        f[(Y + k) * WIDTH + j] = y0[k]
+    for k in range(3):
+        f[(VALVE + k) * WIDTH + j] = u0[k]
+        f[(VALVE_RATE + k) * WIDTH + j] = 0.0
+    f[ACCEPTED * WIDTH + j] = 0.0
+    f[TIME * WIDTH + j] = 0.0
+    f[END * WIDTH + j] = duration
+    f[WANTED * WIDTH + j] = STEP_AFTER_REST_S
+    for k in range(1, MEMORY):
+        memory[k * WIDTH + j] = 0
+    y = lane(f, Y, j, WIDTH, "")
+    m = lane(f, MODE, j, WIDTH, "lane modes")
+    choose_modes(0.0, y, m, lane(f, P, j, WIDTH, "lane parameters"), work)

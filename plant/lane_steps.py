@@ -1,0 +1,180 @@
+"""Eight lanes side by side: one Runge-Kutta step of all of them as vector instructions.
+
+All numbers of a lane stand `WIDTH` apart in one flat array; the equations are those of the scalar
+kernel.  With constant distances inside one array the compiler proves that nothing overlaps, which
+it needs to turn eight lanes into one instruction.
+
+Covered: mapped flow without leaks, line, damper, synchronizer, barriers or non-parametric terms
+(`FREE_OF`); everything else belongs to the scalar kernel.
+
+Checked by: tests/unit/plant/test_batch.py
+"""
+# mypy: disallow-untyped-defs=False
+
+from __future__ import annotations
+
+from math import sqrt
+
+from . import layout as L
+from .compiled import called, inlined
+from .fixed_equations import fixed_rates
+from .layout import FLOW_COEFFICIENTS, MAX_STATES, MODES, PARAMETERS
+from .length_equations import rates
+from .steppers import local_error, stage_1, stage_2, stage_3, stage_4, stage_5, stage_6
+from .views import ABSENT, lane, rows
+
+WIDTH = 8
+
+# Parameters and modes that must be 0 in a lane; what depends on them is not compiled.
+FREE_OF = (
+    L.FLOW_MODEL,
+    L.STRIBECK_V,
+    L.BUMP_FORCE,
+    L.SEAL_MU,
+    L.MESH_FORCE,
+    L.PULL_FORCE,
+    L.SYNC_IMPULSE,
+    L.DETENT_FORCE,
+    L.LEAK_PISTON,
+    L.LEAK_ATM,
+    L.ALPHA_SPEED,
+    L.TERM_EQUATION,
+)
+MODES_FREE_OF = (L.M_DAMPER, L.M_LINE, L.M_OIL_REST, L.M_BLOCKED)
+ABSENT["lane parameters"] = sum(1 << i for i in FREE_OF)
+ABSENT["lane modes"] = sum(1 << i for i in MODES_FREE_OF)
+
+# Blocks of the flat array, in rows of WIDTH.
+Y = 0
+STAGE = Y + MAX_STATES
+RATE = STAGE + MAX_STATES
+RATE_0 = RATE + MAX_STATES
+SPARE = RATE_0 + MAX_STATES
+K = SPARE + MAX_STATES
+DENSE = K + 7 * MAX_STATES
+MODE = DENSE + 5 * MAX_STATES
+VALVE = MODE + MODES
+VALVE_RATE = VALVE + 3
+WORK = VALVE_RATE + 3
+TIME = WORK + 6
+STEP = TIME + 1
+WANTED = STEP + 1  # step that the error control would take
+NEXT = WANTED + 1  # time of the next switch, or of the end
+END = NEXT + 1
+NORM = END + 1
+FACTOR = NORM + 1
+C = FACTOR + 1
+P = C + FLOW_COEFFICIENTS
+STEPS = P + PARAMETERS  # step sizes again, once for every state
+SCALE = STEPS + MAX_STATES
+TAKE = SCALE + MAX_STATES  # ACCEPTED again, once for every state
+ACCEPTED = TAKE + MAX_STATES  # 1: the state at the end of the last step is to be taken
+ROWS = ACCEPTED + 1
+LANE_STATES = MAX_STATES * WIDTH
+
+lane_fixed_rates = inlined(fixed_rates.py_func)  # type: ignore[attr-defined]
+lane_length_rates = inlined(rates.py_func)  # type: ignore[attr-defined]
+
+
+@called
+def rates_of_lanes(f, fixed, fraction, width):
+    """Rates of all lanes at their stage states, `fraction` of their step on: STAGE -> RATE."""
+    if fixed:
+        for j in range(width):
+            lane_fixed_rates(
+                f[TIME * WIDTH + j] + fraction * f[STEP * WIDTH + j],
+                lane(f, STAGE, j, WIDTH, ""),
+                lane(f, RATE, j, WIDTH, ""),
+                lane(f, MODE, j, WIDTH, "lane modes"),
+                lane(f, VALVE, j, WIDTH, ""),
+                lane(f, VALVE_RATE, j, WIDTH, ""),
+                lane(f, P, j, WIDTH, "lane parameters"),
+                lane(f, C, j, WIDTH, ""),
+                False,
+            )
+    else:
+        for j in range(width):
+            lane_length_rates(
+                f[TIME * WIDTH + j] + fraction * f[STEP * WIDTH + j],
+                lane(f, STAGE, j, WIDTH, ""),
+                lane(f, RATE, j, WIDTH, ""),
+                lane(f, MODE, j, WIDTH, "lane modes"),
+                lane(f, VALVE, j, WIDTH, ""),
+                lane(f, VALVE_RATE, j, WIDTH, ""),
+                lane(f, P, j, WIDTH, "lane parameters"),
+                lane(f, C, j, WIDTH, ""),
+                lane(f, WORK, j, WIDTH, ""),
+                False,
+            )
+
+
+@inlined
+def increments(f, source, stage, count):
+    """Step times rates of all lanes -> row `stage` of K."""
+    k = f[(K + stage * MAX_STATES) * WIDTH :]
+    rate = f[source * WIDTH :]
+    steps = f[STEPS * WIDTH :]
+    for e in range(count):
+        k[e] = steps[e] * rate[e]
+
+
+@called
+def step_of_lanes(f, fixed, n, tolerance, width):
+    """One Dormand-Prince step of every lane, each with its own step size.
+
+    First, lanes whose last step was ACCEPTED take its end as their state.  Then
+    Y, RATE_0, TIME, STEP -> STAGE (new state), RATE (rates there), K (increments), NORM (of the
+    error) and FACTOR, by which the error lets the step grow; SCALE holds the states' typical sizes.
+    `width` must be WIDTH; as a variable it keeps the compiler from unrolling the lanes.
+    """
+    count = n * WIDTH
+    y = f[Y * WIDTH :]
+    out = f[STAGE * WIDTH :]
+    error = f[SPARE * WIDTH :]
+    k = rows(f[K * WIDTH :], LANE_STATES)
+    for i in range(n):
+        for j in range(WIDTH):
+            f[(STEPS + i) * WIDTH + j] = f[STEP * WIDTH + j]
+            f[(TAKE + i) * WIDTH + j] = f[ACCEPTED * WIDTH + j]
+    take = f[TAKE * WIDTH :]
+    first = f[RATE_0 * WIDTH :]
+    last = f[RATE * WIDTH :]
+    for e in range(count):
+        y[e] = out[e] if take[e] != 0.0 else y[e]
+    for e in range(count):
+        first[e] = last[e] if take[e] != 0.0 else first[e]
+    increments(f, RATE_0, 0, count)
+    stage_1(1.0, y, k, out, count)
+    rates_of_lanes(f, fixed, 0.2, width)
+    increments(f, RATE, 1, count)
+    stage_2(1.0, y, k, out, count)
+    rates_of_lanes(f, fixed, 0.3, width)
+    increments(f, RATE, 2, count)
+    stage_3(1.0, y, k, out, count)
+    rates_of_lanes(f, fixed, 0.8, width)
+    increments(f, RATE, 3, count)
+    stage_4(1.0, y, k, out, count)
+    rates_of_lanes(f, fixed, 8.0 / 9.0, width)
+    increments(f, RATE, 4, count)
+    stage_5(1.0, y, k, out, count)
+    rates_of_lanes(f, fixed, 1.0, width)
+    increments(f, RATE, 5, count)
+    stage_6(1.0, y, k, out, count)
+    rates_of_lanes(f, fixed, 1.0, width)
+    increments(f, RATE, 6, count)
+    local_error(1.0, k, error, count)
+    scale = f[SCALE * WIDTH :]
+    for e in range(count):
+        ratio = error[e] / (tolerance * (scale[e] + max(abs(y[e]), abs(out[e]))))
+        error[e] = ratio * ratio
+    for j in range(WIDTH):
+        f[NORM * WIDTH + j] = 0.0
+    for i in range(n):
+        for j in range(WIDTH):
+            f[NORM * WIDTH + j] += error[i * WIDTH + j]
+    for j in range(width):
+        # norm^(3/16), between the fifth and the sixth root, by square roots alone
+        norm = sqrt(f[NORM * WIDTH + j] / n)
+        eighth = sqrt(sqrt(sqrt(norm)))
+        f[NORM * WIDTH + j] = norm
+        f[FACTOR * WIDTH + j] = 0.9 / max(eighth * sqrt(eighth), 0.18)
