@@ -62,7 +62,7 @@ class Mf4Writer(LogWriter):
 
     format = "mf4"
     patched = True
-    batch = 1 << 16
+    batch = 1 << 14
 
     def __init__(self, path: str) -> None:
         import_asammdf(path)
