@@ -25,26 +25,48 @@ _BLOCK: Final = 1 << 18
 
 
 class _Feed:
-    """The file as a window that slides on; `offset` is the place of its first byte."""
+    """The file as a window that slides on; `pos` is the place in it, `offset` that in the file."""
 
     def __init__(self, source: ByteSource) -> None:
         self._source = source
         self.window = b""
+        self.pos = 0
         self.offset = 0
+
+    def left(self) -> int:
+        """Bytes of the window from the place on."""
+        return len(self.window) - self.pos
 
     def fill(self, size: int) -> bool:
         """Have `size` bytes in the window if the file has them."""
-        while len(self.window) < size:
-            block = self._source.read(max(_BLOCK, size - len(self.window)))
+        while self.left() < size:
+            block = self._source.read(max(_BLOCK, size - self.left()))
             if not block:
                 return False
-            self.window += block
+            self.window = self.window[self.pos :] + block
+            self.pos = 0
         return True
+
+    def find(self, mark: bytes, within: int | None = None) -> int:
+        """How far on a mark is in the window (in the next `within` bytes), -1 for nowhere."""
+        end = len(self.window) if within is None else self.pos + within
+        found = self.window.find(mark, self.pos, end)
+        return found - self.pos if found >= 0 else -1
+
+    def only_zeros(self) -> bool:
+        """Whether nothing but zero bytes is left in the window."""
+        return not self.window[self.pos :].strip(b"\x00")
 
     def drop(self, size: int) -> None:
         """Go on by `size` bytes."""
-        self.window = self.window[size:]
+        self.pos += size
         self.offset += size
+
+    def take(self, size: int) -> bytes:
+        """The next bytes, as many as there are up to `size`."""
+        taken = self.window[self.pos : self.pos + size]
+        self.drop(len(taken))
+        return taken
 
 
 class BlfReader:
@@ -60,12 +82,12 @@ class BlfReader:
         feed = _Feed(source)
         told_size = self._header(feed)
         while True:
-            if not feed.fill(blf.OBJECT.size + 8) and not feed.window.strip(b"\x00"):
+            if not feed.fill(blf.OBJECT.size + 8) and feed.only_zeros():
                 break
             yield from self._object(feed)
         if self._tail.strip(b"\x00"):
             self._report.cut(Place("the log ends inside an object", byte=feed.offset))
-        if told_size > feed.offset + len(feed.window):
+        if told_size > feed.offset + feed.left():
             self._report.cut(
                 Place(f"the header tells {told_size} bytes, more than there are", byte=feed.offset)
             )
@@ -90,15 +112,17 @@ class BlfReader:
     def _object(self, feed: _Feed) -> Iterator[Batch]:
         """Take the object (or the rubbish) at the window's start."""
         report = self._report
-        skip = feed.window.find(b"LOBJ", 0, 8)
-        if len(feed.window) < max(skip, 0) + blf.OBJECT.size:
+        skip = feed.find(b"LOBJ", 8)
+        if feed.left() < max(skip, 0) + blf.OBJECT.size:
             report.cut(Place("the log ends inside an object", byte=feed.offset))
-            feed.drop(len(feed.window))
+            feed.drop(feed.left())
             return
-        problem = "no object begins here" if skip < 0 else blf.plausible_header(feed.window, skip)
+        problem: str | None = "no object begins here"
+        if skip >= 0:
+            problem = blf.plausible_header(feed.window, feed.pos + skip)
         if problem is None:
             feed.drop(skip)
-            _, header_size, _, size, kind = blf.OBJECT.unpack_from(feed.window)
+            _, header_size, _, size, kind = blf.OBJECT.unpack_from(feed.window, feed.pos)
             if kind == blf.TYPE_CONTAINER and not 32 <= size <= _LARGEST_CONTAINER:
                 problem = f"container of {size} bytes"
         if problem is not None:
@@ -107,8 +131,8 @@ class BlfReader:
             self._to_next_object(feed)
             return
         whole = feed.fill(size)
-        body, offset = feed.window[:size], feed.offset
-        feed.drop(len(body))
+        offset = feed.offset
+        body = feed.take(size)
         if kind != blf.TYPE_CONTAINER:
             yield self._batch(body, offset)
             return
@@ -122,13 +146,13 @@ class BlfReader:
         """Slide on to the next place where an object may begin."""
         feed.drop(1)
         while True:
-            found = feed.window.find(b"LOBJ")
+            found = feed.find(b"LOBJ")
             if found >= 0:
                 feed.drop(found)
                 return
-            feed.drop(max(len(feed.window) - 3, 0))
-            if not feed.fill(len(feed.window) + 1):
-                feed.drop(len(feed.window))
+            feed.drop(max(feed.left() - 3, 0))
+            if not feed.fill(feed.left() + 1):
+                feed.drop(feed.left())
                 return
 
     def _drop_tail(self) -> None:

@@ -105,6 +105,8 @@ class ByteSource:
         try:
             if os.path.isdir(path):
                 raise InputError(f"{path}: is a folder; expected a log file")
+            if os.path.exists(path) and not os.path.isfile(path):
+                raise InputError(f"{path}: is a pipe or device; expected a log file")
             self.file: BinaryIO = open(path, "rb")  # noqa: SIM115 closed by close()
         except OSError as error:
             raise InputError(f"{path}: {error.strerror}; expected a readable log file") from None

@@ -16,7 +16,7 @@ from can_dbc.errors import InputError
 from sil.logs.backend import Batch, LogWriter, ReadOptions
 from sil.logs.byte_source import ByteSource
 from sil.logs.frame import DLC_LENGTHS, LogFrame, frame_problem
-from sil.logs.report import LogReport, Place
+from sil.logs.report import LogReport, Place, printable
 from sil.logs.text_lines import Line, lines
 from sil.logs.times import RELATIVE_BELOW_NS, format_ns, parse_decimal_ns
 
@@ -230,9 +230,10 @@ class CsvReader:
         if row is None:
             names = text.strip().split(",")
             if names[0] == "time_s":
+                signals = printable(", ".join(names[1:4]))
                 raise InputError(
-                    f"{self._report.path}: line 1: holds signals ({', '.join(names[1:4])}, ...), "
-                    "no CAN frames; expected a log of frames (convert turns this into MF4)"
+                    f"{self._report.path}: line 1: holds signals ({signals}, ...), no CAN frames; "
+                    "expected a log of frames (convert turns this into MF4)"
                 )
             raise InputError(
                 f"{self._report.path}: line 1: header {text.strip()[:60]!r} is unknown; expected "

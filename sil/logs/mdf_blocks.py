@@ -10,6 +10,8 @@ import zlib
 from collections.abc import Iterator
 from typing import BinaryIO, Final, NamedTuple
 
+from sil.logs.report import printable
+
 HEADER: Final = struct.Struct("<4sIQQ")
 LARGEST_BLOCK: Final = 1 << 24
 LARGEST_PACKED: Final = 1 << 26
@@ -120,7 +122,8 @@ class MdfFile:
         """The text of a TX or MD block, "" for no link."""
         if not address:
             return ""
-        return self.block(address, "TX", "MD").body.split(b"\x00")[0].decode("utf-8", "replace")
+        text = self.block(address, "TX", "MD").body.split(b"\x00")[0].decode("utf-8", "replace")
+        return printable(text)
 
     def data(self, address: int, kind: str, open_end: bool) -> Iterator[Piece]:
         """The bytes under a data link, in pieces, unpacked.

@@ -27,6 +27,7 @@ from sil.logs.times import RELATIVE_BELOW_NS
 _GROUP: Final = struct.Struct("<QQHHIII")
 _START: Final = struct.Struct("<QhhBB")
 _VLSD_GROUP: Final = 1
+_LOCAL_TIME: Final = 1
 _BATCH: Final = 2048
 
 
@@ -73,7 +74,9 @@ class Mf4Reader:
         streams: list[Iterator[LocatedFrame]] = []
         try:
             header = file.block(64, "HD")
-            start_ns = header.unpack(_START)[0]
+            start_ns, _, _, time_flags, _ = header.unpack(_START)
+            if time_flags & _LOCAL_TIME:
+                report.note("the start is a local time of an unknown zone, taken as UTC")
             if start_ns >= 2**63:
                 raise MdfError(64, "a start time out of range")
             report.start_ns = start_ns or None

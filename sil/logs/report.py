@@ -12,6 +12,11 @@ KEPT_PLACES: Final = 10
 """How many places of each kind a report remembers; all of them are counted."""
 
 
+def printable(text: str) -> str:
+    """Text out of a file, fit for a message of one line."""
+    return "".join(character if character.isprintable() else "?" for character in text)
+
+
 @dataclass(frozen=True, slots=True)
 class Place:
     """A spot in a file, by line (from 1) in text or byte (from 0), and what is wrong there.
