@@ -49,14 +49,22 @@ def breakaway_s(time_s: Floats, position_m: Floats) -> tuple[float, float]:
     """Instant of first motion and its standard error [s], from the beginning of the travel.
 
     At breakaway the friction falls at once from static to sliding while the force goes on rising:
-    the travel begins as a/2 t^2 + j/6 t^3 after that instant, fitted over its first eighth.
+    the travel begins as a/2 t^2 + j/6 t^3 after that instant.  How much of the travel is looked at
+    moves the instant; that belongs to the error as much as the potentiometer's steps.
     """
+    found = [beginning(time_s, position_m, share) for share in (0.08, 0.12, 0.18)]
+    instants = [instant for instant, _error in found]
+    return instants[1], float(np.hypot(found[1][1], np.ptp(instants)))
+
+
+def beginning(time_s: Floats, position_m: Floats, share: float) -> tuple[float, float]:
+    """Instant and its standard error of a/2 t^2 + j/6 t^3 fitted to the first share of the travel."""
     from scipy.optimize import least_squares
 
     start = float(np.median(position_m[: max(5, len(position_m) // 100)]))
     travel = position_m - start
     top = float(np.max(travel))
-    first = int(np.flatnonzero(travel > 0.12 * top)[0])
+    first = int(np.flatnonzero(travel > share * top)[0])
     inside = np.arange(max(0, first - 120), first + 1)
     if first < 20 or np.count_nonzero(travel[inside] > 0.01 * top) < 4:
         raise InputError("too few samples between rest and motion; expected 10 kHz")
