@@ -60,6 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
         return _list()
     if arguments.scenario is None:
         raise InputError("no SCENARIO; expected a file or a shipped name, see opc4 run --list")
+    if arguments.junit is not None and not arguments.junit.parent.is_dir():
+        raise InputError(f"{arguments.junit}: --junit: no such folder; expected one that exists")
     from sil import scenario
     from sil.results import as_json, junit_xml, prepare_folder, write_whole
 

@@ -63,6 +63,13 @@ def test_bad_usage_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(told) == 2 and "opc4 run --list" in told[0] and "--help" in told[1]
 
 
+def test_a_place_for_junit_that_does_not_exist_is_bad_input(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["run", "lab_n_b", "--junit", "no/such/folder/junit.xml"]) == 2
+    assert "--junit: no such folder" in capsys.readouterr().err
+
+
 def test_bad_input_is_exit_2_and_one_json_object(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["run", "no_such_scenario", "--json"]) == 2
     told = capsys.readouterr()
