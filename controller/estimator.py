@@ -13,6 +13,12 @@ from controller.light_model import LightModel, ModelSettings, Motion, Valve
 STEP_S = 0.0005
 """Step of the light model."""
 
+STILL_M = 1e-4
+"""Differences up to this, two ticks of the sensor's timer, are no motion."""
+
+TOUCH_M = 1e-9
+"""Piston and stay nearer than this move together."""
+
 
 def _number(low: float, high: float, unit: str) -> Any:
     return Meta(ge=low, le=high, description=unit)
@@ -70,7 +76,7 @@ class Observer:
     @property
     def travelled_m(self) -> float:
         """Where the stay is believed to be now, from neutral."""
-        return max(0.0, self.motion.piston_m - self.model.settings.gap_m)
+        return self.motion.stay_m
 
     def advance(self, until_s: float, measured_m: float, new_samples: int) -> None:
         """Run the model up to now and correct it with a measured position, if it is new."""
@@ -90,12 +96,18 @@ class Observer:
             for _ in range(new_samples):
                 expected_m = self._filter.update(sampled_m)
         own, motion = self._settings, self.motion
-        if motion.piston_m < self.model.settings.gap_m:
-            return  # the piston is on its own: the sensor cannot tell
         error_m = measured_m - expected_m
-        moved_m = max(self.travelled_m + own.position_gain * error_m, 0.0)
-        motion.piston_m = min(self.model.settings.gap_m + moved_m, self.model.end_m)
-        motion.speed_m_s += own.speed_gain_per_s * error_m
+        touching = motion.piston_m >= self.model.settings.gap_m + motion.stay_m - TOUCH_M
+        if not touching and motion.stay_m <= 0.0 and error_m <= STILL_M:
+            return  # the piston is on its own, the stay at rest: nothing to learn
+        stroke_m = self.model.stroke_m
+        moved_m = motion.stay_m + own.position_gain * error_m
+        motion.stay_m = min(max(moved_m, 0.0), stroke_m)
+        limit_m = self.model.settings.gap_m + motion.stay_m
+        motion.piston_m = limit_m if touching else min(motion.piston_m, limit_m)
+        motion.stay_m_s += own.speed_gain_per_s * error_m
+        if touching:
+            motion.piston_m_s = motion.stay_m_s
         motion.load_n = min(max(motion.load_n - own.load_gain_n_m * error_m, 0.0), own.most_load_n)
 
     def command(self, charge: bool, brake: bool) -> None:

@@ -1,8 +1,8 @@
 """A light model of an engagement, in plain floats, for strategies that look ahead.
 
-One driving piston, the stay behind it, the neutral chamber that both compress. Ellipses stand for
-the measured flows, the far chamber is at the atmosphere, no synchronizer: its force is what an
-estimator must find. Positions in m from neutral towards the gear.
+One driving piston, the stay that it pushes, the neutral chamber that it compresses. Ellipses
+stand for the measured flows, the far chamber is at the atmosphere, no synchronizer: its force is
+what an estimator must find. Positions in m from neutral towards the gear.
 Checked by test_light_model.
 """
 
@@ -35,7 +35,8 @@ class ModelSettings(Settings, frozen=True):
     piston_kg: Annotated[float, _number(0.01, 10.0, "kg")] = 0.2
     stay_friction_n: Annotated[float, _number(0.0, 2000.0, "N")] = 22.0
     piston_friction_n: Annotated[float, _number(0.0, 2000.0, "N")] = 29.0
-    damping_n_s_m: Annotated[float, _number(0.0, 1000.0, "N s/m")] = 39.0
+    stay_damping_n_s_m: Annotated[float, _number(0.0, 1000.0, "N s/m")] = 17.0
+    piston_damping_n_s_m: Annotated[float, _number(0.0, 1000.0, "N s/m")] = 22.0
     piston_m2: Annotated[float, _number(1e-5, 0.1, "m2")] = 0.00251327412
     stay_m2: Annotated[float, _number(0.0, 0.1, "m2")] = 0.000314159265
     gap_m: Annotated[float, _number(0.0, 0.1, "m")] = 0.013
@@ -43,6 +44,11 @@ class ModelSettings(Settings, frozen=True):
     driving_m3: Annotated[float, _number(1e-7, 0.01, "m3")] = 2.8e-5
     braking_m3: Annotated[float, _number(1e-5, 0.01, "m3")] = 9.2968e-5
     """Volumes of the driving chamber and of neutral, both when in neutral."""
+    filling_alpha_flow: Annotated[float, _number(0.5, 2.0, "")] = 0.94
+    filling_alpha_volume: Annotated[float, _number(0.5, 2.0, "")] = 0.87
+    venting_alpha_flow: Annotated[float, _number(0.5, 2.0, "")] = 1.5
+    venting_alpha_volume: Annotated[float, _number(0.5, 2.0, "")] = 1.05
+    """Exponents of the state change (thesis table 3.2)."""
     flow_in: Annotated[float, _number(0.0, 1e-3, "K kg/(s Pa)")] = 2.27e-6
     flow_in_critical: Annotated[float, _number(-2.0, 0.9, "")] = -0.605
     flow_out: Annotated[float, _number(0.0, 1e-3, "K kg/(s Pa)")] = 2.42e-6
@@ -50,26 +56,39 @@ class ModelSettings(Settings, frozen=True):
 
 
 class Motion:
-    """State of the light model: piston's way since its stop, speed, pressures, load on the stay."""
+    """State of the light model: piston from its stop, stay from neutral, pressures, load on it."""
 
-    __slots__ = ("braking_pa", "driving_pa", "load_n", "piston_m", "speed_m_s")
+    __slots__ = (
+        "braking_pa",
+        "driving_pa",
+        "load_n",
+        "piston_m",
+        "piston_m_s",
+        "stay_m",
+        "stay_m_s",
+    )
 
     def __init__(self, atmosphere_pa: float) -> None:
-        self.piston_m = 0.0
-        self.speed_m_s = 0.0
-        self.driving_pa = atmosphere_pa
-        self.braking_pa = atmosphere_pa
+        self.piston_m = self.piston_m_s = 0.0
+        self.stay_m = self.stay_m_s = 0.0
+        self.driving_pa = self.braking_pa = atmosphere_pa
         self.load_n = 0.0
 
     def copy(self) -> Motion:
         """Return a state that can be changed without changing this one."""
         twin = Motion(0.0)
-        twin.piston_m = self.piston_m
-        twin.speed_m_s = self.speed_m_s
-        twin.driving_pa = self.driving_pa
-        twin.braking_pa = self.braking_pa
-        twin.load_n = self.load_n
+        for name in self.__slots__:
+            setattr(twin, name, getattr(self, name))
         return twin
+
+
+def slid(speed_m_s: float, force_n: float, resist_n: float, step_s: float, mass_kg: float) -> float:
+    """Return the speed after a step under a force and a resistance that only ever opposes."""
+    driven_m_s = speed_m_s + step_s * force_n / mass_kg
+    stopped_m_s = step_s * resist_n / mass_kg
+    if driven_m_s > stopped_m_s:
+        return driven_m_s - stopped_m_s
+    return driven_m_s + stopped_m_s if driven_m_s < -stopped_m_s else 0.0
 
 
 class Valve:
@@ -105,69 +124,81 @@ class Valve:
 class LightModel:
     """Equations of the engagement, one semi-implicit Euler step at a time.
 
-    P' = (R f - P V') / V with f = C P_up sqrt(1 - ((r - b)/(1 - b))^2), r = max(P_down/P_up, b);
-    m v' = A_p (P_d - P_n) + A_s (P_d - P_atm) - friction - load. Some 60 arithmetic operations
+    P' = (alpha_m R f - alpha P V') / V, f = C P_up sqrt(1 - ((r - b)/(1 - b))^2), where
+    r = max(P_down/P_up, b);
+    m_p u' = A_p (P_d - P_n) - friction for the piston, m_s v' = A_s (P_d - P_atm) - friction - load
+    for the stay, and equal speeds where the one pushes the other. Some 80 arithmetic operations
     and 2 square roots a step. Checked by test_light_model.
     """
 
     def __init__(self, settings: ModelSettings, stroke_m: float) -> None:
         self.settings = settings
-        self.end_m = settings.gap_m + stroke_m
+        self.stroke_m = stroke_m
 
     def _flow(self, pressure_pa: float, is_open: bool) -> float:
-        """Return the flow into a chamber, kg K/s; negative when it vents."""
+        """Return the flow into a chamber times its exponent, kg K/s; negative when it vents."""
         own = self.settings
         if is_open:
             ratio, upstream_pa = pressure_pa / own.supply_pa, own.supply_pa
-            critical, size = own.flow_in_critical, own.flow_in
+            critical, size = own.flow_in_critical, own.filling_alpha_flow * own.flow_in
         else:
             ratio, upstream_pa = own.atmosphere_pa / pressure_pa, pressure_pa
-            critical, size = own.flow_out_critical, -own.flow_out
+            critical, size = own.flow_out_critical, -own.venting_alpha_flow * own.flow_out
         if ratio >= 1.0:
             return 0.0
         share = (ratio - critical) / (1.0 - critical) if ratio > critical else 0.0
         return size * upstream_pa * sqrt(1.0 - share * share)
 
     def step(self, motion: Motion, driving: bool, braking: bool, step_s: float) -> None:
-        """Advance a state by one step with the valves as given."""
+        """Advance a state by one step with the valves as given.
+
+        The piston pushes the stay and cannot pull it: what brakes the piston lets the stay coast.
+        """
         own = self.settings
-        z_m, v_m_s = motion.piston_m, motion.speed_m_s
-        joined = z_m >= own.gap_m
-        moved_m = z_m - own.gap_m if joined else 0.0
-        area_m2 = own.piston_m2 + own.stay_m2 if joined else own.piston_m2
-        driving_m3 = own.driving_m3 + own.piston_m2 * z_m + own.stay_m2 * moved_m
+        z_m, x_m = motion.piston_m, motion.stay_m
+        u_m_s, v_m_s = motion.piston_m_s, motion.stay_m_s
+        u_m_s = slid(
+            u_m_s,
+            own.piston_m2 * (motion.driving_pa - motion.braking_pa),
+            own.piston_friction_n + own.piston_damping_n_s_m * abs(u_m_s),
+            step_s,
+            own.piston_kg,
+        )
+        v_m_s = slid(
+            v_m_s,
+            own.stay_m2 * (motion.driving_pa - own.atmosphere_pa),
+            own.stay_friction_n + motion.load_n + own.stay_damping_n_s_m * abs(v_m_s),
+            step_s,
+            own.stay_kg,
+        )
+        if u_m_s > v_m_s and z_m + step_s * u_m_s > own.gap_m + x_m + step_s * v_m_s:
+            total_kg = own.piston_kg + own.stay_kg
+            common_m_s = (own.piston_kg * u_m_s + own.stay_kg * v_m_s) / total_kg
+            if v_m_s <= 0.0:  # the piston's push has the stay's resistance to overcome first
+                resist_n = own.stay_friction_n + motion.load_n
+                drive_n = own.stay_m2 * (motion.driving_pa - own.atmosphere_pa)
+                held_m_s = step_s * max(0.0, resist_n - drive_n) / total_kg
+                common_m_s = max(0.0, common_m_s - held_m_s)
+            u_m_s = v_m_s = common_m_s
+        new_x_m = min(max(x_m + step_s * v_m_s, 0.0), self.stroke_m)
+        new_z_m = min(max(z_m + step_s * u_m_s, 0.0), own.gap_m + new_x_m)
+        way_m = new_z_m - z_m
+        driving_m3 = own.driving_m3 + own.piston_m2 * z_m + own.stay_m2 * x_m
         braking_m3 = own.braking_m3 - own.piston_m2 * z_m
-        force_n = own.piston_m2 * (motion.driving_pa - motion.braking_pa)
-        friction_n, mass_kg = own.piston_friction_n, own.piston_kg
-        load_n = 0.0
-        if joined:
-            force_n += own.stay_m2 * (motion.driving_pa - own.atmosphere_pa)
-            friction_n += own.stay_friction_n
-            mass_kg += own.stay_kg
-            load_n = motion.load_n
-        resist_n = friction_n + load_n + own.damping_n_s_m * abs(v_m_s)
-        if v_m_s > 0.0:
-            v_m_s = max(0.0, v_m_s + step_s * (force_n - resist_n) / mass_kg)
-        elif v_m_s < 0.0:
-            v_m_s = min(0.0, v_m_s + step_s * (force_n + resist_n - 2.0 * load_n) / mass_kg)
-        elif force_n > resist_n:
-            v_m_s = step_s * (force_n - resist_n) / mass_kg
-        elif force_n < -friction_n and z_m > 0.0:
-            v_m_s = step_s * (force_n + friction_n) / mass_kg
+        swept_m3 = own.piston_m2 * way_m + own.stay_m2 * (new_x_m - x_m)
         gain = R_AIR_J_KG_K * step_s
+        volume = own.filling_alpha_volume if driving else own.venting_alpha_volume
         motion.driving_pa += (
-            gain * self._flow(motion.driving_pa, driving)
-            - step_s * motion.driving_pa * area_m2 * v_m_s
+            gain * self._flow(motion.driving_pa, driving) - volume * motion.driving_pa * swept_m3
         ) / driving_m3
+        volume = own.filling_alpha_volume if braking else own.venting_alpha_volume
         motion.braking_pa += (
             gain * self._flow(motion.braking_pa, braking)
-            + step_s * motion.braking_pa * own.piston_m2 * v_m_s
+            + volume * motion.braking_pa * own.piston_m2 * way_m
         ) / braking_m3
-        z_m += step_s * v_m_s
-        if z_m >= self.end_m:
-            z_m, v_m_s = self.end_m, 0.0
-        elif z_m <= 0.0:
-            z_m, v_m_s = 0.0, 0.0
-        elif not joined and z_m >= own.gap_m:
-            v_m_s *= own.piston_kg / (own.piston_kg + own.stay_kg)
-        motion.piston_m, motion.speed_m_s = z_m, v_m_s
+        if new_x_m >= self.stroke_m or new_x_m <= 0.0:
+            v_m_s = 0.0 if new_x_m > 0.0 or v_m_s < 0.0 else v_m_s
+        if new_z_m <= 0.0 or new_z_m >= own.gap_m + self.stroke_m:
+            u_m_s = 0.0
+        motion.piston_m, motion.stay_m = new_z_m, new_x_m
+        motion.piston_m_s, motion.stay_m_s = u_m_s, v_m_s

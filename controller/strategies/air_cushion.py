@@ -23,9 +23,9 @@ class AirCushion(IntoGear):
         """Travel from neutral at which the braking is to begin."""
         lead_s: Annotated[float, bounded(0.0, 0.1, "s")] = 0.012
         """How far ahead the position is extrapolated."""
-        burst_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.02
+        burst_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.015
         """Time for which the neutral chamber is filled."""
-        keep_charging: bool = True
+        keep_charging: bool = False
         """Whether the driving chamber goes on being filled during the burst."""
 
     name: ClassVar[str] = "air_cushion"
@@ -38,7 +38,7 @@ class AirCushion(IntoGear):
         self._begun_s = None
 
     def decide(self, seen: Seen) -> Wish:
-        """Charge throughout, and brake during the burst."""
+        """Push until the burst, brake during it, push again."""
         own = self.parameters
         if (
             self._begun_s is None

@@ -4,24 +4,26 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar
 
+from can_dbc.errors import InputError
 from controller.strategies.bounds import bounded
 from controller.strategies.foresight import Foresight, ForesightParameters
 from controller.strategies.into_gear import Seen, Wish
 
-NEVER_S = 1e9
 BISECTIONS = 6
 
-STORED: tuple[tuple[float, float], ...] = ((6e5, 0.002), (7e5, 0.004), (8e5, 0.002), (9e5, 0.002))
+Table = tuple[tuple[float, float], ...]
+
+STORED: Table = ((6e5, 0.002), (7e5, 0.004), (8e5, 0.002), (9e5, 0.002))
 """Supply pressure, Pa, and time from the push to the brake command, s: computed off line for the
 laboratory's length stroke with today's valves and 20 ms of braking (2 ms grid, lowest impact)."""
 
 
-def stored_s(supply_pa: float) -> float:
+def stored_s(table: Table, supply_pa: float) -> float:
     """Return the stored switching time of a supply pressure; straight lines between the entries."""
-    before_pa, before_s = STORED[0]
+    before_pa, before_s = table[0]
     if supply_pa <= before_pa:
         return before_s
-    for pressure_pa, switch_s in STORED[1:]:
+    for pressure_pa, switch_s in table[1:]:
         if supply_pa <= pressure_pa:
             share = (supply_pa - before_pa) / (pressure_pa - before_pa)
             return before_s + share * (switch_s - before_s)
@@ -39,13 +41,21 @@ class BangBang(Foresight):
     """
 
     class Parameters(ForesightParameters, frozen=True):
-        """What arrival is soft enough, and what counts as motion."""
+        """What is stored, what arrival is soft enough, and what counts as motion."""
 
+        table: Table = STORED
+        """Supply pressure, Pa, ascending, and time from the push to the brake command, s."""
         impact_m_s: Annotated[float, bounded(0.0, 3.0, "m/s")] = 0.2
         brake_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.02
-        """Time for which the neutral chamber is filled."""
+        """Time for which the neutral chamber is filled and the driving one is not."""
         seen_m: Annotated[float, bounded(0.0, 0.01, "m")] = 0.0005
         """Measured travel that counts as motion."""
+
+        def __post_init__(self) -> None:
+            super().__post_init__()
+            pressures = [pressure_pa for pressure_pa, _ in self.table]
+            if not pressures or pressures != sorted(set(pressures)):
+                raise InputError("table: wrong order; expected ascending supply pressures")
 
     name: ClassVar[str] = "bang_bang"
     parameters: BangBang.Parameters
@@ -68,12 +78,12 @@ class BangBang(Foresight):
         """Push until the switching time is nearer than half a period, then brake for its time."""
         own = self.parameters
         if self._begun_s is None:
-            waiting_s = stored_s(own.model.supply_pa) - spent_s
+            waiting_s = stored_s(own.table, own.model.supply_pa) - spent_s
             ahead_s = self._solved_s() if self._moved else waiting_s
             if ahead_s < 0.5 * self.config.period_s:
                 self._begun_s = spent_s
         braking = self._begun_s is not None and spent_s - self._begun_s < own.brake_s
-        return Wish(True, braking)
+        return Wish(not braking, braking)
 
     def _solved_s(self) -> float:
         """Return how long from now the brake may wait for the wanted impact speed."""
@@ -93,4 +103,4 @@ class BangBang(Foresight):
 
     def _speed_m_s(self, brake_on_s: float) -> float:
         off_s = brake_on_s + self.parameters.brake_s
-        return self.trial(brake_on_s, off_s, NEVER_S, NEVER_S).speed_m_s
+        return self.trial(brake_on_s, off_s, brake_on_s, off_s).speed_m_s

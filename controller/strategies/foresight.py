@@ -82,8 +82,8 @@ class Foresight(IntoGear):
             if given_s >= 0.0:
                 driving.command(now_s, not charge_off_s <= given_s < charge_on_s)
                 braking.command(now_s, brake_on_s <= given_s < brake_off_s)
-            speed_m_s = motion.speed_m_s
+            speed_m_s = motion.stay_m_s
             model.step(motion, driving.at(now_s), braking.at(now_s), STEP_S)
-            if motion.piston_m >= model.end_m:
+            if motion.stay_m >= model.stroke_m:
                 return Outcome(max(speed_m_s, 0.0), ahead_s, 0.0)
-        return Outcome(0.0, self.parameters.horizon_s, model.end_m - motion.piston_m)
+        return Outcome(0.0, self.parameters.horizon_s, model.stroke_m - motion.stay_m)

@@ -65,7 +65,7 @@ def test_the_two_gears_mirror_each_other(name: str) -> None:
 
 
 def test_the_burst_begins_at_the_extrapolated_position_and_lasts_its_time() -> None:
-    strategy = made("air_cushion", trigger_m=0.006, lead_s=0.01, burst_s=0.02)
+    strategy = made("air_cushion", trigger_m=0.006, lead_s=0.01, burst_s=0.02, keep_charging=True)
     leg = push(Gear.BACKWARD)
     assert strategy.command(0, seen(0.005, 0.09), leg) == Duties(0.98, 0.0, 0.0)
     assert strategy.command(10 * MS, seen(0.005, 0.11), leg) == Duties(0.98, 0.98, 0.0)

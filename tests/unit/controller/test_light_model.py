@@ -1,0 +1,147 @@
+"""The light model and its valves against closed forms, and the observer that runs on them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from controller.config import FilterConfig, FirmwareConfig
+from controller.estimator import STEP_S, Observer, ObserverSettings
+from controller.light_model import R_AIR_J_KG_K, LightModel, ModelSettings, Motion, Valve
+
+STROKE_M = 0.01285
+ATMOSPHERE_PA = 101325.0
+
+
+def test_valve_acts_after_its_delay_and_a_short_command_never() -> None:
+    valve = Valve(0.008, 0.035)
+    valve.command(0.0, True)
+    assert [valve.at(t) for t in (0.0, 0.0075, 0.008)] == [False, False, True]
+    valve.command(0.01, False)
+    assert valve.at(0.0449)
+    assert not valve.at(0.0451)
+    valve.command(0.05, True)
+    valve.command(0.057, False)
+    assert not valve.at(0.2)
+    valve.command(0.3, True)
+    valve.command(0.31, True)  # the same again moves nothing
+    assert valve.at(0.308)
+
+
+def test_a_choked_chamber_empties_exponentially() -> None:
+    """P' = -(alpha R C / V) P while the outflow is choked and nothing moves."""
+    settings = ModelSettings(piston_friction_n=2000.0, stay_friction_n=2000.0)
+    model = LightModel(settings, STROKE_M)
+    motion = Motion(ATMOSPHERE_PA)
+    motion.driving_pa = 8e5
+    outflow = settings.venting_alpha_flow * settings.flow_out
+    rate_per_s = R_AIR_J_KG_K * outflow / settings.driving_m3
+    for _ in range(1000):
+        model.step(motion, False, False, 1e-5)
+    assert motion.stay_m_s == 0.0
+    assert motion.driving_pa == pytest.approx(8e5 * math.exp(-rate_per_s * 0.01), rel=1e-3)
+
+
+def test_a_closed_loop_of_pressures_ends_at_supply_and_atmosphere() -> None:
+    model = LightModel(ModelSettings(), STROKE_M)
+    motion = Motion(ATMOSPHERE_PA)
+    for _ in range(4000):
+        model.step(motion, True, False, STEP_S)
+    assert motion.stay_m == STROKE_M
+    assert motion.stay_m_s == 0.0
+    assert motion.driving_pa == pytest.approx(9e5, rel=1e-3)
+    assert motion.braking_pa == pytest.approx(ATMOSPHERE_PA, rel=1e-3)
+
+
+def test_the_piston_gives_its_momentum_to_the_stay() -> None:
+    """v' = v m_p / (m_p + m_s) where they meet, but for one step's forces."""
+    model = LightModel(ModelSettings(), STROKE_M)
+    motion = Motion(ATMOSPHERE_PA)
+    motion.piston_m, motion.piston_m_s = 0.013 - 1e-6, 1.0
+    model.step(motion, False, False, 1e-5)
+    assert motion.stay_m > 0.0
+    assert motion.stay_m_s == motion.piston_m_s == pytest.approx(0.2 / 1.1, rel=0.01)
+
+
+def test_a_braked_piston_lets_the_stay_coast() -> None:
+    """m_s v' = A_s (P_d - P_atm) - friction: the neutral chamber's pressure is not in it."""
+    settings = ModelSettings(stay_damping_n_s_m=0.0)
+    model = LightModel(settings, STROKE_M)
+    motion = Motion(ATMOSPHERE_PA)
+    motion.stay_m, motion.piston_m = 0.001, 0.014
+    motion.stay_m_s = motion.piston_m_s = 0.5
+    motion.braking_pa = 5e5
+    for _ in range(100):
+        model.step(motion, False, True, 1e-5)
+    assert motion.piston_m < 0.013 + motion.stay_m - 1e-4
+    assert motion.stay_m_s == pytest.approx(0.5 - 22.0 / 0.9 * 1e-3, abs=1e-3)
+
+
+def test_a_load_holds_the_stay_and_never_drives_it() -> None:
+    model = LightModel(ModelSettings(), STROKE_M)
+    motion = Motion(ATMOSPHERE_PA)
+    motion.piston_m, motion.stay_m = 0.015, 0.002
+    motion.load_n, motion.driving_pa = 2200.0, 5e5
+    for _ in range(100):
+        model.step(motion, False, False, STEP_S)
+    assert (motion.piston_m, motion.stay_m) == (0.015, 0.002)
+
+
+def test_an_open_loop_stroke_takes_as_long_as_the_laboratory_s() -> None:
+    """About 41 ms from the command and some 0.9 m/s at the stop, 9 bar (within a tenth)."""
+    model = LightModel(ModelSettings(), STROKE_M)
+    motion, valve = Motion(ATMOSPHERE_PA), Valve(0.008, 0.035)
+    valve.command(0.0, True)
+    steps, before_m_s = 0, 0.0
+    while motion.stay_m < STROKE_M:
+        before_m_s = motion.stay_m_s
+        model.step(motion, valve.at(steps * STEP_S), False, STEP_S)
+        steps += 1
+    assert steps * STEP_S == pytest.approx(0.0408, rel=0.1)
+    assert before_m_s == pytest.approx(0.94, rel=0.1)
+
+
+def test_observer_without_errors_is_the_model() -> None:
+    """Measured exactly what the model's own past says: nothing is corrected."""
+    config = FirmwareConfig(filter=FilterConfig(enabled=False))
+    age_s = 0.0045
+    observer = Observer(config, ModelSettings(), ObserverSettings(sensor_age_s=age_s))
+    free = Observer(
+        config,
+        ModelSettings(),
+        ObserverSettings(position_gain=0.0, speed_gain_per_s=0.0, load_gain_n_m=0.0),
+    )
+    past = {0: 0.0}
+    for tick in range(1, 7):
+        now_s = tick * 0.01
+        for sub in range(20):
+            free.advance(now_s - 0.01 + (sub + 1) * STEP_S, 0.0, 0)
+            past[free.steps] = free.travelled_m
+        observer.advance(now_s, past[free.steps - 9], 1)
+        assert observer.travelled_m == free.travelled_m
+        assert observer.motion.stay_m_s == free.motion.stay_m_s
+        for each in (observer, free):
+            each.command(True, False)
+
+
+def test_observer_finds_a_load_that_holds_the_stay() -> None:
+    config = FirmwareConfig(filter=FilterConfig(enabled=False))
+    observer = Observer(config, ModelSettings(), ObserverSettings())
+    believed = []
+    for tick in range(1, 21):
+        observer.advance(tick * 0.01, 0.0, 1)  # it does not move
+        observer.command(True, False)
+        believed.append(observer.travelled_m)
+    assert observer.motion.load_n > 500.0
+    assert max(believed[-5:]) < 0.5 * STROKE_M
+
+
+def test_observer_forgets_on_reset() -> None:
+    observer = Observer(FirmwareConfig(), ModelSettings(), ObserverSettings())
+    observer.command(True, False)
+    observer.advance(0.05, 0.001, 5)
+    observer.reset()
+    assert (observer.steps, observer.travelled_m, observer.motion.load_n) == (0, 0.0, 0.0)
+    observer.advance(0.05, 0.0, 0)
+    assert observer.travelled_m == 0.0

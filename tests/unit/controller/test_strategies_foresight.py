@@ -1,0 +1,147 @@
+"""Bang-bang and predictive control: what they plan with the light model, and what it costs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from can_dbc.errors import InputError
+from can_dbc.messages import Chamber, Gear
+from controller import strategies
+from controller.config import FilterConfig, FirmwareConfig, SensorConfig
+from controller.estimator import STEP_S, Observer, ObserverSettings
+from controller.light_model import LightModel, ModelSettings
+from controller.position import Estimate, Sample
+from controller.strategies import ShiftContext, Strategy
+from controller.strategies.bang_bang import STORED, BangBang, stored_s
+from controller.strategies.foresight import Foresight
+from controller.strategies.predictive import sequences
+
+QUICK = FirmwareConfig(
+    period_s=0.0025,
+    sensor=SensorConfig(period_s=0.0025),
+    filter=FilterConfig(enabled=False),
+)
+PUSH = ShiftContext(Gear.BACKWARD, Gear.BACKWARD, Chamber.B, Chamber.N, 0, 0, (None, None, None))
+QUICK_VALVES = {"model": {"valve_close_s": 0.005}, "observer": {"sensor_age_s": 0.0}}
+
+
+def made(name: str, **parameters: Any) -> Foresight:
+    import msgspec
+
+    config = msgspec.structs.replace(QUICK, strategy=name, strategy_parameters=parameters)
+    strategy = strategies.create(config)
+    assert isinstance(strategy, Foresight)
+    strategy.reset()
+    return strategy
+
+
+def played(strategy: Strategy) -> tuple[float, float]:
+    """Run a strategy against the light model, seen without delay; impact speed and time."""
+    truth = Observer(QUICK, ModelSettings(valve_close_s=0.005), ObserverSettings())
+    speed_m_s, now_s = 0.0, 0.0
+    for tick in range(80):
+        now_s = tick * 0.0025
+        while truth.time_s < now_s - 0.5 * STEP_S:
+            speed_m_s = truth.motion.stay_m_s
+            truth.advance(truth.time_s + STEP_S, 0.0, 0)
+            if truth.motion.stay_m >= truth.model.stroke_m:
+                return speed_m_s, truth.time_s
+        x_m = truth.travelled_m
+        sample = Sample(x_m, x_m, 0.0)
+        duties = strategy.command(
+            round(now_s * 1e9), Estimate(True, x_m, x_m, 0.0, (sample,)), PUSH
+        )
+        truth.command(duties.b > 0.5, duties.n > 0.5)
+    return 0.0, now_s
+
+
+@pytest.mark.parametrize("name", ["bang_bang", "predictive"])
+def test_with_the_true_model_and_quick_hardware_the_stop_is_soft(name: str) -> None:
+    open_loop_m_s, open_loop_s = played(strategies.create(QUICK))
+    table = {"table": [[9e5, 0.025]], "brake_s": 0.015} if name == "bang_bang" else {}
+    speed_m_s, time_s = played(made(name, **QUICK_VALVES, **table))
+    assert open_loop_m_s > 0.7
+    assert speed_m_s < 0.6 * open_loop_m_s
+    assert time_s < open_loop_s + 0.04
+
+
+def test_a_trial_is_the_observer_s_model_run_on() -> None:
+    strategy = made("predictive", **QUICK_VALVES)
+    strategy.observer.command(True, False)
+    told = strategy.trial(1e9, 1e9, 1e9, 1e9)
+    speed_m_s = 0.0
+    observer = strategy.observer
+    while observer.motion.stay_m < observer.model.stroke_m:
+        speed_m_s = observer.motion.stay_m_s
+        observer.advance(observer.time_s + STEP_S, 0.0, 0)
+    assert told.speed_m_s == speed_m_s
+    assert told.left_m == 0.0
+    assert told.time_s == pytest.approx(observer.time_s, abs=1.01 * STEP_S)
+
+
+def test_a_trial_leaves_the_observer_as_it_was() -> None:
+    strategy = made("predictive", **QUICK_VALVES)
+    strategy.observer.command(True, False)
+    strategy.observer.advance(0.01, 0.0, 0)
+    first = strategy.trial(0.0, 0.01, 1e9, 1e9)
+    assert strategy.trial(0.0, 0.01, 1e9, 1e9) == first
+    assert strategy.observer.time_s == pytest.approx(0.01)
+
+
+def test_stored_times_lie_on_lines_between_the_entries() -> None:
+    for pressure_pa, switch_s in STORED:
+        assert stored_s(STORED, pressure_pa) == switch_s
+    (low_pa, low_s), (high_pa, high_s) = STORED[:2]
+    assert stored_s(STORED, 0.5 * (low_pa + high_pa)) == pytest.approx(0.5 * (low_s + high_s))
+    assert stored_s(STORED, 1e5) == STORED[0][1]
+    assert stored_s(STORED, 1e7) == STORED[-1][1]
+
+
+def test_bang_bang_switches_once_and_brakes_for_its_time() -> None:
+    strategy = made("bang_bang", brake_s=0.02)
+    assert isinstance(strategy, BangBang)
+    still = Estimate(True, 0.0, 0.0, 0.0, ())
+    braked = [strategy.command(tick * 2_500_000, still, PUSH).n > 0.5 for tick in range(40)]
+    begun = braked.index(True)
+    assert begun == round(stored_s(STORED, 9e5) / 0.0025)
+    assert braked == [begun <= tick < begun + 8 for tick in range(40)]
+
+
+@pytest.mark.parametrize("table", [[], [[9e5, 0.0], [6e5, 0.0]], [[6e5, 0.0], [6e5, 0.1]]])
+def test_a_table_out_of_order_is_refused(table: list[list[float]]) -> None:
+    with pytest.raises(InputError, match="ascending supply pressures"):
+        strategies.parameters("bang_bang", {"table": table})
+
+
+def test_sequences_are_few_and_the_first_does_nothing() -> None:
+    found = sequences(0.01)
+    assert len(found) == len(set(found)) == 27
+    assert found[0].brake_on_s > 1.0
+    assert all(
+        s.brake_off_s - s.brake_on_s in (0.0, 0.01, 0.02, 0.04) or s.brake_on_s for s in found
+    )
+
+
+@pytest.mark.parametrize(("name", "most_trials"), [("bang_bang", 8), ("predictive", 27)])
+def test_model_steps_of_one_call_are_bounded(
+    name: str, most_trials: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counted = [0]
+    step = LightModel.step
+
+    def counting(*arguments: Any) -> None:
+        counted[0] += 1
+        step(*arguments)
+
+    monkeypatch.setattr(LightModel, "step", counting)
+    strategy = made(name, horizon_s=0.06)
+    most = 0
+    for tick in range(40):
+        x_m = min(0.0003 * tick, 0.012)
+        counted[0] = 0
+        sample = Sample(x_m, x_m, 0.1)
+        strategy.command(tick * 2_500_000, Estimate(True, x_m, x_m, 0.1, (sample,)), PUSH)
+        most = max(most, counted[0])
+    assert 0 < most <= most_trials * 120 + 5
