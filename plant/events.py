@@ -66,6 +66,12 @@ def choose_modes(t, y, m, p, work):
 
 
 @called
+def at_rest(m):
+    """True if neither the stay nor a piston moves or is about to."""
+    return m[M_STAY] == 0 and m[M_PISTON1] == 0 and m[M_PISTON2] == 0
+
+
+@called
 def smallest(g):
     """Smallest guard and its index."""
     index = 0

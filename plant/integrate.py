@@ -14,6 +14,7 @@ from .compiled import kernel
 from .events import (
     after_event,
     all_guards,
+    at_rest,
     choose_modes,
     hidden_turn,
     locate,
@@ -48,6 +49,8 @@ EVENT_COLUMNS = 7
 DONE, TOO_MANY_EVENTS, STEP_TOO_SMALL, NOT_FINITE = 0, 1, 2, 3
 
 LONGEST_STEP_S = 5e-3
+LONGEST_REST_STEP_S = 1e-2
+SWITCH_STEP_S = 1e-3
 FIRST_STEP_S = 2e-5
 # Shape of the scratch array.
 WORKSPACE_ROWS, ROW = 80, 64
@@ -137,6 +140,7 @@ def advance(
             u0[chamber] = switches[i_switch, 2] - du[chamber] * switches[i_switch, 0]
             i_switch += 1
             fresh = True
+            h = min(h, SWITCH_STEP_S)
         if t >= duration:
             break
         t_next = duration
@@ -251,11 +255,9 @@ def advance(
             counts[2] += 1
             continue
         counts[1] += 1
-        if last:
-            h = max(h, trial * factor) if trial < h else trial * factor
-        else:
-            h = trial * factor
-        h = min(h, LONGEST_STEP_S)
+        grown = trial * factor
+        h = max(h, grown) if last and trial < h else grown
+        h = min(h, LONGEST_REST_STEP_S if at_rest(m) else LONGEST_STEP_S)
         if stiff:
             stiff_dense(y, y1, k, dense, n_all)
         else:

@@ -12,6 +12,7 @@ from .compiled import called
 from .events import (
     after_event,
     all_guards,
+    at_rest,
     choose_modes,
     hidden_turn,
     locate,
@@ -62,7 +63,7 @@ from .layout import (
     MODES,
     TERM_0,
 )
-from .rest import at_rest, pressures_after, rest_jump
+from .rest import pressures_after, rest_jump
 from .steppers import derivative, explicit_dense, interpolate
 from .views import lane, rows
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from .compiled import called
 from .events import all_guards, smallest
 from .filling import CHAMBER_ROW, STILL, W_KIND, chamber_curves, chamber_pressure
-from .layout import FP1, M_PISTON1, M_PISTON2, M_STAY, PB
+from .layout import FP1, PB
 from .views import rows
 
 # Within this time a crossing needs no proof that it is the first: the scalar kernel looks at its
@@ -20,12 +20,6 @@ LOCATED_S = 1e-14
 # of LOCATED_S.
 AIM = 1e-6
 HALVINGS = 40
-
-
-@called
-def at_rest(m):
-    """True if neither the stay nor a piston moves or is about to."""
-    return m[M_STAY] == 0 and m[M_PISTON1] == 0 and m[M_PISTON2] == 0
 
 
 @called
