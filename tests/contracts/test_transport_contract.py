@@ -251,9 +251,7 @@ def test_a_late_starter_is_waited_for(transport: str, tmp_path: Path, reference:
         assert run.remote is not None
         run.remote.spawn("controller", command("controller", channel_name(transport)))
 
-    with toy_run(
-        transport, tmp_path / "run", END_NS, external=["controller"], say=start_it
-    ) as run:
+    with toy_run(transport, tmp_path / "run", END_NS, external=["controller"], say=start_it) as run:
         run.lockstep.run()
     assert run.sha256() == reference
     assert len(said) == 1 and said[0].startswith("waiting for controller")
