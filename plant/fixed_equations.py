@@ -80,6 +80,7 @@ from .length_contacts import (
 from .length_equations import (
     conservative_force,
     damper_difference,
+    exponent_speed,
     leak_flow,
     oil_rate,
     stay_sliding,
@@ -166,10 +167,11 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
         else:
             leak2 += flow
     r = p[R_AIR]
-    am1 = p[ALPHA_M1] + p[ALPHA_SPEED_M1] * abs(v)
-    am2 = p[ALPHA_M2] + p[ALPHA_SPEED_M2] * abs(v)
-    a1 = p[ALPHA_1] + p[ALPHA_SPEED] * abs(v)
-    a2 = p[ALPHA_2] + p[ALPHA_SPEED_2] * abs(v)
+    effective = exponent_speed(abs(v), p)
+    am1 = p[ALPHA_M1] + p[ALPHA_SPEED_M1] * effective
+    am2 = p[ALPHA_M2] + p[ALPHA_SPEED_M2] * effective
+    a1 = p[ALPHA_1] + p[ALPHA_SPEED] * effective
+    a2 = p[ALPHA_2] + p[ALPHA_SPEED_2] * effective
     if p[TERM_EQUATION] == 9.0:
         shift = term_value(p, abs(v))
         a1 += shift

@@ -108,6 +108,7 @@ FREE, NUT, COLLAR = 0, 1, 2
     ALPHA_SPEED,
     ALPHA_SPEED_M2,
     ALPHA_SPEED_2,
+    ALPHA_V0,  # speed beyond which the exponents change no further; 0: they go on
     # oil damper
     A_OIL,
     A_SMALL,
@@ -127,7 +128,7 @@ FREE, NUT, COLLAR = 0, 1, 2
     TERM_STEP,
     TERM_COUNT,
     TERM_0,
-) = range(77)
+) = range(78)
 TERM_NODES = 24
 PARAMETERS = TERM_0 + TERM_NODES
 

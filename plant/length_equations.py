@@ -32,6 +32,7 @@ from .layout import (
     ALPHA_SPEED_2,
     ALPHA_SPEED_M1,
     ALPHA_SPEED_M2,
+    ALPHA_V0,
     AREA_P,
     AREA_S,
     ASYMMETRY,
@@ -181,6 +182,13 @@ def leak_flow(upstream, downstream, cda, p):
     if cda == 0.0:
         return 0.0
     return orifice(upstream, downstream, cda, p[T_GAS], p[GAMMA], p[R_AIR])
+
+
+@inlined
+def exponent_speed(speed, p):
+    """Speed that the process exponents follow [m/s]: |v|, or v0 (1 - exp(-|v| / v0))."""
+    v0 = p[ALPHA_V0]
+    return speed if v0 == 0.0 else v0 * (1.0 - exp(-speed / v0))
 
 
 @inlined
@@ -479,10 +487,11 @@ def rates(t, y, dy, m, u0, du, p, c, work, quadratures):
     a1 = p[ALPHA_1]
     a2 = p[ALPHA_2]
     speed = max(abs(vs), abs(v1), abs(v2))
-    am1 += p[ALPHA_SPEED_M1] * speed
-    a1 += p[ALPHA_SPEED] * speed
-    am2 += p[ALPHA_SPEED_M2] * speed
-    a2 += p[ALPHA_SPEED_2] * speed
+    effective = exponent_speed(speed, p)
+    am1 += p[ALPHA_SPEED_M1] * effective
+    a1 += p[ALPHA_SPEED] * effective
+    am2 += p[ALPHA_SPEED_M2] * effective
+    a2 += p[ALPHA_SPEED_2] * effective
     if p[TERM_EQUATION] == 9.0:
         shift = term_value(p, speed)
         a1 += shift

@@ -8,21 +8,23 @@ from .effect import Effect, EffectParameter
 
 SLOPES = (L.ALPHA_SPEED_M1, L.ALPHA_SPEED, L.ALPHA_SPEED_M2, L.ALPHA_SPEED_2)
 EXPONENTS = (L.ALPHA_M1, L.ALPHA_1, L.ALPHA_M2, L.ALPHA_2)
+VOLUME_TERMS = (L.ALPHA_SPEED, L.ALPHA_SPEED_2)
 
 
 def alpha_speed(setup: Setup, values: dict[str, float]) -> None:
-    """Exponents alpha + slope |v|.
+    """Exponents alpha + share f(|v|), f = 1 - exp(-|v| / speed): slow motion is less adiabatic.
 
-    form 0: those of the volume terms; 1: all four; 2: all four towards gamma, by
-    slope (gamma - alpha) |v|; 3: those of the volume terms towards gamma.
+    form 0: those of the volume terms; 1: all four; 2: those of the volume terms towards gamma, by
+    share (gamma - alpha) f; 3: all four towards gamma.
     """
-    slope, form = values["slope_s_m"], values["form"]
+    form = values["form"]
+    speed = max(values["speed_m_s"], 1e-3)
+    setup.p[L.ALPHA_V0] = speed
     for index, exponent in zip(SLOPES, EXPONENTS, strict=True):
-        volume = index in (L.ALPHA_SPEED, L.ALPHA_SPEED_2)
-        if form in (0.0, 3.0) and not volume:
+        if form in (0.0, 2.0) and index not in VOLUME_TERMS:
             continue
         towards = setup.p[L.GAMMA] - setup.p[exponent] if form >= 2.0 else 1.0
-        setup.p[index] = slope * towards
+        setup.p[index] = values["share"] * towards / speed
 
 
 EFFECTS = (
@@ -32,7 +34,8 @@ EFFECTS = (
         "chamber",
         "process exponents depend on the piston's speed",
         (
-            EffectParameter("slope_s_m", "s/m", 0.0, -5.0, 10.0, 0.1),
+            EffectParameter("share", "-", 0.0, -1.0, 1.0, 0.1),
+            EffectParameter("speed_m_s", "m/s", 0.3, 0.001, 20.0, 0.3, optional=True),
             EffectParameter("form", "-", 0.0, 0.0, 3.0, 1.0, optional=True),
         ),
         alpha_speed,

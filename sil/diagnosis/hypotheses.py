@@ -96,6 +96,11 @@ def starts_of(parameters: tuple[EffectParameter, ...]) -> Starts:
 SPOTS_M = (0.003, 0.0065, 0.010)
 """Where a local drag is looked for first: three places on either side."""
 
+SHARES: Starts = tuple(
+    (sign * share, speed) for sign in (1.0, -1.0) for share in (0.02, 0.2) for speed in (0.05, 0.5)
+)
+"""Where exponents that follow the speed are looked for first."""
+
 SPECIAL: dict[str, tuple[tuple[str, dict[str, float], Starts | None, bool], ...]] = {
     "friction_bump": (
         (
@@ -125,10 +130,10 @@ SPECIAL: dict[str, tuple[tuple[str, dict[str, float], Starts | None, bool], ...]
         ("inner chamber", {"where": 1.0}, None, True),
     ),
     "alpha_speed": (
-        ("", {}, None, False),
-        ("all exponents", {"form": 1.0}, None, False),
-        ("all towards adiabatic", {"form": 2.0}, None, False),
-        ("towards adiabatic", {"form": 3.0}, None, False),
+        ("", {}, SHARES, False),
+        ("all exponents", {"form": 1.0}, SHARES, False),
+        ("towards adiabatic", {"form": 2.0}, SHARES, False),
+        ("all towards adiabatic", {"form": 3.0}, SHARES, False),
     ),
     "clock_skew": (
         ("", {}, ((0.003, 0.0), (-0.003, 0.0), (0.01, 0.0), (-0.01, 0.0), (0.003, 0.01)), False),

@@ -24,21 +24,21 @@ from .workers import spread_out
 
 Floats = NDArray[np.float64]
 
-WORTH = 8.0
+WORTH = 12.0
 """Linear gain in cost below which a further effect is not even tried."""
 
 FIRST_ITERATIONS = 5
-LAST_ITERATIONS = 14
-SINGLES_KEPT = 8
-PAIRS_KEPT = 6
-FEWEST = 4
+LAST_ITERATIONS = 10
+SINGLES_KEPT = 6
+PAIRS_KEPT = 5
+FEWEST = 3
 HOPELESS = 6.0
 """A first fit whose cost is larger than the best one's by this factor is not finished."""
 
 SAMPLE = 8
 NEAR = 1.0
 """Excess of chi squared per number below which the healthy fit's linear scores can be trusted."""
-PARENTS = 5
+PARENTS = 4
 CHILDREN = 4
 
 
@@ -91,6 +91,7 @@ class Search:
         found = Found(healthy)
         self.singles(found)
         self.pairs(found)
+        self.variants(found)
         return found
 
     # --- fits ---------------------------------------------------------------------------------
@@ -191,6 +192,27 @@ class Search:
                 key = "+".join(sorted(item.name for item in task.candidates))
                 tasks.setdefault(key, task)
         self.polish(found, promising(self.run_tasks(list(tasks.values())), PAIRS_KEPT))
+
+    def variants(self, found: Found) -> None:
+        """The best hypothesis with each of its causes in its other variants."""
+        fits = found.ordered()
+        if not fits or misfit(self.model, fits[0]).beyond == 0.0:
+            return
+        best = fits[0]
+        tasks = []
+        for place, member in enumerate(best.candidates):
+            for other in self.candidates:
+                if other.id != member.id or other.name == member.name:
+                    continue
+                members = list(best.candidates)
+                members[place] = other
+                own = tuple(
+                    tuple(table[p.name] for p in item.parameters)
+                    for item, table in zip(members, best.values, strict=True)
+                )
+                begin = (best.shared, best.stroke)
+                tasks.append(Task(tuple(members), (own,), begin, FIRST_ITERATIONS))
+        self.polish(found, self.run_tasks(tasks)[:1])
 
     def parents(self, found: Found) -> list[FitResult]:
         """Singles that a second cause may stand beside: the best ones, one an identifier."""

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from .observations import StrokeObservation
 
 HELD_OUT_SHARE = 1.0 / 3.0
-MOST_TRAINING = 16
+MOST_TRAINING = 14
 
 
 def stratum(stroke: StrokeObservation) -> tuple[str, str, bool]:

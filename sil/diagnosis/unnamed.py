@@ -13,7 +13,10 @@ from .terms import term_candidates
 from .verdict import Verdict
 
 TERM_ITERATIONS = 6
-TERMS_KEPT = 3
+TERMS_KEPT = 2
+
+SMALL = 1e-3
+"""A misfit beyond noise of this share of the healthy model's is a detail of the cause's form."""
 
 
 def try_terms(
@@ -25,17 +28,20 @@ def try_terms(
 ) -> bool:
     """Fit non-parametric terms alone and beside the best single; True if any was tried.
 
-    Only if the leading hypothesis' residuals stand above the band of a clean campaign.
+    Only if the leading hypothesis leaves more than the band of a clean campaign and a detail.
     """
     best = min(judged, key=lambda item: item.score)
-    if best.whole.beyond <= 0.0:
+    if best.whole.beyond <= SMALL * max(1.0, verdict.healthy.whole.excess) + 0.02 * best.whole.count:
         return False
     told(
         f"the best named hypothesis, {best.name}, leaves {best.whole.rms:.3g} of the expected "
         "scatter: terms"
     )
     tasks = []
-    parents = [found.healthy, *found.of_size(1)[:1]]
+    singles = found.of_size(1)
+    parents = [found.healthy]
+    if singles and singles[0].cost < 0.5 * found.healthy.cost:
+        parents = [singles[0]]
     for _place, candidate in term_candidates():
         for parent in parents:
             own = tuple(
