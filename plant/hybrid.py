@@ -22,7 +22,6 @@ from .integrate import (
     EVENT_LOST,
     EVENT_SPEED,
     EVENT_TIME,
-    EVENT_V,
     EVENT_X,
     NOT_FINITE,
     STEP_TOO_SMALL,
@@ -218,10 +217,7 @@ class HybridSystem:
                 position,
                 slope[0] if slope else 0.0,
             )
-        if sample_ns is None:
-            samples = np.zeros(0)
-        else:
-            samples = (sample_ns - self.now_ns) / NS
+        samples = np.zeros(0) if sample_ns is None else (sample_ns - self.now_ns) / NS
         out = np.zeros((samples.shape[0], self._n))
         self._counts[0] = 0
         code = advance(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +172,7 @@ def parse_stroke(
         if command[1] not in valves:
             raise InputError(f"{where}: valve {command[1]!r}; expected {', '.join(valves)}")
         commands.append((when, str(command[1]), finite(command[2], f"{where}: duty", 0.0, 1.0)))
-    if any(late[0] < early[0] for early, late in zip(commands, commands[1:], strict=False)):
+    if any(late[0] < early[0] for early, late in pairwise(commands)):
         commands.sort(key=lambda command: command[0])
     charged = entry.get("charged_before", [])
     if not isinstance(charged, list) or any(name not in valves for name in charged):

@@ -67,7 +67,7 @@ class ParameterSet:
         return value if isinstance(value, tuple) else (value,)
 
     def override(self, changes: Mapping[str, float | int | list[float] | tuple[float, ...]]) -> (
-        "ParameterSet"
+        ParameterSet
     ):
         """A new set with some values replaced; unknown paths and wrong kinds raise InputError."""
         entries = dict(self.entries)
