@@ -40,6 +40,7 @@ KERNEL_SOURCES = (
     "lane_steps.py",
     "lane_control.py",
     "lanes.py",
+    "singles.py",
     "one_equation.py",
     "driven.py",
 )

@@ -53,10 +53,10 @@ from .views import view
 @kernel
 def run_lanes(
     system, n, packed, c, y0, m0, u0, switches, duration, samples, columns, scale, tolerance,
-    tabulated, table, first, last, results, final, out, events, width,
+    tabulated, table, order, results, final, out, events, width,
     flat, scratch, memory,
 ):  # fmt: skip
-    """Simulate the strokes first..last-1 of a batch, in lanes.
+    """Simulate the strokes `order` of a batch, in lanes.
 
     Parameters
     ----------
@@ -66,6 +66,7 @@ def run_lanes(
         [., k, 4] ascending with infinite times behind the last, samples [., s] ascending
     columns : int64, states to be sampled
     tabulated : True if `table` holds the filling curves of c, which then has one row
+    order : int64, numbers of the strokes to simulate
     results : float64 [strokes, RESULTS]; final : [strokes, states]; out : [strokes, s, columns];
     events : [strokes, room, EVENT_COLUMNS]
     flat, scratch, memory : float64 [ROWS * WIDTH], [SCRATCH], int64 [MEMORY * WIDTH]
@@ -99,7 +100,7 @@ def run_lanes(
     one_switch = switches.shape[0] == 1
     one_duration = duration.shape[0] == 1
     one_sample = samples.shape[0] == 1
-    upcoming = first
+    upcoming = 0
     active = 0
     for k in range(n):
         for j in range(WIDTH):
@@ -144,13 +145,13 @@ def run_lanes(
                         active -= 1
                         memory[STROKE * WIDTH + j] = IDLE
                     fresh = False
-                    if upcoming >= last:
+                    if upcoming >= order.shape[0]:
                         for k in range(n):
                             f[(RATE_0 + k) * WIDTH + j] = 0.0
                         f[ACCEPTED * WIDTH + j] = 0.0
                         f[STEP * WIDTH + j] = 0.0
                         break
-                    stroke = upcoming
+                    stroke = order[upcoming]
                     upcoming += 1
                     active += 1
                     memory[STROKE * WIDTH + j] = stroke

@@ -1,0 +1,330 @@
+"""Many strokes in one call: sweeps, fits, Monte Carlo.
+
+Strokes that the lanes cover run eight at a time (plant/lanes.py); the others one after the other
+through the scalar kernel, in the same call and compiled as well.  The result says which took which
+path.  It is the same, bit for bit, for any number of workers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import layout as L
+from .filling import TABLE, tabulate
+from .hybrid import NS
+from .integrate import EVENT_COLUMNS
+from .lane_control import (
+    MEMORY,
+    R_ARRIVAL,
+    R_ENERGY,
+    R_EVENTS,
+    R_SPEED,
+    R_STATUS,
+    R_STEPS,
+    RESULTS,
+    SCRATCH,
+)
+from .lane_steps import FREE_OF, MODES_FREE_OF, ROWS, WIDTH
+from .lanes import run_lanes
+from .packing import Floats, Ints, initial_state, modes, scales
+from .setup import Setup
+from .singles import run_singles
+from .stroke import valve_moves
+
+BATCH_TOLERANCE = 1e-6
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Strokes:
+    """Strokes of one system as arrays; an array with one row is shared by all strokes.
+
+    system : layout.FIXED or LENGTH
+    packed : [n, PARAMETERS], one row a stroke
+    flow : [1 or n, FLOW_COEFFICIENTS]
+    initial : [1 or n, states], state at time 0
+    modes : int64 [1 or n, MODES], damper model and supply line
+    valves : [1 or n, 3], valve positions at time 0, 1 = supply
+    switches : [1 or n, k, 4], rows (time s, chamber, position, slope 1/s), times ascending; rows
+        of infinite time fill up
+    duration_s : [1 or n]
+    """
+
+    system: int
+    packed: Floats
+    flow: Floats
+    initial: Floats
+    modes: Ints
+    valves: Floats
+    switches: Floats
+    duration_s: Floats
+
+    def __post_init__(self) -> None:
+        n = len(self.packed)
+        states = L.FIXED_STATES if self.system == L.FIXED else L.LENGTH_STATES
+        for name, tail in (
+            ("packed", (L.PARAMETERS,)),
+            ("flow", (L.FLOW_COEFFICIENTS,)),
+            ("initial", (states,)),
+            ("modes", (L.MODES,)),
+            ("valves", (3,)),
+            ("switches", (self.switches.shape[1], 4)),
+            ("duration_s", ()),
+        ):
+            array = getattr(self, name)
+            rows = (n,) if name == "packed" else (1, n)
+            if array.shape[1:] != tail or len(array) not in rows:
+                raise ValueError(f"{name}: shape {array.shape}; expected {rows} + {tail}")
+        times = self.switches[:, :, 0]
+        if not (times[:, 1:] >= times[:, :-1]).all():
+            raise ValueError("switches: times must ascend")
+        if not (np.isfinite(self.duration_s) & (self.duration_s > 0.0)).all():
+            raise ValueError("duration_s: expected positive numbers")
+
+    def __len__(self) -> int:
+        return len(self.packed)
+
+    @classmethod
+    def from_setups(cls, setups: Sequence[Setup], duration_s: float) -> Strokes:
+        """Any strokes of one system, each with its own setup.
+
+        Raises ValueError if the setups mix the two systems.
+        """
+        if len({setup.conditions.system for setup in setups}) != 1:
+            raise ValueError("a batch holds strokes of one system")
+        singles = [_single(setup, duration_s) for setup in setups]
+        longest = max(item.switches.shape[1] for item in singles)
+        return cls(
+            system=singles[0].system,
+            packed=np.concatenate([item.packed for item in singles]),
+            flow=_shared([item.flow for item in singles]),
+            initial=_shared([item.initial for item in singles]),
+            modes=_shared([item.modes for item in singles]),
+            valves=_shared([item.valves for item in singles]),
+            switches=_shared([_padded(item.switches, longest) for item in singles]),
+            duration_s=np.array([duration_s]),
+        )
+
+    @classmethod
+    def varied(
+        cls, setup: Setup, duration_s: float, changes: Mapping[int, float | Floats]
+    ) -> Strokes:
+        """One stroke with some packed parameters changed: index in plant.layout -> values [n].
+
+        Chambers that stand at the supply or at the atmosphere at the start follow their pressure.
+        """
+        base = _single(setup, duration_s)
+        n = max((np.size(value) for value in changes.values()), default=1)
+        packed = np.repeat(base.packed, n, axis=0)
+        for index, value in changes.items():
+            packed[:, index] = value
+        first = L.FP1 if base.system == L.FIXED else L.PB
+        initial = base.initial
+        if L.P_SUPPLY in changes or L.P_ATM in changes:
+            initial = np.repeat(initial, n, axis=0)
+            for place in range(first, first + len(setup.conditions.chambers)):
+                for index in (L.P_SUPPLY, L.P_ATM):
+                    if base.initial[0, place] == base.packed[0, index]:
+                        initial[:, place] = packed[:, index]
+        return cls(
+            base.system,
+            packed,
+            base.flow,
+            initial,
+            base.modes,
+            base.valves,
+            base.switches,
+            base.duration_s,
+        )
+
+    @property
+    def in_lanes(self) -> Bools:
+        """Which strokes the lanes cover."""
+        plain: Bools = (self.packed[:, list(FREE_OF)] == 0.0).all(axis=1)
+        return plain & (self.modes[:, list(MODES_FREE_OF)] == 0).all(axis=1)
+
+
+def _single(setup: Setup, duration_s: float) -> Strokes:
+    """The arrays of one stroke."""
+    conditions = setup.conditions
+    system = conditions.system
+    y = initial_state(
+        system,
+        setup.p,
+        position=conditions.start_offset_m if system == L.FIXED else conditions.kind[0],
+        charged=conditions.charged_before,
+    )
+    first = L.FP1 if system == L.FIXED else L.PB
+    for chamber, pressure in setup.residual_pa.items():
+        y[first + conditions.chambers.index(chamber)] += pressure
+    m = modes(system, conditions.loads())[: L.MODES]
+    m[L.M_LINE] = 1 if setup.has_line else 0
+    valves = np.zeros(3)
+    for index, name in enumerate(conditions.chambers):
+        valves[index] = 1.0 if name in conditions.charged_before else 0.0
+    moves = valve_moves(setup, round(duration_s * NS))
+    switches = np.array(
+        [(instant / NS, chamber, target, slope) for instant, chamber, target, slope in moves]
+    ).reshape(-1, 4)
+    return Strokes(
+        system,
+        setup.p[None].copy(),
+        setup.c[None].copy(),
+        y[None],
+        m[None],
+        valves[None],
+        switches[None],
+        np.array([duration_s]),
+    )
+
+
+def _padded(switches: Floats, rows: int) -> Floats:
+    """The same switches, filled up to `rows` with rows of infinite time."""
+    filled = np.zeros((1, rows, 4))
+    filled[:, :, 0] = np.inf
+    filled[:, : switches.shape[1]] = switches
+    return filled
+
+
+def _shared(arrays: Sequence[NDArray]) -> NDArray:
+    """One row if all are equal, else all rows."""
+    whole = np.concatenate(arrays)
+    return whole[:1].copy() if (whole == whole[:1]).all() else whole
+
+
+@dataclass(frozen=True)
+class BatchResult:
+    """What became of a batch.
+
+    status : integrate.DONE or why the stroke stopped early (plant.hybrid.REASONS)
+    arrival_s, impact_speed_m_s, impact_energy_j : first impact of the stay on a stop, nan if none
+    final : [n, states], state at the end
+    samples : [n, samples, columns]
+    events : [n, room, EVENT_COLUMNS], the first events of each stroke; event_count : all of them
+    steps : accepted steps
+    in_lanes : True where the lanes ran, False where the scalar kernel did
+    """
+
+    status: Ints
+    arrival_s: Floats
+    impact_speed_m_s: Floats
+    impact_energy_j: Floats
+    final: Floats
+    samples: Floats
+    events: Floats
+    event_count: Ints
+    steps: Ints
+    in_lanes: Bools
+
+
+@lru_cache(maxsize=64)
+def _curves(flow: bytes) -> Floats | None:
+    """Filling curves of a flow map, None if it has none."""
+    table = np.zeros(TABLE)
+    if not tabulate(np.frombuffer(flow).copy(), table):
+        return None
+    return table
+
+
+def simulate_batch(
+    strokes: Strokes,
+    *,
+    sample_s: Floats | None = None,
+    columns: Sequence[int] | None = None,
+    tolerance: float = BATCH_TOLERANCE,
+    workers: int = 1,
+    event_room: int = 0,
+    lanes: bool = True,
+) -> BatchResult:
+    """Simulate all strokes of a batch.
+
+    Parameters
+    ----------
+    strokes : the batch
+    sample_s : [s] or [n, s], ascending instants at which states are wanted
+    columns : states to be sampled (plant.layout), all of them if not given
+    tolerance : of the integrator, relative to each state's scale
+    workers : threads that share the strokes
+    event_room : how many events of each stroke to keep
+    lanes : False sends every stroke through the scalar kernel
+
+    A stroke that cannot be continued does not stop the others: see `BatchResult.status`.
+    Checked by: tests/unit/plant/test_batch.py
+    """
+    n = len(strokes)
+    states = strokes.initial.shape[1]
+    if sample_s is None:
+        instants = np.zeros((1, 0))
+    else:
+        instants = np.array(sample_s, dtype=np.float64, ndmin=2, order="C")
+        if len(instants) not in (1, n) or not (np.diff(instants, axis=1) >= 0.0).all():
+            raise ValueError("sample_s: expected ascending instants, shape [s] or [n, s]")
+    wanted = np.arange(states) if columns is None else np.array(columns, dtype=np.int64)
+    if not ((wanted >= 0) & (wanted < states)).all():
+        raise ValueError(f"columns: expected numbers from 0 to {states - 1}")
+    results = np.zeros((n, RESULTS))
+    final = np.zeros((n, states))
+    out = np.zeros((n, instants.shape[1], len(wanted)))
+    events = np.zeros((n, event_room, EVENT_COLUMNS))
+    arrays = [
+        np.ascontiguousarray(array)
+        for array in (
+            strokes.packed,
+            strokes.flow,
+            strokes.initial,
+            strokes.modes,
+            strokes.valves,
+            strokes.switches,
+            strokes.duration_s,
+        )
+    ]
+    scale = scales(strokes.system)
+    covered = strokes.in_lanes if lanes else np.zeros(n, dtype=np.bool_)
+    table = _curves(arrays[1].tobytes()) if len(strokes.flow) == 1 else None
+    curves = np.zeros(TABLE) if table is None else table
+    moving = 4 if strokes.system == L.FIXED else 9
+
+    def run(order: Ints) -> None:
+        inside = order[covered[order]]
+        outside = order[~covered[order]]
+        if len(inside):
+            run_lanes(
+                strokes.system, moving, *arrays, instants, wanted, scale, tolerance,
+                table is not None, curves, inside, results, final, out, events, WIDTH,
+                np.zeros(ROWS * WIDTH), np.zeros(SCRATCH), np.zeros(MEMORY * WIDTH, dtype=np.int64),
+            )  # fmt: skip
+        if len(outside):
+            run_singles(
+                strokes.system, *arrays, instants, wanted, scale, tolerance,
+                outside, results, final, out, events,
+            )  # fmt: skip
+
+    everything = np.arange(n)
+    if workers <= 1 or n < 2 * WIDTH:
+        run(everything)
+    else:
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(run, np.array_split(everything, workers)))
+    for place in np.flatnonzero(wanted >= moving):
+        # these states do not move in a lane
+        out[covered, :, place] = np.broadcast_to(strokes.initial, (n, states))[covered][
+            :, wanted[place], None
+        ]
+    return BatchResult(
+        status=results[:, R_STATUS].astype(np.int64),
+        arrival_s=results[:, R_ARRIVAL],
+        impact_speed_m_s=results[:, R_SPEED],
+        impact_energy_j=results[:, R_ENERGY],
+        final=final,
+        samples=out,
+        events=events,
+        event_count=results[:, R_EVENTS].astype(np.int64),
+        steps=results[:, R_STEPS].astype(np.int64),
+        in_lanes=covered,
+    )
