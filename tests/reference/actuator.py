@@ -24,6 +24,7 @@ NEAR_M = 1e-9
 NEAR_M_S = 1e-10
 SLOW_M_S = 1e-5  # touching bodies that part slower than this stay together (no Zeno sequences)
 NEAR_N = 1e-6
+NEAR_PA = 1e-3
 NEAR_M_S2 = 1e-4
 EPS_M = 1e-13  # rounding of a gap just opened
 
@@ -96,6 +97,7 @@ class Actuator:
         self.u = {name: float(name in case.charged) for name in self.chambers}
         self.restitution = values["stops.restitution"]
         self.blocked = 0
+        self.oil_rests = True
         self.linkage = values["truck.F_gearbox"] if case.mounted else 0.0
 
     # --- what a subclass says ---------------------------------------------------------------
@@ -184,8 +186,8 @@ class Actuator:
             out[i] = (r * gas - alpha * y[i] * rate) / volume
         if mode.blocked:
             out[self.spent] = max(0.0, mode.blocked * self.pressing(y, mode))
-        if self.case.damper == "compressible":
-            side = 1.0 if y[0] >= 0.0 else -1.0
+        if self.case.damper == "compressible" and not self.oil_rests:
+            side = self.side(y)
             out[self.oil] = parts.oil_rate(abs(y[0]), side * y[1], y[self.oil], v)
         return out
 
@@ -199,11 +201,16 @@ class Actuator:
                 total += contact.sign * min(contact.sign * drive[b], 0.0)
         return total
 
+    @staticmethod
+    def side(y: State) -> float:
+        """Side of neutral on which the damper acts; at neutral the one the stay goes to."""
+        return 1.0 if y[0] > 0.0 or (y[0] == 0.0 and y[1] >= 0.0) else -1.0
+
     def damper_force(self, y: State) -> float:
         """Force of the oil damper on the stay in the direction of x_s [N]."""
         if self.case.damper is None:
             return 0.0
-        side = 1.0 if y[0] >= 0.0 else -1.0
+        side = self.side(y)
         over = y[self.oil]
         if self.case.damper == "incompressible":
             over = parts.oil_pressure(abs(y[0]), side * y[1], self.v)
@@ -323,6 +330,8 @@ class Actuator:
         for mode in sorted(self.modes(y), key=lambda mode: sum(map(abs, mode.directions))):
             if self.consistent(y, mode, released, slipped):
                 self.blocked = self.held(y, mode)
+                outward = mode.directions[0] * y[0] > 0.0 or (y[0] == 0.0 and mode.directions[0])
+                self.oil_rests = y[self.oil] <= NEAR_PA and not outward
                 return mode._replace(blocked=self.blocked)
         raise AssertionError(f"no consistent mode at {y}")
 
@@ -359,6 +368,11 @@ class Actuator:
                     )
             elif contact.piston not in joined and (d[0] or d[contact.piston]):
                 out.append((f"meet {contact.name}", lambda y, c=contact: self.gap(y, c) + EPS_M))
+        if self.case.damper == "compressible" and not self.oil_rests:
+            out.append(("oil empty", lambda y: y[self.oil]))
+        if self.case.damper is not None and mode.directions[0] * y[0] < 0.0:
+            side = 1.0 if y[0] > 0.0 else -1.0  # the damper acts on the other side from there
+            out.append(("neutral", lambda y: side * y[0] + EPS_M))
         if mode.blocked:
             out.append(("unblock", lambda y: self.case.sync_impulse_n_s - y[self.spent]))
         return out
@@ -503,12 +517,14 @@ class Actuator:
     ) -> Mode:
         """Reset at an event, or nothing at a valve's switching; returns the next mode."""
         for b, d in enumerate(mode.directions):
-            if d == 0:  # LSODA leaves rounding in a constant
+            if d == 0:  # an implicit method leaves rounding in a constant
                 y[2 * b + 1] = 0.0
         if name.startswith("turn"):
             b = int(name[-1])
             for k in [b, *(c.piston for c in mode.joints if b == 0)]:
                 y[2 * k + 1] = 0.0
+        elif name == "oil empty":
+            y[self.oil] = 0.0
         elif name == "unblock":
             y[self.spent] = self.case.sync_impulse_n_s
             self.blocked = 0

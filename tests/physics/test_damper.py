@@ -1,0 +1,145 @@
+"""Oil damper: areas, steady speed, oil spring, decay after the stop, limits of the two models."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+from plant import layout as L
+from plant.damper import (
+    bulk_modulus,
+    discharge_coefficient,
+    large_area,
+    outflow,
+    steady_difference,
+)
+from plant.stroke import StrokeConditions, simulate
+from tests.physics.bare import AIRLESS, MS, NOMINAL, SMOOTH, STUCK, Bare
+from tests.reference import parts
+
+R_HOLE, X_HOLE, CAP = 0.0015, 0.0065, 1e-5
+VALUES = parts.nominal()
+FREE = {**AIRLESS, **SMOOTH}
+A_OIL, RHO = 4e-4, 870.0
+
+
+def area(x: float) -> float:
+    """The kernel's large outlet at a distance x."""
+    return float(large_area.py_func(x, CAP, R_HOLE, X_HOLE))
+
+
+@pytest.mark.parametrize("covered", [0.0003, 0.0011, 0.0015, 0.0019, 0.0028])
+def test_hole_area_is_that_of_two_circles_cut_by_a_straight_edge(covered: float) -> None:
+    half = quad(
+        lambda s: 2.0 * math.sqrt(R_HOLE**2 - s * s), covered - R_HOLE, R_HOLE, epsabs=1e-15
+    )[0]
+    assert area(X_HOLE + covered) == pytest.approx(min(CAP, 2.0 * half), rel=1e-7)
+
+
+def test_outlet_is_capped_until_x_r_and_shut_past_the_holes() -> None:
+    x_r = NOMINAL.value("damper.x_r")
+    assert area(0.0) == area(X_HOLE) == area(x_r - 1e-5) == CAP
+    assert area(x_r) == pytest.approx(CAP, rel=1e-5)
+    assert area(x_r + 1e-5) < CAP
+    assert area(X_HOLE + 2.0 * R_HOLE) == area(0.0125) == 0.0
+
+
+def test_areas_agree_with_3_27_written_again() -> None:
+    for x in np.linspace(0.0, 0.0128, 400):
+        assert area(x) == pytest.approx(parts.hole_area(x, VALUES), rel=1e-9, abs=1e-18)
+
+
+def test_discharge_coefficient_exceeds_one_early_and_ends_at_its_floor() -> None:
+    assert discharge_coefficient.py_func(CAP, CAP, 0.5, 0.65, 0.65) == pytest.approx(1.325)
+    assert discharge_coefficient.py_func(0.0, CAP, 0.5, 0.65, 0.65) == 0.65
+
+
+def test_incompressible_pressure_is_3_34_and_nothing_on_the_way_back() -> None:
+    expected = (A_OIL * 0.4 / (2.1e-6 * 0.65)) ** 2 * RHO / 2.0
+    assert steady_difference.py_func(0.4, A_OIL, 2.1e-6, 0.65, RHO) == pytest.approx(expected)
+    assert steady_difference.py_func(-0.4, A_OIL, 2.1e-6, 0.65, RHO) == 0.0
+
+
+def test_outflow_is_3_28_and_laminar_next_to_nothing() -> None:
+    assert outflow.py_func(9e4, 2e-6, 0.65, RHO) == pytest.approx(
+        0.65 * 2e-6 * math.sqrt(2 * 9e4 / RHO)
+    )
+    assert outflow.py_func(10.0, 2e-6, 0.65, RHO) == pytest.approx(
+        outflow.py_func(10.0 - 1e-9, 2e-6, 0.65, RHO), rel=1e-8
+    )
+    assert outflow.py_func(-5.0, 2e-6, 0.65, RHO) == 0.0
+
+
+def test_free_air_softens_the_oil() -> None:
+    assert bulk_modulus.py_func(1e6, 1.724e9, 0.0, 101325.0) == pytest.approx(1.724e9)
+    assert 1.0 / bulk_modulus.py_func(1e6, 1.724e9, 0.0175, 101325.0) == pytest.approx(
+        1.0 / 1.724e9 + 0.0175 * 101325.0 / 1e12
+    )
+
+
+@pytest.mark.parametrize("model", ["incompressible", "compressible"])
+@pytest.mark.parametrize("force", [50.0, 200.0])
+def test_a_constant_force_reaches_the_steady_speed(model: str, force: float) -> None:
+    changes = {**FREE, L.F_EXTERNAL: force, L.STROKE: 9.0, L.X_HOLE: 9.0, L.V_OIL: 5e-3}
+    rig = Bare(L.FIXED, changes, damper=model)
+    rig.advance(800 * MS)
+
+    def excess(v: float) -> float:
+        outlet = (2.1e-6 + CAP) * (1.0 + 0.65 * v)
+        return A_OIL * 0.5 * RHO * (A_OIL * v / outlet) ** 2 - force
+
+    assert 0.1 < rig.position_m < 9.0
+    assert rig.velocity_m_s == pytest.approx(brentq(excess, 0.0, 10.0, xtol=1e-12), rel=1e-7)
+
+
+def test_on_the_way_back_the_damper_does_not_act() -> None:
+    for model in ("incompressible", "compressible"):
+        rig = Bare(L.FIXED, FREE, {L.FV: -0.5}, place=0.01, damper=model)
+        rig.advance(10 * MS)
+        assert rig.velocity_m_s == pytest.approx(-0.5, rel=1e-9)
+        assert rig.position_m == pytest.approx(0.005, rel=1e-9)
+
+
+def test_shut_oil_is_a_spring() -> None:
+    kappa, volume, mass = 1.724e8, 2.7e-5, 1.1
+    changes = {**FREE, L.A_SMALL: 0.0, L.X_HOLE: -1.0}
+    rig = Bare(L.FIXED, changes, {L.FV: 0.01}, damper="compressible")
+    rig.advance(5 * MS)
+    turn = rig.events[0]
+    assert turn.name == "turn"
+    omega = math.sqrt(kappa * A_OIL**2 / (volume * mass))
+    assert turn.time_s == pytest.approx(0.5 * math.pi / omega, rel=1e-3)
+    assert turn.position_m == pytest.approx(0.01 / omega, rel=1e-3)
+
+
+@pytest.mark.parametrize("tolerance", [1e-8, 1e-10])
+def test_pressure_after_the_stop_falls_as_a_parabola(tolerance: float) -> None:
+    start, x = 2.5e6, 0.01285
+    rig = Bare(
+        L.FIXED, STUCK, {L.FOIL: 101325.0 + start}, place=x, damper="compressible", tolerance=tolerance
+    )
+    times, y = rig.samples(0.02, 400)
+    volume = 2.7e-5 - A_OIL * x
+    slope = 0.5 * 1.724e8 / volume * 0.65 * 2.1e-6 * math.sqrt(2.0 / RHO)
+    root = np.maximum(math.sqrt(start) - slope * times, 0.0)
+    assert y[:, L.FOIL] - 101325.0 == pytest.approx(root**2, abs=20.0)
+    # erratum "two fall times": a constant bulk modulus has one ratio
+    fall = [(math.sqrt(0.9) - math.sqrt(level)) for level in (0.2, 0.1)]
+    assert fall[1] / fall[0] == pytest.approx(1.26, abs=0.01)
+
+
+def test_stiff_oil_approaches_the_incompressible_model() -> None:
+    speeds = []
+    for model, kappa in (("incompressible", 1.0), ("compressible", 1.724e10)):
+        parameters = NOMINAL.override({"damper.kappa_effective": kappa})
+        conditions = StrokeConditions(
+            "fixed", 9e5, ((0.01, "1", 0.98),), load="damper", damper_model=model
+        )
+        stroke = simulate(parameters, conditions, np.array([0.0, 0.2]), internal=False)
+        assert stroke.impact is not None
+        speeds.append(stroke.impact.speed_m_s)
+    assert speeds[1] == pytest.approx(speeds[0], rel=2e-2)

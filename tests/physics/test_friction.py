@@ -1,0 +1,123 @@
+"""Set-valued friction: ballistic motion, Coulomb stop, dry oscillation, sticking, no chatter."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from plant import layout as L
+from plant.friction import breakaway, sliding
+from plant.stroke import StrokeConditions, simulate
+from tests.physics.bare import AIRLESS, MS, NOMINAL, SMOOTH, STUCK, Bare
+
+FREE = {**AIRLESS, **SMOOTH, L.STROKE: 10.0}
+MASS = 1.1
+
+
+def test_without_air_and_friction_a_body_flies_straight_and_falls_in_parabolas() -> None:
+    rig = Bare(L.FIXED, FREE, {L.FX: 0.1, L.FV: 0.7})
+    times, y = rig.samples(0.5, 20)
+    assert y[:, L.FX] == pytest.approx(0.1 + 0.7 * times, rel=1e-12)
+    rig = Bare(L.FIXED, {**FREE, L.F_EXTERNAL: 5.5}, {L.FX: 0.1, L.FV: -0.7})
+    times, y = rig.samples(0.5, 20)
+    assert y[:, L.FX] == pytest.approx(0.1 - 0.7 * times + 2.5 * times**2, abs=1e-11)
+    assert rig.names() == ["turn"]
+    assert rig.events[0].time_s == pytest.approx(0.7 * MASS / 5.5, abs=1e-10)
+
+
+def test_coulomb_friction_stops_within_m_v2_over_2_f() -> None:
+    rig = Bare(L.FIXED, {**FREE, L.F_RUN_S: 20.0, L.F_STATIC_S: 30.0}, {L.FV: 1.5})
+    rig.advance(1000 * MS)
+    assert rig.names() == ["turn"]
+    assert rig.events[0].time_s == pytest.approx(MASS * 1.5 / 20.0, abs=1e-10)
+    assert rig.position_m == pytest.approx(MASS * 1.5**2 / 40.0, abs=1e-11)
+    assert rig.velocity_m_s == 0.0
+    assert rig.balance().friction_j == pytest.approx(0.5 * MASS * 1.5**2, rel=1e-9)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_coulomb_and_viscous_friction_stop_as_the_logarithm_says(direction: float) -> None:
+    force, beta, speed = 50.9, 38.8, 2.0
+    changes = {**FREE, L.F_RUN_S: force, L.F_STATIC_S: force, L.BETA_S: beta}
+    rig = Bare(L.FIXED, changes, {L.FX: 0.2, L.FV: direction * speed})
+    rig.advance(1000 * MS)
+    growth = math.log(1.0 + beta * speed / force)
+    assert rig.events[0].time_s == pytest.approx(MASS / beta * growth, abs=1e-9)
+    travel = MASS / beta * (speed - force / beta * growth)
+    assert rig.position_m == pytest.approx(0.2 + direction * travel, abs=1e-9)
+
+
+def test_stribeck_friction_falls_from_static_to_coulomb() -> None:
+    assert sliding.py_func(0.0, 71.0, 50.9, 38.8, 0.01) == pytest.approx(71.0)
+    assert sliding.py_func(1.0, 71.0, 50.9, 38.8, 0.01) == pytest.approx(50.9 + 38.8)
+    assert sliding.py_func(0.0, 71.0, 50.9, 38.8, 0.0) == 50.9
+    assert breakaway.py_func(71.0, 152.7) == 152.7
+
+
+@pytest.mark.parametrize("static", [12.0, 25.0])
+def test_spring_oscillation_loses_2_f_over_k_a_half_cycle_and_sticks(static: float) -> None:
+    rate, force, start = 4000.0, 12.0, 0.055
+    changes = {**FREE, L.SPRING_K: rate, L.SPRING_X0: 0.1, L.F_RUN_S: force, L.F_STATIC_S: static}
+    rig = Bare(L.FIXED, changes, {L.FX: 0.1 + start})
+    rig.advance(60_000 * MS)
+    half = math.pi * math.sqrt(MASS / rate)
+    amplitude, turn = start, 0
+    turns = [event for event in rig.events if event.name == "turn"]
+    while amplitude * rate > static:
+        amplitude -= 2.0 * force / rate
+        turn += 1
+        side = -1.0 if turn % 2 else 1.0
+        assert turns[turn - 1].time_s == pytest.approx(turn * half, abs=1e-8)
+        assert turns[turn - 1].position_m == pytest.approx(0.1 + side * amplitude, abs=1e-8)
+    assert turn > 5
+    assert len(turns) == turn  # and there it sticks
+    assert rig.velocity_m_s == 0.0
+    assert abs(rig.position_m - 0.1) * rate <= static
+
+
+def test_breaks_away_when_the_rising_force_reaches_the_static_friction() -> None:
+    changes = {L.FLOW_MODEL: 1.0, L.CDA_IN: 2e-6, L.F_STATIC_S: 71.0, L.ALPHA_M1: 1.0}
+    held = Bare(L.FIXED, {**changes, **STUCK})
+    held.advance(MS, [(0, 0, 1.0)])
+    slope = (held.state(L.FP1) - 101325.0) / 1e-3  # choked: constant
+    rig = Bare(L.FIXED, changes)
+    rig.advance(10 * MS, [(0, 0, 1.0)])
+    assert rig.names()[0] == "breakaway"
+    areas = rig.packed[L.AREA_P]
+    assert rig.events[0].time_s == pytest.approx(71.0 / (areas * slope), abs=1e-9)
+    assert rig.events[0].position_m == 0.0
+
+
+@pytest.mark.parametrize("force", [70.999, -70.999])
+def test_below_the_static_friction_nothing_moves_at_all(force: float) -> None:
+    rig = Bare(L.FIXED, {L.F_EXTERNAL: force}, place=0.005)
+    rig.advance(500 * MS)
+    assert rig.position_m == 0.005
+    assert rig.velocity_m_s == 0.0
+    assert rig.events == []
+
+
+def test_three_times_the_dynamic_friction_does_not_chatter() -> None:
+    heavy = NOMINAL.override({"friction_fixed.F_rf": 152.7, "friction_fixed.beta": 116.4})
+    conditions = StrokeConditions("fixed", 9e5, ((0.01, "1", 0.98),))
+    stroke = simulate(heavy, conditions, np.array([0.0, 0.3]), internal=False)
+    assert [event.name for event in stroke.events] == ["breakaway", "stop"]
+    start = stroke.events[0].time_s
+    at = simulate(heavy, conditions, np.array([0.0, start]), internal=False).states[-1]
+    p = stroke.packed
+    net = at[L.FP1] * p[L.AREA_P] - at[L.FP2] * p[L.AREA_P2] - p[L.P_ATM] * p[L.AREA_S]
+    assert net == pytest.approx(152.7, abs=0.01)  # F_sf in effect, not the 71 N below it
+
+
+def test_length_stroke_with_three_times_the_dynamic_friction_does_not_chatter() -> None:
+    names = ("F_rf_s", "F_rf_p", "beta_s", "beta_p")
+    heavy = NOMINAL.override(
+        {f"friction_length.{n}": 3.0 * NOMINAL.value(f"friction_length.{n}") for n in names}
+    )
+    for kind, valve in (("N-B", "B"), ("B-N", "N")):
+        conditions = StrokeConditions(kind, 9e5, ((0.01, valve, 0.98),))
+        stroke = simulate(heavy, conditions, np.array([0.0, 0.3]), internal=False)
+        assert stroke.impact is not None
+        assert len(stroke.events) < 20
