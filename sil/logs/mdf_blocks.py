@@ -86,7 +86,7 @@ class MdfFile:
         mark, _, length, links = HEADER.unpack(self.at(address, HEADER.size))
         if mark[:2] != b"##":
             raise MdfError(address, "no block where a link leads")
-        return mark[2:].decode("latin-1"), length, links
+        return printable(mark[2:].decode("latin-1")), length, links
 
     def block(self, address: int, *kinds: str) -> Block:
         """The block at `address`, which has to be of one of the kinds.

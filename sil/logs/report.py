@@ -30,7 +30,7 @@ class Place:
 
     def __str__(self) -> str:
         where = f"line {self.line}" if self.line is not None else f"byte {self.byte}"
-        return f"{where}: {self.reason}"
+        return f"{where}: {printable(self.reason)}"
 
 
 @dataclass(slots=True)
