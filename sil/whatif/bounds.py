@@ -128,7 +128,7 @@ class Shooter:
 
     def first_motion_s(self, commands: Commands, seen_m: float = 5e-5) -> float:
         """When the stay has left neutral by `seen_m`; inf if it never does."""
-        times = np.arange(round(self.until_s / 1e-4) + 1) * 1e-4
+        times = np.arange(round(self.until_s / 1e-4) + 1, dtype=np.float64) * 1e-4
         stroke = simulate(self.parameters, self.conditions(commands), times, internal=False)
         moved = np.flatnonzero(np.abs(stroke.position_m) > seen_m)
         return float(times[moved[0]]) if len(moved) else math.inf

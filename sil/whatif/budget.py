@@ -101,7 +101,7 @@ def filling_simulated_s(parameters: ParameterSet, supply_pa: float, rise_pa: flo
     """The same from a simulated filling of neutral, the stay at rest in neutral."""
     opening_s = parameters.value("valve.D_rise")
     conditions = StrokeConditions("N-B", supply_pa, ((0.0, "N", FULL_DUTY),))
-    times = np.arange(2001) * 2e-5
+    times = np.arange(2001, dtype=np.float64) * 2e-5
     stroke = simulate(parameters, conditions, opening_s + times, internal=False)
     pressure_pa = stroke.pressure_pa("N")
     return float(np.interp(parameters.value("gas.P_atm") + rise_pa, pressure_pa, times))
