@@ -51,7 +51,7 @@ def dead_charge(setup: Setup, values: dict[str, float]) -> None:
 
 
 def dead_passive(setup: Setup, values: dict[str, float]) -> None:
-    """Extra dead volume on the chamber that the stroke compresses (where 0) or on N, 2 (where 1)."""
+    """Extra dead volume on the chamber that the stroke compresses (where 0) or N, 2 (where 1)."""
     if values["where"] == 1.0:
         setup.p[L.VOL_N] += values["volume_m3"]
     else:

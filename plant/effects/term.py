@@ -25,9 +25,9 @@ VARIABLES = {"time": 0.0, "position": 1.0, "own": 2.0, "rest": 3.0}
 def unnamed(setup: Setup, values: dict[str, float]) -> None:
     """Nodes over a variable, joined by straight lines, added to an equation.
 
-    equation: 1 force on the stay [N]; 2.. flow T m_dot of chamber 1.. [K kg/s]; 5 resistance of the
-    stay [N]; 6, 7 share of the charge and discharge flows, of P/P_s and P/P_atm; 8 flow out of every
-    chamber [K kg/s], of its pressure; 9 shift of the process exponents, of speed.
+    equation: 1 force on the stay [N]; 2.. flow T m_dot of chamber 1.. [K kg/s]; 5 resistance of
+    the stay [N]; 6, 7 share of the charge and discharge flows, of P/P_s and P/P_atm; 8 flow out
+    of every chamber [K kg/s], of its pressure; 9 shift of the process exponents, of speed.
     variable: 0 time, 1 position, 2 speed or the chamber's pressure, 3 log10 of the rest before the
     stroke (equation 5: one level a stroke).
     """

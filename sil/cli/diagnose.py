@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Diagnose, write diagnosis.json, extended_model.toml and report.html; exit 1 if not consistent."""
+    """Diagnose; write diagnosis.json, extended_model.toml, report.html; 1 if not consistent."""
     from can_dbc.errors import InputError
     from plant.parameters import load
     from sil.campaign import load_campaign

@@ -86,7 +86,7 @@ def check_position(
     if largest > 2.0 * stroke:
         raise InputError(
             f"{path}: position_m: reaches {largest:.4g}; expected metres, at most "
-            f"{1.2 * stroke:.4g} m{unit_hint(largest / stroke)}"
+            f"{1.2 * stroke:.4g} m{unit_hint(largest / stroke, LENGTHS)}"
         )
     moved = float(np.ptp(values))
     if moved < 0.02 * stroke and len(np.unique(values)) < 3:
@@ -127,12 +127,12 @@ def check_pressures(
         if high < 0.02 * atmosphere:
             raise InputError(
                 f"{path}: {name}: at most {high:.4g}; expected pascals, absolute "
-                f"(about {atmosphere:.4g} at rest){unit_hint(high / supply)}"
+                f"(about {atmosphere:.4g} at rest){unit_hint(high / supply, PRESSURES)}"
             )
         if not oil and high > 2.0 * max(supply, atmosphere):
             raise InputError(
                 f"{path}: {name}: reaches {high:.4g} Pa; expected at most the supply's "
-                f"{supply:.4g} Pa{unit_hint(high / supply)}"
+                f"{supply:.4g} Pa{unit_hint(high / supply, PRESSURES)}"
             )
         if low < 0.5 * atmosphere and not oil:
             raise InputError(
@@ -145,7 +145,7 @@ def check_pressures(
                 "(leave a dead channel out)"
             )
         clipped = float(np.mean(values >= high - 1e-9))
-        if clipped > SATURATED_SHARE and high - float(np.median(values)) > 1e4 and (
+        if clipped > SATURATED_SHARE and high > 1.5 * atmosphere and (
             high < 0.995 * supply or high >= 0.999 * top
         ):
             longest = longest_run(values >= high - 1e-9)
@@ -162,20 +162,21 @@ def longest_run(flags: np.ndarray) -> int:
     return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
-def unit_hint(ratio: float) -> str:
+LENGTHS = ((1e3, "millimetres"), (1e2, "centimetres"), (39.37, "inches"), (1e6, "micrometres"))
+PRESSURES = (
+    (1e-5, "bar"),
+    (1e-3, "kilopascals"),
+    (1e-6, "megapascals"),
+    (1.45e-4, "psi"),
+    (1e3, "millipascals, or a scale too large by 1000"),
+)
+
+
+def unit_hint(ratio: float, units: tuple[tuple[float, str], ...]) -> str:
     """Which unit a value off by this factor was probably written in."""
-    for factor, text in (
-        (1e3, "millimetres or kilo-units"),
-        (1e-3, "kilo-units"),
-        (1e-5, "bar"),
-        (1e-6, "mega-units"),
-        (100.0, "centimetres"),
-        (1e5, "bar taken for pascals twice"),
-        (6894.76, "psi"),
-        (1.45e-4, "psi"),
-    ):
-        if 0.3 < ratio / factor < 3.0:
-            return f" (in {text}?)"
+    nearest = min(units, key=lambda item: abs(np.log(ratio / item[0])) if ratio > 0.0 else 1e9)
+    if ratio > 0.0 and abs(np.log(ratio / nearest[0])) < 1.1:
+        return f" (in {nearest[1]}?)"
     return ""
 
 

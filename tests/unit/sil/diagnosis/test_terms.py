@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made_campaign import conditions_of
 
 from plant.effects import CATALOGUE
 from plant.parameters import load
 from plant.prediction import Predictor, copied
 from plant.setup import make_setup
 from sil.diagnosis.terms import PLACES, term_candidate
+from tests.unit.sil.diagnosis.made_campaign import conditions_of
 
 SAMPLES = (np.arange(1, 400) * 500_000).astype(np.int64)
 
