@@ -24,10 +24,17 @@ LONGEST_MESSAGE = 1785
 
 _MOST_MULTIPLEXED = 4096
 _LARGEST_TO_BISECT = 200_000
+_LARGEST_POWER = 400
 _LONGEST_REASON = 160
-_STRING = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
-_MESSAGE = re.compile(r"\bBO_\s+(\d+)\s+(\w+)\s*:\s*(\d+)")
-_SIGNAL = re.compile(r"\bSG_\s+(\w+)[^:;]*:\s*(\d+)\s*\|\s*(\d+)\s*@\s*(\d+)")
+# As cantools splits the text: comments to the end of the line, strings with \" inside, words and
+# numbers. A word never starts with a digit, since the number before it is taken first.
+_UNREAD = re.compile(r'//.*?\n|"(?:\\"|[^"])*?"', re.DOTALL)
+_POWER = re.compile(r"[A-Za-z_]\w*|\d+\.?\d*[eE][+-]?(\d+)")
+_QUOTED_POWER = re.compile(r'"\s*[-+]?\d[\d_.]*[eE][+-]?(\d[\d_]*)\s*"')
+_TEXT_ATTRIBUTE = re.compile(r'\bBA_DEF_\w*\s+(?:\w+\s+)?"([^"]*)"\s+STRING\b')
+_ATTRIBUTE_VALUE = re.compile(r'\bBA_\w*\s+"([^"]*)"[^";]*\Z')
+_MESSAGE = re.compile(r"\bBO_\s+[-+]?(\d+)\s+(\w+)\s*:\s*[-+]?(\d+)")
+_SIGNAL = re.compile(r"\bSG_\s+(\w+)[^:;]*:([^:;|]*)\|([^:;@]*)@\s*(\S?)")
 _MULTIPLEXED = re.compile(r"\bSG_MUL_VAL_\b[^;]*")
 _RANGE = re.compile(r"(\d+)\s*-\s*(\d+)")
 _STATEMENT = re.compile(
@@ -106,7 +113,8 @@ def _parse(text: str, strict: bool) -> Database:
 
 def _refuse_impossible(text: _Text) -> None:
     """Refuse what cantools would expand without end, overwrite or misread without a word."""
-    code = _STRING.sub(lambda match: re.sub(r"[^\n]", " ", match.group()), text.text)
+    code = _UNREAD.sub(lambda match: re.sub(r"[^\n]", " ", match.group()), text.text)
+    _refuse_huge_powers(text, code)
     names: set[str] = set()
     identifiers: dict[str, str] = {}
     for match in _MESSAGE.finditer(code):
@@ -125,17 +133,18 @@ def _refuse_impossible(text: _Text) -> None:
                 f"expected at most {LONGEST_MESSAGE}",
             )
     for match in _SIGNAL.finditer(code):
-        if match.group(4) not in ("0", "1"):
+        name, start, length, order = match.groups()
+        if order not in ("0", "1"):
             text.refuse(
                 match.start(),
-                f"signal {match.group(1)} has byte order {match.group(4)[:20]}; "
+                f"signal {name} has byte order {order!r}; "
                 "expected 0 (big-endian) or 1 (little-endian)",
             )
-        for number in match.group(2, 3):
+        for number in (re.sub(r"\D", "", start), re.sub(r"\D", "", length)):
             if _above(number, 8 * LONGEST_MESSAGE):
                 text.refuse(
                     match.start(),
-                    f"signal {match.group(1)} reaches bit {number[:20]}; "
+                    f"signal {name} reaches bit {number[:20]}; "
                     f"expected at most {8 * LONGEST_MESSAGE}",
                 )
     for statement in _MULTIPLEXED.finditer(code):
@@ -152,8 +161,22 @@ def _refuse_impossible(text: _Text) -> None:
                 )
 
 
+def _refuse_huge_powers(text: _Text, code: str) -> None:
+    """Refuse powers of ten that would take for ever, or all memory, as whole numbers."""
+    for match in _POWER.finditer(code):
+        if match.group(1) and _above(match.group(1), _LARGEST_POWER):
+            text.refuse(match.start(), f"number {match.group()[:40]} has no use")
+    texts = set(_TEXT_ATTRIBUTE.findall(text.text))
+    for match in _QUOTED_POWER.finditer(text.text):
+        if _above(match.group(1).replace("_", ""), _LARGEST_POWER):
+            attribute = _ATTRIBUTE_VALUE.search(text.text, 0, match.start())
+            if attribute and attribute.group(1) not in texts:
+                text.refuse(match.start(), f"number {match.group()[:40]} has no use")
+
+
 def _above(digits: str, limit: int) -> bool:
-    return len(digits.lstrip("0")) > 20 or int(digits) > limit
+    digits = digits.lstrip("0")
+    return len(digits) > 20 or int(digits or "0") > limit
 
 
 def _offset_of(error: Exception, text: _Text, strict: bool) -> int | None:
@@ -202,13 +225,19 @@ def _refuse_unusable(database: Database, text: _Text) -> None:
     for message in database.messages:
         declared = re.search(rf"\bBO_\s+\d+\s+{re.escape(message.name)}\b", text.text)
         offset = declared.start() if declared else None
-        if message.cycle_time is not None and message.cycle_time < 0:
-            text.refuse(offset, f"message {message.name}: negative cycle time")
+        cycle_ms = message.cycle_time
+        number = isinstance(cycle_ms, int | float) and math.isfinite(cycle_ms)
+        if cycle_ms is not None and not (number and cycle_ms >= 0):
+            text.refuse(
+                offset,
+                f"message {message.name}: cycle time {cycle_ms!r}; "
+                "expected milliseconds, at least 0",
+            )
         for signal in message.signals:
             where = f"signal {signal.name} of {message.name}"
             scale, shift = signal.conversion.scale, signal.conversion.offset
             if scale == 0:
                 text.refuse(offset, f"{where}: factor 0")
-            for number in (scale, shift, signal.minimum, signal.maximum):
-                if number is not None and not math.isfinite(number):
-                    text.refuse(offset, f"{where}: {number} where a finite number is expected")
+            for value in (scale, shift, signal.minimum, signal.maximum):
+                if value is not None and not math.isfinite(value):
+                    text.refuse(offset, f"{where}: {value} where a finite number is expected")

@@ -130,7 +130,7 @@ def database_messages(database: Database) -> tuple[PeriodicMessage, ...]:
             PeriodicMessage(
                 message.name,
                 message.frame_id,
-                message.cycle_time * NS_PER_MS,
+                round(message.cycle_time * NS_PER_MS),
                 message.length,
                 extended=message.is_extended_frame,
             )

@@ -16,6 +16,7 @@ import pytest
 from can_dbc.contract import DBC_PATH, contract, parse
 from can_dbc.dbc import parse_dbc
 from can_dbc.errors import InputError
+from sil.wcrt import database_messages, response_times
 
 FEW, MANY = 250, 10_000
 SLOWEST_S = 5.0
@@ -77,6 +78,12 @@ def fuzz(seed: int, cases: int) -> Counter[str]:
             outcome["read"] += 1
             for message in database.messages:
                 assert message.length <= 1785
+            try:
+                response_times(database_messages(database), 500_000)
+            except InputError as error:
+                assert "\n" not in str(error)
+            else:
+                outcome["analysed"] += 1
         assert time.process_time() - began < SLOWEST_S, content
     return outcome
 
@@ -85,6 +92,7 @@ def test_mutated_databases() -> None:
     outcome = fuzz(1, FEW)
     assert outcome["refused, line named"] > FEW // 4
     assert outcome["read"] > FEW // 50
+    assert outcome["analysed"] > 0
 
 
 @pytest.mark.slow
@@ -92,6 +100,7 @@ def test_many_mutated_databases() -> None:
     outcome = fuzz(2, MANY)
     assert outcome["refused, line named"] > MANY // 4
     assert outcome["read"] > MANY // 50
+    assert outcome["analysed"] > MANY // 200
 
 
 def test_our_own_parser_takes_nothing_else() -> None:

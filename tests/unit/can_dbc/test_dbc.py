@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -95,7 +96,7 @@ def test_problems_carry_the_name_of_the_file(tmp_path: Path) -> None:
     [
         (
             changed("0|16@1+", "0|16@3+"),
-            "x.dbc: line 5: signal Left has byte order 3; expected 0 (big-endian) or 1",
+            "x.dbc: line 5: signal Left has byte order '3'; expected 0 (big-endian) or 1",
         ),
         (changed("BO_ 5 Speeds: 8 A", "BO_ 5 Speeds 8 A"), "x.dbc: line 4: column 14"),
         (changed('1 "slow" ;', '1 "slow'), "x.dbc: line 16: column 25: "),
@@ -132,12 +133,20 @@ def test_problems_carry_the_name_of_the_file(tmp_path: Path) -> None:
             "x.dbc: line 8: signal Load of Engine: factor 0",
         ),
         (
-            changed("(1,0) [0|0]", "(1e999,0) [0|0]"),
+            changed("(1,0) [0|0]", "(1e400,0) [0|0]"),
             "x.dbc: line 8: signal Load of Engine: inf where a finite number is expected",
         ),
         (
             changed("BO_ 5 20", "BO_ 5 -5"),
-            "x.dbc: line 4: message Speeds: negative cycle time",
+            "x.dbc: line 4: message Speeds: cycle time -5; expected milliseconds",
+        ),
+        (
+            changed("INT -10 65535", "FLOAT 0 65535").replace("BO_ 5 20", "BO_ 5 1e400"),
+            "x.dbc: line ",
+        ),
+        (
+            changed("INT -10 65535", "STRING").replace("BO_ 5 20", 'BO_ 5 "20"'),
+            "x.dbc: line 4: message Speeds: cycle time '20'; expected milliseconds",
         ),
         (
             GOOD.replace(" 5 ", " 4096 "),
@@ -150,6 +159,45 @@ def test_problems_carry_the_name_of_the_file(tmp_path: Path) -> None:
 )
 def test_refusals(text: str, expected: str) -> None:
     assert refusal(text).startswith(expected)
+
+
+def test_cycle_times_may_have_fractions() -> None:
+    text = changed("INT -10 65535", "FLOAT 0 65535").replace("BO_ 5 20", "BO_ 5 2.5")
+    assert parse_dbc(text.encode()).get_message_by_name("Speeds").cycle_time == 2.5
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (changed("BO_ 5 20", "BO_ 5 1e999999999999"), 15),
+        (changed("BO_ 5 20", 'BO_ 5 "1e999999999999"'), 15),
+        (changed("BO_ 5 20", 'BO_ 5 "1e9_99_999_999"'), 15),
+        (changed('"GenMsgCycleTime" 0', '"GenMsgCycleTime" 1E+999999999999'), 14),
+        (changed('"GenMsgCycleTime" 0', '"GenMsgCycleTime" "1.5e999999999999"'), 14),
+        (changed("INT -10 65535", "INT -10 1e999999999999"), 13),
+        (changed("(1,0) [0|0]", "(1e999999999999,0) [0|0]"), 9),
+    ],
+)
+def test_powers_of_ten_that_nobody_can_write_out(text: str, line: int) -> None:
+    assert re.match(rf"x\.dbc: line {line}: number .* has no use$", refusal(text))
+
+
+def test_texts_that_look_like_powers_of_ten_are_texts() -> None:
+    part_number = 'BA_DEF_ "Part" STRING ;\nBA_DEF_DEF_ "Part" "";\nBA_ "Part" "12E3456789";\n'
+    text = GOOD.replace("VAL_", part_number + "VAL_").replace('"Spinning', '"9e9999999"; CM_ "')
+    database = parse_dbc(text.encode())
+    assert database.dbc is not None
+    assert database.dbc.attributes["Part"].value == "12E3456789"
+
+
+def test_comments_and_escaped_quotes_hide_nothing() -> None:
+    """Neither an odd quote in a comment nor an escaped one keeps statements from being seen."""
+    huge = changed("Speeds: 8 A", "Speeds: 1786 A")
+    for before in ('// "\n', 'CM_ "\\" // ";\n', "// BO_ 1 A: 99999 B\n"):
+        line = refusal(huge.replace("BO_ 5 Speeds: 1", before + "BO_ 5 Speeds: 1"))
+        assert line.startswith("x.dbc: line 5: message Speeds has 1786 bytes")
+    assert "message Speeds has 1786" in refusal(changed("Speeds: 8 A", "Speeds: +1786 A"))
+    assert "reaches bit 99999" in refusal(changed("7|8@0+", "+7| +99999 @0+"))
 
 
 def test_strictness_about_overlaps_is_a_choice() -> None:
