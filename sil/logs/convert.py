@@ -92,7 +92,8 @@ def convert(
 
 def _signals(source: str, target: str) -> TraceReport | None:
     """Convert a table of signals if the source is one."""
-    from sil.logs.traces import is_signal_mf4, is_trace_csv, mf4_to_trace, trace_to_mf4
+    from sil.logs.mdf_signals import holds_signals_only
+    from sil.logs.traces import is_trace_csv, mf4_to_trace, trace_to_mf4
 
     plain = target.removesuffix(".gz").lower()
     if is_trace_csv(source):
@@ -102,6 +103,6 @@ def _signals(source: str, target: str) -> TraceReport | None:
                 "the same run holds the frames)"
             )
         return trace_to_mf4(source, target)
-    if plain.endswith(".csv") and is_signal_mf4(source):
+    if plain.endswith(".csv") and holds_signals_only(source):
         return mf4_to_trace(source, target)
     return None

@@ -36,6 +36,7 @@ class Channel(NamedTuple):
     data_link: int
     conversion: Block | None
     array_bytes: int
+    unit_link: int
 
     @property
     def byte_count(self) -> int:
@@ -67,6 +68,7 @@ def read_channels(file: MdfFile, address: int, depth: int = 0) -> list[Channel]:
                 block.link(5),
                 conversion,
                 array_bytes,
+                block.link(6),
             )
         )
         if inner == "CN":
@@ -130,6 +132,11 @@ def _integer(begin: int, end: int, shift: int, bits: int, order: str, signed: bo
         return value - (mask + 1) if value & sign else value
 
     return take_little if order == "little" else take_big
+
+
+def conversion_kind(channel: Channel) -> int:
+    """The kind of a channel's conversion, 0 for none (1 is linear)."""
+    return 0 if channel.conversion is None else channel.conversion.unpack(_CONVERSION)[0]
 
 
 def _number(value: Value) -> float:

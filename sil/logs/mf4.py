@@ -21,10 +21,10 @@ from sil.logs.mdf_blocks import Block, MdfError, MdfFile
 from sil.logs.mdf_channels import Channel, read_channels
 from sil.logs.mdf_frames import FrameGroup, frame_group, frame_kind
 from sil.logs.mdf_records import Group, LocatedFrame, Records, sorted_records, unsorted_records
+from sil.logs.mdf_signals import GROUP
 from sil.logs.report import LogReport, Place
 from sil.logs.times import RELATIVE_BELOW_NS
 
-_GROUP: Final = struct.Struct("<QQHHIII")
 _START: Final = struct.Struct("<QhhBB")
 _VLSD_GROUP: Final = 1
 _LOCAL_TIME: Final = 1
@@ -116,7 +116,7 @@ class Mf4Reader:
 
     def _group(self, file: MdfFile, block: Block, start_ns: int) -> Group:
         """What a channel group holds."""
-        record_id, cycles, flags, _, _, data_bytes, invalid_bytes = block.unpack(_GROUP)
+        record_id, cycles, flags, _, _, data_bytes, invalid_bytes = block.unpack(GROUP)
         size = data_bytes + invalid_bytes
         if flags & _VLSD_GROUP:
             return Group(block.address, record_id, cycles, 0, None, "", True)
@@ -169,38 +169,6 @@ class Mf4Reader:
         if not data_group.id_size:
             raise MdfError(groups[0].address, "several groups without record numbers")
         return [unsorted_records(records, groups, data_group.data_link, data_group.id_size)]
-
-
-def holds_signals_only(path: str) -> bool:
-    """Whether an MF4 file has groups of decoded signals and none of CAN frames."""
-    return bool(signal_groups(path))
-
-
-def signal_groups(path: str) -> list[int]:
-    """The numbers of the groups of decoded signals; none when there are CAN frames, or no MF4."""
-    report = LogReport(path, "mf4")
-    source = ByteSource(path, report)
-    found: list[int] = []
-    number = 0
-    try:
-        if source.packed or not Mf4().sniff(source.head):
-            return []
-        file = MdfFile(source.file)
-        for data_group in file.chain(file.block(64, "HD").link(0), "DG"):
-            for group in file.chain(data_group.link(1), "CG"):
-                channels = read_channels(file, group.link(1)) if group.link(1) else []
-                if frame_kind(channels) is not None:
-                    return []
-                if channels and group.unpack(_GROUP)[1]:
-                    found.append(number)
-                number += 1
-    except MdfError as error:
-        raise InputError(
-            f"{path}: byte {error.byte}: {error.reason}; expected a whole MF4"
-        ) from None
-    finally:
-        source.close()
-    return found
 
 
 class Mf4:

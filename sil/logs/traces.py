@@ -6,11 +6,12 @@ import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import IO, Any, Final
+from typing import Any, Final
 
 from can_dbc.errors import InputError
 from sil.logs.backend import open_beside
 from sil.logs.byte_source import ByteSource
+from sil.logs.mdf_signals import SignalTable
 from sil.logs.mf4_writer import import_asammdf, new_measurement
 from sil.logs.report import LogReport
 from sil.logs.text_lines import lines
@@ -62,13 +63,6 @@ def is_trace_csv(path: str) -> bool:
     source.close()
     names = source.head.split(b"\n", 1)[0].decode("latin-1").strip().split(",")
     return names[0] == "time_s" and len(names) > 1 and "data" not in names
-
-
-def is_signal_mf4(path: str) -> bool:
-    """Whether a file is an MF4 with signals and without CAN frames."""
-    from sil.logs.mf4 import holds_signals_only
-
-    return holds_signals_only(path)
 
 
 def _rows(path: str) -> Iterator[tuple[int, list[float]]]:
@@ -177,49 +171,26 @@ def trace_to_mf4(source: str, target: str) -> TraceReport:
 
 
 def mf4_to_trace(source: str, target: str) -> TraceReport:
-    """Write the signals of an MF4 group as a trace CSV; times from the start of the file.
+    """Write the signals of an MF4 file as a trace CSV; times from the start of the file.
 
-    Only a file with one group of signals is one table; others are refused.
-    Raises: InputError for such files, for signals that are no numbers, or when asammdf is missing.
+    Raises: InputError for a file of several tables, and for signals that are no plain numbers.
     Checked by: tests/unit/sil/logs/test_traces.py.
     """
-    asammdf = import_asammdf(source)
-    from sil.logs.mf4 import signal_groups
-
-    groups = signal_groups(source)
-    if len(groups) != 1:
-        raise InputError(
-            f"{source}: signals in {len(groups)} groups with times of their own; expected one "
-            "group, which is one table"
-        )
-    with asammdf.MDF(source) as measurement:
-        names = [
-            channel.name
-            for channel in measurement.groups[groups[0]].channels
-            if channel.channel_type not in (2, 3)
-        ]
-        columns = [
-            measurement.get(name, group=groups[0], ignore_invalidation_bits=True) for name in names
-        ]
-    for name, column in zip(names, columns, strict=True):
-        if column.samples.ndim != 1 or column.samples.dtype.kind not in "fiub":
-            raise InputError(f"{source}: signal {name}: no plain numbers; expected a table of them")
-    file, partial = open_beside(target)
+    table = SignalTable(source)
     try:
-        _write_trace(file, names, columns)
-        file.close()
-        os.replace(partial, target)
+        file, partial = open_beside(target)
+        count = 0
+        try:
+            file.write(",".join(["time_s", *table.names]).encode("utf-8") + b"\n")
+            for row in table.rows():
+                file.write((",".join(map(repr, row)) + "\n").encode("ascii"))
+                count += 1
+            file.close()
+            os.replace(partial, target)
+        finally:
+            file.close()
+            if os.path.exists(partial):
+                os.unlink(partial)
     finally:
-        file.close()
-        if os.path.exists(partial):
-            os.unlink(partial)
-    units = tuple(str(column.unit or "") for column in columns)
-    return TraceReport(len(columns[0].timestamps), tuple(names), units)
-
-
-def _write_trace(file: IO[bytes], names: list[str], columns: list[Any]) -> None:
-    file.write(",".join(["time_s", *names]).encode("utf-8") + b"\n")
-    times = columns[0].timestamps.tolist()
-    values = [column.samples.tolist() for column in columns]
-    for row in zip(times, *values, strict=True):
-        file.write((",".join([repr(value) for value in row]) + "\n").encode("ascii"))
+        table.close()
+    return TraceReport(count, table.names, table.units)

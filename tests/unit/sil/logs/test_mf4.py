@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_log, open_writer
 from sil.logs.mdf_records import LocatedFrame, merged
-from sil.logs.mf4 import signal_groups
+from sil.logs.mdf_signals import holds_signals_only
 from tests.unit.sil.logs.unsorted_mf4 import (
     DATA_FRAME,
     TIME,
@@ -185,9 +185,9 @@ def test_logger_file_is_what_asammdf_reads(tmp_path: Path) -> None:
 def test_signals_only_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds decoded signals only \(engine_speed, .*no CAN"):
         read(signal_file(), tmp_path)
-    assert signal_groups(str(tmp_path / "log.mf4")) == [0]
+    assert holds_signals_only(str(tmp_path / "log.mf4"))
     (tmp_path / "log.mf4").write_bytes(logger_file(EVENTS, START_NS))
-    assert signal_groups(str(tmp_path / "log.mf4")) == []
+    assert not holds_signals_only(str(tmp_path / "log.mf4"))
 
 
 @pytest.mark.parametrize("version", [b"3.30    ", b"5.00    "])

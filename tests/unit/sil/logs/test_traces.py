@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import random
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from can_dbc.errors import InputError
 from sil.logs import convert
 from sil.logs.traces import is_trace_csv, unit_of
-from tests.unit.sil.logs.unsorted_mf4 import signal_file
+from tests.unit.sil.logs.unsorted_mf4 import Field, Mf4Builder, signal_file
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
 
@@ -71,6 +72,51 @@ def test_signals_of_others_become_a_table(tmp_path: Path) -> None:
     assert target.read_text() == "time_s,engine_speed\n0.0,1.0\n0.1,2.0\n"
     with pytest.raises(InputError, match="decoded signals only"):
         convert(source, tmp_path / "log.blf")
+
+
+def test_signals_that_are_no_table_are_refused(tmp_path: Path) -> None:
+    build = Mf4Builder(finished=True)
+    build.block(b"HD", [0] * 6, bytes(32))
+    groups = []
+    for fields in (
+        (Field("time", 0, 0, 64, 4, 2), Field("text", 8, 0, 64, 6)),
+        (Field("time", 0, 0, 64, 4, 2), Field("a", 8, 0, 64, 4)),
+    ):
+        group = build.group(0, build.channels(fields), 16, cycles=1, flags=0)
+        data = build.block(b"DT", [], bytes(16))
+        groups.append(build.data_group(group, data, 0))
+    path = tmp_path / "log.mf4"
+    build.link(64, 0, groups[0])
+    path.write_bytes(build.blob)
+    with pytest.raises(InputError, match="signal text: no plain numbers"):
+        convert(path, tmp_path / "log.csv")
+    build.link(groups[0], 0, groups[1])
+    path.write_bytes(build.blob)
+    with pytest.raises(InputError, match="signals in 2 groups"):
+        convert(path, tmp_path / "log.csv")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["log.mf4"]
+
+
+def test_damaged_signal_files_are_refused_or_read(tmp_path: Path) -> None:
+    """1,000 damaged files: a table or one line, and no half of a table."""
+    rng = random.Random(11)
+    blob = signal_file()
+    path, target = tmp_path / "log.mf4", tmp_path / "log.csv"
+    refused = 0
+    for _ in range(1000):
+        damaged = bytearray(blob)
+        for _ in range(rng.choice((1, 2, 4))):
+            damaged[rng.randrange(len(damaged))] = rng.randrange(256)
+        path.write_bytes(damaged[: rng.choice((len(damaged), rng.randrange(1, len(damaged))))])
+        try:
+            convert(path, target)
+        except InputError as error:
+            assert str(error).isprintable()
+            refused += 1
+            continue
+        assert target.read_text(encoding="utf-8").startswith("time_s")
+        target.unlink()
+    assert 200 < refused < 1000
 
 
 @pytest.mark.parametrize(
