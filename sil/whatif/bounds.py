@@ -269,7 +269,8 @@ def non_anticipating(
     """Best worst-case impact over loads that show only `delay_s` after the earliest motion.
 
     Before that no load can be told from another, so their commands are the same; after it each load
-    counts as known altogether, which is more than any controller learns. The earliest motion is
+    counts as known altogether, which is more than any controller learns. Shared beginnings are those
+    of a grid and those of each load's own best sequence. The earliest motion is
     that of the full push, which nothing can bring forward. Each load must arrive within its open
     loop's time plus `extra_s`.
     """
@@ -280,8 +281,14 @@ def non_anticipating(
         spans.append(open_loop.arrival(Commands()).time_s + extra_s)
         earliest_s = min(earliest_s, Shooter(parameters, case, 0.1).first_motion_s(Commands()))
     revealed_s = earliest_s + delay_s
+    beginnings = list(prefixes(min(revealed_s, max(spans)), levels))
+    for case, span_s in zip(cases, spans, strict=True):
+        alone = clairvoyant(
+            parameters, case, span_s, most_switches=most_switches, budget=4 * budget, seed=seed
+        )
+        beginnings.append(alone.commands.until(revealed_s))
     best: Shared | None = None
-    for prefix in prefixes(min(revealed_s, max(spans)), levels):
+    for prefix in beginnings:
         found: list[Best] = []
         limit_m_s = math.inf if best is None else best.worst_m_s
         for case, span_s in zip(cases, spans, strict=True):

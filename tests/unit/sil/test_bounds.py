@@ -113,6 +113,35 @@ def test_late_information_leaves_the_worst_case_near_the_open_loop() -> None:
     assert early_m_s < late_m_s <= max(open_loop(case).speed_m_s for case in cases)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("delay_s", [0.0, 0.048])
+def test_no_random_policy_is_below_the_bound_for_late_information(delay_s: float) -> None:
+    """Random shared beginnings; after the reveal each load's commands may differ."""
+    cases = (LOADS[0], LOADS[3])
+    shared = bounds.non_anticipating(
+        PARAMETERS, cases, delay_s, EXTRA_S, levels=5, budget=20, most_switches=4
+    )
+    shooters = [Shooter(PARAMETERS, c, open_loop(c).time_s + EXTRA_S) for c in cases]
+    rng = np.random.default_rng(11)
+
+    def some(low_s: float, high_s: float) -> tuple[float, ...]:
+        drawn = rng.uniform(low_s, high_s, int(rng.integers(0, 3)))
+        return tuple(sorted(float(t) for t in drawn))
+
+    softest = math.inf
+    for _ in range(1000):
+        prefix = Commands(some(0.0, shared.revealed_s), some(0.0, shared.revealed_s))
+        worst_m_s = 0.0
+        for shooter in shooters:
+            low_s, high_s = shared.revealed_s, max(shared.revealed_s, shooter.until_s)
+            commands = Commands(
+                prefix.driving_s + some(low_s, high_s), prefix.braking_s + some(low_s, high_s)
+            )
+            worst_m_s = max(worst_m_s, shooter.arrival(commands).speed_m_s)
+        softest = min(softest, worst_m_s)
+    assert shared.worst_m_s <= softest < math.inf
+
+
 def test_a_shared_beginning_is_kept_by_every_load() -> None:
     shared = bounds.non_anticipating(
         PARAMETERS, LOADS[:2], 0.0, EXTRA_S, levels=2, budget=6, most_switches=3
