@@ -1,6 +1,6 @@
 """The extended model: the questioned model plus the effects found, with intervals and provenance.
 
-Checked by: tests/unit/sil/diagnosis/test_extend.py
+Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 """
 
 from __future__ import annotations

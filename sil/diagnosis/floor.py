@@ -4,7 +4,7 @@ Pressures: their standardised residuals have mean square one.  Potentiometer and
 are standardised conservatively (a resting wiper says one thing, not hundreds; a reported value
 depends on the recorder's step in time), so theirs are smaller, by factors found on clean simulated
 campaigns.
-Checked by: tests/unit/sil/diagnosis/test_floor.py
+Checked by: tests/unit/sil/diagnosis/test_fit.py
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What the extended model gains on strokes it has not seen.
 
-Checked by: tests/unit/sil/diagnosis/test_gain.py
+Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 """
 
 from __future__ import annotations

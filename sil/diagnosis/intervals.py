@@ -5,7 +5,7 @@ A profile fixes the parameter, fits everything else again and looks where the co
 stops at a physical bound, and says which other parameter ran into its own on the way.
 
 Source: Raue et al. 2009 (profile likelihood); pyPESTO's profiles for the idea of reporting bounds.
-Checked by: tests/unit/sil/diagnosis/test_intervals.py
+Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 """
 
 from __future__ import annotations

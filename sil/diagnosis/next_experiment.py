@@ -1,6 +1,6 @@
 """The stroke that separates the remaining rivals best.
 
-Checked by: tests/unit/sil/diagnosis/test_next_experiment.py
+Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Pictures of a diagnosis: strokes with residual bands, misfit by channel and phase.
 
-Checked by: tests/unit/sil/diagnosis/test_report.py
+Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from sil.report.theme import LIGHT
 
 from .fit import FitResult
-from .floor import FLOOR_RMS
 from .phases import PHASES
 from .residuals import Shown
 
@@ -44,13 +43,13 @@ def new_figure(width: float, height: float) -> Any:
 
 
 def parts(result: Diagnosis, fit: FitResult, k: int) -> dict[str, tuple[Floats, Floats]]:
-    """Predicted values and residuals over their floor of stroke k, by channel."""
+    """Predicted values and standardised residuals of stroke k, by channel."""
     found = {}
     begin = 0
     for channel in result.model.strokes[k].channels:
         end = begin + len(channel.measured)
         r = fit.blocks[k].residual[begin:end]
-        found[channel.name] = (channel.measured - r * channel.sd, r / FLOOR_RMS[channel.kind])
+        found[channel.name] = (channel.measured - r * channel.sd, r)
         begin = end
     return found
 

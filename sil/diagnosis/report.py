@@ -1,6 +1,6 @@
 """report.html of a diagnosis: one self-contained page.
 
-Checked by: tests/unit/sil/diagnosis/test_report.py
+Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Relative errors after thesis 3.69/3.70: mean and maximum of |measured - simulated| over the largest
 measured value; the window is the whole record.
-Checked by: tests/unit/sil/diagnosis/test_residuals.py
+Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .fit import FitResult
-from .floor import FLOOR_RMS
 from .model import CampaignModel
 from .observations import Channel
 from .phases import PHASES, phases
@@ -34,7 +33,7 @@ class Relative:
 class Shown:
     """Residuals of a fit in figures.
 
-    by_phase: channel -> phase -> rms over its floor; relative; whiteness: lag-one correlation of
+    by_phase: channel -> phase -> standardised rms; relative; whiteness: lag-one correlation of
     neighbouring samples; cross: correlation between channels; drift: change of a stroke's rms over
     the campaign, per stroke; dependence: condition -> level -> rms.
     """
@@ -51,11 +50,11 @@ class Shown:
 def channel_parts(
     model: CampaignModel, fit: FitResult, k: int
 ) -> Iterator[tuple[Channel, Floats]]:
-    """Channels of stroke k with their standardised residuals over the floor."""
+    """Channels of stroke k with their standardised residuals."""
     begin = 0
     for channel in model.strokes[k].channels:
         end = begin + len(channel.measured)
-        yield channel, fit.blocks[k].residual[begin:end] / FLOOR_RMS[channel.kind]
+        yield channel, fit.blocks[k].residual[begin:end]
         begin = end
 
 
@@ -94,7 +93,7 @@ def show(model: CampaignModel, fit: FitResult) -> Shown:
             table = phase_parts.setdefault(channel.name, {})
             for place in np.unique(phase[channel.rows]):
                 table.setdefault(PHASES[place], []).append(r[phase[channel.rows] == place])
-            raw = np.abs(r * FLOOR_RMS[channel.kind] * channel.sd)
+            raw = np.abs(r * channel.sd)
             top = float(np.abs(channel.measured).max())
             errors.setdefault(channel.name, []).append((raw.mean() / top, raw.max() / top))
             if len(r) > 10 and np.std(r) > 0.0:

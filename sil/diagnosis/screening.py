@@ -5,7 +5,7 @@ fitted parameters could imitate; the gain in cost of the best amount of it is (c
 No further fit is needed: one simulated stroke each.
 
 Source: Rao's score test; see Cox and Hinkley, Theoretical Statistics.
-Checked by: tests/unit/sil/diagnosis/test_screening.py
+Checked by: tests/unit/sil/diagnosis/test_fit.py
 """
 
 from __future__ import annotations

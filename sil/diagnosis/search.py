@@ -1,7 +1,7 @@
 """Search over hypotheses: the healthy plant, every single cause, pairs of the promising ones.
 
 Everything here sees the training strokes alone; the held-out strokes judge afterwards.
-Checked by: tests/unit/sil/diagnosis/test_search.py
+Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 """
 
 from __future__ import annotations

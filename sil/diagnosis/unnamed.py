@@ -1,6 +1,6 @@
 """None of the named: when the best named hypothesis leaves structure, try terms in its place.
 
-Checked by: tests/unit/sil/diagnosis/test_unnamed.py
+Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 """
 
 from __future__ import annotations

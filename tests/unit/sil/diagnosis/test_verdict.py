@@ -1,0 +1,72 @@
+"""What is claimed, what is not, and who is a rival."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from sil.diagnosis.judge import weigh
+from sil.diagnosis.verdict import decide
+
+
+def entry(score: float, held_chi2: float, *ids: str) -> SimpleNamespace:
+    return SimpleNamespace(
+        score=score,
+        ids=ids,
+        name="+".join(ids) or "healthy",
+        prior=0.1 if len(ids) > 1 else 1.0,
+        whole=SimpleNamespace(beyond=0.0),
+        held=SimpleNamespace(chi2=held_chi2),
+        probability=0.0,
+    )
+
+
+def verdict(*entries: SimpleNamespace):
+    weigh(entries)
+    return decide(list(entries), 10)
+
+
+def test_chance_gains_are_consistent() -> None:
+    found = verdict(entry(1000.0, 500.0), entry(994.0, 495.0, "stribeck"))
+    assert found.kind == "consistent" and found.claimed == ()
+
+
+def test_a_clear_cause_is_named() -> None:
+    found = verdict(
+        entry(3000.0, 1500.0),
+        entry(1000.0, 500.0, "exhaust_clog"),
+        entry(1400.0, 700.0, "piston_leak"),
+    )
+    assert found.kind == "named" and found.claimed == ("exhaust_clog",)
+    assert found.probabilities["exhaust_clog"] == pytest.approx(0.98, abs=0.02)
+    assert found.gains["exhaust_clog"] == pytest.approx(2000.0)
+    assert found.rivals == ()
+
+
+def test_look_alikes_are_rivals_and_the_verdict_ambiguous() -> None:
+    found = verdict(
+        entry(3000.0, 1500.0),
+        entry(1000.0, 500.0, "inlet_clog"),
+        entry(1000.4, 500.0, "supply_low"),
+    )
+    assert found.kind == "ambiguous"
+    assert found.rivals == (("inlet_clog", "supply_low"),)
+    assert 0.5 < found.probabilities["inlet_clog"] < 0.7
+
+
+def test_no_gain_on_held_out_strokes_is_no_cause() -> None:
+    found = verdict(entry(3000.0, 500.0), entry(1000.0, 501.0, "stribeck"))
+    assert found.kind == "consistent"
+
+
+def test_a_second_cause_must_earn_its_place() -> None:
+    single = entry(1000.0, 500.0, "dynamic_friction")
+    assert verdict(
+        entry(3000.0, 1500.0), single, entry(992.0, 495.0, "dynamic_friction", "stribeck")
+    ).claimed == ("dynamic_friction",)
+    assert verdict(
+        entry(3000.0, 1500.0),
+        entry(1000.0, 500.0, "dynamic_friction"),
+        entry(600.0, 300.0, "dynamic_friction", "free_play"),
+    ).claimed == ("dynamic_friction", "free_play")
