@@ -21,6 +21,11 @@ from tests.conftest import ROOT
 SLOWED = ("--transport", "local", "--speed", "0.4", "--json")
 
 
+def interruptible() -> None:
+    """A shell's background jobs ignore Ctrl-C, and so would their children; this one hears it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @contextlib.contextmanager
 def running(folder: Path) -> Iterator[subprocess.Popen[str]]:
     """Start a slowed-down run over the local bus; yield it in mid-shift."""
@@ -31,6 +36,7 @@ def running(folder: Path) -> Iterator[subprocess.Popen[str]]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=interruptible,
     )
     try:
         deadline = time.monotonic() + 180.0
