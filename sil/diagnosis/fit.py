@@ -228,7 +228,7 @@ def arrow(
     inner: dict[int, tuple[Floats, Floats, Floats]] = {}
     for k, block in blocks.items():
         r, a, b = block.residual, block.shared, block.scatter
-        inverse: Floats = np.linalg.inv(b.T @ b + np.eye(b.shape[1]))
+        inverse = np.asarray(np.linalg.inv(b.T @ b + np.eye(b.shape[1])), dtype=np.float64)
         hus: Floats = a.T @ b
         gs: Floats = b.T @ r - spread[k]
         normal += a.T @ a - hus @ inverse @ hus.T
