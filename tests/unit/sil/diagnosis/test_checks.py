@@ -36,7 +36,7 @@ def test_a_good_stroke_has_nothing_odd(clean) -> None:
         ("position_m", lambda x: x * 1e2, "centimetres"),
         ("pressure_1_pa", lambda x: x * 1e-5, "bar"),
         ("pressure_1_pa", lambda x: x * 1e-3, "pascals"),
-        ("pressure_2_pa", lambda x: x * 1e3, "1000"),
+        ("pressure_2_pa", lambda x: x * 1e3, "expected at most the supply"),
         ("pressure_2_pa", lambda x: x - 101325.0, "absolute"),
         ("pressure_1_pa", lambda x: 0.0 * x + 101325.0, "constant"),
         ("position_m", lambda x: 0.0 * x, "stands still"),

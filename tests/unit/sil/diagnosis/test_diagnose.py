@@ -11,6 +11,8 @@ from sil.diagnosis.diagnosis import diagnose
 from sil.diagnosis.report import write_report
 from tests.unit.sil.diagnosis.made_campaign import made
 
+pytestmark = pytest.mark.slow
+
 KEYS = {
     "format",
     "campaign",
