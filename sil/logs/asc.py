@@ -17,7 +17,7 @@ from sil.logs.asc_line import AscEvent, AscFrame, AscState, parse_event
 from sil.logs.backend import Batch, LogWriter, ReadOptions
 from sil.logs.byte_source import ByteSource
 from sil.logs.calendar_text import parse_date, write_date
-from sil.logs.frame import MOST_KNOWN_IDS, LogFrame, ordinary_frame
+from sil.logs.frame import MAX_TIME_NS, MOST_KNOWN_IDS, LogFrame, ordinary_frame
 from sil.logs.report import LogReport, Place
 from sil.logs.text_lines import Chunk, Line, chunk_lines, chunks, line_at
 from sil.logs.times import (
@@ -79,6 +79,8 @@ class AscReader:
     def _is_plain(self, chunk: Chunk) -> bool:
         """Whether the header lies before this chunk and tells hex numbers and plain times."""
         if chunk.line == 1 or chunk.unterminated or self._deltas or self._state.decimal:
+            return False
+        if self._origin_ns > MAX_TIME_NS // 2:
             return False
         return "base" not in chunk.text.lower()
 
@@ -159,6 +161,8 @@ class AscReader:
             raise ValueError("the last line has no end and may be cut short")
         if event.remark:
             self._report.note(event.remark)
+        if self._origin_ns + time_ns > MAX_TIME_NS:
+            raise ValueError("a time out of range")
         return event.frame._replace(time_ns=self._origin_ns + time_ns)
 
     def _header(self, text: str) -> None:

@@ -15,7 +15,7 @@ from sil.logs.backend import Batch, LogWriter, ReadOptions
 from sil.logs.byte_source import ByteSource
 from sil.logs.candump_line import DROPPED, ERROR_FLAG, NotAFrame, parse_line, surely_whole
 from sil.logs.candump_plain import PlainChunks
-from sil.logs.frame import MOST_KNOWN_IDS, LogFrame
+from sil.logs.frame import MAX_TIME_NS, MOST_KNOWN_IDS, LogFrame
 from sil.logs.report import LogReport, Place
 from sil.logs.text_lines import Chunk, chunk_lines, chunks
 from sil.logs.times import NS_PER_S, RELATIVE_BELOW_NS, enough_decimals
@@ -113,6 +113,11 @@ class CandumpReader:
         for frame in batch.frames:
             total += frame.time_ns
             summed.append(frame._replace(time_ns=total))
+        if total > MAX_TIME_NS:
+            raise InputError(
+                f"{self._report.path}: line {batch.places[-1]}: the differences add up to "
+                f"{total // NS_PER_S} s; expected times within 292 years"
+            )
         self._sum_ns = total
         return Batch(summed, batch.places)
 

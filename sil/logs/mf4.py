@@ -120,18 +120,19 @@ class Mf4Reader:
         size = data_bytes + invalid_bytes
         if flags & _VLSD_GROUP:
             return Group(block.address, record_id, cycles, 0, None, "", True)
-        channels = read_channels(file, block.link(1)) if block.link(1) else []
         frames: FrameGroup | None = None
-        kind = frame_kind(channels)
-        if kind is None:
-            name = self._other_name(channels, cycles)
-        else:
-            name = kind
-            self._frame_groups += 1
-            try:
+        name = "record of a group that cannot be read"
+        try:
+            channels = read_channels(file, block.link(1)) if block.link(1) else []
+            kind = frame_kind(channels)
+            if kind is None:
+                name = self._other_name(channels, cycles)
+            else:
+                self._frame_groups += 1
                 frames = frame_group(file, channels, data_bytes, start_ns)
-            except MdfError as error:
-                raise MdfError(block.address, error.reason) from None
+                name = kind
+        except MdfError as error:
+            self._report.skip(Place(error.reason, byte=error.byte or block.address))
         return Group(block.address, record_id, cycles, size, frames, name, False)
 
     def _other_name(self, channels: list[Channel], cycles: int) -> str:

@@ -16,6 +16,7 @@ from sil.logs.backend import Batch, LogWriter, ReadOptions
 from sil.logs.byte_source import ByteSource
 from sil.logs.frame import (
     DLC_LENGTHS,
+    MAX_TIME_NS,
     MOST_KNOWN_IDS,
     LogFrame,
     frame_problem,
@@ -99,7 +100,9 @@ class TrcReader:
         """What a common line of this log is like, None where there is no pattern for it."""
         if self._version == "2.1" and ",".join(self._columns) != _DEFAULT_COLUMNS["2.1"]:
             return None
-        return _PLAIN.get(self._version) if self._origin_ns is not None else None
+        if self._origin_ns is None or self._origin_ns > MAX_TIME_NS // 2:
+            return None
+        return _PLAIN.get(self._version)
 
     def _mixed(self, chunk: Chunk) -> Batch:
         """The frames of a chunk, each line looked at."""

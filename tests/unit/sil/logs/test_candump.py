@@ -283,6 +283,13 @@ class TestDeltaTimes:
         assert times_ns == expected
 
 
+def test_differences_that_add_up_to_no_time_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    path.write_text("(0.0) can0 123#11\n" + "(9000000000.0) can0 123#11\n" * 3)
+    with pytest.raises(InputError, match=r"line 4: the differences add up to"):
+        list(open_log(path))
+
+
 def test_lines_of_the_other_kind_are_left_out(tmp_path: Path) -> None:
     path = tmp_path / "log.txt"
     path.write_text("can0 123#11\n(1.0) can0 123#12\ncan0 123#13\n")

@@ -357,3 +357,19 @@ def test_without_asammdf_writing_is_refused(
     assert list(tmp_path.iterdir()) == []
     blob = logger_file(EVENTS, START_NS)
     assert read(blob, tmp_path)[0] == expected(EVENTS)
+
+
+def test_a_group_that_cannot_be_read_leaves_the_others(tmp_path: Path) -> None:
+    build = Mf4Builder(finished=True)
+    build.block(b"HD", [0] * 6, struct.pack("<QhhBBBB", START_NS, 0, 0, 1, 0, 0, 0) + bytes(16))
+    bad = build.group(0, build.channels((TIME, Field("CAN_DataFrame", 8, 0, 8, 10))), 9, cycles=1)
+    first = build.data_group(bad, build.block(b"DT", [], bytes(9)), 0)
+    values = build.block(b"SD", [], struct.pack("<I", 1) + b"\x11")
+    good = build.group(0, build.channels(DATA_FRAME, values), 22, cycles=1)
+    data = build.block(b"DT", [], data_record(5, 0x123, b"\x11", 0))
+    build.link(64, 0, first)
+    build.link(first, 0, build.data_group(good, data, 0))
+    frames, report = read(bytes(build.blob), tmp_path)
+    assert frames == expected([(5, 0x123, b"\x11")])
+    assert "without an ID" in str(report.skipped_places[0])
+    assert any("local time" in note for note in report.notes)
