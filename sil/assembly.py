@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from sil.event_log import EventLog
     from sil.recorder import TraceWriter
 
+ROOT = Path(__file__).resolve().parent.parent
 SCENARIO = "scenario.json"
 REMOTE = ("controller", "plant")
 """Who runs in a process of its own on every transport but inproc; driver and traffic never do."""
@@ -202,6 +203,12 @@ def open_channels(
 
 
 def node_command(name: str, channel: str, folder: Path) -> list[str]:
-    """Return the command that runs one participant of the run in `folder` in its own process."""
-    command = [sys.executable, "-m", "sil.cli", "node", name, "--channel", channel]
+    """Return the command that runs one participant of the run in `folder` in its own process.
+
+    The process runs this very code, whatever lies in the user's folder under the same names.
+    """
+    code = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r}); from sil.cli import main; sys.exit(main())"
+    )
+    command = [sys.executable, "-P", "-c", code, "node", name, "--channel", channel]
     return [*command, "--scenario", str(folder / SCENARIO), "--out", str(folder), "--force"]

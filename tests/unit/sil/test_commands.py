@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from pathlib import Path
 
 import pytest
 
-from sil import cli
+from sil import assembly, cli, scenario
 
 LOG = "(0000000000.001000) opc4 0CFF2091#0011223344556677\n"
 
@@ -79,3 +80,16 @@ def test_node_on_no_channel_and_over_records_of_another(
     (tmp_path / "plant.trace").write_text("")
     assert cli.main(["node", "plant", "--channel", "local:x", "--out", str(tmp_path)]) == 2
     assert "plant.trace: stands there" in capsys.readouterr().err
+
+
+def test_a_participants_process_runs_this_code_whatever_lies_around(tmp_path: Path) -> None:
+    for name in ("sil", "controller", "can_dbc"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('another program')")
+    (tmp_path / assembly.SCENARIO).write_text(
+        json.dumps({"scenario": scenario.expanded(scenario.load("lab_n_b").scenario)})
+    )
+    command = assembly.node_command("controller", "nocan9", tmp_path)
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 2 and "nocan9" in done.stderr
