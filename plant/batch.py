@@ -272,7 +272,7 @@ def simulate_batch(
     final = np.zeros((n, states))
     out = np.zeros((n, instants.shape[1], len(wanted)))
     events = np.zeros((n, event_room, EVENT_COLUMNS))
-    arrays = [
+    p, c, y, m, u, switches, duration = (
         np.ascontiguousarray(array)
         for array in (
             strokes.packed,
@@ -283,10 +283,10 @@ def simulate_batch(
             strokes.switches,
             strokes.duration_s,
         )
-    ]
+    )
     scale = scales(strokes.system)
     covered = strokes.in_lanes if lanes else np.zeros(n, dtype=np.bool_)
-    table = _curves(arrays[1].tobytes()) if len(strokes.flow) == 1 else None
+    table = _curves(c.tobytes()) if len(strokes.flow) == 1 else None
     curves = np.zeros(TABLE) if table is None else table
     moving = 4 if strokes.system == L.FIXED else 9
 
@@ -295,14 +295,15 @@ def simulate_batch(
         outside = order[~covered[order]]
         if len(inside):
             run_lanes(
-                strokes.system, moving, *arrays, instants, wanted, scale, tolerance,
-                table is not None, curves, inside, results, final, out, events, WIDTH,
+                strokes.system, moving, p, c, y, m, u, switches, duration,
+                instants, wanted, scale, tolerance, table is not None, curves,
+                inside, results, final, out, events, WIDTH,
                 np.zeros(ROWS * WIDTH), np.zeros(SCRATCH), np.zeros(MEMORY * WIDTH, dtype=np.int64),
             )  # fmt: skip
         if len(outside):
             run_singles(
-                strokes.system, *arrays, instants, wanted, scale, tolerance,
-                outside, results, final, out, events,
+                strokes.system, p, c, y, m, u, switches, duration,
+                instants, wanted, scale, tolerance, outside, results, final, out, events,
             )  # fmt: skip
 
     everything = np.arange(n)

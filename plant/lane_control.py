@@ -133,6 +133,15 @@ def apply_switches(f, j, memory, switches, n_switch):
 
 
 @called
+def finite(y, n):
+    """True if every state is a finite number."""
+    total = 0.0
+    for k in range(n):
+        total += 0.0 * y[k]
+    return total == 0.0
+
+
+@called
 def sample_rest(f, j, fixed, memory, until, samples, n_sample, columns, n_columns, out, table, w):
     """Samples of a rest, from its curves."""
     t = f[TIME * WIDTH + j]
@@ -169,7 +178,7 @@ def prepare(
 ):  # fmt: skip
     """Bring a lane to its next step, over switches, events at this instant and rests.
 
-    Returns STEPPING, DONE at the stroke's end, or TOO_MANY_EVENTS.
+    Returns STEPPING, DONE at the stroke's end, or the reason to stop.
     """
     y = lane(f, Y, j, WIDTH, "")
     y1 = lane(f, STAGE, j, WIDTH, "")
@@ -204,6 +213,8 @@ def prepare(
             )
             if dt > 0.0 or index >= 0:
                 memory[JUMPS * WIDTH + j] += 1
+                if not finite(y1, n):
+                    return NOT_FINITE
                 until = f[NEXT * WIDTH + j] if dt == span and index < 0 else t + dt
                 for k in range(n):
                     y[k] = y1[k]

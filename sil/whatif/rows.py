@@ -124,7 +124,7 @@ def stroke_of(base: StrokeBase, study: LoadedStudy, row: Row):  # type: ignore[n
         if key not in values or key in ("kind", "commands"):
             raise InputError(f"stroke.{key}: no such value to set; expected {', '.join(values)}")
         values[key] = tuple(str(value)) if key == "charged_before" else value
-    time_s = np.arange(round(base.until_s / STEP_S) + 1) * STEP_S
+    time_s = (np.arange(round(base.until_s / STEP_S) + 1) * STEP_S).astype(np.float64)
     return simulate(parameters, StrokeConditions(**values), time_s, internal=False)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -75,7 +76,7 @@ def test_theoretical_flow_is_continuous_at_the_critical_ratio() -> None:
 def test_theoretical_flow_falls_to_zero_at_equal_pressures_and_changes_sign() -> None:
     assert ideal(9e5, 9e5) == 0.0
     flows = [ideal(9e5, 9e5 * ratio) for ratio in np.linspace(CRITICAL, 1.0, 200)]
-    assert all(late < early for early, late in zip(flows, flows[1:], strict=False))
+    assert all(late < early for early, late in pairwise(flows))
     assert ideal(2e5, 5e5) == -ideal(5e5, 2e5)
 
 
@@ -118,7 +119,7 @@ def test_the_same_map_fills_three_times_the_volume_in_three_times_the_time() -> 
     fields = []
     for factor in (1.0, 3.0):
         rig = Bare(L.FIXED, {**STUCK, L.VOL_B: factor * 1e-4})
-        times, states = rig.samples(0.05 * factor, 100, [(0, 0, 1.0)])
+        _times, states = rig.samples(0.05 * factor, 100, [(0, 0, 1.0)])
         fields.append(states[:, L.FP1])
     assert fields[1] == pytest.approx(fields[0], rel=1e-6)
     assert fields[0][-1] > 3e5
