@@ -7,7 +7,6 @@ Checked by: tests/unit/can_dbc/test_dbc.py, tests/fuzz/test_fuzz_dbc.py
 
 from __future__ import annotations
 
-import math
 import os
 import re
 from bisect import bisect_right
@@ -25,6 +24,8 @@ LONGEST_MESSAGE = 1785
 _MOST_MULTIPLEXED = 4096
 _LARGEST_TO_BISECT = 200_000
 _LARGEST_POWER = 400
+_LARGEST_NUMBER = 1e300
+_LONGEST_CYCLE_MS = 10**12
 _LONGEST_REASON = 160
 # As cantools splits the text: comments to the end of the line, strings with \" inside, words and
 # numbers. A word never starts with a digit, since the number before it is taken first.
@@ -226,12 +227,12 @@ def _refuse_unusable(database: Database, text: _Text) -> None:
         declared = re.search(rf"\bBO_\s+\d+\s+{re.escape(message.name)}\b", text.text)
         offset = declared.start() if declared else None
         cycle_ms = message.cycle_time
-        number = isinstance(cycle_ms, int | float) and math.isfinite(cycle_ms)
-        if cycle_ms is not None and not (number and cycle_ms >= 0):
+        number = isinstance(cycle_ms, int | float) and 0 <= cycle_ms < _LONGEST_CYCLE_MS
+        if cycle_ms is not None and not number:
             text.refuse(
                 offset,
-                f"message {message.name}: cycle time {cycle_ms!r}; "
-                "expected milliseconds, at least 0",
+                f"message {message.name}: cycle time {str(cycle_ms)[:30]!r}; "
+                "expected 0 to 10^12 milliseconds",
             )
         for signal in message.signals:
             where = f"signal {signal.name} of {message.name}"
@@ -239,5 +240,5 @@ def _refuse_unusable(database: Database, text: _Text) -> None:
             if scale == 0:
                 text.refuse(offset, f"{where}: factor 0")
             for value in (scale, shift, signal.minimum, signal.maximum):
-                if value is not None and not math.isfinite(value):
-                    text.refuse(offset, f"{where}: {value} where a finite number is expected")
+                if value is not None and not abs(value) <= _LARGEST_NUMBER:
+                    text.refuse(offset, f"{where}: {str(value)[:30]}; expected a finite number")

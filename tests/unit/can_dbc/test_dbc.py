@@ -134,19 +134,27 @@ def test_problems_carry_the_name_of_the_file(tmp_path: Path) -> None:
         ),
         (
             changed("(1,0) [0|0]", "(1e400,0) [0|0]"),
-            "x.dbc: line 8: signal Load of Engine: inf where a finite number is expected",
+            "x.dbc: line 8: signal Load of Engine: inf; expected a finite number",
         ),
         (
             changed("BO_ 5 20", "BO_ 5 -5"),
-            "x.dbc: line 4: message Speeds: cycle time -5; expected milliseconds",
+            "x.dbc: line 4: message Speeds: cycle time '-5'; expected 0 to 10^12",
         ),
         (
             changed("INT -10 65535", "FLOAT 0 65535").replace("BO_ 5 20", "BO_ 5 1e400"),
             "x.dbc: line ",
         ),
         (
+            changed("BO_ 5 20", f"BO_ 5 1{400 * '0'}"),
+            f"x.dbc: line 4: message Speeds: cycle time '1{29 * '0'}'; expected 0 to 10^12",
+        ),
+        (
+            changed("(1,0) [0|0]", f"(1,0) [0|1{400 * '0'}]"),
+            f"x.dbc: line 8: signal Load of Engine: 1{29 * '0'}; expected a finite number",
+        ),
+        (
             changed("INT -10 65535", "STRING").replace("BO_ 5 20", 'BO_ 5 "20"'),
-            "x.dbc: line 4: message Speeds: cycle time '20'; expected milliseconds",
+            "x.dbc: line 4: message Speeds: cycle time '20'; expected 0 to 10^12",
         ),
         (
             GOOD.replace(" 5 ", " 4096 "),
