@@ -38,8 +38,8 @@ from .verdict import Verdict, acceptable, decide
 
 FALSE_ALARM_LEVEL = 0.01
 FALSE_ALARM_BASIS = (
-    "gain in log evidence of at least 15 and 1.5 a stroke, and a gain on held-out strokes; on clean "
-    "simulated campaigns the largest chance gain was 6"
+    "a threshold chosen from the scores of a few campaigns that look clean; "
+    "the rate has not been measured over simulated clean campaigns yet"
 )
 
 
