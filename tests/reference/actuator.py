@@ -532,10 +532,13 @@ class Actuator:
             if name == f"meet {contact.name}" or contact in mode.joints:
                 y[2 * contact.piston] = y[0] - contact.sign * contact.offset
         told, speed = self.collide(y)
-        if name or told:
-            happenings.append(Happening(t, told or name, y[0], speed))
         released = name.removeprefix("part ") if name.startswith("part") else ""
-        return self.choose(y, released, name.startswith("slip"))
+        after = self.choose(y, released, name.startswith("slip"))
+        # a slip after which the same bodies rest only moved the load from one to the other
+        moved = not name.startswith("slip") or after.directions != mode.directions
+        if told or (name and moved):
+            happenings.append(Happening(t, told or name, y[0], speed))
+        return after
 
 
 class FixedPiston(Actuator):

@@ -1,0 +1,245 @@
+"""Physical parameters and valve sequences at random: nothing unphysical, and always an end.
+
+The geometry is drawn so that the pistons sweep less than their chambers hold.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from plant import layout as L
+from plant.length_stroke import LengthStroke
+from plant.parameters import ParameterSet
+from plant.stroke import StrokeConditions, simulate
+from tests.physics.bare import MS, NOMINAL
+
+END_S = 0.25
+FRICTIONS = ("F_sf_s", "F_sf_p", "F_rf_s", "F_rf_p", "beta_s", "beta_p")
+# The balances close to the integrator's accuracy, not to rounding.
+CLOSED = 1e-5
+
+factor = st.floats(math.log(0.3), math.log(3.0)).map(math.exp)
+milliseconds = st.integers(0, 200)
+
+
+@st.composite
+def length_parameters(draw: st.DrawFn) -> dict[str, float]:
+    """Changes of the length stroke's numbers."""
+    value = NOMINAL.value
+    changes = {f"friction_length.{n}": value(f"friction_length.{n}") * draw(factor) for n in FRICTIONS}
+    for name in ("length.m_s", "length.m_p", "length.A_s", "length.V_B0", "length.V_F0"):
+        changes[name] = value(name) * draw(factor)
+    area = value("length.A_p") * draw(factor)
+    changes["length.A_p"] = area
+    # what is left of N with both pistons at their collars
+    changes["length.V_N0"] = 2.0 * area * value("length.x_free_total") + 2.8e-5 * draw(factor)
+    # what is left of F with the stay backward, of B with it forward
+    for name in ("length.V_B0", "length.V_F0"):
+        changes[name] += changes["length.A_s"] * value("length.stroke")
+    changes["stops.restitution"] = draw(st.sampled_from([0.0, 0.0, 0.2, 0.5, 0.8]))
+    return changes
+
+
+@st.composite
+def fixed_parameters(draw: st.DrawFn) -> dict[str, float]:
+    """Changes of the fixed piston's numbers."""
+    value = NOMINAL.value
+    names = ("fixed.m_s", "fixed.m_p", "fixed.V10", "friction_fixed.F_sf", "friction_fixed.F_rf")
+    changes = {name: value(name) * draw(factor) for name in names}
+    changes["friction_fixed.beta"] = value("friction_fixed.beta") * draw(factor)
+    size = draw(factor)
+    changes["fixed.A1"] = value("fixed.A1") * size
+    changes["fixed.A2"] = value("fixed.A2") * size
+    sweep = changes["fixed.A2"] * value("fixed.stroke")
+    changes["fixed.V20"] = sweep + 3.4e-5 * draw(factor)
+    changes["stops.restitution"] = draw(st.sampled_from([0.0, 0.0, 0.2, 0.5, 0.8]))
+    return changes
+
+
+def flows(parameters: ParameterSet, charge: float, discharge: float) -> ParameterSet:
+    """The set with its flow maps scaled."""
+    changes = {}
+    for path, by in (("flow_charge", charge), ("flow_discharge", discharge)):
+        for part in ("c_low", "c_high"):
+            name = f"{path}.{part}"
+            changes[name] = [by * c for c in parameters.values(name)]
+    return parameters.override(changes)
+
+
+def sequence(chambers: int) -> st.SearchStrategy[list[tuple[int, int, float]]]:
+    """Valve positions at whole milliseconds, several valves at once included."""
+    one = st.tuples(milliseconds, st.integers(0, chambers - 1), st.sampled_from([0.0, 1.0]))
+    return st.lists(one, min_size=1, max_size=8).map(
+        lambda moves: sorted((t * MS, c, u) for t, c, u in moves)
+    )
+
+
+def check_balances(system: Any) -> None:
+    """Energy and gas accounted for; friction, damper and impacts only take."""
+    balance = system.balance() if callable(system.balance) else system.balance
+    assert abs(balance.energy_residual_j) <= CLOSED * max(balance.energy_scale_j, 1.0)
+    for residual in balance.gas_residual_j:
+        assert abs(residual) <= CLOSED * max(balance.gas_scale_j, 1.0)
+    assert balance.friction_j >= -1e-6
+    assert balance.impact_j >= -1e-9
+
+
+def check_length(changes: dict[str, float], load: dict[str, Any], moves: Any, start: str) -> None:
+    """Run a length stroke and look at everything that must hold."""
+    parameters = flows(NOMINAL, load.pop("charge", 1.0), load.pop("discharge", 1.0))
+    actuator = LengthStroke(parameters.override(changes), initial=start, **load)
+    wanted = np.arange(MS // 4, round(END_S * 1e9) + 1, MS // 4, dtype=np.int64)
+    y = actuator.advance(round(END_S * 1e9), moves, wanted)
+    stroke, free = NOMINAL.value("length.stroke"), NOMINAL.value("length.x_free_total")
+    assert np.isfinite(y).all()
+    assert np.abs(y[:, L.XS]).max() <= stroke + 1e-9
+    assert y[:, [L.X1, L.X2]].min() >= -1e-9
+    for piston, side in ((L.X1, -1.0), (L.X2, 1.0)):
+        gap = y[:, piston] + side * y[:, L.XS]
+        assert -1e-9 <= gap.min() and gap.max() <= free + 1e-9
+    assert y[:, [L.PB, L.PN, L.PF]].min() > 0.0
+    assert y[:, L.LOIL].min() > 0.0
+    check_balances(actuator)
+    assert len(actuator.events) < 256
+    assert sum(actuator.steps) < 30_000
+
+
+LOADS = st.fixed_dictionaries(
+    {
+        "mounted": st.booleans(),
+        "damper": st.sampled_from([None, None, "incompressible", "compressible"]),
+        "mesh_force_n": st.floats(0.0, 1300.0),
+        "pull_force_n": st.floats(0.0, 1100.0),
+        "sync_impulse_n_s": st.sampled_from([0.0, 0.0, 2.0, 18.0, 78.0]),
+        "supply_pressure_pa": st.floats(2e5, 1e6),
+        "charged": st.sets(st.sampled_from("BNF")).map(sorted),
+        "charge": factor,
+        "discharge": factor,
+    }
+)
+FREE: dict[str, Any] = {"supply_pressure_pa": 5e5}
+
+
+@settings(max_examples=400, deadline=None, suppress_health_check=list(HealthCheck))
+@given(length_parameters(), LOADS, sequence(3), st.sampled_from("BNF"))
+# both pistons leave the stay at a stop from which it bounces
+@example(
+    {
+        "length.m_s": 0.527,
+        "length.m_p": 0.487,
+        "length.A_p": 0.00156,
+        "length.V_N0": 4.93e-5,
+        "friction_length.F_sf_p": 93.0,
+        "stops.restitution": 0.579,
+    },
+    {"supply_pressure_pa": 483715.0, "charged": ["F"]},
+    [(18 * MS, 1, 1.0)],
+    "B",
+)
+# light pistons on either side of a heavy stay: contacts that part slower than rounding
+@example(
+    {"length.m_s": 2.215, "length.m_p": 0.0654, "friction_length.F_sf_p": 118.2},
+    {"supply_pressure_pa": 680909.0, "mounted": True, "pull_force_n": 157.3},
+    [(17 * MS, 2, 1.0), (18 * MS, 1, 1.0), (167 * MS, 1, 0.0)],
+    "B",
+)
+# stay and piston break away together and then slide apart
+@example(
+    {
+        "length.m_s": 0.358,
+        "length.A_p": 0.001579,
+        "length.A_s": 0.000546,
+        "length.V_B0": 1.1e-5,
+        "friction_length.F_sf_p": 107.4,
+        "friction_length.F_rf_s": 28.3,
+        "friction_length.F_rf_p": 13.1,
+    },
+    {"supply_pressure_pa": 485497.0},
+    [(18 * MS, 0, 1.0)],
+    "N",
+)
+def test_length_stroke_stays_physical(
+    changes: dict[str, float], load: dict[str, Any], moves: Any, start: str
+) -> None:
+    check_length(changes, dict(load), moves, start)
+
+
+@pytest.mark.slow
+@settings(max_examples=20000, deadline=None, suppress_health_check=list(HealthCheck))
+@given(length_parameters(), LOADS, sequence(3), st.sampled_from("BNF"))
+def test_length_stroke_stays_physical_at_length(
+    changes: dict[str, float], load: dict[str, Any], moves: Any, start: str
+) -> None:
+    check_length(changes, dict(load), moves, start)
+
+
+FIXED_LOADS = st.one_of(
+    st.just({}),
+    st.fixed_dictionaries(
+        {
+            "load": st.just("damper"),
+            "damper_model": st.sampled_from(["compressible", "incompressible"]),
+        }
+    ),
+    st.fixed_dictionaries(
+        {
+            "load": st.just("spring"),
+            "spring_n_per_m": st.floats(1e3, 2e5),
+            "start_offset_m": st.floats(0.0, 0.0128),
+        }
+    ),
+)
+COMMANDS = st.lists(
+    st.tuples(
+        milliseconds.map(lambda t: t / 1000.0),
+        st.sampled_from("12"),
+        st.sampled_from([0.0, 0.98]),
+    ),
+    min_size=1,
+    max_size=8,
+)
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    fixed_parameters(), FIXED_LOADS, COMMANDS, st.floats(2e5, 1e6), st.sets(st.sampled_from("12"))
+)
+def test_fixed_piston_stays_physical(
+    changes: dict[str, float],
+    load: dict[str, Any],
+    commands: list[tuple[float, str, float]],
+    supply: float,
+    charged: set[str],
+) -> None:
+    conditions = StrokeConditions(
+        "fixed", supply, tuple(sorted(commands)), charged_before=tuple(sorted(charged)), **load
+    )
+    times = np.arange(0, 1001) * (END_S / 1000)
+    stroke = simulate(NOMINAL.override(changes), conditions, times, internal=False)
+    y = stroke.states
+    assert np.isfinite(y).all()
+    assert -1e-9 <= y[:, L.FX].min() and y[:, L.FX].max() <= NOMINAL.value("fixed.stroke") + 1e-9
+    assert y[:, [L.FP1, L.FP2, L.FOIL]].min() > 0.0
+    check_balances(stroke)
+    assert len(stroke.events) < 256
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(length_parameters(), sequence(3), st.sampled_from("BNF"))
+def test_a_shut_and_unpowered_stroke_gains_no_energy(
+    changes: dict[str, float], moves: Any, start: str
+) -> None:
+    # no supply above the atmosphere: nothing may ever move
+    actuator = LengthStroke(
+        NOMINAL.override(changes), initial=start, supply_pressure_pa=101325.0
+    )
+    before = actuator.row()
+    actuator.advance(round(END_S * 1e9), moves)
+    still = [L.XS, L.X1, L.X2, L.VS, L.V1, L.V2]
+    assert actuator.row()[still].tolist() == before[still].tolist()
