@@ -102,7 +102,7 @@ def check_length(changes: dict[str, float], load: dict[str, Any], moves: Any, st
     assert y[:, [L.X1, L.X2]].min() >= -1e-9
     for piston, side in ((L.X1, -1.0), (L.X2, 1.0)):
         gap = y[:, piston] + side * y[:, L.XS]
-        assert -1e-9 <= gap.min() and gap.max() <= free + 1e-9
+        assert gap.min() >= -1e-9 and gap.max() <= free + 1e-9
     assert y[:, [L.PB, L.PN, L.PF]].min() > 0.0
     assert y[:, L.LOIL].min() > 0.0
     check_balances(actuator)
@@ -224,7 +224,7 @@ def test_fixed_piston_stays_physical(
     stroke = simulate(NOMINAL.override(changes), conditions, times, internal=False)
     y = stroke.states
     assert np.isfinite(y).all()
-    assert -1e-9 <= y[:, L.FX].min() and y[:, L.FX].max() <= NOMINAL.value("fixed.stroke") + 1e-9
+    assert y[:, L.FX].min() >= -1e-9 and y[:, L.FX].max() <= NOMINAL.value("fixed.stroke") + 1e-9
     assert y[:, [L.FP1, L.FP2, L.FOIL]].min() > 0.0
     check_balances(stroke)
     assert len(stroke.events) < 256
