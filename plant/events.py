@@ -210,5 +210,5 @@ def after_event(t, index, y, m, p, record, work):
     for i in (VS, V1, V2):
         if abs(y[i]) < ZERO_M_S:
             y[i] = 0.0
-    impacts(y, m, p, record)
+    impacts(t, y, m, p, record, work)
     settle(t, y, m, p, work)

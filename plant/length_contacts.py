@@ -63,7 +63,8 @@ EPS_PA = 1e-7
 REST_M_S = 1e-4
 # Equal velocities of touching bodies, up to rounding.
 SAME_M_S = 1e-10
-# Touching bodies that part slower than this stay together: the end of a Zeno sequence of contacts.
+# Touching bodies that part slower than this, and would meet again, stay together: the end of a
+# Zeno sequence of contacts.
 SLOW_M_S = 1e-5
 FAR = 1.0e30
 
@@ -276,21 +277,22 @@ def guards(t, y, m, p, work, g):
 
 
 @inlined
-def meets(contact, relative):
+def meets(contact, relative, slow):
     """True if touching bodies change their velocities: they close, or part too slowly to count.
 
-    relative: rate at which their gap grows [m/s].
+    relative: rate at which their gap grows [m/s]; slow: see `slow_partings`.
     """
     if contact == FREE or abs(relative) <= SAME_M_S:
         return False
-    return (relative if contact == NUT else -relative) < SLOW_M_S
+    return (relative if contact == NUT else -relative) < slow
 
 
 @inlined
-def join_velocity(y, p, which):
+def join_velocity(y, p, which, slow):
     """Inelastic contact of the stay and one piston; returns the kinetic energy lost [J].
 
-    Conserves momentum.  The other piston takes part if it touches and does not part.
+    Conserves momentum.  The other piston takes part if it touches and does not part (faster than
+    `slow` [m/s]).
     """
     vs = y[VS]
     w1 = y[V1]
@@ -299,11 +301,11 @@ def join_velocity(y, p, which):
     if which == 1:
         v = (p[M_S] * vs + p[M_P] * w1) / (p[M_S] + p[M_P])
         contact = touching(y[X2] + y[XS], p)
-        both = contact != FREE and sign_ahead(2, contact) * (w2 - v) < SLOW_M_S
+        both = contact != FREE and sign_ahead(2, contact) * (w2 - v) < slow
     else:
         v = (p[M_S] * vs + p[M_P] * w2) / (p[M_S] + p[M_P])
         contact = touching(y[X1] - y[XS], p)
-        both = contact != FREE and sign_ahead(1, contact) * (w1 - v) < SLOW_M_S
+        both = contact != FREE and sign_ahead(1, contact) * (w1 - v) < slow
     if both:
         v = (p[M_S] * vs + p[M_P] * (w1 + w2)) / (p[M_S] + 2.0 * p[M_P])
     if both or which == 1:
@@ -322,10 +324,76 @@ def rebound(v, p):
     return after if abs(after) > REST_M_S else 0.0
 
 
+@inlined
+def group_acceleration(v, drive, cap_plus, cap_minus, run_plus, run_minus, mass, stop_plus, stop_minus):
+    """Acceleration of one group of joined bodies: set-valued friction at rest, stops one-sided."""
+    if v > 0.0:
+        return (drive - run_plus) / mass
+    if v < 0.0:
+        return (drive + run_minus) / mass
+    if drive > cap_plus and not stop_plus:
+        return (drive - run_plus) / mass
+    if drive < -cap_minus and not stop_minus:
+        return (drive + run_minus) / mass
+    return 0.0
+
+
+@inlined
+def lone_piston(v, drive, pressure, stop_plus, stop_minus, p):
+    """Acceleration of a piston that touches nothing but its outer stop [m/s^2], as x_s counts."""
+    return group_acceleration(
+        v,
+        drive,
+        piston_static(1.0, pressure, p),
+        piston_static(-1.0, pressure, p),
+        piston_sliding(v, 1.0, pressure, p),
+        piston_sliding(v, -1.0, pressure, p),
+        p[M_P],
+        stop_plus,
+        stop_minus,
+    )
+
+
 @called
-def impacts(y, m, p, record):
+def slow_partings(t, y, m, p, work):
+    """Speeds below which pistons 1 and 2 do not count as parting from the stay [m/s].
+
+    SLOW_M_S where the accelerations, each body alone, would close the contact again; else 0.
+    """
+    m[M_STAY] = 0
+    m[M_PISTON1] = 0
+    m[M_PISTON2] = 0
+    force = work[0:3]
+    net_forces(y, m, p, t, force)
+    high, low = stay_limits(y, m, p)
+    a = group_acceleration(
+        y[VS],
+        force[0],
+        stay_static(y[XS], 1.0, p),
+        stay_static(y[XS], -1.0, p),
+        stay_sliding(y[XS], y[VS], 1.0, p),
+        stay_sliding(y[XS], y[VS], -1.0, p),
+        p[M_S],
+        y[XS] >= high - TOUCH_M,
+        y[XS] <= low + TOUCH_M,
+    )
+    a1 = lone_piston(y[V1], force[1], y[PB] - y[PN], False, y[X1] <= TOUCH_M, p)
+    a2 = lone_piston(-y[V2], force[2], y[PF] - y[PN], y[X2] <= TOUCH_M, False, p)
+    c1 = touching(y[X1] - y[XS], p)
+    c2 = touching(y[X2] + y[XS], p)
+    slow1 = SLOW_M_S if c1 != FREE and sign_ahead(1, c1) * (a1 - a) < 0.0 else 0.0
+    slow2 = SLOW_M_S if c2 != FREE and sign_ahead(2, c2) * (a2 - a) < 0.0 else 0.0
+    return slow1, slow2
+
+
+@called
+def impacts(t, y, m, p, record, work):
     """Resolve all closing contacts and stops at this instant; record[0] energy lost [J],
-    record[1] speed of the stay into an end stop, record[2] 1 if it was the synchronizer."""
+    record[1] speed of the stay into an end stop, record[2] 1 if it was the synchronizer.
+
+    Leaves the bodies' modes of motion to `settle`.
+    """
+    slow1, slow2 = slow_partings(t, y, m, p, work)
     record[0] = 0.0
     record[1] = 0.0
     record[2] = 0.0
@@ -373,49 +441,35 @@ def impacts(y, m, p, record):
             again = True
         # contacts of stay and pistons
         relative = y[V1] - y[VS]
-        if meets(touching(y[X1] - y[XS], p), relative):
+        if meets(touching(y[X1] - y[XS], p), relative, slow1):
             stopped = (
                 (y[XS] >= high - TOUCH_M and relative > 0.0)
                 or (y[XS] <= low + TOUCH_M and relative < 0.0)
                 or (relative < 0.0 and y[X2] + y[XS] <= TOUCH_M and y[X2] <= TOUCH_M)
-                or abs(relative) < SLOW_M_S
+                or abs(relative) < slow1
             ) and y[VS] == 0.0
             if stopped:
                 record[0] += 0.5 * p[M_P] * y[V1] * y[V1]
                 y[V1] = 0.0
             else:
-                record[0] += join_velocity(y, p, 1)
+                record[0] += join_velocity(y, p, 1, slow2)
             again = True
         relative = y[VS] + y[V2]
-        if meets(touching(y[X2] + y[XS], p), relative):
+        if meets(touching(y[X2] + y[XS], p), relative, slow2):
             stopped = (
                 (y[XS] <= low + TOUCH_M and relative > 0.0)
                 or (y[XS] >= high - TOUCH_M and relative < 0.0)
                 or (relative < 0.0 and y[X1] - y[XS] <= TOUCH_M and y[X1] <= TOUCH_M)
-                or abs(relative) < SLOW_M_S
+                or abs(relative) < slow2
             ) and y[VS] == 0.0
             if stopped:
                 record[0] += 0.5 * p[M_P] * y[V2] * y[V2]
                 y[V2] = 0.0
             else:
-                record[0] += join_velocity(y, p, 2)
+                record[0] += join_velocity(y, p, 2, slow1)
             again = True
         if not again:
             break
-
-
-@inlined
-def group_acceleration(v, drive, cap_plus, cap_minus, run_plus, run_minus, mass, stop_plus, stop_minus):
-    """Acceleration of one group of joined bodies: set-valued friction at rest, stops one-sided."""
-    if v > 0.0:
-        return (drive - run_plus) / mass
-    if v < 0.0:
-        return (drive + run_minus) / mass
-    if drive > cap_plus and not stop_plus:
-        return (drive - run_plus) / mass
-    if drive < -cap_minus and not stop_minus:
-        return (drive + run_minus) / mass
-    return 0.0
 
 
 @inlined
@@ -496,31 +550,11 @@ def settle(t, y, m, p, work):
         if c1 != FREE:
             a1 = a
         else:
-            a1 = group_acceleration(
-                y[V1],
-                drive1,
-                piston_static(1.0, pressure1, p),
-                piston_static(-1.0, pressure1, p),
-                piston_sliding(y[V1], 1.0, pressure1, p),
-                piston_sliding(y[V1], -1.0, pressure1, p),
-                p[M_P],
-                False,
-                y[X1] <= TOUCH_M,
-            )
+            a1 = lone_piston(y[V1], drive1, pressure1, False, y[X1] <= TOUCH_M, p)
         if c2 != FREE:
             a2 = a
         else:
-            a2 = group_acceleration(
-                -y[V2],
-                drive2,
-                piston_static(1.0, pressure2, p),
-                piston_static(-1.0, pressure2, p),
-                piston_sliding(-y[V2], 1.0, pressure2, p),
-                piston_sliding(-y[V2], -1.0, pressure2, p),
-                p[M_P],
-                y[X2] <= TOUCH_M,
-                False,
-            )
+            a2 = lone_piston(-y[V2], drive2, pressure2, y[X2] <= TOUCH_M, False, p)
         joined = False
         if c1 == FREE and touch1 != FREE and sign_ahead(1, touch1) * (a1 - a) < 0.0:
             c1 = touch1

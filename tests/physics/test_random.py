@@ -164,6 +164,18 @@ FREE: dict[str, Any] = {"supply_pressure_pa": 5e5}
     [(18 * MS, 0, 1.0)],
     "N",
 )
+# two pistons part at once from the stay that they held between them, while it still creeps
+@example(
+    {
+        "length.A_p": 0.006831787370332398,
+        "length.V_B0": 3.203694655525e-05,
+        "length.V_F0": 3.203694655525e-05,
+        "length.V_N0": 0.00020562647162864235,
+    },
+    {"supply_pressure_pa": 521368.0, "charged": ["B", "F"]},
+    [(2 * MS, 0, 0.0)],
+    "N",
+)
 def test_length_stroke_stays_physical(
     changes: dict[str, float], load: dict[str, Any], moves: Any, start: str
 ) -> None:
