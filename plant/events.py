@@ -27,6 +27,10 @@ from .layout import (
     V1,
     V2,
     VS,
+    X1,
+    X2,
+    X_FREE,
+    XS,
 )
 from .length_contacts import (
     G_OIL_EMPTY,
@@ -92,7 +96,7 @@ def some_negative(g):
 
 @inlined
 def lowest_place(v0, v1, s0, s1):
-    """Where in 0..1 a velocity that ends as it began comes below zero, 1 if nowhere.
+    """Where in 0..1 a quantity that ends as it began comes below zero, 1 if nowhere.
 
     Asked of the cubic through both ends with the slopes s0, s1 there (per step).
     """
@@ -132,6 +136,39 @@ def hidden_turn(h, y, y1, rate0, rate1, m):
     if d != 0 and m[M_JOINED2] == FREE:
         two = lowest_place(d * y[V2], d * y1[V2], h * d * rate0[V2], h * d * rate1[V2])
     return min(stay, one, two)
+
+
+@called
+def hidden_meeting(h, y, y1, m, p):
+    """Fraction of a step at which stay and piston have met although both ends are apart, or 1.
+
+    Two bodies that graze each other close and part again within one step.
+    """
+    if m[M_SYSTEM] == FIXED:
+        return 1.0
+    one = 1.0
+    if m[M_JOINED1] == FREE:
+        gap = y[X1] - y[XS]
+        low = 0.0 if gap < 0.5 * p[X_FREE] else p[X_FREE]
+        sign = 1.0 if low == 0.0 else -1.0
+        one = lowest_place(
+            sign * (gap - low),
+            sign * (y1[X1] - y1[XS] - low),
+            h * sign * (y[V1] - y[VS]),
+            h * sign * (y1[V1] - y1[VS]),
+        )
+    two = 1.0
+    if m[M_JOINED2] == FREE:
+        gap = y[X2] + y[XS]
+        low = 0.0 if gap < 0.5 * p[X_FREE] else p[X_FREE]
+        sign = 1.0 if low == 0.0 else -1.0
+        two = lowest_place(
+            sign * (gap - low),
+            sign * (y1[X2] + y1[XS] - low),
+            h * sign * (y[V2] + y[VS]),
+            h * sign * (y1[V2] + y1[VS]),
+        )
+    return min(one, two)
 
 
 @called

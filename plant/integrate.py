@@ -16,6 +16,7 @@ from .events import (
     all_guards,
     at_rest,
     choose_modes,
+    hidden_meeting,
     hidden_turn,
     locate,
     smallest,
@@ -265,8 +266,10 @@ def advance(
         all_guards(t + trial, y1, m, p, work, g)
         fired = some_negative(g)
         theta = 1.0
-        if not fired and not stiff:
-            theta = hidden_turn(trial, y, y1, k[0], k[6], m)
+        if not fired:
+            theta = hidden_meeting(trial, y, y1, m, p)
+            if not stiff:
+                theta = min(theta, hidden_turn(trial, y, y1, k[0], k[6], m))
             if theta < 1.0:
                 interpolate(theta, dense, stage, n_all)
                 all_guards(t + theta * trial, stage, m, p, work, g)

@@ -14,6 +14,7 @@ from .events import (
     all_guards,
     at_rest,
     choose_modes,
+    hidden_meeting,
     hidden_turn,
     locate,
     smallest,
@@ -274,6 +275,7 @@ def judge(
     if not fired:
         rate0 = lane(f, RATE_0, j, WIDTH, "")
         theta = hidden_turn(h, y, y1, rate0, lane(f, RATE, j, WIDTH, ""), m)
+        theta = min(theta, hidden_meeting(h, y, y1, m, p))
     index = 0
     i = memory[NEXT_SAMPLE * WIDTH + j]
     if fired or theta < 1.0 or (i < n_sample and samples[i] <= until):

@@ -547,14 +547,12 @@ def settle(t, y, m, p, work):
         a = group_acceleration(
             y[VS], drive, cap_plus, cap_minus, run_plus, run_minus, mass, stop_plus, stop_minus
         )
+        a1 = lone_piston(y[V1], drive1, pressure1, False, y[X1] <= TOUCH_M, p)
         if c1 != FREE:
             a1 = a
-        else:
-            a1 = lone_piston(y[V1], drive1, pressure1, False, y[X1] <= TOUCH_M, p)
+        a2 = lone_piston(-y[V2], drive2, pressure2, y[X2] <= TOUCH_M, False, p)
         if c2 != FREE:
             a2 = a
-        else:
-            a2 = lone_piston(-y[V2], drive2, pressure2, y[X2] <= TOUCH_M, False, p)
         joined = False
         if c1 == FREE and touch1 != FREE and sign_ahead(1, touch1) * (a1 - a) < 0.0:
             c1 = touch1
@@ -597,10 +595,15 @@ def settle(t, y, m, p, work):
     m[M_PISTON2] = m[M_STAY] if c2 != FREE else direction_of(-y[V2], a2)
     if touch1 != FREE:
         y[X1] = y[XS] + (p[X_FREE] if touch1 == COLLAR else 0.0)
-        y[V1] = y[VS]
     if touch2 != FREE:
         y[X2] = (p[X_FREE] if touch2 == COLLAR else 0.0) - y[XS]
+    if c1 != FREE:
+        y[V1] = y[VS]
+    if c2 != FREE:
         y[V2] = -y[VS]
+    # the stay was put on its stop: a piston that is just leaving it must not stand inside it
+    y[X1] = min(max(y[X1], y[XS]), y[XS] + p[X_FREE])
+    y[X2] = min(max(y[X2], -y[XS]), p[X_FREE] - y[XS])
     if m[M_STAY] == 0 and y[SPENT] < p[SYNC_IMPULSE]:
         if abs(y[XS] - p[X_BLOCK]) <= TOUCH_M:
             m[M_BLOCKED] = 1

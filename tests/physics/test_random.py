@@ -176,6 +176,23 @@ FREE: dict[str, Any] = {"supply_pressure_pa": 5e5}
     [(2 * MS, 0, 0.0)],
     "N",
 )
+# a piston that grazes its collar within one long step
+@example(
+    {
+        "friction_length.F_sf_s": 11.404262676314712,
+        "friction_length.F_rf_p": 60.94481297197652,
+        "friction_length.beta_s": 8.256308508374639,
+        "friction_length.beta_p": 10.991473351478225,
+        "length.A_s": 0.0007991061741216949,
+        "length.V_B0": 7.743702256854252e-05,
+        "length.V_F0": 2.0569138690264164e-05,
+        "length.A_p": 0.0028479126812108895,
+        "length.V_N0": 0.00010204572971148312,
+    },
+    {"supply_pressure_pa": 323495.0, "charged": ["B", "F", "N"]},
+    [(0, 0, 0.0)],
+    "B",
+)
 def test_length_stroke_stays_physical(
     changes: dict[str, float], load: dict[str, Any], moves: Any, start: str
 ) -> None:
