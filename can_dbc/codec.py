@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from enum import IntEnum, IntFlag
-from functools import cache
+from functools import cache, lru_cache
 from operator import attrgetter, index
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, get_args, get_type_hints
 
@@ -265,16 +265,20 @@ class _MessageCodec:
         proprietary = split_id(spec.can_id).pgn & 0xFF00 == 0xFF00
         self.checked = self.unused if proprietary else 0
 
+        # values that come again are encoded once; equal ones of other types are not the same
+        self.framed = lru_cache(maxsize=4096, typed=True)(self.frame_of)
+
     def encode(self, message: Any) -> Frame:
-        word = self.unused
         values = self.values(message)
-        if self.single:
-            values = (values,)
         try:
-            for value, (to_raw, start) in zip(values, self.writers, strict=True):
-                word |= to_raw(value) << start
+            return self.framed(values) if self.single else self.framed(*values)
         except _NO_VALUE:
             self.refuse_message(message)
+
+    def frame_of(self, *values: Any) -> Frame:
+        word = self.unused
+        for value, (to_raw, start) in zip(values, self.writers, strict=True):
+            word |= to_raw(value) << start
         return Frame(self.can_id, word.to_bytes(self.length, "little"))
 
     def decode(self, data: bytes) -> Any:
@@ -376,7 +380,8 @@ class _Decoders(dict[int, Callable[[bytes], Any]]):
         message_type = message_type_of(can_id)
         if message_type is None:
             raise CodecError(f"opc4.dbc: identifier {can_id:#010x} carries no message")
-        self[can_id] = decoder = _codec(message_type).decode
+        # messages do not change, so those that come again are decoded once
+        self[can_id] = decoder = lru_cache(maxsize=4096)(_codec(message_type).decode)
         return decoder
 
 

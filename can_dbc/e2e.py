@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 from typing import Generic, TypeVar
 
 from e2e.p02 import e2e_p02_check, e2e_p02_protect
@@ -52,6 +53,8 @@ class E2eStatus(Enum):
     NO_NEW_DATA = "no new data"
     INITIAL = "initial"
     SYNC = "sync"
+
+    __hash__ = object.__hash__  # members are single: no need to hash their names
 
 
 _ACCEPTED = frozenset((E2eStatus.OK, E2eStatus.OK_SOME_LOST))
@@ -138,6 +141,20 @@ def with_counter(message_type: type, frame: Frame, counter: int) -> Frame:
     return Frame(frame.can_id, bytes(data))
 
 
+@lru_cache(maxsize=8192)
+def _sealed(encoded: bytes, counter: int, data_ids: bytes) -> bytes:
+    """Data with counter and CRC; kept, because messages at rest come again and again."""
+    data = bytearray(encoded)
+    data[1] |= counter
+    e2e_p02_protect(data, data_ids, increment_counter=False)
+    return bytes(data)
+
+
+@lru_cache(maxsize=8192)
+def _crc_matches(data: bytes, data_ids: bytes) -> bool:
+    return bool(e2e_p02_check(data, data_ids, length=len(data)))
+
+
 class Protector(Generic[M]):
     """The sending end of one channel: numbers its frames and adds their CRC.
 
@@ -155,11 +172,9 @@ class Protector(Generic[M]):
         if message.__class__ is not self.message_type:
             raise TypeError(f"{message!r} does not belong to the {self.message_type.__name__}s")
         can_id, encoded = encode(message)  # type: ignore[arg-type]
-        data = bytearray(encoded)
-        data[1] |= self.counter
-        e2e_p02_protect(data, self._data_ids, increment_counter=False)
+        data = _sealed(encoded, self.counter, self._data_ids)
         self.counter = (self.counter + 1) % COUNTERS
-        return Frame(can_id, bytes(data))
+        return Frame(can_id, data)
 
 
 class Receiver(Generic[M]):
@@ -233,7 +248,7 @@ class Receiver(Generic[M]):
         if len(data) != self._spec.length:
             self.reason = f"{len(data)} bytes instead of {self._spec.length}"
             return E2eStatus.ERROR
-        if not e2e_p02_check(data, self._data_ids, length=len(data)):
+        if not _crc_matches(data, self._data_ids):
             self.reason = "CRC does not match"
             return E2eStatus.ERROR
         try:
@@ -287,9 +302,11 @@ class Receiver(Generic[M]):
         if nothing_heard and status in (E2eStatus.ERROR, E2eStatus.NO_NEW_DATA):
             return
         self._window.append(status)
-        ok = sum(status in _ACCEPTED for status in self._window)
-        errors = self._window.count(E2eStatus.ERROR)
-        c = self.config
+        window, c = self._window, self.config
+        if self._state is E2eState.VALID and window.count(E2eStatus.OK) == len(window):
+            return  # nothing but good frames: valid stays valid, whatever the tolerance
+        ok = sum(status in _ACCEPTED for status in window)
+        errors = window.count(E2eStatus.ERROR)
         if self._state is E2eState.VALID:
             if ok < c.min_ok_state_valid or errors > c.max_error_state_valid:
                 self._state = E2eState.INVALID

@@ -20,6 +20,7 @@ from .valve import seconds_to_ns
 Duties = tuple[float, float, float]
 
 DE_ENERGISED: Duties = (0.0, 0.0, 0.0)
+NEVER_NS = 1 << 63
 ACCEPTED = (E2eStatus.OK, E2eStatus.OK_SOME_LOST)
 Input = TypeVar("Input", ValveCommand, SafetyBlow)
 
@@ -92,6 +93,7 @@ class ValveDriver:
         self._blow_limit_s = config.blow_limit_s
         self._blow_end_ns: int | None = None
         self._now_ns = 0
+        self._timer_ns = NEVER_NS
         self.duties = DE_ENERGISED
         self.target = Gear.UNKNOWN
 
@@ -129,12 +131,14 @@ class ValveDriver:
 
     def _run_timers(self, before_ns: int, changes: list[tuple[int, Duties]]) -> None:
         """Let every timer act that ends before `before_ns`, in order."""
-        while True:
-            timers = (self._commands.end_ns, self._blows.end_ns, self._blow_end_ns)
-            ends = [end for end in timers if end is not None and self._now_ns < end < before_ns]
-            if not ends:
-                return
-            self._settle(min(ends), changes)
+        while self._timer_ns < before_ns:
+            self._settle(self._timer_ns, changes)
+
+    def _next_timer_ns(self) -> int:
+        """The first instant after now at which a timer ends."""
+        timers = (self._commands.end_ns, self._blows.end_ns, self._blow_end_ns)
+        now_ns = self._now_ns
+        return min((end for end in timers if end is not None and end > now_ns), default=NEVER_NS)
 
     def _settle(self, now_ns: int, changes: list[tuple[int, Duties]]) -> None:
         """Bring duties and target up to date at `now_ns`."""
@@ -145,6 +149,7 @@ class ValveDriver:
         if duties != self.duties:
             self.duties = duties
             changes.append((now_ns, duties))
+        self._timer_ns = self._next_timer_ns()
 
     def _wanted(self, now_ns: int) -> Duties:
         command, blow = self._commands.message(now_ns), self._blows.message(now_ns)

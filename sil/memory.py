@@ -7,7 +7,9 @@ Checked by: tests/unit/sil/test_memory.py
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,21 +20,33 @@ from sil.bus import BusModel, Delivery
 from sil.clock import to_ns
 from sil.faults import FaultPlan
 from sil.lockstep import TURN_ORDER, Lockstep
+from sil.quick_loop import run_quickly
 from sil.recorder import hashed_frame, run_sha256, trace_header
 from sil.run_record import BusFrame, PlantEvent, RunRecord
-from sil.scenario import Loaded
-from sil.transports.inproc import InProcess
+from sil.scenario import Loaded, Scenario
+from sil.transports.inproc import InProcess, Participant
 
 
 @dataclass
 class MemoryRun:
-    """A finished run: record, shifts, metrics, balances; `trace_sha256` as `opc4 run` gives it."""
+    """A finished run: record, shifts, metrics, balances."""
 
     record: RunRecord
     shifts: list[metrics.Shift]
     figures: dict[str, Any]
     balances: dict[str, Any]
-    trace_sha256: str
+    rows: np.ndarray
+
+    @cached_property
+    def trace_sha256(self) -> str:
+        """The run's hash, as `opc4 run` gives it."""
+        from plant.node import TRACE_COLUMNS
+
+        digest = hashlib.sha256()
+        for entry in self.record.frames:
+            digest.update(hashed_frame(entry.arrival_ns, entry.frame))
+        pieces = [trace_header(TRACE_COLUMNS), self.rows.tobytes()]
+        return run_sha256(digest.digest(), pieces)
 
 
 class TraceRows:
@@ -42,8 +56,8 @@ class TraceRows:
         self.rows: list[np.ndarray] = []
 
     def write(self, rows: np.ndarray) -> None:
-        """Keep a copy of some rows."""
-        self.rows.append(np.array(rows))
+        """Keep some rows; the plant makes new ones each time."""
+        self.rows.append(rows)
 
 
 class EventList:
@@ -70,29 +84,11 @@ def run_in_memory(loaded: Loaded) -> MemoryRun:
         node if name == "plant" else assembly.make_participant(name, loaded, Path())
         for name in assembly.participant_names(scenario)
     ]
-    plan = FaultPlan(scenario.fault, scenario.seed)
-    bus = BusModel(
-        scenario.bus.bitrate,
-        frame_filter=plan.frame_filter if plan.touches_frames else None,
-        is_off=plan.is_off if plan.touches_frames else None,
-    )
-    frames: list[BusFrame] = []
-    digest = hashlib.sha256()
-
-    def record(deliveries: list[Delivery]) -> None:
-        for d in deliveries:
-            digest.update(hashed_frame(d.arrival_ns, d.frame))
-            frames.append(BusFrame(d.queued_ns, d.arrival_ns, d.sender, d.frame))
-
-    with Lockstep(
-        bus,
-        [InProcess(participants)],
-        to_ns(scenario.duration_s),
-        record=record,
-        outages=plan if scenario.fault else None,
-        order=(*TURN_ORDER, "traffic"),
-    ) as lockstep:
-        lockstep.run()
+    end_ns = to_ns(scenario.duration_s)
+    if scenario.fault:
+        frames = _coordinated(participants, scenario, end_ns)
+    else:
+        frames = run_quickly(participants, scenario.bus.bitrate, end_ns)
     rows = np.concatenate(trace.rows)
     parameters, table = loaded.parameters, loaded.scenario.plant
     supply = table.supply_pressure_pa
@@ -111,5 +107,32 @@ def run_in_memory(loaded: Loaded) -> MemoryRun:
         shifts=found,
         figures=metrics.summary(kept, found, balances.get("air_in_kg")),
         balances=balances,
-        trace_sha256=run_sha256(digest.digest(), [trace_header(TRACE_COLUMNS), rows.tobytes()]),
+        rows=rows,
     )
+
+
+def _coordinated(
+    participants: Sequence[Participant], scenario: Scenario, end_ns: int
+) -> list[BusFrame]:
+    """Run participants on a bus with faults, as `opc4 run` does."""
+    plan = FaultPlan(scenario.fault, scenario.seed)
+    bus = BusModel(
+        scenario.bus.bitrate,
+        frame_filter=plan.frame_filter if plan.touches_frames else None,
+        is_off=plan.is_off if plan.touches_frames else None,
+    )
+    frames: list[BusFrame] = []
+
+    def record(deliveries: list[Delivery]) -> None:
+        frames.extend(BusFrame(d.queued_ns, d.arrival_ns, d.sender, d.frame) for d in deliveries)
+
+    with Lockstep(
+        bus,
+        [InProcess(participants)],
+        end_ns,
+        record=record,
+        outages=plan,
+        order=(*TURN_ORDER, "traffic"),
+    ) as lockstep:
+        lockstep.run()
+    return frames

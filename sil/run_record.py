@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,7 @@ NS = 1_000_000_000
 CHAMBERS = ("B", "N", "F")
 
 
-@dataclass(frozen=True)
-class BusFrame:
+class BusFrame(NamedTuple):
     """One frame as it crossed the bus: released by its sender, arrived at everybody else."""
 
     released_ns: int

@@ -129,10 +129,16 @@ def load(
     Raises InputError naming file, place, what is wrong and what was expected.
     Checked by test_scenario.
     """
-    path = find(where)
+    table, path = read(where)
     return from_table(
-        _read(path), str(path), model=model, settings=settings, seed=seed, folder=path.parent
+        table, str(path), model=model, settings=settings, seed=seed, folder=path.parent
     )
+
+
+def read(where: str) -> tuple[dict[str, Any], Path]:
+    """Return a scenario file, or a shipped scenario by name, as parsed, and where it is."""
+    path = find(where)
+    return _read(path), path
 
 
 def from_table(
@@ -289,12 +295,31 @@ def _apply(raw: dict[str, Any], text: str, parameters: ParameterSet) -> None:
         return
     if path == "controller.filter" and isinstance(value, bool):
         path = "controller.filter.enabled"
+    if path.startswith(_STRATEGY) and _set_strategy(raw, path.removeprefix(_STRATEGY), value):
+        return
     if not typed_toml.set_value(raw, Scenario, path, value):
         known = [*typed_toml.leaf_paths(Scenario, raw), *parameters]
         near = typed_toml.nearest(path, known, 5) or ["valve.D_fall", "controller.period_s"]
         raise InputError(
             f"--set {typed_toml.one_line(path)}: no such value; nearest: {', '.join(near)}"
         )
+
+
+_STRATEGY = "controller.strategy_parameters."
+
+
+def _set_strategy(raw: dict[str, Any], path: str, value: Any) -> bool:
+    """Set a strategy's own setting, nested ones too; the firmware refuses names it does not have."""
+    *tables, name = path.split(".")
+    at: Any = raw
+    for key in ("controller", "strategy_parameters", *tables):
+        if not isinstance(at, dict):
+            return False
+        at = at.setdefault(key, {})
+    if not isinstance(at, dict) or not name or "" in tables:
+        return False
+    at[name] = value
+    return True
 
 
 def _check_consistent(scenario: Scenario, source: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import math
 import re
 import tomllib
@@ -211,13 +212,16 @@ def _structs(kind: Any, value: Any) -> list[Any]:
     return structs
 
 
+_fields = functools.cache(msgspec.structs.fields)
+
+
 def field_types(kind: Any, value: Any = None) -> dict[str, Any]:
     """Return the fields of a record type (or tagged union) by their names in the file."""
     found: dict[str, Any] = {}
     for struct in _structs(kind, value):
         if struct.__struct_config__.tag_field:
             found[struct.__struct_config__.tag_field] = str
-        for field in msgspec.structs.fields(struct):
+        for field in _fields(struct):
             found[field.encode_name] = field.type
     return found
 

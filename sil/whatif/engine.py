@@ -9,14 +9,19 @@ from __future__ import annotations
 import json
 import math
 import os
+import time
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from itertools import islice
 from pathlib import Path
+from typing import Any
+
+import msgspec
 
 from can_dbc.errors import InputError, RunError
 from sil.results import write_whole
 from sil.whatif.rows import columns, run_row
-from sil.whatif.study import LoadedStudy, Row, load_study, toml_value
+from sil.whatif.study import Base, LoadedStudy, Row, Study, toml_value
 
 RESULTS, STATE = "results.csv", "study.json"
 CHUNK = 16
@@ -50,20 +55,10 @@ def quoted(cell: str) -> str:
     return cell
 
 
-def run_chunk(source: str, numbers: tuple[int, int]) -> list[str]:
-    """Lines of the rows begin..end-1 of a study file; what a worker does."""
-    study = _study(source)
+def run_chunk(study: LoadedStudy, numbers: tuple[int, int]) -> list[str]:
+    """Lines of the rows begin..end-1 of a study; what a worker does."""
     rows = islice(study.rows(numbers[0]), numbers[1] - numbers[0])
     return [line(study, row, run_row(study, row)) for row in rows]
-
-
-_LOADED: dict[str, LoadedStudy] = {}
-
-
-def _study(source: str) -> LoadedStudy:
-    if source not in _LOADED:
-        _LOADED[source] = load_study(source)
-    return _LOADED[source]
 
 
 def chunks(begin: int, size: int) -> Iterator[tuple[int, int]]:
@@ -111,41 +106,71 @@ def results(
     """Lines of each chunk, in order."""
     if not wanted:
         return
-    source = str(Path(study.source).resolve())
-    _LOADED[source] = study
-    yield run_chunk(source, wanted[0])
+    yield run_chunk(study, wanted[0])
     rest = wanted[1:]
     if cluster is not None:
-        yield from on_cluster(source, rest, cluster)
+        yield from on_cluster(study, rest, cluster)
     elif workers > 1 and rest:
-        yield from on_processes(source, rest, workers)
+        yield from on_processes(study, rest, workers)
     else:
         for piece in rest:
-            yield run_chunk(source, piece)
+            yield run_chunk(study, piece)
+
+
+_STUDY: list[LoadedStudy] = []
+"""The study of a worker process."""
+
+
+def begin_worker(study: LoadedStudy, parent: int) -> None:
+    """Keep the study, leave interrupts to the parent, and end when it is gone."""
+    import signal
+    import threading
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _STUDY[:] = [study]
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def run_worker_chunk(numbers: tuple[int, int]) -> list[str]:
+    """As `run_chunk`, of the worker's study."""
+    return run_chunk(_STUDY[0], numbers)
 
 
 def on_processes(
-    source: str, wanted: list[tuple[int, int]], workers: int
+    study: LoadedStudy, wanted: list[tuple[int, int]], workers: int
 ) -> Iterable[list[str]]:
     """Chunks over worker processes of this machine."""
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
     from concurrent.futures.process import BrokenProcessPool
 
-    context = multiprocessing.get_context("fork")
-    pool = ProcessPoolExecutor(workers, mp_context=context)
+    pool = ProcessPoolExecutor(
+        workers,
+        mp_context=multiprocessing.get_context("fork"),
+        initializer=begin_worker,
+        initargs=(study, os.getpid()),
+    )
     try:
-        yield from pool.map(run_chunk, [source] * len(wanted), wanted)
+        yield from pool.map(run_worker_chunk, wanted)
     except BrokenProcessPool:
         raise RunError("a worker process died; what was done is kept: --resume goes on") from None
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def on_cluster(source: str, wanted: list[tuple[int, int]], address: str) -> Iterable[list[str]]:
-    """Chunks over a dask.distributed cluster, gathered in order."""
+def on_cluster(
+    study: LoadedStudy, wanted: list[tuple[int, int]], address: str
+) -> Iterable[list[str]]:
+    """Chunks over a dask.distributed cluster, gathered in order; workers need this package."""
     try:
         from distributed import Client
+        from distributed.client import FutureCancelledError
+        from distributed.scheduler import KilledWorker
     except ImportError:
         raise InputError(
             "--cluster: dask.distributed is not installed; expected the extra 'cluster'"
@@ -154,27 +179,46 @@ def on_cluster(source: str, wanted: list[tuple[int, int]], address: str) -> Iter
         client = Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise RunError(f"--cluster {address}: cannot be reached: {error}") from None
-    text = Path(source).read_text(encoding="utf-8")
     try:
+        if not client.scheduler_info()["workers"]:
+            raise RunError(f"--cluster {address}: the scheduler has no workers; expected some")
+        told = msgspec.to_builtins(study.study)
+        base = None if study.base is None else msgspec.to_builtins(study.base)
         futures = client.map(
-            run_chunk_of_text, [text] * len(wanted), wanted, pure=False, retries=2
+            partial(run_sent_chunk, study.digest, told, study.source, base),
+            wanted,
+            pure=False,
+            retries=2,
         )
         for future in futures:
             yield future.result()
+            future.release()
+    except (KilledWorker, FutureCancelledError, OSError) as error:
+        raise RunError(
+            f"--cluster {address}: lost: {error}; what was done is kept: --resume goes on"
+        ) from None
     finally:
         client.close()
 
 
-def run_chunk_of_text(text: str, numbers: tuple[int, int]) -> list[str]:
-    """As `run_chunk`, on a machine that has the study only as text."""
-    import hashlib
-    import tempfile
+_SENT: dict[str, LoadedStudy] = {}
 
-    name = hashlib.sha256(text.encode()).hexdigest()[:16]
-    path = Path(tempfile.gettempdir()) / f"opc4-study-{os.getuid()}-{name}.toml"
-    if not path.exists():
-        write_whole(path, text)
-    return run_chunk(str(path), numbers)
+
+def run_sent_chunk(
+    digest: str,
+    study: dict[str, Any],
+    source: str,
+    base: dict[str, Any] | None,
+    numbers: tuple[int, int],
+) -> list[str]:
+    """As `run_chunk`, on a machine that has the study only as it was sent."""
+    if digest not in _SENT:
+        _SENT[digest] = LoadedStudy(
+            msgspec.convert(study, Study),
+            source,
+            None if base is None else msgspec.convert(base, Base),
+        )
+    return run_chunk(_SENT[digest], numbers)
 
 
 def completed(study: LoadedStudy, folder: Path) -> int:

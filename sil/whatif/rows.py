@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -58,14 +59,16 @@ def run_row(study: LoadedStudy, row: Row) -> dict[str, float]:
 def run_loop(study: LoadedStudy, row: Row) -> dict[str, float]:
     """Metrics of a closed-loop row, as `opc4 run` with the row's settings gives them."""
     from sil.memory import run_in_memory
-    from sil.scenario import load
+    from sil.scenario import from_table
 
-    assert study.study.scenario is not None
-    loaded = load(
-        study.study.scenario,
+    assert study.base is not None
+    loaded = from_table(
+        study.base.table,
+        study.base.source,
         model=None if study.study.model == "nominal" else study.study.model,
         settings=row.texts,
         seed=study.study.seed,
+        folder=Path(study.base.folder),
     )
     try:
         run = run_in_memory(loaded)

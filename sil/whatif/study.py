@@ -102,17 +102,27 @@ class Row:
         return [f"{path}={toml_value(value)}" for path, value in self.settings.items()]
 
 
+class Base(msgspec.Struct, frozen=True):
+    """The parsed scenario of a closed-loop study, its file's name and its folder."""
+
+    table: dict[str, Any]
+    source: str
+    folder: str
+
+
 @dataclass(frozen=True)
 class LoadedStudy:
-    """A study with its file and its rows."""
+    """A study with its file and its rows; `base` is there when a scenario is its base."""
 
     study: Study
     source: str
+    base: Base | None = None
 
     @cached_property
     def digest(self) -> str:
         """Hash of everything that decides the rows."""
-        text = json.dumps(msgspec.to_builtins(self.study), sort_keys=True)
+        table = None if self.base is None else self.base.table
+        text = json.dumps([msgspec.to_builtins(self.study), table], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @cached_property
@@ -172,10 +182,25 @@ def load_study(where: str) -> LoadedStudy:
     except msgspec.ValidationError as error:
         raise InputError(f"{path}: {error}") from None
     check(study, str(path))
-    loaded = LoadedStudy(study, str(path))
+    loaded = LoadedStudy(study, str(path), base_of(study, path))
     if loaded.size > MOST_ROWS:
         raise InputError(f"{path}: {loaded.size} rows; expected at most {MOST_ROWS}")
     return loaded
+
+
+def base_of(study: Study, path: Path) -> Base | None:
+    """The scenario that a study names: a file beside the study's, else a shipped one."""
+    if study.scenario is None:
+        return None
+    from sil import scenario
+
+    beside = path.parent / study.scenario
+    try:
+        where = str(beside) if beside.is_file() else study.scenario
+        table, found = scenario.read(where)
+    except InputError as error:
+        raise InputError(f"{path}: scenario: {error}") from None
+    return Base(table, str(found), str(found.parent))
 
 
 def check(study: Study, source: str) -> None:

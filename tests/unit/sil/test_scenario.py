@@ -277,3 +277,21 @@ def test_any_setting_is_taken_or_refused_in_one_line(path: str, value: str) -> N
         scenario.from_table(table, "s.toml", settings=[f"{path}={value}"])
     except InputError as error:
         assert "\n" not in str(error)
+
+
+def test_a_strategy_s_own_settings_are_set_by_path() -> None:
+    plain = scenario.load("strategy_bang_bang").scenario.controller.strategy_parameters
+    loaded = scenario.load(
+        "strategy_bang_bang",
+        settings=[
+            "controller.strategy_parameters.brake_s=0.011",
+            "controller.strategy_parameters.model.valve_close_s=0.007",
+        ],
+    )
+    found = loaded.scenario.controller.strategy_parameters
+    assert found == {**plain, "brake_s": 0.011, "model": {"valve_close_s": 0.007}}
+    for bad in ("break_s=1", "model.valve_clos_s=1", "brake_s.x=1", "brake_s=-1"):
+        with pytest.raises(InputError, match=r"strategy_parameters.*(expected|nearest)"):
+            scenario.load(
+                "strategy_bang_bang", settings=[f"controller.strategy_parameters.{bad}"]
+            )

@@ -155,7 +155,7 @@ def test_unknown_path_names_the_row_and_the_nearest(tmp_path: Path) -> None:
     path = study_file(tmp_path, GRID.replace("fixed.V10", "fixed.V1"))
     assert main(["whatif", str(path), "--out", str(tmp_path / "o")]) == 2
     with pytest.raises(InputError, match=r"row 0.*fixed\.V10"):
-        engine.run_chunk(str(path), (0, 1))
+        engine.run_chunk(load_study(str(path)), (0, 1))
 
 
 def test_every_shipped_study_reads() -> None:
