@@ -25,9 +25,11 @@ from .length_stroke import LengthStroke
 from .parameters import ParameterSet
 from .position_circuit import PositionCircuit, SensorConfig, SensorFault
 from .sensors import InductiveSensor
+from .signal_faults import SpeedFault, SpeedSensors, TemperatureFault, Thermometer
 from .trace import CMD, PULSE, SPEEDS, TRACE_COLUMNS, VALVE, TraceRows, TraceSink, Update
 from .valve import NS_PER_S, Valve, ValveTiming, seconds_to_ns
 from .valve_driver import ValveDriver, ValveDriverConfig
+from .valve_faults import ValveFault, faulty_valves
 
 ChamberName = Literal["B", "N", "F"]
 Released = list[tuple[int, Frame]]
@@ -58,7 +60,7 @@ class PlantConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     closing_follows_duty: closing delay of the valves by their duty instead of D_fall.
     speeds_period_s, truth_period_s: of DrivelineSpeeds, and of PlantMotion and PlantPressures;
     broadcast_phase_s: of both, left out together with the pulse report. trace_period_s: of the
-    trace rows, None for none. seed: of the sensor's noise and faults.
+    trace rows, None for none. seed: of the sensor's noise and of the faults.
     """
 
     initial: ChamberName = "N"
@@ -73,6 +75,9 @@ class PlantConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     valve_driver: ValveDriverConfig = ValveDriverConfig()
     sensor: SensorConfig = SensorConfig()
     sensor_faults: tuple[SensorFault, ...] = ()
+    temperature_faults: tuple[TemperatureFault, ...] = ()
+    speed_faults: tuple[SpeedFault, ...] = ()
+    valve_faults: tuple[ValveFault, ...] = ()
     speeds_period_s: Annotated[float, Meta(ge=0.001, le=0.02)] = 0.01
     truth_period_s: Annotated[float, Meta(ge=0.001, le=1.0)] = 0.01
     broadcast_phase_s: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
@@ -134,6 +139,7 @@ class PlantNode:
             Valve(timing, is_open=c in config.charged, duty=duty if c in config.charged else 0.0)
             for c in CHAMBERS
         )
+        self._faulty = faulty_valves(self.valves, CHAMBERS, config.valve_faults, config.seed)
         self.driver = ValveDriver(config.valve_driver, blow_duty=duty)
         self.stroke = LengthStroke(
             parameters,
@@ -152,7 +158,9 @@ class PlantNode:
             parameters.value("length.stroke") + OVERTRAVEL_M,
             config.sensor_faults,
             config.seed,
+            Thermometer(config.temperature_faults, config.seed),
         )
+        self._speed_sensors = SpeedSensors(config.speed_faults, config.seed)
         self.driveline = Driveline(
             config.driveline,
             parameters.value("synchronizer.x_block"),
@@ -241,12 +249,15 @@ class PlantNode:
     ) -> list[Switch]:
         """Commands through driver and coils; returns the moves of the plungers, ordered."""
         for instant, duties in self.driver.advance(until_ns, deliveries):
-            for chamber, (valve, duty) in enumerate(zip(self.valves, duties, strict=True)):
-                before = valve.is_energised
-                valve.command(instant, duty)
-                if valve.is_energised != before:
-                    coils.append((instant, chamber, float(valve.is_energised)))
+            for chamber, duty in enumerate(duties):
+                if chamber in self._faulty:
+                    self._faulty[chamber].hand_over(instant, duty)
+                else:
+                    self._energise(instant, chamber, duty, coils)
                 updates.append((instant, CMD + chamber, duty))
+        for chamber, faulty in self._faulty.items():
+            for instant, duty in faulty.until(until_ns):
+                self._energise(instant, chamber, duty, coils)
         switches = [
             (instant, chamber, u)
             for chamber, valve in enumerate(self.valves)
@@ -256,6 +267,13 @@ class PlantNode:
             switches.sort()
         updates.extend((instant, VALVE + chamber, u) for instant, chamber, u in switches)
         return switches
+
+    def _energise(self, now_ns: int, chamber: int, duty: float, coils: list[Switch]) -> None:
+        valve = self.valves[chamber]
+        before = valve.is_energised
+        valve.command(now_ns, duty)
+        if valve.is_energised != before:
+            coils.append((now_ns, chamber, float(valve.is_energised)))
 
     def _publish(self, now_ns: int, updates: list[Update]) -> list[Frame]:
         """Frames of the events due at `now_ns`."""
@@ -268,10 +286,11 @@ class PlantNode:
         if self._speeds.take(now_ns):
             self._arm_synchronizer(now_ns)
             line = self.driveline
-            speeds = DrivelineSpeeds(line.input_rad_s, line.output_rad_s)
-            frames.append(self._protect_speeds.protect(speeds))
-            updates.append((now_ns, SPEEDS, speeds.input_rad_s))
-            updates.append((now_ns, SPEEDS + 1, speeds.output_rad_s))
+            told = self._speed_sensors.report(now_ns, line.input_rad_s, line.output_rad_s)
+            if told is not None:
+                frames.append(self._protect_speeds.protect(DrivelineSpeeds(*told)))
+            updates.append((now_ns, SPEEDS, line.input_rad_s))
+            updates.append((now_ns, SPEEDS + 1, line.output_rad_s))
         if self._truth.take(now_ns):
             stroke = self.stroke
             motion = [stroke.position_m, stroke.velocity_m_s, *stroke.pistons_m]

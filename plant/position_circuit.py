@@ -14,6 +14,7 @@ from numpy.random import Generator
 
 from .errors import InputError
 from .sensors import InductiveSensor, named_generator
+from .signal_faults import Thermometer
 from .valve import seconds_to_ns
 
 DEFAULT_LEAD_S = 0.005  # a pulse starts this long before a multiple of its period
@@ -49,16 +50,20 @@ class SensorFault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """A failure of the circuit, for pulses that start at start_s or later and before end_s.
 
     stuck: the duration stays at the last reported one, or at pulse_s. garbage: durations are
-    uniform in 0..garbage_s. off: nothing is reported. slow: only every `every`-th pulse is
-    reported. intermittent: each report is missing with `probability`.
+    uniform in 0..garbage_s. wrong: durations are offset_s longer. off: nothing is reported. slow:
+    only every `every`-th pulse is reported. delayed: each report gives the duration of `late`
+    pulses before (of the fault's first pulse as long as there is none). intermittent: each report
+    is missing with `probability`.
     """
 
-    kind: Literal["stuck", "garbage", "off", "slow", "intermittent"]
+    kind: Literal["stuck", "garbage", "wrong", "off", "slow", "delayed", "intermittent"]
     start_s: Annotated[float, Meta(ge=0.0)] = 0.0
     end_s: Annotated[float, Meta(ge=0.0)] | None = None
     pulse_s: Annotated[float, Meta(ge=0.0, le=0.004)] | None = None
     garbage_s: Annotated[float, Meta(gt=0.0, le=0.004)] = 0.002
+    offset_s: Annotated[float, Meta(ge=-0.004, le=0.004)] = 5e-5
     every: Annotated[int, Meta(ge=2, le=1000)] = 4
+    late: Annotated[int, Meta(ge=1, le=1000)] = 5
     probability: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.5
 
 
@@ -83,6 +88,7 @@ class PositionCircuit:
         reach_m: float,
         faults: tuple[SensorFault, ...] = (),
         seed: int = 0,
+        thermometer: Thermometer | None = None,
     ) -> None:
         """`reach_m` is the farthest position [m] on either side that a pulse must tell."""
         longest_s = max(
@@ -102,6 +108,7 @@ class PositionCircuit:
         self._coil_k = config.coil_temperature_k
         measured_k = config.measured_temperature_k
         self._reported_k = config.coil_temperature_k if measured_k is None else measured_k
+        self._thermometer = Thermometer((), seed) if thermometer is None else thermometer
         self._noise_sd_s = config.noise_sd_s
         self._noise = named_generator(seed, "position sensor", "noise")
         self._faults = [
@@ -134,7 +141,8 @@ class PositionCircuit:
             self._waiting.append(None)
             return
         self._last_pulse_s = pulse
-        self._waiting.append(Reading(pulse, self._reported_k, index))
+        reported_k = self._thermometer.reading_k(start_ns, self._reported_k)
+        self._waiting.append(Reading(pulse, reported_k, index))
 
     def report(self) -> Reading | None:
         """Report due at `next_report_ns`, None when a fault swallows it; moves on to the next."""
@@ -153,6 +161,7 @@ class _ActiveFault:
         self._end_ns = None if fault.end_s is None else seconds_to_ns(fault.end_s)
         self._seen = 0
         self._stuck_s: float | None = None
+        self._past_s: deque[float] = deque(maxlen=fault.late + 1)
 
     def apply(self, start_ns: int, pulse_s: float, last_s: float | None) -> float | None:
         """Duration that a pulse begun at `start_ns` is reported with; None: not reported."""
@@ -169,6 +178,11 @@ class _ActiveFault:
             case "garbage":
                 duration_s = float(self._generator.uniform(0.0, fault.garbage_s))
                 return round(duration_s / self._tick_s) * self._tick_s
+            case "wrong":
+                return max(0, round((pulse_s + fault.offset_s) / self._tick_s)) * self._tick_s
+            case "delayed":
+                self._past_s.append(pulse_s)
+                return self._past_s[0]
             case "off":
                 return None
             case "slow":

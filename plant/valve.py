@@ -6,7 +6,7 @@ Checked by: tests/unit/plant/test_valve.py
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log
 from typing import Protocol
 
@@ -83,6 +83,19 @@ class ValveTiming:
             fall_tau_s=value("valve.fall_tau"),
         )
 
+    def slowed(self, factor: float) -> ValveTiming:
+        """The same valve with every delay `factor` times as long.
+
+        Raises InputError when a delay becomes longer than any that a plunger could have.
+        """
+        return replace(
+            self,
+            rise_ns=round(self.rise_ns * factor),
+            fall_ns=round(self.fall_ns * factor),
+            fall_base_s=self.fall_base_s * factor,
+            fall_tau_s=self.fall_tau_s * factor,
+        )
+
     def is_energised(self, duty: float, before: bool) -> bool:
         """Whether a coil at `duty` (0..1) is energised, given whether it was before."""
         if not 0.0 <= duty <= 1.0:
@@ -127,7 +140,9 @@ class Valve:
         self.is_energised = is_open
         self.duty = duty
         self._command_ns: int | None = None
-        self._move_ns: int | None = None  # set exactly while is_energised != is_open
+        # set exactly while is_energised != is_open, unless the plunger is blocked
+        self._move_ns: int | None = None
+        self._blocked = False
         self._moved: list[tuple[int, float]] = []
 
     def command(self, t_ns: int, duty: float) -> None:
@@ -138,14 +153,32 @@ class Valve:
         self._command_ns = t_ns
         energised = self.timing.is_energised(duty, self.is_energised)
         if energised != self.is_energised:
+            self.is_energised = energised
             if self._move_ns is not None:
                 self._move_ns = None
-            elif energised:
-                self._move_ns = t_ns + self.timing.rise_ns
-            else:
-                self._move_ns = t_ns + self.timing.fall_delay_ns(self.duty)
-            self.is_energised = energised
+            elif not self._blocked:
+                self._follow(t_ns)
         self.duty = duty
+
+    def block(self, t_ns: int) -> None:
+        """Hold the plunger where it is at `t_ns`, whatever the coil does, until `free`."""
+        self._settle(t_ns)
+        self._blocked = True
+        self._move_ns = None
+
+    def free(self, t_ns: int) -> None:
+        """Let a blocked plunger follow its coil again from `t_ns` on."""
+        if self._blocked:
+            self._blocked = False
+            if self.is_energised != self.is_open:
+                self._follow(t_ns)
+
+    def _follow(self, t_ns: int) -> None:
+        """Move after the delay from the coil's change, whose duty was `duty` until now."""
+        if self.is_energised:
+            self._move_ns = t_ns + self.timing.rise_ns
+        else:
+            self._move_ns = t_ns + self.timing.fall_delay_ns(self.duty)
 
     def moves(self, until_ns: int) -> list[tuple[int, float]]:
         """Moves (instant in ns, u = 1 open or 0 closed) up to and including `until_ns`, once each.

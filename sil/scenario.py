@@ -17,7 +17,9 @@ from can_dbc.errors import InputError
 from controller.config import FirmwareConfig
 from plant.driveline import DrivelineConfig
 from plant.position_circuit import SensorConfig, SensorFault
+from plant.signal_faults import SpeedFault, TemperatureFault
 from plant.valve_driver import ValveDriverConfig
+from plant.valve_faults import ValveFault
 from sil import typed_toml
 from sil.expectations import ChamberName, Expectations, GearName
 from sil.faults import BusFault, FaultPlan
@@ -95,6 +97,9 @@ class Scenario(_Table, frozen=True, kw_only=True):
     bus: BusTable = BusTable()
     fault: list[BusFault] = []
     sensor_fault: list[SensorFault] = []
+    temperature_fault: list[TemperatureFault] = []
+    speed_fault: list[SpeedFault] = []
+    valve_fault: list[ValveFault] = []
     model_set: str = "nominal"
     model: dict[str, float | list[float]] = {}
     trace_period_s: Annotated[float, Meta(ge=1e-5, le=1.0)] = 0.0005
@@ -341,6 +346,13 @@ def _check_consistent(scenario: Scenario, source: str) -> None:
         )
     if len(set(scenario.plant.charged)) != len(scenario.plant.charged):
         raise InputError(f"{source}: plant.charged: a chamber twice; expected each once")
+    for name in ("sensor_fault", "temperature_fault", "speed_fault", "valve_fault"):
+        for index, fault in enumerate(getattr(scenario, name)):
+            if fault.end_s is not None and fault.end_s <= fault.start_s:
+                raise InputError(
+                    f"{source}: {name}[{index}].end_s: {fault.end_s}; expected after its start, "
+                    f"{fault.start_s} s"
+                )
     try:
         FaultPlan(scenario.fault, scenario.seed)
     except InputError as error:

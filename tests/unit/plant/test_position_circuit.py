@@ -134,3 +134,14 @@ def test_impossible_settings_are_refused() -> None:
         circuit(config=SensorConfig(period_s=0.001))
     with pytest.raises(InputError, match="450 K"):
         circuit(config=SensorConfig(capture_s=0.00125, coil_temperature_k=450.0))
+
+
+def test_a_wrong_circuit_adds_its_offset() -> None:
+    healthy, found = pulses_with(), pulses_with(SensorFault(kind="wrong", offset_s=5e-5))
+    assert [f - h for f, h in zip(found, healthy, strict=True)] == pytest.approx([5e-5] * 8)  # type: ignore[operator]
+
+
+def test_a_delayed_circuit_gives_what_was() -> None:
+    healthy = pulses_with()
+    found = pulses_with(SensorFault(kind="delayed", late=3))
+    assert found == [healthy[0]] * 3 + healthy[:5]
