@@ -67,16 +67,19 @@ class ControllerNode:
         """Take the frames that arrived up to `until_ns`, and step if that is a tick.
 
         Returns the frames to send with their release times, and the time of the next tick, ns.
-        A later tick than the next one means that the unit stalled and missed those between.
-        Raises ValueError for a time beyond the next tick that is none itself.
+        A later time than the next tick means that the unit stalled and missed the ticks between;
+        only before its first tick may it come back to life at a time that is no tick itself.
+        Raises ValueError for another time beyond the next tick that is none itself.
         """
         if until_ns > self._tick_ns:
-            if (until_ns - self._tick_ns) % self.config.period_ns:
+            missed = -(-(until_ns - self._tick_ns) // self.config.period_ns)
+            tick_ns = self._tick_ns + missed * self.config.period_ns
+            if tick_ns != until_ns and self.outputs is not None:
                 raise ValueError(f"advance to {until_ns} ns skips the tick at {self._tick_ns} ns")
-            self._tick_ns = until_ns
+            self._tick_ns = tick_ns
         for arrival_ns, frame in deliveries:
             self._receive(arrival_ns, frame)
-        if until_ns < self._tick_ns:  # the run ends between two ticks
+        if until_ns < self._tick_ns:  # between two ticks: the run ends, or the unit has just woken
             return [], self._tick_ns
         self._tick_ns += self.config.period_ns
         released_ns = until_ns + self.config.computation_ns

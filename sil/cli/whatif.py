@@ -71,12 +71,22 @@ def run(arguments: argparse.Namespace) -> int:
     table = read_table(study, folder)
     told = summary(study, table)
     write_whole(folder / "summary.json", json.dumps(finite(told), indent=1) + "\n")
+    if study.study.safety:
+        from sil.whatif.fault_table import FAULT_TABLE, draw_outcomes, fault_table, kept
+
+        told["kept"] = kept(study, table)
+        write_whole(folder / FAULT_TABLE, fault_table(study, table))
     pictures = draw(study, table, folder)
+    if study.study.safety:
+        pictures.append(draw_outcomes(study, table, folder))
     write_whole(folder / "report.html", page(study, told, pictures))
     if arguments.json:
         print(json.dumps(finite({"out": str(folder), "rows_now": now, **told})))
         return 0
-    for name, entry in told["groups"].items():
+    for sentence in told.get("kept", ()):
+        print(sentence)
+    groups = {} if study.study.safety else told["groups"]
+    for name, entry in groups.items():
         speed = entry.get("impact_speed_m_s")
         time = entry.get("shift_time_s") or entry.get("arrival_s")
         parts = [f"{entry['rows']} rows"]

@@ -34,12 +34,13 @@ def page(study: LoadedStudy, told: dict[str, Any], pictures: Sequence[Path]) -> 
         f'{base64.b64encode(path.read_bytes()).decode()}"></p>'
         for path in pictures
     )
+    sentences = "".join(f"<p>{html.escape(line)}</p>" for line in told.get("kept", ()))
     title = html.escape(study.study.name)
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" '
         f'content="width=device-width,initial-scale=1"><title>{title}</title><style>{STYLE}</style>'
         f"<h1>{title}</h1><p>{html.escape(study.study.description)}</p>"
-        f"<table>{''.join(rows)}</table>{images}"
+        f"{sentences}{images}<table>{''.join(rows)}</table>"
         f"<p>Every row again by itself: <code>opc4 run {html.escape(study.study.scenario or '')} "
         f"--set ...</code> with the values of its line in results.csv.</p></html>\n"
     )

@@ -40,7 +40,13 @@ STEP_S = 1e-4
 
 def columns(study: LoadedStudy) -> tuple[str, ...]:
     """Metric columns of a study's table."""
-    return STROKE_COLUMNS if study.study.stroke is not None else LOOP_COLUMNS
+    if study.study.stroke is not None:
+        return STROKE_COLUMNS
+    if study.study.safety:
+        from sil import safety
+
+        return (*LOOP_COLUMNS, *safety.COLUMNS)
+    return LOOP_COLUMNS
 
 
 def run_row(study: LoadedStudy, row: Row) -> dict[str, float]:
@@ -73,7 +79,7 @@ def run_loop(study: LoadedStudy, row: Row) -> dict[str, float]:
     try:
         run = run_in_memory(loaded)
     except RunError:
-        return dict.fromkeys(LOOP_COLUMNS, math.nan) | {"failed": 1.0}
+        return dict.fromkeys(columns(study), math.nan) | {"failed": 1.0}
     found = {
         name: math.nan if run.figures.get(name) is None else float(run.figures[name])
         for name in LOOP_COLUMNS
@@ -87,7 +93,11 @@ def run_loop(study: LoadedStudy, row: Row) -> dict[str, float]:
     ended = run.shifts[-1].to_gear if run.shifts else None
     arrived = last is not None and last.arrived_s is not None and last.confirmed_s is not None
     found["failed"] = 0.0 if arrived and (wanted is None or wanted == ended) else 1.0
-    return {name: found[name] for name in LOOP_COLUMNS}
+    if study.study.safety:
+        from sil import safety
+
+        found |= safety.figures(run.record, loaded.scenario)
+    return {name: found[name] for name in columns(study)}
 
 
 def after_arrival(truth: Any, arrived_s: float | None) -> tuple[float, float]:
@@ -143,7 +153,7 @@ def with_effects(parameters: ParameterSet, row: Row) -> ParameterSet:
         if not path.startswith("effect."):
             continue
         parts = path.split(".")
-        if len(parts) != 3 or isinstance(value, str):
+        if len(parts) != 3 or isinstance(value, str | list):
             raise InputError(f"{path}: expected effect.<id>.<parameter> = number")
         units = {item.name: item.unit for item in effect(parts[1]).parameters}
         unit = units.get(parts[2], "")

@@ -20,6 +20,8 @@ from plant.parameters import read_toml
 SHIPPED = Path(__file__).parent.parent / "studies"
 
 Value = float | int | bool | str
+Setting = Value | list[dict[str, Value]]
+"""What a choice may set: a value, or a whole list of tables (requests, faults)."""
 MOST_ROWS = 5_000_000
 
 
@@ -58,7 +60,7 @@ class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A named set of values: a load case, a strategy, a variant of the hardware."""
 
     name: str
-    set: dict[str, Value] = {}
+    set: dict[str, Setting] = {}
 
 
 class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -86,6 +88,8 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     curves: list[str] = []
     reads: list[str] = []
     """Metrics that the summary and the pictures show first."""
+    safety: bool = False
+    """Tell of each row what its faults did: detection, end state, damage; and write fault_table.md."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +98,7 @@ class Row:
 
     number: int
     choices: tuple[str, ...]
-    settings: dict[str, Value]
+    settings: dict[str, Setting]
 
     @property
     def texts(self) -> list[str]:
@@ -149,7 +153,7 @@ class LoadedStudy:
         combos = list(itertools.product(*(items for _name, items in self.groups)))
         for number in range(begin, self.size):
             point, combo = divmod(number, len(combos))
-            settings: dict[str, Value] = {}
+            settings: dict[str, Setting] = {}
             for choice in combos[combo]:
                 settings |= choice.set
             for sweep, value in zip(self.study.sweep, self.points[point], strict=True):
@@ -225,6 +229,8 @@ def check(study: Study, source: str) -> None:
             raise InputError(f"{place}: a {study.design.kind} design needs low and high")
     if study.design.kind in ("lhs", "sobol") and study.design.samples < 1:
         raise InputError(f"{source}: design.samples: expected 1 or more")
+    if study.safety and study.scenario is None:
+        raise InputError(f"{source}: safety: expected a study with a scenario as its base")
     for name in ("load", "strategy", "variant"):
         names = [item.name for item in getattr(study, name)]
         if len(set(names)) != len(names):
@@ -275,8 +281,14 @@ def design_points(study: Study, source: str) -> list[tuple[Value, ...]]:
     return points
 
 
-def toml_value(value: Value) -> str:
-    """A value as TOML text."""
+def toml_value(value: Setting) -> str:
+    """A value, or a list of tables, as TOML text."""
+    if isinstance(value, list):
+        tables = [
+            ", ".join(f"{json.dumps(k)} = {toml_value(v)}" for k, v in table.items())
+            for table in value
+        ]
+        return "[" + ", ".join(f"{{ {table} }}" for table in tables) + "]"
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

@@ -1,0 +1,92 @@
+"""The shipped fault study is complete, and its table tells what happened."""
+
+from __future__ import annotations
+
+import typing
+from pathlib import Path
+from typing import Any
+
+from plant.position_circuit import SensorFault
+from plant.signal_faults import SpeedFault, TemperatureFault
+from plant.valve_faults import ValveFault
+from sil.cli import main
+from sil.whatif.study import load_study
+
+STUDY = load_study("faults")
+
+
+def kinds(fault: type) -> set[str]:
+    return set(typing.get_args(typing.get_type_hints(fault)["kind"]))
+
+
+def stated(name: str, **wanted: Any) -> set[str]:
+    """Kinds that the study states in a list of faults, of those entries that have `wanted`."""
+    return {
+        entry["kind"]
+        for variant in STUDY.study.variant
+        for entry in variant.set.get(name, ())  # type: ignore[union-attr]
+        if all(entry.get(key) == value for key, value in wanted.items())
+    }
+
+
+def test_every_fault_of_every_device_is_in_it_twice() -> None:
+    assert stated("sensor_fault") == kinds(SensorFault)
+    assert stated("temperature_fault") == kinds(TemperatureFault)
+    assert stated("speed_fault") == kinds(SpeedFault)
+    for valve in "BNF":
+        assert stated("valve_fault", valve=valve) == kinds(ValveFault)
+    for message in ("ShiftRequest", "ValveCommand", "SafetyBlow", "PositionPulse",
+                    "DrivelineSpeeds", "ControllerStatus"):  # fmt: skip
+        assert stated("fault", message=message) == {
+            "loss", "delay", "corruption", "frozen_counter", "error_frame"}  # fmt: skip
+    for node in ("controller", "driver"):
+        assert stated("fault", node=node) == {"dead", "bus_off", "stalled"}
+    names = [variant.name for variant in STUDY.study.variant]
+    assert len([n for n in names if n.endswith("in the shift")]) == len(names) // 2 == 85
+    assert {choice.name for choice in STUDY.study.load} == {"N-B", "B-N", "N-F", "F-N"}
+
+
+SMALL = """
+name = "few"
+scenario = "truck_into_gear_easy"
+safety = true
+[[variant]]
+name = "ok"
+[[variant]]
+name = "sensor off"
+set = { sensor_fault = [{ kind = "off", start_s = 0.13 }] }
+[[variant]]
+name = "controller dead"
+set = { fault = [{ kind = "dead", node = "controller", start_s = 0.13 }] }
+[[variant]]
+name = "coil off"
+set = { valve_fault = [{ valve = "B", kind = "off" }] }
+"""
+
+
+def test_the_table_tells_detection_reaction_and_end(tmp_path: Path, capsys: Any) -> None:
+    (tmp_path / "few.toml").write_text(SMALL)
+    assert main(["whatif", str(tmp_path / "few.toml"), "--out", str(tmp_path / "out")]) == 0
+    assert "A valve energised without a living controller: in 0 runs." in capsys.readouterr().out
+    table = (tmp_path / "out" / "fault_table.md").read_text().splitlines()
+    found = {
+        cells[1].strip(): [c.strip() for c in cells[2:-1]]
+        for cells in (line.split("|") for line in table if line.startswith("| "))
+    }
+    # the single group of choices stands in the column of the shift
+    rows = {line.split("|")[2].strip(): line for line in table if line.startswith("| few")}
+    assert found and set(rows) == {"ok", "sensor off", "controller dead", "coil off"}
+    assert "| - | - |" in rows["ok"] and "backward | backward" in rows["ok"]
+    assert "POSITION_LOST" in rows["sensor off"] and "| unknown |" in rows["sensor off"]
+    # the driver's timeout of 50 ms after the last frame of the dead controller
+    off = rows["controller dead"].split("|")[5].strip()
+    assert off.endswith(" ms") and 40 <= float(off[:-3]) <= 60
+    assert "neutral" in rows["coil off"]
+    assert (tmp_path / "out" / "faults.png").stat().st_size > 1000
+
+
+def test_a_safety_study_needs_a_scenario(tmp_path: Path, capsys: Any) -> None:
+    path = tmp_path / "s.toml"
+    path.write_text('name = "s"\nsafety = true\n[stroke]\nkind = "N-B"\ncommands = []\n')
+    assert main(["whatif", str(path), "--out", str(tmp_path / "out")]) == 2
+    assert "expected a study with a scenario" in capsys.readouterr().err
