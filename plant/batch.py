@@ -20,7 +20,9 @@ from .filling import TABLE, tabulate
 from .hybrid import NS
 from .integrate import EVENT_COLUMNS
 from .lane_control import (
+    GRID_COLUMNS,
     MEMORY,
+    OWN_STEPS,
     R_ARRIVAL,
     R_ENERGY,
     R_EVENTS,
@@ -241,6 +243,8 @@ def simulate_batch(
     workers: int = 1,
     event_room: int = 0,
     lanes: bool = True,
+    grid: Floats | None = None,
+    use: int = OWN_STEPS,
 ) -> BatchResult:
     """Simulate all strokes of a batch.
 
@@ -253,6 +257,7 @@ def simulate_batch(
     workers : threads that share the strokes
     event_room : how many events of each stroke to keep
     lanes : False sends every stroke through the scalar kernel
+    grid, use : steps to be noted or followed in the lanes, see `plant.lanes.run_lanes`
 
     A stroke that cannot be continued does not stop the others: see `BatchResult.status`.
     Checked by: tests/unit/plant/test_batch.py
@@ -288,6 +293,7 @@ def simulate_batch(
     covered = strokes.in_lanes if lanes else np.zeros(n, dtype=np.bool_)
     table = _curves(c.tobytes()) if len(strokes.flow) == 1 else None
     curves = np.zeros(TABLE) if table is None else table
+    steps = np.zeros((1, GRID_COLUMNS)) if grid is None else grid
     moving = 4 if strokes.system == L.FIXED else 9
 
     def run(order: Ints) -> None:
@@ -299,6 +305,7 @@ def simulate_batch(
                 instants, wanted, scale, tolerance, table is not None, curves,
                 inside, results, final, out, events, WIDTH,
                 np.zeros(ROWS * WIDTH), np.zeros(SCRATCH), np.zeros(MEMORY * WIDTH, dtype=np.int64),
+                steps, len(steps), use,
             )  # fmt: skip
         if len(outside):
             run_singles(

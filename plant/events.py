@@ -47,8 +47,8 @@ from .steppers import (
     interpolate,
 )
 
-# A velocity below this after an event is rounding.
-ZERO_M_S = 1e-12
+# A velocity below this after an event is rounding, and ends a Zeno sequence of stops.
+ZERO_M_S = 1e-10
 
 
 @called

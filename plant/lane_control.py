@@ -71,6 +71,12 @@ from .views import lane, rows
 # What a lane remembers beside the flat array.
 STROKE, NEXT_SWITCH, NEXT_SAMPLE, EVENTS, TAKEN, REJECTED, JUMPS = range(7)
 MEMORY = 7
+
+# A grid of steps, written by one stroke and followed by others: where each step was to end, whether
+# that was the next switch, and the guard that ended it before (-1: none).
+GRID_END, GRID_SWITCH, GRID_GUARD = range(3)
+GRID_COLUMNS = 3
+OWN_STEPS, WRITE_GRID, FOLLOW_GRID = range(3)
 IDLE = -1
 
 # Columns of a stroke's result.
@@ -79,6 +85,7 @@ RESULTS = 8
 
 # What a lane does next, beside the reasons to stop.
 STEPPING = -1
+OFF_GRID = 10  # a reason to stop: something happened that the stroke of the grid did not meet
 LIMIT_EVENTS = 4000
 STEP_AFTER_REST_S = 4e-4
 
@@ -88,11 +95,25 @@ SCRATCH = 256
 
 
 @called
-def next_step(f, j):
-    """Choose the step of a lane: what the error control wants, up to the next switch."""
+def next_step(f, j, memory, grid, steps, use):
+    """Choose the step of a lane: what the error control wants, up to the next switch; or the grid's.
+
+    Returns STEPPING, or OFF_GRID.
+    """
+    if use == FOLLOW_GRID:
+        i = memory[TAKEN * WIDTH + j]
+        if i >= steps:
+            return OFF_GRID
+        row = grid[i * GRID_COLUMNS :]
+        following = f[NEXT * WIDTH + j]
+        end = following if row[GRID_SWITCH] != 0.0 else row[GRID_END]
+        f[STEP * WIDTH + j] = end - f[TIME * WIDTH + j]
+        inside = f[TIME * WIDTH + j] < end and end <= following
+        return STEPPING if inside else OFF_GRID
     left = f[NEXT * WIDTH + j] - f[TIME * WIDTH + j]
     h = f[WANTED * WIDTH + j]
     f[STEP * WIDTH + j] = left if h >= left * (1.0 - 1e-12) else min(h, 0.5 * left)
+    return STEPPING
 
 
 @called
@@ -175,7 +196,7 @@ def sample_step(f, j, n, memory, until, theta, samples, n_sample, columns, n_col
 @called
 def prepare(
     f, j, fixed, n, memory, switches, n_switch, samples, n_sample, columns, n_columns, out,
-    events, room, result, tabulated, table, scratch,
+    events, room, result, tabulated, table, scratch, grid, steps, use,
 ):  # fmt: skip
     """Bring a lane to its next step, over switches, events at this instant and rests.
 
@@ -229,32 +250,33 @@ def prepare(
                     f[WANTED * WIDTH + j] = STEP_AFTER_REST_S
                 continue
         derivative(t, y, lane(f, RATE_0, j, WIDTH, ""), m, u, du, p, c, work, False)
-        next_step(f, j)
-        return STEPPING
+        return next_step(f, j, memory, grid, steps, use)
 
 
 @called
 def judge(
-    f, j, n, memory, samples, n_sample, columns, n_columns, out, events, room, result, scratch
-):
+    f, j, n, memory, samples, n_sample, columns, n_columns, out, events, room, result, scratch,
+    grid, steps, use,
+):  # fmt: skip
     """Accept or reject the step that a lane has just taken.
 
     Returns STEPPING, DONE when something has happened (event, switch, end) and the lane must be
-    prepared anew, or the reason to stop.
+    prepared anew, or the reason to stop.  A lane that follows a grid rejects nothing.
     """
     h = f[STEP * WIDTH + j]
     f[ACCEPTED * WIDTH + j] = 0.0
     norm = f[NORM * WIDTH + j]
     factor = f[FACTOR * WIDTH + j]
-    if not norm <= 1.0:
+    if not norm <= (1.0e300 if use == FOLLOW_GRID else 1.0):
         memory[REJECTED * WIDTH + j] += 1
         finite = norm <= 1.0e300
         h *= min(max(factor, 0.2), 0.9) if finite else 0.1
         f[STEP * WIDTH + j] = h
         f[WANTED * WIDTH + j] = h
-        if h < 1e-14:
+        if h < 1e-14 or use == FOLLOW_GRID:
             return STEP_TOO_SMALL if finite else NOT_FINITE
         return STEPPING
+    taken = memory[TAKEN * WIDTH + j]
     memory[TAKEN * WIDTH + j] += 1
     t = f[TIME * WIDTH + j]
     y = lane(f, Y, j, WIDTH, "")
@@ -296,11 +318,19 @@ def judge(
             index = smallest(g)
             until = t + theta * h
         sample_step(f, j, n, memory, until, theta, samples, n_sample, columns, n_columns, out)
+    if use != OWN_STEPS:
+        row = grid[min(taken, steps - 1) * GRID_COLUMNS :]
+        happened = float(index) if fired else -1.0
+        if use == FOLLOW_GRID and row[GRID_GUARD] != happened:
+            return OFF_GRID
+        if use == WRITE_GRID:
+            row[GRID_END] = t + h
+            row[GRID_SWITCH] = 1.0 if last else 0.0
+            row[GRID_GUARD] = happened
     f[TIME * WIDTH + j] = until
     if not (fired or last):
         f[ACCEPTED * WIDTH + j] = 1.0
-        next_step(f, j)
-        return STEPPING
+        return next_step(f, j, memory, grid, steps, use)
     for e in range(n):
         y[e] = y1[e]
     if fired:

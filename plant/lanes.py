@@ -54,7 +54,7 @@ from .views import view
 def run_lanes(
     system, n, packed, c, y0, m0, u0, switches, duration, samples, columns, scale, tolerance,
     tabulated, table, order, results, final, out, events, width,
-    flat, scratch, memory,
+    flat, scratch, memory, grid, steps, use,
 ):  # fmt: skip
     """Simulate the strokes `order` of a batch, in lanes.
 
@@ -71,6 +71,8 @@ def run_lanes(
     events : [strokes, room, EVENT_COLUMNS]
     flat, scratch, memory : float64 [ROWS * WIDTH], [SCRATCH], int64 [MEMORY * WIDTH]
     width : WIDTH; as a variable it keeps the compiler from unrolling the lanes
+    grid, steps, use : float64 [steps, GRID_COLUMNS], OWN_STEPS to leave it alone, WRITE_GRID to note
+        the steps of the only stroke, FOLLOW_GRID to take those steps whatever the error
     """
     fixed = system == 0
     f = view(flat, 0)
@@ -93,6 +95,7 @@ def run_lanes(
     result_view = view(results, 0)
     out_view = view(out, 0)
     event_view = view(events, 0)
+    grid_view = view(grid, 0)
     one_c = c.shape[0] == 1
     one_y = y0.shape[0] == 1
     one_m = m0.shape[0] == 1
@@ -123,7 +126,7 @@ def run_lanes(
                     column_view, n_columns,
                     out_view[stroke * n_sample * n_columns:],
                     event_view[stroke * room * EVENT_COLUMNS:], room,
-                    result_view[stroke * RESULTS:], scratch,
+                    result_view[stroke * RESULTS:], scratch, grid_view, steps, use,
                 )  # fmt: skip
             fresh = starting
             while status != STEPPING:
@@ -179,7 +182,7 @@ def run_lanes(
                     out_view[stroke * n_sample * n_columns:],
                     event_view[stroke * room * EVENT_COLUMNS:], room,
                     result_view[stroke * RESULTS:],
-                    tabulated, table_view, scratch,
+                    tabulated, table_view, scratch, grid_view, steps, use,
                 )  # fmt: skip
             status = DONE
         starting = False

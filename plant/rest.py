@@ -19,6 +19,7 @@ LOCATED_S = 1e-14
 # Margin below zero at which a breakaway is taken [N]; it moves by far less than that in a time
 # of LOCATED_S.
 AIM = 1e-6
+ACCURACY = 1e-3
 HALVINGS = 40
 
 
@@ -93,8 +94,8 @@ def rest_jump(t, span, fixed, y, y1, corner, m, u0, p, table, w, work, g, n):
 def crossing(t, span, low_value, high_value, fixed, y1, m, p, table, w, work, g):
     """Time within `span` at which the lowest guard has just become negative; y1 is the state there.
 
-    Regula falsi with the Illinois weights, aimed at a margin of AIM below zero, bisection every
-    fourth time.
+    Regula falsi with the Illinois weights, aimed at a margin of AIM below zero and met to a share of
+    ACCURACY of it (derivatives need it); bisection every fourth time.
     """
     low = 0.0
     high = span
@@ -102,7 +103,7 @@ def crossing(t, span, low_value, high_value, fixed, y1, m, p, table, w, work, g)
     high_value += AIM
     side = 0
     for iteration in range(100):
-        if abs(high_value) < 0.5 * AIM or high - low < LOCATED_S:
+        if high_value > -ACCURACY * AIM or high - low < LOCATED_S:
             break
         dt = low + (high - low) * low_value / (low_value - high_value)
         if iteration % 4 == 3:
@@ -112,7 +113,7 @@ def crossing(t, span, low_value, high_value, fixed, y1, m, p, table, w, work, g)
         pressures_after(dt, fixed, w, table, y1)
         all_guards(t, y1, m, p, work, g)
         value = g[smallest(g)] + AIM
-        if value < 0.5 * AIM:
+        if value < 0.0:
             high = dt
             high_value = value
             if side < 0:
