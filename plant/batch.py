@@ -100,16 +100,17 @@ class Strokes:
         """
         if len({setup.conditions.system for setup in setups}) != 1:
             raise ValueError("a batch holds strokes of one system")
-        singles = [_single(setup, duration_s) for setup in setups]
-        longest = max(item.switches.shape[1] for item in singles)
+        items = [_arrays(setup, duration_s) for setup in setups]
+        packed, flow, initial, modes_, valves, switches = zip(*items, strict=True)
+        longest = max(len(item) for item in switches)
         return cls(
-            system=singles[0].system,
-            packed=np.concatenate([item.packed for item in singles]),
-            flow=_shared([item.flow for item in singles]),
-            initial=_shared([item.initial for item in singles]),
-            modes=_shared([item.modes for item in singles]),
-            valves=_shared([item.valves for item in singles]),
-            switches=_shared([_padded(item.switches, longest) for item in singles]),
+            system=setups[0].conditions.system,
+            packed=np.array(packed),
+            flow=_shared(flow),
+            initial=_shared(initial),
+            modes=_shared(modes_),
+            valves=_shared(valves),
+            switches=_shared([_padded(item, longest) for item in switches]),
             duration_s=np.array([duration_s]),
         )
 
@@ -121,7 +122,7 @@ class Strokes:
 
         Chambers that stand at the supply or at the atmosphere at the start follow their pressure.
         """
-        base = _single(setup, duration_s)
+        base = cls.from_setups([setup], duration_s)
         n = max((np.size(value) for value in changes.values()), default=1)
         packed = np.repeat(base.packed, n, axis=0)
         for index, value in changes.items():
@@ -152,8 +153,10 @@ class Strokes:
         return plain & (self.modes[:, list(MODES_FREE_OF)] == 0).all(axis=1)
 
 
-def _single(setup: Setup, duration_s: float) -> Strokes:
-    """The arrays of one stroke."""
+def _arrays(
+    setup: Setup, duration_s: float
+) -> tuple[Floats, Floats, Floats, Ints, Floats, Floats]:
+    """Parameters, flow map, initial state, modes, valves and switches of one stroke."""
     conditions = setup.conditions
     system = conditions.system
     y = initial_state(
@@ -170,33 +173,24 @@ def _single(setup: Setup, duration_s: float) -> Strokes:
     valves = np.zeros(3)
     for index, name in enumerate(conditions.chambers):
         valves[index] = 1.0 if name in conditions.charged_before else 0.0
-    moves = valve_moves(setup, round(duration_s * NS))
-    switches = np.array(
-        [(instant / NS, chamber, target, slope) for instant, chamber, target, slope in moves]
-    ).reshape(-1, 4)
-    return Strokes(
-        system,
-        setup.p[None].copy(),
-        setup.c[None].copy(),
-        y[None],
-        m[None],
-        valves[None],
-        switches[None],
-        np.array([duration_s]),
-    )
+    switches = [
+        (instant / NS, chamber, target, slope)
+        for instant, chamber, target, slope in valve_moves(setup, round(duration_s * NS))
+    ]
+    return setup.p, setup.c, y, m, valves, np.array(switches).reshape(-1, 4)
 
 
 def _padded(switches: Floats, rows: int) -> Floats:
     """The same switches, filled up to `rows` with rows of infinite time."""
-    filled = np.zeros((1, rows, 4))
-    filled[:, :, 0] = np.inf
-    filled[:, : switches.shape[1]] = switches
+    filled = np.zeros((rows, 4))
+    filled[:, 0] = np.inf
+    filled[: len(switches)] = switches
     return filled
 
 
 def _shared(arrays: Sequence[NDArray]) -> NDArray:
     """One row if all are equal, else all rows."""
-    whole = np.concatenate(arrays)
+    whole = np.array(arrays)
     return whole[:1].copy() if (whole == whole[:1]).all() else whole
 
 

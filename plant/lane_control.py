@@ -291,10 +291,14 @@ def judge(
     wanted = f[WANTED * WIDTH + j]
     grown = h * min(factor, 5.0)
     f[WANTED * WIDTH + j] = min(max(wanted, grown) if h < wanted else grown, LONGEST_STEP_S)
-    all_guards(t + h, y1, m, p, work, g)
-    fired = some_negative(g)
     theta = 1.0
-    if not fired:
+    # a lane on a grid meets an event only where the grid's stroke met one
+    expected = use != FOLLOW_GRID or grid[min(taken, steps - 1) * GRID_COLUMNS + GRID_GUARD] >= 0.0
+    fired = False
+    if expected:
+        all_guards(t + h, y1, m, p, work, g)
+        fired = some_negative(g)
+    if expected and not fired:
         rate0 = lane(f, RATE_0, j, WIDTH, "")
         theta = hidden_turn(h, y, y1, rate0, lane(f, RATE, j, WIDTH, ""), m)
         theta = min(theta, hidden_meeting(h, y, y1, m, p))
@@ -314,6 +318,8 @@ def judge(
         if fired:
             g0 = scratch[SCRATCH_G0:]
             all_guards(t, y, m, p, work, g0)
+            if use == FOLLOW_GRID and some_negative(g0):
+                return OFF_GRID
             theta = locate(t, h, theta, dense, y1, m, p, work, g, g0, n)
             index = smallest(g)
             until = t + theta * h
