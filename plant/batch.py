@@ -10,17 +10,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import layout as L
-from .filling import TABLE, tabulate
+from .filling import NO_CURVES, filling_curves
 from .hybrid import NS
 from .integrate import EVENT_COLUMNS
 from .lane_control import (
+    FOLLOW_GRID,
     GRID_COLUMNS,
+    KNOWN,
     MEMORY,
     OWN_STEPS,
     R_ARRIVAL,
@@ -31,6 +32,7 @@ from .lane_control import (
     R_STEPS,
     RESULTS,
     SCRATCH,
+    WRITE_GRID,
 )
 from .lane_steps import FREE_OF, MODES_FREE_OF, ROWS, WIDTH
 from .lanes import run_lanes
@@ -40,6 +42,7 @@ from .singles import run_singles
 from .stroke import valve_moves
 
 BATCH_TOLERANCE = 1e-6
+LONGEST_GRID = 4096
 Bools = NDArray[np.bool_]
 
 
@@ -219,15 +222,6 @@ class BatchResult:
     in_lanes: Bools
 
 
-@lru_cache(maxsize=64)
-def _curves(flow: bytes) -> Floats | None:
-    """Filling curves of a flow map, None if it has none."""
-    table = np.zeros(TABLE)
-    if not tabulate(np.frombuffer(flow).copy(), table):
-        return None
-    return table
-
-
 def simulate_batch(
     strokes: Strokes,
     *,
@@ -237,8 +231,7 @@ def simulate_batch(
     workers: int = 1,
     event_room: int = 0,
     lanes: bool = True,
-    grid: Floats | None = None,
-    use: int = OWN_STEPS,
+    follow: bool = False,
 ) -> BatchResult:
     """Simulate all strokes of a batch.
 
@@ -250,8 +243,8 @@ def simulate_batch(
     tolerance : of the integrator, relative to each state's scale
     workers : threads that share the strokes
     event_room : how many events of each stroke to keep
-    lanes : False sends every stroke through the scalar kernel
-    grid, use : steps to be noted or followed in the lanes, see `plant.lanes.run_lanes`
+    lanes : False sends every stroke through the scalar kernel, rests included
+    follow : the strokes are neighbours of the first one and take its steps: see `plant.tangents`
 
     A stroke that cannot be continued does not stop the others: see `BatchResult.status`.
     Checked by: tests/unit/plant/test_batch.py
@@ -285,30 +278,34 @@ def simulate_batch(
     )
     scale = scales(strokes.system)
     covered = strokes.in_lanes if lanes else np.zeros(n, dtype=np.bool_)
-    table = _curves(c.tobytes()) if len(strokes.flow) == 1 else None
-    curves = np.zeros(TABLE) if table is None else table
-    steps = np.zeros((1, GRID_COLUMNS)) if grid is None else grid
+    tabulated, curves = filling_curves(c) if len(c) == 1 else (False, NO_CURVES)
+    grid = np.zeros((LONGEST_GRID if follow else 1, GRID_COLUMNS))
+    known = np.zeros((instants.shape[1] if follow else 1, KNOWN))
     moving = 4 if strokes.system == L.FIXED else 9
 
-    def run(order: Ints) -> None:
+    def run(order: Ints, steps: int = 0, use: int = OWN_STEPS) -> None:
         inside = order[covered[order]]
         outside = order[~covered[order]]
         if len(inside):
             run_lanes(
                 strokes.system, moving, p, c, y, m, u, switches, duration,
-                instants, wanted, scale, tolerance, table is not None, curves,
+                instants, wanted, scale, tolerance, tabulated, curves,
                 inside, results, final, out, events, WIDTH,
                 np.zeros(ROWS * WIDTH), np.zeros(SCRATCH), np.zeros(MEMORY * WIDTH, dtype=np.int64),
-                steps, len(steps), use,
+                grid, steps, use, known,
             )  # fmt: skip
         if len(outside):
             run_singles(
                 strokes.system, p, c, y, m, u, switches, duration,
-                instants, wanted, scale, tolerance, outside, results, final, out, events,
+                instants, wanted, scale, tolerance, lanes and tabulated, curves,
+                outside, results, final, out, events,
             )  # fmt: skip
 
     everything = np.arange(n)
-    if workers <= 1 or n < 2 * WIDTH:
+    if follow:
+        run(everything[:1], LONGEST_GRID, WRITE_GRID)
+        run(everything[1:], min(int(results[0, R_STEPS]), LONGEST_GRID), FOLLOW_GRID)
+    elif workers <= 1 or n < 2 * WIDTH:
         run(everything)
     else:
         with ThreadPoolExecutor(workers) as pool:

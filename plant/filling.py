@@ -13,7 +13,10 @@ Checked by: tests/unit/plant/test_filling.py
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import exp
+
+import numpy as np
 
 from .compiled import called, inlined, kernel
 from .fixed_equations import fixed_volumes
@@ -50,6 +53,9 @@ TABLE = 2 * CURVE
 Z_TOP = 16.0
 NEAR_REACH = 20.0
 SUBSTEPS = 8
+# Places on a curve nearer than this share its tangent: an error of 1e-4 of their distance.
+NEXT_TO = 1e-4
+KNOWN_COLUMNS = 4
 
 # How a chamber at rest goes on: constant, on a curve, or a deviation decaying to its reference.
 STILL, ON_CHARGE, ON_DISCHARGE, DECAY, UNKNOWN = range(5)
@@ -140,6 +146,21 @@ def tabulate(c, table):
     return fill_curve(True, coefficients, out[CHARGE:]) and fill_curve(
         False, coefficients, out[DISCHARGE:]
     )
+
+
+NO_CURVES = np.zeros(1)
+
+
+@lru_cache(maxsize=64)
+def _filling_curves(flow: bytes) -> tuple:
+    table = np.zeros(TABLE)
+    known = bool(tabulate(np.frombuffer(flow).copy(), table))
+    return known, table if known else NO_CURVES
+
+
+def filling_curves(c) -> tuple:
+    """Whether a flow map has filling curves, and their table; tabulated once per map."""
+    return _filling_curves(c.tobytes())
 
 
 @inlined
@@ -241,6 +262,36 @@ def chamber_pressure(dt, row, table):
         return row[W_REFERENCE] * (1.0 + row[W_TAU] * exp(-row[W_RATE] * dt))
     curve = table[CHARGE:] if kind == ON_CHARGE else table[DISCHARGE:]
     return row[W_REFERENCE] * curve_value(curve, row[W_TAU] + row[W_RATE] * dt)
+
+
+@called
+def neighbour_pressure(dt, row, table, c, known, first):
+    """Pressure of a chamber a time dt on, from what the `first` of several like strokes noted.
+
+    The first evaluates its curve and notes kind, place, value and slope in known[0:4]; the others,
+    next to it, go along that slope.
+    """
+    kind = row[W_KIND]
+    decays = kind == DECAY
+    place = row[W_RATE] * dt if decays else row[W_TAU] + row[W_RATE] * dt
+    apart = place - known[1]
+    if not first and known[0] == kind and abs(apart) < NEXT_TO:
+        value = known[2] + apart * known[3]
+    elif decays:
+        value = exp(-place)
+        if first:
+            known[3] = -value
+    else:
+        charging = kind == ON_CHARGE
+        curve = table[CHARGE:] if charging else table[DISCHARGE:]
+        value = curve_value(curve, place)
+        if first:
+            known[3] = slope_of(value, charging, c) / curve[HEAD_RATE]
+    if first:
+        known[0] = kind
+        known[1] = place
+        known[2] = value
+    return row[W_REFERENCE] * (1.0 + row[W_TAU] * value if decays else value)
 
 
 @called

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from . import layout as L
 from . import length_contacts as guard
+from .filling import NO_CURVES
 from .integrate import (
     DONE,
     EVENT_BLOCK,
@@ -239,6 +240,8 @@ class HybridSystem:
             self._record,
             self._counts,
             self._workspace,
+            False,
+            NO_CURVES,
         )
         self._note_events()
         if code != DONE:

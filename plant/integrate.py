@@ -10,7 +10,7 @@ Checked by: tests/physics/
 
 from __future__ import annotations
 
-from .compiled import kernel
+from .compiled import called, kernel
 from .events import (
     after_event,
     all_guards,
@@ -24,13 +24,22 @@ from .events import (
 )
 from .layout import (
     FIXED,
+    FLOW_MODEL,
+    LEAK_ATM,
+    LEAK_PISTON,
+    M_BLOCKED,
     M_DAMPER,
+    M_LINE,
+    M_OIL_REST,
     M_SYSTEM,
+    SEAL_MU,
+    TERM_EQUATION,
 )
 from .length_contacts import (
     GUARDS,
     note_side,
 )
+from .rest import pressures_after, rest_jump
 from .steppers import (
     derivative,
     explicit_dense,
@@ -53,8 +62,22 @@ LONGEST_STEP_S = 5e-3
 LONGEST_REST_STEP_S = 1e-2
 SWITCH_STEP_S = 1e-3
 FIRST_STEP_S = 2e-5
+STEP_AFTER_REST_S = 4e-4
 # Shape of the scratch array.
 WORKSPACE_ROWS, ROW = 80, 64
+
+
+@called
+def rests_are_plain(p, m):
+    """True if chambers at rest follow the flow map alone and all guards are linear in pressures."""
+    return (
+        p[FLOW_MODEL] == 0.0
+        and p[LEAK_PISTON] == 0.0
+        and p[LEAK_ATM] == 0.0
+        and p[SEAL_MU] == 0.0
+        and p[TERM_EQUATION] == 0.0
+        and m[M_LINE] == 0
+    )
 
 
 @kernel
@@ -83,6 +106,8 @@ def advance(
     events,
     counts,
     workspace,
+    tabulated,
+    table,
 ):
     """Integrate from time 0 to `duration` [s]; returns DONE or the reason to stop.
 
@@ -100,6 +125,8 @@ def advance(
     events : float64 [e, EVENT_COLUMNS], filled in order
     counts : int64 [4]: events, steps, rejected steps, samples written; added to
     workspace : float64 [WORKSPACE_ROWS, ROW] scratch
+    tabulated : True if `table` holds the filling curves of c: rests are then passed in closed form
+        where there is one (without quadratures only)
     """
     y = view(y, 0)
     pivot = view(m, 16)
@@ -129,6 +156,10 @@ def advance(
     i_sample = 0
     n_switch = switches.shape[0]
     n_sample = samples.shape[0]
+    fixed = m[M_SYSTEM] == FIXED
+    curves = view(table, 0)
+    rest = view(workspace, 79 * ROW)
+    leaping = tabulated and not with_quad and rests_are_plain(p, m)
     stiff = m[M_DAMPER] == 2
     h = step[0]
     fresh = True
@@ -169,6 +200,39 @@ def advance(
                 continue
             fresh = False
             have_jacobian = False
+            still = du[0] == 0.0 and du[1] == 0.0 and du[2] == 0.0
+            if leaping and still and at_rest(m) and m[M_BLOCKED] == 0 and (not stiff or m[M_OIL_REST] != 0):
+                dt, index = rest_jump(
+                    t, left, fixed, y, y1, stage, m, u0, p, curves, rest, work, g, n
+                )
+                if dt > 0.0 or index >= 0:
+                    t_end = t_next if dt == left and index < 0 else t + dt
+                    for i in range(n):
+                        y[i] = y1[i]
+                        if not abs(y[i]) < 1e300:
+                            return NOT_FINITE
+                    while i_sample < n_sample and samples[i_sample] <= t_end:
+                        pressures_after(max(samples[i_sample] - t, 0.0), fixed, rest, curves, y1)
+                        for i in range(n):
+                            out[i_sample, i] = y1[i]
+                        i_sample += 1
+                    t = t_end
+                    if index >= 0:
+                        after_event(t, index, y, m, p, record, work)
+                        n_event = counts[0]
+                        if n_event >= events.shape[0] or n_event >= limit_events:
+                            return TOO_MANY_EVENTS
+                        events[n_event, EVENT_TIME] = t
+                        events[n_event, EVENT_GUARD] = index
+                        events[n_event, EVENT_LOST] = record[0]
+                        events[n_event, EVENT_SPEED] = record[1]
+                        events[n_event, EVENT_BLOCK] = record[2]
+                        events[n_event, EVENT_X] = y[0]
+                        events[n_event, EVENT_V] = y[1]
+                        counts[0] += 1
+                    h = STEP_AFTER_REST_S
+                    fresh = True
+                    continue
         if m[M_SYSTEM] != FIXED:
             note_side(y, m, p)
         last = h >= left * (1.0 - 1e-12)

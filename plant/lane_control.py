@@ -20,6 +20,14 @@ from .events import (
     smallest,
     some_negative,
 )
+from .filling import (
+    CHAMBER_ROW,
+    KNOWN_COLUMNS,
+    STILL,
+    W_KIND,
+    chamber_pressure,
+    neighbour_pressure,
+)
 from .integrate import (
     DONE,
     EVENT_BLOCK,
@@ -33,6 +41,7 @@ from .integrate import (
     FIRST_STEP_S,
     LONGEST_STEP_S,
     NOT_FINITE,
+    STEP_AFTER_REST_S,
     STEP_TOO_SMALL,
     TOO_MANY_EVENTS,
 )
@@ -60,11 +69,13 @@ from .lane_steps import (
     Y,
 )
 from .layout import (
+    FP1,
     MAX_STATES,
     MODES,
+    PB,
     TERM_0,
 )
-from .rest import pressures_after, rest_jump
+from .rest import rest_jump
 from .steppers import derivative, explicit_dense, interpolate
 from .views import lane, rows
 
@@ -77,6 +88,7 @@ MEMORY = 7
 GRID_END, GRID_SWITCH, GRID_GUARD = range(3)
 GRID_COLUMNS = 3
 OWN_STEPS, WRITE_GRID, FOLLOW_GRID = range(3)
+KNOWN = 3 * KNOWN_COLUMNS  # what the grid's stroke notes of each sample at rest
 IDLE = -1
 
 # Columns of a stroke's result.
@@ -87,7 +99,6 @@ RESULTS = 8
 STEPPING = -1
 OFF_GRID = 10  # a reason to stop: something happened that the stroke of the grid did not meet
 LIMIT_EVENTS = 4000
-STEP_AFTER_REST_S = 4e-4
 
 # Scratch of one lane at a time.
 SCRATCH_WORK, SCRATCH_G, SCRATCH_G0, SCRATCH_RECORD, SCRATCH_REST = 0, 64, 128, 192, 224
@@ -164,17 +175,39 @@ def finite(y, n):
 
 
 @called
-def sample_rest(f, j, fixed, memory, until, samples, n_sample, columns, n_columns, out, table, w):
-    """Samples of a rest, from its curves."""
+def sample_rest(
+    f, j, fixed, memory, until, samples, n_sample, columns, n_columns, out, table, w, known, use
+):
+    """Samples of a rest, from its curves; all that is not a pressure stands still."""
     t = f[TIME * WIDTH + j]
     state = lane(f, STAGE, j, WIDTH, "")
-    i = memory[NEXT_SAMPLE * WIDTH + j]
-    while i < n_sample and samples[i] <= until:
-        pressures_after(max(samples[i] - t, 0.0), fixed, w, table, state)
-        for k in range(n_columns):
-            out[i * n_columns + k] = state[columns[k]]
-        i += 1
-    memory[NEXT_SAMPLE * WIDTH + j] = i
+    c = lane(f, C, j, WIDTH, "")
+    chambers = rows(w, CHAMBER_ROW)
+    begin = memory[NEXT_SAMPLE * WIDTH + j]
+    end = begin
+    while end < n_sample and samples[end] <= until:
+        end += 1
+    memory[NEXT_SAMPLE * WIDTH + j] = end
+    place = FP1 if fixed else PB
+    count = 2 if fixed else 3
+    for k in range(n_columns):
+        chamber = columns[k] - place
+        row = chambers[max(chamber, 0)]
+        if chamber < 0 or chamber >= count or row[W_KIND] == STILL:
+            value = state[columns[k]]
+            for i in range(begin, end):
+                out[i * n_columns + k] = value
+        elif use == OWN_STEPS:
+            for i in range(begin, end):
+                dt = max(samples[i] - t, 0.0)
+                out[i * n_columns + k] = chamber_pressure(dt, row, table)
+        else:
+            for i in range(begin, end):
+                dt = max(samples[i] - t, 0.0)
+                noted = known[i * KNOWN + KNOWN_COLUMNS * chamber :]
+                out[i * n_columns + k] = neighbour_pressure(
+                    dt, row, table, c, noted, use == WRITE_GRID
+                )
 
 
 @called
@@ -196,7 +229,7 @@ def sample_step(f, j, n, memory, until, theta, samples, n_sample, columns, n_col
 @called
 def prepare(
     f, j, fixed, n, memory, switches, n_switch, samples, n_sample, columns, n_columns, out,
-    events, room, result, tabulated, table, scratch, grid, steps, use,
+    events, room, result, tabulated, table, scratch, grid, steps, use, known,
 ):  # fmt: skip
     """Bring a lane to its next step, over switches, events at this instant and rests.
 
@@ -241,7 +274,8 @@ def prepare(
                 for k in range(n):
                     y[k] = y1[k]
                 sample_rest(
-                    f, j, fixed, memory, until, samples, n_sample, columns, n_columns, out, table, w
+                    f, j, fixed, memory, until, samples, n_sample, columns, n_columns, out, table, w,
+                    known, use,
                 )
                 f[TIME * WIDTH + j] = until
                 if index >= 0:

@@ -54,7 +54,7 @@ from .views import view
 def run_lanes(
     system, n, packed, c, y0, m0, u0, switches, duration, samples, columns, scale, tolerance,
     tabulated, table, order, results, final, out, events, width,
-    flat, scratch, memory, grid, steps, use,
+    flat, scratch, memory, grid, steps, use, known,
 ):  # fmt: skip
     """Simulate the strokes `order` of a batch, in lanes.
 
@@ -73,6 +73,7 @@ def run_lanes(
     width : WIDTH; as a variable it keeps the compiler from unrolling the lanes
     grid, steps, use : float64 [steps, GRID_COLUMNS], OWN_STEPS to leave it alone, WRITE_GRID to note
         the steps of the only stroke, FOLLOW_GRID to take those steps whatever the error
+    known : float64 [s, KNOWN], as the grid: noted of the samples at rest, and used next to it
     """
     fixed = system == 0
     f = view(flat, 0)
@@ -96,6 +97,7 @@ def run_lanes(
     out_view = view(out, 0)
     event_view = view(events, 0)
     grid_view = view(grid, 0)
+    known_view = view(known, 0)
     one_c = c.shape[0] == 1
     one_y = y0.shape[0] == 1
     one_m = m0.shape[0] == 1
@@ -182,7 +184,7 @@ def run_lanes(
                     out_view[stroke * n_sample * n_columns:],
                     event_view[stroke * room * EVENT_COLUMNS:], room,
                     result_view[stroke * RESULTS:],
-                    tabulated, table_view, scratch, grid_view, steps, use,
+                    tabulated, table_view, scratch, grid_view, steps, use, known_view,
                 )  # fmt: skip
             status = DONE
         starting = False

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import layout as L
+from .filling import filling_curves
 from .hybrid import NS, REASONS, WORKSPACE, IntegrationError
 from .integrate import DONE, EVENT_COLUMNS, advance, start
 from .packing import Floats, active_states, initial_state, modes, scales
@@ -83,6 +84,7 @@ class Predictor:
             self._events,
             counts,
             self._workspace,
+            *filling_curves(setup.c),
         )
         if code != DONE:
             raise IntegrationError(f"integration stopped: {REASONS[code]}")

@@ -38,7 +38,7 @@ FIRST_STEP = 1e-4
 @kernel
 def run_singles(
     system, packed, c, y0, m0, u0, switches, duration, samples, columns, scale, tolerance,
-    order, results, final, out, events,
+    tabulated, table, order, results, final, out, events,
 ):  # fmt: skip
     """Simulate the strokes `order` of a batch by the scalar kernel; arguments as of `run_lanes`."""
     states = final.shape[1]
@@ -97,6 +97,8 @@ def run_singles(
             record,
             counts,
             workspace,
+            tabulated,
+            table,
         )
         result = results[stroke]
         result[R_STATUS] = status

@@ -12,63 +12,39 @@ Checked by: tests/unit/plant/test_tangents.py
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .batch import BATCH_TOLERANCE, BatchResult, Strokes, simulate_batch
 from .integrate import DONE
-from .lane_control import FOLLOW_GRID, GRID_COLUMNS, WRITE_GRID
 from .packing import Floats
 
-LONGEST_GRID = 4096
-
-
-@dataclass(frozen=True)
-class Neighbours:
-    """A stroke and its neighbours along the stroke's own steps.
-
-    base: the stroke alone; moved: the neighbours; alike: which of them went through the same steps
-    and events, so that their differences from the base are derivatives.  The others' results mean
-    nothing.
-    """
-
-    base: BatchResult
-    moved: BatchResult
-    alike: np.ndarray
+MOVE = 1e-6
+"""A share of a parameter's size by which a neighbour is moved: truncation and rounding stay small."""
 
 
 def neighbours(
-    base: Strokes,
-    moved: Strokes,
+    strokes: Strokes,
     sample_s: Floats,
     columns: Sequence[int] | None = None,
     tolerance: float = BATCH_TOLERANCE,
-) -> Neighbours:
-    """Simulate one stroke, and others next to it along its steps; arguments as `simulate_batch`.
+) -> tuple[BatchResult, NDArray[np.bool_]]:
+    """Simulate a stroke and others next to it along its own steps; arguments as `simulate_batch`.
 
-    Strokes that the lanes do not cover are not alike; if `base` is one of them, nothing is.
+    The first stroke is the one; the others differ from it by a share of about `MOVE`.  Returns the
+    results, and for each stroke whether it went through the same steps and events as the first: then
+    the difference of their samples, divided by the parameter's, is a derivative.  The results of
+    those that did not mean nothing, nor does any if the lanes do not cover the first.
     """
-    if len(base) != 1:
-        raise ValueError(f"base: {len(base)} strokes; expected one")
-    grid = np.zeros((LONGEST_GRID, GRID_COLUMNS))
-    first = simulate_batch(
-        base, sample_s=sample_s, columns=columns, tolerance=tolerance, grid=grid, use=WRITE_GRID
-    )
-    steps = int(first.steps[0])
-    usable = bool(first.in_lanes[0]) and first.status[0] == DONE and 0 < steps <= LONGEST_GRID
-    others = simulate_batch(
-        moved,
-        sample_s=sample_s,
-        columns=columns,
-        tolerance=tolerance,
-        grid=grid[: max(steps, 1)],
-        use=FOLLOW_GRID,
+    result = simulate_batch(
+        strokes, sample_s=sample_s, columns=columns, tolerance=tolerance, follow=True
     )
     alike = (
-        others.in_lanes
-        & (others.status == DONE)
-        & (others.steps == steps)
-        & (others.event_count == first.event_count[0])
+        result.in_lanes
+        & result.in_lanes[0]
+        & (result.status == DONE)
+        & (result.steps == result.steps[0])
+        & (result.event_count == result.event_count[0])
     )
-    return Neighbours(first, others, alike & usable)
+    return result, alike
