@@ -7,18 +7,21 @@ which call it thousands of times.
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import layout as L
+from .batch import Strokes
 from .filling import filling_curves
 from .hybrid import NS, REASONS, WORKSPACE, IntegrationError
 from .integrate import DONE, EVENT_COLUMNS, advance, start
 from .packing import Floats, active_states, initial_state, modes, scales
 from .setup import Setup
 from .stroke import lagged, valve_moves
+from .tangents import neighbours
 
 FIT_TOLERANCE = 1e-7
 
@@ -93,6 +96,42 @@ class Predictor:
                 samples, out[:, first : first + count], setup.gauge_lag_s
             )
         return out
+
+    def derivatives(
+        self, setup: Setup, moved: Sequence[Setup], steps: Sequence[float]
+    ) -> tuple[Floats, list[Floats | None]]:
+        """States as `states`, and their derivatives by what was moved.
+
+        moved: setups next to `setup`, each with one quantity changed by its step, which should be a
+        share of about `plant.tangents.MOVE` of the quantity's size.  The events move along.  None
+        where a neighbour did not meet the same events, or where the lanes do not cover the stroke
+        (oil damper, leaks, gearbox): there a difference of two runs of `states` is all there is.
+
+        Raises IntegrationError if the motion of `setup` cannot be continued.
+        """
+        if len(moved) != len(steps):
+            raise ValueError(f"{len(moved)} setups and {len(steps)} steps")
+        setups = [setup, *moved]
+        system = setup.conditions.system
+        strokes = Strokes.from_setups(setups, int(self.sample_ns[-1]) / NS)
+        if not strokes.in_lanes[0]:
+            return self.states(setup), [None] * len(moved)
+        n = active_states(system, strokes.modes[0])
+        result, alike = neighbours(strokes, self.sample_ns / NS, range(n), self.tolerance)
+        if result.status[0] != DONE:
+            raise IntegrationError(f"integration stopped: {REASONS[int(result.status[0])]}")
+        first, count = (L.FP1, 2) if system == L.FIXED else (L.PB, 3)
+        for one, samples in zip(setups, result.samples, strict=True):
+            if one.gauge_lag_s > 0.0:
+                pressures = samples[:, first : first + count]
+                samples[:, first : first + count] = lagged(
+                    self.sample_ns / NS, pressures, one.gauge_lag_s
+                )
+        base = result.samples[0]
+        return base, [
+            (result.samples[k + 1] - base) / step if alike[k + 1] else None
+            for k, step in enumerate(steps)
+        ]
 
 
 def copied(setup: Setup) -> Setup:

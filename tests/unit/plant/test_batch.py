@@ -203,3 +203,20 @@ def test_refusals():
         simulate_batch(strokes, sample_s=np.array([0.1]), columns=[6])
     with pytest.raises(ValueError, match="sample_s"):
         simulate_batch(strokes, sample_s=np.array([0.2, 0.1]))
+
+
+@pytest.mark.parametrize("lanes", [True, False])
+def test_a_piston_and_a_stay_that_stop_together_come_to_rest(lanes):
+    # each turn of the piston joined it to a stay still slower: an endless sequence of turns
+    strokes = Strokes.varied(
+        setup("N-B"),
+        DURATION_S,
+        {
+            L.P_SUPPLY: np.array([687342.237947325, 818301.9293072699]),
+            L.M_S: np.array([2.745923009162179, 2.940294823728706]),
+            L.VOL_B: np.array([2.2092883797367875e-05, 3.037649213400499e-05]),
+        },
+    )
+    result = simulate_batch(strokes, tolerance=1e-8, lanes=lanes)
+    assert (result.status == DONE).all()
+    assert (result.event_count < 20).all()

@@ -1,0 +1,101 @@
+"""Derivatives along a frozen sequence of steps against central differences of exact runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from plant import layout as L
+from plant.batch import Strokes, simulate_batch
+from plant.parameters import load
+from plant.prediction import Predictor, copied
+from plant.setup import Setup, make_setup
+from plant.stroke_conditions import StrokeConditions
+from plant.tangents import MOVE, neighbours
+
+TIME_S = np.linspace(0.0, 0.25, 251)
+FRICTION = {"fixed": (L.F_STATIC_S, L.BETA_S), "N-B": (L.F_RUN_P, L.BETA_P)}
+MOVED = (L.P_SUPPLY, L.K_IN, L.K_OUT, L.VOL_B, L.VOL_N, L.M_S, L.F_RUN_S, L.ALPHA_M1)
+COLUMNS = {"fixed": (L.FX, L.FP1, L.FP2), "N-B": (L.XS, L.PB, L.PN, L.PF)}
+SIZE = {"fixed": (1e-3, 1e5, 1e5), "N-B": (1e-3, 1e5, 1e5, 1e5)}
+COMMANDS = {
+    "fixed": (((0.01, "1", 0.98),), ()),
+    "N-B": (((0.01, "B", 0.98), (0.01, "N", 0.0)), ("N",)),
+}
+
+
+def setup(kind: str, **more: object) -> Setup:
+    commands, charged = COMMANDS[kind]
+    return make_setup(load(), StrokeConditions(kind, 9e5, commands, charged_before=charged, **more))
+
+
+def moved(base: Setup, places: tuple[int, ...], share: float) -> Strokes:
+    """The stroke, then the stroke with each parameter moved by a share of itself."""
+    rows = np.arange(len(places) + 1)
+    changes = {i: base.p[i] * (1.0 + share * (rows == k + 1)) for k, i in enumerate(places)}
+    return Strokes.varied(base, TIME_S[-1], changes)
+
+
+@pytest.mark.parametrize("kind", sorted(COMMANDS))
+def test_ten_parameters_agree_with_differences_of_exact_runs(kind: str) -> None:
+    base = setup(kind)
+    places = MOVED + FRICTION[kind]
+    found, alike = neighbours(moved(base, places, MOVE), TIME_S, COLUMNS[kind])
+    assert alike.all() and found.event_count[0] >= 2
+    exact = [
+        simulate_batch(
+            moved(base, places, share),
+            sample_s=TIME_S, columns=COLUMNS[kind], tolerance=1e-12, lanes=False,
+        ).samples
+        for share in (3e-5, -3e-5)
+    ]  # fmt: skip
+    for k in range(1, len(places) + 1):
+        ours = (found.samples[k] - found.samples[0]) / MOVE / SIZE[kind]
+        theirs = (exact[0][k] - exact[1][k]) / 6e-5 / SIZE[kind]
+        assert np.linalg.norm(theirs) > 1e-2
+        assert np.linalg.norm(ours - theirs) < 1e-3 * np.linalg.norm(theirs)
+
+
+def test_delays_and_lags_have_derivatives_too() -> None:
+    base = setup("fixed")
+    base.gauge_lag_s = 2e-3
+    late, lagging = copied(base), copied(base)
+    late.timing = replace(late.timing, rise_ns=late.timing.rise_ns + 20)
+    lagging.gauge_lag_s *= 1.0 + MOVE
+    predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64), 1e-9)
+    states, (by_delay, by_lag) = predictor.derivatives(
+        base, [late, lagging], [20e-9, 2e-3 * MOVE]
+    )
+    assert np.abs(states - predictor.states(base)).max() < 1.0
+    assert by_delay is not None and by_lag is not None
+    # everything behind the switch happens later: d/d(delay) = -d/dt
+    pressure = states[:, L.FP1]
+    slope = (pressure[2:] - pressure[:-2]) / (TIME_S[2] - TIME_S[0])
+    smooth = (TIME_S[1:-1] > 0.06) & (TIME_S[1:-1] < 0.2)
+    assert by_delay[1:-1, L.FP1][smooth] == pytest.approx(-slope[smooth], rel=2e-3)
+    twin = copied(base)
+    twin.gauge_lag_s *= 1.01
+    expected = (predictor.states(twin) - states) / (0.01 * base.gauge_lag_s)
+    assert np.abs(by_lag - expected)[:, L.FP1].max() < 0.02 * np.abs(expected[:, L.FP1]).max()
+
+
+def test_a_neighbour_with_other_events_has_none() -> None:
+    base = setup("fixed")
+    stuck, near = copied(base), copied(base)
+    stuck.p[L.F_STATIC_S] = 5000.0
+    near.p[L.M_S] *= 1.0 + MOVE
+    predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64))
+    _, (first, second) = predictor.derivatives(base, [stuck, near], [1.0, 1.0])
+    assert first is None and second is not None
+
+
+def test_what_the_lanes_do_not_cover_has_none() -> None:
+    base = setup("fixed", load="damper", damper_model="incompressible")
+    predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64))
+    states, found = predictor.derivatives(base, [copied(base)], [1.0])
+    assert found == [None]
+    assert np.array_equal(states, predictor.states(base))
+    with pytest.raises(ValueError, match="steps"):
+        predictor.derivatives(base, [copied(base)], [])
