@@ -1,0 +1,1 @@
+"""Recorded traffic through the firmware, or the plant, alone; its answers against the recorded ones."""
