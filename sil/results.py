@@ -20,7 +20,10 @@ from can_dbc.errors import InputError
 
 RESULT = "result.json"
 RUN_FILES = frozenset(
-    (RESULT, "trace.csv", "bus.log", "report.html", "shift.png", "events.jsonl", "scenario.json")
+    (
+        *(RESULT, "trace.csv", "bus.log", "report.html", "shift.png", "events.jsonl"),
+        *("scenario.json", "diff.json", "diff.txt"),
+    )
 )
 """The files of a run folder; any of them in a folder marks it as holding a run."""
 

@@ -94,12 +94,16 @@ class Comparison:
         self.first: Parting | None = None
         self.first_command: Parting | None = None
         self.lanes = [Lane(f"valve {c.name}", "opens", "closes") for c in CHAMBERS]
-        self.lanes += [Lane("safety blow", "begins", "ends"), Lane("shift in process", "begins", "ends")]
+        self.lanes += [
+            Lane("safety blow", "begins", "ends"),
+            Lane("shift in process", "begins", "ends"),
+        ]
         self.states = [StateHistory("state"), StateHistory("confirmed gear")]
         self.scenes = Scenes()
         self.warm_up_ticks = 0
         self._warm_since: int | None = None
         self._warming = warming
+        self._rested = False
         self._held: tuple[dict[type, tuple[Any, ...]], ...] = ({}, {})
         self._recent: dict[type, deque[tuple[int, tuple[Any, ...]]]] = {}
         self._waiting: deque[tuple[int, type, tuple[Any, ...]]] = deque()
@@ -107,7 +111,7 @@ class Comparison:
 
     def begin_warm_up(self) -> None:
         """From here on compare only once the sides agree: the replay had to begin anew."""
-        self._warming, self._warm_since = True, None
+        self._warming, self._warm_since, self._rested = True, None, False
 
     def take(self, time_ns: int, recorded: Side, replayed: Side) -> None:
         """Take what the sides sent at a time (of the log's clock, ns), data by message type.
@@ -154,7 +158,7 @@ class Comparison:
         return found
 
     def _warm(self, time_ns: int, ours: Mapping[type, tuple[Any, ...]]) -> bool:
-        """Whether the sides agree by now, have had their time, or do something."""
+        """Whether the sides agree by now, have had their time, or begin something."""
         if self._warm_since is None:
             self._warm_since = time_ns
         theirs = self._held[REPLAYED]
@@ -163,8 +167,10 @@ class Comparison:
             kind in theirs and not self._judge.differing(kind, found, theirs[kind])
             for kind, found in ours.items()
         )
-        busy = any(self._valve_on(side, chamber) for side in (0, 1) for chamber in CHAMBERS)
-        if (status and agree) or busy or time_ns - self._warm_since > WARM_UP_NS:
+        busy = [any(self._valve_on(side, chamber) for chamber in CHAMBERS) for side in (0, 1)]
+        begun = busy[REPLAYED] or (busy[RECORDED] and self._rested)  # a shift from its beginning
+        self._rested |= bool(ours) and not busy[RECORDED]
+        if (status and agree) or begun or time_ns - self._warm_since > WARM_UP_NS:
             self._warming = False
             return True
         self.warm_up_ticks += bool(ours)

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from statistics import median
 from typing import Final, NamedTuple
 
@@ -81,13 +82,17 @@ class Grid(NamedTuple):
         """Return the last tick that can have released a frame."""
         frame = arrival.frame
         length_ns = frame_bits(frame.can_id, frame.data) * NS_PER_S // self.bitrate
-        # a recorder may round its times down
-        released_ns = arrival.time_ns - length_ns + self._slack_ns
+        released_ns = arrival.time_ns - length_ns + self.slack_ns
         return (released_ns - self.computation_ns - self.origin_ns) // self.period_ns
 
     @property
-    def _slack_ns(self) -> int:
-        return 0 if self.exact else min(self.period_ns // 8, 200_000)
+    def slack_ns(self) -> int:
+        """Return by how much a frame may seem to have been released too early.
+
+        A recorder may round its times, and a frame changed on its way may have been stuffed less.
+        """
+        changed_ns = 30 * NS_PER_S // self.bitrate
+        return changed_ns if self.exact else min(self.period_ns // 8, 200_000 + changed_ns)
 
 
 @dataclass
@@ -164,7 +169,7 @@ def _single_bounds(arrivals: Sequence[Arrival], bit_ns: int) -> list[tuple[int, 
 def _bitrate(arrivals: Sequence[Arrival]) -> int | None:
     """Return the bit rate at which most frames follow directly on the one before."""
     votes: Counter[int] = Counter()
-    for before, after in zip(arrivals, arrivals[1:], strict=False):
+    for before, after in pairwise(arrivals):
         gap_ns = after.time_ns - before.time_ns
         if not 0 < gap_ns < 2_000_000:
             continue
@@ -186,16 +191,13 @@ def _period(bounds: Sequence[tuple[int, int]]) -> int | None:
     """
     steps = [
         b_ns - a_ns
-        for (a, a_ns), (b, b_ns) in zip(bounds, bounds[1:], strict=False)
+        for (a, a_ns), (b, b_ns) in pairwise(bounds)
         if (b - a) % COUNTERS == 1 and b_ns > a_ns
     ]
     if not steps:
         return None
     usual_ns = median(steps)
-    ticks = sum(
-        max(round((b - a) / usual_ns), 1)
-        for (_, a), (_, b) in zip(bounds, bounds[1:], strict=False)
-    )
+    ticks = sum(max(round((b - a) / usual_ns), 1) for (_, a), (_, b) in pairwise(bounds))
     mean_ns = (bounds[-1][1] - bounds[0][1]) / ticks
     for step_ns in (500_000, 100_000, 10_000, 1000):
         period_ns = max(round(mean_ns / step_ns), 1) * step_ns
@@ -208,7 +210,7 @@ def _sensor_period(arrivals: Sequence[Arrival]) -> int | None:
     pulses = [a for a in arrivals if a.kind is PositionPulse and is_intact(PositionPulse, a.frame)]
     steps = [
         b.time_ns - a.time_ns
-        for a, b in zip(pulses, pulses[1:], strict=False)
+        for a, b in pairwise(pulses)
         if (counter_of(b.frame) - counter_of(a.frame)) % COUNTERS == 1
     ]
     return max(round(median(steps) / 100_000) * 100_000, 100_000) if steps else None
@@ -235,7 +237,9 @@ def make_grid(found: Survey, period_ns: int, computation_ns: int) -> Grid:
     slack_ns = max(found.resolution_ns, 2) if found.resolution_ns > 1000 else 0
     relative = 0 < found.first_ns < NS_PER_S
     if relative and (late_ns <= BLOCKED_NS or period_ns - late_ns <= slack_ns):
-        tick_ns = round(tick_ns / period_ns) * period_ns if late_ns > BLOCKED_NS else tick_ns - late_ns
+        tick_ns = (
+            round(tick_ns / period_ns) * period_ns if late_ns > BLOCKED_NS else tick_ns - late_ns
+        )
         exact = found.resolution_ns <= 1000
         how = "the log's own clock"
     else:

@@ -49,7 +49,7 @@ class PlantSide:
         bitrate: int,
         computation_ns: int,
         hears: Callable[[int], bool],
-        slack_ns: int = 1000,
+        slack_ns: int,
     ) -> None:
         self._node = node
         self._closes = closes
@@ -94,9 +94,7 @@ class PlantSide:
             self._others.append((begun_ns, frame, "log"))
 
     # --- the unit's ticks -------------------------------------------------------------------
-    def deliveries(
-        self, now_ns: int, recorded: list[tuple[int, Frame]]
-    ) -> list[tuple[int, Frame]]:
+    def deliveries(self, now_ns: int, recorded: list[tuple[int, Frame]]) -> list[tuple[int, Frame]]:
         """Bring plant and bus to a tick; return what the unit hears: the log's frames, or ours."""
         self._advance(now_ns)
         ours, self._for_unit = self._for_unit, []

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path
 
+import msgspec
+
 from can_dbc.errors import InputError
 from can_dbc.messages import ShiftRequest, ValveCommand
 from sil.logs import LogFrame, LogReport, open_log
@@ -21,6 +23,10 @@ from sil.replay.ticks import TickMap, map_ticks
 from sil.replay.traffic import OWN_IDS, Arrival, Traffic, ids_of_database
 from sil.replay.unit import ForeignUnit, OwnUnit, Unit
 
+ESTIMATE = "ControllerStatus.estimate_m"
+FORGOTTEN_M = 1e-6
+"""What the filter still remembers of the motion before a replay begun in the middle, at most."""
+
 BEFORE_FRAMES = 500
 """Frames before the first valve command that the survey sees, too."""
 
@@ -32,7 +38,7 @@ class Order:
     log: str
     firmware: str | None = None
     settings: Sequence[str] = ()
-    options: Options = Options()
+    options: Options = field(default_factory=Options)
     run: str | None = None
     dbc: str | None = None
     plant: bool = False
@@ -70,9 +76,13 @@ class Outcome:
     @property
     def labels(self) -> tuple[str, str]:
         """What the two sides are called."""
-        return ("recorded", "replayed") if self.order.reference is None else (
-            self.order.reference[1],
-            "here",
+        return (
+            ("recorded", "replayed")
+            if self.order.reference is None
+            else (
+                self.order.reference[1],
+                "here",
+            )
         )
 
 
@@ -113,7 +123,7 @@ def replay(order: Order) -> Outcome:
         plant = _plant(order, ready, grid, hears_plant=_hearing(ready, grid, ticks, "plant"))
         engine = Engine(ticks, unit, config.period_ns, hears, plant, reference)
         comparison = Comparison(
-            order.options, config.duty_closed, engine.inputs, warming=not grid.fresh
+            _options(order.options, grid, ticks), config.duty_closed, engine.inputs, warming=not grid.fresh
         )
         traffic = log.traffic()
         engine.run(traffic, comparison)
@@ -225,6 +235,14 @@ class _Units:
             unit.close()
 
 
+def _options(options: Options, grid: Grid, ticks: TickMap) -> Options:
+    """Allow for the filter's memory where the replay began while the unit was at work."""
+    if (grid.fresh and not ticks.restarts) or ESTIMATE in options.tolerance:
+        return options
+    tolerance = {**options.tolerance, ESTIMATE: FORGOTTEN_M}
+    return msgspec.structs.replace(options, tolerance=tolerance)
+
+
 def _is_folder(firmware: str | None) -> bool:
     return firmware is not None and Path(firmware).is_dir()
 
@@ -268,6 +286,7 @@ def _plant(
         bitrate=grid.bitrate,
         computation_ns=scene.controller.computation_ns,
         hears=hears_plant,
+        slack_ns=grid.slack_ns,
     )
 
 
@@ -287,14 +306,16 @@ def _notes(outcome: Outcome, log: _Log, traffic: Traffic) -> list[str]:
         notes.append(f"holes in the recording: {len(ticks.restarts)}; the replay began anew there")
     last_ns = traffic.last_ns or 0
     if last_ns - grid.tick_ns(ticks.last) > 2 * grid.period_ns:
-        notes.append(f"the unit's last frame is of {when(ticks.last)}; what came later is not compared")
+        notes.append(
+            f"the unit's last frame is of {when(ticks.last)}; what came later is not compared"
+        )
     if outcome.unanswered:
         missing = ", ".join(f"{n} {name}" for name, n in sorted(outcome.unanswered.items()))
         notes.append(f"replayed but not in the recording, not compared: {missing}")
     if outcome.comparison.warm_up_ticks:
         notes.append(
             f"{outcome.comparison.warm_up_ticks} ticks left out at the beginning, until the unit "
-            "that starts now agreed with the one that was at work"
+            f"that starts now agreed with the one that was at work, its position to {FORGOTTEN_M:g} m"
         )
     for kind, count in outcome.comparison.damaged.items():
         notes.append(f"{count} {kind.__name__} with values outside the contract, not compared")

@@ -51,7 +51,9 @@ class Scenes:
         """Take a tick; `changed`: an edge on either side, `differs`: the commands are not equal."""
         scene = self._open
         if scene is None and (changed or differs):
-            scene = self._open = Scene([r for r in self._recent if r.time_ns >= row.time_ns - BEFORE_NS])
+            scene = self._open = Scene(
+                [r for r in self._recent if r.time_ns >= row.time_ns - BEFORE_NS]
+            )
             self._begun_ns = row.time_ns
         if scene is not None:
             scene.rows.append(row)

@@ -27,7 +27,7 @@ from sil.logs import LogFrame
 INPUTS: Final = (ShiftRequest, PositionPulse, DrivelineSpeeds)
 OUTPUTS: Final = (ValveCommand, SafetyBlow, ControllerStatus, Etc1, Etc2)
 FROM_PLANT: Final = (PositionPulse, DrivelineSpeeds, PlantMotion, PlantPressures)
-KINDS: Final = (*INPUTS, *OUTPUTS, PlantMotion, PlantPressures)
+KINDS: Final[tuple[type, ...]] = (*INPUTS, *OUTPUTS, PlantMotion, PlantPressures)
 
 OWN_IDS: Final[dict[int, type]] = {can_id_of(kind): kind for kind in KINDS}
 ID_OF: Final[dict[type, int]] = {kind: can_id for can_id, kind in OWN_IDS.items()}
@@ -176,7 +176,9 @@ def _require_layout(path: str, kind: type, message: Any) -> None:
     for ours in spec.signals:
         there = theirs.get(ours.name)
         if there is None:
-            raise InputError(f"{path}: {message.name}.{ours.name}: missing; expected as in opc4.dbc")
+            raise InputError(
+                f"{path}: {message.name}.{ours.name}: missing; expected as in opc4.dbc"
+            )
         found = (there.start, there.length, there.is_signed, there.byte_order)
         wanted = (ours.start, ours.length, ours.signed, "little_endian")
         scaled = (float(there.scale), float(there.offset))

@@ -85,7 +85,9 @@ class ForeignUnit:
             answer = self._out.readline()
         if answer != b"ready\n":
             reason = self._last_words()
-            raise InputError(f"{name}: its controller cannot be used: {reason}; expected one that can")
+            raise InputError(
+                f"{name}: its controller cannot be used: {reason}; expected one that can"
+            )
 
     @property
     def _out(self) -> IO[bytes]:

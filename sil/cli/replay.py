@@ -1,0 +1,175 @@
+"""Put the inputs of a recorded log into the firmware alone, and compare its answers.
+
+LOG is a candump, ASC, BLF, TRC, MF4 or CSV log, packed or not. The firmware has the settings of the
+run whose result.json lies beside LOG, else its defaults with the periods that the log shows.
+Exit 1: something differs. Exit 2: nothing was engaged in the log, or it cannot be used."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sil.cli.options import add_json, add_out, say
+
+if TYPE_CHECKING:
+    from sil.replay.replay import Order, Outcome
+
+EXAMPLE = """\
+example:
+  opc4 replay runs/full_shift-1/bus.log --set controller.filter=false
+  opc4 replay truck.asc.gz --summary
+
+options of --options FILE, all optional:
+  ignore = ["Etc1.*", "ControllerStatus.estimate_m"]     # signals that are not compared
+  time_s = 0.01                                          # a value may come this much sooner or later
+  [tolerance]                                            # largest difference that is none, SI units
+  "ControllerStatus.estimate_m" = 1e-5
+  [edges]
+  window_s = 0.2                                         # an edge moved farther is another edge
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("log", metavar="LOG", help="recorded log of the bus")
+    parser.add_argument(
+        "--firmware",
+        metavar="FILE",
+        help="settings of the firmware (TOML, a scenario, a result.json), or the folder of "
+        "another checkout, whose firmware is then used",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="PATH=VALUE",
+        dest="settings",
+        help="change one value, e.g. controller.filter=false; repeatable",
+    )
+    parser.add_argument("--options", metavar="FILE", help="tolerances and ignore list (TOML)")
+    parser.add_argument("--dbc", metavar="FILE", help="where the log's identifiers are others")
+    parser.add_argument(
+        "--run", metavar="SCENARIO", help="scenario or result.json that the log is of [beside LOG]"
+    )
+    parser.add_argument(
+        "--plant", action="store_true", help="put the recorded commands into the plant as well"
+    )
+    parser.add_argument(
+        "--closed-loop",
+        action="store_true",
+        help="let the plant answer from the first command that differs",
+    )
+    parser.add_argument(
+        "--against", metavar="REV", help="compare with the firmware of another commit instead"
+    )
+    parser.add_argument(
+        "--summary", action="store_true", help="list the gear shifts of any truck's log (J1939)"
+    )
+    parser.add_argument("--strict", action="store_true", help="refuse a log with anything broken")
+    parser.add_argument(
+        "--times",
+        default="auto",
+        choices=("auto", "delta", "recorded"),
+        help="how the times of a candump screen log are meant [auto]",
+    )
+    add_out(parser, "runs/replay-LOG-N")
+    add_json(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from can_dbc.errors import InputError
+
+    if arguments.summary:
+        return _summary(arguments)
+    if arguments.against is not None and (arguments.plant or arguments.closed_loop):
+        raise InputError("--against: not together with --plant or --closed-loop; expected one")
+    order = _order(arguments)
+    if arguments.plant or arguments.closed_loop:
+        from plant.compiled import is_warm
+
+        if not is_warm():
+            say("compiling the plant's equations, once; this takes about a minute ...")
+    if arguments.against is None:
+        return _finish(arguments, order)
+    import dataclasses
+
+    from sil.replay.revision import checkout
+
+    with checkout(arguments.against) as tree:
+        return _finish(arguments, dataclasses.replace(order, reference=(tree, arguments.against)))
+
+
+def _order(arguments: argparse.Namespace) -> Order:
+    from sil.replay.replay import Order
+    from sil.replay.signals import Options, load_options
+
+    return Order(
+        log=arguments.log,
+        firmware=arguments.firmware,
+        settings=tuple(arguments.settings),
+        options=load_options(arguments.options) if arguments.options else Options(),
+        run=arguments.run,
+        dbc=arguments.dbc,
+        plant=arguments.plant,
+        closed_loop=arguments.closed_loop,
+        strict=arguments.strict,
+        times=arguments.times,
+    )
+
+
+def _finish(arguments: argparse.Namespace, order: Order) -> int:
+    """Replay, then write and tell: a log that is refused leaves no folder behind."""
+    from sil.replay.replay import replay
+    from sil.replay.told import as_dict, summary_lines
+
+    outcome = replay(order)
+    values = as_dict(outcome)
+    folder = _write(arguments, outcome, values)
+    if arguments.json:
+        print(json.dumps(values | {"out": str(folder)}, ensure_ascii=False, indent=1))
+    else:
+        print("\n".join(summary_lines(outcome)))
+        print(f"  {folder}: diff.json diff.txt report.html")
+    return 1 if outcome.differs else 0
+
+
+def _write(arguments: argparse.Namespace, outcome: Outcome, values: dict[str, object]) -> Path:
+    from sil.replay.page import replay_page
+    from sil.replay.told import text
+    from sil.results import prepare_folder, write_whole
+
+    stem = Path(arguments.log).name.removesuffix(".gz").rsplit(".", 1)[0]
+    parent = Path(arguments.log).resolve().parent.name
+    name = f"replay-{parent}" if stem == "bus" else f"replay-{stem}"
+    folder = prepare_folder(arguments.out, name, arguments.force)
+    write_whole(folder / "diff.json", json.dumps(values, ensure_ascii=False, indent=1) + "\n")
+    write_whole(folder / "diff.txt", text(outcome))
+    command = shlex.join(["opc4", *sys.argv[1:]])
+    write_whole(folder / "report.html", replay_page(outcome, values, command))
+    return folder
+
+
+def _summary(arguments: argparse.Namespace) -> int:
+    from can_dbc.errors import InputError
+    from sil.logs import open_log
+    from sil.logs.j1939 import PGN_ETC1, PGN_ETC2, summarize
+
+    if arguments.out is not None:
+        raise InputError("--out: --summary writes nothing; expected one of the two")
+    reader = open_log(arguments.log, strict=arguments.strict, times=arguments.times)
+    found = summarize(reader)
+    if not any(pgn in (PGN_ETC1, PGN_ETC2) for pgn, _ in found.groups):
+        raise InputError(
+            f"{arguments.log}: no ETC1 (PGN 61442) and no ETC2 (PGN 61445) among {found.frames} "
+            "frames; expected a log of a truck's transmission"
+        )
+    if arguments.json:
+        print(json.dumps(found.as_dict() | {"log_report": reader.report.as_dict()}, indent=1))
+    else:
+        print(f"{arguments.log}: " + "\n".join(found.lines()))
+        if not reader.report.clean:
+            print("\n".join(f"log: {line}" for line in reader.report.lines()[1:]))
+    return 0
