@@ -1,0 +1,133 @@
+"""Record, then replay: no difference; the filter removed: as far as two runs say; plant and loop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cantools
+import pytest
+
+from can_dbc.contract import DBC_PATH
+from sil import cosim, scenario
+from sil.logs import open_log
+from sil.replay.replay import Order, Outcome, replay
+
+NAMES = sorted(scenario.shipped())
+SOME = ("bus_off", "full_shift", "late_valve_commands", "strategy_predictive")
+
+
+def recorded(folder: Path, name: str, *settings: str) -> Path:
+    folder.mkdir()
+    cosim.run(scenario.load(name, settings=settings), folder)
+    return folder / "bus.log"
+
+
+def require_no_difference(found: Outcome, log: Path) -> None:
+    assert not found.differs, found.comparison.first
+    assert found.comparison.first is None
+    assert found.frames == found.account.total == log.read_text().count("\n")
+    assert found.comparison.engaged and found.comparison.ticks >= 15
+    assert not found.account.other
+    for result in found.comparison.lane_results():
+        assert not result.moved(0)
+
+
+@pytest.mark.parametrize("name", SOME)
+def test_a_recorded_run_replays_without_a_difference(name: str, tmp_path: Path) -> None:
+    log = recorded(tmp_path / "run", name)
+    require_no_difference(replay(Order(str(log))), log)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_every_shipped_scenario_replays_without_a_difference(name: str, tmp_path: Path) -> None:
+    log = recorded(tmp_path / "run", name)
+    found = replay(Order(str(log), plant=True))
+    require_no_difference(found, log)
+    assert found.plant is not None
+    assert found.plant.compared > 200 and not found.plant.differing and not found.plant.unmatched
+
+
+def coil_edges_ns(log: Path, period_ns: int) -> dict[tuple[str, bool], list[int]]:
+    """Ticks at which coils switch, from the frames alone: another decoder, another bookkeeping."""
+    database = cantools.database.load_file(DBC_PATH)
+    valves, blow = (database.get_message_by_name(n) for n in ("ValveCommand", "SafetyBlow"))
+    by_tick: dict[int, dict[str, bool]] = {}
+    for frame in open_log(log):
+        tick = frame.time_ns // period_ns
+        if frame.can_id == valves.frame_id:
+            told = valves.decode(frame.data, decode_choices=False)
+            for c in "BNF":
+                by_tick.setdefault(tick, {})[c] = told[f"Duty{c}"] > 33.0
+        elif frame.can_id == blow.frame_id:
+            told = blow.decode(frame.data, decode_choices=False)
+            if told["BlowActive"]:
+                by_tick[tick]["BNF"[int(told["BlowChamber"])]] = True
+    edges: dict[tuple[str, bool], list[int]] = {}
+    before = dict.fromkeys("BNF", False)
+    for tick in sorted(by_tick):
+        for c, on in by_tick[tick].items():
+            if on is not before[c]:
+                edges.setdefault((c, on), []).append(tick * period_ns)
+                before[c] = on
+    return edges
+
+
+@pytest.mark.parametrize("name", ["lab_n_b", "lab_b_n", "full_shift", "truck_into_gear_easy"])
+def test_the_filter_removed_moves_every_edge_as_two_runs_say(name: str, tmp_path: Path) -> None:
+    with_filter = recorded(tmp_path / "with", name)
+    without = recorded(tmp_path / "without", name, "controller.filter=false")
+    found = replay(Order(str(with_filter), settings=["controller.filter=false"]))
+    period_ns = found.grid.period_ns
+    a, b = coil_edges_ns(with_filter, period_ns), coil_edges_ns(without, period_ns)
+    assert a.keys() == b.keys() and len(a) >= 2
+    moved = 0
+    for result in found.comparison.lane_results()[:3]:
+        chamber = result.lane.name[-1]
+        assert not result.matching.dropped and not result.matching.added
+        for up in (True, False):
+            told = [
+                shift
+                for (i, _), shift in zip(result.matching.pairs, result.shift_ns, strict=True)
+                if result.lane.recorded[i].up is up
+            ]
+            runs = [
+                y - x
+                for x, y in zip(a.get((chamber, up), []), b.get((chamber, up), []), strict=True)
+            ]
+            assert told == runs
+            moved += sum(1 for shift in told if shift)
+    assert moved >= 1
+
+
+def test_the_loop_closed_gives_what_a_run_of_that_firmware_gives(tmp_path: Path) -> None:
+    log = recorded(tmp_path / "with", "full_shift")
+    without = recorded(tmp_path / "without", "full_shift", "controller.filter=false")
+    found = replay(Order(str(log), settings=["controller.filter=false"], closed_loop=True))
+    assert found.plant is not None and found.plant.closed_ns == 210_000_000
+    edges = coil_edges_ns(without, found.grid.period_ns)
+    for result in found.comparison.lane_results()[:3]:
+        for up in (True, False):
+            replayed = [e.time_ns for e in result.lane.replayed if e.up is up]
+            assert replayed == edges.get((result.lane.name[-1], up), [])
+    true_end = [p.replayed_m for p in found.plant.positions][-1]
+    assert true_end == pytest.approx(-0.01285, abs=2e-5)
+
+
+def test_a_loop_that_never_parts_stays_open(tmp_path: Path) -> None:
+    log = recorded(tmp_path / "run", "lab_n_b")
+    found = replay(Order(str(log), closed_loop=True))
+    assert not found.differs and found.plant is not None and found.plant.closed_ns is None
+
+
+def test_a_plant_that_is_another_is_told_from_a_unit_that_is_another(tmp_path: Path) -> None:
+    log = recorded(tmp_path / "run", "lab_n_b")
+    plant = replay(Order(str(log), settings=["valve.D_fall=0.02"], plant=True))
+    assert plant.plant is not None
+    assert not plant.comparison.differs and plant.plant.differing > 0 and plant.differs
+    heavier = replay(Order(str(log), settings=["length.m_s=8.0"], plant=True))
+    assert heavier.plant is not None and heavier.plant.first is not None
+    assert heavier.plant.first[0] > 110_000_000  # not before the valve opened
+    assert heavier.plant.largest["PlantMotion.position_m"] > 1e-4
+    unit = replay(Order(str(log), settings=["controller.filter=false"], plant=True))
+    assert unit.plant is not None and unit.comparison.differs and not unit.plant.differing

@@ -1,0 +1,123 @@
+"""Whole replays of golden logs that something was done to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from can_dbc.errors import InputError
+from can_dbc.messages import ControllerStatus, SafetyBlow, ShiftRequest, ValveCommand
+from sil.logs import LogFrame
+from sil.replay.replay import Order, Outcome, replay
+from sil.replay.signals import Options
+from sil.replay.traffic import ID_OF
+from tests.unit.sil.replay.golden_logs import frames, golden, write
+
+PERIOD = 10_000_000
+
+
+def replayed(tmp_path: Path, log: list[LogFrame], **order: object) -> Outcome:
+    path = write(tmp_path / "made.log", log)
+    found = replay(Order(str(path), **order))  # type: ignore[arg-type]
+    assert found.account.total == found.frames == len(log)
+    return found
+
+
+def test_another_clock_changes_nothing(tmp_path: Path) -> None:
+    log = [f._replace(time_ns=f.time_ns + 1_700_000_000_123_457_000) for f in frames("full_shift")]
+    found = replayed(tmp_path, log)
+    assert not found.differs and found.comparison.ticks == 160 and found.grid.exact
+
+
+def test_a_log_cut_off_in_the_middle_of_a_shift_agrees_once_that_is_over(tmp_path: Path) -> None:
+    found = replayed(tmp_path, [f for f in frames("full_shift") if f.time_ns > 300_000_000])
+    assert not found.differs
+    assert found.comparison.warm_up_ticks > 10 and found.comparison.ticks > 100
+    assert any("left out at the beginning" in note for note in found.notes)
+
+
+def test_a_unit_that_stood_still_is_replayed_as_one_that_did(tmp_path: Path) -> None:
+    """Frames of the pause reach the unit at its next tick; nothing else is lost or invented."""
+    log = frames("lab_n_b")
+    idle = [f for f in log if f.time_ns > 350_050_000]
+    ours = {ID_OF[kind] for kind in (ValveCommand, SafetyBlow, ControllerStatus)}
+    paused = [f for f in log if f not in idle]
+    paused += [f._replace(time_ns=f.time_ns + 5 * PERIOD) for f in idle]
+    found = replayed(tmp_path, paused)
+    assert [tuple(span) for span in found.ticks.idle] == [(35, 40)]
+    assert found.steps == 70 and len([f for f in paused if f.can_id in ours]) == 210
+
+
+def test_one_changed_input_is_found_with_its_time(tmp_path: Path) -> None:
+    log = frames("lab_n_b")
+    request = ID_OF[ShiftRequest]
+    without = [f for f in log if not (f.can_id == request and 95_000_000 < f.time_ns < 125_000_000)]
+    found = replayed(tmp_path, without)
+    assert found.differs
+    valve = found.comparison.lane_results()[0]
+    assert valve.lines(PERIOD)[0].startswith("valve B opens")
+    assert all(shift > 0 for shift in valve.shift_ns)
+
+
+def test_ignoring_all_that_differs_leaves_no_difference() -> None:
+    names = ["ControllerStatus.*", "Etc?.*", "ValveCommand.*", "SafetyBlow.*"]
+    order = Order(str(golden("lab_n_b")), settings=["controller.filter=false"])
+    assert replay(order).differs
+    ignoring = Order(order.log, settings=order.settings, options=Options(ignore=names))
+    assert not replay(ignoring).differs
+    tolerant = Order(
+        order.log,
+        settings=order.settings,
+        options=Options(
+            time_s=0.035,
+            tolerance={"ControllerStatus.estimate_m": 0.02},
+            ignore=["SafetyBlow.remaining_s"],
+        ),
+    )
+    assert not replay(tolerant).differs
+
+
+def test_another_period_is_compared_in_time(tmp_path: Path) -> None:
+    order = Order(str(golden("lab_n_b")), settings=["controller.period_s=0.005"])
+    found = replay(order)
+    assert found.steps == 2 * 69 + 1
+    edges = found.comparison.lane_results()[0]
+    assert len(edges.matching.pairs) == 2
+    assert all(shift % 5_000_000 == 0 for shift in edges.shift_ns)
+
+
+def test_damaged_answers_are_counted_not_compared(tmp_path: Path) -> None:
+    log = frames("lab_n_b")
+    place = next(i for i, f in enumerate(log) if f.can_id == ID_OF[ValveCommand] and i > 200)
+    log[place] = log[place]._replace(data=log[place].data[:3] + b"\x55" + log[place].data[4:])
+    found = replayed(tmp_path, log)
+    assert not found.differs
+    assert found.account.other == {"ValveCommand with a wrong checksum or length": 1}
+
+
+def test_foreign_frames_pass_through_untouched(tmp_path: Path) -> None:
+    log = frames("lab_n_b")
+    strange = [
+        LogFrame(k * 1_000_000, 0x18FEF100 + k % 3, bytes(8), channel="opc4") for k in range(1, 600)
+    ]
+    found = replayed(tmp_path, sorted([*log, *strange], key=lambda f: f.time_ns))
+    assert not found.differs and found.account.foreign == 599
+    assert dict(found.foreign) == {"18FEF100": 199, "18FEF101": 200, "18FEF102": 200}
+
+
+@pytest.mark.parametrize(
+    ("keep", "complaint"),
+    [
+        (lambda f: f.can_id != ID_OF[ValveCommand], "no ValveCommand in it"),
+        (lambda f: f.can_id != ID_OF[ShiftRequest], "no ShiftRequest in it"),
+        (lambda f: f.time_ns < 95_000_000, "no valve was ever energised"),
+    ],
+)
+def test_a_log_in_which_nothing_was_engaged_is_refused(
+    tmp_path: Path, keep: object, complaint: str
+) -> None:
+    path = write(tmp_path / "x.log", [f for f in frames("lab_n_b") if keep(f)])  # type: ignore[operator]
+    with pytest.raises(InputError) as refused:
+        replay(Order(str(path)))
+    assert complaint in str(refused.value) and str(path) in str(refused.value)
