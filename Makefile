@@ -1,13 +1,14 @@
 # make demo   install into .venv and run one full truck shift over CAN
 # make test   install into .venv and run the tests (needs no root, no CAN hardware)
 # make lint   ruff, mypy and the import rules
+# make golden say what the firmware does differently, and record the golden replays anew
 PYTHON ?= python3
 VENV   ?= .venv
 PY     := $(VENV)/bin/python
 MARK   ?= not slow and not vcan
 DEMO   ?= runs/demo
 
-.PHONY: demo test slow lint clean
+.PHONY: demo test slow lint golden clean
 .DELETE_ON_ERROR:
 
 # One stamp per set of extras; an edited requirement installs again, edited source does not.
@@ -44,6 +45,9 @@ lint: $(VENV)/.dev
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
+
+golden: $(VENV)/.dev
+	$(PY) -m sil.replay.golden tests/golden --update
 
 clean:
 	rm -rf runs build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -113,4 +113,5 @@ def test_a_checkout_without_a_controller_is_refused(tmp_path: Path) -> None:
 def test_a_foreign_unit_that_ends_is_told() -> None:
     unit = ForeignUnit(ROOT, FirmwareConfig(), "here")
     with pytest.raises(RunError, match=r"here: its firmware ended: .*skips the tick"):
-        unit.step(10_000_001, [])
+        for now_ns in (0, 10_000_001):
+            unit.step(now_ns, [])
