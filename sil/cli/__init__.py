@@ -19,6 +19,7 @@ COMMANDS = {
     "whatif": "a sweep over any values of model, firmware, sensor and bus",
     "identify": "flow maps, friction, exponents or oil damper from a campaign",
     "claims": "the thesis's claims: claimed, achieved, met or not",
+    "fmu": "plant or firmware as a co-simulation unit for other tools",
     "convert": "convert logs between candump, ASC, BLF, TRC, MF4 and CSV",
     "node": "run one participant of a scenario alone, on a bus",
     "bus": "transports found here; load and worst-case response times",

@@ -1,0 +1,44 @@
+"""Export the plant or the firmware of a scenario as an FMI 3.0 co-simulation unit.
+
+The unit runs in the Python of the importing tool, with opc4-sil installed there."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from sil.cli.options import add_model, say
+
+EXAMPLE = "example: opc4 fmu plant actuator.fmu --scenario lab_n_b --set valve.D_fall=0.02"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("what", choices=("plant", "controller"), help="side to export")
+    parser.add_argument("out", type=Path, metavar="OUT.fmu", help="file to write")
+    parser.add_argument(
+        "--scenario", default="lab_n_b", metavar="SCENARIO", help="whose values it takes [lab_n_b]"
+    )
+    parser.add_argument("--force", action="store_true", help="replace OUT.fmu")
+    add_model(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the unit."""
+    from can_dbc.errors import InputError
+    from sil import scenario
+    from sil.fmu.export import export
+
+    out: Path = arguments.out
+    if out.suffix != ".fmu":
+        raise InputError(f"{out}: not the name of a unit; expected OUT.fmu")
+    if not out.parent.is_dir():
+        raise InputError(f"{out}: no such folder; expected one that exists")
+    if out.exists() and not arguments.force:
+        raise InputError(f"{out}: exists; expected a new file, or --force")
+    loaded = scenario.load(
+        arguments.scenario, model=arguments.model, settings=arguments.settings
+    )
+    export(arguments.what, loaded, out)
+    say(f"{out}: {arguments.what} of {loaded.scenario.name}, FMI 3.0 co-simulation")
+    return 0

@@ -1,0 +1,138 @@
+"""The firmware as a co-simulation unit: sensor pulses, request and speeds in, commands out.
+
+Runs inside the importing tool's Python, where this package must be installed; settings.json beside
+this file is the scenario it was exported from. The firmware steps at every multiple of its period
+inside a communication step, its end excluded, with the inputs of that step; a new sample_index
+announces a new pulse.
+Checked by: tests/unit/sil/test_fmu.py
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pythonfmu3 import (
+    DefaultExperiment,
+    Float64,
+    Fmi3Causality,
+    Fmi3Initial,
+    Fmi3Slave,
+    Fmi3Variability,
+    Int32,
+)
+
+NS = 1_000_000_000
+NUMBERS_IN = ("pulse_s", "coil_temperature_k", "input_rad_s", "output_rad_s")
+CODES_IN = {"sample_index": "number of the latest pulse, 0 to 255; -1 before the first",
+            "request": "gear: 0 neutral, 1 backward, 2 forward"}  # fmt: skip
+NUMBERS_OUT = ("duty_b", "duty_n", "duty_f", "blow_remaining_s", "estimate_m")
+CODES_OUT = {"blow_chamber": "0 B, 1 N, 2 F, 3 none", "state": "of the shift state machine",
+             "confirmed": "gear: 0 neutral, 1 backward, 2 forward, 3 unknown",
+             "faults": "bits of the reported faults"}  # fmt: skip
+
+
+class Opc4Controller(Fmi3Slave):
+    """The OPC4 firmware at its own period."""
+
+    author = "opc4-sil"
+    description = "OPC4 firmware: position from pulses, filter, shift state machine, strategy."
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        settings = json.loads((Path(str(self.resources)) / "settings.json").read_text())
+        from controller.firmware import Firmware
+        from sil.assembly import gear_of
+        from sil.scenario import restore
+
+        scenario = restore(settings["scenario"], "settings.json").scenario
+        self.guid = settings["token"]
+        self.firmware = Firmware(scenario.controller)
+        self.period_ns = scenario.controller.period_ns
+        self.default_experiment = DefaultExperiment(
+            0.0, scenario.duration_s, scenario.controller.period_s
+        )
+        self._seen_index = -1
+        self.time = 0.0
+        self.register_variable(
+            Float64(
+                "time",
+                causality=Fmi3Causality.independent,
+                variability=Fmi3Variability.continuous,
+            )
+        )
+        discrete = Fmi3Variability.discrete
+        for name in NUMBERS_IN:
+            setattr(self, name, 293.15 if name == "coil_temperature_k" else 0.0)
+            self.register_variable(
+                Float64(name, causality=Fmi3Causality.input, variability=discrete)
+            )
+        for name, told in CODES_IN.items():
+            setattr(self, name, -1 if name == "sample_index" else int(gear_of(scenario.initial_gear)))
+            self.register_variable(
+                Int32(name, causality=Fmi3Causality.input, variability=discrete, description=told)
+            )
+        for name in NUMBERS_OUT:
+            setattr(self, name, 0.0)
+            self.register_variable(
+                Float64(
+                    name,
+                    causality=Fmi3Causality.output,
+                    variability=discrete,
+                    initial=Fmi3Initial.calculated,
+                )
+            )
+        for name, told in CODES_OUT.items():
+            setattr(self, name, 3 if name in ("blow_chamber", "confirmed") else 0)
+            self.register_variable(
+                Int32(
+                    name,
+                    causality=Fmi3Causality.output,
+                    variability=discrete,
+                    initial=Fmi3Initial.calculated,
+                    description=told,
+                )
+            )
+
+    def do_step(self, current_time: float, step_size: float) -> bool:
+        """Step the firmware at each of its ticks within this communication step."""
+        begin_ns, end_ns = round(current_time * NS), round((current_time + step_size) * NS)
+        tick_ns = -(-begin_ns // self.period_ns) * self.period_ns
+        while tick_ns < end_ns:
+            self._tick(tick_ns)
+            tick_ns += self.period_ns
+        self.time = current_time + step_size
+        return True
+
+    def _tick(self, now_ns: int) -> None:
+        from can_dbc.messages import DrivelineSpeeds, Gear, PositionPulse, ShiftRequest
+        from controller.firmware import ChannelState, Inputs
+
+        pulses: tuple[PositionPulse, ...] = ()
+        if self.sample_index >= 0 and self.sample_index != self._seen_index:
+            self._seen_index = self.sample_index
+            pulses = (PositionPulse(self.pulse_s, self.coil_temperature_k, self.sample_index),)
+        state = ChannelState.VALID
+        out = self.firmware.step(
+            now_ns,
+            Inputs(
+                pulses=pulses,
+                request=ShiftRequest(Gear(self.request)),
+                speeds=DrivelineSpeeds(self.input_rad_s, self.output_rad_s),
+                position_state=state if self._seen_index >= 0 else ChannelState.INIT,
+                request_state=state,
+                speeds_state=state,
+            ),
+        )
+        self.duty_b, self.duty_n, self.duty_f = (
+            out.valves.duty_b,
+            out.valves.duty_n,
+            out.valves.duty_f,
+        )
+        self.blow_chamber = int(out.blow.chamber)
+        self.blow_remaining_s = out.blow.remaining_s if out.blow.active else 0.0
+        self.estimate_m = out.status.estimate_m
+        self.state = int(out.status.state)
+        self.confirmed = int(out.status.confirmed)
+        self.faults = int(out.status.faults)

@@ -1,0 +1,137 @@
+"""pytest plugin: scenario files as tests, and a fixture that runs scenarios.
+
+In the project's pytest configuration, `opc4_scenarios = scenarios/*.toml` collects each matching
+file as one test, which passes when every expectation of its scenario is met. `--opc4-out DIR` keeps
+each run's folder (picture, page, log, trace) there. The fixture `opc4_run` runs a scenario, given
+by file, shipped name or table, and returns the run with its checks.
+Checked by: tests/unit/sil/test_pytest_plugin.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from sil.memory import MemoryRun
+    from sil.results import Check
+    from sil.scenario import Loaded
+
+PATTERNS, OUT = "opc4_scenarios", "--opc4-out"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Declare the configuration value and the option."""
+    parser.addini(PATTERNS, "scenario files that are tests, by pattern from the root", "linelist")
+    group = parser.getgroup("opc4")
+    group.addoption(OUT, metavar="DIR", help="keep the folder of each scenario run in DIR")
+
+
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFile | None:
+    """Take the files that the configuration names."""
+    if file_path.suffix != ".toml":
+        return None
+    root = parent.config.rootpath
+    wanted = parent.config.getini(PATTERNS)
+    if not wanted or not file_path.is_relative_to(root):
+        return None
+    place = file_path.relative_to(root)
+    if not any(place.match(pattern) for pattern in wanted):
+        return None
+    found: ScenarioFile = ScenarioFile.from_parent(parent, path=file_path)
+    return found
+
+
+class ScenarioFile(pytest.File):
+    """A scenario file: one test."""
+
+    def collect(self) -> Iterable[ScenarioItem]:
+        """The one test of the file."""
+        yield ScenarioItem.from_parent(self, name=self.path.stem)
+
+
+class Unmet(Exception):
+    """Expectations that a run did not meet."""
+
+
+class ScenarioItem(pytest.Item):
+    """One scenario, run and judged."""
+
+    def runtest(self) -> None:
+        """Run it; Unmet lists what was not met."""
+        from sil import scenario
+
+        loaded = scenario.load(str(self.path))
+        out = self.config.getoption(OUT)
+        checks = _in_memory(loaded).checks if out is None else _kept(loaded, Path(out) / self.name)
+        failed = [c for c in checks if not c.passed]
+        if failed:
+            raise Unmet("\n".join(f"{c.name}: {c.value}; expected {c.limit}" for c in failed))
+
+    def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
+        """What was not met, or the one line of bad input; a traceback only for the unexpected."""
+        from can_dbc.errors import InputError, RunError
+
+        if isinstance(excinfo.value, Unmet | InputError | RunError):
+            return str(excinfo.value)
+        return super().repr_failure(excinfo, style)
+
+    def reportinfo(self) -> tuple[Path, int | None, str]:
+        """Where the test is."""
+        return self.path, None, f"scenario {self.name}"
+
+
+@dataclass(frozen=True)
+class ScenarioRun:
+    """A finished run in memory, and the checks of its scenario's expectations."""
+
+    loaded: Loaded
+    run: MemoryRun
+    checks: list[Check]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every expectation was met."""
+        return all(check.passed for check in self.checks)
+
+
+def _in_memory(loaded: Loaded) -> ScenarioRun:
+    from sil.expectations import evaluate
+    from sil.memory import run_in_memory
+
+    run = run_in_memory(loaded)
+    checks = evaluate(loaded.scenario.expect, run.record, run.shifts, run.figures)
+    return ScenarioRun(loaded, run, checks)
+
+
+def _kept(loaded: Loaded, folder: Path) -> list[Check]:
+    from can_dbc.errors import RunError
+    from sil import cosim
+    from sil.report.run_report import write_report
+    from sil.results import prepare_folder
+
+    finished = cosim.run(loaded, prepare_folder(folder, loaded.scenario.name, True))
+    if not finished.result.complete:
+        raise RunError(finished.result.why or "the run did not finish")
+    write_report(finished, folder)
+    return list(finished.result.expectations)
+
+
+@pytest.fixture
+def opc4_run() -> Callable[..., ScenarioRun]:
+    """Run a scenario: `opc4_run("lab_n_b", "controller.filter=false")`, or a table of its values."""
+
+    def run(what: str | Path | Mapping[str, Any], *settings: str) -> ScenarioRun:
+        from sil import scenario
+
+        if isinstance(what, Mapping):
+            loaded = scenario.from_table(what, "scenario", settings=settings)
+        else:
+            loaded = scenario.load(str(what), settings=settings)
+        return _in_memory(loaded)
+
+    return run

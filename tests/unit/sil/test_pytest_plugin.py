@@ -1,0 +1,84 @@
+"""The plugin as a user's project meets it: a pytest of its own, in a folder of its own."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sil.scenario import shipped
+from tests.conftest import ROOT
+
+FIXTURE_TEST = """
+def test_filter(opc4_run):
+    slow = opc4_run("lab_n_b")
+    fast = opc4_run("lab_n_b", "controller.filter=false")
+    assert slow.passed
+    lag = lambda run: run.run.shifts[0].position_lag_90_s
+    assert lag(slow) > lag(fast) + 0.02
+"""
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A user's project with a scenario that passes and one that does not."""
+    (tmp_path / "pytest.ini").write_text("[pytest]\nopc4_scenarios = scenarios/*.toml\n")
+    (tmp_path / "scenarios").mkdir()
+    good = tmp_path / "scenarios" / "good.toml"
+    shutil.copy(shipped()["lab_n_b"], good)
+    text = good.read_text().replace('final_gear = "backward"', 'final_gear = "forward"')
+    (tmp_path / "scenarios" / "bad.toml").write_text(text)
+    (tmp_path / "scenarios" / "broken.toml").write_text("name = 3\n")
+    (tmp_path / "other.toml").write_text("[tool]\nx = 1\n")
+    (tmp_path / "test_filter.py").write_text(FIXTURE_TEST)
+    return tmp_path
+
+
+def run(folder: Path, *arguments: str) -> tuple[int, str]:
+    """Exit code and output of pytest in a folder, with the plugin."""
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *PLUGIN, *arguments],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+def _plugin() -> list[str]:
+    """Nothing where the plugin is installed, else its name."""
+    from importlib.metadata import entry_points
+
+    known = [e.value for e in entry_points(group="pytest11") if e.name == "opc4"]
+    return [] if known else ["-p", "sil.pytest_plugin"]
+
+
+PLUGIN = _plugin()
+
+
+def test_scenarios_and_the_fixture_are_tests(project: Path) -> None:
+    code, told = run(project)
+    assert code == 1 and "2 failed, 2 passed" in told
+    assert "final gear: backward; expected forward" in told
+    assert "broken.toml: name: 3 is wrong" in told or "broken.toml: name" in told
+    assert "Traceback" not in told
+
+
+def test_the_runs_are_kept(project: Path) -> None:
+    code, told = run(project, "--opc4-out", "kept", "scenarios/good.toml")
+    assert code == 0 and "1 passed" in told
+    kept = {path.name for path in (project / "kept" / "good").iterdir()}
+    assert {"result.json", "bus.log", "trace.csv", "shift.png", "report.html"} <= kept
+
+
+def test_nothing_is_collected_without_the_configuration(project: Path) -> None:
+    (project / "pytest.ini").write_text("[pytest]\n")
+    code, told = run(project, "scenarios")
+    assert code == 5 and "no tests ran" in told
