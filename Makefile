@@ -5,7 +5,7 @@
 PYTHON ?= python3
 VENV   ?= .venv
 PY     := $(VENV)/bin/python
-MARK   ?= not slow and not vcan
+MARK   ?= not slow and not vcan and not browser
 DEMO   ?= runs/demo
 
 .PHONY: demo test slow lint golden clean
@@ -39,7 +39,7 @@ test: $(VENV)/.dev
 	$(PY) -m pytest -m "$(MARK)" tests
 
 slow: $(VENV)/.dev
-	$(PY) -m pytest -m "slow and not vcan" tests
+	$(PY) -m pytest -m "slow and not vcan and not browser" tests
 
 lint: $(VENV)/.dev
 	$(VENV)/bin/ruff check .

@@ -56,8 +56,8 @@ def tiles(metrics: dict[str, Any]) -> list[dict[str, str]]:
     ]
 
 
-def run_page(result: Result, picture: bytes | None) -> str:
-    """Return the page of a run; `picture` is a PNG on light paper."""
+def run_page(result: Result, picture: bytes | None, plots: dict[str, str] | None = None) -> str:
+    """Return the page of a run; `picture` is a PNG on light paper, `plots` of `run_plots`."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -79,6 +79,7 @@ def run_page(result: Result, picture: bytes | None) -> str:
     return environment.get_template("run.html").render(
         result=plain,
         tiles=tiles(result.metrics),
+        plots=plots,
         picture=picture and base64.b64encode(picture).decode(),
         details=json.dumps(finite(details), indent=1, ensure_ascii=False),
     )

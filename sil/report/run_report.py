@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from sil.report.page import run_page
 from sil.report.picture import draw_shift
+from sil.report.run_plots import run_plots
 from sil.results import write_whole
 
 if TYPE_CHECKING:
@@ -21,4 +22,5 @@ def write_report(finished: Finished, folder: Path) -> None:
     subtitle = result.scenario["description"].strip().split("\n")[0]
     picture = draw_shift(record, finished.shifts, title, subtitle)
     (folder / "shift.png").write_bytes(picture)
-    write_whole(folder / "report.html", run_page(result, picture))
+    plots = run_plots(record, finished.shifts)
+    write_whole(folder / "report.html", run_page(result, picture, plots))
