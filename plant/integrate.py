@@ -22,9 +22,11 @@ from .events import (
     smallest,
     some_negative,
 )
+from .filling import CHAMBER_ROW, STILL, W_KIND, chamber_pressure
 from .layout import (
     FIXED,
     FLOW_MODEL,
+    FP1,
     LEAK_ATM,
     LEAK_PISTON,
     M_BLOCKED,
@@ -32,6 +34,7 @@ from .layout import (
     M_LINE,
     M_OIL_REST,
     M_SYSTEM,
+    PB,
     SEAL_MU,
     TERM_EQUATION,
 )
@@ -39,7 +42,7 @@ from .length_contacts import (
     GUARDS,
     note_side,
 )
-from .rest import pressures_after, rest_jump
+from .rest import rest_jump
 from .steppers import (
     derivative,
     explicit_dense,
@@ -78,6 +81,27 @@ def rests_are_plain(p, m):
         and p[TERM_EQUATION] == 0.0
         and m[M_LINE] == 0
     )
+
+
+@called
+def sample_rest(t, until, begin, samples, out, fixed, rest, curves, y, n):
+    """Samples of a rest from t on; y holds all that does not move.  Returns the next sample's number."""
+    chambers = rows(rest, CHAMBER_ROW)
+    end = begin
+    while end < samples.shape[0] and samples[end] <= until:
+        end += 1
+    place = FP1 if fixed else PB
+    count = 2 if fixed else 3
+    for k in range(n):
+        row = chambers[max(k - place, 0)]
+        if k < place or k >= place + count or row[W_KIND] == STILL:
+            value = y[k]
+            for i in range(begin, end):
+                out[i, k] = value
+        else:
+            for i in range(begin, end):
+                out[i, k] = chamber_pressure(max(samples[i] - t, 0.0), row, curves)
+    return end
 
 
 @kernel
@@ -211,11 +235,9 @@ def advance(
                         y[i] = y1[i]
                         if not abs(y[i]) < 1e300:
                             return NOT_FINITE
-                    while i_sample < n_sample and samples[i_sample] <= t_end:
-                        pressures_after(max(samples[i_sample] - t, 0.0), fixed, rest, curves, y1)
-                        for i in range(n):
-                            out[i_sample, i] = y1[i]
-                        i_sample += 1
+                    i_sample = sample_rest(
+                        t, t_end, i_sample, samples, out, fixed, rest, curves, y1, n
+                    )
                     t = t_end
                     if index >= 0:
                         after_event(t, index, y, m, p, record, work)

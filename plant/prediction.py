@@ -18,7 +18,7 @@ from .batch import Strokes
 from .filling import filling_curves
 from .hybrid import NS, REASONS, WORKSPACE, IntegrationError
 from .integrate import DONE, EVENT_COLUMNS, advance, start
-from .packing import Floats, active_states, initial_state, modes, scales
+from .packing import Floats, Ints, active_states, initial_state, modes, scales
 from .setup import Setup
 from .stroke import lagged, valve_moves
 from .tangents import neighbours
@@ -37,6 +37,14 @@ class Predictor:
     tolerance: float = FIT_TOLERANCE
     _workspace: Floats = field(default_factory=lambda: np.zeros(WORKSPACE))
     _events: Floats = field(default_factory=lambda: np.zeros((512, EVENT_COLUMNS)))
+    _happened: int = 0
+    _like: tuple | None = None
+    _ready: tuple[Ints, Floats, Floats] = field(init=False)
+
+    @property
+    def happened(self) -> Floats:
+        """Events of the last call of `states`, rows of `plant.integrate.EVENT_COLUMNS`."""
+        return self._events[: self._happened]
 
     def states(self, setup: Setup) -> Floats:
         """States [n, states] at the instants; pressures behind the lines' lag if there is one.
@@ -53,17 +61,21 @@ class Predictor:
         names = conditions.chambers
         for chamber, pressure in setup.residual_pa.items():
             y[first + names.index(chamber)] += pressure
-        m = modes(system, conditions.loads())
-        m[L.M_LINE] = 1 if setup.has_line else 0
-        n = active_states(system, m)
-        u0 = np.zeros(3)
-        for index, name in enumerate(names):
-            u0[index] = 1.0 if name in conditions.charged_before else 0.0
         end_ns = int(self.sample_ns[-1])
-        moves = valve_moves(setup, end_ns)
-        rows = np.zeros((len(moves), 4))
-        for k, (instant, chamber_index, target, slope) in enumerate(moves):
-            rows[k] = (instant / NS, chamber_index, target, slope)
+        like = (conditions, setup.timing, setup.creep_s, setup.has_line)
+        if self._like != like:
+            m = modes(system, conditions.loads())
+            m[L.M_LINE] = 1 if setup.has_line else 0
+            u0 = np.zeros(3)
+            for index, name in enumerate(names):
+                u0[index] = 1.0 if name in conditions.charged_before else 0.0
+            moves = [(at / NS, *move) for at, *move in valve_moves(setup, end_ns)]
+            self._like = like
+            self._ready = (m, u0, np.array(moves, dtype=np.float64).reshape(-1, 4))
+        fresh_m, fresh_u0, rows = self._ready
+        m = fresh_m.copy()
+        u0 = fresh_u0.copy()
+        n = active_states(system, m)
         samples = self.sample_ns / NS
         out = np.zeros((len(samples), n))
         counts = np.zeros(4, dtype=np.int64)
@@ -89,6 +101,7 @@ class Predictor:
             self._workspace,
             *filling_curves(setup.c),
         )
+        self._happened = int(counts[0])
         if code != DONE:
             raise IntegrationError(f"integration stopped: {REASONS[code]}")
         if setup.gauge_lag_s > 0.0:

@@ -7,24 +7,26 @@ events, the mode is a parameter of the equations.
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import metadata
 
 import numpy as np
 
 from ._piston import Floats, Piston, Shown
 
+SETTINGS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-9)
+
 
 def version() -> str | None:
     """heyoka's version, None where it is not installed."""
     try:
-        import heyoka  # type: ignore[import-not-found]
-    except ImportError:
+        return metadata.version("heyoka")
+    except metadata.PackageNotFoundError:
         return None
-    return str(heyoka.__version__)
 
 
 def solver(piston: Piston, opening_s: float, times: Floats, tolerance: float) -> Callable[[], Shown]:
     """A function that solves the stroke; valve 1 opens at `opening_s`, one of `times`."""
-    import heyoka as hy
+    import heyoka as hy  # type: ignore[import-not-found]
 
     x, v, first, second = hy.make_vars("x", "v", "p1", "p2")
     moving = hy.par[0]

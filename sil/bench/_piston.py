@@ -149,19 +149,21 @@ def solve_with_scipy(
     times: Floats,
     method: str = "LSODA",
     tolerance: float = 1e-6,
+    begin_s: float = 0.0,
 ) -> Shown:
     """One stroke by solve_ivp, restarted at every event and switch (time, valve, position).
 
-    Starts at rest, vented; pressures at `times`.  Raises RuntimeError if the piston does not arrive.
+    Starts at rest, vented, and at `begin_s`, before which nothing may switch; pressures at `times`.
+    Raises RuntimeError if the piston does not arrive.
     """
     from scipy.integrate import solve_ivp
 
     atol = tolerance * np.array([1e-3, 1e-1, 1e5, 1e5])
-    pressures = np.zeros((len(times), 2))
+    pressures = np.full((len(times), 2), piston.atmosphere)
     y = np.array([0.0, 0.0, piston.atmosphere, piston.atmosphere])
     valves = [0, 0]
     pending = list(switches)
-    t, end = 0.0, float(times[-1])
+    t, end = begin_s, float(times[-1])
     direction = 0
     impact, speed = np.nan, np.nan
     while t < end:

@@ -1,0 +1,120 @@
+"""The length stroke with its three valves: our kernels beside our own scipy path, the tests' judge."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+
+import numpy as np
+
+from .integrator import OUR_SETTINGS, SCIPY_SETTINGS, Floats, Shown, best_s, cheapest, row
+
+KINDS = ("N-B", "B-N", "N-F", "F-N")
+SUPPLIES_PA = (9e5, 7e5)
+TIMES = np.arange(251) * 1e-3
+BATCH = 10_000
+
+
+def measure() -> Iterator[str]:
+    """Lines of the table; the judge is found when run from the repository's folder."""
+    from plant import layout as L
+    from plant.batch import Strokes, simulate_batch
+    from plant.integrate import DONE, EVENT_LOST, EVENT_SPEED, EVENT_TIME
+    from plant.parameters import load
+    from plant.prediction import Predictor
+    from plant.setup import make_setup
+    from plant.stroke_conditions import StrokeConditions
+
+    try:
+        judge = importlib.import_module("tests.reference.actuator")
+    except ImportError:
+        yield "length stroke: its scipy path is tests/reference/actuator.py; run this in the repository"
+        return
+    cases = []
+    for kind in KINDS:
+        for supply_pa in SUPPLIES_PA:
+            old, new = kind[0], kind[-1]
+            cases.append(
+                StrokeConditions(
+                    kind, supply_pa, ((0.01, new, 0.98), (0.01, old, 0.0)), charged_before=(old,)
+                )
+            )
+    actuators = [
+        judge.actuator(
+            judge.Case(c.kind, c.supply_pressure_pa, c.commands, charged=c.charged_before)
+        )
+        for c in cases
+    ]
+
+    def by_scipy(tolerance: float, longest_s: float = np.inf) -> list[Shown]:
+        found = []
+        for actuator in actuators:
+            solution = actuator.solve(TIMES, rtol=tolerance, max_step=longest_s)
+            stop = next(h for h in solution.happenings if h.name == "stop")
+            first = actuator.first_pressure
+            found.append(
+                Shown(stop.time_s, stop.speed_m_s, solution.states[:, first : first + 3])
+            )
+        return found
+
+    reference = by_scipy(1e-11, 5e-4)
+    yield (
+        f"length stroke: two valves switched, the third open to the atmosphere, {TIMES[-1]} s, "
+        f"{len(TIMES)} samples; worst of {len(cases)} (four shifts, two supplies)"
+    )
+    setting, worst = cheapest(by_scipy, SCIPY_SETTINGS, reference)
+    floor_s = best_s(lambda: by_scipy(setting), 2) / len(cases)
+    yield row("the judge, scipy solve_ivp DOP853, events", floor_s, [floor_s], setting, worst)
+    setups = [make_setup(load(), c) for c in cases]
+    samples = np.rint(TIMES * 1e9).astype(np.int64)
+
+    def one_by_one(tolerance: float) -> list[Shown]:
+        predictor = Predictor(samples, tolerance)
+        found = []
+        for setup in setups:
+            states = predictor.states(setup)
+            stop = next(e for e in predictor.happened if e[EVENT_SPEED] > 0.0 and e[EVENT_LOST] > 0.0)
+            found.append(Shown(stop[EVENT_TIME], stop[EVENT_SPEED], states[:, L.PB : L.PF + 1]))
+        return found
+
+    setting, worst = cheapest(one_by_one, OUR_SETTINGS, reference)
+    predictor = Predictor(samples, setting)
+
+    def loop() -> None:
+        for setup in setups:
+            predictor.states(setup)
+
+    each_s = best_s(loop, 40) / len(cases)
+    yield row("ours, one by one from Python", each_s, [floor_s], setting, worst)
+    pressures = [L.PB, L.PN, L.PF]
+
+    def together(tolerance: float) -> list[Shown]:
+        found: list[Shown] = []
+        for kind in KINDS:
+            some = [s for s in setups if s.conditions.kind == kind]
+            result = simulate_batch(
+                Strokes.from_setups(some, TIMES[-1]),
+                sample_s=TIMES, columns=pressures, tolerance=tolerance,
+            )  # fmt: skip
+            rows = zip(result.arrival_s, result.impact_speed_m_s, result.samples, strict=True)
+            found += [Shown(*item) for item in rows]
+        return found
+
+    setting, worst = cheapest(together, OUR_SETTINGS, reference)
+    draw = np.random.default_rng(2)
+    changes: dict[int, float | Floats] = {
+        L.P_SUPPLY: draw.uniform(7e5, 1e6, BATCH),
+        L.M_S: setups[0].p[L.M_S] * draw.uniform(0.8, 1.5, BATCH),
+        L.K_OUT: draw.uniform(0.9, 1.1, BATCH),
+    }
+    many = Strokes.varied(setups[0], TIMES[-1], changes)
+    result = simulate_batch(many, sample_s=TIMES, columns=pressures, tolerance=setting)
+    if not (result.in_lanes.all() and (result.status == DONE).all()):
+        raise RuntimeError("a stroke of the batch did not run")
+    each_s = (
+        best_s(
+            lambda: simulate_batch(many, sample_s=TIMES, columns=pressures, tolerance=setting), 2
+        )
+        / BATCH
+    )
+    yield row(f"ours, {BATCH} N-B at once", each_s, [floor_s], setting, worst)
