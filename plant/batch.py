@@ -103,7 +103,14 @@ class Strokes:
         """
         if len({setup.conditions.system for setup in setups}) != 1:
             raise ValueError("a batch holds strokes of one system")
-        items = [_arrays(setup, duration_s) for setup in setups]
+        like: tuple | None = None
+        driven: tuple[Ints, Floats, Floats] | None = None
+        items = []
+        for setup in setups:
+            same = (setup.conditions, setup.timing, setup.creep_s, setup.has_line)
+            if driven is None or same != like:
+                like, driven = same, _driven(setup, duration_s)
+            items.append((setup.p, setup.c, _initial(setup), *driven))
         packed, flow, initial, modes_, valves, switches = zip(*items, strict=True)
         longest = max(len(item) for item in switches)
         return cls(
@@ -156,10 +163,8 @@ class Strokes:
         return plain & (self.modes[:, list(MODES_FREE_OF)] == 0).all(axis=1)
 
 
-def _arrays(
-    setup: Setup, duration_s: float
-) -> tuple[Floats, Floats, Floats, Ints, Floats, Floats]:
-    """Parameters, flow map, initial state, modes, valves and switches of one stroke."""
+def _initial(setup: Setup) -> Floats:
+    """State at time 0."""
     conditions = setup.conditions
     system = conditions.system
     y = initial_state(
@@ -171,7 +176,13 @@ def _arrays(
     first = L.FP1 if system == L.FIXED else L.PB
     for chamber, pressure in setup.residual_pa.items():
         y[first + conditions.chambers.index(chamber)] += pressure
-    m = modes(system, conditions.loads())[: L.MODES]
+    return y
+
+
+def _driven(setup: Setup, duration_s: float) -> tuple[Ints, Floats, Floats]:
+    """Modes, valves and switches: what the conditions and the valves' timing decide."""
+    conditions = setup.conditions
+    m = modes(conditions.system, conditions.loads())[: L.MODES]
     m[L.M_LINE] = 1 if setup.has_line else 0
     valves = np.zeros(3)
     for index, name in enumerate(conditions.chambers):
@@ -180,7 +191,7 @@ def _arrays(
         (instant / NS, chamber, target, slope)
         for instant, chamber, target, slope in valve_moves(setup, round(duration_s * NS))
     ]
-    return setup.p, setup.c, y, m, valves, np.array(switches).reshape(-1, 4)
+    return m, valves, np.array(switches).reshape(-1, 4)
 
 
 def _padded(switches: Floats, rows: int) -> Floats:

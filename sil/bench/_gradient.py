@@ -9,7 +9,7 @@ import numpy as np
 
 from .integrator import Floats, best_s
 
-TIMES = np.arange(301) * 1e-3
+TIMES = np.linspace(0.0, 0.3, 301)
 REFERENCE_SHARE = 3e-5
 
 

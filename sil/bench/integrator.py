@@ -20,7 +20,7 @@ from ._piston import Floats, Piston, Shown, solve_with_scipy
 IMPACT_S, SPEED_M_S, PRESSURE_PA = 1e-6, 1e-3, 200.0
 END_S = 0.25
 OPENING_S = 0.018
-TIMES = np.unique(np.append(np.arange(251) * 1e-3, OPENING_S))
+TIMES: Floats = np.unique(np.append(np.arange(251) * 1e-3, OPENING_S))
 STROKES = 24
 BATCH = 10_000
 SCIPY_SETTINGS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
