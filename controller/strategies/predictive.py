@@ -41,7 +41,7 @@ class Predictive(Foresight):
     """Take the first step of the sequence with the lowest cost in the light model (thesis 4.2.2).
 
     Cost = impact speed + time_weight * time + way_weight * way left at the horizon. At most
-    27 * horizon/0.5 ms model steps of some 60 operations: 200,000 a step at a horizon of 60 ms.
+    27 * horizon/0.5 ms model steps of some 75 operations: 250,000 a step at a horizon of 60 ms.
     Checked by test_strategies_foresight.
     """
 

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 EXAMPLE = "example: opc4 whatif sensor_delay --workers 2 --out sweep/"
 
@@ -28,7 +29,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.results import finite, prepare_folder, write_whole
     from sil.whatif.engine import RESULTS, STATE, run_study
     from sil.whatif.page import page
-    from sil.whatif.pictures import draw
+    from sil.whatif.pictures import draw, read_metrics
     from sil.whatif.study import load_study, shipped
     from sil.whatif.table import read_table, summary
 
@@ -87,6 +88,9 @@ def run(arguments: argparse.Namespace) -> int:
         print(sentence)
     groups = {} if study.study.safety else told["groups"]
     for name, entry in groups.items():
+        if study.study.kind != "runs":
+            print(f"{name or study.study.name}: {brief(entry, read_metrics(study))}")
+            continue
         speed = entry.get("impact_speed_m_s")
         time = entry.get("shift_time_s") or entry.get("arrival_s")
         parts = [f"{entry['rows']} rows"]
@@ -98,3 +102,13 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"{name or study.study.name}: {', '.join(parts)}")
     print(f"{told['rows']} rows ({now} run now) in {folder}")
     return 0
+
+
+def brief(entry: dict[str, Any], metrics: list[str]) -> str:
+    """The first metrics of a group of rows on one line: value, or least to greatest."""
+    parts = [f"{entry['rows']} rows"] if entry["rows"] > 1 else []
+    for name in metrics:
+        if name in entry:
+            low, high = entry[name]["min"], entry[name]["max"]
+            parts.append(f"{name} {low:.3g}" + (f" to {high:.3g}" if high > low else ""))
+    return ", ".join(parts) or "nothing to tell"

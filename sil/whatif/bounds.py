@@ -1,352 +1,287 @@
-"""What no controller can beat: the softest arrival that any valve sequence can reach.
+"""What no controller can beat: the softest worst-case arrival over loads that differ in an unknown.
 
-Clairvoyant: everything is known in advance, and the commands of the driving and of the neutral
-valve may change at any instant. The search is over the instants of at most six changes, on the
-plant's own equations: first a coarse grid over every pattern, then the best of each refined.
-Non-anticipating: a load shows only in the motion it makes different, and an action that depends on
-it comes no sooner than that plus the information delay; before that all loads share their commands.
-What a search finds is what a sequence reaches: an upper estimate of the bound, which the refinement
-can only lower. Checked by tests/unit/sil/test_bounds.py.
+(a) Clairvoyant: the load is known in advance, and the commands of the driving and of the neutral
+valve may change at any instants, six in all.
+(b) Non-anticipating: a policy is a stem of commands that all loads of a family share, and for each
+load an ending of its own that begins no sooner than the event that tells the load apart plus the
+information delay. That is everything a controller with that delay can do, whatever it computes;
+a negative delay stands for a release that is known ahead.
+
+Both are minima over switching instants found by a search on the plant's own equations (random
+starts for every pattern, the best refined), so each figure is a policy that exists: an upper
+estimate of the true bound, which no proof closes from below. Random policies and every strategy are
+held against it. Checked by tests/unit/sil/test_bounds.py.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from can_dbc.errors import RunError
-from plant.hybrid import IntegrationError
 from plant.parameters import ParameterSet
-from plant.stroke import simulate
-from plant.stroke_conditions import FULL_DUTY, StrokeConditions
+from sil.whatif.shooting import Arrivals, Commands, Family, LoadCase, Shooter
 
 MOST_SWITCHES = 6
-NEVER_M_S = math.inf
+BUDGET = 60
+"""Starting sequences of each pattern."""
+LEAST_STEP_S = 5e-5
+LATE_S = 0.06
+"""Half of the starting instants lie so close before the limit: there the stop is decided."""
 
 
 @dataclass(frozen=True)
-class LoadCase:
-    """What a shift from neutral to backward meets."""
+class Best:
+    """The best sequence found under one load, and how it arrives."""
 
-    name: str
-    supply_pressure_pa: float = 900000.0
-    mounted: bool = False
-    mesh_force_n: float = 0.0
-    sync_impulse_n_s: float = 0.0
-
-
-LOADS = (
-    LoadCase("lab, 9 bar"),
-    LoadCase("lab, 6 bar", supply_pressure_pa=600000.0),
-    LoadCase("truck, easy", mounted=True, mesh_force_n=500.0, sync_impulse_n_s=18.0),
-    LoadCase("truck, typical", mounted=True, mesh_force_n=1300.0, sync_impulse_n_s=78.0),
-    LoadCase("truck, 2.2 kN", mounted=True, mesh_force_n=1300.0, sync_impulse_n_s=250.0),
-)
-"""The load cases of the shipped studies."""
-
-
-@dataclass(frozen=True)
-class Commands:
-    """Instants at which the two commands change, s: the driving valve from on, neutral from off."""
-
-    driving_s: tuple[float, ...] = ()
-    braking_s: tuple[float, ...] = ()
-
-    @property
-    def switches(self) -> int:
-        """Number of changes."""
-        return len(self.driving_s) + len(self.braking_s)
-
-    def rows(self) -> tuple[tuple[float, str, float], ...]:
-        """The commands as a stroke takes them; driving is on from time 0."""
-        rows = [(0.0, "B", FULL_DUTY)]
-        for k, at_s in enumerate(self.driving_s):
-            rows.append((at_s, "B", FULL_DUTY if k % 2 else 0.0))
-        for k, at_s in enumerate(self.braking_s):
-            rows.append((at_s, "N", 0.0 if k % 2 else FULL_DUTY))
-        return tuple(sorted(rows, key=lambda row: row[0]))
-
-    def until(self, time_s: float) -> Commands:
-        """The changes up to a time."""
-        return Commands(
-            tuple(t for t in self.driving_s if t <= time_s),
-            tuple(t for t in self.braking_s if t <= time_s),
-        )
-
-
-@dataclass(frozen=True)
-class Arrival:
-    """How a sequence ends: impact speed and time from the first command; inf when it never does."""
-
+    commands: Commands
     speed_m_s: float
     time_s: float
 
 
-NEVER = Arrival(NEVER_M_S, math.inf)
-
-
-@dataclass
-class Shooter:
-    """Arrivals of command sequences under one load, on the plant's equations.
-
-    until_s: an arrival later than this is none. `runs` counts the simulations made.
-    """
-
-    parameters: ParameterSet
-    case: LoadCase
-    until_s: float
-    runs: int = 0
-
-    def conditions(self, commands: Commands) -> StrokeConditions:
-        """The stroke that a sequence makes."""
-        case = self.case
-        return StrokeConditions(
-            "N-B",
-            case.supply_pressure_pa,
-            commands.rows(),
-            mounted=case.mounted,
-            mesh_force_n=case.mesh_force_n,
-            sync_impulse_n_s=case.sync_impulse_n_s,
-        )
-
-    def arrival(self, commands: Commands) -> Arrival:
-        """Simulate a sequence up to its first impact on the gear's stop."""
-        self.runs += 1
-        times = np.array([0.0, self.until_s])
-        try:
-            stroke = simulate(self.parameters, self.conditions(commands), times, internal=False)
-        except IntegrationError:
-            return NEVER
-        impact = stroke.impact
-        if impact is None or impact.position_m < 0.5 * self.parameters.value("length.stroke"):
-            return NEVER
-        return Arrival(float(impact.speed_m_s), float(impact.time_s))
-
-    def first_motion_s(self, commands: Commands, seen_m: float = 5e-5) -> float:
-        """When the stay has left neutral by `seen_m`; inf if it never does."""
-        times = np.arange(round(self.until_s / 1e-4) + 1, dtype=np.float64) * 1e-4
-        stroke = simulate(self.parameters, self.conditions(commands), times, internal=False)
-        moved = np.flatnonzero(np.abs(stroke.position_m) > seen_m)
-        return float(times[moved[0]]) if len(moved) else math.inf
-
-
-def patterns(most_switches: int = MOST_SWITCHES) -> Iterator[tuple[int, int]]:
+def patterns(most_switches: int) -> Iterator[tuple[int, int]]:
     """Numbers of changes of (driving, neutral), up to `most_switches` together."""
     for total in range(most_switches + 1):
         for driving in range(total + 1):
             yield driving, total - driving
 
 
-def coarse(
-    pattern: tuple[int, int], begin_s: float, end_s: float, budget: int, rng: np.random.Generator
-) -> Iterator[Commands]:
-    """Starting sequences of a pattern: its whole grid when the budget allows, else random ones."""
-    driving, braking = pattern
-    dimension = driving + braking
-    if dimension == 0:
-        yield Commands()
-        return
-    levels = 1
-    while math.comb(levels + 1, driving) * math.comb(levels + 1, braking) <= budget:
-        levels += 1
-    if levels >= 8:
-        grid = np.linspace(begin_s, end_s, levels)
-        for first in itertools.combinations(grid, driving):
-            for second in itertools.combinations(grid, braking):
-                yield Commands(tuple(map(float, first)), tuple(map(float, second)))
-        return
-    for _ in range(budget):
-        draws = begin_s + (end_s - begin_s) * rng.random(dimension)
-        yield Commands(
-            tuple(sorted(float(t) for t in draws[:driving])),
-            tuple(sorted(float(t) for t in draws[driving:])),
-        )
+def starts(
+    from_s: float, limit_s: float, most_switches: int, budget: int, rng: np.random.Generator
+) -> list[Commands]:
+    """Starting sequences: of each pattern all at once, and random ones over the time and its end."""
+    late_s = max(from_s, limit_s - LATE_S)
+    found = []
+    for driving, braking in patterns(most_switches):
+        if driving + braking == 0:
+            found.append(Commands())
+            continue
+        at_once = [from_s + 1e-6 * k for k in range(max(driving, braking))]
+        found.append(Commands(tuple(at_once[:driving]), tuple(at_once[:braking])))
+        for k in range(budget):
+            low_s = from_s if k % 2 else late_s
+            draws = low_s + (limit_s - low_s) * rng.random(driving + braking)
+            found.append(
+                Commands(
+                    tuple(sorted(map(float, draws[:driving]))),
+                    tuple(sorted(map(float, draws[driving:]))),
+                )
+            )
+    return found
 
 
-@dataclass(frozen=True)
-class Best:
-    """The best sequence found: its arrival, and the simulations spent."""
+def neighbours(commands: Commands, step_s: float, from_s: float) -> list[Commands]:
+    """The sequences that differ in one instant, by a step either way; order and start kept."""
+    found = []
+    for which in ("driving_s", "braking_s"):
+        times = getattr(commands, which)
+        for k in range(len(times)):
+            for sign in (1.0, -1.0):
+                moved = list(times)
+                moved[k] = max(from_s, moved[k] + sign * step_s)
+                if moved == sorted(moved) and moved != list(times):
+                    found.append(replace(commands, **{which: tuple(moved)}))
+    return found
 
-    commands: Commands
-    arrival: Arrival
-    runs: int
 
-
-def refine(shooter: Shooter, start: Best, begin_s: float, step_s: float, least_s: float) -> Best:
+def refined(shooter: Shooter, best: Best, fixed: Commands, from_s: float, step_s: float) -> Best:
     """Move one instant at a time, halving the step: no result is worse than the start."""
-    best = start
-    while step_s >= least_s:
-        better = False
-        for which, k, sign in [
-            (w, k, s)
-            for w in ("driving_s", "braking_s")
-            for k in range(len(getattr(best.commands, w)))
-            for s in (1.0, -1.0)
-        ]:
-            times = list(getattr(best.commands, which))
-            times[k] += sign * step_s
-            if times != sorted(times) or times[0] < begin_s:
-                continue
-            moved = replace(best.commands, **{which: tuple(times)})
-            arrival = shooter.arrival(moved)
-            if arrival.speed_m_s < best.arrival.speed_m_s:
-                best, better = Best(moved, arrival, shooter.runs), True
-        if not better:
+    tail = Commands(
+        best.commands.driving_s[len(fixed.driving_s) :],
+        best.commands.braking_s[len(fixed.braking_s) :],
+    )
+    while step_s >= LEAST_STEP_S:
+        moved = neighbours(tail, step_s, from_s)
+        if not moved:
+            break
+        found = shooter.shoot([fixed.then(each) for each in moved])
+        k = int(np.argmin(found.speed_m_s))
+        if found.speed_m_s[k] < best.speed_m_s:
+            tail = moved[k]
+            best = Best(fixed.then(tail), float(found.speed_m_s[k]), float(found.time_s[k]))
+        else:
             step_s *= 0.5
     return best
 
 
-def clairvoyant(
-    parameters: ParameterSet,
-    case: LoadCase,
-    within_s: float,
+def ending(
+    shooter: Shooter,
+    fixed: Commands,
+    from_s: float,
     *,
-    most_switches: int = MOST_SWITCHES,
-    budget: int = 150,
-    refined: int = 3,
-    seed: int = 0,
-    given: Commands = Commands(),
-    from_s: float = 0.0,
+    most_switches: int,
+    budget: int,
+    rng: np.random.Generator,
+    refine: int = 3,
 ) -> Best:
-    """Softest arrival within a time of the first command, everything known.
-
-    budget: coarse sequences a pattern; refined: how many of the best patterns are refined. `given`
-    fixes the changes up to `from_s`; only later ones are searched for.
-    """
-    shooter = Shooter(parameters, case, within_s)
-    rng = np.random.default_rng([seed, most_switches])
-    fixed = given.until(from_s)
-    found: list[Best] = []
-    for pattern in patterns(most_switches - fixed.switches):
-        best = Best(fixed, NEVER, 0)
-        for tail in coarse(pattern, from_s, within_s, budget, rng):
-            commands = Commands(fixed.driving_s + tail.driving_s, fixed.braking_s + tail.braking_s)
-            arrival = shooter.arrival(commands)
-            if arrival.speed_m_s < best.arrival.speed_m_s or best.runs == 0:
-                best = Best(commands, arrival, shooter.runs)
-        found.append(best)
-    found.sort(key=lambda best: best.arrival.speed_m_s)
-    coarse_step_s = 0.1 * (within_s - from_s)
-    refinements = [refine(shooter, b, from_s, coarse_step_s, 1e-4) for b in found[:refined]]
-    winner = min([*refinements, *found], key=lambda best: best.arrival.speed_m_s)
-    return replace(winner, runs=shooter.runs)
+    """Softest arrival when `fixed` has been commanded and everything after `from_s` is free."""
+    from_s = max(from_s, 0.0)
+    if from_s >= shooter.limit_s:
+        plain = shooter.shoot([fixed])
+        return Best(fixed, float(plain.speed_m_s[0]), float(plain.time_s[0]))
+    tails = starts(from_s, shooter.limit_s, most_switches, budget, rng)
+    found = shooter.shoot([fixed.then(tail) for tail in tails])
+    order = np.argsort(found.speed_m_s, kind="stable")[:refine]
+    step_s = 0.1 * min(LATE_S, shooter.limit_s - from_s)
+    results = []
+    for k in order:
+        first = Best(fixed.then(tails[k]), float(found.speed_m_s[k]), float(found.time_s[k]))
+        results.append(refined(shooter, first, fixed, from_s, step_s))
+    return min(results, key=lambda one: one.speed_m_s)
 
 
 @dataclass(frozen=True)
-class Shared:
-    """Best worst case when all loads share their commands up to `revealed_s`."""
+class Bound:
+    """Figures of a family: worst loads of the plain push, the oil damper, (a) and (b), m/s.
 
-    revealed_s: float
-    prefix: Commands
-    worst_m_s: float
+    stem: the shared commands of (b); per_load: its sequences; runs: simulations made.
+    """
+
+    open_loop_m_s: float
+    damper_m_s: float
+    clairvoyant_m_s: float
+    non_anticipating_m_s: float
+    stem: Commands
     per_load: tuple[Best, ...]
+    runs: int
 
 
-def prefixes(until_s: float, levels: int) -> Iterator[Commands]:
-    """Shared beginnings: up to two changes of each valve on a grid of instants."""
-    grid = [float(t) for t in np.linspace(0.0, until_s, levels)]
-    one = [(), *((t,) for t in grid), *itertools.combinations(grid, 2)]
-    for driving, braking in itertools.product(one, one):
-        if len(driving) + len(braking) <= 2:
-            yield Commands(driving, braking)
+def plain_push(parameters: ParameterSet, case: LoadCase, tells: str) -> tuple[float, float]:
+    """Impact speed and arrival of the push without any further command."""
+    found = Shooter(parameters, case, 1.0, tells).shoot([Commands()])
+    return float(found.speed_m_s[0]), float(found.time_s[0])
 
 
-def non_anticipating(
+def shooters_of(parameters: ParameterSet, family: Family, extra_s: float) -> list[Shooter]:
+    """One for each load, its limit the plain push's arrival plus what may be lost."""
+    return [
+        Shooter(
+            parameters,
+            case,
+            plain_push(parameters, case, family.tells)[1] + extra_s,
+            family.tells,
+        )
+        for case in family.cases
+    ]
+
+
+def bound(
     parameters: ParameterSet,
-    cases: Sequence[LoadCase],
+    family: Family,
     delay_s: float,
     extra_s: float,
     *,
-    levels: int = 4,
-    budget: int = 30,
-    most_switches: int = 4,
+    most_switches: int = MOST_SWITCHES,
+    budget: int = BUDGET,
+    stems: int = 8,
     seed: int = 0,
-) -> Shared:
-    """Best worst-case impact over loads that show only `delay_s` after the earliest motion.
+) -> Bound:
+    """(a) and (b) of a family at an information delay; see the module.
 
-    Before that no load can be told from another, so their commands are the same; after it each load
-    counts as known altogether, which is more than any controller learns. Shared beginnings are those
-    of a grid and those of each load's own best sequence. The earliest motion is
-    that of the full push, which nothing can bring forward. Each load must arrive within its open
-    loop's time plus `extra_s`.
+    extra_s: how much later than the plain push a load may arrive. budget: starting sequences a
+    pattern; stems: how many shared beginnings get endings of their own.
     """
-    spans = []
-    earliest_s = math.inf
-    for case in cases:
-        open_loop = Shooter(parameters, case, 1.0)
-        spans.append(open_loop.arrival(Commands()).time_s + extra_s)
-        earliest_s = min(earliest_s, Shooter(parameters, case, 0.1).first_motion_s(Commands()))
-    revealed_s = earliest_s + delay_s
-    beginnings = list(prefixes(min(revealed_s, max(spans)), levels))
-    for case, span_s in zip(cases, spans, strict=True):
-        alone = clairvoyant(
-            parameters, case, span_s, most_switches=most_switches, budget=4 * budget, seed=seed
-        )
-        beginnings.append(alone.commands.until(revealed_s))
-    best: Shared | None = None
-    for prefix in beginnings:
-        found: list[Best] = []
-        limit_m_s = math.inf if best is None else best.worst_m_s
-        for case, span_s in zip(cases, spans, strict=True):
-            if revealed_s >= span_s:
-                shooter = Shooter(parameters, case, span_s)
-                found.append(Best(prefix, shooter.arrival(prefix), 1))
-            else:
-                found.append(
-                    clairvoyant(
-                        parameters,
-                        case,
-                        span_s,
-                        most_switches=most_switches,
-                        budget=budget,
-                        refined=1,
-                        seed=seed,
-                        given=prefix,
-                        from_s=revealed_s,
-                    )
-                )
-            if found[-1].arrival.speed_m_s >= limit_m_s:
+    rng = np.random.default_rng(seed)
+    shooters = shooters_of(parameters, family, extra_s)
+    known = [
+        ending(each, Commands(), 0.0, most_switches=most_switches, budget=budget, rng=rng)
+        for each in shooters
+    ]
+    chosen = best_stems(shooters, known, most_switches, 4 * budget, stems, rng)
+    winner: tuple[float, Commands, tuple[Best, ...]] | None = None
+    for stem in chosen:
+        limit_m_s = math.inf if winner is None else winner[0]
+        endings = []
+        for shooter in shooters:
+            endings.append(own_ending(shooter, stem, delay_s, most_switches, budget // 2, rng))
+            if endings[-1].speed_m_s >= limit_m_s:
                 break
         else:
-            worst_m_s = max(each.arrival.speed_m_s for each in found)
-            if worst_m_s < limit_m_s:
-                best = Shared(revealed_s, prefix, worst_m_s, tuple(found))
-    if best is None:
-        raise RunError("no shared beginning lets every load arrive in its time")
-    return best
+            worst_m_s = max(each.speed_m_s for each in endings)
+            winner = (worst_m_s, stem, tuple(endings))
+    assert winner is not None  # the plain push is among the stems, and arrives
+    worst_m_s, stem, endings_of = winner
+    pairs = zip(known, endings_of, strict=True)
+    return Bound(
+        open_loop_m_s=max(plain_push(parameters, c, family.tells)[0] for c in family.cases),
+        damper_m_s=max(
+            plain_push(parameters, replace(c, damper=True), family.tells)[0] for c in family.cases
+        ),
+        clairvoyant_m_s=max(min(a.speed_m_s, b.speed_m_s) for a, b in pairs),
+        non_anticipating_m_s=worst_m_s,
+        stem=stem,
+        per_load=endings_of,
+        runs=sum(each.runs for each in shooters),
+    )
 
 
-def line_over_delay(
-    parameters: ParameterSet,
-    cases: Sequence[LoadCase],
-    delays_s: Sequence[float],
-    extra_s: float,
-    *,
-    levels: int = 4,
-    budget: int = 30,
-    most_switches: int = 4,
-) -> list[tuple[float, float]]:
-    """(information delay, best worst-case impact speed), rising with the delay.
+def own_ending(
+    shooter: Shooter,
+    stem: Commands,
+    delay_s: float,
+    most_switches: int,
+    budget: int,
+    rng: np.random.Generator,
+) -> Best:
+    """The best ending of one load: from its telling instant under the stem, plus the delay, on."""
+    plain = shooter.shoot([stem])
+    free_from_s = float(plain.told_s[0]) + delay_s
+    if free_from_s >= min(float(plain.time_s[0]), shooter.limit_s):
+        return Best(stem, float(plain.speed_m_s[0]), float(plain.time_s[0]))
+    fixed = stem.until(free_from_s)
+    left = max(2, most_switches - fixed.switches)
+    free = ending(shooter, fixed, free_from_s, most_switches=left, budget=budget, rng=rng, refine=2)
+    if plain.speed_m_s[0] < free.speed_m_s:
+        return Best(stem, float(plain.speed_m_s[0]), float(plain.time_s[0]))
+    return free
 
-    Commands shared for longer are also shared for less, so a later delay's result holds for every
-    shorter one.
+
+def best_stems(
+    shooters: Sequence[Shooter],
+    known: Sequence[Best],
+    most_switches: int,
+    budget: int,
+    count: int,
+    rng: np.random.Generator,
+) -> list[Commands]:
+    """Shared commands for loads that are never told apart, the best refined, and the plain push.
+
+    The best sequences of the single loads are among the starts.
     """
-    found: list[tuple[float, float]] = []
-    least_m_s = math.inf
-    for delay_s in sorted(delays_s, reverse=True):
-        shared = non_anticipating(
-            parameters,
-            cases,
-            delay_s,
-            extra_s,
-            levels=levels,
-            budget=budget,
-            most_switches=most_switches,
-        )
-        least_m_s = min(least_m_s, shared.worst_m_s)
-        found.append((delay_s, least_m_s))
-    return found[::-1]
+    last_s = max(shooter.limit_s for shooter in shooters)
+    pool = [Commands(), *(best.commands for best in known)]
+    pool += starts(0.0, last_s, most_switches, budget // 4, rng)
+
+    def worst(sequences: Sequence[Commands]) -> np.ndarray:
+        alive = np.arange(len(sequences))
+        result = np.full(len(sequences), math.inf)
+        top = np.zeros(len(sequences))
+        for shooter in reversed(shooters):
+            found: Arrivals = shooter.shoot([sequences[int(k)] for k in alive])
+            top[alive] = np.maximum(top[alive], found.speed_m_s)
+            alive = alive[np.isfinite(top[alive])]
+            if not len(alive):
+                return result
+        result[alive] = top[alive]
+        return result
+
+    values = worst(pool)
+    order = np.argsort(values, kind="stable")[: count - 1]
+    found = []
+    for k in order:
+        stem, value, step_s = pool[int(k)], float(values[k]), 0.004
+        while step_s >= 2.0 * LEAST_STEP_S and math.isfinite(value):
+            moved = neighbours(stem, step_s, 0.0)
+            if not moved:
+                break
+            tried = worst(moved)
+            j = int(np.argmin(tried))
+            if tried[j] < value:
+                stem, value = moved[j], float(tried[j])
+            else:
+                step_s *= 0.5
+        found.append((value, stem))
+    found.sort(key=lambda item: item[0])
+    return [stem for _value, stem in found] + [Commands()]

@@ -9,7 +9,7 @@ and 8 ms valve against about 40 ms. Checked by tests/unit/sil/test_budget.py
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -146,12 +146,19 @@ def _next(entries: Sequence[tuple[BusFrame, object]], at_ns: int) -> BusFrame:
 
 
 def latency_budget(scenario: str, settings: Sequence[str] = ()) -> Budget:
+    """The budget of a scenario with settings; see `budget_of`."""
+    return budget_of(scenario, lambda texts: load(scenario, settings=list(texts)), settings)
+
+
+def budget_of(
+    scenario: str, make: Callable[[Sequence[str]], Loaded], settings: Sequence[str] = ()
+) -> Budget:
     """The delays of a scenario's last shift, one after the other, from its first motion on.
 
     The filter's bar is how much later the believed position passes 90 % of the travel than in the
-    same run without the filter.
+    same run without the filter. `make` builds the scenario `scenario` with settings PATH=VALUE.
     """
-    loaded = load(scenario, settings=list(settings))
+    loaded = make(settings)
     run = run_in_memory(loaded)
     shift = run.shifts[-1]
     if shift.first_motion_s is None or shift.arrived_s is None:
@@ -172,7 +179,7 @@ def latency_budget(scenario: str, settings: Sequence[str] = ()) -> Budget:
     command = _next(run.record.of(ValveCommand), step_ns)
     filtered_s = closed_filter_s = 0.0
     if config.filter.enabled:
-        plain = load(scenario, settings=[*settings, "controller.filter=false"])
+        plain = make([*settings, "controller.filter=false"])
         lags = (shift.position_lag_90_s, run_in_memory(plain).shifts[-1].position_lag_90_s)
         if lags[0] is None or lags[1] is None:
             raise RunError(f"{scenario}: the position is never seen to pass 90 % of the travel")

@@ -25,6 +25,7 @@ from sil.whatif.study import Base, LoadedStudy, Row, Study, toml_value
 
 RESULTS, STATE = "results.csv", "study.json"
 CHUNK = 16
+"""Rows of runs that a worker takes at a time; the longer rows of other kinds go one by one."""
 
 Progress = Callable[[int, int], None]
 
@@ -33,6 +34,11 @@ def header(study: LoadedStudy) -> list[str]:
     """Columns of the table: row, choices, swept values, metrics."""
     names = ["row", *(name for name, _items in study.groups)]
     return [*names, *(sweep.path for sweep in study.study.sweep), *columns(study)]
+
+
+def first_line(study: LoadedStudy) -> str:
+    """The columns as CSV text."""
+    return ",".join(quoted(name) for name in header(study)) + "\n"
 
 
 def line(study: LoadedStudy, row: Row, found: dict[str, float]) -> str:
@@ -61,10 +67,10 @@ def run_chunk(study: LoadedStudy, numbers: tuple[int, int]) -> list[str]:
     return [line(study, row, run_row(study, row)) for row in rows]
 
 
-def chunks(begin: int, size: int) -> Iterator[tuple[int, int]]:
+def chunks(begin: int, size: int, rows: int = CHUNK) -> Iterator[tuple[int, int]]:
     """Row numbers in pieces."""
-    for start in range(begin, size, CHUNK):
-        yield start, min(start + CHUNK, size)
+    for start in range(begin, size, rows):
+        yield start, min(start + rows, size)
 
 
 def run_study(
@@ -86,8 +92,8 @@ def run_study(
         begin = completed(study, folder)
     else:
         write_whole(folder / STATE, json.dumps({"study": study.study.name, "sha256": study.digest}))
-        write_whole(path, ",".join(header(study)) + "\n")
-    wanted = list(chunks(begin, study.size))
+        write_whole(path, first_line(study))
+    wanted = list(chunks(begin, study.size, CHUNK if study.study.kind == "runs" else 1))
     # the first row runs here: bad settings are told at once, and kernels are compiled once
     done = begin
     with open(path, "a", encoding="utf-8", newline="") as file:
@@ -237,7 +243,7 @@ def completed(study: LoadedStudy, folder: Path) -> int:
     content = path.read_bytes()
     whole = content.rfind(b"\n") + 1
     lines = content[:whole].decode().splitlines()
-    if not lines or lines[0] != ",".join(header(study)):
+    if not lines or lines[0] + "\n" != first_line(study):
         raise InputError(f"{path}: line 1: not this study's columns")
     for expected, text in enumerate(lines[1:]):
         if text.split(",", 1)[0] != str(expected):

@@ -30,6 +30,14 @@ def draw(study: LoadedStudy, table: Table, folder: Path) -> list[Path]:
     import matplotlib
 
     matplotlib.use("Agg")
+    if study.study.kind != "runs":
+        from sil.whatif import kind_pictures as own
+
+        if study.study.kind == "bounds":
+            return [own.draw_bounds(study, table, folder)]
+        if study.study.kind == "budget":
+            return [own.draw_budget(study, table, folder)]
+        return own.draw_tuning(study, table, folder)
     made = []
     numeric = [s.path for s in study.study.sweep if s.path in table.numbers]
     if study.study.design.kind == "grid" and len(numeric) == 2 and len(study.study.sweep) == 2:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import math
-from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -40,6 +40,8 @@ STEP_S = 1e-4
 
 def columns(study: LoadedStudy) -> tuple[str, ...]:
     """Metric columns of a study's table."""
+    if study.study.kind != "runs":
+        return _kind(study).columns(study)
     if study.study.stroke is not None:
         return STROKE_COLUMNS
     if study.study.safety:
@@ -55,6 +57,8 @@ def run_row(study: LoadedStudy, row: Row) -> dict[str, float]:
     Raises InputError naming the row for settings that cannot be.
     """
     try:
+        if study.study.kind != "runs":
+            return _kind(study).run(study, row)
         if study.study.stroke is not None:
             return run_stroke(study, row)
         return run_loop(study, row)
@@ -62,20 +66,27 @@ def run_row(study: LoadedStudy, row: Row) -> dict[str, float]:
         raise InputError(f"{study.source}: row {row.number}: {error}") from None
 
 
+class RowKind(Protocol):
+    """A module that makes the rows of one kind of study."""
+
+    def columns(self, study: LoadedStudy) -> tuple[str, ...]:
+        """Metric columns."""
+
+    def run(self, study: LoadedStudy, row: Row) -> dict[str, float]:
+        """Metrics of a row."""
+
+
+def _kind(study: LoadedStudy) -> RowKind:
+    name = {"bounds": "bound_rows", "budget": "budget_rows", "tuning": "tuning_rows"}
+    found: RowKind = importlib.import_module(f"sil.whatif.{name[study.study.kind]}")
+    return found
+
+
 def run_loop(study: LoadedStudy, row: Row) -> dict[str, float]:
     """Metrics of a closed-loop row, as `opc4 run` with the row's settings gives them."""
     from sil.memory import run_in_memory
-    from sil.scenario import from_table
 
-    assert study.base is not None
-    loaded = from_table(
-        study.base.table,
-        study.base.source,
-        model=None if study.study.model == "nominal" else study.study.model,
-        settings=row.texts,
-        seed=study.study.seed,
-        folder=Path(study.base.folder),
-    )
+    loaded = study.loaded(row.texts)
     try:
         run = run_in_memory(loaded)
     except RunError:

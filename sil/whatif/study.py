@@ -5,17 +5,20 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 
 from can_dbc.errors import InputError
 from plant.parameters import read_toml
+
+if TYPE_CHECKING:
+    from sil.scenario import Loaded
 
 SHIPPED = Path(__file__).parent.parent / "studies"
 
@@ -71,11 +74,44 @@ class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seed: int = 0
 
 
+Kind = Literal["runs", "bounds", "budget", "tuning"]
+
+
+class BoundsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How hard the bounds are searched for; see `sil.whatif.bounds`.
+
+    extra_s: how much later than the plain push a load may arrive.
+    """
+
+    extra_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.03
+    switches: Annotated[int, msgspec.Meta(ge=1, le=6)] = 6
+    budget: Annotated[int, msgspec.Meta(ge=4, le=10_000)] = 60
+    stems: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8
+    seed: Annotated[int, msgspec.Meta(ge=0)] = 0
+
+
+class TuningTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The budget of a tuning, the same for every strategy; see `sil.whatif.tuning`."""
+
+    candidates: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 16
+    free_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.03
+    late_m_s2: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 10.0
+    seed: Annotated[int, msgspec.Meta(ge=0)] = 0
+
+
 class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A study; exactly one of `scenario` and `stroke` is the base."""
+    """A study; exactly one of `scenario` and `stroke` is the base, bounds have none.
+
+    kind: what a row is. runs: one shift. bounds: clairvoyant and non-anticipating bound of the
+    family "bound.family" at the information delay "bound.delay_s". budget: the delays of one shift.
+    tuning: the best parameters of a strategy over all loads together.
+    """
 
     name: str
     description: str = ""
+    kind: Kind = "runs"
+    bounds: BoundsTable = BoundsTable()
+    tuning: TuningTable = TuningTable()
     scenario: str | None = None
     stroke: StrokeBase | None = None
     model: str = "nominal"
@@ -92,6 +128,11 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Tell of each row what its faults did: detection, end state, damage; and write fault_table.md."""
 
 
+def texts_of(settings: Mapping[str, Value]) -> list[str]:
+    """Settings as PATH=VALUE."""
+    return [f"{path}={toml_value(value)}" for path, value in settings.items()]
+
+
 @dataclass(frozen=True)
 class Row:
     """One run of a study: its number, the names of its choices, the values it sets."""
@@ -103,7 +144,7 @@ class Row:
     @property
     def texts(self) -> list[str]:
         """The settings as PATH=VALUE, as the command line takes them."""
-        return [f"{path}={toml_value(value)}" for path, value in self.settings.items()]
+        return texts_of(self.settings)
 
 
 class Base(msgspec.Struct, frozen=True):
@@ -138,7 +179,9 @@ class LoadedStudy:
     def groups(self) -> list[tuple[str, list[Choice]]]:
         """The kinds of choices this study has, in column order."""
         kinds = [("variant", self.study.variant), ("strategy", self.study.strategy)]
-        return [(name, items) for name, items in [*kinds, ("load", self.study.load)] if items]
+        if self.study.kind != "tuning":  # which takes all loads together
+            kinds.append(("load", self.study.load))
+        return [(name, items) for name, items in kinds if items]
 
     @property
     def size(self) -> int:
@@ -147,6 +190,20 @@ class LoadedStudy:
         for _name, items in self.groups:
             total *= len(items)
         return total
+
+    def loaded(self, settings: Sequence[str]) -> Loaded:
+        """The base scenario with settings PATH=VALUE."""
+        from sil.scenario import from_table
+
+        assert self.base is not None
+        return from_table(
+            self.base.table,
+            self.base.source,
+            model=None if self.study.model == "nominal" else self.study.model,
+            settings=settings,
+            seed=self.study.seed,
+            folder=Path(self.base.folder),
+        )
 
     def rows(self, begin: int = 0) -> Iterator[Row]:
         """The rows from number `begin` on, in their fixed order."""
@@ -209,8 +266,16 @@ def base_of(study: Study, path: Path) -> Base | None:
 
 def check(study: Study, source: str) -> None:
     """What the types cannot say: one base, complete sweeps, unique names."""
-    if (study.scenario is None) == (study.stroke is None):
-        raise InputError(f"{source}: expected either scenario = or [stroke], exactly one")
+    bases = (study.scenario is not None, study.stroke is not None)
+    wanted = {"runs": ((True, False), (False, True)), "bounds": ((False, False),)}
+    if bases not in wanted.get(study.kind, ((True, False),)):
+        expected = {
+            "runs": "either scenario = or [stroke], exactly one",
+            "bounds": "no scenario and no [stroke], where kind is bounds",
+        }.get(study.kind, f"scenario = and no [stroke], where kind is {study.kind}")
+        raise InputError(f"{source}: expected {expected}")
+    if study.kind == "tuning" and not (study.load and study.strategy):
+        raise InputError(f"{source}: a tuning needs [[load]] and [[strategy]]; expected both")
     for index, sweep in enumerate(study.sweep):
         place = f"{source}: sweep[{index}] {sweep.path}"
         ranged = sweep.low is not None or sweep.high is not None
@@ -229,8 +294,8 @@ def check(study: Study, source: str) -> None:
             raise InputError(f"{place}: a {study.design.kind} design needs low and high")
     if study.design.kind in ("lhs", "sobol") and study.design.samples < 1:
         raise InputError(f"{source}: design.samples: expected 1 or more")
-    if study.safety and study.scenario is None:
-        raise InputError(f"{source}: safety: expected a study with a scenario as its base")
+    if study.safety and (study.scenario is None or study.kind != "runs"):
+        raise InputError(f"{source}: safety: expected a study of runs with a scenario as base")
     for name in ("load", "strategy", "variant"):
         names = [item.name for item in getattr(study, name)]
         if len(set(names)) != len(names):

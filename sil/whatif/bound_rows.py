@@ -1,0 +1,70 @@
+"""Rows of a study of bounds: a family of loads, an information delay, values of the model."""
+
+from __future__ import annotations
+
+import math
+
+from can_dbc.errors import InputError
+from sil.whatif.study import LoadedStudy, Row
+
+COLUMNS = (
+    "open_loop_m_s",
+    "damper_m_s",
+    "clairvoyant_m_s",
+    "bound_m_s",
+    "stem_switches",
+    "simulations",
+    "failed",
+)
+
+
+def columns(study: LoadedStudy) -> tuple[str, ...]:
+    """Worst impact speeds over the family, and what was searched."""
+    return COLUMNS
+
+
+def run(study: LoadedStudy, row: Row) -> dict[str, float]:
+    """The bounds of a row.
+
+    Raises InputError for a family or a delay that is missing or wrong.
+    """
+    from plant.parameters import load
+    from sil.whatif.bounds import bound
+    from sil.whatif.shooting import FAMILIES
+
+    own = {k[6:]: v for k, v in row.settings.items() if k.startswith("bound.")}
+    model = {k: v for k, v in row.settings.items() if not k.startswith("bound.")}
+    strangers = set(own) - {"family", "delay_s", "extra_s"}
+    if strangers:
+        raise InputError(f"bound.{min(strangers)}: unknown; expected family, delay_s, extra_s")
+    family = FAMILIES.get(str(own.get("family")))
+    if family is None:
+        raise InputError(f"bound.family: {own.get('family')!r}; expected {', '.join(FAMILIES)}")
+    table = study.study.bounds
+    numbers = {}
+    for name, low, default in (("delay_s", -1.0, None), ("extra_s", 0.0, table.extra_s)):
+        value = own.get(name, default)
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise InputError(f"bound.{name}: {value!r}; expected a number of seconds")
+        if not (math.isfinite(value) and low <= value <= 1.0):
+            raise InputError(f"bound.{name}: {value!r}; expected {low:g} to 1 s")
+        numbers[name] = float(value)
+    found = bound(
+        load(study.study.model).override(model),  # type: ignore[arg-type]
+        family,
+        numbers["delay_s"],
+        numbers["extra_s"],
+        most_switches=table.switches,
+        budget=table.budget,
+        stems=table.stems,
+        seed=table.seed,
+    )
+    return {
+        "open_loop_m_s": found.open_loop_m_s,
+        "damper_m_s": found.damper_m_s,
+        "clairvoyant_m_s": found.clairvoyant_m_s,
+        "bound_m_s": found.non_anticipating_m_s,
+        "stem_switches": float(found.stem.switches),
+        "simulations": float(found.runs),
+        "failed": 0.0,
+    }
