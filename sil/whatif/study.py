@@ -128,7 +128,7 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Tell of each row what its faults did: detection, end state, damage; and write fault_table.md."""
 
 
-def texts_of(settings: Mapping[str, Value]) -> list[str]:
+def texts_of(settings: Mapping[str, Setting]) -> list[str]:
     """Settings as PATH=VALUE."""
     return [f"{path}={toml_value(value)}" for path, value in settings.items()]
 
