@@ -110,14 +110,16 @@ class Strokes:
             same = (setup.conditions, setup.timing, setup.creep_s, setup.has_line)
             if driven is None or same != like:
                 like, driven = same, _driven(setup, duration_s)
-            items.append((setup.p, setup.c, _initial(setup), *driven))
-        packed, flow, initial, modes_, valves, switches = zip(*items, strict=True)
+            items.append(driven)
+        if all(item is driven for item in items):
+            items = items[:1]
+        modes_, valves, switches = zip(*items, strict=True)
         longest = max(len(item) for item in switches)
         return cls(
             system=setups[0].conditions.system,
-            packed=np.array(packed),
-            flow=_shared(flow),
-            initial=_shared(initial),
+            packed=np.array([setup.p for setup in setups]),
+            flow=_shared([setup.c for setup in setups]),
+            initial=_shared([_initial(setup) for setup in setups]),
             modes=_shared(modes_),
             valves=_shared(valves),
             switches=_shared([_padded(item, longest) for item in switches]),
@@ -204,6 +206,8 @@ def _padded(switches: Floats, rows: int) -> Floats:
 
 def _shared(arrays: Sequence[NDArray]) -> NDArray:
     """One row if all are equal, else all rows."""
+    if all(item is arrays[0] for item in arrays):
+        return arrays[0][None].copy()
     whole = np.array(arrays)
     return whole[:1].copy() if (whole == whole[:1]).all() else whole
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import layout as L
-from .batch import Strokes
+from .batch import BATCH_TOLERANCE, Strokes
 from .filling import filling_curves
 from .hybrid import NS, REASONS, WORKSPACE, IntegrationError
 from .integrate import DONE, EVENT_COLUMNS, advance, start
@@ -111,14 +111,20 @@ class Predictor:
         return out
 
     def derivatives(
-        self, setup: Setup, moved: Sequence[Setup], steps: Sequence[float]
+        self,
+        setup: Setup,
+        moved: Sequence[Setup],
+        steps: Sequence[float],
+        columns: Sequence[int] | None = None,
+        tolerance: float = BATCH_TOLERANCE,
     ) -> tuple[Floats, list[Floats | None]]:
-        """States as `states`, and their derivatives by what was moved.
+        """States at the instants, and their derivatives by what was moved; [n, columns] each.
 
         moved: setups next to `setup`, each with one quantity changed by its step, which should be a
-        share of about `plant.tangents.MOVE` of the quantity's size.  The events move along.  None
-        where a neighbour did not meet the same events, or where the lanes do not cover the stroke
-        (oil damper, leaks, gearbox): there a difference of two runs of `states` is all there is.
+        share of about `plant.tangents.MOVE` of the quantity's size; columns: states wanted, all that
+        move by default.  The events move along.  None where a neighbour did not meet the same
+        events, or where the lanes do not cover the stroke (oil damper, leaks, gearbox): there a
+        difference of two runs of `states` is all there is.
 
         Raises IntegrationError if the motion of `setup` cannot be continued.
         """
@@ -127,18 +133,18 @@ class Predictor:
         setups = [setup, *moved]
         system = setup.conditions.system
         strokes = Strokes.from_setups(setups, int(self.sample_ns[-1]) / NS)
+        wanted = range(active_states(system, strokes.modes[0])) if columns is None else columns
         if not strokes.in_lanes[0]:
-            return self.states(setup), [None] * len(moved)
-        n = active_states(system, strokes.modes[0])
-        result, alike = neighbours(strokes, self.sample_ns / NS, range(n), self.tolerance)
+            return self.states(setup)[:, list(wanted)], [None] * len(moved)
+        result, alike = neighbours(strokes, self.sample_ns / NS, wanted, tolerance)
         if result.status[0] != DONE:
             raise IntegrationError(f"integration stopped: {REASONS[int(result.status[0])]}")
         first, count = (L.FP1, 2) if system == L.FIXED else (L.PB, 3)
+        pressures = [k for k, place in enumerate(wanted) if first <= place < first + count]
         for one, samples in zip(setups, result.samples, strict=True):
             if one.gauge_lag_s > 0.0:
-                pressures = samples[:, first : first + count]
-                samples[:, first : first + count] = lagged(
-                    self.sample_ns / NS, pressures, one.gauge_lag_s
+                samples[:, pressures] = lagged(
+                    self.sample_ns / NS, samples[:, pressures], one.gauge_lag_s
                 )
         base = result.samples[0]
         return base, [

@@ -64,7 +64,7 @@ def measure() -> Iterator[str]:
         plain_s = best_s(lambda: predictor.states(setup), 300)  # noqa: B023
         kernel_s = best_s(lambda: neighbours(strokes, TIMES, columns), 300)  # noqa: B023
         twins = [setup] + [replace(setup, p=p.copy()) for p in strokes.packed[1:]]
-        whole_s = best_s(lambda: predictor.derivatives(setup, twins[1:], [MOVE] * 10), 100)  # noqa: B023
+        whole_s = best_s(lambda: predictor.derivatives(setup, twins[1:], [MOVE] * 10, columns), 100)  # noqa: B023
         yield (
             f"{kind:6} plain stroke {1e6 * plain_s:6.0f} us   gradient {1e6 * kernel_s:6.0f} us = "
             f"{kernel_s / plain_s:4.1f} strokes ({whole_s / plain_s:.1f} with every setup packed anew)   "

@@ -66,7 +66,7 @@ def test_delays_and_lags_have_derivatives_too() -> None:
     lagging.gauge_lag_s *= 1.0 + MOVE
     predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64), 1e-9)
     states, (by_delay, by_lag) = predictor.derivatives(
-        base, [late, lagging], [20e-9, 2e-3 * MOVE]
+        base, [late, lagging], [20e-9, 2e-3 * MOVE], tolerance=1e-9
     )
     assert np.abs(states - predictor.states(base)).max() < 1.0
     assert by_delay is not None and by_lag is not None
