@@ -194,7 +194,7 @@ def fast_sampling() -> Outcome:
     )
 
 
-@claim("F11", "2.2.5", "the oscilloscope records at 10 kHz", "opc4 simulate CAMPAIGN")
+@claim("F11", "2.2.5", "the oscilloscope records at 10 kHz")
 def scope() -> Outcome:
     rate = nominal().value("scope.rate")
     step = float(np.median(np.diff(plain("fixed").time_s)))

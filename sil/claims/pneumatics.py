@@ -178,12 +178,13 @@ def theory_poor() -> Outcome:
     for empty in (False, True):
         mapped = fill(1.0, False, empty)
         errors.append(float(np.max(np.abs(fill(1.0, True, empty) - mapped)) / np.max(mapped)))
-    good = max(errors) > 0.03
-    return judged(
-        good,
-        f"largest deviation from the mapped flow, best C_d: {100 * errors[0]:.1f} % filling, "
+    poor = [error > 0.03 for error in errors]
+    return Outcome(
+        MET if all(poor) else (PARTLY if any(poor) else NOT_MET),
+        f"largest deviation of pressure from the mapped flow's, best C_d: {100 * errors[0]:.1f} % filling, "
         f"{100 * errors[1]:.1f} % emptying",
-        "the fitted theoretical flow comes close to the map",
+        "" if all(poor) else "with C_d fitted, the theoretical flow is poor in filling alone; emptying "
+        "it stays within 3 % of the map",
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from plant import layout as L
 from plant.stroke import Stroke
-from sil.claims.claim import MET, PARTLY, Outcome, claim, judged
+from sil.claims.claim import MET, NOT_MET, PARTLY, Outcome, claim, judged
 from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, nominal, run
 
 
@@ -110,11 +110,15 @@ def budget() -> Outcome:
     last = max(lasts)
     sensor = lags()[0]
     spent = sensor + value("opc4.velocity_delay") + value("valve.D_rise")
-    return judged(
-        spent > last,
+    if not spent > last:
+        return Outcome(NOT_MET, f"{1e3 * spent:.0f} ms gone, the last part takes {1e3 * last:.0f} ms", "feedback would be in time")
+    return Outcome(
+        MET if last > 0.03 else PARTLY,
         f"last part {1e3 * min(lasts):.0f}-{1e3 * last:.0f} ms; sensor {1e3 * sensor:.0f} + second sample "
         f"{1e3 * value('opc4.velocity_delay'):.0f} + valve {1e3 * value('valve.D_rise'):.0f} = "
         f"{1e3 * spent:.0f} ms",
+        "" if last > 0.03 else "the delays are as claimed; the last part, from the synchronizer's release "
+        "to the stop, is shorter here than 40 ms, which leaves feedback still less time",
     )
 
 

@@ -37,6 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"      {finding.achieved}")
             if finding.reason:
                 print(f"      because: {finding.reason}")
+            print(f"      shown by: {finding.command}")
     counts = Counter(finding.verdict for finding in found)
     table = {"claims": [asdict(finding) for finding in found], "verdicts": dict(counts)}
     if folder is not None:

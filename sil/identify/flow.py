@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
 from plant import layout as L
@@ -19,10 +20,16 @@ from plant.packing import flow_coefficients
 from plant.parameters import ParameterSet
 from plant.setup import make_setup
 from plant.stroke import valve_moves
-from sil.campaign import Campaign
+from sil.campaign import Campaign, Record
 from sil.identify.estimate import Curve, Estimate, Floats, Identified, Panel
 
 SMOOTH_S = 0.004
+HELD_PA = 0.5e5
+"""A piston pressed against its collar by more than this stays there."""
+
+WALK_S = 0.015
+"""Time in which a pressed piston reaches its collar."""
+
 SETTLE_S = 0.0015
 
 
@@ -67,6 +74,8 @@ def rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestRecor
             states = [open_now] + [bool(u) for _t, which, u, _s in moves if which == index]
             for start, end, charging in zip(edges, edges[1:], states, strict=False):
                 inside = (time_s >= max(start + SETTLE_S, begin)) & (time_s <= end - 1e-4)
+                if charging and conditions.kind != "fixed":
+                    inside &= time_s > loose_until(record, time_s, chamber, inside) + WALK_S
                 pressure = record[column][inside]
                 if len(pressure) < 60 or np.ptp(pressure) < 0.3e5:
                     continue
@@ -81,6 +90,19 @@ def rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestRecor
                     )
                 )
     return found
+
+
+def loose_until(
+    record: Record, time_s: Floats, driving: str, inside: NDArray[np.bool_]
+) -> float:
+    """Last instant inside at which a neighbour's pressure may move the driving piston [s], or -1."""
+    free = np.zeros(len(time_s), dtype=bool)
+    for name in ("B", "F") if driving == "N" else ("N",):
+        column = f"pressure_{name}_pa"
+        if column in record:
+            free |= record[f"pressure_{driving}_pa"] - record[column] < HELD_PA
+    places = np.flatnonzero(free & inside)
+    return float(time_s[places[-1]]) if len(places) else -1.0
 
 
 def resting_volume(kind: str, chamber: str, position: float, p: Floats) -> float | None:
