@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from plant.hybrid import IntegrationError
 
-from .hypotheses import Candidate
+from .hypotheses import Candidate, scaled_of
 from .model import Block, CampaignModel, Shared
 
 Floats = NDArray[np.float64]
 
-FARTHEST_SD = 8.0
+FARTHEST_SD = 4.5
 """No healthy quantity is tried farther out than this: friction and flows stay positive."""
 
 EFFECT_PRIOR = 10.0
@@ -118,10 +118,11 @@ class Fitter:
         candidates: Sequence[Candidate],
         use: Sequence[int],
         limit: float = np.inf,
+        weight: float = 1.0,
     ) -> float:
         """Half the squared residuals plus the priors; infinite where motion cannot be continued.
 
-        Stops adding up once `limit` is passed.
+        Stops adding up once `limit` is passed; weight: of the residuals against the priors.
         """
         model = self.model
         healthy = len(model.unit) + len(model.offsets)
@@ -132,7 +133,7 @@ class Fitter:
                 r = model.residual(k, shared, scatter[k], candidates)
             except IntegrationError:
                 return float("inf")
-            total += 0.5 * float(r @ r) + 0.5 * float(scatter[k] @ scatter[k])
+            total += 0.5 * weight * float(r @ r) + 0.5 * float(scatter[k] @ scatter[k])
             if not total < limit:
                 return float("inf") if np.isnan(total) else total
         return total
@@ -146,11 +147,16 @@ class Fitter:
         use: Sequence[int] | None = None,
         iterations: int = 12,
         freeze: Sequence[int] | None = None,
+        effects_first: int = 0,
+        fine: bool = False,
     ) -> FitResult:
         """Fit a hypothesis to the strokes in `use` (all by default).
 
         start: shared parameters to begin with; freeze: places of shared parameters that stay where
-        they start (all of them: only the scatter of the strokes is fitted, as for held-out strokes).
+        they start (all of them: only the scatter of the strokes is fitted, as for held-out strokes);
+        effects_first: so many iterations move the hypothesis' own parameters alone: far from the
+        optimum, tolerances and scatter would run to their bounds in its place; fine: end with central
+        differences, which a valley between an effect and a tolerance needs.
 
         Raises IntegrationError if the start itself cannot be simulated.
         """
@@ -169,41 +175,62 @@ class Fitter:
         cost = self.cost(shared, spread, candidates, chosen)
         if not np.isfinite(cost):
             raise IntegrationError("the start of the fit cannot be simulated")
-        damping = 1e-3
+        damping = 1e-5
         done = 0
         blocks: dict[int, Block] = {}
+        central = False
         while True:
+            own_only = done < min(effects_first, iterations)
             blocks = {
-                k: model.linearise(k, shared, spread[k], candidates) for k in chosen
+                k: model.linearise(k, shared, spread[k], candidates, central, own_only)
+                for k in chosen
             }
-            normal, gradient, inner = arrow(blocks, spread, shared, layout)
+            weight = 1.0 if done >= iterations else tempering(blocks)
+            normal, gradient, inner = arrow(blocks, spread, shared, layout, weight)
             if done >= iterations:
                 break
             done += 1
+            misfit = 0.5 * sum(float(b.residual @ b.residual) for b in blocks.values())
+            here = cost - (1.0 - weight) * misfit
             improved = False
+            if own_only:
+                normal, gradient = own_normal(blocks, shared, layout, weight)
+            moving = free & (np.arange(n) >= layout.healthy) if own_only else free
             for _ in range(7):
-                step = np.zeros(n)
-                if free.any():
-                    damped = normal + damping * np.diag(np.diag(normal))
-                    step[free] = np.linalg.solve(damped[np.ix_(free, free)], gradient[free])
-                trial = bounded(shared + step, candidates, layout)
+                damped = normal + damping * np.diag(np.diag(normal))
+                trial = stepped(shared, damped, gradient, moving, candidates, layout)
                 moved = trial - shared
                 trial_spread = spread.copy()
                 for k, (inverse, hus, gs) in inner.items():
+                    if own_only:
+                        break
                     there = spread[k] + inverse @ (gs - hus.T @ moved)
                     trial_spread[k] = np.clip(there, -FARTHEST_SD, FARTHEST_SD)
-                trial_cost = self.cost(trial, trial_spread, candidates, chosen, cost)
-                if trial_cost < cost:
+                trial_cost = self.cost(trial, trial_spread, candidates, chosen, here, weight)
+                if trial_cost < here:
                     improved = True
                     break
-                damping = max(damping * 8.0, 1e-3)
+                damping = max(damping * 30.0, 1e-5)
+            if not improved and own_only:
+                effects_first = 0
+                damping = 1e-5
+                continue
             if not improved:
-                break
-            gain = cost - trial_cost
-            shared, spread, cost = trial, trial_spread, trial_cost
-            damping = max(damping * 0.2, 1e-7)
-            if gain < 0.05 + 1e-6 * cost:
-                iterations = done  # one last linearisation at the optimum
+                if not fine or central:
+                    break
+                central = True
+                continue
+            gain = here - trial_cost
+            shared, spread = trial, trial_spread
+            cost = self.cost(shared, spread, candidates, chosen)
+            damping = max(damping * 0.05, 1e-13)
+            if gain < 0.05 + 1e-6 * here:
+                if own_only:
+                    effects_first = 0
+                elif fine and not central:
+                    central = True
+                else:
+                    iterations = done  # one last linearisation at the optimum
         return FitResult(
             candidates=candidates,
             layout=layout,
@@ -218,19 +245,86 @@ class Fitter:
         )
 
 
+def tempering(blocks: dict[int, Block]) -> float:
+    """Weight of the residuals while a fit is far off: their mean square is at most one.
+
+    Far from the optimum small errors of the derivatives, times large residuals, would outweigh the
+    priors and send tolerances along valleys in which effects can replace them.
+    """
+    total = sum(float(block.residual @ block.residual) for block in blocks.values())
+    count = sum(len(block.residual) for block in blocks.values())
+    return min(1.0, count / max(total, 1e-12))
+
+
+def own_normal(
+    blocks: dict[int, Block], shared: Floats, layout: Shared, weight: float
+) -> tuple[Floats, Floats]:
+    """Normal matrix and gradient with the strokes' scatter held where it is."""
+    prior = np.ones(len(shared))
+    prior[layout.effect_slice] = 1.0 / EFFECT_PRIOR**2
+    normal: Floats = np.diag(prior)
+    gradient: Floats = -prior * shared
+    for block in blocks.values():
+        normal = normal + weight * block.shared.T @ block.shared
+        gradient = gradient + weight * block.shared.T @ block.residual
+    return normal, gradient
+
+
+def stepped(
+    shared: Floats,
+    normal: Floats,
+    gradient: Floats,
+    moving: NDArray[np.bool_],
+    candidates: Sequence[Candidate],
+    layout: Shared,
+) -> Floats:
+    """Newton's step within the bounds: what runs into one stays there, the rest is solved again."""
+    moving = moving.copy()
+    trial = shared.copy()
+    for _ in range(len(shared)):
+        if not moving.any():
+            break
+        held = trial - shared
+        held[moving] = 0.0
+        pull = gradient - normal @ held
+        wanted = trial.copy()
+        wanted[moving] = shared[moving] + np.linalg.solve(
+            normal[np.ix_(moving, moving)], pull[moving]
+        )
+        trial = bounded(wanted, candidates, layout)
+        stuck = moving & (np.abs(trial - wanted) > 1e-12)
+        if not stuck.any():
+            break
+        moving &= ~stuck
+    return trial
+
+
 def arrow(
-    blocks: dict[int, Block], spread: Floats, shared: Floats, layout: Shared
+    blocks: dict[int, Block],
+    spread: Floats,
+    shared: Floats,
+    layout: Shared,
+    weight: float = 1.0,
 ) -> tuple[Floats, Floats, dict[int, tuple[Floats, Floats, Floats]]]:
-    """Normal matrix and gradient of the shared parameters, the strokes' scatter eliminated."""
+    """Normal matrix and gradient of the shared parameters, the strokes' scatter eliminated.
+
+    weight: of the residuals against the priors.
+    """
+    root = weight**0.5
     n = len(layout.names)
     normal: Floats = np.zeros((n, n))
     gradient: Floats = np.zeros(n)
     inner: dict[int, tuple[Floats, Floats, Floats]] = {}
     for k, block in blocks.items():
-        r, a, b = block.residual, block.shared, block.scatter
+        r, a, b = root * block.residual, root * block.shared, root * block.scatter
+        gs: Floats = b.T @ r - spread[k]
+        # what stands at its bound and presses outward stays there
+        held = (np.abs(spread[k]) >= FARTHEST_SD) & (gs * spread[k] > 0.0)
+        if held.any():
+            b = np.where(held, 0.0, b)
+            gs = np.where(held, 0.0, gs)
         inverse = np.asarray(np.linalg.inv(b.T @ b + np.eye(b.shape[1])), dtype=np.float64)
         hus: Floats = a.T @ b
-        gs: Floats = b.T @ r - spread[k]
         normal += a.T @ a - hus @ inverse @ hus.T
         gradient += a.T @ r - hus @ (inverse @ gs)
         inner[k] = (inverse, hus, gs)
@@ -248,8 +342,7 @@ def bounded(shared: Floats, candidates: Sequence[Candidate], layout: Shared) -> 
     k = layout.healthy
     for item in candidates:
         for parameter in item.parameters:
-            low = (parameter.low - parameter.neutral) / parameter.typical
-            high = (parameter.high - parameter.neutral) / parameter.typical
+            low, high = scaled_of(parameter, parameter.low), scaled_of(parameter, parameter.high)
             out[k] = min(max(out[k], low), high)
             k += 1
     return out

@@ -7,6 +7,7 @@ Checked by: tests/unit/sil/diagnosis/test_hypotheses.py
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -61,6 +62,32 @@ class Candidate:
         """Whether the main parameter lies on the side that the cause's description means."""
         main = self.parameters[0]
         return main.one_sided * (values[main.name] - main.neutral) >= 0.0
+
+
+def scaled_of(parameter: EffectParameter, value: float) -> float:
+    """A parameter's value in typical sizes from neutral; factors count in logarithms.
+
+    A factor on what a tolerance scales too is known through the product alone: in logarithms that
+    valley is straight, and a fit walks along it in one step.
+    """
+    if is_factor(parameter):
+        return math.log(value) / math.log1p(parameter.typical)
+    return (value - parameter.neutral) / parameter.typical
+
+
+def value_of(parameter: EffectParameter, scaled: float) -> float:
+    """The value at so many typical sizes from neutral, kept within the physical bounds."""
+    if is_factor(parameter):
+        low, high = scaled_of(parameter, parameter.low), scaled_of(parameter, parameter.high)
+        scaled = min(max(scaled, low), high)
+        return min(max((1.0 + parameter.typical) ** scaled, parameter.low), parameter.high)
+    raw = parameter.neutral + scaled * parameter.typical
+    return min(max(raw, parameter.low), parameter.high)
+
+
+def is_factor(parameter: EffectParameter) -> bool:
+    """Whether a parameter multiplies something: neutral at one."""
+    return parameter.neutral == 1.0 and parameter.low > 0.0
 
 
 KNOWN: dict[str, Candidate] = {}

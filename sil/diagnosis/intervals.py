@@ -18,7 +18,7 @@ from plant.hybrid import IntegrationError
 
 from .fit import FARTHEST_SD, FitResult, Fitter
 from .floor import Misfit
-from .hypotheses import Candidate
+from .hypotheses import Candidate, scaled_of, value_of
 from .terms import is_term
 from .workers import spread_out
 
@@ -50,10 +50,10 @@ def intervals(
     for candidate, own in zip(fit.candidates, fit.values, strict=True):
         table = {}
         for j, parameter in enumerate(candidate.parameters):
-            half = 1.96 * float(deviation[k]) * parameter.typical
+            half = 1.96 * float(deviation[k])
             value = own[parameter.name]
-            low = max(parameter.low, value - half)
-            high = min(parameter.high, value + half)
+            place = scaled_of(parameter, value)
+            low, high = value_of(parameter, place - half), value_of(parameter, place + half)
             table[parameter.name] = Interval(value, low, high, parameter.unit)
             if j == 0 and not is_term(candidate):
                 mains.append((candidate, k, float(deviation[k])))
@@ -70,9 +70,10 @@ def intervals(
     for (candidate, _place, _sd, side), (moved, note) in zip(jobs, ends, strict=True):
         parameter = candidate.parameters[0]
         old = found[candidate.name][parameter.name]
-        edge = old.value + moved * parameter.typical
-        edge = min(max(edge, parameter.low), parameter.high)
-        low, high = (edge, old.high) if side < 0 else (old.low, edge)
+        edge = value_of(parameter, scaled_of(parameter, old.value) + moved)
+        # the wider of profile and curvature: a profile may stop short in a curved valley
+        low = min(edge, old.low) if side < 0 else old.low
+        high = max(edge, old.high) if side > 0 else old.high
         notes = "; ".join(text for text in (old.note, note) if text)
         found[candidate.name][parameter.name] = Interval(
             old.value, low, high, old.unit, True, notes

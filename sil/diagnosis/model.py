@@ -16,17 +16,17 @@ from plant.hybrid import IntegrationError
 from plant.prediction import copied
 from plant.setup import Setup
 
-from .hypotheses import Candidate
+from .hypotheses import Candidate, scaled_of, value_of
 from .internal import INTERNAL_SD_M, internal_prediction
 from .nuisance import SIMULATED, Spread, shift
 from .observations import StrokeObservation
 
 Floats = NDArray[np.float64]
 
-DIFFERENCE = 0.2
+DIFFERENCE = 0.05
 """Step of the one-sided differences, in prior standard deviations of the quantity."""
 
-EFFECT_STEP = 0.02
+EFFECT_STEP = 0.005
 """Step of the differences of effect parameters, in typical sizes."""
 
 
@@ -182,8 +182,7 @@ class CampaignModel:
         for item in candidates:
             own = {}
             for parameter in item.parameters:
-                raw = parameter.neutral + scaled[k] * parameter.typical
-                own[parameter.name] = float(min(max(raw, parameter.low), parameter.high))
+                own[parameter.name] = value_of(parameter, float(scaled[k]))
                 k += 1
             values.append(own)
         return tuple(values)
@@ -200,16 +199,25 @@ class CampaignModel:
         return self.measured(k) - self.predict(k, setup, True) - self.offset_part(k, offsets)
 
     def linearise(
-        self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
+        self,
+        k: int,
+        shared: Floats,
+        scatter: Floats,
+        candidates: Sequence[Candidate],
+        central: bool = False,
+        own_only: bool = False,
     ) -> Block:
-        """Residual of stroke k, its derivatives by the shared and by the stroke's own parameters."""
+        """Residual of stroke k, its derivatives by the shared and by the stroke's own parameters.
+
+        own_only: by the hypothesis' own alone, the others are left at zero.
+        """
         layout = self.layout(candidates)
         healthy = layout.healthy
         values = self.effect_values(candidates, shared[healthy:])
         amounts = self.amounts(shared, scatter)
         base = self.predict(k, self.setup(k, amounts, candidates, values))
         columns: dict[str, Floats] = {}
-        for name in SIMULATED:
+        for name in () if own_only else SIMULATED:
             step = DIFFERENCE * self.spread.stroke.get(name, self.spread.unit.get(name, 0.0))
 
             def changed(h: float, name: str = name) -> Floats:
@@ -217,17 +225,18 @@ class CampaignModel:
                 moved[name] += h
                 return self.predict(k, self.setup(k, moved, candidates, values))
 
-            columns[name] = difference(changed, base, step)
+            columns[name] = difference(changed, base, step, central)
         shared_columns = np.zeros((len(base), len(layout.names)))
         for j, name in enumerate(self.unit):
-            shared_columns[:, j] = columns[name] * self.spread.unit[name]
+            if name in columns:
+                shared_columns[:, j] = columns[name] * self.spread.unit[name]
         offset = self._offset_columns[k]
         shared_columns[:, len(self.unit) : healthy] = offset
         scaled = shared[healthy:]
         parameters = [p for item in candidates for p in item.parameters]
         for j, parameter in enumerate(parameters):
             step = EFFECT_STEP
-            if (parameter.high - parameter.neutral) / parameter.typical - scaled[j] < step:
+            if scaled_of(parameter, parameter.high) - scaled[j] < step:
                 step = -step
 
             def moved_effect(h: float, j: int = j) -> Floats:
@@ -236,17 +245,27 @@ class CampaignModel:
                 own = self.effect_values(candidates, trial)
                 return self.predict(k, self.setup(k, amounts, candidates, own))
 
-            shared_columns[:, healthy + j] = difference(moved_effect, base, step)
-        scatter_columns = np.column_stack(
-            [columns[name] * self.spread.stroke[name] for name in self.scatter]
-        )
+            shared_columns[:, healthy + j] = difference(moved_effect, base, step, central)
+        scatter_columns = np.zeros((len(base), len(self.scatter)))
+        for j, name in enumerate(self.scatter):
+            if name in columns:
+                scatter_columns[:, j] = columns[name] * self.spread.stroke[name]
         return Block(
             self.residual(k, shared, scatter, candidates), shared_columns, scatter_columns, base
         )
 
 
-def difference(changed, base: Floats, step: float) -> Floats:  # type: ignore[no-untyped-def]
-    """One-sided difference quotient; the other side, or a smaller step, where the motion breaks off."""
+def difference(  # type: ignore[no-untyped-def]
+    changed, base: Floats, step: float, central: bool
+) -> Floats:
+    """Difference quotient; one-sided, or with a smaller step, where the motion breaks off."""
+    if central:
+        try:
+            # wider, against the rounding of the integration: the error is of second order here
+            wide = 4.0 * step
+            return np.asarray((changed(wide) - changed(-wide)) / (2.0 * wide))
+        except IntegrationError:
+            pass
     for h in (step, -step, 0.1 * step, -0.1 * step):
         try:
             moved: Floats = changed(h)

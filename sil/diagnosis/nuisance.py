@@ -6,6 +6,7 @@ set), so that each has a standard normal prior.  None of this is a fault.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from plant import layout as L
@@ -55,8 +56,12 @@ class Spread:
 
 
 def shift(setup: Setup, name: str, amount: float) -> None:
-    """Change one healthy quantity of a setup by a relative amount, or by seconds for delays."""
+    """Change one healthy quantity of a setup by a relative amount, or by seconds for delays.
+
+    Relative amounts add up in logarithms, as those of effects that scale the same do.
+    """
     p = setup.p
+    factor = math.exp(amount)
     if name == "friction":
         for index in (
             L.F_STATIC_S,
@@ -66,7 +71,7 @@ def shift(setup: Setup, name: str, amount: float) -> None:
             L.F_RUN_P,
             L.BETA_P,
         ):
-            p[index] *= 1.0 + amount
+            p[index] *= factor
     elif name == "rise":
         rise = max(0, setup.timing.rise_ns + seconds_to_ns(amount))
         setup.timing = replace(setup.timing, rise_ns=rise)
@@ -74,15 +79,15 @@ def shift(setup: Setup, name: str, amount: float) -> None:
         fall = max(0, setup.timing.fall_ns + seconds_to_ns(amount))
         setup.timing = replace(setup.timing, fall_ns=fall)
     elif name == "supply":
-        p[L.P_SUPPLY] *= 1.0 + amount
+        p[L.P_SUPPLY] *= factor
     elif name == "flow_in":
-        p[L.K_IN] *= 1.0 + amount
+        p[L.K_IN] *= factor
     elif name == "flow_out":
-        p[L.K_OUT] *= 1.0 + amount
+        p[L.K_OUT] *= factor
     elif name == "volume_a":
-        p[L.VOL_B] *= 1.0 + amount
-        p[L.VOL_F] *= 1.0 + amount
+        p[L.VOL_B] *= factor
+        p[L.VOL_F] *= factor
     elif name == "volume_b":
-        p[L.VOL_N] *= 1.0 + amount
+        p[L.VOL_N] *= factor
     else:
         raise ValueError(f"no healthy quantity {name!r}")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from plant.hybrid import IntegrationError
 
-from .fit import FitResult, arrow
+from .fit import FARTHEST_SD, FitResult, arrow
 from .hypotheses import Candidate
 from .model import CampaignModel
 
@@ -70,11 +70,16 @@ def screen(
     use = list(fit.blocks) if strokes is None else list(strokes)
     blocks = {k: fit.blocks[k] for k in use}
     normal, gradient, inner = arrow(blocks, fit.stroke, fit.shared, fit.layout)
-    solved = np.linalg.pinv(normal)
+    # what stands at its bound and presses outward imitates nothing
+    outward = gradient * fit.shared > 0.0
+    healthy = np.arange(len(normal)) < fit.layout.healthy
+    moving = ~(healthy & outward & (np.abs(fit.shared) >= FARTHEST_SD - 1e-9))
+    solved = np.zeros_like(normal)
+    solved[np.ix_(moving, moving)] = np.linalg.pinv(normal[np.ix_(moving, moving)])
     found = []
     for candidate in candidates:
         best: Score | None = None
-        for start in candidate.starts:
+        for start in candidate.starts[::2]:
             try:
                 changes = change_of(model, fit, candidate, start, use)
             except IntegrationError:
@@ -85,7 +90,8 @@ def screen(
             for k in use:
                 block, c = blocks[k], changes[k]
                 inverse, hus, gs = inner[k]
-                bc = block.scatter.T @ c
+                held = (np.abs(fit.stroke[k]) >= FARTHEST_SD) & (gs == 0.0)
+                bc = np.where(held, 0.0, block.scatter.T @ c)
                 slope += float(c @ block.residual) - float(bc @ inverse @ gs)
                 square += float(c @ c) - float(bc @ inverse @ bc)
                 cross += block.shared.T @ c - hus @ (inverse @ bc)

@@ -6,6 +6,7 @@ Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -16,7 +17,7 @@ from plant.hybrid import IntegrationError
 
 from .fit import FitResult, Fitter
 from .floor import misfit
-from .hypotheses import Candidate, compatible
+from .hypotheses import Candidate, compatible, scaled_of
 from .model import CampaignModel
 from .screening import Score, screen
 from .split import stratum
@@ -27,7 +28,7 @@ Floats = NDArray[np.float64]
 WORTH = 12.0
 """Linear gain in cost below which a further effect is not even tried."""
 
-FIRST_ITERATIONS = 5
+FIRST_ITERATIONS = 3
 LAST_ITERATIONS = 10
 SINGLES_KEPT = 6
 PAIRS_KEPT = 5
@@ -38,8 +39,14 @@ HOPELESS = 6.0
 SAMPLE = 8
 NEAR = 1.0
 """Excess of chi squared per number below which the healthy fit's linear scores can be trusted."""
-PARENTS = 4
-CHILDREN = 4
+PARENTS = 3
+CROSSED = 7
+"""So many of the best singles are tried in pairs with each other."""
+FAR = 3.0
+"""Cost per number above which a fit begins with the hypothesis' own parameters alone ..."""
+EFFECTS_FIRST = 3
+"""... for so many iterations."""
+CHILDREN = 3
 
 
 @dataclass(frozen=True)
@@ -83,7 +90,9 @@ class Search:
         self.candidates = list(candidates)
         self.training = tuple(training)
         self.sample = sample_of(model, self.training)
+        self.sample_size = sum(len(model.measured(k)) for k in self.sample)
         self.workers = workers
+        self.first: list[FitResult] = []
 
     def run(self) -> Found:
         """Healthy fit, singles, pairs."""
@@ -99,7 +108,7 @@ class Search:
         """Starts in typical sizes from neutral."""
         return np.array(
             [
-                (value - p.neutral) / p.typical
+                scaled_of(p, value)
                 for item, start in zip(candidates, starts, strict=True)
                 for p, value in zip(item.parameters, start, strict=True)
             ]
@@ -122,26 +131,40 @@ class Search:
                     best = (cost, trial, scatter)
         if best is None:
             return None
+        first = EFFECTS_FIRST if best[0] > FAR * self.sample_size else 0
         try:
             fit = self.fitter.fit(
                 task.candidates,
                 start=best[1],
                 scatter=best[2],
                 use=self.sample,
-                iterations=task.iterations,
+                iterations=task.iterations + first,
+                effects_first=first,
             )
         except IntegrationError:
             return None
         return fit.light()
 
     def refine(self, fit: FitResult, iterations: int = LAST_ITERATIONS) -> FitResult:
-        """Continue a fit from where it stands."""
+        """Continue a fit from where it stands; strokes it has not seen find their scatter first."""
+        scatter = fit.stroke.copy()
+        unseen = tuple(sorted(set(self.training) - set(fit.use)))
+        if unseen:
+            first = self.fitter.fit(
+                fit.candidates,
+                start=fit.shared,
+                use=unseen,
+                iterations=3,
+                freeze=range(len(fit.shared)),
+            )
+            scatter[list(unseen)] = first.stroke[list(unseen)]
         return self.fitter.fit(
             fit.candidates,
             start=fit.shared,
-            scatter=fit.stroke,
+            scatter=scatter,
             use=self.training,
             iterations=iterations,
+            fine=iterations > 0,
         )
 
     def run_tasks(self, tasks: Sequence[Task]) -> list[FitResult]:
@@ -181,7 +204,8 @@ class Search:
             Task((item,), tuple((s,) for s in item.starts), begin, FIRST_ITERATIONS)
             for item in chosen
         ]
-        self.polish(found, promising(self.run_tasks(tasks), SINGLES_KEPT))
+        self.first = self.run_tasks(tasks)
+        self.polish(found, promising(self.first, SINGLES_KEPT))
 
     def pairs(self, found: Found) -> None:
         """A second cause on top of the best singles, by score; then the best pairs to the end."""
@@ -191,7 +215,37 @@ class Search:
                 task = self.pair_task(parent, score)
                 key = "+".join(sorted(item.name for item in task.candidates))
                 tasks.setdefault(key, task)
+        for task in self.crossed(found):
+            key = "+".join(sorted(item.name for item in task.candidates))
+            tasks.setdefault(key, task)
         self.polish(found, promising(self.run_tasks(list(tasks.values())), PAIRS_KEPT))
+
+    def crossed(self, found: Found) -> list[Task]:
+        """Pairs of the best singles: while much is unexplained, linear scores mislead."""
+        best = found.of_size(1)
+        if not best or misfit(self.model, best[0]).beyond == 0.0:
+            return []
+        singles: list[FitResult] = []
+        for fit in self.first:
+            if all(fit.candidates[0].id != other.candidates[0].id for other in singles):
+                singles.append(fit)
+        tasks = []
+        for one, two in itertools.combinations(singles[:CROSSED], 2):
+            mine, theirs = (
+                tuple(fit.values[0][p.name] for p in fit.candidates[0].parameters)
+                for fit in (one, two)
+            )
+            starts = [(mine, theirs)]
+            starts += [(mine, start) for start in two.candidates[0].starts[:4]]
+            tasks.append(
+                Task(
+                    (*one.candidates, *two.candidates),
+                    tuple(starts),
+                    (one.shared, one.stroke),
+                    FIRST_ITERATIONS,
+                )
+            )
+        return tasks
 
     def variants(self, found: Found) -> None:
         """The best hypothesis with each of its causes in its other variants."""
@@ -242,7 +296,7 @@ class Search:
             (parent.candidates[0], score.candidate),
             tuple(starts),
             (parent.shared, parent.stroke),
-            FIRST_ITERATIONS + 2,
+            FIRST_ITERATIONS + 1,
         )
 
 

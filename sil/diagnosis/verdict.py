@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from .judge import Judged, by_cause
 from .terms import is_term
 
@@ -29,8 +31,15 @@ CLEAR = 0.7
 SUREST = 0.98
 """No cause is given more: the catalogue itself may be wrong."""
 
-EXPLAINED_SHARE = 0.9
-"""A named cause that leaves structure must at least explain this share of the misfit."""
+SECOND_SHARE = 0.3
+"""A further cause must gain at least this share of what the whole hypothesis still leaves."""
+
+LEFT = (0.005, 0.05)
+"""Misfit left, as a share of the healthy model's: from the first on a named cause is doubted, from
+the second on it is likelier that none of the named acts."""
+
+DOUBTED = 0.45
+"""Most that a named cause is given then."""
 
 
 @dataclass
@@ -85,9 +94,12 @@ def held_gain(leader: Judged, judged: Sequence[Judged], name: str) -> float:
 def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
     """The verdict on judged hypotheses (the healthy one among them; weighed already)."""
     healthy = next(item for item in judged if not item.ids)
-    needed = max(CLAIM, CLAIM_PER_STROKE * strokes)
+    least = max(CLAIM, CLAIM_PER_STROKE * strokes)
 
     def stands(item: Judged) -> bool:
+        needed = least
+        if len(item.ids) > 1:
+            needed = max(least, 0.5 * SECOND_SHARE * item.whole.beyond)
         return all(
             gain_of(name, item, judged) >= needed and held_gain(item, judged, name) > 0.0
             for name in item.ids
@@ -100,11 +112,14 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
     probabilities = by_cause(judged)
     gains = {name: gain_of(name, leader, judged) for name in leader.ids}
     groups = rivals_of(leader, judged, probabilities)
+    most = surest_of(leader, healthy)
     told = {
-        name: min(p, SUREST)
+        name: p if name == "unnamed" else min(p, most)
         for name, p in probabilities.items()
         if name in leader.ids or (p >= RIVAL_SHARE and any(name in group for group in groups))
     }
+    if "unnamed" in leader.ids:
+        told["unnamed"] = min(max(told["unnamed"], 1.0 - most), SUREST)
     surest = max(told.values())
     if "unnamed" in leader.ids and told["unnamed"] >= max(0.5, surest - 1e-9):
         kind = "unnamed"
@@ -113,6 +128,21 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
     else:
         kind = "named"
     return Verdict(kind, leader, healthy, leader.ids, told, gains, groups)
+
+
+def surest_of(leader: Judged, healthy: Judged) -> float:
+    """Most that a named cause of the leader can be given, by what the leader leaves unexplained.
+
+    A right cause of a slightly other form leaves a small share; beside a non-parametric term a
+    named cause may be no more than a stepping stone.
+    """
+    if "unnamed" in leader.ids:
+        return DOUBTED
+    left = leader.whole.beyond / max(healthy.whole.excess, 1e-9)
+    if leader.whole.beyond <= 0.02 * leader.whole.count or left <= LEFT[0]:
+        return SUREST
+    doubt = min(1.0, np.log(left / LEFT[0]) / np.log(LEFT[1] / LEFT[0]))
+    return float(SUREST - (SUREST - DOUBTED) * doubt)
 
 
 def rivals_of(

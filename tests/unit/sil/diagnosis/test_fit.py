@@ -42,12 +42,13 @@ def test_a_hidden_effect_is_recovered_with_its_score_first(tmp_path) -> None:
     healthy = fitter.fit()
     scores = screen(model, healthy, list(ALL.values()))
     assert scores[0].gain > 500.0
+    assert scores[0].candidate.id == "exhaust_clog"
     start = np.concatenate([np.zeros(healthy.layout.healthy), [-0.5]])
     fit = fitter.fit((ALL["exhaust_clog"],), start=start)
     assert misfit(model, fit).rms == pytest.approx(1.0, abs=0.1)
     assert fit.values[0]["factor"] == pytest.approx(0.8, abs=0.03)
-    sd = fit.covariance[-1, -1] ** 0.5 * 0.2
-    assert 0.001 < sd < 0.02
+    sd = fit.covariance[-1, -1] ** 0.5 * np.log(1.2)
+    assert 0.005 < sd < 0.02  # no better than the unit's own tolerance of its flows
     rival = fitter.fit((ALL["inlet_clog"],), start=start)
     assert rival.evidence() - fit.evidence() > 100.0
 

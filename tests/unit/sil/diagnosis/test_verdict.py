@@ -10,13 +10,15 @@ from sil.diagnosis.judge import weigh
 from sil.diagnosis.verdict import decide
 
 
-def entry(score: float, held_chi2: float, *ids: str) -> SimpleNamespace:
+def entry(
+    score: float, held_chi2: float, *ids: str, beyond: float = 0.0, excess: float = 0.0
+) -> SimpleNamespace:
     return SimpleNamespace(
         score=score,
         ids=ids,
         name="+".join(ids) or "healthy",
         prior=0.1 if len(ids) > 1 else 1.0,
-        whole=SimpleNamespace(beyond=0.0),
+        whole=SimpleNamespace(beyond=beyond, excess=excess, count=10000),
         held=SimpleNamespace(chi2=held_chi2),
         probability=0.0,
     )
@@ -70,3 +72,21 @@ def test_a_second_cause_must_earn_its_place() -> None:
         entry(1000.0, 500.0, "dynamic_friction"),
         entry(600.0, 300.0, "dynamic_friction", "free_play"),
     ).claimed == ("dynamic_friction", "free_play")
+
+
+def test_a_second_cause_must_explain_a_share_of_what_is_left() -> None:
+    blip = verdict(
+        entry(3000.0, 1500.0, excess=1e6),
+        entry(1200.0, 500.0, "dynamic_friction", beyond=4000.0),
+        entry(1100.0, 450.0, "dynamic_friction", "free_play", beyond=3900.0),
+    )
+    assert blip.claimed == ("dynamic_friction",)
+
+
+def test_a_cause_that_leaves_much_is_doubted() -> None:
+    found = verdict(
+        entry(9000.0, 4500.0, excess=16000.0),
+        entry(4000.0, 2000.0, "stribeck", beyond=6000.0),
+    )
+    assert found.claimed == ("stribeck",)
+    assert found.probabilities["stribeck"] < 0.5 and found.kind == "ambiguous"
