@@ -24,20 +24,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Diagnose; write diagnosis.json, extended_model.toml, report.html; 1 if not consistent."""
-    from can_dbc.errors import InputError
     from plant.parameters import load
     from sil.campaign import load_campaign
     from sil.diagnosis.diagnosis import diagnose
+    from sil.diagnosis.force_rig import is_force_rig
     from sil.diagnosis.report import write_report
-    from sil.results import finite, prepare_folder
+    from sil.results import finite
 
+    if is_force_rig(arguments.campaign):
+        return run_force(arguments)
     campaign = load_campaign(arguments.campaign)
     parameters = load(arguments.model)
-    folder = prepare_folder(arguments.out, f"{campaign.name}-diagnosis", arguments.force)
-    if (folder / "diagnosis.json").exists() and not arguments.force:
-        raise InputError(
-            f"{folder}: --out: holds another diagnosis; expected an empty folder, or --force"
-        )
+    folder = free_folder(arguments, campaign.name)
 
     def told(text: str) -> None:
         if sys.stderr.isatty():
@@ -58,3 +56,40 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"  {cause.probability:.2f} {cause.id} ({cause.klass}): {cause.evidence}")
         print(f"  written to {folder}", file=sys.stderr)
     return 0 if result.verdict.kind == "consistent" else 1
+
+
+def free_folder(arguments: argparse.Namespace, name: str) -> Path:
+    """The folder to write; InputError if it holds another diagnosis and --force is missing."""
+    from can_dbc.errors import InputError
+    from sil.results import prepare_folder
+
+    folder = prepare_folder(arguments.out, f"{name}-diagnosis", arguments.force)
+    if (folder / "diagnosis.json").exists() and not arguments.force:
+        raise InputError(
+            f"{folder}: --out: holds another diagnosis; expected an empty folder, or --force"
+        )
+    return folder
+
+
+def run_force(arguments: argparse.Namespace) -> int:
+    """Diagnose a rig known by driving force and position alone; 1 if a cause is named."""
+    from sil.diagnosis.force_page import write_page
+    from sil.diagnosis.force_rig import diagnose_force
+    from sil.results import finite
+
+    found = diagnose_force(arguments.campaign)
+    folder = free_folder(arguments, found.name)
+    plain = finite(found.as_json())
+    text = json.dumps(plain, indent=1, ensure_ascii=False)
+    (folder / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
+    write_page(found, folder / "report.html", arguments.campaign)
+    if arguments.json:
+        print(json.dumps(plain, ensure_ascii=False))
+    else:
+        print(f"{found.name}: {plain['verdict']}")
+        for cause in plain["causes"]:
+            print(f"  {cause['probability']:.2f} {cause['id']} (friction): {cause['evidence']}")
+        for line in plain["findings"]:
+            print(f"  {line}")
+        print(f"  written to {folder}", file=sys.stderr)
+    return 1 if plain["causes"] else 0

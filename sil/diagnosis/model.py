@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from plant.effects import EffectParameter
 from plant.hybrid import IntegrationError
 from plant.prediction import copied
 from plant.setup import Setup
 
-from .hypotheses import Candidate, scaled_of, value_of
+from .hypotheses import Candidate, is_factor, scaled_of, value_of
 from .internal import INTERNAL_SD_M, internal_prediction
 from .nuisance import SIMULATED, Spread, shift
 from .observations import StrokeObservation
@@ -28,6 +29,18 @@ DIFFERENCE = 0.05
 
 EFFECT_STEP = 0.005
 """Step of the differences of effect parameters, in typical sizes."""
+
+
+TWINS = {
+    "dynamic_friction": "friction",
+    "static_friction": "friction",
+    "inlet_clog": "flow_in",
+    "exhaust_clog": "flow_out",
+    "supply_low": "supply",
+    "valve_open_delay": "rise",
+    "valve_slow_close": "fall",
+}
+"""Effects whose parameter does what a tolerance does too, wholly or in part."""
 
 
 @dataclass(frozen=True)
@@ -187,6 +200,18 @@ class CampaignModel:
             values.append(own)
         return tuple(values)
 
+    def effect_step(self, name: str, parameter: EffectParameter) -> float:
+        """Step of an effect parameter's difference, in typical sizes.
+
+        Where a tolerance does the same to the plant, the same step: at stops and breakaways the
+        prediction has kinks, and unlike steps would feign that the two can be told apart.
+        """
+        twin = TWINS.get(name)
+        if twin is None:
+            return EFFECT_STEP
+        step = DIFFERENCE * self.spread.stroke.get(twin, self.spread.unit.get(twin, 0.0))
+        return float(step / (np.log1p(parameter.typical) if is_factor(parameter) else parameter.typical))
+
     # --- one stroke ---------------------------------------------------------------------------
     def residual(
         self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
@@ -234,8 +259,9 @@ class CampaignModel:
         shared_columns[:, len(self.unit) : healthy] = offset
         scaled = shared[healthy:]
         parameters = [p for item in candidates for p in item.parameters]
+        names = [item.id for item in candidates for _ in item.parameters]
         for j, parameter in enumerate(parameters):
-            step = EFFECT_STEP
+            step = self.effect_step(names[j], parameter)
             if scaled_of(parameter, parameter.high) - scaled[j] < step:
                 step = -step
 

@@ -70,7 +70,7 @@ def write_report(result: Diagnosis, path: Path, campaign: str, model: str) -> No
         isolability=isolability(result),
         findings=[str(item) for item in result.findings],
         command=f"opc4 diagnose {campaign} --model {model}",
-        false_alarm=f"False alarms at most {FALSE_ALARM_LEVEL:.0%}: {FALSE_ALARM_BASIS}",
+        false_alarm=f"False alarms, level aimed at: {FALSE_ALARM_LEVEL:.0%}; {FALSE_ALARM_BASIS}",
         time_text=", ".join(f"{name} {value:.1f} s" for name, value in result.seconds.items()),
         extended=result.extended,
     )

@@ -95,6 +95,8 @@ class Actuator:
         self.case = case
         self.flow = Flow(values)
         self.u = {name: float(name in case.charged) for name in self.chambers}
+        self.now_s = 0.0
+        self.turned_s: dict[str, float] = {}
         self.restitution = values["stops.restitution"]
         self.blocked = 0
         self.oil_rests = True
@@ -457,11 +459,21 @@ class Actuator:
             y[2 * k + 1] = common
 
     # --- march ----------------------------------------------------------------------------------
+    def switches(self) -> list[tuple[float, str, float]]:
+        return parts.valve_switches(self.case.commands, self.case.charged, self.v)
+
+    def tolerances(self) -> list[float]:
+        return [1e-13, 1e-11] * self.bodies + [1e-5] * len(self.chambers) + [1e-11, 1e-4]
+
+    def rates_at(self, time_s: float, y: State, mode: Mode) -> State:
+        self.now_s = time_s
+        return self.rates(y, mode)
+
     def solve(
         self, times: Sequence[float], *, rtol: float = 1e-11, max_step: float = 5e-4
     ) -> Solution:
         """Integrate from 0 to the last of `times` (ascending) with events located and restarted."""
-        switches = parts.valve_switches(self.case.commands, self.case.charged, self.v)
+        switches = self.switches()
         times = np.asarray(times, dtype=float)
         end = float(times[-1])
         y = self.initial()
@@ -470,11 +482,12 @@ class Actuator:
         happenings: list[Happening] = []
         written, t = 0, 0.0
         stiff = self.case.damper == "compressible"
-        atol = [1e-13, 1e-11] * self.bodies + [1e-5] * len(self.chambers) + [1e-11, 1e-4]
+        atol = self.tolerances()
         while t < end:
             while switches and switches[0][0] <= t:
-                _, name, u = switches.pop(0)
+                when, name, u = switches.pop(0)
                 self.u[name] = u
+                self.turned_s[name] = when
             until = min(end, switches[0][0]) if switches else end
             guards = self.guards(y, mode)
             events = []
@@ -484,7 +497,7 @@ class Actuator:
                 events.append(event)
             present = mode
             run = solve_ivp(
-                lambda _t, y: self.rates(y.tolist(), present),  # noqa: B023
+                lambda at, y: self.rates_at(at, y.tolist(), present),  # noqa: B023
                 (t, until),
                 np.array(y),
                 method="LSODA" if stiff else "DOP853",

@@ -1,0 +1,197 @@
+"""A measured campaign with something hidden in it, by the judge's implementation.
+
+Strokes, tolerances, scatter, noise and quantisation as in a real campaign; all drawn from one seed.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tests.reference import parts
+from tests.reference.actuator import Case
+from tests.reference.changed import changed, lagging
+from tests.reference.instruments import control_unit, gauge, potentiometer
+
+from . import effects
+
+Change = dict[str, float]
+RATE_HZ = 10000.0
+DURATION_S = 0.3
+INTERNAL = ("warmer_k", "gain", "later_s", "clock_offset_s", "clock_drift")
+
+# kind, load, still charged, supplies: what a campaign is composed of
+PLANS: tuple[tuple[str, str, bool, tuple[float, ...]], ...] = (
+    ("fixed", "none", False, (6e5, 7.5e5, 9e5)),
+    ("N-B", "none", False, (6e5, 9e5)),
+    ("B-N", "none", False, (6e5, 9e5)),
+    ("fixed", "damper", False, (6e5, 9e5)),
+    ("N-F", "none", False, (9e5,)),
+    ("F-N", "none", False, (9e5,)),
+    ("N-B", "none", True, (9e5,)),
+    ("B-N", "none", True, (9e5,)),
+    ("fixed", "none", False, (6e5, 7.5e5, 9e5)),
+    ("N-F", "damper", False, (9e5,)),
+    ("fixed", "spring", False, (9e5,)),
+    ("N-B", "none", False, (6e5, 9e5)),
+    ("B-N", "none", False, (6e5, 9e5)),
+    ("fixed", "none", False, (6e5, 9e5)),
+    ("fixed", "damper", False, (9e5,)),
+)
+DRIVING = {"fixed": "1", "N-B": "B", "N-F": "F", "B-N": "N", "F-N": "N"}
+SPRING_N_M, SPRING_START_M = 25000.0, 0.004258279
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What was hidden: names, classes, level, and the changes made."""
+
+    names: tuple[str, ...]
+    classes: tuple[str, ...]
+    level: str
+    change: Change
+
+    @property
+    def foreign(self) -> bool:
+        """Whether the vocabulary lacks it."""
+        return any(name in effects.FOREIGN for name in self.names)
+
+
+def hide(names: tuple[str, ...], level: str, seed: int) -> Hidden:
+    """Draw the sizes of named effects."""
+    rng = np.random.default_rng([seed, 1])
+    change: Change = {}
+    for name in names:
+        change.update(effects.draw(name, level, rng))
+    rows = {**effects.SIZES, **effects.FOREIGN}
+    return Hidden(names, tuple(rows[name][0] for name in names), level, change)
+
+
+def write_campaign(folder: Path, hidden: Hidden, seed: int, count: int = 15) -> Path:
+    """Write a campaign of `count` strokes with what is hidden; the answer is not in the folder."""
+    rng = np.random.default_rng([seed, 2])
+    v = parts.nominal()
+    rep = {key.split(".")[1]: value for key, value in v.items() if key.startswith("repeat")}
+    unit = {
+        "friction": rng.normal(0.0, rep["unit_friction_sd"]),
+        "rise_s": rng.normal(0.0, rep["unit_valve_delay_sd"]),
+        "fall_s": 3.0 * rng.normal(0.0, rep["unit_valve_delay_sd"]),
+        "inlet": rng.normal(0.0, rep["unit_flow_sd"]),
+        "outlet": rng.normal(0.0, rep["unit_flow_sd"]),
+        "outer_volume": rng.normal(0.0, rep["unit_volume_sd"]),
+        "inner_volume": rng.normal(0.0, rep["unit_volume_sd"]),
+    }
+    offsets = {name: rng.normal(0.0, rep["unit_gauge_offset_sd"]) for name in "12BNF"}
+    offsets["oil2"] = 5.0 * rng.normal(0.0, rep["unit_gauge_offset_sd"])
+    offset_m = rng.normal(0.0, rep["unit_pot_offset_sd"])
+    order = rng.permutation(count)
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = [
+        f'name = "{folder.name}"',
+        'rig = "both"',
+        "atmosphere_pa = 101325.0",
+        "temperature_k = 293.15",
+        f"sample_rate_hz = {RATE_HZ}",
+    ]
+    for number, place in enumerate(order, start=1):
+        kind, load, charged, supplies = PLANS[place % len(PLANS)]
+        supply = float(rng.choice(supplies))
+        rest_s = float(rng.choice((2.0, 30.0, 600.0)))
+        drive = DRIVING[kind]
+        commands = [(0.01, drive, 0.98)]
+        held = {"N-B": "N", "B-N": "B"}[kind] if charged else ""
+        if held:
+            commands.append((0.01, held, 0.0))
+        commands.append((0.2, drive, 0.0))
+        spring = load == "spring"
+        case = Case(
+            kind,
+            supply,
+            tuple(commands),
+            (held,) if held else (),
+            "compressible" if load == "damper" else None,
+            SPRING_N_M if spring else 0.0,
+            SPRING_START_M if spring else 0.0,
+        )
+        delay = rng.normal(0.0, rep["valve_delay_sd"], 2)
+        change = dict(hidden.change)
+        change["friction"] = (1.0 + unit["friction"]) * (1.0 + rng.normal(0.0, rep["friction_sd"]))
+        change["open_later_s"] = change.get("open_later_s", 0.0) + unit["rise_s"] + delay[0]
+        change["close_later_s"] = change.get("close_later_s", 0.0) + unit["fall_s"] + delay[1]
+        scatter = rng.normal(0.0, rep["supply_sd"])
+        change["supply"] = (1.0 + change.get("supply", 0.0)) * (1.0 + scatter) - 1.0
+        for name in ("inlet", "outlet"):
+            change[name] = change.get(name, 1.0) * (1.0 + unit[name])
+        for name in ("outer_volume", "inner_volume"):
+            change[name] = unit[name]
+        file = f"stroke_{number:03d}.csv"
+        columns = record(case, change, rest_s, v, offsets, offset_m, rng)
+        write_csv(folder / file, columns)
+        lines += [
+            "",
+            "[[stroke]]",
+            f'file = "{file}"',
+            f'label = "{kind}"',
+            f'kind = "{kind}"',
+            f"supply_pressure_pa = {supply}",
+            f'load = "{load}"',
+            f"spring_n_per_m = {case.spring_n_per_m}",
+            f"start_offset_m = {case.start_m}",
+            f"rest_s = {rest_s}",
+            f"commands = {json.dumps([list(c) for c in commands])}",
+            f"charged_before = {json.dumps(list(case.charged))}",
+        ]
+    (folder / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder
+
+
+def record(
+    case: Case,
+    change: Change,
+    rest_s: float,
+    v: parts.Values,
+    offsets: dict[str, float],
+    offset_m: float,
+    rng: np.random.Generator,
+) -> dict[str, np.ndarray]:
+    """One stroke as the instruments saw it."""
+    time_s = np.arange(round(DURATION_S * RATE_HZ) + 1) / RATE_HZ
+    actuator = changed(case, change, rest_s)
+    try:
+        states = actuator.solve(time_s, rtol=1e-7, max_step=2e-3).states
+    except (ValueError, AssertionError):  # an event lost in rounding: once more with other steps
+        actuator = changed(case, change, rest_s)
+        states = actuator.solve(time_s, rtol=1e-9, max_step=5e-4).states
+    lag = change.get("gauge_lag_s", 0.0)
+    columns = {"time_s": time_s, "position_m": potentiometer(states[:, 0], offset_m, v, rng)}
+    for k, name in enumerate(actuator.chambers):
+        true = states[:, actuator.first_pressure + k]
+        if lag:
+            true = lagging(time_s, true, lag)
+        columns[f"pressure_{name}_pa"] = gauge(true, offsets[name], False, v, rng)
+    if case.damper:
+        true = states[:, actuator.oil] + v["gas.P_atm"]
+        columns["pressure_oil2_pa"] = gauge(true, offsets["oil2"], True, v, rng)
+    for name in actuator.chambers:
+        duty = np.full(len(time_s), 0.98 if name in case.charged else 0.0)
+        for when, valve, value in case.commands:
+            if valve == name:
+                duty[time_s >= when - 1e-9] = value
+        columns[f"cmd_{name}"] = duty
+    told = {name: change[name] for name in INTERNAL if name in change}
+    phase_s = rng.uniform(0.0, v["position_sensor.period"])
+    columns["position_internal_m"] = control_unit(time_s, states[:, 0], phase_s, v, **told)
+    return columns
+
+
+def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
+    """As recorders write: few digits."""
+    styles = {"time_s": "%.4f", "position_m": "%.5f", "position_internal_m": "%.6f"}
+    formats = [
+        styles.get(name, "%.0f" if name.startswith("pressure") else "%.2f") for name in columns
+    ]
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path, table, formats, ",", header=",".join(columns), comments="")
