@@ -113,7 +113,9 @@ def read_rows(path: Path) -> list[Row]:
             told = json.loads(line)
             told["found"] = tuple(tuple(item) for item in told["found"])
             told["rivals"] = tuple(tuple(item) for item in told["rivals"])
-            rows.append(Row(**{**told, "names": tuple(told["names"])}))
+            for key in ("names", "classes"):
+                told[key] = tuple(told[key])
+            rows.append(Row(**told))
     return rows
 
 

@@ -26,7 +26,7 @@ SIZES: dict[str, tuple[str, str, float, float, float]] = {
     "piston_leak": ("leak", "piston_leak_m2", 4e-7, 1.5e-6, 1.5e-7),
     "leak_to_atmosphere": ("leak", "leak_out_m2", 4e-7, 1.5e-6, 1.5e-7),
     "supply_low": ("supply", "supply-", 0.05, 0.2, 0.025),
-    "hose_droop": ("supply", "line", 5e-6, 2e-5, 2.5e-5),
+    "hose_droop": ("supply", "line", 4e-6, 8e-6, 1.2e-5),
     "valve_open_delay": ("valve timing", "open_later_s", 0.003, 0.01, 0.0015),
     "valve_delay_pressure": ("valve timing", "open_later_s_pa", 8e-9, 2e-8, 4e-9),
     "valve_slow_close": ("valve timing", "close_later_s", 0.008, 0.025, 0.004),
@@ -94,7 +94,7 @@ def draw(name: str, level: str, rng: Rng) -> Change:
             "bump_at_m": either * rng.uniform(0.003, 0.010),
             "bump_width_m": rng.uniform(0.0008, 0.002),
         },
-        "hose_droop": lambda: {"line_cda_m2": amount, "line_m3": exp(rng.uniform(-10.5, -8.5))}
+        "hose_droop": lambda: {"line_cda_m2": amount, "line_m3": exp(rng.uniform(-11.5, -10.0))}
         if level != "small"
         else {"line_cda_m2": 1e-3, "line_m3": 1e-3},
         "valve_delay_pressure": lambda: {key: -amount},

@@ -1,0 +1,115 @@
+"""Rigs known by driving force and position: friction found, shapes refused, bad input named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from can_dbc.errors import InputError
+from sil.cli import main
+from sil.diagnosis.force_rig import diagnose_force, local_polynomial
+
+HEAD = """name = "bench"
+rig = "force"
+sample_rate_hz = 500.0
+[columns]
+position_m = { column = "x_mm", scale = 0.001 }
+force_n = "f"
+"""
+
+
+def rig(
+    folder: Path,
+    *,
+    faster_n_s_m: float = 0.0,
+    stribeck_n: float = 0.0,
+    per_pa: float = 0.0,
+    head: str = HEAD,
+    seed: int = 3,
+) -> Path:
+    """A 20 kg body on two sines; extra friction by direction, Stribeck fall, or pressure."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(10000) / 500.0
+    x = 0.1 * np.sin(2.1 * t) + 0.04 * np.sin(5.7 * t)
+    v = 0.21 * np.cos(2.1 * t) + 0.228 * np.cos(5.7 * t)
+    a = -0.441 * np.sin(2.1 * t) - 1.2996 * np.sin(5.7 * t)
+    p = 3e5 + 2e5 * np.sign(np.sin(0.5 * t))
+    s = np.sign(v)
+    f = 20.0 * a + 15.0 * s + 80.0 * v + 2.0
+    f += faster_n_s_m * np.abs(v) + stribeck_n * s * np.exp(-np.abs(v) / 0.08) + per_pa * p * s
+    f += rng.normal(0.0, 1.0, len(t))
+    folder.mkdir()
+    table = np.column_stack([t, 1e3 * x + rng.normal(0.0, 1e-3, len(t)), f, p])
+    np.savetxt(
+        folder / "a.csv", table, "%.6f", ",", header="time_s,x_mm,f,pressure_pa", comments=""
+    )
+    (folder / "campaign.toml").write_text(head + '[[stroke]]\nfile = "a.csv"\n', encoding="utf-8")
+    return folder
+
+
+def test_local_polynomials_are_exact_for_cubics() -> None:
+    t = np.arange(60.0)
+    values = 1.0 + 2.0 * t - 0.3 * t**2 + 0.01 * t**3
+    inner = slice(10, -10)
+    assert local_polynomial(values, 5, 0)[inner] == pytest.approx(values[inner])
+    assert local_polynomial(values, 5, 1)[inner] == pytest.approx((2 - 0.6 * t + 0.03 * t**2)[inner])
+    assert 2 * local_polynomial(values, 5, 2)[inner] == pytest.approx((-0.6 + 0.06 * t)[inner])
+
+
+def test_plain_friction_is_no_cause(tmp_path) -> None:
+    found = diagnose_force(rig(tmp_path / "a"))
+    assert found.as_json()["verdict"] == "consistent"
+    assert set(found.refused) == set(found.singles)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "value"),
+    [
+        ("friction_asymmetry", {"faster_n_s_m": 30.0}, 30.0),
+        ("stribeck", {"stribeck_n": 25.0}, 25.0),
+        ("seal_pressure_friction", {"per_pa": 3e-5}, 3e-5),
+    ],
+)
+def test_extra_friction_is_named_with_its_size(tmp_path, name, change, value) -> None:
+    plain = diagnose_force(rig(tmp_path / "a", **change)).as_json()
+    assert [c["id"] for c in plain["causes"]] == [name]
+    (parameter,) = plain["causes"][0]["parameters"].values()
+    assert parameter["value"] == pytest.approx(value, rel=0.2)
+    assert plain["causes"][0]["probability"] > 0.9
+    assert plain["gain"]["channels"]["force_n"]["after"] < plain["gain"]["channels"]["force_n"]["before"]
+
+
+def test_friction_that_grows_at_rest_is_refused(tmp_path) -> None:
+    found = diagnose_force(rig(tmp_path / "a", stribeck_n=-12.0))
+    assert "no physical amount" in found.refused["stribeck"]
+
+
+def test_the_command_writes_page_and_json(tmp_path, capsys) -> None:
+    folder = rig(tmp_path / "a", faster_n_s_m=30.0)
+    assert main(["diagnose", str(folder), "--out", str(tmp_path / "out")]) == 1
+    assert "friction_asymmetry" in capsys.readouterr().out
+    assert "friction_asymmetry" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert (tmp_path / "out" / "diagnosis.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('"f"', '"g"', "no column 'g'"),
+        ('force_n = "f"', 'other = "f"', "expected a driving force"),
+        ("[columns]", "bore = 3\n[columns]", "bore: unknown key"),
+        ("[columns]", "[body]\nweight = 3\n[columns]", "[body]"),
+    ],
+)
+def test_bad_descriptions_are_named(tmp_path, old, new, told) -> None:
+    folder = rig(tmp_path / "a", head=HEAD.replace(old, new))
+    with pytest.raises(InputError, match=told.replace("[", r"\[")):
+        diagnose_force(folder)
+
+
+def test_a_body_that_hardly_moves_is_named(tmp_path) -> None:
+    folder = rig(tmp_path / "a", head=HEAD + "[body]\nslow_m_s = 5.0\n")
+    with pytest.raises(InputError, match="hardly moves"):
+        diagnose_force(folder)
