@@ -15,6 +15,7 @@ from .hybrid import DEFAULT_TOLERANCE, HybridSystem
 from .integrate import start
 from .packing import Load, flow_coefficients, initial_state, pack
 from .parameters import ParameterSet
+from .run_effects import applied
 
 
 class LengthStroke(HybridSystem):
@@ -91,10 +92,18 @@ class LengthStroke(HybridSystem):
             ),
             load=load,
         )
+        c = flow_coefficients(parameters)
+        # delays of the valves belong to whoever moves them
+        self.valve_delays_ns: tuple[int, int] | None = None
+        has_line = False
+        if parameters.effects:
+            setup = applied(parameters, p, c, float(p[L.P_SUPPLY]), damper is not None)
+            self.valve_delays_ns = (setup.timing.rise_ns, setup.timing.fall_ns)
+            has_line = setup.has_line
         y = initial_state(
             L.LENGTH, p, position=initial, charged=charged, quadratures=L.QUADRATURES
         )
-        super().__init__(L.LENGTH, p, flow_coefficients(parameters), y, load, charged, tolerance)
+        super().__init__(L.LENGTH, p, c, y, load, charged, tolerance, has_line=has_line)
 
     @property
     def pressures_pa(self) -> tuple[float, float, float]:

@@ -6,6 +6,7 @@ Checked by: tests/unit/plant/test_node.py
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import msgspec
@@ -135,12 +136,6 @@ class PlantNode:
                 f"valve.duty_nominal: {duty:g}; expected at least valve.duty_open, "
                 f"{timing.duty_open:g}, where a chamber is charged"
             )
-        self.valves = tuple(
-            Valve(timing, is_open=c in config.charged, duty=duty if c in config.charged else 0.0)
-            for c in CHAMBERS
-        )
-        self._faulty = faulty_valves(self.valves, CHAMBERS, config.valve_faults, config.seed)
-        self.driver = ValveDriver(config.valve_driver, blow_duty=duty)
         self.stroke = LengthStroke(
             parameters,
             initial=config.initial,
@@ -151,6 +146,15 @@ class PlantNode:
             mesh_force_n=config.mesh_force_n,
             pull_force_n=config.pull_force_n,
         )
+        if self.stroke.valve_delays_ns is not None:
+            rise_ns, fall_ns = self.stroke.valve_delays_ns
+            timing = replace(timing, rise_ns=rise_ns, fall_ns=fall_ns)
+        self.valves = tuple(
+            Valve(timing, is_open=c in config.charged, duty=duty if c in config.charged else 0.0)
+            for c in CHAMBERS
+        )
+        self._faulty = faulty_valves(self.valves, CHAMBERS, config.valve_faults, config.seed)
+        self.driver = ValveDriver(config.valve_driver, blow_duty=duty)
         self.supply_pressure_pa = float(self.stroke.packed[layout.P_SUPPLY])
         self.circuit = PositionCircuit(
             config.sensor,

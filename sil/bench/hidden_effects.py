@@ -190,18 +190,18 @@ def tables(rows: Sequence[Row]) -> Iterator[str]:
                 sum(r.wrong_name > 0.5 for r in foreign), len(foreign))
     yield "reliability: told -> true"
     for low, high in pairwise(BINS):
-        told = [
+        pairs = [
             (p, name in r.names)
             for r in rows
             for name, _klass, p in r.found
             if name != "unnamed" and low < p <= high
         ]
-        if told:
-            mean = sum(p for p, _hit in told) / len(told)
-            yield "  " + share(f"{mean:.2f}", sum(hit for _p, hit in told), len(told))
+        if pairs:
+            mean = sum(p for p, _hit in pairs) / len(pairs)
+            yield "  " + share(f"{mean:.2f}", sum(hit for _p, hit in pairs), len(pairs))
     yield "confusion: hidden class -> class told first"
-    pairs = Counter(
+    counts = Counter(
         ("+".join(r.classes) or "nothing", r.found[0][1] if r.found else "nothing") for r in rows
     )
-    for (hidden, told), n in sorted(pairs.items()):
+    for (hidden, told), n in sorted(counts.items()):
         yield f"  {hidden} -> {told}: {n}"

@@ -318,7 +318,7 @@ class ForceDiagnosis:
             "format": 1,
             "campaign": self.name,
             "verdict": "named" if causes else "consistent",
-            "causes": sorted(causes, key=lambda c: -float(c["probability"])),  # type: ignore[arg-type]
+            "causes": sorted(causes, key=lambda c: -float(c["probability"])),
             "rivals": [],
             "next_experiment": None,
             "gain": {
