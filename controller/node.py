@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 from can_dbc.codec import can_id_of, encode
 from can_dbc.e2e import E2eConfig, E2eState, E2eStatus, Protector, Receiver
@@ -27,6 +27,13 @@ _CHANNEL_STATE = {
 _GOOD = (E2eStatus.OK, E2eStatus.OK_SOME_LOST)
 
 
+class Steps(Protocol):
+    """A control unit's program: one step a period."""
+
+    def step(self, now_ns: int, inputs: Inputs) -> Outputs:
+        """Take the inputs of one period and return the messages to send."""
+
+
 class ControllerNode:
     """The firmware with its end-to-end protected channels; ticks at k times the period.
 
@@ -38,9 +45,10 @@ class ControllerNode:
 
     name = "controller"
 
-    def __init__(self, config: FirmwareConfig) -> None:
+    def __init__(self, config: FirmwareConfig, firmware: Steps | None = None) -> None:
+        """`firmware`: another program in place of ours."""
         self.config = config
-        self.firmware = Firmware(config)
+        self.firmware: Steps = Firmware(config) if firmware is None else firmware
         self.outputs: Outputs | None = None
         """Answer of the latest step."""
         e2e = config.e2e

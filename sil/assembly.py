@@ -118,7 +118,13 @@ def make_participant(name: str, loaded: Loaded, folder: Path) -> Participant:
     if name == "controller":
         from controller.node import ControllerNode
 
-        return ControllerNode(scenario.controller)
+        if not scenario.firmware:
+            return ControllerNode(scenario.controller)
+        from sil.own_firmware import own_firmware
+
+        return ControllerNode(
+            scenario.controller, own_firmware(scenario.firmware, scenario.controller)
+        )
     if name == "traffic":
         from sil.traffic import TrafficNode
 

@@ -23,6 +23,7 @@ from plant.valve_faults import ValveFault
 from sil import typed_toml
 from sil.expectations import ChamberName, Expectations, GearName
 from sil.faults import BusFault, FaultPlan
+from sil.own_firmware import absolute
 
 if TYPE_CHECKING:
     from plant.parameters import ParameterSet
@@ -80,7 +81,10 @@ class BusTable(_Table, frozen=True, kw_only=True):
 
 
 class Scenario(_Table, frozen=True, kw_only=True):
-    """One run, complete. `model` holds overrides of model parameters by their path."""
+    """One run, complete. `model` holds overrides of model parameters by their path.
+
+    `firmware` is FILE.py or FILE.py:CLASS of another program in place of ours, beside the scenario.
+    """
 
     name: Annotated[str, Meta(min_length=1, max_length=80)]
     description: str = ""
@@ -94,6 +98,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     valve_driver: ValveDriverConfig = ValveDriverConfig()
     sensor: SensorConfig = SensorConfig()
     controller: FirmwareConfig = FirmwareConfig()
+    firmware: str = ""
     bus: BusTable = BusTable()
     fault: list[BusFault] = []
     sensor_fault: list[SensorFault] = []
@@ -163,6 +168,8 @@ def from_table(
         raw["model_set"] = model
     elif scenario.model_set.endswith(".toml"):
         raw["model_set"] = str(folder / scenario.model_set)
+    if scenario.firmware:
+        raw["firmware"] = absolute(scenario.firmware, folder)
     parameters = _parameters(raw.get("model_set", scenario.model_set), source)
     if settings or seed is not None:
         for text in settings:
@@ -172,6 +179,9 @@ def from_table(
         typed_toml.refuse_not_finite(raw, "--set")
         _normalise(raw, "--set")
         scenario = _build(raw, "--set")
+        if scenario.firmware:
+            raw["firmware"] = absolute(scenario.firmware, Path())
+            scenario = _build(raw, "--set")
     else:
         scenario = _build(raw, source)
     _check_consistent(scenario, source)
