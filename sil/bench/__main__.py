@@ -8,7 +8,6 @@ import sys
 
 import sil.bench
 
-
 HOURS = ("hidden_effects",)
 
 
