@@ -12,8 +12,8 @@ from can_dbc.frame import J1939Id, join_id, split_id
 from sil.logs.frame import LogFrame
 from sil.logs.gear_history import SETTLE_NS, GearHistory
 from sil.logs.registry import open_log
+from sil.logs.shift import Shift
 from sil.logs.shift_flag import FlagTracker
-from sil.logs.times import format_ns
 from sil.logs.transmission import PGN_ETC1, PGN_ETC2, decode_etc1, decode_etc2
 
 __all__ = [
@@ -39,64 +39,9 @@ _MOST_GROUPS: Final = 20_000
 _GATEWAY_NS: Final = 100_000_000
 """A gateway forwards within this; the same shift of the same sender on two channels is one."""
 
-_GEAR_NAMES: Final = {0: "N", 126: "P"}
+_TRANSMISSION: Final = 3
+"""Source address of transmission #1 (SAE J1939-81)."""
 
-
-@dataclass(frozen=True, slots=True)
-class Shift:
-    """A gear shift in a log.
-
-    from_gear, to_gear: None where nothing tells them; negative is reverse, 0 neutral, 126 park.
-    from_ratio, to_ratio: input by output shaft speed before and after, None where not known.
-    method: "flag" (SPN 574, shift in process) or "gear" (SPN 523, current gear changed).
-    chatter: one-sample changes of the flag left out inside.
-    """
-
-    start_ns: int
-    end_ns: int
-    from_gear: int | None
-    to_gear: int | None
-    source: int
-    channel: str
-    method: str
-    chatter: int = 0
-    from_ratio: float | None = None
-    to_ratio: float | None = None
-
-    @property
-    def duration_s(self) -> float:
-        """From its first to its last instant."""
-        return (self.end_ns - self.start_ns) / 1e9
-
-    def as_dict(self) -> dict[str, Any]:
-        """All of it as plain JSON values."""
-        return {
-            "start_ns": self.start_ns,
-            "end_ns": self.end_ns,
-            "duration_s": self.duration_s,
-            "from_gear": self.from_gear,
-            "to_gear": self.to_gear,
-            "source": self.source,
-            "channel": self.channel,
-            "method": self.method,
-            "chatter": self.chatter,
-            "from_ratio": self.from_ratio,
-            "to_ratio": self.to_ratio,
-        }
-
-    def __str__(self) -> str:
-        sender = f"source {self.source:#04x}" + (f" on {self.channel}" if self.channel else "")
-        when = f"{format_ns(self.start_ns)} s to {format_ns(self.end_ns)} s"
-        return (
-            f"{when} ({self.duration_s:.3f} s): {_gear(self.from_gear)} to "
-            f"{_gear(self.to_gear)}, {sender}, by {self.method}"
-        )
-
-
-def _gear(gear: int | None) -> str:
-    if gear is None:
-        return "?"
-    return _GEAR_NAMES.get(gear, f"{gear}" if gear > 0 else f"R{-gear}")
 
 
 @dataclass(slots=True)
@@ -223,10 +168,11 @@ class ShiftFinder:
                 )
                 for change in history.changes()
             ]
+            alone = [s for s in by_gear if not _near_any(s, flagged)]
             if sender[0] in flagged_channels:
-                self.unflagged += [s for s in by_gear if not _near_any(s, flagged)]
+                self.unflagged += alone
             else:
-                found += by_gear
+                found += [s for s in alone if not _repeats(s, found)]
         if self.short:
             self.notes.append(f"{self.short} ETC1 or ETC2 frames of fewer than 8 bytes")
         if not found:
@@ -234,19 +180,23 @@ class ShiftFinder:
         return sorted(found, key=lambda shift: (shift.start_ns, shift.source, shift.channel))
 
     def _once(self, found: list[Shift]) -> list[Shift]:
-        """One of each shift that a gateway shows on several channels."""
+        """One of each shift that a gateway or another unit repeats: a truck shifts one at a time.
+
+        The one kept is of the transmission's own address, and of the channel seen first.
+        """
         kept: list[Shift] = []
-        for shift in found:
+        for shift in sorted(found, key=lambda shift: shift.source != _TRANSMISSION):
             twins = [
                 other
                 for other in kept
-                if other.source == shift.source
-                and other.channel != shift.channel
+                if (other.source, other.channel) != (shift.source, shift.channel)
                 and abs(other.start_ns - shift.start_ns) < _GATEWAY_NS
                 and abs(other.end_ns - shift.end_ns) < _GATEWAY_NS
             ]
             if twins:
                 note = f"shifts on channel {shift.channel} repeat those on {twins[0].channel}"
+                if shift.source != twins[0].source:
+                    note = f"shifts of {shift.source:#04x} repeat those of {twins[0].source:#04x}"
                 if note not in self.notes:
                     self.notes.append(note)
             else:
@@ -330,12 +280,21 @@ def _by_ratio(gear: int | None, ratio: float | None, known: Mapping[int, float])
 
 
 def _near_any(shift: Shift, flagged: Iterable[Shift]) -> bool:
-    """Whether a change of gear belongs to one of the flagged shifts of its channel."""
+    """Whether a change of gear belongs to one of the flagged shifts, of whichever channel."""
     return any(
-        other.channel == shift.channel
-        and other.start_ns - SETTLE_NS <= shift.end_ns
+        other.start_ns - SETTLE_NS <= shift.end_ns
         and shift.start_ns <= other.end_ns + SETTLE_NS
         for other in flagged
+    )
+
+
+def _repeats(shift: Shift, found: Iterable[Shift]) -> bool:
+    """Whether a change of gear is one that another sender reported, too."""
+    return any(
+        (other.source, other.channel) != (shift.source, shift.channel)
+        and (other.from_gear, other.to_gear) == (shift.from_gear, shift.to_gear)
+        and abs(other.end_ns - shift.end_ns) < SETTLE_NS
+        for other in found
     )
 
 

@@ -305,6 +305,41 @@ def test_a_gateway_shows_each_shift_once_more() -> None:
     assert summary.notes == ["shifts on channel can1 repeat those on can0"]
 
 
+def test_another_unit_that_repeats_the_flag_shows_no_shift_twice() -> None:
+    echo = [
+        frame._replace(time_ns=frame.time_ns + 8 * MS, can_id=frame.can_id & ~0xFF | 0x27)
+        for frame in truck(gears=False)
+        if split_id(frame.can_id).pgn == 61442
+    ]
+    summary = summarize(sorted(echo + truck(), key=lambda frame: frame.time_ns))
+    assert plain(summary.shifts) == SEVEN
+    assert {shift.source for shift in summary.shifts} == {3}
+    assert summary.notes == ["shifts of 0x27 repeat those of 0x03"]
+
+
+def test_gears_alone_on_another_channel_show_no_shift_twice() -> None:
+    forwarded = [
+        frame._replace(time_ns=frame.time_ns + 5 * MS, channel="can1")
+        for frame in truck()
+        if split_id(frame.can_id).pgn == 61445
+    ]
+    summary = summarize(sorted(truck() + forwarded, key=lambda frame: frame.time_ns))
+    assert plain(summary.shifts) == SEVEN and not summary.unflagged
+
+
+def test_gears_alone_of_two_senders_show_no_shift_twice() -> None:
+    gears = [f for f in truck(flags=False) if split_id(f.can_id).pgn == 61445]
+    echo = [f._replace(time_ns=f.time_ns + 40 * MS, can_id=f.can_id & ~0xFF | 0x27) for f in gears]
+    found = shifts(sorted(gears + echo, key=lambda frame: frame.time_ns))
+    assert [(s.from_gear, s.to_gear) for s in found] == [(old, new) for _, _, old, new in SEVEN]
+
+
+def test_without_gears_the_ratios_are_told() -> None:
+    found = shifts(truck(gears=False, speeds=True))
+    assert len(found) == 7
+    assert "? to ?, ratio 11.70 to 9.20" in str(found[1])
+
+
 def test_duplicated_frames_are_no_second_sample() -> None:
     log = [frame for frame in truck() for _ in range(2)]
     odd = START_NS + 3_500 * MS
