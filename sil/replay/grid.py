@@ -183,37 +183,60 @@ def _bitrate(arrivals: Sequence[Arrival]) -> int | None:
     return best if count >= 3 else None
 
 
-def _period(bounds: Sequence[tuple[int, int]]) -> int | None:
-    """Return the period: the bounds' mean distance, as round a number as their blocking allows.
+def _period(instants: Sequence[tuple[int, int]]) -> int | None:
+    """Return the period of (counter, time): their mean distance, as round as their jitter allows.
 
-    The first and the last bound are each late by one blocking at most, which leaves the mean over
-    n ticks uncertain by that over n.
+    The first and the last instant are each off by one blocking (or what else scatters the steps)
+    at most, which leaves the mean over n periods uncertain by that over n. A unit that stood still
+    for a while has another mean; then the usual step is the period if far more instants lie on
+    its grid.
     """
     steps = [
         b_ns - a_ns
-        for (a, a_ns), (b, b_ns) in pairwise(bounds)
+        for (a, a_ns), (b, b_ns) in pairwise(instants)
         if (b - a) % COUNTERS == 1 and b_ns > a_ns
     ]
     if not steps:
         return None
     usual_ns = median(steps)
-    ticks = sum(max(round((b - a) / usual_ns), 1) for (_, a), (_, b) in pairwise(bounds))
-    mean_ns = (bounds[-1][1] - bounds[0][1]) / ticks
+    jitter_ns = max(BLOCKED_NS, min(max(steps) - min(steps), 4 * usual_ns))
+    periods = 0
+    for (a, a_ns), (b, b_ns) in pairwise(instants):
+        passed = (b - a) % COUNTERS  # and whole rounds of the counter, or one less if overtaken
+        periods += passed + COUNTERS * round(((b_ns - a_ns) / usual_ns - passed) / COUNTERS)
+    mean_ns = (instants[-1][1] - instants[0][1]) / max(periods, 1)
+    best = _rounded(mean_ns, 2 * jitter_ns / max(periods, 1))
+    most = _on_grid(instants, best)
+    for step_ns in (500_000, 100_000):
+        usual = max(round(usual_ns / step_ns), 1) * step_ns
+        count = _on_grid(instants, usual)
+        if count >= max(2 * most, len(instants) // 5):
+            best, most = usual, count
+    return best
+
+
+def _rounded(value_ns: float, within_ns: float) -> int:
+    """Return the roundest number no farther away than that."""
     for step_ns in (500_000, 100_000, 10_000, 1000):
-        period_ns = max(round(mean_ns / step_ns), 1) * step_ns
-        if abs(period_ns - mean_ns) <= 2 * BLOCKED_NS / ticks:
-            return period_ns
-    return max(round(mean_ns), 1000)
+        rounded_ns = max(round(value_ns / step_ns), 1) * step_ns
+        if abs(rounded_ns - value_ns) <= within_ns:
+            return rounded_ns
+    return max(round(value_ns), 1000)
+
+
+def _on_grid(instants: Sequence[tuple[int, int]], period_ns: int) -> int:
+    """Return how many instants have the same phase, to 10 us."""
+    return Counter(time_ns % period_ns // 10_000 for _, time_ns in instants).most_common(1)[0][1]
 
 
 def _sensor_period(arrivals: Sequence[Arrival]) -> int | None:
-    pulses = [a for a in arrivals if a.kind is PositionPulse and is_intact(PositionPulse, a.frame)]
-    steps = [
-        b.time_ns - a.time_ns
-        for a, b in pairwise(pulses)
-        if (counter_of(b.frame) - counter_of(a.frame)) % COUNTERS == 1
-    ]
-    return max(round(median(steps) / 100_000) * 100_000, 100_000) if steps else None
+    return _period(
+        [
+            (counter_of(a.frame), a.time_ns)
+            for a in arrivals
+            if a.kind is PositionPulse and is_intact(PositionPulse, a.frame)
+        ]
+    )
 
 
 def _resolution(arrivals: Sequence[Arrival]) -> int:

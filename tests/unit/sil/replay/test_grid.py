@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
 
+from can_dbc.messages import PositionPulse
 from sil import scenario
 from sil.replay.grid import make_grid, survey
 from sil.replay.traffic import Arrival
@@ -61,3 +64,27 @@ def test_a_log_without_the_unit_has_no_tick() -> None:
     assert survey([]).release_ns is None
     with pytest.raises(ValueError, match="no tick"):
         make_grid(survey([]), 10_000_000, COMPUTATION)
+
+
+def test_a_unit_that_stood_still_keeps_its_period() -> None:
+    log = [
+        a._replace(time_ns=a.time_ns + 37_000_000) if a.time_ns > 300_050_000 else a
+        for a in arrivals("firmware_2500us")
+    ]
+    assert survey(log).period_ns == 2_500_000
+    paused = [
+        a._replace(time_ns=a.time_ns + 150_000_000) if a.time_ns > 500_050_000 else a
+        for a in arrivals("full_shift")
+    ]
+    assert survey(paused).period_ns == 10_000_000
+
+
+def test_pulses_that_arrive_late_and_overtake_each_other_keep_their_period() -> None:
+    rng = random.Random(5)
+    log = [
+        a._replace(time_ns=a.time_ns + rng.randrange(4_000_000, 16_000_000))
+        if a.kind is PositionPulse
+        else a
+        for a in arrivals("full_shift")
+    ]
+    assert survey(sorted(log, key=lambda a: a.time_ns)).sensor_period_ns == 10_000_000
