@@ -16,7 +16,7 @@ from can_dbc.frame import Frame
 from sil.replay.comparison import Comparison
 from sil.replay.plant_side import PlantSide
 from sil.replay.signals import NAMES, told, values
-from sil.replay.ticks import TickMap
+from sil.replay.ticks import Span, TickMap
 from sil.replay.traffic import INPUTS, OUTPUTS, OWN_IDS, Arrival, bare, is_intact
 from sil.replay.unit import Unit
 
@@ -160,18 +160,28 @@ class Engine:
             recorded = self._answers.pop(tick, {})
             self._next_recorded = tick + 1
         replayed: dict[type, bytes] = {}
-        if now_ns == self._next_ns:
+        idle = self._map.idle_at(tick)
+        if idle is not None:
+            self._skip(idle)
+        elif now_ns == self._next_ns:
             self._next_ns += self._period_ns
-            if self._map.runs(tick):
-                replayed, other = self._step(now_ns, tick, recorded)
-                if other is not None:
-                    recorded = other
+            replayed, other = self._step(now_ns, tick, recorded)
+            if other is not None:
+                recorded = other
         if self._reference is None and self._same_grid:
             for kind in replayed.keys() - recorded.keys():
                 self.unanswered[kind.__name__] += 1
             replayed = {k: data for k, data in replayed.items() if k in recorded}
         if recorded or replayed:
             self.comparison.take(now_ns, recorded, replayed)
+
+    def _skip(self, idle: Span) -> None:
+        """Go on behind the ticks that did not run, of which there may be very many."""
+        self._next_recorded = idle.end
+        end_ns = idle.end * self._grid.period_ns
+        self._next_ns = -(-end_ns // self._period_ns) * self._period_ns
+        for tick in [tick for tick in self._answers if tick < idle.end]:
+            del self._answers[tick]
 
     def _step(
         self, now_ns: int, tick: int, recorded: dict[type, bytes]

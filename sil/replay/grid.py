@@ -23,7 +23,14 @@ from statistics import median
 from typing import Final, NamedTuple
 
 from can_dbc.e2e import COUNTERS
-from can_dbc.messages import ControllerStatus, PositionPulse, SafetyBlow, ShiftState, ValveCommand
+from can_dbc.messages import (
+    ControllerStatus,
+    Gear,
+    PositionPulse,
+    SafetyBlow,
+    ShiftState,
+    ValveCommand,
+)
 from sil.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.replay.traffic import Arrival, counter_of, is_intact
 
@@ -45,7 +52,7 @@ class Survey(NamedTuple):
     not two frames in a row. release_ns: earliest bound of the release of the tick with
     `first_counter`, moved to the phase that all ticks agree on; None without any tick.
     awake: the unit was already running (its first status is not INIT).
-    resolution_ns: all times are multiples of it.
+    gear: the first one that is confirmed. resolution_ns: all times are multiples of it.
     """
 
     first_ns: int
@@ -55,6 +62,7 @@ class Survey(NamedTuple):
     release_ns: int | None
     first_counter: int
     awake: bool
+    gear: Gear | None
     resolution_ns: int
     bounds: int
 
@@ -153,9 +161,19 @@ def survey(arrivals: Sequence[Arrival], bitrate: int | None = None) -> Survey:
         release_ns=release_ns,
         first_counter=bounds[0][0] if bounds else 0,
         awake=awake,
+        gear=_first_gear(arrivals),
         resolution_ns=_resolution(arrivals),
         bounds=len(bounds),
     )
+
+
+def _first_gear(arrivals: Sequence[Arrival]) -> Gear | None:
+    for arrival in arrivals:
+        if arrival.kind is ControllerStatus and is_intact(ControllerStatus, arrival.frame):
+            gear = Gear(arrival.frame.data[2] & 3)
+            if gear is not Gear.UNKNOWN:
+                return gear
+    return None
 
 
 def _single_bounds(arrivals: Sequence[Arrival], bit_ns: int) -> list[tuple[int, int]]:

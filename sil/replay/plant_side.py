@@ -80,6 +80,8 @@ class PlantSide:
     def see(self, time_ns: int, arrival: Arrival) -> None:
         """Take a frame of the log, some ticks ahead of the replay."""
         kind, frame = arrival.kind, arrival.frame
+        if time_ns < 0:  # of before the unit's first tick, where the plant is at rest
+            return
         if kind in OUTPUTS:
             if kind in COMMANDS and self.closed_ns is None and self._hears(arrival.time_ns):
                 self._commands.append((time_ns, frame))

@@ -114,6 +114,11 @@ def replay(order: Order) -> Outcome:
             f"{order.log}: no ShiftRequest in it, so nobody asked the control unit for anything; "
             "expected a log of its bus"
         )
+    if ticks.restarts and (order.plant or order.closed_loop):
+        raise InputError(
+            f"{order.log}: the recording has {len(ticks.restarts)} holes, over which nobody knows "
+            "what the plant did; expected a whole one, or neither --plant nor --closed-loop"
+        )
     hears = _hearing(ready, grid, ticks, "controller")
     with _Units() as units:
         unit = units.add(_unit(order, ready))
@@ -123,7 +128,10 @@ def replay(order: Order) -> Outcome:
         plant = _plant(order, ready, grid, hears_plant=_hearing(ready, grid, ticks, "plant"))
         engine = Engine(ticks, unit, config.period_ns, hears, plant, reference)
         comparison = Comparison(
-            _options(order.options, grid, ticks), config.duty_closed, engine.inputs, warming=not grid.fresh
+            _options(order.options, grid, ticks),
+            config.duty_closed,
+            engine.inputs,
+            warming=not grid.fresh,
         )
         traffic = log.traffic()
         engine.run(traffic, comparison)
@@ -304,6 +312,9 @@ def _notes(outcome: Outcome, log: _Log, traffic: Traffic) -> list[str]:
             notes.append(f"the unit {name} {len(spans) - 5} times more")
     if ticks.restarts:
         notes.append(f"holes in the recording: {len(ticks.restarts)}; the replay began anew there")
+    if outcome.plant is not None and (not grid.fresh or not outcome.setup.own_run):
+        gear = outcome.setup.loaded.scenario.initial_gear
+        notes.append(f"the plant begins at rest, vented and in {gear}, as far as the log tells")
     last_ns = traffic.last_ns or 0
     if last_ns - grid.tick_ns(ticks.last) > 2 * grid.period_ns:
         notes.append(

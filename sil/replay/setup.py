@@ -82,6 +82,8 @@ def _defaults(found: Survey) -> dict[str, Any]:
         raw["controller"]["period_s"] = found.period_ns / 1e9
     else:
         raw["controller"]["period_s"] = 0.01
+    if found.gear is not None:
+        raw["initial_gear"] = found.gear.name.lower()
     sensor_ns = found.sensor_period_ns
     if sensor_ns is not None and 1_000_000 <= sensor_ns <= 40_000_000:
         raw["sensor"] = {"period_s": sensor_ns / 1e9}

@@ -54,14 +54,19 @@ class TickMap:
 
     def runs(self, tick: int) -> bool:
         """Whether the unit ran a tick."""
-        return not _inside(self.idle, tick)
+        return self.idle_at(tick) is None
+
+    def idle_at(self, tick: int) -> Span | None:
+        """Return the ticks that did not run of which this is one."""
+        return _holding(self.idle, tick)
 
     def hears(self, time_ns: int) -> bool:
         """Whether the unit could hear a frame that arrived at a time of the log's clock."""
         if not self.off_bus:
             return True
         grid = self.grid
-        return not _inside(self.off_bus, (time_ns - grid.origin_ns) // grid.period_ns)
+        tick = (time_ns - grid.origin_ns) // grid.period_ns
+        return _holding(self.off_bus, tick) is None
 
     def tick_of(self, arrival: Arrival) -> int:
         """Return the tick that released a frame of the unit.
@@ -77,9 +82,9 @@ class TickMap:
         return tick if tick >= 0 and self.runs(tick) else latest
 
 
-def _inside(spans: list[Span], tick: int) -> bool:
+def _holding(spans: list[Span], tick: int) -> Span | None:
     index = bisect_right(spans, tick, key=lambda span: span.first) - 1
-    return index >= 0 and tick < spans[index].end
+    return spans[index] if index >= 0 and tick < spans[index].end else None
 
 
 def map_ticks(arrivals: Iterable[Arrival], grid: Grid) -> TickMap:

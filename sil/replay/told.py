@@ -31,10 +31,14 @@ def attribution(outcome: Outcome) -> str:
     """Say which side differs from the recording."""
     assert outcome.plant is not None
     unit, plant = outcome.comparison.differs, outcome.plant.differing > 0
+    known = "" if outcome.setup.own_run else " (as set by default: --run tells the run's own settings)"
     if plant and unit:
-        return "both the control unit and the plant differ from the recording"
+        return f"both the control unit and the plant{known} differ from the recording"
     if plant:
-        return "the control unit answers as recorded, the plant does not: the difference is the plant's"
+        return (
+            f"the control unit answers as recorded, the plant{known} does not: "
+            "the difference is the plant's"
+        )
     if unit:
         return (
             "the plant answers as recorded, the control unit does not: the difference is the unit's"

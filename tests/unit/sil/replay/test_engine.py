@@ -8,7 +8,9 @@ import pytest
 
 from can_dbc.errors import InputError
 from can_dbc.messages import ControllerStatus, SafetyBlow, ShiftRequest, ValveCommand
+from sil import scenario
 from sil.logs import LogFrame
+from sil.memory import run_in_memory
 from sil.replay.replay import Order, Outcome, replay
 from sil.replay.signals import Options
 from sil.replay.traffic import ID_OF
@@ -47,6 +49,37 @@ def test_a_unit_that_stood_still_is_replayed_as_one_that_did(tmp_path: Path) -> 
     found = replayed(tmp_path, paused)
     assert [tuple(span) for span in found.ticks.idle] == [(35, 40)]
     assert found.steps == 70 and len([f for f in paused if f.can_id in ours]) == 210
+
+
+def test_a_hole_of_an_age_is_stepped_over(tmp_path: Path) -> None:
+    log = frames("full_shift")
+    age_ns = 10**9 * 10**9 + 3 * PERIOD
+    late = [f._replace(time_ns=f.time_ns + age_ns) if f.time_ns > 560_050_000 else f for f in log]
+    found = replayed(tmp_path, late)
+    assert not found.differs and found.steps == 160
+    assert found.comparison.ticks > 130 and found.comparison.warm_up_ticks > 0
+    with pytest.raises(InputError, match="the recording has 1 holes"):
+        replay(Order(found.order.log, plant=True))
+
+
+def test_a_hampered_unit_and_bus_are_replayed_as_they_were(tmp_path: Path) -> None:
+    """Pauses of the unit, frames lost, corrupted and late all at once; the settings unknown."""
+    faults = [
+        {"kind": "stalled", "node": "controller", "start_s": 0.305, "end_s": 0.333},
+        {"kind": "stalled", "node": "controller", "start_s": 0.6, "end_s": 0.66},
+        {"kind": "loss", "message": "ControllerStatus", "probability": 0.1},
+        {"kind": "corruption", "message": "SafetyBlow", "probability": 0.05},
+        {"kind": "delay", "message": "PositionPulse", "delay_s": 0.004, "jitter_s": 0.012},
+    ]
+    requests = [{"at_s": 0.1, "gear": "backward"}, {"at_s": 0.7, "gear": "neutral"}]
+    table = {"name": "hampered", "duration_s": 1.2, "request": requests, "fault": faults}
+    run = run_in_memory(scenario.from_table(table, "test"))
+    log = [LogFrame(f.arrival_ns, *f.frame, channel="can0") for f in run.record.frames]
+    found = replayed(tmp_path, log)
+    assert not found.differs, found.comparison.first
+    assert [tuple(span) for span in found.ticks.idle] == [(31, 34), (60, 66)]
+    assert found.account.other["SafetyBlow with a wrong checksum or length"] > 0
+    assert found.unanswered["ControllerStatus"] > 5
 
 
 def test_one_changed_input_is_found_with_its_time(tmp_path: Path) -> None:

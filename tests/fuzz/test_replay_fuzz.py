@@ -1,0 +1,87 @@
+"""Logs cut, torn, thinned, shuffled and shifted in time: replayed or refused in a line, all counted."""
+
+from __future__ import annotations
+
+import random
+import time
+from pathlib import Path
+
+import pytest
+
+from can_dbc.errors import InputError
+from sil.replay.replay import Order, replay
+from sil.replay.told import as_dict, summary_lines, text
+from tests.unit.sil.replay.golden_logs import GOLDEN
+
+NAMES = ("lab_n_b", "full_shift", "bus_off", "firmware_2500us", "late_valve_commands")
+LONGEST_S = 5.0
+IDS = ("08FF1003", "08FF1103", "10FF3003", "0CFF0005", "0CFF2091", "0CFF2192", "0CF00203")
+
+
+def lines(name: str) -> list[str]:
+    import gzip
+
+    return gzip.decompress((GOLDEN / f"{name}.log.gz").read_bytes()).decode().splitlines()
+
+
+def mutated(log: list[str], rng: random.Random) -> list[str]:
+    """One of the things that happen to logs."""
+    a = rng.randrange(len(log))
+    b = a + rng.randrange(1, 400)
+    kind = rng.randrange(9)
+    if kind == 0:
+        return log[:a] + log[b:]
+    if kind == 1:
+        return log[: max(a, 1)]
+    if kind == 2:
+        return log[a:]
+    if kind == 3:
+        for _ in range(rng.randrange(1, 60)):
+            place = rng.randrange(len(log))
+            at = rng.randrange(len(log[place]))
+            log[place] = (
+                log[place][:at] + rng.choice("0123456789ABCDEF#() .") + log[place][at + 1 :]
+            )
+        return log
+    if kind == 4:
+        return rng.sample(log, len(log))
+    if kind == 5:
+        return [line for line in log if rng.random() > 0.3]
+    if kind == 6:
+        rare = rng.choice(IDS)
+        return [line for line in log if rare not in line or rng.random() < 0.1]
+    if kind == 7:
+        return log[a:b] * 3
+    later_s = rng.choice((5, 5000, 10**9, 4 * 10**9))
+    return log[:a] + [f"({int(x[1:11]) + later_s:010d}{x[11:]}" for x in log[a:]]
+
+
+def broken(seed: int, folder: Path) -> Path:
+    rng = random.Random(seed)
+    path = folder / "broken.log"
+    path.write_text("\n".join(mutated(lines(rng.choice(NAMES)), rng)) + "\n")
+    return path
+
+
+def require_replayed_or_refused(path: Path) -> bool:
+    begun = time.perf_counter()
+    try:
+        found = replay(Order(str(path)))
+    except InputError as error:
+        assert "\n" not in str(error) and str(path) in str(error)
+        return False
+    assert found.account.total == found.frames
+    assert len(text(found)) > 100 and as_dict(found) and summary_lines(found)
+    assert time.perf_counter() - begun < LONGEST_S
+    return True
+
+
+def test_broken_logs_are_replayed_or_refused(tmp_path: Path) -> None:
+    replayed = [require_replayed_or_refused(broken(seed, tmp_path)) for seed in range(60)]
+    assert 15 < sum(replayed) < 55
+
+
+@pytest.mark.slow
+def test_many_broken_logs_are_replayed_or_refused(tmp_path: Path) -> None:
+    replayed = [require_replayed_or_refused(broken(seed, tmp_path)) for seed in range(60, 500)]
+    assert 150 < sum(replayed) < 400
