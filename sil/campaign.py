@@ -34,6 +34,7 @@ STROKE_KEYS = {
     "commands",
     "charged_before",
     "damper_model",
+    "flow_model",
     "mounted",
     "mesh_force_n",
     "sync_impulse_n_s",
@@ -41,6 +42,7 @@ STROKE_KEYS = {
 RIGS = ("fixed", "length", "both")
 LOADS = ("none", "damper", "spring")
 DAMPER_MODELS = ("compressible", "incompressible")
+FLOW_MODELS = ("mapped", "theoretical")
 DECIMALS = {"time_s": 4, "position_m": 7, "position_internal_m": 7}
 
 
@@ -205,6 +207,10 @@ def parse_stroke(
                 text(entry, "damper_model", place, DAMPER_MODELS)
                 if "damper_model" in entry
                 else "compressible"
+            ),
+            theoretical_flow=(
+                "flow_model" in entry
+                and text(entry, "flow_model", place, FLOW_MODELS) == "theoretical"
             ),
             mounted=mounted,
             mesh_force_n=optional("mesh_force_n", 0.0, 0.0, 1e6),
@@ -393,6 +399,8 @@ def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
         ]
         if c.load == "damper":
             lines.append(f'damper_model = "{c.damper_model}"')
+        if c.theoretical_flow:
+            lines.append('flow_model = "theoretical"')
         if c.mounted:
             lines.append("mounted = true")
         if c.mesh_force_n:
