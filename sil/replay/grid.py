@@ -187,10 +187,12 @@ def _single_bounds(arrivals: Sequence[Arrival], bit_ns: int) -> list[tuple[int, 
 def _bitrate(arrivals: Sequence[Arrival]) -> int | None:
     """Return the bit rate at which most frames follow directly on the one before."""
     votes: Counter[int] = Counter()
+    close = 0
     for before, after in pairwise(arrivals):
         gap_ns = after.time_ns - before.time_ns
         if not 0 < gap_ns < 2_000_000:
             continue
+        close += 1
         bits = frame_bits(after.frame.can_id, after.frame.data) + INTERMISSION_BITS
         for bitrate in BITRATES:
             if abs(gap_ns - bits * NS_PER_S // bitrate) <= 1000:
@@ -198,7 +200,7 @@ def _bitrate(arrivals: Sequence[Arrival]) -> int | None:
     if not votes:
         return None
     best, count = votes.most_common(1)[0]
-    return best if count >= 3 else None
+    return best if count >= max(3, close // 10) else None
 
 
 def _period(instants: Sequence[tuple[int, int]]) -> int | None:
@@ -264,6 +266,12 @@ def _resolution(arrivals: Sequence[Arrival]) -> int:
     return 1
 
 
+def _uncertainty(found: Survey) -> str:
+    if found.resolution_ns > 1000:
+        return f"; to {found.resolution_ns / 1e6:g} ms"
+    return "; as well as its scattered times allow"
+
+
 def make_grid(found: Survey, period_ns: int, computation_ns: int) -> Grid:
     """Return the ticks of the recorded unit. `computation_ns`: from a tick to its release.
 
@@ -293,7 +301,7 @@ def make_grid(found: Survey, period_ns: int, computation_ns: int) -> Grid:
     told = (
         f"ticks every {period_ns / 1e6:g} ms from {origin_ns / 1e9:.9f} s, by {how}; {speed}, "
         f"{computation_ns / 1e6:g} ms computation"
-        + ("" if exact else f"; to {max(found.resolution_ns, 1000) / 1e6:g} ms")
+        + ("" if exact else _uncertainty(found))
         + ("" if fresh else "; the log begins while the unit is at work")
     )
     return Grid(origin_ns, period_ns, computation_ns, bitrate, exact, fresh, told)

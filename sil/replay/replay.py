@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -101,6 +102,8 @@ def replay(order: Order) -> Outcome:
         run=order.run,
         with_plant=order.plant or order.closed_loop,
     )
+    if order.firmware is not None and _is_folder(order.firmware):
+        ready = dataclasses.replace(ready, told=f"of {order.firmware}, settings {ready.told}")
     scene = ready.loaded.scenario
     if found.bitrate is None and ready.own_run:
         found = survey(log.head, scene.bus.bitrate)
