@@ -42,6 +42,8 @@ HEAD_FRAMES: Final = 20_000
 BLOCKED_NS: Final = 1_200_000
 """No frame of 29 bits lasts longer than this at 125 kbit/s or above (160 bits)."""
 
+NOMINAL: Final = 1e-3
+SKEW_WINDOWS: Final = 8
 NS_PER_S: Final = 1_000_000_000
 
 
@@ -52,7 +54,8 @@ class Survey(NamedTuple):
     not two frames in a row. release_ns: earliest bound of the release of the tick with
     `first_counter`, moved to the phase that all ticks agree on; None without any tick.
     awake: the unit was already running (its first status is not INIT).
-    gear: the first one that is confirmed. resolution_ns: all times are multiples of it.
+    skew: by how much the recorder's clock runs faster than the unit's, as a share; 0 where the
+    ticks do not show it. gear: the first one that is confirmed. resolution_ns: all times are multiples of it.
     """
 
     first_ns: int
@@ -62,6 +65,7 @@ class Survey(NamedTuple):
     release_ns: int | None
     first_counter: int
     awake: bool
+    skew: float
     gear: Gear | None
     resolution_ns: int
     bounds: int
@@ -161,6 +165,7 @@ def survey(arrivals: Sequence[Arrival], bitrate: int | None = None) -> Survey:
         release_ns=release_ns,
         first_counter=bounds[0][0] if bounds else 0,
         awake=awake,
+        skew=_skew(bounds, period_ns) if period_ns is not None else 0.0,
         gear=_first_gear(arrivals),
         resolution_ns=_resolution(arrivals),
         bounds=len(bounds),
@@ -225,6 +230,9 @@ def _period(instants: Sequence[tuple[int, int]]) -> int | None:
         passed = (b - a) % COUNTERS  # and whole rounds of the counter, or one less if overtaken
         periods += passed + COUNTERS * round(((b_ns - a_ns) / usual_ns - passed) / COUNTERS)
     mean_ns = (instants[-1][1] - instants[0][1]) / max(periods, 1)
+    nominal_ns = max(round(mean_ns / 500_000), 1) * 500_000
+    if abs(nominal_ns - mean_ns) <= NOMINAL * nominal_ns:  # clocks that drift apart, no odd period
+        return nominal_ns
     best = _rounded(mean_ns, 2 * jitter_ns / max(periods, 1))
     most = _on_grid(instants, best)
     for step_ns in (500_000, 100_000):
@@ -247,6 +255,29 @@ def _rounded(value_ns: float, within_ns: float) -> int:
 def _on_grid(instants: Sequence[tuple[int, int]], period_ns: int) -> int:
     """Return how many instants have the same phase, to 10 us."""
     return Counter(time_ns % period_ns // 10_000 for _, time_ns in instants).most_common(1)[0][1]
+
+
+def _skew(bounds: Sequence[tuple[int, int]], period_ns: int) -> float:
+    """Return how fast the earliest bounds drift away from the period's grid, as a share of time.
+
+    The bounds are cut into windows; the earliest of each lie on a line if the clocks drift apart.
+    """
+    size = len(bounds) // SKEW_WINDOWS
+    if size < 20:
+        return 0.0
+    tick, before_ns = 0, bounds[0][1]
+    late: list[tuple[int, int]] = []
+    for _, time_ns in bounds:
+        tick += round((time_ns - before_ns) / period_ns)
+        before_ns = time_ns
+        late.append((time_ns - bounds[0][1] - tick * period_ns, tick))
+    first, *between, last = (min(late[k * size : (k + 1) * size]) for k in range(SKEW_WINDOWS))
+    slope = (last[0] - first[0]) / (last[1] - first[1])
+    off_ns = max(abs(ns - first[0] - slope * (k - first[1])) for ns, k in between)
+    found = slope / period_ns
+    if abs(last[0] - first[0]) < 10_000 + 4 * off_ns or not 2e-6 < abs(found) < 2e-3:
+        return 0.0
+    return found
 
 
 def _sensor_period(arrivals: Sequence[Arrival]) -> int | None:

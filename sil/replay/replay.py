@@ -16,7 +16,7 @@ from can_dbc.messages import ShiftRequest, ValveCommand
 from sil.logs import LogFrame, LogReport, open_log
 from sil.replay.comparison import Comparison
 from sil.replay.engine import Account, Engine
-from sil.replay.grid import HEAD_FRAMES, Grid, make_grid, survey
+from sil.replay.grid import HEAD_FRAMES, NOMINAL, Grid, make_grid, survey
 from sil.replay.plant_side import PlantSide
 from sil.replay.setup import Setup, setup
 from sil.replay.signals import Options
@@ -105,10 +105,15 @@ def replay(order: Order) -> Outcome:
     if order.firmware is not None and _is_folder(order.firmware):
         ready = dataclasses.replace(ready, told=f"of {order.firmware}, settings {ready.told}")
     scene = ready.loaded.scenario
+    if found.skew and not ready.own_run:
+        log.set_clock(found.first_ns, found.skew)
+        found = survey(log.head)
     if found.bitrate is None and ready.own_run:
         found = survey(log.head, scene.bus.bitrate)
     config = scene.controller
-    period_ns = found.period_ns or config.period_ns
+    period_ns = found.period_ns or ready.recorded_ns
+    if abs(period_ns - ready.recorded_ns) <= NOMINAL * period_ns:
+        period_ns = ready.recorded_ns
     grid = make_grid(found, period_ns, config.computation_ns)
     requests = _Watched(log.traffic())
     ticks = map_ticks(requests, grid)
@@ -177,7 +182,14 @@ class _Log:
         self._reader = open_log(order.log, strict=order.strict, times=order.times)
         self.channel: str | None = None
         self.channels: Counter[str] = Counter()
-        self.head = list(Traffic(self._beginning(), channel=self.channel, ids=self._ids))
+        self.skew = (0, 0.0)
+        self._frames = self._beginning()
+        self.head = list(Traffic(self._frames, channel=self.channel, ids=self._ids))
+
+    def set_clock(self, begin_ns: int, share: float) -> None:
+        """Tell times by the unit's clock, from which the recorder's drifts away."""
+        self.skew = (begin_ns, share)
+        self.head = list(Traffic(self._frames, channel=self.channel, ids=self._ids, skew=self.skew))
 
     @property
     def report(self) -> LogReport:
@@ -186,7 +198,9 @@ class _Log:
 
     def traffic(self) -> Traffic:
         """Return the frames of a new reading."""
-        return Traffic(self._reader, channel=self.channel, ids=self._ids, path=self._order.log)
+        return Traffic(
+            self._reader, channel=self.channel, ids=self._ids, path=self._order.log, skew=self.skew
+        )
 
     def _beginning(self) -> list[LogFrame]:
         """Read on to the first valve command, and some more; choose the channel."""
@@ -335,6 +349,11 @@ def _notes(outcome: Outcome, log: _Log, traffic: Traffic) -> list[str]:
         notes.append(f"{count} {kind.__name__} with values outside the contract, not compared")
     if len(log.channels) > 1 or log.channel is not None:
         notes.append(f"channel {log.channel or '(unnamed)'}")
+    if log.skew[1]:
+        notes.append(
+            f"the recorder's clock runs {1e6 * log.skew[1]:+.1f} ppm against the unit's; times here "
+            "are by the unit's, from the log's first frame on"
+        )
     if traffic.reordered:
         notes.append(f"{traffic.reordered} frames out of order, taken as of the latest time before")
     report = log.report

@@ -18,14 +18,16 @@ RESULT = "result.json"
 
 @dataclass(frozen=True)
 class Setup:
-    """The settings of a replay. recorded: those of the recorded unit, where the run is known.
+    """The settings of a replay.
 
-    told: where the settings are from. own_run: the log is that of the run in `loaded`.
+    told: where the settings are from. own_run: the log is that of the run in `loaded`, whose unit
+    had the period `recorded_ns`.
     """
 
     loaded: Loaded
     told: str
     own_run: bool
+    recorded_ns: int
 
 
 def setup(
@@ -54,6 +56,7 @@ def setup(
         source, raw = log, _defaults(found)
         told = f"defaults, {_periods(raw)} from the log"
     raw = _without_none(raw)
+    recorded_ns = round(raw["controller"]["period_s"] * 1e9)
     if firmware is not None:
         table = _firmware_table(firmware)
         if "period_s" not in table:
@@ -66,7 +69,7 @@ def setup(
     loaded = scenario.from_table(raw, source, settings=settings)
     if settings:
         told += " with " + ", ".join(settings)
-    return Setup(loaded, told, own_run)
+    return Setup(loaded, told, own_run, recorded_ns)
 
 
 def _holds_scenario(path: Path) -> bool:

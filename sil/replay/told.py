@@ -31,7 +31,9 @@ def attribution(outcome: Outcome) -> str:
     """Say which side differs from the recording."""
     assert outcome.plant is not None
     unit, plant = outcome.comparison.differs, outcome.plant.differing > 0
-    known = "" if outcome.setup.own_run else " (as set by default: --run tells the run's own settings)"
+    known = (
+        "" if outcome.setup.own_run else " (as set by default: --run tells the run's own settings)"
+    )
     if plant and unit:
         return f"both the control unit and the plant{known} differ from the recording"
     if plant:

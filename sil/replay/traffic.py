@@ -48,7 +48,8 @@ class Traffic:
     """Sorts the frames of a log and counts every one of them.
 
     `channel`: None for all, else only frames of that channel count as ours. `ids`: identifier to
-    message type, where the log has others than the contract.
+    message type, where the log has others than the contract. `skew`: from a time on the
+    recorder's clock runs faster by that share, and times are told in the unit's own.
     Raises InputError when the clock steps back by more than `REORDERED_NS`.
     Checked by: tests/unit/sil/replay/test_traffic.py
     """
@@ -60,8 +61,10 @@ class Traffic:
         channel: str | None = None,
         ids: Mapping[int, type] = OWN_IDS,
         path: str = "log",
+        skew: tuple[int, float] = (0, 0.0),
     ) -> None:
         self._log = log
+        self._skew = skew
         self._channel = channel
         self._ids = ids
         self._path = path
@@ -75,9 +78,12 @@ class Traffic:
     def __iter__(self) -> Iterator[Arrival]:
         ids, channel = self._ids, self._channel
         last_ns: int | None = None
+        begin_ns, share = self._skew
         for entry in self._log:
             self.total += 1
             time_ns = entry.time_ns
+            if share:
+                time_ns = begin_ns + round((time_ns - begin_ns) / (1.0 + share))
             if last_ns is not None and time_ns < last_ns:
                 time_ns = self._clamped(time_ns, last_ns)
             last_ns = self.last_ns = time_ns

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -19,11 +20,31 @@ from tests.unit.sil.replay.golden_logs import frames, golden, write
 PERIOD = 10_000_000
 
 
+def long_log(seconds: int) -> list[LogFrame]:
+    """Several shifts on one clock."""
+    requests = [
+        {"at_s": 0.1 + 0.8 * k, "gear": ("backward", "neutral")[k % 2]} for k in range(2 * seconds)
+    ]
+    table = {"name": "long", "duration_s": 1.6 * seconds, "request": requests}
+    run = run_in_memory(scenario.from_table(table, "test"))
+    return [LogFrame(f.arrival_ns, *f.frame, channel="can0") for f in run.record.frames]
+
+
 def replayed(tmp_path: Path, log: list[LogFrame], **order: object) -> Outcome:
     path = write(tmp_path / "made.log", log)
     found = replay(Order(str(path), **order))  # type: ignore[arg-type]
     assert found.account.total == found.frames == len(log)
     return found
+
+
+@pytest.mark.parametrize("ppm", [-80, 40, 700])
+def test_a_recorders_clock_that_drifts_away_is_followed(tmp_path: Path, ppm: int) -> None:
+    log = long_log(8)
+    begin = 1_700_000_000_000_000_000
+    drifting = [f._replace(time_ns=begin + round(f.time_ns * (1 + ppm * 1e-6))) for f in log]
+    found = replayed(tmp_path, drifting)
+    assert not found.differs and found.comparison.ticks == 8 * 160
+    assert any(f"clock runs {ppm:+}.0 ppm" in note for note in found.notes), found.notes
 
 
 def test_another_clock_changes_nothing(tmp_path: Path) -> None:
@@ -109,6 +130,23 @@ def test_ignoring_all_that_differs_leaves_no_difference() -> None:
         ),
     )
     assert not replay(tolerant).differs
+
+
+def test_an_odd_period_of_a_known_run_is_that_of_the_run(tmp_path: Path) -> None:
+    table = {
+        "name": "odd",
+        "duration_s": 0.6,
+        "request": [{"at_s": 0.1, "gear": "backward"}],
+        "controller": {"period_s": 0.010003},
+    }
+    loaded = scenario.from_table(table, "test")
+    run = run_in_memory(loaded)
+    (tmp_path / "result.json").write_text(
+        json.dumps({"scenario": scenario.expanded(loaded.scenario)})
+    )
+    log = [LogFrame(f.arrival_ns, *f.frame, channel="can0") for f in run.record.frames]
+    found = replayed(tmp_path, log)
+    assert not found.differs and found.grid.period_ns == 10_003_000 and found.grid.exact
 
 
 def test_another_period_is_compared_in_time(tmp_path: Path) -> None:

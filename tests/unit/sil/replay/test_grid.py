@@ -26,6 +26,7 @@ def test_period_bit_rate_and_phase_of_every_golden_log(name: str) -> None:
     found = survey(arrivals(name), None)
     assert found.period_ns == scene.controller.period_ns
     assert found.bitrate in (scene.bus.bitrate, None)
+    assert found.skew == 0.0
     grid = make_grid(found, found.period_ns, COMPUTATION)
     assert (grid.origin_ns, grid.exact, grid.fresh) == (0, True, True)
 
