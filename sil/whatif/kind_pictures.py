@@ -184,6 +184,7 @@ def draw_tuning(study: LoadedStudy, table: Table, folder: Path) -> list[Path]:
         made.append(_maps(study, table, folder))
     if table.size <= 64:
         worst = {family: _worst(table, family) for family in FAMILIES}
+        worst = {name: values for name, values in worst.items() if not np.isnan(values).all()}
         figure, axis = pyplot.subplots(figsize=(11.0, 1.6 + 0.24 * table.size))
         for n, (family, values) in enumerate(worst.items()):
             axis.plot(values, range(table.size), MARKS[n], color=COLOURS[n], label=family)
@@ -221,11 +222,16 @@ def _maps(study: LoadedStudy, table: Table, folder: Path) -> Path:
     variants = list(dict.fromkeys(table.texts.get("variant", [""] * table.size)))
     which = np.array(table.texts.get("variant", [""] * table.size))
     x, y = np.unique(table.numbers[first.path]), np.unique(table.numbers[second.path])
+    families = [name for name in FAMILIES if not np.isnan(_worst(table, name)).all()]
     figure, axes = pyplot.subplots(
-        2, len(variants), figsize=(4.3 * len(variants) + 1.2, 7.0), squeeze=False, sharey=True
+        len(families),
+        len(variants),
+        figsize=(4.3 * len(variants) + 1.2, 3.7 * len(families)),
+        squeeze=False,
+        sharey=True,
     )
     mesh: Any = None
-    for line, family in zip(axes, FAMILIES, strict=True):
+    for line, family in zip(axes, families, strict=True):
         values = _worst(table, family)
         for axis, variant in zip(line, variants, strict=True):
             grid = np.full((len(y), len(x)), np.nan)
@@ -236,6 +242,15 @@ def _maps(study: LoadedStudy, table: Table, folder: Path) -> Path:
             mesh = axis.pcolormesh(
                 range(len(x) + 1), range(len(y) + 1), grid, cmap="viridis_r", vmin=0.0, vmax=1.4
             )
+            for k in np.flatnonzero(which == variant):
+                if table.numbers["cost_m_s"][k] <= table.numbers["damper_m_s"][k]:
+                    corner = (
+                        int(np.searchsorted(x, table.numbers[first.path][k])) + 0.03,
+                        int(np.searchsorted(y, table.numbers[second.path][k])) + 0.03,
+                    )
+                    axis.add_patch(
+                        pyplot.Rectangle(corner, 0.94, 0.94, fill=False, ec="#D55E00", lw=3)
+                    )
             for (i, j), value in np.ndenumerate(grid):
                 text = "failed" if np.isnan(value) else f"{value:.2f}"
                 dark = not np.isnan(value) and value > 0.8
@@ -246,6 +261,7 @@ def _maps(study: LoadedStudy, table: Table, folder: Path) -> Path:
             axis.set_title(f"{family}, {variant}", fontsize=10)
             axis.set_xlabel(f"{first.label or first.path}, ms")
         line[0].set_ylabel(f"{second.label or second.path}, ms")
+    figure.suptitle("Framed: as soft as the oil damper, mean over the loads", x=0.01, ha="left")
     figure.tight_layout()
     figure.colorbar(mesh, ax=list(axes.flat), label="worst impact speed over the loads, m/s")
     target = folder / "map.png"

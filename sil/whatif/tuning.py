@@ -179,6 +179,9 @@ def run_case(make: Make, strategy: str, parameters: Mapping[str, Any], case: Cas
     return Outcome(0.0 if speed_m_s is None else speed_m_s, time_s)
 
 
+OIL_DAMPER = 'plant.damper="compressible"'
+
+
 def references(make: Make, hardware: Sequence[str], cases: Sequence[Case]) -> list[Outcome]:
     """The open loop under each load on some hardware."""
     return [

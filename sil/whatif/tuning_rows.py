@@ -6,7 +6,14 @@ import math
 
 from can_dbc.errors import InputError
 from sil.whatif.study import LoadedStudy, Row, texts_of
-from sil.whatif.tuning import SPACES, Case, information_delay_s, references, tune
+from sil.whatif.tuning import (
+    OIL_DAMPER,
+    SPACES,
+    Case,
+    information_delay_s,
+    references,
+    tune,
+)
 
 
 def _strategy(settings: object) -> str:
@@ -26,13 +33,16 @@ def parameters(study: LoadedStudy) -> list[str]:
 
 
 def columns(study: LoadedStudy) -> tuple[str, ...]:
-    """Cost, the parameters, and impact speed and time lost under each load."""
+    """Cost, what the oil damper gives instead (mean and worst), the parameters, and impact speed and time lost under each load."""
     loads = [choice.name for choice in study.study.load]
     return (
         "cost_m_s",
         "default_cost_m_s",
         "worst_impact_m_s",
         "worst_lost_s",
+        "damper_m_s",
+        "damper_worst_m_s",
+        "damper_worst_lost_s",
         "failed",
         "information_delay_s",
         *(f"best.{name}" for name in parameters(study)),
@@ -69,6 +79,12 @@ def run(study: LoadedStudy, row: Row) -> dict[str, float]:
         "worst_lost_s": _number(max(lost)),
         "failed": float(sum(math.isinf(each.time_s) for each in best.outcomes) > 0),
     }
+    damped = references(study.loaded, [*hardware, OIL_DAMPER], cases)
+    told["damper_m_s"] = sum(each.speed_m_s for each in damped) / len(damped)
+    told["damper_worst_m_s"] = max(each.speed_m_s for each in damped)
+    told["damper_worst_lost_s"] = max(
+        a.time_s - b.time_s for a, b in zip(damped, reference, strict=True)
+    )
     told["information_delay_s"] = information_delay_s(study.loaded(hardware))
     told |= {f"best.{name}": best.parameters.get(name, math.nan) for name in parameters(study)}
     for case, outcome, lost_s in zip(cases, best.outcomes, lost, strict=True):
