@@ -8,8 +8,10 @@ import cantools
 import pytest
 
 from can_dbc.contract import DBC_PATH
+from can_dbc.messages import ControllerStatus, PlantMotion
 from sil import cosim, scenario
 from sil.logs import open_log
+from sil.memory import run_in_memory
 from sil.replay.replay import Order, Outcome, replay
 
 NAMES = sorted(scenario.shipped())
@@ -100,18 +102,29 @@ def test_the_filter_removed_moves_every_edge_as_two_runs_say(name: str, tmp_path
     assert moved >= 1
 
 
-def test_the_loop_closed_gives_what_a_run_of_that_firmware_gives(tmp_path: Path) -> None:
-    log = recorded(tmp_path / "with", "full_shift")
-    without = recorded(tmp_path / "without", "full_shift", "controller.filter=false")
-    found = replay(Order(str(log), settings=["controller.filter=false"], closed_loop=True))
-    assert found.plant is not None and found.plant.closed_ns == 210_000_000
-    edges = coil_edges_ns(without, found.grid.period_ns)
-    for result in found.comparison.lane_results()[:3]:
-        for up in (True, False):
-            replayed = [e.time_ns for e in result.lane.replayed if e.up is up]
-            assert replayed == edges.get((result.lane.name[-1], up), [])
-    true_end = [p.replayed_m for p in found.plant.positions][-1]
-    assert true_end == pytest.approx(-0.01285, abs=2e-5)
+@pytest.mark.parametrize(
+    ("name", "setting", "closed_ns"),
+    [
+        ("full_shift", "controller.filter=false", 210_000_000),
+        ("firmware_2500us", "controller.filter=true", 147_500_000),
+        ("busy_bus", "controller.blow.duration_s=0.05", 250_000_000),
+    ],
+)
+def test_the_loop_closed_gives_what_a_run_of_that_firmware_gives(
+    name: str, setting: str, closed_ns: int, tmp_path: Path
+) -> None:
+    """Bit by bit: the position that the plant published, and every state at its tick."""
+    log = recorded(tmp_path / "run", name)
+    found = replay(Order(str(log), settings=[setting], closed_loop=True))
+    assert found.plant is not None and found.plant.closed_ns == closed_ns
+    run = run_in_memory(scenario.load(name, settings=[setting])).record
+    positions = [motion.position_m for _, motion in run.of(PlantMotion)]
+    assert [p.replayed_m for p in found.plant.positions][: len(positions)] == positions
+    period_ns, states = found.grid.period_ns, []
+    for entry, status in run.of(ControllerStatus):
+        if not states or states[-1][1] != status.state.name:
+            states.append((entry.released_ns // period_ns * period_ns, status.state.name))
+    assert found.comparison.states[0].sides[1] == states
 
 
 def test_a_loop_that_never_parts_stays_open(tmp_path: Path) -> None:

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+
+import pytest
+
+from can_dbc.contract import DBC_PATH
+from sil.bench.replay import made_log, peak_memory
+from sil.replay.traffic import OWN_IDS
+from tests.conftest import ROOT
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -33,3 +41,48 @@ def test_a_log_in_which_nothing_was_engaged_is_no_success(opc4: Run, tmp_path: P
     refused = opc4("replay", "idle.log")
     assert refused.returncode == 2
     assert refused.stderr.count("\n") == 1 and "idle.log" in refused.stderr
+
+
+def test_a_log_with_other_identifiers_needs_their_database(opc4: Run, tmp_path: Path) -> None:
+    """Every identifier of ours moved to another source address, in the log and in the DBC."""
+    dbc = Path(DBC_PATH).read_text(encoding="ascii")
+    log = gzip.decompress((ROOT / "tests/golden/lab_n_b.log.gz").read_bytes()).decode()
+    for can_id in OWN_IDS:
+        other = can_id ^ 0x40
+        dbc = dbc.replace(str(can_id | 1 << 31), str(other | 1 << 31))
+        log = log.replace(f" {can_id:08X}#", f" {other:08X}#")
+    (tmp_path / "other.dbc").write_text(dbc, encoding="ascii")
+    (tmp_path / "other.log").write_text(log)
+    assert opc4("replay", "other.log").returncode == 2
+    found = opc4("replay", "other.log", "--dbc", "other.dbc", "--json")
+    assert found.returncode == 0, found.stderr
+    told = json.loads(found.stdout)
+    assert told["ticks"] == 70 and told["frames"]["foreign"] == 0
+
+
+def test_tolerances_from_a_file_and_a_folder_that_is_taken(opc4: Run, tmp_path: Path) -> None:
+    log = str(ROOT / "tests/golden/lab_n_b.log.gz")
+    (tmp_path / "options.toml").write_text('ignore = ["*"]\n')
+    what_if = ("replay", log, "--set", "controller.filter=false", "--out", "x")
+    assert opc4(*what_if, "--options", "options.toml").returncode == 0
+    again = opc4(*what_if)
+    assert again.returncode == 2 and "--force" in again.stderr
+    assert opc4(*what_if, "--force").returncode == 1
+
+
+def test_the_shifts_of_a_run_in_a_summary(opc4: Run, tmp_path: Path) -> None:
+    log = str(ROOT / "tests/golden/full_shift.log.gz")
+    found = opc4("replay", log, "--summary", "--json")
+    assert found.returncode == 0
+    shifts = json.loads(found.stdout)["shifts"]
+    assert [(s["from_gear"], s["to_gear"]) for s in shifts] == [(2, 0), (0, 1)]
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
+    short, long = (made_log(tmp_path / f"{s}.log", s) for s in (30, 90))
+    for what in ("read", "replay"):
+        (few, low), (many, high) = peak_memory(what, short), peak_memory(what, long)
+        assert many == 3 * few
+        assert high < 1.1 * low
