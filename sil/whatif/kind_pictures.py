@@ -114,14 +114,25 @@ def draw_bounds(study: LoadedStudy, table: Table, folder: Path) -> Path:
         axis.grid(alpha=0.25)
     axes[0][0].set_ylabel("impact speed at the stop, m/s")
     axes[0][-1].legend(frameon=False, fontsize=8, loc="upper right", ncols=2)
-    figure.suptitle(
-        "No controller that waits for the motion can stop the gearbox's shift softly: "
-        "the stop comes sooner than any answer",
-        x=0.01,
-        ha="left",
-        fontweight="bold",
-    )
+    figure.suptitle(headline(table, loads), x=0.01, ha="left", fontweight="bold")
     return _saved(figure, folder / "bounds.png")
+
+
+def headline(table: Table, loads: np.ndarray) -> str:
+    """What the bounds say: which families no controller can stop as softly as the damper."""
+    seen = table.numbers["bound.delay_s"] >= 0.0
+    harder = table.numbers["bound_m_s"] > table.numbers["damper_m_s"]
+    found = [
+        family
+        for family in dict.fromkeys(loads)
+        if (seen & (loads == family)).any() and harder[seen & (loads == family)].all()
+    ]
+    if not found:
+        return "The softest worst-case stop that a controller can reach"
+    return (
+        f"On the {' and the '.join(found)} no controller that waits for the motion stops as softly "
+        "as the oil damper"
+    )
 
 
 def draw_budget(study: LoadedStudy, table: Table, folder: Path) -> Path:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from sil.whatif.pictures import read_metrics
 from sil.whatif.study import LoadedStudy
 
 STYLE = """
@@ -20,10 +21,13 @@ td,th{border:1px solid #bbb;padding:.2rem .5rem;text-align:right}td:first-child{
 
 def page(study: LoadedStudy, told: dict[str, Any], pictures: Sequence[Path]) -> str:
     """The report as HTML text."""
+    shown = ["shift_time_s", "arrival_s", "impact_speed_m_s", "impact_energy_j"]
+    if study.study.kind != "runs":
+        shown = read_metrics(study)
     rows = []
     for name, entry in told["groups"].items():
         cells = [html.escape(name or study.study.name), str(entry["rows"])]
-        for metric in ("shift_time_s", "arrival_s", "impact_speed_m_s", "impact_energy_j"):
+        for metric in shown:
             if metric in entry:
                 figures = entry[metric]
                 cells.append(f"{metric}: {figures['median']:.4g} (worst {figures['max']:.4g})")
@@ -35,12 +39,17 @@ def page(study: LoadedStudy, told: dict[str, Any], pictures: Sequence[Path]) -> 
         for path in pictures
     )
     sentences = "".join(f"<p>{html.escape(line)}</p>" for line in told.get("kept", ()))
+    again = ""
+    if study.study.kind == "runs" and study.study.scenario is not None:
+        again = (
+            f"<p>Every row again by itself: <code>opc4 run {html.escape(study.study.scenario)} "
+            "--set ...</code> with the values of its line in results.csv.</p>"
+        )
     title = html.escape(study.study.name)
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" '
         f'content="width=device-width,initial-scale=1"><title>{title}</title><style>{STYLE}</style>'
         f"<h1>{title}</h1><p>{html.escape(study.study.description)}</p>"
         f"{sentences}{images}<table>{''.join(rows)}</table>"
-        f"<p>Every row again by itself: <code>opc4 run {html.escape(study.study.scenario or '')} "
-        f"--set ...</code> with the values of its line in results.csv.</p></html>\n"
+        f"{again}</html>\n"
     )

@@ -109,7 +109,9 @@ def draw_lines(study: LoadedStudy, table: Table, folder: Path) -> Path:
                 axis.set_xlabel(f"{sweep.label or sweep.path}{unit}")
     handles, labels = axes[0][0].get_legend_handles_labels()
     if labels:
-        axes[0][-1].legend(handles, labels, frameon=False, fontsize=8)
+        axes[0][-1].legend(
+            handles, labels, frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0)
+        )
     figure.suptitle(study.study.name.replace("_", " "), x=0.02, ha="left", fontweight="bold")
     return saved(figure, folder / "lines.png")
 
