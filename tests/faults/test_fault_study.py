@@ -89,4 +89,4 @@ def test_a_safety_study_needs_a_scenario(tmp_path: Path, capsys: Any) -> None:
     path = tmp_path / "s.toml"
     path.write_text('name = "s"\nsafety = true\n[stroke]\nkind = "N-B"\ncommands = []\n')
     assert main(["whatif", str(path), "--out", str(tmp_path / "out")]) == 2
-    assert "expected a study with a scenario" in capsys.readouterr().err
+    assert "expected a study of runs with a scenario" in capsys.readouterr().err

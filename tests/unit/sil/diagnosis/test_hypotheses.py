@@ -42,7 +42,7 @@ def test_neutral_changes_nothing_and_starts_are_within_bounds(item) -> None:
 
 def test_candidates_travel_by_name_and_variants_exclude_each_other() -> None:
     twin = pickle.loads(pickle.dumps(ALL[0]))
-    assert twin is ALL[0]
+    assert twin == ALL[0]
     variants = [item for item in ALL if item.id == "residual_pressure"]
     assert len(variants) > 1 and not compatible(variants[1], (variants[0],))
     assert compatible(variants[1], (ALL[0],))
