@@ -62,3 +62,10 @@ def test_every_path_of_the_map_exists() -> None:
         places = [ROOT / path, ROOT / "sil" / path, *(ROOT / p / path for p in ("plant", "tests"))]
         places += [ROOT / "can_dbc" / path, ROOT / "controller" / path]
         assert any(p.exists() for p in places), path
+
+
+def test_the_python_in_the_readme_prints_what_it_says(capsys: pytest.CaptureFixture[str]) -> None:
+    (text,) = blocks("python")
+    exec(compile(text, "README", "exec"), {})
+    (told,) = re.findall(r"# ([0-9.]+)$", text, flags=re.MULTILINE)
+    assert f"{float(capsys.readouterr().out):.3f}" == told
