@@ -84,7 +84,7 @@ def text(outcome: Outcome) -> str:
     lines = [
         f"replay of {outcome.order.log}",
         f"firmware  {outcome.setup.told}",
-        f"ticks     {grid.told}",
+        f"grid      {grid.told}",
         f"verdict   {verdict(outcome)}",
         "",
         "edges",

@@ -36,6 +36,9 @@ REORDERED_NS: Final = 50_000_000
 """Frames out of order by no more than this are taken as of the latest time before them."""
 
 
+_WATCHED: Final = 16
+
+
 class Arrival(NamedTuple):
     """A data frame of the log; `kind` is its message type, None for a foreign one."""
 
@@ -78,6 +81,7 @@ class Traffic:
     def __iter__(self) -> Iterator[Arrival]:
         ids, channel = self._ids, self._channel
         last_ns: int | None = None
+        instant: list[LogFrame] = []
         begin_ns, share = self._skew
         for entry in self._log:
             self.total += 1
@@ -86,6 +90,13 @@ class Traffic:
                 time_ns = begin_ns + round((time_ns - begin_ns) / (1.0 + share))
             if last_ns is not None and time_ns < last_ns:
                 time_ns = self._clamped(time_ns, last_ns)
+            if time_ns != last_ns:
+                instant.clear()
+            elif entry in instant:  # no bus carries a frame twice at once: two recordings in one
+                self.counts["frames that are there twice"] += 1
+                continue
+            if len(instant) < _WATCHED:
+                instant.append(entry)
             last_ns = self.last_ns = time_ns
             if entry.error or entry.remote or entry.fd or not entry.extended:
                 self.counts[_reason(entry)] += 1

@@ -167,6 +167,13 @@ def test_damaged_answers_are_counted_not_compared(tmp_path: Path) -> None:
     assert found.account.other == {"ValveCommand with a wrong checksum or length": 1}
 
 
+def test_a_log_of_two_recordings_in_one_counts_every_frame_once(tmp_path: Path) -> None:
+    log = frames("lab_n_b")
+    found = replayed(tmp_path, [f for frame in log for f in (frame, frame)])
+    assert not found.differs and found.steps == 70
+    assert found.account.other == {"frames that are there twice": len(log)}
+
+
 def test_foreign_frames_pass_through_untouched(tmp_path: Path) -> None:
     log = frames("lab_n_b")
     strange = [
