@@ -163,7 +163,9 @@ def draw_curves(study: LoadedStudy, folder: Path) -> Path:
     end = 0.0
     for k, row in enumerate(study.rows()):
         stroke = stroke_of(base, study, row)
-        sweeps = [f"{s.label or s.path} {row.settings[s.path]}" for s in study.study.sweep]
+        sweeps = [
+            f"{s.label or s.path} {row.settings[s.path]} {s.unit}".strip() for s in study.study.sweep
+        ]
         label = ", ".join([*row.choices, *sweeps])
         ms = 1e3 * stroke.time_s
         colour = COLOURS[k % len(COLOURS)]
