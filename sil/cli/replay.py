@@ -38,8 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--firmware",
         metavar="FILE",
-        help="settings of the firmware (TOML, a scenario, a result.json), or the folder of "
-        "another checkout, whose firmware is then used",
+        help="settings of the firmware (TOML, a scenario, a result.json), a firmware of your own "
+        "(FILE.py or FILE.py:CLASS), or the folder of another checkout with its firmware",
     )
     parser.add_argument(
         "--set",

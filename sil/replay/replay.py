@@ -278,7 +278,7 @@ def _unit(order: Order, ready: Setup) -> Unit:
         if not (folder / "controller" / "node.py").is_file():
             raise InputError(f"{order.firmware}: no controller/node.py in it; expected a checkout")
         return ForeignUnit(folder, ready.loaded.scenario.controller, order.firmware)
-    return OwnUnit(ready.loaded.scenario.controller)
+    return OwnUnit(ready.loaded.scenario.controller, ready.loaded.scenario.firmware)
 
 
 def _hearing(ready: Setup, grid: Grid, ticks: TickMap, node: str) -> Callable[[int], bool]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from can_dbc.errors import InputError
 from sil import scenario, typed_toml
+from sil.own_firmware import absolute
 from sil.replay.grid import Survey
 from sil.scenario import Loaded
 
@@ -42,7 +43,7 @@ def setup(
     """Find the settings: result.json beside the log, else the defaults with the log's periods.
 
     `firmware`: a file with the firmware's settings (a table of them, a [controller] table, a
-    scenario or a result.json). `run`: scenario or result.json that the log is of. `settings`:
+    scenario or a result.json), or the program of another firmware (FILE.py or FILE.py:CLASS). `run`: scenario or result.json that the log is of. `settings`:
     PATH=VALUE; those of the plant need `with_plant`.
     Raises InputError. Checked by: tests/unit/sil/replay/test_setup.py
     """
@@ -57,7 +58,10 @@ def setup(
         told = f"defaults, {_periods(raw)} from the log"
     raw = _without_none(raw)
     recorded_ns = round(raw["controller"]["period_s"] * 1e9)
-    if firmware is not None:
+    if firmware is not None and _is_program(firmware):
+        raw["firmware"] = absolute(firmware, Path())
+        told = f"of {firmware}, settings {told}"
+    elif firmware is not None:
         table = _firmware_table(firmware)
         if "period_s" not in table:
             table = {"period_s": raw["controller"]["period_s"], **table}
@@ -70,6 +74,10 @@ def setup(
     if settings:
         told += " with " + ", ".join(settings)
     return Setup(loaded, told, own_run, recorded_ns)
+
+
+def _is_program(firmware: str) -> bool:
+    return firmware.partition(":")[0].endswith(".py")
 
 
 def _holds_scenario(path: Path) -> bool:
@@ -129,7 +137,7 @@ def _without_none(table: dict[str, Any]) -> dict[str, Any]:
 def _refuse_plant_settings(settings: Sequence[str]) -> None:
     for text in settings:
         path = text.partition("=")[0].strip()
-        if path and path.split(".")[0] != "controller":
+        if path and path.split(".")[0] not in ("controller", "firmware"):
             raise InputError(
                 f"--set {typed_toml.one_line(path, 60)}: not of the firmware, which is replayed "
                 "alone; expected controller..., or --plant or --closed-loop"

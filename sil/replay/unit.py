@@ -35,17 +35,26 @@ class Unit(Protocol):
 
 
 class OwnUnit:
-    """The firmware of this code."""
+    """The firmware of this code, or the user's own in a Python file (`FILE.py:CLASS`).
 
-    def __init__(self, config: FirmwareConfig) -> None:
+    Raises InputError for a file that holds none, RunError when its step fails.
+    """
+
+    def __init__(self, config: FirmwareConfig, program: str = "") -> None:
         self._config = config
+        self._program = program
         self.restart()
 
     def restart(self) -> None:
         """See `Unit`."""
         from controller.node import ControllerNode
 
-        self._node = ControllerNode(self._config)
+        if self._program:
+            from sil.own_firmware import own_firmware
+
+            self._node = ControllerNode(self._config, own_firmware(self._program, self._config))
+        else:
+            self._node = ControllerNode(self._config)
         self._base_ns: int | None = None
 
     def step(self, tick_ns: int, deliveries: Sequence[tuple[int, Frame]]) -> list[Frame]:
@@ -54,7 +63,13 @@ class OwnUnit:
             self._base_ns = tick_ns
         base_ns = self._base_ns
         since = [(max(t - base_ns, 0), frame) for t, frame in deliveries]
-        released, _ = self._node.advance(tick_ns - base_ns, since)
+        try:
+            released, _ = self._node.advance(tick_ns - base_ns, since)
+        except Exception as error:
+            if not self._program:
+                raise
+            told = " ".join(str(error).split())
+            raise RunError(f"{self._program}: step: {type(error).__name__}: {told}") from None
         return [frame for _, frame in released]
 
     def close(self) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from can_dbc.errors import InputError
+from can_dbc.errors import InputError, RunError
 from can_dbc.messages import ControllerStatus, SafetyBlow, ShiftRequest, ValveCommand
 from sil import scenario
 from sil.logs import LogFrame
@@ -156,6 +156,40 @@ def test_another_period_is_compared_in_time(tmp_path: Path) -> None:
     edges = found.comparison.lane_results()[0]
     assert len(edges.matching.pairs) == 2
     assert all(shift % 5_000_000 == 0 for shift in edges.shift_ns)
+
+
+LATE = """
+import dataclasses
+
+from controller.firmware import Firmware
+
+
+class Late(Firmware):
+    ticks = 0
+
+    def step(self, now_ns, inputs):
+        out = super().step(now_ns, inputs)
+        self.ticks = self.ticks + 1 if out.valves.duty_b > 0.4 else 0
+        if 0 < self.ticks < 3:
+            out = out._replace(valves=dataclasses.replace(out.valves, duty_b=0.0))
+        return out
+
+
+class Broken(Firmware):
+    def step(self, now_ns, inputs):
+        return super().step(now_ns, inputs) if now_ns < 100_000_000 else 1 // 0
+"""
+
+
+def test_a_firmware_of_ones_own_is_replayed_on_what_ours_heard(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(LATE)
+    found = replay(Order(str(golden("lab_n_b")), firmware=f"{tmp_path / 'own.py'}:Late"))
+    valve = found.comparison.lane_results()[0]
+    assert valve.lines(PERIOD) == ["valve B opens 2 samples (20 ms) later, once out of 1"]
+    with pytest.raises(RunError, match=r"own\.py:Broken: step: ZeroDivisionError: .+\Z"):
+        replay(Order(str(golden("lab_n_b")), firmware=f"{tmp_path / 'own.py'}:Broken"))
+    with pytest.raises(InputError, match="no class 'None'"):
+        replay(Order(str(golden("lab_n_b")), firmware=f"{tmp_path / 'own.py'}:None"))
 
 
 def test_damaged_answers_are_counted_not_compared(tmp_path: Path) -> None:
