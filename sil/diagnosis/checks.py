@@ -6,21 +6,26 @@ Checked by: tests/unit/sil/diagnosis/test_checks.py
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from can_dbc.errors import InputError
+from plant.hybrid import IntegrationError
 from plant.parameters import ParameterSet
 from sil.campaign import CampaignStroke, Record
 
 from .fit import FitResult
 from .model import CampaignModel
+from .observations import StrokeObservation
 
 LEAST_DURATION_S = 0.02
 FEWEST_SAMPLES = 50
 SATURATED_SHARE = 0.005
 SHIFT_S = 0.002
+SATURATED = "saturated"
 
 
 @dataclass(frozen=True)
@@ -151,7 +156,7 @@ def check_pressures(
             longest = longest_run(values >= high - 1e-9)
             if longest >= 20:
                 findings.append(
-                    Finding(entry.file, name, f"saturated at {high:.6g} Pa ({clipped:.1%})")
+                    Finding(entry.file, name, f"{SATURATED} at {high:.6g} Pa ({clipped:.1%}); left out there")
                 )
     return findings
 
@@ -180,6 +185,51 @@ def unit_hint(ratio: float, units: tuple[tuple[float, str], ...]) -> str:
     return ""
 
 
+SWAPPED, SHIFTED = "swapped", "against its commands"
+
+
+def check_signals(strokes: Sequence[StrokeObservation]) -> tuple[list[Finding], dict[int, float]]:
+    """Swapped gauges and shifted records, seen beside the unfitted model.
+
+    Returns the findings and the shift [s] of each stroke that has one.  A late valve is no shift:
+    what comes after its closing would not fit then.
+    """
+    findings = []
+    shifts: dict[int, float] = {}
+    for k, stroke in enumerate(strokes):
+        try:
+            states = stroke.predictor.states(stroke.setup)
+        except IntegrationError:
+            continue
+        pressures = {
+            c.name: (c.measured, states[c.rows, c.state], stroke.time_s[c.rows])
+            for c in stroke.channels
+            if c.kind == "pressure"
+        }
+        names = sorted(pressures)
+        for one, two in itertools.combinations(names, 2):
+            (a, b, t), (c, d, s) = pressures[one], pressures[two]
+            if len(t) != len(s):
+                continue
+            straight = misfit_of((a, b)) + misfit_of((c, d))
+            crossed = misfit_of((a, d)) + misfit_of((c, b))
+            if straight > 1e9 and crossed < 0.1 * straight:
+                findings.append(
+                    Finding(stroke.entry.file, f"{one}, {two}", f"channels are {SWAPPED}; left out")
+                )
+        shift = time_shift(pressures)
+        if abs(shift) >= SHIFT_S:
+            shifts[k] = shift
+            findings.append(
+                Finding(
+                    stroke.entry.file,
+                    "time_s",
+                    f"the record runs {1e3 * shift:+.1f} ms {SHIFTED}; taken off",
+                )
+            )
+    return findings, shifts
+
+
 def check_strokes(model: CampaignModel, fit: FitResult) -> list[Finding]:
     """What the fit itself shows of single strokes: swapped channels, a shifted time base."""
     findings = []
@@ -194,12 +244,16 @@ def check_strokes(model: CampaignModel, fit: FitResult) -> list[Finding]:
             if channel.kind == "pressure":
                 residual = block.residual[begin:end]
                 predicted = channel.measured - residual * channel.sd
-                pressures[channel.name] = (channel.measured, predicted)
+                pressures[channel.name] = (
+                    channel.measured, predicted, stroke.time_s[channel.rows]
+                )
             begin = end
         names = sorted(pressures)
         for i, one in enumerate(names):
             for two in names[i + 1 :]:
-                straight = misfit_of(pressures[one]) + misfit_of(pressures[two])
+                if len(pressures[one][0]) != len(pressures[two][0]):
+                    continue
+                straight = misfit_of(pressures[one][:2]) + misfit_of(pressures[two][:2])
                 crossed = misfit_of((pressures[one][0], pressures[two][1])) + misfit_of(
                     (pressures[two][0], pressures[one][1])
                 )
@@ -207,7 +261,7 @@ def check_strokes(model: CampaignModel, fit: FitResult) -> list[Finding]:
                     findings.append(
                         Finding(stroke.entry.file, f"{one}, {two}", "channels are swapped")
                     )
-        shift = time_shift(stroke.time_s, pressures)
+        shift = time_shift(pressures)
         if abs(shift) >= SHIFT_S:
             findings.append(
                 Finding(
@@ -224,23 +278,32 @@ def misfit_of(pair: tuple[np.ndarray, np.ndarray]) -> float:
     return float(np.mean((pair[0] - pair[1]) ** 2))
 
 
-def time_shift(
-    time_s: np.ndarray, pressures: dict[str, tuple[np.ndarray, np.ndarray]]
-) -> float:
+def time_shift(pressures: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> float:
     """Shift of the measured pressures against the predicted ones that explains them best [s].
+
+    pressures: measured, predicted, instants.
 
     Zero unless a shift removes nine tenths of the misfit.
     """
     if not pressures:
         return 0.0
-    shifts = np.arange(-0.03, 0.0301, 0.0005)
+    coarse = np.arange(-0.03, 0.0301, 0.0005)
+    costs = shift_costs(pressures, coarse)
+    here = costs[len(coarse) // 2]
+    best = float(coarse[int(np.argmin(costs))])
+    if not (here > 1e8 and costs.min() < 0.1 * here):
+        return 0.0
+    fine = best + np.arange(-0.0005, 0.00051, 0.0001)
+    return float(fine[int(np.argmin(shift_costs(pressures, fine)))])
+
+
+def shift_costs(
+    pressures: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]], shifts: np.ndarray
+) -> np.ndarray:
+    """Sum of the mean squared misfits of all pressures at each shift [Pa^2]."""
     costs = np.zeros(len(shifts))
-    for measured, predicted in pressures.values():
+    for measured, predicted, time_s in pressures.values():
         for j, shift in enumerate(shifts):
             moved = np.interp(time_s - shift, time_s, predicted)
             costs[j] += float(np.mean((measured - moved) ** 2))
-    here = costs[len(shifts) // 2]
-    best = int(np.argmin(costs))
-    if here > 1e8 and costs[best] < 0.1 * here:
-        return float(shifts[best])
-    return 0.0
+    return costs

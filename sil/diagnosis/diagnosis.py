@@ -16,9 +16,9 @@ from can_dbc.errors import InputError
 from plant import layout as L
 from plant.hybrid import IntegrationError
 from plant.parameters import ParameterSet
-from sil.campaign import Campaign
+from sil.campaign import Campaign, Record
 
-from .checks import Finding, check_record, check_strokes
+from .checks import SATURATED, SWAPPED, Finding, check_record, check_signals, check_strokes
 from .evidence import sentence
 from .extend import extended_model
 from .fit import FitResult, Fitter
@@ -201,13 +201,43 @@ def observed(
     """Strokes read and checked; what was odd about them but usable."""
     strokes = []
     findings: list[Finding] = []
+    clipped: dict[str, set[str]] = {}
     for entry in campaign.strokes:
         record = campaign.record(entry)
-        findings += check_record(entry, record, parameters)
-        strokes.append(observe(entry, record, parameters))
+        odd = check_record(entry, record, parameters)
+        clipped[entry.file] = {item.channel for item in odd if item.text.startswith(SATURATED)}
+        findings += odd
+        strokes.append(observe(entry, record, parameters, clipped[entry.file]))
+    odd, shifts = check_signals(strokes)
+    findings += odd
+    for k, entry in enumerate(campaign.strokes):
+        dead = {
+            name
+            for item in odd
+            if item.file == entry.file and SWAPPED in item.text
+            for name in item.channel.split(", ")
+        }
+        if dead or k in shifts:
+            record = moved(campaign.record(entry), shifts.get(k, 0.0))
+            strokes[k] = observe(entry, record, parameters, clipped[entry.file], dead)
     if not any(stroke.channels or stroke.internal for stroke in strokes):
         raise InputError(f"{campaign.folder}: no position and no pressure in any stroke")
     return strokes, findings
+
+
+def moved(record: Record, shift_s: float) -> Record:
+    """A record with a shift of its time base taken off; at rest before it begins."""
+    time_s = record.time_s
+    k = round(shift_s / float(np.median(np.diff(time_s))))
+    columns = dict(record.columns)
+    for name, values in record.columns.items():
+        if name == "time_s":
+            columns[name] = values[: len(values) - max(k, 0)]
+        elif k >= 0:
+            columns[name] = values[k:]
+        else:
+            columns[name] = np.concatenate([np.full(-k, values[0]), values[:k]])
+    return Record(record.path, columns)
 
 
 def available(strokes: list[StrokeObservation]):  # type: ignore[no-untyped-def]

@@ -6,6 +6,7 @@ chambers fill; neighbouring samples of a resting potentiometer carry one piece o
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,9 +79,16 @@ class StrokeObservation:
 
 
 def observe(
-    entry: CampaignStroke, record: Record, parameters: ParameterSet
+    entry: CampaignStroke,
+    record: Record,
+    parameters: ParameterSet,
+    clipped: Collection[str] = (),
+    dead: Collection[str] = (),
 ) -> StrokeObservation:
-    """Thin one stroke's record and set the stroke up as its conditions say."""
+    """Thin one stroke's record and set the stroke up as its conditions say.
+
+    clipped: columns whose largest value is no measurement; dead: columns to leave out.
+    """
     setup = make_setup(parameters, entry.conditions)
     time_s = record.time_s - record.time_s[0]
     rows = thinned(time_s, entry.conditions, setup)
@@ -105,16 +113,14 @@ def observe(
     air_sd = float(np.hypot(value("gauge.noise_sd_air"), adc))
     for k, name in enumerate(chambers):
         column = f"pressure_{name}_pa"
-        if column in record:
+        if column in record and column not in dead:
             measured = record[column][rows]
+            use = np.arange(len(rows))
+            if column in clipped:
+                use = use[measured < record[column].max() - 1e-9]
             channels.append(
                 Channel(
-                    column,
-                    "pressure",
-                    first + k,
-                    measured,
-                    np.full(len(rows), air_sd),
-                    np.arange(len(rows)),
+                    column, "pressure", first + k, measured[use], np.full(len(use), air_sd), use
                 )
             )
     if "pressure_oil2_pa" in record and entry.conditions.load == "damper":

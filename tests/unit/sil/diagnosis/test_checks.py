@@ -79,5 +79,6 @@ def test_a_shifted_time_base_is_measured(shift: float) -> None:
     time_s = np.linspace(0.0, 0.3, 1500)
     predicted = 1e5 + 7e5 / (1.0 + np.exp(-(time_s - 0.1) / 0.01))
     measured = np.interp(time_s - shift, time_s, predicted)
-    assert time_shift(time_s, {"p": (measured, predicted)}) == pytest.approx(shift, abs=5e-4)
-    assert time_shift(time_s, {"p": (predicted + 50.0, predicted)}) == 0.0
+    found = time_shift({"p": (measured, predicted, time_s)})
+    assert found == pytest.approx(shift, abs=2e-4)
+    assert time_shift({"p": (predicted + 50.0, predicted, time_s)}) == 0.0
