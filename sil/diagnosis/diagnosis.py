@@ -320,7 +320,8 @@ def reported(
                 candidate.variant,
             )
         )
-    return sorted(causes, key=lambda cause: -cause.probability)
+    gains = verdict.gains
+    return sorted(causes, key=lambda cause: (-cause.probability, -gains.get(cause.id, 0.0)))
 
 
 def as_plain(value: Any) -> Any:

@@ -34,6 +34,9 @@ SUREST = 0.98
 SECOND_SHARE = 0.3
 """A further cause must gain at least this share of what the whole hypothesis still leaves."""
 
+SLIGHT = 0.05
+"""A second cause below this many typical sizes is doubted while something is unexplained."""
+
 LEFT = (0.005, 0.05)
 """Misfit left, as a share of the healthy model's: from the first on a named cause is doubted, from
 the second on it is likelier that none of the named acts."""
@@ -118,6 +121,8 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
         for name, p in probabilities.items()
         if name in leader.ids or (p >= RIVAL_SHARE and any(name in group for group in groups))
     }
+    for name in slight(leader):
+        told[name] = min(told[name], DOUBTED)
     if "unnamed" in leader.ids:
         told["unnamed"] = min(max(told["unnamed"], 1.0 - most), SUREST)
     surest = max(told.values())
@@ -143,6 +148,23 @@ def surest_of(leader: Judged, healthy: Judged) -> float:
         return SUREST
     doubt = min(1.0, np.log(left / LEFT[0]) / np.log(LEFT[1] / LEFT[0]))
     return float(SUREST - (SUREST - DOUBTED) * doubt)
+
+
+def slight(leader: Judged) -> tuple[str, ...]:
+    """Causes beside another that are tiny while something is still unexplained.
+
+    They may do no more than mend the form of the other one.
+    """
+    if len(leader.ids) < 2 or leader.whole.beyond <= 0.0:
+        return ()
+    fit = leader.training
+    found = []
+    k = 0
+    for candidate in fit.candidates:
+        if not is_term(candidate) and abs(fit.scaled[k]) < SLIGHT:
+            found.append(candidate.id)
+        k += len(candidate.parameters)
+    return tuple(found)
 
 
 def rivals_of(
