@@ -72,7 +72,7 @@ def measure() -> Iterator[str]:
             c.start_offset_m,
         )
         begun = time.perf_counter()
-        actuator(case).solve(stroke.time_s, rtol=1e-7, max_step=2e-3)
+        actuator(case).solve(stroke.time_s.tolist(), rtol=1e-7, max_step=2e-3)
         theirs += (time.perf_counter() - begun) / STROKES
     yield f"one of these strokes through scipy's solve_ivp: {1e3 * theirs:.0f} ms"
     yield f"the same fit through it: {count * theirs:.0f} s, {count * theirs / ours:.0f} times as long"
