@@ -63,12 +63,10 @@ class _Channel(Generic[Input]):
 
     def message(self, now_ns: int) -> Input | None:
         """The message in force at `now_ns`; None while the channel is not valid."""
-        end_ns = self.end_ns
-        if end_ns is None or now_ns >= end_ns:
+        receiver = self._receiver
+        if receiver.message is None or now_ns >= receiver.message_ns + self._timeout_ns:
             return None
-        if self._receiver.state(now_ns) is not E2eState.VALID:
-            return None
-        return self._receiver.message
+        return receiver.message if receiver.state(now_ns) is E2eState.VALID else None
 
 
 class ValveDriver:
@@ -136,9 +134,11 @@ class ValveDriver:
 
     def _next_timer_ns(self) -> int:
         """The first instant after now at which a timer ends."""
-        timers = (self._commands.end_ns, self._blows.end_ns, self._blow_end_ns)
-        now_ns = self._now_ns
-        return min((end for end in timers if end is not None and end > now_ns), default=NEVER_NS)
+        now_ns, first_ns = self._now_ns, NEVER_NS
+        for end_ns in (self._commands.end_ns, self._blows.end_ns, self._blow_end_ns):
+            if end_ns is not None and now_ns < end_ns < first_ns:
+                first_ns = end_ns
+        return first_ns
 
     def _settle(self, now_ns: int, changes: list[tuple[int, Duties]]) -> None:
         """Bring duties and target up to date at `now_ns`."""

@@ -194,8 +194,7 @@ def draw_tuning(study: LoadedStudy, table: Table, folder: Path) -> list[Path]:
     if study.study.design.kind == "grid" and len(swept) == 2:
         made.append(_maps(study, table, folder))
     if table.size <= 64:
-        worst = {family: _worst(table, family) for family in FAMILIES}
-        worst = {name: values for name, values in worst.items() if not np.isnan(values).all()}
+        worst = {family: _worst(table, family) for family in families_of(table)}
         figure, axis = pyplot.subplots(figsize=(11.0, 1.6 + 0.24 * table.size))
         for n, (family, values) in enumerate(worst.items()):
             axis.plot(values, range(table.size), MARKS[n], color=COLOURS[n], label=family)
@@ -207,6 +206,12 @@ def draw_tuning(study: LoadedStudy, table: Table, folder: Path) -> list[Path]:
         axis.legend(frameon=False)
         made.append(_saved(figure, folder / "tuning.png"))
     return made
+
+
+def families_of(table: Table) -> list[str]:
+    """What stands before the comma in the names of a tuning's loads, each once."""
+    names = [n.removeprefix("impact_m_s ") for n in table.numbers if n.startswith("impact_m_s ")]
+    return list(dict.fromkeys(name.split(",")[0] for name in names))
 
 
 def _value(table: Table, path: str, k: int) -> str:
@@ -233,7 +238,7 @@ def _maps(study: LoadedStudy, table: Table, folder: Path) -> Path:
     variants = list(dict.fromkeys(table.texts.get("variant", [""] * table.size)))
     which = np.array(table.texts.get("variant", [""] * table.size))
     x, y = np.unique(table.numbers[first.path]), np.unique(table.numbers[second.path])
-    families = [name for name in FAMILIES if not np.isnan(_worst(table, name)).all()]
+    families = families_of(table)
     figure, axes = pyplot.subplots(
         len(families),
         len(variants),

@@ -27,7 +27,10 @@ def parameters(study: LoadedStudy) -> list[str]:
     """Names of all parameters that the study's strategies have."""
     found: dict[str, None] = {}
     for choice in study.study.strategy:
-        name = _strategy(choice.set.get("controller.strategy", "open_loop"))
+        try:
+            name = _strategy(choice.set.get("controller.strategy", "open_loop"))
+        except InputError as error:
+            raise InputError(f"{study.source}: strategy {choice.name!r}: {error}") from None
         found.update(dict.fromkeys(SPACES[name]))
     return list(found)
 
