@@ -61,11 +61,14 @@ class J1939Summary:
     chatter: int
     unfinished: int
     notes: list[str]
+    first_ns: int | None = None
+    """Time of the log's first frame."""
 
     def as_dict(self) -> dict[str, Any]:
         """All of it as plain JSON values."""
         return {
             "frames": self.frames,
+            "first_ns": self.first_ns,
             "j1939_frames": self.j1939_frames,
             "groups": [
                 {"pgn": pgn, "source": source, "frames": count}
@@ -81,7 +84,11 @@ class J1939Summary:
     def lines(self) -> list[str]:
         """The summary for a reader: shifts first."""
         found = [f"{len(self.shifts)} shifts in {self.frames} frames"]
-        found += [f"  {number}. {shift}" for number, shift in enumerate(self.shifts, 1)]
+        begin_ns = self.first_ns or 0
+        found += [
+            f"  {number}. +{(shift.start_ns - begin_ns) / 1e9:.3f} s: {shift}"
+            for number, shift in enumerate(self.shifts, 1)
+        ]
         if self.unflagged:
             found.append(f"{len(self.unflagged)} changes of gear outside of flagged shifts")
             found += [f"  {shift}" for shift in self.unflagged]
@@ -334,8 +341,11 @@ def summarize(
     finder = ShiftFinder(gear_ratios)
     identifiers: Counter[int] = Counter()
     frames = 0
+    first_ns: int | None = None
     for frame in _frames(log):
         frames += 1
+        if first_ns is None:
+            first_ns = frame.time_ns
         if frame.extended and not frame.error and not frame.remote:
             if len(identifiers) < _MOST_GROUPS or frame.can_id in identifiers:
                 identifiers[frame.can_id] += 1
@@ -354,4 +364,5 @@ def summarize(
         finder.chatter,
         finder.unfinished,
         finder.notes,
+        first_ns,
     )

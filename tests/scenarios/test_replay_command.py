@@ -12,6 +12,7 @@ import pytest
 
 from can_dbc.contract import DBC_PATH
 from sil.bench.replay import made_log, peak_memory
+from sil.cli import main
 from sil.replay.traffic import OWN_IDS
 from tests.conftest import ROOT
 
@@ -43,7 +44,9 @@ def test_a_log_in_which_nothing_was_engaged_is_no_success(opc4: Run, tmp_path: P
     assert refused.stderr.count("\n") == 1 and "idle.log" in refused.stderr
 
 
-def test_a_log_with_other_identifiers_needs_their_database(opc4: Run, tmp_path: Path) -> None:
+def test_a_log_with_other_identifiers_needs_their_database(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Every identifier of ours moved to another source address, in the log and in the DBC."""
     dbc = Path(DBC_PATH).read_text(encoding="ascii")
     log = gzip.decompress((ROOT / "tests/golden/lab_n_b.log.gz").read_bytes()).decode()
@@ -51,30 +54,38 @@ def test_a_log_with_other_identifiers_needs_their_database(opc4: Run, tmp_path: 
         other = can_id ^ 0x40
         dbc = dbc.replace(str(can_id | 1 << 31), str(other | 1 << 31))
         log = log.replace(f" {can_id:08X}#", f" {other:08X}#")
-    (tmp_path / "other.dbc").write_text(dbc, encoding="ascii")
-    (tmp_path / "other.log").write_text(log)
-    assert opc4("replay", "other.log").returncode == 2
-    found = opc4("replay", "other.log", "--dbc", "other.dbc", "--json")
-    assert found.returncode == 0, found.stderr
-    told = json.loads(found.stdout)
+    database, recorded = tmp_path / "other.dbc", tmp_path / "other.log"
+    database.write_text(dbc, encoding="ascii")
+    recorded.write_text(log)
+    call = ["replay", str(recorded), "--out", str(tmp_path / "out"), "--json"]
+    assert main(call) == 2
+    assert "no ValveCommand in it" in json.loads(capsys.readouterr().out)["error"]
+    assert main([*call, "--dbc", str(database)]) == 0
+    told = json.loads(capsys.readouterr().out)
     assert told["ticks"] == 70 and told["frames"]["foreign"] == 0
 
 
-def test_tolerances_from_a_file_and_a_folder_that_is_taken(opc4: Run, tmp_path: Path) -> None:
-    log = str(ROOT / "tests/golden/lab_n_b.log.gz")
-    (tmp_path / "options.toml").write_text('ignore = ["*"]\n')
-    what_if = ("replay", log, "--set", "controller.filter=false", "--out", "x")
-    assert opc4(*what_if, "--options", "options.toml").returncode == 0
-    again = opc4(*what_if)
-    assert again.returncode == 2 and "--force" in again.stderr
-    assert opc4(*what_if, "--force").returncode == 1
+def test_tolerances_from_a_file_and_a_folder_that_is_taken(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = tmp_path / "options.toml"
+    options.write_text('ignore = ["*"]\n')
+    log, out = str(ROOT / "tests/golden/lab_n_b.log.gz"), str(tmp_path / "out")
+    what_if = ["replay", log, "--set", "controller.filter=false", "--out", out]
+    assert main([*what_if, "--options", str(options)]) == 0
+    assert main(what_if) == 2
+    assert "--force" in capsys.readouterr().err
+    assert main([*what_if, "--force"]) == 1
 
 
-def test_the_shifts_of_a_run_in_a_summary(opc4: Run, tmp_path: Path) -> None:
-    log = str(ROOT / "tests/golden/full_shift.log.gz")
-    found = opc4("replay", log, "--summary", "--json")
-    assert found.returncode == 0
-    shifts = json.loads(found.stdout)["shifts"]
+def test_the_shifts_of_a_run_in_a_summary(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert (
+        main(["replay", str(ROOT / "tests/golden/full_shift.log.gz"), "--summary", "--json"]) == 0
+    )
+    shifts = json.loads(capsys.readouterr().out)["shifts"]
     assert [(s["from_gear"], s["to_gear"]) for s in shifts] == [(2, 0), (0, 1)]
     assert not list(tmp_path.iterdir())
 
