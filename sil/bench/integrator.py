@@ -225,7 +225,11 @@ def peers(
             ]
             return [one() for one in solvers[tolerance]]
 
-        setting, worst = cheapest(solve, module.SETTINGS, reference)
+        try:
+            setting, worst = cheapest(solve, module.SETTINGS, reference)
+        except (ImportError, OSError) as error:
+            yield f"{name} {version}: does not load: {error}"
+            continue
         ready = solvers[setting]
         each_s = best_s(lambda: [one() for one in ready], 40) / len(ready)  # noqa: B023
         yield row(f"{name} {version}*, events, one by one", each_s, floors_s, setting, worst)
