@@ -42,6 +42,8 @@ NEAR = 1.0
 PARENTS = 3
 CROSSED = 7
 """So many of the best singles are tried in pairs with each other."""
+OUTSTANDING = 50.0
+"""A single whose cost is smaller by this factor than any other's is part of every pair tried."""
 FAR = 3.0
 """Cost per number above which a fit begins with the hypothesis' own parameters alone ..."""
 EFFECTS_FIRST = 3
@@ -230,7 +232,10 @@ class Search:
             if all(fit.candidates[0].id != other.candidates[0].id for other in singles):
                 singles.append(fit)
         tasks = []
+        outstanding = len(singles) > 1 and OUTSTANDING * singles[0].cost < singles[1].cost
         for one, two in itertools.combinations(singles[:CROSSED], 2):
+            if outstanding and one is not singles[0]:
+                continue
             mine, theirs = (
                 tuple(fit.values[0][p.name] for p in fit.candidates[0].parameters)
                 for fit in (one, two)
