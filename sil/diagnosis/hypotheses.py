@@ -163,7 +163,7 @@ SPECIAL: dict[str, tuple[tuple[str, dict[str, float], Starts | None, bool], ...]
         ("all towards adiabatic", {"form": 3.0}, SHARES, False),
     ),
     "clock_skew": (
-        ("", {}, ((0.003, 0.0), (-0.003, 0.0), (0.01, 0.0), (-0.01, 0.0), (0.003, 0.01)), False),
+        ("", {}, ((0.003, 0.0), (-0.003, 0.0), (0.0, 0.005), (0.01, 0.0), (0.003, 0.01)), False),
     ),
 }
 """Variants (name, what they fix, where they start, whether only the length stroke has them)."""

@@ -70,6 +70,7 @@ def judge(
 ) -> list[Judged]:
     """Held-out evaluation of fits, best score first."""
     model = fitter.model
+    unseen = unseen_offsets(fitter, held_out)
 
     def work(fit: FitResult) -> FitResult | None:
         try:
@@ -78,7 +79,7 @@ def judge(
                 start=fit.shared,
                 use=held_out,
                 iterations=4,
-                freeze=range(len(fit.shared)),
+                freeze=[k for k in range(len(fit.shared)) if k not in unseen],
             )
         except IntegrationError:
             return None
@@ -115,6 +116,15 @@ def judge(
     found.sort(key=lambda item: item.score)
     weigh(found)
     return found
+
+
+def unseen_offsets(fitter: Fitter, held_out: Sequence[int]) -> set[int]:
+    """Places of the offsets of gauges that no training stroke has: the held-out ones tell them."""
+    model = fitter.model
+    strokes = set(range(len(model.strokes))) - set(held_out)
+    seen = {channel.name for k in strokes for channel in model.strokes[k].channels}
+    first = len(model.unit)
+    return {first + j for j, name in enumerate(model.offsets) if name not in seen}
 
 
 def weigh(judged: Sequence[Judged]) -> None:

@@ -98,7 +98,7 @@ class Search:
 
     def run(self) -> Found:
         """Healthy fit, singles, pairs."""
-        healthy = self.fitter.fit(use=self.training, iterations=8)
+        healthy = self.fitter.fit(use=self.training, iterations=8, fine=True)
         found = Found(healthy)
         self.singles(found)
         self.pairs(found)

@@ -104,7 +104,10 @@ def draw(name: str, level: str, rng: Rng) -> Change:
         "detent": lambda: {key: amount, "detent_m": rng.uniform(0.001, 0.003)},
         "sensor_temperature": lambda: {key: either * amount},
         "sensor_gain": lambda: {key: either * amount},
-        "clock_skew": lambda: {"clock_offset_s": amount, "clock_drift": rng.uniform(-0.01, 0.01)},
+        "clock_skew": lambda: {
+            "clock_offset_s": amount,
+            "clock_drift": amount * rng.uniform(-0.5, 0.5),
+        },
         "wave of force": lambda: {key: amount, "wave_m": rng.uniform(0.004, 0.008)},
         "relief": lambda: {key: amount, "relief_pa": rng.uniform(3e5, 5e5)},
     }
