@@ -101,6 +101,9 @@ class FaultyValve:
         factor = 1.0
         for window in self._faults:
             if not window.holds(now_ns):
+                if window.held is not None:  # what was still on its way is overtaken
+                    window.held = None
+                    self._late.clear()
                 continue
             match window.fault.kind:
                 case "off":

@@ -66,6 +66,10 @@ def test_slow_takes_longer_by_its_factor() -> None:
 
 def test_delayed_moves_everything_later() -> None:
     assert moves({"kind": "delayed", "delay_s": 0.03}) == [(58, 1.0), (165, 0.0)]
+    # the fault ends while a command is on its way
+    assert moves({"kind": "delayed", "delay_s": 0.03, "end_s": 0.03}) == [(38, 1.0), (135, 0.0)]
+    late_end = {"kind": "delayed", "delay_s": 0.03, "end_s": 0.12}
+    assert moves(late_end) == [(58, 1.0), (120 + FALL, 0.0)]
 
 
 def test_intermittent_is_off_in_some_slots_only() -> None:
