@@ -59,6 +59,9 @@ GUARD_NAMES = {
     guard.G_NEUTRAL: "damper side",
 }
 
+MOST_EVENTS = 2000
+"""Of one call of `advance`: stick-slip between closed chambers makes hundreds in a quarter second."""
+
 REASONS = {
     TOO_MANY_EVENTS: "too many events",
     STEP_TOO_SMALL: "the step became too small",
@@ -148,7 +151,7 @@ class HybridSystem:
             self._u0[index] = 1.0 if name in charged else 0.0
         self._step = np.array([1e-4])
         self._counts = np.zeros(4, dtype=np.int64)
-        self._record = np.zeros((256, EVENT_COLUMNS))
+        self._record = np.zeros((MOST_EVENTS, EVENT_COLUMNS))
         self._workspace = np.zeros(WORKSPACE)
         self._impact_j = 0.0
         self.now_ns = 0

@@ -106,7 +106,7 @@ def check_length(changes: dict[str, float], load: dict[str, Any], moves: Any, st
     assert y[:, [L.PB, L.PN, L.PF]].min() > 0.0
     assert y[:, L.LOIL].min() > 0.0
     check_balances(actuator)
-    assert len(actuator.events) < 256
+    assert len(actuator.events) < 1000
     assert sum(actuator.steps) < 30_000
 
 
@@ -193,6 +193,20 @@ FREE: dict[str, Any] = {"supply_pressure_pa": 5e5}
     [(0, 0, 0.0)],
     "B",
 )
+# stick-slip between closed chambers, hundreds of events
+@example(
+    {
+        "friction_length.F_sf_p": 65.94885082800513,
+        "length.A_s": 0.0008539734212915498,
+        "length.V_B0": 3.897355846359641e-05,
+        "length.V_F0": 2.12741828163968e-05,
+        "length.A_p": 0.007532617442911611,
+        "length.V_N0": 0.0002238480535157019,
+    },
+    {"supply_pressure_pa": 563744.0, "charged": ["B", "F", "N"]},
+    [(0, 1, 0.0)],
+    "N",
+)
 def test_length_stroke_stays_physical(
     changes: dict[str, float], load: dict[str, Any], moves: Any, start: str
 ) -> None:
@@ -256,7 +270,7 @@ def test_fixed_piston_stays_physical(
     assert y[:, L.FX].min() >= -1e-9 and y[:, L.FX].max() <= NOMINAL.value("fixed.stroke") + 1e-9
     assert y[:, [L.FP1, L.FP2, L.FOIL]].min() > 0.0
     check_balances(stroke)
-    assert len(stroke.events) < 256
+    assert len(stroke.events) < 1000
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
