@@ -188,15 +188,13 @@ def longest_run(flags: np.ndarray) -> int:
 def sight_s(scenario: Scenario) -> float:
     """The longest time [s] before a motion can have reached the status frames.
 
-    A pulse period, the report's way, a step of the firmware, and the frames' way on the bus; where
-    reports are late or missing by a fault, also what the firmware waits for them.
+    A pulse period, the report's way, a step of the firmware, and the frames' way on the bus, with
+    what stated faults delay of them.
     """
     sensor, controller = scenario.sensor, scenario.controller
     seen = sensor.period_s + sensor.capture_s + sensor.delay_s
     late = max((f.late for f in scenario.sensor_fault if f.kind == "delayed"), default=0)
     seen += late * sensor.period_s
-    if scenario.fault or scenario.sensor_fault:
-        seen += controller.e2e.position_timeout_s
     return seen + 2.0 * controller.period_s + 0.005 + _stated_delays_s(scenario)
 
 

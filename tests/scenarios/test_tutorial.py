@@ -40,6 +40,7 @@ def test_the_tutorial(opc4: Callable[..., object], tmp_path: Path) -> None:
     assert own["passed"] and own["trace_sha256"] == apart["trace_sha256"]
     lab = result(tmp_path / "first")["metrics"]
     assert abs(lab["impact_speed_m_s"] - 0.94) < 0.01  # type: ignore[index]
+    assert abs(lab["shift_time_s"] - 0.051) < 0.0005  # type: ignore[index]
     lines = (tmp_path / "closing" / "results.csv").read_text().splitlines()
     assert len(lines) == 7
     column = lines[0].split(",").index("impact_speed_m_s")
