@@ -47,7 +47,7 @@ lint: $(VENV)/.dev
 	$(VENV)/bin/lint-imports
 
 golden: $(VENV)/.dev
-	$(PY) -m sil.replay.golden tests/golden --update
+	$(PY) -m sil.replays.golden tests/golden --update
 
 clean:
 	rm -rf runs build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

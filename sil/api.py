@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
     from sil.diagnosis.diagnosis import Diagnosis
     from sil.metrics import Shift
-    from sil.replay.replay import Outcome
+    from sil.replays.replay import Outcome
     from sil.results import Check
     from sil.run_record import BusFrame
-    from sil.simulate import SimulatedStroke
+    from sil.simulation import SimulatedStroke
 
 Where = str | Path
 Value = float | int | bool | str
@@ -104,7 +104,7 @@ def simulate(
     from plant.parameters import load
     from sil.campaign import load_campaign
     from sil.settings import model_settings
-    from sil.simulate import simulate_campaign
+    from sil.simulation import simulate_campaign
 
     parameters = load(str(model)).override(model_settings(texts(settings)))
     return list(simulate_campaign(load_campaign(campaign), parameters))
@@ -144,8 +144,8 @@ def replay(log: Where, settings: Settings = (), *, firmware: Where | None = None
 
     Raises InputError for a log that cannot be used or that engaged nothing.
     """
-    from sil.replay.replay import Order
-    from sil.replay.replay import replay as replayed
+    from sil.replays.replay import Order
+    from sil.replays.replay import replay as replayed
 
     return replayed(
         Order(

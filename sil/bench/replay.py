@@ -23,7 +23,7 @@ FORMATS = ("log", "asc", "blf")
 
 MEMORY = r"""
 import re, sys
-from sil.replay.replay import Order, replay
+from sil.replays.replay import Order, replay
 from sil.logs import open_log
 if sys.argv[1] == "read":
     frames = sum(1 for _ in open_log(sys.argv[2]))
@@ -141,7 +141,7 @@ def pass_through(log: Path) -> None:
 
 def replay_whole(log: Path) -> None:
     """Replay a log, without report."""
-    from sil.replay.replay import Order, replay
+    from sil.replays.replay import Order, replay
 
     assert not replay(Order(str(log))).differs
 

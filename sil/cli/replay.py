@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from sil.cli.options import add_json, add_out, say
 
 if TYPE_CHECKING:
-    from sil.replay.replay import Order, Outcome
+    from sil.replays.replay import Order, Outcome
 
 EXAMPLE = """\
 example:
@@ -96,15 +96,15 @@ def run(arguments: argparse.Namespace) -> int:
         return _finish(arguments, order)
     import dataclasses
 
-    from sil.replay.revision import checkout
+    from sil.replays.revision import checkout
 
     with checkout(arguments.against) as tree:
         return _finish(arguments, dataclasses.replace(order, reference=(tree, arguments.against)))
 
 
 def _order(arguments: argparse.Namespace) -> Order:
-    from sil.replay.replay import Order
-    from sil.replay.signals import Options, load_options
+    from sil.replays.replay import Order
+    from sil.replays.signals import Options, load_options
 
     return Order(
         log=arguments.log,
@@ -122,8 +122,8 @@ def _order(arguments: argparse.Namespace) -> Order:
 
 def _finish(arguments: argparse.Namespace, order: Order) -> int:
     """Replay, then write and tell: a log that is refused leaves no folder behind."""
-    from sil.replay.replay import replay
-    from sil.replay.told import as_dict, summary_lines
+    from sil.replays.replay import replay
+    from sil.replays.told import as_dict, summary_lines
 
     outcome = replay(order)
     values = as_dict(outcome)
@@ -137,8 +137,8 @@ def _finish(arguments: argparse.Namespace, order: Order) -> int:
 
 
 def _write(arguments: argparse.Namespace, outcome: Outcome, values: dict[str, object]) -> Path:
-    from sil.replay.page import replay_page
-    from sil.replay.told import text
+    from sil.replays.page import replay_page
+    from sil.replays.told import text
     from sil.results import prepare_folder, write_whole
 
     stem = Path(arguments.log).name.removesuffix(".gz").rsplit(".", 1)[0]

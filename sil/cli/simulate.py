@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.campaign import load_campaign
     from sil.results import finite, prepare_folder
     from sil.settings import model_settings
-    from sil.simulate import campaign_folder, simulate_campaign, write_campaign
+    from sil.simulation import campaign_folder, simulate_campaign, write_campaign
 
     campaign = load_campaign(arguments.campaign)
     parameters = load(arguments.model)

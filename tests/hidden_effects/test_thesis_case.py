@@ -9,7 +9,7 @@ from plant.parameters import load
 from sil.campaign import load_campaign
 from sil.diagnosis.diagnosis import diagnose
 from sil.diagnosis.residuals import show
-from sil.simulate import simulate_campaign
+from sil.simulation import simulate_campaign
 from tests.hidden_effects import campaign
 from tests.hidden_effects.campaign import Hidden, write_campaign
 

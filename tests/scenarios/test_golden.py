@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sil import scenario
-from sil.replay import golden
+from sil.replays import golden
 from tests.conftest import ROOT
 
 FOLDER = ROOT / "tests" / "golden"

@@ -12,7 +12,7 @@ from can_dbc.messages import ControllerStatus, PlantMotion
 from sil import cosim, scenario
 from sil.logs import open_log
 from sil.memory import run_in_memory
-from sil.replay.replay import Order, Outcome, replay
+from sil.replays.replay import Order, Outcome, replay
 
 NAMES = sorted(scenario.shipped())
 SOME = ("bus_off", "full_shift", "late_valve_commands", "strategy_predictive")

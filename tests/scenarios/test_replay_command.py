@@ -13,7 +13,7 @@ import pytest
 from can_dbc.contract import DBC_PATH
 from sil.bench.replay import made_log, peak_memory
 from sil.cli import main
-from sil.replay.traffic import OWN_IDS
+from sil.replays.traffic import OWN_IDS
 from tests.conftest import ROOT
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

@@ -9,7 +9,7 @@ import pytest
 from can_dbc.errors import InputError
 from plant.parameters import load
 from sil.campaign import campaign_toml, load_campaign
-from sil.simulate import simulate_campaign
+from sil.simulation import simulate_campaign
 
 TEXT = """
 name = "one"

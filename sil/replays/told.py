@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from sil.replay.comparison import Parting, StateHistory
-from sil.replay.edges import shift_told
-from sil.replay.replay import Outcome
-from sil.replay.scenes import waveforms
+from sil.replays.comparison import Parting, StateHistory
+from sil.replays.edges import shift_told
+from sil.replays.replay import Outcome
+from sil.replays.scenes import waveforms
 
 MOST_STATES_TOLD = 60
 

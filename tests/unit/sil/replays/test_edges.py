@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sil.replay.edges import Edge, Lane, Matching, judge_lane, match, shift_told
+from sil.replays.edges import Edge, Lane, Matching, judge_lane, match, shift_told
 
 MS = 1_000_000
 WINDOW = 50 * MS

@@ -54,7 +54,7 @@ class Traffic:
     message type, where the log has others than the contract. `skew`: from a time on the
     recorder's clock runs faster by that share, and times are told in the unit's own.
     Raises InputError when the clock steps back by more than `REORDERED_NS`.
-    Checked by: tests/unit/sil/replay/test_traffic.py
+    Checked by: tests/unit/sil/replays/test_traffic.py
     """
 
     def __init__(
@@ -156,7 +156,7 @@ def ids_of_database(path: str) -> tuple[dict[int, type], dict[int, str]]:
 
     Messages are found by their names; layout and scaling have to be those of the contract.
     Raises InputError for a message that is laid out differently, or when none is there.
-    Checked by: tests/unit/sil/replay/test_traffic.py
+    Checked by: tests/unit/sil/replays/test_traffic.py
     """
     from can_dbc.dbc import load_dbc
 

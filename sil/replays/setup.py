@@ -11,7 +11,7 @@ from typing import Any
 from can_dbc.errors import InputError
 from sil import scenario, typed_toml
 from sil.own_firmware import absolute
-from sil.replay.grid import Survey
+from sil.replays.grid import Survey
 from sil.scenario import Loaded
 
 RESULT = "result.json"
@@ -45,7 +45,7 @@ def setup(
     `firmware`: a file with the firmware's settings (a table of them, a [controller] table, a
     scenario or a result.json), or the program of another firmware (FILE.py or FILE.py:CLASS). `run`: scenario or result.json that the log is of. `settings`:
     PATH=VALUE; those of the plant need `with_plant`.
-    Raises InputError. Checked by: tests/unit/sil/replay/test_setup.py
+    Raises InputError. Checked by: tests/unit/sil/replays/test_setup.py
     """
     beside = Path(log).with_name(RESULT)
     own_run = run is not None or _holds_scenario(beside)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from can_dbc.messages import SafetyBlow, ValveCommand
-from sil.replay.grid import make_grid, survey
-from sil.replay.ticks import Span, TickMap, map_ticks
-from sil.replay.traffic import OUTPUTS, Arrival
-from tests.unit.sil.replay.golden_logs import arrivals
+from sil.replays.grid import make_grid, survey
+from sil.replays.ticks import Span, TickMap, map_ticks
+from sil.replays.traffic import OUTPUTS, Arrival
+from tests.unit.sil.replays.golden_logs import arrivals
 
 PERIOD = 10_000_000
 

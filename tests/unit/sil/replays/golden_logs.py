@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sil.logs import LogFrame, open_log, open_writer
-from sil.replay.traffic import Arrival, Traffic
+from sil.replays.traffic import Arrival, Traffic
 from tests.conftest import ROOT
 
 GOLDEN = ROOT / "tests" / "golden"

@@ -8,9 +8,9 @@ import pytest
 
 from can_dbc.messages import PositionPulse
 from sil import scenario
-from sil.replay.grid import make_grid, survey
-from sil.replay.traffic import Arrival
-from tests.unit.sil.replay.golden_logs import arrivals
+from sil.replays.grid import make_grid, survey
+from sil.replays.traffic import Arrival
+from tests.unit.sil.replays.golden_logs import arrivals
 
 NAMES = sorted(scenario.shipped())
 COMPUTATION = 100_000

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from io import BytesIO
 from typing import TYPE_CHECKING
 
-from sil.replay.plant_side import Position
-from sil.replay.scenes import Row, Scene
+from sil.replays.plant_side import Position
+from sil.replays.scenes import Row, Scene
 from sil.report.drawing import MM
 from sil.report.theme import LIGHT, Theme
 
@@ -28,7 +28,7 @@ def draw_scene(
 ) -> bytes:
     """Return a scene as PNG: estimate, coils and states of both sides on one time axis.
 
-    Checked by: tests/unit/sil/replay/test_page.py
+    Checked by: tests/unit/sil/replays/test_page.py
     """
     from matplotlib.figure import Figure
 

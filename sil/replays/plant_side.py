@@ -11,8 +11,8 @@ from can_dbc.frame import Frame
 from can_dbc.messages import PlantMotion, SafetyBlow, ValveCommand
 from sil.bus import BusModel
 from sil.frame_bits import frame_bits
-from sil.replay.signals import Judge, Options, plain, told, values
-from sil.replay.traffic import FROM_PLANT, ID_OF, INPUTS, OUTPUTS, OWN_IDS, Arrival, is_intact
+from sil.replays.signals import Judge, Options, plain, told, values
+from sil.replays.traffic import FROM_PLANT, ID_OF, INPUTS, OUTPUTS, OWN_IDS, Arrival, is_intact
 
 if TYPE_CHECKING:
     from plant.node import PlantNode

@@ -13,12 +13,12 @@ from typing import Final
 
 from can_dbc.e2e import COUNTERS
 from can_dbc.frame import Frame
-from sil.replay.comparison import Comparison
-from sil.replay.plant_side import PlantSide
-from sil.replay.signals import NAMES, told, values
-from sil.replay.ticks import Span, TickMap
-from sil.replay.traffic import INPUTS, OUTPUTS, OWN_IDS, Arrival, bare, is_intact
-from sil.replay.unit import Unit
+from sil.replays.comparison import Comparison
+from sil.replays.plant_side import PlantSide
+from sil.replays.signals import NAMES, told, values
+from sil.replays.ticks import Span, TickMap
+from sil.replays.traffic import INPUTS, OUTPUTS, OWN_IDS, Arrival, bare, is_intact
+from sil.replays.unit import Unit
 
 KEPT_INPUTS: Final = 12
 AHEAD_NS: Final = 10_000_000
@@ -50,7 +50,7 @@ class Engine:
     period_ns: of the unit under replay; the recorded one's is the map's. hears: whether the unit
     hears a frame of a time (log's clock, ns). plant: takes part where the plant is replayed too.
     reference: another unit whose answers stand in for the recorded ones.
-    Checked by: tests/unit/sil/replay/test_engine.py, tests/scenarios/test_replay.py
+    Checked by: tests/unit/sil/replays/test_engine.py, tests/scenarios/test_replay.py
     """
 
     def __init__(

@@ -11,12 +11,12 @@ import pytest
 from can_dbc.errors import InputError, RunError
 from can_dbc.messages import ValveCommand
 from controller.config import FirmwareConfig
-from sil.replay.replay import Order, replay
-from sil.replay.revision import checkout
-from sil.replay.traffic import OWN_IDS
-from sil.replay.unit import ForeignUnit, OwnUnit
+from sil.replays.replay import Order, replay
+from sil.replays.revision import checkout
+from sil.replays.traffic import OWN_IDS
+from sil.replays.unit import ForeignUnit, OwnUnit
 from tests.conftest import ROOT
-from tests.unit.sil.replay.golden_logs import arrivals, golden
+from tests.unit.sil.replays.golden_logs import arrivals, golden
 
 
 def git(folder: Path, *arguments: str) -> str:

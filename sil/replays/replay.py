@@ -14,15 +14,15 @@ import msgspec
 from can_dbc.errors import InputError
 from can_dbc.messages import ShiftRequest, ValveCommand
 from sil.logs import LogFrame, LogReport, open_log
-from sil.replay.comparison import Comparison
-from sil.replay.engine import Account, Engine
-from sil.replay.grid import HEAD_FRAMES, NOMINAL, Grid, make_grid, survey
-from sil.replay.plant_side import PlantSide
-from sil.replay.setup import Setup, setup
-from sil.replay.signals import Options
-from sil.replay.ticks import TickMap, map_ticks
-from sil.replay.traffic import OWN_IDS, Arrival, Traffic, ids_of_database
-from sil.replay.unit import ForeignUnit, OwnUnit, Unit
+from sil.replays.comparison import Comparison
+from sil.replays.engine import Account, Engine
+from sil.replays.grid import HEAD_FRAMES, NOMINAL, Grid, make_grid, survey
+from sil.replays.plant_side import PlantSide
+from sil.replays.setup import Setup, setup
+from sil.replays.signals import Options
+from sil.replays.ticks import TickMap, map_ticks
+from sil.replays.traffic import OWN_IDS, Arrival, Traffic, ids_of_database
+from sil.replays.unit import ForeignUnit, OwnUnit, Unit
 
 ESTIMATE = "ControllerStatus.estimate_m"
 FORGOTTEN_M = 1e-6

@@ -6,15 +6,15 @@ import base64
 from pathlib import Path
 from typing import Any
 
-from sil.replay import told
-from sil.replay.pictures import draw_positions, draw_scene
-from sil.replay.replay import Outcome
+from sil.replays import told
+from sil.replays.pictures import draw_positions, draw_scene
+from sil.replays.replay import Outcome
 
 
 def replay_page(outcome: Outcome, values: dict[str, Any], command: str) -> str:
     """Return the page; `values` is what diff.json holds, `command` the call that made it.
 
-    Checked by: tests/unit/sil/replay/test_page.py
+    Checked by: tests/unit/sil/replays/test_page.py
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 

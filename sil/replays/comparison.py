@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
 from can_dbc.messages import Chamber, ControllerStatus, Etc1, SafetyBlow, ValveCommand
-from sil.replay.edges import Lane, LaneResult, judge_lane
-from sil.replay.scenes import Row, Scenes
-from sil.replay.signals import NAMES, Judge, Options, told, values
+from sil.replays.edges import Lane, LaneResult, judge_lane
+from sil.replays.scenes import Row, Scenes
+from sil.replays.signals import NAMES, Judge, Options, told, values
 
 RECORDED, REPLAYED = 0, 1
 CHAMBERS: Final = (Chamber.B, Chamber.N, Chamber.F)
@@ -73,7 +73,7 @@ class Comparison:
 
     `inputs`: called where the sides part, returns the inputs that led there. What is kept grows
     with the number of edges and state changes, not with the log.
-    Checked by: tests/unit/sil/replay/test_comparison.py
+    Checked by: tests/unit/sil/replays/test_comparison.py
     """
 
     def __init__(

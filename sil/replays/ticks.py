@@ -13,8 +13,8 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 from can_dbc.e2e import COUNTERS, PROTECTED
-from sil.replay.grid import Grid
-from sil.replay.traffic import OUTPUTS, Arrival, counter_of, is_intact
+from sil.replays.grid import Grid
+from sil.replays.traffic import OUTPUTS, Arrival, counter_of, is_intact
 
 HOLE_NS: Final = 2_000_000_000
 """Nothing at all on the bus for this long is a hole in the recording."""
@@ -90,7 +90,7 @@ def _holding(spans: list[Span], tick: int) -> Span | None:
 def map_ticks(arrivals: Iterable[Arrival], grid: Grid) -> TickMap:
     """Read a whole log and say which ticks ran; memory grows with the gaps only.
 
-    Checked by: tests/unit/sil/replay/test_ticks.py
+    Checked by: tests/unit/sil/replays/test_ticks.py
     """
     found = TickMap(grid)
     active: int | None = None

@@ -11,8 +11,8 @@ from can_dbc.errors import InputError
 from can_dbc.frame import Frame
 from can_dbc.messages import PositionPulse, ShiftRequest, ValveCommand
 from sil.logs import LogFrame
-from sil.replay.traffic import ID_OF, Traffic, bare, ids_of_database, is_intact
-from tests.unit.sil.replay.golden_logs import arrivals
+from sil.replays.traffic import ID_OF, Traffic, bare, ids_of_database, is_intact
+from tests.unit.sil.replays.golden_logs import arrivals
 
 REQUEST = ID_OF[ShiftRequest]
 DBC = Path(DBC_PATH).read_text(encoding="ascii")

@@ -38,7 +38,7 @@ class Scene:
 class Scenes:
     """Keeps the first scenes with a difference and the first without; memory is bounded.
 
-    Checked by: tests/unit/sil/replay/test_scenes.py
+    Checked by: tests/unit/sil/replays/test_scenes.py
     """
 
     def __init__(self) -> None:
@@ -77,7 +77,7 @@ class Scenes:
 def waveforms(scene: Scene, labels: tuple[str, str], base_ns: int = 0) -> list[str]:
     """Draw a scene in letters: one column per tick, coils and states of both sides.
 
-    Checked by: tests/unit/sil/replay/test_scenes.py
+    Checked by: tests/unit/sil/replays/test_scenes.py
     """
     lines = []
     rows = scene.rows

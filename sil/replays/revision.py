@@ -23,7 +23,7 @@ def checkout(revision: str, repository: Path = ROOT) -> Iterator[Path]:
 
     A termination signal is turned into KeyboardInterrupt meanwhile, so that it cleans up, too.
     Raises InputError for a commit that is not there, or code that is in no git repository.
-    Checked by: tests/unit/sil/replay/test_revision.py
+    Checked by: tests/unit/sil/replays/test_revision.py
     """
     commit = _commit(revision, repository)
     with (

@@ -12,10 +12,10 @@ from can_dbc.messages import ControllerStatus, SafetyBlow, ShiftRequest, ValveCo
 from sil import scenario
 from sil.logs import LogFrame
 from sil.memory import run_in_memory
-from sil.replay.replay import Order, Outcome, replay
-from sil.replay.signals import Options
-from sil.replay.traffic import ID_OF
-from tests.unit.sil.replay.golden_logs import frames, golden, write
+from sil.replays.replay import Order, Outcome, replay
+from sil.replays.signals import Options
+from sil.replays.traffic import ID_OF
+from tests.unit.sil.replays.golden_logs import frames, golden, write
 
 PERIOD = 10_000_000
 

@@ -9,9 +9,9 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil import scenario
-from sil.replay.grid import survey
-from sil.replay.setup import setup
-from tests.unit.sil.replay.golden_logs import arrivals
+from sil.replays.grid import survey
+from sil.replays.setup import setup
+from tests.unit.sil.replays.golden_logs import arrivals
 
 FOUND = survey(arrivals("firmware_2500us"))
 

@@ -9,7 +9,7 @@ import pytest
 from can_dbc.codec import encode
 from can_dbc.errors import InputError
 from can_dbc.messages import ControllerStatus, Fault, Gear, ShiftState
-from sil.replay.signals import ALL_NAMES, Judge, Options, load_options, same, told, values
+from sil.replays.signals import ALL_NAMES, Judge, Options, load_options, same, told, values
 
 
 def status(estimate_m: float, state: ShiftState = ShiftState.IDLE) -> tuple[object, ...]:

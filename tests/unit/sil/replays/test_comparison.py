@@ -12,8 +12,8 @@ from can_dbc.messages import (
     ShiftState,
     ValveCommand,
 )
-from sil.replay.comparison import Comparison
-from sil.replay.signals import Options
+from sil.replays.comparison import Comparison
+from sil.replays.signals import Options
 
 TICK = 10_000_000
 

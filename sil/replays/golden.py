@@ -1,7 +1,7 @@
 """Golden replays: the shipped scenarios' bus, kept small, against the firmware as it is now.
 
-python -m sil.replay.golden FOLDER [NAME...]            say what the firmware does differently
-python -m sil.replay.golden FOLDER [NAME...] --update   say it, and record what changed anew
+python -m sil.replays.golden FOLDER [NAME...]            say what the firmware does differently
+python -m sil.replays.golden FOLDER [NAME...] --update   say it, and record what changed anew
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
 from sil import scenario
 from sil.memory import run_in_memory
-from sil.replay.replay import Order, Outcome, replay
-from sil.replay.told import summary_lines
-from sil.replay.traffic import INPUTS, OUTPUTS, OWN_IDS
+from sil.replays.replay import Order, Outcome, replay
+from sil.replays.told import summary_lines
+from sil.replays.traffic import INPUTS, OUTPUTS, OWN_IDS
 
 SUFFIX = ".log.gz"
 
@@ -82,7 +82,7 @@ def update(folder: Path, name: str) -> list[str]:
 
 def main(argv: list[str]) -> int:
     """Check or update; return 1 when a check found a difference."""
-    parser = argparse.ArgumentParser(prog="python -m sil.replay.golden", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m sil.replays.golden", description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("names", nargs="*", metavar="NAME")
     parser.add_argument("--update", action="store_true")

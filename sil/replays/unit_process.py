@@ -1,4 +1,4 @@
-"""Runs the control unit of the checkout named on the command line, for `sil.replay.unit`.
+"""Runs the control unit of the checkout named on the command line, for `sil.replays.unit`.
 
 Of that checkout it needs can_dbc and controller only: `ControllerNode(config).advance`.
 """

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sil.replay.scenes import (
+from sil.replays.scenes import (
     LONGEST_NS,
     MOST_DIFFERING,
     MOST_EQUAL,

@@ -6,10 +6,10 @@ import json
 import re
 from base64 import b64decode
 
-from sil.replay.page import replay_page
-from sil.replay.replay import Order, replay
-from sil.replay.told import as_dict, summary_lines, text
-from tests.unit.sil.replay.golden_logs import golden
+from sil.replays.page import replay_page
+from sil.replays.replay import Order, replay
+from sil.replays.told import as_dict, summary_lines, text
+from tests.unit.sil.replays.golden_logs import golden
 
 FOUND = replay(Order(str(golden("full_shift")), settings=["controller.filter=false"]))
 SAME = replay(Order(str(golden("full_shift"))))

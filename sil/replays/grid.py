@@ -32,7 +32,7 @@ from can_dbc.messages import (
     ValveCommand,
 )
 from sil.frame_bits import INTERMISSION_BITS, frame_bits
-from sil.replay.traffic import Arrival, counter_of, is_intact
+from sil.replays.traffic import Arrival, counter_of, is_intact
 
 BITRATES: Final = (1_000_000, 500_000, 250_000, 125_000)
 DEFAULT_BITRATE: Final = 500_000
@@ -140,7 +140,7 @@ class _Bounds:
 def survey(arrivals: Sequence[Arrival], bitrate: int | None = None) -> Survey:
     """Look at the beginning of a log; `bitrate` where it is known better.
 
-    Checked by: tests/unit/sil/replay/test_grid.py
+    Checked by: tests/unit/sil/replays/test_grid.py
     """
     found_bitrate = bitrate or _bitrate(arrivals)
     bit_ns = NS_PER_S // (found_bitrate or DEFAULT_BITRATE)
@@ -307,7 +307,7 @@ def make_grid(found: Survey, period_ns: int, computation_ns: int) -> Grid:
     """Return the ticks of the recorded unit. `computation_ns`: from a tick to its release.
 
     Raises ValueError when the survey found no tick.
-    Checked by: tests/unit/sil/replay/test_grid.py
+    Checked by: tests/unit/sil/replays/test_grid.py
     """
     if found.release_ns is None:
         raise ValueError("no tick in the survey")

@@ -35,7 +35,7 @@ class Matching(NamedTuple):
 def match(recorded: Sequence[Edge], replayed: Sequence[Edge], window_ns: int) -> Matching:
     """Match two series of edges, each in order of time; the work grows with edges in a window.
 
-    Checked by: tests/unit/sil/replay/test_edges.py
+    Checked by: tests/unit/sil/replays/test_edges.py
     """
     if recorded == replayed:
         return Matching([(i, i) for i in range(len(recorded))], [], [])

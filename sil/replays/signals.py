@@ -16,7 +16,7 @@ from can_dbc.codec import CodecError, decode
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
 from sil import typed_toml
-from sil.replay.traffic import ID_OF, KINDS, bare
+from sil.replays.traffic import ID_OF, KINDS, bare
 
 NAMES: Final[dict[type, tuple[str, ...]]] = {
     kind: tuple(f"{kind.__name__}.{field.name}" for field in fields(kind)) for kind in KINDS
@@ -60,7 +60,7 @@ def load_options(path: str | Path) -> Options:
     """Read the options from a TOML file.
 
     Raises InputError for what is no option, and for signals that do not exist.
-    Checked by: tests/unit/sil/replay/test_signals.py
+    Checked by: tests/unit/sil/replays/test_signals.py
     """
     source = str(path)
     options = typed_toml.convert(typed_toml.read_toml(Path(path)), Options, source)
