@@ -1,4 +1,4 @@
-"""The simulator from Python: `from sil.api import run, simulate, whatif, diagnose, replay`.
+"""The simulator from Python: `from sil import run, simulate, whatif, diagnose, replay`.
 
 Each does what the command of its name does, and returns what it found as typed values; it writes
 nothing unless it is given a folder. Bad input raises InputError, a run that cannot finish RunError.
@@ -115,9 +115,9 @@ def whatif(study: Where, *, out: Where, workers: int = 1, resume: bool = False) 
 
     Raises InputError for a study or folder that cannot be.
     """
-    from sil.whatif.engine import run_study
-    from sil.whatif.study import load_study
-    from sil.whatif.table import read_table, summary
+    from sil.sweeps.engine import run_study
+    from sil.sweeps.study import load_study
+    from sil.sweeps.table import read_table, summary
 
     loaded = load_study(str(study))
     folder = Path(out)
@@ -158,7 +158,7 @@ def replay(log: Where, settings: Settings = (), *, firmware: Where | None = None
 
 def texts(settings: Settings) -> tuple[str, ...]:
     """Settings as PATH=VALUE."""
-    from sil.whatif.study import toml_value
+    from sil.sweeps.study import toml_value
 
     if isinstance(settings, Mapping):
         return tuple(f"{path}={toml_value(value)}" for path, value in settings.items())

@@ -27,11 +27,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the rows, write table, summary, pictures and page."""
     from can_dbc.errors import InputError
     from sil.results import finite, prepare_folder, write_whole
-    from sil.whatif.engine import RESULTS, STATE, run_study
-    from sil.whatif.page import page
-    from sil.whatif.pictures import draw, read_metrics
-    from sil.whatif.study import load_study, shipped
-    from sil.whatif.table import read_table, summary
+    from sil.sweeps.engine import RESULTS, STATE, run_study
+    from sil.sweeps.page import page
+    from sil.sweeps.pictures import draw, read_metrics
+    from sil.sweeps.study import load_study, shipped
+    from sil.sweeps.table import read_table, summary
 
     if arguments.list:
         for name, path in shipped().items():
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     told = summary(study, table)
     write_whole(folder / "summary.json", json.dumps(finite(told), indent=1) + "\n")
     if study.study.safety:
-        from sil.whatif.fault_table import FAULT_TABLE, draw_outcomes, fault_table, kept
+        from sil.sweeps.fault_table import FAULT_TABLE, draw_outcomes, fault_table, kept
 
         told["kept"] = kept(study, table)
         write_whole(folder / FAULT_TABLE, fault_table(study, table))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pkgutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import sil
 from can_dbc.errors import InputError
 from sil import api
 from sil.cli import main
@@ -86,8 +88,22 @@ def test_diagnose_refuses_what_is_no_campaign(tmp_path: Path) -> None:
 
 
 def test_importing_it_costs_nothing_heavy() -> None:
-    program = "import sys, sil.api; assert not {'numpy', 'numba', 'cantools'} & set(sys.modules)"
+    program = (
+        "import sys; from sil import run, simulate, whatif, diagnose, replay;"
+        "assert not {'numpy', 'numba', 'cantools'} & set(sys.modules)"
+    )
     subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)
+
+
+def test_no_module_of_the_package_hides_a_function() -> None:
+    """A submodule, once imported, becomes an attribute of its package."""
+    modules = {module.name for module in pkgutil.iter_modules(sil.__path__)}
+    assert {"api", "sweeps", "replays", "simulation"} <= modules
+    assert not modules & set(sil.__all__)
+    for name in sil.__all__:
+        assert getattr(sil, name) is getattr(api, name)
+    with pytest.raises(AttributeError, match="walk"):
+        _ = sil.walk
 
 
 def test_signals_have_one_length() -> None:

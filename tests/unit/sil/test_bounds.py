@@ -11,10 +11,10 @@ import pytest
 from plant.parameters import load as load_parameters
 from plant.stroke import simulate
 from plant.stroke_conditions import FULL_DUTY, StrokeConditions
-from sil.whatif import bounds
-from sil.whatif.bounds import Best, Bound
-from sil.whatif.kind_pictures import envelope
-from sil.whatif.shooting import FAMILIES, GEARBOX, LABORATORY, Arrivals, Commands, Family, Shooter
+from sil.sweeps import bounds
+from sil.sweeps.bounds import Best, Bound
+from sil.sweeps.kind_pictures import envelope
+from sil.sweeps.shooting import FAMILIES, GEARBOX, LABORATORY, Arrivals, Commands, Family, Shooter
 
 PARAMETERS = load_parameters("nominal")
 QUICK = PARAMETERS.override({"valve.D_fall": 0.005})

@@ -11,8 +11,8 @@ from scipy import signal
 
 from can_dbc.errors import RunError
 from plant.parameters import load as load_parameters
-from sil.whatif import budget as budgets
-from sil.whatif.budget import Bar, Budget, latency_budget
+from sil.sweeps import budget as budgets
+from sil.sweeps.budget import Bar, Budget, latency_budget
 
 
 @pytest.mark.parametrize(("order", "fc_hz"), [(1, 22.0), (2, 22.0), (6, 22.0), (8, 5.0)])

@@ -13,8 +13,8 @@ from controller import strategies
 from sil.cli import main
 from sil.memory import run_in_memory
 from sil.scenario import Loaded, load
-from sil.whatif import tuning
-from sil.whatif.tuning import Case, Outcome
+from sil.sweeps import tuning
+from sil.sweeps.tuning import Case, Outcome
 
 LAB = Case("lab")
 

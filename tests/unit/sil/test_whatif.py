@@ -11,9 +11,9 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil.cli import main
-from sil.whatif import engine
-from sil.whatif.engine import RESULTS, run_study
-from sil.whatif.study import load_study, shipped
+from sil.sweeps import engine
+from sil.sweeps.engine import RESULTS, run_study
+from sil.sweeps.study import load_study, shipped
 
 GRID = """
 name = "grid"

@@ -12,10 +12,10 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil.cli import main
-from sil.whatif import engine
-from sil.whatif.budget_rows import BARS, closed, simulated
-from sil.whatif.kind_pictures import FAMILIES, TUNED, envelope, worst_over
-from sil.whatif.study import load_study
+from sil.sweeps import engine
+from sil.sweeps.budget_rows import BARS, closed, simulated
+from sil.sweeps.kind_pictures import FAMILIES, TUNED, envelope, worst_over
+from sil.sweeps.study import load_study
 
 SHIPPED_BOUNDS = TUNED.parent / "bounds.csv"
 

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError, RunError
-from sil.whatif.engine import CHUNK, RESULTS, run_study
-from sil.whatif.study import load_study
+from sil.sweeps.engine import CHUNK, RESULTS, run_study
+from sil.sweeps.study import load_study
 
 pytestmark = pytest.mark.slow
 

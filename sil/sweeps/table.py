@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from sil.whatif.engine import RESULTS
-from sil.whatif.rows import columns
-from sil.whatif.study import LoadedStudy
+from sil.sweeps.engine import RESULTS
+from sil.sweeps.rows import columns
+from sil.sweeps.study import LoadedStudy
 
 
 @dataclass(frozen=True)

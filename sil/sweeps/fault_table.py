@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from can_dbc.messages import Fault, Gear
-from sil.whatif.study import LoadedStudy
-from sil.whatif.table import Table
+from sil.sweeps.study import LoadedStudy
+from sil.sweeps.table import Table
 
 FAULT_TABLE = "fault_table.md"
 HEAD = (

@@ -22,8 +22,8 @@ import msgspec
 
 from can_dbc.errors import InputError, RunError
 from sil.results import write_whole
-from sil.whatif.rows import columns, run_row
-from sil.whatif.study import Base, LoadedStudy, Row, Study, toml_value
+from sil.sweeps.rows import columns, run_row
+from sil.sweeps.study import Base, LoadedStudy, Row, Study, toml_value
 
 RESULTS, STATE = "results.csv", "study.json"
 CHUNK = 16

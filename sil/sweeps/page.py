@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sil.whatif.pictures import read_metrics
-from sil.whatif.study import LoadedStudy
+from sil.sweeps.pictures import read_metrics
+from sil.sweeps.study import LoadedStudy
 
 STYLE = """
 body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:1rem auto;padding:0 1rem}

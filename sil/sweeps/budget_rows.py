@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from can_dbc.errors import RunError
-from sil.whatif.study import LoadedStudy, Row
+from sil.sweeps.study import LoadedStudy, Row
 
 BARS = (
     "waiting for a pulse",
@@ -19,7 +19,7 @@ BARS = (
     "valve opening",
     "pressure build-up",
 )
-"""Delays in their order; `sil.whatif.budget` measures each."""
+"""Delays in their order; `sil.sweeps.budget` measures each."""
 
 TOTALS = ("window_s", "last_part_s", "spent_s", "closed_spent_s", "slack_s", "last_slack_s")
 
@@ -41,7 +41,7 @@ def columns(study: LoadedStudy) -> tuple[str, ...]:
 
 def run(study: LoadedStudy, row: Row) -> dict[str, float]:
     """The budget of a row; a shift that never arrives has none and counts as failed."""
-    from sil.whatif.budget import budget_of
+    from sil.sweeps.budget import budget_of
 
     assert study.study.scenario is not None
     try:

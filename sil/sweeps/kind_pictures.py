@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from sil.whatif.budget import THESIS_S, THESIS_WINDOW_S
-from sil.whatif.budget_rows import BARS, closed, simulated
-from sil.whatif.study import LoadedStudy
-from sil.whatif.table import Table
+from sil.sweeps.budget import THESIS_S, THESIS_WINDOW_S
+from sil.sweeps.budget_rows import BARS, closed, simulated
+from sil.sweeps.study import LoadedStudy
+from sil.sweeps.table import Table
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31")
 MARKS = ("o", "s", "^", "D", "v", "P")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from can_dbc.errors import InputError
-from sil.whatif.study import LoadedStudy, Row
+from sil.sweeps.study import LoadedStudy, Row
 
 COLUMNS = (
     "open_loop_m_s",
@@ -29,8 +29,8 @@ def run(study: LoadedStudy, row: Row) -> dict[str, float]:
     Raises InputError for a family or a delay that is missing or wrong.
     """
     from plant.parameters import load
-    from sil.whatif.bounds import bound
-    from sil.whatif.shooting import FAMILIES
+    from sil.sweeps.bounds import bound
+    from sil.sweeps.shooting import FAMILIES
 
     own = {k[6:]: v for k, v in row.settings.items() if k.startswith("bound.")}
     model = {k: v for k, v in row.settings.items() if not k.startswith("bound.")}

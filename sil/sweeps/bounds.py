@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plant.parameters import ParameterSet
-from sil.whatif.shooting import Arrivals, Commands, Family, LoadCase, Shooter
+from sil.sweeps.shooting import Arrivals, Commands, Family, LoadCase, Shooter
 
 MOST_SWITCHES = 6
 BUDGET = 60

@@ -6,7 +6,7 @@ so far, in boxes that shrink from a quarter to a twentieth of each range. Each c
 closed loop, over the CAN path, under every load, and the one with the lowest cost wins. Cost of a load is its
 impact speed plus `late_m_s2` times the time lost against the open loop beyond `free_s`, about the
 price of the oil damper; a failed shift costs `FAILED_M_S`. The cost of a candidate is the mean over
-the loads: the worst load is one that no strategy can help (see `sil.whatif.bounds`), and would not
+the loads: the worst load is one that no strategy can help (see `sil.sweeps.bounds`), and would not
 tell candidates apart. Strategies with a model know the hardware that they run on: valve delays and
 the age of a sample; the load they do not know.
 Checked by tests/unit/sil/test_tuning.py
@@ -129,7 +129,7 @@ def information_delay_s(hardware: Loaded) -> float:
 
     With the filter its delay of slow signals is counted in, as the thesis does.
     """
-    from sil.whatif.budget import group_delay_s
+    from sil.sweeps.budget import group_delay_s
 
     controller = hardware.scenario.controller
     filtering = controller.filter

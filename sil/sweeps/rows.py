@@ -10,7 +10,7 @@ import numpy as np
 
 from can_dbc.errors import InputError, RunError
 from plant.parameters import ParameterSet
-from sil.whatif.study import LoadedStudy, Row, StrokeBase
+from sil.sweeps.study import LoadedStudy, Row, StrokeBase
 
 LOOP_COLUMNS = (
     "shift_time_s",
@@ -78,7 +78,7 @@ class RowKind(Protocol):
 
 def _kind(study: LoadedStudy) -> RowKind:
     name = {"bounds": "bound_rows", "budget": "budget_rows", "tuning": "tuning_rows"}
-    found: RowKind = importlib.import_module(f"sil.whatif.{name[study.study.kind]}")
+    found: RowKind = importlib.import_module(f"sil.sweeps.{name[study.study.kind]}")
     return found
 
 

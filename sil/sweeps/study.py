@@ -78,7 +78,7 @@ Kind = Literal["runs", "bounds", "budget", "tuning"]
 
 
 class BoundsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How hard the bounds are searched for; see `sil.whatif.bounds`.
+    """How hard the bounds are searched for; see `sil.sweeps.bounds`.
 
     extra_s: how much later than the plain push a load may arrive.
     """
@@ -91,7 +91,7 @@ class BoundsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class TuningTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The budget of a tuning, the same for every strategy; see `sil.whatif.tuning`."""
+    """The budget of a tuning, the same for every strategy; see `sil.sweeps.tuning`."""
 
     candidates: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 16
     free_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.03

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from can_dbc.errors import InputError
-from sil.whatif.study import LoadedStudy, Row, texts_of
-from sil.whatif.tuning import (
+from sil.sweeps.study import LoadedStudy, Row, texts_of
+from sil.sweeps.tuning import (
     OIL_DAMPER,
     SPACES,
     Case,

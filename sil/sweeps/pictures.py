@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from sil.whatif.rows import columns, stroke_of
-from sil.whatif.study import LoadedStudy
-from sil.whatif.table import Table
+from sil.sweeps.rows import columns, stroke_of
+from sil.sweeps.study import LoadedStudy
+from sil.sweeps.table import Table
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31")
 UNITS = {"_s": ("ms", 1e3), "_m_s": ("m/s", 1.0), "_m": ("mm", 1e3), "_pa": ("bar", 1e-5)}
@@ -31,7 +31,7 @@ def draw(study: LoadedStudy, table: Table, folder: Path) -> list[Path]:
 
     matplotlib.use("Agg")
     if study.study.kind != "runs":
-        from sil.whatif import kind_pictures as own
+        from sil.sweeps import kind_pictures as own
 
         if study.study.kind == "bounds":
             return [own.draw_bounds(study, table, folder)]
