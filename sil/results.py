@@ -21,7 +21,7 @@ from can_dbc.errors import InputError
 RESULT = "result.json"
 RUN_FILES = frozenset(
     (
-        *(RESULT, "trace.csv", "bus.log", "report.html", "shift.png", "events.jsonl"),
+        *(RESULT, "trace.csv", "bus.log", "report.html", "shift.png", "shift.svg", "events.jsonl"),
         *("scenario.json", "diff.json", "diff.txt"),
     )
 )

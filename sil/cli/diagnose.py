@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     (folder / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
     if result.extended is not None:
         (folder / "extended_model.toml").write_text(result.extended, encoding="utf-8")
-    write_report(result, folder / "report.html", arguments.campaign, arguments.model)
+    write_report(result, folder, arguments.campaign, arguments.model)
     if arguments.json:
         print(json.dumps(plain, ensure_ascii=False))
     else:
@@ -82,7 +82,7 @@ def run_force(arguments: argparse.Namespace) -> int:
     plain = finite(found.as_json())
     text = json.dumps(plain, indent=1, ensure_ascii=False)
     (folder / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
-    write_page(found, folder / "report.html", arguments.campaign)
+    write_page(found, folder, arguments.campaign)
     if arguments.json:
         print(json.dumps(plain, ensure_ascii=False))
     else:

@@ -1,24 +1,33 @@
 """report.html of a rig known by force and position: friction against speed, hypotheses tried.
 
-Checked by: tests/unit/sil/diagnosis/test_force_rig.py
+Checked by: tests/unit/sil/diagnosis/test_force_rig.py, tests/browser/
 """
 
 from __future__ import annotations
 
-import base64
-from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
+
+from sil.report.figures import save
+from sil.report.interactive import Group, Panel, Series, plots
+from sil.report.shell import Head, Picture, render
 
 from .force_rig import UNITS, ForceDiagnosis, base, feature, gains
-from .pictures import AFTER, BEFORE, MEASURED, figure_bytes, new_figure
+from .pictures import AFTER, BEFORE, MEASURED, new_figure
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
 DRAWN = 4000
+PLAIN = "Coulomb, viscous, offset"
 
 
-def picture(found: ForceDiagnosis) -> bytes:
-    """Force without inertia against speed: measured, plain friction, with the causes claimed."""
+def forces(found: ForceDiagnosis) -> tuple[Floats, Floats, Floats]:
+    """Force [N] without inertia: measured, of the plain body, with the causes claimed."""
     motion = found.motion
     plain, left = base(motion, found.mass_kg)
     added = [
@@ -28,52 +37,88 @@ def picture(found: ForceDiagnosis) -> bytes:
     first = np.linalg.lstsq(plain, left, rcond=None)[0]
     second = np.linalg.lstsq(whole, left, rcond=None)[0]
     inertia = plain[:, 3] * second[3] if plain.shape[1] > 3 else np.zeros(len(left))
-    shown = np.linspace(0, len(left) - 1, min(DRAWN, len(left))).astype(int)
+    return left - inertia, plain @ first - inertia, whole @ second - inertia
+
+
+def picture(found: ForceDiagnosis) -> Figure:
+    """Force without inertia against speed: measured, plain friction, with the causes claimed."""
+    measured, plain, whole = forces(found)
+    shown = np.linspace(0, len(measured) - 1, min(DRAWN, len(measured))).astype(int)
     figure = new_figure(8.0, 4.5)
     axes = figure.add_subplot()
-    speed = motion.speed_m_s[shown]
+    speed = found.motion.speed_m_s[shown]
     for values, colour, label in (
-        (left - inertia, MEASURED, "measured, inertia taken off"),
-        (plain @ first - inertia, BEFORE, "Coulomb, viscous, offset"),
-        (whole @ second - inertia, AFTER, "with " + " + ".join(found.leader.names)),
+        (measured, MEASURED, "measured, inertia taken off"),
+        (plain, BEFORE, PLAIN),
+        (whole, AFTER, "with " + " + ".join(found.leader.names)),
     ):
         if found.leader.names or colour != AFTER:
             axes.plot(speed, values[shown], ".", markersize=2, color=colour, label=label)
     axes.set_xlabel("speed [m/s]")
     axes.set_ylabel("force [N]")
     axes.legend(markerscale=5)
-    return figure_bytes(figure)
+    return figure
 
 
-def write_page(found: ForceDiagnosis, path: Path, campaign: str) -> None:
-    """Write the page."""
+def force_plots(found: ForceDiagnosis) -> Group:
+    """Force, speed and position over the time in motion."""
+    motion = found.motion
+    measured, plain, whole = forces(found)
+    lines = [Series("measured", measured, "measured"), Series(PLAIN, plain, "before")]
+    if found.leader.names:
+        name = "with " + " + ".join(found.leader.names)
+        lines.append(Series(name, whole, "after", dashed=True))
+    time_s = np.arange(len(measured)) / motion.rate_hz
+    return plots(
+        "time in motion, s",
+        time_s,
+        [
+            Panel("Force, inertia taken off", "N", lines, 220),
+            Panel("Speed", "m/s", [Series("measured", motion.speed_m_s, "measured")], 120),
+            Panel("Position", "m", [Series("measured", motion.position_m, "measured")], 120),
+        ],
+    )
+
+
+def write_page(found: ForceDiagnosis, folder: Path, campaign: str) -> None:
+    """Write report.html and its figure."""
     plain = found.as_json()
     rows = []
     for name, item in found.singles.items():
         taken, sure = gains(item, found.plain)
-        why = found.refused.get(name, "stands")
         rows.append(
-            f"<tr><td>{name}</td><td>{item.values[0]:.3g} {UNITS[name][1]}</td>"
-            f"<td>{found.error(item):.2%}</td><td>{taken:.1%}</td><td>{sure:.1f}</td>"
-            f"<td>{escape(why)}</td></tr>"
+            {
+                "name": name,
+                "amount": f"{item.values[0]:.3g} {UNITS[name][1]}",
+                "error": f"{found.error(item):.2%}",
+                "taken": f"{taken:.1%}",
+                "sure": f"{sure:.1f}",
+                "why": found.refused.get(name, "stands"),
+            }
         )
-    causes = "".join(
-        f"<li><b>{c['id']}</b> {c['probability']:.2f}: {escape(c['evidence'])}</li>"
-        for c in plain["causes"]
+    head = Head(
+        command="diagnose",
+        name=found.name,
+        verdict=plain["verdict"],
+        good=plain["verdict"] == "consistent",
+        tiles=[
+            (f"{found.error(found.plain):.2%}", "relative force error, plain body"),
+            *((f"{c['probability']:.2f}", f"probability of {c['id']}") for c in plain["causes"][:3]),
+        ],
+        again=f"opc4 diagnose {campaign}",
     )
-    image = base64.b64encode(picture(found)).decode()
-    path.write_text(
-        "<!doctype html><meta charset='utf-8'>"
-        f"<title>{escape(found.name)}</title>"
-        "<style>body{font:15px sans-serif;max-width:60em;margin:2em auto}"
-        "td,th{padding:.2em .8em;text-align:left}</style>"
-        f"<h1>{escape(found.name)}: {plain['verdict']}</h1><ul>{causes}</ul>"
-        f"<p>{escape(plain['detectability'])}</p>"
-        f"<img alt='force against speed' src='data:image/png;base64,{image}'>"
-        f"<h2>Tried alone</h2><p>Relative force error of the plain body: "
-        f"{found.error(found.plain):.2%}</p>"
-        "<table><tr><th>cause</th><th>amount</th><th>relative error</th><th>squares taken</th>"
-        f"<th>standard errors</th><th></th></tr>{''.join(rows)}</table>"
-        f"<p><code>opc4 diagnose {escape(campaign)}</code></p>\n",
-        encoding="utf-8",
+    page = render(
+        "force.html",
+        head,
+        [force_plots(found)],
+        detectability=plain["detectability"],
+        causes=plain["causes"],
+        picture=Picture(
+            save(picture(found), folder, "force"),
+            "Force against speed",
+            "Driving force without inertia: measured, of the plain body, and with what is claimed.",
+        ),
+        plain_error=f"{found.error(found.plain):.2%}",
+        rows=rows,
     )
+    (folder / "report.html").write_text(page, encoding="utf-8")

@@ -5,8 +5,7 @@ Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 
 from __future__ import annotations
 
-import io
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,28 +17,20 @@ from .phases import PHASES
 from .residuals import Shown
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from .diagnosis import Diagnosis
 
 Floats = NDArray[np.float64]
-BEFORE, AFTER, MEASURED = "#d55e00", "#0072b2", "#9aa0a6"
+BEFORE, AFTER, MEASURED = LIGHT.before, LIGHT.after, LIGHT.measured
 STROKES_DRAWN = 3
 
 
-def figure_bytes(figure: Any) -> bytes:
-    """A figure as PNG bytes without a time stamp."""
-    held = io.BytesIO()
-    figure.savefig(held, format="png", dpi=110, metadata={"Software": None})
-    return held.getvalue()
-
-
-def new_figure(width: float, height: float) -> Any:
+def new_figure(width: float, height: float) -> Figure:
     """A figure that needs no display and no global state."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained", facecolor=LIGHT.paper)
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=(width, height), layout="constrained", facecolor=LIGHT.paper)
 
 
 def parts(result: Diagnosis, fit: FitResult, k: int) -> dict[str, tuple[Floats, Floats]]:
@@ -68,7 +59,7 @@ def worst(result: Diagnosis) -> list[int]:
     return chosen
 
 
-def strokes_picture(result: Diagnosis) -> bytes:
+def strokes_picture(result: Diagnosis) -> Figure:
     """Measured, healthy and extended model of a few strokes; residuals with their band below."""
     chosen = worst(result)
     figure = new_figure(13.0, 9.0)
@@ -118,10 +109,10 @@ def strokes_picture(result: Diagnosis) -> bytes:
         ncols=3,
         frameon=False,
     )
-    return figure_bytes(figure)
+    return figure
 
 
-def phases_picture(before: Shown, after: Shown) -> bytes:
+def phases_picture(before: Shown, after: Shown) -> Figure:
     """Misfit by channel and phase, before and after, side by side."""
     channels = list(before.by_phase)
     names = [phase for phase in PHASES if any(phase in row for row in before.by_phase.values())]
@@ -148,4 +139,4 @@ def phases_picture(before: Shown, after: Shown) -> bytes:
         axes.set_yticks(range(len(channels)), channels, fontsize=9)
         axes.set_title(title, fontsize=10)
         axes.tick_params(length=0)
-    return figure_bytes(figure)
+    return figure

@@ -5,42 +5,62 @@ Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 
 from __future__ import annotations
 
-import base64
 from pathlib import Path
 from typing import Any
+
+from sil.report.figures import save
+from sil.report.shell import Head, Picture, render
 
 from .diagnosis import FALSE_ALARM_BASIS, FALSE_ALARM_LEVEL, Diagnosis
 from .evidence import figure
 from .judge import Judged
 from .pictures import phases_picture, strokes_picture
+from .plots import stroke_plots
 from .residuals import Shown, show
 from .structure import FAULTS
 from .terms import is_term
 
+STROKES_CAPTION = (
+    "The strokes that the questioned model fits worst among those {where}. Grey: measured. Orange: "
+    "the healthy model, its tolerances and scatter fitted. Blue: the extended model. Below each: "
+    "residuals over their expected scatter; the band is three standard deviations."
+)
+PHASES_CAPTION = (
+    "Rms of residuals over their expected scatter (1 = explained), by channel and phase of the "
+    "stroke: the healthy model, and the model that stands."
+)
 
-def write_report(result: Diagnosis, path: Path, campaign: str, model: str) -> None:
-    """Write the page of a diagnosis of the campaign at `campaign` under `model`."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-    import sil.report
-
-    folder = Path(sil.report.__file__).parent
-    environment = Environment(
-        loader=FileSystemLoader(folder),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
+def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> None:
+    """Write report.html and its figures for a diagnosis of the campaign at `campaign`."""
     before, after = show(result.model, result.healthy), show(result.model, result.final)
+    where = "held out" if result.held_out else "measured"
     pictures = {
-        "strokes": strokes_picture(result),
-        "phases": phases_picture(before, after),
+        "strokes": Picture(
+            save(strokes_picture(result), folder, "strokes"),
+            "Measured and simulated strokes",
+            STROKES_CAPTION.format(where=where),
+        ),
+        "phases": Picture(
+            save(phases_picture(before, after), folder, "phases"),
+            "Standardised residuals by channel and phase",
+            PHASES_CAPTION,
+        ),
     }
-    page = environment.get_template("diagnosis.html").render(
-        campaign=result.campaign.name,
-        verdict=result.verdict.kind,
-        summary=summary(result),
+    kind = result.verdict.kind
+    head = Head(
+        command="diagnose",
+        name=result.campaign.name,
+        verdict=kind,
+        good=kind == "consistent",
         tiles=tiles(result),
+        again=f"opc4 diagnose {campaign} --model {model}",
+    )
+    page = render(
+        "diagnosis.html",
+        head,
+        stroke_plots(result),
+        summary=summary(result),
         causes=[
             {
                 "id": cause.id,
@@ -56,8 +76,7 @@ def write_report(result: Diagnosis, path: Path, campaign: str, model: str) -> No
         experiment=None
         if result.next_experiment is None
         else result.next_experiment.as_json(),
-        pictures={name: base64.b64encode(image).decode() for name, image in pictures.items()},
-        held_text="held out" if result.held_out else "measured",
+        pictures=pictures,
         judged=[row_of(item, result) for item in result.judged[:12]],
         gain=gain_rows(result, before, after),
         standard={
@@ -69,12 +88,11 @@ def write_report(result: Diagnosis, path: Path, campaign: str, model: str) -> No
         structure=result.structure.sentence(),
         isolability=isolability(result),
         findings=[str(item) for item in result.findings],
-        command=f"opc4 diagnose {campaign} --model {model}",
         false_alarm=f"False alarms, level aimed at: {FALSE_ALARM_LEVEL:.0%}; {FALSE_ALARM_BASIS}",
         time_text=", ".join(f"{name} {value:.1f} s" for name, value in result.seconds.items()),
         extended=result.extended,
     )
-    path.write_text(page, encoding="utf-8")
+    (folder / "report.html").write_text(page, encoding="utf-8")
 
 
 def figures(parameters: dict[str, Any]) -> list[str]:
@@ -112,7 +130,7 @@ def summary(result: Diagnosis) -> str:
     )
 
 
-def tiles(result: Diagnosis) -> list[dict[str, str]]:
+def tiles(result: Diagnosis) -> list[tuple[str, str]]:
     """Figures at the top."""
     rows = [
         ("strokes", str(len(result.model.strokes))),
@@ -122,7 +140,7 @@ def tiles(result: Diagnosis) -> list[dict[str, str]]:
     if result.causes:
         rows.append(("after", f"{result.gain.after:.3g}"))
         rows.append((f"probability of {result.causes[0].id}", f"{result.causes[0].probability:.2f}"))
-    return [{"name": name, "value": value} for name, value in rows]
+    return [(value, name) for name, value in rows]
 
 
 def row_of(item: Judged, result: Diagnosis) -> dict[str, Any]:

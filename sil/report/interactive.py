@@ -1,7 +1,7 @@
 """Interactive plots for the pages: panels over one axis, zoomed together, with no network.
 
 Drawn in the browser by uPlot (MIT licence, beside this file); the page carries library and numbers.
-Checked by: tests/unit/sil/test_interactive.py, tests/browser/
+Checked by: tests/unit/sil/report/test_interactive.py, tests/browser/
 """
 
 from __future__ import annotations
@@ -9,15 +9,13 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sil.report.theme import DARK, LIGHT, Theme
+from sil.report.theme import Theme
 
-HERE = Path(__file__).parent
 MOST_POINTS = 8000
 """A longer record is thinned to this many points; the trace has them all."""
 
@@ -26,13 +24,18 @@ DIGITS = 6
 
 @dataclass(frozen=True)
 class Series:
-    """One line: values over the panels' axis; `role` names its colour in the theme."""
+    """One line: values over the panels' axis; `role` names its colour in the theme.
+
+    dotted: points without a line. joined: the line goes on over values that are not finite.
+    """
 
     label: str
     values: NDArray[np.float64]
     role: str
     stepped: bool = False
     dashed: bool = False
+    dotted: bool = False
+    joined: bool = False
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,8 @@ class Panel:
     height: int = 170
     marks: Sequence[tuple[float, str]] = ()
     """Names at places of the vertical axis instead of numbers."""
+    band: tuple[float, float] | None = None
+    """Shaded from the one value to the other."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +61,30 @@ class Window:
     high: float
 
 
+@dataclass(frozen=True)
+class Group:
+    """Panels that are zoomed together, as the template `plots.html` wants them.
+
+    twin: a picture on the page shows the same, so paper does without the panels.
+    """
+
+    title: str
+    numbers: str
+    thinned: str
+    twin: bool
+
+
 def plots(
-    axis: str, x: NDArray[np.float64], panels: Sequence[Panel], windows: Sequence[Window] = ()
-) -> dict[str, str]:
-    """What the template `plots.html` needs: library, its style, the drawing script and the numbers.
+    axis: str,
+    x: NDArray[np.float64],
+    panels: Sequence[Panel],
+    windows: Sequence[Window] = (),
+    *,
+    title: str = "",
+    twin: bool = False,
+    logarithmic: bool = False,
+) -> Group:
+    """Panels over one axis.
 
     `axis`: label of the common axis with its unit; `x` ascending, every series as long as `x`.
     Raises ValueError for a series of another length.
@@ -71,21 +96,24 @@ def plots(
     stride = max(1, -(-len(x) // MOST_POINTS))
     told: dict[str, Any] = {
         "axis": axis,
+        "log": logarithmic,
         "x": rounded(x[::stride]),
         "windows": [[w.name, w.low, w.high] for w in windows],
-        "themes": {theme.name: colours(theme) for theme in (LIGHT, DARK)},
         "panels": [
             {
                 "title": panel.title,
                 "unit": panel.unit,
                 "height": panel.height,
                 "marks": [list(mark) for mark in panel.marks],
+                "band": panel.band,
                 "series": [
                     {
                         "label": s.label,
                         "role": s.role,
                         "stepped": s.stepped,
                         "dashed": s.dashed,
+                        "dotted": s.dotted,
+                        "joined": s.joined,
                         "y": rounded(s.values[::stride]),
                     }
                     for s in panel.series
@@ -95,16 +123,13 @@ def plots(
         ],
     }
     text = json.dumps(told, separators=(",", ":"), ensure_ascii=True)
-    library = (HERE / "uplot" / "uPlot.min.js").read_text(encoding="utf-8")
-    return {
-        # its banner names its home; a page without any address is easily seen to need no network
-        "library": library.replace("https://", ""),
-        "style": (HERE / "uplot" / "uPlot.min.css").read_text(encoding="utf-8"),
-        "script": (HERE / "plots.js").read_text(encoding="utf-8"),
+    return Group(
+        title=title,
         # inside a script element, "<" could end it
-        "numbers": text.replace("<", "\\u003c"),
-        "thinned": f"one point in {stride}" if stride > 1 else "",
-    }
+        numbers=text.replace("<", "\\u003c"),
+        thinned=f"one point in {stride}" if stride > 1 else "",
+        twin=twin,
+    )
 
 
 def rounded(values: NDArray[np.float64]) -> list[float | None]:
@@ -115,11 +140,17 @@ def rounded(values: NDArray[np.float64]) -> list[float | None]:
 def colours(theme: Theme) -> dict[str, str]:
     """Colours of the roles in one theme."""
     return {
+        "paper": theme.paper,
         "ink": theme.ink,
         "faint": theme.faint,
         "grid": theme.grid,
+        "band": theme.band,
         "truth": theme.truth,
         "believed": theme.believed,
         "alarm": theme.alarm,
+        "measured": theme.measured,
+        "before": theme.before,
+        "after": theme.after,
         **theme.chamber,
+        **{f"series{k}": colour for k, colour in enumerate(theme.series)},
     }

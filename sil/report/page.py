@@ -2,43 +2,24 @@
 
 from __future__ import annotations
 
-import base64
 import json
-from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from sil.report.interactive import Group
+from sil.report.shell import Head, Picture, render
 from sil.results import Result, finite
 
-
-def told(value: Any) -> str:
-    """Return a value of an expectation as a reader wants it."""
-    if value is None:
-        return "none"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return number(value)
-    if isinstance(value, dict):
-        names = {"min": "at least", "max": "at most"}
-        return ", ".join(f"{names.get(k, k)} {told(v)}" for k, v in value.items()) or "any"
-    if isinstance(value, list | tuple):
-        return ", ".join(told(v) for v in value) or "none"
-    return str(value)
+ALT = "Position, valves, pressures, firmware states and CAN frames over simulated time"
+CAPTION = (
+    "True position against what the controller believed; commanded against actual valve states; "
+    "chamber pressures; firmware states; every CAN frame from its release to its arrival. One time "
+    "axis per shift."
+)
 
 
-def number(value: float | None) -> str:
-    """Return a number with three significant digits."""
-    return "none" if value is None else f"{value:.3g}"
-
-
-def milliseconds(value: float | None, digits: int = 1) -> str:
-    """Return seconds as milliseconds."""
-    return "none" if value is None else f"{1e3 * value:.{digits}f}"
-
-
-def tiles(metrics: dict[str, Any]) -> list[dict[str, str]]:
+def tiles(metrics: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the figures at the top of the page."""
     rows = [
         ("shift time, request to stop", "shift_time_s", 1e3, "ms", 0),
@@ -50,36 +31,31 @@ def tiles(metrics: dict[str, Any]) -> list[dict[str, str]]:
         ("valve switchings", "valve_switchings", 1, "", 0),
     ]
     return [
-        {"name": name, "value": f"{metrics[key] * scale:.{digits}f} {unit}".strip()}
+        (f"{metrics[key] * scale:.{digits}f} {unit}".strip(), name)
         for name, key, scale, unit, digits in rows
         if metrics.get(key) is not None
     ]
 
 
-def run_page(result: Result, picture: bytes | None, plots: dict[str, str] | None = None) -> str:
+def run_page(result: Result, picture: bytes | None, plots: Group | None = None) -> str:
     """Return the page of a run; `picture` is a PNG on light paper, `plots` of `run_plots`."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
-    environment.filters.update(
-        told=told,
-        number=number,
-        ms=milliseconds,
-        ms3=lambda value: milliseconds(value, 3),
-    )
     plain = msgspec.to_builtins(result)
     details = {
         key: plain[key] for key in ("versions", "balances", "speed", "bus", "scenario", "model")
     }
-    return environment.get_template("run.html").render(
-        result=plain,
+    head = Head(
+        command="run",
+        name=result.scenario_name,
+        verdict=result.status,
+        good=result.passed,
         tiles=tiles(result.metrics),
-        plots=plots,
-        picture=picture and base64.b64encode(picture).decode(),
+        again=f"opc4 run result.json --seed {result.seed} --transport {result.transport}",
+    )
+    return render(
+        "run.html",
+        head,
+        [] if plots is None else [plots],
+        result=plain,
+        picture=None if picture is None else Picture(picture, ALT, CAPTION),
         details=json.dumps(finite(details), indent=1, ensure_ascii=False),
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from io import BytesIO
 from typing import TYPE_CHECKING
 
 from sil.metrics import Shift
@@ -11,7 +10,7 @@ from sil.report.bus_panel import draw_bus, draw_states
 from sil.report.drawing import MM, MS, Drawing, Window
 from sil.report.position_panel import draw_position
 from sil.report.pressure_panel import draw_pressures
-from sil.report.theme import LIGHT, Theme
+from sil.report.theme import Theme
 from sil.report.valve_panel import draw_valves
 from sil.run_record import RunRecord
 
@@ -44,24 +43,6 @@ def windows(record: RunRecord, shifts: Sequence[Shift]) -> list[Window]:
             Window(max(shift.requested_s - 0.02, 0.0), min(last + AFTERMATH_S, until), shift)
         )
     return found or [Window(0.0, end, None)]
-
-
-def draw_shift(
-    record: RunRecord,
-    shifts: Sequence[Shift],
-    title: str,
-    subtitle: str,
-    theme: Theme = LIGHT,
-    dots_per_inch: int = 140,
-) -> bytes:
-    """Return the picture of a run as PNG bytes."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    figure = draw(record, shifts, title, subtitle, theme)
-    FigureCanvasAgg(figure)
-    image = BytesIO()
-    figure.savefig(image, format="png", dpi=dots_per_inch, facecolor=theme.paper)
-    return image.getvalue()
 
 
 def draw(

@@ -1,42 +1,25 @@
 "use strict";
-// Panels over one axis: a zoom, a cursor or a button in one of them acts on all.
+// Groups of panels over one axis: a zoom, a cursor or a button in one panel acts on its group.
 (function () {
-  const told = JSON.parse(document.getElementById("plot-numbers").textContent);
-  const place = document.getElementById("plots");
-  const bar = place.querySelector(".bar");
-  const whole = [told.x[0], told.x[told.x.length - 1]];
+  const themes = JSON.parse(document.getElementById("themes").textContent);
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
-  let charts = [];
-  let range = whole.slice();
-  let busy = false;
-
-  function show(low, high) {
-    range = [Math.max(low, whole[0]), Math.min(high, whole[1])];
-    busy = true;
-    charts.forEach((chart) => chart.setScale("x", { min: range[0], max: range[1] }));
-    busy = false;
-  }
-
-  function zoom(factor) {
-    const middle = (range[0] + range[1]) / 2;
-    const half = (factor * (range[1] - range[0])) / 2;
-    show(middle - half, middle + half);
-  }
-
-  function width() {
-    return Math.max(260, place.clientWidth);
-  }
+  const PAPER_WIDTH = 680;
+  let printing = false;
 
   function line(series, colours) {
-    return {
+    const colour = colours[series.role];
+    const made = {
       label: series.label,
-      stroke: colours[series.role],
-      width: series.role === "truth" ? 2 : 1.5,
+      stroke: colour,
+      width: series.role === "truth" || series.role === "measured" ? 2.2 : 1.5,
       dash: series.dashed ? [6, 4] : undefined,
-      paths: series.stepped ? uPlot.paths.stepped({ align: 1 }) : undefined,
-      points: { show: false },
+      spanGaps: series.joined,
+      points: { show: series.dotted, size: 4, fill: colour, width: 0 },
       value: (chart, value) => (value == null ? "–" : value.toPrecision(4)),
     };
+    if (series.stepped) made.paths = uPlot.paths.stepped({ align: 1 });
+    if (series.dotted) made.paths = () => null;
+    return made;
   }
 
   function upright(panel, axis) {
@@ -48,75 +31,165 @@
     return made;
   }
 
-  function options(panel, colours, last) {
-    const axis = {
-      stroke: colours.faint,
-      grid: { stroke: colours.grid, width: 1 },
-      ticks: { stroke: colours.grid, width: 1 },
+  function shade(panel, colours) {
+    return (chart) => {
+      if (!panel.band) return;
+      const box = chart.bbox;
+      const [a, b] = panel.band.map((value) => chart.valToPos(value, "y", true));
+      const top = Math.max(box.top, Math.min(a, b));
+      const end = Math.min(box.top + box.height, Math.max(a, b));
+      chart.ctx.save();
+      chart.ctx.fillStyle = colours.grid;
+      chart.ctx.fillRect(box.left, top, box.width, Math.max(0, end - top));
+      chart.ctx.restore();
     };
-    return {
-      width: width(),
-      height: panel.height + (last ? 30 : 0),
-      cursor: { sync: { key: "opc4" }, drag: { x: true, y: false } },
-      scales: { x: { time: false, range: () => range } },
-      axes: [
-        { ...axis, label: last ? told.axis : undefined, labelSize: last ? 24 : 0 },
-        upright(panel, axis),
-      ],
-      series: [{ label: told.axis, value: (chart, v) => (v == null ? "–" : v.toFixed(4)) }]
-        .concat(panel.series.map((series) => line(series, colours))),
-      hooks: {
-        setSelect: [
-          (chart) => {
-            const { left, width: wide } = chart.select;
-            if (wide > 2) show(chart.posToVal(left, "x"), chart.posToVal(left + wide, "x"));
-            chart.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
-          },
+  }
+
+  function group(place, number) {
+    const told = JSON.parse(place.querySelector("script").textContent);
+    const holder = place.querySelector(".panels");
+    const known = told.x.filter((value) => value != null);
+    const whole = [known[0], known[known.length - 1]];
+    // powers and roots instead of sums and halves on a logarithmic axis
+    const to = told.log ? Math.log : (value) => value;
+    const from = told.log ? Math.exp : (value) => value;
+    let range = whole.slice();
+    let charts = [];
+
+    function show(low, high) {
+      if (!(high > low)) return;
+      range = [Math.max(low, whole[0]), Math.min(high, whole[1])];
+      charts.forEach((chart) => chart.setScale("x", { min: range[0], max: range[1] }));
+    }
+
+    function zoom(factor, about) {
+      const [low, high] = range.map(to);
+      const middle = about === undefined ? (low + high) / 2 : to(about);
+      show(from(middle - factor * (middle - low)), from(middle + factor * (high - middle)));
+    }
+
+    function move(share) {
+      let [low, high] = range.map(to);
+      const [first, last] = whole.map(to);
+      const by = Math.min(Math.max(share * (high - low), first - low), last - high);
+      show(from(low + by), from(high + by));
+    }
+
+    // One finger moves along the axis, two zoom; up and down the page scrolls.
+    function touch(over, chart) {
+      let held = null;
+      const spot = (t) => chart.posToVal(t.clientX - over.getBoundingClientRect().left, "x");
+      const apart = (ts) => Math.abs(ts[0].clientX - ts[1].clientX);
+      over.style.touchAction = "pan-y";
+      over.addEventListener("touchstart", (event) => {
+        const ts = event.touches;
+        held = ts.length === 2 ? { apart: apart(ts) } : { x: ts[0].clientX };
+      }, { passive: true });
+      over.addEventListener("touchmove", (event) => {
+        const ts = event.touches;
+        if (!held) return;
+        if (ts.length === 2 && held.apart) {
+          event.preventDefault();
+          const now = Math.max(8, apart(ts));
+          zoom(held.apart / now, (spot(ts[0]) + spot(ts[1])) / 2);
+          held.apart = now;
+        } else if (ts.length === 1 && held.x !== undefined) {
+          move((held.x - ts[0].clientX) / over.clientWidth);
+          held.x = ts[0].clientX;
+        }
+      }, { passive: false });
+      over.addEventListener("touchend", () => { held = null; });
+    }
+
+    function width() {
+      return printing ? PAPER_WIDTH : Math.max(260, holder.clientWidth);
+    }
+
+    function options(panel, colours, last) {
+      const axis = {
+        stroke: colours.faint,
+        grid: { stroke: colours.grid, width: 1 },
+        ticks: { stroke: colours.grid, width: 1 },
+      };
+      return {
+        width: width(),
+        height: panel.height + (last ? 34 : 0),
+        cursor: {
+          sync: { key: "opc4 " + number },
+          drag: { x: true, y: false, setScale: false },
+        },
+        scales: { x: { time: false, distr: told.log ? 3 : 1, range: () => range } },
+        axes: [
+          { ...axis, size: last ? 40 : 26, label: last ? told.axis : undefined, labelSize: last ? 20 : 0 },
+          upright(panel, axis),
         ],
-      },
+        series: [{ label: told.axis, value: (chart, v) => (v == null ? "–" : v.toPrecision(5)) }]
+          .concat(panel.series.map((series) => line(series, colours))),
+        hooks: {
+          drawClear: [shade(panel, colours)],
+          setSelect: [
+            (chart) => {
+              const { left, width: wide } = chart.select;
+              if (wide > 2) show(chart.posToVal(left, "x"), chart.posToVal(left + wide, "x"));
+              chart.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+            },
+          ],
+        },
+      };
+    }
+
+    function draw() {
+      const colours = themes[dark.matches && !printing ? "dark" : "light"];
+      charts.forEach((chart) => chart.destroy());
+      holder.replaceChildren();
+      charts = told.panels.map((panel, i) => {
+        const box = document.createElement("div");
+        box.className = "panel";
+        const title = document.createElement("h4");
+        title.textContent = panel.title;
+        box.appendChild(title);
+        holder.appendChild(box);
+        const values = [told.x].concat(panel.series.map((series) => series.y));
+        const chart = new uPlot(options(panel, colours, i === told.panels.length - 1), values, box);
+        chart.over.addEventListener("dblclick", () => show(whole[0], whole[1]));
+        touch(chart.over, chart);
+        return chart;
+      });
+    }
+
+    function button(name, label, act) {
+      const made = document.createElement("button");
+      made.type = "button";
+      made.textContent = name;
+      made.setAttribute("aria-label", label);
+      made.addEventListener("click", act);
+      place.querySelector(".bar").appendChild(made);
+    }
+
+    button("whole", "show everything", () => show(whole[0], whole[1]));
+    told.windows.forEach(([name, low, high]) => button(name, name, () => show(low, high)));
+    button("+", "zoom in", () => zoom(0.5));
+    button("−", "zoom out", () => zoom(2));
+    button("←", "earlier", () => move(-0.5));
+    button("→", "later", () => move(0.5));
+    draw();
+    return {
+      draw,
+      fit: () => charts.forEach((chart) => chart.setSize({ width: width(), height: chart.height })),
+      charts: () => charts,
     };
   }
 
-  function draw() {
-    const colours = told.themes[dark.matches ? "dark" : "light"];
-    place.querySelectorAll(".panel").forEach((old) => old.remove());
-    charts.forEach((chart) => chart.destroy());
-    charts = told.panels.map((panel, i) => {
-      const box = document.createElement("div");
-      box.className = "panel";
-      const title = document.createElement("h3");
-      title.textContent = panel.title;
-      box.appendChild(title);
-      place.appendChild(box);
-      const data = [told.x].concat(panel.series.map((series) => series.y));
-      const last = i === told.panels.length - 1;
-      const made = options(panel, colours, last);
-      made.cursor.drag.setScale = false;
-      const chart = new uPlot(made, data, box);
-      chart.over.addEventListener("dblclick", () => show(whole[0], whole[1]));
-      return chart;
-    });
-    window.opc4Plots = charts;
-  }
-
-  function button(name, act) {
-    const made = document.createElement("button");
-    made.type = "button";
-    made.textContent = name;
-    made.addEventListener("click", act);
-    bar.appendChild(made);
-  }
-
-  button("whole", () => show(whole[0], whole[1]));
-  told.windows.forEach(([name, low, high]) => button(name, () => show(low, high)));
-  button("+", () => zoom(0.5));
-  button("−", () => zoom(2));
-  draw();
-  dark.addEventListener("change", draw);
+  const groups = Array.from(document.querySelectorAll(".plots"), group);
+  window.opc4Plots = () => groups.map((one) => one.charts());
+  const redraw = () => groups.forEach((one) => one.draw());
+  dark.addEventListener("change", redraw);
+  window.addEventListener("beforeprint", () => { printing = true; redraw(); });
+  window.addEventListener("afterprint", () => { printing = false; redraw(); });
   let waiting = 0;
   window.addEventListener("resize", () => {
+    if (printing) return;
     cancelAnimationFrame(waiting);
-    waiting = requestAnimationFrame(() =>
-      charts.forEach((chart) => chart.setSize({ width: width(), height: chart.height })));
+    waiting = requestAnimationFrame(() => groups.forEach((one) => one.fit()));
   });
 })();

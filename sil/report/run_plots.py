@@ -1,6 +1,6 @@
 """The interactive plots of a run: position, speed, valves, pressures, shaft speeds over time.
 
-Checked by: tests/unit/sil/test_interactive.py, tests/browser/
+Checked by: tests/unit/sil/report/test_interactive.py, tests/browser/
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sil.metrics import Shift
-from sil.report.interactive import Panel, Series, Window, plots
+from sil.report.interactive import Group, Panel, Series, Window, plots
 from sil.run_record import CHAMBERS, RunRecord
 
 Floats = NDArray[np.float64]
 AFTER_S = 0.25
 
 
-def run_plots(record: RunRecord, shifts: Sequence[Shift]) -> dict[str, str]:
+def run_plots(record: RunRecord, shifts: Sequence[Shift]) -> Group:
     """The plots of a finished run, with a button for each shift."""
     truth = record.truth
     time = truth["time_s"]
@@ -66,7 +66,8 @@ def run_plots(record: RunRecord, shifts: Sequence[Shift]) -> dict[str, str]:
         )
         for shift in shifts
     ]
-    return plots("time, s", time, [position, speed, valves, pressures, shafts], windows)
+    panels = [position, speed, valves, pressures, shafts]
+    return plots("time, s", time, panels, windows, twin=True)
 
 
 def held(times: Floats, values: Floats, at: Floats) -> Floats:

@@ -1,13 +1,15 @@
-"""shift.png and report.html of a finished run."""
+"""shift.png, shift.svg and report.html of a finished run."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sil.report.figures import save
 from sil.report.page import run_page
-from sil.report.picture import draw_shift
+from sil.report.picture import draw
 from sil.report.run_plots import run_plots
+from sil.report.theme import LIGHT
 from sil.results import write_whole
 
 if TYPE_CHECKING:
@@ -20,7 +22,7 @@ def write_report(finished: Finished, folder: Path) -> None:
     assert record is not None
     title = f"{result.scenario_name}: {result.status}"
     subtitle = result.scenario["description"].strip().split("\n")[0]
-    picture = draw_shift(record, finished.shifts, title, subtitle)
-    (folder / "shift.png").write_bytes(picture)
+    figure = draw(record, finished.shifts, title, subtitle, LIGHT)
+    picture = save(figure, folder, "shift", dots_per_inch=140)
     plots = run_plots(record, finished.shifts)
     write_whole(folder / "report.html", run_page(result, picture, plots))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Theme:
-    """The colours of one look; `chamber` maps B, N and F."""
+    """The colours of one look; `chamber` maps B, N and F, `series` are for whatever has no role."""
 
     name: str
     paper: str
@@ -18,8 +18,12 @@ class Theme:
     truth: str
     believed: str
     alarm: str
+    measured: str
+    before: str
+    after: str
     chamber: dict[str, str]
     state: dict[str, str]
+    series: tuple[str, ...]
 
 
 LIGHT = Theme(
@@ -32,6 +36,9 @@ LIGHT = Theme(
     truth="#000000",
     believed="#c2458f",
     alarm="#d55e00",
+    measured="#8a9197",
+    before="#d55e00",
+    after="#0072b2",
     chamber={"B": "#0072b2", "N": "#009e73", "F": "#c98500"},
     state={
         "INIT": "#dddddd",
@@ -43,6 +50,10 @@ LIGHT = Theme(
         "VENT": "#e2cfe9",
         "FAULT": "#e8896b",
     },
+    series=(
+        *("#0072b2", "#d55e00", "#009e73", "#cc79a7"),
+        *("#e69f00", "#56b4e9", "#000000", "#8c6d31"),
+    ),
 )
 
 DARK = Theme(
@@ -55,6 +66,9 @@ DARK = Theme(
     truth="#ffffff",
     believed="#f08cc4",
     alarm="#ff8a4c",
+    measured="#b9c0c6",
+    before="#ff8a4c",
+    after="#56b4e9",
     chamber={"B": "#56b4e9", "N": "#2cc79a", "F": "#f0b429"},
     state={
         "INIT": "#3a4046",
@@ -66,4 +80,8 @@ DARK = Theme(
         "VENT": "#5c4468",
         "FAULT": "#a3431f",
     },
+    series=(
+        *("#56b4e9", "#ff8a4c", "#2cc79a", "#f08cc4"),
+        *("#f0b429", "#b5dcf5", "#ffffff", "#c9a66b"),
+    ),
 )

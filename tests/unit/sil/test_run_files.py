@@ -16,8 +16,10 @@ from can_dbc.messages import Gear
 from sil import metrics
 from sil.event_log import EventLog, read_events
 from sil.report.bus_panel import SILENT, state_spans
-from sil.report.page import run_page, told
-from sil.report.picture import draw, draw_shift, windows
+from sil.report.figures import save
+from sil.report.page import run_page
+from sil.report.picture import draw, windows
+from sil.report.shell import told
 from sil.report.theme import DARK, LIGHT
 from sil.report.valve_panel import valve_spans
 from sil.run_record import PlantEvent
@@ -97,7 +99,7 @@ def test_state_spans_merge_and_tell_silence() -> None:
     assert state_spans(np.array([]), [], 1.0) == [(0.0, 1.0, SILENT)]
 
 
-def test_picture_of_a_shift_and_of_a_run_without_one() -> None:
+def test_picture_of_a_shift_and_of_a_run_without_one(tmp_path: Path) -> None:
     record = made_run.made()
     shifts = metrics.shifts(record, Gear.NEUTRAL)
     (window,) = windows(record, shifts)
@@ -107,11 +109,12 @@ def test_picture_of_a_shift_and_of_a_run_without_one() -> None:
     assert {"backward requested", "backward confirmed", "stop: 0.64 m/s, 0.2 J"} <= texts
     assert any(re.fullmatch(r"\d+ ms late", text) for text in texts)
     for theme in (LIGHT, DARK):
-        image = draw_shift(record, shifts, "a", "b", theme, dots_per_inch=40)
+        image = save(draw(record, shifts, "a", "b", theme), tmp_path, theme.name, dots_per_inch=40)
         assert image.startswith(b"\x89PNG") and len(image) > 10_000
     (whole,) = windows(record, [])
     assert (whole.start_s, whole.shift) == (0.0, None)
-    draw_shift(record, [], "a", "b", LIGHT, dots_per_inch=40)
+    save(draw(record, [], "a", "b", LIGHT), tmp_path, "whole", dots_per_inch=40)
+    assert (tmp_path / "light.svg").read_text().rstrip().endswith("</svg>")
 
 
 class _Tags(HTMLParser):

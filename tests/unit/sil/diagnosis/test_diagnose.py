@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import pytest
 
@@ -53,9 +54,9 @@ def test_a_hidden_effect_is_named_with_its_gain_and_model(tmp_path) -> None:
     path.write_text(found.extended, encoding="utf-8")
     extended = load(path)
     assert extended.effects["exhaust_clog"]["factor"].value == pytest.approx(factor.value)
-    page = tmp_path / "report.html"
-    write_report(found, page, "measured/", "nominal")
-    text = page.read_text(encoding="utf-8")
+    write_report(found, tmp_path, "measured/", "nominal")
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert {"strokes.png", "strokes.svg", "phases.png", "phases.svg"} <= set(os.listdir(tmp_path))
     assert "exhaust_clog" in text and "http://" not in text and "https://" not in text
     assert "opc4 diagnose measured/ --model nominal" in text
     again = diagnose(campaign, extended, workers=1)

@@ -1,0 +1,109 @@
+"""One look for all pages: a shell, one style sheet, one plot layer; a page is one file, offline.
+
+Checked by: tests/unit/sil/report/test_shell.py, tests/browser/
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sil.report.interactive import Group, colours
+from sil.report.theme import DARK, LIGHT
+
+HERE = Path(__file__).parent
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture on a page: PNG bytes, what it shows for those who cannot see it, a caption.
+
+    twin: plots on the page show the same.
+    """
+
+    png: bytes
+    alt: str
+    caption: str
+
+    @property
+    def source(self) -> str:
+        """The picture as an address that needs no network."""
+        return "data:image/png;base64," + base64.b64encode(self.png).decode()
+
+
+@dataclass(frozen=True)
+class Head:
+    """What stands at the top of every page.
+
+    command: the `opc4` command it is of. good: the verdict is one to be glad of; None: neither.
+    tiles: figures as (value, name). again: the call that makes the page again.
+    """
+
+    command: str
+    name: str
+    verdict: str = ""
+    good: bool | None = None
+    tiles: Sequence[tuple[str, str]] = ()
+    again: str = ""
+
+
+def render(template: str, head: Head, groups: Sequence[Group] = (), **values: Any) -> str:
+    """Return a page: `template` extends shell.html and finds `head`, `groups` and the values."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(HERE),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(
+        told=told, number=number, ms=milliseconds, ms3=lambda value: milliseconds(value, 3)
+    )
+    return environment.get_template(template).render(
+        head=head, groups=groups, library=_library() if groups else None, **values
+    )
+
+
+def _library() -> dict[str, str]:
+    """What plots need in the page, once."""
+    uplot = (HERE / "uplot" / "uPlot.min.js").read_text(encoding="utf-8")
+    themes = {theme.name: colours(theme) for theme in (LIGHT, DARK)}
+    return {
+        # its banner names its home; a page without any address is easily seen to need no network
+        "uplot": uplot.replace("https://", ""),
+        "style": (HERE / "uplot" / "uPlot.min.css").read_text(encoding="utf-8"),
+        "script": (HERE / "plots.js").read_text(encoding="utf-8"),
+        "themes": json.dumps(themes, separators=(",", ":")),
+    }
+
+
+def told(value: Any) -> str:
+    """Return a value of an expectation as a reader wants it."""
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return number(value)
+    if isinstance(value, dict):
+        names = {"min": "at least", "max": "at most"}
+        return ", ".join(f"{names.get(k, k)} {told(v)}" for k, v in value.items()) or "any"
+    if isinstance(value, list | tuple):
+        return ", ".join(told(v) for v in value) or "none"
+    return str(value)
+
+
+def number(value: float | None) -> str:
+    """Return a number with three significant digits."""
+    return "none" if value is None else f"{value:.3g}"
+
+
+def milliseconds(value: float | None, digits: int = 1) -> str:
+    """Return seconds as milliseconds."""
+    return "none" if value is None else f"{1e3 * value:.{digits}f}"

@@ -1,0 +1,78 @@
+"""A browser, and a page of each kind as its command writes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from selenium import webdriver
+
+from plant.parameters import Parameter, ParameterSet, load
+from sil.cli import main
+from tests.unit.sil.diagnosis.made_campaign import made
+from tests.unit.sil.diagnosis.test_force_rig import rig
+
+FLAGS = (
+    "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--no-first-run", "--disable-dev-shm-usage",
+    "--disable-quic", "--hide-scrollbars",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    options = webdriver.ChromeOptions()
+    options.binary_location = "/usr/bin/chromium"
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService("/usr/bin/chromedriver"))
+    yield driver
+    driver.quit()
+
+
+def of_run(folder: Path) -> list[str]:
+    return ["run", "full_shift"]
+
+
+def of_diagnose(folder: Path) -> list[str]:
+    base = load()
+    hidden = {"exhaust_clog": {"factor": Parameter(0.75, "-", "hidden by the test")}}
+    made(folder / "measured", ParameterSet(base.name, base.entries, hidden), seed=11, count=6)
+    return ["diagnose", str(folder / "measured"), "--workers", "2"]
+
+
+def of_force(folder: Path) -> list[str]:
+    return ["diagnose", str(rig(folder / "rig", stribeck_n=25.0))]
+
+
+MAKERS: dict[str, tuple[Callable[[Path], list[str]], int]] = {
+    "run": (of_run, 0),
+    "diagnose": (of_diagnose, 1),
+    "force": (of_force, 1),
+}
+"""The arguments of the command that writes a page of the kind, and its exit code."""
+
+
+@pytest.fixture(scope="session")
+def page_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], str]:
+    """The address of the page of a kind, made once."""
+    known: dict[str, str] = {}
+
+    def made_once(kind: str) -> str:
+        if kind not in known:
+            folder = tmp_path_factory.mktemp(kind)
+            arguments, code = MAKERS[kind][0](folder), MAKERS[kind][1]
+            assert main([*arguments, "--out", str(folder / "out")]) == code
+            known[kind] = (folder / "out" / "report.html").as_uri()
+        return known[kind]
+
+    return made_once
+
+
+@pytest.fixture(params=list(MAKERS))
+def page(request: pytest.FixtureRequest, page_of: Callable[[str], str]) -> str:
+    """A page of each kind in turn."""
+    return page_of(request.param)

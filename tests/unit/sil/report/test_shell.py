@@ -1,0 +1,66 @@
+"""The shell of all pages: what stands in it, what is escaped, what is left out without plots."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from jinja2 import UndefinedError
+
+import sil.report
+from sil.report.interactive import Panel, Series, plots
+from sil.report.shell import Head, Picture, render
+from sil.report.theme import DARK, LIGHT
+
+TEMPLATES = sorted(Path(sil.report.__path__[0]).glob("*.html"))
+PARTS = {"shell.html", "plots.html"}
+
+
+def test_every_page_extends_the_shell_and_has_no_style_of_its_own() -> None:
+    pages = [path for path in TEMPLATES if path.name not in PARTS]
+    assert {"run.html", "diagnosis.html"} <= {path.name for path in pages}
+    for path in pages:
+        text = path.read_text(encoding="utf-8")
+        assert text.startswith('{% extends "shell.html" %}'), path.name
+        assert "<style" not in text and "<script" not in text, path.name
+
+
+def test_names_are_escaped_and_nothing_is_asked_of_the_network() -> None:
+    group = plots("t, s", np.zeros(2), [Panel("p", "m", [Series("a", np.zeros(2), "truth")])])
+    head = Head("diagnose", "<b>x", "named", good=False, tiles=[("1", "</div>")], again="a && b")
+    page = render(
+        "force.html", head, [group], detectability="d", causes=[], plain_error="1 %", rows=[],
+        picture=Picture(b"png", "what", "caption"),
+    )  # fmt: skip
+    assert "<title>&lt;b&gt;x: named</title>" in page and "<b>x" not in page
+    assert "&lt;/div&gt;" in page and "a &amp;&amp; b" in page
+    assert page.count("uPlot=function") == 1 and 'class="verdict bad"' in page
+    assert not re.search(r"(?:src|href)=\"(?!data:)", page) and "://" not in page
+
+
+def test_a_value_that_is_missing_is_an_error() -> None:
+    with pytest.raises(UndefinedError):
+        render("force.html", Head("diagnose", "x"))
+
+
+def contrast(one: str, other: str) -> float:
+    """Contrast ratio of two colours as WCAG 2 defines it."""
+
+    def light(colour: str) -> float:
+        parts = [int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
+        linear = [p / 12.92 if p <= 0.03928 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+    high, low = sorted((light(one), light(other)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize("theme", [LIGHT, DARK], ids=lambda theme: theme.name)
+def test_text_and_lines_stand_out_from_the_paper(theme: object) -> None:
+    assert contrast(theme.ink, theme.paper) > 7.0  # type: ignore[attr-defined]
+    assert contrast(theme.faint, theme.paper) > 4.5  # type: ignore[attr-defined]
+    lines = [theme.truth, theme.believed, theme.alarm, theme.measured, theme.before, theme.after]  # type: ignore[attr-defined]
+    for colour in (*lines, *theme.chamber.values()):  # type: ignore[attr-defined]
+        assert contrast(colour, theme.paper) > 2.8, colour  # type: ignore[attr-defined]
