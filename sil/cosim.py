@@ -11,33 +11,39 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from can_dbc.errors import InputError, RunError
+from can_dbc.messages import Gear
 from sil import assembly, expectations, metrics
 from sil.assembly import SCENARIO, Say
 from sil.bus import BusModel, Delivery
 from sil.bus_figures import bus_figures, response_check
 from sil.clock import to_ns
-from sil.event_log import EVENTS, read_events
+from sil.event_log import EVENTS
 from sil.faults import FaultPlan
+from sil.frame_file import BUS_FRAMES, FrameWriter
+from sil.kept_run import KeptRun
 from sil.lockstep import TURN_ORDER, Lockstep, RunSummary
 from sil.realtime import Pacer
-from sil.recorder import BUS_LOG, PLANT_TRACE, BusLog, read_trace, trace_sha256
+from sil.recorder import BUS_LOG, PLANT_TRACE, BusLog, trace_sha256
 from sil.results import Check, Result, versions, write_result, write_whole
-from sil.run_record import BusFrame, RunRecord
-from sil.scenario import Loaded, expanded
-from sil.trace_csv import write_trace_csv
+from sil.run_record import RunRecord
+from sil.scenario import Loaded, Scenario, expanded
+from sil.trace_csv import TraceCsv
 
 REFUSED_BY_A_PARTICIPANT = re.compile(r"ended with exit status 2: opc4 node: (?P<told>.*)")
 """A process that did not take its settings: bad input here as in one process."""
+
+SENDERS = (*TURN_ORDER, "traffic")
 
 CUT_OFF = "the run was cut off before it could say why"
 
 
 @dataclass(frozen=True)
 class Finished:
-    """A run that has ended, well or not: its result, and what it left, if that is enough."""
+    """A run that has ended, well or not: its result, and what it left, if that is enough.
+
+    `record` is all of it, or of a run longer than `sil.kept_run.PIECE_S` the first piece.
+    """
 
     result: Result
     record: RunRecord | None
@@ -71,7 +77,6 @@ def run(
         is_off=plan.is_off if plan.touches_frames else None,
     )
     base = _blank(loaded, transport)
-    frames: list[BusFrame] = []
     summary: RunSummary | None = None
     why: str | None = None
     try:
@@ -82,11 +87,11 @@ def run(
             log = BusLog(folder / BUS_LOG)
             closing.callback(log.close)
 
+            frames = closing.enter_context(FrameWriter(folder / BUS_FRAMES, SENDERS))
+
             def record(deliveries: list[Delivery]) -> None:
                 log.record(deliveries)
-                frames.extend(
-                    BusFrame(d.queued_ns, d.arrival_ns, d.sender, d.frame) for d in deliveries
-                )
+                frames.record(deliveries)
 
             lockstep = closing.enter_context(
                 Lockstep(
@@ -96,7 +101,7 @@ def run(
                     record=record,
                     outages=plan if scenario.fault else None,
                     pacer=pacer,
-                    order=(*TURN_ORDER, "traffic"),
+                    order=SENDERS,
                 )
             )
             summary = lockstep.run()
@@ -106,7 +111,7 @@ def run(
     except RunError as error:
         why = str(error)
         refused = REFUSED_BY_A_PARTICIPANT.search(why)
-        if refused is not None and not frames:
+        if refused is not None and not log.frames:
             _discard(folder)
             told = refused["told"].replace(str(folder / SCENARIO), loaded.source)
             raise InputError(told) from None
@@ -117,7 +122,7 @@ def run(
     if summary is not None:
         for warning in lockstep.warnings:
             say(warning)
-    return _judge(loaded, folder, base, why, frames, log, bus, plan, summary, begun)
+    return _judge(loaded, folder, base, why, log, bus, plan, summary, begun)
 
 
 def _blank(loaded: Loaded, transport: str) -> Result:
@@ -150,7 +155,7 @@ def _with(result: Result, **changes: Any) -> Result:
 
 def _discard(folder: Path) -> None:
     """Remove what a run that could not begin has put into its folder."""
-    for name in (SCENARIO, BUS_LOG, PLANT_TRACE, EVENTS, "result.json"):
+    for name in (SCENARIO, BUS_LOG, BUS_FRAMES, PLANT_TRACE, EVENTS, "result.json"):
         (folder / name).unlink(missing_ok=True)
     with contextlib.suppress(OSError):  # not empty: it was there before us
         folder.rmdir()
@@ -161,7 +166,6 @@ def _judge(
     folder: Path,
     base: Result,
     why: str | None,
-    frames: list[BusFrame],
     log: BusLog,
     bus: BusModel,
     plan: FaultPlan,
@@ -170,22 +174,26 @@ def _judge(
 ) -> Finished:
     """Turn what was recorded into metrics and checks, and write result.json and trace.csv."""
     scenario = loaded.scenario
-    record = _read_record(loaded, folder, frames)
+    record: RunRecord | None = None
     found: list[metrics.Shift] = []
     figures: dict[str, Any] = {}
     checks: list[Check] = []
     balances: dict[str, Any] = {}
     bus_told = bus_figures(scenario, bus, plan)
-    if record is not None:
-        initial = assembly.gear_of(scenario.initial_gear)
-        found = metrics.shifts(record, initial)
-        balances = next((dict(e.values) for e in record.events if e.name == "balance"), {})
-        figures = metrics.summary(record, found, balances.get("air_in_kg"))
-        write_trace_csv(record, folder / "trace.csv")
-        if why is None:
-            checks = expectations.evaluate(scenario.expect, record, found, figures)
-            checks += _balance_checks(balances)
-            checks += response_check(scenario, bus_told)
+    with contextlib.ExitStack() as closing:
+        kept = _kept(loaded, folder, closing)
+        if kept is not None:
+            try:
+                observed, found, switchings = _figures(scenario, kept, folder / "trace.csv")
+            except OSError as error:  # no room for trace.csv: plant.trace stays instead
+                kept, why = None, why or str(error)
+        if kept is not None:
+            record, balances = kept.piece(0), dict(kept.balances)
+            figures = metrics.whole_run(found, balances.get("air_in_kg"), switchings, log.frames)
+            if why is None:
+                checks = expectations.evaluate_observed(scenario.expect, observed, found, figures)
+                checks += _balance_checks(balances)
+                checks += response_check(scenario, bus_told)
     complete = why is None and summary is not None and record is not None
     passed = complete and all(c.passed for c in checks)
     wall = time.perf_counter() - begun
@@ -211,11 +219,42 @@ def _judge(
         speed=speed,
         status="passed" if passed else "failed" if complete else "incomplete",
     )
+    (folder / BUS_FRAMES).unlink(missing_ok=True)
     write_result(result, folder)
     if record is not None:
         (folder / PLANT_TRACE).unlink()
     (folder / SCENARIO).unlink()
     return Finished(result, record, found)
+
+
+def _kept(loaded: Loaded, folder: Path, closing: contextlib.ExitStack) -> KeptRun | None:
+    """Return what was recorded, or None when the plant never got as far as two rows."""
+    if not (folder / PLANT_TRACE).exists():
+        return None
+    kept = closing.enter_context(KeptRun(loaded, folder, SENDERS))
+    return kept if kept.rows > 1 else None
+
+
+def _figures(
+    scenario: Scenario, kept: KeptRun, path: Path
+) -> tuple[expectations.Observed, list[metrics.Shift], int]:
+    """Go through the run piece by piece: write the trace, observe, find the shifts."""
+    observed = expectations.Observed(kept.stroke_m)
+    gear = assembly.gear_of(scenario.initial_gear)
+    changes: list[tuple[float, Gear, Gear]] = []
+    switchings = 0
+    with TraceCsv(path) as csv:
+        for piece in kept:
+            csv.add(piece)
+            observed.add(piece)
+            switchings += metrics.valve_switchings(piece)
+            changes += metrics.requests(piece, changes[-1][2] if changes else gear)
+    spans = metrics.spans(changes, kept.end_s)
+    found = [
+        metrics.shift_figures(kept.span(start, until), start, source, target, until)
+        for start, source, target, until in spans
+    ]
+    return observed, found, switchings
 
 
 def _balance_checks(balances: dict[str, Any]) -> list[Check]:
@@ -224,24 +263,3 @@ def _balance_checks(balances: dict[str, Any]) -> list[Check]:
     closed = balances["closed"] == 1.0
     told = "closed" if closed else "open"
     return [Check(name="mass and energy balances", passed=closed, value=told, limit="closed")]
-
-
-def _read_record(loaded: Loaded, folder: Path, frames: list[BusFrame]) -> RunRecord | None:
-    """Return what was recorded, or None when the plant never got as far as two rows."""
-    if not (folder / PLANT_TRACE).exists():
-        return None
-    trace = read_trace(folder / PLANT_TRACE)
-    if len(trace.rows) < 2:
-        return None
-    parameters, table = loaded.parameters, loaded.scenario.plant
-    supply = table.supply_pressure_pa
-    return RunRecord(
-        truth={
-            name: np.ascontiguousarray(trace.rows[:, i]) for i, name in enumerate(trace.columns)
-        },
-        events=read_events(folder / EVENTS),
-        frames=frames,
-        stroke_m=parameters.value("length.stroke"),
-        free_travel_m=parameters.value("length.x_free_total"),
-        supply_pressure_pa=parameters.value("supply.P_s") if supply is None else supply,
-    )

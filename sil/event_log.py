@@ -33,15 +33,15 @@ def read_events(path: Path) -> list[PlantEvent]:
 
     Raises InputError for a file that holds something else. Checked by test_event_log.
     """
-    events = []
     lines = path.read_bytes().split(b"\n")
     lines.pop()  # empty, or torn
-    for number, line in enumerate(lines, start=1):
-        try:
-            values = json.loads(line)
-            events.append(PlantEvent(float(values.pop("time_s")), str(values.pop("name")), values))
-        except (ValueError, KeyError, TypeError, AttributeError):
-            raise InputError(
-                f"{path}: line {number}: not an event; expected time_s, name and values"
-            ) from None
-    return events
+    return [event_of(line, f"{path}: line {n}") for n, line in enumerate(lines, start=1)]
+
+
+def event_of(line: bytes, place: str) -> PlantEvent:
+    """Return the event of one line. Raises InputError, naming the place, for something else."""
+    try:
+        values = json.loads(line)
+        return PlantEvent(float(values.pop("time_s")), str(values.pop("name")), values)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(f"{place}: not an event; expected time_s, name and values") from None

@@ -7,7 +7,14 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from can_dbc.messages import ControllerStatus, Fault, PlantMotion, ShiftRequest, ValveCommand
+from can_dbc.messages import (
+    ControllerStatus,
+    Fault,
+    Gear,
+    PlantMotion,
+    ShiftRequest,
+    ValveCommand,
+)
 from sil.metrics import Shift, gear_at
 from sil.results import Check
 from sil.run_record import CHAMBERS, RunRecord
@@ -40,6 +47,9 @@ MetricName = Literal[
     "valve_switchings",
     "frames",
 ]
+
+_NEVER_NONE = (ShiftRequest, ValveCommand, ControllerStatus, PlantMotion)
+"""Messages without which nothing was shown."""
 
 
 class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -88,6 +98,35 @@ class Expectations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     min_frames: Annotated[int, msgspec.Meta(ge=1)] = 1
 
 
+class Observed:
+    """What the expectations ask of a run, gathered piece by piece, in order of time."""
+
+    def __init__(self, stroke_m: float) -> None:
+        self.stroke_m = stroke_m
+        self.counts: dict[type, int] = dict.fromkeys(_NEVER_NONE, 0)
+        self.opened: set[str] = set()
+        self.valves_off = True
+        self.position_m = 0.0
+        self.confirmed: Gear | None = None
+        self.faults = Fault.NONE
+        self.visited: list[str] = []
+
+    def add(self, record: RunRecord) -> None:
+        """Take in the next piece of the run."""
+        for kind in self.counts:
+            self.counts[kind] += len(record.of(kind))
+        if len(record.truth["time_s"]):
+            valves = [record.truth[f"valve_{c}"] for c in CHAMBERS]
+            self.opened |= {c for c, u in zip(CHAMBERS, valves, strict=True) if (u > 0.5).any()}
+            self.valves_off = all(u[-1] < 0.5 for u in valves)
+            self.position_m = float(record.truth["position_m"][-1])
+        for _, message in record.of(ControllerStatus):
+            self.confirmed = message.confirmed
+            self.faults |= message.faults
+            if message.state.name not in self.visited:
+                self.visited.append(message.state.name)
+
+
 def evaluate(
     wanted: Expectations, record: RunRecord, found: Sequence[Shift], metrics: dict[str, Any]
 ) -> list[Check]:
@@ -95,11 +134,20 @@ def evaluate(
 
     Checked by test_expectations.
     """
-    checks = _not_vacuous(wanted, record, found)
-    checks += _ends(wanted, record)
-    checks += _states(wanted, record)
+    observed = Observed(record.stroke_m)
+    observed.add(record)
+    return evaluate_observed(wanted, observed, found, metrics)
+
+
+def evaluate_observed(
+    wanted: Expectations, observed: Observed, found: Sequence[Shift], metrics: dict[str, Any]
+) -> list[Check]:
+    """Return what `evaluate` does, of a run that was looked at piece by piece."""
+    checks = _not_vacuous(wanted, observed, found)
+    checks += _ends(wanted, observed)
+    checks += _states(wanted, observed)
     if wanted.valves_opened is not None:
-        opened = [c for c in CHAMBERS if (record.truth[f"valve_{c}"] > 0.5).any()]
+        opened = [c for c in CHAMBERS if c in observed.opened]
         checks.append(_equal("valves opened", opened, sorted(wanted.valves_opened, key=_order)))
     for name, limits in wanted.metrics.items():
         value = metrics[name]
@@ -118,48 +166,40 @@ def _equal(name: str, value: Any, limit: Any) -> Check:
     return Check(name=name, passed=value == limit, value=value, limit=limit)
 
 
-def _not_vacuous(wanted: Expectations, record: RunRecord, found: Sequence[Shift]) -> list[Check]:
+def _not_vacuous(wanted: Expectations, observed: Observed, found: Sequence[Shift]) -> list[Check]:
     checks = []
-    for kind in (ShiftRequest, ValveCommand, ControllerStatus, PlantMotion):
-        count = len(record.of(kind))
+    for kind, count in observed.counts.items():
         name = f"{kind.__name__} frames on the bus"
         least = wanted.min_frames
         checks.append(Check(name=name, passed=count >= least, value=count, limit={"min": least}))
     if wanted.valves_opened is None and found:
-        opened = sum(int((record.truth[f"valve_{c}"] > 0.5).any()) for c in CHAMBERS)
+        opened = len(observed.opened)
         checks.append(
             Check(name="a valve opened", passed=opened > 0, value=opened, limit={"min": 1})
         )
     return checks
 
 
-def _ends(wanted: Expectations, record: RunRecord) -> list[Check]:
+def _ends(wanted: Expectations, observed: Observed) -> list[Check]:
     checks = []
     if wanted.final_gear is not None:
-        end = float(record.truth["position_m"][-1])
-        gear = gear_at(end, record.stroke_m).name.lower()
+        gear = gear_at(observed.position_m, observed.stroke_m).name.lower()
         checks.append(_equal("final gear", gear, wanted.final_gear))
-    status = record.of(ControllerStatus)
     if wanted.confirmed_gear is not None:
-        confirmed = status[-1][1].confirmed.name.lower() if status else None
+        confirmed = None if observed.confirmed is None else observed.confirmed.name.lower()
         checks.append(_equal("confirmed gear", confirmed, wanted.confirmed_gear))
     if wanted.faults is not None:
-        seen = Fault.NONE
-        for _, message in status:
-            seen |= message.faults
-        names = sorted(f.name or "" for f in Fault if f and f in seen)
+        names = sorted(f.name or "" for f in Fault if f and f in observed.faults)
         checks.append(_equal("faults reported", names, sorted(wanted.faults)))
     if wanted.valves_off_at_end is not None:
-        off = all(record.truth[f"valve_{c}"][-1] < 0.5 for c in CHAMBERS)
-        checks.append(_equal("valves off at the end", off, wanted.valves_off_at_end))
+        checks.append(
+            _equal("valves off at the end", observed.valves_off, wanted.valves_off_at_end)
+        )
     return checks
 
 
-def _states(wanted: Expectations, record: RunRecord) -> list[Check]:
-    visited = []
-    for _, message in record.of(ControllerStatus):
-        if message.state.name not in visited:
-            visited.append(message.state.name)
+def _states(wanted: Expectations, observed: Observed) -> list[Check]:
+    visited = observed.visited
     checks = []
     if wanted.states:
         missing = [s for s in wanted.states if s not in visited]

@@ -39,6 +39,7 @@ FirmwareName = Literal["driver", "controller"]
 Instant = Annotated[float, Meta(ge=0.0, le=86400.0)]
 
 EVENTS_KEPT = 10_000
+MOST_DELAY_S = 10.0
 _NS_PER_US = 1000
 
 
@@ -85,8 +86,8 @@ class UndetectedCorruption(_FrameFault, frozen=True, kw_only=True, tag="corrupti
 class Delay(_FrameFault, frozen=True, kw_only=True, tag="delay"):
     """The frame arrives `delay_s` late, and up to `jitter_s` more, drawn in whole microseconds."""
 
-    delay_s: Annotated[float, Meta(ge=0.0, le=10.0)]
-    jitter_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.0
+    delay_s: Annotated[float, Meta(ge=0.0, le=MOST_DELAY_S)]
+    jitter_s: Annotated[float, Meta(ge=0.0, le=MOST_DELAY_S)] = 0.0
 
 
 class FrozenCounter(_FrameFault, frozen=True, kw_only=True, tag="frozen_counter"):

@@ -26,6 +26,9 @@ ARRIVED_WITHIN_M = 5e-5
 OPEN_ABOVE = 0.34
 """A commanded duty above this is meant to open (closed at or below 0.33, open at or above 0.35)."""
 
+LONGEST_SHIFT_S = 120.0
+"""A shift's figures are taken from its request to the next one, at most this long."""
+
 GEAR_CHAMBER = {Gear.BACKWARD: "B", Gear.NEUTRAL: "N", Gear.FORWARD: "F"}
 
 
@@ -121,12 +124,21 @@ def requests(record: RunRecord, initial: Gear) -> list[tuple[float, Gear, Gear]]
     return found
 
 
+def spans(
+    changes: Sequence[tuple[float, Gear, Gear]], end_s: float
+) -> list[tuple[float, Gear, Gear, float]]:
+    """Return (from when, from, to, until when) of each shift of a run that ends at `end_s`."""
+    bounds = [*(t for t, _, _ in changes), max(end_s, changes[-1][0])][1:] if changes else []
+    return [
+        (*change, min(until, change[0] + LONGEST_SHIFT_S))
+        for change, until in zip(changes, bounds, strict=True)
+    ]
+
+
 def shifts(record: RunRecord, initial: Gear) -> list[Shift]:
     """Return one Shift for each change of the requested gear, in order."""
-    changes = requests(record, initial)
     end = float(record.truth["time_s"][-1]) if len(record.truth["time_s"]) else 0.0
-    bounds = [*(t for t, _, _ in changes), max(end, changes[-1][0])][1:] if changes else []
-    return [_shift(record, *change, until) for change, until in zip(changes, bounds, strict=True)]
+    return [shift_figures(record, *span) for span in spans(requests(record, initial), end)]
 
 
 def _first(
@@ -139,7 +151,10 @@ def _first(
     return None
 
 
-def _shift(record: RunRecord, start: float, source: Gear, target: Gear, until: float) -> Shift:
+def shift_figures(
+    record: RunRecord, start: float, source: Gear, target: Gear, until: float
+) -> Shift:
+    """Return the figures of one shift; `record` holds at least the time from start to until, s."""
     chamber = GEAR_CHAMBER.get(target)
     truth = record.truth
     time = truth["time_s"]
@@ -265,6 +280,13 @@ def summary(record: RunRecord, found: Sequence[Shift], air_used_kg: float | None
     stop, None when one of them never arrived. Impact speed and energy are the worst of all shifts;
     lags are those of the last shift that completed. Checked by test_metrics.
     """
+    return whole_run(found, air_used_kg, valve_switchings(record), len(record.frames))
+
+
+def whole_run(
+    found: Sequence[Shift], air_used_kg: float | None, switchings: int, frames: int
+) -> dict[str, Any]:
+    """Return what `summary` does, of a run whose valve switchings and frames are counted already."""
     times = [s.shift_time_s for s in found]
     speeds = [s.impact_speed_m_s for s in found if s.impact_speed_m_s is not None]
     energies = [s.impact_energy_j for s in found if s.impact_energy_j is not None]
@@ -280,7 +302,7 @@ def summary(record: RunRecord, found: Sequence[Shift], air_used_kg: float | None
         "bus_lag_10_s": last.bus_lag_10_s if last else None,
         "bus_lag_90_s": last.bus_lag_90_s if last else None,
         "air_used_kg": air_used_kg,
-        "valve_switchings": valve_switchings(record),
-        "frames": len(record.frames),
+        "valve_switchings": switchings,
+        "frames": frames,
         "shifts": [msgspec.to_builtins(s) for s in found],
     }

@@ -9,7 +9,7 @@ import struct
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ _HEADER_BYTES_AT_MOST = 65536
 _HASHED_FRAME = struct.Struct("<QIB")
 
 
-class _AppendedFile:
+class AppendedFile:
     """A new file to which whole blocks are appended, each on disk when `append` returns.
 
     "On disk" means with the operating system: whatever dies, save the machine itself, the block
@@ -52,7 +52,7 @@ class _AppendedFile:
             os.close(self._descriptor)
             self._descriptor = -1
 
-    def __enter__(self) -> _AppendedFile:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -64,7 +64,7 @@ class _AppendedFile:
         self.close()
 
 
-class BusLog(_AppendedFile):
+class BusLog(AppendedFile):
     """The delivered frames as a log of the form `candump -l` writes, and their hash.
 
     A line is `(0000000001.234567) opc4 0CFF2503#0011223344556677`, the arrival in simulated time.
@@ -105,7 +105,7 @@ class BusLog(_AppendedFile):
         return self._hash.digest()
 
 
-class TraceWriter(_AppendedFile):
+class TraceWriter(AppendedFile):
     """The plant's rows at full precision, appended by whichever process runs the plant.
 
     The file is one line of JSON (format, columns) and then the rows, float64, little endian.
@@ -145,6 +145,39 @@ def read_trace(path: Path) -> Trace:
     torn = len(content) % row_bytes
     values = np.frombuffer(content[: len(content) - torn], dtype="<f8")
     return Trace(columns, values.reshape(-1, len(columns)).astype(np.float64), torn)
+
+
+class TraceReader:
+    """Reads rows of a trace file by their number; a torn last one is left out.
+
+    Raises InputError for a file that is none.  Checked by test_kept_run.
+    """
+
+    def __init__(self, path: Path) -> None:
+        with open(path, "rb") as file:
+            self.columns = _columns(path, file.readline(_HEADER_BYTES_AT_MOST))
+            self._begin = file.tell()
+        self._path = path
+        self._row_bytes = 8 * len(self.columns)
+        self.rows = (path.stat().st_size - self._begin) // self._row_bytes
+
+    def read(self, begin: int, end: int) -> NDArray[np.float64]:
+        """Return rows begin..end-1, shape (end - begin, number of columns)."""
+        width = len(self.columns)
+        offset = self._begin + begin * self._row_bytes
+        values = np.fromfile(self._path, "<f8", (end - begin) * width, offset=offset)
+        return values.reshape(-1, width).astype(np.float64, copy=False)
+
+    def first_from(self, value: float) -> int:
+        """Return the number of the first row whose first column is `value` or more."""
+        low, high = 0, self.rows
+        while low < high:
+            middle = (low + high) // 2
+            if self.read(middle, middle + 1)[0, 0] < value:
+                low = middle + 1
+            else:
+                high = middle
+        return low
 
 
 def trace_sha256(frames_digest: bytes, trace_path: Path) -> str:

@@ -95,8 +95,13 @@ def write_result(result: Result, folder: Path) -> None:
 def write_whole(path: Path, text: str) -> None:
     """Write a file under another name and move it in place, so that no half file is ever seen."""
     part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def prepare_folder(out: Path | None, name: str, force: bool) -> Path:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import os
 from pathlib import Path
+from types import TracebackType
 
 import numpy as np
 
 from can_dbc.messages import ControllerStatus
-from sil.results import write_whole
 from sil.run_record import Floats, RunRecord
 
 FIRST = (
@@ -23,36 +25,81 @@ FIRST = (
 )
 """The columns that a measured stroke has too come first, in its order."""
 
+FROM_STATUS = {
+    "position_internal_m": "estimate_m",
+    "controller_state": "state",
+    "controller_faults": "faults",
+}
+"""What the controller's frames tell, as held since the last one."""
+
+ROWS = 20_000
+"""Rows made into text at a time."""
+
 WHOLE = frozenset(("valve_B", "valve_N", "valve_F", "controller_state", "controller_faults"))
 
 
-def held(times: Floats, values: Floats, at: Floats) -> Floats:
-    """Return a held series at given instants; not a number before its first value."""
-    padded = np.concatenate([[np.nan], values])
+def held(times: Floats, values: Floats, at: Floats, before: float = math.nan) -> Floats:
+    """Return a held series at given instants; `before` stands before its first value."""
+    padded = np.concatenate([[before], values])
     return np.asarray(padded[np.searchsorted(times, at, side="right")])
 
 
-def trace_columns(record: RunRecord) -> dict[str, Floats]:
-    """Return all columns of trace.csv: the plant's, and the controller's as held at its frames."""
-    at = record.truth["time_s"]
-    when, states = record.series(ControllerStatus, "state")
-    _, faults = record.series(ControllerStatus, "faults")
-    columns = dict(record.truth)
-    columns["position_internal_m"] = held(*record.believed, at)
-    columns["controller_state"] = held(when, np.array(states, dtype=np.float64), at)
-    columns["controller_faults"] = held(when, np.array(faults, dtype=np.float64), at)
-    rest = [name for name in columns if name not in FIRST]
-    return {name: columns[name] for name in (*FIRST, *rest)}
+class TraceCsv:
+    """Writes the trace piece by piece: every number reads back to the same bits.
+
+    An unknown number is left empty. Use as a context manager: the file has its name on leaving.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._part = path.with_name(path.name + ".part")
+        self._file = open(self._part, "w", encoding="utf-8", newline="")  # noqa: SIM115
+        self._held = dict.fromkeys(FROM_STATUS, math.nan)
+        self._begun = False
+
+    def add(self, record: RunRecord) -> None:
+        """Append the rows of the next piece of the run."""
+        columns = dict(record.truth)
+        at = columns["time_s"]
+        for name, field in FROM_STATUS.items():
+            times, told = record.series(ControllerStatus, field)
+            values = np.array(told, dtype=np.float64)
+            columns[name] = held(times, values, at, self._held[name])
+            if len(values):
+                self._held[name] = float(values[-1])
+        rest = [name for name in columns if name not in FIRST]
+        columns = {name: columns[name] for name in (*FIRST, *rest)}
+        if not self._begun:
+            self._file.write(",".join(columns) + "\n")
+            self._begun = True
+        for begin in range(0, len(at), ROWS):
+            texts = [
+                ["" if v != v else str(int(v)) for v in column[begin : begin + ROWS].tolist()]
+                if name in WHOLE
+                else ["" if v != v else repr(v) for v in column[begin : begin + ROWS].tolist()]
+                for name, column in columns.items()
+            ]
+            self._file.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
+
+    def __enter__(self) -> TraceCsv:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Move the file to its name; after an error, remove it."""
+        try:
+            self._file.close()  # what is still buffered may find no room
+            if kind is None:
+                os.replace(self._part, self._path)
+        finally:
+            self._part.unlink(missing_ok=True)
 
 
 def write_trace_csv(record: RunRecord, path: Path) -> None:
-    """Write the trace; every number reads back to the same bits, an unknown one is left empty."""
-    columns = trace_columns(record)
-    texts = [
-        ["" if v != v else str(int(v)) for v in column.tolist()]
-        if name in WHOLE
-        else ["" if v != v else repr(v) for v in column.tolist()]
-        for name, column in columns.items()
-    ]
-    lines = [",".join(columns), *(",".join(row) for row in zip(*texts, strict=True)), ""]
-    write_whole(path, "\n".join(lines))
+    """Write the trace of a whole run."""
+    with TraceCsv(path) as csv:
+        csv.add(record)

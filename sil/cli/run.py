@@ -21,6 +21,8 @@ example:
   opc4 run lab_n_b --set controller.filter=false --set valve.D_fall=0.01
 """
 
+SHIFTS_TOLD = 12
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="file or shipped name")
@@ -127,7 +129,7 @@ def _tell(loaded: Loaded, finished: Finished, folder: Path) -> None:
     for check in result.expectations:
         if not check.passed:
             print(f"  not met: {check.name}: {check.value}; expected {check.limit}")
-    for shift in finished.shifts:
+    for shift in finished.shifts[:SHIFTS_TOLD]:
         line = f"  {shift.from_gear} to {shift.to_gear}: "
         if shift.shift_time_s is None:
             line += "never arrived"
@@ -141,6 +143,8 @@ def _tell(loaded: Loaded, finished: Finished, folder: Path) -> None:
                 f"{1e3 * shift.position_lag_90_s:.0f} ms at 90 % of travel"
             )
         print(line)
+    if len(finished.shifts) > SHIFTS_TOLD:
+        print(f"  and {len(finished.shifts) - SHIFTS_TOLD} shifts more, in result.json")
     if result.bus:
         print(f"  bus {100 * result.bus['load']:.0f} % loaded, {result.bus['frames']} frames")
     if "late_p50_s" in result.speed:

@@ -17,12 +17,20 @@ if TYPE_CHECKING:
 
 
 def write_report(finished: Finished, folder: Path) -> None:
-    """Write the picture, and the page with it. Needs a record."""
+    """Write the picture, and the page with it. Needs a record.
+
+    Of a run longer than the record's piece they show that piece, and say so.
+    """
     result, record = finished.result, finished.record
     assert record is not None
+    end_s, duration_s = float(record.truth["time_s"][-1]), result.scenario["duration_s"]
+    shifts = finished.shifts
     title = f"{result.scenario_name}: {result.status}"
     subtitle = result.scenario["description"].strip().split("\n")[0]
-    figure = draw(record, finished.shifts, title, subtitle, LIGHT)
+    if end_s < duration_s - result.scenario["trace_period_s"]:
+        subtitle = f"the first {end_s:.0f} s of {duration_s:g} s. {subtitle}"
+        shifts = [s for s in shifts if (s.confirmed_s or s.requested_s + 1.0) < end_s]
+    figure = draw(record, shifts, title, subtitle, LIGHT)
     picture = save(figure, folder, "shift", dots_per_inch=140)
-    plots = run_plots(record, finished.shifts)
+    plots = run_plots(record, shifts)
     write_whole(folder / "report.html", run_page(result, picture, plots))
