@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 
@@ -44,6 +45,24 @@ def held(times: Floats, values: Floats, at: Floats, before: float = math.nan) ->
     return np.asarray(padded[np.searchsorted(times, at, side="right")])
 
 
+def trace_columns(
+    record: RunRecord, before: Mapping[str, float] | None = None
+) -> dict[str, Floats]:
+    """Return all columns of trace.csv: the plant's, and the controller's as held at its frames.
+
+    `before`: what held before the record's first frame, by column.
+    """
+    before = before or {}
+    columns = dict(record.truth)
+    at = columns["time_s"]
+    for name, field in FROM_STATUS.items():
+        times, values = record.series(ControllerStatus, field)
+        last = before.get(name, math.nan)
+        columns[name] = held(times, np.array(values, dtype=np.float64), at, last)
+    rest = [name for name in columns if name not in FIRST]
+    return {name: columns[name] for name in (*FIRST, *rest)}
+
+
 class TraceCsv:
     """Writes the trace piece by piece: every number reads back to the same bits.
 
@@ -54,21 +73,17 @@ class TraceCsv:
         self._path = path
         self._part = path.with_name(path.name + ".part")
         self._file = open(self._part, "w", encoding="utf-8", newline="")  # noqa: SIM115
-        self._held = dict.fromkeys(FROM_STATUS, math.nan)
+        self._held: dict[str, float] = {}
         self._begun = False
 
     def add(self, record: RunRecord) -> None:
         """Append the rows of the next piece of the run."""
-        columns = dict(record.truth)
-        at = columns["time_s"]
+        columns = trace_columns(record, self._held)
         for name, field in FROM_STATUS.items():
-            times, told = record.series(ControllerStatus, field)
-            values = np.array(told, dtype=np.float64)
-            columns[name] = held(times, values, at, self._held[name])
-            if len(values):
+            _, values = record.series(ControllerStatus, field)
+            if values:
                 self._held[name] = float(values[-1])
-        rest = [name for name in columns if name not in FIRST]
-        columns = {name: columns[name] for name in (*FIRST, *rest)}
+        at = record.truth["time_s"]
         if not self._begun:
             self._file.write(",".join(columns) + "\n")
             self._begun = True

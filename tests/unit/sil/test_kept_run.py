@@ -53,7 +53,9 @@ def test_rows_come_back_by_number(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize("name", ["full_shift", pytest.param("lost_frames", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["full_shift", pytest.param("lost_frames", marks=pytest.mark.slow)]
+)
 def test_in_many_pieces_or_one_the_result_is_the_same(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
