@@ -22,6 +22,8 @@ class Gear(IntEnum):
     FORWARD = 2
     UNKNOWN = 3
 
+    __hash__ = int.__hash__  # as of any other int that equals it
+
 
 class Chamber(IntEnum):
     """Air chamber of the actuator; NONE where no chamber is meant."""
@@ -30,6 +32,8 @@ class Chamber(IntEnum):
     N = 1
     F = 2
     NONE = 3
+
+    __hash__ = int.__hash__
 
 
 class ShiftState(IntEnum):
@@ -44,6 +48,8 @@ class ShiftState(IntEnum):
     VENT = 6
     FAULT = 7
 
+    __hash__ = int.__hash__
+
 
 class Fault(IntFlag):
     """Faults that the firmware sees, one bit each."""
@@ -57,6 +63,8 @@ class Fault(IntFlag):
     SENSOR_STUCK = 32
     REQUEST_INVALID = 64
     INTERNAL = 128
+
+    __hash__ = int.__hash__
 
 
 class ParticipantId(IntEnum):

@@ -275,13 +275,16 @@ def convert(raw: object, kind: type[T], place: str = "") -> T:
         raise InputError(f"{inside or 'settings'}: wrong value; expected {expected}") from None
 
 
+_fields = functools.cache(msgspec.structs.fields)
+
+
 def _strangers(raw: object, kind: Any, place: str) -> Iterator[str]:
     """Yield a line for every name and every choice that a settings record does not know."""
     if typing.get_origin(kind) is Literal and isinstance(raw, str):
         if raw not in typing.get_args(kind):
             yield f"{place}: {raw!r} is {unknown_name(typing.get_args(kind), raw)}"
     elif isinstance(raw, Mapping) and isinstance(kind, type) and issubclass(kind, Struct):
-        fields = {field.name: field.type for field in msgspec.structs.fields(kind)}
+        fields = {field.name: field.type for field in _fields(kind)}
         for name, value in raw.items():
             inside = dotted(place, str(name))
             if name in fields:

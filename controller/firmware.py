@@ -46,6 +46,10 @@ J1939_SPEED_RAD_S = 841.0
 """ETC1 carries shaft speeds from zero to this; others are sent as not available."""
 
 
+NO_BLOW = SafetyBlow(chamber=Chamber.NONE, active=False, remaining_s=0.0)
+_NO_FAULT = Fault.NONE
+
+
 class ChannelState(IntEnum):
     """State of a received channel's end-to-end protection."""
 
@@ -103,6 +107,9 @@ class Firmware:
         self._position_timeout_ns = nanoseconds(config.e2e.position_timeout_s)
         self._sampled_ns = 0
         self._passive = Chamber.NONE
+        self._duties = OFF
+        self._valves: ValveCommand | None = None
+        self._status: ControllerStatus | None = None
 
     def step(self, now_ns: int, inputs: Inputs) -> Outputs:
         """Take the inputs of one period and return the messages to send.
@@ -118,13 +125,13 @@ class Firmware:
 
         estimate, position_faults = self._sense(now_ns, inputs, waking)
         live, wanted = self._judge_inputs(inputs, waking)
-        live |= position_faults
+        live = _either(live, position_faults)
         speeds = inputs.speeds if inputs.speeds_state is ChannelState.VALID else None
         self._run_machine(now_ns, estimate, wanted, speeds)
         duties = self._drive(now_ns, estimate)
 
         machine = self._machine
-        if machine.raised & Fault.SENSOR_STUCK:
+        if machine.raised is not _NO_FAULT and machine.raised & Fault.SENSOR_STUCK:
             self._estimator.distrust()
         if machine.state is ShiftState.FAULT and not self._latched:
             self._latched = machine.raised | position_faults
@@ -132,7 +139,7 @@ class Firmware:
             self._latched = Fault.NONE
         if self._estimator.stuck:
             live |= Fault.SENSOR_STUCK
-        return self._report(now_ns, estimate, duties, live | self._latched, speeds)
+        return self._report(now_ns, estimate, duties, _either(live, self._latched), speeds)
 
     def _lost(self, channel: str, state: ChannelState, waking: bool) -> bool:
         """Whether a channel is lost: no longer valid, or never valid when it should be by now."""
@@ -199,7 +206,7 @@ class Firmware:
                 synchronized=agree,
                 clear_b=self._clear(now_ns, Chamber.F),
                 clear_f=self._clear(now_ns, Chamber.B),
-                recoverable=not self._latched & Fault.INTERNAL,
+                recoverable=self._latched is _NO_FAULT or not self._latched & Fault.INTERNAL,
             ),
         )
         if machine.new_leg:
@@ -268,31 +275,31 @@ class Firmware:
     ) -> Outputs:
         machine = self._machine
         blown = self._blown()
+        target = machine.leg if machine.driving else machine.confirmed
+        position_m = estimate.position_m
+        # a message is made anew only when it tells something new
+        valves, status = self._valves, self._status
+        if valves is None or duties is not self._duties or valves.target is not target:
+            self._duties = duties
+            self._valves = valves = ValveCommand(duties.b, duties.n, duties.f, target)
+        if (
+            status is None
+            or status.estimate_m != position_m
+            or status.state is not machine.state
+            or status.confirmed is not machine.confirmed
+            or status.faults is not faults
+        ):
+            self._status = status = ControllerStatus(
+                machine.state, machine.confirmed, position_m, faults
+            )
+        blow = NO_BLOW
+        if blown is not Chamber.NONE:
+            blow = SafetyBlow(blown, True, machine.blow_remaining_ns(now_ns) / 1e9)
         etc1 = etc2 = None
         if now_ns >= self._broadcast_ns:
             self._broadcast_ns += BROADCAST_NS
             etc1, etc2 = self._broadcast(speeds)
-        return Outputs(
-            ValveCommand(
-                duty_b=duties.b,
-                duty_n=duties.n,
-                duty_f=duties.f,
-                target=machine.leg if machine.driving else machine.confirmed,
-            ),
-            SafetyBlow(
-                chamber=blown,
-                active=blown is not Chamber.NONE,
-                remaining_s=machine.blow_remaining_ns(now_ns) / 1e9,
-            ),
-            ControllerStatus(
-                state=machine.state,
-                confirmed=machine.confirmed,
-                estimate_m=estimate.position_m,
-                faults=faults,
-            ),
-            etc1,
-            etc2,
-        )
+        return Outputs(valves, blow, status, etc1, etc2)
 
     def _broadcast(self, speeds: DrivelineSpeeds | None) -> tuple[Etc1, Etc2]:
         machine = self._machine
@@ -312,6 +319,13 @@ class Firmware:
             current_range=J1939_RANGE[current],
         )
         return etc1, etc2
+
+
+def _either(one: Fault, other: Fault) -> Fault:
+    """`one | other`, which is slow, where there is anything to unite."""
+    if other is _NO_FAULT:
+        return one
+    return other if one is _NO_FAULT else one | other
 
 
 def _j1939_speed(speed_rad_s: float) -> float | None:

@@ -43,6 +43,7 @@ OVERTRAVEL_M = 0.001  # beyond the stroke, for worn stops and bounce, that a pul
 PRESSURE_LIMIT_PA = 3_276_750.0  # ends of the truth frames' ranges, where these saturate
 TRAVEL_LIMIT_M = 0.032767
 SPEED_LIMIT_M_S = 16.0
+LIMITS = (TRAVEL_LIMIT_M, SPEED_LIMIT_M_S, TRAVEL_LIMIT_M, TRAVEL_LIMIT_M)
 
 EVENT_NAMES = {"stop": "stay_stop", "block": "sync_block", "unblock": "sync_unblock"}
 DIRECTIONS = {Gear.BACKWARD: BACKWARD, Gear.FORWARD: FORWARD}
@@ -124,7 +125,9 @@ class PlantNode:
         parameters: ParameterSet,
         trace: TraceSink | None = None,
         on_event: EventSink | None = None,
+        trace_rows_at_once: int = 1,
     ) -> None:
+        """`trace_rows_at_once`: how many rows the trace waits for, the last ones until `close`."""
         self.config = config
         self._on_event = on_event
         duty = parameters.value("valve.duty_nominal")
@@ -179,7 +182,11 @@ class PlantNode:
         self._speeds = _Cycle(seconds_to_ns(config.speeds_period_s), phase_ns)
         self._truth = _Cycle(seconds_to_ns(config.truth_period_s), phase_ns)
         self._rows = TraceRows(
-            self.stroke, config.damper, trace, seconds_to_ns(config.trace_period_s or 0.0)
+            self.stroke,
+            config.damper,
+            trace,
+            seconds_to_ns(config.trace_period_s or 0.0),
+            trace_rows_at_once,
         )
         self._protect_pulse: Protector[PositionPulse] = Protector(PositionPulse)
         self._protect_speeds: Protector[DrivelineSpeeds] = Protector(DrivelineSpeeds)
@@ -197,7 +204,7 @@ class PlantNode:
         self._arm_synchronizer(0)
         updates.append((0, SPEEDS, self.driveline.input_rad_s))
         updates.append((0, SPEEDS + 1, self.driveline.output_rad_s))
-        self._rows.write(self._rows.instants_ns(0), self.stroke.row()[np.newaxis], updates)
+        self._rows.write(self._rows.instants_ns(0), [self.stroke.row()[np.newaxis]], updates)
         return self._next_event_ns()
 
     def advance(
@@ -214,18 +221,19 @@ class PlantNode:
         switches = self._drive_valves(until_ns, deliveries, updates, coils)
         measured = self.circuit.measurement_instants_ns(until_ns)
         rows = self._rows.instants_ns(until_ns)
-        samples = rows
-        if measured:
-            samples = np.concatenate([rows, np.array(measured, dtype=np.int64)])
-            samples.sort()
+        samples = np.array(sorted((*rows, *measured)) if measured else rows, dtype=np.int64)
         states = self.stroke.advance(until_ns, switches, samples)
-        for instant in measured:
-            self.circuit.measure(float(states[np.searchsorted(samples, instant), 0]))
+        row_states, at = [], 0
+        for number, instant in enumerate(measured):
+            before = max(0, -((rows.start - instant) // rows.step)) if rows else 0
+            here = number + min(before, len(rows))  # a row of the same instant comes after
+            self.circuit.measure(float(states[here, 0]))
+            row_states.append(states[at:here])
+            at = here + 1
+        row_states.append(states[at:] if measured else states)
         frames = self._publish(until_ns, updates)
         self._tell_events(coils, switches)
-        if measured:
-            states = states[np.searchsorted(samples, rows)]
-        self._rows.write(rows, states, updates)
+        self._rows.write(rows, row_states, updates)
         return [(until_ns, frame) for frame in frames], self._next_event_ns()
 
     def close(self) -> None:
@@ -233,6 +241,7 @@ class PlantNode:
         if self._closed:
             return
         self._closed = True
+        self._rows.flush()
         if self._on_event is not None:
             self._on_event(self.stroke.now_ns / NS_PER_S, "balance", _flat(self.balance()))
 
@@ -297,15 +306,9 @@ class PlantNode:
             updates.append((now_ns, SPEEDS + 1, line.output_rad_s))
         if self._truth.take(now_ns):
             stroke = self.stroke
-            motion = [stroke.position_m, stroke.velocity_m_s, *stroke.pistons_m]
-            limits = (TRAVEL_LIMIT_M, SPEED_LIMIT_M_S, TRAVEL_LIMIT_M, TRAVEL_LIMIT_M)
-            frames.append(
-                encode(
-                    PlantMotion(
-                        *(max(-lim, min(lim, v)) for v, lim in zip(motion, limits, strict=True))
-                    )
-                )
-            )
+            motion = (stroke.position_m, stroke.velocity_m_s, *stroke.pistons_m)
+            limited = [max(-lim, min(lim, v)) for v, lim in zip(motion, LIMITS, strict=True)]
+            frames.append(encode(PlantMotion(*limited)))
             pressures = (*stroke.pressures_pa, self.supply_pressure_pa)
             frames.append(encode(PlantPressures(*(min(p, PRESSURE_LIMIT_PA) for p in pressures))))
         return frames
@@ -321,6 +324,8 @@ class PlantNode:
 
     def _tell_events(self, coils: Sequence[Switch], switches: Sequence[Switch]) -> None:
         if self._on_event is None:
+            return
+        if not coils and not switches and len(self.stroke.events) == self._events_told:
             return
         told: list[tuple[float, str, dict[str, float]]] = [
             (instant / NS_PER_S, f"coil_{CHAMBERS[chamber]}_{'on' if on else 'off'}", {})

@@ -16,7 +16,6 @@ from .one_equation import steady_oil_pressure
 from .valve import NS_PER_S
 
 Floats = NDArray[np.float64]
-Instants = NDArray[np.int64]
 Update = tuple[int, int, float]  # instant in ns, column of HELD, value from then on
 
 STATES = (
@@ -62,41 +61,76 @@ class TraceRows:
     """Makes the rows at 0, period_ns, 2 period_ns, ... and hands them to a sink."""
 
     def __init__(
-        self, stroke: LengthStroke, damper: str, sink: TraceSink | None, period_ns: int
+        self,
+        stroke: LengthStroke,
+        damper: str,
+        sink: TraceSink | None,
+        period_ns: int,
+        at_once: int = 1,
     ) -> None:
-        """`damper` as in `PlantConfig`; no rows without a sink or with period_ns 0."""
+        """`damper` as in `PlantConfig`; no rows without a sink or with period_ns 0.
+
+        `at_once`: the sink gets rows when there are so many, and at `flush`.
+        """
         self._stroke = stroke
         self._oil_follows_motion = damper == "incompressible"
         self._sink = sink if period_ns else None
         self._period_ns = period_ns
         self._next_ns = 0
         self._columns = [stroke.columns.index(name) for name in STATES]
-        self._held = np.zeros(len(HELD))
+        self._at_once = at_once
+        self._held = [0.0] * len(HELD)
+        self._states: list[Floats] = []
+        self._updates: list[Update] = []
+        self._written_ns = 0  # the first row that the sink has not got
 
-    def instants_ns(self, until_ns: int) -> Instants:
+    def instants_ns(self, until_ns: int) -> range:
         """Instants of the rows up to `until_ns` that have not been written yet."""
-        if self._sink is None or self._next_ns > until_ns:
-            return np.empty(0, dtype=np.int64)
-        return np.arange(self._next_ns, until_ns + 1, self._period_ns, dtype=np.int64)
+        if self._sink is None:
+            return range(0)
+        return range(self._next_ns, until_ns + 1, self._period_ns)
 
-    def write(self, instants: Instants, states: Floats, updates: Sequence[Update]) -> None:
-        """Write the rows at `instants` from the states [n, all columns] there.
+    def write(self, instants: range, states: Sequence[Floats], updates: Sequence[Update]) -> None:
+        """Write the rows at `instants` from the states there, in blocks [n, all columns].
 
         `updates` are the changes of held signals since the last call, each column's in order.
         """
-        if self._sink is not None and len(instants):
-            rows = np.empty((len(instants), len(TRACE_COLUMNS)))
-            rows[:, 0] = instants / NS_PER_S
-            rows[:, 1:_HELD_FROM] = states[:, self._columns]
-            if self._oil_follows_motion:
-                rows[:, _OIL] = self._oil_pressure_pa(states)
-            rows[:, _HELD_FROM:] = self._held
-            for instant, column, value in updates:
-                rows[np.searchsorted(instants, instant) :, _HELD_FROM + column] = value
+        if self._sink is None:
+            return
+        self._updates += updates
+        if instants:
+            self._states += states
             self._next_ns += self._period_ns * len(instants)
-            self._sink.write(rows)
-        for _, column, value in updates:
+            if self._next_ns - self._written_ns >= self._at_once * self._period_ns:
+                self.flush()
+
+    def flush(self) -> None:
+        """Hand over the rows that are there."""
+        if self._sink is None or self._next_ns == self._written_ns:
+            return
+        instants = np.arange(self._written_ns, self._next_ns, self._period_ns, dtype=np.int64)
+        states = np.concatenate(self._states)
+        rows = np.empty((len(instants), len(TRACE_COLUMNS)))
+        rows[:, 0] = instants / NS_PER_S
+        rows[:, 1:_HELD_FROM] = states[:, self._columns]
+        if self._oil_follows_motion:
+            rows[:, _OIL] = self._oil_pressure_pa(states)
+        changes: list[list[tuple[int, float]]] = [[(0, value)] for value in self._held]
+        first, period = self._written_ns, self._period_ns
+        for instant, column, value in self._updates:
+            changes[column].append((max(0, -((first - instant) // period)), value))
             self._held[column] = value
+        for column, found in enumerate(changes):
+            if len(found) == 1:
+                rows[:, _HELD_FROM + column] = found[0][1]
+                continue
+            begins, values = zip(*found, strict=True)
+            lasting = np.diff(np.minimum((*begins, len(rows)), len(rows)))
+            rows[:, _HELD_FROM + column] = np.repeat(values, lasting)
+        self._states.clear()
+        self._updates.clear()
+        self._written_ns = self._next_ns
+        self._sink.write(rows)
 
     def _oil_pressure_pa(self, states: Floats) -> Floats:
         """Oil pressure where it is no state but follows from the motion [n]."""

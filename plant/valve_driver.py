@@ -64,9 +64,10 @@ class _Channel(Generic[Input]):
     def message(self, now_ns: int) -> Input | None:
         """The message in force at `now_ns`; None while the channel is not valid."""
         receiver = self._receiver
-        if receiver.message is None or now_ns >= receiver.message_ns + self._timeout_ns:
+        message = receiver.message
+        if message is None or now_ns >= receiver.message_ns + self._timeout_ns:
             return None
-        return receiver.message if receiver.state(now_ns) is E2eState.VALID else None
+        return message if receiver.state(now_ns) is E2eState.VALID else None
 
 
 class ValveDriver:
@@ -157,7 +158,8 @@ class ValveDriver:
             self.target = Gear.UNKNOWN
             return DE_ENERGISED
         self.target = command.target
+        if self._blow_end_ns is None or blow.chamber is Chamber.NONE:
+            return (command.duty_b, command.duty_n, command.duty_f)
         duties = [command.duty_b, command.duty_n, command.duty_f]
-        if self._blow_end_ns is not None and blow.chamber is not Chamber.NONE:
-            duties[blow.chamber] = max(duties[blow.chamber], self.blow_duty)
+        duties[blow.chamber] = max(duties[blow.chamber], self.blow_duty)
         return (duties[0], duties[1], duties[2])

@@ -26,6 +26,9 @@ from sil.run_record import BusFrame, PlantEvent, RunRecord
 from sil.scenario import Loaded, Scenario
 from sil.transports.inproc import InProcess, Participant
 
+ROWS_AT_ONCE = 1 << 14
+"""Trace rows that are made together: nobody reads them before the run is over."""
+
 
 @dataclass
 class MemoryRun:
@@ -79,7 +82,13 @@ def run_in_memory(loaded: Loaded) -> MemoryRun:
 
     scenario = loaded.scenario
     trace, events = TraceRows(), EventList()
-    node = PlantNode(assembly.plant_config(scenario), loaded.parameters, trace, events)
+    node = PlantNode(
+        assembly.plant_config(scenario),
+        loaded.parameters,
+        trace,
+        events,
+        trace_rows_at_once=ROWS_AT_ONCE,
+    )
     participants = [
         node if name == "plant" else assembly.make_participant(name, loaded, Path())
         for name in assembly.participant_names(scenario)

@@ -56,18 +56,33 @@ class RunRecord:
 
         Frames of other ids and damaged ones are left out here: they stay in `frames`.
         """
-        found: dict[type, list[tuple[BusFrame, Any]]] = {}
+        kinds = [codec.message_type_of(can_id) for can_id in self._by_id]
+        found: dict[type, list[tuple[BusFrame, Any]]]
+        found = {kind: self.of(kind) for kind in kinds if kind is not None}
+        return {kind: entries for kind, entries in found.items() if entries}
+
+    @cached_property
+    def _by_id(self) -> dict[int, list[BusFrame]]:
+        found: dict[int, list[BusFrame]] = {}
         for entry in self.frames:
-            try:
-                message = codec.decode(entry.frame)
-            except codec.CodecError:
-                continue
-            found.setdefault(type(message), []).append((entry, message))
+            found.setdefault(entry.frame.can_id, []).append(entry)
         return found
+
+    @cached_property
+    def _decoded(self) -> dict[type, list[tuple[BusFrame, Any]]]:
+        return {}
 
     def of(self, kind: type[M]) -> list[tuple[BusFrame, M]]:
         """Return (frame, message) of one message type in order of arrival."""
-        return self.messages.get(kind, [])
+        if kind not in self._decoded:
+            found: list[tuple[BusFrame, Any]] = []
+            self._decoded[kind] = found
+            for entry in self._by_id.get(codec.can_id_of(kind), ()):
+                try:
+                    found.append((entry, codec.decode(entry.frame)))
+                except codec.CodecError:
+                    continue
+        return self._decoded[kind]
 
     def series(self, kind: type[Any], name: str) -> tuple[Floats, list[Any]]:
         """Return arrival times in s, and the values, of one field of one message type."""

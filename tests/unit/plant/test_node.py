@@ -70,10 +70,17 @@ class Run:
         last_tick_ms: float = 1e9,
         tamper: Callable[[list[Delivery]], None] | None = None,
         extra_grants_ns: tuple[int, ...] = (),
+        rows_at_once: int = 1,
     ) -> None:
         self.rows = Rows()
         self.events: list[tuple[float, str, Mapping[str, float]]] = []
-        self.node = PlantNode(config, NOMINAL, self.rows, lambda *e: self.events.append(e))
+        self.node = PlantNode(
+            config,
+            NOMINAL,
+            self.rows,
+            lambda *e: self.events.append(e),
+            trace_rows_at_once=rows_at_once,
+        )
         self.released: list[Delivery] = []
         end_ns = round(end_ms * MS)
         inbox = self._frames(commands, min(end_ns, round(last_tick_ms * MS)), blow)
@@ -391,6 +398,16 @@ def test_without_sinks_nothing_else_changes(lab: Run) -> None:
         frames, next_ns = node.advance(next_ns, due)
         released += frames
     assert released == lab.released
+
+
+@pytest.mark.parametrize("period_s", [0.0001, 0.00045, 0.003])
+def test_trace_rows_made_together_have_the_bits_of_those_made_one_by_one(period_s: float) -> None:
+    config = PlantConfig(trace_period_s=period_s, mounted=True, damper="incompressible")
+    one, many = (Run(config, SHIFT_TO_B, 300, rows_at_once=n) for n in (1, 2000))
+    assert len(many.rows.blocks) < 0.1 * len(one.rows.blocks)
+    assert b"".join(b.tobytes() for b in many.rows.blocks) == b"".join(
+        b.tobytes() for b in one.rows.blocks
+    )
 
 
 def test_same_inputs_same_bits() -> None:
