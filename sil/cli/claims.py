@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
@@ -14,7 +15,7 @@ EXAMPLE = "example: opc4 claims F07 F16 F36"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("id", nargs="*", metavar="ID", help="claims to check (default: all)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for claims.json, claims.md")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for claims.json, claims.md, report.html")
     parser.add_argument("--force", action="store_true", help="replace claims in DIR")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
@@ -22,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Check and print; 0 also when a claim is not met: that is an answer."""
     from sil.claims.claim import Finding, check, chosen
+    from sil.claims.page import write_page
     from sil.results import prepare_folder, write_whole
 
     wanted = chosen(arguments.id)
@@ -43,6 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     if folder is not None:
         write_whole(folder / "claims.json", json.dumps(table, indent=1, ensure_ascii=False) + "\n")
         write_whole(folder / "claims.md", markdown(found))
+        write_page(found, folder, shlex.join(["opc4", "claims", *arguments.id]))
     if arguments.json:
         print(json.dumps(table, ensure_ascii=False))
     else:

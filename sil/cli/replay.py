@@ -132,7 +132,7 @@ def _finish(arguments: argparse.Namespace, order: Order) -> int:
         print(json.dumps(values | {"out": str(folder)}, ensure_ascii=False, indent=1))
     else:
         print("\n".join(summary_lines(outcome)))
-        print(f"  {folder}: diff.json diff.txt report.html")
+        print(f"  {folder}: {' '.join(sorted(path.name for path in folder.iterdir()))}")
     return 1 if outcome.differs else 0
 
 
@@ -148,7 +148,10 @@ def _write(arguments: argparse.Namespace, outcome: Outcome, values: dict[str, ob
     write_whole(folder / "diff.json", json.dumps(values, ensure_ascii=False, indent=1) + "\n")
     write_whole(folder / "diff.txt", text(outcome))
     command = shlex.join(["opc4", *sys.argv[1:]])
-    write_whole(folder / "report.html", replay_page(outcome, values, command))
+    for figure in (*folder.glob("scene_*.*"), *folder.glob("positions.*")):
+        if figure.suffix in (".png", ".svg"):  # of a replay that --force replaces
+            figure.unlink()
+    write_whole(folder / "report.html", replay_page(outcome, values, command, folder))
     return folder
 
 

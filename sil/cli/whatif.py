@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -80,7 +81,8 @@ def run(arguments: argparse.Namespace) -> int:
     pictures = draw(study, table, folder)
     if study.study.safety:
         pictures.append(draw_outcomes(study, table, folder))
-    write_whole(folder / "report.html", page(study, told, pictures))
+    again = shlex.join(["opc4", "whatif", arguments.study])
+    write_whole(folder / "report.html", page(study, table, told, pictures, again))
     if arguments.json:
         print(json.dumps(finite({"out": str(folder), "rows_now": now, **told})))
         return 0

@@ -1,32 +1,23 @@
-"""report.html of a replay: one self-contained page in the look of a run's."""
+"""report.html of a replay and its figures: one self-contained page in the look of all others."""
 
 from __future__ import annotations
 
-import base64
 from pathlib import Path
 from typing import Any
 
 from sil.replays import told
 from sil.replays.pictures import draw_positions, draw_scene
+from sil.replays.plots import replay_plots
 from sil.replays.replay import Outcome
+from sil.report.figures import save
+from sil.report.shell import Head, Picture, render
 
 
-def replay_page(outcome: Outcome, values: dict[str, Any], command: str) -> str:
-    """Return the page; `values` is what diff.json holds, `command` the call that made it.
+def replay_page(outcome: Outcome, values: dict[str, Any], command: str, folder: Path) -> str:
+    """Return the page, its figures written beside it; `values` is what diff.json holds.
 
-    Checked by: tests/unit/sil/replays/test_page.py
+    `command` is the call that made it. Checked by: tests/unit/sil/replays/test_page.py
     """
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    import sil.report
-
-    folders = [Path(__file__).parent, Path(next(iter(sil.report.__path__)))]
-    environment = Environment(
-        loader=FileSystemLoader(folders),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
     found = outcome.comparison
     states = [
         {"name": history.name, "side": outcome.labels[side], "row": " ".join(row) or "nothing"}
@@ -34,21 +25,28 @@ def replay_page(outcome: Outcome, values: dict[str, Any], command: str) -> str:
         for side in (0, 1)
         for row in (history.sequence(side)[: told.MOST_STATES_TOLD],)
     ]
-    account = told.account_lines(outcome)
-    return environment.get_template("page.html").render(
+    head = Head(
+        command="replay",
         name=outcome.order.log,
-        told=values,
+        verdict="differs" if outcome.differs else "no difference",
+        good=not outcome.differs,
         tiles=_tiles(outcome),
+        again=command,
+    )
+    return render(
+        "replay.html",
+        head,
+        replay_plots(outcome),
+        told=values,
         edges=told.edge_lines(outcome),
-        pictures=_pictures(outcome),
+        pictures=_pictures(outcome, folder),
         states=states,
         plant=told.plant_lines(outcome) if outcome.plant is not None else [],
-        frames=account,
-        command=command,
+        frames=told.account_lines(outcome),
     )
 
 
-def _tiles(outcome: Outcome) -> list[dict[str, str]]:
+def _tiles(outcome: Outcome) -> list[tuple[str, str]]:
     found = outcome.comparison
     results = found.lane_results()
     edges = sum(len(result.lane.recorded) for result in results)
@@ -64,33 +62,27 @@ def _tiles(outcome: Outcome) -> list[dict[str, str]]:
         ("farthest moved", f"{max(shifts, default=0) / 1e6:g} ms"),
         ("frames accounted for", f"{outcome.account.total} of {outcome.frames}"),
     ]
-    return [{"name": name, "value": value} for name, value in tiles]
+    return [(value, name) for name, value in tiles]
 
 
-def _pictures(outcome: Outcome) -> list[dict[str, str]]:
+def _pictures(outcome: Outcome, folder: Path) -> list[Picture]:
     base_ns = outcome.grid.origin_ns
-    plant = outcome.plant
-    positions = plant.positions if plant is not None else []
-    found = []
-    for scene in outcome.comparison.scenes.found:
-        a, b = outcome.labels
-        found.append(
-            _picture(
-                draw_scene(scene, outcome.labels, base_ns, positions),
-                "Position, coils and states of both sides over time",
-                f"What the unit believed, the coils it energised (pale: {a}, full: {b}) and its states.",
-            )
+    positions = outcome.plant.positions if outcome.plant is not None else []
+    a, b = outcome.labels
+    found = [
+        Picture(
+            save(draw_scene(scene, outcome.labels, base_ns, positions), folder, f"scene_{number}"),
+            "Position, coils and states of both sides over time",
+            f"What the unit believed, the coils it energised (pale: {a}, full: {b}) and its states.",
         )
+        for number, scene in enumerate(outcome.comparison.scenes.found, start=1)
+    ]
     if any(p.recorded_m == p.recorded_m for p in positions):
         found.append(
-            _picture(
-                draw_positions(positions, base_ns),
+            Picture(
+                save(draw_positions(positions, base_ns), folder, "positions"),
                 "Recorded and replayed position over time",
                 "The plant's position as recorded and as replayed.",
             )
         )
     return found
-
-
-def _picture(png: bytes, alt: str, caption: str) -> dict[str, str]:
-    return {"png": base64.b64encode(png).decode(), "alt": alt, "caption": caption}

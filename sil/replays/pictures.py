@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from io import BytesIO
 from typing import TYPE_CHECKING
 
 from sil.replays.plant_side import Position
@@ -25,8 +24,8 @@ def draw_scene(
     base_ns: int,
     positions: Sequence[Position] = (),
     theme: Theme = LIGHT,
-) -> bytes:
-    """Return a scene as PNG: estimate, coils and states of both sides on one time axis.
+) -> Figure:
+    """Draw a scene: estimate, coils and states of both sides on one time axis.
 
     Checked by: tests/unit/sil/replays/test_page.py
     """
@@ -63,11 +62,11 @@ def draw_scene(
     states.set_xlabel("time of the log, ms", color=theme.ink, fontsize=9)
     title = "the commands differ" if scene.differs else "the commands are equal"
     figure.text(0.085, 0.955, title, fontsize=12, weight="bold", color=theme.ink)
-    return _png(figure, theme)
+    return figure
 
 
-def draw_positions(positions: Sequence[Position], base_ns: int, theme: Theme = LIGHT) -> bytes:
-    """Return recorded and replayed stay position, and their difference, as PNG."""
+def draw_positions(positions: Sequence[Position], base_ns: int, theme: Theme = LIGHT) -> Figure:
+    """Draw recorded and replayed stay position, and their difference."""
     from matplotlib.figure import Figure
 
     both = [p for p in positions if p.recorded_m == p.recorded_m]
@@ -98,16 +97,7 @@ def draw_positions(positions: Sequence[Position], base_ns: int, theme: Theme = L
     for axes in (upper, lower):
         _style(axes, theme)
         axes.tick_params(labelbottom=axes is lower, length=0)
-    return _png(figure, theme)
-
-
-def _png(figure: Figure, theme: Theme) -> bytes:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    FigureCanvasAgg(figure)
-    image = BytesIO()
-    figure.savefig(image, format="png", dpi=110, facecolor=theme.paper)
-    return image.getvalue()
+    return figure
 
 
 def _style(axes: Axes, theme: Theme) -> None:

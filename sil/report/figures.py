@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -15,17 +15,28 @@ if TYPE_CHECKING:
 DOTS_PER_INCH = 110
 
 
-def save(figure: Figure, folder: Path, name: str, dots_per_inch: int = DOTS_PER_INCH) -> bytes:
-    """Write `name`.png and `name`.svg into the folder and return the PNG's bytes."""
+def save(
+    figure: Figure,
+    folder: Path,
+    name: str,
+    dots_per_inch: int = DOTS_PER_INCH,
+    trimmed: bool = False,
+) -> bytes:
+    """Write `name`.png and `name`.svg into the folder and return the PNG's bytes.
+
+    trimmed: empty margins are cut off.
+    """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     FigureCanvasAgg(figure)
     image = BytesIO()
-    paper = figure.get_facecolor()
-    figure.savefig(image, format="png", dpi=dots_per_inch, facecolor=paper, metadata={"Software": None})
+    how: dict[str, Any] = {"facecolor": figure.get_facecolor()}
+    if trimmed:
+        how["bbox_inches"] = "tight"
+    figure.savefig(image, format="png", dpi=dots_per_inch, metadata={"Software": None}, **how)
     (folder / f"{name}.png").write_bytes(image.getvalue())
     # identifiers that would be drawn at random, and the date, make each file another one
     with matplotlib.rc_context({"svg.hashsalt": name}):
-        figure.savefig(folder / f"{name}.svg", format="svg", facecolor=paper, metadata={"Date": None})
+        figure.savefig(folder / f"{name}.svg", format="svg", metadata={"Date": None}, **how)
     return image.getvalue()

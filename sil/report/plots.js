@@ -31,6 +31,17 @@
     return made;
   }
 
+  // A line that never changes lies in the middle, and a band is always in sight.
+  function tall(panel) {
+    return (chart, least, most) => {
+      let [low, high] = least == null ? [0, 1] : [least, most];
+      if (panel.band) [low, high] = [Math.min(low, panel.band[0]), Math.max(high, panel.band[1])];
+      if (low < high) return uPlot.rangeNum(low, high, 0.1, true);
+      const room = Math.abs(low) / 10 || 1;
+      return [low - room, high + room];
+    };
+  }
+
   function shade(panel, colours) {
     return (chart) => {
       if (!panel.band) return;
@@ -118,7 +129,10 @@
           sync: { key: "opc4 " + number },
           drag: { x: true, y: false, setScale: false },
         },
-        scales: { x: { time: false, distr: told.log ? 3 : 1, range: () => range } },
+        scales: {
+          x: { time: false, distr: told.log ? 3 : 1, range: () => range },
+          y: { range: tall(panel) },
+        },
         axes: [
           { ...axis, size: last ? 40 : 26, label: last ? told.axis : undefined, labelSize: last ? 20 : 0 },
           upright(panel, axis),

@@ -16,14 +16,13 @@ from sil.report.interactive import Group, colours
 from sil.report.theme import DARK, LIGHT
 
 HERE = Path(__file__).parent
+WIDE = 1000
+"""Pixels."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture on a page: PNG bytes, what it shows for those who cannot see it, a caption.
-
-    twin: plots on the page show the same.
-    """
+    """A picture on a page: PNG bytes, what it shows for those who cannot see it, a caption."""
 
     png: bytes
     alt: str
@@ -33,6 +32,11 @@ class Picture:
     def source(self) -> str:
         """The picture as an address that needs no network."""
         return "data:image/png;base64," + base64.b64encode(self.png).decode()
+
+    @property
+    def wide(self) -> bool:
+        """Whether letters become too small when it is shrunk to a phone: moved sideways instead."""
+        return int.from_bytes(self.png[16:20], "big") > WIDE
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from can_dbc.messages import Fault, Gear
+from sil.report.figures import save
 from sil.sweeps.study import LoadedStudy
 from sil.sweeps.table import Table
 
@@ -153,10 +154,9 @@ def draw_outcomes(study: LoadedStudy, table: Table, folder: Path) -> Path:
     figure.subplots_adjust(
         left=0.4 / len(panels), right=0.99, top=1.0 - 0.5 / tall, bottom=0.8 / tall, wspace=0.75
     )
-    path = folder / "faults.png"
-    figure.savefig(path, dpi=110)
+    save(figure, folder, "faults")
     pyplot.close(figure)
-    return path
+    return folder / "faults.png"
 
 
 def longest_sight_s(study: LoadedStudy) -> float:

@@ -11,10 +11,10 @@ import numpy as np
 
 from sil.sweeps.budget import THESIS_S, THESIS_WINDOW_S
 from sil.sweeps.budget_rows import BARS, closed, simulated
+from sil.sweeps.pictures import COLOURS, saved
 from sil.sweeps.study import LoadedStudy
 from sil.sweeps.table import Table
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31")
 MARKS = ("o", "s", "^", "D", "v", "P")
 TUNED = Path(__file__).parent / "tuned.csv"
 """Result of the shipped study `tuning`: written by `opc4 whatif tuning`, its results.csv."""
@@ -115,7 +115,7 @@ def draw_bounds(study: LoadedStudy, table: Table, folder: Path) -> Path:
     axes[0][0].set_ylabel("impact speed at the stop, m/s")
     axes[0][-1].legend(frameon=False, fontsize=8, loc="upper right", ncols=2)
     figure.suptitle(headline(table, loads), x=0.01, ha="left", fontweight="bold")
-    return _saved(figure, folder / "bounds.png")
+    return saved(figure, folder / "bounds.png")
 
 
 def headline(table: Table, loads: np.ndarray) -> str:
@@ -176,7 +176,7 @@ def draw_budget(study: LoadedStudy, table: Table, folder: Path) -> Path:
     axis.set_title(
         "From motion to counter-force: every delay, and the time there is", loc="left", weight="bold"
     )
-    return _saved(figure, folder / "budget.png")
+    return saved(figure, folder / "budget.png")
 
 
 def draw_tuning(study: LoadedStudy, table: Table, folder: Path) -> list[Path]:
@@ -204,7 +204,7 @@ def draw_tuning(study: LoadedStudy, table: Table, folder: Path) -> list[Path]:
         axis.grid(alpha=0.3)
         axis.set_xlabel("worst impact speed over the loads, m/s")
         axis.legend(frameon=False)
-        made.append(_saved(figure, folder / "tuning.png"))
+        made.append(saved(figure, folder / "tuning.png"))
     return made
 
 
@@ -280,16 +280,4 @@ def _maps(study: LoadedStudy, table: Table, folder: Path) -> Path:
     figure.suptitle("Framed: as soft as the oil damper, mean over the loads", x=0.01, ha="left")
     figure.tight_layout()
     figure.colorbar(mesh, ax=list(axes.flat), label="worst impact speed over the loads, m/s")
-    target = folder / "map.png"
-    figure.savefig(target, dpi=110, bbox_inches="tight")
-    pyplot.close(figure)
-    return target
-
-
-def _saved(figure: Any, path: Path) -> Path:
-    from matplotlib import pyplot
-
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
-    pyplot.close(figure)
-    return path
+    return saved(figure, folder / "map.png", trimmed=True)

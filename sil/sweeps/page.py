@@ -1,55 +1,84 @@
-"""The page of a study: its question, the table of groups, the pictures; offline, in one file."""
+"""The page of a study: its question, pictures, plots and figures; offline, in one file.
+
+Checked by: tests/unit/sil/test_whatif.py, tests/browser/
+"""
 
 from __future__ import annotations
 
-import base64
-import html
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sil.sweeps.pictures import read_metrics
+from sil.report.shell import Head, Picture, render
+from sil.sweeps.pictures import read_metrics, shown
+from sil.sweeps.plots import study_plots
 from sil.sweeps.study import LoadedStudy
+from sil.sweeps.table import Table
 
-STYLE = """
-body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:1rem auto;padding:0 1rem}
-img{max-width:100%;height:auto;background:#fff}table{border-collapse:collapse;display:block;overflow-x:auto}
-td,th{border:1px solid #bbb;padding:.2rem .5rem;text-align:right}td:first-child{text-align:left}
-@media(prefers-color-scheme:dark){body{background:#15171a;color:#e6e6e6}}
-"""
+MOST_COLUMNS = 6
 
 
-def page(study: LoadedStudy, told: dict[str, Any], pictures: Sequence[Path]) -> str:
-    """The report as HTML text."""
-    shown = ["shift_time_s", "arrival_s", "impact_speed_m_s", "impact_energy_j"]
+def page(
+    study: LoadedStudy, table: Table, told: dict[str, Any], pictures: Sequence[Path], again: str
+) -> str:
+    """The report as HTML text; `again` is the call that made it."""
+    metrics = ["shift_time_s", "arrival_s", "impact_speed_m_s", "impact_energy_j"]
     if study.study.kind != "runs":
-        shown = read_metrics(study)
-    rows = []
-    for name, entry in told["groups"].items():
-        cells = [html.escape(name or study.study.name), str(entry["rows"])]
-        for metric in shown:
-            if metric in entry:
-                figures = entry[metric]
-                cells.append(f"{metric}: {figures['median']:.4g} (worst {figures['max']:.4g})")
-        cells.append(f"failed {100 * entry['failed_share']:.1f} %")
-        rows.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
-    images = "".join(
-        f'<p><img alt="{html.escape(path.stem)}" src="data:image/png;base64,'
-        f'{base64.b64encode(path.read_bytes()).decode()}"></p>'
-        for path in pictures
+        metrics = read_metrics(study)[:MOST_COLUMNS]
+    entries = told["groups"]
+    metrics = [name for name in metrics if any(name in entry for entry in entries.values())]
+    failed = float(table.numbers["failed"].mean()) if table.size else 0.0
+    head = Head(
+        command="whatif",
+        name=study.study.name,
+        tiles=[
+            (str(told["rows"]), "rows"),
+            (str(len(entries)), "groups"),
+            (f"{100 * failed:.3g} %", "failed"),
+            *_ranges(study, table),
+        ],
+        again=again,
     )
-    sentences = "".join(f"<p>{html.escape(line)}</p>" for line in told.get("kept", ()))
-    again = ""
-    if study.study.kind == "runs" and study.study.scenario is not None:
-        again = (
-            f"<p>Every row again by itself: <code>opc4 run {html.escape(study.study.scenario)} "
-            "--set ...</code> with the values of its line in results.csv.</p>"
-        )
-    title = html.escape(study.study.name)
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" '
-        f'content="width=device-width,initial-scale=1"><title>{title}</title><style>{STYLE}</style>'
-        f"<h1>{title}</h1><p>{html.escape(study.study.description)}</p>"
-        f"{sentences}{images}<table>{''.join(rows)}</table>"
-        f"{again}</html>\n"
+    of_runs = study.study.kind == "runs" and study.study.scenario is not None
+    return render(
+        "whatif.html",
+        head,
+        study_plots(study, table),
+        description=study.study.description,
+        sentences=told.get("kept", ()),
+        pictures=[
+            Picture(path.read_bytes(), path.stem, f"{path.stem}.png, {path.stem}.svg")
+            for path in pictures
+        ],
+        figures_are="Median of the rows of each group, and in brackets least to greatest.",
+        metrics=[shown(name)[0] for name in metrics],
+        rows=[
+            {
+                "name": name or study.study.name,
+                "rows": entry["rows"],
+                "cells": [_cell(name, entry.get(name)) for name in metrics],
+                "failed": f"{100 * entry['failed_share']:.3g} %",
+            }
+            for name, entry in entries.items()
+        ],
+        row_again=f"opc4 run {study.study.scenario} --set PATH=VALUE ..." if of_runs else "",
     )
+
+
+def _cell(name: str, entry: dict[str, float] | None) -> str:
+    if entry is None:
+        return ""
+    factor = shown(name)[1]
+    least, middle, greatest = (f"{factor * entry[k]:.4g}" for k in ("min", "median", "max"))
+    return middle if least == greatest else f"{middle} ({least} to {greatest})"
+
+
+def _ranges(study: LoadedStudy, table: Table) -> list[tuple[str, str]]:
+    """Least and greatest of the metrics shown first."""
+    found = []
+    for name in read_metrics(study)[:2]:
+        values = table.numbers[name][table.numbers[name] == table.numbers[name]]
+        if len(values):
+            label, factor = shown(name)
+            found.append((f"{factor * values.min():.3g} to {factor * values.max():.3g}", label))
+    return found

@@ -7,11 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from sil.report.figures import save
+from sil.report.theme import LIGHT
 from sil.sweeps.rows import columns, stroke_of
 from sil.sweeps.study import LoadedStudy
 from sil.sweeps.table import Table
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C6D31")
+COLOURS = LIGHT.series
+MOST_CURVES = 12
+"""The most rows of a plant-only study that are drawn over time."""
+
 UNITS = {"_s": ("ms", 1e3), "_m_s": ("m/s", 1.0), "_m": ("mm", 1e3), "_pa": ("bar", 1e-5)}
 UNITS |= {"_j": ("J", 1.0), "_kg": ("g", 1e3)}
 
@@ -26,7 +31,7 @@ def shown(name: str) -> tuple[str, float]:
 
 
 def draw(study: LoadedStudy, table: Table, folder: Path) -> list[Path]:
-    """All pictures that this study's shape allows, as PNG files."""
+    """All pictures that this study's shape allows, as PNG and SVG files; the PNGs' paths."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -44,8 +49,10 @@ def draw(study: LoadedStudy, table: Table, folder: Path) -> list[Path]:
         made.append(draw_map(study, table, folder))
     if numeric:
         made.append(draw_lines(study, table, folder))
-    if study.study.stroke is not None and study.size <= 12:
+    if study.study.stroke is not None and study.size <= MOST_CURVES:
         made.append(draw_curves(study, folder))
+    if not made and not study.study.safety:
+        made.append(draw_choices(study, table, folder))
     return made
 
 
@@ -116,6 +123,35 @@ def draw_lines(study: LoadedStudy, table: Table, folder: Path) -> Path:
     return saved(figure, folder / "lines.png")
 
 
+def draw_choices(study: LoadedStudy, table: Table, folder: Path) -> Path:
+    """Each metric by combination of choices: a line from least to greatest, a dot at the median."""
+    from matplotlib import pyplot
+
+    metrics = read_metrics(study)
+    groups = groups_of(study, table)
+    figure, axes = pyplot.subplots(
+        1,
+        len(metrics),
+        figsize=(3.0 + 4.0 * len(metrics), 1.2 + 0.26 * len(groups)),
+        squeeze=False,
+        sharey=True,
+    )
+    for axis, metric in zip(axes[0], metrics, strict=True):
+        label, factor = shown(metric)
+        for place, rows in enumerate(groups.values()):
+            values = factor * table.numbers[metric][rows]
+            values = values[~np.isnan(values)]
+            if len(values):
+                axis.plot([values.min(), values.max()], [place, place], "-", color=COLOURS[0], lw=1.5)
+                axis.plot(np.median(values), place, "o", color=COLOURS[0], ms=5)
+        axis.set_xlabel(label)
+        axis.grid(alpha=0.3)
+    axes[0][0].set_yticks(range(len(groups)), list(groups), fontsize=8)
+    axes[0][0].invert_yaxis()
+    figure.suptitle(study.study.name.replace("_", " "), x=0.02, ha="left", fontweight="bold")
+    return saved(figure, folder / "choices.png")
+
+
 def draw_map(study: LoadedStudy, table: Table, folder: Path) -> Path:
     """The first metric over a grid of two values, one panel a combination of choices; worst = max."""
     from matplotlib import pyplot
@@ -145,10 +181,22 @@ def draw_map(study: LoadedStudy, table: Table, folder: Path) -> Path:
         axis.set_xlabel(f"{first.label or first.path} {first.unit}")
     axes[0][0].set_ylabel(f"{second.label or second.path} {second.unit}")
     figure.colorbar(mesh, ax=list(axes[0]), label=label)
-    target = folder / "map.png"
-    figure.savefig(target, dpi=110, bbox_inches="tight")
-    pyplot.close(figure)
-    return target
+    return saved(figure, folder / "map.png", trimmed=True)
+
+
+def labelled_strokes(study: LoadedStudy) -> tuple[str, str, list[tuple[str, Any]]]:
+    """Driving chamber, opposing chamber, and each row of a plant-only study as (label, stroke)."""
+    base = study.study.stroke
+    assert base is not None
+    names = {"fixed": ("1", "2"), "B-N": ("N", "B"), "F-N": ("N", "F"), "N-F": ("F", "N")}
+    driving, passive = names.get(base.kind, ("B", "N"))
+    found = []
+    for row in study.rows():
+        sweeps = [
+            f"{s.label or s.path} {row.settings[s.path]} {s.unit}".strip() for s in study.study.sweep
+        ]
+        found.append((", ".join([*row.choices, *sweeps]), stroke_of(base, study, row)))
+    return driving, passive, found
 
 
 def draw_curves(study: LoadedStudy, folder: Path) -> Path:
@@ -157,16 +205,10 @@ def draw_curves(study: LoadedStudy, folder: Path) -> Path:
 
     base = study.study.stroke
     assert base is not None
-    names = {"fixed": ("1", "2"), "B-N": ("N", "B"), "F-N": ("N", "F"), "N-F": ("F", "N")}
-    driving, passive = names.get(base.kind, ("B", "N"))
+    driving, passive, strokes = labelled_strokes(study)
     figure, axes = pyplot.subplots(3, 1, figsize=(8.6, 8.4), sharex=True)
     end = 0.0
-    for k, row in enumerate(study.rows()):
-        stroke = stroke_of(base, study, row)
-        sweeps = [
-            f"{s.label or s.path} {row.settings[s.path]} {s.unit}".strip() for s in study.study.sweep
-        ]
-        label = ", ".join([*row.choices, *sweeps])
+    for k, (label, stroke) in enumerate(strokes):
         ms = 1e3 * stroke.time_s
         colour = COLOURS[k % len(COLOURS)]
         axes[0].plot(ms, 1e3 * stroke.position_m, color=colour, label=label)
@@ -186,11 +228,12 @@ def draw_curves(study: LoadedStudy, folder: Path) -> Path:
     return saved(figure, folder / "curves.png")
 
 
-def saved(figure: Any, path: Path) -> Path:
-    """Write a figure and close it."""
+def saved(figure: Any, path: Path, trimmed: bool = False) -> Path:
+    """Write a figure as PNG, as SVG beside it, and close it; `trimmed` has its own layout."""
     from matplotlib import pyplot
 
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    if not trimmed:
+        figure.tight_layout()
+    save(figure, path.parent, path.stem, trimmed=trimmed)
     pyplot.close(figure)
     return path

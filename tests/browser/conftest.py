@@ -21,6 +21,23 @@ FLAGS = (
 )  # fmt: skip
 
 
+STUDY = """
+name = "closing"
+scenario = "lab_n_b"
+[[sweep]]
+path = "valve.D_fall"
+low = 0.005
+high = 0.04
+steps = 4
+scale = "log"
+[[load]]
+name = "9 bar"
+[[load]]
+name = "6 bar"
+set = { "plant.supply_pressure_pa" = 600000.0 }
+"""
+
+
 @pytest.fixture(scope="session")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     options = webdriver.ChromeOptions()
@@ -37,6 +54,25 @@ def of_run(folder: Path) -> list[str]:
     return ["run", "full_shift"]
 
 
+def of_replay(folder: Path) -> list[str]:
+    assert main(["run", "full_shift", "--no-report", "--out", str(folder / "run")]) == 0
+    return ["replay", str(folder / "run" / "bus.log"), "--set", "controller.filter=false", "--plant"]
+
+
+def of_whatif(folder: Path) -> list[str]:
+    study = folder / "study.toml"
+    study.write_text(STUDY, encoding="utf-8")
+    return ["whatif", str(study)]
+
+
+def of_strokes(folder: Path) -> list[str]:
+    return ["whatif", "piston_mass"]
+
+
+def of_claims(folder: Path) -> list[str]:
+    return ["claims", "F07", "F16", "F26"]
+
+
 def of_diagnose(folder: Path) -> list[str]:
     base = load()
     hidden = {"exhaust_clog": {"factor": Parameter(0.75, "-", "hidden by the test")}}
@@ -50,6 +86,10 @@ def of_force(folder: Path) -> list[str]:
 
 MAKERS: dict[str, tuple[Callable[[Path], list[str]], int]] = {
     "run": (of_run, 0),
+    "replay": (of_replay, 1),
+    "whatif": (of_whatif, 0),
+    "strokes": (of_strokes, 0),
+    "claims": (of_claims, 0),
     "diagnose": (of_diagnose, 1),
     "force": (of_force, 1),
 }

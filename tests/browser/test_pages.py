@@ -27,9 +27,10 @@ INK = """return window.opc4Plots().flat().map(c => {
 
 
 def ranges(browser: Any) -> list[list[list[float]]]:
-    """Lower and upper end of the common axis, by group and panel."""
+    """Lower and upper end of the common axis (logarithmic: their logarithms), by group and panel."""
     found: list[list[list[float]]] = browser.execute_script(
-        "return window.opc4Plots().map(g => g.map(c => [c.scales.x.min, c.scales.x.max]))"
+        "return window.opc4Plots().map(g => g.map(c => [c.scales.x.min, c.scales.x.max]"
+        ".map(v => c.scales.x.distr === 3 ? Math.log(v) : v)))"
     )
     return found
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import re
 from base64 import b64decode
+from pathlib import Path
 
 from sil.replays.page import replay_page
+from sil.replays.plots import replay_plots
 from sil.replays.replay import Order, replay
 from sil.replays.told import as_dict, summary_lines, text
 from tests.unit.sil.replays.golden_logs import golden
@@ -15,8 +17,8 @@ FOUND = replay(Order(str(golden("full_shift")), settings=["controller.filter=fal
 SAME = replay(Order(str(golden("full_shift"))))
 
 
-def test_the_page_needs_no_network_and_shows_pictures_of_both_shifts() -> None:
-    page = replay_page(FOUND, as_dict(FOUND), "opc4 replay <log>")
+def test_the_page_needs_no_network_and_shows_pictures_of_both_shifts(tmp_path: Path) -> None:
+    page = replay_page(FOUND, as_dict(FOUND), "opc4 replay <log>", tmp_path)
     assert not re.search(r"(?:src|href)=\"http", page)
     pictures = re.findall(r"base64,([^\"]+)", page)
     assert len(pictures) == 2
@@ -25,11 +27,24 @@ def test_the_page_needs_no_network_and_shows_pictures_of_both_shifts() -> None:
     assert "opc4 replay &lt;log&gt;" in page and ">differs<" in page
 
 
-def test_the_page_of_no_difference_shows_what_was_compared() -> None:
-    page = replay_page(SAME, as_dict(SAME), "opc4 replay")
+def test_the_page_of_no_difference_shows_what_was_compared(tmp_path: Path) -> None:
+    page = replay_page(SAME, as_dict(SAME), "opc4 replay", tmp_path)
     assert ">no difference<" in page and "All where they were." in page
     assert len(re.findall(r"base64,", page)) == 2
     assert "First difference" not in page
+
+
+def test_the_plots_hold_both_shifts_once_with_a_gap_between() -> None:
+    (group,) = replay_plots(FOUND)
+    told = json.loads(group.numbers)
+    assert told["x"] == sorted(set(told["x"]))
+    assert len(told["windows"]) == 2 and all(name.endswith("differs") for name, *_ in told["windows"])
+    position, coils, states = told["panels"]
+    recorded, replayed = (line["y"] for line in position["series"])
+    assert recorded.count(None) == replayed.count(None) == 1
+    assert recorded != replayed and max(v for v in recorded if v is not None) > 12.0
+    assert len(coils["series"]) == len(coils["marks"]) == 6
+    assert {"push", "blow", "hold"} <= {name for _, name in states["marks"]}
 
 
 def test_the_text_has_edges_first_difference_and_waveforms() -> None:
