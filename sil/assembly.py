@@ -14,7 +14,12 @@ from zlib import crc32
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
 from can_dbc.messages import Gear
+from sil.bus import BusModel
 from sil.clock import to_ns
+from sil.drift import Drifting
+from sil.faults import FaultPlan, Intrusion
+from sil.intruder import IntruderNode
+from sil.lockstep import TURN_ORDER
 from sil.scenario import Loaded, Scenario, expanded
 from sil.transports.channel import Channel, ParticipantLost, Patience
 from sil.transports.inproc import InProcess, Participant
@@ -27,7 +32,10 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parent.parent
 SCENARIO = "scenario.json"
 REMOTE = ("controller", "plant")
-"""Who runs in a process of its own on every transport but inproc; driver and traffic never do."""
+"""Who runs in a process of its own on every transport but inproc; the others never do."""
+
+SENDERS = (*TURN_ORDER, "traffic", "intruder")
+"""Everybody who may be on the bus, in the order of their turns."""
 
 PATIENCE = Patience(start_s=300.0, answer_s=2.0, close_s=5.0)
 INITIAL = {"neutral": "N", "backward": "B", "forward": "F"}
@@ -105,7 +113,17 @@ class RecordedPlant:
 
 
 def make_participant(name: str, loaded: Loaded, folder: Path) -> Participant:
-    """Return one participant of a scenario; the plant records into `folder`. Raises InputError."""
+    """Return one participant of a scenario, its clock as the scenario says.
+
+    The plant records into `folder`, and its clock is simulated time. Raises InputError.
+    """
+    participant = _on_time(name, loaded, folder)
+    clock = loaded.scenario.clock
+    ppm = {"controller": clock.controller_ppm, "driver": clock.driver_ppm}.get(name, 0.0)
+    return participant if ppm == 0.0 else Drifting(participant, ppm)
+
+
+def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
     scenario = loaded.scenario
     if name == "driver":
         from sil.driver import DriverNode
@@ -130,6 +148,9 @@ def make_participant(name: str, loaded: Loaded, folder: Path) -> Participant:
 
         bus = scenario.bus
         return TrafficNode(bus.extra_load, bus.extra_priority, bus.bitrate, scenario.seed)
+    if name == "intruder":
+        faults = [fault for fault in scenario.fault if isinstance(fault, Intrusion)]
+        return IntruderNode(faults, scenario.bus.bitrate, scenario.seed)
     if name != "plant":
         raise InputError(f"participant {name!r}: expected driver, controller or plant")
     from plant.hybrid import IntegrationError
@@ -165,8 +186,22 @@ def warm_up(loaded: Loaded) -> None:
 
 def participant_names(scenario: Scenario) -> tuple[str, ...]:
     """Return who takes part in a scenario."""
-    names = ("driver", "controller", "plant")
-    return (*names, "traffic") if scenario.bus.extra_load > 0.0 else names
+    names = ["driver", "controller", "plant"]
+    if scenario.bus.extra_load > 0.0:
+        names.append("traffic")
+    if any(isinstance(fault, Intrusion) for fault in scenario.fault):
+        names.append("intruder")
+    return tuple(names)
+
+
+def make_bus(scenario: Scenario, plan: FaultPlan) -> BusModel:
+    """Return the bus of a scenario, with its faults."""
+    return BusModel(
+        scenario.bus.bitrate,
+        frame_filter=plan.frame_filter if plan.touches_frames else None,
+        is_off=plan.is_off if plan.touches_frames else None,
+        capacity=scenario.bus.send_buffer,
+    )
 
 
 def open_channels(

@@ -80,6 +80,7 @@ def bus_figures(scenario: Scenario, bus: BusModel, plan: FaultPlan) -> dict[str,
         "error_frames": statistics.error_frames,
         "lost": statistics.lost,
         "dropped_bus_off": statistics.dropped_bus_off,
+        "dropped_full": statistics.dropped_full,
         "fault_hits": {f"fault[{index}]": hits for index, hits in plan.hits.items()},
         "messages": sorted(messages, key=lambda m: m["can_id"]),
     }

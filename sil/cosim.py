@@ -14,15 +14,16 @@ from typing import Any
 from can_dbc.errors import InputError, RunError
 from can_dbc.messages import Gear
 from sil import assembly, expectations, metrics
-from sil.assembly import SCENARIO, Say
+from sil.assembly import SCENARIO, SENDERS, Say
 from sil.bus import BusModel, Delivery
 from sil.bus_figures import bus_figures, response_check
 from sil.clock import to_ns
+from sil.end_to_end import EndToEnd
 from sil.event_log import EVENTS
 from sil.faults import FaultPlan
 from sil.frame_file import BUS_FRAMES, FrameWriter
 from sil.kept_run import KeptRun
-from sil.lockstep import TURN_ORDER, Lockstep, RunSummary
+from sil.lockstep import Lockstep, RunSummary
 from sil.realtime import Pacer
 from sil.recorder import BUS_LOG, PLANT_TRACE, BusLog, trace_sha256
 from sil.results import Check, Result, versions, write_result, write_whole
@@ -32,8 +33,6 @@ from sil.trace_csv import TraceCsv
 
 REFUSED_BY_A_PARTICIPANT = re.compile(r"ended with exit status 2: opc4 node: (?P<told>.*)")
 """A process that did not take its settings: bad input here as in one process."""
-
-SENDERS = (*TURN_ORDER, "traffic")
 
 CUT_OFF = "the run was cut off before it could say why"
 
@@ -71,11 +70,7 @@ def run(
     begun = time.perf_counter()
     pacer = None if speed is None else Pacer(speed)
     plan = FaultPlan(scenario.fault, scenario.seed)
-    bus = BusModel(
-        scenario.bus.bitrate,
-        frame_filter=plan.frame_filter if plan.touches_frames else None,
-        is_off=plan.is_off if plan.touches_frames else None,
-    )
+    bus = assembly.make_bus(scenario, plan)
     base = _blank(loaded, transport)
     summary: RunSummary | None = None
     why: str | None = None
@@ -184,10 +179,13 @@ def _judge(
         kept = _kept(loaded, folder, closing)
         if kept is not None:
             try:
-                observed, found, switchings = _figures(scenario, kept, folder / "trace.csv")
+                observed, found, switchings, checked = _figures(
+                    scenario, kept, folder / "trace.csv"
+                )
             except OSError as error:  # no room for trace.csv: plant.trace stays instead
                 kept, why = None, why or str(error)
         if kept is not None:
+            bus_told["end_to_end"] = checked.told()
             record, balances = kept.piece(0), dict(kept.balances)
             figures = metrics.whole_run(found, balances.get("air_in_kg"), switchings, log.frames)
             if why is None:
@@ -237,16 +235,18 @@ def _kept(loaded: Loaded, folder: Path, closing: contextlib.ExitStack) -> KeptRu
 
 def _figures(
     scenario: Scenario, kept: KeptRun, path: Path
-) -> tuple[expectations.Observed, list[metrics.Shift], int]:
+) -> tuple[expectations.Observed, list[metrics.Shift], int, EndToEnd]:
     """Go through the run piece by piece: write the trace, observe, find the shifts."""
     observed = expectations.Observed(kept.stroke_m)
     gear = assembly.gear_of(scenario.initial_gear)
     changes: list[tuple[float, Gear, Gear]] = []
     switchings = 0
+    checked = EndToEnd()
     with TraceCsv(path) as csv:
         for piece in kept:
             csv.add(piece)
             observed.add(piece)
+            checked.add(piece)
             switchings += metrics.valve_switchings(piece)
             changes += metrics.requests(piece, changes[-1][2] if changes else gear)
     spans = metrics.spans(changes, kept.end_s)
@@ -254,7 +254,7 @@ def _figures(
         metrics.shift_figures(kept.span(start, until), start, source, target, until)
         for start, source, target, until in spans
     ]
-    return observed, found, switchings
+    return observed, found, switchings, checked
 
 
 def _balance_checks(balances: dict[str, Any]) -> list[Check]:

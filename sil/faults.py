@@ -115,6 +115,27 @@ class Stalled(_Fault, frozen=True, kw_only=True, tag="stalled"):
     node: FirmwareName
 
 
+class Babbling(_Fault, frozen=True, kw_only=True, tag="babbling"):
+    """A node that is none of ours sends without need: `load` of the bus, at `priority`."""
+
+    load: Annotated[float, Meta(gt=0.0, le=3.0)] = 1.0
+    priority: Annotated[int, Meta(ge=0, le=7)] = 0
+
+
+class Replayed(_Fault, frozen=True, kw_only=True, tag="replayed"):
+    """An intruder sends each frame of `message` once more, `delay_s` after it arrived."""
+
+    message: MessageName
+    delay_s: Annotated[float, Meta(ge=0.001, le=MOST_DELAY_S)]
+
+
+class Spoofed(_Fault, frozen=True, kw_only=True, tag="spoofed"):
+    """An intruder sends frames of `message` every `period_s`, their content drawn at random."""
+
+    message: MessageName
+    period_s: Annotated[float, Meta(ge=0.0005, le=1.0)]
+
+
 BusFault = (
     Loss
     | DetectedCorruption
@@ -124,8 +145,15 @@ BusFault = (
     | BusOff
     | Dead
     | Stalled
+    | Babbling
+    | Replayed
+    | Spoofed
 )
 """Any fault that a scenario may state, by its `kind`."""
+
+
+Intrusion = Babbling | Replayed | Spoofed
+"""Faults that put frames on the bus; `sil.intruder` is the node that sends them."""
 
 
 class FaultEvent(NamedTuple):
@@ -137,7 +165,9 @@ class FaultEvent(NamedTuple):
     sender: str
 
 
-class _Window(NamedTuple):
+class Window(NamedTuple):
+    """From one instant to before another, ns."""
+
     start_ns: int
     end_ns: int
 
@@ -148,7 +178,7 @@ class _Window(NamedTuple):
 class _Selection:
     """Picks the frames that one frame fault hits, and holds what it remembers of them."""
 
-    def __init__(self, fault: Any, window: _Window, seed: str) -> None:
+    def __init__(self, fault: Any, window: Window, seed: str) -> None:
         self.fault = fault
         self.can_id = can_id_of(getattr(messages, fault.message))
         self.message_type: type = getattr(messages, fault.message)
@@ -185,11 +215,13 @@ class FaultPlan:
         """Raises InputError naming the fault for a window that is empty, and the like."""
         self.events: deque[FaultEvent] = deque(maxlen=EVENTS_KEPT)
         self._by_fault: dict[int, _Selection] = {}
-        self._off: list[tuple[str, _Window]] = []
-        self._down: list[tuple[str, _Window]] = []
+        self._off: list[tuple[str, Window]] = []
+        self._down: list[tuple[str, Window]] = []
         for index, fault in enumerate(faults):
             place = f"fault[{index}]"
             window = _window(fault, place)
+            if isinstance(fault, Intrusion):
+                continue
             if isinstance(fault, BusOff):
                 self._off.append((fault.node, window))
             elif isinstance(fault, Dead | Stalled):
@@ -269,12 +301,12 @@ class FaultPlan:
         self.events.append(FaultEvent(transmission.start_ns, kind, frame.can_id, sender))
 
 
-def _window(fault: BusFault, place: str) -> _Window:
+def _window(fault: BusFault, place: str) -> Window:
     start_ns = to_ns(fault.start_s, f"{place}.start_s")
     if fault.end_s is None:
         if isinstance(fault, Stalled):
             raise InputError(f"{place}.end_s: missing; expected a time, or the kind 'dead'")
-        return _Window(start_ns, NEVER_NS)
+        return Window(start_ns, NEVER_NS)
     if isinstance(fault, Dead):
         raise InputError(f"{place}.end_s: a dead node stays dead; expected the kind 'stalled'")
     end_ns = to_ns(fault.end_s, f"{place}.end_s")
@@ -282,7 +314,12 @@ def _window(fault: BusFault, place: str) -> _Window:
         raise InputError(
             f"{place}.end_s: {fault.end_s} s; expected later than start_s, {fault.start_s} s"
         )
-    return _Window(start_ns, end_ns)
+    return Window(start_ns, end_ns)
+
+
+def window_of(fault: BusFault) -> Window:
+    """Return when a fault of a scenario acts."""
+    return _window(fault, "fault")
 
 
 def _apply(

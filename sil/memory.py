@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from sil import assembly, metrics
-from sil.bus import BusModel, Delivery
+from sil.bus import Delivery
 from sil.clock import to_ns
 from sil.faults import FaultPlan
-from sil.lockstep import TURN_ORDER, Lockstep
+from sil.lockstep import Lockstep
 from sil.quick_loop import run_quickly
 from sil.recorder import hashed_frame, run_sha256, trace_header
 from sil.run_record import BusFrame, PlantEvent, RunRecord
@@ -94,7 +94,7 @@ def run_in_memory(loaded: Loaded) -> MemoryRun:
         for name in assembly.participant_names(scenario)
     ]
     end_ns = to_ns(scenario.duration_s)
-    if scenario.fault:
+    if scenario.fault or scenario.bus.send_buffer is not None:
         frames = _coordinated(participants, scenario, end_ns)
     else:
         frames = run_quickly(participants, scenario.bus.bitrate, end_ns)
@@ -123,13 +123,9 @@ def run_in_memory(loaded: Loaded) -> MemoryRun:
 def _coordinated(
     participants: Sequence[Participant], scenario: Scenario, end_ns: int
 ) -> list[BusFrame]:
-    """Run participants on a bus with faults, as `opc4 run` does."""
+    """Run participants on a bus on which something can go wrong, as `opc4 run` does."""
     plan = FaultPlan(scenario.fault, scenario.seed)
-    bus = BusModel(
-        scenario.bus.bitrate,
-        frame_filter=plan.frame_filter if plan.touches_frames else None,
-        is_off=plan.is_off if plan.touches_frames else None,
-    )
+    bus = assembly.make_bus(scenario, plan)
     frames: list[BusFrame] = []
 
     def record(deliveries: list[Delivery]) -> None:
@@ -141,7 +137,7 @@ def _coordinated(
         end_ns,
         record=record,
         outages=plan,
-        order=(*TURN_ORDER, "traffic"),
+        order=assembly.SENDERS,
     ) as lockstep:
         lockstep.run()
     return frames

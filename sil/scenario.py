@@ -73,11 +73,22 @@ class DriverTable(_Table, frozen=True, kw_only=True):
 
 
 class BusTable(_Table, frozen=True, kw_only=True):
-    """The CAN bus: bit rate, and the share of it that other nodes' frames of a priority take."""
+    """The CAN bus: bit rate, and the share of it that other nodes' frames of a priority take.
+
+    `send_buffer`: frames that a node may have waiting, further ones are lost; without, any number.
+    """
 
     bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 500_000
-    extra_load: Annotated[float, Meta(ge=0.0, le=0.95)] = 0.0
+    extra_load: Annotated[float, Meta(ge=0.0, le=3.0)] = 0.0
     extra_priority: Annotated[int, Meta(ge=0, le=7)] = 3
+    send_buffer: Annotated[int, Meta(ge=1, le=100_000)] | None = None
+
+
+class ClockTable(_Table, frozen=True, kw_only=True):
+    """How much faster than the plant's the clocks run, parts per million."""
+
+    controller_ppm: Annotated[float, Meta(ge=-50_000.0, le=50_000.0)] = 0.0
+    driver_ppm: Annotated[float, Meta(ge=-50_000.0, le=50_000.0)] = 0.0
 
 
 class Scenario(_Table, frozen=True, kw_only=True):
@@ -100,6 +111,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     controller: FirmwareConfig = FirmwareConfig()
     firmware: str = ""
     bus: BusTable = BusTable()
+    clock: ClockTable = ClockTable()
     fault: list[BusFault] = []
     sensor_fault: list[SensorFault] = []
     temperature_fault: list[TemperatureFault] = []
@@ -353,6 +365,11 @@ def _check_consistent(scenario: Scenario, source: str) -> None:
         raise InputError(
             f"{source}: trace_period_s: {scenario.trace_period_s}; expected at most a tenth of "
             f"duration_s, {0.1 * scenario.duration_s:g} s"
+        )
+    if scenario.bus.extra_load > 0.95 and scenario.bus.send_buffer is None:
+        raise InputError(
+            f"{source}: bus.send_buffer: missing; expected a number of frames, since more waits "
+            f"than can be sent with extra_load {scenario.bus.extra_load:g}"
         )
     if len(set(scenario.plant.charged)) != len(scenario.plant.charged):
         raise InputError(f"{source}: plant.charged: a chamber twice; expected each once")

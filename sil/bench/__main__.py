@@ -8,7 +8,7 @@ import sys
 
 import sil.bench
 
-HOURS = ("hidden_effects",)
+HOURS = ("hidden_effects", "soak")
 
 
 def main(wanted: list[str]) -> int:
