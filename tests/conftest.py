@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-# The same examples in every run; `--hypothesis-profile=explore` draws new ones.
+# The same examples in every run; `--hypothesis-profile=explore` draws new ones, `few` fewer.
 # A busy machine fails no test: neither deadlines nor slow draws count.
 UNTIMED = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 settings.register_profile("same", derandomize=True, **UNTIMED)
 settings.register_profile("explore", derandomize=False, **UNTIMED)
+settings.register_profile("few", derandomize=True, max_examples=25)
 settings.load_profile("same")
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -190,6 +190,11 @@ def test_powers_of_ten_that_nobody_can_write_out(text: str, line: int) -> None:
     assert re.match(rf"x\.dbc: line {line}: number .* has no use$", refusal(text))
 
 
+def test_quoted_powers_of_ten_with_a_use_are_numbers() -> None:
+    text = changed("INT -10 65535", "FLOAT 0 65535").replace("BO_ 5 20", 'BO_ 5 "2e1"')
+    assert parse_dbc(text.encode()).get_message_by_name("Speeds").cycle_time == 20
+
+
 def test_texts_that_look_like_powers_of_ten_are_texts() -> None:
     part_number = 'BA_DEF_ "Part" STRING ;\nBA_DEF_DEF_ "Part" "";\nBA_ "Part" "12E3456789";\n'
     text = GOOD.replace("VAL_", part_number + "VAL_").replace('"Spinning', '"9e9999999"; CM_ "')

@@ -120,6 +120,15 @@ def test_a_skipped_tick_is_refused() -> None:
         bus.node.advance(10_000_001, [])
 
 
+def test_a_unit_that_stalled_goes_on_with_the_tick_it_wakes_up_at() -> None:
+    bus = Bus()
+    bus.tick()
+    bus.now_ns = 50 * MS
+    assert bus.tick() and bus.now_ns == 60 * MS
+    late = Bus()  # before its first tick it may wake up at any time
+    assert late.node.advance(25 * MS, []) == ([], 30 * MS)
+
+
 def test_a_frame_that_arrives_at_the_tick_is_seen_by_it() -> None:
     bus = Bus().awake()
     seen = bus.node.pulses.counts[E2eStatus.OK]

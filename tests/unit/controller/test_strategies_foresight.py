@@ -109,6 +109,29 @@ def test_bang_bang_switches_once_and_brakes_for_its_time() -> None:
     assert braked == [begun <= tick < begun + 8 for tick in range(40)]
 
 
+@pytest.mark.parametrize("wanted_m_s", [0.2, 0.5])
+def test_bang_bang_brakes_as_late_as_the_wanted_speed_allows(wanted_m_s: float) -> None:
+    strategy = made("bang_bang", **QUICK_VALVES, brake_s=0.015, impact_m_s=wanted_m_s)
+    assert isinstance(strategy, BangBang)
+    strategy.observer.command(True, False)
+    strategy.observer.advance(0.01, 0.0, 0)
+
+    def impact_m_s(brake_on_s: float) -> float:
+        off_s = brake_on_s + 0.015
+        return strategy.trial(brake_on_s, off_s, brake_on_s, off_s).speed_m_s
+
+    strategy._moved = True
+    latest_s = strategy._solved_s()
+    assert 0.005 < latest_s < 0.02
+    assert impact_m_s(latest_s) <= wanted_m_s < impact_m_s(latest_s + 0.06 / 2**6)
+    strategy.observer.advance(0.04, 0.0, 0)  # now even braking at once is too late
+    assert strategy._solved_s() == 0.0
+    assert strategy.plan(0.04).brake
+    patient = made("bang_bang", **QUICK_VALVES, impact_m_s=3.0)
+    assert isinstance(patient, BangBang)
+    assert patient._solved_s() == patient.parameters.horizon_s
+
+
 @pytest.mark.parametrize("table", [[], [[9e5, 0.0], [6e5, 0.0]], [[6e5, 0.0], [6e5, 0.1]]])
 def test_a_table_out_of_order_is_refused(table: list[list[float]]) -> None:
     with pytest.raises(InputError, match="ascending supply pressures"):
