@@ -17,13 +17,10 @@ from numpy.typing import NDArray
 from . import layout as L
 from .filling import NO_CURVES, filling_curves
 from .hybrid import NS
-from .integrate import EVENT_COLUMNS
+from .integrate import EVENT_COLUMNS, FOLLOW_GRID, GRID_COLUMNS, OWN_STEPS, WRITE_GRID
 from .lane_control import (
-    FOLLOW_GRID,
-    GRID_COLUMNS,
     KNOWN,
     MEMORY,
-    OWN_STEPS,
     R_ARRIVAL,
     R_ENERGY,
     R_EVENTS,
@@ -32,7 +29,6 @@ from .lane_control import (
     R_STEPS,
     RESULTS,
     SCRATCH,
-    WRITE_GRID,
 )
 from .lane_steps import FREE_OF, MODES_FREE_OF, ROWS, WIDTH
 from .lanes import run_lanes
@@ -313,7 +309,7 @@ def simulate_batch(
             run_singles(
                 strokes.system, p, c, y, m, u, switches, duration,
                 instants, wanted, scale, tolerance, lanes and tabulated, curves,
-                outside, results, final, out, events,
+                outside, results, final, out, events, grid, steps, use,
             )  # fmt: skip
 
     everything = np.arange(n)

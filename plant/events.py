@@ -182,6 +182,7 @@ def locate(t, h, high, dense, y, m, p, work, g, g0, n_all):
     low = 0.0
     stale = 0
     weight = 1.0
+    before = 1.0
     for iteration in range(80):
         theta = high
         index = -1
@@ -194,10 +195,14 @@ def locate(t, h, high, dense, y, m, p, work, g, g0, n_all):
                     index = k
         if (high - low) * h < 1e-15 or high - low < 1e-15:
             break
-        if iteration % 3 == 2:
-            theta = 0.5 * (low + high)
         width = high - low
-        theta = min(max(theta, low + 1e-3 * width), high - 1e-3 * width)
+        if iteration % 3 == 2:
+            if width > 0.1 * before:
+                theta = 0.5 * (low + high)
+            before = width
+        # next to an end, by more than the secant's error: then both ends close in
+        margin = width * min(1e-3, 4.0 * width)
+        theta = min(max(theta, low + margin), high - margin)
         interpolate(theta, dense, y, n_all)
         trial = work[6 : 6 + GUARDS]
         all_guards(t + theta * h, y, m, p, work, trial)

@@ -24,7 +24,9 @@ from .integrate import (
     EVENT_SPEED,
     EVENT_TIME,
     EVENT_X,
+    GRID_COLUMNS,
     NOT_FINITE,
+    OWN_STEPS,
     STEP_TOO_SMALL,
     TOO_MANY_EVENTS,
     advance,
@@ -35,6 +37,7 @@ from .packing import Floats, Load, modes, scales
 NS = 1_000_000_000
 DEFAULT_TOLERANCE = 1e-8
 WORKSPACE = (80, 64)
+NO_GRID = np.zeros((1, GRID_COLUMNS))
 
 GUARD_NAMES = {
     guard.G_STAY_SPEED: "turn",
@@ -245,6 +248,10 @@ class HybridSystem:
             self._workspace,
             False,
             NO_CURVES,
+            NO_GRID,
+            0,
+            OWN_STEPS,
+            False,
         )
         self._note_events()
         if code != DONE:

@@ -22,7 +22,7 @@ from .events import (
     smallest,
     some_negative,
 )
-from .filling import CHAMBER_ROW, STILL, W_KIND, chamber_pressure
+from .filling import CHAMBER_ROW, STILL, W_KIND, chamber_samples
 from .layout import (
     FIXED,
     FLOW_MODEL,
@@ -60,6 +60,13 @@ EVENT_COLUMNS = 7
 
 # Why `advance` stopped.
 DONE, TOO_MANY_EVENTS, STEP_TOO_SMALL, NOT_FINITE = 0, 1, 2, 3
+OFF_GRID = 10  # something happened that the stroke of the grid did not meet
+
+# A grid of steps, written by one stroke and followed by others: where each step was to end, whether
+# that was the next switch, and the guard that ended it before (-1: none).
+GRID_END, GRID_SWITCH, GRID_GUARD = range(3)
+GRID_COLUMNS = 3
+OWN_STEPS, WRITE_GRID, FOLLOW_GRID = range(3)
 
 LONGEST_STEP_S = 5e-3
 LONGEST_REST_STEP_S = 1e-2
@@ -84,11 +91,11 @@ def rests_are_plain(p, m):
 
 
 @called
-def sample_rest(t, until, begin, samples, out, fixed, rest, curves, y, n):
+def sample_rest(t, until, begin, samples, n_sample, out, width, fixed, rest, curves, y, n):
     """Samples of a rest from t on; y holds all that does not move.  Returns the next sample's number."""
     chambers = rows(rest, CHAMBER_ROW)
     end = begin
-    while end < samples.shape[0] and samples[end] <= until:
+    while end < n_sample and samples[end] <= until:
         end += 1
     place = FP1 if fixed else PB
     count = 2 if fixed else 3
@@ -97,10 +104,9 @@ def sample_rest(t, until, begin, samples, out, fixed, rest, curves, y, n):
         if k < place or k >= place + count or row[W_KIND] == STILL:
             value = y[k]
             for i in range(begin, end):
-                out[i, k] = value
+                out[i * width + k] = value
         else:
-            for i in range(begin, end):
-                out[i, k] = chamber_pressure(max(samples[i] - t, 0.0), row, curves)
+            chamber_samples(row, curves, t, samples, begin, end, out[k:], width)
     return end
 
 
@@ -132,6 +138,10 @@ def advance(
     workspace,
     tabulated,
     table,
+    grid,
+    steps,
+    use,
+    starting,
 ):
     """Integrate from time 0 to `duration` [s]; returns DONE or the reason to stop.
 
@@ -151,6 +161,9 @@ def advance(
     workspace : float64 [WORKSPACE_ROWS, ROW] scratch
     tabulated : True if `table` holds the filling curves of c: rests are then passed in closed form
         where there is one (without quadratures only)
+    grid, steps, use : float64 [steps, GRID_COLUMNS], OWN_STEPS to leave it alone, WRITE_GRID to note
+        the steps, FOLLOW_GRID to take those steps whatever the error
+    starting : True if m holds no modes of motion yet (as `start`)
     """
     y = view(y, 0)
     pivot = view(m, 16)
@@ -175,11 +188,16 @@ def advance(
     dense = rows(view(workspace, 16 * ROW), ROW)
     jac = rows(view(workspace, 21 * ROW), ROW)
     lu = rows(view(workspace, 61 * ROW), ROW)
+    if starting:
+        choose_modes(0.0, y, m, p, work)
     t = 0.0
     i_switch = 0
     i_sample = 0
     n_switch = switches.shape[0]
     n_sample = samples.shape[0]
+    samples = view(samples, 0)
+    width = out.shape[1]
+    out = view(out, 0)
     fixed = m[M_SYSTEM] == FIXED
     curves = view(table, 0)
     rest = view(workspace, 79 * ROW)
@@ -189,6 +207,9 @@ def advance(
     fresh = True
     have_jacobian = False
     limit_events = counts[0] + 4000
+    i_step = -1
+    grid_row = view(grid, 0)
+    expected = True
     while True:
         while i_switch < n_switch and switches[i_switch, 0] <= t:
             chamber = int(switches[i_switch, 1])
@@ -236,7 +257,7 @@ def advance(
                         if not abs(y[i]) < 1e300:
                             return NOT_FINITE
                     i_sample = sample_rest(
-                        t, t_end, i_sample, samples, out, fixed, rest, curves, y1, n
+                        t, t_end, i_sample, samples, n_sample, out, width, fixed, rest, curves, y1, n
                     )
                     t = t_end
                     if index >= 0:
@@ -257,8 +278,20 @@ def advance(
                     continue
         if m[M_SYSTEM] != FIXED:
             note_side(y, m, p)
-        last = h >= left * (1.0 - 1e-12)
-        trial = left if last else min(h, 0.5 * left)
+        if use == FOLLOW_GRID:
+            i_step += 1
+            if i_step >= steps:
+                return OFF_GRID
+            grid_row = view(grid, i_step * GRID_COLUMNS)
+            end = t_next if grid_row[GRID_SWITCH] != 0.0 else grid_row[GRID_END]
+            if not t < end <= t_next:
+                return OFF_GRID
+            last = end == t_next
+            trial = end - t
+            expected = grid_row[GRID_GUARD] >= 0.0
+        else:
+            last = h >= left * (1.0 - 1e-12)
+            trial = left if last else min(h, 0.5 * left)
         if stiff:
             if not have_jacobian:
                 jacobian(
@@ -324,7 +357,7 @@ def advance(
             power = 0.2
         if not norm <= 1.0e300:
             h = 0.1 * trial
-            if h < 1e-14:
+            if h < 1e-14 or use == FOLLOW_GRID:
                 return NOT_FINITE
             if not stiff:
                 for i in range(n_all):
@@ -332,7 +365,7 @@ def advance(
             counts[2] += 1
             continue
         factor = 5.0 if norm < 1e-12 else min(5.0, max(0.2, 0.9 * norm ** (-power)))
-        if norm > 1.0:
+        if norm > 1.0 and use != FOLLOW_GRID:
             h = trial * min(factor, 0.9)
             if h < 1e-14:
                 return STEP_TOO_SMALL
@@ -345,35 +378,50 @@ def advance(
         grown = trial * factor
         h = max(h, grown) if last and trial < h else grown
         h = min(h, LONGEST_REST_STEP_S if at_rest(m) else LONGEST_STEP_S)
-        if stiff:
-            stiff_dense(y, y1, k, dense, n_all)
-        else:
-            explicit_dense(trial, y, y1, k, dense, n_all)
-        all_guards(t + trial, y1, m, p, work, g)
-        fired = some_negative(g)
+        fired = False
         theta = 1.0
-        if not fired:
-            theta = hidden_meeting(trial, y, y1, m, p)
-            if not stiff:
-                theta = min(theta, hidden_turn(trial, y, y1, k[0], k[6], m))
-            if theta < 1.0:
-                interpolate(theta, dense, stage, n_all)
-                all_guards(t + theta * trial, stage, m, p, work, g)
-                fired = some_negative(g)
-                if not fired:
-                    theta = 1.0
-                    all_guards(t + trial, y1, m, p, work, g)
+        index = -1
+        if expected:
+            all_guards(t + trial, y1, m, p, work, g)
+            fired = some_negative(g)
+            if not fired:
+                theta = hidden_meeting(trial, y, y1, m, p)
+                if not stiff:
+                    theta = min(theta, hidden_turn(trial, y, y1, k[0], k[6], m))
+        sampled = i_sample < n_sample and samples[i_sample] <= t + trial
+        if fired or theta < 1.0 or sampled:
+            if stiff:
+                stiff_dense(y, y1, k, dense, n_all)
+            else:
+                explicit_dense(trial, y, y1, k, dense, n_all)
+        if theta < 1.0:
+            interpolate(theta, dense, stage, n_all)
+            all_guards(t + theta * trial, stage, m, p, work, g)
+            fired = some_negative(g)
+            if not fired:
+                theta = 1.0
+                all_guards(t + trial, y1, m, p, work, g)
+        if use == FOLLOW_GRID and fired:
+            all_guards(t, y, m, p, work, g0)
+            if some_negative(g0):
+                return OFF_GRID
         if fired:
             theta = locate(t, trial, theta, dense, y1, m, p, work, g, g0, n_all)
             index = smallest(g)
+        if use == WRITE_GRID:
+            i_step += 1
+            grid_row = view(grid, min(i_step, steps - 1) * GRID_COLUMNS)
+            grid_row[GRID_END] = t + trial
+            grid_row[GRID_SWITCH] = 1.0 if last else 0.0
+            grid_row[GRID_GUARD] = index
+        elif use == FOLLOW_GRID and grid_row[GRID_GUARD] != index:
+            return OFF_GRID
         t_end = t + theta * trial
         if last and not fired:
             t_end = t_next
         while i_sample < n_sample and samples[i_sample] <= t_end:
             place = min(max((samples[i_sample] - t) / trial, 0.0), theta)
-            interpolate(place, dense, stage, n)
-            for i in range(n):
-                out[i_sample, i] = stage[i]
+            interpolate(place, dense, out[i_sample * width :], n)
             i_sample += 1
         for i in range(n_all):
             y[i] = y1[i]
@@ -401,7 +449,7 @@ def advance(
                 g0[i] = g[i]
     while i_sample < n_sample:
         for i in range(n):
-            out[i_sample, i] = y[i]
+            out[i_sample * width + i] = y[i]
         i_sample += 1
     for j in range(3):
         u0[j] = u0[j] + du[j] * duration

@@ -25,7 +25,7 @@ from .filling import (
     KNOWN_COLUMNS,
     STILL,
     W_KIND,
-    chamber_pressure,
+    chamber_samples,
     neighbour_pressure,
 )
 from .integrate import (
@@ -39,11 +39,19 @@ from .integrate import (
     EVENT_V,
     EVENT_X,
     FIRST_STEP_S,
+    FOLLOW_GRID,
+    GRID_COLUMNS,
+    GRID_END,
+    GRID_GUARD,
+    GRID_SWITCH,
     LONGEST_STEP_S,
     NOT_FINITE,
+    OFF_GRID,
+    OWN_STEPS,
     STEP_AFTER_REST_S,
     STEP_TOO_SMALL,
     TOO_MANY_EVENTS,
+    WRITE_GRID,
 )
 from .lane_steps import (
     ACCEPTED,
@@ -76,18 +84,13 @@ from .layout import (
     TERM_0,
 )
 from .rest import rest_jump
-from .steppers import derivative, explicit_dense, interpolate
+from .steppers import dense_element, derivative, explicit_dense, interpolate, interpolated
 from .views import lane, rows
 
 # What a lane remembers beside the flat array.
 STROKE, NEXT_SWITCH, NEXT_SAMPLE, EVENTS, TAKEN, REJECTED, JUMPS = range(7)
 MEMORY = 7
 
-# A grid of steps, written by one stroke and followed by others: where each step was to end, whether
-# that was the next switch, and the guard that ended it before (-1: none).
-GRID_END, GRID_SWITCH, GRID_GUARD = range(3)
-GRID_COLUMNS = 3
-OWN_STEPS, WRITE_GRID, FOLLOW_GRID = range(3)
 KNOWN = 3 * KNOWN_COLUMNS  # what the grid's stroke notes of each sample at rest
 IDLE = -1
 
@@ -97,7 +100,6 @@ RESULTS = 8
 
 # What a lane does next, beside the reasons to stop.
 STEPPING = -1
-OFF_GRID = 10  # a reason to stop: something happened that the stroke of the grid did not meet
 LIMIT_EVENTS = 4000
 
 # Scratch of one lane at a time.
@@ -198,9 +200,7 @@ def sample_rest(
             for i in range(begin, end):
                 out[i * n_columns + k] = value
         elif use == OWN_STEPS:
-            for i in range(begin, end):
-                dt = max(samples[i] - t, 0.0)
-                out[i * n_columns + k] = chamber_pressure(dt, row, table)
+            chamber_samples(row, table, t, samples, begin, end, out[k:], n_columns)
         else:
             for i in range(begin, end):
                 dt = max(samples[i] - t, 0.0)
@@ -211,17 +211,16 @@ def sample_rest(
 
 
 @called
-def sample_step(f, j, n, memory, until, theta, samples, n_sample, columns, n_columns, out):
+def sample_step(f, j, memory, until, theta, samples, n_sample, columns, n_columns, out):
     """Samples of a step, from its interpolant, up to its fraction theta."""
     t = f[TIME * WIDTH + j]
     h = f[STEP * WIDTH + j]
-    state = lane(f, SPARE, j, WIDTH, "")
     dense = rows(lane(f, DENSE, j, WIDTH, ""), MAX_STATES)
     i = memory[NEXT_SAMPLE * WIDTH + j]
     while i < n_sample and samples[i] <= until:
-        interpolate(min(max((samples[i] - t) / h, 0.0), theta), dense, state, n)
+        place = min(max((samples[i] - t) / h, 0.0), theta)
         for k in range(n_columns):
-            out[i * n_columns + k] = state[columns[k]]
+            out[i * n_columns + k] = interpolated(place, dense, columns[k])
         i += 1
     memory[NEXT_SAMPLE * WIDTH + j] = i
 
@@ -341,7 +340,11 @@ def judge(
     if fired or theta < 1.0 or (i < n_sample and samples[i] <= until):
         k = rows(lane(f, K, j, WIDTH, ""), MAX_STATES)
         dense = rows(lane(f, DENSE, j, WIDTH, ""), MAX_STATES)
-        explicit_dense(1.0, y, y1, k, dense, n)
+        if fired or theta < 1.0:
+            explicit_dense(1.0, y, y1, k, dense, n)
+        else:
+            for i in range(n_columns):
+                dense_element(1.0, y, y1, k, dense, columns[i])
         if theta < 1.0:
             state = lane(f, SPARE, j, WIDTH, "")
             interpolate(theta, dense, state, n)
@@ -357,7 +360,7 @@ def judge(
             theta = locate(t, h, theta, dense, y1, m, p, work, g, g0, n)
             index = smallest(g)
             until = t + theta * h
-        sample_step(f, j, n, memory, until, theta, samples, n_sample, columns, n_columns, out)
+        sample_step(f, j, memory, until, theta, samples, n_sample, columns, n_columns, out)
     if use != OWN_STEPS:
         row = grid[min(taken, steps - 1) * GRID_COLUMNS :]
         happened = float(index) if fired else -1.0

@@ -36,7 +36,8 @@ M_SYSTEM = 7
 M_OIL_REST = 8  # compressible damper: 1 while its pressure stands at atmosphere
 M_LINE = 9  # 1: supply line with volume and restriction (hose droop)
 M_INSIDE = 10  # 1 while the stay is between the two blocking positions of the synchronizer
-MODES = 11
+M_SIDE = 11  # +1 / -1: side of neutral on which the length stroke's damper acts
+MODES = 12
 FREE, NUT, COLLAR = 0, 1, 2
 
 # --- parameters -----------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ from .layout import (
     M_PISTON1,
     M_PISTON2,
     M_S,
+    M_SIDE,
     M_STAY,
     NUT,
     P_ATM,
@@ -45,9 +46,7 @@ from .layout import (
 from .length_equations import (
     TOUCH_M,
     accelerations,
-    damper_side,
     net_forces,
-    oil_rate,
     piston_sliding,
     piston_static,
     stay_sliding,
@@ -94,9 +93,15 @@ GUARDS = 20
 
 
 @inlined
+def end_stop(p):
+    """Farthest stay position [m]: its own stop, or the collar of the piston that cannot give way."""
+    return min(p[STROKE] + p[STOP_OFFSET], p[X_FREE])
+
+
+@inlined
 def stay_limits(y, m, p):
     """Highest and lowest stay position now: the end stops, or the synchronizer while unspent."""
-    high = p[STROKE] + p[STOP_OFFSET]
+    high = end_stop(p)
     if m[M_BLOCKED] != 0 or (m[M_INSIDE] != 0 and y[SPENT] < p[SYNC_IMPULSE]):
         high = p[X_BLOCK]
     return high, -high
@@ -264,16 +269,16 @@ def guards(t, y, m, p, work, g):
         g[G_HOLD2] += EPS_N
     if m[M_BLOCKED] != 0:
         g[G_SYNC] = p[SYNC_IMPULSE] - y[SPENT]
-    if m[M_DAMPER] == 2:
-        side = damper_side(y[XS], y[VS])
-        if m[M_OIL_REST] != 0:
-            if d != 0:
-                g[G_OIL_FILL] = EPS_M_S - side * y[VS]
-        else:
-            g[G_OIL_EMPTY] = y[LOIL] - p[P_ATM] + EPS_PA
-        if d != 0:
+    if m[M_DAMPER] != 0:
+        side = float(m[M_SIDE])
+        if d * side < 0:
             # crossing neutral: the damper acts on the other side from there
-            g[G_NEUTRAL] = (side * y[XS] + EPS_M) if d * side < 0 else FAR
+            g[G_NEUTRAL] = side * y[XS] + EPS_M
+        if m[M_DAMPER] == 2:
+            if m[M_OIL_REST] == 0:
+                g[G_OIL_EMPTY] = y[LOIL] - p[P_ATM] + EPS_PA
+            elif d != 0:
+                g[G_OIL_FILL] = EPS_M_S - side * y[VS]
 
 
 @inlined
@@ -431,7 +436,7 @@ def impacts(t, y, m, p, record, work):
             y[XS] = 0.0
             y[X1] = 0.0
         if held != 0.0:
-            at_block = abs(held) == 1.0 and abs(y[XS]) < p[STROKE] + p[STOP_OFFSET] - TOUCH_M
+            at_block = abs(held) == 1.0 and abs(y[XS]) < end_stop(p) - TOUCH_M
             after = 0.0 if at_block else rebound(y[VS], p)
             record[0] += 0.5 * p[M_S] * (y[VS] * y[VS] - after * after)
             if abs(y[VS]) > record[1]:
@@ -484,6 +489,29 @@ def direction_of(v, a):
     if a < 0.0:
         return -1
     return 0
+
+
+@inlined
+def settle_damper(y, m, p):
+    """Choose the side on which the damper acts, and whether its oil rests.
+
+    At neutral: the side to which the stay goes; one that stays there keeps its side.  The oil of the
+    side it comes to stands at the atmosphere.
+    """
+    before = m[M_SIDE]
+    if abs(y[XS]) > TOUCH_M:
+        m[M_SIDE] = 1 if y[XS] > 0.0 else -1
+    elif m[M_STAY] != 0:
+        m[M_SIDE] = m[M_STAY]
+    elif before == 0:
+        m[M_SIDE] = 1
+    if m[M_DAMPER] == 2:
+        if before != 0 and m[M_SIDE] != before:
+            y[LOIL] = p[P_ATM]
+        m[M_OIL_REST] = 0
+        if y[LOIL] <= p[P_ATM] + EPS_PA:
+            y[LOIL] = p[P_ATM]
+            m[M_OIL_REST] = 0 if m[M_STAY] * m[M_SIDE] > 0 else 1
 
 
 @called
@@ -609,13 +637,5 @@ def settle(t, y, m, p, work):
             m[M_BLOCKED] = 1
         elif abs(y[XS] + p[X_BLOCK]) <= TOUCH_M:
             m[M_BLOCKED] = -1
-    if m[M_DAMPER] == 2:
-        side = damper_side(y[XS], y[VS])
-        if y[XS] == 0.0 and m[M_STAY] != 0:
-            side = float(m[M_STAY])
-        m[M_OIL_REST] = 0
-        if y[LOIL] <= p[P_ATM] + EPS_PA:
-            y[LOIL] = p[P_ATM]
-            if oil_rate(abs(y[XS]), side * y[VS], y[LOIL], p) <= 0.0:
-                moving_out = m[M_STAY] != 0 and side * m[M_STAY] > 0
-                m[M_OIL_REST] = 0 if moving_out else 1
+    if m[M_DAMPER] != 0:
+        settle_damper(y, m, p)

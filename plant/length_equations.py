@@ -78,6 +78,7 @@ from .layout import (
     M_PISTON1,
     M_PISTON2,
     M_S,
+    M_SIDE,
     M_STAY,
     MESH_FORCE,
     NUT,
@@ -302,19 +303,13 @@ def oil_rate(distance, speed, oil_pa, p):
 
 
 @inlined
-def damper_side(x, v):
-    """Side of neutral on which the damper acts, +1 or -1; at neutral the one the stay goes to."""
-    return 1.0 if x > 0.0 or (x == 0.0 and v >= 0.0) else -1.0
-
-
-@inlined
 def stay_force(y, m, p, t):
     """Net driving force on the stay without friction and contacts [N]."""
     x = y[XS]
     force = (y[PB] - y[PF]) * p[AREA_S] + conservative_force(x, p)
     if m[M_DAMPER] != 0:
-        side = damper_side(x, y[VS])
-        force -= side * p[A_OIL] * damper_difference(abs(x), side * y[VS], y[LOIL], m, p)
+        side = float(m[M_SIDE])
+        force -= side * p[A_OIL] * damper_difference(side * x, side * y[VS], y[LOIL], m, p)
     if p[TERM_EQUATION] == 1.0:
         force += term_force(y, p, t)
     return force
@@ -501,8 +496,8 @@ def rates(t, y, dy, m, u0, du, p, c, work, quadratures):
     dy[PF] = pressure_rate(y[PF], uf, in_f, out_f, leak_f, vol_f, rate_f, r, am1, a1, am2, a2)
     dy[SPENT] = max(0.0, blocked_force(y, m, p, force)) if m[M_BLOCKED] != 0 else 0.0
     if m[M_DAMPER] == 2 and m[M_OIL_REST] == 0:
-        side = damper_side(y[XS], vs)
-        dy[LOIL] = oil_rate(abs(y[XS]), side * vs, y[LOIL], p)
+        side = float(m[M_SIDE])
+        dy[LOIL] = oil_rate(side * y[XS], side * vs, y[LOIL], p)
     else:
         dy[LOIL] = 0.0
     if m[M_LINE] != 0:
@@ -539,9 +534,9 @@ def rates(t, y, dy, m, u0, du, p, c, work, quadratures):
             loss -= piston_sliding(-v2, d, y[PF] - y[PN], p) * d * v2
         q[Q_FRICTION] = loss
         if m[M_DAMPER] != 0:
-            side = damper_side(y[XS], vs)
+            side = float(m[M_SIDE])
             q[Q_DAMPER] = (
-                side * vs * p[A_OIL] * damper_difference(abs(y[XS]), side * vs, y[LOIL], m, p)
+                side * vs * p[A_OIL] * damper_difference(side * y[XS], side * vs, y[LOIL], m, p)
             )
         else:
             q[Q_DAMPER] = 0.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 from .compiled import kernel
 from .damper import steady_difference
 from .layout import A_OIL, P_ATM, RHO_OIL
-from .length_equations import damper_outlet, damper_side
+from .length_equations import damper_outlet
 
 
 @kernel
@@ -18,7 +18,7 @@ def steady_oil_pressure(position, velocity, p, out):
     position [m] and velocity [m/s] of the stay; it acts on the way out from 0 (3.34).
     """
     for i in range(len(position)):
-        side = damper_side(position[i], velocity[i])
+        side = 1.0 if position[i] > 0.0 or (position[i] == 0.0 and velocity[i] >= 0.0) else -1.0
         speed = side * velocity[i]
         outlet = damper_outlet(abs(position[i]), speed, p)
         out[i] = p[P_ATM] + steady_difference(speed, p[A_OIL], outlet, 1.0, p[RHO_OIL])

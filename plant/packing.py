@@ -185,7 +185,7 @@ def initial_state(
         y[L.FOIL] = atmosphere
         y[L.FLINE] = supply
         return y
-    stroke = p[L.STROKE] + p[L.STOP_OFFSET]
+    stroke = min(p[L.STROKE] + p[L.STOP_OFFSET], p[L.X_FREE])
     if position == "B":
         y[L.XS] = stroke
         y[L.X1] = stroke + p[L.X_FREE]

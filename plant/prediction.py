@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,30 +16,74 @@ from numpy.typing import NDArray
 from . import layout as L
 from .batch import BATCH_TOLERANCE, Strokes
 from .filling import filling_curves
-from .hybrid import NS, REASONS, WORKSPACE, IntegrationError
-from .integrate import DONE, EVENT_COLUMNS, advance, start
+from .hybrid import NO_GRID, NS, REASONS, WORKSPACE, IntegrationError
+from .integrate import DONE, EVENT_COLUMNS, OWN_STEPS, advance
 from .packing import Floats, Ints, active_states, initial_state, modes, scales
 from .setup import Setup
 from .stroke import lagged, valve_moves
 from .tangents import neighbours
 
 FIT_TOLERANCE = 1e-7
+FIRST_STEP_S = 1e-4
 
 
-@dataclass
+class _Ready(NamedTuple):
+    """What a stroke's conditions and its valves' timing decide."""
+
+    system: int
+    position: str | float
+    charged: tuple[str, ...]
+    names: tuple[str, ...]
+    first: int
+    states: int
+    modes: Ints
+    valves: Floats
+    moves: Floats
+    scale: Floats
+
+    @classmethod
+    def of(cls, setup: Setup, end_ns: int) -> _Ready:
+        conditions = setup.conditions
+        system, names = conditions.system, conditions.chambers
+        m = modes(system, conditions.loads())
+        m[L.M_LINE] = 1 if setup.has_line else 0
+        valves = np.zeros(3)
+        for index, name in enumerate(names):
+            valves[index] = 1.0 if name in conditions.charged_before else 0.0
+        moves = [(at / NS, *move) for at, *move in valve_moves(setup, end_ns)]
+        return cls(
+            system,
+            conditions.start_offset_m if system == L.FIXED else conditions.kind[0],
+            conditions.charged_before,
+            names,
+            L.FP1 if system == L.FIXED else L.PB,
+            active_states(system, m),
+            m,
+            valves,
+            np.array(moves, dtype=np.float64).reshape(-1, 4),
+            scales(system),
+        )
+
+
 class Predictor:
     """States of one stroke at fixed instants, for any variation of its setup.
 
     sample_ns: instants, ascending; the last one ends the simulation.
     """
 
-    sample_ns: NDArray[np.int64]
-    tolerance: float = FIT_TOLERANCE
-    _workspace: Floats = field(default_factory=lambda: np.zeros(WORKSPACE))
-    _events: Floats = field(default_factory=lambda: np.zeros((512, EVENT_COLUMNS)))
-    _happened: int = 0
-    _like: tuple | None = None
-    _ready: tuple[Ints, Floats, Floats] = field(init=False)
+    def __init__(self, sample_ns: NDArray[np.int64], tolerance: float = FIT_TOLERANCE) -> None:
+        self.sample_ns = sample_ns
+        self.tolerance = tolerance
+        self._sample_s = sample_ns / NS
+        self._workspace = np.zeros(WORKSPACE)
+        self._events = np.zeros((512, EVENT_COLUMNS))
+        self._happened = 0
+        self._like: tuple | None = None
+        self._ready: _Ready
+        self._modes = np.zeros(32, dtype=np.int64)
+        self._valves, self._valve_rates = np.zeros(3), np.zeros(3)
+        self._step = np.zeros(1)
+        self._counts = np.zeros(4, dtype=np.int64)
 
     @property
     def happened(self) -> Floats:
@@ -51,63 +95,55 @@ class Predictor:
 
         Raises IntegrationError if the motion cannot be continued.
         """
-        conditions = setup.conditions
-        system = conditions.system
-        p = setup.p
-        position: str | float
-        position = conditions.start_offset_m if system == L.FIXED else conditions.kind[0]
-        y = initial_state(system, p, position=position, charged=conditions.charged_before)
-        first, count = (L.FP1, 2) if system == L.FIXED else (L.PB, 3)
-        names = conditions.chambers
-        for chamber, pressure in setup.residual_pa.items():
-            y[first + names.index(chamber)] += pressure
-        end_ns = int(self.sample_ns[-1])
-        like = (conditions, setup.timing, setup.creep_s, setup.has_line)
+        like = (setup.conditions, setup.timing, setup.creep_s, setup.has_line)
         if self._like != like:
-            m = modes(system, conditions.loads())
-            m[L.M_LINE] = 1 if setup.has_line else 0
-            u0 = np.zeros(3)
-            for index, name in enumerate(names):
-                u0[index] = 1.0 if name in conditions.charged_before else 0.0
-            moves = [(at / NS, *move) for at, *move in valve_moves(setup, end_ns)]
+            self._ready = _Ready.of(setup, int(self.sample_ns[-1]))
             self._like = like
-            self._ready = (m, u0, np.array(moves, dtype=np.float64).reshape(-1, 4))
-        fresh_m, fresh_u0, rows = self._ready
-        m = fresh_m.copy()
-        u0 = fresh_u0.copy()
-        n = active_states(system, m)
-        samples = self.sample_ns / NS
-        out = np.zeros((len(samples), n))
-        counts = np.zeros(4, dtype=np.int64)
-        start(y, m, p, self._workspace)
+        ready = self._ready
+        p = setup.p
+        y = initial_state(ready.system, p, position=ready.position, charged=ready.charged)
+        for chamber, pressure in setup.residual_pa.items():
+            y[ready.first + ready.names.index(chamber)] += pressure
+        m, counts = self._modes, self._counts
+        m[:] = ready.modes
+        self._valves[:] = ready.valves
+        self._valve_rates[:] = 0.0
+        self._step[0] = FIRST_STEP_S
+        counts[:] = 0
+        tabulated, table = filling_curves(setup.c)
+        out = np.empty((len(self._sample_s), ready.states))
         code = advance(
-            end_ns / NS,
+            float(self._sample_s[-1]),
             y,
             m,
-            u0,
-            np.zeros(3),
+            self._valves,
+            self._valve_rates,
             p,
             setup.c,
-            scales(system),
-            n,
+            ready.scale,
+            ready.states,
             0,
             self.tolerance,
-            np.array([1e-4]),
-            rows,
-            samples,
+            self._step,
+            ready.moves,
+            self._sample_s,
             out,
             self._events,
             counts,
             self._workspace,
-            *filling_curves(setup.c),
+            tabulated,
+            table,
+            NO_GRID,
+            0,
+            OWN_STEPS,
+            True,
         )
         self._happened = int(counts[0])
         if code != DONE:
             raise IntegrationError(f"integration stopped: {REASONS[code]}")
         if setup.gauge_lag_s > 0.0:
-            out[:, first : first + count] = lagged(
-                samples, out[:, first : first + count], setup.gauge_lag_s
-            )
+            gauged = slice(ready.first, ready.first + len(ready.names))
+            out[:, gauged] = lagged(self._sample_s, out[:, gauged], setup.gauge_lag_s)
         return out
 
     def derivatives(
@@ -122,9 +158,7 @@ class Predictor:
 
         moved: setups next to `setup`, each with one quantity changed by its step, which should be a
         share of about `plant.tangents.MOVE` of the quantity's size; columns: states wanted, all that
-        move by default.  The events move along.  None where a neighbour did not meet the same
-        events, or where the lanes do not cover the stroke (oil damper, leaks, gearbox): there a
-        difference of two runs of `states` is all there is.
+        move by default.  The events move along.  None where a neighbour did not meet the same events.
 
         Raises IntegrationError if the motion of `setup` cannot be continued.
         """
@@ -134,9 +168,7 @@ class Predictor:
         system = setup.conditions.system
         strokes = Strokes.from_setups(setups, int(self.sample_ns[-1]) / NS)
         wanted = range(active_states(system, strokes.modes[0])) if columns is None else columns
-        if not strokes.in_lanes[0]:
-            return self.states(setup)[:, list(wanted)], [None] * len(moved)
-        result, alike = neighbours(strokes, self.sample_ns / NS, wanted, tolerance)
+        result, alike = neighbours(strokes, self._sample_s, wanted, tolerance)
         if result.status[0] != DONE:
             raise IntegrationError(f"integration stopped: {REASONS[int(result.status[0])]}")
         first, count = (L.FP1, 2) if system == L.FIXED else (L.PB, 3)
@@ -144,7 +176,7 @@ class Predictor:
         for one, samples in zip(setups, result.samples, strict=True):
             if one.gauge_lag_s > 0.0:
                 samples[:, pressures] = lagged(
-                    self.sample_ns / NS, samples[:, pressures], one.gauge_lag_s
+                    self._sample_s, samples[:, pressures], one.gauge_lag_s
                 )
         base = result.samples[0]
         return base, [

@@ -18,7 +18,6 @@ from .integrate import (
     ROW,
     WORKSPACE_ROWS,
     advance,
-    start,
 )
 from .lane_control import (
     R_ARRIVAL,
@@ -38,7 +37,7 @@ FIRST_STEP = 1e-4
 @kernel
 def run_singles(
     system, packed, c, y0, m0, u0, switches, duration, samples, columns, scale, tolerance,
-    tabulated, table, order, results, final, out, events,
+    tabulated, table, order, results, final, out, events, grid, steps, use,
 ):  # fmt: skip
     """Simulate the strokes `order` of a batch by the scalar kernel; arguments as of `run_lanes`."""
     states = final.shape[1]
@@ -77,7 +76,6 @@ def run_singles(
             n = (FP2 if system == FIXED else SPENT) + 1
         for s in range(n, states):
             sampled[:, s] = y[s]
-        start(y, m, p, workspace)
         status = advance(
             duration[min(stroke, duration.shape[0] - 1)],
             y,
@@ -99,6 +97,10 @@ def run_singles(
             workspace,
             tabulated,
             table,
+            grid,
+            steps,
+            use,
+            True,
         )
         result = results[stroke]
         result[R_STATUS] = status

@@ -144,28 +144,39 @@ def dense_quartic(h, k, i):
     )
 
 
+@inlined
+def dense_element(h, y, y1, k, dense, i):
+    """Coefficients of element i of the order-4 interpolant of the last explicit step."""
+    d = y1[i] - y[i]
+    b = h * k[0, i] - d
+    dense[0, i] = y[i]
+    dense[1, i] = d
+    dense[2, i] = b
+    dense[3, i] = d - h * k[6, i] - b
+    dense[4, i] = dense_quartic(h, k, i)
+
+
 @called
 def explicit_dense(h, y, y1, k, dense, n_all):
     """Coefficients of the order-4 interpolant of the last explicit step -> dense[0:5]."""
     for i in range(n_all):
-        d = y1[i] - y[i]
-        b = h * k[0, i] - d
-        dense[0, i] = y[i]
-        dense[1, i] = d
-        dense[2, i] = b
-        dense[3, i] = d - h * k[6, i] - b
-        dense[4, i] = dense_quartic(h, k, i)
+        dense_element(h, y, y1, k, dense, i)
+
+
+@inlined
+def interpolated(theta, dense, i):
+    """Element i of the state at the fraction theta of the last step."""
+    rest = 1.0 - theta
+    return dense[0, i] + theta * (
+        dense[1, i] + rest * (dense[2, i] + theta * (dense[3, i] + rest * dense[4, i]))
+    )
 
 
 @called
 def interpolate(theta, dense, out, n_all):
     """State at the fraction theta of the last step -> out."""
-    rest = 1.0 - theta
     for i in range(n_all):
-        out[i] = dense[0, i] + theta * (
-            dense[1, i]
-            + rest * (dense[2, i] + theta * (dense[3, i] + rest * dense[4, i]))
-        )
+        out[i] = interpolated(theta, dense, i)
 
 
 @called

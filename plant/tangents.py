@@ -41,8 +41,7 @@ def neighbours(
         strokes, sample_s=sample_s, columns=columns, tolerance=tolerance, follow=True
     )
     alike = (
-        result.in_lanes
-        & result.in_lanes[0]
+        (result.in_lanes == result.in_lanes[0])
         & (result.status == DONE)
         & (result.steps == result.steps[0])
         & (result.event_count == result.event_count[0])

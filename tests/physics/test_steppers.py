@@ -19,8 +19,8 @@ Rhs = Callable[[float, Floats], Floats]
 
 PARTS = (
     "stage_1", "stage_2", "stage_3", "stage_4", "stage_5", "stage_6", "local_error",
-    "error_norm", "explicit_step", "explicit_dense", "dense_quartic", "interpolate", "jacobian",
-    "factorise", "solve", "stiff_step", "stiff_dense",
+    "error_norm", "explicit_step", "explicit_dense", "dense_element", "dense_quartic", "interpolate",
+    "interpolated", "jacobian", "factorise", "solve", "stiff_step", "stiff_dense",
 )  # fmt: skip
 
 

@@ -91,11 +91,50 @@ def test_a_neighbour_with_other_events_has_none() -> None:
     assert first is None and second is not None
 
 
-def test_what_the_lanes_do_not_cover_has_none() -> None:
-    base = setup("fixed", load="damper", damper_model="incompressible")
+TRUCK = {"mounted": True, "mesh_force_n": 500.0, "sync_impulse_n_s": 10.0}
+DAMPER = {"load": "damper", "damper_model": "compressible"}
+
+
+@pytest.mark.parametrize(
+    ("conditions", "leak", "places"),
+    [
+        (DAMPER, 0.0, (L.A_SMALL, L.KAPPA)),
+        ({**DAMPER, "damper_model": "incompressible"}, 0.0, (L.A_SMALL, L.RHO_OIL)),
+        (TRUCK, 0.0, (L.MESH_FORCE, L.SYNC_IMPULSE)),
+        ({}, 3e-7, (L.LEAK_ATM, L.F_RUN_S)),
+    ],
+    ids=["compressible damper", "incompressible damper", "truck", "leak"],
+)
+def test_what_the_lanes_do_not_cover_has_derivatives_too(
+    conditions: dict, leak: float, places: tuple[int, ...]
+) -> None:
+    base = setup("N-B", **conditions)
+    base.p[L.LEAK_ATM] = leak
+    size, columns = SIZE["N-B"], COLUMNS["N-B"]
+
+    def neighbour(place: int, share: float) -> Setup:
+        twin = copied(base)
+        twin.p[place] *= 1.0 + share
+        return twin
+
     predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64))
-    states, found = predictor.derivatives(base, [copied(base)], [1.0])
-    assert found == [None]
-    assert np.array_equal(states, predictor.states(base))
+    _, found = predictor.derivatives(
+        base,
+        [neighbour(i, MOVE) for i in places],
+        [MOVE * base.p[i] for i in places],
+        columns,
+        tolerance=1e-7,
+    )
+    exact = Predictor(predictor.sample_ns, 1e-11)
+    for place, ours in zip(places, found, strict=True):
+        assert ours is not None
+        up, down = (exact.states(neighbour(place, share))[:, columns] for share in (1e-5, -1e-5))
+        true = (up - down) / (2e-5 * base.p[place])
+        assert np.linalg.norm((ours - true) / size) < 1e-3 * np.linalg.norm(true / size)
+
+
+def test_as_many_steps_as_neighbours() -> None:
+    base = setup("fixed")
+    predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64))
     with pytest.raises(ValueError, match="steps"):
         predictor.derivatives(base, [copied(base)], [])
