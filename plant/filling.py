@@ -194,7 +194,7 @@ def curve_value(curve, tau):
 
 @inlined
 def faded(x):
-    """exp(-x) for x >= 0 to 1e-4, by its reciprocal's series: what is left behind the table is 2e-9."""
+    """exp(-x) for x >= 0 to 2e-3, by its reciprocal's series: what is left behind the table is 2e-9."""
     return 1.0 / (1.0 + x * (1.0 + x * (1 / 2 + x * (1 / 6 + x * (1 / 24 + x * (1 / 120 + x / 720))))))
 
 

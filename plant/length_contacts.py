@@ -621,13 +621,11 @@ def settle(t, y, m, p, work):
     m[M_STAY] = direction_of(y[VS], a)
     m[M_PISTON1] = m[M_STAY] if c1 != FREE else direction_of(y[V1], a1)
     m[M_PISTON2] = m[M_STAY] if c2 != FREE else direction_of(-y[V2], a2)
-    if touch1 != FREE:
-        y[X1] = y[XS] + (p[X_FREE] if touch1 == COLLAR else 0.0)
-    if touch2 != FREE:
-        y[X2] = (p[X_FREE] if touch2 == COLLAR else 0.0) - y[XS]
     if c1 != FREE:
+        y[X1] = y[XS] + (p[X_FREE] if c1 == COLLAR else 0.0)
         y[V1] = y[VS]
     if c2 != FREE:
+        y[X2] = (p[X_FREE] if c2 == COLLAR else 0.0) - y[XS]
         y[V2] = -y[VS]
     # the stay was put on its stop: a piston that is just leaving it must not stand inside it
     y[X1] = min(max(y[X1], y[XS]), y[XS] + p[X_FREE])
