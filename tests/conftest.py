@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import subprocess
 import sys
 from collections.abc import Callable
@@ -23,22 +24,25 @@ ROOT = Path(__file__).resolve().parent.parent
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
+def run_opc4(
+    folder: Path, *arguments: str, timeout: float = 120.0
+) -> subprocess.CompletedProcess[str]:
+    """Run `opc4 ...` in a process of its own, inside a folder."""
+    return subprocess.run(
+        [sys.executable, "-m", "sil.cli", *arguments],
+        cwd=folder,
+        env=_environment(),
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        check=False,
+    )
+
+
 @pytest.fixture
 def opc4(tmp_path: Path) -> Run:
     """Run `opc4 ...` in a process of its own, inside the test's folder."""
-
-    def run(*arguments: str, timeout: float = 120.0) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-m", "sil.cli", *arguments],
-            cwd=tmp_path,
-            env=_environment(),
-            capture_output=True,
-            text=True,
-            timeout=timeout,
-            check=False,
-        )
-
-    return run
+    return functools.partial(run_opc4, tmp_path)
 
 
 def _environment() -> dict[str, str]:

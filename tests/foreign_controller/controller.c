@@ -1,10 +1,12 @@
 /* A controller of the gear shift in plain C: joins a lockstep run over SocketCAN in place of ours.
  *
- *     cc -O2 -I FOLDER_OF_CONTRACT_H -o controller controller.c && ./controller vcan0
+ *     python -m sil.c_header > contract.h
+ *     cc -O2 -I . -o controller controller.c && ./controller vcan0
  *
- * It knows the CAN contract (contract.h: identifiers and E2E data ids, as its test takes them from
- * opc4.dbc) and the lockstep protocol (sil/transports/wire.py), nothing else.  Its firmware is the simplest that shifts: push until the sensor shows the gear in
- * three samples, blow for 150 ms, vent.  Exit code 0: the run ended regularly. */
+ * It knows the CAN contract (contract.h: identifiers and E2E data ids out of opc4.dbc) and the
+ * lockstep protocol (sil/transports/wire.py), nothing else.  Its firmware is the simplest that
+ * shifts: push until the sensor shows the gear in three samples, blow for 150 ms, vent.  Exit code
+ * 0: the run ended regularly. */
 #include <linux/can.h>
 #include <linux/can/raw.h>
 #include <net/if.h>

@@ -4,47 +4,105 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from tests.conftest import ROOT
+import pytest
+
+from tests.conftest import ROOT, run_opc4
 
 TUTORIAL = (ROOT / "sil" / "docs" / "tutorial.md").read_text(encoding="utf-8")
-STEP = re.compile(r"```(sh|toml|python)\n(.*?)```", re.DOTALL)
-FILE = re.compile(r"# file: (\S+)\n")
+STEP = re.compile(r"```(sh|toml|python|c)\n(.*?)```", re.DOTALL)
+FILE = re.compile(r"(?:#|/\*) file: (\S+)")
+ELSEWHERE = ("make demo", "export PATH")
+"""Installing is what CI itself begins with."""
+
+pytestmark = pytest.mark.slow
 
 
-def result(folder: Path) -> dict[str, object]:
-    found: dict[str, object] = json.loads((folder / "result.json").read_text())
+def commands(text: str) -> Iterator[tuple[list[str], int]]:
+    """The words of each command of a block, and the exit code that its remark tells."""
+    for line in text.strip().splitlines():
+        if not line.startswith(ELSEWHERE):
+            command, _, remark = line.partition("#")
+            told = re.search(r"exit (\d)", remark)
+            yield command.split(), int(told[1]) if told else 0
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+    """The folder after the whole tutorial, and the commands that were run."""
+    folder = tmp_path_factory.mktemp("tutorial")
+    told = []
+    for language, text in STEP.findall(TUTORIAL):
+        if language != "sh":
+            named = FILE.match(text)
+            assert named is not None, text
+            path = folder / named.group(1)
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+            continue
+        for words, expected in commands(text):
+            if words[0] == "cc":
+                subprocess.run([*words, "-Werror"], cwd=folder, check=True)
+            else:
+                assert words[0] == "opc4"
+                run = run_opc4(folder, *words[1:], timeout=1200.0)
+                assert run.returncode == expected, run.stderr + run.stdout
+            told.append(" ".join(words))
+    return folder, told
+
+
+def result(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "result.json").read_text())
     return found
 
 
-def test_the_tutorial(opc4: Callable[..., object], tmp_path: Path) -> None:
-    commands = 0
-    for language, text in STEP.findall(TUTORIAL):
-        named = FILE.match(text)
-        if language != "sh":
-            assert named is not None
-            (tmp_path / named.group(1)).write_text(text, encoding="utf-8")
-            continue
-        for line in text.strip().splitlines():
-            command, _, remark = line.partition("#")
-            expected = int(remark.split()[1]) if remark.strip().startswith("exit") else 0
-            program, *arguments = command.split()
-            assert program == "opc4"
-            done = opc4(*arguments)
-            assert done.returncode == expected, done.stderr + done.stdout  # type: ignore[attr-defined]
-            commands += 1
-    assert commands == 7
-    own, apart = result(tmp_path / "own"), result(tmp_path / "own_in_its_process")
-    assert own["passed"] and own["trace_sha256"] == apart["trace_sha256"]
-    lab = result(tmp_path / "first")["metrics"]
-    assert abs(lab["impact_speed_m_s"] - 0.94) < 0.01  # type: ignore[index]
-    assert abs(lab["shift_time_s"] - 0.051) < 0.0005  # type: ignore[index]
-    lines = (tmp_path / "closing" / "results.csv").read_text().splitlines()
+def test_every_step_was_run(done: tuple[Path, list[str]]) -> None:
+    assert len(done[1]) == 12
+    assert {words.split()[1] for words in done[1] if words.startswith("opc4")} == {
+        *("run", "whatif", "simulate", "diagnose"),
+    }
+
+
+def test_the_first_shift_is_as_told(done: tuple[Path, list[str]]) -> None:
+    lab = result(done[0] / "first")["metrics"]
+    assert lab["impact_speed_m_s"] == pytest.approx(0.94, abs=0.01)
+    assert lab["shift_time_s"] == pytest.approx(0.051, abs=0.0005)
+    for name in ("shift.png", "shift.svg", "report.html"):
+        assert (done[0] / "first" / name).stat().st_size > 10_000
+
+
+def test_the_closing_delay_changes_nothing(done: tuple[Path, list[str]]) -> None:
+    lines = (done[0] / "closing" / "results.csv").read_text().splitlines()
     assert len(lines) == 7
     column = lines[0].split(",").index("impact_speed_m_s")
-    speeds = {line.split(",")[1]: set() for line in lines[1:]}  # type: ignore[var-annotated]
+    by_load: dict[str, set[str]] = {}
     for line in lines[1:]:
-        speeds[line.split(",")[1]].add(line.split(",")[column])
-    assert all(len(found) == 1 for found in speeds.values())  # as the text says
+        by_load.setdefault(line.split(",")[1], set()).add(line.split(",")[column])
+    assert all(len(found) == 1 for found in by_load.values())
+
+
+def test_the_diagnosis_finds_the_late_valve(done: tuple[Path, list[str]]) -> None:
+    found = json.loads((done[0] / "diagnosis" / "diagnosis.json").read_text())
+    assert found["verdict"] == "named"
+    (cause,) = found["causes"]
+    assert cause["id"] == "valve_open_delay" and cause["probability"] > 0.9
+    assert cause["parameters"]["delay_s"]["value"] == pytest.approx(0.005, abs=0.0002)
+    late = result(done[0] / "as_it_is")["metrics"]["shift_time_s"]
+    assert late - result(done[0] / "first")["metrics"]["shift_time_s"] == pytest.approx(0.005, abs=2e-4)
+
+
+def test_own_controllers_shift_and_are_one(done: tuple[Path, list[str]]) -> None:
+    names = ("own", "own_in_its_process", "own_in_c")
+    runs = [result(done[0] / name) for name in names]
+    assert all(run["passed"] for run in runs)
+    assert len({run["trace_sha256"] for run in runs}) == 1
+
+
+def test_every_step_says_its_minutes() -> None:
+    steps = re.findall(r"^## \d+\. (.*)$", TUTORIAL, re.MULTILINE)
+    assert len(steps) == 8
+    assert all(re.search(r"\(\d+ minutes\)$", step) for step in steps[:7])

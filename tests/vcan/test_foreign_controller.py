@@ -15,22 +15,16 @@ from pathlib import Path
 import can
 import pytest
 
-from can_dbc.codec import can_id_of, spec_of
+from can_dbc.codec import can_id_of
 from can_dbc.e2e import E2eStatus, Receiver
 from can_dbc.frame import Frame
-from can_dbc.messages import (
-    ControllerStatus,
-    PositionPulse,
-    SafetyBlow,
-    ShiftRequest,
-    ValveCommand,
-)
+from can_dbc.messages import ControllerStatus, SafetyBlow, ValveCommand
+from sil.c_header import header
+from tests.conftest import ROOT
 
 pytestmark = pytest.mark.vcan
 
 HERE = Path(__file__).resolve().parents[1] / "foreign_controller"
-ROOT = HERE.parents[1]
-USED = (ShiftRequest, PositionPulse, ValveCommand, SafetyBlow, ControllerStatus)
 
 
 PATIENCE_S = 400.0
@@ -47,21 +41,11 @@ def hashes() -> set[str]:
 def controller(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The controller, built with the system's compiler without a warning."""
     folder = tmp_path_factory.mktemp("built")
-    (folder / "contract.h").write_text("".join(constants(kind) for kind in USED))
+    (folder / "contract.h").write_text(header())
     flags = ["-O2", "-Wall", "-Wextra", "-Werror", "-I", folder]
     program = folder / "controller"
     subprocess.run(["cc", *flags, "-o", program, HERE / "controller.c"], check=True)
     return program
-
-
-def constants(kind: type) -> str:
-    """Return the identifier and the E2E data ids of a message as C."""
-    spec = spec_of(kind)
-    name = re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).upper()
-    ids = ", ".join(map(str, spec.e2e_data_ids))
-    return (
-        f"#define {name} 0x{spec.can_id:08X}u\nstatic const uint8_t {name}_IDS[16] = {{ {ids} }};\n"
-    )
 
 
 @contextlib.contextmanager
@@ -140,3 +124,27 @@ def test_a_second_one_is_refused_and_without_the_first_the_run_ends(
     assert coordinator.returncode == 3
     assert "controller did not answer within 2 s: it stalled" in complaints
     assert json.loads(told)["complete"] is False
+
+
+def test_the_tutorial_s_own_program_joins(tmp_path: Path) -> None:
+    """The commands of the tutorial's step, as they stand there."""
+    tutorial = (ROOT / "sil" / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```bash\n(.*?)```", tutorial, re.DOTALL)
+    (tmp_path / "tests").symlink_to(ROOT / "tests")
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    for name, arguments in (("python", ""), ("opc4", "-m sil.cli ")):
+        (programs / name).write_text(f'#!/bin/sh\nexec "{sys.executable}" {arguments}"$@"\n')
+        (programs / name).chmod(0o755)
+    path = f"{programs}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-eu", "-c", block],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert json.loads((tmp_path / "foreign_shift" / "result.json").read_text())["passed"]

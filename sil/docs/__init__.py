@@ -1,0 +1,1 @@
+"""Tutorial, theory and reference."""
