@@ -42,12 +42,12 @@ def run(arguments: argparse.Namespace) -> int:
             print(text, file=sys.stderr)
 
     result = diagnose(campaign, parameters, workers=max(1, arguments.workers), progress=told)
-    plain = finite(result.as_json())
-    text = json.dumps(plain, indent=1, ensure_ascii=False)
-    (folder / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
     if result.extended is not None:
         (folder / "extended_model.toml").write_text(result.extended, encoding="utf-8")
-    write_report(result, folder, arguments.campaign, arguments.model)
+    beyond = write_report(result, folder, arguments.campaign, arguments.model)
+    plain = finite(result.as_json() | beyond)
+    text = json.dumps(plain, indent=1, ensure_ascii=False)
+    (folder / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
     if arguments.json:
         print(json.dumps(plain, ensure_ascii=False))
     else:

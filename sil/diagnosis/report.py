@@ -5,6 +5,7 @@ Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,13 @@ PHASES_CAPTION = (
 )
 
 
-def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> None:
-    """Write report.html and its figures for a diagnosis of the campaign at `campaign`."""
+def write_report(
+    result: Diagnosis, folder: Path, campaign: str, model: str
+) -> dict[str, Any]:
+    """Write report.html and its figures for a diagnosis of the campaign at `campaign`.
+
+    Returns the page's numbers beyond those of `Diagnosis.as_json`.
+    """
     before, after = show(result.model, result.healthy), show(result.model, result.final)
     where = "held out" if result.held_out else "measured"
     pictures = {
@@ -93,6 +99,29 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
         extended=result.extended,
     )
     (folder / "report.html").write_text(page, encoding="utf-8")
+    return {
+        "explanations": [explanation(item, result) for item in result.judged],
+        "residuals": {"before": plain_residuals(before), "after": plain_residuals(after)},
+    }
+
+
+def explanation(item: Judged, result: Diagnosis) -> dict[str, Any]:
+    """One explanation in plain numbers: behind is in log evidence, left_over an rms."""
+    pairs = zip(item.training.candidates, item.training.values, strict=True)
+    return {
+        "name": item.name,
+        "behind": item.score - result.judged[0].score,
+        "probability": item.probability,
+        "left_over": item.misfit.rms,
+        "parameters": {candidate.name: dict(own) for candidate, own in pairs},
+    }
+
+
+def plain_residuals(shown: Shown) -> dict[str, Any]:
+    """Residuals in plain numbers: standardised rms, and what they depend on."""
+    plain = asdict(shown)
+    plain["cross"] = [{"channels": list(pair), "value": v} for pair, v in shown.cross.items()]
+    return plain
 
 
 def figures(parameters: dict[str, Any]) -> list[str]:

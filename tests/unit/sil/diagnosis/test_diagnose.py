@@ -10,6 +10,7 @@ import pytest
 from plant.parameters import Parameter, ParameterSet, load
 from sil.diagnosis.diagnosis import diagnose
 from sil.diagnosis.report import write_report
+from sil.results import finite
 from tests.unit.sil.diagnosis.made_campaign import made
 
 pytestmark = pytest.mark.slow
@@ -54,7 +55,10 @@ def test_a_hidden_effect_is_named_with_its_gain_and_model(tmp_path) -> None:
     path.write_text(found.extended, encoding="utf-8")
     extended = load(path)
     assert extended.effects["exhaust_clog"]["factor"].value == pytest.approx(factor.value)
-    write_report(found, tmp_path, "measured/", "nominal")
+    told = json.loads(json.dumps(finite(write_report(found, tmp_path, "measured/", "nominal"))))
+    assert told["explanations"][0]["behind"] == 0.0 and told["explanations"][0]["left_over"] < 1.1
+    after = told["residuals"]["after"]
+    assert after["relative"]["position_m"]["mean"] < 0.01 and after["cross"]
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert {"strokes.png", "strokes.svg", "phases.png", "phases.svg"} <= set(os.listdir(tmp_path))
     assert "exhaust_clog" in text and "http://" not in text and "https://" not in text
