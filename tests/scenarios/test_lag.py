@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sil import cosim, metrics, scenario
+from sil.memory import run_in_memory
 
 PHASES_MS = range(10)
 
 
-def lags(tmp_path: Path, *settings: str) -> dict[str, np.ndarray]:
+@cache
+def lags(*settings: str) -> dict[str, np.ndarray]:
     """Shift the sensor, the firmware stays: the stroke begins at ten phases of their raster."""
     rows = []
     for phase in PHASES_MS:
-        folder = tmp_path / str(phase)
-        folder.mkdir(parents=True)
         loaded = scenario.load(
             "lab_n_b", settings=[*settings, f"valve.D_rise={0.008 + 1e-3 * phase}"]
         )
-        (shift,) = cosim.run(loaded, folder).shifts
+        (shift,) = run_in_memory(loaded).shifts
         rows.append(shift)
     names = ("position_lag_10", "position_lag_90", "bus_lag_10", "bus_lag_90")
     found = {n: np.array([getattr(r, f"{n}_s") for r in rows]) for n in names}
@@ -36,10 +37,10 @@ def lags(tmp_path: Path, *settings: str) -> dict[str, np.ndarray]:
     [((), 0.030, 0.040), (("controller.filter=false",), 0.010, 0.010)],
     ids=["filter", "no filter"],
 )
-def test_lag(settings: tuple[str, ...], at_10: float, at_90: float, tmp_path: Path) -> None:
+def test_lag(settings: tuple[str, ...], at_10: float, at_90: float) -> None:
     """The mean of the held lag over all phases is what the thesis tells, within 2.5 ms; the figure
     of a single run is that mean, within what its one phase can know; so is the bus log's."""
-    found = lags(tmp_path, *settings)
+    found = lags(*settings)
     assert np.ptp(found["held_10"]) > 0.005  # a single held lag depends on the phase
     for share, told in ((10, at_10), (90, at_90)):
         mean = float(np.mean(found[f"held_{share}"]))
@@ -50,9 +51,9 @@ def test_lag(settings: tuple[str, ...], at_10: float, at_90: float, tmp_path: Pa
             assert np.max(np.abs(single - mean)) < 3e-3
 
 
-def test_the_filter_makes_it_three_times_slower_and_growing(tmp_path: Path) -> None:
-    with_filter = lags(tmp_path / "on")
-    without = lags(tmp_path / "off", "controller.filter=false")
+def test_the_filter_makes_it_three_times_slower_and_growing() -> None:
+    with_filter = lags()
+    without = lags("controller.filter=false")
     assert np.mean(with_filter["held_10"]) / np.mean(without["held_10"]) == pytest.approx(
         3, abs=0.5
     )
@@ -62,6 +63,7 @@ def test_the_filter_makes_it_three_times_slower_and_growing(tmp_path: Path) -> N
 
 def test_the_metric_is_the_shifts(tmp_path: Path) -> None:
     finished = cosim.run(scenario.load("lab_n_b"), tmp_path)
+    assert finished.shifts == run_in_memory(scenario.load("lab_n_b")).shifts
     figures, (shift,) = finished.result.metrics, finished.shifts
     assert figures["position_lag_10_s"] == shift.position_lag_10_s
     assert isinstance(shift, metrics.Shift)

@@ -32,6 +32,7 @@ def test_commands_in_the_readme_are_those_that_exist() -> None:
     assert set(re.findall(r"^\| `opc4 (\w+)", table, flags=re.MULTILINE)) == set(cli.COMMANDS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "line", [ln for b in blocks("sh") for ln in b.splitlines() if ln.startswith("opc4 run ")]
 )

@@ -13,6 +13,7 @@ from sil import cosim, scenario
 from sil.logs import open_log
 from sil.memory import run_in_memory
 from sil.replays.replay import Order, Outcome, replay
+from tests.scenarios.conftest import ShippedRun
 
 NAMES = sorted(scenario.shipped())
 SOME = ("bus_off", "full_shift", "late_valve_commands", "strategy_predictive")
@@ -35,15 +36,17 @@ def require_no_difference(found: Outcome, log: Path) -> None:
 
 
 @pytest.mark.parametrize("name", SOME)
-def test_a_recorded_run_replays_without_a_difference(name: str, tmp_path: Path) -> None:
-    log = recorded(tmp_path / "run", name)
+def test_a_recorded_run_replays_without_a_difference(name: str, shipped_run: ShippedRun) -> None:
+    log = shipped_run(name)[1] / "bus.log"
     require_no_difference(replay(Order(str(log))), log)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_every_shipped_scenario_replays_without_a_difference(name: str, tmp_path: Path) -> None:
-    log = recorded(tmp_path / "run", name)
+def test_every_shipped_scenario_replays_without_a_difference(
+    name: str, shipped_run: ShippedRun
+) -> None:
+    log = shipped_run(name)[1] / "bus.log"
     found = replay(Order(str(log), plant=True))
     require_no_difference(found, log)
     assert found.plant is not None
@@ -76,8 +79,10 @@ def coil_edges_ns(log: Path, period_ns: int) -> dict[tuple[str, bool], list[int]
 
 
 @pytest.mark.parametrize("name", ["lab_n_b", "lab_b_n", "full_shift", "truck_into_gear_easy"])
-def test_the_filter_removed_moves_every_edge_as_two_runs_say(name: str, tmp_path: Path) -> None:
-    with_filter = recorded(tmp_path / "with", name)
+def test_the_filter_removed_moves_every_edge_as_two_runs_say(
+    name: str, shipped_run: ShippedRun, tmp_path: Path
+) -> None:
+    with_filter = shipped_run(name)[1] / "bus.log"
     without = recorded(tmp_path / "without", name, "controller.filter=false")
     found = replay(Order(str(with_filter), settings=["controller.filter=false"]))
     period_ns = found.grid.period_ns
@@ -111,10 +116,10 @@ def test_the_filter_removed_moves_every_edge_as_two_runs_say(name: str, tmp_path
     ],
 )
 def test_the_loop_closed_gives_what_a_run_of_that_firmware_gives(
-    name: str, setting: str, closed_ns: int, tmp_path: Path
+    name: str, setting: str, closed_ns: int, shipped_run: ShippedRun
 ) -> None:
     """Bit by bit: the position that the plant published, and every state at its tick."""
-    log = recorded(tmp_path / "run", name)
+    log = shipped_run(name)[1] / "bus.log"
     found = replay(Order(str(log), settings=[setting], closed_loop=True))
     assert found.plant is not None and found.plant.closed_ns == closed_ns
     run = run_in_memory(scenario.load(name, settings=[setting])).record
@@ -127,14 +132,16 @@ def test_the_loop_closed_gives_what_a_run_of_that_firmware_gives(
     assert found.comparison.states[0].sides[1] == states
 
 
-def test_a_loop_that_never_parts_stays_open(tmp_path: Path) -> None:
-    log = recorded(tmp_path / "run", "lab_n_b")
+def test_a_loop_that_never_parts_stays_open(shipped_run: ShippedRun) -> None:
+    log = shipped_run("lab_n_b")[1] / "bus.log"
     found = replay(Order(str(log), closed_loop=True))
     assert not found.differs and found.plant is not None and found.plant.closed_ns is None
 
 
-def test_a_plant_that_is_another_is_told_from_a_unit_that_is_another(tmp_path: Path) -> None:
-    log = recorded(tmp_path / "run", "lab_n_b")
+def test_a_plant_that_is_another_is_told_from_a_unit_that_is_another(
+    shipped_run: ShippedRun,
+) -> None:
+    log = shipped_run("lab_n_b")[1] / "bus.log"
     plant = replay(Order(str(log), settings=["valve.D_fall=0.02"], plant=True))
     assert plant.plant is not None
     assert not plant.comparison.differs and plant.plant.differing > 0 and plant.differs

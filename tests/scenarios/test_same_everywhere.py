@@ -13,6 +13,7 @@ import pytest
 from can_dbc.errors import InputError
 from sil import cosim, scenario
 from tests.conftest import ROOT
+from tests.scenarios.conftest import ShippedRun
 
 
 def run(folder: Path, name: str, **how: object) -> cosim.Finished:
@@ -21,13 +22,15 @@ def run(folder: Path, name: str, **how: object) -> cosim.Finished:
 
 
 @pytest.mark.parametrize("name", ["lab_n_b", "lost_frames", "dead_controller"])
-def test_one_process_and_three_processes_on_the_local_bus(name: str, tmp_path: Path) -> None:
-    one = run(tmp_path / "inproc", name)
+def test_one_process_and_three_processes_on_the_local_bus(
+    name: str, shipped_run: ShippedRun, tmp_path: Path
+) -> None:
+    one, folder = shipped_run(name)
     many = run(tmp_path / "local", name, transport="local")
     assert one.result.passed and many.result.passed
     assert one.result.trace_sha256 == many.result.trace_sha256
     for file in ("bus.log", "trace.csv", "events.jsonl"):
-        assert (tmp_path / "inproc" / file).read_bytes() == (tmp_path / "local" / file).read_bytes()
+        assert (folder / file).read_bytes() == (tmp_path / "local" / file).read_bytes()
     assert one.result.metrics == many.result.metrics
 
 

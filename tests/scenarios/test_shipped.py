@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from sil import cosim, scenario
+from tests.scenarios.conftest import ShippedRun
 
 NAMES = sorted(scenario.shipped())
 
@@ -33,20 +34,20 @@ def test_at_least_the_promised_scenarios_are_shipped() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_shipped_scenario(name: str, tmp_path: Path) -> None:
-    finished = cosim.run(scenario.load(name), tmp_path)
+def test_shipped_scenario(name: str, shipped_run: ShippedRun) -> None:
+    finished, folder = shipped_run(name)
     failed = [c for c in finished.result.expectations if not c.passed]
     assert finished.result.complete, finished.result.why
     assert not failed
     assert len(finished.result.expectations) >= 10, "too little is expected of this scenario"
     assert finished.result.metrics["valve_switchings"] >= 1
-    assert sorted(p.name for p in tmp_path.iterdir()) == [
+    assert sorted(p.name for p in folder.iterdir()) == [
         "bus.log",
         "events.jsonl",
         "result.json",
         "trace.csv",
     ]
-    assert json.loads((tmp_path / "result.json").read_text())["passed"] is True
+    assert json.loads((folder / "result.json").read_text())["passed"] is True
 
 
 def test_a_result_runs_again_as_it_was(tmp_path: Path) -> None:

@@ -41,7 +41,10 @@ def test_same_bits_in_its_own_process_over_vcan(name: str, tmp_path: Path) -> No
     assert finished.result.trace_sha256 == memory.trace_sha256
 
 
-@pytest.mark.parametrize("name", STRATEGIES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow) if n == "predictive" else n for n in STRATEGIES],
+)
 def test_a_step_costs_no_more_operations_than_it_says(name: str) -> None:
     """Bounded work: what each strategy's docstring states."""
     stated = {"blow_cut": 0, "air_cushion": 20, "sliding_mode": 20, "bang_bang": 60_000}

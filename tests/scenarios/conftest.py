@@ -1,0 +1,26 @@
+"""Shipped scenarios as they are, run once for all tests that only look at what they left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from sil import cosim, scenario
+
+ShippedRun = Callable[[str], tuple[cosim.Finished, Path]]
+
+
+@pytest.fixture(scope="session")
+def shipped_run(tmp_path_factory: pytest.TempPathFactory) -> ShippedRun:
+    """The finished run of a shipped scenario in one process, and its folder: not to be changed."""
+    known: dict[str, tuple[cosim.Finished, Path]] = {}
+
+    def of(name: str) -> tuple[cosim.Finished, Path]:
+        if name not in known:
+            folder = tmp_path_factory.mktemp(name)
+            known[name] = cosim.run(scenario.load(name), folder), folder
+        return known[name]
+
+    return of
