@@ -1,5 +1,13 @@
-"""The project's input error, as the plant raises it (defined beside the CAN contract)."""
+"""The plant's errors; the project's input error is defined beside the CAN contract."""
 
 from can_dbc.errors import InputError
 
-__all__ = ["InputError"]
+__all__ = ["InputError", "IntegrationError", "NoVolumeError"]
+
+
+class IntegrationError(ArithmeticError):
+    """The integrator could not go on; says where and why."""
+
+
+class NoVolumeError(InputError, IntegrationError):
+    """A chamber shrinks to nothing: its volume was given too small."""

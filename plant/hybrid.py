@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from . import layout as L
 from . import length_contacts as guard
+from .errors import IntegrationError, NoVolumeError
 from .filling import NO_CURVES
 from .integrate import (
     DONE,
@@ -33,6 +34,7 @@ from .integrate import (
     start,
 )
 from .packing import Floats, Load, modes, scales
+from .volumes import emptied, refuse_empty, volumes_m3
 
 NS = 1_000_000_000
 DEFAULT_TOLERANCE = 1e-8
@@ -65,15 +67,14 @@ GUARD_NAMES = {
 MOST_EVENTS = 2000
 """Of one call of `advance`: stick-slip between closed chambers makes hundreds in a quarter second."""
 
+NOTHING_LEFT = 1e-2
+"""Share of a chamber's volume below which a motion that cannot go on is put down to it."""
+
 REASONS = {
     TOO_MANY_EVENTS: "too many events",
     STEP_TOO_SMALL: "the step became too small",
     NOT_FINITE: "the state is not finite",
 }
-
-
-class IntegrationError(ArithmeticError):
-    """The integrator could not go on; says where and why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +140,7 @@ class HybridSystem:
         *,
         has_line: bool = False,
     ) -> None:
+        refuse_empty(system, p, [y])
         self._system = system
         self._n = L.FIXED_STATES if system == L.FIXED else L.LENGTH_STATES
         self._p = p
@@ -255,9 +257,11 @@ class HybridSystem:
         )
         self._note_events()
         if code != DONE:
-            raise IntegrationError(
-                f"integration stopped after {self.now_ns / NS:.6f} s: {REASONS[code]}"
-            )
+            message = f"integration stopped after {self.now_ns / NS:.6f} s: {REASONS[code]}"
+            shut = emptied(self._system, self._p, [self._y], share=NOTHING_LEFT)
+            if shut:
+                raise NoVolumeError(f"{shut} ({message})")
+            raise IntegrationError(message)
         self.now_ns = until_ns
         return out
 
@@ -282,25 +286,13 @@ class HybridSystem:
             )
 
     # --- balances -----------------------------------------------------------------------------
-    def _volumes(self) -> list[float]:
-        p, y = self._p, self._y
-        if self._system == L.FIXED:
-            return [
-                p[L.VOL_B] + p[L.AREA_P] * y[L.FX],
-                p[L.VOL_N] - p[L.AREA_P2] * y[L.FX],
-            ]
-        return [
-            p[L.VOL_B] + p[L.AREA_P] * y[L.X1] + p[L.AREA_S] * y[L.XS],
-            p[L.VOL_N] - p[L.AREA_P] * (y[L.X1] + y[L.X2]),
-            p[L.VOL_F] + p[L.AREA_P] * y[L.X2] - p[L.AREA_S] * y[L.XS],
-        ]
-
     def _pressures(self) -> list[float]:
         first = L.FP1 if self._system == L.FIXED else L.PB
         return [float(self._y[first + k]) for k in range(len(self.chambers))]
 
     def _pv(self) -> list[float]:
-        return [float(p * v) for p, v in zip(self._pressures(), self._volumes(), strict=True)]
+        volumes = volumes_m3(self._system, self._p, self._y)
+        return [float(p * v) for p, v in zip(self._pressures(), volumes, strict=True)]
 
     def _kinetic(self) -> float:
         p, y = self._p, self._y

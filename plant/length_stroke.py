@@ -16,6 +16,7 @@ from .integrate import start
 from .packing import Load, flow_coefficients, initial_state, pack
 from .parameters import ParameterSet
 from .run_effects import applied
+from .volumes import ends_of_travel, refuse_empty
 
 
 class LengthStroke(HybridSystem):
@@ -100,6 +101,8 @@ class LengthStroke(HybridSystem):
             setup = applied(parameters, p, c, float(p[L.P_SUPPLY]), damper is not None)
             self.valve_delays_ns = (setup.timing.rise_ns, setup.timing.fall_ns)
             has_line = setup.has_line
+        # every shift sweeps chamber N; the others shrink in one gear only, which may never come
+        refuse_empty(L.LENGTH, p, ends_of_travel(L.LENGTH, p), "N")
         y = initial_state(
             L.LENGTH, p, position=initial, charged=charged, quadratures=L.QUADRATURES
         )

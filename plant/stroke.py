@@ -18,6 +18,7 @@ from .parameters import ParameterSet
 from .setup import Setup, make_setup
 from .stroke_conditions import FULL_DUTY, KINDS, StrokeConditions
 from .valve import seconds_to_ns, switch_schedule
+from .volumes import ends_of_travel, refuse_empty
 
 __all__ = ["KINDS", "Stroke", "StrokeConditions", "run_setup", "simulate"]
 
@@ -84,6 +85,7 @@ class StrokeSystem(HybridSystem):
             raise InputError(
                 f"start offset {conditions.start_offset_m} m: expected 0 to {p[L.STROKE]}"
             )
+        refuse_empty(system, p, ends_of_travel(system, p, (conditions.kind[0], conditions.kind[-1])))
         y = initial_state(
             system,
             p,

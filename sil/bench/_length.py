@@ -116,7 +116,7 @@ def measure() -> Iterator[str]:
         raise RuntimeError("a stroke of the batch did not run")
     each_s = (
         best_s(
-            lambda: simulate_batch(many, sample_s=TIMES, columns=pressures, tolerance=setting), 2
+            lambda: simulate_batch(many, sample_s=TIMES, columns=pressures, tolerance=setting), 5
         )
         / BATCH
     )

@@ -17,10 +17,10 @@ from plant.setup import Setup
 from sil.campaign import Campaign, CampaignStroke
 from sil.diagnosis.fit import Fitter
 from sil.diagnosis.hypotheses import Candidate
-from sil.diagnosis.model import CampaignModel
 from sil.diagnosis.nuisance import Spread
 from sil.diagnosis.observations import observe
 from sil.identify.estimate import Estimate
+from sil.identify.tangent_model import TangentModel
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def fit_factors(
     tolerances that the parameters themselves express (kept at zero).
     """
     observed = [replace(observe(entry, campaign.record(entry), parameters), internal=None) for entry in strokes]
-    model = CampaignModel(observed, Spread.of(parameters))
+    model = TangentModel(observed, Spread.of(parameters))
     paths = tuple(places)
 
     def change(setup: Setup, values: dict[str, float]) -> None:
