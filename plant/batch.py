@@ -39,6 +39,9 @@ from .stroke import valve_moves
 
 BATCH_TOLERANCE = 1e-6
 LONGEST_GRID = 4096
+FREE_PLACES, FREE_MODES = np.array(FREE_OF), np.array(MODES_FREE_OF)
+BEGIN = np.array([L.P_ATM, L.P_SUPPLY, L.STROKE, L.STOP_OFFSET, L.X_FREE])
+"""What a state at time 0 depends on."""
 Bools = NDArray[np.bool_]
 
 
@@ -99,6 +102,7 @@ class Strokes:
         """
         if len({setup.conditions.system for setup in setups}) != 1:
             raise ValueError("a batch holds strokes of one system")
+        packed = np.array([setup.p for setup in setups])
         like: tuple | None = None
         driven: tuple[Ints, Floats, Floats] | None = None
         items = []
@@ -113,12 +117,12 @@ class Strokes:
         longest = max(len(item) for item in switches)
         return cls(
             system=setups[0].conditions.system,
-            packed=np.array([setup.p for setup in setups]),
-            flow=_shared([setup.c for setup in setups]),
-            initial=_shared([_initial(setup) for setup in setups]),
-            modes=_shared(modes_),
-            valves=_shared(valves),
-            switches=_shared([_padded(item, longest) for item in switches]),
+            packed=packed,
+            flow=shared([setup.c for setup in setups]),
+            initial=shared(initials(setups, packed)),
+            modes=shared(modes_),
+            valves=shared(valves),
+            switches=shared([_padded(item, longest) for item in switches]),
             duration_s=np.array([duration_s]),
         )
 
@@ -157,8 +161,13 @@ class Strokes:
     @property
     def in_lanes(self) -> Bools:
         """Which strokes the lanes cover."""
-        plain: Bools = (self.packed[:, list(FREE_OF)] == 0.0).all(axis=1)
-        return plain & (self.modes[:, list(MODES_FREE_OF)] == 0).all(axis=1)
+        return covered_by_lanes(self.packed, self.modes)
+
+
+def covered_by_lanes(packed: Floats, modes: Ints) -> Bools:
+    """Which strokes the lanes cover; arrays as those of `Strokes`."""
+    used = packed.take(FREE_PLACES, axis=1).any(axis=1) | modes.take(FREE_MODES, axis=1).any(axis=1)
+    return np.logical_not(used)
 
 
 def _initial(setup: Setup) -> Floats:
@@ -175,6 +184,20 @@ def _initial(setup: Setup) -> Floats:
     for chamber, pressure in setup.residual_pa.items():
         y[first + conditions.chambers.index(chamber)] += pressure
     return y
+
+
+def initials(setups: Sequence[Setup], packed: Floats) -> list[Floats]:
+    """States at time 0; the first one's again for those that begin as it does."""
+    first = setups[0]
+    begin = _initial(first)
+    places = packed.take(BEGIN, axis=1)
+    same = (places == places[0]).all(axis=1)
+    return [
+        begin
+        if alike and one.conditions is first.conditions and one.residual_pa == first.residual_pa
+        else _initial(one)
+        for one, alike in zip(setups, same.tolist(), strict=True)
+    ]
 
 
 def _driven(setup: Setup, duration_s: float) -> tuple[Ints, Floats, Floats]:
@@ -200,7 +223,7 @@ def _padded(switches: Floats, rows: int) -> Floats:
     return filled
 
 
-def _shared(arrays: Sequence[NDArray]) -> NDArray:
+def shared(arrays: Sequence[NDArray]) -> NDArray:
     """One row if all are equal, else all rows."""
     if all(item is arrays[0] for item in arrays):
         return arrays[0][None].copy()

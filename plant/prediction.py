@@ -14,17 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import layout as L
-from .batch import BATCH_TOLERANCE, Strokes
+from .batch import BATCH_TOLERANCE, Strokes, initials, shared
 from .filling import filling_curves
 from .hybrid import NO_GRID, NS, REASONS, WORKSPACE, IntegrationError
 from .integrate import DONE, EVENT_COLUMNS, OWN_STEPS, advance
 from .packing import Floats, Ints, active_states, initial_state, modes, scales
 from .setup import Setup
 from .stroke import lagged, valve_moves
-from .tangents import neighbours
+from .tangents import Followers
 
 FIT_TOLERANCE = 1e-7
 FIRST_STEP_S = 1e-4
+
+
+def _like(setup: Setup) -> tuple:
+    """What decides modes and valves of a stroke."""
+    return setup.conditions, setup.timing, setup.creep_s, setup.has_line
 
 
 class _Ready(NamedTuple):
@@ -84,22 +89,26 @@ class Predictor:
         self._valves, self._valve_rates = np.zeros(3), np.zeros(3)
         self._step = np.zeros(1)
         self._counts = np.zeros(4, dtype=np.int64)
+        self._followers: Followers | None = None
 
     @property
     def happened(self) -> Floats:
         """Events of the last call of `states`, rows of `plant.integrate.EVENT_COLUMNS`."""
         return self._events[: self._happened]
 
+    def _prepared(self, setup: Setup) -> _Ready:
+        like = _like(setup)
+        if self._like != like:
+            self._ready = _Ready.of(setup, int(self.sample_ns[-1]))
+            self._like = like
+        return self._ready
+
     def states(self, setup: Setup) -> Floats:
         """States [n, states] at the instants; pressures behind the lines' lag if there is one.
 
         Raises IntegrationError if the motion cannot be continued.
         """
-        like = (setup.conditions, setup.timing, setup.creep_s, setup.has_line)
-        if self._like != like:
-            self._ready = _Ready.of(setup, int(self.sample_ns[-1]))
-            self._like = like
-        ready = self._ready
+        ready = self._prepared(setup)
         p = setup.p
         y = initial_state(ready.system, p, position=ready.position, charged=ready.charged)
         for chamber, pressure in setup.residual_pa.items():
@@ -166,23 +175,34 @@ class Predictor:
             raise ValueError(f"{len(moved)} setups and {len(steps)} steps")
         setups = [setup, *moved]
         system = setup.conditions.system
-        strokes = Strokes.from_setups(setups, int(self.sample_ns[-1]) / NS)
-        wanted = range(active_states(system, strokes.modes[0])) if columns is None else columns
-        result, alike = neighbours(strokes, self._sample_s, wanted, tolerance)
-        if result.status[0] != DONE:
-            raise IntegrationError(f"integration stopped: {REASONS[int(result.status[0])]}")
-        first, count = (L.FP1, 2) if system == L.FIXED else (L.PB, 3)
-        pressures = [k for k, place in enumerate(wanted) if first <= place < first + count]
-        for one, samples in zip(setups, result.samples, strict=True):
-            if one.gauge_lag_s > 0.0:
-                samples[:, pressures] = lagged(
-                    self._sample_s, samples[:, pressures], one.gauge_lag_s
-                )
-        base = result.samples[0]
-        return base, [
-            (result.samples[k + 1] - base) / step if alike[k + 1] else None
-            for k, step in enumerate(steps)
-        ]
+        ready = self._prepared(setup)
+        if all(_like(one) == self._like for one in moved):
+            packed = np.array([one.p for one in setups])
+            flow = shared([one.c for one in setups])
+            initial = shared(initials(setups, packed))
+            modes_, valves, switches = ready.modes[None, : L.MODES], ready.valves[None], ready.moves[None]
+            driven = (modes_, valves, switches, self._sample_s[-1:])
+        else:
+            strokes = Strokes.from_setups(setups, float(self._sample_s[-1]))
+            packed, flow, initial = strokes.packed, strokes.flow, strokes.initial
+            driven = (strokes.modes, strokes.valves, strokes.switches, strokes.duration_s)
+        wanted = np.arange(ready.states) if columns is None else np.array(columns, dtype=np.int64)
+        if self._followers is None:
+            self._followers = Followers(self._sample_s)
+        status, samples, alike = self._followers.run(
+            system, packed, flow, initial, driven, wanted, tolerance
+        )
+        if status != DONE:
+            raise IntegrationError(f"integration stopped: {REASONS[status]}")
+        if any(one.gauge_lag_s > 0.0 for one in setups):
+            first, count = (L.FP1, 2) if system == L.FIXED else (L.PB, 3)
+            pressures = np.flatnonzero((wanted >= first) & (wanted < first + count))
+            for one, own in zip(setups, samples, strict=True):
+                own[:, pressures] = lagged(self._sample_s, own[:, pressures], one.gauge_lag_s)
+        base = samples[0]
+        rates = samples[1:] - base
+        rates *= (1.0 / np.array(steps)).reshape(-1, 1, 1)
+        return base, [rate if same else None for rate, same in zip(rates, alike[1:], strict=True)]
 
 
 def copied(setup: Setup) -> Setup:

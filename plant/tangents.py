@@ -16,9 +16,22 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .batch import BATCH_TOLERANCE, BatchResult, Strokes, simulate_batch
-from .integrate import DONE
-from .packing import Floats
+from . import layout as L
+from .batch import (
+    BATCH_TOLERANCE,
+    LONGEST_GRID,
+    BatchResult,
+    Strokes,
+    covered_by_lanes,
+    simulate_batch,
+)
+from .filling import NO_CURVES, filling_curves
+from .integrate import DONE, EVENT_COLUMNS, FOLLOW_GRID, GRID_COLUMNS, WRITE_GRID
+from .lane_control import KNOWN, MEMORY, R_EVENTS, R_STATUS, R_STEPS, RESULTS, SCRATCH
+from .lane_steps import ROWS, WIDTH
+from .lanes import run_lanes
+from .packing import Floats, Ints, scales
+from .singles import run_singles
 
 MOVE = 1e-6
 """A share of a parameter's size by which a neighbour is moved: truncation and rounding stay small."""
@@ -47,3 +60,65 @@ def neighbours(
         & (result.event_count == result.event_count[0])
     )
     return result, alike
+
+
+class Followers:
+    """The same as `neighbours` again and again at the same instants, without making room anew.
+
+    sample_s : instants [s], ascending
+    """
+
+    def __init__(self, sample_s: Floats) -> None:
+        self._instants = np.ascontiguousarray(sample_s)[None]
+        self._grid = np.zeros((LONGEST_GRID, GRID_COLUMNS))
+        self._known = np.zeros((len(sample_s), KNOWN))
+        self._flat, self._scratch = np.zeros(ROWS * WIDTH), np.zeros(SCRATCH)
+        self._memory = np.zeros(MEMORY * WIDTH, dtype=np.int64)
+
+    def run(
+        self,
+        system: int,
+        packed: Floats,
+        flow: Floats,
+        initial: Floats,
+        driven: tuple[Ints, Floats, Floats, Floats],
+        columns: Ints,
+        tolerance: float,
+    ) -> tuple[int, Floats, NDArray[np.bool_]]:
+        """Status of the first stroke, samples [n, s, columns], and which strokes are alike it.
+
+        Arrays as those of `Strokes`; driven: its modes, valves, switches and durations.
+        """
+        n, states = len(packed), initial.shape[1]
+        moving = 4 if system == L.FIXED else 9
+        covered = covered_by_lanes(packed, driven[0])
+        lanes = bool(covered[0])
+        known, table = filling_curves(flow) if len(flow) == 1 else (False, NO_CURVES)
+        results, final = np.zeros((n, RESULTS)), np.zeros((n, states))
+        out, events = np.zeros((n, self._instants.shape[1], len(columns))), np.zeros((n, 0, EVENT_COLUMNS))
+        everything = np.arange(n)
+        arrays = (packed, flow, initial, *driven, self._instants, columns, scales(system))
+        for order, use in ((everything[:1], WRITE_GRID), (everything[1:], FOLLOW_GRID)):
+            steps = LONGEST_GRID if use == WRITE_GRID else min(int(results[0, R_STEPS]), LONGEST_GRID)
+            if lanes:
+                run_lanes(
+                    system, moving, *arrays, tolerance, known, table,
+                    order, results, final, out, events, WIDTH,
+                    self._flat, self._scratch, self._memory, self._grid, steps, use, self._known,
+                )  # fmt: skip
+            else:
+                run_singles(
+                    system, *arrays, tolerance, known, table,
+                    order, results, final, out, events, self._grid, steps, use,
+                )  # fmt: skip
+        if lanes:
+            for place in np.flatnonzero(columns >= moving):
+                # these states do not move in a lane
+                out[:, :, place] = initial[:, columns[place], None]
+        alike = (
+            (covered == covered[0])
+            & (results[:, R_STATUS] == DONE)
+            & (results[:, R_STEPS] == results[0, R_STEPS])
+            & (results[:, R_EVENTS] == results[0, R_EVENTS])
+        )
+        return int(results[0, R_STATUS]), out, alike

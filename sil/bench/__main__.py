@@ -1,4 +1,4 @@
-"""python -m sil.bench [NAME...]: run the named measurements; none: all that take minutes."""
+"""Measurements side by side: python -m sil.bench [NAME...]; no name: all that take minutes."""
 
 from __future__ import annotations
 
@@ -15,6 +15,12 @@ def main(wanted: list[str]) -> int:
     """Run measurements by the name of their module; each has `measure() -> lines of text`."""
     known = sorted(item.name for item in pkgutil.iter_modules(sil.bench.__path__))
     known = [name for name in known if not name.startswith("_")]
+    if {"-h", "--help"} & set(wanted):
+        print("usage: python -m sil.bench [NAME...]    (no name: all that take minutes)")
+        for name in known:
+            text = importlib.import_module(f"sil.bench.{name}").__doc__ or ""
+            print(f"  {name:16} {text.split(chr(10), 1)[0]}{'  (hours)' if name in HOURS else ''}")
+        return 0
     for name in wanted:
         if name not in known:
             print(f"sil.bench: no measurement {name!r}; there are {', '.join(known)}", file=sys.stderr)

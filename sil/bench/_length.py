@@ -7,7 +7,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from .integrator import OUR_SETTINGS, SCIPY_SETTINGS, Floats, Shown, best_s, cheapest, row
+from .integrator import (
+    OUR_SETTINGS,
+    SCIPY_SETTINGS,
+    Floats,
+    Shown,
+    best_s,
+    cheapest,
+    one_by_one,
+    row,
+)
 
 KINDS = ("N-B", "B-N", "N-F", "F-N")
 SUPPLIES_PA = (9e5, 7e5)
@@ -19,9 +28,8 @@ def measure() -> Iterator[str]:
     """Lines of the table; the judge is found when run from the repository's folder."""
     from plant import layout as L
     from plant.batch import Strokes, simulate_batch
-    from plant.integrate import DONE, EVENT_LOST, EVENT_SPEED, EVENT_TIME
+    from plant.integrate import DONE
     from plant.parameters import load
-    from plant.prediction import Predictor
     from plant.setup import make_setup
     from plant.stroke_conditions import StrokeConditions
 
@@ -69,26 +77,7 @@ def measure() -> Iterator[str]:
     floor_s = best_s(lambda: by_scipy(setting), 2) / len(cases)
     yield row("the judge, scipy solve_ivp DOP853, events", floor_s, [floor_s], setting, worst)
     setups = [make_setup(load(), c) for c in cases]
-    samples = np.rint(TIMES * 1e9).astype(np.int64)
-
-    def one_by_one(tolerance: float) -> list[Shown]:
-        predictor = Predictor(samples, tolerance)
-        found = []
-        for setup in setups:
-            states = predictor.states(setup)
-            stop = next(e for e in predictor.happened if e[EVENT_SPEED] > 0.0 and e[EVENT_LOST] > 0.0)
-            found.append(Shown(stop[EVENT_TIME], stop[EVENT_SPEED], states[:, L.PB : L.PF + 1]))
-        return found
-
-    setting, worst = cheapest(one_by_one, OUR_SETTINGS, reference)
-    predictor = Predictor(samples, setting)
-
-    def loop() -> None:
-        for setup in setups:
-            predictor.states(setup)
-
-    each_s = best_s(loop, 40) / len(cases)
-    yield row("ours, one by one from Python", each_s, [floor_s], setting, worst)
+    yield one_by_one(setups, TIMES, slice(L.PB, L.PF + 1), reference, [floor_s])
     pressures = [L.PB, L.PN, L.PF]
 
     def together(tolerance: float) -> list[Shown]:

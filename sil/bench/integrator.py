@@ -15,6 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from plant.setup import Setup
+
 from ._piston import Floats, Piston, Shown, solve_with_scipy
 
 IMPACT_S, SPEED_M_S, PRESSURE_PA = 1e-6, 1e-3, 200.0
@@ -95,13 +97,45 @@ def row(
     )
 
 
+def one_by_one(
+    setups: Sequence[Setup],
+    times: Floats,
+    pressures: slice,
+    reference: Sequence[Shown],
+    floors_s: Sequence[float],
+) -> str:
+    """Our line for single strokes, called from Python one after the other."""
+    from plant.integrate import EVENT_LOST, EVENT_SPEED, EVENT_TIME
+    from plant.prediction import Predictor
+
+    samples = np.rint(times * 1e9).astype(np.int64)
+
+    def solve(tolerance: float) -> list[Shown]:
+        predictor = Predictor(samples, tolerance)
+        found = []
+        for setup in setups:
+            states = predictor.states(setup)
+            stop = next(e for e in predictor.happened if e[EVENT_SPEED] > 0.0 and e[EVENT_LOST] > 0.0)
+            found.append(Shown(stop[EVENT_TIME], stop[EVENT_SPEED], states[:, pressures]))
+        return found
+
+    setting, worst = cheapest(solve, OUR_SETTINGS, reference)
+    predictor = Predictor(samples, setting)
+
+    def loop() -> None:
+        for setup in setups:
+            predictor.states(setup)
+
+    each_s = best_s(loop, 40) / len(setups)
+    return row("ours, one by one from Python", each_s, floors_s, setting, worst)
+
+
 def fixed_strokes() -> Iterator[str]:
     """One stroke of the fixed piston by each way, and ten thousand of ours at once."""
     from plant import layout as L
     from plant.batch import Strokes, simulate_batch
-    from plant.integrate import DONE, EVENT_LOST, EVENT_SPEED, EVENT_TIME
+    from plant.integrate import DONE
     from plant.parameters import load
-    from plant.prediction import Predictor
     from plant.setup import make_setup
     from plant.stroke_conditions import StrokeConditions
 
@@ -149,26 +183,7 @@ def fixed_strokes() -> Iterator[str]:
 
     yield from peers(pistons[:3], reference[:3], floors_s)
 
-    samples = np.rint(TIMES * 1e9).astype(np.int64)
-
-    def one_by_one(tolerance: float) -> list[Shown]:
-        predictor = Predictor(samples, tolerance)
-        found = []
-        for setup in setups:
-            states = predictor.states(setup)
-            stop = next(e for e in predictor.happened if e[EVENT_SPEED] > 0.0 and e[EVENT_LOST] > 0.0)
-            found.append(Shown(stop[EVENT_TIME], stop[EVENT_SPEED], states[:, L.FP1 : L.FP2 + 1]))
-        return found
-
-    setting, worst = cheapest(one_by_one, OUR_SETTINGS, reference)
-    predictor = Predictor(samples, setting)
-
-    def loop() -> None:
-        for setup in setups:
-            predictor.states(setup)
-
-    each_s = best_s(loop, 40) / STROKES
-    yield row("ours, one by one from Python", each_s, floors_s, setting, worst)
+    yield one_by_one(setups, TIMES, slice(L.FP1, L.FP2 + 1), reference, floors_s)
 
     def together(tolerance: float) -> list[Shown]:
         result = simulate_batch(
