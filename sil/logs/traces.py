@@ -1,4 +1,4 @@
-"""Tables of signals over time: trace CSV to MF4 with units, and back."""
+"""Tables of signals over time: trace CSV to MF4 with units and comments, and back."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from can_dbc.errors import InputError
+from can_dbc.messages import Fault, ShiftState
 from sil.logs.backend import open_beside
 from sil.logs.byte_source import ByteSource
 from sil.logs.mdf_signals import SignalTable
@@ -31,6 +32,26 @@ _UNITS: Final = (
     ("_k", "K"),
     ("_j", "J"),
 )
+_COMMENTS: Final = {
+    "position_m": "true position of the stay, 0 = neutral, + = backward (fixed rig: from its start)",
+    "velocity_m_s": "true speed of the stay",
+    "position_internal_m": "position as the control unit reports it: late, and held",
+    "piston_1_m": "piston 1, inward from its outer stop",
+    "piston_2_m": "piston 2, inward from its outer stop",
+    "pressure_oil2_pa": "oil damper, chamber two, absolute",
+    "spent_impulse_n_s": "impulse given to the synchronizer since it was armed",
+    "pulse_s": "time to 8 V of the position sensor's coil",
+    "input_rad_s": "speed of the input shaft, referred to the synchronizer",
+    "output_rad_s": "speed of the output shaft, referred to the synchronizer",
+    "controller_state": "state of the shift: " + ", ".join(f"{s.value} {s.name}" for s in ShiftState),
+    "controller_faults": "faults reported, sum of: "
+    + ", ".join(f"{f.value} {f.name}" for f in Fault if f),
+}
+_OF_CHAMBER: Final = {
+    "pressure": "pressure of chamber {}, absolute",
+    "cmd": "duty of the coil of valve {}, 0 to 1",
+    "valve": "plunger of valve {}: 1 supply, 0 atmosphere",
+}
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_.\[\]]*\Z")
 
 
@@ -53,6 +74,17 @@ def unit_of(name: str) -> str:
     Checked by: tests/unit/sil/logs/test_traces.py.
     """
     return next((unit for suffix, unit in _UNITS if name.endswith(suffix)), "")
+
+
+def comment_of(name: str) -> str:
+    """What a signal of a trace or a campaign is, "" for one of neither.
+
+    Checked by: tests/unit/sil/logs/test_traces.py.
+    """
+    if name in _COMMENTS:
+        return _COMMENTS[name]
+    found = re.fullmatch(r"(pressure|cmd|valve)_([BNF12])(?:_pa)?", name)
+    return _OF_CHAMBER[found[1]].format(found[2]) if found else ""
 
 
 def is_trace_csv(path: str) -> bool:
@@ -108,7 +140,7 @@ def _names(path: str) -> list[str]:
 
 
 def trace_to_mf4(source: str, target: str) -> TraceReport:
-    """Write a trace as one MF4 group with time in s and every signal with its unit.
+    """Write a trace as one MF4 group with time in s and every signal with its unit and comment.
 
     Raises: InputError for a torn trace, a time that falls, or when asammdf is missing.
     Checked by: tests/unit/sil/logs/test_traces.py.
@@ -134,7 +166,13 @@ def trace_to_mf4(source: str, target: str) -> TraceReport:
             if not written:
                 measurement.append(
                     [
-                        asammdf.Signal(samples=column, timestamps=times, name=name, unit=unit)
+                        asammdf.Signal(
+                            samples=column,
+                            timestamps=times,
+                            name=name,
+                            unit=unit,
+                            comment=comment_of(name),
+                        )
                         for name, unit, column in zip(signals, units, columns, strict=True)
                     ],
                     acq_name="trace",

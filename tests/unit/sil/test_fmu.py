@@ -10,10 +10,12 @@ import pytest
 from fmpy import read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 
-from can_dbc.messages import Gear
+from can_dbc.messages import DrivelineSpeeds, Gear, PositionPulse, ShiftRequest
+from controller.firmware import ChannelState, Firmware, Inputs
 from plant.length_stroke import LengthStroke
 from plant.parameters import load
 from plant.valve import Valve, ValveTiming
+from sil import scenario
 from sil.cli import main
 
 MS = 1_000_000
@@ -77,32 +79,48 @@ def test_another_tool_gets_the_same_stroke(units: dict[str, Path]) -> None:
     np.testing.assert_allclose(there[1:], here, rtol=1e-6, atol=1e-9)
 
 
-def test_the_firmware_unit_answers_a_request(units: dict[str, Path]) -> None:
-    # a stay at rest in neutral, seen by the sensor every 10 ms; the driver asks at 0.3 s
-    times = np.arange(0.0, 0.5, 0.01)
+def test_the_firmware_unit_answers_as_the_firmware_does(units: dict[str, Path]) -> None:
+    # seen by the sensor every 10 ms; the driver asks at 0.3 s, and from 0.35 s the stay moves
+    times = np.arange(0.0, 0.6, 0.01)
     inputs = np.zeros(
         len(times),
         dtype=[("time", float), ("pulse_s", float), ("coil_temperature_k", float),
                ("sample_index", np.int32), ("request", np.int32)],
     )  # fmt: skip
     inputs["time"] = times
-    inputs["pulse_s"] = 0.0009
+    inputs["pulse_s"] = 0.0009 + 0.00028 * np.clip((times - 0.35) / 0.05, 0.0, 1.0)
     inputs["coil_temperature_k"] = 293.15
     inputs["sample_index"] = np.arange(len(times))
     inputs["request"] = np.where(times >= 0.3, Gear.BACKWARD, Gear.NEUTRAL)
+    outputs = ["duty_b", "duty_n", "duty_f", "estimate_m", "state", "confirmed", "faults"]
     found: Any = simulate_fmu(
         str(units["controller"]),
-        stop_time=0.5,
+        stop_time=0.6,
         step_size=0.01,
         output_interval=0.01,
         input=inputs,
-        output=["duty_b", "duty_n", "confirmed", "estimate_m"],
+        output=outputs,
     )
-    asked = found["time"] >= 0.32
-    assert found["duty_b"][asked].max() > 0.9
-    assert found["duty_b"][~asked][:-2].max() == 0.0
-    assert Gear.NEUTRAL in found["confirmed"][~asked]
-    assert np.abs(found["estimate_m"]).max() < 1e-4
+    firmware = Firmware(scenario.load("lab_n_b").scenario.controller)
+    valid = ChannelState.VALID
+    for k, told in enumerate(inputs):
+        out = firmware.step(
+            10 * MS * k,
+            Inputs(
+                (PositionPulse(told["pulse_s"], told["coil_temperature_k"], k),),
+                ShiftRequest(Gear(told["request"])),
+                DrivelineSpeeds(0.0, 0.0),
+                *(valid, valid, valid),
+            ),
+        )
+        here = (
+            *(out.valves.duty_b, out.valves.duty_n, out.valves.duty_f, out.status.estimate_m),
+            *(out.status.state, out.status.confirmed, out.status.faults),
+        )
+        there = [found[name][k + 1] for name in outputs]
+        np.testing.assert_allclose(there, [float(value) for value in here], rtol=1e-12, atol=0.0)
+    assert found["duty_b"].max() > 0.9 and found["duty_b"][:30].max() == 0.0
+    assert {Gear.NEUTRAL, Gear.BACKWARD} <= set(found["confirmed"])
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError
+from plant.trace import TRACE_COLUMNS
 from sil.logs import convert
-from sil.logs.traces import is_trace_csv, unit_of
+from sil.logs.traces import comment_of, is_trace_csv, unit_of
+from sil.trace_csv import FIRST, FROM_STATUS
 from tests.unit.sil.logs.unsorted_mf4 import Field, Mf4Builder, signal_file
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
@@ -47,8 +49,15 @@ def test_a_trace_becomes_mf4_with_units(tmp_path: Path) -> None:
         assert list(pressure.samples) == [101325.0, 101400.0]
         assert list(pressure.timestamps) == [0.0, 0.001]
         assert pressure.unit == "Pa"
+        assert pressure.comment == "pressure of chamber B, absolute"
         assert measurement.get("position_m").unit == "m"
         assert measurement.header.abs_time == 0
+
+
+def test_every_signal_of_a_run_has_a_comment() -> None:
+    assert comment_of("something_else_m") == ""
+    columns = {*FIRST, *TRACE_COLUMNS, *FROM_STATUS} - {"time_s"}
+    assert [name for name in sorted(columns) if not comment_of(name)] == []
 
 
 def test_a_long_trace_comes_back_bit_by_bit(tmp_path: Path) -> None:
