@@ -102,6 +102,19 @@ def test_own_controllers_shift_and_are_one(done: tuple[Path, list[str]]) -> None
     assert len({run["trace_sha256"] for run in runs}) == 1
 
 
+def test_the_cells_print_what_they_say(
+    done: tuple[Path, list[str]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (ROOT / "sil" / "docs" / "python.md").read_text(encoding="utf-8")
+    cells = re.findall(r"```python\n(.*?)```\n\n```text\n(.*?)```", text, re.DOTALL)
+    assert len(cells) == text.count("```python") >= 8
+    monkeypatch.chdir(done[0])
+    names: dict[str, Any] = {}
+    for cell, printed in cells:
+        exec(compile(cell, "python.md", "exec"), names)
+        assert capsys.readouterr().out == printed, cell
+
+
 def test_every_step_says_its_minutes() -> None:
     steps = re.findall(r"^## \d+\. (.*)$", TUTORIAL, re.MULTILINE)
     assert len(steps) == 8
