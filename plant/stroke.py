@@ -152,16 +152,17 @@ def lagged(time_s: Floats, values: Floats, lag_s: float) -> Floats:
     """
     if lag_s <= 0.0:
         return values
-    out = np.empty_like(values)
-    out[0] = values[0]
-    for k in range(1, len(time_s)):
-        step = time_s[k] - time_s[k - 1]
-        decay = np.exp(-step / lag_s)
-        slope = (values[k] - values[k - 1]) / step
-        out[k] = (
-            values[k] - lag_s * slope + (out[k - 1] - values[k - 1] + lag_s * slope) * decay
-        )
-    return out
+    from scipy.linalg import solve_banded
+
+    step = np.diff(time_s)
+    decay = np.exp(-step / lag_s)
+    shape = (-1,) + (1,) * (values.ndim - 1)
+    ahead = lag_s * np.diff(values, axis=0) / step.reshape(shape)
+    driven = values[1:] - ahead + (ahead - values[:-1]) * decay.reshape(shape)
+    # out[k] - decay[k] out[k-1] = driven[k]
+    bands = np.vstack([np.ones(len(time_s)), np.concatenate([-decay, [0.0]])])
+    known = np.concatenate([values[:1], driven])
+    return np.asarray(solve_banded((1, 0), bands, known, check_finite=False))
 
 
 def simulate(

@@ -23,12 +23,15 @@ def supply_low(setup: Setup, values: dict[str, float]) -> None:
 
 
 def droop(setup: Setup, values: dict[str, float]) -> None:
-    """Supply line of a volume behind an orifice: the pressure at the valve sags while it feeds."""
+    """Supply line of a volume behind an orifice: the pressure at the valve sags while it feeds.
+
+    A line that fills within a millisecond is followed as one that takes about that long.
+    """
     if values["cda_m2"] <= 0.0:
         return
     setup.has_line = True
     setup.p[L.LINE_CDA] = values["cda_m2"]
-    setup.p[L.LINE_VOLUME] = values["volume_m3"]
+    setup.p[L.LINE_VOLUME] = max(values["volume_m3"], QUICK_LINE_M * values["cda_m2"])
 
 
 def exhaust_clog(setup: Setup, values: dict[str, float]) -> None:
@@ -79,6 +82,9 @@ def residual(setup: Setup, values: dict[str, float]) -> None:
             held = setup.residual_pa.get(chamber, 0.0)
             setup.residual_pa[chamber] = held + values["pressure_pa"]
 
+
+QUICK_LINE_M = 0.2
+"""Volume over C_d A of a line that follows within a millisecond."""
 
 CDA = EffectParameter("cda_m2", "m^2", 0.0, 0.0, 2e-5, 2e-7, 1)
 WHERE = EffectParameter("where", "-", 0.0, 0.0, 4.0, 1.0, optional=True)

@@ -12,7 +12,7 @@ Checked by: tests/unit/sil/diagnosis/test_fit.py
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -149,6 +149,7 @@ class Fitter:
         freeze: Sequence[int] | None = None,
         effects_first: int = 0,
         fine: bool = False,
+        reuse: Mapping[int, Block] | None = None,
     ) -> FitResult:
         """Fit a hypothesis to the strokes in `use` (all by default).
 
@@ -156,7 +157,9 @@ class Fitter:
         they start (all of them: only the scatter of the strokes is fitted, as for held-out strokes);
         effects_first: so many iterations move the hypothesis' own parameters alone: far from the
         optimum, tolerances and scatter would run to their bounds in its place; fine: end with central
-        differences, which a valley between an effect and a tolerance needs.
+        differences, which a valley between an effect and a tolerance needs; reuse: derivatives by
+        tolerances and scatter that serve (strokes absent here: those of the first full step) until a
+        step with them gains nothing; they change little, and cost most.
 
         Raises IntegrationError if the start itself cannot be simulated.
         """
@@ -179,12 +182,19 @@ class Fitter:
         done = 0
         blocks: dict[int, Block] = {}
         central = False
+        kept = dict(reuse or {})
         while True:
             own_only = done < min(effects_first, iterations)
+            stale = bool(kept) and not own_only
             blocks = {
-                k: model.linearise(k, shared, spread[k], candidates, central, own_only)
+                k: model.linearise(
+                    k, shared, spread[k], candidates, central, own_only,
+                    kept.get(k) if stale else None,
+                )
                 for k in chosen
             }
+            if reuse is not None and not own_only:
+                kept = blocks
             weight = 1.0 if done >= iterations else tempering(blocks)
             normal, gradient, inner = arrow(blocks, spread, shared, layout, weight)
             if done >= iterations:
@@ -213,6 +223,10 @@ class Fitter:
                 damping = max(damping * 30.0, 1e-5)
             if not improved and own_only:
                 effects_first = 0
+                damping = 1e-5
+                continue
+            if not improved and stale:
+                kept = {}
                 damping = 1e-5
                 continue
             if not improved:

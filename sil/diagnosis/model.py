@@ -100,6 +100,8 @@ class CampaignModel:
         self.scatter = tuple(spread.stroke)
         self._measured = [self._standardised(stroke) for stroke in self.strokes]
         self._offset_columns = [self._offsets_of(stroke) for stroke in self.strokes]
+        # where each stroke was simulated last: a step that is accepted is linearised there
+        self._last: dict[int, tuple[tuple, Setup, Floats]] = {}
 
     def layout(self, candidates: Sequence[Candidate]) -> Shared:
         """Layout of the shared parameters under a hypothesis."""
@@ -132,8 +134,11 @@ class CampaignModel:
 
         Raises IntegrationError where the motion cannot be continued.
         """
+        return self.compared(k, setup, self.strokes[k].predictor.states(setup), rounded)
+
+    def compared(self, k: int, setup: Setup, states: Floats, rounded: bool) -> Floats:
+        """The compared numbers of stroke k in these states."""
         stroke = self.strokes[k]
-        states = stroke.predictor.states(setup)
         parts = []
         for channel in stroke.channels:
             if channel.kind == "oil":
@@ -217,11 +222,22 @@ class CampaignModel:
         self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
     ) -> Floats:
         """Standardised residual (measured - predicted) of stroke k."""
-        healthy = len(self.unit) + len(self.offsets)
-        values = self.effect_values(candidates, shared[healthy:])
-        setup = self.setup(k, self.amounts(shared, scatter), candidates, values)
-        offsets = shared[len(self.unit) : healthy]
-        return self.measured(k) - self.predict(k, setup, True) - self.offset_part(k, offsets)
+        setup, states = self.here(k, shared, scatter, candidates)
+        offsets = shared[len(self.unit) : len(self.unit) + len(self.offsets)]
+        return self.measured(k) - self.compared(k, setup, states, True) - self.offset_part(k, offsets)
+
+    def here(
+        self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
+    ) -> tuple[Setup, Floats]:
+        """Setup and states of stroke k; simulated once as long as nothing else is asked for it."""
+        spot = (shared.tobytes(), scatter.tobytes(), tuple(item.name for item in candidates))
+        last = self._last.get(k)
+        if last is None or last[0] != spot:
+            values = self.effect_values(candidates, shared[len(self.unit) + len(self.offsets) :])
+            setup = self.setup(k, self.amounts(shared, scatter), candidates, values)
+            last = (spot, setup, self.strokes[k].predictor.states(setup))
+            self._last[k] = last
+        return last[1], last[2]
 
     def linearise(
         self,
@@ -231,18 +247,22 @@ class CampaignModel:
         candidates: Sequence[Candidate],
         central: bool = False,
         own_only: bool = False,
+        kept: Block | None = None,
     ) -> Block:
         """Residual of stroke k, its derivatives by the shared and by the stroke's own parameters.
 
-        own_only: by the hypothesis' own alone, the others are left at zero.
+        own_only: by the hypothesis' own alone, the others are left at zero; kept: a block whose
+        derivatives by tolerances and scatter are taken over.
         """
         layout = self.layout(candidates)
         healthy = layout.healthy
         values = self.effect_values(candidates, shared[healthy:])
         amounts = self.amounts(shared, scatter)
-        base = self.predict(k, self.setup(k, amounts, candidates, values))
+        residual = self.residual(k, shared, scatter, candidates)
+        setup, states = self.here(k, shared, scatter, candidates)
+        base = self.compared(k, setup, states, False)
         columns: dict[str, Floats] = {}
-        for name in () if own_only else SIMULATED:
+        for name in () if own_only or kept is not None else SIMULATED:
             step = DIFFERENCE * self.spread.stroke.get(name, self.spread.unit.get(name, 0.0))
 
             def changed(h: float, name: str = name) -> Floats:
@@ -255,8 +275,9 @@ class CampaignModel:
         for j, name in enumerate(self.unit):
             if name in columns:
                 shared_columns[:, j] = columns[name] * self.spread.unit[name]
-        offset = self._offset_columns[k]
-        shared_columns[:, len(self.unit) : healthy] = offset
+        if kept is not None:
+            shared_columns[:, : len(self.unit)] = kept.shared[:, : len(self.unit)]
+        shared_columns[:, len(self.unit) : healthy] = self._offset_columns[k]
         scaled = shared[healthy:]
         parameters = [p for item in candidates for p in item.parameters]
         names = [item.id for item in candidates for _ in item.parameters]
@@ -272,13 +293,13 @@ class CampaignModel:
                 return self.predict(k, self.setup(k, amounts, candidates, own))
 
             shared_columns[:, healthy + j] = difference(moved_effect, base, step, central)
+        if kept is not None:
+            return Block(residual, shared_columns, kept.scatter, base)
         scatter_columns = np.zeros((len(base), len(self.scatter)))
         for j, name in enumerate(self.scatter):
             if name in columns:
                 scatter_columns[:, j] = columns[name] * self.spread.stroke[name]
-        return Block(
-            self.residual(k, shared, scatter, candidates), shared_columns, scatter_columns, base
-        )
+        return Block(residual, shared_columns, scatter_columns, base)
 
 
 def difference(  # type: ignore[no-untyped-def]

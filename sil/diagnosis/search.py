@@ -18,7 +18,7 @@ from plant.hybrid import IntegrationError
 from .fit import FitResult, Fitter
 from .floor import misfit
 from .hypotheses import Candidate, compatible, scaled_of
-from .model import CampaignModel
+from .model import Block, CampaignModel
 from .screening import Score, screen
 from .split import stratum
 from .workers import spread_out
@@ -53,12 +53,16 @@ CHILDREN = 3
 
 @dataclass(frozen=True)
 class Task:
-    """One fit to run: candidates, where each begins, and the healthy part's beginning."""
+    """One fit to run: candidates, where each begins, and the healthy part's beginning.
+
+    parent: the fit whose derivatives by tolerances serve, if it is near enough.
+    """
 
     candidates: tuple[Candidate, ...]
     starts: tuple[tuple[tuple[float, ...], ...], ...]
     begin: tuple[Floats, Floats] | None
     iterations: int
+    parent: str = ""
 
 
 @dataclass
@@ -95,6 +99,7 @@ class Search:
         self.sample_size = sum(len(model.measured(k)) for k in self.sample)
         self.workers = workers
         self.first: list[FitResult] = []
+        self.known: dict[str, dict[int, Block]] = {}
 
     def run(self) -> Found:
         """Healthy fit, singles, pairs."""
@@ -142,6 +147,7 @@ class Search:
                 use=self.sample,
                 iterations=task.iterations + first,
                 effects_first=first,
+                reuse=self.known.get(task.parent, {}),
             )
         except IntegrationError:
             return None
@@ -199,11 +205,12 @@ class Search:
         healthy = found.healthy
         chosen: list[Candidate] = self.candidates
         if misfit(self.model, healthy).per_number < NEAR:
+            self.known[healthy.name] = healthy.blocks
             scores = screen(self.model, healthy, self.candidates)
             chosen = [s.candidate for s in scores if s.gain > WORTH][: 2 * SINGLES_KEPT]
         begin = (healthy.shared, healthy.stroke)
         tasks = [
-            Task((item,), tuple((s,) for s in item.starts), begin, FIRST_ITERATIONS)
+            Task((item,), tuple((s,) for s in item.starts), begin, FIRST_ITERATIONS, healthy.name)
             for item in chosen
         ]
         self.first = self.run_tasks(tasks)
@@ -213,6 +220,7 @@ class Search:
         """A second cause on top of the best singles, by score; then the best pairs to the end."""
         tasks: dict[str, Task] = {}
         for parent, scores in spread_out(self.scored, self.parents(found), self.workers):
+            self.known[parent.name] = parent.blocks
             for score in scores[:CHILDREN]:
                 task = self.pair_task(parent, score)
                 key = "+".join(sorted(item.name for item in task.candidates))
@@ -287,7 +295,7 @@ class Search:
         """Scores of every compatible candidate on top of a single."""
         full = self.refine(parent, 0)
         others = [c for c in self.candidates if compatible(c, parent.candidates)]
-        return parent, [s for s in screen(self.model, full, others) if s.gain > WORTH]
+        return full, [s for s in screen(self.model, full, others) if s.gain > WORTH]
 
     def pair_task(self, parent: FitResult, score: Score) -> Task:
         """The fit of a pair, beginning at the single's optimum and the score's amount."""
@@ -302,6 +310,7 @@ class Search:
             tuple(starts),
             (parent.shared, parent.stroke),
             FIRST_ITERATIONS + 1,
+            parent.name,
         )
 
 
