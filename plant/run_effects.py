@@ -60,5 +60,8 @@ def applied(parameters: ParameterSet, p: Floats, c: Floats, supply_pa: float, da
         InternalChain.from_parameters(parameters),
     )
     for identifier, table in parameters.effects.items():
-        CATALOGUE[identifier].apply(setup, {key: item.value for key, item in table.items()})
+        values = {key: item.value for key, item in table.items()}
+        if identifier == "leak_to_atmosphere" and values.get("where") == 1.0:
+            values["where"] = 0.0  # on a run the chamber that drives is the one on supply
+        CATALOGUE[identifier].apply(setup, values)
     return setup

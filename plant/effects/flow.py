@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .. import layout as L
 from ..setup import Setup
 from .effect import Effect, EffectParameter
+
+Floats = NDArray[np.float64]
+
+LEAK_UP_TO_PA = 1.2e6
+"""Highest pressure of a chamber that a leak is tabulated for."""
 
 
 def piston_leak(setup: Setup, values: dict[str, float]) -> None:
@@ -13,8 +21,43 @@ def piston_leak(setup: Setup, values: dict[str, float]) -> None:
 
 
 def leak_out(setup: Setup, values: dict[str, float]) -> None:
-    """Orifice C_d A from a chamber on supply to the atmosphere."""
-    setup.p[L.LEAK_ATM] = values["cda_m2"]
+    """Orifice C_d A from a chamber to the atmosphere.
+
+    where 0: from every chamber on supply; 1: from the one that drives the stroke, its valve open
+    or not; 2: from every chamber, always.
+    """
+    if values["where"] == 0.0:
+        setup.p[L.LEAK_ATM] = values["cda_m2"]
+    elif values["cda_m2"] > 0.0:
+        p = setup.p
+        pressures = np.linspace(p[L.P_ATM], LEAK_UP_TO_PA, L.TERM_NODES)
+        lost = orifice_curve(pressures, values["cda_m2"], p)
+        place = setup.conditions.chambers.index(setup.charged_chamber)
+        if values["where"] == 1.0:
+            follow_pressure(setup, 2.0 + place, pressures, -lost)
+        else:
+            follow_pressure(setup, 8.0, pressures, lost)
+
+
+def orifice_curve(pressures: Floats, cda_m2: float, p: Floats) -> Floats:
+    """Flow T m_dot [K kg/s] out of chambers at these pressures to the atmosphere, as `flow.orifice`."""
+    gamma = p[L.GAMMA]
+    critical = (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
+    ratio = np.clip(p[L.P_ATM] / pressures, critical, 1.0)
+    size = ratio ** (2.0 / gamma) - ratio ** ((gamma + 1.0) / gamma)
+    value = np.sqrt(2.0 * gamma / (gamma - 1.0) * size)
+    return np.asarray(cda_m2 * pressures * np.sqrt(p[L.T_GAS] / p[L.R_AIR]) * value)
+
+
+def follow_pressure(setup: Setup, equation: float, pressures: Floats, flows: Floats) -> None:
+    """Flow [K kg/s] of a chamber by its own pressure, through the term of the equations."""
+    p = setup.p
+    p[L.TERM_EQUATION] = equation
+    p[L.TERM_VARIABLE] = 2.0
+    p[L.TERM_LOW] = pressures[0]
+    p[L.TERM_STEP] = pressures[1] - pressures[0]
+    p[L.TERM_COUNT] = float(len(pressures))
+    p[L.TERM_0 : L.TERM_0 + len(pressures)] = flows
 
 
 def supply_low(setup: Setup, values: dict[str, float]) -> None:
@@ -93,7 +136,12 @@ VOLUME = EffectParameter("volume_m3", "m^3", 0.0, -5e-5, 5e-4, 5e-6, 1)
 EFFECTS = (
     Effect("piston_leak", "leak", "chamber", "flow past the moving piston", (CDA,), piston_leak),
     Effect(
-        "leak_to_atmosphere", "leak", "chamber", "a charged chamber leaks outside", (CDA,), leak_out
+        "leak_to_atmosphere",
+        "leak",
+        "chamber",
+        "a charged chamber leaks outside",
+        (CDA, WHERE),
+        leak_out,
     ),
     Effect(
         "supply_low",

@@ -40,8 +40,14 @@ def bump(setup: Setup, values: dict[str, float]) -> None:
 
 
 def seal(setup: Setup, values: dict[str, float]) -> None:
-    """Friction mu |dP| A on a piston with the pressure difference dP across it."""
-    setup.p[L.SEAL_MU] = values["mu"]
+    """Friction mu |dP| A on a piston with the pressure difference dP across it.
+
+    A is the piston's larger face (face 0) or its smaller one (1): they differ on the fixed rig.
+    """
+    share = 1.0
+    if values["face"] == 1.0 and setup.conditions.system == L.FIXED:
+        share = setup.p[L.AREA_P2] / setup.p[L.AREA_P]
+    setup.p[L.SEAL_MU] = values["mu"] * share
 
 
 EFFECTS = (
@@ -95,7 +101,10 @@ EFFECTS = (
         "friction",
         "force",
         "seal friction grows with the pressure difference across the piston",
-        (EffectParameter("mu", "-", 0.0, 0.0, 0.9, 0.05, 1),),
+        (
+            EffectParameter("mu", "-", 0.0, 0.0, 0.9, 0.05, 1),
+            EffectParameter("face", "-", 0.0, 0.0, 1.0, 1.0, optional=True),
+        ),
         seal,
     ),
 )

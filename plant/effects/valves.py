@@ -18,8 +18,8 @@ def open_later(setup: Setup, values: dict[str, float]) -> None:
 
 
 def open_by_pressure(setup: Setup, values: dict[str, float]) -> None:
-    """Opening delay plus slope (P_s - 9 bar): the plunger opens against the supply."""
-    shift_rise(setup, values["slope_s_pa"] * (setup.p[L.P_SUPPLY] - FULL_SUPPLY_PA))
+    """Opening delay plus slope (P_s - reference): the plunger opens against the supply."""
+    shift_rise(setup, values["slope_s_pa"] * (setup.p[L.P_SUPPLY] - values["reference_pa"]))
 
 
 def shift_rise(setup: Setup, delay_s: float) -> None:
@@ -53,7 +53,12 @@ EFFECTS = (
         "valve timing",
         "valve",
         "opening delay depends on the supply pressure",
-        (EffectParameter("slope_s_pa", "s/Pa", 0.0, -1e-7, 1e-7, 1e-8),),
+        (
+            EffectParameter("slope_s_pa", "s/Pa", 0.0, -1e-7, 1e-7, 1e-8),
+            EffectParameter(
+                "reference_pa", "Pa", FULL_SUPPLY_PA, 0.0, 2e6, 1e5, optional=True
+            ),
+        ),
         open_by_pressure,
     ),
     Effect(

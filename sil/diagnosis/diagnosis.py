@@ -22,6 +22,7 @@ from .checks import SATURATED, SWAPPED, Finding, check_record, check_signals, ch
 from .evidence import sentence
 from .extend import extended_model
 from .fit import FitResult, Fitter
+from .floor import misfit
 from .gain import Gain, gain_between
 from .hypotheses import candidates
 from .intervals import Interval, intervals
@@ -31,7 +32,7 @@ from .next_experiment import NextExperiment, next_experiment
 from .nuisance import Spread
 from .observations import StrokeObservation, observe
 from .search import Found, Search
-from .split import split
+from .split import odd_ones_in, split
 from .structure import Structure, structure_of
 from .unnamed import try_terms
 from .verdict import Verdict, acceptable, decide
@@ -134,7 +135,7 @@ def diagnose(
     model = CampaignModel(strokes, Spread.of(parameters))
     structure = structure_of(strokes)
     clock.lap("read")
-    training, held_out = split(strokes)
+    training, held_out = placed(model)
     told(f"{len(training)} strokes train, {len(held_out)} are held out")
     search = Search(model, available(strokes), training, workers)
     try:
@@ -223,6 +224,24 @@ def observed(
     if not any(stroke.channels or stroke.internal for stroke in strokes):
         raise InputError(f"{campaign.folder}: no position and no pressure in any stroke")
     return strokes, findings
+
+
+def placed(model: CampaignModel) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Training and held-out strokes, some of those that look odd among the training ones."""
+    training, held_out = split(model.strokes)
+    fitter = Fitter(model)
+    try:
+        healthy = fitter.fit(use=training, iterations=8)
+        if not held_out or misfit(model, healthy).beyond > 0.0:
+            return training, held_out
+        (seen,) = judge(fitter, [healthy], held_out)
+    except (IntegrationError, ValueError):
+        return training, held_out
+    if seen.held is None or seen.misfit.beyond == 0.0:
+        return training, held_out
+    blocks = {**healthy.blocks, **seen.held.blocks}
+    squares = {k: float(np.mean(block.residual**2)) for k, block in blocks.items()}
+    return odd_ones_in(training, held_out, squares, model.strokes)
 
 
 def moved(record: Record, shift_s: float) -> Record:

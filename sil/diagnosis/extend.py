@@ -48,8 +48,9 @@ def extended_model(
                 f"source = {json.dumps(source + ', 95 % interval')} }}"
             )
         for name, value in candidate.fixed.items():
+            unit = next(p.unit for p in candidate.effect.parameters if p.name == name)
             lines.append(
-                f"{name} = {{ value = {float(value)!r}, unit = \"-\", "
+                f"{name} = {{ value = {float(value)!r}, unit = {json.dumps(unit)}, "
                 f"source = {json.dumps('variant ' + candidate.variant)} }}"
             )
     return "\n".join(lines) + "\n"

@@ -100,8 +100,16 @@ def known(name: str) -> Candidate:
 
 
 def compatible(candidate: Candidate, others: Sequence[Candidate]) -> bool:
-    """Whether a candidate can stand beside others: no two variants of one cause."""
-    return all(candidate.id != other.id for other in others)
+    """Whether a candidate can stand beside others: no two variants of one cause, one term at most."""
+    if any(candidate.id == other.id for other in others):
+        return False
+    return not (fills_term(candidate) and any(fills_term(other) for other in others))
+
+
+def fills_term(candidate: Candidate) -> bool:
+    """Whether a candidate takes the one place that the equations have for a tabulated term."""
+    tabulated = candidate.id == "leak_to_atmosphere" and bool(candidate.variant)
+    return candidate.id == "unnamed" or tabulated
 
 
 def starts_of(parameters: tuple[EffectParameter, ...]) -> Starts:
@@ -156,6 +164,20 @@ SPECIAL: dict[str, tuple[tuple[str, dict[str, float], Starts | None, bool], ...]
         ("", {}, None, False),
         ("inner chamber", {"where": 1.0}, None, True),
     ),
+    "leak_to_atmosphere": (
+        ("", {}, None, False),
+        ("driving chamber", {"where": 1.0}, None, False),
+        ("every chamber", {"where": 2.0}, None, False),
+    ),
+    "seal_pressure_friction": (
+        ("", {}, None, False),
+        ("smaller face", {"face": 1.0}, None, False),
+    ),
+    "valve_delay_pressure": (
+        ("", {}, None, False),
+        ("from 6 bar", {"reference_pa": 6e5}, None, False),
+        ("from atmosphere", {"reference_pa": 101325.0}, None, False),
+    ),
     "alpha_speed": (
         ("", {}, SHARES, False),
         ("all exponents", {"form": 1.0}, SHARES, False),
@@ -168,7 +190,7 @@ SPECIAL: dict[str, tuple[tuple[str, dict[str, float], Starts | None, bool], ...]
 }
 """Variants (name, what they fix, where they start, whether only the length stroke has them)."""
 
-VARIANT_KEYS = ("where", "mirrored", "form")
+VARIANT_KEYS = ("where", "mirrored", "form", "face", "reference_pa")
 
 
 def candidates(has_damper: bool, has_internal: bool, has_length: bool) -> list[Candidate]:

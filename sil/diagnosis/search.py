@@ -244,6 +244,8 @@ class Search:
         for one, two in itertools.combinations(singles[:CROSSED], 2):
             if outstanding and one is not singles[0]:
                 continue
+            if not compatible(two.candidates[0], one.candidates):
+                continue
             mine, theirs = (
                 tuple(fit.values[0][p.name] for p in fit.candidates[0].parameters)
                 for fit in (one, two)

@@ -5,12 +5,16 @@ Checked by: tests/unit/sil/diagnosis/test_split.py
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+
+import numpy as np
 
 from .observations import StrokeObservation
 
 HELD_OUT_SHARE = 1.0 / 3.0
 MOST_TRAINING = 14
+ODD = 1.3
+"""Mean square over the usual one beyond which a stroke is odd."""
 
 
 def stratum(stroke: StrokeObservation) -> tuple[str, str, bool]:
@@ -39,3 +43,28 @@ def split(strokes: Sequence[StrokeObservation]) -> tuple[tuple[int, ...], tuple[
     training = min(MOST_TRAINING, n - max(1, round(HELD_OUT_SHARE * n)))
     chosen = sorted(queue[:training])
     return tuple(chosen), tuple(sorted(set(range(n)) - set(chosen)))
+
+
+def odd_ones_in(
+    training: tuple[int, ...],
+    held_out: tuple[int, ...],
+    squares: Mapping[int, float],
+    strokes: Sequence[StrokeObservation],
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Places anew where only held-out strokes show that something is wrong: half of those train.
+
+    squares: mean squared residual of every stroke under the healthy fit to the training ones.  As
+    many training strokes that have another of their kind beside them are held out instead.
+    """
+    usual = float(np.median([squares[k] for k in training]))
+    odd = sorted((k for k in held_out if squares[k] > ODD * usual), key=lambda k: -squares[k])
+    moved = odd[: (len(odd) + 1) // 2]
+    kept = list(training)
+    freed: list[int] = []
+    for k in reversed(training):
+        alike = sum(stratum(strokes[i]) == stratum(strokes[k]) for i in kept)
+        if len(freed) < len(moved) and alike > 1:
+            kept.remove(k)
+            freed.append(k)
+    held = sorted((set(held_out) - set(moved)) | set(freed))
+    return tuple(sorted([*kept, *moved])), tuple(held)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from .hypotheses import compatible
 from .judge import Judged
 from .search import Found, Search, Task
 from .terms import term_candidates
@@ -41,9 +42,11 @@ def try_terms(
     singles = found.of_size(1)
     parents = [found.healthy]
     if singles and singles[0].cost < 0.5 * found.healthy.cost:
-        parents = [singles[0]]
+        parents.append(singles[0])
     for _place, candidate in term_candidates():
         for parent in parents:
+            if not compatible(candidate, parent.candidates):
+                continue
             own = tuple(
                 tuple(table[p.name] for p in item.parameters)
                 for item, table in zip(parent.candidates, parent.values, strict=True)

@@ -34,8 +34,12 @@ SUREST = 0.98
 SECOND_SHARE = 0.3
 """A further cause must gain at least this share of what the whole hypothesis still leaves."""
 
-SLIGHT = 0.05
-"""A second cause below this many typical sizes is doubted while something is unexplained."""
+SLIGHT = 0.1
+"""A further cause below this many typical sizes ..."""
+
+SLIGHT_SHARE = 0.02
+"""... that gains less than this share of what the healthy model leaves is not claimed: it mends the
+form that the other one's extension has here."""
 
 LEFT = (0.005, 0.05)
 """Misfit left, as a share of the healthy model's: from the first on a named cause is doubted, from
@@ -105,10 +109,14 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
         needed = least
         if len(item.ids) > 1:
             needed = max(least, 0.5 * SECOND_SHARE * item.whole.beyond)
-        return all(
-            gain_of(name, item, judged) >= needed and held_gain(item, judged, name) > 0.0
-            for name in item.ids
-        )
+        mending = slight(item)
+        for name in item.ids:
+            gain = gain_of(name, item, judged)
+            if gain < needed or held_gain(item, judged, name) <= 0.0:
+                return False
+            if name in mending and gain < 0.5 * SLIGHT_SHARE * healthy.whole.excess:
+                return False
+        return True
 
     standing = [item for item in sorted(judged, key=lambda i: i.score) if stands(item)]
     leader = standing[0] if standing else healthy
@@ -123,8 +131,6 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
         for name, p in probabilities.items()
         if name in leader.ids or (p >= RIVAL_SHARE and any(name in group for group in groups))
     }
-    for name in slight(leader):
-        told[name] = min(told[name], DOUBTED)
     if "unnamed" in leader.ids:
         told["unnamed"] = min(max(told["unnamed"], 1.0 - most), SUREST)
     surest = max(told.values())
@@ -152,18 +158,18 @@ def surest_of(leader: Judged, healthy: Judged) -> float:
     return float(SUREST - (SUREST - DOUBTED) * doubt)
 
 
-def slight(leader: Judged) -> tuple[str, ...]:
-    """Causes beside another that are tiny while something is still unexplained.
-
-    They may do no more than mend the form of the other one.
-    """
-    if len(leader.ids) < 2 or leader.whole.beyond <= 0.0:
+def slight(item: Judged) -> tuple[str, ...]:
+    """Causes beside another that are tiny."""
+    if len(item.ids) < 2:
         return ()
-    fit = leader.training
+    fit = item.training
     found = []
     k = 0
     for candidate in fit.candidates:
-        if not is_term(candidate) and abs(fit.scaled[k]) < SLIGHT:
+        sizes = np.abs(fit.scaled[k : k + len(candidate.parameters)])
+        # a clock may drift alone; a supply line is the slighter the wider it is
+        size = sizes.max() if candidate.id == "clock_skew" else sizes[0]
+        if not is_term(candidate) and candidate.id != "hose_droop" and size < SLIGHT:
             found.append(candidate.id)
         k += len(candidate.parameters)
     return tuple(found)
