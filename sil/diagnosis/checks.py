@@ -15,6 +15,7 @@ import numpy as np
 from can_dbc.errors import InputError
 from plant.hybrid import IntegrationError
 from plant.parameters import ParameterSet
+from plant.prediction import copied
 from sil.campaign import CampaignStroke, Record
 
 from .fit import FitResult
@@ -192,10 +193,11 @@ def check_signals(strokes: Sequence[StrokeObservation]) -> tuple[list[Finding], 
     """Swapped gauges and shifted records, seen beside the unfitted model.
 
     Returns the findings and the shift [s] of each stroke that has one.  A late valve is no shift:
-    what comes after its closing would not fit then.
+    what comes after its closing would not fit then; nor is a plunger that crosses slowly.
     """
     findings = []
     shifts: dict[int, float] = {}
+    slow = 0
     for k, stroke in enumerate(strokes):
         try:
             states = stroke.predictor.states(stroke.setup)
@@ -220,14 +222,44 @@ def check_signals(strokes: Sequence[StrokeObservation]) -> tuple[list[Finding], 
         shift = time_shift(pressures)
         if abs(shift) >= SHIFT_S:
             shifts[k] = shift
-            findings.append(
-                Finding(
-                    stroke.entry.file,
-                    "time_s",
-                    f"the record runs {1e3 * shift:+.1f} ms {SHIFTED}; taken off",
-                )
-            )
+            slow += creeps(stroke, pressures, shift)
+    if 2 * slow >= len(shifts):
+        return findings, {}
+    findings += [
+        Finding(
+            strokes[k].entry.file,
+            "time_s",
+            f"the record runs {1e3 * shift:+.1f} ms {SHIFTED}; taken off",
+        )
+        for k, shift in shifts.items()
+    ]
     return findings, shifts
+
+
+def creeps(
+    stroke: StrokeObservation,
+    pressures: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]],
+    shift: float,
+) -> bool:
+    """Whether plungers that cross slowly explain a stroke better than a shift of its record.
+
+    Both ways slow, a plunger is half its travel late at opening and at closing alike.
+    """
+    if shift <= 0.0:
+        return False
+    setup = copied(stroke.setup)
+    setup.creep_s = 2.0 * shift
+    try:
+        states = stroke.predictor.states(setup)
+    except IntegrationError:
+        return False
+    slow = {
+        c.name: (c.measured, states[c.rows, c.state], stroke.time_s[c.rows])
+        for c in stroke.channels
+        if c.name in pressures
+    }
+    at = np.array([shift])
+    return bool(shift_costs(slow, np.zeros(1))[0] < shift_costs(pressures, at)[0])
 
 
 def check_strokes(model: CampaignModel, fit: FitResult) -> list[Finding]:

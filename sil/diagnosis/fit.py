@@ -25,8 +25,10 @@ from .model import Block, CampaignModel, Shared
 
 Floats = NDArray[np.float64]
 
-FARTHEST_SD = 4.5
+FARTHEST_SD = 9.0
 """No healthy quantity is tried farther out than this: friction and flows stay positive."""
+
+BOUNDS_PASSES = 6
 
 EFFECT_PRIOR = 10.0
 """Width of the prior of an effect's parameter, in typical sizes: weak."""
@@ -196,31 +198,47 @@ class Fitter:
             if reuse is not None and not own_only:
                 kept = blocks
             weight = 1.0 if done >= iterations else tempering(blocks)
-            normal, gradient, inner = arrow(blocks, spread, shared, layout, weight)
             if done >= iterations:
+                normal, gradient, inner = arrow(blocks, spread, shared, layout, weight)
                 break
-            done += 1
             misfit = 0.5 * sum(float(b.residual @ b.residual) for b in blocks.values())
             here = cost - (1.0 - weight) * misfit
-            improved = False
-            if own_only:
-                normal, gradient = own_normal(blocks, shared, layout, weight)
             moving = free & (np.arange(n) >= layout.healthy) if own_only else free
-            for _ in range(7):
-                damped = normal + damping * np.diag(np.diag(normal))
-                trial = stepped(shared, damped, gradient, moving, candidates, layout)
-                moved = trial - shared
-                trial_spread = spread.copy()
-                for k, (inverse, hus, gs) in inner.items():
-                    if own_only:
+            improved = False
+            done += 1
+            # bounds met on the way first; then what presses against its bound stays there
+            for joint in (False,) if own_only else (True, False):
+                begin = spread
+                if own_only:
+                    normal, gradient = own_normal(blocks, shared, layout, weight)
+                elif joint:
+                    on = bounds_met(
+                        blocks, spread, shared, layout, weight, moving, candidates
+                    )
+                    if not on:
+                        continue
+                    normal, gradient, inner = arrow(blocks, spread, shared, layout, weight, on)
+                    begin = spread.copy()
+                    for k, (_which, by) in on.items():
+                        begin[k] += by
+                else:
+                    normal, gradient, inner = arrow(blocks, spread, shared, layout, weight)
+                own_damping = damping
+                for _ in range(3 if joint else 7):
+                    damped = normal + own_damping * np.diag(np.diag(normal))
+                    trial = stepped(shared, damped, gradient, moving, candidates, layout)
+                    trial_spread = spread
+                    if not own_only:
+                        there = scattered(begin, inner, trial - shared)
+                        trial_spread = np.clip(there, -FARTHEST_SD, FARTHEST_SD)
+                    trial_cost = self.cost(trial, trial_spread, candidates, chosen, here, weight)
+                    if trial_cost < here:
+                        improved = True
                         break
-                    there = spread[k] + inverse @ (gs - hus.T @ moved)
-                    trial_spread[k] = np.clip(there, -FARTHEST_SD, FARTHEST_SD)
-                trial_cost = self.cost(trial, trial_spread, candidates, chosen, here, weight)
-                if trial_cost < here:
-                    improved = True
+                    own_damping = max(own_damping * 30.0, 1e-5)
+                if improved:
                     break
-                damping = max(damping * 30.0, 1e-5)
+            damping = own_damping
             if not improved and own_only:
                 effects_first = 0
                 damping = 1e-5
@@ -233,6 +251,7 @@ class Fitter:
                 if not fine or central:
                     break
                 central = True
+                damping = 1e-5
                 continue
             gain = here - trial_cost
             shared, spread = trial, trial_spread
@@ -319,10 +338,12 @@ def arrow(
     shared: Floats,
     layout: Shared,
     weight: float = 1.0,
+    on: Mapping[int, tuple[NDArray[np.bool_], Floats]] | None = None,
 ) -> tuple[Floats, Floats, dict[int, tuple[Floats, Floats, Floats]]]:
     """Normal matrix and gradient of the shared parameters, the strokes' scatter eliminated.
 
-    weight: of the residuals against the priors.
+    weight: of the residuals against the priors; on: which scatter of a stroke is set on its bounds,
+    and how far it moves for that (by default: what stands there and presses outward).
     """
     root = weight**0.5
     n = len(layout.names)
@@ -331,9 +352,15 @@ def arrow(
     inner: dict[int, tuple[Floats, Floats, Floats]] = {}
     for k, block in blocks.items():
         r, a, b = root * block.residual, root * block.shared, root * block.scatter
-        gs: Floats = b.T @ r - spread[k]
-        # what stands at its bound and presses outward stays there
-        held = (np.abs(spread[k]) >= FARTHEST_SD) & (gs * spread[k] > 0.0)
+        if on is None:
+            gs: Floats = b.T @ r - spread[k]
+            held = (np.abs(spread[k]) >= FARTHEST_SD) & (gs * spread[k] > 0.0)
+        else:
+            held = np.zeros(b.shape[1], dtype=bool)
+            if k in on:
+                held, moved = on[k]
+                r = r - b @ np.where(held, moved, 0.0)
+            gs = b.T @ r - spread[k]
         if held.any():
             b = np.where(held, 0.0, b)
             gs = np.where(held, 0.0, gs)
@@ -347,6 +374,42 @@ def arrow(
     normal += np.diag(prior)
     gradient -= prior * shared
     return normal, gradient, inner
+
+
+def bounds_met(
+    blocks: dict[int, Block],
+    spread: Floats,
+    shared: Floats,
+    layout: Shared,
+    weight: float,
+    moving: NDArray[np.bool_],
+    candidates: Sequence[Candidate],
+) -> dict[int, tuple[NDArray[np.bool_], Floats]]:
+    """Scatter that a full step of everything would carry out of its bounds, and its way to them."""
+    on: dict[int, tuple[NDArray[np.bool_], Floats]] = {}
+    which = np.zeros(spread.shape, dtype=bool)
+    begin = spread
+    for _ in range(BOUNDS_PASSES):
+        normal, gradient, inner = arrow(blocks, spread, shared, layout, weight, on)
+        trial = stepped(shared, normal, gradient, moving, candidates, layout)
+        there = scattered(begin, inner, trial - shared)
+        outside = (np.abs(there) > FARTHEST_SD) & ~which
+        if not outside.any():
+            break
+        which |= outside
+        begin = np.where(outside, np.clip(there, -FARTHEST_SD, FARTHEST_SD), begin)
+        on = {k: (which[k], begin[k] - spread[k]) for k in blocks if which[k].any()}
+    return on
+
+
+def scattered(
+    spread: Floats, inner: dict[int, tuple[Floats, Floats, Floats]], moved: Floats
+) -> Floats:
+    """The strokes' scatter that goes with a step of the shared parameters."""
+    there = spread.copy()
+    for k, (inverse, hus, gs) in inner.items():
+        there[k] += inverse @ (gs - hus.T @ moved)
+    return there
 
 
 def bounded(shared: Floats, candidates: Sequence[Candidate], layout: Shared) -> Floats:

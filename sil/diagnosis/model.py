@@ -23,6 +23,7 @@ from .nuisance import SIMULATED, Spread, shift
 from .observations import StrokeObservation
 
 Floats = NDArray[np.float64]
+NS = 1e9
 
 DIFFERENCE = 0.05
 """Step of the one-sided differences, in prior standard deviations of the quantity."""
@@ -41,6 +42,14 @@ TWINS = {
     "valve_slow_close": "fall",
 }
 """Effects whose parameter does what a tolerance does too, wholly or in part."""
+
+
+TIMED = {
+    "valve_open_delay": "rise",
+    "valve_delay_pressure": "rise",
+    "valve_slow_close": "fall",
+}
+"""Effects that move a valve's instant as a tolerance does: their derivative is its, times a factor."""
 
 
 @dataclass(frozen=True)
@@ -286,12 +295,26 @@ class CampaignModel:
             if scaled_of(parameter, parameter.high) - scaled[j] < step:
                 step = -step
 
-            def moved_effect(h: float, j: int = j) -> Floats:
+            def moved_setup(h: float, j: int = j) -> Setup:
                 trial = scaled.copy()
                 trial[j] += h
                 own = self.effect_values(candidates, trial)
-                return self.predict(k, self.setup(k, amounts, candidates, own))
+                return self.setup(k, amounts, candidates, own)
 
+            def moved_effect(h: float, j: int = j) -> Floats:
+                return self.predict(k, moved_setup(h, j))
+
+            instant = TIMED.get(names[j])
+            if instant is not None and not own_only:
+                later_s = delay_s(moved_setup(step), instant) - delay_s(setup, instant)
+                place = self.scatter.index(instant)
+                by_second = (
+                    columns[instant]
+                    if kept is None
+                    else kept.scatter[:, place] / self.spread.stroke[instant]
+                )
+                shared_columns[:, healthy + j] = by_second * (later_s / step)
+                continue
             shared_columns[:, healthy + j] = difference(moved_effect, base, step, central)
         if kept is not None:
             return Block(residual, shared_columns, kept.scatter, base)
@@ -300,6 +323,12 @@ class CampaignModel:
             if name in columns:
                 scatter_columns[:, j] = columns[name] * self.spread.stroke[name]
         return Block(residual, shared_columns, scatter_columns, base)
+
+
+def delay_s(setup: Setup, instant: str) -> float:
+    """Delay of a valve's opening ("rise") or closing ("fall") [s]."""
+    timing = setup.timing
+    return (timing.rise_ns if instant == "rise" else timing.fall_ns) / NS
 
 
 def difference(  # type: ignore[no-untyped-def]

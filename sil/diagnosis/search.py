@@ -30,6 +30,7 @@ WORTH = 12.0
 
 FIRST_ITERATIONS = 3
 LAST_ITERATIONS = 10
+MOST_ITERATIONS = 30
 SINGLES_KEPT = 6
 PAIRS_KEPT = 5
 FEWEST = 3
@@ -183,12 +184,13 @@ class Search:
                 done[fit.name] = fit
         return sorted(done.values(), key=lambda fit: fit.evidence())
 
-    def polish(self, found: Found, fits: Sequence[FitResult]) -> None:
+    def polish(self, found: Found, fits: Sequence[FitResult], again: bool = True) -> None:
         """Fit all training strokes from where first fits stand; keep the better ones by name."""
+        most = LAST_ITERATIONS if again else MOST_ITERATIONS
 
         def work(fit: FitResult) -> FitResult | None:
             try:
-                return self.refine(fit).light()
+                return self.refine(fit, most).light()
             except IntegrationError:
                 return None
 
@@ -198,6 +200,9 @@ class Search:
             held = found.fits.get(fit.name)
             if held is None or fit.cost < held.cost:
                 found.fits[fit.name] = fit
+        best = found.ordered()[:1]
+        if again and best and best[0].iterations >= LAST_ITERATIONS:
+            self.polish(found, best, False)  # a long valley
 
     # --- stages -------------------------------------------------------------------------------
     def singles(self, found: Found) -> None:
