@@ -15,15 +15,19 @@ def alpha_speed(setup: Setup, values: dict[str, float]) -> None:
     """Exponents alpha + share f(|v|), f = 1 - exp(-|v| / speed): slow motion is less adiabatic.
 
     form 0: those of the volume terms; 1: all four; 2: those of the volume terms towards gamma, by
-    share (gamma - alpha) f; 3: all four towards gamma.
+    share (gamma - alpha) f; 3: all four towards gamma; 4, 5: those of the volume terms, all four,
+    towards 1 at rest: alpha + share (1 - alpha) (1 - f).
     """
     form = values["form"]
     speed = max(values["speed_m_s"], 1e-3)
     setup.p[L.ALPHA_V0] = speed
     for index, exponent in zip(SLOPES, EXPONENTS, strict=True):
-        if form in (0.0, 2.0) and index not in VOLUME_TERMS:
+        if form in (0.0, 2.0, 4.0) and index not in VOLUME_TERMS:
             continue
         towards = setup.p[L.GAMMA] - setup.p[exponent] if form >= 2.0 else 1.0
+        if form >= 4.0:
+            towards = setup.p[exponent] - 1.0
+            setup.p[exponent] -= values["share"] * towards
         setup.p[index] = values["share"] * towards / speed
 
 
@@ -36,7 +40,7 @@ EFFECTS = (
         (
             EffectParameter("share", "-", 0.0, -1.0, 1.0, 0.1),
             EffectParameter("speed_m_s", "m/s", 0.3, 0.001, 20.0, 0.3, optional=True),
-            EffectParameter("form", "-", 0.0, 0.0, 3.0, 1.0, optional=True),
+            EffectParameter("form", "-", 0.0, 0.0, 5.0, 1.0, optional=True),
         ),
         alpha_speed,
     ),

@@ -183,6 +183,8 @@ SPECIAL: dict[str, tuple[tuple[str, dict[str, float], Starts | None, bool], ...]
         ("all exponents", {"form": 1.0}, SHARES, False),
         ("towards adiabatic", {"form": 2.0}, SHARES, False),
         ("all towards adiabatic", {"form": 3.0}, SHARES, False),
+        ("isothermal at rest", {"form": 4.0}, SHARES, False),
+        ("all isothermal at rest", {"form": 5.0}, SHARES, False),
     ),
     "clock_skew": (
         ("", {}, ((0.003, 0.0), (-0.003, 0.0), (0.0, 0.005), (0.01, 0.0), (0.003, 0.01)), False),

@@ -35,11 +35,11 @@ SECOND_SHARE = 0.3
 """A further cause must gain at least this share of what the whole hypothesis still leaves."""
 
 SLIGHT = 0.1
-"""A further cause below this many typical sizes ..."""
+"""A further cause below this many typical sizes is doubted while something is unexplained ..."""
 
 SLIGHT_SHARE = 0.02
-"""... that gains less than this share of what the healthy model leaves is not claimed: it mends the
-form that the other one's extension has here."""
+"""... and not claimed at all if it gains less than this share of what the healthy model leaves: it
+mends the form that the other one's extension has here."""
 
 LEFT = (0.005, 0.05)
 """Misfit left, as a share of the healthy model's: from the first on a named cause is doubted, from
@@ -109,12 +109,11 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
         needed = least
         if len(item.ids) > 1:
             needed = max(least, 0.5 * SECOND_SHARE * item.whole.beyond)
-        mending = slight(item)
         for name in item.ids:
             gain = gain_of(name, item, judged)
             if gain < needed or held_gain(item, judged, name) <= 0.0:
                 return False
-            if name in mending and gain < 0.5 * SLIGHT_SHARE * healthy.whole.excess:
+            if gain < 0.5 * SLIGHT_SHARE * healthy.whole.excess and name in slight(item):
                 return False
         return True
 
@@ -131,6 +130,9 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
         for name, p in probabilities.items()
         if name in leader.ids or (p >= RIVAL_SHARE and any(name in group for group in groups))
     }
+    if leader.whole.beyond > 0.0:
+        for name in slight(leader):
+            told[name] = min(told[name], DOUBTED)
     if "unnamed" in leader.ids:
         told["unnamed"] = min(max(told["unnamed"], 1.0 - most), SUREST)
     surest = max(told.values())

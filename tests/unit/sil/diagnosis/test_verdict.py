@@ -20,6 +20,7 @@ def entry(
         prior=0.1 if len(ids) > 1 else 1.0,
         whole=SimpleNamespace(beyond=beyond, excess=excess, count=10000),
         held=SimpleNamespace(chi2=held_chi2),
+        training=SimpleNamespace(candidates=[], scaled=[]),
         probability=0.0,
     )
 
@@ -104,10 +105,28 @@ def test_a_tiny_second_cause_is_doubted_while_something_is_left() -> None:
         pair = entry(400.0, 200.0, "alpha_speed", "dead_volume_passive", beyond=beyond, excess=9.0)
         pair.training = training(0.16, 0.03)
         return verdict(
-            entry(3000.0, 1500.0, excess=1e6), entry(1500.0, 700.0, "alpha_speed"), pair
+            entry(3000.0, 1500.0, excess=1e5), entry(1500.0, 700.0, "alpha_speed"), pair
         )
 
     assert found(50.0).probabilities["dead_volume_passive"] == pytest.approx(0.45)
     assert found(50.0).probabilities["alpha_speed"] > 0.9
     assert found(50.0).kind == "ambiguous"
     assert found(0.0).probabilities["dead_volume_passive"] > 0.9
+
+
+def test_a_tiny_second_cause_that_gains_next_to_nothing_is_not_claimed() -> None:
+    def found(size: float):
+        pair = entry(900.0, 440.0, "seal_pressure_friction", "external_force")
+        ids = ("seal_pressure_friction", "external_force")
+        pair.training = SimpleNamespace(
+            candidates=[SimpleNamespace(id=name, parameters=(None,)) for name in ids],
+            scaled=(1.0, size),
+        )
+        return verdict(
+            entry(100000.0, 50000.0, excess=2e5),
+            entry(1000.0, 480.0, "seal_pressure_friction"),
+            pair,
+        )
+
+    assert found(0.01).claimed == ("seal_pressure_friction",)
+    assert "external_force" in found(0.3).claimed
