@@ -65,29 +65,35 @@ class Candidate:
 
 
 def scaled_of(parameter: EffectParameter, value: float) -> float:
-    """A parameter's value in typical sizes from neutral; factors count in logarithms.
+    """A parameter's value in typical sizes from neutral; factors and scales count in logarithms.
 
     A factor on what a tolerance scales too is known through the product alone: in logarithms that
     valley is straight, and a fit walks along it in one step.
     """
-    if is_factor(parameter):
-        return math.log(value) / math.log1p(parameter.typical)
+    if is_scale(parameter):
+        return math.log(value / parameter.neutral) / log_size(parameter)
     return (value - parameter.neutral) / parameter.typical
 
 
 def value_of(parameter: EffectParameter, scaled: float) -> float:
     """The value at so many typical sizes from neutral, kept within the physical bounds."""
-    if is_factor(parameter):
+    if is_scale(parameter):
         low, high = scaled_of(parameter, parameter.low), scaled_of(parameter, parameter.high)
         scaled = min(max(scaled, low), high)
-        return min(max((1.0 + parameter.typical) ** scaled, parameter.low), parameter.high)
-    raw = parameter.neutral + scaled * parameter.typical
+        raw = parameter.neutral * math.exp(scaled * log_size(parameter))
+    else:
+        raw = parameter.neutral + scaled * parameter.typical
     return min(max(raw, parameter.low), parameter.high)
 
 
-def is_factor(parameter: EffectParameter) -> bool:
-    """Whether a parameter multiplies something: neutral at one."""
-    return parameter.neutral == 1.0 and parameter.low > 0.0
+def is_scale(parameter: EffectParameter) -> bool:
+    """Whether a parameter is a factor, a width, a volume, a speed: positive wherever it goes."""
+    return parameter.neutral > 0.0 and parameter.low > 0.0
+
+
+def log_size(parameter: EffectParameter) -> float:
+    """The typical size of a scale in logarithms."""
+    return math.log1p(parameter.typical / parameter.neutral)
 
 
 KNOWN: dict[str, Candidate] = {}

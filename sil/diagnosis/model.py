@@ -17,7 +17,7 @@ from plant.hybrid import IntegrationError
 from plant.prediction import copied
 from plant.setup import Setup
 
-from .hypotheses import Candidate, is_factor, scaled_of, value_of
+from .hypotheses import Candidate, is_scale, log_size, scaled_of, value_of
 from .internal import INTERNAL_SD_M, internal_prediction
 from .nuisance import SIMULATED, Spread, shift
 from .observations import StrokeObservation
@@ -224,7 +224,7 @@ class CampaignModel:
         if twin is None:
             return EFFECT_STEP
         step = DIFFERENCE * self.spread.stroke.get(twin, self.spread.unit.get(twin, 0.0))
-        return float(step / (np.log1p(parameter.typical) if is_factor(parameter) else parameter.typical))
+        return float(step / (log_size(parameter) if is_scale(parameter) else parameter.typical))
 
     # --- one stroke ---------------------------------------------------------------------------
     def residual(
