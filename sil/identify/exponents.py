@@ -20,12 +20,13 @@ PLACES = (L.ALPHA_M1, L.ALPHA_1, L.ALPHA_M2, L.ALPHA_2)
 def identify_alpha(campaign: Campaign, parameters: ParameterSet) -> Identified:
     """alpha_m and alpha of charging and discharging from a campaign's fixed-piston strokes.
 
-    Position-driven: friction plays no part.  Each stroke's opening delay is fitted with them.
+    Position-driven: friction plays no part.  Each stroke's delays and supply are fitted with them.
     """
     from scipy.optimize import least_squares
     from scipy.signal import savgol_filter
 
     strokes = plain_strokes(campaign)
+    supply_sd = parameters.value("repeatability.supply_sd")
     prepared = []
     for entry, record in strokes:
         setup = make_setup(parameters, entry.conditions)
@@ -53,8 +54,8 @@ def identify_alpha(campaign: Campaign, parameters: ParameterSet) -> Identified:
         twin = copied(setup)
         for place, alpha in zip(PLACES, x[:4], strict=True):
             twin.p[place] = alpha
-        later = seconds_to_ns(x[4 + 2 * k] * 1e-3)
-        closes = seconds_to_ns(x[5 + 2 * k] * 1e-3)
+        later, closes = (seconds_to_ns(ms * 1e-3) for ms in x[4 + 3 * k : 6 + 3 * k])
+        twin.p[L.P_SUPPLY] *= 1.0 + supply_sd * x[6 + 3 * k]
         twin.timing = replace(
             twin.timing,
             rise_ns=max(0, twin.timing.rise_ns + later),
@@ -67,11 +68,12 @@ def identify_alpha(campaign: Campaign, parameters: ParameterSet) -> Identified:
             ((modelled(x, k) - prepared[k][3]) / 500.0)[::5].ravel() for k in range(len(prepared))
         ]
         # delays scatter by a few tenths of a millisecond from stroke to stroke and unit to unit
-        parts.append(x[4::2] / 0.36)
-        parts.append(x[5::2] / 0.92)
+        parts.append(x[4::3] / 0.36)
+        parts.append(x[5::3] / 0.92)
+        parts.append(x[6::3])
         return np.concatenate(parts)
 
-    start = np.concatenate([np.ones(4), np.zeros(2 * len(prepared))])
+    start = np.concatenate([np.ones(4), np.zeros(3 * len(prepared))])
     fit = least_squares(residual, start, x_scale="jac", diff_step=1e-4, max_nfev=40)
     freedom = max(1, len(fit.fun) - len(fit.x))
     inflation = max(1.0, 2.0 * fit.cost / freedom)

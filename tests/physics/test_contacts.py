@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from plant import layout as L
-from plant.stroke import StrokeConditions, simulate
+from plant.setup import make_setup
+from plant.stroke import StrokeConditions, run_setup, simulate
 from tests.physics.bare import AIRLESS, MS, NOMINAL, SMOOTH, Bare
 
 FREE = {**AIRLESS, **SMOOTH}
@@ -162,3 +163,30 @@ def test_a_stop_with_rebound_keeps_the_momentum_of_the_pistons_that_leave_it() -
     assert rig.velocity_m_s == pytest.approx(common, rel=1e-12)
     assert rig.state(L.V2) == pytest.approx(-common, rel=1e-12)
     assert rig.balance().closed
+
+
+@pytest.mark.parametrize("kind", ["N-B", "B-N", "N-F", "F-N"])
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+@pytest.mark.parametrize("damper", ["none", "incompressible", "compressible"])
+def test_a_stop_worn_beyond_the_free_play_ends_at_the_far_collar(
+    kind: str, restitution: float, damper: str
+) -> None:
+    """The collar of the piston that stands on its outer stop is as good as a stop."""
+    old, new = kind[0], kind[-1]
+    conditions = StrokeConditions(
+        kind,
+        5e5,
+        ((0.01, new, 0.98), (0.01, old, 0.0)),
+        charged_before=(old,),
+        load="none" if damper == "none" else "damper",
+        damper_model=damper if damper != "none" else "compressible",
+    )
+    setup = make_setup(NOMINAL.override({"stops.restitution": restitution}), conditions)
+    setup.p[L.STOP_OFFSET] = 1e-3
+    free = float(setup.p[L.X_FREE])
+    stroke = run_setup(setup, np.linspace(0.0, 0.4, 401), internal=False)
+    y = stroke.states
+    assert np.abs(y[:, L.XS]).max() == pytest.approx(free, abs=1e-9)
+    assert y[:, [L.X1, L.X2]].min() > -1e-9
+    assert stroke.position_m[-1] == pytest.approx({"B": free, "F": -free, "N": 0.0}[new], abs=1e-8)
+    assert len(stroke.events) < 100 and stroke.balance.closed
