@@ -1,10 +1,10 @@
 """How a stroke changes with its parameters: differences along one frozen sequence of steps.
 
 The stroke runs once and notes where its steps end.  The same stroke with a parameter moved by a
-tiny amount then takes those very steps, in the lanes where they cover it, without error control, but locates its own
-events, resets at its own instants and rests for its own time.  Both are the same smooth function of
-the parameter, so the difference quotient carries the events' own motion and is good to many digits
-where differences of two free runs would drown in their changing steps.
+tiny amount then takes those very steps, in the lanes where they cover it, without error control, but
+locates its own events, resets at its own instants and rests for its own time.  Both are the same
+smooth function of the parameter, so the difference quotient carries the events' own motion and is
+good to many digits where differences of two free runs would drown in their changing steps.
 
 Checked by: tests/unit/plant/test_tangents.py
 """
