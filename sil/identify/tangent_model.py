@@ -32,6 +32,7 @@ class TangentModel(CampaignModel):
         candidates: Sequence[Candidate],
         central: bool = False,
         own_only: bool = False,
+        kept: Block | None = None,
     ) -> Block:
         """Residual and derivatives of stroke k; differences only where the events do not move along."""
         layout = self.layout(candidates)
@@ -49,7 +50,7 @@ class TangentModel(CampaignModel):
             return self.setup(k, moved, candidates, self.effect_values(candidates, trial))
 
         parameters = [p for item in candidates for p in item.parameters]
-        names = [] if own_only else list(SIMULATED)
+        names = [] if own_only or kept is not None else list(SIMULATED)
         names += [str(j) for j in range(len(parameters))]
         base_setup = made("", 0.0)
         setups, steps = [], []
@@ -65,11 +66,11 @@ class TangentModel(CampaignModel):
             setups.append(setup)
             steps.append(h)
         states, found = self.strokes[k].predictor.derivatives(base_setup, setups, steps)
-        base = self.compared(k, states, base_setup)
+        base = self.compared(k, base_setup, states, False)
         columns: dict[str, Floats] = {}
         for name, setup, h, rates in zip(names, setups, steps, found, strict=True):
             if rates is not None and h != 0.0:
-                columns[name] = (self.compared(k, states + h * rates, setup) - base) / h
+                columns[name] = (self.compared(k, setup, states + h * rates, False) - base) / h
                 continue
 
             def changed(h: float, name: str = name) -> Floats:
@@ -86,18 +87,10 @@ class TangentModel(CampaignModel):
         for j, name in enumerate(self.scatter):
             if name in columns:
                 by_scatter[:, j] = columns[name] * self.spread.stroke[name]
+        if kept is not None:
+            by_shared[:, : len(self.unit)] = kept.shared[:, : len(self.unit)]
+            by_scatter = kept.scatter
         by_shared[:, len(self.unit) : healthy] = self._offset_columns[k]
         for j in range(len(parameters)):
             by_shared[:, healthy + j] = columns[str(j)]
         return Block(self.residual(k, shared, scatter, candidates), by_shared, by_scatter, base)
-
-    def compared(self, k: int, states: Floats, setup: Setup) -> Floats:
-        """The compared numbers of stroke k from its states, standardised by their noise."""
-        stroke = self.strokes[k]
-        parts = []
-        for channel in stroke.channels:
-            values = states[:, channel.state]
-            if channel.kind == "oil":
-                values = stroke.oil_pressure_pa(states, setup)
-            parts.append(values[channel.rows] / channel.sd)
-        return np.concatenate(parts)
