@@ -74,11 +74,12 @@ def run(
     base = _blank(loaded, transport)
     summary: RunSummary | None = None
     why: str | None = None
+    log: BusLog | None = None
     try:
         with contextlib.ExitStack() as closing:
+            write_result(_with(base, why=CUT_OFF), folder)
             write_whole(folder / SCENARIO, json.dumps({"scenario": expanded(scenario)}, indent=1))
             channels = assembly.open_channels(loaded, folder, transport, external, say, closing)
-            write_result(_with(base, why=CUT_OFF), folder)
             log = BusLog(folder / BUS_LOG)
             closing.callback(log.close)
 
@@ -104,16 +105,20 @@ def run(
         _discard(folder)
         raise
     except RunError as error:
+        if log is None:
+            _discard(folder)
+            raise
         why = str(error)
         refused = REFUSED_BY_A_PARTICIPANT.search(why)
         if refused is not None and not log.frames:
             _discard(folder)
             told = refused["told"].replace(str(folder / SCENARIO), loaded.source)
             raise InputError(told) from None
-    except KeyboardInterrupt:
-        why = "interrupted"
-    except OSError as error:  # disk full and the like
-        why = str(error)
+    except (KeyboardInterrupt, OSError) as error:  # disk full and the like
+        if log is None:
+            _discard(folder)
+            raise
+        why = str(error) or "interrupted"
     if summary is not None:
         for warning in lockstep.warnings:
             say(warning)

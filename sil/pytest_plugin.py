@@ -112,12 +112,13 @@ def _kept(loaded: Loaded, folder: Path) -> list[Check]:
     from can_dbc.errors import RunError
     from sil import cosim
     from sil.report.run_report import write_report
-    from sil.results import prepare_folder
+    from sil.results import prepare_folder, settle
 
-    finished = cosim.run(loaded, prepare_folder(folder, loaded.scenario.name, True))
+    finished = cosim.run(loaded, prepare_folder(folder, loaded.scenario.name, True, True))
     if not finished.result.complete:
         raise RunError(finished.result.why or "the run did not finish")
     write_report(finished, folder)
+    settle(None)
     return list(finished.result.expectations)
 
 

@@ -72,7 +72,8 @@ class TraceCsv:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._part = path.with_name(path.name + ".part")
-        self._file = open(self._part, "w", encoding="utf-8", newline="")  # noqa: SIM115
+        self._part.unlink(missing_ok=True)
+        self._file = open(self._part, "x", encoding="utf-8", newline="")  # noqa: SIM115
         self._held: dict[str, float] = {}
         self._begun = False
 

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from can_dbc.errors import InputError
+from plant.parameters import parsed
 
 T = TypeVar("T")
 
@@ -43,7 +44,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def parse_toml(raw: bytes, source: str) -> dict[str, Any]:
     """Parse TOML bytes; `source` stands for the file in messages. Raises InputError."""
     try:
-        table = tomllib.loads(raw.decode("utf-8"))
+        table = parsed(raw.decode("utf-8"))
     except UnicodeDecodeError as error:
         raise InputError(f"{source}: byte {error.start}: not UTF-8; expected TOML text") from None
     except tomllib.TOMLDecodeError as error:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -111,6 +112,10 @@ def scalar(raw: object, place: str) -> float:
     return value
 
 
+_DEEP_KEY = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){100}")
+"""A key of more than a hundred parts; nothing else has that many words between dots."""
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file; unreadable or malformed files raise InputError naming file and place."""
     try:
@@ -120,11 +125,23 @@ def read_toml(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: byte {error.start}: not UTF-8 text; expected TOML") from None
     try:
-        return tomllib.loads(text)
+        return parsed(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: not valid TOML: {error}") from None
     except RecursionError:
         raise InputError(f"{path}: not valid TOML: nested too deeply") from None
+    except ValueError as error:  # an impossible date, an integer of too many digits
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+
+
+def parsed(text: str) -> dict[str, Any]:
+    """Parse TOML as tomllib does, whose time grows with the square of a dotted key's parts.
+
+    Raises RecursionError for keys of very many parts, and what tomllib raises.
+    """
+    if _DEEP_KEY.search(text):
+        raise RecursionError
+    return tomllib.loads(text)
 
 
 def parameter(raw: object, place: str) -> Parameter:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import signal
 import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
 PASSED, FAILED, BAD_INPUT, NOT_FINISHED = 0, 1, 2, 3
+
+LONGEST_COMPLAINT = 300
 
 COMMANDS = {
     "run": "run one scenario: plant and controller over CAN",
@@ -46,6 +49,8 @@ class _Parser(argparse.ArgumentParser):
     """An argument parser whose complaint is one line."""
 
     def error(self, message: str) -> NoReturn:
+        if len(message) > LONGEST_COMPLAINT:
+            message = message[:LONGEST_COMPLAINT] + " ..."
         self.exit(BAD_INPUT, f"{self.prog}: {message}; see {self.prog} --help\n")
 
 
@@ -55,7 +60,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     Bad input and usage end in one line on standard error; with --json the same line is also the
     `error` of the one object on standard output.  Checked by test_cli.
     """
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _main(list(sys.argv[1:] if argv is None else argv))
+    except KeyboardInterrupt:  # while a command was being loaded
+        _hear_no_more()
+        print("opc4: interrupted", file=sys.stderr)
+        return NOT_FINISHED
+
+
+def _hear_no_more() -> None:
+    """After an interrupt: ignore further ones, since what is left takes no time."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Python notes an interrupt that passed through exec (a dataclass being made), and would end with
+    # the signal instead of our exit code; it forgets that when exec runs again.
+    exec("")
+
+
+def _main(arguments: list[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
         rows = "\n".join(f"  {name:<10} {summary}" for name, summary in COMMANDS.items())
         print(_HELP.format(commands=rows), end="")
@@ -72,7 +93,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         near = difflib.get_close_matches(name, COMMANDS, n=3) or list(COMMANDS)
         print(f"opc4: no command {name!r}; nearest: {', '.join(near)}", file=sys.stderr)
         return BAD_INPUT
-    command: Any = importlib.import_module(f"sil.cli.{name}")
+    try:
+        command: Any = importlib.import_module(f"sil.cli.{name}")
+    except ModuleNotFoundError as error:
+        print(f"opc4 {name}: the library {error.name!r} is not installed", file=sys.stderr)
+        return NOT_FINISHED
     parser = _Parser(
         prog=f"opc4 {name}",
         description=command.__doc__,
@@ -95,13 +120,17 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
     try:
         code: int = command.run(parsed)
         sys.stdout.flush()
+        _settle(name, None if code in (PASSED, FAILED) else "not finished")
         return code
     except InputError as error:
         message, code = str(error), BAD_INPUT
     except RunError as error:
         message, code = str(error), NOT_FINISHED
     except KeyboardInterrupt:
+        _hear_no_more()
         message, code = "interrupted", NOT_FINISHED
+    except MemoryError:
+        message, code = "not enough memory", NOT_FINISHED
     except BrokenPipeError:  # the reader of our output went away: nobody to tell
         sys.stderr.close()
         return NOT_FINISHED
@@ -110,6 +139,19 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         message, code = f"the library {error.name!r} is not installed", NOT_FINISHED
     print(f"opc4 {name}: {message}", file=sys.stderr)
+    _settle(name, f"opc4 {name}: {message}")
     if getattr(parsed, "json", False):
         print(json.dumps({"error": message, "exit_code": code}))
     return code
+
+
+def _settle(name: str, why: str | None) -> None:
+    """End what the command has begun to write: complete, or why not."""
+    results = sys.modules.get("sil.results")  # not loaded: nothing was begun
+    if results is None:
+        return
+    try:
+        for line in results.settle(why):
+            print(f"opc4 {name}: {line}", file=sys.stderr)
+    except OSError as error:
+        print(f"opc4 {name}: {error}", file=sys.stderr)

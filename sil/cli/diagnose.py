@@ -29,7 +29,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.diagnosis.diagnosis import diagnose
     from sil.diagnosis.force_rig import is_force_rig
     from sil.diagnosis.report import write_report
-    from sil.results import finite
+    from sil.results import finite, write_whole
 
     if is_force_rig(arguments.campaign):
         return run_force(arguments)
@@ -43,11 +43,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     result = diagnose(campaign, parameters, workers=max(1, arguments.workers), progress=told)
     if result.extended is not None:
-        (folder / "extended_model.toml").write_text(result.extended, encoding="utf-8")
+        write_whole(folder / "extended_model.toml", result.extended)
     beyond = write_report(result, folder, arguments.campaign, arguments.model)
     plain = finite(result.as_json() | beyond)
     text = json.dumps(plain, indent=1, ensure_ascii=False)
-    (folder / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
+    write_whole(folder / "diagnosis.json", text + "\n")
     if arguments.json:
         print(json.dumps(plain, ensure_ascii=False))
     else:
@@ -60,28 +60,22 @@ def run(arguments: argparse.Namespace) -> int:
 
 def free_folder(arguments: argparse.Namespace, name: str) -> Path:
     """The folder to write; InputError if it holds another diagnosis and --force is missing."""
-    from can_dbc.errors import InputError
     from sil.results import prepare_folder
 
-    folder = prepare_folder(arguments.out, f"{name}-diagnosis", arguments.force)
-    if (folder / "diagnosis.json").exists() and not arguments.force:
-        raise InputError(
-            f"{folder}: --out: holds another diagnosis; expected an empty folder, or --force"
-        )
-    return folder
+    return prepare_folder(arguments.out, f"{name}-diagnosis", arguments.force)
 
 
 def run_force(arguments: argparse.Namespace) -> int:
     """Diagnose a rig known by driving force and position alone; 1 if a cause is named."""
     from sil.diagnosis.force_page import write_page
     from sil.diagnosis.force_rig import diagnose_force
-    from sil.results import finite
+    from sil.results import finite, write_whole
 
     found = diagnose_force(arguments.campaign)
     folder = free_folder(arguments, found.name)
     plain = finite(found.as_json())
     text = json.dumps(plain, indent=1, ensure_ascii=False)
-    (folder / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
+    write_whole(folder / "diagnosis.json", text + "\n")
     write_page(found, folder, arguments.campaign)
     if arguments.json:
         print(json.dumps(plain, ensure_ascii=False))

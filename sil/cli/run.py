@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
     )
     speed = arguments.speed if arguments.speed is not None else 1.0 if arguments.realtime else None
-    folder = prepare_folder(arguments.out, loaded.scenario.name, arguments.force)
+    folder = prepare_folder(arguments.out, loaded.scenario.name, arguments.force, True)
     _tell_first_use()
     from sil import cosim
 
@@ -150,5 +150,5 @@ def _tell(loaded: Loaded, finished: Finished, folder: Path) -> None:
     if "late_p50_s" in result.speed:
         late = [f"{q} {1e3 * result.speed[f'late_{q}_s']:.2f} ms" for q in ("p50", "p99", "max")]
         print(f"  real time: late by {', '.join(late)}; {result.speed['overruns']:.0f} overruns")
-    names = sorted(p.name for p in folder.iterdir())
+    names = sorted(p.name for p in folder.iterdir() if p.is_file())
     print(f"  {folder}: {' '.join(names)}")

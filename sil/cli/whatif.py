@@ -27,8 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the rows, write table, summary, pictures and page."""
     from can_dbc.errors import InputError
-    from sil.results import finite, prepare_folder, write_whole
-    from sil.sweeps.engine import RESULTS, STATE, run_study
+    from sil.results import begin, finite, prepare_folder, write_whole
+    from sil.sweeps.engine import RESULTS, run_study
     from sil.sweeps.page import page
     from sil.sweeps.pictures import draw, read_metrics
     from sil.sweeps.study import load_study, shipped
@@ -47,13 +47,9 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.out is None or not (arguments.out / RESULTS).exists():
             raise InputError("--resume: no sweep to continue; expected --out DIR of one")
         folder = arguments.out
+        begin(folder)
     else:
         folder = prepare_folder(arguments.out, study.study.name, arguments.force)
-        held = [name for name in (RESULTS, STATE) if (folder / name).exists()]
-        if held and not arguments.force:
-            raise InputError(
-                f"{folder}: --out: holds another sweep; expected --resume, --force or another folder"
-            )
     terminal = sys.stderr.isatty()
 
     def progress(done: int, size: int) -> None:

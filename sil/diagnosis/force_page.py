@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from sil.report.figures import save
 from sil.report.interactive import Group, Panel, Series, plots
 from sil.report.shell import Head, Picture, render
+from sil.results import write_whole
 
 from .force_rig import UNITS, ForceDiagnosis, base, feature, gains
 from .pictures import AFTER, BEFORE, MEASURED, new_figure
@@ -121,4 +122,4 @@ def write_page(found: ForceDiagnosis, folder: Path, campaign: str) -> None:
         plain_error=f"{found.error(found.plain):.2%}",
         rows=rows,
     )
-    (folder / "report.html").write_text(page, encoding="utf-8")
+    write_whole(folder / "report.html", page)

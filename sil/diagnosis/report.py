@@ -11,6 +11,7 @@ from typing import Any
 
 from sil.report.figures import save
 from sil.report.shell import Head, Picture, render
+from sil.results import write_whole
 
 from .diagnosis import FALSE_ALARM_BASIS, FALSE_ALARM_LEVEL, Diagnosis
 from .evidence import figure
@@ -98,7 +99,7 @@ def write_report(
         time_text=", ".join(f"{name} {value:.1f} s" for name, value in result.seconds.items()),
         extended=result.extended,
     )
-    (folder / "report.html").write_text(page, encoding="utf-8")
+    write_whole(folder / "report.html", page)
     return {
         "explanations": [explanation(item, result) for item in result.judged],
         "residuals": {"before": plain_residuals(before), "after": plain_residuals(after)},

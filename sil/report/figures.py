@@ -9,6 +9,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sil.results import write_whole
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -35,8 +37,10 @@ def save(
     if trimmed:
         how["bbox_inches"] = "tight"
     figure.savefig(image, format="png", dpi=dots_per_inch, metadata={"Software": None}, **how)
-    (folder / f"{name}.png").write_bytes(image.getvalue())
+    write_whole(folder / f"{name}.png", image.getvalue())
     # identifiers that would be drawn at random, and the date, make each file another one
     with matplotlib.rc_context({"svg.hashsalt": name}):
-        figure.savefig(folder / f"{name}.svg", format="svg", metadata={"Date": None}, **how)
+        vectors = BytesIO()
+        figure.savefig(vectors, format="svg", metadata={"Date": None}, **how)
+        write_whole(folder / f"{name}.svg", vectors.getvalue())
     return image.getvalue()

@@ -29,12 +29,18 @@ MOST_OFFERS = 100_000
 """Frames that a participant may offer in one turn."""
 
 
+FAILED_ENDS_S = 2.0
+"""How long a participant that said it failed may take to end, and so to say why."""
+
+
 class Peer:
     """What the coordinator knows of one participant, and the turn it is collecting from it."""
 
     def __init__(self, name: str, number: int) -> None:
         self.name = name
         self.number = number
+        self.child: ChildProcess | None = None
+        """Its process, if the coordinator started it."""
         self.nonce: int | None = None
         self.granted_ns: int | None = None
         self.done: int | None = None
@@ -89,7 +95,8 @@ class Peer:
             self.done = said.value
             self.granted_ns = None
         elif said.kind == Kind.FAILED:
-            raise ParticipantLost(self.name, "failed; its own error output says why")
+            how = self.child.how_it_ended(FAILED_ENDS_S) if self.child is not None else None
+            raise ParticipantLost(self.name, how or "failed; its own error output says why")
         else:
             raise self._against_rules(f"sent {said.kind.name}, which is not its to send")
 
@@ -182,6 +189,7 @@ class RemoteChannel(ABC):
     def spawn(self, name: str, command: Sequence[str]) -> ChildProcess:
         """Start `command` as the process of participant `name`, to be watched and ended here."""
         child = ChildProcess(name, command)
+        self._by_name[name].child = child
         self._children[name] = child
         self._attend(child.fileno(), partial(self._child_ended, child))
         return child

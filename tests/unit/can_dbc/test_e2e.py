@@ -278,3 +278,21 @@ def test_with_counter_keeps_the_payload() -> None:
     assert other.data[1] == first.data[1] & 0xF0 | 11
     assert other.data[2:] == first.data[2:]
     assert with_counter(m.ShiftRequest, other, 0) == first
+
+
+def test_after_many_good_frames_a_bad_one_is_still_seen() -> None:
+    receiver = Receiver(m.ShiftRequest, LENIENT)
+    for counter in range(8):
+        receiver.receive(counter * CYCLE, frame(counter))
+    good = frame(8)
+    short = Frame(good.can_id, good.data[:-1])
+    unknown = with_counter(m.ShiftRequest, Frame(good.can_id, b"\x00\x00" + b"\xff" * 6), 8)
+    assert len(unknown.data) == len(good.data)
+    for bad in (short, unknown, corrupted(8)):
+        assert receiver.receive(8 * CYCLE, bad) is S.ERROR
+        for counter in range(8, 16):
+            receiver.receive(8 * CYCLE, frame(counter))
+        for counter in range(8):
+            assert receiver.receive(8 * CYCLE, frame(counter)) is S.OK
+    with pytest.raises(ValueError, match="is not a ShiftRequest"):
+        receiver.receive(8 * CYCLE, Frame(good.can_id + 1, good.data))

@@ -14,9 +14,11 @@ from sil.results import (
     Check,
     Result,
     as_json,
+    begin,
     finite,
     junit_xml,
     prepare_folder,
+    settle,
     versions,
     write_whole,
 )
@@ -51,15 +53,63 @@ def test_default_folders_are_numbered(tmp_path: Path, monkeypatch: pytest.Monkey
     assert prepare_folder(None, "..", False) == Path("runs/run-1")
 
 
-def test_folder_of_another_run_is_refused_and_force_removes_only_run_files(tmp_path: Path) -> None:
+def put(folder: Path, **files: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        (folder / name.replace("_", ".")).write_text(text)
+
+
+def tree(folder: Path) -> dict[str, str]:
+    found = (p for p in sorted(folder.rglob("*")) if p.is_file())
+    return {str(p.relative_to(folder)): p.read_text() for p in found}
+
+
+def test_a_folder_says_that_it_is_not_complete_until_it_is(tmp_path: Path) -> None:
     out = tmp_path / "deep" / "run"
-    assert prepare_folder(out, "x", False) == out and out.is_dir()
-    (out / "result.json").write_text("{}")
-    (out / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"holds another run \(result.json\)"):
+    assert prepare_folder(out, "x", False) == out
+    assert tree(out) == {"INCOMPLETE": "cut off before it could say why\n"}
+    put(out, diff_txt="half")
+    assert settle("interrupted") == []
+    assert tree(out) == {"INCOMPLETE": "interrupted\n", "diff.txt": "half"}
+    with pytest.raises(InputError, match=r"holds another run \(INCOMPLETE\)"):
         prepare_folder(out, "x", False)
-    prepare_folder(out, "x", True)
-    assert [p.name for p in out.iterdir()] == ["notes.txt"]
+    begin(out)
+    assert settle(None) == [] and tree(out) == {"diff.txt": "half"}
+    assert prepare_folder(tmp_path / "empty", "x", False, says_itself=True).is_dir()
+    assert settle("bad input") == [] and not (tmp_path / "empty").exists()
+
+
+def test_nothing_is_lost_before_the_new_run_stands(tmp_path: Path) -> None:
+    old = {"result.json": '{"complete": true}', "bus.log": "old", "notes.txt": "mine"}
+    put(tmp_path, result_json=old["result.json"], bus_log="old", notes_txt="mine")
+    with pytest.raises(InputError, match=r"holds another run \(bus.log\)"):
+        prepare_folder(tmp_path, "x", False)
+    prepare_folder(tmp_path, "x", True, says_itself=True)
+    assert set(tree(tmp_path)) == {"notes.txt", "previous/result.json", "previous/bus.log"}
+    assert settle("bad input") == [] and tree(tmp_path) == old  # nothing came of it
+    for begun in ("new", "newer"):  # twice killed in the middle
+        prepare_folder(tmp_path, "x", True, says_itself=True)
+        put(tmp_path, result_json='{"complete": false}', bus_log=begun)
+        kept = f"the run that was there before is in {tmp_path / 'previous'}"
+        assert settle("killed") == [kept]
+        assert tree(tmp_path)["bus.log"] == begun and tree(tmp_path)["previous/bus.log"] == "old"
+    prepare_folder(tmp_path, "x", True, says_itself=True)
+    put(tmp_path, result_json='{"complete": true}', bus_log="newest")
+    assert settle(None) == []
+    assert tree(tmp_path) == old | {"bus.log": "newest"}
+
+
+def test_links_of_our_names_are_not_followed(tmp_path: Path) -> None:
+    (outside := tmp_path / "outside").write_text("mine")
+    (out := tmp_path / "out").mkdir()
+    for name in ("result.json", "result.json.part", "previous"):
+        (out / name).symlink_to(outside)
+    with pytest.raises(InputError, match="previous: not a folder"):
+        prepare_folder(out, "x", True)
+    (out / "previous").unlink()
+    write_whole(prepare_folder(out, "x", True) / "result.json", "{}")
+    settle(None)
+    assert outside.read_text() == "mine" and not (out / "result.json").is_symlink()
 
 
 def test_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
