@@ -270,7 +270,7 @@ def finite(value: object, place: str, low: float = -1e300, high: float = 1e300) 
     """A finite number within [low, high], or InputError naming the place."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise InputError(f"{place}: expected a number, got {value!r}")
-    if not math.isfinite(value) or not low <= value <= high:
+    if not low <= value <= high:  # nor not-a-number, nor what is too large for a float
         raise InputError(f"{place}: {value!r}; expected {low:g} to {high:g}")
     return float(value)
 

@@ -183,7 +183,7 @@ def load(model: str | Path = "nominal") -> ParameterSet:
     path = Path(text)
     if not text.endswith(".toml"):
         path = Path(__file__).parent / f"{text}.toml"
-        if not path.is_file():
+        if text not in shipped():
             near = difflib.get_close_matches(text, shipped(), n=3, cutoff=0.3) or shipped()
             raise InputError(
                 f"model {text!r}: no such parameter set; shipped: {', '.join(near)}, "

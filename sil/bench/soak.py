@@ -61,11 +61,11 @@ def one(name: str, duration_s: float, options: list[str], out: Path) -> Iterator
     command = [sys.executable, "-m", "sil.cli", "run", str(file), "--out", str(folder)]
     times, rows = watched([*command, "--no-report", *options], folder / "bus.log", duration_s)
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-    if not result["complete"]:
-        yield f"{name}: not complete: {result['why']}"
-        return
     picture = out / f"{name}.png"
     draw(picture, times, rows, f"{name}: {duration_s / 3600:.3g} simulated hours")
+    if not result["complete"]:
+        yield f"{name}: not complete: {result['why']}; memory so far in {picture}"
+        return
     speed, bus = result["speed"], result["bus"]
     yield (
         f"{name}: {duration_s / 3600:.3g} simulated h in {speed['wall_s'] / 60:.1f} wall min, "

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 
 PASSED, FAILED, BAD_INPUT, NOT_FINISHED = 0, 1, 2, 3
 
-LONGEST_COMPLAINT = 300
+LONGEST_COMPLAINT = 1000
 
 COMMANDS = {
     "run": "run one scenario: plant and controller over CAN",
@@ -49,9 +49,16 @@ class _Parser(argparse.ArgumentParser):
     """An argument parser whose complaint is one line."""
 
     def error(self, message: str) -> NoReturn:
-        if len(message) > LONGEST_COMPLAINT:
-            message = message[:LONGEST_COMPLAINT] + " ..."
-        self.exit(BAD_INPUT, f"{self.prog}: {message}; see {self.prog} --help\n")
+        self.exit(BAD_INPUT, f"{self.prog}: {_shortened(message)}; see {self.prog} --help\n")
+
+
+def _shortened(message: str) -> str:
+    """One line, and what the user gave us at great length cut in its middle."""
+    message = " ".join(message.split("\n"))
+    if len(message) <= LONGEST_COMPLAINT:
+        return message
+    half = LONGEST_COMPLAINT // 2
+    return f"{message[:half]} ... {message[-half:]}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -91,7 +98,7 @@ def _main(arguments: list[str]) -> int:
         import difflib
 
         near = difflib.get_close_matches(name, COMMANDS, n=3) or list(COMMANDS)
-        print(f"opc4: no command {name!r}; nearest: {', '.join(near)}", file=sys.stderr)
+        print(f"opc4: no command {_shortened(repr(name))}; nearest: {', '.join(near)}", file=sys.stderr)
         return BAD_INPUT
     try:
         command: Any = importlib.import_module(f"sil.cli.{name}")
@@ -138,6 +145,7 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
         message, code = str(error), NOT_FINISHED
     except ModuleNotFoundError as error:
         message, code = f"the library {error.name!r} is not installed", NOT_FINISHED
+    message = _shortened(message)
     print(f"opc4 {name}: {message}", file=sys.stderr)
     _settle(name, f"opc4 {name}: {message}")
     if getattr(parsed, "json", False):
