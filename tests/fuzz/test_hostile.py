@@ -9,13 +9,13 @@ from tests.fuzz.hostile import campaign_of_cases
 
 def test_hostile_input_is_refused_in_one_line() -> None:
     told: list[str] = []
-    ends, failures = campaign_of_cases(80, 7, told.append)
+    ends, failures = campaign_of_cases(25, 7, told.append)
     assert failures == 0, "\n".join(told)
-    assert sum(ends.values()) == 80 and len({name.partition(":")[0] for name in ends}) >= 6
+    assert sum(ends.values()) == 25 and len({name.partition(":")[0] for name in ends}) >= 5
 
 
 @pytest.mark.slow
 def test_much_hostile_input_is_refused_in_one_line() -> None:
     told: list[str] = []
-    _, failures = campaign_of_cases(4000, 1, told.append)
+    _, failures = campaign_of_cases(3000, 1, told.append)
     assert failures == 0, "\n".join(told)
