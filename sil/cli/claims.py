@@ -43,9 +43,9 @@ def run(arguments: argparse.Namespace) -> int:
     counts = Counter(finding.verdict for finding in found)
     table = {"claims": [asdict(finding) for finding in found], "verdicts": dict(counts)}
     if folder is not None:
-        write_whole(folder / "claims.json", json.dumps(table, indent=1, ensure_ascii=False) + "\n")
         write_whole(folder / "claims.md", markdown(found))
         write_page(found, folder, shlex.join(["opc4", "claims", *arguments.id]))
+        write_whole(folder / "claims.json", json.dumps(table, indent=1, ensure_ascii=False) + "\n")
     if arguments.json:
         print(json.dumps(table, ensure_ascii=False))
     else:
