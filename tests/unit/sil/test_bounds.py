@@ -196,7 +196,9 @@ def random_policies(
     return worst, alone
 
 
-@pytest.mark.parametrize("delay_s", [-0.02, 0.0, 0.048])
+@pytest.mark.parametrize(
+    "delay_s", [0.048, *(pytest.param(d, marks=pytest.mark.slow) for d in (-0.02, 0.0))]
+)
 def test_no_random_policy_is_below_the_bound_on_the_gearbox(
     delay_s: float, gearbox: dict[float, Bound]
 ) -> None:
@@ -207,7 +209,9 @@ def test_no_random_policy_is_below_the_bound_on_the_gearbox(
     assert found.clairvoyant_m_s <= np.min(alone)
 
 
-@pytest.mark.parametrize("delay_s", [0.0, 0.01, 0.048])
+@pytest.mark.parametrize(
+    "delay_s", [0.01, *(pytest.param(d, marks=pytest.mark.slow) for d in (0.0, 0.048))]
+)
 def test_no_random_policy_is_below_the_bound_in_the_laboratory(delay_s: float) -> None:
     found = searched(LABORATORY, delay_s)
     worst, alone = random_policies(LABORATORY, delay_s, 1000, 12)

@@ -108,13 +108,12 @@ def test_picture_of_a_shift_and_of_a_run_without_one(tmp_path: Path) -> None:
     texts = {t.get_text() for a in draw(record, shifts, "a", "b", LIGHT).axes for t in a.texts}
     assert {"backward requested", "backward confirmed", "stop: 0.64 m/s, 0.2 J"} <= texts
     assert any(re.fullmatch(r"\d+ ms late", text) for text in texts)
-    for theme in (LIGHT, DARK):
-        image = save(draw(record, shifts, "a", "b", theme), tmp_path, theme.name, dots_per_inch=40)
-        assert image.startswith(b"\x89PNG") and len(image) > 10_000
+    image = save(draw(record, shifts, "a", "b", DARK), tmp_path, "dark", dots_per_inch=40)
+    assert image.startswith(b"\x89PNG") and len(image) > 10_000
     (whole,) = windows(record, [])
     assert (whole.start_s, whole.shift) == (0.0, None)
-    save(draw(record, [], "a", "b", LIGHT), tmp_path, "whole", dots_per_inch=40)
-    assert (tmp_path / "light.svg").read_text().rstrip().endswith("</svg>")
+    assert len(draw(record, [], "a", "b", LIGHT).axes) > 3
+    assert (tmp_path / "dark.svg").read_text().rstrip().endswith("</svg>")
 
 
 class _Tags(HTMLParser):
