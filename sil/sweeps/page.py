@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sil.report.shell import Head, Picture, render
+from sil.sweeps import fault_table
 from sil.sweeps.pictures import read_metrics, shown
 from sil.sweeps.plots import study_plots
 from sil.sweeps.study import LoadedStudy
@@ -34,11 +35,12 @@ def page(
         tiles=[
             (str(told["rows"]), "rows"),
             (str(len(entries)), "groups"),
-            (f"{100 * failed:.3g} %", "failed"),
+            (f"{100 * failed:.3g} %", "shift not done" if study.study.safety else "failed"),
             *_ranges(study, table),
         ],
         again=again,
     )
+    safety = study.study.safety
     of_runs = study.study.kind == "runs" and study.study.scenario is not None
     return render(
         "whatif.html",
@@ -50,6 +52,7 @@ def page(
             Picture(path.read_bytes(), path.stem, f"{path.stem}.png, {path.stem}.svg")
             for path in pictures
         ],
+        faults=[fault_table.HEAD, *fault_table.rows(study, table)] if safety else [],
         figures_are="Median of the rows of each group, and in brackets least to greatest.",
         metrics=[shown(name)[0] for name in metrics],
         rows=[
@@ -59,7 +62,7 @@ def page(
                 "cells": [_cell(name, entry.get(name)) for name in metrics],
                 "failed": f"{100 * entry['failed_share']:.3g} %",
             }
-            for name, entry in entries.items()
+            for name, entry in ({} if safety else entries).items()
         ],
         row_again=f"opc4 run {study.study.scenario} --set PATH=VALUE ..." if of_runs else "",
     )
