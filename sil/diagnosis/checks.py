@@ -220,7 +220,16 @@ def check_signals(strokes: Sequence[StrokeObservation]) -> tuple[list[Finding], 
                     Finding(stroke.entry.file, f"{one}, {two}", f"channels are {SWAPPED}; left out")
                 )
         shift = time_shift(pressures)
-        if abs(shift) >= SHIFT_S:
+        motion = {
+            c.name: (c.measured, states[c.rows, c.state], stroke.time_s[c.rows])
+            for c in stroke.channels
+            if c.kind == "position"
+        }
+        # late gauges are no shifted record: the position would be late too
+        moves_too = not motion or bool(
+            np.diff(shift_costs(motion, np.array([0.0, shift])))[0] < 0.0
+        )
+        if abs(shift) >= SHIFT_S and moves_too:
             shifts[k] = shift
             slow += creeps(stroke, pressures, shift)
     if 2 * slow >= len(shifts):

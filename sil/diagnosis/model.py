@@ -143,9 +143,9 @@ class CampaignModel:
 
         Raises IntegrationError where the motion cannot be continued.
         """
-        return self.compared(k, setup, self.strokes[k].predictor.states(setup), rounded)
+        return self.numbers_of(k, setup, self.strokes[k].predictor.states(setup), rounded)
 
-    def compared(self, k: int, setup: Setup, states: Floats, rounded: bool) -> Floats:
+    def numbers_of(self, k: int, setup: Setup, states: Floats, rounded: bool) -> Floats:
         """The compared numbers of stroke k in these states."""
         stroke = self.strokes[k]
         parts = []
@@ -233,7 +233,7 @@ class CampaignModel:
         """Standardised residual (measured - predicted) of stroke k."""
         setup, states = self.here(k, shared, scatter, candidates)
         offsets = shared[len(self.unit) : len(self.unit) + len(self.offsets)]
-        return self.measured(k) - self.compared(k, setup, states, True) - self.offset_part(k, offsets)
+        return self.measured(k) - self.numbers_of(k, setup, states, True) - self.offset_part(k, offsets)
 
     def here(
         self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
@@ -269,7 +269,7 @@ class CampaignModel:
         amounts = self.amounts(shared, scatter)
         residual = self.residual(k, shared, scatter, candidates)
         setup, states = self.here(k, shared, scatter, candidates)
-        base = self.compared(k, setup, states, False)
+        base = self.numbers_of(k, setup, states, False)
         columns: dict[str, Floats] = {}
         for name in () if own_only or kept is not None else SIMULATED:
             step = DIFFERENCE * self.spread.stroke.get(name, self.spread.unit.get(name, 0.0))

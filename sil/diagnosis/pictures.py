@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from .diagnosis import Diagnosis
+    from .intervals import Interval
+    from .one_equation import Alone
+    from .terms import TermPlace
 
 Floats = NDArray[np.float64]
 BEFORE, AFTER, MEASURED = LIGHT.before, LIGHT.after, LIGHT.measured
@@ -139,4 +142,52 @@ def phases_picture(before: Shown, after: Shown) -> Figure:
         axes.set_yticks(range(len(channels)), channels, fontsize=9)
         axes.set_title(title, fontsize=10)
         axes.tick_params(length=0)
+    return figure
+
+
+def alone_picture(result: Diagnosis, found: tuple[int, Alone, Alone]) -> Figure:
+    """One equation at a time: residuals of the force balance and of each chamber, before and after."""
+    k, before, after = found
+    stroke = result.model.strokes[k]
+    rows: list[tuple[str, Floats, Floats, float]] = []
+    if before.position_m is not None and after.position_m is not None:
+        rows.append(("force balance\nposition, mm", before.position_m, after.position_m, 1e3))
+    for name, values in before.pressures_pa.items():
+        if name in after.pressures_pa:
+            title = f"chamber {name}\npressure, bar"
+            rows.append((title, values, after.pressures_pa[name], 1e-5))
+    figure = new_figure(13.0, 0.8 + 1.7 * len(rows))
+    grid = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+    ms = 1e3 * before.time_s
+    for axes, (title, first, second, scale) in zip(grid, rows, strict=True):
+        axes.axhline(0.0, color=LIGHT.grid, lw=1.0)
+        axes.plot(ms, scale * first, color=BEFORE, lw=0.9, label="healthy model")
+        axes.plot(ms, scale * second, color=AFTER, lw=0.9, label="model that stands")
+        axes.set_ylabel(title)
+        axes.grid(color=LIGHT.grid, lw=0.5)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.set_facecolor(LIGHT.paper)
+    grid[0].set_title(
+        f"{stroke.entry.label} ({stroke.entry.file}): measured - predicted", fontsize=10
+    )
+    grid[0].legend(frameon=False, ncols=2, loc="upper right")
+    grid[-1].set_xlabel("ms")
+    return figure
+
+
+def term_picture(place: TermPlace, nodes: list[Interval]) -> Figure:
+    """The estimated missing force or flow over its variable, with its interval."""
+    figure = new_figure(13.0, 3.2)
+    axes = figure.subplots()
+    at = np.linspace(place.low, place.high, place.count)
+    axes.axhline(0.0, color=LIGHT.grid, lw=1.0)
+    axes.fill_between(
+        at, [n.low for n in nodes], [n.high for n in nodes], color=AFTER, alpha=0.2, lw=0
+    )
+    axes.plot(at, [n.value for n in nodes], color=AFTER, marker="o", ms=3.5)
+    axes.set_xlabel(place.on)
+    axes.set_ylabel(f"{place.what}\n[{place.unit}]", fontsize=9)
+    axes.grid(color=LIGHT.grid, lw=0.5)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.set_facecolor(LIGHT.paper)
     return figure

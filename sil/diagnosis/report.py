@@ -15,12 +15,14 @@ from sil.results import write_whole
 
 from .diagnosis import FALSE_ALARM_BASIS, FALSE_ALARM_LEVEL, Diagnosis
 from .evidence import figure
+from .hypotheses import Candidate
 from .judge import Judged
-from .pictures import phases_picture, strokes_picture
+from .one_equation import Alone, alone
+from .pictures import alone_picture, phases_picture, strokes_picture, term_picture, worst
 from .plots import stroke_plots
 from .residuals import Shown, show
 from .structure import FAULTS
-from .terms import is_term
+from .terms import is_term, place_of
 
 STROKES_CAPTION = (
     "The strokes that the questioned model fits worst among those {where}. Grey: measured. Orange: "
@@ -30,6 +32,14 @@ STROKES_CAPTION = (
 PHASES_CAPTION = (
     "Rms of residuals over their expected scatter (1 = explained), by channel and phase of the "
     "stroke: the healthy model, and the model that stands."
+)
+ALONE_CAPTION = (
+    "One equation at a time: measured pressures into the stay's force balance, measured position "
+    "into each chamber's mass balance. What goes wrong in one of them alone lies in that equation."
+)
+TERM_CAPTION = (
+    "What none of the named causes describes, as a function without a form: its value at the nodes "
+    "and their 95 % interval."
 )
 
 
@@ -54,6 +64,24 @@ def write_report(
             PHASES_CAPTION,
         ),
     }
+    found = equations(result)
+    if found is not None:
+        pictures["alone"] = Picture(
+            save(alone_picture(result, found), folder, "equations"),
+            "Residuals one equation at a time",
+            ALONE_CAPTION,
+        )
+    for cause, candidate in zip(result.causes, causes_candidates(result), strict=True):
+        if candidate is not None:
+            pictures["term"] = Picture(
+                save(
+                    term_picture(place_of(candidate), list(cause.parameters.values())),
+                    folder,
+                    "term",
+                ),
+                "What is missing",
+                TERM_CAPTION,
+            )
     kind = result.verdict.kind
     head = Head(
         command="diagnose",
@@ -84,6 +112,7 @@ def write_report(
         if result.next_experiment is None
         else result.next_experiment.as_json(),
         pictures=pictures,
+        alone=[] if found is None else alone_rows(found),
         judged=[row_of(item, result) for item in result.judged[:12]],
         gain=gain_rows(result, before, after),
         standard={
@@ -123,6 +152,34 @@ def plain_residuals(shown: Shown) -> dict[str, Any]:
     plain = asdict(shown)
     plain["cross"] = [{"channels": list(pair), "value": v} for pair, v in shown.cross.items()]
     return plain
+
+
+def equations(result: Diagnosis) -> tuple[int, Alone, Alone] | None:
+    """The stroke fitted worst, one equation at a time, before and after; None without channels."""
+    for k in worst(result):
+        before, after = alone(result.model, result.healthy, k), alone(result.model, result.final, k)
+        if before.rms() and before.rms().keys() == after.rms().keys():
+            return k, before, after
+    return None
+
+
+def alone_rows(found: tuple[int, Alone, Alone]) -> list[dict[str, str]]:
+    """Rms by equation, before and after."""
+    _k, before, after = found
+    return [
+        {
+            "name": name,
+            "before": unit_text("_pa" if name.startswith("mass") else "_m", value),
+            "after": unit_text("_pa" if name.startswith("mass") else "_m", after.rms()[name]),
+        }
+        for name, value in before.rms().items()
+    ]
+
+
+def causes_candidates(result: Diagnosis) -> list[Candidate | None]:
+    """The non-parametric term behind each reported cause, None where it is a named one."""
+    terms = {c.name: c for c in result.final.candidates if is_term(c)}
+    return [terms.get(f"{cause.id}:{cause.variant}") for cause in result.causes]
 
 
 def figures(parameters: dict[str, Any]) -> list[str]:

@@ -34,7 +34,10 @@ class TangentModel(CampaignModel):
         own_only: bool = False,
         kept: Block | None = None,
     ) -> Block:
-        """Residual and derivatives of stroke k; differences only where the events do not move along."""
+        """Residual and derivatives of stroke k; differences only where the events do not move along.
+
+        kept: not needed, these derivatives are cheap.
+        """
         layout = self.layout(candidates)
         healthy = layout.healthy
         scaled = shared[healthy:]
