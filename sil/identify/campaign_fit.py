@@ -44,6 +44,8 @@ def fit_factors(
     places: parameter path -> positions in the packed array that it stands at; known: healthy unit
     tolerances that the parameters themselves express (kept at zero).
     """
+    from scipy.stats import t as student
+
     observed = [replace(observe(entry, campaign.record(entry), parameters), internal=None) for entry in strokes]
     model = TangentModel(observed, Spread.of(parameters))
     paths = tuple(places)
@@ -63,11 +65,13 @@ def fit_factors(
     free = [k for k in range(len(layout.names)) if k not in frozen]
     covariance = np.linalg.pinv(found.normal[np.ix_(free, free)])
     reduced = max(1.0, found.chi2 / found.size)
+    # what strokes scatter by is known beforehand about as well as two of them would tell it
+    quantile = float(student.ppf(0.975, len(strokes) + 1))
     estimates = []
     for k, path in enumerate(paths):
         place = free.index(layout.effect_slice.start + k)
         base = parameters.value(path)
         centre = base * found.values[0][path]
-        half = 1.96 * float(np.sqrt(covariance[place, place] * reduced)) * 0.1 * base
+        half = quantile * float(np.sqrt(covariance[place, place] * reduced)) * 0.1 * base
         estimates.append(Estimate(path, centre, centre - half, centre + half, source))
     return Fitted(tuple(estimates), float(np.sqrt(found.chi2 / found.size)))
