@@ -69,11 +69,11 @@ class TangentModel(CampaignModel):
             setups.append(setup)
             steps.append(h)
         states, found = self.strokes[k].predictor.derivatives(base_setup, setups, steps)
-        base = self.compared(k, base_setup, states, False)
+        base = self.records_of(k, base_setup, states)
         columns: dict[str, Floats] = {}
         for name, setup, h, rates in zip(names, setups, steps, found, strict=True):
             if rates is not None and h != 0.0:
-                columns[name] = (self.compared(k, setup, states + h * rates, False) - base) / h
+                columns[name] = (self.records_of(k, setup, states + h * rates) - base) / h
                 continue
 
             def changed(h: float, name: str = name) -> Floats:
@@ -97,3 +97,14 @@ class TangentModel(CampaignModel):
         for j in range(len(parameters)):
             by_shared[:, healthy + j] = columns[str(j)]
         return Block(self.residual(k, shared, scatter, candidates), by_shared, by_scatter, base)
+
+    def records_of(self, k: int, setup: Setup, states: Floats) -> Floats:
+        """The compared numbers of stroke k in these states, standardised by their noise."""
+        stroke = self.strokes[k]
+        parts = []
+        for channel in stroke.channels:
+            values = states[:, channel.state]
+            if channel.kind == "oil":
+                values = stroke.oil_pressure_pa(states, setup)
+            parts.append(values[channel.rows] / channel.sd)
+        return np.concatenate(parts)
