@@ -59,7 +59,9 @@ def one(name: str, duration_s: float, options: list[str], out: Path) -> Iterator
     file.write_text(scenario_text(name, duration_s), encoding="utf-8")
     shutil.rmtree(folder, ignore_errors=True)
     command = [sys.executable, "-m", "sil.cli", "run", str(file), "--out", str(folder)]
-    times, rows = watched([*command, "--no-report", *options], folder / "bus.log", duration_s)
+    times, rows, written_s = watched(
+        [*command, "--no-report", *options], folder / "bus.log", duration_s
+    )
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     picture = out / f"{name}.png"
     draw(picture, times, rows, f"{name}: {duration_s / 3600:.3g} simulated hours")
@@ -73,7 +75,8 @@ def one(name: str, duration_s: float, options: list[str], out: Path) -> Iterator
     )
     yield f"  frames lost: {lost(result, duration_s)}"
     for who in sorted({who for row in rows for who in row}):
-        yield "  " + told(who, times, np.array([row.get(who, np.nan) for row in rows]))
+        sizes = np.array([row.get(who, np.nan) for row in rows])
+        yield "  " + told(who, times, sizes, written_s)
     if "late_p50_s" in speed:
         late = ", ".join(f"{q} {1e3 * speed[f'late_{q}_s']:.3f} ms" for q in ("p50", "p99", "max"))
         yield f"  jitter: instants late by {late}; {speed['overruns']:.0f} overruns"
@@ -96,11 +99,12 @@ def lost(result: dict[str, Any], duration_s: float) -> str:
 
 def watched(
     command: list[str], log: Path, duration_s: float
-) -> tuple[np.ndarray, list[dict[str, float]]]:
-    """Run a command; returns when [wall s] it was looked at, and resident MiB by process."""
+) -> tuple[np.ndarray, list[dict[str, float]], float]:
+    """Run a command; when [wall s] it was looked at, resident MiB by process, when the log ended."""
     begun = time.monotonic()
     times: list[float] = []
     rows: list[dict[str, float]] = []
+    logged, written_s = 0, 0.0
     step_s = max(0.5, min(10.0, duration_s / SAMPLES / 20.0))
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     while process.poll() is None:
@@ -112,7 +116,9 @@ def watched(
                 found[who] = size
         times.append(time.monotonic() - begun)
         rows.append(found)
-    return np.array(times), rows
+        if log.exists() and log.stat().st_size > logged:
+            logged, written_s = log.stat().st_size, times[-1]
+    return np.array(times), rows, written_s
 
 
 def family(pid: int) -> Iterator[tuple[int, str]]:
@@ -137,18 +143,20 @@ def resident_mib(pid: int) -> float:
     return pages * 4096 / MIB
 
 
-def told(who: str, times: np.ndarray, sizes: np.ndarray) -> str:
-    """How memory went: after a tenth of the time, at the end, at most; growth as a fitted line."""
+def told(who: str, times: np.ndarray, sizes: np.ndarray, written_s: float) -> str:
+    """How memory went: after a tenth of the run, at its end, growth as a fitted line; and judged."""
     seen = np.isfinite(sizes)
     t, y = times[seen], sizes[seen]
-    if len(t) < 10:
+    running = (t > 0.1 * written_s) & (t <= written_s)
+    if np.count_nonzero(running) < 10:
         return f"{who}: too few samples"
-    settled = t > t[0] + 0.1 * (t[-1] - t[0])
-    slope = float(np.polyfit(t[settled], y[settled], 1)[0]) * 3600.0
-    return (
-        f"{who}: {y[settled][0]:.1f} MiB after a tenth of the time, {y[-1]:.1f} at the end, "
-        f"{y.max():.1f} at most; {slope:+.2f} MiB per wall hour"
+    slope = float(np.polyfit(t[running], y[running], 1)[0]) * 3600.0
+    text = (
+        f"{who}: {y[running][0]:.1f} MiB after a tenth of the run, {y[running][-1]:.1f} at its end, "
+        f"{slope:+.2f} MiB per wall hour"
     )
+    after = y[t > written_s]
+    return text + (f"; at most {after.max():.1f} while it was judged" if len(after) else "")
 
 
 def draw(path: Path, times: np.ndarray, rows: list[dict[str, float]], title: str) -> None:

@@ -70,9 +70,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _main(list(sys.argv[1:] if argv is None else argv))
     except KeyboardInterrupt:  # while a command was being loaded
-        _hear_no_more()
-        print("opc4: interrupted", file=sys.stderr)
-        return NOT_FINISHED
+        pass
+    except RuntimeError as error:  # what Python 3.11 makes of an interrupt while a class is made
+        if not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+    _hear_no_more()
+    print("opc4: interrupted", file=sys.stderr)
+    return NOT_FINISHED
 
 
 def _hear_no_more() -> None:
