@@ -107,6 +107,8 @@ class Firmware:
         self._position_timeout_ns = nanoseconds(config.e2e.position_timeout_s)
         self._sampled_ns = 0
         self._passive = Chamber.NONE
+        self._speeds: DrivelineSpeeds | None = None
+        self._speeds_ns = 0  # the step that saw them first
         self._duties = OFF
         self._valves: ValveCommand | None = None
         self._status: ControllerStatus | None = None
@@ -128,6 +130,8 @@ class Firmware:
         live = _either(live, position_faults)
         speeds = inputs.speeds if inputs.speeds_state is ChannelState.VALID else None
         self._run_machine(now_ns, estimate, wanted, speeds)
+        if speeds is not self._speeds:
+            self._speeds, self._speeds_ns = speeds, now_ns
         duties = self._drive(now_ns, estimate)
 
         machine = self._machine
@@ -229,6 +233,7 @@ class Firmware:
         duties = OFF
         if machine.driving:
             b_ns, n_ns, f_ns = self._energised_ns
+            speeds = self._speeds
             duties = self._strategy.command(
                 now_ns,
                 estimate,
@@ -240,6 +245,8 @@ class Firmware:
                     start_ns=machine.attempt_ns,
                     attempt=machine.attempt,
                     energised_ns=(b_ns, n_ns, f_ns),
+                    apart_rad_s=None if speeds is None else speeds.input_rad_s - speeds.output_rad_s,
+                    apart_ns=self._speeds_ns,
                 ),
             )
             if not self._allowed(now_ns, duties):

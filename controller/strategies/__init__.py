@@ -21,6 +21,7 @@ NAMES: Mapping[str, str] = {
     "open_loop": "controller.strategies.open_loop:OpenLoop",
     "blow_cut": "controller.strategies.blow_cut:BlowCut",
     "air_cushion": "controller.strategies.air_cushion:AirCushion",
+    "synchro_brake": "controller.strategies.synchro_brake:SynchroBrake",
     "sliding_mode": "controller.strategies.sliding_mode:SlidingMode",
     "bang_bang": "controller.strategies.bang_bang:BangBang",
     "predictive": "controller.strategies.predictive:Predictive",
@@ -46,7 +47,9 @@ class ShiftContext(NamedTuple):
     `charged` is the chamber that drives the stay to `leg`, `passive` the one it compresses.
     `start_ns` is the start of this push, `attempt` counts the earlier ones of the same leg.
     `energised_ns` tells, in the order B, N, F, the last step whose output opened each valve (None
-    before the first), so that an estimator knows which chambers may still hold air.
+    before the first), so that an estimator knows which chambers may still hold air. `apart_rad_s`
+    is input minus output speed as last reported, None without a valid report, and `apart_ns` the
+    step that saw it first.
     """
 
     leg: Gear
@@ -56,6 +59,8 @@ class ShiftContext(NamedTuple):
     start_ns: int
     attempt: int
     energised_ns: tuple[int | None, int | None, int | None]
+    apart_rad_s: float | None = None
+    apart_ns: int = 0
 
 
 def one_chamber(chamber: Chamber, duty: float) -> Duties:

@@ -24,13 +24,17 @@ class Wish(NamedTuple):
 class Seen(NamedTuple):
     """What there is to decide on, late as it is; from neutral towards the gear.
 
-    spent_s: since the push began. new_samples: of the sensor, since the last step.
+    spent_s: since the push began. new_samples: of the sensor, since the last step. apart_rad_s:
+    distance of the shafts' speeds as last reported, None without a valid report; apart_s: when the
+    step that saw it first was, since the push began (negative: before).
     """
 
     spent_s: float
     travelled_m: float
     speed_m_s: float
     new_samples: int
+    apart_rad_s: float | None = None
+    apart_s: float = 0.0
 
 
 PUSH = Wish(True, False)
@@ -69,6 +73,8 @@ class IntoGear(Strategy):
                 travelled_m=towards * estimate.position_m,
                 speed_m_s=towards * estimate.velocity_m_s,
                 new_samples=len(estimate.samples),
+                apart_rad_s=None if shift.apart_rad_s is None else abs(shift.apart_rad_s),
+                apart_s=(shift.apart_ns - shift.start_ns) * 1e-9,
             )
         )
         charged = self.config.duty if wish.charge else 0.0

@@ -51,6 +51,7 @@ def columns(study: LoadedStudy) -> tuple[str, ...]:
         *(f"best.{name}" for name in parameters(study)),
         *(f"impact_m_s {name}" for name in loads),
         *(f"lost_s {name}" for name in loads),
+        *(f"damper_m_s {name}" for name in loads),
     )
 
 
@@ -83,16 +84,18 @@ def run(study: LoadedStudy, row: Row) -> dict[str, float]:
         "failed": float(sum(math.isinf(each.time_s) for each in best.outcomes) > 0),
     }
     damped = references(study.loaded, [*hardware, OIL_DAMPER], cases)
-    told["damper_m_s"] = sum(each.speed_m_s for each in damped) / len(damped)
-    told["damper_worst_m_s"] = max(each.speed_m_s for each in damped)
-    told["damper_worst_lost_s"] = max(
-        a.time_s - b.time_s for a, b in zip(damped, reference, strict=True)
+    told["damper_m_s"] = _number(sum(each.speed_m_s for each in damped) / len(damped))
+    told["damper_worst_m_s"] = _number(max(each.speed_m_s for each in damped))
+    told["damper_worst_lost_s"] = _number(
+        max(a.time_s - b.time_s for a, b in zip(damped, reference, strict=True))
     )
     told["information_delay_s"] = information_delay_s(study.loaded(hardware))
     told |= {f"best.{name}": best.parameters.get(name, math.nan) for name in parameters(study)}
     for case, outcome, lost_s in zip(cases, best.outcomes, lost, strict=True):
         told[f"impact_m_s {case.name}"] = _number(outcome.speed_m_s)
         told[f"lost_s {case.name}"] = _number(lost_s)
+    for case, outcome in zip(cases, damped, strict=True):
+        told[f"damper_m_s {case.name}"] = _number(outcome.speed_m_s)
     return told
 
 

@@ -32,7 +32,7 @@ def test_same_bits_in_its_own_process(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", STRATEGIES)
 def test_same_bits_in_its_own_process_over_vcan(name: str, tmp_path: Path) -> None:
     """Up to the stop and a little beyond: there the strategy has done all that it does."""
-    duration_s = 0.4 if name == "blow_cut" else 0.2
+    duration_s = 0.4 if name in ("blow_cut", "synchro_brake") else 0.2
     loaded = scenario.load(f"strategy_{name}", settings=[f"duration_s={duration_s}"])
     memory = run_in_memory(loaded)
     finished = cosim.run(loaded, tmp_path, transport="vcan0")
@@ -47,8 +47,15 @@ def test_same_bits_in_its_own_process_over_vcan(name: str, tmp_path: Path) -> No
 )
 def test_a_step_costs_no_more_operations_than_it_says(name: str) -> None:
     """Bounded work: what each strategy's docstring states."""
-    stated = {"blow_cut": 0, "air_cushion": 20, "sliding_mode": 20, "bang_bang": 60_000}
+    stated = {
+        "blow_cut": 0,
+        "air_cushion": 20,
+        "sliding_mode": 20,
+        "synchro_brake": 60,
+        "bang_bang": 60_000,
+        "predictive": 260_000,
+    }
     _median_us, worst_us, counted = cost(name)
-    assert 0 <= counted <= stated.get(name, 260_000)
+    assert 0 <= counted <= stated[name]
     assert counted > 0 or name == "blow_cut"
     assert worst_us > 0.0

@@ -1,4 +1,4 @@
-"""Blow cut, air cushion and sliding mode: what they command for what they are told."""
+"""Blow cut, air cushion, sliding mode, synchro brake: what they command for what they are told."""
 
 from __future__ import annotations
 
@@ -94,6 +94,66 @@ def test_sliding_mode_takes_the_side_of_its_surface(speed_m_s: float, duties: Du
     assert strategy.command(0, seen(0.00085, speed_m_s), push(Gear.BACKWARD)) == duties
 
 
+Fall = tuple[float, float, float]  # difference at time 0 rad/s, its fall rad/s2, growth rad/s3
+
+
+def told(fall: Fall, at_ms: int, leg: Gear = Gear.BACKWARD) -> ShiftContext:
+    """A push told every 10 ms of a difference that falls as a parabola."""
+    apart, rate, growth = fall
+    t_s = 0.01 * (at_ms // 10)
+    left = max(0.0, apart - rate * t_s - 0.5 * growth * t_s * t_s)
+    sign = -1.0 if leg is Gear.FORWARD else 1.0
+    return push(leg)._replace(apart_rad_s=sign * left, apart_ns=at_ms // 10 * 10 * MS)
+
+
+def commanded(strategy: Strategy, fall: Fall, leg: Gear = Gear.BACKWARD) -> list[Duties]:
+    """Duties every 5 ms up to 150 ms."""
+    still = seen(0.003, 0.0)
+    return [strategy.command(t * MS, still, told(fall, t, leg)) for t in range(0, 150, 5)]
+
+
+@pytest.mark.parametrize("leg", [Gear.BACKWARD, Gear.FORWARD])
+def test_the_synchro_brake_acts_before_the_speeds_are_equal(leg: Gear) -> None:
+    """55 = 500 t + 1000/2 t^2 at 0.1 s: brake from 0.08 for 0.02 s, rest from 0.06 for 0.01 s."""
+    own = {"brake_lead_s": 0.02, "burst_s": 0.02, "rest_lead_s": 0.04, "rest_s": 0.01}
+    strategy = strategies.create(
+        FirmwareConfig(
+            strategy="synchro_brake",
+            period_s=0.005,
+            strategy_parameters={**own, "least_lead_s": 0.02, "least_fall_rad_s2": 500.0},
+        )
+    )
+    strategy.reset()
+    found = commanded(strategy, (55.0, 500.0, 1000.0), leg)
+    braked = [5 * k for k, duties in enumerate(found) if duties.n > 0.0]
+    rested = [5 * k for k, duties in enumerate(found) if duties.b + duties.f == 0.0]
+    assert braked == [80, 85, 90, 95]
+    assert rested == [60, 65]
+    strategy.reset()
+    assert commanded(strategy, (55.0, 500.0, 1000.0), leg) == found
+
+
+@pytest.mark.parametrize(
+    ("fall", "parameters"),
+    [
+        ((55.0, 500.0, 1000.0), {"least_lead_s": 0.09}),  # told too late: after three reports
+        ((20.0, 200.0, 0.0), {}),  # too little force
+        ((30.0, 0.0, 0.0), {}),  # nothing falls
+    ],
+)
+def test_the_synchro_brake_is_the_open_loop_where_it_cannot_help(
+    fall: Fall, parameters: dict[str, float]
+) -> None:
+    strategy = made("synchro_brake", **parameters)
+    assert set(commanded(strategy, fall)) == {Duties(0.98, 0.0, 0.0)}
+
+
+def test_the_synchro_brake_is_the_open_loop_without_speeds() -> None:
+    strategy = made("synchro_brake")
+    for t in range(0, 150, 10):
+        assert strategy.command(t * MS, seen(0.003, 0.0), push(Gear.BACKWARD)).n == 0.0
+
+
 def test_blow_cut_ends_the_blow_on_neutral_only_when_a_gear_follows() -> None:
     strategy = made("blow_cut")
     assert strategy.blow_s(0.15, Gear.NEUTRAL, True) == 0.0
@@ -114,6 +174,7 @@ def test_blow_cut_pushes_as_the_open_loop() -> None:
     [
         ("air_cushion", {"lead_s": 3.0}, "lead_s"),
         ("sliding_mode", {"slope_per_s": 0.0}, "slope_per_s"),
+        ("synchro_brake", {"least_lead_s": -0.1}, "least_lead_s"),
         ("blow_cut", {"neutral_s": -1.0}, "neutral_s"),
         ("blow_cut", {"neutral": 0.1}, "neutral"),
     ],

@@ -1,0 +1,96 @@
+"""A brake timed by the shaft speeds: they tell when the synchronizer will let go, before it does."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+from controller.strategies.bounds import bounded
+from controller.strategies.into_gear import PUSH, IntoGear, IntoGearParameters, Seen, Wish
+
+REPORTS = 3
+"""Reports of the speeds that the forecast rests on."""
+
+
+class SynchroBrake(IntoGear):
+    """Brake so that the counter-pressure is there when the shafts run together.
+
+    While the synchronizer blocks, the difference of the speeds falls; the parabola through its
+    last three reports says when it will be zero, which is when the stay is let go. The neutral
+    chamber is filled from `brake_lead_s` before that instant for `burst_s`, the driving one is left
+    from `rest_lead_s` before it for `rest_s`. The forecast is made anew with every report until
+    the first of the two begins; no brake where it comes too late or tells of too little force.
+    Some 40 additions, multiplications and comparisons a step, and a square root.
+    Assumes that the engine gives no torque meanwhile. Without a synchronizer, or without speeds,
+    it is the open loop. Checked by test_strategies_feedback.
+    """
+
+    class Parameters(IntoGearParameters, frozen=True):
+        """When to act before the forecast release, and for how long; when to leave it."""
+
+        brake_lead_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.03
+        burst_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.005
+        rest_lead_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.04
+        rest_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.005
+        least_lead_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.03
+        """A release nearer than this is not braked: the counter-pressure would come after it."""
+        least_rad_s: Annotated[float, bounded(0.0, 10.0, "rad/s")] = 0.5
+        """Fall of the difference from report to report that counts as one."""
+        least_fall_rad_s2: Annotated[float, bounded(0.0, 10000.0, "rad/s2")] = 600.0
+        """Fall at the release, and twice that of now, below which the force on the synchronizer is
+        too small to be braked: the stay would not get past the dogs, nor hit its stop hard."""
+
+    name: ClassVar[str] = "synchro_brake"
+    parameters: SynchroBrake.Parameters
+
+    _reports: tuple[tuple[float, float], ...] = ()
+    _release_s: float | None = None
+    _brake_s: float | None = None
+    _rest_s: float | None = None
+
+    def reset(self) -> None:
+        """Forget the reports, the forecast and what has begun."""
+        self._reports = ()
+        self._release_s = self._brake_s = self._rest_s = None
+
+    def decide(self, seen: Seen) -> Wish:
+        """Push but for the two intervals before and after the forecast release."""
+        own = self.parameters
+        now_s = seen.spent_s + 0.5 * self.config.period_s  # an instant's nearest step acts for it
+        if self._brake_s is None and self._rest_s is None:
+            self._note(seen)
+            if self._release_s is None or self._release_s - now_s < own.least_lead_s:
+                return PUSH
+        assert self._release_s is not None
+        if self._brake_s is None and now_s >= self._release_s - own.brake_lead_s:
+            self._brake_s = now_s
+        if self._rest_s is None and now_s >= self._release_s - own.rest_lead_s:
+            self._rest_s = now_s
+        brake = self._brake_s is not None and now_s - self._brake_s < own.burst_s
+        rest = self._rest_s is not None and now_s - self._rest_s < own.rest_s
+        return Wish(not rest, brake)
+
+    def _note(self, seen: Seen) -> None:
+        """Take a new report, and forecast when the speeds will be equal."""
+        if seen.apart_rad_s is None:
+            self._reports = ()
+            self._release_s = None
+            return
+        if self._reports and seen.apart_s <= self._reports[-1][0]:
+            return
+        self._reports = (*self._reports, (seen.apart_s, seen.apart_rad_s))[-REPORTS:]
+        if len(self._reports) == REPORTS:
+            self._release_s = self._forecast_s()
+
+    def _forecast_s(self) -> float | None:
+        """Zero of the parabola d2 - now t - growth t^2 / 2 through the reports; None for no fall."""
+        (t0_s, d0), (t1_s, d1), (t2_s, d2) = self._reports
+        own = self.parameters
+        if d1 - d2 < own.least_rad_s:
+            return None
+        first, second = (d0 - d1) / (t1_s - t0_s), (d1 - d2) / (t2_s - t1_s)
+        growth = max(0.0, 2.0 * (second - first) / (t2_s - t0_s))
+        now = second + 0.5 * growth * (t2_s - t1_s)
+        last = (now * now + 2.0 * growth * d2) ** 0.5
+        if last < own.least_fall_rad_s2 or now < 0.5 * own.least_fall_rad_s2:
+            return None
+        return t2_s + 2.0 * d2 / (now + last)
