@@ -132,21 +132,49 @@ class LightModel:
     """
 
     def __init__(self, settings: ModelSettings, stroke_m: float) -> None:
-        self.settings = settings
+        self.settings = own = settings
         self.stroke_m = stroke_m
+        # what a step needs, in one tuple: it is taken some thousand times a period
+        self._numbers = (
+            own.atmosphere_pa,
+            own.piston_m2,
+            own.stay_m2,
+            own.piston_friction_n,
+            own.piston_damping_n_s_m,
+            own.piston_kg,
+            own.stay_friction_n,
+            own.stay_damping_n_s_m,
+            own.stay_kg,
+            own.gap_m,
+            own.driving_m3,
+            own.braking_m3,
+            own.filling_alpha_volume,
+            own.venting_alpha_volume,
+        )
+        self._filling = (
+            own.supply_pa,
+            own.flow_in_critical,
+            1.0 - own.flow_in_critical,
+            own.filling_alpha_flow * own.flow_in,
+        )
+        self._venting = (
+            own.atmosphere_pa,
+            own.flow_out_critical,
+            1.0 - own.flow_out_critical,
+            -own.venting_alpha_flow * own.flow_out,
+        )
 
     def _flow(self, pressure_pa: float, is_open: bool) -> float:
         """Return the flow into a chamber times its exponent, kg K/s; negative when it vents."""
-        own = self.settings
         if is_open:
-            ratio, upstream_pa = pressure_pa / own.supply_pa, own.supply_pa
-            critical, size = own.flow_in_critical, own.filling_alpha_flow * own.flow_in
+            supply_pa, critical, rest, size = self._filling
+            ratio, upstream_pa = pressure_pa / supply_pa, supply_pa
         else:
-            ratio, upstream_pa = own.atmosphere_pa / pressure_pa, pressure_pa
-            critical, size = own.flow_out_critical, -own.venting_alpha_flow * own.flow_out
+            atmosphere_pa, critical, rest, size = self._venting
+            ratio, upstream_pa = atmosphere_pa / pressure_pa, pressure_pa
         if ratio >= 1.0:
             return 0.0
-        share = (ratio - critical) / (1.0 - critical) if ratio > critical else 0.0
+        share = (ratio - critical) / rest if ratio > critical else 0.0
         return size * upstream_pa * sqrt(1.0 - share * share)
 
     def step(self, motion: Motion, driving: bool, braking: bool, step_s: float) -> None:
@@ -154,51 +182,66 @@ class LightModel:
 
         The piston pushes the stay and cannot pull it: what brakes the piston lets the stay coast.
         """
-        own = self.settings
+        (
+            atmosphere_pa,
+            piston_m2,
+            stay_m2,
+            piston_friction_n,
+            piston_damping_n_s_m,
+            piston_kg,
+            stay_friction_n,
+            stay_damping_n_s_m,
+            stay_kg,
+            gap_m,
+            driving_m3_0,
+            braking_m3_0,
+            filling,
+            venting,
+        ) = self._numbers
         z_m, x_m = motion.piston_m, motion.stay_m
         u_m_s, v_m_s = motion.piston_m_s, motion.stay_m_s
         u_m_s = slid(
             u_m_s,
-            own.piston_m2 * (motion.driving_pa - motion.braking_pa),
-            own.piston_friction_n + own.piston_damping_n_s_m * abs(u_m_s),
+            piston_m2 * (motion.driving_pa - motion.braking_pa),
+            piston_friction_n + piston_damping_n_s_m * abs(u_m_s),
             step_s,
-            own.piston_kg,
+            piston_kg,
         )
         v_m_s = slid(
             v_m_s,
-            own.stay_m2 * (motion.driving_pa - own.atmosphere_pa),
-            own.stay_friction_n + motion.load_n + own.stay_damping_n_s_m * abs(v_m_s),
+            stay_m2 * (motion.driving_pa - atmosphere_pa),
+            stay_friction_n + motion.load_n + stay_damping_n_s_m * abs(v_m_s),
             step_s,
-            own.stay_kg,
+            stay_kg,
         )
-        if u_m_s > v_m_s and z_m + step_s * u_m_s > own.gap_m + x_m + step_s * v_m_s:
-            total_kg = own.piston_kg + own.stay_kg
-            common_m_s = (own.piston_kg * u_m_s + own.stay_kg * v_m_s) / total_kg
+        if u_m_s > v_m_s and z_m + step_s * u_m_s > gap_m + x_m + step_s * v_m_s:
+            total_kg = piston_kg + stay_kg
+            common_m_s = (piston_kg * u_m_s + stay_kg * v_m_s) / total_kg
             if v_m_s <= 0.0:  # the piston's push has the stay's resistance to overcome first
-                resist_n = own.stay_friction_n + motion.load_n
-                drive_n = own.stay_m2 * (motion.driving_pa - own.atmosphere_pa)
+                resist_n = stay_friction_n + motion.load_n
+                drive_n = stay_m2 * (motion.driving_pa - atmosphere_pa)
                 held_m_s = step_s * max(0.0, resist_n - drive_n) / total_kg
                 common_m_s = max(0.0, common_m_s - held_m_s)
             u_m_s = v_m_s = common_m_s
         new_x_m = min(max(x_m + step_s * v_m_s, 0.0), self.stroke_m)
-        new_z_m = min(max(z_m + step_s * u_m_s, 0.0), own.gap_m + new_x_m)
+        new_z_m = min(max(z_m + step_s * u_m_s, 0.0), gap_m + new_x_m)
         way_m = new_z_m - z_m
-        driving_m3 = own.driving_m3 + own.piston_m2 * z_m + own.stay_m2 * x_m
-        braking_m3 = own.braking_m3 - own.piston_m2 * z_m
-        swept_m3 = own.piston_m2 * way_m + own.stay_m2 * (new_x_m - x_m)
+        driving_m3 = driving_m3_0 + piston_m2 * z_m + stay_m2 * x_m
+        braking_m3 = braking_m3_0 - piston_m2 * z_m
+        swept_m3 = piston_m2 * way_m + stay_m2 * (new_x_m - x_m)
         gain = R_AIR_J_KG_K * step_s
-        volume = own.filling_alpha_volume if driving else own.venting_alpha_volume
+        volume = filling if driving else venting
         motion.driving_pa += (
             gain * self._flow(motion.driving_pa, driving) - volume * motion.driving_pa * swept_m3
         ) / driving_m3
-        volume = own.filling_alpha_volume if braking else own.venting_alpha_volume
+        volume = filling if braking else venting
         motion.braking_pa += (
             gain * self._flow(motion.braking_pa, braking)
-            + volume * motion.braking_pa * own.piston_m2 * way_m
+            + volume * motion.braking_pa * piston_m2 * way_m
         ) / braking_m3
         if new_x_m >= self.stroke_m or new_x_m <= 0.0:
             v_m_s = 0.0 if new_x_m > 0.0 or v_m_s < 0.0 else v_m_s
-        if new_z_m <= 0.0 or new_z_m >= own.gap_m + self.stroke_m:
+        if new_z_m <= 0.0 or new_z_m >= gap_m + self.stroke_m:
             u_m_s = 0.0
         motion.piston_m, motion.stay_m = new_z_m, new_x_m
         motion.piston_m_s, motion.stay_m_s = u_m_s, v_m_s
