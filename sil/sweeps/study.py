@@ -15,7 +15,8 @@ import msgspec
 import numpy as np
 
 from can_dbc.errors import InputError
-from plant.parameters import read_toml
+from sil import typed_toml
+from sil.sweeps.study_checks import MOST_ROWS, check_metrics, check_study
 
 if TYPE_CHECKING:
     from sil.scenario import Loaded
@@ -25,15 +26,23 @@ SHIPPED = Path(__file__).parent.parent / "studies"
 Value = float | int | bool | str
 Setting = Value | list[dict[str, Value]]
 """What a choice may set: a value, or a whole list of tables (requests, faults)."""
-MOST_ROWS = 5_000_000
+LONGEST_S = 60.0
+
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=80)]
 
 
 class StrokeBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The plant alone: one stroke by a list of commands (time s, valve, duty)."""
 
     kind: Literal["fixed", "N-B", "B-N", "N-F", "F-N"]
-    commands: list[tuple[float, str, float]]
-    until_s: float = 0.3
+    commands: list[
+        tuple[
+            Annotated[float, msgspec.Meta(ge=0.0, le=LONGEST_S)],
+            str,
+            Annotated[float, msgspec.Meta(ge=0.0, le=1.0)],
+        ]
+    ]
+    until_s: Annotated[float, msgspec.Meta(ge=0.001, le=LONGEST_S)] = 0.3
     supply_pressure_pa: float = 900000.0
     load: Literal["none", "damper", "spring"] = "none"
     damper_model: Literal["compressible", "incompressible"] = "compressible"
@@ -53,7 +62,7 @@ class Sweep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     values: list[Value] | None = None
     low: float | None = None
     high: float | None = None
-    steps: int | None = None
+    steps: Annotated[int, msgspec.Meta(ge=2, le=MOST_ROWS)] | None = None
     scale: Literal["linear", "log"] = "linear"
     label: str = ""
     unit: str = ""
@@ -62,7 +71,7 @@ class Sweep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A named set of values: a load case, a strategy, a variant of the hardware."""
 
-    name: str
+    name: Name
     set: dict[str, Setting] = {}
 
 
@@ -70,8 +79,8 @@ class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How swept values are combined: full grid, side by side (list), Latin hypercube, Sobol."""
 
     kind: Literal["grid", "list", "lhs", "sobol"] = "grid"
-    samples: int = 0
-    seed: int = 0
+    samples: Annotated[int, msgspec.Meta(ge=0, le=MOST_ROWS)] = 0
+    seed: Annotated[int, msgspec.Meta(ge=0, le=(1 << 53) - 1)] = 0
 
 
 Kind = Literal["runs", "bounds", "budget", "tuning"]
@@ -107,7 +116,7 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     tuning: the best parameters of a strategy over all loads together.
     """
 
-    name: str
+    name: Name
     description: str = ""
     kind: Kind = "runs"
     bounds: BoundsTable = BoundsTable()
@@ -115,13 +124,12 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     scenario: str | None = None
     stroke: StrokeBase | None = None
     model: str = "nominal"
-    seed: int | None = None
+    seed: Annotated[int, msgspec.Meta(ge=0, le=(1 << 53) - 1)] | None = None
     sweep: list[Sweep] = []
     design: Design = Design()
     load: list[Choice] = []
     strategy: list[Choice] = []
     variant: list[Choice] = []
-    curves: list[str] = []
     reads: list[str] = []
     """Metrics that the summary and the pictures show first."""
     safety: bool = False
@@ -237,15 +245,10 @@ def load_study(where: str) -> LoadedStudy:
             near = difflib.get_close_matches(where, known, n=3, cutoff=0.3) or list(known)
             raise InputError(f"study {where!r}: no such study; nearest: {', '.join(near)}")
         path = known[where]
-    raw = read_toml(path)
-    try:
-        study = msgspec.convert(raw, Study)
-    except msgspec.ValidationError as error:
-        raise InputError(f"{path}: {error}") from None
-    check(study, str(path))
+    study = typed_toml.convert(typed_toml.read_toml(path), Study, str(path))
+    check_study(study, str(path))
     loaded = LoadedStudy(study, str(path), base_of(study, path))
-    if loaded.size > MOST_ROWS:
-        raise InputError(f"{path}: {loaded.size} rows; expected at most {MOST_ROWS}")
+    check_metrics(loaded)
     return loaded
 
 
@@ -262,44 +265,6 @@ def base_of(study: Study, path: Path) -> Base | None:
     except InputError as error:
         raise InputError(f"{path}: scenario: {error}") from None
     return Base(table, str(found), str(found.parent))
-
-
-def check(study: Study, source: str) -> None:
-    """What the types cannot say: one base, complete sweeps, unique names."""
-    bases = (study.scenario is not None, study.stroke is not None)
-    wanted = {"runs": ((True, False), (False, True)), "bounds": ((False, False),)}
-    if bases not in wanted.get(study.kind, ((True, False),)):
-        expected = {
-            "runs": "either scenario = or [stroke], exactly one",
-            "bounds": "no scenario and no [stroke], where kind is bounds",
-        }.get(study.kind, f"scenario = and no [stroke], where kind is {study.kind}")
-        raise InputError(f"{source}: expected {expected}")
-    if study.kind == "tuning" and not (study.load and study.strategy):
-        raise InputError(f"{source}: a tuning needs [[load]] and [[strategy]]; expected both")
-    for index, sweep in enumerate(study.sweep):
-        place = f"{source}: sweep[{index}] {sweep.path}"
-        ranged = sweep.low is not None or sweep.high is not None
-        if (sweep.values is None) == (not ranged):
-            raise InputError(f"{place}: expected values, or low and high")
-        if sweep.values is not None and not sweep.values:
-            raise InputError(f"{place}: values: empty; expected at least one")
-        if ranged:
-            if sweep.low is None or sweep.high is None or not sweep.low < sweep.high:
-                raise InputError(f"{place}: expected low < high")
-            if sweep.scale == "log" and sweep.low <= 0.0:
-                raise InputError(f"{place}: a log range needs low > 0")
-            if study.design.kind in ("grid", "list") and (sweep.steps is None or sweep.steps < 2):
-                raise InputError(f"{place}: steps: expected 2 or more")
-        if study.design.kind in ("lhs", "sobol") and not ranged:
-            raise InputError(f"{place}: a {study.design.kind} design needs low and high")
-    if study.design.kind in ("lhs", "sobol") and study.design.samples < 1:
-        raise InputError(f"{source}: design.samples: expected 1 or more")
-    if study.safety and (study.scenario is None or study.kind != "runs"):
-        raise InputError(f"{source}: safety: expected a study of runs with a scenario as base")
-    for name in ("load", "strategy", "variant"):
-        names = [item.name for item in getattr(study, name)]
-        if len(set(names)) != len(names):
-            raise InputError(f"{source}: {name}: a name stands twice")
 
 
 def levels(sweep: Sweep) -> list[Value]:

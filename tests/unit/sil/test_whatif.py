@@ -141,6 +141,14 @@ def test_space_filling_designs_repeat_and_fill(kind: str, tmp_path: Path) -> Non
         (GRID + '\nscenario = "lab_n_b"\n', "variant"),
         ('name = "x"\nscenario = "lab_n_b"\n' + GRID.split("\n", 2)[2], "exactly one"),
         (GRID.replace('name = "heavy, very"', 'name = "plain"'), "twice"),
+        (GRID.replace("steps = 20", "steps = 99999999999"), r"sweep\[\d\].steps"),
+        (GRID.replace("steps = 20", "steps = 4000000"), "rows; expected at most"),
+        (GRID.replace("low = 1e-5", "low = nan"), "finite"),
+        ('name = "../x"\n' + GRID.split("\n", 2)[2], "not a path"),
+        ('name = "a\\nb"\n' + GRID.split("\n", 2)[2], "printable"),
+        (GRID + '[design]\nkind = "lhs"\nsamples = -1\n', "design.samples"),
+        (GRID.replace('"heavy, very"\nset = { "', '"heavy, very"\nset = { "fixed.V10" = 1e-4, "'), "swept, too"),
+        ('reads = ["speed"]\n' + GRID, r"reads\[0\]"),
     ],
 )
 def test_bad_studies_are_one_line(text: str, told: str, tmp_path: Path) -> None:
