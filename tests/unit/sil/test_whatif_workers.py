@@ -32,6 +32,46 @@ high = 0.035
 steps = 120
 """
 
+SPECIAL = {
+    "bounds": """
+name = "few"
+kind = "bounds"
+[bounds]
+budget = 4
+stems = 2
+switches = 2
+[[sweep]]
+path = "bound.delay_s"
+values = [0.0, 0.01, 0.02]
+[[load]]
+name = "laboratory"
+set = { "bound.family" = "laboratory" }
+""",
+    "budget": """
+name = "three"
+kind = "budget"
+scenario = "lab_n_b"
+[[sweep]]
+path = "sensor.delay_s"
+values = [0.0, 0.002, 0.004]
+""",
+    "tuning": """
+name = "tuned"
+kind = "tuning"
+scenario = "short.toml"
+[tuning]
+candidates = 3
+[[strategy]]
+name = "air cushion"
+set = { "controller.strategy" = "air_cushion" }
+[[strategy]]
+name = "sliding mode"
+set = { "controller.strategy" = "sliding_mode" }
+[[load]]
+name = "as it is"
+""",
+}
+
 SCENARIO = """
 name = "short"
 duration_s = 0.4
@@ -146,6 +186,14 @@ def test_a_cluster_of_two_worker_processes_gives_the_same_bytes(
         bad.write_text(SWEEP.replace('"valve.D_fall"', '"valve.D_fell"'))
         with pytest.raises(InputError, match=r"D_fell.*D_fall"):
             run_study(load_study(str(bad)), tmp_path, cluster=address)
+        for kind, text in SPECIAL.items():
+            path = tmp_path / f"{kind}.toml"
+            path.write_text(text)
+            here, there = tmp_path / f"{kind}_here", tmp_path / f"{kind}_there"
+            for folder, where in ((here, None), (there, address)):
+                folder.mkdir()
+                assert run_study(load_study(str(path)), folder, cluster=where) >= 2
+            assert (there / RESULTS).read_bytes() == (here / RESULTS).read_bytes()
     assert (out / RESULTS).read_bytes() == whole
 
 
