@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from sil.sweeps.study import LoadedStudy
 from sil.sweeps.table import Table
 
 COLOURS = LIGHT.series
+LINES = ("-", "--", ":", "-.")
 MOST_CURVES = 12
 """The most rows of a plant-only study that are drawn over time."""
 
@@ -88,21 +90,25 @@ def draw_lines(study: LoadedStudy, table: Table, folder: Path) -> Path:
         squeeze=False,
         sharey="row",
     )
+    groups = groups_of(study, table)
+    looks = line_looks(list(groups))
     for row, metric in enumerate(metrics):
         label, factor = shown(metric)
         for column, sweep in enumerate(sweeps):
             axis = axes[row][column]
-            for k, (name, rows) in enumerate(groups_of(study, table).items()):
+            for name, rows in groups.items():
                 x = table.numbers[sweep.path][rows]
                 y = table.numbers[metric][rows] * factor
-                colour = COLOURS[k % len(COLOURS)]
+                colour, line = looks[name]
                 levels = np.unique(x)
                 if len(levels) < 0.6 * len(x) or len(sweeps) == 1:
                     with_values = [v for v in levels if not np.all(np.isnan(y[x == v]))]
                     middle = [np.nanmedian(y[x == v]) for v in with_values]
                     low = [np.nanmin(y[x == v]) for v in with_values]
                     high = [np.nanmax(y[x == v]) for v in with_values]
-                    axis.plot(with_values, middle, "o-", ms=3, color=colour, label=name or None)
+                    axis.plot(
+                        with_values, middle, "o", ls=line, ms=3, color=colour, label=name or None
+                    )
                     axis.fill_between(with_values, low, high, color=colour, alpha=0.12, lw=0)
                 else:
                     axis.plot(x, y, ".", ms=3, alpha=0.5, color=colour, label=name or None)
@@ -121,6 +127,19 @@ def draw_lines(study: LoadedStudy, table: Table, folder: Path) -> Path:
         )
     figure.suptitle(study.study.name.replace("_", " "), x=0.02, ha="left", fontweight="bold")
     return saved(figure, folder / "lines.png")
+
+
+def line_looks(names: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Colour and line of each group: of more than there are colours, one for load, one for the rest."""
+    if len(names) <= len(COLOURS):
+        return {name: (COLOURS[k], "-") for k, name in enumerate(names)}
+    parts = [name.rpartition(" / ") for name in names]
+    first = list(dict.fromkeys(before for before, _slash, _last in parts))
+    last = list(dict.fromkeys(after for _before, _slash, after in parts))
+    return {
+        name: (COLOURS[last.index(after) % len(COLOURS)], LINES[first.index(before) % len(LINES)])
+        for name, (before, _slash, after) in zip(names, parts, strict=True)
+    }
 
 
 def draw_choices(study: LoadedStudy, table: Table, folder: Path) -> Path:
