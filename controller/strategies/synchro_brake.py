@@ -19,7 +19,7 @@ class SynchroBrake(IntoGear):
     chamber is filled from `brake_lead_s` before that instant for `burst_s`, the driving one is left
     from `rest_lead_s` before it for `rest_s`. The forecast is made anew with every report until
     the first of the two begins; no brake where it comes too late or tells of too little force.
-    Some 40 additions, multiplications and comparisons a step, and a square root.
+    Some 50 additions, multiplications and comparisons a step, and a square root.
     Assumes that the engine gives no torque meanwhile. Without a synchronizer, or without speeds,
     it is the open loop. Checked by test_strategies_feedback.
     """
