@@ -142,9 +142,9 @@ def headline(table: Table, loads: np.ndarray) -> str:
         if (seen & (loads == family)).any() and harder[seen & (loads == family)].all()
     ]
     if not found:
-        return "The softest worst-case stop that a controller can reach"
+        return "The softest worst-case stop found for a controller"
     return (
-        f"On the {' and the '.join(found)} no controller that waits for the motion stops as softly "
+        f"On the {' and the '.join(found)} no policy found that waits for the motion stops as softly "
         "as the oil damper"
     )
 
