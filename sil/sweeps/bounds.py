@@ -1,4 +1,4 @@
-"""What a controller can reach at best: the softest worst-case arrival over loads that differ in an unknown.
+"""What a controller reaches at best: the softest worst-case arrival over loads unlike in an unknown.
 
 (a) Clairvoyant: the load is known in advance, and the commands of the driving and of the neutral
 valve may change at any instants, six in all.
