@@ -30,7 +30,7 @@ _LONGEST_REASON = 160
 # As cantools splits the text: comments to the end of the line, strings with \" inside, words and
 # numbers. A word never starts with a digit, since the number before it is taken first.
 _UNREAD = re.compile(r'//.*?\n|"(?:\\"|[^"])*?"', re.DOTALL)
-_POWER = re.compile(r"[A-Za-z_]\w*|\d+\.?\d*[eE][+-]?(\d+)")
+_POWER = re.compile(r"[A-Za-z_]\w*|(?<!\d)\d++\.?+\d*+[eE][+-]?(\d+)")
 _QUOTED_POWER = re.compile(r'"\s*[-+]?\d[\d_.]*[eE][+-]?(\d[\d_]*)\s*"')
 _TEXT_ATTRIBUTE = re.compile(r'\bBA_DEF_\w*\s+(?:\w+\s+)?"([^"]*)"\s+STRING\b')
 _ATTRIBUTE_VALUE = re.compile(r'\bBA_\w*\s+"([^"]*)"[^";]*\Z')

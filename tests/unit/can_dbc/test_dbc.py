@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from pathlib import Path
 
 import pytest
@@ -188,6 +189,12 @@ def test_cycle_times_may_have_fractions() -> None:
 )
 def test_powers_of_ten_that_nobody_can_write_out(text: str, line: int) -> None:
     assert re.match(rf"x\.dbc: line {line}: number .* has no use$", refusal(text))
+
+
+def test_numbers_of_very_many_digits_are_read_in_no_time() -> None:
+    begun = time.process_time()
+    refusal(changed("[0|0]", f"[0|{200_000 * '9'}]"))
+    assert time.process_time() - begun < 2.0
 
 
 def test_quoted_powers_of_ten_with_a_use_are_numbers() -> None:
