@@ -88,6 +88,9 @@ def _hear_no_more() -> None:
 
 
 def _main(arguments: list[str]) -> int:
+    if any("\0" in word for word in arguments):  # no system has such files
+        print("opc4: a null byte in an argument; expected none", file=sys.stderr)
+        return BAD_INPUT
     if not arguments or arguments[0] in ("-h", "--help"):
         rows = "\n".join(f"  {name:<10} {summary}" for name, summary in COMMANDS.items())
         print(_HELP.format(commands=rows), end="")
