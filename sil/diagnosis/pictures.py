@@ -161,7 +161,7 @@ def alone_picture(result: Diagnosis, found: tuple[int, Alone, Alone]) -> Figure:
     ms = 1e3 * before.time_s
     for axes, (title, first, second, scale) in zip(grid, rows, strict=True):
         axes.axhline(0.0, color=LIGHT.grid, lw=1.0)
-        axes.plot(ms, scale * first, color=BEFORE, lw=0.9, label="healthy model")
+        axes.plot(ms, scale * first, color=BEFORE, lw=0.9, label="questioned model")
         axes.plot(ms, scale * second, color=AFTER, lw=0.9, label="model that stands")
         axes.set_ylabel(title)
         axes.grid(color=LIGHT.grid, lw=0.5)

@@ -5,9 +5,11 @@ Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from sil.report.figures import save
 from sil.report.shell import Head, Picture, render
@@ -35,7 +37,8 @@ PHASES_CAPTION = (
 )
 ALONE_CAPTION = (
     "One equation at a time: measured pressures into the stay's force balance, measured position "
-    "into each chamber's mass balance. What goes wrong in one of them alone lies in that equation."
+    "into each chamber's mass balance. What goes wrong in one of them alone lies in that equation. "
+    "Orange: the questioned model without tolerances. The fixed rig's chambers begin vented here."
 )
 TERM_CAPTION = (
     "What none of the named causes describes, as a function without a form: its value at the nodes "
@@ -155,9 +158,18 @@ def plain_residuals(shown: Shown) -> dict[str, Any]:
 
 
 def equations(result: Diagnosis) -> tuple[int, Alone, Alone] | None:
-    """The stroke fitted worst, one equation at a time, before and after; None without channels."""
+    """The stroke fitted worst, one equation at a time, before and after; None without channels.
+
+    Before is the questioned model as it stands, without tolerances: fitted, those would spread what
+    is wrong over all equations.
+    """
+    final = result.final
+    first, last = len(result.model.unit), result.healthy.layout.healthy
+    shared = np.zeros_like(result.healthy.shared)
+    shared[first:last] = final.shared[first:last]
+    plain = replace(result.healthy, shared=shared, stroke=np.zeros_like(result.healthy.stroke))
     for k in worst(result):
-        before, after = alone(result.model, result.healthy, k), alone(result.model, result.final, k)
+        before, after = alone(result.model, plain, k), alone(result.model, final, k)
         if before.rms() and before.rms().keys() == after.rms().keys():
             return k, before, after
     return None
