@@ -38,11 +38,12 @@ def test_every_fault_of_every_device_is_in_it_twice() -> None:
     for message in ("ShiftRequest", "ValveCommand", "SafetyBlow", "PositionPulse",
                     "DrivelineSpeeds", "ControllerStatus"):  # fmt: skip
         assert stated("fault", message=message) == {
-            "loss", "delay", "corruption", "frozen_counter", "error_frame"}  # fmt: skip
+            "loss", "delay", "corruption", "frozen_counter", "error_frame",
+            "spoofed", "replayed"}  # fmt: skip
     for node in ("controller", "driver"):
         assert stated("fault", node=node) == {"dead", "bus_off", "stalled"}
     names = [variant.name for variant in STUDY.study.variant]
-    assert len([n for n in names if n.endswith("in the shift")]) == len(names) // 2 == 85
+    assert len([n for n in names if n.endswith("in the shift")]) == len(names) // 2 == 98
     assert {choice.name for choice in STUDY.study.load} == {"N-B", "B-N", "N-F", "F-N"}
 
 
