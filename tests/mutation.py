@@ -3,6 +3,8 @@
 `python -m tests.mutation [MODULE...]`, e.g. `can_dbc.e2e`, prints the mutants that no test notices; all
 modules take about half an hour of one core. mutmut's own loop starts pytest for each mutant; here the
 tests are collected once, and each mutant runs, in a fork, those that reach its function, quickest first.
+What runs once while modules are loaded (the codecs being built from the contract) has run before the fork, so
+mutants there are shown as survivors although a new process would notice them.
 """
 
 from __future__ import annotations
