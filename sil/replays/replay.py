@@ -114,6 +114,11 @@ def replay(order: Order) -> Outcome:
     period_ns = found.period_ns or ready.recorded_ns
     if abs(period_ns - ready.recorded_ns) <= NOMINAL * period_ns:
         period_ns = ready.recorded_ns
+    if found.release_ns is None:
+        raise InputError(
+            f"{order.log}: no step of the recorded unit can be made out; expected its valve commands "
+            "and status at regular times"
+        )
     grid = make_grid(found, period_ns, config.computation_ns)
     requests = _Watched(log.traffic())
     ticks = map_ticks(requests, grid)
