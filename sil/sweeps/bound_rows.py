@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 from can_dbc.errors import InputError
-from sil.sweeps.study import LoadedStudy, Row
+from sil.sweeps.study import BoundsTable, LoadedStudy, Row, Setting
 
 COLUMNS = (
     "open_loop_m_s",
@@ -49,6 +50,9 @@ def run(study: LoadedStudy, row: Row) -> dict[str, float]:
         if not (math.isfinite(value) and low <= value <= 1.0):
             raise InputError(f"bound.{name}: {value!r}; expected {low:g} to 1 s")
         numbers[name] = float(value)
+    known_m_s = softest_known(
+        study.study.model, tuple(sorted(model.items())), family.name, numbers["extra_s"], table
+    )
     found = bound(
         load(study.study.model).override(model),  # type: ignore[arg-type]
         family,
@@ -58,6 +62,7 @@ def run(study: LoadedStudy, row: Row) -> dict[str, float]:
         budget=table.budget,
         stems=table.stems,
         seed=table.seed,
+        known_m_s=known_m_s,
     )
     return {
         "open_loop_m_s": found.open_loop_m_s,
@@ -68,3 +73,25 @@ def run(study: LoadedStudy, row: Row) -> dict[str, float]:
         "simulations": float(found.runs),
         "failed": 0.0,
     }
+
+
+@functools.cache
+def softest_known(
+    model: str,
+    values: tuple[tuple[str, Setting], ...],
+    family: str,
+    extra_s: float,
+    table: BoundsTable,
+) -> tuple[float, ...]:
+    """(a) of each load: the same for all delays, so that a worker searches it once."""
+    from plant.parameters import load
+    from sil.sweeps.bounds import clairvoyant, shooters_of
+    from sil.sweeps.shooting import FAMILIES
+
+    parameters = load(model).override(dict(values))  # type: ignore[arg-type]
+    return tuple(
+        clairvoyant(
+            shooter, most_switches=table.switches, budget=table.budget, seed=table.seed
+        ).speed_m_s
+        for shooter in shooters_of(parameters, FAMILIES[family], extra_s)
+    )

@@ -6,7 +6,6 @@ import importlib
 import json
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 
 import pytest
@@ -15,7 +14,10 @@ from sil import cli
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
-HEAVY = ("numpy", "numba", "scipy", "can", "cantools", "matplotlib", "jinja2", "msgspec", "e2e")
+HEAVY = (
+    *("numpy", "numba", "scipy", "can", "cantools", "matplotlib", "jinja2", "msgspec", "e2e"),
+    *("plant", "controller", "can_dbc.codec", "sil.scenario", "sil.cosim"),
+)
 
 
 def test_help_lists_every_command_and_imports_nothing_heavy() -> None:
@@ -29,15 +31,6 @@ def test_help_lists_every_command_and_imports_nothing_heavy() -> None:
     assert done.stdout.endswith("[] 0\n")
     for name, summary in cli.COMMANDS.items():
         assert f"  {name:<10} {summary}\n" in done.stdout
-
-
-def test_help_takes_well_under_three_tenths_of_a_second() -> None:
-    times = []
-    for _ in range(5):
-        start = time.perf_counter()
-        subprocess.run([sys.executable, "-m", "sil.cli", "--help"], check=True, capture_output=True)
-        times.append(time.perf_counter() - start)
-    assert min(times) < 0.3
 
 
 @pytest.mark.parametrize("name", sorted(cli.COMMANDS))
