@@ -25,7 +25,7 @@ from .model import Block, CampaignModel, Shared
 
 Floats = NDArray[np.float64]
 
-FARTHEST_SD = 9.0
+FARTHEST_SD = 4.5
 """No healthy quantity is tried farther out than this: friction and flows stay positive."""
 
 BOUNDS_PASSES = 6

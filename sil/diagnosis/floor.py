@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri
 
 from .fit import FitResult
 from .model import CampaignModel
@@ -21,6 +22,10 @@ FLOOR_RMS = {"position": 0.385, "pressure": 1.0, "oil": 1.0, "internal": 0.17}
 
 FLOOR_SPREAD = {"position": 0.03, "pressure": 0.004, "oil": 0.008, "internal": 0.05}
 """Its spread between clean campaigns, beside the one that counting gives."""
+
+
+STRAIN_LEVEL = 1e-6
+"""How rarely the scatter of healthy strokes, or a unit's tolerances, may come out so wide."""
 
 
 @dataclass(frozen=True)
@@ -98,3 +103,17 @@ def misfit(model: CampaignModel, fit: FitResult) -> Misfit:
         variance += (2.0 * share * floor * n) ** 2
         count += n
     return Misfit(channels, excess, 3.0 * float(np.sqrt(variance)), count)
+
+
+def strained(fit: FitResult) -> bool:
+    """Whether a fit agrees with the data only because tolerances or scatter are implausibly wide.
+
+    Their sums of squares are held against chi squared (they have standard normal priors, and what
+    is estimated is drawn towards zero); each kind of scatter by itself.
+    """
+    scatter = np.sum(fit.stroke[list(fit.use)] ** 2, axis=0)
+    unit = float(np.sum(fit.shared[: fit.layout.healthy] ** 2))
+    return bool(
+        np.any(scatter > chdtri(len(fit.use), STRAIN_LEVEL))
+        or unit > chdtri(fit.layout.healthy, STRAIN_LEVEL)
+    )

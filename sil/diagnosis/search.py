@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from plant.hybrid import IntegrationError
 
 from .fit import FitResult, Fitter
-from .floor import misfit
+from .floor import misfit, strained
 from .hypotheses import Candidate, compatible, scaled_of
 from .model import Block, CampaignModel
 from .screening import Score, screen
@@ -206,10 +206,13 @@ class Search:
 
     # --- stages -------------------------------------------------------------------------------
     def singles(self, found: Found) -> None:
-        """Every cause alone: all of them if the healthy fit is far off, else those that score."""
+        """Every cause alone: all of them if the healthy fit is far off, else those that score.
+
+        Linear scores say nothing either of what wide scatter imitates by moving edges in time.
+        """
         healthy = found.healthy
         chosen: list[Candidate] = self.candidates
-        if misfit(self.model, healthy).per_number < NEAR:
+        if misfit(self.model, healthy).per_number < NEAR and not strained(healthy):
             self.known[healthy.name] = healthy.blocks
             scores = screen(self.model, healthy, self.candidates)
             chosen = [s.candidate for s in scores if s.gain > WORTH][: 2 * SINGLES_KEPT]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from .floor import strained
 from .hypotheses import compatible
 from .judge import Judged
 from .search import Found, Search, Task
@@ -29,15 +30,20 @@ def try_terms(
 ) -> bool:
     """Fit non-parametric terms alone and beside the best single; True if any was tried.
 
-    Only if the leading hypothesis leaves more than the band of a clean campaign and a detail.
+    Only if the leading hypothesis leaves more than the band of a clean campaign and a detail, or
+    owes its agreement to scatter that healthy strokes do not have.
     """
     best = min(judged, key=lambda item: item.score)
-    if best.whole.beyond <= SMALL * max(1.0, verdict.healthy.whole.excess) + 0.02 * best.whole.count:
+    detail = SMALL * max(1.0, verdict.healthy.whole.excess) + 0.02 * best.whole.count
+    if best.whole.beyond > detail:
+        told(
+            f"the best named hypothesis, {best.name}, leaves {best.whole.rms:.3g} of the expected "
+            "scatter: terms"
+        )
+    elif strained(best.training):
+        told(f"the best named hypothesis, {best.name}, takes strokes that differ too much: terms")
+    else:
         return False
-    told(
-        f"the best named hypothesis, {best.name}, leaves {best.whole.rms:.3g} of the expected "
-        "scatter: terms"
-    )
     tasks = []
     singles = found.of_size(1)
     parents = [found.healthy]
