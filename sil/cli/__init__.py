@@ -61,6 +61,13 @@ def _shortened(message: str) -> str:
     return f"{message[:half]} ... {message[-half:]}"
 
 
+def command() -> NoReturn:
+    """The process `opc4`: an interrupt that comes when all is done changes nothing any more."""
+    code = main()
+    _hear_no_more()
+    sys.exit(code)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one `opc4` command and return its exit code (0, 1, 2 or 3).
 
@@ -80,7 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _hear_no_more() -> None:
-    """After an interrupt: ignore further ones, since what is left takes no time."""
+    """Ignore interrupts, since what is left takes no time."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Python notes an interrupt that passed through exec (a dataclass being made), and would end with
     # the signal instead of our exit code; it forgets that when exec runs again.
@@ -105,7 +112,10 @@ def _main(arguments: list[str]) -> int:
         import difflib
 
         near = difflib.get_close_matches(name, COMMANDS, n=3) or list(COMMANDS)
-        print(f"opc4: no command {_shortened(repr(name))}; nearest: {', '.join(near)}", file=sys.stderr)
+        print(
+            f"opc4: no command {_shortened(repr(name))}; nearest: {', '.join(near)}",
+            file=sys.stderr,
+        )
         return BAD_INPUT
     try:
         command: Any = importlib.import_module(f"sil.cli.{name}")

@@ -1,7 +1,5 @@
 """`python -m sil.cli` is the command `opc4`."""
 
-import sys
+from sil.cli import command
 
-from sil.cli import main
-
-sys.exit(main())
+command()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import zlib
 from collections.abc import Callable
@@ -12,6 +13,10 @@ from sil.logs.report import LogReport, Place
 
 HEAD_BYTES: Final = 1 << 14
 _PACKED_BLOCK: Final = 1 << 16
+_PLAUSIBLE_RATIO: Final = 100
+"""Logs, whose times never repeat, pack to a tenth; beyond this it is a bomb ..."""
+_HARMLESS_BYTES: Final = 1 << 20
+"""... unless it is this small."""
 _REFUSED_MAGIC: Final = (
     (b"PK\x03\x04", "a zip archive"),
     (b"BZh", "a bzip2 archive"),
@@ -34,6 +39,7 @@ class _Inflate(Protocol):
 class Gunzip:
     """The unpacked bytes of a gzip file; a cut or damaged one ends early and is reported.
 
+    `read` raises OSError for one that unpacks to far more than a log would.
     Checked by: tests/unit/sil/logs/test_byte_source.py.
     """
 
@@ -44,6 +50,7 @@ class Gunzip:
         self._held = b""
         self._ended = False
         self._members = 0
+        self._unpacked = 0
 
     def read(self, size: int) -> bytes:
         """Up to `size` unpacked bytes; b"" at the end."""
@@ -53,6 +60,12 @@ class Gunzip:
             piece = self._step(missing)
             out.append(piece)
             missing -= len(piece)
+            self._unpacked += len(piece)
+        packed = self._packed.tell()
+        if self._unpacked > max(_HARMLESS_BYTES, _PLAUSIBLE_RATIO * packed):
+            raise OSError(
+                errno.EFBIG, f"unpacks to over {_PLAUSIBLE_RATIO} times its size, as no log does"
+            )
         return b"".join(out)
 
     def _step(self, size: int) -> bytes:

@@ -110,3 +110,28 @@ def test_no_file_no_folder(tmp_path: Path) -> None:
         open_log(tmp_path)
     with pytest.raises(InputError, match="No such file"):
         open_log(tmp_path / "missing.log", format="candump")
+
+
+def test_a_bomb_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.log.gz"
+    path.write_bytes(gzip.compress(b"\n" * 20_000_000))
+    source = ByteSource(str(path), LogReport(str(path), "test"))
+    read = 0
+    with pytest.raises(InputError, match=r"bomb\.log\.gz: unpacks to over 100 times its size"):
+        while block := source.read(1 << 16):
+            read += len(block)
+    assert 1 << 20 <= read < 20_000_000
+    source.close()
+
+
+def test_a_log_that_packs_well_is_no_bomb(tmp_path: Path) -> None:
+    blob = b"".join(b"(%.6f) can0 123#1122334455667788\n" % (0.01 * k) for k in range(100_000))
+    path = tmp_path / "long.log.gz"
+    path.write_bytes(gzip.compress(blob, 9))
+    assert len(blob) > 8 * path.stat().st_size
+    source = ByteSource(str(path), LogReport(str(path), "test"))
+    count = 0
+    while block := source.read(1 << 16):
+        count += len(block)
+    source.close()
+    assert count == len(blob)
