@@ -2,7 +2,7 @@
 
 Values lie on the grid of the DBC after a round trip through the codec. The counter and CRC of the
 end-to-end protection are not fields: `can_dbc.e2e` owns them.
-Checked by: tests/unit/can_dbc/test_messages.py
+Checked by: tests/contracts/test_codec.py
 """
 
 from __future__ import annotations

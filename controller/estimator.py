@@ -41,7 +41,7 @@ class Observer:
     The model's own past position goes through the same filter as the sensor's, so that the two
     differ only by what the model does not know; the difference moves position, speed and load.
     Bounded work: period/0.5 ms model steps and one filter step a sample.
-    Checked by test_observer.
+    Checked by test_light_model.
     """
 
     def __init__(

@@ -9,6 +9,8 @@ from collections.abc import Iterable
 
 from . import layout as L
 from .errors import NoVolumeError
+from .fixed_equations import fixed_volumes
+from .length_equations import length_volumes
 from .packing import Floats, initial_state
 
 HELD = {
@@ -23,16 +25,8 @@ HELD = {
 
 def volumes_m3(system: int, p: Floats, y: Floats) -> list[float]:
     """Volumes of the chambers in a state [m^3], in their order."""
-    if system == L.FIXED:
-        return [
-            float(p[L.VOL_B] + p[L.AREA_P] * y[L.FX]),
-            float(p[L.VOL_N] - p[L.AREA_P2] * y[L.FX]),
-        ]
-    return [
-        float(p[L.VOL_B] + p[L.AREA_P] * y[L.X1] + p[L.AREA_S] * y[L.XS]),
-        float(p[L.VOL_N] - p[L.AREA_P] * (y[L.X1] + y[L.X2])),
-        float(p[L.VOL_F] + p[L.AREA_P] * y[L.X2] - p[L.AREA_S] * y[L.XS]),
-    ]
+    plain = (fixed_volumes if system == L.FIXED else length_volumes).py_func  # type: ignore[attr-defined]
+    return [float(volume) for volume in plain(y, p)]
 
 
 def ends_of_travel(system: int, p: Floats, gears: Iterable[str] = ("N", "B", "F")) -> list[Floats]:

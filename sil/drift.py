@@ -15,7 +15,7 @@ class Drifting:
     """A participant that takes `1 + ppm / 10^6` seconds of its own for each of simulated time.
 
     It is granted time at its own ticks, converted, and never learns of the difference. Whole
-    numbers throughout, so that a run repeats bit by bit.  Checked by test_drift.
+    numbers throughout, so that a run repeats bit by bit.  Checked by test_intruder.
     """
 
     def __init__(self, participant: Participant, ppm: float) -> None:

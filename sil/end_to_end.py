@@ -15,7 +15,7 @@ TAKEN = (E2eStatus.OK, E2eStatus.OK_SOME_LOST)
 class EndToEnd:
     """A receiver for each protected message, which hears everything, in order of arrival.
 
-    Checked by test_end_to_end_counts.
+    Checked by test_intruder.
     """
 
     def __init__(self) -> None:

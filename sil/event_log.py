@@ -31,7 +31,7 @@ class EventLog:
 def read_events(path: Path) -> list[PlantEvent]:
     """Read the events of a run, also of one that was killed: a torn last line is left out.
 
-    Raises InputError for a file that holds something else. Checked by test_event_log.
+    Raises InputError for a file that holds something else. Checked by test_run_files.
     """
     lines = path.read_bytes().split(b"\n")
     lines.pop()  # empty, or torn

@@ -129,7 +129,7 @@ def prepare_folder(out: Path | None, name: str, force: bool, says_itself: bool =
     Without `out` it is the first free runs/<name>-<n>. A folder that holds another run is refused
     unless `force`, which sets that run's files aside until `settle` is called. `says_itself`: what
     is written there tells from the start that it is not complete. Raises InputError.
-    Checked by test_results, test_nothing_is_lost.
+    Checked by test_results, test_nothing_is_lost_before_the_new_run_stands.
     """
     folder = _next_free(Path("runs"), name) if out is None else _made(out, force)
     if says_itself:

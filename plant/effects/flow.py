@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import layout as L
+from ..flow import orifice
 from ..setup import Setup
 from .effect import Effect, EffectParameter
 
@@ -31,22 +32,14 @@ def leak_out(setup: Setup, values: dict[str, float]) -> None:
     elif values["cda_m2"] > 0.0:
         p = setup.p
         pressures = np.linspace(p[L.P_ATM], LEAK_UP_TO_PA, L.TERM_NODES)
-        lost = orifice_curve(pressures, values["cda_m2"], p)
+        gas = (values["cda_m2"], p[L.T_GAS], p[L.GAMMA], p[L.R_AIR])
+        plain = orifice.py_func  # type: ignore[attr-defined]
+        lost = np.array([plain(pressure, p[L.P_ATM], *gas) for pressure in pressures.tolist()])
         place = setup.conditions.chambers.index(setup.charged_chamber)
         if values["where"] == 1.0:
             follow_pressure(setup, 2.0 + place, pressures, -lost)
         else:
             follow_pressure(setup, 8.0, pressures, lost)
-
-
-def orifice_curve(pressures: Floats, cda_m2: float, p: Floats) -> Floats:
-    """Flow T m_dot [K kg/s] out of chambers at these pressures to the atmosphere, as `flow.orifice`."""
-    gamma = p[L.GAMMA]
-    critical = (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
-    ratio = np.clip(p[L.P_ATM] / pressures, critical, 1.0)
-    size = ratio ** (2.0 / gamma) - ratio ** ((gamma + 1.0) / gamma)
-    value = np.sqrt(2.0 * gamma / (gamma - 1.0) * size)
-    return np.asarray(cda_m2 * pressures * np.sqrt(p[L.T_GAS] / p[L.R_AIR]) * value)
 
 
 def follow_pressure(setup: Setup, equation: float, pressures: Floats, flows: Floats) -> None:

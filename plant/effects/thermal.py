@@ -24,10 +24,12 @@ def alpha_speed(setup: Setup, values: dict[str, float]) -> None:
     for index, exponent in zip(SLOPES, EXPONENTS, strict=True):
         if form in (0.0, 2.0, 4.0) and index not in VOLUME_TERMS:
             continue
-        towards = setup.p[L.GAMMA] - setup.p[exponent] if form >= 2.0 else 1.0
+        towards = 1.0
         if form >= 4.0:
             towards = setup.p[exponent] - 1.0
             setup.p[exponent] -= values["share"] * towards
+        elif form >= 2.0:
+            towards = setup.p[L.GAMMA] - setup.p[exponent]
         setup.p[index] = values["share"] * towards / speed
 
 

@@ -229,15 +229,17 @@ def observed(
 def placed(model: CampaignModel) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Training and held-out strokes, some of those that look odd among the training ones."""
     training, held_out = split(model.strokes)
+    if not held_out:
+        return training, held_out
     fitter = Fitter(model)
     try:
         healthy = fitter.fit(use=training, iterations=8)
-        if not held_out or misfit(model, healthy).beyond > 0.0:
-            return training, held_out
-        (seen,) = judge(fitter, [healthy], held_out)
-    except (IntegrationError, ValueError):
+    except IntegrationError:  # which the search reports
         return training, held_out
-    if seen.held is None or seen.misfit.beyond == 0.0:
+    if misfit(model, healthy).beyond > 0.0:
+        return training, held_out
+    seen = next(iter(judge(fitter, [healthy], held_out)), None)
+    if seen is None or seen.held is None or seen.misfit.beyond == 0.0:
         return training, held_out
     blocks = {**healthy.blocks, **seen.held.blocks}
     squares = {k: float(np.mean(block.residual**2)) for k, block in blocks.items()}

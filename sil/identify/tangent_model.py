@@ -2,7 +2,7 @@
 
 `plant.prediction.Predictor.derivatives` moves every quantity by a millionth in one call, events
 included; the fit gets its Jacobian for a few strokes' worth, without the noise of free runs.
-Checked by: tests/unit/sil/test_identify.py
+Checked by: tests/unit/sil/identify/test_identify.py
 """
 
 from __future__ import annotations
@@ -34,10 +34,7 @@ class TangentModel(CampaignModel):
         own_only: bool = False,
         kept: Block | None = None,
     ) -> Block:
-        """Residual and derivatives of stroke k; differences only where the events do not move along.
-
-        kept: not needed, these derivatives are cheap.
-        """
+        """As the base class's; differences only where the events do not move along."""
         layout = self.layout(candidates)
         healthy = layout.healthy
         scaled = shared[healthy:]
@@ -69,11 +66,11 @@ class TangentModel(CampaignModel):
             setups.append(setup)
             steps.append(h)
         states, found = self.strokes[k].predictor.derivatives(base_setup, setups, steps)
-        base = self.records_of(k, base_setup, states)
+        base = self.numbers_of(k, base_setup, states, False)
         columns: dict[str, Floats] = {}
         for name, setup, h, rates in zip(names, setups, steps, found, strict=True):
             if rates is not None and h != 0.0:
-                columns[name] = (self.records_of(k, setup, states + h * rates) - base) / h
+                columns[name] = (self.numbers_of(k, setup, states + h * rates, False) - base) / h
                 continue
 
             def changed(h: float, name: str = name) -> Floats:
@@ -97,14 +94,3 @@ class TangentModel(CampaignModel):
         for j in range(len(parameters)):
             by_shared[:, healthy + j] = columns[str(j)]
         return Block(self.residual(k, shared, scatter, candidates), by_shared, by_scatter, base)
-
-    def records_of(self, k: int, setup: Setup, states: Floats) -> Floats:
-        """The compared numbers of stroke k in these states, standardised by their noise."""
-        stroke = self.strokes[k]
-        parts = []
-        for channel in stroke.channels:
-            values = states[:, channel.state]
-            if channel.kind == "oil":
-                values = stroke.oil_pressure_pa(states, setup)
-            parts.append(values[channel.rows] / channel.sd)
-        return np.concatenate(parts)

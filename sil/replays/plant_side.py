@@ -37,7 +37,7 @@ class PlantSide:
     recorded times and the unit the recorded inputs. With `closes`, the loop closes at the first
     command that differs: from then on a bus model carries the frames of unit, plant and everybody
     else in the log between them, and the plant answers.
-    Checked by: tests/scenarios/test_replay_plant.py
+    Checked by: tests/scenarios/test_replay.py
     """
 
     def __init__(

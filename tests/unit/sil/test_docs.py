@@ -99,3 +99,22 @@ def test_every_equation_that_the_plant_cites_is_in_the_theory() -> None:
                 cited |= covered(" ".join(re.findall(r"3\.\d\d[\d./,\- ]*", docstring)))
     assert len(cited) > 15
     assert cited <= covered(theory), sorted(cited - covered(theory))
+
+
+def test_what_docstrings_say_they_are_checked_by_exists() -> None:
+    tests = {path.stem for path in (ROOT / "tests").rglob("test_*.py")}
+    for path in (ROOT / "tests").rglob("test_*.py"):
+        tests |= set(re.findall(r"def (test_\w+)", path.read_text(encoding="utf-8")))
+    missing, named = [], 0
+    for package in ("can_dbc", "controller", "plant", "sil"):
+        for path in (ROOT / package).rglob("*.py"):
+            text = path.read_text(encoding="utf-8")
+            for claim in re.findall(r"[Cc]hecked by:? ([^)]*?)(?:\.\s|\.?\"\"\"|\n\n)", text):
+                for place in re.findall(r"tests/[\w/]+(?:\.py)?", claim):
+                    named += 1
+                    missing += [f"{path}: {place}"] * (not (ROOT / place).exists())
+                for name in re.findall(r"(?<![\w/])test_\w+", claim):
+                    named += 1
+                    missing += [f"{path}: {name}"] * (name not in tests)
+    assert named > 100
+    assert missing == []
