@@ -20,11 +20,11 @@ from .hybrid import NO_GRID, NS, REASONS, WORKSPACE, IntegrationError
 from .integrate import DONE, EVENT_COLUMNS, OWN_STEPS, advance
 from .packing import Floats, Ints, active_states, initial_state, modes, scales
 from .setup import Setup
+from .singles import FIRST_STEP
 from .stroke import lagged, valve_moves
 from .tangents import Followers
 
 FIT_TOLERANCE = 1e-7
-FIRST_STEP_S = 1e-4
 
 
 def _like(setup: Setup) -> tuple:
@@ -117,7 +117,7 @@ class Predictor:
         m[:] = ready.modes
         self._valves[:] = ready.valves
         self._valve_rates[:] = 0.0
-        self._step[0] = FIRST_STEP_S
+        self._step[0] = FIRST_STEP
         counts[:] = 0
         tabulated, table = filling_curves(setup.c)
         out = np.empty((len(self._sample_s), ready.states))
