@@ -1,7 +1,7 @@
 """Mutation testing of controller/ and can_dbc/: mutmut makes the mutants, forks of one session run them.
 
 `python -m tests.mutation [MODULE...]`, e.g. `can_dbc.e2e`, prints the mutants that no test notices; all
-modules take about half an hour of one core. mutmut's own loop starts pytest for each mutant; here the
+modules have some thousand of them, and take a while. mutmut's own loop starts pytest for each mutant; here the
 tests are collected once, and each mutant runs, in a fork, those that reach its function, quickest first.
 What runs once while modules are loaded (the codecs being built from the contract) has run before the fork, so
 mutants there are shown as survivors although a new process would notice them.

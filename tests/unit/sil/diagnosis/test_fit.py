@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from plant.parameters import Parameter, ParameterSet, load
 from sil.diagnosis.fit import Fitter
-from sil.diagnosis.floor import misfit
+from sil.diagnosis.floor import misfit, strained
 from sil.diagnosis.hypotheses import candidates
 from sil.diagnosis.screening import screen
 from tests.unit.sil.diagnosis.made_campaign import made, model_of
@@ -61,3 +64,18 @@ def test_frozen_parameters_stay(clean_model) -> None:
     assert np.array_equal(fit.shared, start)
     assert np.any(fit.stroke[:2] != 0.0)
     assert np.all(fit.stroke[2:] == 0.0)
+
+
+def test_scatter_that_healthy_strokes_do_not_have_is_strained() -> None:
+    def fit(scatter: np.ndarray, unit: np.ndarray) -> Any:
+        layout = SimpleNamespace(healthy=len(unit))
+        return SimpleNamespace(stroke=scatter, shared=unit, use=tuple(range(len(scatter))), layout=layout)
+
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        assert not strained(fit(rng.standard_normal((10, 4)), rng.standard_normal(14)))
+    wide = rng.standard_normal((10, 4))
+    wide[:, 1] *= 3.0
+    assert strained(fit(wide, np.zeros(14)))
+    assert strained(fit(np.zeros((10, 4)), np.array([*np.zeros(13), 7.9])))
+    assert not strained(fit(np.zeros((10, 4)), np.array([*np.zeros(13), 4.5])))
