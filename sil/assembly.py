@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from zlib import crc32
 
+from can_dbc.contract import contract
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
 from can_dbc.messages import Gear
@@ -194,6 +195,13 @@ def participant_names(scenario: Scenario) -> tuple[str, ...]:
     return tuple(names)
 
 
+def mailboxes(scenario: Scenario) -> frozenset[int]:
+    """Return the identifiers whose newer content overwrites what still waits: all of the contract."""
+    if not scenario.bus.mailboxes:
+        return frozenset()
+    return frozenset(spec.can_id for spec in contract().messages)
+
+
 def make_bus(scenario: Scenario, plan: FaultPlan) -> BusModel:
     """Return the bus of a scenario, with its faults."""
     return BusModel(
@@ -201,6 +209,7 @@ def make_bus(scenario: Scenario, plan: FaultPlan) -> BusModel:
         frame_filter=plan.frame_filter if plan.touches_frames else None,
         is_off=plan.is_off if plan.touches_frames else None,
         capacity=scenario.bus.send_buffer,
+        mailboxes=mailboxes(scenario),
     )
 
 

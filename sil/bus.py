@@ -3,6 +3,8 @@
 Model: whenever the bus is idle, the frame with the lowest identifier among those released starts
 and is not interrupted; it arrives everywhere at the end of its end-of-frame field; three bits of
 intermission follow. Each sender hands its frames over by priority, so the queue is one for all.
+An identifier that has a mailbox waits once per sender: as in a CAN controller with one transmit
+object per message, newer content overwrites what has not been sent yet.
 What can go wrong on a bus comes in through two functions given by the caller, `frame_filter` and
 `is_off`; without them the bus is perfect.
 Checked by: tests/unit/sil/test_bus.py
@@ -11,9 +13,9 @@ Checked by: tests/unit/sil/test_bus.py
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass, field
-from heapq import heappop, heappush
+from heapq import heapify, heappop, heappush
 from typing import NamedTuple
 
 from can_dbc.errors import InputError
@@ -85,7 +87,8 @@ class BusStatistics:
     """What happened on a bus.
 
     `frames`: transmissions begun, among them `error_frames` that nobody accepted and `lost` that
-    the filter let vanish; dropped: never sent, their sender being off or its buffer full.
+    the filter let vanish; dropped: never sent, their sender being off or its buffer full;
+    `overwritten`: never sent, newer content having taken their mailbox.
     `busy_ns`: time taken by all of them with their intermissions, to the end of the latest.
     `sent` and `longest_wait_ns` (release to end of frame) by identifier, without errors.
     """
@@ -93,6 +96,7 @@ class BusStatistics:
     frames: int = 0
     error_frames: int = 0
     lost: int = 0
+    overwritten: int = 0
     dropped_bus_off: int = 0
     dropped_full: int = 0
     busy_ns: int = 0
@@ -115,7 +119,8 @@ class BusModel:
     """A CAN bus in simulated time. See the module for the model.
 
     bitrate: bit/s, such that a bit lasts a whole number of ns. capacity: frames that a sender may
-    have waiting, further ones are dropped and counted; None for no limit.
+    have waiting, further ones are dropped and counted; None for no limit. mailboxes: identifiers of
+    which only the newest content of a sender waits.
     Raises InputError for a bit rate that does not fit. Checked by: tests/unit/sil/test_bus.py
     """
 
@@ -125,6 +130,7 @@ class BusModel:
         frame_filter: FrameFilter | None = None,
         is_off: IsOff | None = None,
         capacity: int | None = None,
+        mailboxes: Container[int] = (),
     ) -> None:
         if not 10_000 <= bitrate <= 1_000_000 or NS_PER_S % bitrate:
             raise InputError(
@@ -137,6 +143,7 @@ class BusModel:
         self._filter = frame_filter
         self._is_off = is_off
         self._capacity = capacity
+        self._mailboxes = mailboxes
         self._now_ns = 0
         self._free_ns = 0
         self._released_later: list[tuple[int, int, Frame, str]] = []
@@ -213,8 +220,17 @@ class BusModel:
     def _release(self, release_ns: int, serial: int, frame: Frame, sender: str) -> None:
         if self._is_off is not None and self._is_off(sender, release_ns):
             self._drop(sender)
-        else:
-            heappush(self._ready, _Ready(frame.can_id, release_ns, serial, frame, sender, 1))
+            return
+        entry = _Ready(frame.can_id, release_ns, serial, frame, sender, 1)
+        if self._ready and frame.can_id in self._mailboxes:
+            for index, other in enumerate(self._ready):
+                if other.can_id == frame.can_id and other.sender == sender:
+                    self._ready[index] = entry
+                    heapify(self._ready)
+                    self.statistics.overwritten += 1
+                    self._waiting[sender] -= 1
+                    return
+        heappush(self._ready, entry)
 
     def _drop(self, sender: str) -> None:
         self.statistics.dropped_bus_off += 1

@@ -97,7 +97,8 @@ def run_in_memory(loaded: Loaded) -> MemoryRun:
     if scenario.fault or scenario.bus.send_buffer is not None:
         frames = _coordinated(participants, scenario, end_ns)
     else:
-        frames = run_quickly(participants, scenario.bus.bitrate, end_ns)
+        boxes = assembly.mailboxes(scenario)
+        frames = run_quickly(participants, scenario.bus.bitrate, end_ns, boxes)
     rows = np.concatenate(trace.rows)
     parameters, table = loaded.parameters, loaded.scenario.plant
     supply = table.supply_pressure_pa

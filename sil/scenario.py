@@ -76,12 +76,15 @@ class BusTable(_Table, frozen=True, kw_only=True):
     """The CAN bus: bit rate, and the share of it that other nodes' frames of a priority take.
 
     `send_buffer`: frames that a node may have waiting, further ones are lost; without, any number.
+    `mailboxes`: newer content of a message overwrites what its node has not sent yet, as in a CAN
+    controller with a transmit object for each; false: a node sends all, in the order of release.
     """
 
     bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 500_000
     extra_load: Annotated[float, Meta(ge=0.0, le=3.0)] = 0.0
     extra_priority: Annotated[int, Meta(ge=0, le=7)] = 3
     send_buffer: Annotated[int, Meta(ge=1, le=100_000)] | None = None
+    mailboxes: bool = True
 
 
 class ClockTable(_Table, frozen=True, kw_only=True):

@@ -90,7 +90,7 @@ def lost(result: dict[str, Any], duration_s: float) -> str:
     missing = sum(
         max(0, int(duration_s / m["period_s"]) - m["frames"]) for m in result["bus"]["messages"]
     )
-    counted = sum(result["bus"][k] for k in ("lost", "dropped_full", "dropped_bus_off"))
+    counted = sum(result["bus"][k] for k in ("lost", "overwritten", "dropped_full", "dropped_bus_off"))
     gaps = sum(
         c["ok, some lost"] + c["wrong sequence"] for c in result["bus"]["end_to_end"].values()
     )

@@ -5,6 +5,7 @@ The scenarios are files as a user writes them, in sil/bench/disturbed.
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -39,8 +40,9 @@ def measure() -> Iterator[str]:
     yield HEAD
     for name in FIRST:
         yield line(load(str(SCENARIOS / f"{name}.toml")))
-    yield "command: longest time from release to arrival of a valve command, ms; lost: overwritten,"
-    yield "dropped or sent into a bus-off; refused: by the end-to-end check, of an intruder's frames"
+    yield "command: longest time from release to arrival of a valve command, ms; lost: overwritten"
+    yield "before they were sent, dropped or sent into a bus-off; told -: no status was believed;"
+    yield "refused: by the end-to-end check, of an intruder's frames"
     yield "or of what their counters did to ours; taken: an intruder's frame taken for a good one;"
     yield "orphan: ms a coil stayed on without a living controller; false: ms a gear was reported"
     yield "that the stay was not in; impact: the worst, m/s"
@@ -71,10 +73,13 @@ def line(loaded: Any) -> str:
     checked = bus["end_to_end"].values()
     refused = sum(c["error"] + c["repeated"] + c["wrong sequence"] + c["sync"] for c in checked)
     taken = sum(c["intruder's taken"] for c in checked)
-    lost = bus["lost"] + bus["dropped_full"] + bus["dropped_bus_off"]
+    lost = sum(bus[k] for k in ("lost", "overwritten", "dropped_full", "dropped_bus_off"))
     command = next(m for m in bus["messages"] if m["name"] == "ValveCommand")["longest_response_s"]
     asked = loaded.scenario.request[-1].gear
-    truly, told = (Gear(int(safety[k])).name.lower() for k in ("end_gear", "reported_gear"))
+    truly, told = (
+        "-" if math.isnan(safety[k]) else Gear(int(safety[k])).name.lower()
+        for k in ("end_gear", "reported_gear")
+    )
     bits = Fault(int(safety["fault_bits"]))
     names = " ".join(f.name or "" for f in Fault if f and f in bits).lower() or "-"
     return (

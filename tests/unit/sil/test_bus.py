@@ -476,3 +476,36 @@ def test_the_model_is_quick() -> None:
         arrived += len(bus.advance((number + 10) * 1_000_000))
     assert arrived == len(frames)
     assert time.process_time() - began < 0.4
+
+
+def test_newer_content_overwrites_what_its_sender_has_waiting_in_the_same_mailbox() -> None:
+    bus = BusModel(mailboxes={USUAL.can_id})
+    newer, newest = Frame(USUAL.can_id, bytes(8)), Frame(USUAL.can_id, b"\x0f" * 8)
+    bus.queue(0, USUAL, "a")  # on the bus at once: no longer in the mailbox
+    bus.queue(1, newer, "a")
+    bus.queue(2, newer, "b")
+    bus.queue(3, newest, "a")
+    bus.queue(4, SLACK, "a")
+    bus.queue(5, SLACK, "a")  # has no mailbox: both are sent
+    sent = [(d.frame, d.sender, d.queued_ns) for d in bus.advance(10**9)]
+    assert sent[0] == (USUAL, "a", 0)
+    assert sent[1:3] == [(newer, "b", 2), (newest, "a", 3)]
+    assert [entry[0] for entry in sent[3:]] == [SLACK, SLACK]
+    assert bus.statistics.overwritten == 1
+    assert bus.statistics.frames == 5
+
+
+def test_what_is_overwritten_makes_room_in_the_buffer_and_is_not_sent_again() -> None:
+    def rejects_once(sent: Transmission) -> ErrorFrame | Sequence[Delivery]:
+        return ErrorFrame() if sent.attempt == 1 and sent.frame == USUAL else sent.delivered()
+
+    bus = BusModel(frame_filter=rejects_once, capacity=2, mailboxes={USUAL.can_id})
+    newer = Frame(USUAL.can_id, bytes(8))
+    bus.queue(0, USUAL, "a")
+    bus.advance(10)  # on the bus, and about to be rejected
+    bus.queue(10, newer, "a")
+    assert [d.frame for d in bus.advance(10**9)] == [newer]
+    assert bus.statistics.overwritten == 1
+    bus.queue(10**9, newer, "a")  # nothing waits any more
+    bus.queue(10**9, SLACK, "a")
+    assert bus.statistics.dropped_full == 0

@@ -37,6 +37,7 @@ def test_another_valve_is_another_run() -> None:
 
 HURRIED = {
     "lab, slow bus": ("lab_n_b", ["bus.bitrate=125000", "bus.extra_load=0.3"]),
+    "overloaded": ("lab_n_b", ["bus.bitrate=125000", "controller.period_s=0.0025", "duration_s=0.4"]),
     "quick sensor": ("strategy_air_cushion", ["sensor.period_s=0.0041", "duration_s=0.4"]),
     "truck": ("truck_into_gear_2200n", ["valve.D_fall=0.0123456789", "duration_s=0.5"]),
 }
@@ -52,7 +53,7 @@ def test_the_quick_loop_is_the_coordinator_bit_for_bit(
     quick = run_in_memory(loaded)
     scenario = loaded.scenario
     monkeypatch.setattr(
-        memory, "run_quickly", lambda nodes, _, end: memory._coordinated(nodes, scenario, end)
+        memory, "run_quickly", lambda nodes, _, end, boxes: memory._coordinated(nodes, scenario, end)
     )
     plain = run_in_memory(loaded)
     assert quick.record.frames == plain.record.frames
