@@ -21,7 +21,7 @@ from .integrate import DONE, EVENT_COLUMNS, OWN_STEPS, advance
 from .packing import Floats, Ints, active_states, initial_state, modes, scales
 from .setup import Setup
 from .singles import FIRST_STEP
-from .stroke import lagged, valve_moves
+from .stroke import gauged, valve_moves
 from .tangents import Followers
 
 FIT_TOLERANCE = 1e-7
@@ -150,9 +150,8 @@ class Predictor:
         self._happened = int(counts[0])
         if code != DONE:
             raise IntegrationError(f"integration stopped: {REASONS[code]}")
-        if setup.gauge_lag_s > 0.0:
-            gauged = slice(ready.first, ready.first + len(ready.names))
-            out[:, gauged] = lagged(self._sample_s, out[:, gauged], setup.gauge_lag_s)
+        pressures = slice(ready.first, ready.first + len(ready.names))
+        out[:, pressures] = gauged(setup, self._sample_s, out[:, pressures])
         return out
 
     def derivatives(
@@ -194,11 +193,10 @@ class Predictor:
         )
         if status != DONE:
             raise IntegrationError(f"integration stopped: {REASONS[status]}")
-        if any(one.gauge_lag_s > 0.0 for one in setups):
-            first, count = (L.FP1, 2) if system == L.FIXED else (L.PB, 3)
-            pressures = np.flatnonzero((wanted >= first) & (wanted < first + count))
-            for one, own in zip(setups, samples, strict=True):
-                own[:, pressures] = lagged(self._sample_s, own[:, pressures], one.gauge_lag_s)
+        first, count = (L.FP1, 2) if system == L.FIXED else (L.PB, 3)
+        pressures = np.flatnonzero((wanted >= first) & (wanted < first + count))
+        for one, own in zip(setups, samples, strict=True):
+            own[:, pressures] = gauged(one, self._sample_s, own[:, pressures])
         base = samples[0]
         rates = samples[1:] - base
         rates *= (1.0 / np.array(steps)).reshape(-1, 1, 1)

@@ -6,6 +6,7 @@ Checked by: tests/unit/plant/test_run_effects.py
 from __future__ import annotations
 
 from .effects import CATALOGUE, check_effects
+from .effects.term import LEVELS, OF_SENSORS
 from .errors import InputError
 from .packing import Floats
 from .parameters import ParameterSet
@@ -24,14 +25,14 @@ def refuse(parameters: ParameterSet) -> None:
     """Refuse, in one line, effects that a run has no place for."""
     for identifier, table in parameters.effects.items():
         place = f"{parameters.name}: [effect.{identifier}]"
-        if identifier in OF_INSTRUMENTS:
+        given = {name: item.value for name, item in table.items()}
+        if identifier in OF_INSTRUMENTS or given.get("equation") in OF_SENSORS:
             raise InputError(
                 f"{place}: of the instruments; on a run set the sensor's own values instead "
                 "(opc4 simulate applies it)"
             )
-        given = {name: item.value for name, item in table.items()}
         directed = identifier in DIRECTED and given.get(DIRECTED[identifier], 0.0) != 1.0
-        timed = identifier == "unnamed" and given.get("variable") in (0.0, 3.0)
+        timed = identifier == "unnamed" and given.get("variable") in (0.0, *LEVELS)
         mirrored = identifier == "friction_bump" and given.get("mirrored", 0.0) == 1.0
         if identifier in OF_ONE_STROKE or directed or timed or mirrored:
             raise InputError(

@@ -7,12 +7,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from . import layout as L
 from .packing import Floats, flow_coefficients, pack
 from .parameters import ParameterSet
 from .sensors import InternalChain
 from .stroke_conditions import StrokeConditions
 from .valve import ValveTiming
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A function by its values on an even grid, straight between them and level beyond."""
+
+    low: float
+    step: float
+    nodes: Floats
+
+    def at(self, where: Floats) -> Floats:
+        """Its values."""
+        grid = self.low + self.step * np.arange(len(self.nodes))
+        return np.asarray(np.interp(where, grid, self.nodes))
 
 
 @dataclass
@@ -23,7 +39,9 @@ class Setup:
     plunger's travel [s]; residual_pa: overpressure of chambers at the start [Pa]; chain: the
     control unit's position chain, its pulses at `phase_s` within the period, with `internal_gain`,
     and its clock running `clock_offset_s + clock_drift t` late; gauge_lag_s: time constant of the
-    pressure lines [s]; has_line: the supply line has a volume and a restriction of its own.
+    pressure lines [s]; internal_error_m, gauge_error_pa: what the sensors report too much at a
+    position [m] and a pressure [Pa]; has_line: the supply line has a volume and a restriction of its
+    own.
     """
 
     conditions: StrokeConditions
@@ -38,7 +56,16 @@ class Setup:
     clock_offset_s: float = 0.0
     clock_drift: float = 0.0
     gauge_lag_s: float = 0.0
+    internal_error_m: Curve | None = None
+    gauge_error_pa: Curve | None = None
     has_line: bool = False
+
+    def reported_m(self, position_m: Floats) -> Floats:
+        """What the control unit believes where a right sensor would have it believe `position_m`."""
+        believed = self.internal_gain * position_m
+        if self.internal_error_m is not None:
+            believed = believed + self.internal_error_m.at(position_m)
+        return believed
 
     @property
     def passive_chambers(self) -> tuple[str, ...]:

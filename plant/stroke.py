@@ -165,6 +165,14 @@ def lagged(time_s: Floats, values: Floats, lag_s: float) -> Floats:
     return np.asarray(solve_banded((1, 0), bands, known, check_finite=False))
 
 
+def gauged(setup: Setup, time_s: Floats, pressures_pa: Floats) -> Floats:
+    """Chamber pressures [n, k] as the gauges tell them: behind their lines, with their error."""
+    told = lagged(time_s, pressures_pa, setup.gauge_lag_s)
+    if setup.gauge_error_pa is not None:
+        told = told + setup.gauge_error_pa.at(told)
+    return told
+
+
 def simulate(
     parameters: ParameterSet,
     conditions: StrokeConditions,
@@ -209,16 +217,13 @@ def run_setup(
     if internal:
         measured = states[np.searchsorted(wanted, instants), 0]
         clock_s = time_s - setup.clock_offset_s - setup.clock_drift * time_s
-        reported = setup.internal_gain * chain.held_m(
-            clock_s, chain.ticks_s(end_s, setup.phase_s), measured
-        )
+        held = chain.held_m(clock_s, chain.ticks_s(end_s, setup.phase_s), measured)
+        reported = setup.reported_m(held)
     if internal and len(wanted) != len(sample_ns):
         states = states[np.searchsorted(wanted, sample_ns)]
-    if setup.gauge_lag_s > 0.0:
-        first, count = (L.FP1, 2) if conditions.system == L.FIXED else (L.PB, 3)
-        states[:, first : first + count] = lagged(
-            time_s, states[:, first : first + count], setup.gauge_lag_s
-        )
+    first, count = (L.FP1, 2) if conditions.system == L.FIXED else (L.PB, 3)
+    pressures = slice(first, first + count)
+    states[:, pressures] = gauged(setup, time_s, states[:, pressures])
     return Stroke(
         conditions=conditions,
         time_s=time_s,

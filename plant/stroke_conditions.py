@@ -19,7 +19,8 @@ class StrokeConditions:
     [N/m] and start offset [m] (fixed rig; the spring is unloaded there); commands are
     (time s, valve, duty); charged_before names the chambers at supply pressure at time 0;
     mesh_force_n is the force barrier into gear, or out of gear for a shift to neutral;
-    theoretical_flow replaces the mapped flows by 3.13/3.20.
+    theoretical_flow replaces the mapped flows by 3.13/3.20; progress is where in its campaign the
+    stroke stands, 0 first, 1 last.
     """
 
     kind: str
@@ -37,6 +38,7 @@ class StrokeConditions:
     sync_impulse_n_s: float = 0.0
     rest_s: float = 60.0
     theoretical_flow: bool = False
+    progress: float = 1.0
 
     @property
     def system(self) -> int:

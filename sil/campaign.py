@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -138,7 +138,10 @@ def load_campaign(path: str | Path) -> Campaign:
         place = f"{name}: stroke {number}"
         if not isinstance(entry, dict):
             raise InputError(f"{place}: expected a table")
-        parsed.append(parse_stroke(entry, place, atmosphere, temperature))
+        stroke = parse_stroke(entry, place, atmosphere, temperature)
+        progress = (number - 1) / (len(strokes) - 1) if len(strokes) > 1 else 1.0
+        conditions = replace(stroke.conditions, progress=progress)
+        parsed.append(replace(stroke, conditions=conditions))
     return Campaign(
         folder=file.parent,
         name=text(raw, "name", name),

@@ -30,7 +30,12 @@ def shift_rise(setup: Setup, delay_s: float) -> None:
 
 def close_later(setup: Setup, values: dict[str, float]) -> None:
     """Closing delay longer by a time."""
-    fall = max(0, setup.timing.fall_ns + seconds_to_ns(values["delay_s"]))
+    shift_fall(setup, values["delay_s"])
+
+
+def shift_fall(setup: Setup, delay_s: float) -> None:
+    """Change the closing delay, never below zero."""
+    fall = max(0, setup.timing.fall_ns + seconds_to_ns(delay_s))
     setup.timing = replace(setup.timing, fall_ns=fall)
 
 

@@ -80,7 +80,7 @@ def internal_prediction(
     response = impulse_response(replace(chain, latency_s=0.0), count)
     values = seen[0] + np.convolve(seen - seen[0], response)[:count]
     index = np.clip(pulses - first, 0, count - 1)
-    return np.asarray(setup.internal_gain * values[index])
+    return setup.reported_m(values[index])
 
 
 @lru_cache(maxsize=64)

@@ -34,6 +34,8 @@ class TermPlace:
     on: str
 
 
+PROGRESS = "course of the campaign, first stroke 0, last 1"
+
 PLACES = (
     TermPlace(
         "force of position", "mechanics", 1.0, 1.0, -0.013, 0.013, 14, 20.0, "N",
@@ -64,12 +66,44 @@ PLACES = (
         "a relative change of the discharge flows", "chamber pressure over atmosphere",
     ),
     TermPlace(
-        "leak of pressure", "leak", 8.0, 3.0, 1e5, 9e5, 8, 2e-4, "K kg/s",
+        "leak of pressure", "leak", 8.0, 3.0, 1e5, 9e5, 8, 0.1, "K kg/s",
         "a flow out of every chamber", "chamber pressure [Pa]",
     ),
     TermPlace(
         "exponent of speed", "thermodynamics", 9.0, 2.0, 0.0, 1.6, 7, 0.05, "-",
         "a shift of the process exponents of compression", "piston speed [m/s]",
+    ),
+    TermPlace(
+        "friction of progress", "friction", 5.0, 4.0, 0.0, 1.0, 6, 10.0, "N",
+        "resistance against the stay's motion", PROGRESS,
+    ),
+    TermPlace(
+        "opening delay of rest", "valve timing", 10.0, 3.0, 0.0, 3.0, 7, 2e-3, "s",
+        "a change of the opening delay", "rest before the stroke [log10 s]",
+    ),
+    TermPlace(
+        "opening delay of progress", "valve timing", 10.0, 4.0, 0.0, 1.0, 6, 2e-3, "s",
+        "a change of the opening delay", PROGRESS,
+    ),
+    TermPlace(
+        "opening delay of valve", "valve timing", 10.0, 5.0, 0.0, 3.0, 4, 2e-3, "s",
+        "a change of the opening delay", "valve: 1, B, N, F",
+    ),
+    TermPlace(
+        "charge flow of valve", "flow restriction", 6.0, 5.0, 0.0, 3.0, 4, 0.05, "-",
+        "a relative change of the charge flow", "valve: 1, B, N, F",
+    ),
+    TermPlace(
+        "supply of progress", "supply", 12.0, 4.0, 0.0, 1.0, 6, 0.02, "-",
+        "a relative change of the supply pressure", PROGRESS,
+    ),
+    TermPlace(
+        "internal position", "internal sensor", 13.0, 1.0, -0.013, 0.013, 14, 2e-4, "m",
+        "an error of the control unit's position", "position [m]",
+    ),
+    TermPlace(
+        "gauge of pressure", "gauge", 14.0, 2.0, 1e5, 9e5, 9, 5e3, "Pa",
+        "an error of the pressure gauges", "pressure [Pa]",
     ),
 )
 

@@ -42,6 +42,7 @@ PLANS: tuple[tuple[str, str, bool, tuple[float, ...]], ...] = (
     ("fixed", "damper", False, (9e5,)),
 )
 DRIVING = {"fixed": "1", "N-B": "B", "N-F": "F", "B-N": "N", "F-N": "N"}
+LATE = ("1", "N", "B")
 SPRING_N_M, SPRING_START_M = 25000.0, 0.004258279
 
 
@@ -123,6 +124,12 @@ def write_campaign(folder: Path, hidden: Hidden, seed: int, count: int = 15) -> 
         change["close_later_s"] = change.get("close_later_s", 0.0) + unit["fall_s"] + delay[1]
         scatter = rng.normal(0.0, rep["supply_sd"])
         change["supply"] = (1.0 + change.get("supply", 0.0)) * (1.0 + scatter) - 1.0
+        progress = (number - 1) / (count - 1)
+        change["friction"] *= 1.0 + change.get("warming", 0.0) * progress
+        change["supply"] -= change.get("emptying", 0.0) * progress
+        change["open_later_s"] += change.get("sticky_s", 0.0) * np.log10(rest_s)
+        if drive == LATE[int(change.get("late_valve", 0.0))]:
+            change["open_later_s"] += change.get("late_s", 0.0)
         for name in ("inlet", "outlet"):
             change[name] = change.get(name, 1.0) * (1.0 + unit[name])
         for name in ("outer_volume", "inner_volume"):
@@ -171,6 +178,7 @@ def record(
         true = states[:, actuator.first_pressure + k]
         if lag:
             true = lagging(time_s, true, lag)
+        true = true * (1.0 + change.get("gauge_share", 0.0))
         columns[f"pressure_{name}_pa"] = gauge(true, offsets[name], False, v, rng)
     if case.damper:
         true = states[:, actuator.oil] + v["gas.P_atm"]
@@ -183,7 +191,10 @@ def record(
         columns[f"cmd_{name}"] = duty
     told = {name: change[name] for name in INTERNAL if name in change}
     phase_s = rng.uniform(0.0, v["position_sensor.period"])
-    columns["position_internal_m"] = control_unit(time_s, states[:, 0], phase_s, v, **told)
+    told_m = control_unit(time_s, states[:, 0], phase_s, v, **told)
+    if "bent_m" in change:
+        told_m = told_m + change["bent_m"] * np.sin(2.0 * np.pi * told_m / change["bent_over_m"])
+    columns["position_internal_m"] = told_m
     return columns
 
 

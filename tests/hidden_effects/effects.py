@@ -61,6 +61,12 @@ FOREIGN: dict[str, tuple[str, str, float, float, float]] = {
     "inlet by pressure": ("flow restriction", "inlet_late", 0.2, 0.5, 0.1),
     "outlet by pressure": ("flow restriction", "outlet_high", 0.2, 0.5, 0.1),
     "relief": ("leak", "relief_k_kg_s_pa", 1e-6, 4e-6, 5e-7),
+    "warming friction": ("friction", "warming", 0.4, 1.0, 0.2),
+    "sticky plunger": ("valve timing", "sticky_s", 0.002, 0.006, 0.001),
+    "one late valve": ("valve timing", "late_s", 0.003, 0.010, 0.0015),
+    "emptying tank": ("supply", "emptying", 0.08, 0.25, 0.04),
+    "bent sensor": ("internal sensor", "bent_m", 4e-4, 1e-3, 2e-4),
+    "gauge gain": ("gauge", "gauge_share", 0.03, 0.08, 0.015),
 }
 """Effects that the vocabulary lacks, with the class that a reader would file them under."""
 
@@ -110,5 +116,8 @@ def draw(name: str, level: str, rng: Rng) -> Change:
         },
         "wave of force": lambda: {key: amount, "wave_m": rng.uniform(0.004, 0.008)},
         "relief": lambda: {key: amount, "relief_pa": rng.uniform(3e5, 5e5)},
+        "one late valve": lambda: {key: amount, "late_valve": float(rng.integers(3))},
+        "bent sensor": lambda: {key: either * amount, "bent_over_m": rng.uniform(0.006, 0.02)},
+        "gauge gain": lambda: {key: either * amount},
     }
     return special.get(name, lambda: {key: amount})()

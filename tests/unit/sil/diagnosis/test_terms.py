@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from plant import layout as L
 from plant.effects import CATALOGUE
 from plant.parameters import load
 from plant.prediction import Predictor, copied
 from plant.setup import make_setup
+from plant.stroke import run_setup
 from sil.diagnosis.terms import PLACES, term_candidate
 from tests.unit.sil.diagnosis.made_campaign import conditions_of
 
@@ -37,6 +41,11 @@ def test_zero_nodes_change_nothing(place, kind: str) -> None:
         ("discharge flow of pressure", -0.3, "exhaust_clog", {"factor": 0.7}),
         ("force of position", 60.0, "external_force", {"force_n": 60.0}),
         ("force of time", 60.0, "external_force", {"force_n": 60.0}),
+        ("charge flow of valve", -0.2, "inlet_clog", {"factor": 0.8}),
+        ("supply of progress", -0.1, "supply_low", {"deficit": 0.1}),
+        ("opening delay of rest", 0.004, "valve_open_delay", {"delay_s": 0.004}),
+        ("opening delay of progress", 0.004, "valve_open_delay", {"delay_s": 0.004}),
+        ("opening delay of valve", 0.004, "valve_open_delay", {"delay_s": 0.004}),
     ],
 )
 @pytest.mark.parametrize("kind", ["fixed", "N-B"])
@@ -51,14 +60,54 @@ def test_constant_nodes_are_a_named_effect(place, level, effect, values, kind) -
     assert not np.allclose(term, nominal, rtol=1e-3, atol=1e-6)
 
 
-@pytest.mark.parametrize("place", ["friction of position", "friction of speed", "friction of rest"])
+@pytest.mark.parametrize(
+    ("place", "same", "other"),
+    [
+        ("opening delay of rest", {"rest_s": 30.0}, {"rest_s": 600.0}),
+        ("opening delay of progress", {"progress": 0.0}, {"progress": 1.0}),
+        ("opening delay of valve", {}, {"kind": "F-N"}),
+    ],
+)
+def test_a_level_holds_for_the_strokes_it_is_of(place: str, same: dict, other: dict) -> None:
+    candidate = term_candidate(next(p for p in PLACES if p.name == place))
+    names = [p.name for p in candidate.parameters]
+    reached = []
+    for changed in (same, other):
+        conditions = replace(conditions_of(changed.get("kind", "N-B"), 900000.0), rest_s=30.0)
+        plain = {k: v for k, v in changed.items() if k != "kind"}
+        setup = make_setup(load(), replace(conditions, **plain))
+        before = setup.timing.rise_ns
+        # rises towards long rests, the campaign's end, the valve F
+        candidate.change(setup, {n: 1e-3 * k for k, n in enumerate(names)})
+        reached.append(setup.timing.rise_ns - before)
+    assert 0 <= reached[0] < reached[1]
+
+
+def test_errors_of_sensors_are_added_to_what_they_tell() -> None:
+    for place, level in (("internal position", 3e-4), ("gauge of pressure", 4e3)):
+        candidate = term_candidate(next(p for p in PLACES if p.name == place))
+        setup = make_setup(load(), conditions_of("N-B", 900000.0))
+        time_s = np.arange(1500) * 1e-4
+        plain = run_setup(setup, time_s)
+        candidate.change(setup, {p.name: level for p in candidate.parameters})
+        told = run_setup(setup, time_s)
+        more_m = told.internal_m - plain.internal_m
+        more_pa = told.states[:, L.PB : L.PF + 1] - plain.states[:, L.PB : L.PF + 1]
+        if place == "internal position":
+            assert np.allclose(more_m, level, atol=1e-9) and not np.any(more_pa)
+        else:
+            assert np.allclose(more_pa, level, atol=1e-6) and not np.any(more_m)
+
+
+@pytest.mark.parametrize(
+    "place",
+    ["friction of position", "friction of speed", "friction of rest", "friction of progress"],
+)
 def test_constant_resistance_is_coulomb_friction(place: str) -> None:
     candidate = term_candidate(next(p for p in PLACES if p.name == place))
     nodes = {p.name: 40.0 for p in candidate.parameters}
 
     def more(setup) -> None:
-        from plant import layout as L
-
         setup.p[L.F_LINKAGE] += 40.0
 
     for kind in ("fixed", "F-N"):
