@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from plant.hybrid import IntegrationError
 
-from .hypotheses import Candidate, scaled_of
+from .hypotheses import Candidate, precision, scaled_of
 from .model import Block, CampaignModel, Shared
 
 Floats = NDArray[np.float64]
@@ -29,10 +29,6 @@ FARTHEST_SD = 4.5
 """No healthy quantity is tried farther out than this: friction and flows stay positive."""
 
 BOUNDS_PASSES = 6
-
-EFFECT_PRIOR = 10.0
-"""Width of the prior of an effect's parameter, in typical sizes: weak."""
-
 
 @dataclass
 class FitResult:
@@ -86,8 +82,8 @@ class FitResult:
     def evidence(self) -> float:
         """Laplace's approximation of -2 log evidence, common constants left out."""
         _sign, logdet = np.linalg.slogdet(self.normal)
-        prior = 2.0 * len(self.scaled) * np.log(EFFECT_PRIOR)
-        return float(2.0 * self.cost + logdet + prior)
+        _sign, prior = np.linalg.slogdet(self.layout.precision)
+        return float(2.0 * self.cost + logdet - prior)
 
     def light(self) -> FitResult:
         """The same without the derivatives, small enough to travel between processes."""
@@ -129,7 +125,8 @@ class Fitter:
         model = self.model
         healthy = len(model.unit) + len(model.offsets)
         total = 0.5 * float(shared[:healthy] @ shared[:healthy])
-        total += 0.5 * float(shared[healthy:] @ shared[healthy:]) / EFFECT_PRIOR**2
+        own = shared[healthy:]
+        total += 0.5 * float(own @ precision(candidates) @ own)
         for k in use:
             try:
                 r = model.residual(k, shared, scatter[k], candidates)
@@ -293,10 +290,8 @@ def own_normal(
     blocks: dict[int, Block], shared: Floats, layout: Shared, weight: float
 ) -> tuple[Floats, Floats]:
     """Normal matrix and gradient with the strokes' scatter held where it is."""
-    prior = np.ones(len(shared))
-    prior[layout.effect_slice] = 1.0 / EFFECT_PRIOR**2
-    normal: Floats = np.diag(prior)
-    gradient: Floats = -prior * shared
+    normal: Floats = layout.prior
+    gradient: Floats = -normal @ shared
     for block in blocks.values():
         normal = normal + weight * block.shared.T @ block.shared
         gradient = gradient + weight * block.shared.T @ block.residual
@@ -369,10 +364,8 @@ def arrow(
         normal += a.T @ a - hus @ inverse @ hus.T
         gradient += a.T @ r - hus @ (inverse @ gs)
         inner[k] = (inverse, hus, gs)
-    prior = np.ones(n)
-    prior[layout.effect_slice] = 1.0 / EFFECT_PRIOR**2
-    normal += np.diag(prior)
-    gradient -= prior * shared
+    normal += layout.prior
+    gradient -= layout.prior @ shared
     return normal, gradient, inner
 
 

@@ -11,10 +11,17 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from plant.effects import CATALOGUE, Effect, EffectParameter
 from plant.setup import Setup
 
 Starts = tuple[tuple[float, ...], ...]
+
+
+EFFECT_PRIOR = 10.0
+"""Width of the prior of an effect's parameter, in typical sizes: weak."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +29,8 @@ class Candidate:
     """One cause that a fit can try: an effect, or a variant of it.
 
     parameters: those that are fitted; fixed: the others, that make the variant; starts: values of
-    the fitted ones to begin from.
+    the fitted ones to begin from; roughness: by how much neighbouring parameters, the values of a
+    function on a grid, may differ, in typical sizes (0: they are no such values).
     """
 
     effect: Effect
@@ -31,6 +39,7 @@ class Candidate:
     starts: Starts
     fixed: Mapping[str, float] = field(default_factory=dict)
     told_class: str = ""
+    roughness: float = 0.0
 
     def __post_init__(self) -> None:
         KNOWN[self.name] = self
@@ -94,6 +103,20 @@ def is_scale(parameter: EffectParameter) -> bool:
 def log_size(parameter: EffectParameter) -> float:
     """The typical size of a scale in logarithms."""
     return math.log1p(parameter.typical / parameter.neutral)
+
+
+def precision(candidates: Sequence[Candidate]) -> NDArray[np.float64]:
+    """Inverse covariance of the prior of all candidates' parameters, in typical sizes."""
+    count = sum(len(item.parameters) for item in candidates)
+    out = np.eye(count) / EFFECT_PRIOR**2
+    k = 0
+    for item in candidates:
+        n = len(item.parameters)
+        if item.roughness > 0.0:
+            rises = np.diff(np.eye(n), axis=0) / item.roughness
+            out[k : k + n, k : k + n] += rises.T @ rises
+        k += n
+    return out
 
 
 KNOWN: dict[str, Candidate] = {}

@@ -17,7 +17,7 @@ from plant.hybrid import IntegrationError
 from plant.prediction import copied
 from plant.setup import Setup
 
-from .hypotheses import Candidate, is_scale, log_size, scaled_of, value_of
+from .hypotheses import Candidate, is_scale, log_size, precision, scaled_of, value_of
 from .internal import INTERNAL_SD_M, internal_prediction
 from .nuisance import SIMULATED, Spread, shift
 from .observations import StrokeObservation
@@ -54,11 +54,15 @@ TIMED = {
 
 @dataclass(frozen=True)
 class Shared:
-    """Names and positions of the shared parameters: unit tolerances, offsets, the hypothesis' own."""
+    """Names and positions of the shared parameters: unit tolerances, offsets, the hypothesis' own.
+
+    precision: inverse covariance of the prior of the hypothesis' own.
+    """
 
     unit: tuple[str, ...]
     offsets: tuple[str, ...]
     effects: tuple[str, ...]
+    precision: Floats
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -69,6 +73,13 @@ class Shared:
     def healthy(self) -> int:
         """How many of them are healthy tolerances and offsets; they stand first."""
         return len(self.unit) + len(self.offsets)
+
+    @property
+    def prior(self) -> Floats:
+        """Inverse covariance of the prior of all of them."""
+        out = np.eye(len(self.names))
+        out[self.effect_slice, self.effect_slice] = self.precision
+        return out
 
     @property
     def effect_slice(self) -> slice:
@@ -117,7 +128,7 @@ class CampaignModel:
         effects = tuple(
             f"{item.name}.{parameter.name}" for item in candidates for parameter in item.parameters
         )
-        return Shared(self.unit, self.offsets, effects)
+        return Shared(self.unit, self.offsets, effects, precision(candidates))
 
     # --- prediction ---------------------------------------------------------------------------
     def setup(

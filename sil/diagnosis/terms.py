@@ -14,7 +14,7 @@ import numpy as np
 from plant.effects import CATALOGUE, Effect, EffectParameter
 from plant.setup import Setup
 
-from .hypotheses import Candidate
+from .hypotheses import Candidate, Starts
 
 
 @dataclass(frozen=True)
@@ -58,15 +58,15 @@ PLACES = (
         "resistance against the stay's motion", "rest before the stroke [log10 s]",
     ),
     TermPlace(
-        "charge flow of pressure", "flow restriction", 6.0, 3.0, 0.1, 1.0, 9, 0.05, "-",
+        "charge flow of pressure", "flow restriction", 6.0, 2.0, 0.1, 1.0, 9, 0.05, "-",
         "a relative change of the charge flows", "chamber pressure over supply pressure",
     ),
     TermPlace(
-        "discharge flow of pressure", "flow restriction", 7.0, 3.0, 1.0, 9.0, 9, 0.05, "-",
+        "discharge flow of pressure", "flow restriction", 7.0, 2.0, 1.0, 9.0, 9, 0.05, "-",
         "a relative change of the discharge flows", "chamber pressure over atmosphere",
     ),
     TermPlace(
-        "leak of pressure", "leak", 8.0, 3.0, 1e5, 9e5, 8, 0.1, "K kg/s",
+        "leak of pressure", "leak", 8.0, 2.0, 1e5, 9e5, 8, 0.1, "K kg/s",
         "a flow out of every chamber", "chamber pressure [Pa]",
     ),
     TermPlace(
@@ -113,6 +113,28 @@ def grid(place: TermPlace) -> np.ndarray:
     return np.linspace(place.low, place.high, place.count)
 
 
+ROUGHNESS = 3.0
+"""By how many typical sizes neighbouring nodes may differ: what no stroke reaches follows them."""
+
+SIZES = (0.5, 2.0, 6.0)
+"""Where a search begins, in typical sizes, beside nothing: of either sign and every shape."""
+
+CATEGORIES = 4
+"""A grid of so few nodes is one of things, not of a quantity: each alone is a shape too."""
+
+
+def starts_of(place: TermPlace) -> Starts:
+    """Points to begin a search from: nothing; level, rising and falling curves of several sizes."""
+    rising = np.linspace(0.0, 1.0, place.count)
+    shapes = [np.ones(place.count), rising, rising[::-1]]
+    if place.count <= CATEGORIES:
+        shapes += list(np.eye(place.count))
+    curves = [np.zeros(place.count)]
+    curves += [sign * size * place.typical * shape
+               for size in SIZES for shape in shapes for sign in (1.0, -1.0)]
+    return tuple(tuple(float(value) for value in curve) for curve in curves)
+
+
 def term_candidate(place: TermPlace) -> Candidate:
     """The term at a place as a candidate."""
     whole = CATALOGUE["unnamed"]
@@ -139,8 +161,9 @@ def term_candidate(place: TermPlace) -> Candidate:
         effect,
         place.name,
         parameters,
-        (tuple(0.0 for _ in names),),
+        starts_of(place),
         told_class=place.klass,
+        roughness=0.0 if place.count <= CATEGORIES else ROUGHNESS,
     )
 
 

@@ -60,7 +60,7 @@ def try_terms(
             tasks.append(
                 Task(
                     (*parent.candidates, candidate),
-                    ((*own, candidate.starts[0]),),
+                    tuple((*own, start) for start in candidate.starts),
                     (parent.shared, parent.stroke),
                     TERM_ITERATIONS,
                 )
