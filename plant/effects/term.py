@@ -7,13 +7,23 @@ from collections.abc import Callable
 import numpy as np
 
 from .. import layout as L
+from ..errors import InputError
+from ..packing import Floats
 from ..setup import Curve, Setup
+from ..tolerances import shift
 from .effect import Effect, EffectParameter
-from .valves import shift_fall, shift_rise
 
-OPENING, CLOSING, SUPPLY, POSITION, GAUGE = 10.0, 11.0, 12.0, 13.0, 14.0
-"""Equations beside the kernel's: when valves move, what feeds them, what sensors tell."""
+LEVELLED = {
+    10.0: "rise",
+    11.0: "fall",
+    12.0: "supply",
+    15.0: "friction",
+    16.0: "flow_in",
+    17.0: "flow_out",
+}
+"""Equations beside the kernel's with one level a stroke: quantities of `plant.tolerances`."""
 
+POSITION, GAUGE = 13.0, 14.0
 OF_SENSORS = (POSITION, GAUGE)
 
 LEVELS: dict[float, Callable[[Setup], float]] = {
@@ -32,34 +42,36 @@ def unnamed(setup: Setup, values: dict[str, float]) -> None:
     equation: 1 force on the stay [N]; 2.. flow T m_dot of chamber 1.. [K kg/s]; 5 resistance of
     the stay [N]; 6, 7 share of the charge and discharge flows, of P/P_s and P/P_atm; 8 flow out
     of every chamber [K kg/s], of its pressure; 9 shift of the process exponents, of speed;
-    10, 11 delay of opening and closing [s]; 12 share of the supply pressure; 13 error of the
-    control unit's position [m]; 14 error of the gauges [Pa], of pressure.
-    variable: 0 time, 1 position, 2 speed or the chamber's pressure; with one level a stroke (5, 6,
-    7, 10-12): 3 log10 of the rest before the stroke, 4 where it stands in its campaign, 0 first to 1
-    last, 5 the valve that drives it (1, B, N, F: 0 to 3).
+    13 error of the control unit's position [m]; 14 error of the gauges [Pa], of pressure. With one
+    level a stroke: 10, 11 delay of opening and closing [s]; 12, 15, 16, 17 logarithm of a factor on
+    supply pressure, friction, charge and discharge flows.
+    variable: 0 time, 1 position, 2 speed or pressure; of levels: 3 log10 of the rest before the
+    stroke [s], 4 where it stands in its campaign, 0 first to 1 last, 5 the valve that drives it (1,
+    B, N, F: 0 to 3).
     """
     nodes = np.atleast_1d(np.asarray(values["nodes"], dtype=np.float64))
     if len(nodes) > L.TERM_NODES:
         raise ValueError(f"{len(nodes)} nodes; at most {L.TERM_NODES}")
     equation = values["equation"]
     curve = Curve(values["low"], values["step"], nodes)
-    level_of = LEVELS.get(values["variable"])
-    level = 0.0 if level_of is None else float(curve.at(np.array(level_of(setup))))
-    if equation == OPENING:
-        shift_rise(setup, level)
-    elif equation == CLOSING:
-        shift_fall(setup, level)
-    elif equation == SUPPLY:
-        setup.p[L.P_SUPPLY] *= max(0.2, 1.0 + level)
+    if equation in LEVELLED:
+        if values["variable"] not in LEVELS:
+            raise InputError(
+                f"[effect.unnamed]: equation {equation:g} of variable {values['variable']:g}; expected "
+                "a variable with one level a stroke: 3, 4 or 5"
+            )
+        level = curve.at(np.array(LEVELS[values["variable"]](setup)))
+        shift(setup, LEVELLED[equation], float(level))
     elif equation == POSITION:
         setup.internal_error_m = curve
     elif equation == GAUGE:
         setup.gauge_error_pa = curve
-    if equation >= OPENING:
-        return
-    if level_of is not None:
-        nodes = np.full(1, level)
-    p = setup.p
+    else:
+        into_kernel(setup.p, values, nodes)
+
+
+def into_kernel(p: Floats, values: dict[str, float], nodes: Floats) -> None:
+    """Write a term of equations 1 to 9 where the kernel reads it."""
     p[L.TERM_EQUATION] = values["equation"]
     p[L.TERM_VARIABLE] = values["variable"]
     p[L.TERM_LOW] = values["low"]
@@ -75,7 +87,7 @@ EFFECTS = (
         "force",
         "a term that none of the named effects is, by its values on a grid",
         (
-            EffectParameter("equation", "-", 0.0, 0.0, GAUGE, 1.0),
+            EffectParameter("equation", "-", 0.0, 0.0, 17.0, 1.0),
             EffectParameter("variable", "-", 0.0, 0.0, 5.0, 1.0),
             EffectParameter("low", "-", 0.0, -1e7, 1e7, 1.0),
             EffectParameter("step", "-", 1.0, 1e-9, 1e7, 1.0),

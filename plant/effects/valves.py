@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from .. import layout as L
 from ..setup import Setup
-from ..valve import seconds_to_ns
+from ..tolerances import shift_fall, shift_rise
 from .effect import Effect, EffectParameter
 
 FULL_SUPPLY_PA = 900000.0
@@ -22,21 +20,9 @@ def open_by_pressure(setup: Setup, values: dict[str, float]) -> None:
     shift_rise(setup, values["slope_s_pa"] * (setup.p[L.P_SUPPLY] - values["reference_pa"]))
 
 
-def shift_rise(setup: Setup, delay_s: float) -> None:
-    """Change the opening delay, never below zero."""
-    rise = max(0, setup.timing.rise_ns + seconds_to_ns(delay_s))
-    setup.timing = replace(setup.timing, rise_ns=rise)
-
-
 def close_later(setup: Setup, values: dict[str, float]) -> None:
     """Closing delay longer by a time."""
     shift_fall(setup, values["delay_s"])
-
-
-def shift_fall(setup: Setup, delay_s: float) -> None:
-    """Change the closing delay, never below zero."""
-    fall = max(0, setup.timing.fall_ns + seconds_to_ns(delay_s))
-    setup.timing = replace(setup.timing, fall_ns=fall)
 
 
 def creep(setup: Setup, values: dict[str, float]) -> None:

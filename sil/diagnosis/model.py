@@ -16,10 +16,11 @@ from plant.effects import EffectParameter
 from plant.hybrid import IntegrationError
 from plant.prediction import copied
 from plant.setup import Setup
+from plant.tolerances import shift
 
 from .hypotheses import Candidate, is_scale, log_size, precision, scaled_of, value_of
 from .internal import INTERNAL_SD_M, internal_prediction
-from .nuisance import SIMULATED, Spread, shift
+from .nuisance import SIMULATED, Spread
 from .observations import StrokeObservation
 
 Floats = NDArray[np.float64]

@@ -19,7 +19,10 @@ from .hypotheses import Candidate, Starts
 
 @dataclass(frozen=True)
 class TermPlace:
-    """Where a term may enter: its equation and variable (codes of plant.effects.term), its grid."""
+    """Where a term may enter: its equation and variable (codes of plant.effects.term), its grid.
+
+    most: bound of its values, in typical sizes.
+    """
 
     name: str
     klass: str
@@ -32,9 +35,13 @@ class TermPlace:
     unit: str
     what: str
     on: str
+    most: float = 200.0
 
 
-PROGRESS = "course of the campaign, first stroke 0, last 1"
+# what has one level a stroke: the grid's ends and nodes, and what it is called
+REST, BY_REST = (0.0, 3.0, 7), "rest before the stroke [log10 s]"
+PROGRESS, BY_PROGRESS = (0.0, 1.0, 6), "course of the campaign, first stroke 0, last 1"
+VALVE, BY_VALVE = (0.0, 3.0, 4), "driving valve: 1, B, N, F"
 
 PLACES = (
     TermPlace(
@@ -54,10 +61,6 @@ PLACES = (
         "resistance against the stay's motion", "position [m]",
     ),
     TermPlace(
-        "friction of rest", "friction", 5.0, 3.0, 0.0, 3.0, 7, 10.0, "N",
-        "resistance against the stay's motion", "rest before the stroke [log10 s]",
-    ),
-    TermPlace(
         "charge flow of pressure", "flow restriction", 6.0, 2.0, 0.1, 1.0, 9, 0.05, "-",
         "a relative change of the charge flows", "chamber pressure over supply pressure",
     ),
@@ -74,28 +77,36 @@ PLACES = (
         "a shift of the process exponents of compression", "piston speed [m/s]",
     ),
     TermPlace(
-        "friction of progress", "friction", 5.0, 4.0, 0.0, 1.0, 6, 10.0, "N",
-        "resistance against the stay's motion", PROGRESS,
+        "friction of rest", "friction", 15.0, 3.0, *REST, 0.2, "-",
+        "the logarithm of a factor on all friction", BY_REST, 12.0,
     ),
     TermPlace(
-        "opening delay of rest", "valve timing", 10.0, 3.0, 0.0, 3.0, 7, 2e-3, "s",
-        "a change of the opening delay", "rest before the stroke [log10 s]",
+        "friction of progress", "friction", 15.0, 4.0, *PROGRESS, 0.2, "-",
+        "the logarithm of a factor on all friction", BY_PROGRESS, 12.0,
     ),
     TermPlace(
-        "opening delay of progress", "valve timing", 10.0, 4.0, 0.0, 1.0, 6, 2e-3, "s",
-        "a change of the opening delay", PROGRESS,
+        "opening delay of rest", "valve timing", 10.0, 3.0, *REST, 2e-3, "s",
+        "a change of the opening delay", BY_REST,
     ),
     TermPlace(
-        "opening delay of valve", "valve timing", 10.0, 5.0, 0.0, 3.0, 4, 2e-3, "s",
-        "a change of the opening delay", "valve: 1, B, N, F",
+        "opening delay of progress", "valve timing", 10.0, 4.0, *PROGRESS, 2e-3, "s",
+        "a change of the opening delay", BY_PROGRESS,
     ),
     TermPlace(
-        "charge flow of valve", "flow restriction", 6.0, 5.0, 0.0, 3.0, 4, 0.05, "-",
-        "a relative change of the charge flow", "valve: 1, B, N, F",
+        "opening delay of valve", "valve timing", 10.0, 5.0, *VALVE, 2e-3, "s",
+        "a change of the opening delay", BY_VALVE,
     ),
     TermPlace(
-        "supply of progress", "supply", 12.0, 4.0, 0.0, 1.0, 6, 0.02, "-",
-        "a relative change of the supply pressure", PROGRESS,
+        "closing delay of valve", "valve timing", 11.0, 5.0, *VALVE, 5e-3, "s",
+        "a change of the closing delay", BY_VALVE,
+    ),
+    TermPlace(
+        "charge flow of valve", "flow restriction", 16.0, 5.0, *VALVE, 0.05, "-",
+        "the logarithm of a factor on the charge flow", BY_VALVE, 40.0,
+    ),
+    TermPlace(
+        "supply of progress", "supply", 12.0, 4.0, *PROGRESS, 0.02, "-",
+        "the logarithm of a factor on the supply pressure", BY_PROGRESS, 40.0,
     ),
     TermPlace(
         "internal position", "internal sensor", 13.0, 1.0, -0.013, 0.013, 14, 2e-4, "m",
@@ -152,7 +163,7 @@ def term_candidate(place: TermPlace) -> Candidate:
             },
         )
 
-    limit = 200.0 * place.typical
+    limit = place.most * place.typical
     parameters = tuple(
         EffectParameter(name, place.unit, 0.0, -limit, limit, place.typical) for name in names
     )

@@ -14,9 +14,10 @@ from plant.prediction import copied
 from plant.setup import make_setup
 from plant.stroke import run_setup
 from plant.stroke_conditions import StrokeConditions
+from plant.tolerances import shift
 from sil.campaign import Campaign, CampaignStroke, campaign_toml, load_campaign, write_record
 from sil.diagnosis.model import CampaignModel
-from sil.diagnosis.nuisance import Spread, shift
+from sil.diagnosis.nuisance import Spread
 from sil.diagnosis.observations import observe
 
 KINDS = (

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import log
 
 import numpy as np
 import pytest
 
+from can_dbc.errors import InputError
 from plant import layout as L
 from plant.effects import CATALOGUE
 from plant.parameters import load
@@ -41,8 +43,8 @@ def test_zero_nodes_change_nothing(place, kind: str) -> None:
         ("discharge flow of pressure", -0.3, "exhaust_clog", {"factor": 0.7}),
         ("force of position", 60.0, "external_force", {"force_n": 60.0}),
         ("force of time", 60.0, "external_force", {"force_n": 60.0}),
-        ("charge flow of valve", -0.2, "inlet_clog", {"factor": 0.8}),
-        ("supply of progress", -0.1, "supply_low", {"deficit": 0.1}),
+        ("charge flow of valve", log(0.8), "inlet_clog", {"factor": 0.8}),
+        ("supply of progress", log(0.9), "supply_low", {"deficit": 0.1}),
         ("opening delay of rest", 0.004, "valve_open_delay", {"delay_s": 0.004}),
         ("opening delay of progress", 0.004, "valve_open_delay", {"delay_s": 0.004}),
         ("opening delay of valve", 0.004, "valve_open_delay", {"delay_s": 0.004}),
@@ -99,10 +101,28 @@ def test_errors_of_sensors_are_added_to_what_they_tell() -> None:
             assert np.allclose(more_pa, level, atol=1e-6) and not np.any(more_m)
 
 
-@pytest.mark.parametrize(
-    "place",
-    ["friction of position", "friction of speed", "friction of rest", "friction of progress"],
-)
+@pytest.mark.parametrize("place", ["friction of rest", "friction of progress"])
+def test_a_level_of_friction_is_more_of_all_friction(place: str) -> None:
+    candidate = term_candidate(next(p for p in PLACES if p.name == place))
+    nodes = {p.name: log(2.0) for p in candidate.parameters}
+
+    def doubled(setup) -> None:
+        for name in ("dynamic_friction", "static_friction"):
+            CATALOGUE[name].apply(setup, {"factor": 2.0})
+
+    for kind in ("fixed", "F-N"):
+        term = states(lambda setup: candidate.change(setup, nodes), kind)
+        assert np.allclose(term, states(doubled, kind), rtol=1e-6, atol=5e-8)
+
+
+def test_a_level_of_something_that_changes_during_a_stroke_is_refused() -> None:
+    setup = make_setup(load(), conditions_of("N-B", 900000.0))
+    values = {"equation": 10.0, "variable": 1.0, "low": 0.0, "step": 1.0, "nodes": (0.0, 1.0)}
+    with pytest.raises(InputError, match="one level a stroke"):
+        CATALOGUE["unnamed"].apply(setup, values)
+
+
+@pytest.mark.parametrize("place", ["friction of position", "friction of speed"])
 def test_constant_resistance_is_coulomb_friction(place: str) -> None:
     candidate = term_candidate(next(p for p in PLACES if p.name == place))
     nodes = {p.name: 40.0 for p in candidate.parameters}

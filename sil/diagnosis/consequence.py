@@ -1,0 +1,72 @@
+"""What the extended model changes in the control loop: the shipped shifts run with it and without.
+
+Checked by: tests/unit/sil/diagnosis/test_consequence.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from can_dbc.errors import InputError, RunError
+
+if TYPE_CHECKING:
+    from sil.metrics import Shift
+
+SCENARIOS = ("lab_n_b", "lab_b_n", "lab_n_f", "lab_f_n", "oil_damper", "full_shift")
+
+
+@dataclass(frozen=True)
+class Change:
+    """One shift of a scenario, with the questioned model and with the extended one.
+
+    shift_time_s, impact_speed_m_s: (before, after), None where it never arrived or was never
+    confirmed.
+    """
+
+    scenario: str
+    shift: str
+    shift_time_s: tuple[float | None, float | None]
+    impact_speed_m_s: tuple[float | None, float | None]
+
+
+@dataclass(frozen=True)
+class Consequence:
+    """Shifts before and after; or why the extension has no place in a run."""
+
+    changes: tuple[Change, ...]
+    refused: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return {"shifts": [asdict(item) for item in self.changes], "refused": self.refused}
+
+
+def consequence(questioned: str, extended: Path) -> Consequence:
+    """Run the shipped shifts with the questioned model and with the extended one.
+
+    What belongs to instruments or to single strokes has no place in a run; its reason is told.
+    """
+    from sil.api import run
+
+    found: list[Change] = []
+    try:
+        for name in SCENARIOS:
+            before, after = (run(name, model=model).shifts for model in (questioned, extended))
+            found += [change(name, *pair) for pair in zip(before, after, strict=True)]
+    except InputError as error:
+        return Consequence((), str(error).removeprefix(f"{extended}: "))
+    except RunError as error:
+        return Consequence(tuple(found), f"{name} could not be run: {error}")
+    return Consequence(tuple(found))
+
+
+def change(scenario: str, before: Shift, after: Shift) -> Change:
+    """One shift's figures beside each other."""
+    return Change(
+        scenario,
+        f"{before.from_gear} to {before.to_gear}",
+        (before.shift_time_s, after.shift_time_s),
+        (before.impact_speed_m_s, after.impact_speed_m_s),
+    )
