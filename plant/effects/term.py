@@ -26,14 +26,14 @@ LEVELLED = {
 POSITION, GAUGE = 13.0, 14.0
 OF_SENSORS = (POSITION, GAUGE)
 
+VALVES = ("1", "B", "N", "F")
+
 LEVELS: dict[float, Callable[[Setup], float]] = {
     3.0: lambda setup: float(np.log10(max(setup.conditions.rest_s, 1e-3))),
     4.0: lambda setup: setup.conditions.progress,
     5.0: lambda setup: float(VALVES.index(setup.charged_chamber)),
 }
 """Variables that have one value a stroke."""
-
-VALVES = ("1", "B", "N", "F")
 
 
 def unnamed(setup: Setup, values: dict[str, float]) -> None:

@@ -29,8 +29,8 @@ class Candidate:
     """One cause that a fit can try: an effect, or a variant of it.
 
     parameters: those that are fitted; fixed: the others, that make the variant; starts: values of
-    the fitted ones to begin from; roughness: by how much neighbouring parameters, the values of a
-    function on a grid, may differ, in typical sizes (0: they are no such values).
+    the fitted ones to begin from; roughness: by how much a parameter, where they are a function's
+    values on a grid, may leave the line of its neighbours, in typical sizes (0: they are none).
     """
 
     effect: Effect
@@ -113,8 +113,8 @@ def precision(candidates: Sequence[Candidate]) -> NDArray[np.float64]:
     for item in candidates:
         n = len(item.parameters)
         if item.roughness > 0.0:
-            rises = np.diff(np.eye(n), axis=0) / item.roughness
-            out[k : k + n, k : k + n] += rises.T @ rises
+            bends = np.diff(np.eye(n), 2, axis=0) / item.roughness
+            out[k : k + n, k : k + n] += bends.T @ bends
         k += n
     return out
 

@@ -125,7 +125,8 @@ def grid(place: TermPlace) -> np.ndarray:
 
 
 ROUGHNESS = 3.0
-"""By how many typical sizes neighbouring nodes may differ: what no stroke reaches follows them."""
+"""By how many typical sizes a node may leave the line of its neighbours: what no stroke reaches
+follows that line."""
 
 SIZES = (0.5, 2.0, 6.0)
 """Where a search begins, in typical sizes, beside nothing: of either sign and every shape."""
