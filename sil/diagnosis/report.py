@@ -15,6 +15,7 @@ from sil.report.figures import save
 from sil.report.shell import Head, Picture, render
 from sil.results import write_whole
 
+from .consequence import Change, consequence
 from .diagnosis import FALSE_ALARM_BASIS, FALSE_ALARM_LEVEL, Diagnosis
 from .evidence import figure
 from .hypotheses import Candidate
@@ -51,7 +52,8 @@ def write_report(
 ) -> dict[str, Any]:
     """Write report.html and its figures for a diagnosis of the campaign at `campaign`.
 
-    Returns the page's numbers beyond those of `Diagnosis.as_json`.
+    An extended model that was claimed lies in the folder already. Returns the page's numbers beyond
+    those of `Diagnosis.as_json`.
     """
     before, after = show(result.model, result.healthy), show(result.model, result.final)
     where = "held out" if result.held_out else "measured"
@@ -85,6 +87,9 @@ def write_report(
                 "What is missing",
                 TERM_CAPTION,
             )
+    loop = None
+    if result.extended is not None:
+        loop = consequence(model, folder / "extended_model.toml")
     kind = result.verdict.kind
     head = Head(
         command="diagnose",
@@ -123,6 +128,8 @@ def write_report(
             "after": f"{result.gain.after:.3g}",
         },
         heldout=result.gain.files,
+        loop=loop,
+        loop_rows=[] if loop is None else [loop_row(item) for item in loop.changes],
         dependence=dependence_rows(before, after),
         structure=result.structure.sentence(),
         isolability=isolability(result),
@@ -135,6 +142,7 @@ def write_report(
     return {
         "explanations": [explanation(item, result) for item in result.judged],
         "residuals": {"before": plain_residuals(before), "after": plain_residuals(after)},
+        "loop": None if loop is None else loop.as_json(),
     }
 
 
@@ -286,6 +294,20 @@ def gain_rows(result: Diagnosis, before: Shown, after: Shown) -> list[dict[str, 
             }
         )
     return rows
+
+
+def loop_row(item: Change) -> dict[str, str]:
+    """A shift's figures as an engineer reads them."""
+
+    def told(value: float | None, scale: float, unit: str) -> str:
+        return "not reached" if value is None else f"{scale * value:.3g} {unit}"
+
+    return {
+        "scenario": item.scenario,
+        "shift": item.shift,
+        **{f"time_{k}": told(v, 1e3, "ms") for k, v in enumerate(item.shift_time_s)},
+        **{f"impact_{k}": told(v, 1.0, "m/s") for k, v in enumerate(item.impact_speed_m_s)},
+    }
 
 
 def dependence_rows(before: Shown, after: Shown) -> list[dict[str, str]]:

@@ -57,6 +57,9 @@ def test_a_hidden_effect_is_named_with_its_gain_and_model(tmp_path) -> None:
     assert extended.effects["exhaust_clog"]["factor"].value == pytest.approx(factor.value)
     told = json.loads(json.dumps(finite(write_report(found, tmp_path, "measured/", "nominal"))))
     assert told["explanations"][0]["behind"] == 0.0 and told["explanations"][0]["left_over"] < 1.1
+    assert len(told["loop"]["shifts"]) == 7 and "What it changes in the control loop" in (
+        tmp_path / "report.html"
+    ).read_text(encoding="utf-8")
     after = told["residuals"]["after"]
     assert after["relative"]["position_m"]["mean"] < 0.01 and after["cross"]
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
