@@ -170,10 +170,10 @@ SPECIAL: dict[str, tuple[tuple[str, dict[str, float], Starts | None, bool], ...]
         (
             "",
             {},
-            tuple((80.0, s * x, 0.0012) for s in (1.0, -1.0) for x in SPOTS_M),
+            tuple((30.0, s * x, 0.0012) for s in (1.0, -1.0) for x in SPOTS_M),
             False,
         ),
-        ("both sides", {"mirrored": 1.0}, tuple((80.0, x, 0.0012) for x in SPOTS_M), True),
+        ("both sides", {"mirrored": 1.0}, tuple((30.0, x, 0.0012) for x in SPOTS_M), True),
     ),
     "hose_droop": (
         ("", {}, ((2e-5, 5e-5), (8e-6, 5e-5), (8e-6, 4e-4), (2e-5, 1e-5), (5e-5, 2e-5)), False),
@@ -220,6 +220,10 @@ SPECIAL: dict[str, tuple[tuple[str, dict[str, float], Starts | None, bool], ...]
     ),
 }
 """Variants (name, what they fix, where they start, whether only the length stroke has them)."""
+
+RUGGED = ("friction_bump", "hose_droop")
+"""Causes with several valleys, which tolerances at their bounds fill: each start is followed by
+itself, from tolerances and scatter at rest."""
 
 VARIANT_KEYS = ("where", "mirrored", "form", "face", "reference_pa")
 

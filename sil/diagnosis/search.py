@@ -17,7 +17,7 @@ from plant.hybrid import IntegrationError
 
 from .fit import FitResult, Fitter
 from .floor import misfit, strained
-from .hypotheses import Candidate, compatible, scaled_of
+from .hypotheses import RUGGED, Candidate, compatible, scaled_of
 from .model import Block, CampaignModel
 from .screening import Score, screen
 from .split import stratum
@@ -220,6 +220,12 @@ class Search:
         tasks = [
             Task((item,), tuple((s,) for s in item.starts), begin, FIRST_ITERATIONS, healthy.name)
             for item in chosen
+        ]
+        tasks += [
+            Task((item,), ((start,),), None, FIRST_ITERATIONS)
+            for item in chosen
+            if item.id in RUGGED
+            for start in item.starts
         ]
         self.first = self.run_tasks(tasks)
         self.polish(found, promising(self.first, SINGLES_KEPT))
