@@ -14,7 +14,7 @@ import shutil
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from math import sqrt
 from pathlib import Path
@@ -178,6 +178,12 @@ def tables(rows: Sequence[Row]) -> Iterator[str]:
         yield share(f"right cause first, {case}", sum(r.right_first for r in of[case]), len(of[case]))
     if seen:
         yield f"mean probability on the true cause: {sum(r.on_truth for r in seen) / len(seen):.3f}"
+        # a score that another campaign's answer reaches too would measure nothing
+        handed_on = [
+            replace(r, names=other.names) for r, other in zip(seen, seen[1:] + seen[:1], strict=True)
+        ]
+        yield share("control, answers handed to the next campaign: right cause first",
+                    sum(r.right_first for r in handed_on), len(handed_on))
     alone = [r for r in of["one"] if r.right_first == 1.0]
     yield share("held-out residual below 1.1 where the cause is right and alone",
                 sum(r.after < 1.1 for r in alone), len(alone))

@@ -61,7 +61,7 @@ FOREIGN: dict[str, tuple[str, str, float, float, float]] = {
     "inlet by pressure": ("flow restriction", "inlet_late", 0.2, 0.5, 0.1),
     "outlet by pressure": ("flow restriction", "outlet_high", 0.2, 0.5, 0.1),
     "relief": ("leak", "relief_k_kg_s_pa", 1e-6, 4e-6, 5e-7),
-    "warming friction": ("friction", "warming", 0.4, 1.0, 0.2),
+    "warming friction": ("friction", "warming", 0.6, 1.2, 0.4),
     "sticky plunger": ("valve timing", "sticky_s", 0.002, 0.006, 0.001),
     "one late valve": ("valve timing", "late_s", 0.003, 0.010, 0.0015),
     "emptying tank": ("supply", "emptying", 0.08, 0.25, 0.04),

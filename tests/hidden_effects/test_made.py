@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -41,7 +43,7 @@ def test_draws_are_their_numbers_and_of_every_case() -> None:
     first, second = drawn(17), drawn(17)
     assert first == second
     assert {drawn(k)[0] for k in range(80)} == set(CASES)
-    assert {name for k in range(400) for name in drawn(k)[1].names} >= set(effects.FOREIGN)
+    assert {name for k in range(1000) for name in drawn(k)[1].names} >= set(effects.FOREIGN)
 
 
 def test_a_campaign_repeats_from_its_seed(tmp_path) -> None:
@@ -60,3 +62,32 @@ def test_the_reported_position_is_late_and_settles() -> None:
     assert told[-1] == pytest.approx(0.0128, abs=1e-4)
     warm = control_unit(time_s, true, 0.003, nominal(), warmer_k=20.0)
     assert warm[-1] > told[-1] + 5e-4
+
+
+OF_STROKES = {
+    "warming friction": "position_m",
+    "sticky plunger": "position_m",
+    "one late valve": "position_m",
+    "emptying tank": "pressure",
+    "bent sensor": "position_internal_m",
+    "gauge gain": "pressure",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "column"), OF_STROKES.items())
+def test_what_differs_from_stroke_to_stroke_is_in_the_files(tmp_path, name, column) -> None:
+    hidden = hide((name,), "easy", 8)
+    clean = write_campaign(tmp_path / "clean", replace(hidden, change={}), 8, 4)
+    wrong = write_campaign(tmp_path / "wrong", hidden, 8, 4)
+    differ = set()
+    for file in sorted(path.name for path in clean.glob("*.csv")):
+        with (clean / file).open() as lines:
+            columns = lines.readline().strip().split(",")
+        one, two = (np.loadtxt(f / file, delimiter=",", skiprows=1) for f in (clean, wrong))
+        differ |= {c for k, c in enumerate(columns) if np.abs(two - one)[:, k].max() > 0.0}
+    assert any(c.startswith(column) for c in differ)
+    if name == "bent sensor":
+        assert differ == {"position_internal_m"}
+    if name == "gauge gain":
+        assert all(c.startswith("pressure") for c in differ)

@@ -49,6 +49,7 @@ def test_shuffled_answers_score_badly() -> None:
         replace(r, names=other.names) for r, other in zip(rows, rows[1:] + rows[:1], strict=True)
     ]
     assert sum(r.right_first for r in shuffled) == 0.0
+    assert "right cause first: 0 of 4" in "\n".join(tables(rows))
     text = "\n".join(tables(shuffled))
     assert "right cause first, one: 0 of 4" in text
     assert "0.90: 0 of 4" in text
