@@ -150,8 +150,9 @@ class Predictor:
         self._happened = int(counts[0])
         if code != DONE:
             raise IntegrationError(f"integration stopped: {REASONS[code]}")
-        pressures = slice(ready.first, ready.first + len(ready.names))
-        out[:, pressures] = gauged(setup, self._sample_s, out[:, pressures])
+        if not setup.exact_gauges:
+            pressures = slice(ready.first, ready.first + len(ready.names))
+            out[:, pressures] = gauged(setup, self._sample_s, out[:, pressures])
         return out
 
     def derivatives(
@@ -193,10 +194,11 @@ class Predictor:
         )
         if status != DONE:
             raise IntegrationError(f"integration stopped: {REASONS[status]}")
-        first, count = (L.FP1, 2) if system == L.FIXED else (L.PB, 3)
-        pressures = np.flatnonzero((wanted >= first) & (wanted < first + count))
-        for one, own in zip(setups, samples, strict=True):
-            own[:, pressures] = gauged(one, self._sample_s, own[:, pressures])
+        if not all(one.exact_gauges for one in setups):
+            first, count = (L.FP1, 2) if system == L.FIXED else (L.PB, 3)
+            pressures = np.flatnonzero((wanted >= first) & (wanted < first + count))
+            for one, own in zip(setups, samples, strict=True):
+                own[:, pressures] = gauged(one, self._sample_s, own[:, pressures])
         base = samples[0]
         rates = samples[1:] - base
         rates *= (1.0 / np.array(steps)).reshape(-1, 1, 1)

@@ -60,6 +60,11 @@ class Setup:
     gauge_error_pa: Curve | None = None
     has_line: bool = False
 
+    @property
+    def exact_gauges(self) -> bool:
+        """Whether the gauges tell the chambers' pressures as they are."""
+        return self.gauge_lag_s <= 0.0 and self.gauge_error_pa is None
+
     def reported_m(self, position_m: Floats) -> Floats:
         """What the control unit believes where a right sensor would have it believe `position_m`."""
         believed = self.internal_gain * position_m

@@ -30,6 +30,7 @@ FARTHEST_SD = 4.5
 
 BOUNDS_PASSES = 6
 
+
 @dataclass
 class FitResult:
     """A fitted hypothesis.
