@@ -1,4 +1,4 @@
-"""The two errors that end a command with a clear line instead of a traceback."""
+"""The two errors that end a command with a clear line instead of a traceback, and what others tell."""
 
 
 class InputError(ValueError):
@@ -17,3 +17,12 @@ class RunError(RuntimeError):
 
     The command line prints the message and exits with code 3.
     """
+
+
+def told(error: OSError) -> str:
+    """The line about what the system refused: the path, where there is one, and why.
+
+    Checked by: tests/unit/can_dbc/test_errors.py
+    """
+    why = error.strerror or str(error)
+    return f"{error.filename}: {why}" if error.filename else why

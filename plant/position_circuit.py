@@ -57,8 +57,8 @@ class SensorFault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """
 
     kind: Literal["stuck", "garbage", "wrong", "off", "slow", "delayed", "intermittent"]
-    start_s: Annotated[float, Meta(ge=0.0)] = 0.0
-    end_s: Annotated[float, Meta(ge=0.0)] | None = None
+    start_s: Annotated[float, Meta(ge=0.0, le=86400.0)] = 0.0
+    end_s: Annotated[float, Meta(ge=0.0, le=86400.0)] | None = None
     pulse_s: Annotated[float, Meta(ge=0.0, le=0.004)] | None = None
     garbage_s: Annotated[float, Meta(gt=0.0, le=0.004)] = 0.002
     offset_s: Annotated[float, Meta(ge=-0.004, le=0.004)] = 5e-5

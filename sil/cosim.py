@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from can_dbc.errors import InputError, RunError
+from can_dbc.errors import InputError, RunError, told
 from can_dbc.messages import Gear
 from sil import assembly, expectations, metrics
 from sil.assembly import SCENARIO, SENDERS, Say
@@ -112,13 +112,13 @@ def run(
         refused = REFUSED_BY_A_PARTICIPANT.search(why)
         if refused is not None and not log.frames:
             _discard(folder)
-            told = refused["told"].replace(str(folder / SCENARIO), loaded.source)
-            raise InputError(told) from None
+            line = refused["told"].replace(str(folder / SCENARIO), loaded.source)
+            raise InputError(line) from None
     except (KeyboardInterrupt, OSError) as error:  # disk full and the like
         if log is None:
             _discard(folder)
             raise
-        why = str(error) or "interrupted"
+        why = told(error) if isinstance(error, OSError) else "interrupted"
     if summary is not None:
         for warning in lockstep.warnings:
             say(warning)
@@ -188,7 +188,7 @@ def _judge(
                     scenario, kept, folder / "trace.csv"
                 )
             except OSError as error:  # no room for trace.csv: plant.trace stays instead
-                kept, why = None, why or str(error)
+                kept, why = None, why or told(error)
         if kept is not None:
             bus_told["end_to_end"] = checked.told()
             record, balances = kept.piece(0), dict(kept.balances)
@@ -266,5 +266,5 @@ def _balance_checks(balances: dict[str, Any]) -> list[Check]:
     if not balances:
         return [Check(name="mass and energy balances", passed=False, value=None, limit="closed")]
     closed = balances["closed"] == 1.0
-    told = "closed" if closed else "open"
-    return [Check(name="mass and energy balances", passed=closed, value=told, limit="closed")]
+    state = "closed" if closed else "open"
+    return [Check(name="mass and energy balances", passed=closed, value=state, limit="closed")]

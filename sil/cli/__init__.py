@@ -139,7 +139,7 @@ def _main(arguments: list[str]) -> int:
 
 def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
     """Run the command; turn what a user can cause into one line and an exit code."""
-    from can_dbc.errors import InputError, RunError
+    from can_dbc.errors import InputError, RunError, told
 
     try:
         code: int = command.run(parsed)
@@ -158,8 +158,8 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
     except BrokenPipeError:  # the reader of our output went away: nobody to tell
         sys.stderr.close()
         return NOT_FINISHED
-    except OSError as error:  # disk full, no permission: the path is in the message
-        message, code = str(error), NOT_FINISHED
+    except OSError as error:  # disk full, no permission
+        message, code = told(error), NOT_FINISHED
     except ModuleNotFoundError as error:
         message, code = f"the library {error.name!r} is not installed", NOT_FINISHED
     message = _shortened(message)
@@ -175,8 +175,10 @@ def _settle(name: str, why: str | None) -> None:
     results = sys.modules.get("sil.results")  # not loaded: nothing was begun
     if results is None:
         return
+    from can_dbc.errors import told
+
     try:
         for line in results.settle(why):
             print(f"opc4 {name}: {line}", file=sys.stderr)
     except OSError as error:
-        print(f"opc4 {name}: {error}", file=sys.stderr)
+        print(f"opc4 {name}: {told(error)}", file=sys.stderr)

@@ -5,6 +5,7 @@ The unit runs in the Python of the importing tool, with opc4-sil installed there
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from sil.cli.options import add_model, say
@@ -34,6 +35,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"{out}: not the name of a unit; expected OUT.fmu")
     if not out.parent.is_dir():
         raise InputError(f"{out}: no such folder; expected one that exists")
+    if not os.access(out.parent, os.W_OK):
+        raise InputError(f"{out}: not a place to write; expected a folder that takes files")
     if out.exists() and not arguments.force:
         raise InputError(f"{out}: exists; expected a new file, or --force")
     loaded = scenario.load(

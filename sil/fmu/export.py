@@ -12,6 +12,7 @@ import uuid
 from pathlib import Path
 from typing import Any
 
+from sil.results import write_whole
 from sil.scenario import Loaded, expanded
 
 SCRIPTS = {"plant": "plant_fmu.py", "controller": "controller_fmu.py"}
@@ -34,6 +35,4 @@ def export(what: str, loaded: Loaded, out: Path) -> None:
         beside = Path(folder) / "settings.json"
         beside.write_text(json.dumps(settings, sort_keys=True))
         built = FmuBuilder.build_FMU(script, Path(folder) / "built", [beside])
-        part = out.with_name(out.name + ".part")
-        shutil.copyfile(built, part)
-        part.replace(out)
+        write_whole(out, Path(built).read_bytes())

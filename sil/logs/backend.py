@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import os
 import shutil
@@ -173,7 +174,8 @@ class LogWriter(ABC):
         if self._closed:
             return
         self._closed = True
-        self._file.close()
+        with contextlib.suppress(OSError):  # what is held back may find no room
+            self._file.close()
         if os.path.exists(self._partial):
             os.unlink(self._partial)
 

@@ -21,8 +21,8 @@ DBC_NAME = {kind: kind.name.title().replace("_", "") for kind in Kind}
 def test_both_know_the_same_kinds() -> None:
     in_dbc = {spec.name: spec.can_id for spec in contract().messages if spec.can_id & EDP_BIT}
     assert {DBC_NAME[kind]: int(kind) for kind in Kind} == in_dbc
-    assert lockstep.NEVER_NS == NEVER_NS
-    assert lockstep.NOBODY == wire.NOBODY
+    assert lockstep.NEVER_NS == NEVER_NS == 2**48 - 1
+    assert lockstep.NOBODY == wire.NOBODY == 255
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from can_dbc.frame import (
     MAX_ID,
+    MAX_LENGTH,
     Frame,
     J1939Id,
     from_offer,
@@ -37,6 +38,14 @@ from can_dbc.frame import (
 def test_known_identifiers(can_id: int, parts: J1939Id) -> None:
     assert split_id(can_id) == parts
     assert join_id(*parts) == can_id
+
+
+def test_classic_frames_with_29_bits_and_at_most_8_bytes() -> None:
+    assert (MAX_ID, MAX_LENGTH) == (2**29 - 1, 8)
+
+
+def test_groups_without_a_destination_are_for_everybody() -> None:
+    assert join_id(6, 0xEA00, 0x17) == 0x18EAFF17
 
 
 @given(st.integers(0, MAX_ID))

@@ -76,6 +76,7 @@ def test_defaults_are_those_of_the_parts(tmp_path: Path) -> None:
             "s.toml: fault[0].end_s: missing; expected a time",
         ),
         (GOOD + "[[sensor_fault]]\nkind = 'sticky'\n", "'sticky' is unknown; expected one of"),
+        (GOOD + "[[sensor_fault]]\nkind = 'off'\nstart_s = 1e308\n", "sensor_fault[0].start_s: 1e+308"),
         (GOOD + "[model]\n'valve.D_fal' = 0.1\n", "valve.D_fal: no such parameter; nearest"),
         (GOOD + "[model]\n'valve.D_fall' = 'x'\n", "model.valve.D_fall: 'x' is wrong"),
         (GOOD + "[bus]\nbitrate = 300000\n", "bus.bitrate: 300000 is unknown; expected one of"),
