@@ -23,7 +23,8 @@
   }
 
   function upright(panel, axis) {
-    const made = { ...axis, size: 56, label: panel.unit, labelSize: 18 };
+    const space = panel.height < 150 ? 16 : 30; // or a low panel has a single number on its axis
+    const made = { ...axis, size: 56, label: panel.unit, labelSize: 18, space };
     if (panel.marks.length) {
       made.splits = () => panel.marks.map((mark) => mark[0]);
       made.values = () => panel.marks.map((mark) => mark[1]);

@@ -191,11 +191,25 @@ def check_bytes(message_type: type, data: bytes) -> bool:
     return True
 
 
+def test_numbers_of_the_enums_stay_what_recorded_logs_mean() -> None:
+    assert [gear.name for gear in m.Gear] == ["NEUTRAL", "BACKWARD", "FORWARD", "UNKNOWN"]
+    assert [*m.Gear] == [*m.Chamber] == [0, 1, 2, 3]
+    assert [*m.ShiftState] == [0, 1, 2, 3, 4, 5, 6, 7]
+    assert [fault.value for fault in m.Fault] == [1, 2, 4, 8, 16, 32, 64, 128]
+    assert [*m.ParticipantId] == [0, 1, 2, 3]
+    assert (m.StopReason.END, m.StopReason.ABORTED, m.GEAR_PARK) == (0, 1, 126)
+
+
 @every_message
 def test_lengths_other_than_8_are_refused(message_type: type) -> None:
     for length in (0, 1, 7, 9):
         with pytest.raises(CodecError, match=f"{length} bytes; expected 8"):
             decode(Frame(can_id_of(message_type), bytes(length)))
+
+
+def test_every_message_is_in_the_union_of_its_kind() -> None:
+    assert set(get_args(m.Message)) == set(codec.SIGNALS)
+    assert set(get_args(lockstep.ControlMessage)) == set(lockstep.SIGNALS)
 
 
 def test_unknown_identifiers_are_refused() -> None:

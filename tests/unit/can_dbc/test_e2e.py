@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from can_dbc import messages as m
+from can_dbc.codec import can_id_of
 from can_dbc.e2e import E2eConfig, E2eState, E2eStatus, Protector, Receiver, with_counter
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
@@ -242,7 +243,8 @@ def test_time_does_not_run_backwards() -> None:
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"timeout_ns": 0}, "timeout_ns: 0; expected 1 to"),
+        ({"timeout_ns": 0}, "timeout_ns: 0; expected 1 to 9223372036854775807$"),
+        ({"timeout_ns": 2**63}, "timeout_ns: 9223372036854775808; expected 1 to"),
         ({"max_delta_counter_init": 0}, "expected 1 to 14"),
         ({"max_delta_counter_init": 15}, "expected 1 to 14"),
         ({"max_no_new_or_repeated": -1}, "expected 0 to 15"),
@@ -294,5 +296,38 @@ def test_after_many_good_frames_a_bad_one_is_still_seen() -> None:
             receiver.receive(8 * CYCLE, frame(counter))
         for counter in range(8):
             assert receiver.receive(8 * CYCLE, frame(counter)) is S.OK
-    with pytest.raises(ValueError, match="is not a ShiftRequest"):
-        receiver.receive(8 * CYCLE, Frame(good.can_id + 1, good.data))
+    for other_id in (good.can_id + 1, can_id_of(m.Etc1)):
+        with pytest.raises(ValueError, match=f"^identifier {other_id:#010x} is not a ShiftRequest$"):
+            receiver.receive(8 * CYCLE, Frame(other_id, good.data))
+
+
+def test_what_is_wrong_with_a_frame_is_told() -> None:
+    receiver = Receiver(m.ShiftRequest, LENIENT)
+    good = frame(0)
+    for bad, reason in (
+        (Frame(good.can_id, good.data[:7]), "7 bytes instead of 8"),
+        (corrupted(0), "CRC does not match"),
+    ):
+        assert receiver.receive(0, bad) is S.ERROR
+        assert receiver.reason == reason
+    unused = with_counter(m.ShiftRequest, Frame(good.can_id, bytes(8)), 0)
+    assert receiver.receive(0, unused) is S.ERROR
+    assert receiver.reason.startswith("opc4.dbc: ShiftRequest: unused bits of")
+
+
+def test_statuses_and_states_have_the_words_that_reports_use() -> None:
+    assert {status.name: status.value for status in S} == {
+        "OK": "ok",
+        "OK_SOME_LOST": "ok, some lost",
+        "REPEATED": "repeated",
+        "WRONG_SEQUENCE": "wrong sequence",
+        "ERROR": "error",
+        "NO_NEW_DATA": "no new data",
+        "INITIAL": "initial",
+        "SYNC": "sync",
+    }
+    assert {state.name: state.value for state in V} == {
+        "INIT": "init",
+        "VALID": "valid",
+        "INVALID": "invalid",
+    }

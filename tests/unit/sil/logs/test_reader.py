@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 from pathlib import Path
 
 import pytest
@@ -154,6 +155,22 @@ def test_close_twice_abort_after_close(tmp_path: Path) -> None:
     writer.close()
     writer.abort()
     assert path.exists()
+
+
+@pytest.mark.parametrize("name", ["log.log", "log.asc", "log.blf", "log.log.gz", "log.trc"])
+def test_a_log_that_finds_no_room_leaves_nothing_behind(name: str, tmp_path: Path) -> None:
+    """No file may grow beyond 64 bytes, which ends a write as a full disk does."""
+    allowed = resource.getrlimit(resource.RLIMIT_FSIZE)
+    writer = open_writer(tmp_path / name)
+    for i in range(100):
+        writer.write(LogFrame(i * 10**6, i, bytes(8), channel="1", direction="Rx"))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (64, allowed[1]))
+    try:
+        with pytest.raises(InputError, match=r"File too large; expected room to write$"):
+            writer.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, allowed)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_channels_get_numbers_and_losses_tell(tmp_path: Path) -> None:
