@@ -25,8 +25,6 @@ from can_dbc.frame import Frame, is_lockstep, split_id
 if TYPE_CHECKING:
     from can_dbc.lockstep import ControlMessage
 
-__all__ = ["can_id_of", "decode", "encode", "message_type_of", "spec_of"]
-
 SIGNALS: dict[type, dict[str, str]] = {
     m.ShiftRequest: {"target": "TargetGear"},
     m.ValveCommand: {

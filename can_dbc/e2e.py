@@ -111,9 +111,9 @@ class E2eConfig:
             "min_ok_state_init": (1, self.window_size),
             "max_error_state_init": (0, self.window_size - 1),
             "min_ok_state_valid": (1, min(self.min_ok_state_init, self.min_ok_state_invalid)),
-            "max_error_state_valid": (self.max_error_state_invalid, self.window_size - 1),
             "min_ok_state_invalid": (1, self.window_size),
             "max_error_state_invalid": (0, self.window_size - 1),
+            "max_error_state_valid": (self.max_error_state_invalid, self.window_size - 1),
         }
         for name, (low, high) in largest.items():
             value = getattr(self, name)
@@ -127,7 +127,7 @@ def default_config(message_type: type) -> E2eConfig:
 
 
 def _data_ids(message_type: type) -> bytes:
-    data_ids = spec_of(message_type).e2e_data_ids if message_type in PROTECTED else b""
+    data_ids = spec_of(message_type).e2e_data_ids
     if not data_ids:
         raise TypeError(f"{message_type.__name__} is not protected end to end")
     return data_ids
@@ -189,17 +189,16 @@ class Protector(Generic[M]):
         """Counter of the next frame."""
         self._data_ids = _data_ids(message_type)
         self._latest: M | None = None
-        self._encoded: Frame | None = None
+        self._encoded = Frame(0, b"")
 
     def protect(self, message: M) -> Frame:
         """The next frame of the channel. Raises CodecError as `can_dbc.codec.encode` does."""
         if message.__class__ is not self.message_type:
             raise TypeError(f"{message!r} does not belong to the {self.message_type.__name__}s")
-        encoded = self._encoded
-        if encoded is None or message is not self._latest:
-            encoded = self._encoded = encode(message)  # type: ignore[arg-type]
+        if message is not self._latest:
+            self._encoded = encode(message)  # type: ignore[arg-type]
             self._latest = message
-        frame = _sealed(encoded, self.counter, self._data_ids)
+        frame = _sealed(self._encoded, self.counter, self._data_ids)
         self.counter = (self.counter + 1) % COUNTERS
         return frame
 

@@ -51,7 +51,7 @@ LEFT_OUT = ("test_import_is_quick",)
 """Tests of durations, which a busy machine would fail."""
 EXAMPLES = 25
 """Property tests draw this many examples at most, and shrink none."""
-BUDGET_S = 5.0
+BUDGET_S = 3.0
 """Tests that together take longer than this are not all run for one mutant."""
 MOST = 0.1
 """Share of the mutants that may survive."""

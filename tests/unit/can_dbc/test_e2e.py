@@ -266,7 +266,8 @@ def test_time_does_not_run_backwards() -> None:
             "max_error_state_valid: 0; expected 1 to 2",
         ),
         ({"min_ok_state_invalid": 4}, "min_ok_state_invalid: 4; expected 1 to 3"),
-        ({"max_error_state_invalid": -1}, "expected"),
+        ({"max_error_state_invalid": -1}, "max_error_state_invalid: -1; expected 0 to 2"),
+        ({"max_error_state_invalid": 3}, "max_error_state_invalid: 3; expected 0 to 2"),
     ],
 )
 def test_contradicting_limits_are_refused(change: dict[str, int], expected: str) -> None:
