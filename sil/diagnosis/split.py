@@ -27,7 +27,8 @@ def split(strokes: Sequence[StrokeObservation]) -> tuple[tuple[int, ...], tuple[
     """Places of training and held-out strokes.
 
     A third is held out, strata in turn, the first stroke of each stratum trains; one or two strokes
-    all train.  No more than MOST_TRAINING train: more would cost time and add nothing.
+    all train.  No more than MOST_TRAINING train: more would cost time and add nothing.  Every rest
+    before a stroke that occurs is among those that train, as far as there are strokes to change.
     """
     n = len(strokes)
     if n < 3:
@@ -41,8 +42,32 @@ def split(strokes: Sequence[StrokeObservation]) -> tuple[tuple[int, ...], tuple[
             ordered.append((place / len(members), rank, k))
     queue = [k for _place, _rank, k in sorted(ordered)]
     training = min(MOST_TRAINING, n - max(1, round(HELD_OUT_SHARE * n)))
-    chosen = sorted(queue[:training])
-    return tuple(chosen), tuple(sorted(set(range(n)) - set(chosen)))
+    chosen = with_every_rest(queue[:training], queue[training:], strokes)
+    return tuple(sorted(chosen)), tuple(sorted(set(range(n)) - set(chosen)))
+
+
+def with_every_rest(
+    training: list[int], held_out: Sequence[int], strokes: Sequence[StrokeObservation]
+) -> list[int]:
+    """Training strokes, some changed for held-out ones that rested as long as none of them did."""
+    chosen = list(training)
+
+    def rests() -> list[float]:
+        return [strokes[k].conditions.rest_s for k in chosen]
+
+    for k in held_out:
+        if strokes[k].conditions.rest_s in rests():
+            continue
+        spare = [
+            j
+            for j in reversed(chosen)
+            if rests().count(strokes[j].conditions.rest_s) > 1
+            and sum(stratum(strokes[i]) == stratum(strokes[j]) for i in [*chosen, k]) > 1
+        ]
+        alike = [j for j in spare if stratum(strokes[j]) == stratum(strokes[k])]
+        if spare:
+            chosen[chosen.index((alike or spare)[0])] = k
+    return chosen
 
 
 def odd_ones_in(

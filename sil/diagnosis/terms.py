@@ -124,7 +124,7 @@ def grid(place: TermPlace) -> np.ndarray:
     return np.linspace(place.low, place.high, place.count)
 
 
-ROUGHNESS = 3.0
+ROUGHNESS = 0.5
 """By how many typical sizes a node may leave the line of its neighbours: what no stroke reaches
 follows that line."""
 
