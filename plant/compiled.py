@@ -32,6 +32,7 @@ KERNEL_SOURCES = (
     "length_equations.py",
     "fixed_equations.py",
     "length_contacts.py",
+    "length_impacts.py",
     "steppers.py",
     "events.py",
     "integrate.py",

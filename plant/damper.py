@@ -15,6 +15,12 @@ LAMINAR_PA = 10.0
 
 
 @inlined
+def holes_area(c, r_hole):
+    """Open area of two bolt holes whose covered edge stands c beyond their centre [m^2]."""
+    return 2.0 * (r_hole * r_hole * acos(c / r_hole) - c * sqrt(max(r_hole * r_hole - c * c, 0.0)))
+
+
+@inlined
 def large_area(x_m, area_cap, r_hole, x_hole):
     """Open area of the large outlet a_valve,B(x) [m^2]: two bolt holes, capped (3.27)."""
     s = x_m - x_hole
@@ -22,9 +28,20 @@ def large_area(x_m, area_cap, r_hole, x_hole):
         return area_cap
     if s >= 2.0 * r_hole:
         return 0.0
-    c = s - r_hole
-    segment = r_hole * r_hole * acos(c / r_hole) - c * sqrt(max(r_hole * r_hole - c * c, 0.0))
-    return min(area_cap, 2.0 * segment)
+    return min(area_cap, holes_area(s - r_hole, r_hole))
+
+
+@inlined
+def borders(x_m, speed_m_s, area_cap, r_hole, x_hole, floor, slope):
+    """Where the damper's law has corners: zero where the holes' area leaves its cap [m^2], where they
+    are covered [m], and where C_D reaches its floor [-]; positive before."""
+    c = min(max(x_m - x_hole, 0.0), 2.0 * r_hole) - r_hole
+    large = large_area(x_m, area_cap, r_hole, x_hole)
+    return (
+        holes_area(c, r_hole) - area_cap,
+        x_hole + 2.0 * r_hole - x_m,
+        large / area_cap + slope * speed_m_s - floor,
+    )
 
 
 @inlined

@@ -39,25 +39,25 @@ from .length_contacts import (
     G_STAY_SPEED,
     G_SYNC,
     GUARDS,
-    impacts,
-    settle,
 )
 from .length_contacts import guards as length_guards
+from .length_impacts import impacts, settle
 from .steppers import (
     interpolate,
 )
 
 # A velocity below this after an event is rounding, and ends a Zeno sequence of stops.
 ZERO_M_S = 1e-10
+# An event is located when it is no farther than this.
+NEXT_S = 1e-15
 
 
 @called
 def all_guards(t, y, m, p, work, g):
-    """Guards of the stroke's system -> g."""
+    """Guards of the stroke's system -> g; returns the lowest, negative if an event is due."""
     if m[M_SYSTEM] == FIXED:
-        fixed_guards(t, y, m, p, g)
-    else:
-        length_guards(t, y, m, p, work, g)
+        return fixed_guards(t, y, m, p, g)
+    return length_guards(t, y, m, p, work, g)
 
 
 @called
@@ -85,13 +85,10 @@ def smallest(g):
     return index
 
 
-@called
-def some_negative(g):
-    """True if a guard is negative: the quick question before `smallest`."""
-    count = 0
-    for k in range(GUARDS):
-        count += 1 if g[k] < 0.0 else 0
-    return count > 0
+@inlined
+def dips(s0, s1):
+    """True if a quantity with these slopes at both ends may be lower in between: see `lowest_place`."""
+    return s0 < 0.0 and s1 > 0.0
 
 
 @inlined
@@ -100,7 +97,7 @@ def lowest_place(v0, v1, s0, s1):
 
     Asked of the cubic through both ends with the slopes s0, s1 there (per step).
     """
-    if not (s0 < 0.0 < s1):
+    if not dips(s0, s1):
         return 1.0
     d = v1 - v0
     b = 3.0 * d - 2.0 * s0 - s1
@@ -110,6 +107,31 @@ def lowest_place(v0, v1, s0, s1):
         return 1.0
     lowest = v0 + place * (s0 + place * (b + place * a))
     return place if lowest < 0.0 else 1.0
+
+
+@inlined
+def may_hide(y, y1, rate0, rate1, m, p):
+    """True if `hidden_turn` or `hidden_meeting` may find something in a step of the length stroke."""
+    d = m[M_STAY]
+    found = d != 0 and dips(d * rate0[VS], d * rate1[VS])
+    if m[M_JOINED1] == FREE:
+        d = m[M_PISTON1]
+        found = found or (d != 0 and dips(d * rate0[V1], d * rate1[V1]))
+        sign = 1.0 if y[X1] - y[XS] < 0.5 * p[X_FREE] else -1.0
+        found = found or dips(sign * (y[V1] - y[VS]), sign * (y1[V1] - y1[VS]))
+    if m[M_JOINED2] == FREE:
+        d = -m[M_PISTON2]
+        found = found or (d != 0 and dips(d * rate0[V2], d * rate1[V2]))
+        sign = 1.0 if y[X2] + y[XS] < 0.5 * p[X_FREE] else -1.0
+        found = found or dips(sign * (y[V2] + y[VS]), sign * (y1[V2] + y1[VS]))
+    return found
+
+
+@inlined
+def fixed_may_hide(rate0, rate1, m):
+    """True if `hidden_turn` may find something in a step of the fixed piston."""
+    d = m[M_STAY]
+    return d != 0 and dips(d * rate0[FV], d * rate1[FV])
 
 
 @called
@@ -171,55 +193,71 @@ def hidden_meeting(h, y, y1, m, p):
     return min(one, two)
 
 
+@inlined
+def root_place(low, high, third, a, b, c):
+    """Where a quantity that is a >= 0 at low, b < 0 at high, c at third crosses zero.
+
+    Inverse quadratic interpolation through all three; the secant where that leaves the bracket.
+    """
+    place = high + (low - high) * b / (b - a)
+    if c != a and c != b:
+        curved = (
+            high
+            + (low - high) * b * c / ((a - b) * (a - c))
+            + (third - high) * a * b / ((c - a) * (c - b))
+        )
+        if low < curved < high:
+            place = curved
+    return place
+
+
 @called
 def locate(t, h, high, dense, y, m, p, work, g, g0, n_all):
-    """Fraction of the step at which the first guard crosses zero; y, g hold the state there.
+    """Fraction of the step at which the first guard crosses zero, and that guard; y: the state there.
 
-    g0: guards at the step's start, all positive; g: at its fraction `high`, one negative.
-    Bracketing secant (Illinois) on whichever negative guard would cross first, with bisection when
-    it stalls.
+    g0: guards at the step's start, all positive; g: at its fraction `high`, one negative; both are
+    overwritten.  A bracket whose upper end is replaced by the foreseen crossing of whichever negative
+    guard would cross first, with bisection when it stalls, until it is where it is foreseen.
     """
     low = 0.0
-    stale = 0
-    weight = 1.0
+    third = high
     before = 1.0
+    below = g
+    above = g0
+    trial = work[6 : 6 + GUARDS]
+    older = work[6 + GUARDS : 6 + 2 * GUARDS]
+    for k in range(GUARDS):
+        older[k] = below[k]
     for iteration in range(80):
-        theta = high
-        index = -1
-        for k in range(GUARDS):
-            if g[k] < 0.0:
-                base = max(g0[k], 0.0) * weight
-                candidate = low + (high - low) * base / (base - g[k])
-                if candidate < theta or index < 0:
-                    theta = candidate
-                    index = k
-        if (high - low) * h < 1e-15 or high - low < 1e-15:
-            break
         width = high - low
+        theta = high
+        for k in range(GUARDS):
+            if below[k] < 0.0:
+                start = max(above[k], 0.0)
+                theta = min(theta, root_place(low, high, third, start, below[k], older[k]))
+        if (high - theta) * h < NEXT_S or width * h < NEXT_S:
+            break
+        # just beyond the crossing, so that a good forecast is the last
+        theta = max(theta + 0.5 * NEXT_S / h, low + width * min(1e-3, 4.0 * width))
         if iteration % 3 == 2:
             if width > 0.1 * before:
                 theta = 0.5 * (low + high)
             before = width
-        # next to an end, by more than the secant's error: then both ends close in
-        margin = width * min(1e-3, 4.0 * width)
-        theta = min(max(theta, low + margin), high - margin)
         interpolate(theta, dense, y, n_all)
-        trial = work[6 : 6 + GUARDS]
-        all_guards(t + theta * h, y, m, p, work, trial)
-        if some_negative(trial):
+        spare = older
+        if all_guards(t + theta * h, y, m, p, work, trial) < 0.0:
+            third = high
+            older = below
             high = theta
-            for k in range(GUARDS):
-                g[k] = trial[k]
-            stale = stale + 1 if stale > 0 else 1
-            weight = 0.5 if stale > 1 else 1.0
+            below = trial
         else:
+            third = low
+            older = above
             low = theta
-            for k in range(GUARDS):
-                g0[k] = trial[k]
-            stale = stale - 1 if stale < 0 else -1
-            weight = 1.0
+            above = trial
+        trial = spare
     interpolate(high, dense, y, n_all)
-    return high
+    return high, smallest(below)
 
 
 @called

@@ -40,13 +40,24 @@ from .layout import (
 from .length_equations import length_volumes
 from .views import rows, view
 
-# One curve: head, then nodes (r, dr/d tau) of its two regions, each with its own spacing.
+# One curve: head, then cells of its two regions, each with its own length: a cubic's coefficients.
 CELLS_FAR, CELLS_NEAR = 256, 1536
-HEAD_START, HEAD_SPLIT, HEAD_END, HEAD_STEP_FAR, HEAD_STEP_NEAR, HEAD_RATE = range(6)
-HEAD = 8
-FAR_NODES = HEAD
-NEAR_NODES = FAR_NODES + 2 * (CELLS_FAR + 1)
-CURVE = NEAR_NODES + 2 * (CELLS_NEAR + 1)
+(
+    HEAD_START,
+    HEAD_SPLIT,
+    HEAD_END,
+    HEAD_STEP_FAR,
+    HEAD_STEP_NEAR,
+    HEAD_CELLS_FAR,  # cells per unit of tau
+    HEAD_CELLS_NEAR,
+    HEAD_RATE,
+    HEAD_SLOPE,  # dr/d tau at the start
+) = range(9)
+HEAD = 12
+CUBIC = 4
+FAR = HEAD
+NEAR = FAR + CUBIC * CELLS_FAR
+CURVE = NEAR + CUBIC * CELLS_NEAR
 CHARGE, DISCHARGE = 0, CURVE
 TABLE = 2 * CURVE
 # Ratio P/P_atm at which the discharge curve starts, and how far the near regions reach.
@@ -70,25 +81,40 @@ def slope_of(r, charging, c):
 
 
 @called
-def fill_nodes(start, end, step, cells, charging, c, rate, out):
-    """Nodes of one region -> out, by classical Runge-Kutta; False if the flow stops or turns."""
+def fill_cells(start, step, cells, charging, c, rate, out):
+    """Cells of one region -> out, by classical Runge-Kutta; its end, 0 if the flow stops or turns.
+
+    Cubic Hermite: r = c0 + w (c1 + w (c2 + w c3)) at the fraction w of a cell.
+    """
     r = start
     h = step / SUBSTEPS
     sign = 1.0 if charging else -1.0
+    left = 0.0
+    left_slope = 0.0
     for node in range(cells + 1):
         slope = slope_of(r, charging, c) / rate
-        out[2 * node] = r
-        out[2 * node + 1] = slope
         if not (slope * sign > 0.0 and sign * (1.0 - r) > 0.0):
-            return False
+            return 0.0
+        if node > 0:
+            cubic = out[CUBIC * (node - 1) :]
+            d = r - left
+            s0 = step * left_slope
+            s1 = step * slope
+            cubic[0] = left
+            cubic[1] = s0
+            cubic[2] = 3.0 * d - 2.0 * s0 - s1
+            cubic[3] = s0 + s1 - 2.0 * d
+        left = r
+        left_slope = slope
+        if node == cells:
+            break
         for _ in range(SUBSTEPS):
             k1 = slope_of(r, charging, c) / rate
             k2 = slope_of(r + 0.5 * h * k1, charging, c) / rate
             k3 = slope_of(r + 0.5 * h * k2, charging, c) / rate
             k4 = slope_of(r + h * k3, charging, c) / rate
             r += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-    # the last node of the far region is the border itself, up to integration error
-    return end == 0.0 or abs(out[2 * cells] - end) < 1e-9
+    return r
 
 
 @called
@@ -124,15 +150,15 @@ def fill_curve(charging, c, curve):
     curve[HEAD_SPLIT] = split
     curve[HEAD_STEP_FAR] = length / CELLS_FAR
     curve[HEAD_STEP_NEAR] = NEAR_REACH / CELLS_NEAR
+    curve[HEAD_CELLS_FAR] = CELLS_FAR / length
+    curve[HEAD_CELLS_NEAR] = CELLS_NEAR / NEAR_REACH
     curve[HEAD_RATE] = rate
-    far = fill_nodes(
-        start, split, length / CELLS_FAR, CELLS_FAR, charging, c, rate, curve[FAR_NODES:]
-    )
-    near = fill_nodes(
-        split, 0.0, NEAR_REACH / CELLS_NEAR, CELLS_NEAR, charging, c, rate, curve[NEAR_NODES:]
-    )
-    curve[HEAD_END] = curve[NEAR_NODES + 2 * CELLS_NEAR]
-    return far and near
+    curve[HEAD_SLOPE] = slope_of(start, charging, c) / rate
+    far = fill_cells(start, length / CELLS_FAR, CELLS_FAR, charging, c, rate, curve[FAR:])
+    near = fill_cells(split, NEAR_REACH / CELLS_NEAR, CELLS_NEAR, charging, c, rate, curve[NEAR:])
+    curve[HEAD_END] = near
+    # the far region ends at the border itself, up to integration error
+    return abs(far - split) < 1e-9 and near > 0.0
 
 
 @kernel
@@ -164,31 +190,26 @@ def filling_curves(c) -> tuple:
 
 
 @inlined
-def hermite(nodes, cell, w, step):
-    """Cubic through two nodes with their slopes, at the fraction w of a cell."""
-    r0 = nodes[2 * cell]
-    s0 = step * nodes[2 * cell + 1]
-    d = nodes[2 * cell + 2] - r0
-    s1 = step * nodes[2 * cell + 3]
-    return r0 + w * (s0 + w * ((3.0 * d - 2.0 * s0 - s1) + w * (s0 + s1 - 2.0 * d)))
+def cubic(cells, place):
+    """Ratio at a place, counted in cells."""
+    cell = int(place)
+    w = place - cell
+    q = cells[CUBIC * cell :]
+    return q[0] + w * (q[1] + w * (q[2] + w * q[3]))
 
 
 @called
 def curve_value(curve, tau):
     """Pressure ratio at tau; tau = 0 at the head of the table."""
     if tau < 0.0:
-        return curve[HEAD_START] + tau * curve[FAR_NODES + 1]
-    step = curve[HEAD_STEP_FAR]
-    place = tau / step
+        return curve[HEAD_START] + tau * curve[HEAD_SLOPE]
+    place = tau * curve[HEAD_CELLS_FAR]
     if place < CELLS_FAR:
-        cell = int(place)
-        return hermite(curve[FAR_NODES:], cell, place - cell, step)
-    tau -= step * CELLS_FAR
-    step = curve[HEAD_STEP_NEAR]
-    place = tau / step
+        return cubic(curve[FAR:], place)
+    tau -= curve[HEAD_STEP_FAR] * CELLS_FAR
+    place = tau * curve[HEAD_CELLS_NEAR]
     if place < CELLS_NEAR:
-        cell = int(max(place, 0.0))
-        return hermite(curve[NEAR_NODES:], cell, place - cell, step)
+        return cubic(curve[NEAR:], max(place, 0.0))
     return 1.0 + (curve[HEAD_END] - 1.0) * faded(tau - NEAR_REACH)
 
 
@@ -208,27 +229,22 @@ def curve_place(curve, r):
     split = curve[HEAD_SPLIT]
     sign = 1.0 if split > start else -1.0
     if sign * (r - start) < 0.0:
-        return (r - start) / curve[FAR_NODES + 1]
+        return (r - start) / curve[HEAD_SLOPE]
     far = sign * (split - r) > 0.0
-    nodes = curve[FAR_NODES:] if far else curve[NEAR_NODES:]
+    cells = curve[FAR:] if far else curve[NEAR:]
     step = curve[HEAD_STEP_FAR] if far else curve[HEAD_STEP_NEAR]
     low = 0
-    high = CELLS_FAR if far else CELLS_NEAR
-    while high - low > 1:
-        middle = (low + high) // 2
-        if sign * (r - nodes[2 * middle]) >= 0.0:
-            low = middle
-        else:
-            high = middle
-    r0 = nodes[2 * low]
-    s0 = step * nodes[2 * low + 1]
-    d = nodes[2 * low + 2] - r0
-    s1 = step * nodes[2 * low + 3]
-    b = 3.0 * d - 2.0 * s0 - s1
-    a = s0 + s1 - 2.0 * d
-    w = (r - r0) / d
+    size = CELLS_FAR if far else CELLS_NEAR
+    while size > 1:
+        half = size // 2
+        low = low + half if sign * (r - cells[CUBIC * (low + half)]) >= 0.0 else low
+        size -= half
+    q = cells[CUBIC * low :]
+    w = (r - q[0]) / (q[1] + q[2] + q[3])
     for _ in range(3):
-        w -= (r0 + w * (s0 + w * (b + w * a)) - r) / (s0 + w * (2.0 * b + w * 3.0 * a))
+        w -= (q[0] + w * (q[1] + w * (q[2] + w * q[3])) - r) / (
+            q[1] + w * (2.0 * q[2] + w * 3.0 * q[3])
+        )
     return (low + w) * step + (0.0 if far else curve[HEAD_STEP_FAR] * CELLS_FAR)
 
 
@@ -285,63 +301,66 @@ def chamber_samples(row, table, t, samples, begin, end, out, stride):
     curve = table[CHARGE:] if kind == ON_CHARGE else table[DISCHARGE:]
     start = row[W_TAU]
     rate = row[W_RATE]
-    step = curve[HEAD_STEP_FAR]
-    nodes = curve[FAR_NODES:]
     i = begin
-    while i < end:
-        place = (start + rate * max(samples[i] - t, 0.0)) / step
-        if not 0.0 <= place < CELLS_FAR:
-            if place > 0.0:
-                break
-            out[i * stride] = reference * curve_value(curve, place * step)
-        else:
-            cell = int(place)
-            out[i * stride] = reference * hermite(nodes, cell, place - cell, step)
+    while i < end and start + rate * max(samples[i] - t, 0.0) < 0.0:
+        tau = start + rate * max(samples[i] - t, 0.0)
+        out[i * stride] = reference * curve_value(curve, tau)
         i += 1
-    far = step * CELLS_FAR
-    step = curve[HEAD_STEP_NEAR]
-    nodes = curve[NEAR_NODES:]
+    cells = curve[FAR:]
+    density = curve[HEAD_CELLS_FAR]
+    while i < end:
+        place = (start + rate * max(samples[i] - t, 0.0)) * density
+        if not place < CELLS_FAR:
+            break
+        out[i * stride] = reference * cubic(cells, place)
+        i += 1
+    far = curve[HEAD_STEP_FAR] * CELLS_FAR
+    cells = curve[NEAR:]
+    density = curve[HEAD_CELLS_NEAR]
     while i < end:
         tau = start + rate * max(samples[i] - t, 0.0) - far
-        place = tau / step
-        if place < CELLS_NEAR:
-            cell = int(max(place, 0.0))
-            out[i * stride] = reference * hermite(nodes, cell, place - cell, step)
-        else:
-            out[i * stride] = reference * (
-                1.0 + (curve[HEAD_END] - 1.0) * faded(tau - NEAR_REACH)
-            )
+        place = tau * density
+        if not place < CELLS_NEAR:
+            break
+        out[i * stride] = reference * cubic(cells, max(place, 0.0))
+        i += 1
+    while i < end:
+        tau = start + rate * max(samples[i] - t, 0.0) - far
+        out[i * stride] = reference * (1.0 + (curve[HEAD_END] - 1.0) * faded(tau - NEAR_REACH))
         i += 1
 
 
 @called
-def neighbour_pressure(dt, row, table, c, known, first):
-    """Pressure of a chamber a time dt on, from what the `first` of several like strokes noted.
+def neighbour_samples(row, table, c, t, samples, begin, end, known, width, first, out, stride):
+    """Pressures of a chamber at the samples from `begin` to `end` -> out[i * stride], from notes.
 
-    The first evaluates its curve and notes kind, place, value and slope in known[0:4]; the others,
-    next to it, go along that slope.
+    The `first` of several like strokes evaluates its curve and notes kind, place, value and slope in
+    known[i * width : i * width + 4]; the others, next to it, go along that slope.
     """
     kind = row[W_KIND]
     decays = kind == DECAY
-    place = row[W_RATE] * dt if decays else row[W_TAU] + row[W_RATE] * dt
-    apart = place - known[1]
-    if not first and known[0] == kind and abs(apart) < NEXT_TO:
-        value = known[2] + apart * known[3]
-    elif decays:
-        value = exp(-place)
+    charging = kind == ON_CHARGE
+    curve = table[CHARGE:] if charging else table[DISCHARGE:]
+    reference = row[W_REFERENCE]
+    start = 0.0 if decays else row[W_TAU]
+    rate = row[W_RATE]
+    scale = reference * row[W_TAU] if decays else reference
+    offset = reference if decays else 0.0
+    for i in range(begin, end):
+        place = start + rate * max(samples[i] - t, 0.0)
+        noted = known[i * width :]
+        apart = place - noted[1]
+        if not first and noted[0] == kind and abs(apart) < NEXT_TO:
+            value = noted[2] + apart * noted[3]
+        else:
+            value = exp(-place) if decays else curve_value(curve, place)
         if first:
-            known[3] = -value
-    else:
-        charging = kind == ON_CHARGE
-        curve = table[CHARGE:] if charging else table[DISCHARGE:]
-        value = curve_value(curve, place)
-        if first:
-            known[3] = slope_of(value, charging, c) / curve[HEAD_RATE]
-    if first:
-        known[0] = kind
-        known[1] = place
-        known[2] = value
-    return row[W_REFERENCE] * (1.0 + row[W_TAU] * value if decays else value)
+            slope = -value if decays else slope_of(value, charging, c) / curve[HEAD_RATE]
+            noted[0] = kind
+            noted[1] = place
+            noted[2] = value
+            noted[3] = slope
+        out[i * stride] = offset + scale * value
 
 
 @called

@@ -73,9 +73,9 @@ from .length_contacts import (
     G_STAY_SPEED,
     GUARDS,
     TOUCH_M,
-    direction_of,
-    group_acceleration,
-    rebound,
+    damper_corners,
+    note_corners,
+    put,
 )
 from .length_equations import (
     conservative_force,
@@ -89,6 +89,7 @@ from .length_equations import (
     valve_flow_in,
     valve_flow_out,
 )
+from .length_impacts import direction_of, group_acceleration, rebound
 
 
 @inlined
@@ -182,7 +183,7 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
     dy[FP1] = pressure_rate(y[FP1], u1, in1, out1, leak1, vol1, rate1, r, am1, a1, am2, a2)
     dy[FP2] = pressure_rate(y[FP2], u2, in2, out2, leak2, vol2, rate2, r, am1, a1, am2, a2)
     if m[M_DAMPER] == 2 and m[M_OIL_REST] == 0:
-        dy[FOIL] = oil_rate(y[FX], v, y[FOIL], p)
+        dy[FOIL] = oil_rate(y[FX], v, y[FOIL], m, p)
     else:
         dy[FOIL] = 0.0
     if m[M_LINE] != 0:
@@ -219,17 +220,18 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
 
 @called
 def fixed_guards(t, y, m, p, g):
-    """Guards of the present modes -> g[0:GUARDS]; each is positive until its event."""
+    """Guards of the present modes -> g[0:GUARDS]; each is positive until its event.  Returns the lowest."""
+    low = FAR
     for k in range(GUARDS):
-        g[k] = FAR
+        g[k] = low
     high = p[STROKE] + p[STOP_OFFSET]
     d = m[M_STAY]
     if d != 0:
-        g[G_STAY_SPEED] = d * y[FV] + EPS_M_S
+        low = put(g, G_STAY_SPEED, d * y[FV] + EPS_M_S, low)
         if d > 0:
-            g[G_STAY_HIGH] = high - y[FX] + EPS_M
+            low = put(g, G_STAY_HIGH, high - y[FX] + EPS_M, low)
         else:
-            g[G_STAY_LOW] = y[FX] + EPS_M
+            low = put(g, G_STAY_LOW, y[FX] + EPS_M, low)
     else:
         drive = fixed_drive(y, m, p, t)
         hold = FAR
@@ -237,13 +239,16 @@ def fixed_guards(t, y, m, p, g):
             hold = stay_static(y[FX], 1.0, p) + seal(y, p) - drive
         if y[FX] > TOUCH_M:
             hold = min(hold, stay_static(y[FX], -1.0, p) + seal(y, p) + drive)
-        g[G_HOLD_STAY] = hold + EPS_N
+        low = put(g, G_HOLD_STAY, hold + EPS_N, low)
+    if m[M_DAMPER] != 0 and d != 0:
+        low = damper_corners(y[FX], y[FV], m, p, g, low)
     if m[M_DAMPER] == 2:
         if m[M_OIL_REST] != 0:
             if d != 0:
-                g[G_OIL_FILL] = EPS_M_S - y[FV]
+                low = put(g, G_OIL_FILL, EPS_M_S - y[FV], low)
         else:
-            g[G_OIL_EMPTY] = y[FOIL] - p[P_ATM] + EPS_PA
+            low = put(g, G_OIL_EMPTY, y[FOIL] - p[P_ATM] + EPS_PA, low)
+    return low
 
 
 @called
@@ -271,6 +276,8 @@ def fixed_impacts(y, m, p, record):
 def fixed_settle(t, y, m, p):
     """Choose the mode that continues the motion: at rest, or moving, and the damper's."""
     m[M_STAY] = 0
+    if m[M_DAMPER] != 0:
+        note_corners(y[FX], y[FV], m, p)
     drive = fixed_drive(y, m, p, t)
     drag = seal(y, p)
     high = p[STROKE] + p[STOP_OFFSET]

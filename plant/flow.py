@@ -29,7 +29,8 @@ def charge(pressure_pa, supply_pa, c):
     Source: thesis 3.1.4, 3.39; scaled with the supply pressure (errata 3.21, 3.39).
     Checked by: tests/physics/test_flow.py
     """
-    ratio = pressure_pa / supply_pa
+    per_supply = 1.0 / supply_pa  # one division for all chambers
+    ratio = pressure_pa * per_supply
     y = max(ratio, c[C_Y_MIN])
     high = c[C_HIGH] + y * (c[C_HIGH + 1] + y * (c[C_HIGH + 2] + y * c[C_HIGH + 3]))
     low = c[C_LOW] + y * (
@@ -46,7 +47,8 @@ def discharge(pressure_pa, atmosphere_pa, c):
 
     Source: thesis 3.1.4, 3.40.  Checked by: tests/physics/test_flow.py
     """
-    z = pressure_pa / atmosphere_pa
+    per_atmosphere = 1.0 / atmosphere_pa  # one division for all chambers
+    z = pressure_pa * per_atmosphere
     low = c[D_LOW] + z * (c[D_LOW + 1] + z * (c[D_LOW + 2] + z * (c[D_LOW + 3] + z * c[D_LOW + 4])))
     high = c[D_HIGH] + z * (c[D_HIGH + 1] + z * c[D_HIGH + 2])
     suction = c[D_SLOPE] * (z - 1.0)
@@ -60,7 +62,7 @@ def orifice(upstream_pa, downstream_pa, cda_m2, temperature_k, gamma, r_air):
 
     3.13 choked, 3.20 free with the density factor outside the root (erratum 3.20); antisymmetric
     when the pressures change places.  Next to equal pressures (ratio above 0.999) the root is
-    replaced by the straight line of the same value there, so that the flow has a finite slope.
+    replaced by the odd cubic of the same value and slope there, so that the slope stays finite.
 
     Checked by: tests/physics/test_flow.py (continuity at 0.5283)
     """
@@ -82,5 +84,6 @@ def orifice(upstream_pa, downstream_pa, cda_m2, temperature_k, gamma, r_air):
             2.0 * gamma / (gamma - 1.0) * (edge ** (2.0 / gamma) - edge ** ((gamma + 1.0) / gamma))
         )
         if ratio > 0.999:
-            value *= (1.0 - ratio) / 0.001
+            share = (1.0 - ratio) / 0.001
+            value *= share * (1.25 - 0.25 * share * share)
     return sign * cda_m2 * high * sqrt(temperature_k / r_air) * value

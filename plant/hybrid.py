@@ -17,6 +17,7 @@ from . import length_contacts as guard
 from .errors import IntegrationError, NoVolumeError
 from .filling import NO_CURVES
 from .integrate import (
+    COUNTS,
     DONE,
     EVENT_BLOCK,
     EVENT_COLUMNS,
@@ -155,7 +156,7 @@ class HybridSystem:
         for index, name in enumerate(self.chambers):
             self._u0[index] = 1.0 if name in charged else 0.0
         self._step = np.array([1e-4])
-        self._counts = np.zeros(4, dtype=np.int64)
+        self._counts = np.zeros(COUNTS, dtype=np.int64)
         self._record = np.zeros((MOST_EVENTS, EVENT_COLUMNS))
         self._workspace = np.zeros(WORKSPACE)
         self._impact_j = 0.0

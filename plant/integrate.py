@@ -20,7 +20,6 @@ from .events import (
     hidden_turn,
     locate,
     smallest,
-    some_negative,
 )
 from .filling import CHAMBER_ROW, STILL, W_KIND, chamber_samples
 from .layout import (
@@ -39,6 +38,7 @@ from .layout import (
     TERM_EQUATION,
 )
 from .length_contacts import (
+    FIRST_CORNER,
     GUARDS,
     note_side,
 )
@@ -57,6 +57,7 @@ from .views import rows, view
 # Columns of the event record.
 EVENT_TIME, EVENT_GUARD, EVENT_LOST, EVENT_SPEED, EVENT_BLOCK, EVENT_X, EVENT_V = range(7)
 EVENT_COLUMNS = 7
+COUNTS = 5
 
 # Why `advance` stopped.
 DONE, TOO_MANY_EVENTS, STEP_TOO_SMALL, NOT_FINITE = 0, 1, 2, 3
@@ -110,6 +111,26 @@ def sample_rest(t, until, begin, samples, n_sample, out, width, fixed, rest, cur
     return end
 
 
+@called
+def note_event(t, index, y, record, events, counts, limit):
+    """Record an event; False if there are too many.  A corner is none, but counts towards the limit."""
+    count = counts[0]
+    if index >= FIRST_CORNER:
+        counts[4] += 1
+        return count + counts[4] < limit
+    if count >= events.shape[0] or count + counts[4] >= limit:
+        return False
+    events[count, EVENT_TIME] = t
+    events[count, EVENT_GUARD] = index
+    events[count, EVENT_LOST] = record[0]
+    events[count, EVENT_SPEED] = record[1]
+    events[count, EVENT_BLOCK] = record[2]
+    events[count, EVENT_X] = y[0]
+    events[count, EVENT_V] = y[1]
+    counts[0] += 1
+    return True
+
+
 @kernel
 def start(y, m, p, workspace):
     """Choose the modes of an initial state."""
@@ -157,7 +178,7 @@ def advance(
     switches : float64 [k, 4] rows (time, chamber, position, slope), times ascending
     samples : float64 [s], times at which the state is wanted, ascending -> out [s, n]
     events : float64 [e, EVENT_COLUMNS], filled in order
-    counts : int64 [4]: events, steps, rejected steps, samples written; added to
+    counts : int64 [COUNTS]: events, steps, rejected steps, samples written, corners of a law; added to
     workspace : float64 [WORKSPACE_ROWS, ROW] scratch
     tabulated : True if `table` holds the filling curves of c: rests are then passed in closed form
         where there is one (without quadratures only)
@@ -206,7 +227,7 @@ def advance(
     h = step[0]
     fresh = True
     have_jacobian = False
-    limit_events = counts[0] + 4000
+    limit_events = counts[0] + counts[4] + 4000
     i_step = -1
     grid_row = view(grid, 0)
     expected = True
@@ -226,22 +247,12 @@ def advance(
         left = t_next - t
         if fresh:
             derivative(t, y, k[6], m, u0, du, p, c, work, with_quad)
-            all_guards(t, y, m, p, work, g0)
-            if some_negative(g0):
+            if all_guards(t, y, m, p, work, g0) < 0.0:
                 worst = smallest(g0)
                 # a jump of input or parameters has already passed a guard: act on it now
                 after_event(t, worst, y, m, p, record, work)
-                n_event = counts[0]
-                if n_event >= events.shape[0] or n_event >= limit_events:
+                if not note_event(t, worst, y, record, events, counts, limit_events):
                     return TOO_MANY_EVENTS
-                events[n_event, EVENT_TIME] = t
-                events[n_event, EVENT_GUARD] = worst
-                events[n_event, EVENT_LOST] = record[0]
-                events[n_event, EVENT_SPEED] = record[1]
-                events[n_event, EVENT_BLOCK] = record[2]
-                events[n_event, EVENT_X] = y[0]
-                events[n_event, EVENT_V] = y[1]
-                counts[0] += 1
                 continue
             fresh = False
             have_jacobian = False
@@ -262,17 +273,8 @@ def advance(
                     t = t_end
                     if index >= 0:
                         after_event(t, index, y, m, p, record, work)
-                        n_event = counts[0]
-                        if n_event >= events.shape[0] or n_event >= limit_events:
+                        if not note_event(t, index, y, record, events, counts, limit_events):
                             return TOO_MANY_EVENTS
-                        events[n_event, EVENT_TIME] = t
-                        events[n_event, EVENT_GUARD] = index
-                        events[n_event, EVENT_LOST] = record[0]
-                        events[n_event, EVENT_SPEED] = record[1]
-                        events[n_event, EVENT_BLOCK] = record[2]
-                        events[n_event, EVENT_X] = y[0]
-                        events[n_event, EVENT_V] = y[1]
-                        counts[0] += 1
                     h = STEP_AFTER_REST_S
                     fresh = True
                     continue
@@ -382,8 +384,7 @@ def advance(
         theta = 1.0
         index = -1
         if expected:
-            all_guards(t + trial, y1, m, p, work, g)
-            fired = some_negative(g)
+            fired = all_guards(t + trial, y1, m, p, work, g) < 0.0
             if not fired:
                 theta = hidden_meeting(trial, y, y1, m, p)
                 if not stiff:
@@ -396,18 +397,14 @@ def advance(
                 explicit_dense(trial, y, y1, k, dense, n_all)
         if theta < 1.0:
             interpolate(theta, dense, stage, n_all)
-            all_guards(t + theta * trial, stage, m, p, work, g)
-            fired = some_negative(g)
+            fired = all_guards(t + theta * trial, stage, m, p, work, g) < 0.0
             if not fired:
                 theta = 1.0
                 all_guards(t + trial, y1, m, p, work, g)
-        if use == FOLLOW_GRID and fired:
-            all_guards(t, y, m, p, work, g0)
-            if some_negative(g0):
-                return OFF_GRID
+        if use == FOLLOW_GRID and fired and all_guards(t, y, m, p, work, g0) < 0.0:
+            return OFF_GRID
         if fired:
-            theta = locate(t, trial, theta, dense, y1, m, p, work, g, g0, n_all)
-            index = smallest(g)
+            theta, index = locate(t, trial, theta, dense, y1, m, p, work, g, g0, n_all)
         if use == WRITE_GRID:
             i_step += 1
             grid_row = view(grid, min(i_step, steps - 1) * GRID_COLUMNS)
@@ -428,17 +425,8 @@ def advance(
         t = t_end
         if fired:
             after_event(t, index, y, m, p, record, work)
-            n_event = counts[0]
-            if n_event >= events.shape[0] or n_event >= limit_events:
+            if not note_event(t, index, y, record, events, counts, limit_events):
                 return TOO_MANY_EVENTS
-            events[n_event, EVENT_TIME] = t
-            events[n_event, EVENT_GUARD] = index
-            events[n_event, EVENT_LOST] = record[0]
-            events[n_event, EVENT_SPEED] = record[1]
-            events[n_event, EVENT_BLOCK] = record[2]
-            events[n_event, EVENT_X] = y[0]
-            events[n_event, EVENT_V] = y[1]
-            counts[0] += 1
             fresh = True
             h = min(h, max(FIRST_STEP_S, 0.3 * trial))
         else:

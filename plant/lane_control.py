@@ -8,7 +8,7 @@ Checked by: tests/unit/plant/test_batch.py
 
 from __future__ import annotations
 
-from .compiled import called
+from .compiled import called, inlined
 from .events import (
     after_event,
     all_guards,
@@ -18,7 +18,6 @@ from .events import (
     hidden_turn,
     locate,
     smallest,
-    some_negative,
 )
 from .filling import (
     CHAMBER_ROW,
@@ -26,7 +25,7 @@ from .filling import (
     STILL,
     W_KIND,
     chamber_samples,
-    neighbour_pressure,
+    neighbour_samples,
 )
 from .integrate import (
     DONE,
@@ -55,14 +54,18 @@ from .integrate import (
 )
 from .lane_steps import (
     ACCEPTED,
+    BEFORE,
     DENSE,
     END,
     FACTOR,
+    HIDES,
+    LOWEST,
     MODE,
     NEXT,
     NORM,
     RATE,
     RATE_0,
+    ROOT,
     SPARE,
     STAGE,
     STEP,
@@ -101,6 +104,8 @@ RESULTS = 8
 # What a lane does next, beside the reasons to stop.
 STEPPING = -1
 LIMIT_EVENTS = 4000
+LEAST_ROOT = 0.5623413251903491  # of a norm of 1e-4
+SMALL_NORM = 0.01  # square of the norm
 
 # Scratch of one lane at a time.
 SCRATCH_WORK, SCRATCH_G, SCRATCH_G0, SCRATCH_RECORD, SCRATCH_REST = 0, 64, 128, 192, 224
@@ -202,12 +207,10 @@ def sample_rest(
         elif use == OWN_STEPS:
             chamber_samples(row, table, t, samples, begin, end, out[k:], n_columns)
         else:
-            for i in range(begin, end):
-                dt = max(samples[i] - t, 0.0)
-                noted = known[i * KNOWN + KNOWN_COLUMNS * chamber :]
-                out[i * n_columns + k] = neighbour_pressure(
-                    dt, row, table, c, noted, use == WRITE_GRID
-                )
+            neighbour_samples(
+                row, table, c, t, samples, begin, end, known[KNOWN_COLUMNS * chamber :], KNOWN,
+                use == WRITE_GRID, out[k:], n_columns,
+            )  # fmt: skip
 
 
 @called
@@ -252,8 +255,7 @@ def prepare(
             return DONE
         if memory[EVENTS * WIDTH + j] > LIMIT_EVENTS:
             return TOO_MANY_EVENTS
-        all_guards(t, y, m, p, work, g)
-        if some_negative(g):
+        if all_guards(t, y, m, p, work, g) < 0.0:
             worst = smallest(g)
             after_event(t, worst, y, m, p, record, work)
             note_event(f, j, worst, memory, record, events, room, result)
@@ -284,6 +286,15 @@ def prepare(
                 continue
         derivative(t, y, lane(f, RATE_0, j, WIDTH, ""), m, u, du, p, c, work, False)
         return next_step(f, j, memory, grid, steps, use)
+
+
+@inlined
+def grown(f, j, h, norm, factor):
+    """Step that the error control wants after one that was taken; a small error lets it grow freely."""
+    root = f[ROOT * WIDTH + j]
+    factor *= f[BEFORE * WIDTH + j] if norm > SMALL_NORM else 1.0 / max(root, 0.1)
+    f[BEFORE * WIDTH + j] = max(root, LEAST_ROOT)
+    return h * min(factor, 5.0)
 
 
 @called
@@ -322,16 +333,15 @@ def judge(
     last = h == f[NEXT * WIDTH + j] - t
     until = f[NEXT * WIDTH + j] if last else t + h
     wanted = f[WANTED * WIDTH + j]
-    grown = h * min(factor, 5.0)
-    f[WANTED * WIDTH + j] = min(max(wanted, grown) if h < wanted else grown, LONGEST_STEP_S)
+    longer = grown(f, j, h, norm, factor)
+    f[WANTED * WIDTH + j] = min(max(wanted, longer) if h < wanted else longer, LONGEST_STEP_S)
     theta = 1.0
     # a lane on a grid meets an event only where the grid's stroke met one
     expected = use != FOLLOW_GRID or grid[min(taken, steps - 1) * GRID_COLUMNS + GRID_GUARD] >= 0.0
     fired = False
     if expected:
-        all_guards(t + h, y1, m, p, work, g)
-        fired = some_negative(g)
-    if expected and not fired:
+        fired = f[LOWEST * WIDTH + j] < 0.0
+    if expected and not fired and f[HIDES * WIDTH + j] != 0.0:
         rate0 = lane(f, RATE_0, j, WIDTH, "")
         theta = hidden_turn(h, y, y1, rate0, lane(f, RATE, j, WIDTH, ""), m)
         theta = min(theta, hidden_meeting(h, y, y1, m, p))
@@ -348,17 +358,17 @@ def judge(
         if theta < 1.0:
             state = lane(f, SPARE, j, WIDTH, "")
             interpolate(theta, dense, state, n)
-            all_guards(t + theta * h, state, m, p, work, g)
-            fired = some_negative(g)
+            fired = all_guards(t + theta * h, state, m, p, work, g) < 0.0
             if not fired:
                 theta = 1.0
         if fired:
+            if theta == 1.0:
+                all_guards(t + h, y1, m, p, work, g)
             g0 = scratch[SCRATCH_G0:]
-            all_guards(t, y, m, p, work, g0)
-            if use == FOLLOW_GRID and some_negative(g0):
+            begun = all_guards(t, y, m, p, work, g0)
+            if use == FOLLOW_GRID and begun < 0.0:
                 return OFF_GRID
-            theta = locate(t, h, theta, dense, y1, m, p, work, g, g0, n)
-            index = smallest(g)
+            theta, index = locate(t, h, theta, dense, y1, m, p, work, g, g0, n)
             until = t + theta * h
         sample_step(f, j, memory, until, theta, samples, n_sample, columns, n_columns, out)
     if use != OWN_STEPS:
@@ -380,6 +390,7 @@ def judge(
         after_event(until, index, y, m, p, record, work)
         note_event(f, j, index, memory, record, events, room, result)
         f[WANTED * WIDTH + j] = min(f[WANTED * WIDTH + j], max(FIRST_STEP_S, 0.3 * h))
+        f[BEFORE * WIDTH + j] = 1.0
     return DONE
 
 
@@ -399,6 +410,7 @@ def begin(f, j, n, memory, packed, y0, m0, u0, duration, work):
     f[TIME * WIDTH + j] = 0.0
     f[END * WIDTH + j] = duration
     f[WANTED * WIDTH + j] = STEP_AFTER_REST_S
+    f[BEFORE * WIDTH + j] = 1.0
     for k in range(1, MEMORY):
         memory[k * WIDTH + j] = 0
     y = lane(f, Y, j, WIDTH, "")

@@ -17,11 +17,13 @@ from math import sqrt
 
 from . import layout as L
 from .compiled import called, inlined
-from .fixed_equations import fixed_rates
+from .events import fixed_may_hide, may_hide
+from .fixed_equations import fixed_guards, fixed_rates
 from .layout import FLOW_COEFFICIENTS, MAX_STATES, MODES, PARAMETERS
+from .length_contacts import guards
 from .length_equations import rates
 from .steppers import local_error, stage_1, stage_2, stage_3, stage_4, stage_5, stage_6
-from .views import ABSENT, lane, rows
+from .views import ABSENT, copy_row, lane, rows
 
 WIDTH = 8
 
@@ -42,6 +44,7 @@ FREE_OF = (
 )
 MODES_FREE_OF = (L.M_DAMPER, L.M_LINE, L.M_OIL_REST, L.M_BLOCKED)
 ABSENT["lane parameters"] = sum(1 << i for i in FREE_OF)
+ABSENT["plain parameters"] = ABSENT["lane parameters"] | 1 << L.ALPHA_V0
 ABSENT["lane modes"] = sum(1 << i for i in MODES_FREE_OF)
 
 # Blocks of the flat array, in rows of WIDTH.
@@ -61,9 +64,13 @@ STEP = TIME + 1
 WANTED = STEP + 1  # step that the error control would take
 NEXT = WANTED + 1  # time of the next switch, or of the end
 END = NEXT + 1
-NORM = END + 1
+NORM = END + 1  # square of the error norm
 FACTOR = NORM + 1
-C = FACTOR + 1
+ROOT = FACTOR + 1  # sixteenth root of the norm
+BEFORE = ROOT + 1  # the same of the last step taken, at least LEAST_ROOT
+LOWEST = BEFORE + 1  # guard at the end of the step
+HIDES = LOWEST + 1  # 1: a body may have turned or met another within the step
+C = HIDES + 1
 P = C + FLOW_COEFFICIENTS
 STEPS = P + PARAMETERS  # step sizes again, once for every state
 SCALE = STEPS + MAX_STATES
@@ -74,12 +81,18 @@ LANE_STATES = MAX_STATES * WIDTH
 
 lane_fixed_rates = inlined(fixed_rates.py_func)  # type: ignore[attr-defined]
 lane_length_rates = inlined(rates.py_func)  # type: ignore[attr-defined]
+lane_fixed_guards = inlined(fixed_guards.py_func)  # type: ignore[attr-defined]
+lane_length_guards = inlined(guards.py_func)  # type: ignore[attr-defined]
 
 
 @called
-def rates_of_lanes(f, fixed, fraction, width):
-    """Rates of all lanes at their stage states, `fraction` of their step on: STAGE -> RATE."""
-    if fixed:
+def rates_of_lanes(f, fixed, curved, fraction, width):
+    """Rates of all lanes at their stage states, `fraction` of their step on: STAGE -> RATE.
+
+    curved: a lane's exponents may follow its speed along a curve; else there is no exp, which would
+    be called for one lane after the other.
+    """
+    if fixed and curved:
         for j in range(width):
             lane_fixed_rates(
                 f[TIME * WIDTH + j] + fraction * f[STEP * WIDTH + j],
@@ -92,7 +105,20 @@ def rates_of_lanes(f, fixed, fraction, width):
                 lane(f, C, j, WIDTH, ""),
                 False,
             )
-    else:
+    elif fixed:
+        for j in range(width):
+            lane_fixed_rates(
+                f[TIME * WIDTH + j] + fraction * f[STEP * WIDTH + j],
+                lane(f, STAGE, j, WIDTH, ""),
+                lane(f, RATE, j, WIDTH, ""),
+                lane(f, MODE, j, WIDTH, "lane modes"),
+                lane(f, VALVE, j, WIDTH, ""),
+                lane(f, VALVE_RATE, j, WIDTH, ""),
+                lane(f, P, j, WIDTH, "plain parameters"),
+                lane(f, C, j, WIDTH, ""),
+                False,
+            )
+    elif curved:
         for j in range(width):
             lane_length_rates(
                 f[TIME * WIDTH + j] + fraction * f[STEP * WIDTH + j],
@@ -106,6 +132,59 @@ def rates_of_lanes(f, fixed, fraction, width):
                 lane(f, WORK, j, WIDTH, ""),
                 False,
             )
+    else:
+        for j in range(width):
+            lane_length_rates(
+                f[TIME * WIDTH + j] + fraction * f[STEP * WIDTH + j],
+                lane(f, STAGE, j, WIDTH, ""),
+                lane(f, RATE, j, WIDTH, ""),
+                lane(f, MODE, j, WIDTH, "lane modes"),
+                lane(f, VALVE, j, WIDTH, ""),
+                lane(f, VALVE_RATE, j, WIDTH, ""),
+                lane(f, P, j, WIDTH, "plain parameters"),
+                lane(f, C, j, WIDTH, ""),
+                lane(f, WORK, j, WIDTH, ""),
+                False,
+            )
+
+
+@called
+def guards_of_lanes(f, fixed, width):
+    """Of all lanes: lowest guard at the end of the step -> LOWEST, something hidden in it -> HIDES."""
+    if fixed:
+        for j in range(width):
+            f[LOWEST * WIDTH + j] = lane_fixed_guards(
+                f[TIME * WIDTH + j] + f[STEP * WIDTH + j],
+                lane(f, STAGE, j, WIDTH, ""),
+                lane(f, MODE, j, WIDTH, "lane modes"),
+                lane(f, P, j, WIDTH, "lane parameters"),
+                lane(f, WORK, j, WIDTH, "discarded"),
+            )
+            hides = fixed_may_hide(
+                lane(f, RATE_0, j, WIDTH, ""),
+                lane(f, RATE, j, WIDTH, ""),
+                lane(f, MODE, j, WIDTH, "lane modes"),
+            )
+            f[HIDES * WIDTH + j] = 1.0 if hides else 0.0
+    else:
+        for j in range(width):
+            f[LOWEST * WIDTH + j] = lane_length_guards(
+                f[TIME * WIDTH + j] + f[STEP * WIDTH + j],
+                lane(f, STAGE, j, WIDTH, ""),
+                lane(f, MODE, j, WIDTH, "lane modes"),
+                lane(f, P, j, WIDTH, "lane parameters"),
+                lane(f, WORK, j, WIDTH, ""),
+                lane(f, WORK, j, WIDTH, "discarded"),
+            )
+            hides = may_hide(
+                lane(f, Y, j, WIDTH, ""),
+                lane(f, STAGE, j, WIDTH, ""),
+                lane(f, RATE_0, j, WIDTH, ""),
+                lane(f, RATE, j, WIDTH, ""),
+                lane(f, MODE, j, WIDTH, "lane modes"),
+                lane(f, P, j, WIDTH, "lane parameters"),
+            )
+            f[HIDES * WIDTH + j] = 1.0 if hides else 0.0
 
 
 @inlined
@@ -119,12 +198,13 @@ def increments(f, source, stage, count):
 
 
 @called
-def step_of_lanes(f, fixed, n, tolerance, width):
+def step_of_lanes(f, fixed, curved, n, tolerance, width):
     """One Dormand-Prince step of every lane, each with its own step size.
 
     First, lanes whose last step was ACCEPTED take its end as their state.  Then
-    Y, RATE_0, TIME, STEP -> STAGE (new state), RATE (rates there), K (increments), NORM (of the
-    error) and FACTOR, by which the error lets the step grow; SCALE holds the states' typical sizes.
+    Y, RATE_0, TIME, STEP -> STAGE (new state), RATE (rates there), K (increments), LOWEST (guard
+    there), HIDES, NORM (of the error), ROOT and FACTOR, by which the error lets the step grow; SCALE holds
+    the states' typical sizes.
     `width` must be WIDTH; as a variable it keeps the compiler from unrolling the lanes.
     """
     count = n * WIDTH
@@ -133,36 +213,41 @@ def step_of_lanes(f, fixed, n, tolerance, width):
     error = f[SPARE * WIDTH :]
     k = rows(f[K * WIDTH :], LANE_STATES)
     for i in range(n):
-        for j in range(WIDTH):
-            f[(STEPS + i) * WIDTH + j] = f[STEP * WIDTH + j]
-            f[(TAKE + i) * WIDTH + j] = f[ACCEPTED * WIDTH + j]
+        copy_row(f, STEP * WIDTH, (STEPS + i) * WIDTH, WIDTH)
+        copy_row(f, ACCEPTED * WIDTH, (TAKE + i) * WIDTH, WIDTH)
     take = f[TAKE * WIDTH :]
     first = f[RATE_0 * WIDTH :]
     last = f[RATE * WIDTH :]
     for e in range(count):
-        y[e] = out[e] if take[e] != 0.0 else y[e]
+        old = y[e]
+        new = out[e]
+        y[e] = new if take[e] != 0.0 else old
     for e in range(count):
-        first[e] = last[e] if take[e] != 0.0 else first[e]
+        old = first[e]
+        new = last[e]
+        first[e] = new if take[e] != 0.0 else old
     increments(f, RATE_0, 0, count)
     stage_1(1.0, y, k, out, count)
-    rates_of_lanes(f, fixed, 0.2, width)
+    rates_of_lanes(f, fixed, curved, 0.2, width)
     increments(f, RATE, 1, count)
     stage_2(1.0, y, k, out, count)
-    rates_of_lanes(f, fixed, 0.3, width)
+    rates_of_lanes(f, fixed, curved, 0.3, width)
     increments(f, RATE, 2, count)
     stage_3(1.0, y, k, out, count)
-    rates_of_lanes(f, fixed, 0.8, width)
+    rates_of_lanes(f, fixed, curved, 0.8, width)
     increments(f, RATE, 3, count)
     stage_4(1.0, y, k, out, count)
-    rates_of_lanes(f, fixed, 8.0 / 9.0, width)
+    rates_of_lanes(f, fixed, curved, 8.0 / 9.0, width)
     increments(f, RATE, 4, count)
     stage_5(1.0, y, k, out, count)
-    rates_of_lanes(f, fixed, 1.0, width)
+    rates_of_lanes(f, fixed, curved, 1.0, width)
     increments(f, RATE, 5, count)
     stage_6(1.0, y, k, out, count)
-    rates_of_lanes(f, fixed, 1.0, width)
+    rates_of_lanes(f, fixed, curved, 1.0, width)
     increments(f, RATE, 6, count)
+    guards_of_lanes(f, fixed, width)
     local_error(1.0, k, error, count)
+    share = 1.0 / n
     scale = f[SCALE * WIDTH :]
     for e in range(count):
         ratio = error[e] / (tolerance * (scale[e] + max(abs(y[e]), abs(out[e]))))
@@ -173,8 +258,10 @@ def step_of_lanes(f, fixed, n, tolerance, width):
         for j in range(WIDTH):
             f[NORM * WIDTH + j] += error[i * WIDTH + j]
     for j in range(width):
-        # norm^(3/16), between the fifth and the sixth root, by square roots alone
-        norm = sqrt(f[NORM * WIDTH + j] / n)
-        eighth = sqrt(sqrt(sqrt(norm)))
+        # a proportional-integral controller by square roots alone: norm^(-1/8), times the last
+        # norm's power 1/16 (see `grown`), which keeps the steps from swinging
+        norm = f[NORM * WIDTH + j] * share
+        eighth = sqrt(sqrt(sqrt(sqrt(norm))))
         f[NORM * WIDTH + j] = norm
-        f[FACTOR * WIDTH + j] = 0.9 / max(eighth * sqrt(eighth), 0.18)
+        f[ROOT * WIDTH + j] = sqrt(eighth)
+        f[FACTOR * WIDTH + j] = 0.95 / max(eighth, 0.1)

@@ -46,7 +46,7 @@ from .lane_steps import (
     Y,
     step_of_lanes,
 )
-from .layout import FLOW_COEFFICIENTS
+from .layout import ALPHA_V0, FLOW_COEFFICIENTS
 from .views import view
 
 
@@ -105,6 +105,9 @@ def run_lanes(
     one_switch = switches.shape[0] == 1
     one_duration = duration.shape[0] == 1
     one_sample = samples.shape[0] == 1
+    curved = False
+    for stroke in order:
+        curved = curved or packed[stroke, ALPHA_V0] != 0.0
     upcoming = 0
     active = 0
     for k in range(n):
@@ -116,7 +119,7 @@ def run_lanes(
     starting = True
     while starting or active > 0:
         if not starting:
-            step_of_lanes(f, fixed, n, tolerance, width)
+            step_of_lanes(f, fixed, curved, n, tolerance, width)
         for j in range(WIDTH):
             stroke = memory[STROKE * WIDTH + j]
             if stroke == IDLE and not starting:

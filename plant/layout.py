@@ -37,7 +37,9 @@ M_OIL_REST = 8  # compressible damper: 1 while its pressure stands at atmosphere
 M_LINE = 9  # 1: supply line with volume and restriction (hose droop)
 M_INSIDE = 10  # 1 while the stay is between the two blocking positions of the synchronizer
 M_SIDE = 11  # +1 / -1: side of neutral on which the length stroke's damper acts
-MODES = 12
+# sides of the corners of the damper's law: 1 before them (`plant.damper.borders`)
+M_CAPPED, M_OPEN, M_LIFTED = 12, 13, 14
+MODES = 15
 FREE, NUT, COLLAR = 0, 1, 2
 
 # --- parameters -----------------------------------------------------------------------------------

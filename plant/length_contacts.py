@@ -1,4 +1,4 @@
-"""Guards and resets of the length stroke: stops, contacts, sticking, the synchronizer's block.
+"""Guards of the length stroke: stops, contacts, sticking, the synchronizer's block, the damper's corners.
 
 Three bodies on one line.  A contact has a body behind and one ahead: moving in + the body behind
 pushes the one ahead.  Collar 1: piston 1 behind, stay ahead; nut 1: stay behind, piston 1 ahead;
@@ -13,15 +13,17 @@ from .layout import (
     FREE,
     LOIL,
     M_BLOCKED,
+    M_CAPPED,
     M_DAMPER,
     M_INSIDE,
     M_JOINED1,
     M_JOINED2,
+    M_LIFTED,
     M_OIL_REST,
+    M_OPEN,
     M_P,
     M_PISTON1,
     M_PISTON2,
-    M_S,
     M_SIDE,
     M_STAY,
     NUT,
@@ -29,7 +31,6 @@ from .layout import (
     PB,
     PF,
     PN,
-    RESTITUTION,
     SPENT,
     STOP_OFFSET,
     STROKE,
@@ -46,28 +47,21 @@ from .layout import (
 from .length_equations import (
     TOUCH_M,
     accelerations,
+    damper_borders,
     net_forces,
-    piston_sliding,
     piston_static,
-    stay_sliding,
     stay_static,
-    touching,
 )
 
 EPS_M = 1e-13
 EPS_M_S = 1e-11
 EPS_N = 1e-7
 EPS_PA = 1e-7
-# A rebound slower than this is a stop: the end of a Zeno sequence.
-REST_M_S = 1e-4
-# Equal velocities of touching bodies, up to rounding.
-SAME_M_S = 1e-10
-# Touching bodies that part slower than this, and would meet again, stay together: the end of a
-# Zeno sequence of contacts.
-SLOW_M_S = 1e-5
+EPS_M2 = 1e-18
+EPS_CD = 1e-12
 FAR = 1.0e30
 
-GUARDS = 20
+GUARDS = 23
 (
     G_STAY_SPEED,
     G_SPEED1,
@@ -89,7 +83,11 @@ GUARDS = 20
     G_OIL_EMPTY,
     G_OIL_FILL,
     G_NEUTRAL,
+    G_CAPPED,
+    G_OPEN,
+    G_LIFTED,
 ) = range(GUARDS)
+FIRST_CORNER = G_CAPPED  # from here on: corners of a law, at which nothing happens but a new step
 
 
 @inlined
@@ -129,94 +127,132 @@ def piston_holds(direction, which, y):
     return direction > 0 and y[X2] <= TOUCH_M
 
 
-@called
-def rest_margins(y, m, p, force, g):
-    """Margins before something at rest moves [N]: static friction minus driving force -> g."""
+@inlined
+def stay_margin(d, y, m, p, force, static1, static2):
+    """Margin before the stay, at rest, moves in direction d (1, -1) with what it takes along [N].
+
+    static1, static2: static friction of the pistons that way.
+    """
     high, low = stay_limits(y, m, p)
-    static1p = piston_static(1.0, y[PB] - y[PN], p)
-    static1m = piston_static(-1.0, y[PB] - y[PN], p)
-    static2p = piston_static(1.0, y[PF] - y[PN], p)
-    static2m = piston_static(-1.0, y[PF] - y[PN], p)
     c1 = m[M_JOINED1]
     c2 = m[M_JOINED2]
+    hold = FAR
+    own = stay_static(y[XS], d, p)
+    stopped = (d > 0 and y[XS] >= high - TOUCH_M) or (d < 0 and y[XS] <= low + TOUCH_M)
+    # the stay with everything joined to it, or only touching it at rest and in the way
+    blocked = stopped
+    total = d * force[0]
+    cap = own
+    gap = y[X1] - y[XS]
+    ahead = gap <= TOUCH_M if d > 0 else gap >= p[X_FREE] - TOUCH_M
+    if c1 != FREE or (not blocked and ahead and m[M_PISTON1] == 0):
+        blocked = blocked or piston_holds(d, 1, y)
+        total += d * force[1]
+        cap += static1
+    gap = y[X2] + y[XS]
+    ahead = gap <= TOUCH_M if d < 0 else gap >= p[X_FREE] - TOUCH_M
+    if c2 != FREE or (not blocked and ahead and m[M_PISTON2] == 0):
+        blocked = blocked or piston_holds(d, 2, y)
+        total += d * force[2]
+        cap += static2
+    if not blocked:
+        hold = cap - total
+    # leaving a contact: the stay (with the other piston) away from piston 1, 2
+    if c1 != FREE and d == -sign_ahead(1, c1):
+        away = d * force[0]
+        cap = own
+        blocked = stopped
+        if c2 != FREE:
+            away += d * force[2]
+            cap += static2
+            blocked = blocked or piston_holds(d, 2, y)
+        if not blocked:
+            hold = min(hold, cap - away)
+    if c2 != FREE and d == -sign_ahead(2, c2):
+        away = d * force[0]
+        cap = own
+        blocked = stopped
+        if c1 != FREE:
+            away += d * force[1]
+            cap += static1
+            blocked = blocked or piston_holds(d, 1, y)
+        if not blocked:
+            hold = min(hold, cap - away)
+    return hold
+
+
+@inlined
+def piston_margin(d, which, contact, y, static, force):
+    """Margin before piston `which`, at rest, moves in direction d (1, -1) [N]."""
+    if (contact != FREE and d != sign_ahead(which, contact)) or piston_holds(d, which, y):
+        return FAR
+    return static - d * force
+
+
+@inlined
+def rest_margins(y, m, p, force):
+    """Margins before stay, piston 1, piston 2 leave their rest [N]: friction less driving force."""
+    c1 = m[M_JOINED1]
+    c2 = m[M_JOINED2]
+    plus1 = piston_static(1.0, y[PB] - y[PN], p)
+    minus1 = piston_static(-1.0, y[PB] - y[PN], p)
+    plus2 = piston_static(1.0, y[PF] - y[PN], p)
+    minus2 = piston_static(-1.0, y[PF] - y[PN], p)
+    hold = FAR
+    hold1 = FAR
+    hold2 = FAR
     if m[M_STAY] == 0:
-        # the stay with everything joined to it, each direction unless blocked
-        for d in (1, -1):
-            blocked = (d > 0 and y[XS] >= high - TOUCH_M) or (d < 0 and y[XS] <= low + TOUCH_M)
-            total = d * force[0]
-            cap = stay_static(y[XS], d, p)
-            if c1 != FREE:
-                blocked = blocked or piston_holds(d, 1, y)
-                total += d * force[1]
-                cap += static1p if d > 0 else static1m
-            elif not blocked:
-                # a resting piston in the way without being joined: only touching
-                gap = y[X1] - y[XS]
-                if d > 0 and gap <= TOUCH_M and m[M_PISTON1] == 0:
-                    total += d * force[1]
-                    cap += static1p
-                if d < 0 and gap >= p[X_FREE] - TOUCH_M and m[M_PISTON1] == 0:
-                    total += d * force[1]
-                    cap += static1m
-                    blocked = blocked or piston_holds(d, 1, y)
-            if c2 != FREE:
-                blocked = blocked or piston_holds(d, 2, y)
-                total += d * force[2]
-                cap += static2p if d > 0 else static2m
-            elif not blocked:
-                gap = y[X2] + y[XS]
-                if d < 0 and gap <= TOUCH_M and m[M_PISTON2] == 0:
-                    total += d * force[2]
-                    cap += static2m
-                if d > 0 and gap >= p[X_FREE] - TOUCH_M and m[M_PISTON2] == 0:
-                    total += d * force[2]
-                    cap += static2p
-                    blocked = blocked or piston_holds(d, 2, y)
-            if not blocked:
-                g[G_HOLD_STAY] = min(g[G_HOLD_STAY], cap - total)
-            # leaving a contact: the stay (with the other piston) away from piston 1, 2
-            if c1 != FREE and d == -sign_ahead(1, c1):
-                away = d * force[0]
-                hold = stay_static(y[XS], d, p)
-                stopped = (d > 0 and y[XS] >= high - TOUCH_M) or (d < 0 and y[XS] <= low + TOUCH_M)
-                if c2 != FREE:
-                    away += d * force[2]
-                    hold += static2p if d > 0 else static2m
-                    stopped = stopped or piston_holds(d, 2, y)
-                if not stopped:
-                    g[G_HOLD_STAY] = min(g[G_HOLD_STAY], hold - away)
-            if c2 != FREE and d == -sign_ahead(2, c2):
-                away = d * force[0]
-                hold = stay_static(y[XS], d, p)
-                stopped = (d > 0 and y[XS] >= high - TOUCH_M) or (d < 0 and y[XS] <= low + TOUCH_M)
-                if c1 != FREE:
-                    away += d * force[1]
-                    hold += static1p if d > 0 else static1m
-                    stopped = stopped or piston_holds(d, 1, y)
-                if not stopped:
-                    g[G_HOLD_STAY] = min(g[G_HOLD_STAY], hold - away)
+        hold = min(
+            stay_margin(1, y, m, p, force, plus1, plus2),
+            stay_margin(-1, y, m, p, force, minus1, minus2),
+        )
     if m[M_PISTON1] == 0:
-        for d in (1, -1):
-            if c1 != FREE and d != sign_ahead(1, c1):
-                continue
-            if not piston_holds(d, 1, y):
-                g[G_HOLD1] = min(g[G_HOLD1], (static1p if d > 0 else static1m) - d * force[1])
+        hold1 = min(
+            piston_margin(1, 1, c1, y, plus1, force[1]),
+            piston_margin(-1, 1, c1, y, minus1, force[1]),
+        )
     if m[M_PISTON2] == 0:
-        for d in (1, -1):
-            if c2 != FREE and d != sign_ahead(2, c2):
-                continue
-            if not piston_holds(d, 2, y):
-                g[G_HOLD2] = min(g[G_HOLD2], (static2p if d > 0 else static2m) - d * force[2])
+        hold2 = min(
+            piston_margin(1, 2, c2, y, plus2, force[2]),
+            piston_margin(-1, 2, c2, y, minus2, force[2]),
+        )
+    return hold + EPS_N, hold1 + EPS_N, hold2 + EPS_N
+
+
+@inlined
+def put(g, k, value, low):
+    """Write guard k; returns the lowest so far."""
+    g[k] = value
+    return min(low, value)
+
+
+@inlined
+def damper_corners(distance, speed, m, p, g, low):
+    """Guards of the corners of the damper's law; returns the lowest guard so far."""
+    capped, opened, lifted = damper_borders(distance, speed, p)
+    low = put(g, G_CAPPED, (capped if m[M_CAPPED] != 0 else -capped) + EPS_M2, low)
+    low = put(g, G_OPEN, (opened if m[M_OPEN] != 0 else -opened) + EPS_M, low)
+    return put(g, G_LIFTED, (lifted if m[M_LIFTED] != 0 else -lifted) + EPS_CD, low)
+
+
+@inlined
+def note_corners(distance, speed, m, p):
+    """Remember on which sides of the damper's corners the stay stands."""
+    capped, opened, lifted = damper_borders(distance, speed, p)
+    m[M_CAPPED] = 1 if capped > 0.0 else 0
+    m[M_OPEN] = 1 if opened > 0.0 else 0
+    m[M_LIFTED] = 1 if lifted > 0.0 else 0
 
 
 @called
 def guards(t, y, m, p, work, g):
-    """Guards of the present modes -> g[0:GUARDS]; each is positive until its event.
+    """Guards of the present modes -> g[0:GUARDS]; each is positive until its event.  Returns the lowest.
 
     Shifted by a rounding-sized amount so that a guard just fired does not fire again.
     """
+    low = FAR
     for k in range(GUARDS):
-        g[k] = FAR
+        g[k] = low
     force = work[0:3]
     acc = work[3:6]
     net_forces(y, m, p, t, force)
@@ -228,412 +264,57 @@ def guards(t, y, m, p, work, g):
     w1 = y[V1]
     w2 = -y[V2]
     if d != 0:
-        g[G_STAY_SPEED] = d * y[VS] + EPS_M_S
-        high, low = stay_limits(y, m, p)
+        low = put(g, G_STAY_SPEED, d * y[VS] + EPS_M_S, low)
+        highest, lowest = stay_limits(y, m, p)
         if d > 0:
-            g[G_STAY_HIGH] = high - y[XS] + EPS_M
+            low = put(g, G_STAY_HIGH, highest - y[XS] + EPS_M, low)
         else:
-            g[G_STAY_LOW] = y[XS] - low + EPS_M
+            low = put(g, G_STAY_LOW, y[XS] - lowest + EPS_M, low)
     if d1 != 0:
         if c1 == FREE:
-            g[G_SPEED1] = d1 * w1 + EPS_M_S
+            low = put(g, G_SPEED1, d1 * w1 + EPS_M_S, low)
         if d1 < 0:
-            g[G_OUTER1] = y[X1] + EPS_M
+            low = put(g, G_OUTER1, y[X1] + EPS_M, low)
     if d2 != 0:
         if c2 == FREE:
-            g[G_SPEED2] = d2 * w2 + EPS_M_S
+            low = put(g, G_SPEED2, d2 * w2 + EPS_M_S, low)
         if d2 > 0:
-            g[G_OUTER2] = y[X2] + EPS_M
+            low = put(g, G_OUTER2, y[X2] + EPS_M, low)
     if c1 == FREE and (d1 != 0 or d != 0):
         gap = y[X1] - y[XS]
         if gap < 0.5 * p[X_FREE]:
-            g[G_NUT1] = gap + EPS_M
+            low = put(g, G_NUT1, gap + EPS_M, low)
         else:
-            g[G_COLLAR1] = p[X_FREE] - gap + EPS_M
+            low = put(g, G_COLLAR1, p[X_FREE] - gap + EPS_M, low)
     if c2 == FREE and (d2 != 0 or d != 0):
         gap = y[X2] + y[XS]
         if gap < 0.5 * p[X_FREE]:
-            g[G_NUT2] = gap + EPS_M
+            low = put(g, G_NUT2, gap + EPS_M, low)
         else:
-            g[G_COLLAR2] = p[X_FREE] - gap + EPS_M
+            low = put(g, G_COLLAR2, p[X_FREE] - gap + EPS_M, low)
     if d != 0 and (c1 != FREE or c2 != FREE):
         accelerations(m, p, force, acc)
         if c1 != FREE:
-            g[G_CONTACT1] = sign_ahead(1, c1) * (p[M_P] * acc[0] - force[1]) + EPS_N
+            low = put(g, G_CONTACT1, sign_ahead(1, c1) * (p[M_P] * acc[0] - force[1]) + EPS_N, low)
         if c2 != FREE:
-            g[G_CONTACT2] = sign_ahead(2, c2) * (p[M_P] * acc[0] - force[2]) + EPS_N
+            low = put(g, G_CONTACT2, sign_ahead(2, c2) * (p[M_P] * acc[0] - force[2]) + EPS_N, low)
     if d == 0 or d1 == 0 or d2 == 0:
-        rest_margins(y, m, p, force, g)
-        g[G_HOLD_STAY] += EPS_N
-        g[G_HOLD1] += EPS_N
-        g[G_HOLD2] += EPS_N
+        hold, hold1, hold2 = rest_margins(y, m, p, force)
+        low = put(g, G_HOLD_STAY, hold, low)
+        low = put(g, G_HOLD1, hold1, low)
+        low = put(g, G_HOLD2, hold2, low)
     if m[M_BLOCKED] != 0:
-        g[G_SYNC] = p[SYNC_IMPULSE] - y[SPENT]
+        low = put(g, G_SYNC, p[SYNC_IMPULSE] - y[SPENT], low)
     if m[M_DAMPER] != 0:
         side = float(m[M_SIDE])
         if d * side < 0:
             # crossing neutral: the damper acts on the other side from there
-            g[G_NEUTRAL] = side * y[XS] + EPS_M
+            low = put(g, G_NEUTRAL, side * y[XS] + EPS_M, low)
+        if d != 0:
+            low = damper_corners(side * y[XS], side * y[VS], m, p, g, low)
         if m[M_DAMPER] == 2:
             if m[M_OIL_REST] == 0:
-                g[G_OIL_EMPTY] = y[LOIL] - p[P_ATM] + EPS_PA
+                low = put(g, G_OIL_EMPTY, y[LOIL] - p[P_ATM] + EPS_PA, low)
             elif d != 0:
-                g[G_OIL_FILL] = EPS_M_S - side * y[VS]
-
-
-@inlined
-def meets(contact, relative, slow):
-    """True if touching bodies change their velocities: they close, or part too slowly to count.
-
-    relative: rate at which their gap grows [m/s]; slow: see `slow_partings`.
-    """
-    if contact == FREE or abs(relative) <= SAME_M_S:
-        return False
-    return (relative if contact == NUT else -relative) < slow
-
-
-@inlined
-def join_velocity(y, p, which, slow):
-    """Inelastic contact of the stay and one piston; returns the kinetic energy lost [J].
-
-    Conserves momentum.  The other piston takes part if it touches and does not part (faster than
-    `slow` [m/s]).
-    """
-    vs = y[VS]
-    w1 = y[V1]
-    w2 = -y[V2]
-    before = p[M_S] * vs * vs + p[M_P] * (w1 * w1 + w2 * w2)
-    if which == 1:
-        v = (p[M_S] * vs + p[M_P] * w1) / (p[M_S] + p[M_P])
-        contact = touching(y[X2] + y[XS], p)
-        both = contact != FREE and sign_ahead(2, contact) * (w2 - v) < slow
-    else:
-        v = (p[M_S] * vs + p[M_P] * w2) / (p[M_S] + p[M_P])
-        contact = touching(y[X1] - y[XS], p)
-        both = contact != FREE and sign_ahead(1, contact) * (w1 - v) < slow
-    if both:
-        v = (p[M_S] * vs + p[M_P] * (w1 + w2)) / (p[M_S] + 2.0 * p[M_P])
-    if both or which == 1:
-        y[V1] = v
-    if both or which == 2:
-        y[V2] = -v
-    y[VS] = v
-    after = p[M_S] * v * v + p[M_P] * (y[V1] * y[V1] + y[V2] * y[V2])
-    return 0.5 * (before - after)
-
-
-@inlined
-def rebound(v, p):
-    """Velocity after a stop: -e v, or 0 when slower than a rebound that counts."""
-    after = -p[RESTITUTION] * v
-    return after if abs(after) > REST_M_S else 0.0
-
-
-@inlined
-def group_acceleration(v, drive, cap_plus, cap_minus, run_plus, run_minus, mass, stop_plus, stop_minus):
-    """Acceleration of one group of joined bodies: set-valued friction at rest, stops one-sided."""
-    if v > 0.0:
-        return (drive - run_plus) / mass
-    if v < 0.0:
-        return (drive + run_minus) / mass
-    if drive > cap_plus and not stop_plus:
-        return (drive - run_plus) / mass
-    if drive < -cap_minus and not stop_minus:
-        return (drive + run_minus) / mass
-    return 0.0
-
-
-@inlined
-def lone_piston(v, drive, pressure, stop_plus, stop_minus, p):
-    """Acceleration of a piston that touches nothing but its outer stop [m/s^2], as x_s counts."""
-    return group_acceleration(
-        v,
-        drive,
-        piston_static(1.0, pressure, p),
-        piston_static(-1.0, pressure, p),
-        piston_sliding(v, 1.0, pressure, p),
-        piston_sliding(v, -1.0, pressure, p),
-        p[M_P],
-        stop_plus,
-        stop_minus,
-    )
-
-
-@called
-def slow_partings(t, y, m, p, work):
-    """Speeds below which pistons 1 and 2 do not count as parting from the stay [m/s].
-
-    SLOW_M_S where the accelerations, each body alone, would close the contact again; else 0.
-    """
-    m[M_STAY] = 0
-    m[M_PISTON1] = 0
-    m[M_PISTON2] = 0
-    force = work[0:3]
-    net_forces(y, m, p, t, force)
-    high, low = stay_limits(y, m, p)
-    a = group_acceleration(
-        y[VS],
-        force[0],
-        stay_static(y[XS], 1.0, p),
-        stay_static(y[XS], -1.0, p),
-        stay_sliding(y[XS], y[VS], 1.0, p),
-        stay_sliding(y[XS], y[VS], -1.0, p),
-        p[M_S],
-        y[XS] >= high - TOUCH_M,
-        y[XS] <= low + TOUCH_M,
-    )
-    a1 = lone_piston(y[V1], force[1], y[PB] - y[PN], False, y[X1] <= TOUCH_M, p)
-    a2 = lone_piston(-y[V2], force[2], y[PF] - y[PN], y[X2] <= TOUCH_M, False, p)
-    c1 = touching(y[X1] - y[XS], p)
-    c2 = touching(y[X2] + y[XS], p)
-    slow1 = SLOW_M_S if c1 != FREE and sign_ahead(1, c1) * (a1 - a) < 0.0 else 0.0
-    slow2 = SLOW_M_S if c2 != FREE and sign_ahead(2, c2) * (a2 - a) < 0.0 else 0.0
-    return slow1, slow2
-
-
-@called
-def impacts(t, y, m, p, record, work):
-    """Resolve all closing contacts and stops at this instant; record[0] energy lost [J],
-    record[1] speed of the stay into an end stop, record[2] 1 if it was the synchronizer.
-
-    Leaves the bodies' modes of motion to `settle`.
-    """
-    slow1, slow2 = slow_partings(t, y, m, p, work)
-    record[0] = 0.0
-    record[1] = 0.0
-    record[2] = 0.0
-    for _ in range(12):
-        high, low = stay_limits(y, m, p)
-        again = False
-        held = 0.0
-        # pistons on their outer stops
-        if y[X1] <= TOUCH_M and y[V1] < 0.0:
-            y[X1] = 0.0
-            after = rebound(y[V1], p)
-            record[0] += 0.5 * p[M_P] * (y[V1] * y[V1] - after * after)
-            y[V1] = after
-            again = True
-        if y[X2] <= TOUCH_M and y[V2] < 0.0:
-            y[X2] = 0.0
-            after = rebound(y[V2], p)
-            record[0] += 0.5 * p[M_P] * (y[V2] * y[V2] - after * after)
-            y[V2] = after
-            again = True
-        # the stay on its stops
-        if y[XS] >= high - TOUCH_M and y[VS] > 0.0:
-            held = 1.0
-            y[XS] = high
-        elif y[XS] <= low + TOUCH_M and y[VS] < 0.0:
-            held = -1.0
-            y[XS] = low
-        # neutral: a piston at rest on its outer stop is as fixed as the housing
-        elif y[VS] < 0.0 and y[X2] + y[XS] <= TOUCH_M and y[X2] <= TOUCH_M and y[V2] <= 0.0:
-            held = -2.0
-            y[XS] = 0.0
-            y[X2] = 0.0
-        elif y[VS] > 0.0 and y[X1] - y[XS] <= TOUCH_M and y[X1] <= TOUCH_M and y[V1] <= 0.0:
-            held = 2.0
-            y[XS] = 0.0
-            y[X1] = 0.0
-        if held != 0.0:
-            at_block = abs(held) == 1.0 and abs(y[XS]) < end_stop(p) - TOUCH_M
-            after = 0.0 if at_block else rebound(y[VS], p)
-            record[0] += 0.5 * p[M_S] * (y[VS] * y[VS] - after * after)
-            if abs(y[VS]) > record[1]:
-                record[1] = abs(y[VS])
-                record[2] = 1.0 if at_block else 0.0
-            y[VS] = after
-            again = True
-        # contacts of stay and pistons
-        relative = y[V1] - y[VS]
-        if meets(touching(y[X1] - y[XS], p), relative, slow1):
-            stopped = (
-                (y[XS] >= high - TOUCH_M and relative > 0.0)
-                or (y[XS] <= low + TOUCH_M and relative < 0.0)
-                or (relative < 0.0 and y[X2] + y[XS] <= TOUCH_M and y[X2] <= TOUCH_M)
-                or abs(relative) < slow1
-            ) and y[VS] == 0.0
-            if stopped:
-                record[0] += 0.5 * p[M_P] * y[V1] * y[V1]
-                y[V1] = 0.0
-            else:
-                record[0] += join_velocity(y, p, 1, slow2)
-            again = True
-        relative = y[VS] + y[V2]
-        if meets(touching(y[X2] + y[XS], p), relative, slow2):
-            stopped = (
-                (y[XS] <= low + TOUCH_M and relative > 0.0)
-                or (y[XS] >= high - TOUCH_M and relative < 0.0)
-                or (relative < 0.0 and y[X1] - y[XS] <= TOUCH_M and y[X1] <= TOUCH_M)
-                or abs(relative) < slow2
-            ) and y[VS] == 0.0
-            if stopped:
-                record[0] += 0.5 * p[M_P] * y[V2] * y[V2]
-                y[V2] = 0.0
-            else:
-                record[0] += join_velocity(y, p, 2, slow1)
-            again = True
-        if not again:
-            break
-
-
-@inlined
-def direction_of(v, a):
-    """+1, -1 or 0: the way a body moves, or starts to move."""
-    if v > 0.0:
-        return 1
-    if v < 0.0:
-        return -1
-    if a > 0.0:
-        return 1
-    if a < 0.0:
-        return -1
-    return 0
-
-
-@inlined
-def settle_damper(y, m, p):
-    """Choose the side on which the damper acts, and whether its oil rests.
-
-    At neutral: the side to which the stay goes; one that stays there keeps its side.  The oil of the
-    side it comes to stands at the atmosphere.
-    """
-    before = m[M_SIDE]
-    if abs(y[XS]) > TOUCH_M:
-        m[M_SIDE] = 1 if y[XS] > 0.0 else -1
-    elif m[M_STAY] != 0:
-        m[M_SIDE] = m[M_STAY]
-    elif before == 0:
-        m[M_SIDE] = 1
-    if m[M_DAMPER] == 2:
-        if before != 0 and m[M_SIDE] != before:
-            y[LOIL] = p[P_ATM]
-        m[M_OIL_REST] = 0
-        if y[LOIL] <= p[P_ATM] + EPS_PA:
-            y[LOIL] = p[P_ATM]
-            m[M_OIL_REST] = 0 if m[M_STAY] * m[M_SIDE] > 0 else 1
-
-
-@called
-def settle(t, y, m, p, work):
-    """Choose the modes that continue the motion from here: who is joined, who rests, who moves.
-
-    Bodies start apart; touching bodies whose accelerations (or pushes at rest) would close the
-    contact are joined, until none closes; then those that would pull are parted (the
-    one-dimensional contact problem, solved as pool-adjacent-violators does).  Friction at rest is
-    set-valued; touching bodies that break away together are all sliding from there on.
-    """
-    force = work[0:3]
-    note_side(y, m, p)
-    m[M_BLOCKED] = 0
-    m[M_STAY] = 0
-    m[M_PISTON1] = 0
-    m[M_PISTON2] = 0
-    net_forces(y, m, p, t, force)
-    drive_s = force[0]
-    drive1 = force[1]
-    drive2 = force[2]
-    high, low = stay_limits(y, m, p)
-    gap1 = y[X1] - y[XS]
-    gap2 = y[X2] + y[XS]
-    same1 = abs(y[V1] - y[VS]) <= SAME_M_S
-    same2 = abs(y[V2] + y[VS]) <= SAME_M_S
-    touch1 = touching(gap1, p) if same1 else FREE
-    touch2 = touching(gap2, p) if same2 else FREE
-    c1 = FREE
-    c2 = FREE
-    pressure1 = y[PB] - y[PN]
-    pressure2 = y[PF] - y[PN]
-    a = 0.0
-    a1 = 0.0
-    a2 = 0.0
-    for _ in range(3):
-        drive = drive_s
-        mass = p[M_S]
-        cap_plus = stay_static(y[XS], 1.0, p)
-        cap_minus = stay_static(y[XS], -1.0, p)
-        stop_plus = y[XS] >= high - TOUCH_M
-        stop_minus = y[XS] <= low + TOUCH_M
-        run_plus = stay_sliding(y[XS], y[VS], 1.0, p)
-        run_minus = stay_sliding(y[XS], y[VS], -1.0, p)
-        if c1 != FREE:
-            drive += drive1
-            mass += p[M_P]
-            cap_plus += piston_static(1.0, pressure1, p)
-            cap_minus += piston_static(-1.0, pressure1, p)
-            run_plus += piston_sliding(y[VS], 1.0, pressure1, p)
-            run_minus += piston_sliding(y[VS], -1.0, pressure1, p)
-            stop_minus = stop_minus or y[X1] <= TOUCH_M
-        if c2 != FREE:
-            drive += drive2
-            mass += p[M_P]
-            cap_plus += piston_static(1.0, pressure2, p)
-            cap_minus += piston_static(-1.0, pressure2, p)
-            run_plus += piston_sliding(y[VS], 1.0, pressure2, p)
-            run_minus += piston_sliding(y[VS], -1.0, pressure2, p)
-            stop_plus = stop_plus or y[X2] <= TOUCH_M
-        a = group_acceleration(
-            y[VS], drive, cap_plus, cap_minus, run_plus, run_minus, mass, stop_plus, stop_minus
-        )
-        a1 = lone_piston(y[V1], drive1, pressure1, False, y[X1] <= TOUCH_M, p)
-        if c1 != FREE:
-            a1 = a
-        a2 = lone_piston(-y[V2], drive2, pressure2, y[X2] <= TOUCH_M, False, p)
-        if c2 != FREE:
-            a2 = a
-        joined = False
-        if c1 == FREE and touch1 != FREE and sign_ahead(1, touch1) * (a1 - a) < 0.0:
-            c1 = touch1
-            joined = True
-        elif c2 == FREE and touch2 != FREE and sign_ahead(2, touch2) * (a2 - a) < 0.0:
-            c2 = touch2
-            joined = True
-        if not joined:
-            break
-    # a contact that would have to pull is none: a piston that slides faster than the group leaves it
-    d = direction_of(y[VS], a)
-    for _ in range(2):
-        if d == 0 or (c1 == FREE and c2 == FREE):
-            break
-        alone1 = (drive1 - d * piston_sliding(y[VS], d, pressure1, p)) / p[M_P]
-        alone2 = (drive2 - d * piston_sliding(y[VS], d, pressure2, p)) / p[M_P]
-        if c1 != FREE and sign_ahead(1, c1) * (alone1 - a) > 0.0:
-            a1 = alone1
-            c1 = FREE
-        elif c2 != FREE and sign_ahead(2, c2) * (alone2 - a) > 0.0:
-            a2 = alone2
-            c2 = FREE
-        else:
-            break
-        mass = p[M_S]
-        a = drive_s - d * stay_sliding(y[XS], y[VS], d, p)
-        if c1 != FREE:
-            mass += p[M_P]
-            a += p[M_P] * alone1
-        if c2 != FREE:
-            mass += p[M_P]
-            a += p[M_P] * alone2
-        a /= mass
-        if y[VS] == 0.0 and d * a < 0.0:
-            a = 0.0
-    m[M_JOINED1] = c1
-    m[M_JOINED2] = c2
-    m[M_STAY] = direction_of(y[VS], a)
-    m[M_PISTON1] = m[M_STAY] if c1 != FREE else direction_of(y[V1], a1)
-    m[M_PISTON2] = m[M_STAY] if c2 != FREE else direction_of(-y[V2], a2)
-    if c1 != FREE:
-        y[X1] = y[XS] + (p[X_FREE] if c1 == COLLAR else 0.0)
-        y[V1] = y[VS]
-    if c2 != FREE:
-        y[X2] = (p[X_FREE] if c2 == COLLAR else 0.0) - y[XS]
-        y[V2] = -y[VS]
-    # the stay was put on its stop: a piston that is just leaving it must not stand inside it
-    y[X1] = min(max(y[X1], y[XS]), y[XS] + p[X_FREE])
-    y[X2] = min(max(y[X2], -y[XS]), p[X_FREE] - y[XS])
-    if m[M_STAY] == 0 and y[SPENT] < p[SYNC_IMPULSE]:
-        if abs(y[XS] - p[X_BLOCK]) <= TOUCH_M:
-            m[M_BLOCKED] = 1
-        elif abs(y[XS] + p[X_BLOCK]) <= TOUCH_M:
-            m[M_BLOCKED] = -1
-    if m[M_DAMPER] != 0:
-        settle_damper(y, m, p)
+                low = put(g, G_OIL_FILL, EPS_M_S - side * y[VS], low)
+    return low

@@ -11,8 +11,10 @@ from math import exp, pi, sin
 from .chamber import pressure_rate
 from .compiled import called, inlined
 from .damper import (
+    borders,
     bulk_modulus,
     discharge_coefficient,
+    holes_area,
     large_area,
     outflow,
     steady_difference,
@@ -69,11 +71,14 @@ from .layout import (
     LLINE,
     LOIL,
     M_BLOCKED,
+    M_CAPPED,
     M_DAMPER,
     M_JOINED1,
     M_JOINED2,
+    M_LIFTED,
     M_LINE,
     M_OIL_REST,
+    M_OPEN,
     M_P,
     M_PISTON1,
     M_PISTON2,
@@ -287,18 +292,40 @@ def damper_outlet(distance, speed, p):
 
 
 @inlined
+def damper_outlet_beside(distance, speed, m, p):
+    """The same on the sides of the law's corners where the modes stand, goes on smoothly beyond them."""
+    r = p[R_HOLE]
+    c = min(max(distance - p[X_HOLE], 0.0), 2.0 * r) - r
+    large = p[A_LARGE]
+    if m[M_CAPPED] == 0:
+        large = holes_area(c, r) if m[M_OPEN] != 0 else 0.0
+    c_d = large / p[A_LARGE] + p[CD_SLOPE] * speed if m[M_LIFTED] != 0 else p[CD_FLOOR]
+    return (p[A_SMALL] + large) * c_d
+
+
+@inlined
 def damper_difference(distance, speed, oil_pa, m, p):
     """Pressure difference of the oil damper [Pa] by the model in force."""
     if m[M_DAMPER] == 1:
-        return steady_difference(speed, p[A_OIL], damper_outlet(distance, speed, p), 1.0, p[RHO_OIL])
+        outlet = damper_outlet_beside(distance, speed, m, p)
+        return steady_difference(speed, p[A_OIL], outlet, 1.0, p[RHO_OIL])
     return oil_pa - p[P_ATM]
 
 
 @inlined
-def oil_rate(distance, speed, oil_pa, p):
+def damper_borders(distance, speed, p):
+    """`plant.damper.borders` of this stroke's damper."""
+    return borders(
+        distance, speed, p[A_LARGE], p[R_HOLE], p[X_HOLE], p[CD_FLOOR], p[CD_SLOPE]
+    )
+
+
+@inlined
+def oil_rate(distance, speed, oil_pa, m, p):
     """dP_oil2/dt of the compressible damper [Pa/s] (3.31)."""
     kappa = bulk_modulus(oil_pa, p[KAPPA], p[AIR_FRACTION], p[P_ATM])
-    out = outflow(oil_pa - p[P_ATM], damper_outlet(distance, speed, p), 1.0, p[RHO_OIL])
+    outlet = damper_outlet_beside(distance, speed, m, p)
+    out = outflow(oil_pa - p[P_ATM], outlet, 1.0, p[RHO_OIL])
     return kappa / (p[V_OIL] - p[A_OIL] * distance) * (p[A_OIL] * speed - out)
 
 
@@ -367,15 +394,16 @@ def accelerations(m, p, force, out):
         mass += p[M_P]
         total += force[2]
     a = total / mass if m[M_STAY] != 0 else 0.0
+    per_mass = 1.0 / p[M_P]
     out[0] = a
     if joined1:
         out[1] = a
     else:
-        out[1] = force[1] / p[M_P] if m[M_PISTON1] != 0 else 0.0
+        out[1] = force[1] * per_mass if m[M_PISTON1] != 0 else 0.0
     if joined2:
         out[2] = a
     else:
-        out[2] = force[2] / p[M_P] if m[M_PISTON2] != 0 else 0.0
+        out[2] = force[2] * per_mass if m[M_PISTON2] != 0 else 0.0
 
 
 @inlined
@@ -497,7 +525,7 @@ def rates(t, y, dy, m, u0, du, p, c, work, quadratures):
     dy[SPENT] = max(0.0, blocked_force(y, m, p, force)) if m[M_BLOCKED] != 0 else 0.0
     if m[M_DAMPER] == 2 and m[M_OIL_REST] == 0:
         side = float(m[M_SIDE])
-        dy[LOIL] = oil_rate(side * y[XS], side * vs, y[LOIL], p)
+        dy[LOIL] = oil_rate(side * y[XS], side * vs, y[LOIL], m, p)
     else:
         dy[LOIL] = 0.0
     if m[M_LINE] != 0:

@@ -17,7 +17,7 @@ from . import layout as L
 from .batch import BATCH_TOLERANCE, Strokes, initials, shared
 from .filling import filling_curves
 from .hybrid import NO_GRID, NS, REASONS, WORKSPACE, IntegrationError
-from .integrate import DONE, EVENT_COLUMNS, OWN_STEPS, advance
+from .integrate import COUNTS, DONE, EVENT_COLUMNS, OWN_STEPS, advance
 from .packing import Floats, Ints, active_states, initial_state, modes, scales
 from .setup import Setup
 from .singles import FIRST_STEP
@@ -88,7 +88,7 @@ class Predictor:
         self._modes = np.zeros(32, dtype=np.int64)
         self._valves, self._valve_rates = np.zeros(3), np.zeros(3)
         self._step = np.zeros(1)
-        self._counts = np.zeros(4, dtype=np.int64)
+        self._counts = np.zeros(COUNTS, dtype=np.int64)
         self._followers: Followers | None = None
 
     @property

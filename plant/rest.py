@@ -53,8 +53,7 @@ def lowest_corner(t, fixed, y, y1, corner, m, p, w, work, g):
             for j in range(count):
                 source = y1 if mixture >> j & 1 else y
                 corner[first + j] = source[first + j]
-            all_guards(t, corner, m, p, work, g)
-            lowest = min(lowest, g[smallest(g)])
+            lowest = min(lowest, all_guards(t, corner, m, p, work, g))
     return lowest
 
 
@@ -72,12 +71,11 @@ def rest_jump(t, span, fixed, y, y1, corner, m, u0, p, table, w, work, g, n):
         corner[i] = y[i]
     for _ in range(HALVINGS):
         pressures_after(span, fixed, w, table, y1)
-        all_guards(t, y1, m, p, work, g)
-        last = g[smallest(g)]
+        last = all_guards(t, y1, m, p, work, g)
         dt = span
         if last < 0.0:
-            all_guards(t, y, m, p, work, g)
-            dt = crossing(t, span, g[smallest(g)], last, fixed, y1, m, p, table, w, work, g)
+            first = all_guards(t, y, m, p, work, g)
+            dt = crossing(t, span, first, last, fixed, y1, m, p, table, w, work, g)
         if (
             dt <= NEAR_S
             or lowest_corner(t, fixed, y, y1, corner, m, p, w, work, g) >= 0.0
@@ -111,8 +109,7 @@ def crossing(t, span, low_value, high_value, fixed, y1, m, p, table, w, work, g)
         if not low < dt < high:
             break
         pressures_after(dt, fixed, w, table, y1)
-        all_guards(t, y1, m, p, work, g)
-        value = g[smallest(g)] + AIM
+        value = all_guards(t, y1, m, p, work, g) + AIM
         if value < 0.0:
             high = dt
             high_value = value

@@ -10,6 +10,7 @@ import numpy as np
 
 from .compiled import kernel
 from .integrate import (
+    COUNTS,
     EVENT_BLOCK,
     EVENT_COLUMNS,
     EVENT_LOST,
@@ -51,7 +52,7 @@ def run_singles(
     u = np.zeros(3)
     du = np.zeros(3)
     step = np.zeros(1)
-    counts = np.zeros(4, dtype=np.int64)
+    counts = np.zeros(COUNTS, dtype=np.int64)
     for stroke in order:
         first_y = y0[min(stroke, y0.shape[0] - 1)]
         first_m = m0[min(stroke, m0.shape[0] - 1)]

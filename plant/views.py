@@ -20,7 +20,7 @@ from numba.core.errors import TypingError
 from numba.extending import intrinsic, models, overload, register_model
 
 # Name of a set of elements -> bit mask of those known to be 0 (see `lane`).
-ABSENT: dict[str, int] = {"": 0}
+ABSENT: dict[str, int] = {"": 0, "discarded": 0}
 HALF = 62  # bits of a mask that fit one positive int64
 
 
@@ -84,7 +84,7 @@ def lane(typing_context, v, block, index, width, absent):
     """Lane `index` of `width` interleaved copies, from row `block` on.
 
     Element i is v[(block + i) width + index].  `absent` names a set of ABSENT: those elements read
-    as 0, and what depends on them is compiled away.
+    as 0, and what depends on them is compiled away.  "discarded": nothing is written.
     """
     step = width.literal_value
     result = View(v.dtype, step, 0, absent.literal_value)
@@ -94,6 +94,21 @@ def lane(typing_context, v, block, index, width, absent):
         return builder.gep(arguments[0], [builder.add(start, arguments[2])])
 
     return result(v, types.intp, types.intp, width, absent), generate
+
+
+@intrinsic(prefer_literal=True)
+def copy_row(typing_context, v, source, target, width):
+    """Copy `width` (a constant) neighbours from element `source` on to `target` on, as one vector."""
+    lanes = width.literal_value
+
+    def generate(context, builder, signature, arguments):
+        pointer, source, target, _ = arguments
+        row = ir.VectorType(pointer.type.pointee, lanes).as_pointer()
+        values = builder.load(builder.bitcast(builder.gep(pointer, [source]), row), align=8)
+        builder.store(values, builder.bitcast(builder.gep(pointer, [target]), row), align=8)
+        return context.get_dummy_value()
+
+    return types.void(v, types.intp, types.intp, width), generate
 
 
 @intrinsic
@@ -154,6 +169,8 @@ def _write(v, i, value):
     if not isinstance(v, View):
         return None
     length = v.length
+    if v.absent == "discarded":
+        return lambda v, i, value: None
     if isinstance(i, types.BaseTuple):
         return lambda v, i, value: _store(v, i[0] * length + i[1], value)
     return lambda v, i, value: _store(v, i, value)

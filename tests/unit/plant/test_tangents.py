@@ -133,6 +133,30 @@ def test_what_the_lanes_do_not_cover_has_derivatives_too(
         assert np.linalg.norm((ours - true) / size) < 1e-3 * np.linalg.norm(true / size)
 
 
+@pytest.mark.parametrize("kind", ["fixed", "N-B"])
+def test_corners_of_the_dampers_law_carry_derivatives(kind: str) -> None:
+    # a step across a corner is right to its square, its derivative only to the step's length
+    base = setup(kind, load="damper", damper_model="incompressible")
+    size, columns = SIZE[kind], COLUMNS[kind]
+    predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64))
+    exact = Predictor(predictor.sample_ns, 1e-11)
+
+    def neighbour(place: int, share: float) -> Setup:
+        twin = copied(base)
+        twin.p[place] *= 1.0 + share
+        return twin
+
+    places = (L.RHO_OIL, L.M_S, L.F_RUN_S)
+    _, found = predictor.derivatives(
+        base, [neighbour(i, MOVE) for i in places], [MOVE] * len(places), columns
+    )
+    for place, ours in zip(places, found, strict=True):
+        assert ours is not None
+        up, down = (exact.states(neighbour(place, share))[:, columns] for share in (1e-5, -1e-5))
+        true = (up - down) / 2e-5
+        assert np.linalg.norm((ours - true) / size) < 2e-4 * np.linalg.norm(true / size)
+
+
 def test_as_many_steps_as_neighbours() -> None:
     base = setup("fixed")
     predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64))
