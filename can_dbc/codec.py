@@ -90,7 +90,6 @@ _SI = {
     "K": (1.0, 1.0),
     "Pa": (1.0, 1.0),
     "rad/s": (1.0, 1.0),
-    "ns": (1.0, 1.0),
     "%": (1.0, 100.0),
     "ms": (1.0, 1e3),
     "mm/s": (1.0, 1e3),
@@ -114,7 +113,7 @@ class _Number:
         self.low = round((signal.minimum - signal.offset) / signal.factor)
         self.high = round((signal.maximum - signal.offset) / signal.factor)
         self.mask = signal.mask
-        self.negative_from = signal.mask // 2 if signal.signed else signal.mask
+        self.negative_from = signal.mask >> 1 if signal.signed else signal.mask
         limits = (limit * self.to_si / self.by for limit in (signal.minimum, signal.maximum))
         self.expected = "{:g} to {:g}".format(*limits)
 

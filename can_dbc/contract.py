@@ -91,16 +91,17 @@ _LINE = {
         rf"\(({_NUMBER}),({_NUMBER})\) \[({_NUMBER})\|({_NUMBER})\] \"([^\"]*)\" ([\w,]+)"
     ),
     "transmitters": re.compile(r"BO_TX_BU_ (\d+) : ([\w,]+);"),
-    "nodes": re.compile(r"BU_: ([\w ]+)"),
     "message_comment": re.compile(r"CM_ BO_ (\d+) \"([^\"]*)\";"),
     "signal_comment": re.compile(r"CM_ SG_ (\d+) (\w+) \"([^\"]*)\";"),
-    "definition": re.compile(r"BA_DEF_(?:DEF_)? .*;"),
     "network_attribute": re.compile(r"BA_ \"(\w+)\" (\"\w+\"|\d+);"),
     "node_attribute": re.compile(r"BA_ \"(\w+)\" BU_ (\w+) (\d+);"),
     "message_attribute": re.compile(r"BA_ \"(\w+)\" BO_ (\d+) (\d+|\"\w*\");"),
     "signal_attribute": re.compile(r"BA_ \"(\w+)\" SG_ (\d+) (\w+) (\d+);"),
     "choices": re.compile(r"VAL_ (\d+) (\w+) ((?:\d+ \"\w+\" )+);"),
-    "ignored": re.compile(r"|VERSION \"[^\"]*\"|NS_ :|BS_:|CM_ (?:BU_ \w+ )?\"[^\"]*\";"),
+    "ignored": re.compile(
+        r"|VERSION \"[^\"]*\"|NS_ :|BS_:|BU_: [\w ]+|BA_DEF_(?:DEF_)? .*;|"
+        r"CM_ (?:BU_ \w+ )?\"[^\"]*\";"
+    ),
 }
 _CHOICE = re.compile(r"(\d+) \"(\w+)\"")
 
@@ -115,7 +116,6 @@ class _Reader:
 
     def __init__(self) -> None:
         self.bitrate = 0
-        self.nodes: tuple[str, ...] = ()
         self.addresses: dict[str, int] = {}
         self.order: list[tuple[int, str, int]] = []
         self.signals: dict[int, list[tuple[str, ...]]] = {}
@@ -135,8 +135,6 @@ class _Reader:
             self.signals[self.order[-1][0]].append(parts)
         elif kind == "transmitters":
             self.senders[self._declared(parts[0])] = tuple(parts[1].split(","))
-        elif kind == "nodes":
-            self.nodes = tuple(parts[0].split())
         elif kind == "message_comment":
             self.comments[self._declared(parts[0]), ""] = parts[1]
         elif kind == "signal_comment":

@@ -51,7 +51,7 @@ LEFT_OUT = ("test_import_is_quick",)
 """Tests of durations, which a busy machine would fail."""
 EXAMPLES = 25
 """Property tests draw this many examples at most, and shrink none."""
-BUDGET_S = 3.0
+BUDGET_S = 2.0
 """Tests that together take longer than this are not all run for one mutant."""
 MOST = 0.1
 """Share of the mutants that may survive."""
@@ -448,7 +448,8 @@ def test_files() -> list[Path]:
 def reach(session: pytest.Session, file: Path) -> Reach:
     """What the tests of a file reach, measured in a fork unless it is known already."""
     content = hashlib.sha256()
-    shared = [path for path in (ROOT / "tests/unit").rglob("*.py") if not path.name.startswith("test_")]
+    folders = (ROOT / place for place in TESTS[:2])
+    shared = [path for folder in folders for path in folder.glob("*.py") if "test_" not in path.name]
     for path in (*modules().values(), *sorted(shared), ROOT / file):
         content.update(path.read_bytes())
     KEPT.mkdir(exist_ok=True)

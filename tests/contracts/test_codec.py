@@ -376,6 +376,42 @@ def test_duties_and_delays_of_the_thesis_are_exact() -> None:
         assert decode(encode(pulse)) == pulse
 
 
+def test_every_unit_by_hand() -> None:
+    """Raw value = SI value over factor, in the unit of the DBC: %, ms, us, K, rad/s, um, mm/s, Pa."""
+    for message, field, raw in (
+        (replace(COMMAND, duty_b=0.5), "duty_b", 6400),
+        (m.Etc1(clutch_slip=0.2), "clutch_slip", 50),
+        (replace(BLOW, remaining_s=0.15), "remaining_s", 2400),
+        (replace(PULSE, pulse_s=0.9e-3), "pulse_s", 14400),
+        (replace(PULSE, coil_temperature_k=293.15625), "coil_temperature_k", 9381),
+        (replace(SPEEDS, input_rad_s=-100.0), "input_rad_s", 2**24 - 102400),
+        (replace(STATUS, estimate_m=-0.01), "estimate_m", 2**24 - 160000),
+        (m.PlantMotion(0.032767, -0.5, 0.0, 0.0), "position_m", 32767),
+        (m.PlantMotion(0.032767, -0.5, 0.0, 0.0), "velocity_m_s", 2**16 - 1000),
+        (m.PlantPressures(9e5, 0.0, 0.0, 0.0), "pressure_b_pa", 18000),
+        (m.Etc2(gear_ratio=3.5), "gear_ratio", 3500),
+        (m.Etc1(input_shaft_rad_s=100 * math.pi), "input_shaft_rad_s", 24000),
+    ):
+        spec = codec.spec_of(type(message)).signal(SIGNALS[type(message)][field])
+        frame = encode(message)
+        assert int.from_bytes(frame.data, "little") >> spec.start & spec.mask == raw, field
+        assert getattr(decode(frame), field) == pytest.approx(getattr(message, field), rel=1e-15)
+
+
+def test_a_number_with_an_offset() -> None:
+    """A temperature of J1939: -273 to 1735 in steps of 1/32, 16 bits."""
+    spec = codec.spec_of(m.PositionPulse).signal("CoilTemperature")
+    number = codec._Number(spec._replace(offset=-273.0, minimum=-273.0, maximum=1735.0, factor=1 / 32))
+    assert number.expected == "-273 to 1735"
+    assert [number.to_raw(value) for value in (-273.0, 20.0, 1735.0)] == [0, 9376, 64256]
+    assert [number.from_raw(raw) for raw in (0, 9376, 64256)] == [-273.0, 20.0, 1735.0]
+    for wrong in (-273.1, 1735.1):
+        with pytest.raises(ValueError):
+            number.to_raw(wrong)
+    with pytest.raises(ValueError):
+        number.from_raw(64257)
+
+
 def test_rounding_is_half_to_even() -> None:
     resolution = 50.0
     for raw, expected in ((0.5, 0), (1.5, 2), (2.5, 2), (2.51, 3), (3.49, 3)):
@@ -444,6 +480,25 @@ def test_bits_that_later_editions_may_assign_are_ignored_in_public_groups_only()
     assert decode(public) == m.Etc1()
     with pytest.raises(CodecError, match="unused bits"):
         decode(with_bits(encode(m.ShiftRequest(m.Gear.FORWARD)), 38, 2, 0))
+
+
+def test_every_unused_bit_of_our_own_messages_is_looked_at() -> None:
+    looked = 0
+    for message_type in codec.SIGNALS:
+        if message_type in (m.Etc1, m.Etc2):
+            continue
+        values = {field: raw_limits(message_type, field)[0] for field in SIGNALS[message_type]}
+        frame = their_frame(message_type, values)
+        used = sum(
+            (1 << signal.length) - 1 << signal.start for signal in their(message_type).signals
+        )
+        decode(frame)
+        for bit in range(64):
+            if not used >> bit & 1:
+                looked += 1
+                with pytest.raises(CodecError, match=r"unused bits of .* are not all 1; expected 1$"):
+                    decode(with_bits(frame, bit, 1, 0))
+    assert looked > 100
 
 
 def test_unused_bits_are_sent_as_1() -> None:

@@ -234,3 +234,31 @@ def test_defaults_of_what_a_message_leaves_out() -> None:
     assert isinstance(signal.factor, int)
     jitter = 'BA_ "GenMsgJitterUs" BO_ 2147483649 250;\n'
     assert parse(text + jitter).messages[0].jitter_ns == 250_000
+
+
+def test_a_file_that_states_nothing_has_no_bit_rate_and_no_messages() -> None:
+    assert parse("") == (0, {}, ())
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (
+            "BU_: A\n" + "x" * 70,
+            f"opc4.dbc: line 2: '{'x' * 60}' is not a statement that the contract uses; expected a "
+            "single-line DBC statement in the form of its neighbours",
+        ),
+        (
+            ' SG_ Crc : 0|8@1+ (1,0) [0|255] "" OPC4',
+            "opc4.dbc: line 1: signal first",
+        ),
+        (
+            'CM_ BO_ 7 "lost";',
+            "opc4.dbc: line 1: message 7 is not declared above",
+        ),
+    ],
+)
+def test_refusals_word_by_word(text: str, told: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse(text)
+    assert str(caught.value) == told

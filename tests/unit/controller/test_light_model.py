@@ -8,6 +8,7 @@ import pytest
 
 from controller.config import FilterConfig, FirmwareConfig
 from controller.estimator import STEP_S, Observer, ObserverSettings
+from controller.filters import SectionFilter, butterworth
 from controller.light_model import R_AIR_J_KG_K, LightModel, ModelSettings, Motion, Valve
 
 STROKE_M = 0.01285
@@ -145,3 +146,88 @@ def test_observer_forgets_on_reset() -> None:
     assert (observer.steps, observer.travelled_m, observer.motion.load_n) == (0, 0.0, 0.0)
     observer.advance(0.05, 0.0, 0)
     assert observer.travelled_m == 0.0
+
+
+def test_observer_is_the_model_seen_through_delay_and_filter() -> None:
+    """Against model, valves and filter run by hand; what they say corrects nothing."""
+    config, settings = FirmwareConfig(), ModelSettings()
+    observer = Observer(config, settings, ObserverSettings())
+    model, motion = LightModel(settings, STROKE_M), Motion(ATMOSPHERE_PA)
+    driving, braking = (Valve(settings.valve_open_s, settings.valve_close_s) for _ in range(2))
+    late = SectionFilter(butterworth(6, 22.0, 100.0))
+    late.settle(0.0)
+    positions_m = [0.0]
+    for tick in range(1, 13):
+        for step in range(20 * (tick - 1), 20 * tick):
+            now_s = step * STEP_S
+            model.step(motion, driving.at(now_s), braking.at(now_s), STEP_S)
+            positions_m.append(motion.stay_m)
+        measured_m = late.update(positions_m[-1 - round(0.00455 / STEP_S)])
+        observer.advance(tick * 0.01, measured_m, 1)
+        for name in Motion.__slots__:
+            seen, true = getattr(observer.motion, name), getattr(motion, name)
+            assert seen == pytest.approx(true, rel=1e-9, abs=1e-9), (tick, name)
+        charge, brake = tick < 8, 4 <= tick < 6
+        observer.command(charge, brake)
+        at_s = tick * 0.01 + settings.transport_s
+        driving.command(at_s, charge)
+        braking.command(at_s, brake)
+    assert max(positions_m) > 0.5 * STROKE_M and motion.braking_pa > 1.2 * ATMOSPHERE_PA
+
+
+def corrected(piston_m: float, stay_m: float, error_m: float) -> Motion:
+    """Motion after a correction; both move at 0.3 m/s, the load is 100 N, nothing was expected."""
+    config = FirmwareConfig(filter=FilterConfig(enabled=False))
+    observer = Observer(config, ModelSettings(), ObserverSettings())
+    motion = observer.motion
+    motion.piston_m, motion.stay_m, motion.load_n = piston_m, stay_m, 100.0
+    motion.piston_m_s = motion.stay_m_s = 0.3
+    observer.advance(0.0, error_m, 1)
+    return motion
+
+
+GAP_M = 0.013
+
+
+@pytest.mark.parametrize(
+    ("piston_m", "stay_m", "error_m", "piston_then_m", "piston_then_m_s"),
+    [
+        (GAP_M + 0.005, 0.005, 0.002, GAP_M + 0.006, 0.34),  # the piston pushes: both are moved
+        (GAP_M + 0.005 - 5e-10, 0.005, 0.002, GAP_M + 0.006, 0.34),  # rounding is no distance
+        (GAP_M + 0.005, 0.005, 5e-5, GAP_M + 0.005025, 0.301),
+        (GAP_M, 0.0, 5e-5, GAP_M + 2.5e-5, 0.301),
+        (0.004, 0.005, 0.002, 0.004, 0.3),  # the piston is on its own: the stay alone is
+        (0.004, 0.005, 5e-5, 0.004, 0.3),
+        (0.004, 0.0, 1.1e-4, 0.004, 0.3),
+        (GAP_M + 0.0049, 0.005, -0.002, GAP_M + 0.004, 0.3),  # but is never ahead of what it pushes
+    ],
+)
+def test_what_a_measurement_corrects(
+    piston_m: float, stay_m: float, error_m: float, piston_then_m: float, piston_then_m_s: float
+) -> None:
+    """By the gains: half of the error, 20 times it per second, 30 kN per metre of it."""
+    motion = corrected(piston_m, stay_m, error_m)
+    assert motion.stay_m == pytest.approx(stay_m + 0.5 * error_m, abs=1e-12)
+    assert motion.stay_m_s == pytest.approx(0.3 + 20.0 * error_m, abs=1e-12)
+    assert motion.load_n == pytest.approx(100.0 - 3e4 * error_m, abs=1e-9)
+    assert motion.piston_m == pytest.approx(piston_then_m, abs=1e-12)
+    assert motion.piston_m_s == pytest.approx(piston_then_m_s, abs=1e-12)
+
+
+@pytest.mark.parametrize("error_m", [1e-4, 5e-5, -0.001])
+def test_a_stay_at_rest_teaches_nothing_until_it_moves(error_m: float) -> None:
+    motion = corrected(0.004, 0.0, error_m)
+    assert (motion.piston_m, motion.stay_m, motion.stay_m_s, motion.load_n) == (0.004, 0.0, 0.3, 100.0)
+
+
+def test_commands_reach_the_valves_after_the_way_over_the_bus() -> None:
+    observer = Observer(FirmwareConfig(), ModelSettings(), ObserverSettings())
+    observer.advance(0.01, 0.0, 0)
+    observer.command(True, True)
+    for valve in (observer.driving, observer.braking):
+        assert valve.wanted is True
+        assert valve.due_s == pytest.approx(0.01 + 0.00038 + 0.008, abs=1e-12)
+    observer.command(False, False)
+    for valve in (observer.driving, observer.braking):
+        assert valve.wanted is False
+        assert valve.due_s == pytest.approx(0.01 + 0.00038 + 0.035, abs=1e-12)
