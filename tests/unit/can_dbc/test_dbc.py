@@ -294,3 +294,115 @@ def test_cut_reasons_have_their_length() -> None:
     names = [f"S{'x' * 120}{number}" for number in range(2)]
     text = "BO_ 5 M: 8 A\n" + "".join(f' SG_ {n} : 0|8@1+ (1,0) [0|0] "" B\n' for n in names)
     assert len(refusal(text)) == len("x.dbc: line 3: ") + 160
+
+
+WORD_BY_WORD = (
+    (
+        changed("0|16@1+", "0|16@3+"),
+        "5: signal Left has byte order '3'; expected 0 (big-endian) or 1 (little-endian)",
+    ),
+    (
+        changed("7|8@0+", f"7|{30 * '9'}@0+"),
+        f"9: signal Load reaches bit {20 * '9'}; expected at most 14280",
+    ),
+    (
+        changed("Speeds: 8 A", f"Speeds: {30 * '9'} A"),
+        f"4: message Speeds has {20 * '9'} bytes; expected at most 1785",
+    ),
+    (
+        changed("BO_ 5 20", "BO_ 5 -5"),
+        "4: message Speeds: cycle time '-5'; expected 0 to 10^12 milliseconds",
+    ),
+    (
+        GOOD + "SG_MUL_VAL_ 5 Left Right 0-4000000000;\n",
+        "17: multiplexer range 0-4000000000; expected at most 4096 values of a signal",
+    ),
+    (
+        MULTIPLEXED % "9223372036854775809-9223372036854775810",
+        "8: multiplexer range 9223372036854775809-9223372036854775810; "
+        "expected at most 4096 values of a signal",
+    ),
+    (
+        MULTIPLEXED % "9223372036854775809-0",
+        "8: multiplexer range 9223372036854775809-0; expected at most 4096 values of a signal",
+    ),
+    (
+        changed('"GenMsgCycleTime" BO_ 5 20', '"Nothing" BO_ 5 20'),
+        "15: refers to 'Nothing', which is not declared",
+    ),
+    (
+        changed("VAL_ 5 Left", "VAL_ 6 Left"),
+        "16: not a DBC that can be understood (ValueError: unused VAL_ entries in DBC: VAL_ 6 Left)",
+    ),
+    (GOOD + "nonsense\n", '17: column 1: ">>!<<nonsense" is not DBC grammar'),
+    (GOOD + "what: is: this\n", '17: column 1: ">>!<<what: is: this" is not DBC grammar'),
+    (changed("(1,0) [0|0]", "(1e401,0) [0|0]"), "9: number 1e401 has no use"),
+    (changed("(1,0) [0|0]", f"(1e{60 * '9'},0) [0|0]"), f"9: number 1e{38 * '9'} has no use"),
+    (changed("BO_ 5 20", f'BO_ 5 "1e{60 * "9"}"'), f'15: number "1e{37 * "9"} has no use'),
+    (changed("BO_ 5 20", 'BO_ 5 "1e4_0_1"'), '15: number "1e4_0_1" has no use'),
+    (changed("(1,0) [0|0]", "(0,0) [0|0]"), "8: signal Load of Engine: factor 0"),
+    (
+        changed("(1,0) [0|0]", "(2e300,0) [0|0]"),
+        "8: signal Load of Engine: 200000000000000010500952051040; expected a finite number",
+    ),
+    (
+        changed("BO_ 2566844926 Engine", "BO_ 05 Engine"),
+        "8: messages Speeds and Engine share an identifier",
+    ),
+)
+
+
+@pytest.mark.parametrize(("text", "told"), WORD_BY_WORD)
+def test_refusals_word_by_word(text: str, told: str) -> None:
+    assert refusal(text) == f"x.dbc: line {told}"
+
+
+def test_limits_are_still_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert parse_dbc(changed("(1,0) [0|0]", "(1e300,0) [0|0]").encode()).messages
+    assert "expected a finite number" in refusal(changed("(1,0) [0|0]", "(1e400,0) [0|0]"))
+    assert parse_dbc(changed("BO_ 5 20", 'BO_ 5 "0e4_0_0"').encode()).messages
+    wide = changed("INT -10 65535", "INT 0 99999999999999")
+    for shortest in ("0.5", "1"):
+        often = changed("INT -10 65535", "FLOAT 0 65535").replace("BO_ 5 20", f"BO_ 5 {shortest}")
+        assert parse_dbc(often.encode()).get_message_by_name("Speeds").cycle_time == float(shortest)
+    longest = parse_dbc(wide.replace("BO_ 5 20", "BO_ 5 999999999999").encode())
+    assert longest.get_message_by_name("Speeds").cycle_time == 10**12 - 1
+    assert "cycle time '1000000000000'" in refusal(wide.replace("BO_ 5 20", "BO_ 5 1000000000000"))
+    twice = parse_dbc((MULTIPLEXED % "0-4095,9-8").encode())
+    value = twice.get_message_by_name("Many").get_signal_by_name("Value")
+    assert value.multiplexer_ids == list(range(4096))
+    path = tmp_path / "good.dbc"
+    path.write_text(GOOD)
+    monkeypatch.setattr(dbc.os.path, "getsize", lambda path: 64 << 20)
+    assert load_dbc(path).messages
+    monkeypatch.setattr(dbc.os.path, "getsize", lambda path: (64 << 20) + 1)
+    with pytest.raises(InputError, match=r"good\.dbc: more than 64 MiB; expected a DBC file$"):
+        load_dbc(path)
+
+
+def test_files_are_read_strictly_unless_told_otherwise(tmp_path: Path) -> None:
+    path = tmp_path / "overlapping.dbc"
+    path.write_text(changed("16|16@1+", "8|16@1+"))
+    with pytest.raises(InputError, match="overlapping"):
+        load_dbc(path)
+    with pytest.raises(InputError, match="overlapping"):
+        parse_dbc(path.read_bytes())
+    assert load_dbc(path, strict=False).messages
+
+
+def test_lines_are_counted_from_the_first_to_the_place() -> None:
+    for offset, line in ((0, 1), (1, 1), (2, 2), (3, 2), (4, 3)):
+        with pytest.raises(InputError, match=rf"^x: line {line}: what$"):
+            dbc._Text("x", "a\nb\nc").refuse(offset, "what")
+    with pytest.raises(InputError, match=r"^x: what$"):
+        dbc._Text("x", "a\nb\nc").refuse(None, "what")
+    assert refusal(b'\nCM_ "\n\x81";\n\n').startswith("x.dbc: line 3: byte 0x81; ")
+
+
+def test_numbers_above_a_limit_by_their_digits() -> None:
+    assert [dbc._above(digits, 400) for digits in ("", "0", "400", "000401", "4000")] == [
+        *(False, False, False),
+        *(True, True),
+    ]
+    assert dbc._above("9" * 20, 10**20 - 1) is False
+    assert dbc._above("1" + "0" * 20, 10**30) is True

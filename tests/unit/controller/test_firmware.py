@@ -11,8 +11,8 @@ from can_dbc.messages import (
     Gear,
 )
 from controller.config import BlowConfig, FilterConfig, FirmwareConfig, SensorConfig, ShiftConfig
-from controller.firmware import Firmware, Inputs
-from controller.strategies import one_chamber
+from controller.firmware import ChannelState, Firmware, Inputs
+from controller.strategies import Duties, one_chamber
 from tests.unit.controller.invariants import check_invariants, duties
 from tests.unit.controller.toy_actuator import (
     AT,
@@ -290,3 +290,55 @@ class TestBroadcast:
         assert etc1 is not None
         assert etc1.input_shaft_rad_s is None
         assert etc1.output_shaft_rad_s is None
+
+
+class TestPieces:
+    def test_what_has_not_arrived_is_nothing(self) -> None:
+        initial = ChannelState.INIT
+        assert Inputs() == ((), None, None, initial, initial, initial)
+        assert [*ChannelState] == [0, 1, 2]
+
+    @pytest.mark.parametrize("chamber", [Chamber.B, Chamber.N, Chamber.F])
+    def test_a_chamber_is_clear_after_the_interlock_and_the_period_that_it_was_on(
+        self, chamber: Chamber
+    ) -> None:
+        firmware = Firmware(FirmwareConfig())
+        assert firmware._clear(0, chamber)
+        firmware._energised_ns[chamber] = 7
+        assert not firmware._clear(7 + 50 * MS - 1, chamber)
+        assert firmware._clear(7 + 50 * MS, chamber)
+
+    @pytest.mark.parametrize(
+        ("duties", "allowed"),
+        [
+            ((0.0, 0.0, 0.0), True),
+            ((1.0, 1.0, 0.33), True),
+            ((0.33, 1.0, 1.0), True),
+            ((0.331, 0.0, 0.331), False),
+            ((0.33, 0.0, 0.331), True),
+            ((0.331, 0.0, 0.33), True),
+            ((-0.001, 0.0, 0.0), False),
+            ((1.001, 0.0, 0.0), False),
+            ((0.0, -0.001, 0.0), False),
+            ((0.0, 1.001, 0.0), False),
+            ((0.0, 0.0, -0.001), False),
+            ((0.0, 0.0, 1.001), False),
+            ((float("nan"), 0.0, 0.0), False),
+        ],
+    )
+    def test_duties_that_are_none_or_fill_both_ends_are_refused(
+        self, duties: tuple[float, float, float], allowed: bool
+    ) -> None:
+        assert Firmware(FirmwareConfig())._allowed(0, Duties(*duties)) is allowed
+
+    def test_an_end_is_not_filled_while_the_other_is_not_clear(self) -> None:
+        firmware = Firmware(FirmwareConfig())
+        b_only, f_only = Duties(0.98, 0.0, 0.0), Duties(0.0, 0.0, 0.98)
+        firmware._energised_ns[Chamber.F] = 0
+        assert not firmware._allowed(50 * MS - 1, b_only)
+        assert firmware._allowed(50 * MS - 1, f_only)
+        assert firmware._allowed(50 * MS, b_only)
+        firmware._energised_ns[:] = [0, None, None]
+        assert not firmware._allowed(50 * MS - 1, f_only)
+        assert firmware._allowed(50 * MS - 1, b_only)
+        assert firmware._allowed(50 * MS, f_only)

@@ -8,6 +8,7 @@ import pytest
 
 from can_dbc.messages import (
     Chamber,
+    DrivelineSpeeds,
     Fault,
     Gear,
 )
@@ -169,3 +170,23 @@ class TestStrategies:
         rig.run(120 + pause_ms)
         assert (rig.last.status.state is S.PUSH) == allowed
         assert bool(rig.last.status.faults & Fault.INTERNAL) != allowed
+
+    def test_it_is_told_the_speeds_the_step_that_saw_them_first_and_the_estimate(
+        self, meddled: Any
+    ) -> None:
+        reported = [DrivelineSpeeds(12.5 + number, 2.5) for number in range(40)]
+
+        def speeds(now_ns: int) -> DrivelineSpeeds | None:
+            return reported[now_ns // (30 * MS)] if now_ns < 300 * MS else None
+
+        rig, strategy = meddled(N, (100, B), speeds=speeds)
+        rig.run(400)
+        told = 0
+        for now_ns, estimate, context in strategy.seen:
+            assert isinstance(estimate, Estimate) and estimate.valid
+            if now_ns < 300 * MS:
+                newest = now_ns // (30 * MS)
+                assert context.apart_rad_s == 10.0 + newest
+                assert context.apart_ns == newest * 30 * MS
+                told += 1
+        assert told > 3
