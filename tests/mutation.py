@@ -51,15 +51,15 @@ LEFT_OUT = ("test_import_is_quick",)
 """Tests of durations, which a busy machine would fail."""
 EXAMPLES = 25
 """Property tests draw this many examples at most, and shrink none."""
-BUDGET_S = 2.0
+BUDGET_S = 4.0
 """Tests that together take longer than this are not all run for one mutant."""
 MOST = 0.1
 """Share of the mutants that may survive."""
 
 SURVIVED, KILLED, BROKEN = 0, 1, 3
 
-Plan = list[tuple[str, dict[str, float]]]
-"""Test files with their tests and how long each takes, in the order in which they are to run."""
+Plan = dict[str, float]
+"""Tests with how long each takes, in the order in which they are to run."""
 
 
 class Mutant(NamedTuple):
@@ -235,19 +235,25 @@ class Runner:
         started = time.process_time() + children_s()
         source = path.read_text(encoding="utf-8")
         same = Mutant(module, "as it is", "", 1, source.count("\n"), "", "", source)
-        plan = planned(same, self.reaches, self.kills)[:1]
+        plan = by_file(module, planned(same, self.reaches, self.kills), self.kills)
         if in_fork(lambda: killed(loaded_anew(session, same, path, stale, plan)), 300)[0]:
             raise SystemExit(f"{module}: a test fails without any change")
+        known = set().union(*(reach.lines.get(module, ()) for reach in self.reaches.values()))
         for mutant in mutants(module, path):
+            first = mutant.first
+            while first > 1 and known.isdisjoint(range(first, mutant.last + 1)):
+                first -= 1  # a constant within a statement is on no line that runs
+            mutant = mutant._replace(first=first)
             plan = planned(mutant, self.reaches, self.kills)
-            limit_s = 5 + int(4 * sum(sum(tests.values()) for _, tests in plan))
+            limit_s = 5 + int(4 * sum(plan.values()))
             ends = found.get(mutant.function, [])
             anew = not ends or not loading.isdisjoint(range(mutant.first, mutant.last + 1))
 
             def task(mutant: Mutant = mutant, plan: Any = plan, ends: Any = ends, anew: bool = anew) -> Any:
                 if not anew and swapped(mutant, path, ends):
-                    return killed(self.items[test] for _, tests in plan for test in tests)
-                return killed(loaded_anew(session, mutant, path, stale, plan))
+                    return killed(self.items[test] for test in plan)
+                files = by_file(mutant.module, plan, self.kills)
+                return killed(loaded_anew(session, mutant, path, stale, files))
 
             ended, killer = in_fork(task, limit_s)
             self.kills.update((killer, killer.partition("::")[0]))
@@ -269,25 +275,28 @@ class Runner:
 
 
 def planned(mutant: Mutant, reaches: dict[str, Reach], kills: Mapping[str, int]) -> Plan:
-    """The tests that reach a mutant, within the budget; first those that noticed others."""
-    own = "test_" + mutant.module.rpartition(".")[2]
-    found: list[tuple[int, bool, float, str, dict[str, float]]] = []
-    for file, reach in reaches.items():
+    """The tests that reach a mutant, within the budget; first those that noticed others, then quick ones."""
+    known: dict[str, float] = {}
+    for reach in reaches.values():
         lines = reach.lines.get(mutant.module, {})
-        tests = set().union(*(lines.get(n, ()) for n in range(mutant.first, mutant.last + 1)))
-        known = {test: reach.durations[test] for test in tests}
-        if known:
-            mirrored = Path(file).stem.startswith(own)
-            found.append((-kills[file], not mirrored, min(known.values()), file, known))
-    plan, spent_s = [], 0.0
-    for *_, file, known in sorted(found, key=lambda entry: entry[:4]):
-        kept = {}
-        for test, taken_s in sorted(known.items(), key=lambda entry: (-kills[entry[0]], entry[1])):
-            if spent_s + taken_s <= BUDGET_S:
-                kept[test] = taken_s
-                spent_s += taken_s
-        plan.append((file, kept))
+        for line in range(mutant.first, mutant.last + 1):
+            known.update({test: reach.durations[test] for test in lines.get(line, ())})
+    plan, spent_s = {}, 0.0
+    for test, taken_s in sorted(known.items(), key=lambda entry: (-kills[entry[0]], entry[1])):
+        if spent_s + taken_s <= BUDGET_S:
+            plan[test] = taken_s
+            spent_s += taken_s
     return plan
+
+
+def by_file(module: str, plan: Plan, kills: Mapping[str, int]) -> dict[str, list[str]]:
+    """The same tests by their files; first those that noticed others, then the module's own."""
+    found: dict[str, list[str]] = {}
+    for test in plan:
+        found.setdefault(test.partition("::")[0], []).append(test)
+    own = "test_" + module.rpartition(".")[2]
+    order = sorted(found, key=lambda file: (-kills[file], not Path(file).stem.startswith(own)))
+    return {file: found[file] for file in order}
 
 
 def killed(items: Iterable[pytest.Item | str]) -> tuple[int, str]:
@@ -326,12 +335,16 @@ def functions_of(path: Path) -> dict[str, list[FunctionType]]:
 
 
 def loaded_anew(
-    session: pytest.Session, mutant: Mutant, path: Path, stale: set[str], plan: Plan
+    session: pytest.Session,
+    mutant: Mutant,
+    path: Path,
+    stale: set[str],
+    plan: dict[str, list[str]],
 ) -> Iterator[pytest.Item | str]:
     """The planned tests, with all modules that a mutant reaches read again."""
     forget(stale)
     sys.meta_path.insert(0, Mutated(mutant.module, path, mutant.code))
-    for file, tests in plan:
+    for file, tests in plan.items():
         items = {item.nodeid: item for item in session.perform_collect([file])}
         if session.testsfailed:
             yield file

@@ -9,6 +9,7 @@ from can_dbc.messages import (
     DrivelineSpeeds,
     Fault,
     Gear,
+    PositionPulse,
 )
 from controller.config import BlowConfig, FilterConfig, FirmwareConfig, SensorConfig, ShiftConfig
 from controller.firmware import ChannelState, Firmware, Inputs
@@ -342,3 +343,11 @@ class TestPieces:
         assert not firmware._allowed(50 * MS - 1, f_only)
         assert firmware._allowed(50 * MS - 1, b_only)
         assert firmware._allowed(50 * MS, f_only)
+
+    def test_a_position_can_be_implausible_and_lost(self) -> None:
+        firmware = Firmware(FirmwareConfig())
+        for k in range(12):
+            hot = PositionPulse(0.9e-3, 500.0, k)
+            out = firmware.step(k * 10 * MS, Inputs((hot,), position_state=ChannelState.VALID))
+        both = Fault.POSITION_LOST | Fault.POSITION_IMPLAUSIBLE
+        assert out.status.faults & both == both

@@ -24,6 +24,7 @@ from can_dbc.messages import (
     ValveCommand,
 )
 from controller.config import E2eConfig, FirmwareConfig
+from controller.firmware import Firmware
 from controller.node import ControllerNode
 from tests.unit.controller.toy_actuator import MS, pulse_s
 
@@ -265,3 +266,9 @@ def test_a_request_with_any_changed_byte_moves_nothing(changes: list[tuple[int, 
     frames[0] = Frame(frames[0].can_id, bytes(data))
     bus.tick(*frames)
     assert (bus.status().state is ShiftState.PUSH) == (not changed)
+
+
+def test_another_program_takes_the_place_of_the_firmware() -> None:
+    own = Firmware(FirmwareConfig())
+    assert ControllerNode(FirmwareConfig(), own).firmware is own
+    assert isinstance(ControllerNode(FirmwareConfig()).firmware, Firmware)
