@@ -10,6 +10,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from can_dbc.errors import InputError
+from can_dbc.messages import Chamber, Gear
 from controller.config import (
     BlowConfig,
     E2eConfig,
@@ -22,9 +24,9 @@ from controller.config import (
 )
 from controller.estimator import ObserverSettings
 from controller.light_model import ModelSettings
-from controller.strategies import NAMES, Strategy, parameters
+from controller.strategies import NAMES, OFF, ShiftContext, Strategy, create, parameters
 from controller.strategies.foresight import ForesightParameters
-from controller.strategies.into_gear import IntoGearParameters
+from controller.strategies.into_gear import BRAKE, PUSH, REST, IntoGearParameters, Seen
 
 FIRMWARE: dict[str, Any] = {
     "period_s": 0.01,
@@ -181,3 +183,42 @@ KINDS = (
 def test_settings_cannot_be_changed_and_take_no_strangers(kind: type[msgspec.Struct]) -> None:
     assert kind.__struct_config__.frozen
     assert kind.__struct_config__.forbid_unknown_fields
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (
+            lambda: ObserverSettings(sensor_age_s=1.0),
+            "sensor_age_s: 1.0 is wrong; expected 0 to 0.05 s",
+        ),
+        (lambda: ModelSettings(stay_kg=0.0), "stay_kg: 0.0 is wrong; expected 0.05 to 100 kg"),
+        (lambda: BlowConfig(duration_s=9.0), "duration_s: 9.0 is wrong; expected 0 to 0.25 s"),
+        (lambda: FilterConfig(order=9), "order: 9 is wrong; expected 1 to 8"),
+        (
+            lambda: type(parameters("air_cushion", {}))(lead_s=3.0),
+            "lead_s: 3.0 is wrong; expected 0 to 0.1 s",
+        ),
+        (
+            lambda: parameters("bang_bang", {"table": [[7e5, 0.1], [6e5, 0.1]]}),
+            "strategy_parameters.table: wrong order; expected ascending supply pressures",
+        ),
+    ],
+)
+def test_what_is_out_of_bounds_is_told_with_its_unit(make: Any, told: str) -> None:
+    with pytest.raises(InputError) as caught:
+        make()
+    assert str(caught.value) == told
+
+
+def test_the_plain_wishes_and_what_is_not_known() -> None:
+    assert (PUSH, BRAKE, REST) == ((True, False), (False, True), (False, False))
+    assert Seen(0.0, 0.0, 0.0, 0) == (0.0, 0.0, 0.0, 0, None, 0.0)
+    nobody = ShiftContext(Gear.NEUTRAL, Gear.NEUTRAL, Chamber.N, Chamber.B, 0, 0, (None, None, None))
+    assert nobody[-2:] == (None, 0)
+    assert OFF == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("name", list(NAMES))
+def test_a_strategy_knows_its_name(name: str) -> None:
+    assert create(FirmwareConfig(strategy=name)).name == name

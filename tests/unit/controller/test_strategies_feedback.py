@@ -10,8 +10,9 @@ from can_dbc.errors import InputError
 from can_dbc.messages import Chamber, Gear
 from controller import strategies
 from controller.config import FirmwareConfig
-from controller.position import Estimate
+from controller.position import Estimate, Sample
 from controller.strategies import Duties, ShiftContext, Strategy
+from controller.strategies.into_gear import IntoGear, Seen, Wish
 
 MS = 1_000_000
 BRAKING = ("air_cushion", "sliding_mode")
@@ -182,3 +183,41 @@ def test_blow_cut_pushes_as_the_open_loop() -> None:
 def test_wrong_settings(name: str, parameters: dict[str, Any], place: str) -> None:
     with pytest.raises(InputError, match=place):
         strategies.parameters(name, parameters)
+
+
+def test_the_burst_of_air_begins_at_its_trigger_and_lasts_its_time() -> None:
+    strategy = made("air_cushion", trigger_m=0.0078125, lead_s=0.0, burst_s=0.03125)
+    pushing, burst = Duties(0.98, 0.0, 0.0), Duties(0.0, 0.98, 0.0)
+    start_ns = 10**9
+    shift = push(Gear.BACKWARD)._replace(start_ns=start_ns)
+    assert strategy.command(start_ns, seen(0.0078, 0.0), shift) == pushing
+    assert strategy.command(start_ns, seen(0.0078125, 0.0), shift) == burst
+    assert strategy.command(start_ns + 31_249_999, seen(0.01, 0.0), shift) == burst
+    assert strategy.command(start_ns + 31_250_000, seen(0.01, 0.0), shift) == pushing
+
+
+@pytest.mark.parametrize(("leg", "sign"), [(Gear.BACKWARD, 1.0), (Gear.FORWARD, -1.0)])
+def test_what_a_braking_strategy_is_told_to_decide_on(
+    leg: Gear, sign: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    strategy = made("air_cushion", patience_s=0.25)
+    assert isinstance(strategy, IntoGear)
+    told: list[Seen] = []
+
+    def decide(seen: Seen) -> Wish:
+        told.append(seen)
+        return Wish(True, True)
+
+    monkeypatch.setattr(strategy, "decide", decide)
+    samples = (Sample(0.0, 0.0, 0.0),) * 2
+    late = Estimate(True, 0.5, sign * 0.003, sign * 0.75, samples)
+    into = push(leg)._replace(start_ns=100 * MS, apart_rad_s=-7.5, apart_ns=70 * MS)
+    both = Duties(0.98, 0.98, 0.0) if sign > 0 else Duties(0.0, 0.98, 0.98)
+    assert strategy.command(130 * MS, late, into) == both
+    assert told == [Seen(pytest.approx(0.03), 0.003, 0.75, 2, 7.5, pytest.approx(-0.03))]
+    assert strategy.command(350 * MS - 1, late, into) == both
+    alone = Duties(0.98, 0.0, 0.0) if sign > 0 else Duties(0.0, 0.0, 0.98)
+    assert strategy.command(350 * MS, late, into) == alone
+    assert strategy.command(130 * MS, late, into._replace(attempt=1)) == alone
+    strategy.command(130 * MS, late, into._replace(apart_rad_s=None))
+    assert told[-1].apart_rad_s is None and len(told) == 3

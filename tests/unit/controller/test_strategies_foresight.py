@@ -16,6 +16,7 @@ from controller.position import Estimate, Sample
 from controller.strategies import ShiftContext, Strategy
 from controller.strategies.bang_bang import STORED, BangBang, stored_s
 from controller.strategies.foresight import Foresight
+from controller.strategies.into_gear import Seen, Wish
 from controller.strategies.predictive import sequences
 
 QUICK = FirmwareConfig(
@@ -168,3 +169,62 @@ def test_model_steps_of_one_call_are_bounded(
         strategy.command(tick * 2_500_000, Estimate(True, x_m, x_m, 0.1, (sample,)), PUSH)
         most = max(most, counted[0])
     assert 0 < most <= most_trials * 120 + 5
+
+
+@pytest.mark.parametrize(("charge", "brake"), [(True, False), (False, True)])
+def test_the_observer_is_brought_up_to_now_and_told_what_was_chosen(
+    charge: bool, brake: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    strategy = strategies.create(FirmwareConfig(strategy="predictive"))
+    assert isinstance(strategy, Foresight)
+    calls: list[tuple[object, ...]] = []
+    monkeypatch.setattr(strategy.observer, "advance", lambda *told: calls.append(told))
+    monkeypatch.setattr(strategy.observer, "command", lambda *told: calls.append(told))
+
+    def plan(spent_s: float) -> Wish:
+        calls.append((spent_s,))
+        return Wish(charge, brake)
+
+    monkeypatch.setattr(strategy, "plan", plan)
+    assert strategy.decide(Seen(0.02, 0.003, 0.4, 2)) == Wish(charge, brake)
+    assert calls == [(0.02, 0.003, 2), (0.02,), (charge, brake)]
+
+
+@pytest.mark.parametrize("late_steps", [0, 2])
+@pytest.mark.parametrize(
+    "sequence",
+    [
+        (1e9, 1e9, 1e9, 1e9),
+        (0.0, 0.002, 1e9, 1e9),
+        (0.002, 0.004, 0.001, 0.003),
+        (0.02, 0.03, 0.02, 0.03),
+        (1e9, 1e9, 0.0, 0.002),
+    ],
+)
+def test_a_trial_is_the_model_with_the_commands_at_their_steps(
+    sequence: tuple[float, float, float, float], late_steps: int
+) -> None:
+    """With valves that follow at once: the model stepped by hand."""
+    quick = {"valve_open_s": 0.0, "valve_close_s": 0.0, "transport_s": late_steps * STEP_S}
+    config = FirmwareConfig(
+        strategy="predictive", strategy_parameters={"model": quick, "horizon_s": 0.08}
+    )
+    strategy = strategies.create(config)
+    strategy.reset()
+    assert isinstance(strategy, Foresight)
+    brake_on_s, brake_off_s, charge_off_s, charge_on_s = sequence
+    model, motion = strategy.observer.model, strategy.observer.motion.copy()
+    outcome = (0.0, 0.08, 0.0)
+    for step in range(160):
+        given_s = (step - late_steps) * STEP_S
+        charge = given_s >= 0.0 and not charge_off_s <= given_s < charge_on_s
+        brake = given_s >= 0.0 and brake_on_s <= given_s < brake_off_s
+        before_m_s = motion.stay_m_s
+        model.step(motion, charge, brake, STEP_S)
+        if motion.stay_m >= model.stroke_m:
+            outcome = (before_m_s, step * STEP_S, 0.0)
+            break
+    else:
+        outcome = (0.0, 0.08, model.stroke_m - motion.stay_m)
+    assert strategy.trial(*sequence) == pytest.approx(outcome, rel=1e-12)
+    assert strategy.observer.motion.stay_m == 0.0  # and it has moved nothing
