@@ -228,3 +228,41 @@ def test_a_trial_is_the_model_with_the_commands_at_their_steps(
         outcome = (0.0, 0.08, model.stroke_m - motion.stay_m)
     assert strategy.trial(*sequence) == pytest.approx(outcome, rel=1e-12)
     assert strategy.observer.motion.stay_m == 0.0  # and it has moved nothing
+
+
+N = 1e9  # never
+TRIED = (
+    (N, N, N, N),
+    (0, 1, N, N),
+    (0, 1, 0, 1),
+    (0, 2, N, N),
+    (0, 2, 0, 2),
+    (0, 4, N, N),
+    (0, 4, 0, 4),
+    (1, 2, N, N),
+    (1, 2, 1, 2),
+    (1, 3, N, N),
+    (1, 3, 1, 3),
+    (1, 5, N, N),
+    (1, 5, 1, 5),
+    (2, 3, N, N),
+    (2, 3, 2, 3),
+    (2, 4, N, N),
+    (2, 4, 2, 4),
+    (2, 6, N, N),
+    (2, 6, 2, 6),
+    (3, 4, N, N),
+    (3, 4, 3, 4),
+    (3, 5, N, N),
+    (3, 5, 3, 5),
+    (3, 7, N, N),
+    (3, 7, 3, 7),
+    (N, N, 0, 1),
+    (N, N, 0, 2),
+)
+
+
+def test_the_sequences_that_are_tried_in_periods() -> None:
+    """Brake on, off, charge off, on: doing nothing first, bursts with and without charge, pauses of it."""
+    assert sequences(1.0) == TRIED
+    assert sequences(0.5)[1] == (0.0, 0.5, N, N)
