@@ -221,3 +221,11 @@ def test_what_a_braking_strategy_is_told_to_decide_on(
     assert strategy.command(130 * MS, late, into._replace(attempt=1)) == alone
     strategy.command(130 * MS, late, into._replace(apart_rad_s=None))
     assert told[-1].apart_rad_s is None and len(told) == 3
+
+
+def test_at_the_end_the_sliding_mode_still_presses_on() -> None:
+    """slope (stroke + beyond - x) = 60 x 3 mm is above the band at the stop, half of it below."""
+    strategy = made("sliding_mode")
+    assert strategy.command(0, seen(0.01285, 0.0), push(Gear.BACKWARD)) == Duties(0.98, 0.0, 0.0)
+    assert strategy.command(0, seen(0.01435, 0.0), push(Gear.BACKWARD)) == Duties(0.0, 0.0, 0.0)
+    assert strategy.command(0, seen(0.01885, 0.0), push(Gear.BACKWARD)) == Duties(0.0, 0.98, 0.0)

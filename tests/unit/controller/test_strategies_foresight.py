@@ -15,7 +15,7 @@ from controller.light_model import LightModel, ModelSettings
 from controller.position import Estimate, Sample
 from controller.strategies import ShiftContext, Strategy
 from controller.strategies.bang_bang import STORED, BangBang, stored_s
-from controller.strategies.foresight import Foresight
+from controller.strategies.foresight import Foresight, Outcome
 from controller.strategies.into_gear import Seen, Wish
 from controller.strategies.predictive import sequences
 
@@ -266,3 +266,36 @@ def test_the_sequences_that_are_tried_in_periods() -> None:
     """Brake on, off, charge off, on: doing nothing first, bursts with and without charge, pauses of it."""
     assert sequences(1.0) == TRIED
     assert sequences(0.5)[1] == (0.0, 0.5, N, N)
+
+
+@pytest.mark.parametrize(
+    ("best", "wish"),
+    [
+        ((1e9, 1e9, 1e9, 1e9), Wish(True, False)),
+        ((0.0, 0.02, 1e9, 1e9), Wish(True, True)),
+        ((0.0, 0.02, 0.0, 0.02), Wish(False, True)),
+        ((0.01, 0.02, 1e9, 1e9), Wish(True, False)),
+        ((1e9, 1e9, 0.0, 0.01), Wish(False, False)),
+    ],
+)
+@pytest.mark.parametrize("by", ["speed", "time", "way"])
+def test_the_first_step_of_the_cheapest_sequence_is_taken(
+    best: tuple[float, ...], wish: Wish, by: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cost = speed + 10 time + 300 way: each in turn is 0.1 less for one sequence."""
+    strategy = strategies.create(FirmwareConfig(strategy="predictive"))
+    assert isinstance(strategy, Foresight)
+    saved = {"speed": (0.9, 0.05, 0.001), "time": (1.0, 0.04, 0.001), "way": (1.0, 0.05, 0.0002)}[by]
+
+    def trial(*sequence: float) -> Outcome:
+        return Outcome(*(saved if sequence == pytest.approx(best) else (1.0, 0.05, 0.001)))
+
+    monkeypatch.setattr(strategy, "trial", trial)
+    assert strategy.plan(0.0) == wish
+
+
+def test_of_equal_sequences_the_one_that_does_least_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    strategy = strategies.create(FirmwareConfig(strategy="predictive"))
+    assert isinstance(strategy, Foresight)
+    monkeypatch.setattr(strategy, "trial", lambda *sequence: Outcome(1.0, 0.05, 0.001))
+    assert strategy.plan(0.0) == Wish(True, False)
