@@ -13,6 +13,7 @@ from controller.config import FirmwareConfig
 from controller.position import Estimate, Sample
 from controller.strategies import Duties, ShiftContext, Strategy
 from controller.strategies.into_gear import IntoGear, Seen, Wish
+from controller.strategies.synchro_brake import SynchroBrake
 
 MS = 1_000_000
 BRAKING = ("air_cushion", "sliding_mode")
@@ -229,3 +230,45 @@ def test_at_the_end_the_sliding_mode_still_presses_on() -> None:
     assert strategy.command(0, seen(0.01285, 0.0), push(Gear.BACKWARD)) == Duties(0.98, 0.0, 0.0)
     assert strategy.command(0, seen(0.01435, 0.0), push(Gear.BACKWARD)) == Duties(0.0, 0.0, 0.0)
     assert strategy.command(0, seen(0.01885, 0.0), push(Gear.BACKWARD)) == Duties(0.0, 0.98, 0.0)
+
+
+def forecast(v: float, g: float, end_s: float, **parameters: Any) -> float | None:
+    """Forecast of the release at `end_s`, from reports of a fall v + g t at 0, 10 and 20 ms."""
+    strategy = made("synchro_brake", **parameters)
+    assert isinstance(strategy, SynchroBrake)
+    apart = v * end_s + g * end_s**2 / 2
+    strategy._reports = tuple((t, apart - v * t - g * t**2 / 2) for t in (0.0, 0.01, 0.02))
+    return strategy._forecast_s()
+
+
+@pytest.mark.parametrize(("v", "g"), [(1000.0, 0.0), (1000.0, 5000.0), (900.0, 2e4), (2000.0, 100.0)])
+def test_the_release_of_a_parabola_is_forecast_exactly(v: float, g: float) -> None:
+    assert forecast(v, g, 0.1) == pytest.approx(0.1, rel=1e-9)
+
+
+def test_a_fall_that_slows_down_is_carried_on_straight() -> None:
+    v, g, end_s = 1500.0, -4000.0, 0.1
+    apart = v * end_s + g * end_s**2 / 2
+    left, fall = apart - v * 0.02 - g * 0.0002, v + g * 0.015
+    assert forecast(v, g, end_s) == pytest.approx(0.02 + left / fall, rel=1e-9)
+
+
+def test_too_weak_a_fall_is_no_release_to_brake() -> None:
+    # at the release 1500 rad/s2, and 1100 when last reported
+    assert forecast(1000.0, 5000.0, 0.1, least_fall_rad_s2=1499.9) is not None
+    assert forecast(1000.0, 5000.0, 0.1, least_fall_rad_s2=1500.1) is None
+    # at the release 2100, but 500 when last reported: half of 1000
+    assert forecast(100.0, 2e4, 0.1, least_fall_rad_s2=999.9) is not None
+    assert forecast(100.0, 2e4, 0.1, least_fall_rad_s2=1000.1) is None
+    # from report to report
+    assert forecast(51.0, 0.0, 0.1, least_fall_rad_s2=0.0, least_rad_s=0.5) is not None
+    assert forecast(49.0, 0.0, 0.1, least_fall_rad_s2=0.0, least_rad_s=0.5) is None
+
+
+def test_reports_that_stop_are_forgotten_and_begin_anew() -> None:
+    strategy = made("synchro_brake")
+    assert isinstance(strategy, SynchroBrake)
+    for k, apart_rad_s in enumerate((100.0, 90.0, None, 70.0, 60.0)):
+        strategy.decide(Seen(0.01 * k, 0.0, 0.0, 1, apart_rad_s, 0.01 * k))
+        assert (apart_rad_s is None) == (strategy._reports == ())
+    assert strategy._reports == ((0.03, 70.0), (0.04, 60.0))
