@@ -190,6 +190,7 @@ def test_the_observer_is_brought_up_to_now_and_told_what_was_chosen(
     assert calls == [(0.02, 0.003, 2), (0.02,), (charge, brake)]
 
 
+@pytest.mark.parametrize("horizon_s", [0.02, 0.03, 0.04, 0.08])
 @pytest.mark.parametrize("late_steps", [0, 2])
 @pytest.mark.parametrize(
     "sequence",
@@ -202,20 +203,19 @@ def test_the_observer_is_brought_up_to_now_and_told_what_was_chosen(
     ],
 )
 def test_a_trial_is_the_model_with_the_commands_at_their_steps(
-    sequence: tuple[float, float, float, float], late_steps: int
+    sequence: tuple[float, float, float, float], late_steps: int, horizon_s: float
 ) -> None:
     """With valves that follow at once: the model stepped by hand."""
     quick = {"valve_open_s": 0.0, "valve_close_s": 0.0, "transport_s": late_steps * STEP_S}
     config = FirmwareConfig(
-        strategy="predictive", strategy_parameters={"model": quick, "horizon_s": 0.08}
+        strategy="predictive", strategy_parameters={"model": quick, "horizon_s": horizon_s}
     )
     strategy = strategies.create(config)
     strategy.reset()
     assert isinstance(strategy, Foresight)
     brake_on_s, brake_off_s, charge_off_s, charge_on_s = sequence
     model, motion = strategy.observer.model, strategy.observer.motion.copy()
-    outcome = (0.0, 0.08, 0.0)
-    for step in range(160):
+    for step in range(round(horizon_s / STEP_S)):
         given_s = (step - late_steps) * STEP_S
         charge = given_s >= 0.0 and not charge_off_s <= given_s < charge_on_s
         brake = given_s >= 0.0 and brake_on_s <= given_s < brake_off_s
@@ -225,7 +225,7 @@ def test_a_trial_is_the_model_with_the_commands_at_their_steps(
             outcome = (before_m_s, step * STEP_S, 0.0)
             break
     else:
-        outcome = (0.0, 0.08, model.stroke_m - motion.stay_m)
+        outcome = (0.0, horizon_s, model.stroke_m - motion.stay_m)
     assert strategy.trial(*sequence) == pytest.approx(outcome, rel=1e-12)
     assert strategy.observer.motion.stay_m == 0.0  # and it has moved nothing
 
