@@ -231,3 +231,7 @@ def test_commands_reach_the_valves_after_the_way_over_the_bus() -> None:
     for valve in (observer.driving, observer.braking):
         assert valve.wanted is False
         assert valve.due_s == pytest.approx(0.01 + 0.00038 + 0.035, abs=1e-12)
+
+
+def test_the_gas_is_air() -> None:
+    assert R_AIR_J_KG_K == 287.0  # J/(kg K)

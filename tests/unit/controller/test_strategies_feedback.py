@@ -237,8 +237,12 @@ def forecast(v: float, g: float, end_s: float, **parameters: Any) -> float | Non
     strategy = made("synchro_brake", **parameters)
     assert isinstance(strategy, SynchroBrake)
     apart = v * end_s + g * end_s**2 / 2
-    strategy._reports = tuple((t, apart - v * t - g * t**2 / 2) for t in (0.0, 0.01, 0.02))
-    return strategy._forecast_s()
+    begun_s = 0.25
+    strategy._reports = tuple(
+        (begun_s + t, apart - v * t - g * t**2 / 2) for t in (0.0, 0.01, 0.02)
+    )
+    found_s = strategy._forecast_s()
+    return None if found_s is None else found_s - begun_s
 
 
 @pytest.mark.parametrize(("v", "g"), [(1000.0, 0.0), (1000.0, 5000.0), (900.0, 2e4), (2000.0, 100.0)])
