@@ -13,6 +13,7 @@ from can_dbc.messages import (
 )
 from controller.config import BlowConfig, FilterConfig, FirmwareConfig, SensorConfig, ShiftConfig
 from controller.firmware import ChannelState, Firmware, Inputs
+from controller.position import Estimate
 from controller.strategies import Duties, one_chamber
 from tests.unit.controller.invariants import check_invariants, duties
 from tests.unit.controller.toy_actuator import (
@@ -351,3 +352,12 @@ class TestPieces:
             out = firmware.step(k * 10 * MS, Inputs((hot,), position_state=ChannelState.VALID))
         both = Fault.POSITION_LOST | Fault.POSITION_IMPLAUSIBLE
         assert out.status.faults & both == both
+
+    def test_a_gear_that_drops_out_alone_is_reported(self) -> None:
+        rig = shift(B).run(200)
+        firmware, status = rig.firmware, rig.last.status
+        assert status.confirmed is B
+        firmware._machine.confirmed = U
+        at_rest = Estimate(True, status.estimate_m, status.estimate_m, 0.0, ())
+        out = firmware._report(200 * MS, at_rest, firmware._duties, status.faults, None)
+        assert out.status.confirmed is U

@@ -230,3 +230,11 @@ class TestFault:
         bench.until(S.VENT)
         bench.step(position_valid=False)
         assert not bench.machine.in_process
+
+
+def test_a_wish_that_comes_as_hold_or_vent_ends_begins_its_shift() -> None:
+    for state, left_ms in ((S.HOLD, 40), (S.VENT, 110)):
+        bench = Bench().blowing(B)
+        bench.until(state)
+        assert bench.step(left_ms, wanted=N) is S.PUSH
+        assert bench.machine.leg is N
