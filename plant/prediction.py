@@ -27,6 +27,13 @@ from .tangents import Followers
 FIT_TOLERANCE = 1e-7
 
 
+def _driven_alike(one: Setup, other: Setup) -> bool:
+    """True if modes and valves of two strokes are the same."""
+    if one.conditions is other.conditions and one.timing is other.timing:
+        return one.creep_s == other.creep_s and one.has_line == other.has_line
+    return _like(one) == _like(other)
+
+
 def _like(setup: Setup) -> tuple:
     """What decides modes and valves of a stroke."""
     return setup.conditions, setup.timing, setup.creep_s, setup.has_line
@@ -176,8 +183,10 @@ class Predictor:
         setups = [setup, *moved]
         system = setup.conditions.system
         ready = self._prepared(setup)
-        if all(_like(one) == self._like for one in moved):
-            packed = np.array([one.p for one in setups])
+        if all(_driven_alike(one, setup) for one in moved):
+            packed = np.empty((len(setups), L.PARAMETERS))
+            for row, one in zip(packed, setups, strict=True):
+                row[:] = one.p
             flow = shared([one.c for one in setups])
             initial = shared(initials(setups, packed))
             modes_, valves, switches = ready.modes[None, : L.MODES], ready.valves[None], ready.moves[None]
@@ -200,7 +209,8 @@ class Predictor:
             for one, own in zip(setups, samples, strict=True):
                 own[:, pressures] = gauged(one, self._sample_s, own[:, pressures])
         base = samples[0]
-        rates = samples[1:] - base
+        rates = samples[1:]
+        rates -= base
         rates *= (1.0 / np.array(steps)).reshape(-1, 1, 1)
         return base, [rate if same else None for rate, same in zip(rates, alike[1:], strict=True)]
 

@@ -74,6 +74,7 @@ class Followers:
         self._known = np.zeros((len(sample_s), KNOWN))
         self._flat, self._scratch = np.zeros(ROWS * WIDTH), np.zeros(SCRATCH)
         self._memory = np.zeros(MEMORY * WIDTH, dtype=np.int64)
+        self._scales = {system: scales(system) for system in (L.FIXED, L.LENGTH)}
 
     def run(
         self,
@@ -97,7 +98,7 @@ class Followers:
         results, final = np.zeros((n, RESULTS)), np.zeros((n, states))
         out, events = np.zeros((n, self._instants.shape[1], len(columns))), np.zeros((n, 0, EVENT_COLUMNS))
         everything = np.arange(n)
-        arrays = (packed, flow, initial, *driven, self._instants, columns, scales(system))
+        arrays = (packed, flow, initial, *driven, self._instants, columns, self._scales[system])
         for order, use in ((everything[:1], WRITE_GRID), (everything[1:], FOLLOW_GRID)):
             steps = LONGEST_GRID if use == WRITE_GRID else min(int(results[0, R_STEPS]), LONGEST_GRID)
             if lanes:
@@ -112,9 +113,9 @@ class Followers:
                     order, results, final, out, events, self._grid, steps, use,
                 )  # fmt: skip
         if lanes:
-            for place in np.flatnonzero(columns >= moving):
-                # these states do not move in a lane
-                out[:, :, place] = initial[:, columns[place], None]
+            for place, column in enumerate(columns.tolist()):
+                if column >= moving:  # these states do not move in a lane
+                    out[:, :, place] = initial[:, column, None]
         alike = (
             (covered == covered[0])
             & (results[:, R_STATUS] == DONE)
