@@ -14,10 +14,16 @@ from .errors import InputError
 
 NS_PER_S = 1_000_000_000
 LONGEST_DELAY_S = 10.0  # of a valve; ten times any that a plunger could have
+LONGEST_S = 1e9
 
 
 def seconds_to_ns(seconds: float) -> int:
-    """Whole nanoseconds nearest to a time in seconds."""
+    """Whole nanoseconds nearest to a time in seconds.
+
+    Raises InputError beyond LONGEST_S, thirty years.
+    """
+    if abs(seconds) > LONGEST_S:
+        raise InputError(f"a time of {seconds:g} s; expected at most {LONGEST_S:g} s")
     return round(seconds * NS_PER_S)
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
+from .bounds import outside
 
 Number = float | tuple[float, ...]
 
@@ -79,6 +80,7 @@ class ParameterSet:
                 kind = "a list of numbers" if isinstance(old.value, tuple) else "one number"
                 raise InputError(f"{self.name}: {path}: expected {kind}, got {raw!r}")
             entries[path] = Parameter(value, old.unit, f"override of: {old.source}")
+            check_range(path, entries[path], f"{self.name}: {path}")
         return ParameterSet(self.name, entries, self.effects)
 
 
@@ -231,10 +233,19 @@ def parse(raw: Mapping[str, Any], name: str) -> ParameterSet:
                     raise InputError(
                         f"{place}: unit {item.unit!r}; expected {entries[full].unit!r}"
                     )
+            check_range(full, item, f"{place}.value")
             entries[full] = item
     if base is None:
         check_complete(entries, name)
     return ParameterSet(name, entries, effects)
+
+
+def check_range(path: str, item: Parameter, place: str) -> None:
+    """Refuse values that the parameter at `section.key` cannot have."""
+    values = item.value if isinstance(item.value, tuple) else (item.value,)
+    wrong = outside(path, item.unit, values)
+    if wrong:
+        raise InputError(f"{place}: {wrong}")
 
 
 def check_complete(entries: Mapping[str, Parameter], name: str) -> None:

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
+from plant.parameters import load
 from plant.valve import Valve, ValveTiming, seconds_to_ns, switch_schedule
 
 MS = 1_000_000
@@ -78,6 +79,10 @@ def test_impossible_start_timing_and_order_are_refused() -> None:
         ValveTiming(-1, 0, 0.33, 0.35)
     with pytest.raises(InputError, match=r"valve.duty_open: "):
         ValveTiming(1, 1, 0.35, 0.35)
+    with pytest.raises(InputError, match=r"valve.D_fall: 1e\+300; expected 0 to 10 s"):
+        load().override({"valve.D_fall": 1e300})
+    with pytest.raises(InputError, match="1e\\+308 s"):
+        seconds_to_ns(1e308)
     valve = Valve(TIMING)
     valve.command(5, 0.98)
     with pytest.raises(ValueError, match="after one at 5"):

@@ -1,0 +1,73 @@
+"""Between which values a parameter means something: what lies outside is refused by name.
+
+Wide: they keep out signs and magnitudes that no actuator has, not unusual actuators. Tighter ones that
+depend on other parameters stand with the parts they belong to.
+Checked by: tests/unit/plant/test_parameter_bounds.py
+"""
+
+from __future__ import annotations
+
+from math import inf
+
+MOST = 1e12
+"""Of anything, in SI units."""
+
+BY_UNIT = {
+    "J/(kg K)": (1.0, 1e6),
+    "K": (1.0, 1e5),
+    "Pa": (0.0, MOST),
+    "Pa (absolute)": (1.0, MOST),
+    "Hz": (1e-6, MOST),
+    "N": (0.0, MOST),
+    "N s": (0.0, MOST),
+    "N s/m": (0.0, MOST),
+    "N/m": (0.0, MOST),
+    "kg": (1e-9, MOST),
+    "kg/m^3": (1e-3, 1e6),
+    "m": (0.0, 1e3),
+    "m^2": (0.0, 1e6),
+    "m^3": (0.0, 1e6),
+    "s": (0.0, 1e6),
+    "s/m": (-1e6, 1e6),
+    "1/K": (-1.0, 1.0),
+    "K kg/(s Pa)": (-MOST, MOST),
+    "-": (0.0, 1e6),
+}
+
+BY_PATH = {
+    "gas.gamma": (1.0 + 1e-6, 10.0),
+    "gas.critical_ratio": (1e-6, 1.0),
+    "valve.D_rise": (0.0, 10.0),
+    "valve.D_fall": (0.0, 10.0),
+    "valve.fall_base": (0.0, 10.0),
+    "valve.fall_tau": (0.0, 10.0),
+    "flow_charge.y_min": (0.0, 1.0),
+    "flow_charge.y_split": (0.0, 1.0),
+    "flow_discharge.z_split": (1.0, 1e6),
+    "flow_discharge.z_max": (1.0, 1e6),
+    "alpha.alpha_m1": (0.01, 10.0),
+    "alpha.alpha_1": (0.01, 10.0),
+    "alpha.alpha_m2": (0.01, 10.0),
+    "alpha.alpha_2": (0.01, 10.0),
+    "stops.restitution": (0.0, 1.0),
+    "damper.air_fraction": (0.0, 1.0),
+    "spring_test.x0": (-1e3, 1e3),
+    "gauge.adc_bits": (1.0, 64.0),
+    "position_sensor.t_mid": (0.0, 10.0),
+    "position_sensor.slope": (-1e3, 1e3),
+}
+"""Where a parameter's unit says too little."""
+
+
+def bounds(path: str, unit: str) -> tuple[float, float]:
+    """Least and largest value of the parameter at `section.key`; infinite where nothing is known."""
+    return BY_PATH.get(path) or BY_UNIT.get(unit, (-inf, inf))
+
+
+def outside(path: str, unit: str, values: tuple[float, ...]) -> str:
+    """What is wrong with a parameter's values and what was expected; "" if nothing is."""
+    low, high = bounds(path, unit)
+    for value in values:
+        if not low <= value <= high:
+            return f"{value:g}; expected {low:g} to {high:g} {'' if unit == '-' else unit}".rstrip()
+    return ""
