@@ -66,7 +66,7 @@ def test_a_speed_that_cannot_be_is_refused(tmp_path: Path) -> None:
     ("setting", "told"),
     [
         ("position_sensor.t_mid=1", "sensor.capture_s: 0.0015; expected at least"),
-        ("valve.D_rise=-1", "valve.D_rise: -1; expected"),
+        ("length.V_N0=6e-5", "length.V_N0: 6e-05 m^3 leaves chamber N no volume"),
     ],
 )
 def test_what_only_the_plant_can_refuse_is_bad_input_on_every_transport(

@@ -22,7 +22,7 @@ TIME_S = np.linspace(0.0, 0.1, 11)
     ("path", "value", "conditions"),
     [
         ("fixed.V20", 3e-5, FIXED),
-        ("fixed.V20", -1e-6, FIXED),
+        ("fixed.V20", 1e-6, FIXED),
         ("fixed.V10", 0.0, FIXED),
         ("length.V_N0", 6e-5, ENGAGE),
         ("length.V_F0", 4e-6, ENGAGE),
