@@ -187,7 +187,7 @@ def parse_stroke(
     if not isinstance(mounted, bool):
         raise InputError(f"{place}: mounted: expected true or false, got {mounted!r}")
     file = text(entry, "file", place)
-    if Path(file).name != file:
+    if Path(file).name != file or not file.isprintable():
         raise InputError(f"{place}: file {file!r}; expected a name beside campaign.toml")
 
     def optional(key: str, default: float, low: float, high: float) -> float:
