@@ -1,7 +1,7 @@
 """A soak: hours in lockstep, minutes in real time, the memory of every process over time.
 
-`python -m sil.bench.soak [--hours H] [--minutes M] [--out DIR]`; by what shorter ones took, a
-simulated day takes about an hour and up to 10 GB of disk. One shift every ten seconds, through all gears.
+`python -m sil.bench.soak [--hours H] [--minutes M] [--out DIR]`; a
+simulated day takes two hours, half of it to judge it, and 8 GB of disk. One shift every ten seconds, through all gears.
 """
 
 from __future__ import annotations
