@@ -85,6 +85,39 @@ lane_fixed_guards = inlined(fixed_guards.py_func)  # type: ignore[attr-defined]
 lane_length_guards = inlined(guards.py_func)  # type: ignore[attr-defined]
 
 
+@inlined
+def fixed_rates_of_lane(f, j, fraction, parameters):
+    """Rates of lane j of fixed-piston strokes."""
+    lane_fixed_rates(
+        f[TIME * WIDTH + j] + fraction * f[STEP * WIDTH + j],
+        lane(f, STAGE, j, WIDTH, ""),
+        lane(f, RATE, j, WIDTH, ""),
+        lane(f, MODE, j, WIDTH, "lane modes"),
+        lane(f, VALVE, j, WIDTH, ""),
+        lane(f, VALVE_RATE, j, WIDTH, ""),
+        parameters,
+        lane(f, C, j, WIDTH, ""),
+        False,
+    )
+
+
+@inlined
+def length_rates_of_lane(f, j, fraction, parameters):
+    """Rates of lane j of length strokes."""
+    lane_length_rates(
+        f[TIME * WIDTH + j] + fraction * f[STEP * WIDTH + j],
+        lane(f, STAGE, j, WIDTH, ""),
+        lane(f, RATE, j, WIDTH, ""),
+        lane(f, MODE, j, WIDTH, "lane modes"),
+        lane(f, VALVE, j, WIDTH, ""),
+        lane(f, VALVE_RATE, j, WIDTH, ""),
+        parameters,
+        lane(f, C, j, WIDTH, ""),
+        lane(f, WORK, j, WIDTH, ""),
+        False,
+    )
+
+
 @called
 def rates_of_lanes(f, fixed, curved, fraction, width):
     """Rates of all lanes at their stage states, `fraction` of their step on: STAGE -> RATE.
@@ -94,58 +127,16 @@ def rates_of_lanes(f, fixed, curved, fraction, width):
     """
     if fixed and curved:
         for j in range(width):
-            lane_fixed_rates(
-                f[TIME * WIDTH + j] + fraction * f[STEP * WIDTH + j],
-                lane(f, STAGE, j, WIDTH, ""),
-                lane(f, RATE, j, WIDTH, ""),
-                lane(f, MODE, j, WIDTH, "lane modes"),
-                lane(f, VALVE, j, WIDTH, ""),
-                lane(f, VALVE_RATE, j, WIDTH, ""),
-                lane(f, P, j, WIDTH, "lane parameters"),
-                lane(f, C, j, WIDTH, ""),
-                False,
-            )
+            fixed_rates_of_lane(f, j, fraction, lane(f, P, j, WIDTH, "lane parameters"))
     elif fixed:
         for j in range(width):
-            lane_fixed_rates(
-                f[TIME * WIDTH + j] + fraction * f[STEP * WIDTH + j],
-                lane(f, STAGE, j, WIDTH, ""),
-                lane(f, RATE, j, WIDTH, ""),
-                lane(f, MODE, j, WIDTH, "lane modes"),
-                lane(f, VALVE, j, WIDTH, ""),
-                lane(f, VALVE_RATE, j, WIDTH, ""),
-                lane(f, P, j, WIDTH, "plain parameters"),
-                lane(f, C, j, WIDTH, ""),
-                False,
-            )
+            fixed_rates_of_lane(f, j, fraction, lane(f, P, j, WIDTH, "plain parameters"))
     elif curved:
         for j in range(width):
-            lane_length_rates(
-                f[TIME * WIDTH + j] + fraction * f[STEP * WIDTH + j],
-                lane(f, STAGE, j, WIDTH, ""),
-                lane(f, RATE, j, WIDTH, ""),
-                lane(f, MODE, j, WIDTH, "lane modes"),
-                lane(f, VALVE, j, WIDTH, ""),
-                lane(f, VALVE_RATE, j, WIDTH, ""),
-                lane(f, P, j, WIDTH, "lane parameters"),
-                lane(f, C, j, WIDTH, ""),
-                lane(f, WORK, j, WIDTH, ""),
-                False,
-            )
+            length_rates_of_lane(f, j, fraction, lane(f, P, j, WIDTH, "lane parameters"))
     else:
         for j in range(width):
-            lane_length_rates(
-                f[TIME * WIDTH + j] + fraction * f[STEP * WIDTH + j],
-                lane(f, STAGE, j, WIDTH, ""),
-                lane(f, RATE, j, WIDTH, ""),
-                lane(f, MODE, j, WIDTH, "lane modes"),
-                lane(f, VALVE, j, WIDTH, ""),
-                lane(f, VALVE_RATE, j, WIDTH, ""),
-                lane(f, P, j, WIDTH, "plain parameters"),
-                lane(f, C, j, WIDTH, ""),
-                lane(f, WORK, j, WIDTH, ""),
-                False,
-            )
+            length_rates_of_lane(f, j, fraction, lane(f, P, j, WIDTH, "plain parameters"))
 
 
 @called

@@ -11,9 +11,9 @@ from math import log
 from typing import Protocol
 
 from .errors import InputError
+from .parameters.bounds import outside
 
 NS_PER_S = 1_000_000_000
-LONGEST_DELAY_S = 10.0  # of a valve; ten times any that a plunger could have
 LONGEST_S = 1e9
 
 
@@ -65,8 +65,8 @@ class ValveTiming:
             "fall_tau": self.fall_tau_s,
         }
         for name, delay_s in delays_s.items():
-            if not 0.0 <= delay_s <= LONGEST_DELAY_S:
-                raise InputError(f"valve.{name}: {delay_s:g}; expected 0 to {LONGEST_DELAY_S:g} s")
+            if wrong := outside(f"valve.{name}", "s", (delay_s,)):
+                raise InputError(f"valve.{name}: {wrong}")
         if not 0.0 <= self.duty_closed < self.duty_open <= 1.0:
             raise InputError(
                 f"valve.duty_closed, valve.duty_open: {self.duty_closed:g}, {self.duty_open:g}; "
