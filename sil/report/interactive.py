@@ -83,10 +83,12 @@ def plots(
     title: str = "",
     twin: bool = False,
     logarithmic: bool = False,
+    names: Sequence[str] = (),
 ) -> Group:
     """Panels over one axis.
 
     `axis`: label of the common axis with its unit; `x` ascending, every series as long as `x`.
+    names: what stands at each `x` instead of numbers.
     Raises ValueError for a series of another length.
     """
     for panel in panels:
@@ -97,6 +99,7 @@ def plots(
     told: dict[str, Any] = {
         "axis": axis,
         "log": logarithmic,
+        "names": list(names),
         "x": rounded(x[::stride]),
         "windows": [[w.name, w.low, w.high] for w in windows],
         "panels": [

@@ -6,7 +6,7 @@
   const PAPER_WIDTH = 680;
   let printing = false;
 
-  function line(series, colours) {
+  function line(series, colours, dot) {
     const colour = colours[series.role];
     const made = {
       label: series.label,
@@ -14,7 +14,7 @@
       width: series.role === "truth" || series.role === "measured" ? 2.2 : 1.5,
       dash: series.dashed ? [6, 4] : undefined,
       spanGaps: series.joined,
-      points: { show: series.dotted, size: 4, fill: colour, width: 0 },
+      points: { show: series.dotted, size: dot, fill: colour, width: 0 },
       value: (chart, value) => (value == null ? "–" : value.toPrecision(4)),
     };
     if (series.stepped) made.paths = uPlot.paths.stepped({ align: 1 });
@@ -57,11 +57,27 @@
     };
   }
 
+  // Names stand under the lowest panel only, and upright where they would not fit side by side.
+  function level(told, axis, last, wide) {
+    const made = { ...axis, size: 26, label: undefined, labelSize: 0 };
+    if (last) Object.assign(made, { size: 40, label: told.axis, labelSize: 20 });
+    if (!told.names.length) return made;
+    const letters = Math.max(...told.names.map((name) => name.length));
+    made.splits = () => told.x;
+    made.values = () => told.names.map((name) => (last ? name : ""));
+    if (last && 7 * letters * told.names.length > wide) {
+      made.rotate = -90;
+      made.size = 20 + 7 * letters;
+    }
+    return made;
+  }
+
   function group(place, number) {
     const told = JSON.parse(place.querySelector("script").textContent);
     const holder = place.querySelector(".panels");
     const known = told.x.filter((value) => value != null);
-    const whole = [known[0], known[known.length - 1]];
+    const room = told.names.length ? 0.5 : 0;
+    const whole = [known[0] - room, known[known.length - 1] + room];
     // powers and roots instead of sums and halves on a logarithmic axis
     const to = told.log ? Math.log : (value) => value;
     const from = told.log ? Math.exp : (value) => value;
@@ -123,9 +139,14 @@
         grid: { stroke: colours.grid, width: 1 },
         ticks: { stroke: colours.grid, width: 1 },
       };
+      const across = level(told, axis, last, width() - 60);
+      const named = (chart, v) => {
+        if (v == null) return "–";
+        return told.names.length ? told.names[told.x.indexOf(v)] : v.toPrecision(5);
+      };
       return {
         width: width(),
-        height: panel.height + (last ? 34 : 0),
+        height: panel.height + (last ? across.size - 6 : 0),
         cursor: {
           sync: { key: "opc4 " + number },
           drag: { x: true, y: false, setScale: false },
@@ -134,12 +155,9 @@
           x: { time: false, distr: told.log ? 3 : 1, range: () => range },
           y: { range: tall(panel) },
         },
-        axes: [
-          { ...axis, size: last ? 40 : 26, label: last ? told.axis : undefined, labelSize: last ? 20 : 0 },
-          upright(panel, axis),
-        ],
-        series: [{ label: told.axis, value: (chart, v) => (v == null ? "–" : v.toPrecision(5)) }]
-          .concat(panel.series.map((series) => line(series, colours))),
+        axes: [across, upright(panel, axis)],
+        series: [{ label: told.axis, value: named }]
+          .concat(panel.series.map((series) => line(series, colours, told.names.length ? 10 : 4))),
         hooks: {
           drawClear: [shade(panel, colours)],
           setSelect: [

@@ -83,5 +83,6 @@ def _ranges(study: LoadedStudy, table: Table) -> list[tuple[str, str]]:
         values = table.numbers[name][table.numbers[name] == table.numbers[name]]
         if len(values):
             label, factor = shown(name)
-            found.append((f"{factor * values.min():.3g} to {factor * values.max():.3g}", label))
+            least, greatest = (f"{factor * value:.3g}" for value in (values.min(), values.max()))
+            found.append((least if least == greatest else f"{least} to {greatest}", label))
     return found

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sil.report.figures import save
 from sil.report.theme import LIGHT
@@ -14,6 +15,7 @@ from sil.sweeps.rows import columns, stroke_of
 from sil.sweeps.study import LoadedStudy
 from sil.sweeps.table import Table
 
+Ints = NDArray[np.int64]
 COLOURS = LIGHT.series
 LINES = ("-", "--", ":", "-.")
 MOST_CURVES = 12
@@ -142,31 +144,74 @@ def line_looks(names: Sequence[str]) -> dict[str, tuple[str, str]]:
     }
 
 
+class Choices(NamedTuple):
+    """The rows by their choices: the kind with the most options (names) beside combinations of the others.
+
+    place: of each row, the number of its option; series: rows by combination, all together where there
+    are more combinations than colours.
+    """
+
+    kind: str
+    names: list[str]
+    place: Ints
+    series: dict[str, Ints]
+
+
+def choices(study: LoadedStudy, table: Table) -> Choices:
+    """What was chosen for each row: loads and the like, and swept values that are no numbers."""
+    kinds = {name: name for name, _items in study.groups}
+    kinds |= {s.path: s.label or s.path for s in study.study.sweep if s.path in table.texts}
+    if not kinds:
+        everything = np.arange(table.size)
+        return Choices("", [study.study.name], np.zeros_like(everything), {"": everything})
+    options = {kind: list(dict.fromkeys(table.texts[kind])) for kind in kinds}
+    widest = max(kinds, key=lambda kind: len(options[kind]))
+    place = np.array([options[widest].index(name) for name in table.texts[widest]])
+    others = [table.texts[kind] for kind in kinds if kind != widest]
+    labels = [" / ".join(parts) for parts in zip(*others, strict=True)]
+    if not labels or len(set(labels)) > len(COLOURS):
+        labels = [""] * table.size
+    told = np.array(labels)
+    series = {name: np.flatnonzero(told == name) for name in dict.fromkeys(labels)}
+    return Choices(kinds[widest], options[widest], place, series)
+
+
 def draw_choices(study: LoadedStudy, table: Table, folder: Path) -> Path:
-    """Each metric by combination of choices: a line from least to greatest, a dot at the median."""
+    """Each metric by choice: lines from least to greatest, dots at the median."""
     from matplotlib import pyplot
 
     metrics = read_metrics(study)
-    groups = groups_of(study, table)
+    by = choices(study, table)
+    count = len(by.series)
     figure, axes = pyplot.subplots(
         1,
         len(metrics),
-        figsize=(3.0 + 4.0 * len(metrics), 1.2 + 0.26 * len(groups)),
+        figsize=(4.0 + 4.0 * len(metrics), 1.2 + (0.2 + 0.12 * count) * len(by.names)),
         squeeze=False,
         sharey=True,
     )
     for axis, metric in zip(axes[0], metrics, strict=True):
         label, factor = shown(metric)
-        for place, rows in enumerate(groups.values()):
-            values = factor * table.numbers[metric][rows]
-            values = values[~np.isnan(values)]
-            if len(values):
-                axis.plot([values.min(), values.max()], [place, place], "-", color=COLOURS[0], lw=1.5)
-                axis.plot(np.median(values), place, "o", color=COLOURS[0], ms=5)
+        for k, (name, rows) in enumerate(by.series.items()):
+            level = 0.7 * ((k + 0.5) / count - 0.5)
+            known = False
+            for place in np.unique(by.place[rows]):
+                values = factor * table.numbers[metric][rows[by.place[rows] == place]]
+                values = values[~np.isnan(values)]
+                if len(values):
+                    at = place + level
+                    axis.plot([values.min(), values.max()], [at, at], "-", color=COLOURS[k], lw=1.5)
+                    told = None if known or not name else name
+                    axis.plot(np.median(values), at, "o", color=COLOURS[k], ms=5, label=told)
+                    known = True
         axis.set_xlabel(label)
-        axis.grid(alpha=0.3)
-    axes[0][0].set_yticks(range(len(groups)), list(groups), fontsize=8)
-    axes[0][0].invert_yaxis()
+        axis.grid(alpha=0.3, axis="x")
+        for line in range(1, len(by.names)):
+            axis.axhline(line - 0.5, color=LIGHT.grid, lw=0.8, zorder=0)
+    axes[0][0].set_yticks(range(len(by.names)), by.names)
+    axes[0][0].set_ylim(len(by.names) - 0.5, -0.5)
+    if count > 1:
+        axes[0][-1].legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0))
     figure.suptitle(study.study.name.replace("_", " "), x=0.02, ha="left", fontweight="bold")
     return saved(figure, folder / "choices.png")
 

@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from sil.report.interactive import Group, Panel, Series, Window, plots
 from sil.report.theme import LIGHT
-from sil.sweeps.pictures import MOST_CURVES, groups_of, labelled_strokes, read_metrics, shown
+from sil.sweeps.pictures import (
+    MOST_CURVES,
+    choices,
+    groups_of,
+    labelled_strokes,
+    read_metrics,
+    shown,
+)
 from sil.sweeps.study import LoadedStudy, Sweep
 from sil.sweeps.table import Table
 
@@ -22,12 +29,47 @@ MOST_GROUPS = len(LIGHT.series)
 
 
 def study_plots(study: LoadedStudy, table: Table) -> list[Group]:
-    """A group over each swept number, and one over time for the strokes of a small study."""
+    """A group over time for the strokes of a small study, one over each swept number, else over the choices."""
     found = []
     if study.study.stroke is not None and study.size <= MOST_CURVES:
         found.append(_strokes(study))
     numeric = [sweep for sweep in study.study.sweep if sweep.path in table.numbers]
-    return found + [group for sweep in numeric if (group := _over(study, table, sweep)) is not None]
+    swept = [group for sweep in numeric if (group := _over(study, table, sweep)) is not None]
+    if not swept and not study.study.safety:
+        swept = [group] if (group := _choices(study, table)) is not None else []
+    return found + swept
+
+
+def _choices(study: LoadedStudy, table: Table) -> Group | None:
+    """Metrics by choice: medians where several rows have the same choices."""
+    by = choices(study, table)
+    x = np.arange(float(len(by.names)))
+    repeated = False
+    panels = []
+    for metric in read_metrics(study):
+        label, factor = shown(metric)
+        series = []
+        for k, (name, rows) in enumerate(by.series.items()):
+            y, again = _medians(by.place[rows], factor * table.numbers[metric][rows], len(x))
+            repeated |= again
+            if not np.all(np.isnan(y)):
+                series.append(Series(name or study.study.name, y, f"series{k}", dotted=True))
+        title, _, unit = label.partition(", ")
+        if series:
+            panels.append(Panel(title + (", median" if repeated else ""), unit, series, 200))
+    if not panels:
+        return None
+    return plots(by.kind, x, panels, title=f"By {by.kind}", twin=True, names=by.names)
+
+
+def _medians(place: NDArray[np.int64], values: Floats, count: int) -> tuple[Floats, bool]:
+    """Median of the known values at each of `count` places, and whether any place has several values."""
+    found = np.full(count, np.nan)
+    for i in np.unique(place):
+        inside = values[place == i]
+        if not np.all(np.isnan(inside)):
+            found[i] = np.nanmedian(inside)
+    return found, len(np.unique(place)) < len(place)
 
 
 def _over(study: LoadedStudy, table: Table, sweep: Sweep) -> Group | None:
@@ -47,14 +89,9 @@ def _over(study: LoadedStudy, table: Table, sweep: Sweep) -> Group | None:
         lines = []
         for k, (name, rows) in enumerate(groups):
             rows = rows[drawn[rows]]
-            y = np.full(len(x), np.nan)
-            values = factor * table.numbers[metric][rows]
             place = np.searchsorted(x, at[rows])
-            repeated |= len(np.unique(place)) < len(place)
-            for i in np.unique(place):
-                inside = values[place == i]
-                if not np.all(np.isnan(inside)):
-                    y[i] = np.nanmedian(inside)
+            y, again = _medians(place, factor * table.numbers[metric][rows], len(x))
+            repeated |= again
             if not np.all(np.isnan(y)):
                 lines.append(
                     Series(name or study.study.name, y, f"series{k}", dotted=not lined, joined=True)

@@ -38,6 +38,29 @@ set = { "plant.supply_pressure_pa" = 600000.0 }
 """
 
 
+CHOICES = """
+name = "choices"
+reads = ["arrival_s", "impact_speed_m_s"]
+[stroke]
+kind = "N-B"
+commands = [[0.01, "B", 0.98], [0.01, "N", 0.0]]
+[[variant]]
+name = "neutral vented before"
+set = { "stroke.charged_before" = "" }
+[[variant]]
+name = "neutral charged before"
+set = { "stroke.charged_before" = "N" }
+[[load]]
+name = "9 bar"
+[[load]]
+name = "7 bar"
+set = { "stroke.supply_pressure_pa" = 700000.0 }
+[[load]]
+name = "6 bar"
+set = { "stroke.supply_pressure_pa" = 600000.0 }
+"""
+
+
 @pytest.fixture(scope="session")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     options = webdriver.ChromeOptions()
@@ -65,6 +88,12 @@ def of_whatif(folder: Path) -> list[str]:
     return ["whatif", str(study)]
 
 
+def of_choices(folder: Path) -> list[str]:
+    study = folder / "study.toml"
+    study.write_text(CHOICES, encoding="utf-8")
+    return ["whatif", str(study)]
+
+
 def of_strokes(folder: Path) -> list[str]:
     return ["whatif", "piston_mass"]
 
@@ -88,6 +117,7 @@ MAKERS: dict[str, tuple[Callable[[Path], list[str]], int]] = {
     "run": (of_run, 0),
     "replay": (of_replay, 1),
     "whatif": (of_whatif, 0),
+    "choices": (of_choices, 0),
     "strokes": (of_strokes, 0),
     "claims": (of_claims, 0),
     "diagnose": (of_diagnose, 1),

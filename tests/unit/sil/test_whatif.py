@@ -13,7 +13,10 @@ from can_dbc.errors import InputError
 from sil.cli import main
 from sil.sweeps import engine
 from sil.sweeps.engine import RESULTS, run_study
+from sil.sweeps.pictures import choices
+from sil.sweeps.plots import study_plots
 from sil.sweeps.study import load_study, shipped
+from sil.sweeps.table import read_table
 
 GRID = """
 name = "grid"
@@ -181,3 +184,48 @@ def test_chapter_five_studies_show_their_trend(tmp_path: Path) -> None:
     )
     for name in ("curves.png", "report.html", "summary.json"):
         assert (tmp_path / "o" / name).stat().st_size > 500
+
+
+def test_what_is_no_number_is_drawn_by_name(tmp_path: Path) -> None:
+    """The kind with the most options along the axis, the others by colour, medians over repetitions."""
+    path = tmp_path / "study.toml"
+    path.write_text(
+        """
+        name = "named"
+        reads = ["arrival_s"]
+        [stroke]
+        kind = "N-B"
+        commands = [[0.01, "B", 0.98], [0.01, "N", 0.0]]
+        until_s = 0.2
+        [[sweep]]
+        path = "stroke.charged_before"
+        label = "charged"
+        values = ["", "N"]
+        [[load]]
+        name = "9 bar"
+        [[load]]
+        name = "7 bar"
+        set = { "stroke.supply_pressure_pa" = 700000.0 }
+        [[load]]
+        name = "6 bar"
+        set = { "stroke.supply_pressure_pa" = 600000.0 }
+        """
+    )
+    study = load_study(str(path))
+    assert run_study(study, tmp_path) == 6
+    rows = table(tmp_path)
+    read = read_table(study, tmp_path)
+    by = choices(study, read)
+    assert (by.kind, by.names) == ("load", ["9 bar", "7 bar", "6 bar"])
+    assert list(by.series) == ['""', '"N"']
+    drawn = json.loads(study_plots(study, read)[-1].numbers)
+    assert drawn["names"] == by.names
+    for line in drawn["panels"][0]["series"]:
+        expected = [
+            1e3 * float(row["arrival_s"])
+            for name in by.names
+            for row in rows
+            if row["load"] == name and row["stroke.charged_before"] == line["label"]
+        ]
+        assert len(expected) == 3
+        np.testing.assert_allclose(line["y"], expected, rtol=1e-5)
