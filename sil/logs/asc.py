@@ -12,18 +12,16 @@ import re
 from collections.abc import Iterator
 from typing import Final
 
-from can_dbc.errors import InputError
 from sil.logs.asc_line import AscEvent, AscFrame, AscState, parse_event
 from sil.logs.backend import Batch, LogWriter, ReadOptions
 from sil.logs.byte_source import ByteSource
 from sil.logs.calendar_text import parse_date, write_date
 from sil.logs.frame import MAX_TIME_NS, MOST_KNOWN_IDS, LogFrame, ordinary_frame
-from sil.logs.report import LogReport, Place
-from sil.logs.text_lines import Chunk, Line, chunk_lines, chunks, line_at
+from sil.logs.relative_text import LineReader, RelativeWriter
+from sil.logs.report import LogReport
+from sil.logs.text_lines import Chunk, Line, chunks, line_at
 from sil.logs.times import (
-    NS_PER_MS,
     NS_PER_S,
-    RELATIVE_BELOW_NS,
     enough_decimals,
     format_ns,
     parse_decimal_ns,
@@ -57,17 +55,16 @@ _ORIGIN: Final = re.compile(r"//\s*time origin (\d{1,10}\.\d{1,9}) s\s*\Z")
 _TIMED: Final = re.compile(r"(\d{1,10}\.\d{1,12})\s+(\S.*)\Z")
 
 
-class AscReader:
+class AscReader(LineReader):
     """State of one reading: number base, kind of times, and where they count from."""
 
     def __init__(self, report: LogReport) -> None:
-        self._report = report
+        super().__init__(report)
         self._state = AscState()
         self._deltas = False
         self._origin_ns = 0
         self._last_ns = 0
         self._ids: dict[str, int] = {}
-        report.time_base = "relative"
 
     def read(self, source: ByteSource) -> Iterator[Batch]:
         """Frames chunk by chunk."""
@@ -83,25 +80,6 @@ class AscReader:
         if self._origin_ns > MAX_TIME_NS // 2:
             return False
         return "base" not in chunk.text.lower()
-
-    def _mixed(self, chunk: Chunk) -> Batch:
-        """The frames of a chunk, each line looked at."""
-        frames: list[LogFrame] = []
-        places: list[int] = []
-        for line in chunk_lines(chunk):
-            frame = self._guarded(line)
-            if frame is not None:
-                frames.append(frame)
-                places.append(line.number)
-        return Batch(frames, places)
-
-    def _guarded(self, line: Line) -> LogFrame | None:
-        """The frame of a line; a broken line goes to the report."""
-        try:
-            return self._line(line)
-        except ValueError as error:
-            self._broken(line, str(error))
-            return None
 
     def _plain(self, chunk: Chunk) -> Batch:
         """The frames of a chunk in which most lines are data frames in hex."""
@@ -129,13 +107,6 @@ class AscReader:
             frames.append(frame)
             places.append(chunk.line + index)
         return Batch(frames, places)
-
-    def _broken(self, line: Line, reason: str) -> None:
-        place = Place(reason, line.number, line.byte)
-        if line.unterminated:
-            self._report.cut(place)
-        else:
-            self._report.skip(place)
 
     def _line(self, line: Line) -> LogFrame | None:
         text = line.text.strip()
@@ -191,7 +162,7 @@ class AscReader:
             raise ValueError(f"{text[:40]!r} is no ASC line")
 
 
-class AscWriter(LogWriter):
+class AscWriter(RelativeWriter):
     """Writes classic and CANFD lines, six decimals if whole microseconds suffice, else nine."""
 
     format = "asc"
@@ -201,35 +172,17 @@ class AscWriter(LogWriter):
         super().__init__(path)
         self._decimals = decimals
         self._exact = decimals is None
-        self._begun = False
-        self._origin_ns = 0
 
-    def _begin(self, frames: list[LogFrame]) -> None:
-        self._begun = True
-        first_ns = min((frame.time_ns for frame in frames), default=0)
-        if first_ns >= RELATIVE_BELOW_NS:
-            self._origin_ns = first_ns // NS_PER_MS * NS_PER_MS
+    def _header(self, frames: list[LogFrame]) -> str:
         if self._decimals is None:
             self._decimals = enough_decimals(frames)
         date = write_date(self._origin_ns)
         header = f"date {date}\nbase hex  timestamps absolute\ninternal events logged\n"
         if self._origin_ns:
             header += f"// time origin {format_ns(self._origin_ns, 9)} s\n"
-        header += f"Begin Triggerblock {date}\n   0.000000 Start of measurement\n"
-        self._out.write(header.encode("ascii"))
+        return header + f"Begin Triggerblock {date}\n   0.000000 Start of measurement\n"
 
-    def _write_batch(self, frames: list[LogFrame]) -> None:
-        if not self._begun:
-            self._begin(frames)
-        self._out.write("".join([self._text(frame) for frame in frames]).encode("ascii"))
-
-    def _text(self, frame: LogFrame) -> str:
-        time_ns = frame.time_ns - self._origin_ns
-        if time_ns < 0:
-            raise InputError(
-                f"{self.path}: a frame at {format_ns(frame.time_ns)} s lies before the start of "
-                f"the log at {format_ns(self._origin_ns)} s; expected candump, csv or mf4 for it"
-            )
+    def _text(self, frame: LogFrame, time_ns: int) -> str:
         decimals = self._decimals
         if time_ns % 1000 and decimals == 6:
             if self._exact:
@@ -269,8 +222,7 @@ class AscWriter(LogWriter):
         return f"{stamp:>11} {number:<2} ErrorFrame\n"
 
     def _finish(self) -> None:
-        if not self._begun:
-            self._begin([])
+        super()._finish()
         self._out.write(b"End TriggerBlock\n")
 
 

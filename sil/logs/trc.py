@@ -22,19 +22,16 @@ from sil.logs.frame import (
     frame_problem,
     ordinary_frame,
 )
-from sil.logs.report import LogReport, Place
-from sil.logs.text_lines import Chunk, Line, chunk_lines, chunks, line_at
+from sil.logs.relative_text import LineReader, NoFrame
+from sil.logs.report import LogReport
+from sil.logs.text_lines import Chunk, Line, chunks, line_at
 from sil.logs.times import (
     NS_PER_MS,
-    NS_PER_S,
     RELATIVE_BELOW_NS,
     parse_decimal_ns,
     utc_ns,
 )
-
-DAY_NS: Final = 86_400 * NS_PER_S
-EPOCH_DAYS: Final = 25_569
-"""Days from 1899-12-30, where PEAK's times begin, to 1970-01-01."""
+from sil.logs.trc_writer import DAY_NS, EPOCH_DAYS, TrcWriter
 
 _VERSION_1: Final = re.compile(
     r"(\d+)\)\s+(\d+(?:\.\d+)?)\s+(?:(?:(\d{1,2})\s+)?(Rx|Tx|Warng|Error)\s+)?"
@@ -73,20 +70,15 @@ _HEX_BYTE: Final = re.compile(r"[0-9A-F]{2}\Z", re.IGNORECASE)
 _IDENTIFIER: Final = re.compile(r"[0-9A-F]{1,8}\Z", re.IGNORECASE)
 
 
-class _Other(Exception):
-    """A line that is no frame; its argument names it."""
-
-
-class TrcReader:
+class TrcReader(LineReader):
     """State of one reading: version, columns, and the instant the offsets count from."""
 
     def __init__(self, report: LogReport) -> None:
-        self._report = report
+        super().__init__(report)
         self._version = ""
         self._columns: list[str] = []
         self._ids: dict[str, int] = {}
         self._origin_ns: int | None = None
-        report.time_base = "relative"
 
     def read(self, source: ByteSource) -> Iterator[Batch]:
         """Frames chunk by chunk."""
@@ -103,33 +95,6 @@ class TrcReader:
         if self._origin_ns is None or self._origin_ns > MAX_TIME_NS // 2:
             return None
         return _PLAIN.get(self._version)
-
-    def _mixed(self, chunk: Chunk) -> Batch:
-        """The frames of a chunk, each line looked at."""
-        frames: list[LogFrame] = []
-        places: list[int] = []
-        for line in chunk_lines(chunk):
-            frame = self._guarded(line)
-            if frame is not None:
-                frames.append(frame)
-                places.append(line.number)
-        return Batch(frames, places)
-
-    def _guarded(self, line: Line) -> LogFrame | None:
-        """The frame of a line; other lines and broken ones go to the report."""
-        try:
-            return self._line(line)
-        except InputError:
-            raise
-        except _Other as known:
-            self._report.other[known.args[0]] += 1
-        except ValueError as error:
-            place = Place(str(error), line.number, line.byte)
-            if line.unterminated:
-                self._report.cut(place)
-            else:
-                self._report.skip(place)
-        return None
 
     def _plain(self, chunk: Chunk, pattern: re.Pattern[str]) -> Batch:
         """The frames of a chunk in which most lines are classic data frames."""
@@ -228,7 +193,7 @@ class TrcReader:
         length = int(length_text)
         words = (rest or "").split()
         if kind == "Warng" or (kind is None and digits == "FFFFFFFF"):
-            raise _Other("status line")
+            raise NoFrame("status line")
         can_id = int(digits, 16)
         channel = str(int(bus)) if bus else ""
         direction = kind if kind in ("Rx", "Tx") else ""
@@ -267,7 +232,7 @@ class TrcReader:
             raise ValueError(f"{text[:40]!r} is no TRC line")
         kind = words[type_at]
         if kind in _OTHER_TYPES:
-            raise _Other(_OTHER_TYPES[kind])
+            raise NoFrame(_OTHER_TYPES[kind])
         if kind not in _FD_TYPES and kind not in ("DT", "RR", "ER"):
             raise ValueError(f"{kind[:10]!r} is no type of a message")
         identifier_at = columns.index("I")
@@ -368,6 +333,4 @@ class Trc:
 
     def writer(self, path: str) -> LogWriter:
         """A writer of a new TRC log."""
-        from sil.logs.trc_writer import TrcWriter
-
         return TrcWriter(path)

@@ -2,34 +2,32 @@
 
 from __future__ import annotations
 
-from can_dbc.errors import InputError
-from sil.logs.backend import LogWriter
+from typing import Final
+
 from sil.logs.frame import LogFrame
-from sil.logs.times import NS_PER_MS, RELATIVE_BELOW_NS, format_ns, utc_calendar
-from sil.logs.trc import DAY_NS, EPOCH_DAYS
+from sil.logs.relative_text import RelativeWriter
+from sil.logs.times import NS_PER_MS, NS_PER_S, utc_calendar
+
+DAY_NS: Final = 86_400 * NS_PER_S
+EPOCH_DAYS: Final = 25_569
+"""Days from 1899-12-30, where PEAK's times begin, to 1970-01-01."""
 
 
-class TrcWriter(LogWriter):
+class TrcWriter(RelativeWriter):
     """Writes version 2.1, times in milliseconds with three decimals as PEAK's own tools."""
 
     format = "trc"
 
     def __init__(self, path: str) -> None:
         super().__init__(path)
-        self._begun = False
-        self._origin_ns = 0
         self._number = 0
 
-    def _begin(self, frames: list[LogFrame]) -> None:
-        self._begun = True
-        first_ns = min((frame.time_ns for frame in frames), default=0)
-        if first_ns >= RELATIVE_BELOW_NS:
-            self._origin_ns = first_ns // NS_PER_MS * NS_PER_MS
+    def _header(self, frames: list[LogFrame]) -> str:
         days, part_ns = divmod(self._origin_ns, DAY_NS)
         fraction = (part_ns * 10**15 + DAY_NS // 2) // DAY_NS
         moment = utc_calendar(self._origin_ns)
         milliseconds = self._origin_ns // NS_PER_MS % 1000
-        header = (
+        return (
             ";$FILEVERSION=2.1\n"
             f";$STARTTIME={days + EPOCH_DAYS}.{fraction:015d}\n"
             ";$COLUMNS=N,O,T,B,I,d,R,L,D\n"
@@ -42,20 +40,8 @@ class TrcWriter(LogWriter):
             ";   |         |       |  |    |      |  |  |    Data [hex] ...\n"
             ";---+-- ------+------ +- +- --+----- +- +- +--- +- -- -- -- -- -- -- --\n"
         )
-        self._out.write(header.encode("ascii"))
 
-    def _write_batch(self, frames: list[LogFrame]) -> None:
-        if not self._begun:
-            self._begin(frames)
-        self._out.write("".join([self._text(frame) for frame in frames]).encode("ascii"))
-
-    def _text(self, frame: LogFrame) -> str:
-        time_ns = frame.time_ns - self._origin_ns
-        if time_ns < 0:
-            raise InputError(
-                f"{self.path}: a frame at {format_ns(frame.time_ns)} s lies before the start of "
-                f"the log at {format_ns(self._origin_ns)} s; expected candump, csv or mf4 for it"
-            )
+    def _text(self, frame: LogFrame, time_ns: int) -> str:
         if time_ns % 1000:
             self.losses["times rounded to the microsecond"] += 1
         whole, fraction = divmod((time_ns + 500) // 1000, 1000)
@@ -80,7 +66,3 @@ class TrcWriter(LogWriter):
             f"{self._number:>7} {whole:>9}.{fraction:03d} {kind} {bus:<2} {identifier:>8} "
             f"{frame.direction or 'Rx'} -  {frame.dlc:<2}   {frame.data.hex(' ').upper()}\n"
         )
-
-    def _finish(self) -> None:
-        if not self._begun:
-            self._begin([])
