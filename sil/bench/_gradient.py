@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from .integrator import Floats, best_s
+from ._contest import best_s
+from ._piston import Floats
 
 TIMES = np.linspace(0.0, 0.3, 301)
 REFERENCE_SHARE = 3e-5

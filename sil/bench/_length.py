@@ -7,16 +7,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from .integrator import (
-    OUR_SETTINGS,
-    SCIPY_SETTINGS,
-    Floats,
-    Shown,
-    best_s,
-    cheapest,
-    one_by_one,
-    row,
-)
+from ._contest import OUR_SETTINGS, SCIPY_SETTINGS, best_s, cheapest, one_by_one, row
+from ._piston import Floats, Shown
 
 KINDS = ("N-B", "B-N", "N-F", "F-N")
 SUPPLIES_PA = (9e5, 7e5)

@@ -19,13 +19,13 @@ from plant.parameters import ParameterSet
 from sil.campaign import Campaign, Record
 
 from .checks import SATURATED, SWAPPED, Finding, check_record, check_signals, check_strokes
-from .evidence import sentence
+from .evidence import Cause, sentence
 from .extend import extended_model
 from .fit import FitResult, Fitter
 from .floor import misfit
 from .gain import Gain, gain_between
 from .hypotheses import candidates
-from .intervals import Interval, intervals
+from .intervals import intervals
 from .judge import Judged, judge
 from .model import CampaignModel
 from .next_experiment import NextExperiment, next_experiment
@@ -43,18 +43,6 @@ FALSE_ALARM_BASIS = (
     "often clean campaigns of an independent implementation pass that is measured by "
     "python -m sil.bench hidden_effects"
 )
-
-
-@dataclass(frozen=True)
-class Cause:
-    """A cause as reported: probability, parameters with intervals, one sentence of evidence."""
-
-    id: str
-    klass: str
-    probability: float
-    parameters: dict[str, Interval]
-    evidence: str
-    variant: str = ""
 
 
 @dataclass

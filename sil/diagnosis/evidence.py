@@ -1,4 +1,4 @@
-"""One sentence of evidence with figures for a claimed cause.
+"""Causes as they are reported, each with one sentence of evidence.
 
 Checked by: tests/unit/sil/diagnosis/test_verdict.py
 """
@@ -6,6 +6,7 @@ Checked by: tests/unit/sil/diagnosis/test_verdict.py
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from .gain import Gain
 from .hypotheses import Candidate
@@ -13,6 +14,18 @@ from .intervals import Interval
 from .judge import Judged
 from .terms import is_term, place_of
 from .verdict import Verdict
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A cause as reported: probability, parameters with intervals, one sentence of evidence."""
+
+    id: str
+    klass: str
+    probability: float
+    parameters: dict[str, Interval]
+    evidence: str
+    variant: str = ""
 
 
 def figure(item: Interval) -> str:

@@ -6,18 +6,15 @@ Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
 
 from plant.parameters import Parameter, ParameterSet
 from sil.campaign import Campaign
 
+from .evidence import Cause
 from .fit import FitResult
 from .hypotheses import Candidate
 from .intervals import Interval
 from .terms import is_term, place_of
-
-if TYPE_CHECKING:
-    from .diagnosis import Cause
 
 
 def extended_model(

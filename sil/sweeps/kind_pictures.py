@@ -11,7 +11,7 @@ import numpy as np
 
 from sil.sweeps.budget import THESIS_S, THESIS_WINDOW_S
 from sil.sweeps.budget_rows import BARS, closed, simulated
-from sil.sweeps.pictures import COLOURS, saved
+from sil.sweeps.drawing import COLOURS, saved
 from sil.sweeps.study import LoadedStudy
 from sil.sweeps.table import Table
 

@@ -11,7 +11,8 @@ from typing import Any
 
 from sil.report.shell import Head, Picture, render
 from sil.sweeps import fault_table
-from sil.sweeps.pictures import read_metrics, shown
+from sil.sweeps.drawing import shown
+from sil.sweeps.pictures import read_metrics
 from sil.sweeps.plots import study_plots
 from sil.sweeps.study import LoadedStudy
 from sil.sweeps.table import Table

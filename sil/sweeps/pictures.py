@@ -9,29 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sil.report.figures import save
 from sil.report.theme import LIGHT
+from sil.sweeps import kind_pictures
+from sil.sweeps.drawing import COLOURS, saved, shown
 from sil.sweeps.rows import columns, stroke_of
 from sil.sweeps.study import LoadedStudy
 from sil.sweeps.table import Table
 
 Ints = NDArray[np.int64]
-COLOURS = LIGHT.series
 LINES = ("-", "--", ":", "-.")
 MOST_CURVES = 12
 """The most rows of a plant-only study that are drawn over time."""
-
-UNITS = {"_s": ("ms", 1e3), "_m_s": ("m/s", 1.0), "_m": ("mm", 1e3), "_pa": ("bar", 1e-5)}
-UNITS |= {"_j": ("J", 1.0), "_kg": ("g", 1e3)}
-
-
-def shown(name: str) -> tuple[str, float]:
-    """Axis label and factor for a metric."""
-    for suffix in ("_m_s", "_s", "_m", "_pa", "_j", "_kg"):
-        if name.endswith(suffix):
-            unit, factor = UNITS[suffix]
-            return f"{name.removesuffix(suffix).replace('_', ' ')}, {unit}", factor
-    return name.replace("_", " "), 1.0
 
 
 def draw(study: LoadedStudy, table: Table, folder: Path) -> list[Path]:
@@ -40,13 +28,11 @@ def draw(study: LoadedStudy, table: Table, folder: Path) -> list[Path]:
 
     matplotlib.use("Agg")
     if study.study.kind != "runs":
-        from sil.sweeps import kind_pictures as own
-
         if study.study.kind == "bounds":
-            return [own.draw_bounds(study, table, folder)]
+            return [kind_pictures.draw_bounds(study, table, folder)]
         if study.study.kind == "budget":
-            return [own.draw_budget(study, table, folder)]
-        return own.draw_tuning(study, table, folder)
+            return [kind_pictures.draw_budget(study, table, folder)]
+        return kind_pictures.draw_tuning(study, table, folder)
     made = []
     numeric = [s.path for s in study.study.sweep if s.path in table.numbers]
     if study.study.design.kind == "grid" and len(numeric) == 2 and len(study.study.sweep) == 2:
@@ -290,14 +276,3 @@ def draw_curves(study: LoadedStudy, folder: Path) -> Path:
     axes[0].legend(frameon=False, fontsize=8)
     figure.suptitle(study.study.description or study.study.name, x=0.02, ha="left", wrap=True)
     return saved(figure, folder / "curves.png")
-
-
-def saved(figure: Any, path: Path, trimmed: bool = False) -> Path:
-    """Write a figure as PNG, as SVG beside it, and close it; `trimmed` has its own layout."""
-    from matplotlib import pyplot
-
-    if not trimmed:
-        figure.tight_layout()
-    save(figure, path.parent, path.stem, trimmed=trimmed)
-    pyplot.close(figure)
-    return path

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from sil.report.interactive import Group, Panel, Series, Window, plots
 from sil.report.theme import LIGHT
+from sil.sweeps.drawing import shown
 from sil.sweeps.pictures import (
     MOST_CURVES,
     choices,
     groups_of,
     labelled_strokes,
     read_metrics,
-    shown,
 )
 from sil.sweeps.study import LoadedStudy, Sweep
 from sil.sweeps.table import Table

@@ -12,8 +12,9 @@ from plant.setup import make_setup
 from plant.stroke import simulate
 from plant.stroke_conditions import StrokeConditions
 from sil.bench.__main__ import main
+from sil.bench._contest import accurate, cheapest, errors
 from sil.bench._piston import Piston, Shown, solve_with_scipy
-from sil.bench.integrator import OPENING_S, TIMES, accurate, cheapest, errors
+from sil.bench.integrator import OPENING_S, TIMES
 
 CONDITIONS = StrokeConditions("fixed", 9e5, ((0.01, "1", 0.98),))
 
