@@ -2,7 +2,13 @@
 
 Safe states that the firmware and the plant's valve driver are to keep, whatever up to two things
 fail: no coil stays energised by a controller that no longer lives (longer than the driver's
-timeout), and no gear is reported that the stay is not in.
+timeout), and no gear is reported that the stay is not in (longer than a motion takes to be seen).
+
+Two limits. A single position sensor that lies like a motion (stuck, or wrong by a constant) cannot
+be told from one. And end-to-end protection knows no time and no secret: frames repeated a whole
+round of the counter later (15 to 16 periods), or repeated of a sender that has gone silent, pass
+for new. A report is then as old as the repetition; a coil is not held so by one repeated message,
+because the driver wants both commands and blows to be good.
 
 Checked by: tests/unit/sil/test_safety.py, tests/faults/
 """
@@ -15,8 +21,8 @@ from itertools import zip_longest
 import numpy as np
 
 from can_dbc.codec import can_id_of
-from can_dbc.e2e import E2eConfig, E2eStatus, Receiver
-from can_dbc.messages import ControllerStatus, Fault, Gear
+from can_dbc.e2e import E2eConfig, E2eState, E2eStatus, Receiver
+from can_dbc.messages import ControllerStatus, Fault, Gear, ValveCommand
 from sil.faults import BusOff, Dead, Delay, Stalled
 from sil.metrics import gear_position_m
 from sil.run_record import NS, BusFrame, RunRecord
@@ -49,7 +55,13 @@ COLUMNS = (
 
 
 def fault_start_s(scenario: Scenario) -> float:
-    """Instant [s] at which the first stated fault begins; inf without one."""
+    """Instant [s] at which the first stated fault begins; inf without one.
+
+    Other nodes' load and clocks that drift are there from the start.
+    """
+    clock = scenario.clock
+    if scenario.bus.extra_load or clock.controller_ppm or clock.driver_ppm:
+        return 0.0
     lists = (
         scenario.fault,
         scenario.sensor_fault,
@@ -75,6 +87,8 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     before = Fault.NONE
     bits, detected = 0, math.nan
     for entry, message in status:
+        if message is None:
+            continue
         at = entry.arrival_ns / NS
         if at < start:
             before |= message.faults
@@ -89,7 +103,9 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     if len(late) and late[-1] + 1 < len(time_s):
         off = float(time_s[late[-1] + 1]) - start
     end = float(position[-1])
-    end_gear = true_gear(end, record.stroke_m, windows.neutral_tolerance_m, windows.gear_tolerance_m)
+    end_gear = true_gear(
+        end, record.stroke_m, windows.neutral_tolerance_m, windows.gear_tolerance_m
+    )
     impacts = [abs(float(e.values["speed_m_s"])) for e in record.events if e.name == "stay_stop"]
     both = (truth["pressure_B_pa"] > FILLED_PA) & (truth["pressure_F_pa"] > FILLED_PA)
     step = float(np.median(np.diff(time_s)))
@@ -99,7 +115,7 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
         "coils_off_after_s": off,
         "end_position_m": end,
         "end_gear": float(end_gear),
-        "reported_gear": float(status[-1][1].confirmed) if status else math.nan,
+        "reported_gear": _last_reported(status),
         "energised_at_end": float(energised[-1]),
         "worst_impact_m_s": max(impacts, default=math.nan),
         "both_filled_s": float(np.count_nonzero(both)) * step,
@@ -109,18 +125,31 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     }
 
 
-def believed_status(record: RunRecord) -> list[tuple[BusFrame, ControllerStatus]]:
-    """Status frames as a receiver takes them that checks their end-to-end protection."""
+Reports = list[tuple[BusFrame, ControllerStatus | None]]
+
+
+def believed_status(record: RunRecord) -> Reports:
+    """Status frames as a receiver takes them that checks their end-to-end protection.
+
+    None stands where the channel is no longer valid: from that frame on nothing is believed.
+    """
     receiver = Receiver(ControllerStatus, E2eConfig(timeout_ns=round(REPORT_HOLDS_S * NS)))
     wanted = can_id_of(ControllerStatus)
-    found = []
+    found: Reports = []
     for entry in record.frames:
         if entry.frame.can_id != wanted:
             continue
         status = receiver.receive(entry.arrival_ns, entry.frame)
-        if status in (E2eStatus.OK, E2eStatus.OK_SOME_LOST) and receiver.message is not None:
+        if receiver.state(entry.arrival_ns) is not E2eState.VALID:
+            found.append((entry, None))
+        elif status in (E2eStatus.OK, E2eStatus.OK_SOME_LOST):
             found.append((entry, receiver.message))
     return found
+
+
+def _last_reported(status: Reports) -> float:
+    told = [message for _, message in status if message is not None]
+    return float(told[-1].confirmed) if told else math.nan
 
 
 def true_gear(position_m: float, stroke_m: float, neutral_m: float, gear_m: float) -> Gear:
@@ -132,23 +161,33 @@ def true_gear(position_m: float, stroke_m: float, neutral_m: float, gear_m: floa
 
 
 def controller_down_ns(scenario: Scenario) -> list[tuple[int, float]]:
-    """Intervals [ns] in which the controller does not live or cannot be heard."""
+    """Intervals [ns] in which the controller does not live or the plant cannot hear it."""
     return [
         (round(fault.start_s * NS), math.inf if fault.end_s is None else fault.end_s * NS)
         for fault in scenario.fault
-        if isinstance(fault, Dead | Stalled | BusOff) and fault.node == "controller"
+        if (isinstance(fault, Dead | Stalled) and fault.node == "controller")
+        or (isinstance(fault, BusOff) and fault.node in ("controller", "plant"))
     ]
 
 
 def orphan_energised_s(record: RunRecord, scenario: Scenario) -> float:
     """For how long [s] the driver energised a coil without a living controller.
 
-    Counted from its timeout, and the longest time a frame can still have been under way, on.
+    Counted from its timeout, and the longest time a frame can still have been under way, on; and
+    wherever no command of the controller itself has arrived for longer than that timeout.
     """
     time_s = record.truth["time_s"]
     under_way = 0.005 + _stated_delays_s(scenario)
-    orphaned = np.zeros(len(time_s), dtype=bool)
     duties = np.stack([record.truth[f"cmd_{c}"] for c in "BNF"])
+    wanted = can_id_of(ValveCommand)
+    heard_s = [-math.inf] + [
+        entry.arrival_ns / NS
+        for entry in record.frames
+        if entry.frame.can_id == wanted and entry.sender == "controller"
+    ]
+    last_s = np.array(heard_s)[np.searchsorted(heard_s, time_s, side="right") - 1]
+    silent = time_s - last_s > scenario.valve_driver.timeout_s + 0.001
+    orphaned = silent & (duties > ENERGISED).any(axis=0)
     for start_ns, end_ns in controller_down_ns(scenario):
         begin = start_ns / NS + scenario.valve_driver.timeout_s + under_way
         down = (time_s > begin) & (time_s < end_ns / NS)
@@ -167,7 +206,7 @@ def false_gear_s(record: RunRecord, scenario: Scenario) -> float:
     windows = scenario.controller.windows
     wrong = np.zeros(len(time_s), dtype=bool)
     for (entry, message), follower in zip_longest(status, status[1:]):
-        if message.confirmed == Gear.UNKNOWN:
+        if message is None or message.confirmed == Gear.UNKNOWN:
             continue
         begin = entry.arrival_ns / NS
         end = math.inf if follower is None else follower[0].arrival_ns / NS

@@ -1,17 +1,112 @@
-"""Scenarios with up to two faults, drawn at random over everything that can fail."""
+"""Scenarios with up to two faults, drawn at random over everything that a scenario lets fail."""
 
 from __future__ import annotations
 
+import functools
 import random
-from typing import Any
+import typing
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
+import msgspec
+
+from can_dbc.e2e import PROTECTED
+from plant.position_circuit import SensorFault
+from plant.signal_faults import SpeedFault, TemperatureFault
+from plant.valve_faults import ValveFault
+from sil.faults import BusFault, FrozenCounter
 from sil.scenario import Loaded, from_table
 
 SHIFTS = {"N-B": ("neutral", "backward"), "B-N": ("backward", "neutral"),
           "N-F": ("neutral", "forward"), "F-N": ("forward", "neutral"),
           "B-F": ("backward", "forward")}  # fmt: skip
-FRAMES = ("ShiftRequest", "ValveCommand", "SafetyBlow", "PositionPulse", "DrivelineSpeeds",
-          "ControllerStatus")  # fmt: skip
+
+Draw = Callable[[random.Random], Any]
+
+
+class Fault(NamedTuple):
+    """One fault of the vocabulary: the scenario's list it belongs to, its kind, and whom it hits."""
+
+    where: str
+    kind: str
+    whom: str = ""
+
+
+def _kinds(fault: type) -> tuple[str, ...]:
+    return typing.get_args(typing.get_type_hints(fault)["kind"])
+
+
+@functools.cache
+def vocabulary() -> dict[str, list[Fault]]:
+    """Every fault that a scenario may state, as the scenario's own types tell it, in groups."""
+    frames, nodes, intruders = [], [], []
+    guarded = {kind.__name__ for kind in PROTECTED}
+    for fault in typing.get_args(BusFault):
+        kind, hints = str(fault.__struct_config__.tag), typing.get_type_hints(fault)
+        if "node" in hints:
+            nodes += [Fault("fault", kind, whom) for whom in typing.get_args(hints["node"])]
+            continue
+        messages = typing.get_args(hints["message"]) if "message" in hints else ("",)
+        stated = [Fault("fault", kind, m) for m in messages]
+        if fault is FrozenCounter:  # frames without a counter are refused
+            stated = [f for f in stated if f.whom in guarded]
+        (frames if "probability" in hints else intruders).extend(stated)
+    valves = typing.get_args(typing.get_type_hints(ValveFault)["valve"])
+    return {
+        "frames": frames,
+        "nodes": nodes,
+        "intruders": intruders,
+        "position": [Fault("sensor_fault", kind) for kind in _kinds(SensorFault)],
+        "temperature": [Fault("temperature_fault", kind) for kind in _kinds(TemperatureFault)],
+        "speeds": [Fault("speed_fault", kind) for kind in _kinds(SpeedFault)],
+        "valves": [Fault("valve_fault", kind, v) for kind in _kinds(ValveFault) for v in valves],
+        "bus and clocks": [Fault("bus", "load"), Fault("clock", "controller"),
+                           Fault("clock", "driver")],
+    }  # fmt: skip
+
+
+def _between(low: float, high: float) -> Draw:
+    return lambda rng: round(rng.uniform(low, high), 6)
+
+
+def _whole(low: int, high: int) -> Draw:
+    return lambda rng: rng.randint(low, high)
+
+
+PARAMETERS: dict[str, Draw] = {
+    "probability": _between(0.05, 1.0),
+    "every": _whole(2, 8),
+    "count": _whole(1, 100),
+    "attempts": _whole(1, 32),
+    "bits": _whole(1, 64),
+    "delay_s": _between(0.001, 0.4),
+    "jitter_s": _between(0.0, 0.05),
+    "load": _between(0.1, 2.0),
+    "priority": _whole(0, 7),
+    "period_s": _between(0.0005, 0.02),
+    "pulse_s": _between(0.0, 0.0015),
+    "garbage_s": _between(1e-4, 0.004),
+    "offset_s": _between(-4e-4, 4e-4),
+    "late": _whole(1, 30),
+    "value_k": _between(230.0, 430.0),
+    "offset_k": _between(-80.0, 80.0),
+    "offset_rad_s": _between(-100.0, 100.0),
+    "garbage_rad_s": _between(1.0, 400.0),
+    "factor": _between(1.0, 20.0),
+}
+"""How the parameters of faults are drawn; a parameter that is not in here cannot be left out."""
+
+NEEDED = ("delay_s", "period_s")
+PLACE = ("kind", "message", "node", "valve", "start_s", "end_s")
+STRUCTS = {"sensor_fault": SensorFault, "temperature_fault": TemperatureFault,
+           "speed_fault": SpeedFault, "valve_fault": ValveFault}  # fmt: skip
+
+
+def struct_of(fault: Fault) -> type:
+    """The type of the scenario's table that states a fault."""
+    if fault.where in STRUCTS:
+        return STRUCTS[fault.where]
+    return next(t for t in typing.get_args(BusFault) if t.__struct_config__.tag == fault.kind)
 
 
 def base(shift: str) -> dict[str, Any]:
@@ -36,52 +131,65 @@ def window(rng: random.Random) -> dict[str, float]:
     return {"start_s": round(start, 4), "end_s": round(start + rng.uniform(0.01, 0.5), 4)}
 
 
-def draw_fault(rng: random.Random) -> tuple[str, dict[str, Any]]:
-    """One fault: the scenario's list it belongs to, and its table."""
-    where = rng.choice(["fault", "sensor_fault", "temperature_fault", "speed_fault", "valve_fault"])
-    told: dict[str, Any] = window(rng)
-    if where == "sensor_fault":
-        told["kind"] = rng.choice(["stuck", "garbage", "wrong", "off", "slow", "delayed", "intermittent"])
-        if told["kind"] == "wrong":
-            told["offset_s"] = round(rng.uniform(-4e-4, 4e-4), 6)
-        if told["kind"] == "delayed":
-            told["late"] = rng.randint(1, 30)
-    elif where == "temperature_fault":
-        told["kind"] = rng.choice(["off", "stuck", "wrong", "garbage", "intermittent"])
-        told["value_k"] = round(rng.uniform(230.0, 430.0), 1)
-        told["offset_k"] = round(rng.uniform(-80.0, 80.0), 1)
-    elif where == "speed_fault":
-        told["kind"] = rng.choice(["off", "stuck", "wrong", "garbage", "slow", "delayed", "intermittent"])
-    elif where == "valve_fault":
-        told["valve"] = rng.choice("BNF")
-        told["kind"] = rng.choice(["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"])
-    else:
-        told["kind"] = rng.choice(["loss", "error_frame", "corruption", "delay", "frozen_counter",
-                                   "bus_off", "dead", "stalled"])  # fmt: skip
-        if told["kind"] in ("bus_off", "dead", "stalled"):
-            told["node"] = rng.choice(["driver", "controller"])
-            if told["kind"] == "dead":
-                told.pop("end_s", None)
-            elif told["kind"] == "stalled":
-                told.setdefault("end_s", told["start_s"] + 0.2)
-        else:
-            told["message"] = rng.choice(FRAMES)
-            told["probability"] = rng.choice([1.0, 0.5, 0.1])
-            if told["kind"] == "corruption":
-                told["bits"] = rng.randint(1, 12)
-            if told["kind"] == "delay":
-                told["delay_s"] = round(rng.uniform(0.001, 0.2), 4)
-    return where, told
+def _repeated_after(message: str, rng: random.Random) -> float:
+    """A delay [s] of repeated frames; half of them such that the counter has come round."""
+    if rng.random() < 0.5:
+        return round(rng.uniform(0.001, 0.4), 6)
+    period_s = 0.02 if message == "ShiftRequest" else 0.01
+    return round(period_s * rng.uniform(15.0, 16.0), 6)
+
+
+def state(table: dict[str, Any], fault: Fault, rng: random.Random) -> None:
+    """Enter a fault into a scenario, with a window and parameters drawn at random."""
+    if fault.where == "clock":
+        table.setdefault("clock", {})[f"{fault.kind}_ppm"] = round(rng.uniform(-5e4, 5e4))
+        return
+    if fault.where == "bus":
+        load = {"extra_load": round(rng.uniform(0.2, 1.5), 3), "extra_priority": rng.randint(0, 7)}
+        table.setdefault("bus", {}).update(load, send_buffer=32)
+        return
+    told: dict[str, Any] = {"kind": fault.kind, **window(rng)}
+    names = [f.name for f in msgspec.structs.fields(struct_of(fault))]
+    for place in ("message", "node", "valve"):
+        if place in names:
+            told[place] = fault.whom
+    for name in names:
+        if name not in PLACE and (name in NEEDED or rng.random() < 0.5):
+            told[name] = PARAMETERS[name](rng)
+    if fault.kind == "replayed":
+        told["delay_s"] = _repeated_after(fault.whom, rng)
+    if fault.kind == "dead":
+        told.pop("end_s", None)
+    elif fault.kind == "stalled":
+        told.setdefault("end_s", round(told["start_s"] + 0.2, 4))
+    elif fault.kind == "babbling":
+        table.setdefault("bus", {})["send_buffer"] = 32
+    table.setdefault(fault.where, []).append(told)
+
+
+def faults_of(number: int) -> list[Fault]:
+    """Which faults scenario `number` has.
+
+    The first ones of as many scenarios as there are faults are every fault once, shuffled; a
+    second one comes from a group drawn first, so that the many faults of frames do not crowd out
+    the few of a sensor.
+    """
+    groups = vocabulary()
+    every = [fault for group in groups.values() for fault in group]
+    turn, place = divmod(number, len(every))
+    random.Random(f"turn {turn}").shuffle(every)
+    rng = random.Random(f"faults {number}")
+    second = rng.choice(rng.choice(list(groups.values())))
+    return [every[place], second] if rng.random() < 0.7 else [every[place]]
 
 
 def draw(number: int) -> Loaded:
     """Scenario `number`: a shift and up to two faults."""
-    rng = random.Random(f"faults {number}")
+    rng = random.Random(f"scenario {number}")
     table = base(rng.choice(list(SHIFTS)))
     table["seed"] = number + 1
-    for _ in range(rng.choice([1, 2, 2])):
-        where, told = draw_fault(rng)
-        table.setdefault(where, []).append(told)
+    for fault in faults_of(number):
+        state(table, fault, rng)
     valves = table.get("valve_fault", [])
     if len(valves) == 2 and valves[0]["kind"] == valves[1]["kind"]:
         valves[1]["valve"] = "BNF"["FBN".index(valves[0]["valve"])]

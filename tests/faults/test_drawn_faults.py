@@ -2,12 +2,29 @@
 
 from __future__ import annotations
 
+import random
+from typing import Any
+
+import msgspec
 import pytest
 
 from sil import safety
+from sil.end_to_end import EndToEnd
+from sil.faults import Replayed
 from sil.memory import run_in_memory
-from sil.scenario import Scenario
-from tests.faults.drawn import draw
+from sil.run_record import RunRecord
+from sil.scenario import Scenario, from_table
+from sil.sweeps.study import load_study
+from tests.faults.drawn import (
+    STRUCTS,
+    Fault,
+    base,
+    draw,
+    faults_of,
+    state,
+    struct_of,
+    vocabulary,
+)
 
 
 def lies(scenario: Scenario) -> bool:
@@ -19,8 +36,19 @@ def lies(scenario: Scenario) -> bool:
     return any(fault.kind in ("wrong", "stuck") for fault in told)
 
 
+def repeated_reports(record: RunRecord) -> int:
+    """How many repeated status frames passed for new, because their counter had come round."""
+    checked = EndToEnd()
+    checked.add(record)
+    return checked.told()["ControllerStatus"]["intruder's taken"]
+
+
+def repeated_after_s(scenario: Scenario) -> float:
+    return max((f.delay_s for f in scenario.fault if isinstance(f, Replayed)), default=0.0)
+
+
 def check(first: int, count: int) -> None:
-    shifted = reported = lying = 0
+    shifted = reported = lying = old = 0
     for number in range(first, first + count):
         loaded = draw(number)
         run = run_in_memory(loaded)
@@ -29,19 +57,79 @@ def check(first: int, count: int) -> None:
         if lies(loaded.scenario):
             lying += 1
         else:
-            assert found["false_gear_s"] <= safety.sight_s(loaded.scenario), number
+            within_s = safety.sight_s(loaded.scenario)
+            if found["false_gear_s"] > within_s and repeated_reports(run.record):
+                old += 1
+                within_s += repeated_after_s(loaded.scenario)
+            assert found["false_gear_s"] <= within_s, number
         shifted += bool(run.shifts) and run.shifts[-1].arrived_s is not None
         reported += found["fault_bits"] > 0
     # not vacuous: many shifts were done all the same, many faults were seen, few runs left aside
     assert shifted > 0.4 * count
     assert reported > 0.2 * count
-    assert lying < 0.3 * count
+    assert lying < 0.2 * count
+    assert old < 0.02 * count
 
 
 def test_safe_states_hold() -> None:
-    check(0, 60)
+    check(0, 30)
 
 
 @pytest.mark.slow
 def test_safe_states_hold_in_a_thousand_runs() -> None:
-    check(60, 1000)
+    check(30, 1000)
+
+
+def test_everything_that_a_scenario_lets_fail_is_drawn() -> None:
+    every = [fault for group in vocabulary().values() for fault in group]
+    assert len(set(every)) == len(every) > 100
+    assert {faults_of(number)[0] for number in range(len(every))} == set(every)
+    # what the fault table states can be drawn, and what a scenario states as a list of faults
+    stated = {
+        Fault(where, told["kind"], told.get("message") or told.get("node") or told.get("valve", ""))
+        for variant in load_study("faults").study.variant
+        for where, entries in variant.set.items()
+        if isinstance(entries, list)
+        for told in entries
+    }
+    assert stated and stated <= set(every)
+    lists = {f.name for f in msgspec.structs.fields(Scenario) if f.name.endswith("fault")}
+    assert lists == {"fault", *STRUCTS} == {fault.where for fault in every} - {"bus", "clock"}
+
+
+def test_every_parameter_of_every_fault_is_drawn() -> None:
+    rng = random.Random("parameters")
+    for fault in (fault for group in vocabulary().values() for fault in group):
+        if fault.where in ("bus", "clock"):
+            continue
+        table: dict[str, Any] = {}
+        for _ in range(40):
+            state(table, fault, rng)
+        drawn = {name for told in table[fault.where] for name in told}
+        names = {f.name for f in msgspec.structs.fields(struct_of(fault))} | {"kind"}
+        assert drawn == names - ({"end_s"} if fault.kind == "dead" else set()), fault
+
+
+def test_repeated_reports_pass_for_new_after_a_round_of_the_counter() -> None:
+    """The limit that the claim states: protection by counter and checksum knows no time."""
+    found = {}
+    for delay_s in (0.1, 0.155):
+        fault = {"kind": "replayed", "message": "ControllerStatus", "delay_s": delay_s}
+        loaded = from_table(base("N-B") | {"fault": [fault]}, "test")
+        record = run_in_memory(loaded).record
+        found[delay_s] = repeated_reports(record)
+        told = safety.figures(record, loaded.scenario)
+        assert told["false_gear_s"] <= safety.sight_s(loaded.scenario) + delay_s
+        assert (told["false_gear_s"] > safety.sight_s(loaded.scenario)) == (delay_s == 0.155)
+    assert found[0.1] == 0 and found[0.155] > 90
+
+
+@pytest.mark.parametrize("delay_s", [0.03, 0.155, 0.3])
+def test_repeated_commands_of_a_dead_controller_hold_no_valve(delay_s: float) -> None:
+    """One repeated message is not enough: the driver wants commands and blows to be good."""
+    dead = {"kind": "dead", "node": "controller", "start_s": 0.13}
+    for message in ("ValveCommand", "SafetyBlow"):
+        fault = {"kind": "replayed", "message": message, "delay_s": delay_s}
+        loaded = from_table(base("N-B") | {"fault": [dead, fault]}, "test")
+        record = run_in_memory(loaded).record
+        assert safety.orphan_energised_s(record, loaded.scenario) == 0.0
