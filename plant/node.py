@@ -190,7 +190,6 @@ class PlantNode:
         )
         self._protect_pulse: Protector[PositionPulse] = Protector(PositionPulse)
         self._protect_speeds: Protector[DrivelineSpeeds] = Protector(DrivelineSpeeds)
-        self._events_told = 0
         self._closed = False
 
     # --- participant ------------------------------------------------------------------------
@@ -323,9 +322,11 @@ class PlantNode:
             stroke.set_sync_impulse(impulse)
 
     def _tell_events(self, coils: Sequence[Switch], switches: Sequence[Switch]) -> None:
-        if self._on_event is None:
+        if not (coils or switches or self.stroke.events):
             return
-        if not coils and not switches and len(self.stroke.events) == self._events_told:
+        events = self.stroke.events.copy()
+        self.stroke.events.clear()  # told once, and gone: a long run must not gather them
+        if self._on_event is None:
             return
         told: list[tuple[float, str, dict[str, float]]] = [
             (instant / NS_PER_S, f"coil_{CHAMBERS[chamber]}_{'on' if on else 'off'}", {})
@@ -341,9 +342,8 @@ class PlantNode:
                     "energy_j": event.energy_j,
                 },
             )
-            for event in self.stroke.events[self._events_told :]
+            for event in events
         ]
-        self._events_told = len(self.stroke.events)
         for instant, chamber, u in switches:
             name = f"valve_{CHAMBERS[chamber]}_{'open' if u else 'close'}"
             told.append((instant / NS_PER_S, name, {}))

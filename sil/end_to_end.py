@@ -26,14 +26,12 @@ class EndToEnd:
 
     def add(self, record: RunRecord) -> None:
         """Check the frames of the next piece of the run."""
-        for entry in record.frames:
-            receiver = self._receivers.get(entry.frame.can_id)
-            if receiver is None:
-                continue
-            status = receiver.receive(entry.arrival_ns, entry.frame)
-            if entry.sender == IntruderNode.name and status in TAKEN:
-                name = receiver.message_type.__name__
-                self._foreign[name] = self._foreign.get(name, 0) + 1
+        for can_id, receiver in self._receivers.items():
+            name = receiver.message_type.__name__
+            for entry in record.frames_of(can_id):
+                status = receiver.receive(entry.arrival_ns, entry.frame)
+                if entry.sender == IntruderNode.name and status in TAKEN:
+                    self._foreign[name] = self._foreign.get(name, 0) + 1
 
     def told(self) -> dict[str, dict[str, int]]:
         """Frames by status, and of an intruder's how many were taken for good ones."""

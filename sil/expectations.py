@@ -114,7 +114,7 @@ class Observed:
     def add(self, record: RunRecord) -> None:
         """Take in the next piece of the run."""
         for kind in self.counts:
-            self.counts[kind] += len(record.of(kind))
+            self.counts[kind] += sum(1 for _ in record.each(kind))
         if len(record.truth["time_s"]):
             valves = [record.truth[f"valve_{c}"] for c in CHAMBERS]
             self.opened |= {c for c, u in zip(CHAMBERS, valves, strict=True) if (u > 0.5).any()}

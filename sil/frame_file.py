@@ -8,19 +8,29 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from can_dbc.frame import Frame
+import numpy as np
+
 from sil.recorder import AppendedFile
-from sil.run_record import BusFrame
+from sil.run_record import STORED, StoredFrames
 
 if TYPE_CHECKING:
     from sil.bus import Delivery
 
 BUS_FRAMES = "bus.frames"
-_ENTRY = struct.Struct("<QQIBB8s")
 _ARRIVAL = struct.Struct("<8xQ")
+_TIMES = np.dtype(
+    {
+        "names": ["released", "arrival"],
+        "formats": ["<i8"] * 2,
+        "offsets": [0, 8],
+        "itemsize": STORED.size,
+    }
+)
+_AT_ONCE = 1 << 18
 
 
 class FrameWriter(AppendedFile):
@@ -34,7 +44,7 @@ class FrameWriter(AppendedFile):
 
     def record(self, deliveries: Sequence[Delivery]) -> None:
         """Append the frames delivered in one step."""
-        pack, number = _ENTRY.pack, self._number
+        pack, number = STORED.pack, self._number
         self.frames += len(deliveries)
         self.append(
             b"".join(
@@ -57,24 +67,31 @@ class FrameReader:
     def __init__(self, path: Path, senders: Sequence[str]) -> None:
         self._senders = tuple(senders)
         self._file = open(path, "rb", buffering=0)  # noqa: SIM115 - closed by close
-        self.frames = os.fstat(self._file.fileno()).st_size // _ENTRY.size
+        self.frames = os.fstat(self._file.fileno()).st_size // STORED.size
 
-    def read(self, begin: int, end: int) -> list[BusFrame]:
+    def read(self, begin: int, end: int) -> StoredFrames:
         """Return frames begin..end-1."""
-        size = _ENTRY.size
+        size = STORED.size
         content = os.pread(self._file.fileno(), (end - begin) * size, begin * size)
-        senders = self._senders
-        return [
-            BusFrame(released, arrival, senders[sender], Frame(can_id, data[:length]))
-            for released, arrival, can_id, length, sender, data in _ENTRY.iter_unpack(content)
-        ]
+        return StoredFrames(content, self._senders)
+
+    @cached_property
+    def longest_way_ns(self) -> int:
+        """The longest time from the release of a frame to its arrival."""
+        longest = 0
+        for begin in range(0, self.frames, _AT_ONCE):
+            count = min(_AT_ONCE, self.frames - begin)
+            content = os.pread(self._file.fileno(), count * STORED.size, begin * STORED.size)
+            times = np.frombuffer(content, _TIMES)
+            longest = max(longest, int((times["arrival"] - times["released"]).max()))
+        return longest
 
     def first_from(self, arrival_ns: int) -> int:
         """Return the place of the first frame that arrived at this instant or later."""
         low, high = 0, self.frames
         while low < high:
             middle = (low + high) // 2
-            entry = os.pread(self._file.fileno(), _ARRIVAL.size, middle * _ENTRY.size)
+            entry = os.pread(self._file.fileno(), _ARRIVAL.size, middle * STORED.size)
             if _ARRIVAL.unpack(entry)[0] < arrival_ns:
                 low = middle + 1
             else:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from sil.event_log import EVENTS, event_of
-from sil.faults import MOST_DELAY_S
 from sil.frame_file import BUS_FRAMES, FrameReader
 from sil.recorder import PLANT_TRACE, TraceReader
 from sil.run_record import NS, PlantEvent, RunRecord
@@ -80,7 +79,8 @@ class KeptRun:
         """Return what figures of the time from start to until are made of, and a little more."""
         if self.pieces == 1:
             return self.piece(0)
-        return self._record(start_s - 1.0, until_s + 1.0, until_s + 1.0 + 2.0 * MOST_DELAY_S)
+        latest_s = until_s + 1.0 + self._frames.longest_way_ns / NS
+        return self._record(start_s - 1.0, until_s + 1.0, latest_s)
 
     def _record(self, start_s: float, end_s: float, last_arrival_s: float) -> RunRecord:
         """Rows and events from start to before end, and frames up to before the last arrival."""

@@ -117,7 +117,7 @@ def requests(record: RunRecord, initial: Gear) -> list[tuple[float, Gear, Gear]]
     """Return (release time in s, from, to) of each change of the requested gear on the bus."""
     found: list[tuple[float, Gear, Gear]] = []
     current = initial
-    for entry, message in record.of(ShiftRequest):
+    for entry, message in record.each(ShiftRequest):
         if message.target != current:
             found.append((entry.released_ns / NS, current, message.target))
             current = message.target

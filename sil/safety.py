@@ -136,9 +136,7 @@ def believed_status(record: RunRecord) -> Reports:
     receiver = Receiver(ControllerStatus, E2eConfig(timeout_ns=round(REPORT_HOLDS_S * NS)))
     wanted = can_id_of(ControllerStatus)
     found: Reports = []
-    for entry in record.frames:
-        if entry.frame.can_id != wanted:
-            continue
+    for entry in record.frames_of(wanted):
         status = receiver.receive(entry.arrival_ns, entry.frame)
         if receiver.state(entry.arrival_ns) is not E2eState.VALID:
             found.append((entry, None))
@@ -182,8 +180,8 @@ def orphan_energised_s(record: RunRecord, scenario: Scenario) -> float:
     wanted = can_id_of(ValveCommand)
     heard_s = [-math.inf] + [
         entry.arrival_ns / NS
-        for entry in record.frames
-        if entry.frame.can_id == wanted and entry.sender == "controller"
+        for entry in record.frames_of(wanted)
+        if entry.sender == "controller"
     ]
     last_s = np.array(heard_s)[np.searchsorted(heard_s, time_s, side="right") - 1]
     silent = time_s - last_s > scenario.valve_driver.timeout_s + 0.001

@@ -489,3 +489,7 @@ def test_impossible_parameters_are_named() -> None:
         config = msgspec.structs.replace(PlantConfig(), charged=charged)
         with pytest.raises(InputError, match=text):
             PlantNode(config, NOMINAL.override(changes))
+
+
+def test_events_that_were_told_are_not_kept(lab: Run) -> None:
+    assert lab.events and lab.node.stroke.events == []

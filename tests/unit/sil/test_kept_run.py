@@ -15,11 +15,12 @@ from sil.recorder import TraceReader, TraceWriter
 from sil.run_record import BusFrame
 
 SENDERS = ("driver", "controller")
+IDS = (0x0CFF2503, 0x18FF2690)
 
 
 def written(path: Path) -> list[BusFrame]:
     frames = [
-        BusFrame(10 * k, 10 * k + 7, SENDERS[k % 2], Frame(0x0CFF2503, bytes(range(k % 9))))
+        BusFrame(10 * k, 10 * k + 7, SENDERS[k % 2], Frame(IDS[k % 5 == 4], bytes(range(k % 9))))
         for k in range(20)
     ]
     with FrameWriter(path, SENDERS) as writer:
@@ -35,7 +36,14 @@ def test_frames_come_back_and_a_torn_last_one_is_left_out(tmp_path: Path) -> Non
     (tmp_path / "bus.frames").write_bytes(content[:-1])
     reader = FrameReader(tmp_path / "bus.frames", SENDERS)
     assert reader.frames == 19
-    assert reader.read(0, 19) == frames[:19] and reader.read(5, 7) == frames[5:7]
+    stored = reader.read(0, 19)
+    assert list(stored) == frames[:19] and list(reader.read(5, 7)) == frames[5:7]
+    assert stored[3] == frames[3] and stored[-1] == frames[18] and stored[2:9:3] == frames[2:9:3]
+    with pytest.raises(IndexError):
+        stored[19]
+    assert stored.identifiers() == [0x0CFF2503, 0x18FF2690]
+    assert list(stored.of_id(0x18FF2690)) == frames[4:19:5] and not list(stored.of_id(1))
+    assert reader.longest_way_ns == 7
     assert [reader.first_from(at) for at in (0, 7, 8, 17, 187, 188)] == [0, 0, 1, 1, 18, 19]
     reader.close()
 
