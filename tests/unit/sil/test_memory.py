@@ -56,6 +56,6 @@ def test_the_quick_loop_is_the_coordinator_bit_for_bit(
         memory, "run_quickly", lambda nodes, _, end, boxes: memory._coordinated(nodes, scenario, end)
     )
     plain = run_in_memory(loaded)
-    assert list(quick.record.frames) == list(plain.record.frames)
+    assert quick.record.frames == plain.record.frames
     assert quick.trace_sha256 == plain.trace_sha256
     assert quick.figures == plain.figures
