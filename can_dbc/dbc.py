@@ -29,7 +29,7 @@ _LONGEST_CYCLE_MS = 10**12
 _LONGEST_REASON = 160
 # As cantools splits the text: comments to the end of the line, strings with \" inside, words and
 # numbers. A word never starts with a digit, since the number before it is taken first.
-_UNREAD = re.compile(r'//.*?\n|"(?:\\"|[^"])*?"', re.DOTALL)
+_UNREAD = re.compile(r'//.*\n|"(?:\\"|[^"])*?"')
 _POWER = re.compile(r"[A-Za-z_]\w*|(?<!\d)\d++\.?+\d*+[eE][+-]?(\d+)")
 _QUOTED_POWER = re.compile(r'"\s*[-+]?\d[\d_.]*[eE][+-]?(\d[\d_]*)\s*"')
 _TEXT_ATTRIBUTE = re.compile(r'\bBA_DEF_\w*\s+(?:\w+\s+)?"([^"]*)"\s+STRING\b')
@@ -183,7 +183,7 @@ def _above(digits: str, limit: int) -> bool:
 def _offset_of(error: Exception, text: _Text, strict: bool) -> int | None:
     """Offset that the error names, else of the first statement that brings it about."""
     offset = getattr(error, "offset", None)
-    if isinstance(offset, int) and 0 <= offset <= len(text.text):
+    if isinstance(offset, int):
         return offset
     if len(text.text) > _LARGEST_TO_BISECT:
         return None
@@ -196,7 +196,7 @@ def _offset_of(error: Exception, text: _Text, strict: bool) -> int | None:
             bad = middle
         else:
             good = middle
-    return starts[bad - 1] if bad <= len(starts) and starts else None
+    return starts[bad - 1] if starts else None
 
 
 def _fails_alike(text: str, strict: bool, error: Exception) -> bool:

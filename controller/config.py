@@ -42,7 +42,8 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
                 )
 
 
-def _number(low: float, high: float, unit: str) -> Any:
+def bounded(low: float, high: float, unit: str) -> Any:
+    """Return the annotation that keeps a setting from `low` to `high` in its unit."""
     return Meta(ge=low, le=high, description=unit)
 
 
@@ -53,29 +54,29 @@ class SensorConfig(Settings, frozen=True):
     neutral. Source: thesis 2.2.4 (0.9 ms), the slope and temperature inferred.
     """
 
-    period_s: Annotated[float, _number(0.001, 0.1, "s")] = 0.01
+    period_s: Annotated[float, bounded(0.001, 0.1, "s")] = 0.01
     """Time between two pulses; the filter is designed for it."""
-    t_mid_s: Annotated[float, _number(1e-5, 0.01, "s")] = 0.0009
+    t_mid_s: Annotated[float, bounded(1e-5, 0.01, "s")] = 0.0009
     """Pulse duration in neutral at the calibration temperature."""
-    slope_s_per_m: Annotated[float, _number(1e-4, 1.0, "s/m")] = 0.022
-    temp_coeff_per_k: Annotated[float, _number(-0.005, 0.005, "1/K")] = 0.0012
-    t_ref_k: Annotated[float, _number(200.0, 450.0, "K")] = 293.15
-    timer_resolution_s: Annotated[float, _number(1e-9, 1e-4, "s")] = 1e-6
+    slope_s_per_m: Annotated[float, bounded(1e-4, 1.0, "s/m")] = 0.022
+    temp_coeff_per_k: Annotated[float, bounded(-0.005, 0.005, "1/K")] = 0.0012
+    t_ref_k: Annotated[float, bounded(200.0, 450.0, "K")] = 293.15
+    timer_resolution_s: Annotated[float, bounded(1e-9, 1e-4, "s")] = 1e-6
     """One tick of the timer that measures the pulse."""
-    temperature_min_k: Annotated[float, _number(200.0, 450.0, "K")] = 233.15
-    temperature_max_k: Annotated[float, _number(200.0, 450.0, "K")] = 423.15
+    temperature_min_k: Annotated[float, bounded(200.0, 450.0, "K")] = 233.15
+    temperature_max_k: Annotated[float, bounded(200.0, 450.0, "K")] = 423.15
     """Coil temperatures outside these two make a sample implausible."""
-    overtravel_m: Annotated[float, _number(0.0, 0.01, "m")] = 0.003
+    overtravel_m: Annotated[float, bounded(0.0, 0.01, "m")] = 0.003
     """A sample this far beyond an end position is still plausible."""
-    max_speed_m_s: Annotated[float, _number(0.1, 100.0, "m/s")] = 4.0
+    max_speed_m_s: Annotated[float, bounded(0.1, 100.0, "m/s")] = 4.0
     """A jump from sample to sample faster than this is implausible."""
-    travel_limit_m: Annotated[float, _number(0.005, 1.0, "m")] = 0.035
+    travel_limit_m: Annotated[float, bounded(0.005, 1.0, "m")] = 0.035
     """More travel than this within a short time is implausible: the stay moves one stroke a leg."""
-    travel_leak_m_s: Annotated[float, _number(0.0, 10.0, "m/s")] = 0.3
+    travel_leak_m_s: Annotated[float, bounded(0.0, 10.0, "m/s")] = 0.3
     """Rate at which old travel is forgotten."""
-    bad_limit: Annotated[int, _number(1, 100, "")] = 6
+    bad_limit: Annotated[int, bounded(1, 100, "")] = 6
     """The position counts as lost at this level; a bad sample adds 2, a good one takes 1."""
-    still_ticks: Annotated[int, _number(0, 100, "")] = 2
+    still_ticks: Annotated[int, bounded(0, 100, "")] = 2
     """Changes up to this many timer ticks are no motion."""
 
     def __post_init__(self) -> None:
@@ -97,21 +98,21 @@ class FilterConfig(Settings, frozen=True):
     """Butterworth low-pass on the position, one step per sensor sample (thesis 2.2.4)."""
 
     enabled: bool = True
-    order: Annotated[int, _number(1, 8, "")] = 6
-    fc_hz: Annotated[float, _number(0.1, 500.0, "Hz")] = 22.0
+    order: Annotated[int, bounded(1, 8, "")] = 6
+    fc_hz: Annotated[float, bounded(0.1, 500.0, "Hz")] = 22.0
     """Cut-off; below half the sensor's sample rate."""
 
 
 class WindowConfig(Settings, frozen=True):
     """Where the stay counts as being in neutral, backward or forward."""
 
-    stroke_m: Annotated[float, _number(0.001, 0.1, "m")] = 0.01285
+    stroke_m: Annotated[float, bounded(0.001, 0.1, "m")] = 0.01285
     """Distance of either engaged position from neutral."""
-    neutral_tolerance_m: Annotated[float, _number(1e-4, 0.05, "m")] = 0.0025
+    neutral_tolerance_m: Annotated[float, bounded(1e-4, 0.05, "m")] = 0.0025
     """Neutral: at most this far from it. The filter overshoots a full stroke by 2.2 mm."""
-    gear_tolerance_m: Annotated[float, _number(1e-4, 0.05, "m")] = 0.0015
+    gear_tolerance_m: Annotated[float, bounded(1e-4, 0.05, "m")] = 0.0015
     """Engaged: no more than this short of the end position."""
-    samples: Annotated[int, _number(1, 100, "")] = 2
+    samples: Annotated[int, bounded(1, 100, "")] = 2
     """Consecutive sensor samples inside a window that confirm it."""
 
     def __post_init__(self) -> None:
@@ -127,7 +128,7 @@ class WindowConfig(Settings, frozen=True):
 class BlowConfig(Settings, frozen=True):
     """Filling that goes on after a position is confirmed (thesis 6.1)."""
 
-    duration_s: Annotated[float, _number(0.0, 0.25, "s")] = 0.15
+    duration_s: Annotated[float, bounded(0.0, 0.25, "s")] = 0.15
     cut: Literal["none", "sync", "confirmation"] = "sync"
     """What ends the blow before its time: nothing; agreeing shaft speeds, when a gear is to follow
     neutral; or the confirmation itself, so that there is no blow."""
@@ -136,42 +137,42 @@ class BlowConfig(Settings, frozen=True):
 class ShiftConfig(Settings, frozen=True):
     """Times and tolerances of the shift state machine."""
 
-    push_timeout_s: Annotated[float, _number(0.05, 30.0, "s")] = 1.0
+    push_timeout_s: Annotated[float, bounded(0.05, 30.0, "s")] = 1.0
     """A push that has not confirmed its position by then has failed."""
-    retries: Annotated[int, _number(0, 5, "")] = 1
+    retries: Annotated[int, bounded(0, 5, "")] = 1
     """Further pushes after a failed one, before the fault state."""
-    retry_pause_s: Annotated[float, _number(0.0, 10.0, "s")] = 0.1
+    retry_pause_s: Annotated[float, bounded(0.0, 10.0, "s")] = 0.1
     """Everything vented this long before another push."""
-    no_motion_s: Annotated[float, _number(0.05, 30.0, "s")] = 0.4
+    no_motion_s: Annotated[float, bounded(0.05, 30.0, "s")] = 0.4
     """A push under which the sensor has not changed at all by then: sensor (or actuator) stuck."""
-    reversal_settle_s: Annotated[float, _number(0.0, 5.0, "s")] = 0.12
+    reversal_settle_s: Annotated[float, bounded(0.0, 5.0, "s")] = 0.12
     """A push that starts inside its own window is confirmed only after this time: sensor, filter
     and closing valve still hide a motion out of the window."""
-    hold_s: Annotated[float, _number(0.0, 10.0, "s")] = 0.04
+    hold_s: Annotated[float, bounded(0.0, 10.0, "s")] = 0.04
     """After the blow, until the valve has closed (35 ms)."""
-    vent_s: Annotated[float, _number(0.0, 10.0, "s")] = 0.11
+    vent_s: Annotated[float, bounded(0.0, 10.0, "s")] = 0.11
     """After that, until the chamber has vented."""
-    interlock_s: Annotated[float, _number(0.0, 1.0, "s")] = 0.04
+    interlock_s: Annotated[float, bounded(0.0, 1.0, "s")] = 0.04
     """Backward is not filled sooner than this after forward was, and vice versa."""
-    sync_tolerance_rad_s: Annotated[float, _number(0.0, 1000.0, "rad/s")] = 2.0
+    sync_tolerance_rad_s: Annotated[float, bounded(0.0, 1000.0, "rad/s")] = 2.0
     """Shaft speeds no further apart than this agree."""
     wait_for_sync: bool = False
     """Leave neutral only when the shaft speeds agree (otherwise the synchronizer does it all)."""
-    sync_wait_s: Annotated[float, _number(0.0, 30.0, "s")] = 1.0
+    sync_wait_s: Annotated[float, bounded(0.0, 30.0, "s")] = 1.0
     """Longest such wait; the push starts then all the same."""
-    init_settle_s: Annotated[float, _number(0.0, 5.0, "s")] = 0.04
+    init_settle_s: Annotated[float, bounded(0.0, 5.0, "s")] = 0.04
     """After start or fault: a gear is believed once seen this long without a break."""
-    init_timeout_s: Annotated[float, _number(0.0, 30.0, "s")] = 0.3
+    init_timeout_s: Annotated[float, bounded(0.0, 30.0, "s")] = 0.3
     """After start or fault: ready with an unknown gear when none was found by then."""
 
 
 class E2eConfig(Settings, frozen=True):
     """Supervision of the received channels."""
 
-    position_timeout_s: Annotated[float, _number(0.001, 10.0, "s")] = 0.05
-    request_timeout_s: Annotated[float, _number(0.001, 10.0, "s")] = 0.1
-    speeds_timeout_s: Annotated[float, _number(0.001, 10.0, "s")] = 0.05
-    startup_s: Annotated[float, _number(0.0, 10.0, "s")] = 0.2
+    position_timeout_s: Annotated[float, bounded(0.001, 10.0, "s")] = 0.05
+    request_timeout_s: Annotated[float, bounded(0.001, 10.0, "s")] = 0.1
+    speeds_timeout_s: Annotated[float, bounded(0.001, 10.0, "s")] = 0.05
+    startup_s: Annotated[float, bounded(0.0, 10.0, "s")] = 0.2
     """A channel that has never been valid this long after the first step counts as lost."""
 
 
@@ -181,13 +182,13 @@ class FirmwareConfig(Settings, frozen=True):
     Raises InputError 'PLACE: what; expected ...'. Checked by test_config.
     """
 
-    period_s: Annotated[float, _number(0.002, 0.02, "s")] = 0.01
+    period_s: Annotated[float, bounded(0.002, 0.02, "s")] = 0.01
     """Time between two steps, a whole number of nanoseconds (thesis 2.2.1: 10 ms)."""
-    computation_s: Annotated[float, _number(0.0, 0.02, "s")] = 0.0001
+    computation_s: Annotated[float, bounded(0.0, 0.02, "s")] = 0.0001
     """From the start of a step until its frames wait for the bus; below period_s."""
-    duty: Annotated[float, _number(0.35, 1.0, "")] = 0.98
+    duty: Annotated[float, bounded(0.35, 1.0, "")] = 0.98
     """Duty that opens a valve (thesis 3.1.3)."""
-    duty_closed: Annotated[float, _number(0.0, 0.35, "")] = 0.33
+    duty_closed: Annotated[float, bounded(0.0, 0.35, "")] = 0.33
     """A duty up to this surely leaves a valve closed; above it the valve counts as energised."""
     sensor: SensorConfig = SensorConfig()
     filter: FilterConfig = FilterConfig()
@@ -229,7 +230,7 @@ class FirmwareConfig(Settings, frozen=True):
     @property
     def period_ns(self) -> int:
         """Time between two steps, ns."""
-        return round(self.period_s * 1e9)
+        return nanoseconds(self.period_s)
 
     @property
     def computation_ns(self) -> int:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from msgspec import Meta
-
-from controller.config import FirmwareConfig, Settings
+from controller.config import FirmwareConfig, Settings, bounded
 from controller.filters import SectionFilter, butterworth
 from controller.light_model import LightModel, ModelSettings, Motion, Valve
 
@@ -20,19 +18,15 @@ TOUCH_M = 1e-9
 """Piston and stay nearer than this move together."""
 
 
-def _number(low: float, high: float, unit: str) -> Any:
-    return Meta(ge=low, le=high, description=unit)
-
-
 class ObserverSettings(Settings, frozen=True):
     """How strongly the model follows what is measured."""
 
-    sensor_age_s: Annotated[float, _number(0.0, 0.05, "s")] = 0.00455
+    sensor_age_s: Annotated[float, bounded(0.0, 0.05, "s")] = 0.00455
     """Age of the newest sample at a step, without the filter (pulse, capture, bus, waiting)."""
-    position_gain: Annotated[float, _number(0.0, 2.0, "")] = 0.5
-    speed_gain_per_s: Annotated[float, _number(0.0, 1000.0, "1/s")] = 20.0
-    load_gain_n_m: Annotated[float, _number(0.0, 1e6, "N/m")] = 3e4
-    most_load_n: Annotated[float, _number(0.0, 5000.0, "N")] = 2200.0
+    position_gain: Annotated[float, bounded(0.0, 2.0, "")] = 0.5
+    speed_gain_per_s: Annotated[float, bounded(0.0, 1000.0, "1/s")] = 20.0
+    load_gain_n_m: Annotated[float, bounded(0.0, 1e6, "N/m")] = 3e4
+    most_load_n: Annotated[float, bounded(0.0, 5000.0, "N")] = 2200.0
 
 
 class Observer:

@@ -9,50 +9,44 @@ Checked by test_light_model.
 from __future__ import annotations
 
 from math import sqrt
-from typing import Annotated, Any
+from typing import Annotated
 
-from msgspec import Meta
-
-from controller.config import Settings
+from controller.config import Settings, bounded
 
 R_AIR_J_KG_K = 287.0
-
-
-def _number(low: float, high: float, unit: str) -> Any:
-    return Meta(ge=low, le=high, description=unit)
 
 
 class ModelSettings(Settings, frozen=True):
     """What the light model takes for true; the defaults are the laboratory's length stroke."""
 
-    supply_pa: Annotated[float, _number(2e5, 1.5e6, "Pa")] = 9e5
-    atmosphere_pa: Annotated[float, _number(5e4, 1.2e5, "Pa")] = 101325.0
-    valve_open_s: Annotated[float, _number(0.0, 0.1, "s")] = 0.008
-    valve_close_s: Annotated[float, _number(0.0, 0.2, "s")] = 0.035
-    transport_s: Annotated[float, _number(0.0, 0.02, "s")] = 0.00038
+    supply_pa: Annotated[float, bounded(2e5, 1.5e6, "Pa")] = 9e5
+    atmosphere_pa: Annotated[float, bounded(5e4, 1.2e5, "Pa")] = 101325.0
+    valve_open_s: Annotated[float, bounded(0.0, 0.1, "s")] = 0.008
+    valve_close_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.035
+    transport_s: Annotated[float, bounded(0.0, 0.02, "s")] = 0.00038
     """From the start of a step to the command's arrival at the valve driver."""
-    stay_kg: Annotated[float, _number(0.05, 100.0, "kg")] = 0.9
-    piston_kg: Annotated[float, _number(0.01, 10.0, "kg")] = 0.2
-    stay_friction_n: Annotated[float, _number(0.0, 2000.0, "N")] = 22.0
-    piston_friction_n: Annotated[float, _number(0.0, 2000.0, "N")] = 29.0
-    stay_damping_n_s_m: Annotated[float, _number(0.0, 1000.0, "N s/m")] = 17.0
-    piston_damping_n_s_m: Annotated[float, _number(0.0, 1000.0, "N s/m")] = 22.0
-    piston_m2: Annotated[float, _number(1e-5, 0.1, "m2")] = 0.00251327412
-    stay_m2: Annotated[float, _number(0.0, 0.1, "m2")] = 0.000314159265
-    gap_m: Annotated[float, _number(0.0, 0.1, "m")] = 0.013
+    stay_kg: Annotated[float, bounded(0.05, 100.0, "kg")] = 0.9
+    piston_kg: Annotated[float, bounded(0.01, 10.0, "kg")] = 0.2
+    stay_friction_n: Annotated[float, bounded(0.0, 2000.0, "N")] = 22.0
+    piston_friction_n: Annotated[float, bounded(0.0, 2000.0, "N")] = 29.0
+    stay_damping_n_s_m: Annotated[float, bounded(0.0, 1000.0, "N s/m")] = 17.0
+    piston_damping_n_s_m: Annotated[float, bounded(0.0, 1000.0, "N s/m")] = 22.0
+    piston_m2: Annotated[float, bounded(1e-5, 0.1, "m2")] = 0.00251327412
+    stay_m2: Annotated[float, bounded(0.0, 0.1, "m2")] = 0.000314159265
+    gap_m: Annotated[float, bounded(0.0, 0.1, "m")] = 0.013
     """Way of the piston before it meets the stay."""
-    driving_m3: Annotated[float, _number(1e-7, 0.01, "m3")] = 2.8e-5
-    braking_m3: Annotated[float, _number(1e-5, 0.01, "m3")] = 9.2968e-5
+    driving_m3: Annotated[float, bounded(1e-7, 0.01, "m3")] = 2.8e-5
+    braking_m3: Annotated[float, bounded(1e-5, 0.01, "m3")] = 9.2968e-5
     """Volumes of the driving chamber and of neutral, both when in neutral."""
-    filling_alpha_flow: Annotated[float, _number(0.5, 2.0, "")] = 0.94
-    filling_alpha_volume: Annotated[float, _number(0.5, 2.0, "")] = 0.87
-    venting_alpha_flow: Annotated[float, _number(0.5, 2.0, "")] = 1.5
-    venting_alpha_volume: Annotated[float, _number(0.5, 2.0, "")] = 1.05
+    filling_alpha_flow: Annotated[float, bounded(0.5, 2.0, "")] = 0.94
+    filling_alpha_volume: Annotated[float, bounded(0.5, 2.0, "")] = 0.87
+    venting_alpha_flow: Annotated[float, bounded(0.5, 2.0, "")] = 1.5
+    venting_alpha_volume: Annotated[float, bounded(0.5, 2.0, "")] = 1.05
     """Exponents of the state change (thesis table 3.2)."""
-    flow_in: Annotated[float, _number(0.0, 1e-3, "K kg/(s Pa)")] = 2.27e-6
-    flow_in_critical: Annotated[float, _number(-2.0, 0.9, "")] = -0.605
-    flow_out: Annotated[float, _number(0.0, 1e-3, "K kg/(s Pa)")] = 2.42e-6
-    flow_out_critical: Annotated[float, _number(-2.0, 0.9, "")] = 0.281
+    flow_in: Annotated[float, bounded(0.0, 1e-3, "K kg/(s Pa)")] = 2.27e-6
+    flow_in_critical: Annotated[float, bounded(-2.0, 0.9, "")] = -0.605
+    flow_out: Annotated[float, bounded(0.0, 1e-3, "K kg/(s Pa)")] = 2.42e-6
+    flow_out_critical: Annotated[float, bounded(-2.0, 0.9, "")] = 0.281
 
 
 class Motion:
@@ -76,7 +70,7 @@ class Motion:
 
     def copy(self) -> Motion:
         """Return a state that can be changed without changing this one."""
-        twin = Motion(0.0)
+        twin = Motion.__new__(Motion)
         for name in self.__slots__:
             setattr(twin, name, getattr(self, name))
         return twin
@@ -240,7 +234,7 @@ class LightModel:
             + volume * motion.braking_pa * piston_m2 * way_m
         ) / braking_m3
         if new_x_m >= self.stroke_m or new_x_m <= 0.0:
-            v_m_s = 0.0 if new_x_m > 0.0 or v_m_s < 0.0 else v_m_s
+            v_m_s = 0.0
         if new_z_m <= 0.0 or new_z_m >= gap_m + self.stroke_m:
             u_m_s = 0.0
         motion.piston_m, motion.stay_m = new_z_m, new_x_m

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from can_dbc.messages import Gear
-from controller.config import Settings
+from controller.config import Settings, bounded
 from controller.strategies import Duties, ShiftContext, Strategy, one_chamber
-from controller.strategies.bounds import bounded
 
 if TYPE_CHECKING:
     from controller.position import Estimate

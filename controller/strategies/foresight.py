@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from msgspec import Struct
 
+from controller.config import bounded
 from controller.estimator import STEP_S, Observer, ObserverSettings
 from controller.light_model import ModelSettings
-from controller.strategies.bounds import bounded
 from controller.strategies.into_gear import IntoGear, IntoGearParameters, Seen, Wish
 
 if TYPE_CHECKING:
@@ -74,7 +74,6 @@ class Foresight(IntoGear):
         driving, braking = observer.driving.copy(), observer.braking.copy()
         model, start_s = observer.model, observer.time_s
         transport_s, stroke_m, advance = model.settings.transport_s, model.stroke_m, model.step
-        speed_m_s = 0.0
         for step in range(self._steps):
             ahead_s = step * STEP_S
             now_s = start_s + ahead_s

@@ -6,9 +6,8 @@ import abc
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from can_dbc.messages import Chamber, Gear
-from controller.config import Settings
+from controller.config import Settings, bounded, nanoseconds
 from controller.strategies import Duties, ShiftContext, Strategy, one_chamber
-from controller.strategies.bounds import bounded
 
 if TYPE_CHECKING:
     from controller.position import Estimate
@@ -63,7 +62,7 @@ class IntoGear(Strategy):
     def command(self, now_ns: int, estimate: Estimate, shift: ShiftContext) -> Duties:
         """Return the duties that `decide` wishes, or the open loop's."""
         spent_ns = now_ns - shift.start_ns
-        impatient = spent_ns >= round(self.parameters.patience_s * 1e9)
+        impatient = spent_ns >= nanoseconds(self.parameters.patience_s)
         if shift.leg is Gear.NEUTRAL or shift.attempt > 0 or impatient:
             return one_chamber(shift.charged, self.config.duty)
         towards = 1.0 if shift.leg is Gear.BACKWARD else -1.0

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
 
 from msgspec import Struct
 
-from controller.strategies.bounds import bounded
+from controller.config import bounded
 from controller.strategies.foresight import Foresight, ForesightParameters, Outcome
 from controller.strategies.into_gear import Wish
 

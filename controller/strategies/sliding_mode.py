@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar
 
-from controller.strategies.bounds import bounded
+from controller.config import bounded
 from controller.strategies.into_gear import (
     BRAKE,
     PUSH,

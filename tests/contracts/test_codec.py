@@ -529,6 +529,13 @@ def test_a_codec_that_contradicts_itself_says_so() -> None:
         own.refuse_message(m.ShiftRequest(m.Gear.FORWARD))
 
 
+def test_what_is_kept_does_not_grow_without_end() -> None:
+    for length_us in range(10_000):
+        decode(encode(m.PositionPulse(length_us * 2.5e-7, 293.15, 0)))
+    for kept in (codec._codec(m.PositionPulse).framed, codec._decoders[can_id_of(m.PositionPulse)]):
+        assert kept.cache_info().currsize < 5000  # type: ignore[attr-defined]
+
+
 def in_new_process(code: str) -> str:
     run = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60

@@ -205,7 +205,7 @@ def test_other_statements_are_refused_with_their_line(statement: str, reason: st
         parse(f'VERSION ""\n\n{statement}\n', "x.dbc")
 
 
-@pytest.mark.parametrize("value", ['"ABC"', '"XY"'])
+@pytest.mark.parametrize("value", ['"ABC"', '"XY"', '"XX"'])
 def test_impossible_attributes_are_refused(value: str) -> None:
     text = f'BO_ 2147483649 M: 8 A\nBA_ "E2EDataIdList" BO_ 2147483649 {value};\n'
     with pytest.raises(InputError, match=r"^x.dbc: an attribute has an impossible value: "):

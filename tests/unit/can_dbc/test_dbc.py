@@ -127,7 +127,7 @@ def test_problems_carry_the_name_of_the_file(tmp_path: Path) -> None:
         ),
         (
             GOOD + "SG_MUL_VAL_ 5 Left Right 0-1,5-" + 40 * "9" + ";\n",
-            "x.dbc: line 17: multiplexer range 5-99999999999999999999",
+            "x.dbc: line 17: multiplexer range 5-99999999999999999999; expected",
         ),
         (
             changed("(1,0) [0|0]", "(0,0) [0|0]"),
@@ -181,6 +181,8 @@ def test_cycle_times_may_have_fractions() -> None:
         (changed("BO_ 5 20", "BO_ 5 1e999999999999"), 15),
         (changed("BO_ 5 20", 'BO_ 5 "1e999999999999"'), 15),
         (changed("BO_ 5 20", 'BO_ 5 "1e9_99_999_999"'), 15),
+        (changed("BO_ 5 20", 'BO_ 5 "1E999999999999"'), 15),
+        ('BA_ "GenMsgCycleTime" "1e999999999999";\n', 1),
         (changed('"GenMsgCycleTime" 0', '"GenMsgCycleTime" 1E+999999999999'), 14),
         (changed('"GenMsgCycleTime" 0', '"GenMsgCycleTime" "1.5e999999999999"'), 14),
         (changed("INT -10 65535", "INT -10 1e999999999999"), 13),
@@ -197,8 +199,9 @@ def test_numbers_of_very_many_digits_are_read_in_no_time() -> None:
     assert time.process_time() - begun < 2.0
 
 
-def test_quoted_powers_of_ten_with_a_use_are_numbers() -> None:
-    text = changed("INT -10 65535", "FLOAT 0 65535").replace("BO_ 5 20", 'BO_ 5 "2e1"')
+@pytest.mark.parametrize("number", ["2e1", "2e0_1"])
+def test_quoted_powers_of_ten_with_a_use_are_numbers(number: str) -> None:
+    text = changed("INT -10 65535", "FLOAT 0 65535").replace("BO_ 5 20", f'BO_ 5 "{number}"')
     assert parse_dbc(text.encode()).get_message_by_name("Speeds").cycle_time == 20
 
 
@@ -276,7 +279,8 @@ def test_multiplexer_ranges_up_to_the_limit() -> None:
     line = refusal(MULTIPLEXED % "100000-104096")
     assert line.startswith("x.dbc: line 8: multiplexer range 100000-104096; expected at most 4096")
     assert "range 0-3000000000" in refusal(MULTIPLEXED % "4000000000-0,0-3000000000")
-    assert f"range {20 * '9'}-0" in refusal(MULTIPLEXED % f"{30 * '9'}-0")
+    for digits in (30, 5000):
+        assert f"range {20 * '9'}-0" in refusal(MULTIPLEXED % f"{digits * '9'}-0")
     line = refusal(MULTIPLEXED % "0-2047,3000-5048")
     assert line.startswith("x.dbc: line 8: multiplexer range 3000-5048; expected at most 4096")
 
@@ -287,13 +291,24 @@ def test_without_a_name_it_is_the_dbc() -> None:
 
 
 def test_a_first_statement_that_fails_is_named() -> None:
-    assert refusal('VAL_ 5 Left 0 "still" ;\n').startswith("x.dbc: line 1: not a DBC that can")
+    unused = 'VAL_ 7 Left 0 "still" ;\n'
+    assert refusal(unused).startswith("x.dbc: line 1: not a DBC that can")
+    assert refusal(unused + GOOD.partition("\n")[2]).startswith("x.dbc: line 1: not a DBC that can")
+
+
+def test_where_no_statement_is_found_no_line_is_named() -> None:
+    inline = refusal('VERSION "" VAL_ 5 Left 0 "still" ;\n')
+    assert inline.startswith("x.dbc: not a DBC that can be understood (ValueError: unused VAL_")
+    signed = changed("BO_ 5 Speeds: 8", "BO_ +5 Speeds: 8").replace("BO_ 5 Speeds: 9999 ", "")
+    line = refusal(signed.replace("BO_ 5 20", "BO_ 5 -5"))
+    assert line.startswith("x.dbc: message Speeds: cycle time '-5'")
 
 
 def test_cut_reasons_have_their_length() -> None:
     names = [f"S{'x' * 120}{number}" for number in range(2)]
     text = "BO_ 5 M: 8 A\n" + "".join(f' SG_ {n} : 0|8@1+ (1,0) [0|0] "" B\n' for n in names)
     assert len(refusal(text)) == len("x.dbc: line 3: ") + 160
+    assert dbc._reason(KeyError(158 * "x")) == f"refers to '{158 * 'x'}', which is not declared"
 
 
 WORD_BY_WORD = (
@@ -404,5 +419,6 @@ def test_numbers_above_a_limit_by_their_digits() -> None:
         *(False, False, False),
         *(True, True),
     ]
+    assert dbc._above("0" * 30 + "400", 400) is False
     assert dbc._above("9" * 20, 10**20 - 1) is False
     assert dbc._above("1" + "0" * 20, 10**30) is True

@@ -230,6 +230,33 @@ def test_message_is_kept_from_good_frames_only() -> None:
     assert (receiver.message, receiver.message_ns) == (m.ShiftRequest(m.Gear.BACKWARD), 5)
 
 
+def undisturbed(status: m.ControllerStatus) -> tuple[list[Frame], Receiver[m.ControllerStatus]]:
+    """A channel that has taken the frames of counters 0 to 14 without a fault, and those frames."""
+    protector = Protector(m.ControllerStatus)
+    receiver = Receiver(m.ControllerStatus, LENIENT)
+    frames = [protector.protect(status) for _ in range(15)]
+    for frame in frames:
+        receiver.receive(0, frame)
+    assert receiver.status is S.OK
+    return frames, receiver
+
+
+@pytest.mark.parametrize("state", [m.ShiftState.INIT, m.ShiftState.FAULT])
+def test_a_channel_without_faults_still_looks_at_every_counter(state: m.ShiftState) -> None:
+    status = m.ControllerStatus(state, m.Gear.NEUTRAL, 0.0, m.Fault.NONE)
+    for counter, expected in ((14, S.REPEATED), (0, S.OK_SOME_LOST), (3, S.WRONG_SEQUENCE)):
+        frames, receiver = undisturbed(status)
+        assert receiver.receive(0, frames[counter]) is expected
+
+
+@pytest.mark.parametrize("length", [0, 1, 7])
+def test_a_channel_without_faults_still_looks_at_every_length(length: int) -> None:
+    status = m.ControllerStatus(m.ShiftState.IDLE, m.Gear.NEUTRAL, 0.0, m.Fault.NONE)
+    frames, receiver = undisturbed(status)
+    assert receiver.receive(0, Frame(frames[0].can_id, frames[0].data[:length])) is S.ERROR
+    assert receiver.reason == f"{length} bytes instead of 8"
+
+
 def test_time_does_not_run_backwards() -> None:
     receiver = Receiver(m.ShiftRequest, CONFIG)
     receiver.receive(10, frame(0))

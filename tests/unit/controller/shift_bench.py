@@ -39,8 +39,11 @@ class Bench:
         """Change the view, let time pass, step once."""
         self.view = self.view._replace(**changes)
         self.now_ns += round(ms * MS)
-        self.machine.step(self.now_ns, self.view)
-        return self.machine.state
+        machine = self.machine
+        machine.step(self.now_ns, self.view)
+        facts = machine.in_process, machine.new_leg, machine.new_attempt, machine.recovered
+        assert {type(fact) for fact in facts} == {bool}, facts  # None would be sent as unknown
+        return machine.state
 
     def until(self, state: ShiftState, limit_ms: int = 5000) -> int:
         """Step every 10 ms until a state is there; return the ms that took."""

@@ -289,6 +289,26 @@ class TestEstimator:
         feed(estimator, [0.001], 4)
         assert not estimator.stuck
 
+    def test_as_many_ticks_as_tell_of_no_motion(self) -> None:
+        """All powers of two, so that ticks are exact: two are still, three are motion."""
+        tick_s, slope_s_per_m = 2.0**-20, 2.0**-6
+        sensor = {"timer_resolution_s": tick_s, "slope_s_per_m": slope_s_per_m, "t_mid_s": 2.0**-10}
+        estimator = PositionEstimator(unfiltered(**sensor))
+
+        def read(ticks: int, index: int) -> None:
+            pulse_s = sensor["t_mid_s"] + ticks * tick_s
+            estimator.update([PositionPulse(pulse_s, T_K, index)], False)
+
+        read(100, 0)
+        estimator.mark()
+        estimator.distrust()
+        for index, ticks in enumerate((98, 100, 102), 1):
+            estimator.mark()
+            read(ticks, index)
+            assert estimator.stuck and not estimator.moved
+        read(103, 4)
+        assert estimator.moved and not estimator.stuck
+
 
 @given(
     st.lists(

@@ -12,6 +12,7 @@ from controller.filters import SectionFilter, butterworth
 from controller.light_model import R_AIR_J_KG_K, LightModel, ModelSettings, Motion, Valve
 
 STROKE_M = 0.01285
+GAP_M = 0.013
 ATMOSPHERE_PA = 101325.0
 
 
@@ -44,13 +45,52 @@ def test_a_choked_chamber_empties_exponentially() -> None:
     assert motion.driving_pa == pytest.approx(8e5 * math.exp(-rate_per_s * 0.01), rel=1e-3)
 
 
+@pytest.mark.parametrize(("driving", "braking"), [(True, True), (True, False), (False, True)])
+def test_a_shut_in_gas_follows_its_polytrope(driving: bool, braking: bool) -> None:
+    """P V^alpha is constant without flow; the exponent is that of the valve's position."""
+    settings = ModelSettings(
+        flow_in=0.0,
+        flow_out=0.0,
+        piston_friction_n=0.0,
+        stay_friction_n=0.0,
+        piston_kg=10.0,
+        stay_kg=100.0,
+        stay_m2=0.002,
+        filling_alpha_volume=0.6,
+        venting_alpha_volume=1.9,
+    )
+    model = LightModel(settings, STROKE_M)
+    motion = Motion(ATMOSPHERE_PA)
+    motion.piston_m, motion.stay_m = GAP_M - 0.002, 0.004
+    motion.piston_m_s, motion.stay_m_s = 0.5, 1.0
+    motion.driving_pa, motion.braking_pa = 3e5, 2e5
+
+    def volumes_m3() -> tuple[float, float]:
+        ahead_m3 = settings.piston_m2 * motion.piston_m
+        behind_m3 = ahead_m3 + settings.stay_m2 * motion.stay_m
+        return settings.driving_m3 + behind_m3, settings.braking_m3 - ahead_m3
+
+    before = volumes_m3()
+    for _ in range(500):
+        model.step(motion, driving, braking, 1e-5)
+    after = volumes_m3()
+    assert after[0] > 1.1 * before[0] and after[1] < 0.92 * before[1]
+    alphas = [0.6 if is_open else 1.9 for is_open in (driving, braking)]
+    expected = [
+        p * (v0 / v1) ** alpha
+        for p, v0, v1, alpha in zip((3e5, 2e5), before, after, alphas, strict=True)
+    ]
+    assert (motion.driving_pa, motion.braking_pa) == pytest.approx(expected, rel=1e-3)
+
+
 def test_a_closed_loop_of_pressures_ends_at_supply_and_atmosphere() -> None:
     model = LightModel(ModelSettings(), STROKE_M)
     motion = Motion(ATMOSPHERE_PA)
     for _ in range(4000):
         model.step(motion, True, False, STEP_S)
     assert motion.stay_m == STROKE_M
-    assert motion.stay_m_s == 0.0
+    assert motion.piston_m == GAP_M + STROKE_M
+    assert motion.stay_m_s == motion.piston_m_s == 0.0
     assert motion.driving_pa == pytest.approx(9e5, rel=1e-3)
     assert motion.braking_pa == pytest.approx(ATMOSPHERE_PA, rel=1e-3)
 
@@ -63,6 +103,56 @@ def test_the_piston_gives_its_momentum_to_the_stay() -> None:
     model.step(motion, False, False, 1e-5)
     assert motion.stay_m > 0.0
     assert motion.stay_m_s == motion.piston_m_s == pytest.approx(0.2 / 1.1, rel=0.01)
+
+
+@pytest.mark.parametrize("speed_m_s", [0.0, 0.3])
+@pytest.mark.parametrize("load_n", [0.0, 135.0, 600.0])
+def test_piston_and_stay_in_contact_are_one_mass(speed_m_s: float, load_n: float) -> None:
+    """(m_p + m_s) v' = A_p (P_d - P_n) + A_s (P_d - P_atm) - frictions - dampings - load.
+
+    From rest as well, where the stay's own area cannot move it: by 0.3 N with the load of 135 N.
+    """
+    own = ModelSettings()
+    motion = Motion(ATMOSPHERE_PA)
+    motion.stay_m, motion.piston_m = 0.004, GAP_M + 0.004
+    motion.stay_m_s = motion.piston_m_s = speed_m_s
+    motion.driving_pa, motion.braking_pa, motion.load_n = 6e5, 1.5e5, load_n
+    force_n = (
+        own.piston_m2 * (6e5 - 1.5e5)
+        + own.stay_m2 * (6e5 - ATMOSPHERE_PA)
+        - own.piston_friction_n
+        - own.stay_friction_n
+        - (own.piston_damping_n_s_m + own.stay_damping_n_s_m) * speed_m_s
+        - load_n
+    )
+    then_m_s = speed_m_s + 1e-4 * force_n / (own.piston_kg + own.stay_kg)
+    LightModel(own, STROKE_M).step(motion, True, False, 1e-4)
+    assert then_m_s > 0.01
+    assert (motion.piston_m_s, motion.stay_m_s) == pytest.approx((then_m_s, then_m_s), rel=1e-9)
+    assert motion.stay_m == pytest.approx(0.004 + 1e-4 * then_m_s, abs=1e-12)
+    assert motion.piston_m == pytest.approx(GAP_M + motion.stay_m, abs=1e-12)
+
+
+def test_what_is_thrown_back_stops_at_its_stops() -> None:
+    motion = Motion(ATMOSPHERE_PA)
+    motion.piston_m = motion.stay_m = 1e-6
+    motion.piston_m_s = motion.stay_m_s = -0.5
+    LightModel(ModelSettings(), STROKE_M).step(motion, False, False, 1e-4)
+    assert (motion.piston_m, motion.stay_m) == (0.0, 0.0)
+    assert (motion.piston_m_s, motion.stay_m_s) == (0.0, 0.0)
+
+
+def test_a_piston_that_does_not_reach_the_stay_yet_moves_alone() -> None:
+    """m_p u' = A_p (P_d - P_n) - friction - damping u."""
+    own = ModelSettings()
+    motion = Motion(ATMOSPHERE_PA)
+    motion.piston_m, motion.piston_m_s = GAP_M - 2e-4, 0.3
+    force_n = own.piston_friction_n + own.piston_damping_n_s_m * 0.3
+    LightModel(own, STROKE_M).step(motion, False, False, STEP_S)
+    then_m_s = 0.3 - STEP_S * force_n / own.piston_kg
+    assert motion.piston_m_s == pytest.approx(then_m_s, rel=1e-9)
+    assert motion.piston_m == pytest.approx(GAP_M - 2e-4 + STEP_S * then_m_s, abs=1e-12)
+    assert (motion.stay_m, motion.stay_m_s) == (0.0, 0.0)
 
 
 def test_a_braked_piston_lets_the_stay_coast() -> None:
@@ -184,9 +274,6 @@ def corrected(piston_m: float, stay_m: float, error_m: float) -> Motion:
     motion.piston_m_s = motion.stay_m_s = 0.3
     observer.advance(0.0, error_m, 1)
     return motion
-
-
-GAP_M = 0.013
 
 
 @pytest.mark.parametrize(

@@ -232,6 +232,63 @@ def test_at_the_end_the_sliding_mode_still_presses_on() -> None:
     assert strategy.command(0, seen(0.01885, 0.0), push(Gear.BACKWARD)) == Duties(0.0, 0.98, 0.0)
 
 
+def test_on_the_edges_of_its_band_the_sliding_mode_rests() -> None:
+    """Powers of two, so that the surface is met exactly: 64 x 2^-9 m is the band of 1/8 m/s."""
+    strategy = made("sliding_mode", slope_per_s=64.0, band_m_s=0.125, beyond_m=2.0**-9)
+    for speed_m_s in (0.0, 0.125, 0.25):
+        duties = strategy.command(0, seen(0.01285, speed_m_s), push(Gear.BACKWARD))
+        assert duties == Duties(0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("reports", "limits", "release_s"),
+    [
+        # 10 rad/s a quarter second, then 12 left at 40 rad/s2
+        (((0.0, 32.0), (0.25, 22.0), (0.5, 12.0)), {"least_rad_s": 10.0}, 0.5 + 12 / 40),
+        (((0.0, 32.0), (0.25, 22.0), (0.5, 12.0)), {"least_fall_rad_s2": 40.0}, 0.5 + 12 / 40),
+        # 4, then 8 rad/s2: growing by 16 rad/s3, now 10, so that 10 t + 8 t^2 = 48
+        (((0.0, 51.0), (0.25, 50.0), (0.5, 48.0)), {"least_fall_rad_s2": 20.0}, 0.5 + (1636**0.5 - 10) / 16),
+    ],
+)
+def test_a_fall_as_large_as_the_least_is_one(
+    reports: Any, limits: dict[str, float], release_s: float
+) -> None:
+    strategy = made("synchro_brake", **{"least_rad_s": 0.0, "least_fall_rad_s2": 0.0} | limits)
+    assert isinstance(strategy, SynchroBrake)
+    strategy._reports = reports
+    assert strategy._forecast_s() == pytest.approx(release_s, rel=1e-9)
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_the_synchro_brake_s_times_are_exact_in_steps(late: int) -> None:
+    """Powers of two, so that sums are exact: rest 4 steps before the release, brake 2 before it."""
+    step_s = 2.0**-8
+    strategy = strategies.create(
+        FirmwareConfig(
+            strategy="synchro_brake",
+            period_s=step_s,
+            strategy_parameters={
+                "rest_lead_s": 4 * step_s,
+                "rest_s": 3 * step_s,
+                "brake_lead_s": 2 * step_s,
+                "burst_s": 2 * step_s,
+                "least_lead_s": 4 * step_s,
+            },
+        )
+    )
+    assert isinstance(strategy, SynchroBrake)
+    strategy.reset()
+    strategy._release_s = 8.5 * step_s  # steps act for the half period after and before them
+    wishes = {}
+    for k in range(4 + late, 12):
+        now = Seen(k * step_s, 0.0, 0.0, 1, 100.0, 0.0)
+        strategy._reports = ((0.0, 100.0),)  # nothing new
+        wishes[k] = strategy.decide(now)
+    resting, braking = ([4, 5, 6], [6, 7]) if not late else ([], [])
+    assert [k for k, wish in wishes.items() if not wish.charge] == resting
+    assert [k for k, wish in wishes.items() if wish.brake] == braking
+
+
 def forecast(v: float, g: float, end_s: float, **parameters: Any) -> float | None:
     """Forecast of the release at `end_s`, from reports of a fall v + g t at 0, 10 and 20 ms."""
     strategy = made("synchro_brake", **parameters)

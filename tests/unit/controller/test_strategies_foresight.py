@@ -111,7 +111,9 @@ def test_bang_bang_switches_once_and_brakes_for_its_time() -> None:
 
 
 @pytest.mark.parametrize("wanted_m_s", [0.2, 0.5])
-def test_bang_bang_brakes_as_late_as_the_wanted_speed_allows(wanted_m_s: float) -> None:
+def test_bang_bang_brakes_as_late_as_the_wanted_speed_allows(
+    wanted_m_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     strategy = made("bang_bang", **QUICK_VALVES, brake_s=0.015, impact_m_s=wanted_m_s)
     assert isinstance(strategy, BangBang)
     strategy.observer.command(True, False)
@@ -124,6 +126,11 @@ def test_bang_bang_brakes_as_late_as_the_wanted_speed_allows(wanted_m_s: float) 
     strategy._moved = True
     latest_s = strategy._solved_s()
     assert 0.005 < latest_s < 0.02
+    trials: list[float] = []
+    with monkeypatch.context() as patched:
+        patched.setattr(strategy, "_speed_m_s", lambda s: trials.append(s) or impact_m_s(s))
+        assert strategy._solved_s() == latest_s
+    assert len(trials) == 8
     assert impact_m_s(latest_s) <= wanted_m_s < impact_m_s(latest_s + 0.06 / 2**6)
     strategy.observer.advance(0.04, 0.0, 0)  # now even braking at once is too late
     assert strategy._solved_s() == 0.0
@@ -131,6 +138,33 @@ def test_bang_bang_brakes_as_late_as_the_wanted_speed_allows(wanted_m_s: float) 
     patient = made("bang_bang", **QUICK_VALVES, impact_m_s=3.0)
     assert isinstance(patient, BangBang)
     assert patient._solved_s() == patient.parameters.horizon_s
+    anxious = made("bang_bang", **QUICK_VALVES, impact_m_s=0.0)
+    assert isinstance(anxious, BangBang)
+    assert anxious._solved_s() == 0.0  # even what does not arrive within the horizon is too fast
+
+
+def test_bang_bang_s_times_are_exact_in_steps() -> None:
+    """Powers of two, so that sums are exact: motion at 2 steps, the switch half a step away."""
+    step_s = 2.0**-8
+    config = FirmwareConfig(
+        strategy="bang_bang",
+        period_s=step_s,
+        strategy_parameters={
+            "table": [[9e5, 2.5 * step_s]],
+            "brake_s": 3 * step_s,
+            "seen_m": 2.0**-11,
+        },
+    )
+    strategy = strategies.create(config)
+    assert isinstance(strategy, BangBang)
+    strategy.reset()
+    wishes = [strategy.decide(Seen(k * step_s, 0.0, 0.0, 0)) for k in range(8)]
+    assert [k for k, wish in enumerate(wishes) if wish.brake] == [3, 4, 5]
+    assert all(wish.charge is not wish.brake for wish in wishes)
+    strategy.reset()
+    for travelled_m, moved in ((2.0**-11 - 2.0**-20, False), (2.0**-11, True), (0.0, True)):
+        strategy.decide(Seen(0.0, travelled_m, 0.0, 0))
+        assert strategy._moved is moved
 
 
 @pytest.mark.parametrize("table", [[], [[9e5, 0.0], [6e5, 0.0]], [[6e5, 0.0], [6e5, 0.1]]])
