@@ -25,7 +25,7 @@ def response(sections: tuple[Section, ...], f_hz: float, rate_hz: float) -> comp
 
 
 @pytest.mark.parametrize("order", range(1, 9))
-@pytest.mark.parametrize(("fc_hz", "rate_hz"), [(22.0, 100.0), (22.0, 400.0), (5.0, 100.0)])
+@pytest.mark.parametrize(("fc_hz", "rate_hz"), [(22.0, 100.0), (22.0, 400.0), (0.5, 100.0)])
 def test_same_output_as_scipy(order: int, fc_hz: float, rate_hz: float) -> None:
     noise = np.random.default_rng(order).normal(0.0, 1.0, 500)
     reference = signal.sosfilt(signal.butter(order, fc_hz, fs=rate_hz, output="sos"), noise)

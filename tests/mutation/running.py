@@ -1,0 +1,187 @@
+"""Running single tests without pytest's reports, in forks, with mutated code in place of a module's."""
+
+from __future__ import annotations
+
+import functools
+import gc
+import importlib.abc
+import importlib.util
+import os
+import resource
+import signal
+import sys
+import traceback
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+import pytest
+from _pytest.tmpdir import tmppath_result_key
+
+from tests.mutation.mutants import PACKAGES, Mutant
+
+EXAMPLES = 25
+"""Property tests draw this many examples at most, and shrink none."""
+
+SURVIVED, KILLED, BROKEN = 0, 1, 3
+
+
+def in_fork(task: Callable[[], tuple[int, str]], limit_s: int, loud: bool = False) -> tuple[int, str]:
+    """Run a task in a fork; its answer, or another number when it took too long or too much."""
+    heard, telling = os.pipe()
+    child = os.fork()
+    if child == 0:
+        gc.disable()
+        if not loud:
+            os.dup2(os.open(os.devnull, os.O_RDWR), 1)
+        resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))
+        resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
+        signal.alarm(30 * limit_s)
+        ended = BROKEN
+        try:
+            ended, words = task()
+            os.write(telling, words.encode()[:4000])
+        except BaseException:
+            traceback.print_exc(file=sys.__stderr__)
+        finally:
+            os._exit(ended)
+    os.close(telling)
+    with os.fdopen(heard, "rb") as pipe:
+        words = pipe.read().decode()
+    status = os.waitpid(child, 0)[1]
+    return os.WEXITSTATUS(status) if os.WIFEXITED(status) else -1, words
+
+
+def children_s() -> float:
+    """Processor time of the forks so far."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def killed(items: Iterable[pytest.Item | str]) -> tuple[int, str]:
+    """Run tests until one fails, and tell its name; a name stands for a file that cannot be loaded."""
+    for item in items:
+        if isinstance(item, str) or fails(item):
+            return KILLED, item if isinstance(item, str) else item.nodeid
+    return SURVIVED, ""
+
+
+def fails(item: pytest.Item, loud: bool = False) -> bool:
+    """Whether a test fails, without the report that pytest would write about it."""
+    item.stash[tmppath_result_key] = {}  # which a report would set, and tmp_path looks for
+    try:
+        item.ihook.pytest_runtest_setup(item=item)
+        item.ihook.pytest_runtest_call(item=item)
+        item.ihook.pytest_runtest_teardown(item=item, nextitem=None)
+    except BaseException as error:
+        if loud:
+            print(f"{item.nodeid}: {error!r}", file=sys.__stderr__, flush=True)
+        return True
+    return False
+
+
+def limit_examples(item: Any) -> None:
+    """Let a property test draw few examples, and stop at the first that fails."""
+    from hypothesis import Phase, settings
+
+    own = getattr(item.obj, "_hypothesis_internal_use_settings", None)
+    if own is not None:
+        function = getattr(item.obj, "__func__", item.obj)
+        function._hypothesis_internal_use_settings = settings(
+            own,
+            max_examples=min(own.max_examples, EXAMPLES),
+            phases=(Phase.explicit, Phase.generate),
+            deadline=None,
+        )
+
+
+def functions_of(path: Path) -> dict[str, list[FunctionType]]:
+    """The functions that a file defines, by qualified name, wherever they are kept."""
+    found: dict[str, list[FunctionType]] = defaultdict(list)
+    for thing in gc.get_objects():
+        if isinstance(thing, FunctionType) and thing.__code__.co_filename == str(path):
+            found[thing.__code__.co_qualname].append(thing)
+    return found
+
+
+def swapped(mutant: Mutant, path: Path, functions: Sequence[FunctionType]) -> bool:
+    """Give a function its changed code, if that fits where the old one is."""
+    waiting = [compile(mutant.code, str(path), "exec", dont_inherit=True)]
+    while waiting:
+        code = waiting.pop()
+        if code.co_qualname == mutant.function:
+            break
+        waiting += [const for const in code.co_consts if isinstance(const, CodeType)]
+    else:
+        return False
+    if any(code.co_freevars != function.__code__.co_freevars for function in functions):
+        return False
+    for function in functions:
+        function.__code__ = code
+    clear_caches()
+    return True
+
+
+def clear_caches() -> None:
+    """Let every test reach what is worked out once and kept."""
+    for module in [module for name, module in sys.modules.items() if name.startswith(PACKAGES)]:
+        for kept in vars(module).values():
+            if isinstance(kept, functools._lru_cache_wrapper):
+                kept.cache_clear()
+    if codec := sys.modules.get("can_dbc.codec"):
+        codec._encoders.clear()
+        codec._decoders.clear()
+
+
+def loaded_anew(
+    session: pytest.Session,
+    mutant: Mutant,
+    path: Path,
+    stale: set[str],
+    plan: dict[str, list[str]],
+) -> Iterator[pytest.Item | str]:
+    """The planned tests, by file, with all modules that a mutant reaches read again."""
+    forget(stale)
+    sys.meta_path.insert(0, Mutated(mutant.module, path, mutant.code))
+    for file, tests in plan.items():
+        items = {item.nodeid: item for item in session.perform_collect([file])}
+        if session.testsfailed:
+            yield file
+        for test in tests:
+            if test in items:
+                limit_examples(items[test])
+                yield items[test]
+
+
+def forget(stale: set[str]) -> None:
+    """Drop modules, the tests and what they share, so that the next import reads them anew."""
+    for name in [*sys.modules]:
+        ours = name in stale or name.startswith(("tests.", "sil.")) or name == "sil"
+        if ours and not name.startswith(("tests.conftest", "tests.mutation")):
+            del sys.modules[name]
+            outer, _, inner = name.rpartition(".")
+            if hasattr(package := sys.modules.get(outer), inner):  # or else `from outer import inner` finds it
+                delattr(package, inner)
+
+
+class Mutated(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Loads one module from other code than its file's."""
+
+    def __init__(self, module: str, path: Path, code: str) -> None:
+        self.module, self.path, self.code = module, path, code
+
+    def find_spec(self, name: str, path: object, target: object = None) -> Any:
+        if name != self.module:
+            return None
+        folders = [str(self.path.parent)] if self.path.stem == "__init__" else None
+        return importlib.util.spec_from_file_location(
+            name, self.path, loader=self, submodule_search_locations=folders
+        )
+
+    def create_module(self, spec: object) -> None:
+        return None
+
+    def exec_module(self, module: ModuleType) -> None:
+        exec(compile(self.code, str(self.path), "exec", dont_inherit=True), module.__dict__)
