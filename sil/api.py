@@ -116,7 +116,7 @@ def whatif(study: Where, *, out: Where, workers: int = 1, resume: bool = False) 
     Raises InputError for a study or folder that cannot be.
     """
     from sil.sweeps.engine import run_study
-    from sil.sweeps.study import load_study
+    from sil.sweeps.loading import load_study
     from sil.sweeps.table import read_table, summary
 
     loaded = load_study(str(study))

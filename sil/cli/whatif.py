@@ -29,9 +29,9 @@ def run(arguments: argparse.Namespace) -> int:
     from can_dbc.errors import InputError
     from sil.results import begin, finite, prepare_folder, write_whole
     from sil.sweeps.engine import RESULTS, run_study
+    from sil.sweeps.loading import load_study, shipped
     from sil.sweeps.page import page
     from sil.sweeps.pictures import draw, read_metrics
-    from sil.sweeps.study import load_study, shipped
     from sil.sweeps.table import read_table, summary
 
     if arguments.list:

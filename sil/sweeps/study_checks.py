@@ -6,15 +6,10 @@ Checked by: tests/unit/sil/test_whatif.py
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from can_dbc.errors import InputError
 from sil import typed_toml
-
-if TYPE_CHECKING:
-    from sil.sweeps.study import Choice, LoadedStudy, Study
-
-MOST_ROWS = 5_000_000
+from sil.sweeps.study import MOST_ROWS, Choice, LoadedStudy, Study
 
 
 def check_study(study: Study, source: str) -> None:

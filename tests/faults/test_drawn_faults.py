@@ -14,7 +14,7 @@ from sil.faults import Replayed
 from sil.memory import run_in_memory
 from sil.run_record import RunRecord
 from sil.scenario import Scenario, from_table
-from sil.sweeps.study import load_study
+from sil.sweeps.loading import load_study
 from tests.faults.drawn import (
     STRUCTS,
     Fault,

@@ -10,7 +10,7 @@ from plant.position_circuit import SensorFault
 from plant.signal_faults import SpeedFault, TemperatureFault
 from plant.valve_faults import ValveFault
 from sil.cli import main
-from sil.sweeps.study import load_study
+from sil.sweeps.loading import load_study
 
 STUDY = load_study("faults")
 

@@ -12,7 +12,7 @@ from sil import cli
 from sil.claims.claim import all_claims
 from sil.docs.reference import PAGE, reference
 from sil.scenario import shipped as scenarios
-from sil.sweeps.study import shipped as studies
+from sil.sweeps.loading import shipped as studies
 from tests.conftest import ROOT
 
 DOCS = [

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sil.sweeps.loading import load_study
 from sil.sweeps.plots import MOST_ROWS, study_plots
-from sil.sweeps.study import LoadedStudy, load_study
+from sil.sweeps.study import LoadedStudy
 from sil.sweeps.table import Table
 
 LOOP = """

@@ -13,9 +13,9 @@ from can_dbc.errors import InputError
 from sil.cli import main
 from sil.sweeps import engine
 from sil.sweeps.engine import RESULTS, run_study
+from sil.sweeps.loading import load_study, shipped
 from sil.sweeps.pictures import choices
 from sil.sweeps.plots import study_plots
-from sil.sweeps.study import load_study, shipped
 from sil.sweeps.table import read_table
 
 GRID = """

@@ -15,7 +15,7 @@ from sil.cli import main
 from sil.sweeps import engine
 from sil.sweeps.budget_rows import BARS, closed, simulated
 from sil.sweeps.kind_pictures import FAMILIES, TUNED, delay_from, envelope, worst_over
-from sil.sweeps.study import load_study
+from sil.sweeps.loading import load_study
 
 SHIPPED_BOUNDS = TUNED.parent / "bounds.csv"
 

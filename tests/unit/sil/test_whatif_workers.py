@@ -16,7 +16,7 @@ import pytest
 
 from can_dbc.errors import InputError, RunError
 from sil.sweeps.engine import CHUNK, RESULTS, run_study
-from sil.sweeps.study import load_study
+from sil.sweeps.loading import load_study
 
 pytestmark = pytest.mark.slow
 
