@@ -110,8 +110,8 @@ class RunRecord:
 
         Frames of other ids and damaged ones are left out here: they stay in `frames`.
         """
-        stored = isinstance(self.frames, StoredFrames)
-        ids = self.frames.identifiers() if stored else self._by_id  # type: ignore[attr-defined]
+        frames = self.frames
+        ids = frames.identifiers() if isinstance(frames, StoredFrames) else self._by_id
         kinds = [codec.message_type_of(can_id) for can_id in ids]
         found: dict[type, list[tuple[BusFrame, Any]]]
         found = {kind: self.of(kind) for kind in kinds if kind is not None}
