@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass, field
 from heapq import heapify, heappop, heappush
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
@@ -113,6 +113,22 @@ class _Ready(NamedTuple):
     frame: Frame
     sender: str
     attempt: int
+
+
+_Entry = TypeVar("_Entry", bound=tuple[Any, ...])
+
+
+def overwritten(ready: list[_Entry], entry: _Entry) -> bool:
+    """Put a frame into its sender's mailbox over what waits there; False when nothing does.
+
+    `ready` is a heap whose entries begin as `_Ready`'s do.
+    """
+    for index, other in enumerate(ready):
+        if other[0] == entry[0] and other[4] == entry[4]:
+            ready[index] = entry
+            heapify(ready)
+            return True
+    return False
 
 
 class BusModel:
@@ -222,14 +238,11 @@ class BusModel:
             self._drop(sender)
             return
         entry = _Ready(frame.can_id, release_ns, serial, frame, sender, 1)
-        if self._ready and frame.can_id in self._mailboxes:
-            for index, other in enumerate(self._ready):
-                if other.can_id == frame.can_id and other.sender == sender:
-                    self._ready[index] = entry
-                    heapify(self._ready)
-                    self.statistics.overwritten += 1
-                    self._waiting[sender] -= 1
-                    return
+        boxes, ready = self._mailboxes, self._ready
+        if ready and frame.can_id in boxes and overwritten(ready, entry):
+            self.statistics.overwritten += 1
+            self._waiting[sender] -= 1
+            return
         heappush(self._ready, entry)
 
     def _drop(self, sender: str) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
 from functools import lru_cache
-from heapq import heapify, heappop, heappush
+from heapq import heappop, heappush
 
 from can_dbc.codec import can_id_of
 from can_dbc.errors import InputError, RunError
@@ -22,6 +22,7 @@ from can_dbc.messages import (
     ShiftRequest,
     ValveCommand,
 )
+from sil.bus import overwritten
 from sil.clock import to_seconds
 from sil.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.lockstep import TURN_ORDER
@@ -103,9 +104,9 @@ def _loop(
                 break
             while later and later[0][0] <= start_ns:
                 released_ns, number, frame, sender = heappop(later)
-                if ready and frame.can_id in mailboxes:
-                    _overwrite(ready, frame.can_id, sender)
-                heappush(ready, (frame.can_id, released_ns, number, frame, sender))
+                entry = (frame.can_id, released_ns, number, frame, sender)
+                if not (ready and frame.can_id in mailboxes and overwritten(ready, entry)):
+                    heappush(ready, entry)
             _can_id, released_ns, _number, frame, sender = heappop(ready)
             arrival_ns = start_ns + _bits(frame.can_id, frame.data) * bit_ns
             free_ns = arrival_ns + gap_ns
@@ -129,12 +130,3 @@ def _loop(
                 heappush(later, (released_ns, serial, frame, name))
         if last:
             return arrived
-
-
-def _overwrite(ready: list[tuple[int, int, int, Frame, str]], can_id: int, sender: str) -> None:
-    """Take out what waits in a sender's mailbox."""
-    for index, entry in enumerate(ready):
-        if entry[0] == can_id and entry[4] == sender:
-            del ready[index]
-            heapify(ready)
-            return
