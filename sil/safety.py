@@ -76,8 +76,9 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     """The safety figures of a finished run, by `COLUMNS`; nan where there is none.
 
     detected_after_s: from the first fault's start to the first status frame that reports one not
-    reported before. coils_off_after_s: until the last coil was switched off. both_filled_s: for how
-    long the chambers B and F were both filled. half_engaged: the stay ended between its gears.
+    reported before. coils_off_after_s: until the last coil was switched off. reported_gear: what a
+    receiver believes at the end, nan when it believes no report. both_filled_s: for how long the
+    chambers B and F were both filled. half_engaged: the stay ended between its gears.
     """
     start = fault_start_s(scenario)
     truth = record.truth
@@ -115,7 +116,7 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
         "coils_off_after_s": off,
         "end_position_m": end,
         "end_gear": float(end_gear),
-        "reported_gear": _last_reported(status),
+        "reported_gear": _reported_at(status, float(time_s[-1])),
         "energised_at_end": float(energised[-1]),
         "worst_impact_m_s": max(impacts, default=math.nan),
         "both_filled_s": float(np.count_nonzero(both)) * step,
@@ -145,9 +146,11 @@ def believed_status(record: RunRecord) -> Reports:
     return found
 
 
-def _last_reported(status: Reports) -> float:
-    told = [message for _, message in status if message is not None]
-    return float(told[-1].confirmed) if told else math.nan
+def _reported_at(status: Reports, at_s: float) -> float:
+    """The gear that a receiver believes at an instant [s]; nan when it believes none."""
+    if not status or status[-1][1] is None or at_s - status[-1][0].arrival_ns / NS > REPORT_HOLDS_S:
+        return math.nan
+    return float(status[-1][1].confirmed)
 
 
 def true_gear(position_m: float, stroke_m: float, neutral_m: float, gear_m: float) -> Gear:

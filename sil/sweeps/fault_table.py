@@ -27,12 +27,24 @@ HEAD = (
     "half engaged",
 )
 
+LEGEND = (
+    "Detected after: from the start of the fault to the first report of one, -: none was reported.",
+    "Valves off after: from its start until the last coil was switched off, -: none was on.",
+    "Truly in: where the stay is at the end; reported in: what a receiver of the status frames "
+    "believes then, nothing: they are missing, or refused by their end-to-end protection.",
+    "Worst impact: of the stay on a stop, -: it met none.",
+    "B and F filled: how long both chambers were above 3 bar.",
+    "Half engaged: the stay ended between its gears.",
+)
+"""What the columns mean."""
+
 
 def fault_table(study: LoadedStudy, table: Table) -> str:
     """The table as Markdown, one line a row of the study, and above it what was kept."""
     lines = [f"# {study.study.name}", "", study.study.description, "", *kept(study, table), ""]
     lines += ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
     lines += ["| " + " | ".join(cells) + " |" for cells in rows(study, table)]
+    lines += ["", *(f"- {line}" for line in LEGEND)]
     return "\n".join(lines) + "\n"
 
 
@@ -40,15 +52,25 @@ def kept(study: LoadedStudy, table: Table) -> list[str]:
     """In sentences: how many rows kept the safe states, and how many faults were seen."""
     orphans = int((table.numbers["orphan_energised_s"] > 0.0).sum())
     half = int(table.numbers["half_engaged"].sum())
-    longest = float(np.nanmax(table.numbers["false_gear_s"], initial=0.0))
+    false = np.nan_to_num(table.numbers["false_gear_s"])
+    longest, sight = float(false.max(initial=0.0)), longest_sight_s(study)
+    silent = int(np.isnan(table.numbers["reported_gear"]).sum())
     seen = int((table.numbers["fault_bits"] > 0.0).sum())
     return [
-        f"{table.size} runs; a fault was reported in {seen}.",
+        f"{table.size} runs; a fault was reported in {seen}, no report was believed at the end of "
+        f"{silent}.",
         f"A valve energised without a living controller: in {orphans} runs.",
         f"A gear reported that the stay was not in: for {1e3 * longest:.0f} ms at the longest; "
-        f"{1e3 * longest_sight_s(study):.0f} ms pass before a motion can be seen.",
+        f"{1e3 * sight:.0f} ms pass before a motion can be seen, more than that in {_where(study, table, false > sight)}.",
         f"The stay ended between its gears: in {half} runs.",
     ]
+
+
+def _where(study: LoadedStudy, table: Table, flags: np.ndarray) -> str:
+    """How many rows, and with which faults."""
+    names = [name for name, _items in study.groups][:-1]
+    told = [", ".join(table.texts[name][i] for name in names) for i in np.flatnonzero(flags)]
+    return f"{len(told)} runs" + (f" ({'; '.join(dict.fromkeys(told))})" if any(told) else "")
 
 
 def rows(study: LoadedStudy, table: Table) -> Iterator[tuple[str, ...]]:
@@ -66,7 +88,9 @@ def rows(study: LoadedStudy, table: Table) -> Iterator[tuple[str, ...]]:
             if number["energised_at_end"][i]
             else _milliseconds(number["coils_off_after_s"][i]),
             _gear(number["end_gear"][i]),
-            _gear(number["reported_gear"][i]),
+            "nothing"
+            if math.isnan(number["reported_gear"][i])
+            else _gear(number["reported_gear"][i]),
             _text(number["worst_impact_m_s"][i], "{:.2f} m/s"),
             _milliseconds(number["both_filled_s"][i]) if number["both_filled_s"][i] else "no",
             "yes" if number["half_engaged"][i] else "no",
@@ -97,6 +121,7 @@ OUTCOMES = (
     ("stopped in a gear, nothing reported", "#E69F00"),
     ("between the gears, fault reported", "#8C6D31"),
     ("between the gears, nothing reported", "#D55E00"),
+    ("in a gear, no report believed at the end", "#CC79A7"),
     ("unsafe: orphaned valve or false gear", "#000000"),
 )
 
@@ -105,9 +130,11 @@ def outcome(table: Table, i: int, sight_s: float) -> int:
     """How row `i` ended, as an index of OUTCOMES."""
     number = table.numbers
     if number["orphan_energised_s"][i] > 0.0 or number["false_gear_s"][i] > sight_s:
-        return 5
+        return 6
     if not number["failed"][i] and number["reported_gear"][i] == number["end_gear"][i]:
         return 0
+    if math.isnan(number["reported_gear"][i]) and not number["half_engaged"][i]:
+        return 5
     reported = 0 if number["fault_bits"][i] else 1
     return (3 if number["half_engaged"][i] else 1) + reported
 
@@ -150,9 +177,15 @@ def draw_outcomes(study: LoadedStudy, table: Table, folder: Path) -> Path:
         frameon=False,
         fontsize=8,
     )
-    tall = 1.6 + 0.17 * half
+    wide, tall = 6.5 * len(panels), 1.6 + 0.17 * half
+    labels_in = 0.2 + 0.052 * max(map(len, faults))
+    axis_in = (0.99 * wide - len(panels) * labels_in) / len(panels)
     figure.subplots_adjust(
-        left=0.4 / len(panels), right=0.99, top=1.0 - 0.5 / tall, bottom=0.8 / tall, wspace=0.75
+        left=labels_in / wide,
+        right=0.99,
+        top=1.0 - 0.5 / tall,
+        bottom=0.8 / tall,
+        wspace=labels_in / axis_in,
     )
     save(figure, folder, "faults")
     pyplot.close(figure)

@@ -54,6 +54,7 @@ def page(
             for path in pictures
         ],
         faults=[fault_table.HEAD, *fault_table.rows(study, table)] if safety else [],
+        faults_are=fault_table.LEGEND,
         figures_are="Median of the rows of each group, and in brackets least to greatest.",
         metrics=[shown(name)[0] for name in metrics],
         rows=[
@@ -84,6 +85,6 @@ def _ranges(study: LoadedStudy, table: Table) -> list[tuple[str, str]]:
         values = table.numbers[name][table.numbers[name] == table.numbers[name]]
         if len(values):
             label, factor = shown(name)
-            least, greatest = (f"{factor * value:.3g}" for value in (values.min(), values.max()))
+            least, greatest = (f"{float(f'{factor * value:.3g}'):g}" for value in (values.min(), values.max()))
             found.append((least if least == greatest else f"{least} to {greatest}", label))
     return found

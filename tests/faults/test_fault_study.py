@@ -6,6 +6,8 @@ import typing
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from plant.position_circuit import SensorFault
 from plant.signal_faults import SpeedFault, TemperatureFault
 from plant.valve_faults import ValveFault
@@ -43,7 +45,13 @@ def test_every_fault_of_every_device_is_in_it_twice() -> None:
     for node in ("controller", "driver"):
         assert stated("fault", node=node) == {"dead", "bus_off", "stalled"}
     names = [variant.name for variant in STUDY.study.variant]
-    assert len([n for n in names if n.endswith("in the shift")]) == len(names) // 2 == 98
+    during, before = (
+        {n.removesuffix(when) for n in names if n.endswith(when)}
+        for when in (", in the shift", ", before")
+    )
+    assert len(names) == 1 + len(during) + len(before) and len(during) == 124
+    # a clock is wrong from the start
+    assert during <= before and all("clock" in n for n in before - during)
     assert {choice.name for choice in STUDY.study.load} == {"N-B", "B-N", "N-F", "F-N"}
 
 
@@ -63,6 +71,31 @@ set = { fault = [{ kind = "dead", node = "controller", start_s = 0.13 }] }
 name = "coil off"
 set = { valve_fault = [{ valve = "B", kind = "off" }] }
 """
+
+
+WORDS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        *(
+            "position sensor",
+            "shaft speeds",
+            "valve B",
+            "valve N",
+            "valve F",
+            "controller",
+            "driver",
+        ),
+        *("ShiftRequest", "ValveCommand", "SafetyBlow", "PositionPulse", "DrivelineSpeeds"),
+        "ControllerStatus",
+    ],
+)
+def test_every_word_of_the_vocabulary_is_said_of_everything(what: str) -> None:
+    said = {v.name.removeprefix(f"{what} ") for v in STUDY.study.variant if v.name.startswith(what)}
+    for word in WORDS:
+        assert any(word in name for name in said), (what, word)
 
 
 def test_the_table_tells_detection_reaction_and_end(tmp_path: Path, capsys: Any) -> None:
