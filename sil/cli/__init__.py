@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
 import json
 import signal
@@ -160,6 +161,8 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
         return NOT_FINISHED
     except OSError as error:  # disk full, no permission
         message, code = told(error), NOT_FINISHED
+        if error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
+            message, code = f"{message}; expected a path that can exist", BAD_INPUT
     except ModuleNotFoundError as error:
         message, code = f"the library {error.name!r} is not installed", NOT_FINISHED
     message = _shortened(message)

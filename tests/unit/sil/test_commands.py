@@ -93,3 +93,17 @@ def test_a_participants_process_runs_this_code_whatever_lies_around(tmp_path: Pa
         command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
     )
     assert done.returncode == 2 and "nocan9" in done.stderr
+
+
+@pytest.mark.parametrize("command", ["run", "simulate", "diagnose", "whatif", "replay", "convert"])
+@pytest.mark.parametrize("name", ["x" * 5000, "loop/campaign"])
+def test_a_path_that_cannot_exist_is_bad_input(
+    command: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("loop").symlink_to("loop")
+    words = [command, name, "out.log"] if command == "convert" else [command, name]
+    assert cli.main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"opc4 {command}: ") and ("expected" in line or "nearest" in line)
+    assert {path.name for path in tmp_path.iterdir()} == {"loop"}
