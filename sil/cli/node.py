@@ -6,6 +6,7 @@ same one: file or shipped name and settings."""
 from __future__ import annotations
 
 import argparse
+import contextlib
 from pathlib import Path
 
 from sil.cli.options import add_model
@@ -47,11 +48,17 @@ def run(arguments: argparse.Namespace) -> int:
         for name in (PLANT_TRACE, EVENTS):
             if (arguments.out / name).exists():
                 raise InputError(f"{arguments.out / name}: stands there; expected none, or --force")
-    participant = assembly.make_participant(arguments.participant, loaded, arguments.out)
-    take_part(
-        participant,
-        open_link(arguments.channel, assembly.PATIENCE.start_s),
-        scenario=assembly.scenario_number(loaded.scenario),
-        start_timeout_s=assembly.PATIENCE.start_s,
-    )
+    with contextlib.ExitStack() as undoing:
+        link = open_link(arguments.channel, assembly.PATIENCE.start_s)
+        undoing.callback(link.close)
+        if arguments.participant == "plant":
+            arguments.out.mkdir(parents=True, exist_ok=True)
+        participant = assembly.make_participant(arguments.participant, loaded, arguments.out)
+        undoing.pop_all()  # both are closed by whoever takes part
+        take_part(
+            participant,
+            link,
+            scenario=assembly.scenario_number(loaded.scenario),
+            start_timeout_s=assembly.PATIENCE.start_s,
+        )
     return 0

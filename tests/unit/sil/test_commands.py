@@ -77,6 +77,9 @@ def test_node_on_no_channel_and_over_records_of_another(
     assert cli.main(["node", "controller", "--channel", "nocan9"]) == 2
     assert "nocan9" in capsys.readouterr().err
     assert cli.main(["node", "driver", "--channel", "local:x"]) == 2
+    out = tmp_path / "made"
+    assert cli.main(["node", "plant", "--channel", "nocan9", "--out", str(out)]) == 2
+    assert "nocan9" in capsys.readouterr().err and not out.exists()
     (tmp_path / "plant.trace").write_text("")
     assert cli.main(["node", "plant", "--channel", "local:x", "--out", str(tmp_path)]) == 2
     assert "plant.trace: stands there" in capsys.readouterr().err
