@@ -202,7 +202,7 @@ def _offset_of(error: Exception, text: _Text, strict: bool) -> int | None:
 def _fails_alike(text: str, strict: bool, error: Exception) -> bool:
     try:
         _parse(text, strict)
-    except Exception as other:
+    except Exception as other:  # as in parse_dbc
         return type(other) is type(error)
     return False
 

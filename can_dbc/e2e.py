@@ -170,7 +170,7 @@ def _opener(message_type: type[M]) -> Callable[[Frame], M | None]:
         if not _crc_matches(frame.data, data_ids):
             return None
         try:
-            return decode(frame)  # type: ignore[return-value]
+            return decode(frame)  # type: ignore[return-value]  # the identifier is M's
         except CodecError:
             return None
 
@@ -196,7 +196,7 @@ class Protector(Generic[M]):
         if message.__class__ is not self.message_type:
             raise TypeError(f"{message!r} does not belong to the {self.message_type.__name__}s")
         if message is not self._latest:
-            self._encoded = encode(message)  # type: ignore[arg-type]
+            self._encoded = encode(message)  # type: ignore[arg-type]  # M is protected, so a message
             self._latest = message
         frame = _sealed(self._encoded, self.counter, self._data_ids)
         self.counter = (self.counter + 1) % COUNTERS
@@ -234,7 +234,7 @@ class Receiver(Generic[M]):
         self._max_delta = 0
         self._no_new_or_repeated = 0
         self._sync = 0
-        self._open: Callable[[Frame], M | None] = _opener(message_type)  # type: ignore[arg-type]
+        self._open: Callable[[Frame], M | None] = _opener(message_type)  # type: ignore[arg-type]  # cached
         self._is_smooth = False  # VALID, and nothing but OK in the window and of late
 
     def receive(self, now_ns: int, frame: Frame | None) -> E2eStatus:
@@ -302,7 +302,7 @@ class Receiver(Generic[M]):
             return E2eStatus.ERROR
         status = self._check_counter(data[1] & LARGEST_COUNTER)
         if status in _ACCEPTED:
-            self.message = message  # type: ignore[assignment]
+            self.message = message  # type: ignore[assignment]  # the identifier is M's
             self.message_ns = now_ns
         return status
 

@@ -169,7 +169,7 @@ class Runner:
         ends = [*self.ended.values()]
         timed_out = len(ends) - ends.count(SURVIVED) - ends.count(KILLED)
         print(
-            f"{self.figures('both', ran)} ({timed_out} of the others by taking too long), "
+            f"{self.figures('all', ran)} ({timed_out} of the others by taking too long), "
             f"{processor_s() / 60:.0f} min of processor time"
         )
         return int(not ends or bool(survived - listed) or ends.count(SURVIVED) >= MOST * len(ends))
