@@ -232,9 +232,10 @@ class TestFault:
         assert not bench.machine.in_process
 
 
-def test_a_wish_that_comes_as_hold_or_vent_ends_begins_its_shift() -> None:
+@pytest.mark.parametrize("sync_wait_s", [0.0, 1.0])
+def test_a_wish_that_comes_as_hold_or_vent_ends_begins_its_shift(sync_wait_s: float) -> None:
     for state, left_ms in ((S.HOLD, 40), (S.VENT, 110)):
-        bench = Bench().blowing(B)
+        bench = Bench(shift=ShiftConfig(sync_wait_s=sync_wait_s)).blowing(B)
         bench.until(state)
         assert bench.step(left_ms, wanted=N) is S.PUSH
         assert bench.machine.leg is N
