@@ -8,7 +8,8 @@ Two limits. A single position sensor that lies like a motion (stuck, or wrong by
 be told from one. And end-to-end protection knows no time and no secret: frames repeated a whole
 round of the counter later (15 to 16 periods), or repeated of a sender that has gone silent, pass
 for new. A report is then as old as the repetition; a coil is not held so by one repeated message,
-because the driver wants both commands and blows to be good.
+because the driver wants both commands and blows to be good. ETC2 tells the gear of the status frame
+without any protection, as J1939 has it: reports are judged by the status frames.
 
 Checked by: tests/unit/sil/test_safety.py, tests/faults/
 """
