@@ -184,10 +184,16 @@ def faults_of(number: int) -> list[Fault]:
 
 
 def draw(number: int) -> Loaded:
-    """Scenario `number`: a shift and up to two faults."""
+    """Scenario `number`: a shift, or two, and up to two faults."""
     rng = random.Random(f"scenario {number}")
     table = base(rng.choice(list(SHIFTS)))
     table["seed"] = number + 1
+    if rng.random() < 0.2:  # long enough for a second try, and for giving up
+        table["duration_s"] = 3.0
+    if rng.random() < 0.3:
+        gears = {"neutral", "backward", "forward"} - {table["request"][0]["gear"]}
+        again = {"at_s": round(rng.uniform(0.15, 1.0), 3), "gear": rng.choice(sorted(gears))}
+        table["request"].append(again)
     for fault in faults_of(number):
         state(table, fault, rng)
     valves = table.get("valve_fault", [])
