@@ -78,7 +78,7 @@ def one(name: str, duration_s: float, options: list[str], out: Path) -> Iterator
     speed, bus = result["speed"], result["bus"]
     yield (
         f"{name}: {duration_s / 3600:.3g} simulated h in {speed['wall_s'] / 60:.1f} wall min, "
-        f"{(speed['wall_s'] - speed['loop_wall_s']) / 60:.1f} of them to judge it, "
+        f"{(times[-1] - written_s) / 60:.1f} of them to judge it, "
         f"{cpu_s / 60:.1f} min of CPU, {len(result['metrics']['shifts'])} shifts, {bus['frames']} frames, status {result['status']}"
     )
     yield f"  frames lost: {lost(result, duration_s)}"

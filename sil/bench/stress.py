@@ -41,7 +41,7 @@ def measure() -> Iterator[str]:
     for name in FIRST:
         yield line(load(str(SCENARIOS / f"{name}.toml")))
     yield "command: longest time from release to arrival of a valve command, ms; lost: overwritten"
-    yield "before they were sent, dropped or sent into a bus-off; told -: no status was believed;"
+    yield "before they were sent, dropped or sent into a bus-off; told -: at the end no status is believed;"
     yield "refused: by the end-to-end check, of an intruder's frames"
     yield "or of what their counters did to ours; taken: an intruder's frame taken for a good one;"
     yield "orphan: ms a coil stayed on without a living controller; false: ms a gear was reported"

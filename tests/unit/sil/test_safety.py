@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
 import numpy as np
 import pytest
 
-from can_dbc.messages import Fault, Gear
+from can_dbc.codec import can_id_of
+from can_dbc.messages import Fault, Gear, ValveCommand
 from sil import safety
 from sil.memory import run_in_memory
 from sil.scenario import from_table
@@ -70,3 +72,34 @@ def test_longest_run() -> None:
     assert safety.longest_run(np.array([False, True, True, False, True])) == 2
     assert safety.longest_run(np.array([True, True, True])) == 3
     assert safety.longest_run(np.zeros(4, dtype=bool)) == 0
+
+
+def test_a_coil_on_while_no_command_arrives_is_an_orphan() -> None:
+    loaded = from_table(base("N-B"), "test")
+    record = run_in_memory(loaded).record
+    assert safety.orphan_energised_s(record, loaded.scenario) == 0.0
+    commands = can_id_of(ValveCommand)
+    unheard = [f for f in record.frames if f.frame.can_id != commands or f.arrival_ns < 130_000_000]
+    silent = dataclasses.replace(record, frames=unheard)
+    on = (np.stack([record.truth[f"cmd_{c}"] for c in "BNF"]) > 0.5).any(axis=0)
+    late = record.truth["time_s"] > 0.1307 + loaded.scenario.valve_driver.timeout_s + 0.001
+    expected_s = 0.001 * np.count_nonzero(on & late)
+    assert expected_s > 0.1
+    assert safety.orphan_energised_s(silent, loaded.scenario) == pytest.approx(expected_s, abs=0.02)
+
+
+def test_what_a_receiver_may_not_believe_is_no_report() -> None:
+    replayed = {"kind": "replayed", "message": "ControllerStatus", "delay_s": 0.1}
+    assert math.isnan(figures(fault=[replayed])["reported_gear"])
+    dead = {"kind": "dead", "node": "controller", "start_s": 0.13}
+    assert math.isnan(figures(fault=[dead])["reported_gear"])
+
+
+def test_a_loaded_bus_and_a_drifting_clock_are_there_from_the_start() -> None:
+    for fault in (
+        {"clock": {"driver_ppm": 50.0}},
+        {"clock": {"controller_ppm": -50.0}},
+        {"bus": {"extra_load": 0.1}},
+    ):
+        assert safety.fault_start_s(from_table(base("N-B") | fault, "test").scenario) == 0.0
+    assert safety.fault_start_s(from_table(base("N-B"), "test").scenario) == math.inf
