@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, ClassVar
 
 from controller.config import bounded
-from controller.strategies.into_gear import IntoGear, IntoGearParameters, Seen, Wish
+from controller.strategies.into_gear import IntoGear, IntoGearParameters, Seen, Wish, within
 
 
 class AirCushion(IntoGear):
@@ -45,5 +45,5 @@ class AirCushion(IntoGear):
             and seen.travelled_m + own.lead_s * seen.speed_m_s >= own.trigger_m
         ):
             self._begun_s = seen.spent_s
-        burst = self._begun_s is not None and seen.spent_s - self._begun_s < own.burst_s
+        burst = within(self._begun_s, seen.spent_s, own.burst_s)
         return Wish(own.keep_charging or not burst, burst)

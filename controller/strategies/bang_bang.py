@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 from can_dbc.errors import InputError
 from controller.config import bounded
 from controller.strategies.foresight import Foresight, ForesightParameters
-from controller.strategies.into_gear import Seen, Wish
+from controller.strategies.into_gear import Seen, Wish, within
 
 BISECTIONS = 6
 
@@ -82,7 +82,7 @@ class BangBang(Foresight):
             ahead_s = self._solved_s() if self._moved else waiting_s
             if ahead_s < 0.5 * self.config.period_s:
                 self._begun_s = spent_s
-        braking = self._begun_s is not None and spent_s - self._begun_s < own.brake_s
+        braking = within(self._begun_s, spent_s, own.brake_s)
         return Wish(not braking, braking)
 
     def _solved_s(self) -> float:

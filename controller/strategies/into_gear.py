@@ -49,6 +49,15 @@ class IntoGearParameters(Settings, frozen=True):
     time, and a stay held short of its gear would never be confirmed."""
 
 
+def within(begun_s: float | None, now_s: float, length_s: float) -> bool:
+    """Whether something that began at a step, if it did, goes on at this one.
+
+    A length of N periods is N steps long whenever it begins: no instant is nearer than a nanosecond
+    to another, and what times lose by rounding is far less. Checked by test_strategies_feedback.
+    """
+    return begun_s is not None and now_s - begun_s < length_s - 0.5e-9
+
+
 class IntoGear(Strategy):
     """A push into gear with a brake: the neutral chamber, which the motion compresses.
 

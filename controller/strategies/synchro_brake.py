@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, ClassVar
 
 from controller.config import bounded
-from controller.strategies.into_gear import PUSH, IntoGear, IntoGearParameters, Seen, Wish
+from controller.strategies.into_gear import PUSH, IntoGear, IntoGearParameters, Seen, Wish, within
 
 REPORTS = 3
 """Reports of the speeds that the forecast rests on."""
@@ -65,8 +65,8 @@ class SynchroBrake(IntoGear):
             self._brake_s = now_s
         if self._rest_s is None and now_s >= self._release_s - own.rest_lead_s:
             self._rest_s = now_s
-        brake = self._brake_s is not None and now_s - self._brake_s < own.burst_s
-        rest = self._rest_s is not None and now_s - self._rest_s < own.rest_s
+        brake = within(self._brake_s, now_s, own.burst_s)
+        rest = within(self._rest_s, now_s, own.rest_s)
         return Wish(not rest, brake)
 
     def _note(self, seen: Seen) -> None:

@@ -333,3 +333,16 @@ def test_reports_that_stop_are_forgotten_and_begin_anew() -> None:
         strategy.decide(Seen(0.01 * k, 0.0, 0.0, 1, apart_rad_s, 0.01 * k))
         assert (apart_rad_s is None) == (strategy._reports == ())
     assert strategy._reports == ((0.03, 70.0), (0.04, 60.0))
+
+
+@pytest.mark.parametrize("period_ns", [10 * MS, 5 * MS, 2_500_000, 2 * MS])
+@pytest.mark.parametrize("periods", [1, 2, 3, 7])
+def test_a_burst_of_whole_periods_lasts_them_whenever_it_begins(period_ns: int, periods: int) -> None:
+    burst_s = float(f"{periods * period_ns * 1e-9:.9g}")
+    for begin in range(60):
+        strategy = made("air_cushion", trigger_m=0.006, lead_s=0.0, burst_s=burst_s, patience_s=1.0)
+        filled = [
+            strategy.command(tick * period_ns, seen(0.007 * (tick >= begin), 0.0), push(Gear.BACKWARD)).n
+            for tick in range(begin + periods + 2)
+        ]
+        assert filled == [0.0] * begin + [0.98] * periods + [0.0] * 2
