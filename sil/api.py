@@ -115,12 +115,13 @@ def whatif(study: Where, *, out: Where, workers: int = 1, resume: bool = False) 
 
     Raises InputError for a study or folder that cannot be.
     """
+    from sil.results import straight
     from sil.sweeps.engine import run_study
     from sil.sweeps.loading import load_study
     from sil.sweeps.table import read_table, summary
 
     loaded = load_study(str(study))
-    folder = Path(out)
+    folder = straight(Path(out))
     folder.mkdir(parents=True, exist_ok=True)
     run_study(loaded, folder, workers=workers, resume=resume)
     table = read_table(loaded, folder)

@@ -139,7 +139,13 @@ def prepare_folder(out: Path | None, name: str, force: bool, says_itself: bool =
     return folder
 
 
+def straight(out: Path) -> Path:
+    """The same folder by a path that goes up first: making `a/../b` would leave an `a` behind."""
+    return Path(os.path.relpath(os.path.realpath(out))) if ".." in out.parts else out
+
+
 def _made(out: Path, force: bool) -> Path:
+    out = straight(out)
     try:
         out.mkdir(parents=True, exist_ok=True)
         held = sorted(RUN_FILES.intersection(p.name for p in out.iterdir()))

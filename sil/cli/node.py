@@ -37,6 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.event_log import EVENTS
     from sil.participants import open_link, take_part
     from sil.recorder import PLANT_TRACE
+    from sil.results import straight
 
     loaded = scenario.load(
         arguments.scenario,
@@ -44,16 +45,17 @@ def run(arguments: argparse.Namespace) -> int:
         settings=arguments.settings,
         seed=arguments.seed,
     )
+    out = straight(arguments.out)
     if arguments.participant == "plant" and not arguments.force:
         for name in (PLANT_TRACE, EVENTS):
-            if (arguments.out / name).exists():
-                raise InputError(f"{arguments.out / name}: stands there; expected none, or --force")
+            if (out / name).exists():
+                raise InputError(f"{out / name}: stands there; expected none, or --force")
     with contextlib.ExitStack() as undoing:
         link = open_link(arguments.channel, assembly.PATIENCE.start_s)
         undoing.callback(link.close)
         if arguments.participant == "plant":
-            arguments.out.mkdir(parents=True, exist_ok=True)
-        participant = assembly.make_participant(arguments.participant, loaded, arguments.out)
+            out.mkdir(parents=True, exist_ok=True)
+        participant = assembly.make_participant(arguments.participant, loaded, out)
         undoing.pop_all()  # both are closed by whoever takes part
         take_part(
             participant,

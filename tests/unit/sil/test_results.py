@@ -162,3 +162,11 @@ def test_junit_counts_failures_and_an_unfinished_run() -> None:
     assert (suite.get("tests"), suite.get("errors")) == ("2", "1")
     error = suite.find("testcase[@name='run finished']/error")
     assert error is not None and error.get("message") == "plant was killed?"
+
+
+def test_a_way_back_makes_no_folder_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    folder = prepare_folder(Path("a/../../b/c"), "run", False)
+    assert folder == Path("../b/c") and folder.is_dir()
+    assert not Path("a").exists()
