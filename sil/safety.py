@@ -4,8 +4,8 @@ Safe states that the firmware and the plant's valve driver are to keep, whatever
 fail: no coil stays energised by a controller that no longer lives (longer than the driver's
 timeout), and no gear is reported that the stay is not in (longer than a motion takes to be seen).
 
-Two limits. A single position sensor that lies like a motion (stuck, or wrong by a constant) cannot
-be told from one. And end-to-end protection knows no time and no secret: frames repeated a whole
+Two limits. A single position sensor that lies like a motion (it or its thermometer stuck, or wrong by
+a constant) cannot be told from one. And end-to-end protection knows no time and no secret: frames repeated a whole
 round of the counter later (15 to 16 periods), or repeated of a sender that has gone silent, pass
 for new. A report is then as old as the repetition; a coil is not held so by one repeated message,
 because the driver wants both commands and blows to be good. ETC2 tells the gear of the status frame

@@ -1,8 +1,8 @@
 """A soak: hours in lockstep, minutes in real time, the memory of every process over time.
 
 `python -m sil.bench.soak [--hours H] [--minutes M] [--out DIR]`. One shift every ten seconds,
-through all gears. Eight simulated hours took 17 minutes, so a day takes about 50, a sixth of it to
-judge it, and 8 GB of disk.
+through all gears. Eight simulated hours took 17 minutes, so a day should take about 50, a sixth of
+them to judge it, and 8 GB of disk.
 
 Memory does not grow while a run is simulated. Judging it reads the run from disk minute by minute;
 what grows then is what result.json tells of each shift, some 2 KiB.
@@ -79,7 +79,8 @@ def one(name: str, duration_s: float, options: list[str], out: Path) -> Iterator
     yield (
         f"{name}: {duration_s / 3600:.3g} simulated h in {speed['wall_s'] / 60:.1f} wall min, "
         f"{(times[-1] - written_s) / 60:.1f} of them to judge it, "
-        f"{cpu_s / 60:.1f} min of CPU, {len(result['metrics']['shifts'])} shifts, {bus['frames']} frames, status {result['status']}"
+        f"{cpu_s / 60:.1f} min of CPU, {len(result['metrics']['shifts'])} shifts, {bus['frames']} frames, "
+        f"status {result['status']}"
     )
     yield f"  frames lost: {lost(result, duration_s)}"
     for who in sorted({who for row in rows for who in row}):

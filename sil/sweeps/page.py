@@ -85,6 +85,7 @@ def _ranges(study: LoadedStudy, table: Table) -> list[tuple[str, str]]:
         values = table.numbers[name][table.numbers[name] == table.numbers[name]]
         if len(values):
             label, factor = shown(name)
-            least, greatest = (f"{float(f'{factor * value:.3g}'):g}" for value in (values.min(), values.max()))
+            ends = (factor * values.min(), factor * values.max())
+            least, greatest = (f"{float(f'{end:.3g}'):g}" for end in ends)  # 2430, not 2.43e+03
             found.append((least if least == greatest else f"{least} to {greatest}", label))
     return found

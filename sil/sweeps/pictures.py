@@ -180,16 +180,14 @@ def draw_choices(study: LoadedStudy, table: Table, folder: Path) -> Path:
         label, factor = shown(metric)
         for k, (name, rows) in enumerate(by.series.items()):
             level = 0.7 * ((k + 0.5) / count - 0.5)
-            known = False
+            axis.plot([], [], "o", color=COLOURS[k], ms=5, label=name)
             for place in np.unique(by.place[rows]):
                 values = factor * table.numbers[metric][rows[by.place[rows] == place]]
                 values = values[~np.isnan(values)]
                 if len(values):
                     at = place + level
                     axis.plot([values.min(), values.max()], [at, at], "-", color=COLOURS[k], lw=1.5)
-                    told = None if known or not name else name
-                    axis.plot(np.median(values), at, "o", color=COLOURS[k], ms=5, label=told)
-                    known = True
+                    axis.plot(np.median(values), at, "o", color=COLOURS[k], ms=5)
         axis.set_xlabel(label)
         axis.grid(alpha=0.3, axis="x")
         for line in range(1, len(by.names)):

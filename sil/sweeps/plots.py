@@ -5,6 +5,8 @@ Checked by: tests/unit/sil/test_whatif.py, tests/browser/
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +24,7 @@ from sil.sweeps.study import LoadedStudy, Sweep
 from sil.sweeps.table import Table
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 MOST_ROWS = 2000
 """Of a larger study every so-many-th row is drawn; results.csv has them all."""
 
@@ -35,76 +38,73 @@ def study_plots(study: LoadedStudy, table: Table) -> list[Group]:
         found.append(_strokes(study))
     numeric = [sweep for sweep in study.study.sweep if sweep.path in table.numbers]
     swept = [group for sweep in numeric if (group := _over(study, table, sweep)) is not None]
-    if not swept and not study.study.safety:
-        swept = [group] if (group := _choices(study, table)) is not None else []
+    if not swept and not study.study.safety and (group := _choices(study, table)) is not None:
+        swept = [group]
     return found + swept
 
 
 def _choices(study: LoadedStudy, table: Table) -> Group | None:
-    """Metrics by choice: medians where several rows have the same choices."""
+    """Metrics by choice, each as a point."""
     by = choices(study, table)
     x = np.arange(float(len(by.names)))
-    repeated = False
-    panels = []
-    for metric in read_metrics(study):
-        label, factor = shown(metric)
-        series = []
-        for k, (name, rows) in enumerate(by.series.items()):
-            y, again = _medians(by.place[rows], factor * table.numbers[metric][rows], len(x))
-            repeated |= again
-            if not np.all(np.isnan(y)):
-                series.append(Series(name or study.study.name, y, f"series{k}", dotted=True))
-        title, _, unit = label.partition(", ")
-        if series:
-            panels.append(Panel(title + (", median" if repeated else ""), unit, series, 200))
+    panels = _panels(study, table, by.series, by.place, len(x), lined=False)
     if not panels:
         return None
     return plots(by.kind, x, panels, title=f"By {by.kind}", twin=True, names=by.names)
 
 
-def _medians(place: NDArray[np.int64], values: Floats, count: int) -> tuple[Floats, bool]:
-    """Median of the known values at each of `count` places, and whether any place has several values."""
-    found = np.full(count, np.nan)
-    for i in np.unique(place):
-        inside = values[place == i]
-        if not np.all(np.isnan(inside)):
-            found[i] = np.nanmedian(inside)
-    return found, len(np.unique(place)) < len(place)
-
-
 def _over(study: LoadedStudy, table: Table, sweep: Sweep) -> Group | None:
-    """Metrics over one swept value: medians where values repeat, else each row as a point."""
+    """Metrics over one swept value, as lines where values repeat, else each row as a point."""
     stride = max(1, -(-table.size // MOST_ROWS))
     drawn = np.arange(table.size) % stride == 0
     at = table.numbers[sweep.path]
     x = np.unique(at[drawn])
     if len(x) < 2:
         return None
-    lined = len(x) < 0.6 * np.count_nonzero(drawn) or len(study.study.sweep) == 1
+    lined = len(study.study.sweep) == 1 or len(x) < 0.6 * int(np.count_nonzero(drawn))
     groups = list(groups_of(study, table).items())[:MOST_GROUPS]
-    repeated = False
-    panels = []
-    for metric in read_metrics(study):
-        label, factor = shown(metric)
-        lines = []
-        for k, (name, rows) in enumerate(groups):
-            rows = rows[drawn[rows]]
-            place = np.searchsorted(x, at[rows])
-            y, again = _medians(place, factor * table.numbers[metric][rows], len(x))
-            repeated |= again
-            if not np.all(np.isnan(y)):
-                lines.append(
-                    Series(name or study.study.name, y, f"series{k}", dotted=not lined, joined=True)
-                )
-        if lines:
-            title, _, unit = label.partition(", ")
-            panels.append(Panel(title + (", median" if repeated else ""), unit, lines, 200))
+    rows = {name: found[drawn[found]] for name, found in groups}
+    panels = _panels(study, table, rows, np.searchsorted(x, at), len(x), lined)
     if not panels:
         return None
     unit = f", {sweep.unit}" if sweep.unit else ""
     logarithmic = sweep.scale == "log" and float(x[0]) > 0.0
     name = sweep.label or sweep.path
     return plots(f"{name}{unit}", x, panels, title=f"Over {name}", twin=True, logarithmic=logarithmic)
+
+
+def _panels(
+    study: LoadedStudy,
+    table: Table,
+    groups: Mapping[str, Ints],
+    place: Ints,
+    count: int,
+    lined: bool,
+) -> list[Panel]:
+    """A panel a metric, a series a group of rows: medians where several rows have the same place.
+
+    place: of every row, out of `count` on the axis.
+    """
+    repeated = any(len(np.unique(place[rows])) < len(rows) for rows in groups.values())
+    panels = []
+    for metric in read_metrics(study):
+        label, factor = shown(metric)
+        series = []
+        for k, (name, rows) in enumerate(groups.items()):
+            y = np.full(count, np.nan)
+            values = factor * table.numbers[metric][rows]
+            for i in np.unique(place[rows]):
+                inside = values[place[rows] == i]
+                if not np.all(np.isnan(inside)):
+                    y[i] = np.nanmedian(inside)
+            if not np.all(np.isnan(y)):
+                series.append(
+                    Series(name or study.study.name, y, f"series{k}", dotted=not lined, joined=True)
+                )
+        if series:
+            title, _, unit = label.partition(", ")
+            panels.append(Panel(title + (", median" if repeated else ""), unit, series, 200))
+    return panels
 
 
 def _strokes(study: LoadedStudy) -> Group:

@@ -36,11 +36,11 @@ def lies(scenario: Scenario) -> bool:
     return any(fault.kind in ("wrong", "stuck") for fault in told)
 
 
-def repeated_reports(record: RunRecord) -> int:
-    """How many repeated status frames passed for new, because their counter had come round."""
+def repeated_taken(record: RunRecord, message: str = "ControllerStatus") -> int:
+    """How many repeated frames passed for new, because their counter had come round."""
     checked = EndToEnd()
     checked.add(record)
-    return checked.told()["ControllerStatus"]["intruder's taken"]
+    return checked.told()[message]["intruder's taken"]
 
 
 def repeated_after_s(scenario: Scenario) -> float:
@@ -58,7 +58,7 @@ def check(first: int, count: int) -> None:
             lying += 1
         else:
             within_s = safety.sight_s(loaded.scenario)
-            if found["false_gear_s"] > within_s and repeated_reports(run.record):
+            if found["false_gear_s"] > within_s and repeated_taken(run.record):
                 old += 1
                 within_s += repeated_after_s(loaded.scenario)
             assert found["false_gear_s"] <= within_s, number
@@ -117,7 +117,7 @@ def test_repeated_reports_pass_for_new_after_a_round_of_the_counter() -> None:
         fault = {"kind": "replayed", "message": "ControllerStatus", "delay_s": delay_s}
         loaded = from_table(base("N-B") | {"fault": [fault]}, "test")
         record = run_in_memory(loaded).record
-        found[delay_s] = repeated_reports(record)
+        found[delay_s] = repeated_taken(record)
         told = safety.figures(record, loaded.scenario)
         assert told["false_gear_s"] <= safety.sight_s(loaded.scenario) + delay_s
         assert (told["false_gear_s"] > safety.sight_s(loaded.scenario)) == (delay_s == 0.155)
@@ -132,4 +132,5 @@ def test_repeated_commands_of_a_dead_controller_hold_no_valve(delay_s: float) ->
         fault = {"kind": "replayed", "message": message, "delay_s": delay_s}
         loaded = from_table(base("N-B") | {"fault": [dead, fault]}, "test")
         record = run_in_memory(loaded).record
+        assert repeated_taken(record, message) > 0 and (record.truth["cmd_B"] > 0.5).any()
         assert safety.orphan_energised_s(record, loaded.scenario) == 0.0
