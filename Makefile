@@ -61,7 +61,7 @@ mutants: $(VENV)/.dev
 	$(PY) -m tests.mutation
 
 golden: $(VENV)/.dev
-	$(PY) -m sil.replays.golden tests/golden --update
+	$(PY) -m tests.golden_replays tests/golden --update
 
 clean:
 	rm -rf runs build mutants .coverage *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,7 +1,7 @@
 """The control frames of the lockstep, which never travel on a simulated bus.
 
 All have both data page bits set, byte 0 for a participant's number, byte 1 for an additional number
-and bytes 2 to 7 for a value. `sil.transports.wire` says who sends what when.
+and bytes 2 to 7 for a value. `sil.coupling.transports.wire` says who sends what when.
 Checked by: tests/contracts/test_wire_dbc.py
 """
 

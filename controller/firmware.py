@@ -245,7 +245,9 @@ class Firmware:
                     start_ns=machine.attempt_ns,
                     attempt=machine.attempt,
                     energised_ns=(b_ns, n_ns, f_ns),
-                    apart_rad_s=None if speeds is None else speeds.input_rad_s - speeds.output_rad_s,
+                    apart_rad_s=None
+                    if speeds is None
+                    else speeds.input_rad_s - speeds.output_rad_s,
                     apart_ns=self._speeds_ns,
                 ),
             )

@@ -17,20 +17,19 @@ from can_dbc.codec import encode
 from can_dbc.e2e import Protector
 from can_dbc.frame import Frame
 from can_dbc.messages import DrivelineSpeeds, Gear, PlantMotion, PlantPressures, PositionPulse
-
-from . import layout
-from .driveline import BACKWARD, FORWARD, NO_GEAR, Driveline, DrivelineConfig
-from .errors import InputError
-from .hybrid import Balance
-from .length_stroke import LengthStroke
-from .parameters import ParameterSet
-from .position_circuit import PositionCircuit, SensorConfig, SensorFault
-from .sensors import InductiveSensor
-from .signal_faults import SpeedFault, SpeedSensors, TemperatureFault, Thermometer
-from .trace import CMD, PULSE, SPEEDS, TRACE_COLUMNS, VALVE, TraceRows, TraceSink, Update
-from .valve import NS_PER_S, Valve, ValveTiming, seconds_to_ns
-from .valve_driver import ValveDriver, ValveDriverConfig
-from .valve_faults import ValveFault, faulty_valves
+from plant.devices.driveline import BACKWARD, FORWARD, NO_GEAR, Driveline, DrivelineConfig
+from plant.devices.position_circuit import PositionCircuit, SensorConfig, SensorFault
+from plant.devices.sensors import InductiveSensor
+from plant.devices.signal_faults import SpeedFault, SpeedSensors, TemperatureFault, Thermometer
+from plant.devices.valve import NS_PER_S, Valve, ValveTiming, seconds_to_ns
+from plant.devices.valve_driver import ValveDriver, ValveDriverConfig
+from plant.devices.valve_faults import ValveFault, faulty_valves
+from plant.errors import InputError
+from plant.integrator.hybrid import Balance
+from plant.kernel import layout
+from plant.parameters import ParameterSet
+from plant.systems.length_stroke import LengthStroke
+from plant.trace import CMD, PULSE, SPEEDS, TRACE_COLUMNS, VALVE, TraceRows, TraceSink, Update
 
 ChamberName = Literal["B", "N", "F"]
 Released = list[tuple[int, Frame]]
@@ -209,7 +208,7 @@ class PlantNode:
     def advance(
         self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
     ) -> tuple[Released, int]:
-        """Advance to `until_ns` with the frames that arrived since; see `sil.transports`.
+        """Advance to `until_ns` with the frames that arrived since; see `sil.coupling.transports`.
 
         Raises ValueError for an interval that would skip an event of this participant.
         """

@@ -11,9 +11,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .length_stroke import LengthStroke
-from .one_equation import steady_oil_pressure
-from .valve import NS_PER_S
+from plant.devices.valve import NS_PER_S
+from plant.equations.damper_pressure import steady_oil_pressure
+from plant.systems.length_stroke import LengthStroke
 
 Floats = NDArray[np.float64]
 Update = tuple[int, int, float]  # instant in ns, column of HELD, value from then on

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from sil.campaign.simulate import SimulatedStroke
     from sil.diagnosis.diagnosis import Diagnosis
-    from sil.metrics import Shift
-    from sil.replays.replay import Outcome
-    from sil.results import Check
-    from sil.run_record import BusFrame
-    from sil.simulation import SimulatedStroke
+    from sil.log_replay.replay import Outcome
+    from sil.recording.run_record import BusFrame
+    from sil.simulation.metrics import Shift
+    from sil.simulation.results import Check
 
 Where = str | Path
 Value = float | int | bool | str
@@ -67,9 +67,9 @@ def run(
 
     Raises InputError for what the scenario cannot be, RunError when a participant fails.
     """
-    from sil import scenario as scenarios
-    from sil.expectations import evaluate
-    from sil.memory import run_in_memory
+    from sil.simulation import scenario as scenarios
+    from sil.simulation.expectations import evaluate
+    from sil.simulation.in_memory import run_in_memory
 
     options: dict[str, Any] = {
         "model": None if model is None else str(model),
@@ -102,9 +102,9 @@ def simulate(
     Raises InputError for a campaign, model or setting that cannot be.
     """
     from plant.parameters import load
-    from sil.campaign import load_campaign
-    from sil.settings import model_settings
-    from sil.simulation import simulate_campaign
+    from sil.campaign.campaign import load_campaign
+    from sil.campaign.simulate import simulate_campaign
+    from sil.files.settings import model_settings
 
     parameters = load(str(model)).override(model_settings(texts(settings)))
     return list(simulate_campaign(load_campaign(campaign), parameters))
@@ -115,10 +115,10 @@ def whatif(study: Where, *, out: Where, workers: int = 1, resume: bool = False) 
 
     Raises InputError for a study or folder that cannot be.
     """
-    from sil.results import straight
-    from sil.sweeps.engine import run_study
-    from sil.sweeps.loading import load_study
-    from sil.sweeps.table import read_table, summary
+    from sil.files.output_folder import straight
+    from sil.studies.executor import run_study
+    from sil.studies.load_study import load_study
+    from sil.studies.table import read_table, summary
 
     loaded = load_study(str(study))
     folder = straight(Path(out))
@@ -134,7 +134,7 @@ def diagnose(campaign: Where, *, model: Where = "nominal", workers: int = 2) -> 
     Raises InputError for a campaign or model that cannot be.
     """
     from plant.parameters import load
-    from sil.campaign import load_campaign
+    from sil.campaign.campaign import load_campaign
     from sil.diagnosis.diagnosis import diagnose as diagnosed
 
     return diagnosed(load_campaign(campaign), load(str(model)), workers=workers)
@@ -145,8 +145,8 @@ def replay(log: Where, settings: Settings = (), *, firmware: Where | None = None
 
     Raises InputError for a log that cannot be used or that engaged nothing.
     """
-    from sil.replays.replay import Order
-    from sil.replays.replay import replay as replayed
+    from sil.log_replay.replay import Order
+    from sil.log_replay.replay import replay as replayed
 
     return replayed(
         Order(
@@ -159,7 +159,7 @@ def replay(log: Where, settings: Settings = (), *, firmware: Where | None = None
 
 def texts(settings: Settings) -> tuple[str, ...]:
     """Settings as PATH=VALUE."""
-    from sil.sweeps.study import toml_value
+    from sil.studies.study import toml_value
 
     if isinstance(settings, Mapping):
         return tuple(f"{path}={toml_value(value)}" for path, value in settings.items())

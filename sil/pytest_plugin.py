@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from sil.memory import MemoryRun
-    from sil.results import Check
-    from sil.scenario import Loaded
+    from sil.simulation.in_memory import MemoryRun
+    from sil.simulation.results import Check
+    from sil.simulation.scenario import Loaded
 
 PATTERNS, OUT = "opc4_scenarios", "--opc4-out"
 
@@ -63,7 +63,7 @@ class ScenarioItem(pytest.Item):
 
     def runtest(self) -> None:
         """Run it; Unmet lists what was not met."""
-        from sil import scenario
+        from sil.simulation import scenario
 
         loaded = scenario.load(str(self.path))
         out = self.config.getoption(OUT)
@@ -100,8 +100,8 @@ class ScenarioRun:
 
 
 def _in_memory(loaded: Loaded) -> ScenarioRun:
-    from sil.expectations import evaluate
-    from sil.memory import run_in_memory
+    from sil.simulation.expectations import evaluate
+    from sil.simulation.in_memory import run_in_memory
 
     run = run_in_memory(loaded)
     checks = evaluate(loaded.scenario.expect, run.record, run.shifts, run.figures)
@@ -110,11 +110,11 @@ def _in_memory(loaded: Loaded) -> ScenarioRun:
 
 def _kept(loaded: Loaded, folder: Path) -> list[Check]:
     from can_dbc.errors import RunError
-    from sil import cosim
+    from sil.files.output_folder import prepare_folder, settle
     from sil.report.run_report import write_report
-    from sil.results import prepare_folder, settle
+    from sil.simulation import runner
 
-    finished = cosim.run(loaded, prepare_folder(folder, loaded.scenario.name, True, True))
+    finished = runner.run(loaded, prepare_folder(folder, loaded.scenario.name, True, True))
     if not finished.result.complete:
         raise RunError(finished.result.why or "the run did not finish")
     write_report(finished, folder)
@@ -127,7 +127,7 @@ def opc4_run() -> Callable[..., ScenarioRun]:
     """Run a scenario: `opc4_run("lab_n_b", "controller.filter=false")`, or a table of its values."""
 
     def run(what: str | Path | Mapping[str, Any], *settings: str) -> ScenarioRun:
-        from sil import scenario
+        from sil.simulation import scenario
 
         if isinstance(what, Mapping):
             loaded = scenario.from_table(what, "scenario", settings=settings)

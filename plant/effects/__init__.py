@@ -9,11 +9,11 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping
 
-from ..errors import InputError
-from ..parameters import Parameter, ParameterSet
-from ..setup import Setup
-from . import damper, flow, friction, mechanics, sensors, term, thermal, valves
-from .effect import Effect, EffectParameter
+from plant.effects import damper, flow, friction, mechanics, sensors, term, thermal, valves
+from plant.effects.effect import Effect, EffectParameter
+from plant.effects.setup import Setup
+from plant.errors import InputError
+from plant.parameters import Parameter, ParameterSet
 
 __all__ = ["CATALOGUE", "Effect", "EffectParameter", "apply_effects", "effect"]
 

@@ -6,9 +6,9 @@ import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from ..errors import InputError
-from ..parameters import Number, Parameter
-from ..setup import Setup
+from plant.effects.setup import Setup
+from plant.errors import InputError
+from plant.parameters import Number, Parameter
 
 Values = Mapping[str, Number]
 

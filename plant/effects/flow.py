@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import layout as L
-from ..flow import orifice
-from ..setup import Setup
-from .effect import Effect, EffectParameter
+from plant.effects.effect import Effect, EffectParameter
+from plant.effects.setup import Setup
+from plant.kernel import layout as L
+from plant.parts.flow import orifice
 
 Floats = NDArray[np.float64]
 

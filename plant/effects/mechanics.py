@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from .. import layout as L
-from ..setup import Setup
-from .effect import Effect, EffectParameter
+from plant.effects.effect import Effect, EffectParameter
+from plant.effects.setup import Setup
+from plant.kernel import layout as L
 
 
 def free_play(setup: Setup, values: dict[str, float]) -> None:

@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .. import layout as L
-from ..errors import InputError
-from ..packing import Floats
-from ..setup import Curve, Setup
-from ..tolerances import shift
-from .effect import Effect, EffectParameter
+from plant.effects.effect import Effect, EffectParameter
+from plant.effects.setup import Curve, Setup
+from plant.effects.tolerances import shift
+from plant.errors import InputError
+from plant.kernel import layout as L
+from plant.kernel.packing import Floats
 
 LEVELLED = {
     10.0: "rise",
@@ -21,7 +21,7 @@ LEVELLED = {
     16.0: "flow_in",
     17.0: "flow_out",
 }
-"""Equations beside the kernel's with one level a stroke: quantities of `plant.tolerances`."""
+"""Equations beside the kernel's with one level a stroke: quantities of `plant.effects.tolerances`."""
 
 POSITION, GAUGE = 13.0, 14.0
 OF_SENSORS = (POSITION, GAUGE)

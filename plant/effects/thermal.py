@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from .. import layout as L
-from ..setup import Setup
-from .effect import Effect, EffectParameter
+from plant.effects.effect import Effect, EffectParameter
+from plant.effects.setup import Setup
+from plant.kernel import layout as L
 
 SLOPES = (L.ALPHA_SPEED_M1, L.ALPHA_SPEED, L.ALPHA_SPEED_M2, L.ALPHA_SPEED_2)
 EXPONENTS = (L.ALPHA_M1, L.ALPHA_1, L.ALPHA_M2, L.ALPHA_2)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from .. import layout as L
-from ..setup import Setup
-from ..tolerances import shift_fall, shift_rise
-from .effect import Effect, EffectParameter
+from plant.effects.effect import Effect, EffectParameter
+from plant.effects.setup import Setup
+from plant.effects.tolerances import shift_fall, shift_rise
+from plant.kernel import layout as L
 
 FULL_SUPPLY_PA = 900000.0
 
@@ -46,9 +46,7 @@ EFFECTS = (
         "opening delay depends on the supply pressure",
         (
             EffectParameter("slope_s_pa", "s/Pa", 0.0, -1e-7, 1e-7, 1e-8),
-            EffectParameter(
-                "reference_pa", "Pa", FULL_SUPPLY_PA, 0.0, 2e6, 1e5, optional=True
-            ),
+            EffectParameter("reference_pa", "Pa", FULL_SUPPLY_PA, 0.0, 2e6, 1e5, optional=True),
         ),
         open_by_pressure,
     ),

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError
-from .bounds import outside
+from plant.errors import InputError
+from plant.parameters.bounds import outside
 
 Number = float | tuple[float, ...]
 
@@ -68,9 +68,9 @@ class ParameterSet:
         value = self[path].value
         return value if isinstance(value, tuple) else (value,)
 
-    def override(self, changes: Mapping[str, float | int | list[float] | tuple[float, ...]]) -> (
-        ParameterSet
-    ):
+    def override(
+        self, changes: Mapping[str, float | int | list[float] | tuple[float, ...]]
+    ) -> ParameterSet:
         """A new set with some values replaced; unknown paths and wrong kinds raise InputError."""
         entries = dict(self.entries)
         for path, raw in changes.items():
@@ -161,9 +161,7 @@ def parameter(raw: object, place: str) -> Parameter:
     for key in ("unit", "source"):
         if not isinstance(raw[key], str) or not raw[key].strip():
             raise InputError(f"{place}: {key}: expected a non-empty text, got {raw[key]!r}")
-    bounds = [
-        scalar(raw[key], f"{place}.{key}") if key in raw else None for key in ("low", "high")
-    ]
+    bounds = [scalar(raw[key], f"{place}.{key}") if key in raw else None for key in ("low", "high")]
     return Parameter(
         number(raw["value"], f"{place}.value"), raw["unit"], raw["source"], bounds[0], bounds[1]
     )
@@ -258,13 +256,9 @@ def check_complete(entries: Mapping[str, Parameter], name: str) -> None:
     }
     for path, unit in wanted.items():
         if path not in entries:
-            raise InputError(
-                f"{name}: no {path}; expected a full set, or [base] model = \"nominal\""
-            )
+            raise InputError(f'{name}: no {path}; expected a full set, or [base] model = "nominal"')
         if entries[path].unit != unit:
-            raise InputError(
-                f"{name}: {path}: unit {entries[path].unit!r}; expected {unit!r}"
-            )
+            raise InputError(f"{name}: {path}: unit {entries[path].unit!r}; expected {unit!r}")
     for path in entries:
         if path not in wanted:
             raise InputError(unknown_path(path, wanted, name))

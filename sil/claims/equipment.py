@@ -8,13 +8,13 @@ import numpy as np
 
 from sil.claims.claim import MET, OPEN, PARTLY, Outcome, claim, judged
 from sil.claims.strokes import nominal, plain, run
-from sil.memory import MemoryRun, run_in_memory
+from sil.simulation.in_memory import MemoryRun, run_in_memory
 
 
 @cache
 def loop(name: str, *settings: str) -> MemoryRun:
     """A shipped scenario, run in memory."""
-    from sil.scenario import load
+    from sil.simulation.scenario import load
 
     return run_in_memory(load(name, settings=list(settings)))
 
@@ -87,7 +87,7 @@ def potentiometer() -> Outcome:
 
 @claim("F06", "2.2.4", "time to 8 V about 0.9 ms, depends on position; temperature is compensated")
 def pulse() -> Outcome:
-    from plant.sensors import InductiveSensor
+    from plant.devices.sensors import InductiveSensor
 
     sensor = InductiveSensor.from_parameters(nominal())
     stroke = nominal().value("length.stroke")
@@ -108,7 +108,7 @@ PHASES = tuple(0.0005 * k for k in range(20))
 @cache
 def lags(*settings: str) -> tuple[float, float]:
     """Lag of the held position at 10 % and 90 % of travel, averaged over the sampling phase [s]."""
-    from sil.scenario import load
+    from sil.simulation.scenario import load
 
     found = []
     for phase in PHASES:

@@ -6,10 +6,10 @@ from functools import cache
 
 import numpy as np
 
-from plant import layout as L
-from plant.damper import bulk_modulus, discharge_coefficient, large_area
-from plant.setup import Setup
-from plant.stroke import Stroke
+from plant.effects.setup import Setup
+from plant.kernel import layout as L
+from plant.parts.damper import bulk_modulus, discharge_coefficient, large_area
+from plant.systems.stroke import Stroke
 from sil.claims.claim import NOT_MET, PARTLY, Outcome, claim, judged
 from sil.claims.strokes import ATMOSPHERE_PA, nominal, run
 

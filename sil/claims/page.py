@@ -1,6 +1,6 @@
 """report.html of the claims and its figure: the table, and the shift that they are about.
 
-Checked by: tests/unit/sil/test_claims.py, tests/browser/
+Checked by: tests/unit/sil/claims/test_claims.py, tests/browser/
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from sil.report.interactive import Group, Panel, Series, plots
 from sil.report.run_plots import held
 from sil.report.shell import Head, Picture, render
 from sil.report.theme import LIGHT
+from sil.simulation.in_memory import run_in_memory
+from sil.simulation.scenario import load
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,21 +40,22 @@ class Shift:
     """The shift with and without the filter, over the time of its window [s]."""
 
     def __init__(self) -> None:
-        from sil import run
-
-        slow, fast = run(SCENARIO), run(SCENARIO, {"controller.filter": False})
-        time_s = slow.signals["time_s"]
+        slow, fast = (
+            run_in_memory(load(SCENARIO, settings=settings)).record
+            for settings in ((), ("controller.filter=false",))
+        )
+        time_s = slow.truth["time_s"]
         rows = (time_s >= WINDOW_S[0]) & (time_s <= WINDOW_S[1])
         self.time_s: Floats = time_s[rows]
-        self.position_m: Floats = slow.signals["position_m"][rows]
+        self.position_m: Floats = slow.truth["position_m"][rows]
         self.filtered_m = held(*slow.believed, self.time_s)
         self.unfiltered_m = held(*fast.believed, self.time_s)
-        self.pressures_pa = {name: slow.signals[f"pressure_{name}_pa"][rows] for name in "BN"}
+        self.pressures_pa = {name: slow.truth[f"pressure_{name}_pa"][rows] for name in "BN"}
 
 
 def write_page(found: Sequence[Finding], folder: Path, again: str) -> None:
     """Write report.html, shift.png and shift.svg; `again` is the call that made them."""
-    from sil.results import write_whole
+    from sil.files.output_folder import write_whole
 
     shift = Shift()
     counts = Counter(finding.verdict for finding in found)

@@ -6,10 +6,10 @@ from functools import cache
 
 import numpy as np
 
-from plant import layout as L
-from plant.flow import charge, discharge, orifice
-from plant.packing import flow_coefficients
-from plant.setup import Setup
+from plant.effects.setup import Setup
+from plant.kernel import layout as L
+from plant.kernel.packing import flow_coefficients
+from plant.parts.flow import charge, discharge, orifice
 from sil.claims.claim import MET, NOT_MET, PARTLY, Outcome, claim, judged
 from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, nominal, plain, run
 
@@ -102,7 +102,7 @@ def delay_scatter() -> Outcome:
 
 @claim("F18", "3.1.3", "the freewheel diode causes the long closing; a smaller duty shortens it")
 def duty_closing() -> Outcome:
-    from plant.valve import ValveTiming
+    from plant.devices.valve import ValveTiming
 
     timing = ValveTiming.from_parameters(nominal(), closing_follows_duty=True)
     falls = [timing.fall_delay_ns(d) * 1e-6 for d in (0.98, 0.7, 0.4)]
@@ -183,7 +183,9 @@ def theory_poor() -> Outcome:
         MET if all(poor) else (PARTLY if any(poor) else NOT_MET),
         f"largest deviation of pressure from the mapped flow's, best C_d: {100 * errors[0]:.1f} % filling, "
         f"{100 * errors[1]:.1f} % emptying",
-        "" if all(poor) else "with C_d fitted, the theoretical flow is poor in filling alone; emptying "
+        ""
+        if all(poor)
+        else "with C_d fitted, the theoretical flow is poor in filling alone; emptying "
         "it stays within 3 % of the map",
     )
 
@@ -301,7 +303,7 @@ def dynamic_friction() -> Outcome:
     "two supply pressures; the friction identified from differentiated position scatters widely",
 )
 def friction_scatter() -> Outcome:
-    from plant.sensors import Potentiometer
+    from plant.devices.sensors import Potentiometer
 
     value = nominal().value
     pot = Potentiometer(value("potentiometer.resolution"), value("potentiometer.noise_sd"))

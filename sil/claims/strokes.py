@@ -8,11 +8,12 @@ from functools import cache
 
 import numpy as np
 
-from plant import layout as L
+from plant.effects.setup import Setup
+from plant.effects.stroke_conditions import StrokeConditions
+from plant.kernel import layout as L
 from plant.parameters import ParameterSet, load
-from plant.setup import Setup, make_setup
-from plant.stroke import Stroke, run_setup
-from plant.stroke_conditions import StrokeConditions
+from plant.systems.setup import make_setup
+from plant.systems.stroke import Stroke, run_setup
 
 SUPPLY_PA = 900000.0
 ATMOSPHERE_PA = 101325.0

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from plant import layout as L
-from plant.setup import Setup
-from plant.stroke import Stroke
+from plant.effects.setup import Setup
+from plant.kernel import layout as L
+from plant.systems.stroke import Stroke
 from sil.claims.claim import NOT_MET, OPEN, PARTLY, Outcome, claim, judged
 from sil.claims.strokes import (
     Change,

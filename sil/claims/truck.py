@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 
-from plant import layout as L
-from plant.stroke import Stroke
+from plant.kernel import layout as L
+from plant.systems.stroke import Stroke
 from sil.claims.claim import MET, NOT_MET, PARTLY, Outcome, claim, judged
 from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, nominal, run
 
@@ -111,13 +111,19 @@ def budget() -> Outcome:
     sensor = lags()[0]
     spent = sensor + value("opc4.velocity_delay") + value("valve.D_rise")
     if not spent > last:
-        return Outcome(NOT_MET, f"{1e3 * spent:.0f} ms gone, the last part takes {1e3 * last:.0f} ms", "feedback would be in time")
+        return Outcome(
+            NOT_MET,
+            f"{1e3 * spent:.0f} ms gone, the last part takes {1e3 * last:.0f} ms",
+            "feedback would be in time",
+        )
     return Outcome(
         MET if last > 0.03 else PARTLY,
         f"last part {1e3 * min(lasts):.0f}-{1e3 * last:.0f} ms; sensor {1e3 * sensor:.0f} + second sample "
         f"{1e3 * value('opc4.velocity_delay'):.0f} + valve {1e3 * value('valve.D_rise'):.0f} = "
         f"{1e3 * spent:.0f} ms",
-        "" if last > 0.03 else "the delays are as claimed; the last part, from the synchronizer's release "
+        ""
+        if last > 0.03
+        else "the delays are as claimed; the last part, from the synchronizer's release "
         "to the stop, is shorter here than 40 ms, which leaves feedback still less time",
     )
 
@@ -151,7 +157,7 @@ def spread() -> Outcome:
 )
 def truck_channels() -> Outcome:
     from sil.claims.equipment import loop
-    from sil.scenario import load
+    from sil.simulation.scenario import load
 
     mounted = load("full_shift").scenario.plant
     arrived = all(s.arrived_s is not None for s in loop("full_shift").shifts)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from plant import layout as L
-from plant.setup import Setup
-from plant.stroke import Stroke
+from plant.effects.setup import Setup
+from plant.kernel import layout as L
+from plant.systems.stroke import Stroke
 from sil.claims.claim import PARTLY, Outcome, claim, judged
 from sil.claims.strokes import first_motion_s, nominal, plain, relative_errors, run
 
@@ -76,8 +76,8 @@ def walk() -> Outcome:
     "F38", "T3.3", "damper stroke with imposed position: mean/max error P1 1.7/3.5 %, P2 3.8/9.3 %"
 )
 def imposed_position() -> Outcome:
-    from plant.driven import pressures_along
-    from plant.setup import make_setup
+    from plant.systems.driven import pressures_along
+    from plant.systems.setup import make_setup
 
     def worn(setup: Setup) -> None:
         setup.p[L.K_IN] *= 1.02

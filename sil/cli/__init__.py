@@ -175,7 +175,7 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
 
 def _settle(name: str, why: str | None) -> None:
     """End what the command has begun to write: complete, or why not."""
-    results = sys.modules.get("sil.results")  # not loaded: nothing was begun
+    results = sys.modules.get("sil.files.output_folder")  # not loaded: nothing was begun
     if results is None:
         return
     from can_dbc.errors import told

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from can_dbc.errors import InputError
-    from sil import wcrt
+    from sil.coupling import response_times
 
     if arguments.dbc and arguments.scenario:
         raise InputError("--dbc, --scenario: both given; expected one of them")
@@ -33,18 +33,18 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.dbc:
         from can_dbc.dbc import load_dbc
 
-        messages = wcrt.database_messages(load_dbc(arguments.dbc))
+        messages = response_times.database_messages(load_dbc(arguments.dbc))
     elif arguments.scenario:
-        from sil import scenario
-        from sil.bus_figures import scenario_messages
+        from sil.simulation import scenario
+        from sil.simulation.bus_figures import scenario_messages
 
         loaded = scenario.load(arguments.scenario).scenario
         bitrate, messages = loaded.bus.bitrate, scenario_messages(loaded)
     else:
-        messages = wcrt.contract_messages()
+        messages = response_times.contract_messages()
     bitrate = arguments.bitrate or bitrate
-    load = float(wcrt.utilisation(messages, bitrate))
-    responses = wcrt.response_times(messages, bitrate)
+    load = float(response_times.utilisation(messages, bitrate))
+    responses = response_times.response_times(messages, bitrate)
     transports = _transports()
     told: dict[str, Any] = {
         "transports": transports,
@@ -75,7 +75,7 @@ def _transports() -> dict[str, Any]:
     """Return what a run can use here: always one process, and what the system has."""
     import socket
 
-    from sil.transports.address import running_channels
+    from sil.coupling.transports.address import running_channels
 
     interfaces = []
     for _, name in socket.if_nameindex():

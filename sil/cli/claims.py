@@ -15,7 +15,9 @@ EXAMPLE = "example: opc4 claims F07 F16 F36"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("id", nargs="*", metavar="ID", help="claims to check (default: all)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for claims.json, claims.md, report.html")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder for claims.json, claims.md, report.html"
+    )
     parser.add_argument("--force", action="store_true", help="replace claims in DIR")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
@@ -24,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Check and print; 0 also when a claim is not met: that is an answer."""
     from sil.claims.claim import Finding, check, chosen
     from sil.claims.page import write_page
-    from sil.results import prepare_folder, write_whole
+    from sil.files.output_folder import prepare_folder, write_whole
 
     wanted = chosen(arguments.id)
     folder = None

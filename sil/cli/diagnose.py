@@ -16,20 +16,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", default="nominal", help="parameter set or model file questioned")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write")
     parser.add_argument("--force", action="store_true", help="replace a diagnosis in DIR")
-    parser.add_argument(
-        "--workers", type=int, default=2, metavar="N", help="processes (default 2)"
-    )
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes (default 2)")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Diagnose; write diagnosis.json, extended_model.toml, report.html; 1 if not consistent."""
     from plant.parameters import load
-    from sil.campaign import load_campaign
+    from sil.campaign.campaign import load_campaign
     from sil.diagnosis.diagnosis import diagnose
     from sil.diagnosis.force_rig import is_force_rig
     from sil.diagnosis.report import write_report
-    from sil.results import finite, write_whole
+    from sil.files.output_folder import finite, write_whole
 
     if is_force_rig(arguments.campaign):
         return run_force(arguments)
@@ -60,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def free_folder(arguments: argparse.Namespace, name: str) -> Path:
     """The folder to write; InputError if it holds another diagnosis and --force is missing."""
-    from sil.results import prepare_folder
+    from sil.files.output_folder import prepare_folder
 
     return prepare_folder(arguments.out, f"{name}-diagnosis", arguments.force)
 
@@ -69,7 +67,7 @@ def run_force(arguments: argparse.Namespace) -> int:
     """Diagnose a rig known by driving force and position alone; 1 if a cause is named."""
     from sil.diagnosis.force_page import write_page
     from sil.diagnosis.force_rig import diagnose_force
-    from sil.results import finite, write_whole
+    from sil.files.output_folder import finite, write_whole
 
     found = diagnose_force(arguments.campaign)
     folder = free_folder(arguments, found.name)

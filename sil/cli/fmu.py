@@ -27,8 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Write the unit."""
     from can_dbc.errors import InputError
-    from sil import scenario
     from sil.fmu.export import export
+    from sil.simulation import scenario
 
     out: Path = arguments.out
     if out.suffix != ".fmu":
@@ -39,9 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"{out}: not a place to write; expected a folder that takes files")
     if out.exists() and not arguments.force:
         raise InputError(f"{out}: exists; expected a new file, or --force")
-    loaded = scenario.load(
-        arguments.scenario, model=arguments.model, settings=arguments.settings
-    )
+    loaded = scenario.load(arguments.scenario, model=arguments.model, settings=arguments.settings)
     export(arguments.what, loaded, out)
     say(f"{out}: {arguments.what} of {loaded.scenario.name}, FMI 3.0 co-simulation")
     return 0

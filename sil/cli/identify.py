@@ -25,10 +25,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Identify, write the model file and a picture, print the values with their intervals."""
     from plant.parameters import load
-    from sil.campaign import load_campaign
+    from sil.campaign.campaign import load_campaign
+    from sil.files.output_folder import finite, prepare_folder, write_whole
     from sil.identify.estimate import Identified, model_file
     from sil.identify.picture import draw
-    from sil.results import finite, prepare_folder, write_whole
 
     parameters = load(arguments.model)
     campaign = load_campaign(arguments.campaign)

@@ -33,11 +33,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from can_dbc.errors import InputError
-    from sil import assembly, scenario
-    from sil.event_log import EVENTS
-    from sil.participants import open_link, take_part
-    from sil.recorder import PLANT_TRACE
-    from sil.results import straight
+    from sil.coupling.participants import open_link, take_part
+    from sil.files.output_folder import straight
+    from sil.recording.events import EVENTS
+    from sil.recording.recorder import PLANT_TRACE
+    from sil.simulation import build, scenario
 
     loaded = scenario.load(
         arguments.scenario,
@@ -51,16 +51,16 @@ def run(arguments: argparse.Namespace) -> int:
             if (out / name).exists():
                 raise InputError(f"{out / name}: stands there; expected none, or --force")
     with contextlib.ExitStack() as undoing:
-        link = open_link(arguments.channel, assembly.PATIENCE.start_s)
+        link = open_link(arguments.channel, build.PATIENCE.start_s)
         undoing.callback(link.close)
         if arguments.participant == "plant":
             out.mkdir(parents=True, exist_ok=True)
-        participant = assembly.make_participant(arguments.participant, loaded, out)
+        participant = build.make_participant(arguments.participant, loaded, out)
         undoing.pop_all()  # both are closed by whoever takes part
         take_part(
             participant,
             link,
-            scenario=assembly.scenario_number(loaded.scenario),
-            start_timeout_s=assembly.PATIENCE.start_s,
+            scenario=build.scenario_number(loaded.scenario),
+            start_timeout_s=build.PATIENCE.start_s,
         )
     return 0

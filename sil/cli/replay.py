@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from sil.cli.options import add_json, add_out, say
 
 if TYPE_CHECKING:
-    from sil.replays.replay import Order, Outcome
+    from sil.log_replay.replay import Order, Outcome
 
 EXAMPLE = """\
 example:
@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("--against: not together with --plant or --closed-loop; expected one")
     order = _order(arguments)
     if arguments.plant or arguments.closed_loop:
-        from plant.compiled import is_warm
+        from plant.kernel.compiled import is_warm
 
         if not is_warm():
             say("compiling the plant's equations, once; this takes about a minute ...")
@@ -96,15 +96,15 @@ def run(arguments: argparse.Namespace) -> int:
         return _finish(arguments, order)
     import dataclasses
 
-    from sil.replays.revision import checkout
+    from sil.log_replay.revision import checkout
 
     with checkout(arguments.against) as tree:
         return _finish(arguments, dataclasses.replace(order, reference=(tree, arguments.against)))
 
 
 def _order(arguments: argparse.Namespace) -> Order:
-    from sil.replays.replay import Order
-    from sil.replays.signals import Options, load_options
+    from sil.log_replay.replay import Order
+    from sil.log_replay.signals import Options, load_options
 
     return Order(
         log=arguments.log,
@@ -122,8 +122,8 @@ def _order(arguments: argparse.Namespace) -> Order:
 
 def _finish(arguments: argparse.Namespace, order: Order) -> int:
     """Replay, then write and tell: a log that is refused leaves no folder behind."""
-    from sil.replays.replay import replay
-    from sil.replays.told import as_dict, summary_lines
+    from sil.log_replay.replay import replay
+    from sil.log_replay.summary import as_dict, summary_lines
 
     outcome = replay(order)
     values = as_dict(outcome)
@@ -137,9 +137,9 @@ def _finish(arguments: argparse.Namespace, order: Order) -> int:
 
 
 def _write(arguments: argparse.Namespace, outcome: Outcome, values: dict[str, object]) -> Path:
-    from sil.replays.page import replay_page
-    from sil.replays.told import text
-    from sil.results import prepare_folder, write_whole
+    from sil.files.output_folder import prepare_folder, write_whole
+    from sil.log_replay.page import replay_page
+    from sil.log_replay.summary import text
 
     stem = Path(arguments.log).name.removesuffix(".gz").rsplit(".", 1)[0]
     parent = Path(arguments.log).resolve().parent.name
@@ -157,8 +157,8 @@ def _write(arguments: argparse.Namespace, outcome: Outcome, values: dict[str, ob
 
 def _summary(arguments: argparse.Namespace) -> int:
     from can_dbc.errors import InputError
+    from sil.j1939.shifts import PGN_ETC1, PGN_ETC2, summarize
     from sil.logs import open_log
-    from sil.logs.j1939 import PGN_ETC1, PGN_ETC2, summarize
 
     if arguments.out is not None:
         raise InputError("--out: --summary writes nothing; expected one of the two")

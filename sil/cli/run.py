@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from sil.cli.options import add_json, add_model, add_out, say
 
 if TYPE_CHECKING:
-    from sil.cosim import Finished
-    from sil.scenario import Loaded
+    from sil.simulation.runner import Finished
+    from sil.simulation.scenario import Loaded
 
 EXAMPLE = """\
 example:
@@ -64,8 +64,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("no SCENARIO; expected a file or a shipped name, see opc4 run --list")
     if arguments.junit is not None and not arguments.junit.parent.is_dir():
         raise InputError(f"{arguments.junit}: --junit: no such folder; expected one that exists")
-    from sil import scenario
-    from sil.results import as_json, junit_xml, prepare_folder, write_whole
+    from sil.files.output_folder import prepare_folder, write_whole
+    from sil.simulation import scenario
+    from sil.simulation.results import as_json, junit_xml
 
     loaded = scenario.load(
         arguments.scenario,
@@ -76,9 +77,9 @@ def run(arguments: argparse.Namespace) -> int:
     speed = arguments.speed if arguments.speed is not None else 1.0 if arguments.realtime else None
     folder = prepare_folder(arguments.out, loaded.scenario.name, arguments.force, True)
     _tell_first_use()
-    from sil import cosim
+    from sil.simulation import runner
 
-    finished = cosim.run(
+    finished = runner.run(
         loaded,
         folder,
         transport=arguments.transport,
@@ -103,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _list() -> int:
-    from sil import scenario
+    from sil.simulation import scenario
 
     for name in scenario.shipped():
         loaded = scenario.load(name)
@@ -113,7 +114,7 @@ def _list() -> int:
 
 
 def _tell_first_use() -> None:
-    from plant.compiled import is_warm
+    from plant.kernel.compiled import is_warm
 
     if not is_warm():
         say("compiling the plant's equations, once; this takes about a minute ...")

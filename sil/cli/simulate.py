@@ -24,14 +24,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate, write the campaign folder, print one line a stroke."""
-    from .quick_start import quick_start
+    from sil.cli.quick_start import quick_start
 
     with quick_start():
         from plant.parameters import load
-        from sil.campaign import load_campaign
-        from sil.results import finite, prepare_folder
-        from sil.settings import model_settings
-        from sil.simulation import campaign_folder, simulate_campaign, write_campaign
+        from sil.campaign.campaign import load_campaign
+        from sil.campaign.simulate import campaign_folder, simulate_campaign, write_campaign
+        from sil.files.output_folder import finite, prepare_folder
+        from sil.files.settings import model_settings
 
     campaign = load_campaign(arguments.campaign)
     parameters = load(arguments.model)

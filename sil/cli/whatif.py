@@ -27,12 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the rows, write table, summary, pictures and page."""
     from can_dbc.errors import InputError
-    from sil.results import begin, finite, prepare_folder, write_whole
-    from sil.sweeps.engine import RESULTS, run_study
-    from sil.sweeps.loading import load_study, shipped
-    from sil.sweeps.page import page
-    from sil.sweeps.pictures import draw, read_metrics
-    from sil.sweeps.table import read_table, summary
+    from sil.files.output_folder import begin, finite, prepare_folder, write_whole
+    from sil.studies.executor import RESULTS, run_study
+    from sil.studies.load_study import load_study, shipped
+    from sil.studies.pictures import draw, read_metrics
+    from sil.studies.study_page import page
+    from sil.studies.table import read_table, summary
 
     if arguments.list:
         for name, path in shipped().items():
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     told = summary(study, table)
     write_whole(folder / "summary.json", json.dumps(finite(told), indent=1) + "\n")
     if study.study.safety:
-        from sil.sweeps.fault_table import FAULT_TABLE, draw_outcomes, fault_table, kept
+        from sil.studies.fault_table import FAULT_TABLE, draw_outcomes, fault_table, kept
 
         told["kept"] = kept(study, table)
         write_whole(folder / FAULT_TABLE, fault_table(study, table))

@@ -13,14 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from can_dbc.errors import InputError
-from plant.hybrid import IntegrationError
+from plant.batch.prediction import copied
+from plant.integrator.hybrid import IntegrationError
 from plant.parameters import ParameterSet
-from plant.prediction import copied
-from sil.campaign import CampaignStroke, Record
-
-from .fit import FitResult
-from .model import CampaignModel
-from .observations import StrokeObservation
+from sil.campaign.campaign import CampaignStroke, Record
+from sil.fitting.fit import FitResult
+from sil.fitting.model import CampaignModel
+from sil.fitting.observations import StrokeObservation
 
 LEAST_DURATION_S = 0.02
 FEWEST_SAMPLES = 50
@@ -41,9 +40,7 @@ class Finding:
         return f"{self.file}: {self.channel}: {self.text}"
 
 
-def check_record(
-    entry: CampaignStroke, record: Record, parameters: ParameterSet
-) -> list[Finding]:
+def check_record(entry: CampaignStroke, record: Record, parameters: ParameterSet) -> list[Finding]:
     """Refuse a stroke that cannot be compared; report what is odd about it.
 
     Raises InputError naming file and column: too short, uneven sampling, wrong unit or scale,
@@ -151,13 +148,19 @@ def check_pressures(
                 "(leave a dead channel out)"
             )
         clipped = float(np.mean(values >= high - 1e-9))
-        if clipped > SATURATED_SHARE and high > 1.5 * atmosphere and (
-            high < 0.995 * supply or high >= 0.999 * top
+        if (
+            clipped > SATURATED_SHARE
+            and high > 1.5 * atmosphere
+            and (high < 0.995 * supply or high >= 0.999 * top)
         ):
             longest = longest_run(values >= high - 1e-9)
             if longest >= 20:
                 findings.append(
-                    Finding(entry.file, name, f"{SATURATED} at {high:.6g} Pa ({clipped:.1%}); left out there")
+                    Finding(
+                        entry.file,
+                        name,
+                        f"{SATURATED} at {high:.6g} Pa ({clipped:.1%}); left out there",
+                    )
                 )
     return findings
 
@@ -285,9 +288,7 @@ def check_strokes(model: CampaignModel, fit: FitResult) -> list[Finding]:
             if channel.kind == "pressure":
                 residual = block.residual[begin:end]
                 predicted = channel.measured - residual * channel.sd
-                pressures[channel.name] = (
-                    channel.measured, predicted, stroke.time_s[channel.rows]
-                )
+                pressures[channel.name] = (channel.measured, predicted, stroke.time_s[channel.rows])
             begin = end
         names = sorted(pressures)
         for i, one in enumerate(names):

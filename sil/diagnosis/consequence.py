@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from can_dbc.errors import InputError, RunError
+from sil.simulation.in_memory import run_in_memory
+from sil.simulation.scenario import load
 
 if TYPE_CHECKING:
-    from sil.metrics import Shift
+    from sil.simulation.metrics import Shift
 
 SCENARIOS = ("lab_n_b", "lab_b_n", "lab_n_f", "lab_f_n", "oil_damper", "full_shift")
 
@@ -48,12 +50,13 @@ def consequence(questioned: str, extended: Path) -> Consequence:
 
     What belongs to instruments or to single strokes has no place in a run; its reason is told.
     """
-    from sil.api import run
-
     found: list[Change] = []
     try:
         for name in SCENARIOS:
-            before, after = (run(name, model=model).shifts for model in (questioned, extended))
+            before, after = (
+                run_in_memory(load(name, model=str(model))).shifts
+                for model in (questioned, extended)
+            )
             found += [change(name, *pair) for pair in zip(before, after, strict=True)]
     except InputError as error:
         return Consequence((), str(error).removeprefix(f"{extended}: "))

@@ -13,35 +13,41 @@ from typing import Any
 import numpy as np
 
 from can_dbc.errors import InputError
-from plant import layout as L
-from plant.hybrid import IntegrationError
+from plant.integrator.hybrid import IntegrationError
+from plant.kernel import layout as L
 from plant.parameters import ParameterSet
-from sil.campaign import Campaign, Record
-
-from .checks import SATURATED, SWAPPED, Finding, check_record, check_signals, check_strokes
-from .evidence import Cause, sentence
-from .extend import extended_model
-from .fit import FitResult, Fitter
-from .floor import misfit
-from .gain import Gain, gain_between
-from .hypotheses import candidates
-from .intervals import intervals
-from .judge import Judged, judge
-from .model import CampaignModel
-from .next_experiment import NextExperiment, next_experiment
-from .nuisance import Spread
-from .observations import StrokeObservation, observe
-from .search import Found, Search
-from .split import odd_ones_in, split
-from .structure import Structure, structure_of
-from .unnamed import try_terms
-from .verdict import Verdict, acceptable, decide
+from sil.campaign.campaign import Campaign, Record
+from sil.diagnosis.checks import (
+    SATURATED,
+    SWAPPED,
+    Finding,
+    check_record,
+    check_signals,
+    check_strokes,
+)
+from sil.diagnosis.evidence import Cause, sentence
+from sil.diagnosis.extend import extended_model
+from sil.diagnosis.floor import misfit
+from sil.diagnosis.gain import Gain, gain_between
+from sil.diagnosis.intervals import intervals
+from sil.diagnosis.judge import Judged, judge
+from sil.diagnosis.next_experiment import NextExperiment, next_experiment
+from sil.diagnosis.search import Found, Search
+from sil.diagnosis.split import odd_ones_in, split
+from sil.diagnosis.structure import Structure, structure_of
+from sil.diagnosis.unnamed import try_terms
+from sil.diagnosis.verdict import Verdict, acceptable, decide
+from sil.fitting.fit import FitResult, Fitter
+from sil.fitting.hypotheses import candidates
+from sil.fitting.model import CampaignModel
+from sil.fitting.nuisance import Spread
+from sil.fitting.observations import StrokeObservation, observe
 
 FALSE_ALARM_LEVEL = 0.01
 FALSE_ALARM_BASIS = (
     "a cause must gain max(15, 1.5 a stroke) in log evidence and gain on held-out strokes too; how "
     "often clean campaigns of an independent implementation pass that is measured by "
-    "python -m sil.bench hidden_effects"
+    "python -m tests.bench hidden_effects"
 )
 
 
@@ -265,7 +271,7 @@ def judged_hypotheses(
     chosen = [found.healthy, *found.of_size(1)[:8], *found.of_size(2)[:8], *found.of_size(3)[:2]]
     judged = judge(search.fitter, chosen, held_out, workers)
     kept = [item for item in judged if acceptable(item)]
-    from .judge import weigh
+    from sil.diagnosis.judge import weigh
 
     weigh(kept)
     return kept

@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from .gain import Gain
-from .hypotheses import Candidate
-from .intervals import Interval
-from .judge import Judged
-from .terms import is_term, place_of
-from .verdict import Verdict
+from sil.diagnosis.gain import Gain
+from sil.diagnosis.intervals import Interval
+from sil.diagnosis.judge import Judged
+from sil.diagnosis.terms import is_term, place_of
+from sil.diagnosis.verdict import Verdict
+from sil.fitting.hypotheses import Candidate
 
 
 @dataclass(frozen=True)

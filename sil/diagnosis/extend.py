@@ -8,13 +8,12 @@ from __future__ import annotations
 import json
 
 from plant.parameters import Parameter, ParameterSet
-from sil.campaign import Campaign
-
-from .evidence import Cause
-from .fit import FitResult
-from .hypotheses import Candidate
-from .intervals import Interval
-from .terms import is_term, place_of
+from sil.campaign.campaign import Campaign
+from sil.diagnosis.evidence import Cause
+from sil.diagnosis.intervals import Interval
+from sil.diagnosis.terms import is_term, place_of
+from sil.fitting.fit import FitResult
+from sil.fitting.hypotheses import Candidate
 
 
 def extended_model(
@@ -67,9 +66,7 @@ def entry(name: str, item: Parameter) -> str:
     )
 
 
-def term_lines(
-    candidate: Candidate, parameters: dict[str, Interval], source: str
-) -> list[str]:
+def term_lines(candidate: Candidate, parameters: dict[str, Interval], source: str) -> list[str]:
     """A non-parametric term as the effect "unnamed" holds it."""
     place = place_of(candidate)
     told = json.dumps(f"{source}: {place.what} of {place.on} [{place.unit}], class {place.klass}")

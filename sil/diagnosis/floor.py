@@ -4,7 +4,7 @@ Pressures: their standardised residuals have mean square one.  Potentiometer and
 are standardised conservatively (a resting wiper says one thing, not hundreds; a reported value
 depends on the recorder's step in time), so theirs are smaller, by factors found on clean simulated
 campaigns.
-Checked by: tests/unit/sil/diagnosis/test_fit.py
+Checked by: tests/unit/sil/fitting/test_fit.py
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from .fit import FitResult
-from .model import CampaignModel
+from sil.fitting.fit import FitResult
+from sil.fitting.model import CampaignModel
 
 FLOOR_RMS = {"position": 0.385, "pressure": 1.0, "oil": 1.0, "internal": 0.17}
 """Root mean square of standardised residuals of a clean campaign, by kind of channel."""

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from sil.diagnosis.force_rig import UNITS, ForceDiagnosis, base, feature, gains
+from sil.diagnosis.pictures import AFTER, BEFORE, MEASURED, new_figure
+from sil.files.output_folder import write_whole
 from sil.report.figures import save
 from sil.report.interactive import Group, Panel, Series, plots
 from sil.report.shell import Head, Picture, render
-from sil.results import write_whole
-
-from .force_rig import UNITS, ForceDiagnosis, base, feature, gains
-from .pictures import AFTER, BEFORE, MEASURED, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -104,7 +103,10 @@ def write_page(found: ForceDiagnosis, folder: Path, campaign: str) -> None:
         good=plain["verdict"] == "consistent",
         tiles=[
             (f"{found.error(found.plain):.2%}", "relative force error, plain body"),
-            *((f"{c['probability']:.2f}", f"probability of {c['id']}") for c in plain["causes"][:3]),
+            *(
+                (f"{c['probability']:.2f}", f"probability of {c['id']}")
+                for c in plain["causes"][:3]
+            ),
         ],
         again=f"opc4 diagnose {campaign}",
     )

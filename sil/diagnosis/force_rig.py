@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
 from plant.parameters import read_toml
-from sil.campaign import ColumnMap, finite, parse_columns, read_record, real, text
+from sil.campaign.campaign import ColumnMap, finite, parse_columns, read_record, real, text
 
 Floats = NDArray[np.float64]
 
@@ -150,7 +150,9 @@ def moving(
     if area:
         force = force + area * pressure
     step = float(grid[1] - grid[0])
-    half = max(2, round(0.5 * finite(body.get("smooth_s", 0.02), f"{name}: smooth_s", 0.0, 10.0) / step))
+    half = max(
+        2, round(0.5 * finite(body.get("smooth_s", 0.02), f"{name}: smooth_s", 0.0, 10.0) / step)
+    )
     position = even("position_m")
     x, v, a = (local_polynomial(position, half, order) / step**order for order in (0, 1, 2))
     a = 2.0 * a
@@ -196,7 +198,9 @@ def feature(name: str, shape: float, motion: Motion) -> Floats:
         assert motion.pressure_pa is not None
         return np.asarray(sign * np.abs(motion.pressure_pa))
     low, high = np.quantile(motion.position_m, (0.05, 0.95))
-    return np.asarray(sign * np.exp(-0.5 * ((motion.position_m - shape) / (0.08 * (high - low))) ** 2))
+    return np.asarray(
+        sign * np.exp(-0.5 * ((motion.position_m - shape) / (0.08 * (high - low))) ** 2)
+    )
 
 
 def base(motion: Motion, mass_kg: float | None) -> tuple[Floats, Floats]:
@@ -307,7 +311,9 @@ class ForceDiagnosis:
                 {
                     "id": name,
                     "class": "friction",
-                    "probability": round(min(0.98, 1.0 - 0.5 * float(np.exp(-0.5 * (sure - 2.0)))), 4),
+                    "probability": round(
+                        min(0.98, 1.0 - 0.5 * float(np.exp(-0.5 * (sure - 2.0)))), 4
+                    ),
                     "parameters": {key: interval},
                     "evidence": f"{WHAT[name]}: {value:.3g} {unit}; takes {taken:.1%} of the squared "
                     f"force error of held-out blocks away, {sure:.1f} standard errors; relative force "
@@ -349,7 +355,9 @@ def diagnose_force(path: str | Path) -> ForceDiagnosis:
     for cause, item in singles.items():
         taken, sure = gains(item, plain)
         if not physical(item):
-            refused[cause] = f"refused: {item.values[0]:.3g} {UNITS[cause][1]} is no physical amount"
+            refused[cause] = (
+                f"refused: {item.values[0]:.3g} {UNITS[cause][1]} is no physical amount"
+            )
         elif taken < LEAST_GAIN or sure < SURE:
             refused[cause] = (
                 f"refused: takes {taken:.1%} of the held-out squares away, {sure:.1f} standard errors"

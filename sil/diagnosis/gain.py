@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from .fit import FitResult
-from .internal import INTERNAL_SD_M
-from .model import CampaignModel
-from .verdict import Verdict
+from sil.diagnosis.verdict import Verdict
+from sil.fitting.fit import FitResult
+from sil.fitting.internal import INTERNAL_SD_M
+from sil.fitting.model import CampaignModel
 
 
 @dataclass(frozen=True)

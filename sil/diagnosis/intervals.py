@@ -14,13 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plant.hybrid import IntegrationError
-
-from .fit import FARTHEST_SD, FitResult, Fitter
-from .floor import Misfit
-from .hypotheses import Candidate, scaled_of, value_of
-from .terms import is_term
-from .workers import spread_out
+from plant.integrator.hybrid import IntegrationError
+from sil.diagnosis.floor import Misfit
+from sil.diagnosis.terms import is_term
+from sil.diagnosis.workers import spread_out
+from sil.fitting.fit import FARTHEST_SD, FitResult, Fitter
+from sil.fitting.hypotheses import Candidate, scaled_of, value_of
 
 RISE = 1.92
 PROFILE_STEPS = (1.0, 2.0, 3.0)
@@ -88,7 +87,11 @@ def one_side(
     strokes = fit.use[:: max(1, len(fit.use) // 12)]
     share = len(strokes) / len(fit.use)
     base = fitter.fit(
-        fit.candidates, start=fit.shared, scatter=fit.stroke, use=strokes, iterations=3,
+        fit.candidates,
+        start=fit.shared,
+        scatter=fit.stroke,
+        use=strokes,
+        iterations=3,
         freeze=[place],
     )
     wide = sd / share**0.5
@@ -102,7 +105,11 @@ def one_side(
         there = np.where(np.arange(len(there)) == place, there, begin.shared)
         try:
             moved = fitter.fit(
-                fit.candidates, start=there, scatter=begin.stroke, use=strokes, iterations=2,
+                fit.candidates,
+                start=there,
+                scatter=begin.stroke,
+                use=strokes,
+                iterations=2,
                 freeze=[place],
             )
         except IntegrationError:

@@ -19,11 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.hybrid import IntegrationError
-
-from .fit import FitResult, Fitter
-from .floor import Misfit, misfit
-from .workers import spread_out
+from plant.integrator.hybrid import IntegrationError
+from sil.diagnosis.floor import Misfit, misfit
+from sil.diagnosis.workers import spread_out
+from sil.fitting.fit import FitResult, Fitter
 
 Floats = NDArray[np.float64]
 
@@ -110,9 +109,7 @@ def judge(
                 fit.iterations,
                 blocks,
             )
-        found.append(
-            Judged(fit, held, cost, misfit(model, held or fit), misfit(model, whole))
-        )
+        found.append(Judged(fit, held, cost, misfit(model, held or fit), misfit(model, whole)))
     found.sort(key=lambda item: item.score)
     weigh(found)
     return found

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.hybrid import IntegrationError
-
-from .fit import FitResult
-from .judge import Judged
-from .model import CampaignModel
-from .verdict import Verdict
+from plant.integrator.hybrid import IntegrationError
+from sil.diagnosis.judge import Judged
+from sil.diagnosis.verdict import Verdict
+from sil.fitting.fit import FitResult
+from sil.fitting.model import CampaignModel
 
 Floats = NDArray[np.float64]
 
@@ -90,9 +89,7 @@ def next_experiment(
     )
 
 
-def separation(
-    model: CampaignModel, first: FitResult, second: FitResult, k: int
-) -> float:
+def separation(model: CampaignModel, first: FitResult, second: FitResult, k: int) -> float:
     """Half the squared standardised distance of two predictions, the stroke's scatter fitted away."""
     zero = np.zeros(len(model.scatter))
     one = model.linearise(k, first.shared, zero, first.candidates)

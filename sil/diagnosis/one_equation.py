@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.hybrid import IntegrationError
-from plant.imposed import motion_along, pressures_along
-
-from .fit import FitResult
-from .model import CampaignModel
-from .observations import Channel
+from plant.integrator.hybrid import IntegrationError
+from plant.systems.imposed import motion_along, pressures_along
+from sil.fitting.fit import FitResult
+from sil.fitting.model import CampaignModel
+from sil.fitting.observations import Channel
 
 Floats = NDArray[np.float64]
 

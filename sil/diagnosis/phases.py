@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from plant import layout as L
-from plant.setup import Setup
+from plant.effects.setup import Setup
+from plant.kernel import layout as L
 
 Floats = NDArray[np.float64]
 

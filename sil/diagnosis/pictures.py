@@ -10,19 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from sil.diagnosis.phases import PHASES
+from sil.diagnosis.residuals import Shown
+from sil.fitting.fit import FitResult
 from sil.report.theme import LIGHT
-
-from .fit import FitResult
-from .phases import PHASES
-from .residuals import Shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from .diagnosis import Diagnosis
-    from .intervals import Interval
-    from .one_equation import Alone
-    from .terms import TermPlace
+    from sil.diagnosis.diagnosis import Diagnosis
+    from sil.diagnosis.intervals import Interval
+    from sil.diagnosis.one_equation import Alone
+    from sil.diagnosis.terms import TermPlace
 
 Floats = NDArray[np.float64]
 BEFORE, AFTER, MEASURED = LIGHT.before, LIGHT.after, LIGHT.measured
@@ -67,7 +66,10 @@ def strokes_picture(result: Diagnosis) -> Figure:
     chosen = worst(result)
     figure = new_figure(13.0, 9.0)
     grid = figure.subplots(
-        4, len(chosen), sharex="col", squeeze=False,
+        4,
+        len(chosen),
+        sharex="col",
+        squeeze=False,
         gridspec_kw={"height_ratios": [1.0, 1.6, 0.8, 1.2]},
     )
     for column, k in zip(grid.T, chosen, strict=True):
@@ -135,8 +137,13 @@ def phases_picture(before: Shown, after: Shown) -> Figure:
             if np.isfinite(table[i, j]):
                 dark = table[i, j] > 8.0
                 axes.text(
-                    j, i, f"{table[i, j]:.3g}" if table[i, j] < 100 else f"{table[i, j]:.0f}",
-                    ha="center", va="center", fontsize=8, color="white" if dark else "black",
+                    j,
+                    i,
+                    f"{table[i, j]:.3g}" if table[i, j] < 100 else f"{table[i, j]:.0f}",
+                    ha="center",
+                    va="center",
+                    fontsize=8,
+                    color="white" if dark else "black",
                 )
         axes.set_xticks(range(len(names)), names, rotation=30, ha="right", fontsize=9)
         axes.set_yticks(range(len(channels)), channels, fontsize=9)

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from sil.diagnosis.pictures import parts, worst
 from sil.report.interactive import Group, Panel, Series, plots
 
-from .pictures import parts, worst
-
 if TYPE_CHECKING:
-    from .diagnosis import Diagnosis
+    from sil.diagnosis.diagnosis import Diagnosis
 
 BAND = (-3.0, 3.0)
 UNITS = {"position": ("mm", 1e3), "pressure": ("bar", 1e-5), "oil": ("bar", 1e-5)}
@@ -30,12 +29,17 @@ def _stroke(result: Diagnosis, k: int) -> Group:
     stroke = result.model.strokes[k]
     before, after = parts(result, result.healthy, k), parts(result, result.final, k)
     changed = result.final is not result.healthy
-    models = (("healthy model", before, "before", False), ("model that stands", after, "after", True))
+    models = (
+        ("healthy model", before, "before", False),
+        ("model that stands", after, "after", True),
+    )
     panels, left = [], []
     for channel in stroke.channels:
         unit, scale = UNITS[channel.kind]
 
-        def over(values: NDArray[np.float64], rows: NDArray[np.intp] = channel.rows) -> NDArray[np.float64]:
+        def over(
+            values: NDArray[np.float64], rows: NDArray[np.intp] = channel.rows
+        ) -> NDArray[np.float64]:
             whole = np.full(len(stroke.time_s), np.nan)
             whole[rows] = values
             return whole

@@ -11,21 +11,26 @@ from typing import Any
 
 import numpy as np
 
+from sil.diagnosis.consequence import Change, consequence
+from sil.diagnosis.diagnosis import FALSE_ALARM_BASIS, FALSE_ALARM_LEVEL, Diagnosis
+from sil.diagnosis.evidence import figure
+from sil.diagnosis.judge import Judged
+from sil.diagnosis.one_equation import Alone, alone
+from sil.diagnosis.pictures import (
+    alone_picture,
+    phases_picture,
+    strokes_picture,
+    term_picture,
+    worst,
+)
+from sil.diagnosis.plots import stroke_plots
+from sil.diagnosis.residuals import Shown, show
+from sil.diagnosis.structure import FAULTS
+from sil.diagnosis.terms import is_term, place_of
+from sil.files.output_folder import write_whole
+from sil.fitting.hypotheses import Candidate
 from sil.report.figures import save
 from sil.report.shell import Head, Picture, render
-from sil.results import write_whole
-
-from .consequence import Change, consequence
-from .diagnosis import FALSE_ALARM_BASIS, FALSE_ALARM_LEVEL, Diagnosis
-from .evidence import figure
-from .hypotheses import Candidate
-from .judge import Judged
-from .one_equation import Alone, alone
-from .pictures import alone_picture, phases_picture, strokes_picture, term_picture, worst
-from .plots import stroke_plots
-from .residuals import Shown, show
-from .structure import FAULTS
-from .terms import is_term, place_of
 
 STROKES_CAPTION = (
     "The strokes that the questioned model fits worst among those {where}. Grey: measured. Orange: "
@@ -47,9 +52,7 @@ TERM_CAPTION = (
 )
 
 
-def write_report(
-    result: Diagnosis, folder: Path, campaign: str, model: str
-) -> dict[str, Any]:
+def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> dict[str, Any]:
     """Write report.html and its figures for a diagnosis of the campaign at `campaign`.
 
     An extended model that was claimed lies in the folder already. Returns the page's numbers beyond
@@ -116,9 +119,7 @@ def write_report(
             for cause in result.causes
         ],
         rivals=result.verdict.rivals,
-        experiment=None
-        if result.next_experiment is None
-        else result.next_experiment.as_json(),
+        experiment=None if result.next_experiment is None else result.next_experiment.as_json(),
         pictures=pictures,
         alone=[] if found is None else alone_rows(found),
         judged=[row_of(item, result) for item in result.judged[:12]],
@@ -246,7 +247,9 @@ def tiles(result: Diagnosis) -> list[tuple[str, str]]:
     ]
     if result.causes:
         rows.append(("after", f"{result.gain.after:.3g}"))
-        rows.append((f"probability of {result.causes[0].id}", f"{result.causes[0].probability:.2f}"))
+        rows.append(
+            (f"probability of {result.causes[0].id}", f"{result.causes[0].probability:.2f}")
+        )
     return [(value, name) for name, value in rows]
 
 

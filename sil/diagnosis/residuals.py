@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .fit import FitResult
-from .model import CampaignModel
-from .observations import Channel
-from .phases import PHASES, phases
+from sil.diagnosis.phases import PHASES, phases
+from sil.fitting.fit import FitResult
+from sil.fitting.model import CampaignModel
+from sil.fitting.observations import Channel
 
 Floats = NDArray[np.float64]
 
@@ -47,9 +47,7 @@ class Shown:
     strokes: dict[str, float] = field(default_factory=dict)
 
 
-def channel_parts(
-    model: CampaignModel, fit: FitResult, k: int
-) -> Iterator[tuple[Channel, Floats]]:
+def channel_parts(model: CampaignModel, fit: FitResult, k: int) -> Iterator[tuple[Channel, Floats]]:
     """Channels of stroke k with their standardised residuals."""
     begin = 0
     for channel in model.strokes[k].channels:
@@ -83,9 +81,7 @@ def show(model: CampaignModel, fit: FitResult) -> Shown:
     per_stroke = []
     for k in fit.blocks:
         stroke = model.strokes[k]
-        setup = model.setup(
-            k, model.amounts(fit.shared, fit.stroke[k]), fit.candidates, fit.values
-        )
+        setup = model.setup(k, model.amounts(fit.shared, fit.stroke[k]), fit.candidates, fit.values)
         phase = phases(stroke.time_s, stroke.predictor.states(setup), setup)
         whole = []
         seen: dict[str, Floats] = {}

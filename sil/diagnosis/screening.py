@@ -5,7 +5,7 @@ fitted parameters could imitate; the gain in cost of the best amount of it is (c
 No further fit is needed: one simulated stroke each.
 
 Source: Rao's score test; see Cox and Hinkley, Theoretical Statistics.
-Checked by: tests/unit/sil/diagnosis/test_fit.py
+Checked by: tests/unit/sil/fitting/test_fit.py
 """
 
 from __future__ import annotations
@@ -16,11 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.hybrid import IntegrationError
-
-from .fit import FARTHEST_SD, FitResult, arrow
-from .hypotheses import Candidate
-from .model import CampaignModel
+from plant.integrator.hybrid import IntegrationError
+from sil.fitting.fit import FARTHEST_SD, FitResult, arrow
+from sil.fitting.hypotheses import Candidate
+from sil.fitting.model import CampaignModel
 
 Floats = NDArray[np.float64]
 
@@ -50,9 +49,7 @@ def change_of(
     own = {p.name: v for p, v in zip(candidate.parameters, start, strict=True)}
     for k in strokes:
         amounts = model.amounts(fit.shared, fit.stroke[k])
-        setup = model.setup(
-            k, amounts, (*fit.candidates, candidate), (*fit.values, own)
-        )
+        setup = model.setup(k, amounts, (*fit.candidates, candidate), (*fit.values, own))
         changes[k] = model.predict(k, setup) - fit.blocks[k].base
     return changes
 

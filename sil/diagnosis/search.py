@@ -13,15 +13,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.hybrid import IntegrationError
-
-from .fit import FitResult, Fitter
-from .floor import misfit, strained
-from .hypotheses import RUGGED, Candidate, compatible, scaled_of
-from .model import Block, CampaignModel
-from .screening import Score, screen
-from .split import stratum
-from .workers import spread_out
+from plant.integrator.hybrid import IntegrationError
+from sil.diagnosis.floor import misfit, strained
+from sil.diagnosis.screening import Score, screen
+from sil.diagnosis.split import stratum
+from sil.diagnosis.workers import spread_out
+from sil.fitting.fit import FitResult, Fitter
+from sil.fitting.hypotheses import RUGGED, Candidate, compatible, scaled_of
+from sil.fitting.model import Block, CampaignModel
 
 Floats = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from .observations import StrokeObservation
+from sil.fitting.observations import StrokeObservation
 
 HELD_OUT_SHARE = 1.0 / 3.0
 MOST_TRAINING = 14

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from .observations import StrokeObservation
+from sil.fitting.observations import StrokeObservation
 
 Graph = Mapping[str, frozenset[str]]
 

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from .floor import strained
-from .hypotheses import compatible
-from .judge import Judged
-from .search import Found, Search, Task
-from .terms import term_candidates
-from .verdict import Verdict
+from sil.diagnosis.floor import strained
+from sil.diagnosis.judge import Judged
+from sil.diagnosis.search import Found, Search, Task
+from sil.diagnosis.terms import term_candidates
+from sil.diagnosis.verdict import Verdict
+from sil.fitting.hypotheses import compatible
 
 TERM_ITERATIONS = 6
 TERMS_KEPT = 2

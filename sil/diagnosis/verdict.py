@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .judge import Judged, by_cause
-from .terms import is_term
+from sil.diagnosis.judge import Judged, by_cause
+from sil.diagnosis.terms import is_term
 
 CLAIM = 15.0
 """Least gain in score (log evidence) of a cause; see `false_alarm` for how it was chosen."""

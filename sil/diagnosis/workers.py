@@ -20,9 +20,7 @@ def _call(item: Any) -> Any:
     return _WORK[-1](item)
 
 
-def spread_out(
-    work: Callable[[Item], Answer], items: Sequence[Item], workers: int
-) -> list[Answer]:
+def spread_out(work: Callable[[Item], Answer], items: Sequence[Item], workers: int) -> list[Answer]:
     """work(item) of every item; in `workers` forked processes if that is more than one.
 
     The work may hold anything (it is inherited by the fork); items and answers are pickled.

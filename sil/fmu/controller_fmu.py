@@ -4,7 +4,7 @@ Runs inside the importing tool's Python, where this package must be installed; s
 this file is the scenario it was exported from. The firmware steps at every multiple of its period
 inside a communication step, its end excluded, with the inputs of that step; a new sample_index
 announces a new pulse.
-Checked by: tests/unit/sil/test_fmu.py
+Checked by: tests/unit/sil/fmu/test_fmu.py
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Opc4Controller(Fmi3Slave):
         super().__init__(**kwargs)
         settings = json.loads((Path(str(self.resources)) / "settings.json").read_text())
         from controller.firmware import Firmware
-        from sil.assembly import gear_of
-        from sil.scenario import restore
+        from sil.simulation.build import gear_of
+        from sil.simulation.scenario import restore
 
         scenario = restore(settings["scenario"], "settings.json").scenario
         self.guid = settings["token"]
@@ -69,7 +69,9 @@ class Opc4Controller(Fmi3Slave):
                 Float64(name, causality=Fmi3Causality.input, variability=discrete)
             )
         for name, told in CODES_IN.items():
-            setattr(self, name, -1 if name == "sample_index" else int(gear_of(scenario.initial_gear)))
+            setattr(
+                self, name, -1 if name == "sample_index" else int(gear_of(scenario.initial_gear))
+            )
             self.register_variable(
                 Int32(name, causality=Fmi3Causality.input, variability=discrete, description=told)
             )

@@ -1,6 +1,6 @@
 """Writes a co-simulation unit (FMI 3.0) of the plant or of the firmware.
 
-Checked by: tests/unit/sil/test_fmu.py
+Checked by: tests/unit/sil/fmu/test_fmu.py
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-from sil.results import write_whole
-from sil.scenario import Loaded, expanded
+from sil.files.output_folder import write_whole
+from sil.simulation.scenario import Loaded, expanded
 
 SCRIPTS = {"plant": "plant_fmu.py", "controller": "controller_fmu.py"}
 

@@ -2,7 +2,7 @@
 
 Runs inside the importing tool's Python, where this package must be installed; settings.json beside
 this file is the scenario it was exported from. The duties hold from the beginning of each step.
-Checked by: tests/unit/sil/test_fmu.py
+Checked by: tests/unit/sil/fmu/test_fmu.py
 """
 
 from __future__ import annotations
@@ -39,15 +39,17 @@ class Opc4Plant(Fmi3Slave):
     """Length stroke with its three valves; positions from neutral, backward positive."""
 
     author = "opc4-sil"
-    description = "Pneumatic gear-shift actuator: three chambers, sliding pistons, valves with delays."
+    description = (
+        "Pneumatic gear-shift actuator: three chambers, sliding pistons, valves with delays."
+    )
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         settings = json.loads((Path(str(self.resources)) / "settings.json").read_text())
-        from plant.length_stroke import LengthStroke
-        from plant.valve import Valve, ValveTiming
-        from sil.assembly import INITIAL
-        from sil.scenario import restore
+        from plant.devices.valve import Valve, ValveTiming
+        from plant.systems.length_stroke import LengthStroke
+        from sil.simulation.build import INITIAL
+        from sil.simulation.scenario import restore
 
         self.loaded = restore(settings["scenario"], "settings.json")
         self.guid = settings["token"]

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plant.effects import Effect, EffectParameter
+from plant.effects.setup import Setup
 from plant.parameters import ParameterSet
-from plant.setup import Setup
-from sil.campaign import Campaign, CampaignStroke
-from sil.diagnosis.fit import Fitter
-from sil.diagnosis.hypotheses import Candidate
-from sil.diagnosis.nuisance import Spread
-from sil.diagnosis.observations import observe
+from sil.campaign.campaign import Campaign, CampaignStroke
+from sil.fitting.fit import Fitter
+from sil.fitting.hypotheses import Candidate
+from sil.fitting.nuisance import Spread
+from sil.fitting.observations import observe
 from sil.identify.estimate import Estimate
 from sil.identify.tangent_model import TangentModel
 
@@ -46,7 +46,10 @@ def fit_factors(
     """
     from scipy.stats import t as student
 
-    observed = [replace(observe(entry, campaign.record(entry), parameters), internal=None) for entry in strokes]
+    observed = [
+        replace(observe(entry, campaign.record(entry), parameters), internal=None)
+        for entry in strokes
+    ]
     model = TangentModel(observed, Spread.of(parameters))
     paths = tuple(places)
 

@@ -80,7 +80,11 @@ def model_file(found: Identified, parameters: ParameterSet) -> str:
         else:
             value = f"{item.value:.10g}"
         fields = [f"value = {value}"]
-        if item.low is not None and item.high is not None and np.isfinite([item.low, item.high]).all():
+        if (
+            item.low is not None
+            and item.high is not None
+            and np.isfinite([item.low, item.high]).all()
+        ):
             fields += [f"low = {item.low:.10g}", f"high = {item.high:.10g}"]
         fields += [f"unit = {json.dumps(unit)}", f"source = {json.dumps(item.source)}"]
         sections.setdefault(section, []).append(f"{key} = {{ {', '.join(fields)} }}")

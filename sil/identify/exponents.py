@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from plant import layout as L
-from plant.driven import pressures_along
+from plant.batch.prediction import copied
+from plant.kernel import layout as L
 from plant.parameters import ParameterSet
-from plant.prediction import copied
-from plant.setup import make_setup
-from sil.campaign import Campaign
+from plant.systems.driven import pressures_along
+from plant.systems.setup import make_setup
+from sil.campaign.campaign import Campaign
 from sil.identify.estimate import Curve, Estimate, Floats, Identified, Panel
 from sil.identify.friction import plain_strokes
 
@@ -48,7 +48,7 @@ def identify_alpha(campaign: Campaign, parameters: ParameterSet) -> Identified:
     def modelled(x: Floats, k: int) -> Floats:
         from dataclasses import replace
 
-        from plant.valve import seconds_to_ns
+        from plant.devices.valve import seconds_to_ns
 
         setup, time_s, position, _measured = prepared[k]
         twin = copied(setup)

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
-from plant import layout as L
-from plant.driven import chamber_along
-from plant.packing import flow_coefficients
+from plant.kernel import layout as L
+from plant.kernel.packing import flow_coefficients
 from plant.parameters import ParameterSet
-from plant.setup import make_setup
-from plant.stroke import valve_moves
-from sil.campaign import Campaign, Record
+from plant.systems.driven import chamber_along
+from plant.systems.setup import make_setup
+from plant.systems.stroke import valve_moves
+from sil.campaign.campaign import Campaign, Record
 from sil.identify.estimate import Curve, Estimate, Floats, Identified, Panel
 
 SMOOTH_S = 0.004
@@ -92,9 +92,7 @@ def rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestRecor
     return found
 
 
-def loose_until(
-    record: Record, time_s: Floats, driving: str, inside: NDArray[np.bool_]
-) -> float:
+def loose_until(record: Record, time_s: Floats, driving: str, inside: NDArray[np.bool_]) -> float:
     """Last instant inside at which a neighbour's pressure may move the driving piston [s], or -1."""
     free = np.zeros(len(time_s), dtype=bool)
     for name in ("B", "F") if driving == "N" else ("N",):
@@ -242,7 +240,9 @@ def identify_flow(campaign: Campaign, parameters: ParameterSet) -> Identified:
                 ),
             )
         )
-    found = parameters.override({path: list(v) for path, v in changes.items() if path[-5:] != "y_min"})
+    found = parameters.override(
+        {path: list(v) for path, v in changes.items() if path[-5:] != "y_min"}
+    )
     notes += checks(records, found, campaign)
     return Identified("flow", tuple(estimates), tuple(notes), tuple(panels))
 
@@ -282,13 +282,15 @@ def checks(records: list[RestRecord], found: ParameterSet, campaign: Campaign) -
             predicted = predict(record, found, campaign)
             error = float(np.sqrt(np.mean((predicted - record.pressure_pa) ** 2)))
             ratio = record.volume_m3 / smallest
-            lines.append(f"check {record.name}: {ratio:.1f} times the smallest volume, rms {error:.0f} Pa")
+            lines.append(
+                f"check {record.name}: {ratio:.1f} times the smallest volume, rms {error:.0f} Pa"
+            )
     return lines
 
 
 def predict(record: RestRecord, parameters: ParameterSet, campaign: Campaign) -> Floats:
     """Pressure of a resting record by a parameter set's maps, from its first (smoothed) value."""
-    from plant.packing import Load, pack
+    from plant.kernel.packing import Load, pack
 
     p = pack(
         parameters,

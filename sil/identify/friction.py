@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from can_dbc.errors import InputError
-from plant import layout as L
+from plant.kernel import layout as L
 from plant.parameters import ParameterSet
-from plant.setup import make_setup
-from sil.campaign import Campaign, CampaignStroke, Record
+from plant.systems.setup import make_setup
+from sil.campaign.campaign import Campaign, CampaignStroke, Record
 from sil.identify.campaign_fit import Fitted, fit_factors
 from sil.identify.estimate import Curve, Estimate, Floats, Identified, Panel, interval
 
@@ -77,7 +77,10 @@ def beginning(time_s: Floats, position_m: Floats, share: float) -> tuple[float, 
 
     guess = np.array([end - 0.006, 20.0, 1e4])
     fit = least_squares(
-        residual, guess, bounds=([float(t[0]), 0.0, 0.0], [end, 1e4, 1e8]), x_scale=[1e-3, 10.0, 1e4]
+        residual,
+        guess,
+        bounds=([float(t[0]), 0.0, 0.0], [end, 1e4, 1e8]),
+        x_scale=[1e-3, 10.0, 1e4],
     )
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * max(1.0, 2.0 * fit.cost / (len(x) - 3))
     return float(fit.x[0]), float(np.sqrt(covariance[0, 0]))
@@ -131,9 +134,7 @@ def identify_friction(campaign: Campaign, parameters: ParameterSet) -> Identifie
     run_low, run_high = (float(x) for x in np.percentile(offsets, [2.5, 97.5]))
     n = len(strokes)
     thesis = (
-        Estimate(
-            "friction_fixed.F_sf", mean, low, high, f"net force at first motion, {n} strokes"
-        ),
+        Estimate("friction_fixed.F_sf", mean, low, high, f"net force at first motion, {n} strokes"),
         Estimate(
             "friction_fixed.F_rf", offset, run_low, run_high, f"F - m a against v, {n} strokes"
         ),
@@ -157,7 +158,9 @@ def identify_friction(campaign: Campaign, parameters: ParameterSet) -> Identifie
             Curve("measured", v, f, "points"),
             Curve("F - m a against v", line, slope * line + offset),
             Curve(
-                "whole-record fit", line, float(better[2].value) * line + float(better[1].value)  # type: ignore[arg-type]
+                "whole-record fit",
+                line,
+                float(better[2].value) * line + float(better[1].value),  # type: ignore[arg-type]
             ),
         ),
     )

@@ -7,10 +7,10 @@ scatter included.
 from __future__ import annotations
 
 from can_dbc.errors import InputError
-from plant import layout as L
+from plant.kernel import layout as L
 from plant.parameters import ParameterSet
-from plant.stroke import simulate
-from sil.campaign import Campaign
+from plant.systems.stroke import simulate
+from sil.campaign.campaign import Campaign
 from sil.identify.campaign_fit import fit_factors
 from sil.identify.estimate import Curve, Identified, Panel
 

@@ -1,6 +1,6 @@
 """A campaign's strokes linearised by derivatives along their own steps instead of by differences.
 
-`plant.prediction.Predictor.derivatives` moves every quantity by a millionth in one call, events
+`plant.batch.prediction.Predictor.derivatives` moves every quantity by a millionth in one call, events
 included; the fit gets its Jacobian for a few strokes' worth, without the noise of free runs.
 Checked by: tests/unit/sil/identify/test_identify.py
 """
@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from plant.setup import Setup
-from plant.tangents import MOVE
-from sil.diagnosis.hypotheses import Candidate, scaled_of
-from sil.diagnosis.model import DIFFERENCE, EFFECT_STEP, Block, CampaignModel, Floats, difference
-from sil.diagnosis.nuisance import SIMULATED
+from plant.batch.tangents import MOVE
+from plant.effects.setup import Setup
+from sil.fitting.hypotheses import Candidate, scaled_of
+from sil.fitting.model import DIFFERENCE, EFFECT_STEP, Block, CampaignModel, Floats, difference
+from sil.fitting.nuisance import SIMULATED
 
 DELAYS = {"rise": "rise_ns", "fall": "fall_ns"}
 DELAY_STEP_S = 20e-9
@@ -58,7 +58,11 @@ class TangentModel(CampaignModel):
             h = DELAY_STEP_S if name in DELAYS else MOVE
             if name not in amounts:
                 parameter = parameters[int(name)]
-                h = -MOVE if scaled_of(parameter, parameter.high) - scaled[int(name)] < MOVE else MOVE
+                h = (
+                    -MOVE
+                    if scaled_of(parameter, parameter.high) - scaled[int(name)] < MOVE
+                    else MOVE
+                )
             setup = made(name, h)
             if name in DELAYS:
                 clock = DELAYS[name]

@@ -43,7 +43,8 @@ _COMMENTS: Final = {
     "pulse_s": "time to 8 V of the position sensor's coil",
     "input_rad_s": "speed of the input shaft, referred to the synchronizer",
     "output_rad_s": "speed of the output shaft, referred to the synchronizer",
-    "controller_state": "state of the shift: " + ", ".join(f"{s.value} {s.name}" for s in ShiftState),
+    "controller_state": "state of the shift: "
+    + ", ".join(f"{s.value} {s.name}" for s in ShiftState),
     "controller_faults": "faults reported, sum of: "
     + ", ".join(f"{f.value} {f.name}" for f in Fault if f),
 }

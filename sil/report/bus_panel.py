@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from can_dbc.messages import ControllerStatus
+from sil.recording.run_record import NS, Floats
 from sil.report.drawing import MS, Drawing, Window, outline
-from sil.run_record import NS, Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

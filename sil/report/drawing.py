@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from sil.metrics import Shift
+from sil.recording.run_record import Floats, RunRecord
 from sil.report.theme import Theme
-from sil.run_record import Floats, RunRecord
+from sil.simulation.metrics import Shift
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

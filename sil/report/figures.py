@@ -9,7 +9,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sil.results import write_whole
+from sil.files.output_folder import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,9 +7,10 @@ from typing import Any
 
 import msgspec
 
+from sil.files.output_folder import finite
 from sil.report.interactive import Group
 from sil.report.shell import Head, Picture, render
-from sil.results import Result, finite
+from sil.simulation.results import Result
 
 ALT = "Position, valves, pressures, firmware states and CAN frames over simulated time"
 CAPTION = (

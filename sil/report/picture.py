@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from sil.metrics import Shift
+from sil.recording.run_record import RunRecord
 from sil.report.bus_panel import draw_bus, draw_states
 from sil.report.drawing import MM, MS, Drawing, Window
 from sil.report.position_panel import draw_position
 from sil.report.pressure_panel import draw_pressures
 from sil.report.theme import Theme
 from sil.report.valve_panel import draw_valves
-from sil.run_record import RunRecord
+from sil.simulation.metrics import Shift
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

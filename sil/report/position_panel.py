@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sil.metrics import Shift
+from sil.recording.run_record import Floats, RunRecord
 from sil.report.drawing import MM, MS, Drawing, Window, inside, outline
 from sil.report.theme import Theme
-from sil.run_record import Floats, RunRecord
+from sil.simulation.metrics import Shift
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

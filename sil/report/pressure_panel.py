@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sil.recording.run_record import CHAMBERS, Floats
 from sil.report.drawing import BAR, MS, Drawing, Window, inside
-from sil.run_record import CHAMBERS, Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

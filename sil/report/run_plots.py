@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sil.metrics import Shift
+from sil.recording.run_record import CHAMBERS, RunRecord
 from sil.report.interactive import Group, Panel, Series, Window, plots
-from sil.run_record import CHAMBERS, RunRecord
+from sil.simulation.metrics import Shift
 
 Floats = NDArray[np.float64]
 AFTER_S = 0.25

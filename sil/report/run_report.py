@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sil.files.output_folder import write_whole
 from sil.report.figures import save
 from sil.report.page import run_page
 from sil.report.picture import draw
 from sil.report.run_plots import run_plots
 from sil.report.theme import LIGHT
-from sil.results import write_whole
 
 if TYPE_CHECKING:
-    from sil.cosim import Finished
+    from sil.simulation.runner import Finished
 
 
 def write_report(finished: Finished, folder: Path) -> None:

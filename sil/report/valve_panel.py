@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from can_dbc.messages import Chamber, SafetyBlow
+from sil.recording.run_record import CHAMBERS, Floats, RunRecord
 from sil.report.drawing import MS, Drawing, Window, outline
 from sil.report.theme import Theme
-from sil.run_record import CHAMBERS, Floats, RunRecord
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

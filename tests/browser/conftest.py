@@ -68,7 +68,9 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService("/usr/bin/chromedriver"))
+    driver = webdriver.Chrome(
+        options=options, service=webdriver.ChromeService("/usr/bin/chromedriver")
+    )
     yield driver
     driver.quit()
 
@@ -79,7 +81,13 @@ def of_run(folder: Path) -> list[str]:
 
 def of_replay(folder: Path) -> list[str]:
     assert main(["run", "full_shift", "--no-report", "--out", str(folder / "run")]) == 0
-    return ["replay", str(folder / "run" / "bus.log"), "--set", "controller.filter=false", "--plant"]
+    return [
+        "replay",
+        str(folder / "run" / "bus.log"),
+        "--set",
+        "controller.filter=false",
+        "--plant",
+    ]
 
 
 def of_whatif(folder: Path) -> list[str]:

@@ -44,11 +44,15 @@ def pages_of(paper: bytes) -> int:
     return len(re.findall(rb"/Type /Page[\s/]", paper))
 
 
-def test_it_opens_without_a_complaint_and_asks_the_network_for_nothing(browser: Any, page: str) -> None:
+def test_it_opens_without_a_complaint_and_asks_the_network_for_nothing(
+    browser: Any, page: str
+) -> None:
     opened(browser, page)
     assert browser.get_log("browser") == []
     assert browser.title and browser.find_element(By.TAG_NAME, "h1").text
-    asked = browser.execute_script("return performance.getEntriesByType('resource').map(e => e.name)")
+    asked = browser.execute_script(
+        "return performance.getEntriesByType('resource').map(e => e.name)"
+    )
     assert [name for name in asked if not name.startswith("data:")] == []
 
 
@@ -56,7 +60,9 @@ def test_every_panel_and_picture_is_drawn(browser: Any, page: str) -> None:
     opened(browser, page)
     inked = browser.execute_script(INK)
     assert len(inked) >= 1 and min(inked) > LEAST_INK, inked
-    sizes = browser.execute_script("return [...document.images].map(i => [i.complete, i.naturalWidth])")
+    sizes = browser.execute_script(
+        "return [...document.images].map(i => [i.complete, i.naturalWidth])"
+    )
     assert len(sizes) >= 1 and all(whole and wide > 300 for whole, wide in sizes)
 
 
@@ -101,10 +107,14 @@ def test_buttons_zoom_and_move(browser: Any, page: str) -> None:
 
 def test_it_fits_a_phone_and_fingers_zoom(browser: Any, page: str) -> None:
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", PHONE)
-    browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2})
+    browser.execute_cdp_cmd(
+        "Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2}
+    )
     try:
         browser.get(page)
-        wide, room = browser.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
+        wide, room = browser.execute_script(
+            "return [document.documentElement.scrollWidth, innerWidth]"
+        )
         assert room == 390 and wide <= room
         assert min(browser.execute_script(INK)) > LEAST_INK / 4
         over = browser.find_element(By.CSS_SELECTOR, ".u-over")
@@ -117,7 +127,9 @@ def test_it_fits_a_phone_and_fingers_zoom(browser: Any, page: str) -> None:
             points = [
                 {"x": middle + s * d, "y": y, "id": k} for d in apart for k, s in enumerate((-1, 1))
             ]
-            browser.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+            browser.execute_cdp_cmd(
+                "Input.dispatchTouchEvent", {"type": kind, "touchPoints": points}
+            )
 
         touch("touchStart", 30.0)
         touch("touchMove", 60.0)
@@ -159,7 +171,9 @@ def test_it_prints_in_light_colours_within_the_paper(browser: Any, page: str) ->
     assert paper.startswith(b"%PDF") and len(paper) > 40_000
     assert 1 <= pages_of(paper) <= 25
     assert set(browser.execute_script("return window.printed")) == {680}
-    assert set(browser.execute_script("return window.opc4Plots().flat().map(c => c.width)")) != {680}
+    assert set(browser.execute_script("return window.opc4Plots().flat().map(c => c.width)")) != {
+        680
+    }
 
 
 def test_the_buttons_of_a_run_show_its_shifts(browser: Any, page_of: Callable[[str], str]) -> None:

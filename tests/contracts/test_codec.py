@@ -401,7 +401,9 @@ def test_every_unit_by_hand() -> None:
 def test_a_number_with_an_offset() -> None:
     """A temperature of J1939: -273 to 1735 in steps of 1/32, 16 bits."""
     spec = codec.spec_of(m.PositionPulse).signal("CoilTemperature")
-    number = codec._Number(spec._replace(offset=-273.0, minimum=-273.0, maximum=1735.0, factor=1 / 32))
+    number = codec._Number(
+        spec._replace(offset=-273.0, minimum=-273.0, maximum=1735.0, factor=1 / 32)
+    )
     assert number.expected == "-273 to 1735"
     assert [number.to_raw(value) for value in (-273.0, 20.0, 1735.0)] == [0, 9376, 64256]
     assert [number.from_raw(raw) for raw in (0, 9376, 64256)] == [-273.0, 20.0, 1735.0]
@@ -496,7 +498,9 @@ def test_every_unused_bit_of_our_own_messages_is_looked_at() -> None:
         for bit in range(64):
             if not used >> bit & 1:
                 looked += 1
-                with pytest.raises(CodecError, match=r"unused bits of .* are not all 1; expected 1$"):
+                with pytest.raises(
+                    CodecError, match=r"unused bits of .* are not all 1; expected 1$"
+                ):
                     decode(with_bits(frame, bit, 1, 0))
     assert looked > 100
 

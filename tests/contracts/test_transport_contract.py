@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import RunError
-from sil.faults import (
+from sil.coupling.faults import (
     BusFault,
     BusOff,
     Dead,
@@ -23,13 +23,13 @@ from sil.faults import (
     Stalled,
     UndetectedCorruption,
 )
-from sil.processes import ChildProcess
-from sil.realtime import Pacer
-from sil.recorder import BUS_LOG, PLANT_TRACE, read_trace
-from sil.transports import address
-from sil.transports.channel import ParticipantLost, Patience
-from sil.transports.hub import Hub
-from sil.transports.socketcan import CanSocket
+from sil.coupling.processes import ChildProcess
+from sil.coupling.real_time import Pacer
+from sil.coupling.transports import address
+from sil.coupling.transports.channel import ParticipantLost, Patience
+from sil.coupling.transports.hub import Hub
+from sil.coupling.transports.socketcan import CanSocket
+from sil.recording.recorder import BUS_LOG, PLANT_TRACE, read_trace
 from tests.contracts.toy_nodes import COLUMNS, IDS, MS, PERIODS_NS, PHASES_NS
 from tests.contracts.toy_run import channel_name, command, toy_run
 
@@ -380,7 +380,7 @@ def test_frames_of_strangers_on_a_can_channel_are_counted_and_change_nothing(
     tmp_path: Path, reference: str
 ) -> None:
     from can_dbc.frame import Frame
-    from sil.transports import wire
+    from sil.coupling.transports import wire
 
     with toy_run("vcan0", tmp_path / "run", END_NS) as run:
         run.lockstep.start()

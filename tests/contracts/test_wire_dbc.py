@@ -11,9 +11,9 @@ from can_dbc.codec import can_id_of, decode, encode
 from can_dbc.contract import contract
 from can_dbc.frame import EDP_BIT, Frame
 from can_dbc.messages import StopReason
-from sil.clock import NEVER_NS
-from sil.transports import wire
-from sil.transports.wire import Kind
+from sil.coupling.clock import NEVER_NS
+from sil.coupling.transports import wire
+from sil.coupling.transports.wire import Kind
 
 DBC_NAME = {kind: kind.name.title().replace("_", "") for kind in Kind}
 

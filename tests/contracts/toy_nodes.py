@@ -20,8 +20,8 @@ import numpy as np
 from can_dbc.codec import can_id_of
 from can_dbc.frame import Frame
 from can_dbc.messages import PositionPulse, ShiftRequest, ValveCommand
-from sil.participants import open_link, take_part
-from sil.recorder import TraceWriter
+from sil.coupling.participants import open_link, take_part
+from sil.recording.recorder import TraceWriter
 
 MS = 1_000_000
 PERIODS_NS = {"driver": 20 * MS, "controller": 10 * MS, "plant": 5 * MS}

@@ -9,17 +9,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from sil.bus import BusModel
-from sil.faults import BusFault, FaultPlan
-from sil.lockstep import Lockstep
-from sil.processes import ChildProcess
-from sil.realtime import Pacer
-from sil.recorder import BUS_LOG, PLANT_TRACE, BusLog, TraceWriter, trace_sha256
-from sil.transports.channel import Channel, Patience
-from sil.transports.hub import Hub
-from sil.transports.inproc import InProcess
-from sil.transports.remote import RemoteChannel
-from sil.transports.socketcan import SocketCan
+from sil.coupling.bus import BusModel
+from sil.coupling.faults import BusFault, FaultPlan
+from sil.coupling.lockstep import Lockstep
+from sil.coupling.processes import ChildProcess
+from sil.coupling.real_time import Pacer
+from sil.coupling.transports.channel import Channel, Patience
+from sil.coupling.transports.hub import Hub
+from sil.coupling.transports.inproc import InProcess
+from sil.coupling.transports.remote import RemoteChannel
+from sil.coupling.transports.socketcan import SocketCan
+from sil.recording.recorder import BUS_LOG, PLANT_TRACE, BusLog, TraceWriter, trace_sha256
 from tests.contracts.toy_nodes import COLUMNS, ToyNode
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import msgspec
 
 from can_dbc.e2e import PROTECTED
-from plant.position_circuit import SensorFault
-from plant.signal_faults import SpeedFault, TemperatureFault
-from plant.valve_faults import ValveFault
-from sil.faults import BusFault, FrozenCounter
-from sil.scenario import Loaded, from_table
+from plant.devices.position_circuit import SensorFault
+from plant.devices.signal_faults import SpeedFault, TemperatureFault
+from plant.devices.valve_faults import ValveFault
+from sil.coupling.faults import BusFault, FrozenCounter
+from sil.simulation.scenario import Loaded, from_table
 
 SHIFTS = {"N-B": ("neutral", "backward"), "B-N": ("backward", "neutral"),
           "N-F": ("neutral", "forward"), "F-N": ("forward", "neutral"),

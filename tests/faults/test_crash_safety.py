@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from sil import cli
-from sil.results import INCOMPLETE, LAST_WRITTEN
+from sil.files.output_folder import INCOMPLETE, LAST_WRITTEN
 from tests.conftest import ROOT
 
 STUDY = """name = "few"

@@ -8,13 +8,13 @@ from typing import Any
 import msgspec
 import pytest
 
-from sil import safety
-from sil.end_to_end import EndToEnd
-from sil.faults import Replayed
-from sil.memory import run_in_memory
-from sil.run_record import RunRecord
-from sil.scenario import Scenario, from_table
-from sil.sweeps.loading import load_study
+from sil.coupling.faults import Replayed
+from sil.recording.end_to_end import EndToEnd
+from sil.recording.run_record import RunRecord
+from sil.simulation import safety
+from sil.simulation.in_memory import run_in_memory
+from sil.simulation.scenario import Scenario, from_table
+from sil.studies.load_study import load_study
 from tests.faults.drawn import (
     STRUCTS,
     Fault,

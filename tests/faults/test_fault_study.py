@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from plant.position_circuit import SensorFault
-from plant.signal_faults import SpeedFault, TemperatureFault
-from plant.valve_faults import ValveFault
+from plant.devices.position_circuit import SensorFault
+from plant.devices.signal_faults import SpeedFault, TemperatureFault
+from plant.devices.valve_faults import ValveFault
 from sil.cli import main
-from sil.sweeps.loading import load_study
+from sil.studies.load_study import load_study
 
 STUDY = load_study("faults")
 

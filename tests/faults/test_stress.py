@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from sil import cosim, scenario
-from sil.bench import stress
-from sil.memory import run_in_memory
+from sil.simulation import runner, scenario
+from sil.simulation.in_memory import run_in_memory
+from tests.bench import stress
 
 
 def test_every_scenario_is_in_the_table() -> None:
@@ -19,7 +19,7 @@ def test_every_scenario_is_in_the_table() -> None:
 @pytest.mark.parametrize("name", stress.FIRST)
 def test_no_coil_is_orphaned_and_nothing_forged_is_taken(name: str, tmp_path: Path) -> None:
     loaded = scenario.load(str(stress.SCENARIOS / f"{name}.toml"))
-    finished = cosim.run(loaded, tmp_path)
+    finished = runner.run(loaded, tmp_path)
     assert finished.result.complete
     safety = stress.safety_of(finished, loaded)
     assert safety["orphan_energised_s"] == 0.0
@@ -32,5 +32,5 @@ def test_no_coil_is_orphaned_and_nothing_forged_is_taken(name: str, tmp_path: Pa
 @pytest.mark.slow
 def test_drifting_clocks_are_the_same_in_two_processes(tmp_path: Path) -> None:
     loaded = scenario.load(str(stress.SCENARIOS / "drift.toml"))
-    result = cosim.run(loaded, tmp_path, transport="local").result
+    result = runner.run(loaded, tmp_path, transport="local").result
     assert result.trace_sha256 == run_in_memory(loaded).trace_sha256

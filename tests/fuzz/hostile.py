@@ -33,12 +33,57 @@ LONGEST_RUN_S = 0.02
 FORGET_EVERY = 250
 
 NUMBERS = (
-    *("0", "-1", "1e308", "-1e308", "1e999", "nan", "inf", "-inf", "1e-320", "9" * 400, "9" * 5000, "0x7fffffff"),
-    *("9223372036854775808", "-9223372036854775809", "1e15", "3.4e38", "0.1", "1e-9", "true", '"7"'),
+    *(
+        "0",
+        "-1",
+        "1e308",
+        "-1e308",
+        "1e999",
+        "nan",
+        "inf",
+        "-inf",
+        "1e-320",
+        "9" * 400,
+        "9" * 5000,
+        "0x7fffffff",
+    ),
+    *(
+        "9223372036854775808",
+        "-9223372036854775809",
+        "1e15",
+        "3.4e38",
+        "0.1",
+        "1e-9",
+        "true",
+        '"7"',
+    ),
 )
 TEXTS = (
-    *("../../x", "/tmp/x", "..", ".", "/", "~/x", "a/../../b", "x" * 5000, "", " ", "\\u0000", "\\n"),
-    *("\\u202e\\u0007", "CON", "-rf", "--out", "${HOME}", "%s%n", "nominal", "\\\\..\\\\x", "é" * 300),
+    *(
+        "../../x",
+        "/tmp/x",
+        "..",
+        ".",
+        "/",
+        "~/x",
+        "a/../../b",
+        "x" * 5000,
+        "",
+        " ",
+        "\\u0000",
+        "\\n",
+    ),
+    *(
+        "\\u202e\\u0007",
+        "CON",
+        "-rf",
+        "--out",
+        "${HOME}",
+        "%s%n",
+        "nominal",
+        "\\\\..\\\\x",
+        "é" * 300,
+    ),
 )
 
 SCENARIO = """name = "s"
@@ -147,7 +192,10 @@ class Bench:
             words = ["run", str(self.seeds / "s.toml"), "--no-report", "--out", str(run)]
             assert self.main(words) in (0, 1)
             for suffix in ("log", "asc", "trc", "csv", "blf", "mf4", "log.gz", "blf.gz"):
-                assert self.main(["convert", str(run / "bus.log"), str(self.seeds / f"l.{suffix}")]) == 0
+                assert (
+                    self.main(["convert", str(run / "bus.log"), str(self.seeds / f"l.{suffix}")])
+                    == 0
+                )
                 found[suffix] = (self.seeds / f"l.{suffix}").read_bytes()
         shutil.rmtree(self.seeds)
         return found
@@ -251,7 +299,9 @@ def spoilt_toml(rng: random.Random, text: str) -> bytes:
         elif equals and action == 3:
             lines[k] = f'{key} = "{rng.choice(TEXTS)}"'
         elif equals:
-            lines[k] = f"{key} = {rng.choice(('[]', '{}', '[[]]', '[1, [2]]', '{ a = 1 }', '2020-01-01'))}"
+            lines[k] = (
+                f"{key} = {rng.choice(('[]', '{}', '[[]]', '[1, [2]]', '{ a = 1 }', '2020-01-01'))}"
+            )
     return "\n".join(lines).encode()
 
 
@@ -298,13 +348,17 @@ def quiet() -> Iterator[io.StringIO]:
 @contextlib.contextmanager
 def harmless() -> Iterator[None]:
     """What would take long with good input ends at once, after all of the input has been read."""
-    from sil import cosim
+    from sil.simulation import runner
 
-    run = cosim.run
+    run = runner.run
 
     def short(loaded: Any, folder: Path, **how: Any) -> Any:
         scenario = loaded.scenario
-        if scenario.duration_s > LONGEST_RUN_S or how.get("transport", "inproc") != "inproc" or how["speed"]:
+        if (
+            scenario.duration_s > LONGEST_RUN_S
+            or how.get("transport", "inproc") != "inproc"
+            or how["speed"]
+        ):
             raise InputError("taken, and not run here")
         return run(loaded, folder, **how)
 
@@ -312,17 +366,17 @@ def harmless() -> Iterator[None]:
         raise InputError("taken, and not run here")
 
     def read_only(campaign: Any, *arguments: Any, **named: Any) -> Any:
-        from sil.campaign import read_record
+        from sil.campaign.campaign import read_record
 
         for entry in campaign.strokes:
             read_record(campaign.folder / entry.file, campaign.columns)
         raise InputError("taken, and not run here")
 
     with contextlib.ExitStack() as stack:
-        stack.enter_context(mock.patch("sil.cosim.run", short))
-        stack.enter_context(mock.patch("sil.sweeps.engine.run_row", refuse))
+        stack.enter_context(mock.patch("sil.simulation.runner.run", short))
+        stack.enter_context(mock.patch("sil.studies.executor.run_row", refuse))
         stack.enter_context(mock.patch("sil.diagnosis.diagnosis.diagnose", read_only))
-        stack.enter_context(mock.patch("sil.participants.open_link", refuse))
+        stack.enter_context(mock.patch("sil.coupling.participants.open_link", refuse))
         stack.enter_context(mock.patch("sil.fmu.export.export", refuse))
         stack.enter_context(mock.patch("sil.claims.claim.check", refuse))
         yield
@@ -357,7 +411,9 @@ def ended(main: Callable[[list[str]], int], words: list[str]) -> tuple[str, str]
     return f"exit {code}", ""
 
 
-def campaign_of_cases(count: int, seed: int, told: Callable[[str], None]) -> tuple[Counter[str], int]:
+def campaign_of_cases(
+    count: int, seed: int, told: Callable[[str], None]
+) -> tuple[Counter[str], int]:
     """Run cases; how they ended by kind, and how many failed."""
     ends: Counter[str] = Counter()
     failures = 0
@@ -401,10 +457,14 @@ def main() -> int:
     """The command line."""
     count, seed = int(sys.argv[1]), int((sys.argv[2:] or ["1"])[0])
     begun = time.process_time()
-    ends, failures = campaign_of_cases(count, seed, lambda text: print(text, file=sys.stderr, flush=True))
+    ends, failures = campaign_of_cases(
+        count, seed, lambda text: print(text, file=sys.stderr, flush=True)
+    )
     for name, number in sorted(ends.items()):
         print(f"{name:24}{number:8}")
-    print(f"{count} cases, {failures} failed, {time.process_time() - begun:.0f} s of processor time")
+    print(
+        f"{count} cases, {failures} failed, {time.process_time() - begun:.0f} s of processor time"
+    )
     return int(failures > 0)
 
 

@@ -16,7 +16,7 @@ import pytest
 from can_dbc.contract import DBC_PATH, contract, parse
 from can_dbc.dbc import parse_dbc
 from can_dbc.errors import InputError
-from sil.wcrt import database_messages, response_times
+from sil.coupling.response_times import database_messages, response_times
 
 FEW, MANY = 250, 10_000
 SLOWEST_S = 5.0

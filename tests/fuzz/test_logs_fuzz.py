@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError
+from sil.j1939.shifts import summarize
 from sil.logs import LogFrame, open_log, open_writer
 from sil.logs.frame import DLC_LENGTHS, frame_problem
-from sil.logs.j1939 import summarize
 from tests.unit.sil.logs.unsorted_mf4 import logger_file
 
 FIXTURES = Path(__file__).resolve().parent.parent / "data" / "logs"

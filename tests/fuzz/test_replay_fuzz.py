@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError
-from sil.replays.replay import Order, replay
-from sil.replays.told import as_dict, summary_lines, text
-from tests.unit.sil.replays.golden_logs import GOLDEN
+from sil.log_replay.replay import Order, replay
+from sil.log_replay.summary import as_dict, summary_lines, text
+from tests.unit.sil.log_replay.golden_logs import GOLDEN
 
 NAMES = ("lab_n_b", "full_shift", "bus_off", "firmware_2500us", "late_valve_commands")
 LONGEST_S = 5.0

@@ -11,12 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.hidden_effects import effects
 from tests.reference import parts
 from tests.reference.actuator import Case
 from tests.reference.changed import changed, lagging
 from tests.reference.instruments import control_unit, gauge, potentiometer
-
-from . import effects
 
 Change = dict[str, float]
 RATE_HZ = 10000.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import effects
-from .campaign import Hidden, hide
+from tests.hidden_effects import effects
+from tests.hidden_effects.campaign import Hidden, hide
 
 CASES = ("none", "one", "two", "foreign", "small")
 SHARES = (0.25, 0.40, 0.12, 0.15, 0.08)

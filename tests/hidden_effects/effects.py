@@ -100,9 +100,11 @@ def draw(name: str, level: str, rng: Rng) -> Change:
             "bump_at_m": either * rng.uniform(0.003, 0.010),
             "bump_width_m": rng.uniform(0.0008, 0.002),
         },
-        "hose_droop": lambda: {"line_cda_m2": amount, "line_m3": exp(rng.uniform(-11.5, -10.0))}
-        if level != "small"
-        else {"line_cda_m2": 1e-3, "line_m3": 1e-3},
+        "hose_droop": lambda: (
+            {"line_cda_m2": amount, "line_m3": exp(rng.uniform(-11.5, -10.0))}
+            if level != "small"
+            else {"line_cda_m2": 1e-3, "line_m3": 1e-3}
+        ),
         "valve_delay_pressure": lambda: {key: -amount},
         "alpha_speed": lambda: {key: amount, "heat_m_s": rng.uniform(0.1, 1.0)},
         "free_play": lambda: {key: either * amount},

@@ -1,6 +1,6 @@
 """Effects hidden by another implementation are found, clean campaigns are left alone.
 
-The full study: python -m sil.bench hidden_effects.
+The full study: python -m tests.bench hidden_effects.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from plant.parameters import load
-from sil.bench.hidden_effects import Row, row_of
-from sil.campaign import load_campaign
+from sil.campaign.campaign import load_campaign
 from sil.diagnosis.diagnosis import diagnose
+from tests.bench.hidden_effects import Row, row_of
 from tests.hidden_effects.campaign import hide, write_campaign
 
 

@@ -30,8 +30,18 @@ def test_nothing_hidden_is_the_judge() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["dynamic_friction", "seal_pressure_friction", "piston_leak", "hose_droop", "valve_creep",
-     "alpha_speed", "added_mass", "drag of speed squared", "inlet by pressure", "centring spring"],
+    [
+        "dynamic_friction",
+        "seal_pressure_friction",
+        "piston_leak",
+        "hose_droop",
+        "valve_creep",
+        "alpha_speed",
+        "added_mass",
+        "drag of speed squared",
+        "inlet by pressure",
+        "centring spring",
+    ],
 )
 def test_what_is_hidden_moves_the_stroke(name) -> None:
     change = effects.draw(name, "easy", np.random.default_rng(4))

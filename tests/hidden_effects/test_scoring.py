@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from sil.bench.hidden_effects import Row, interval, read_rows, tables
+from tests.bench.hidden_effects import Row, interval, read_rows, tables
 
 
 def row(names: tuple[str, ...], found: tuple[tuple[str, str, float], ...], **more) -> Row:

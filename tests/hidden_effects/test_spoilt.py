@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from plant.parameters import load
-from sil.campaign import load_campaign
+from sil.campaign.campaign import load_campaign
 from sil.diagnosis.diagnosis import diagnose
 from tests.hidden_effects.campaign import hide, write_campaign
 

@@ -6,17 +6,21 @@ import numpy as np
 import pytest
 
 from plant.parameters import load
-from sil.campaign import load_campaign
+from sil.campaign.campaign import load_campaign
+from sil.campaign.simulate import simulate_campaign
 from sil.diagnosis.diagnosis import diagnose
 from sil.diagnosis.residuals import show
-from sil.simulation import simulate_campaign
 from tests.hidden_effects import campaign
 from tests.hidden_effects.campaign import Hidden, write_campaign
 
 # position, charging (B) and discharging (N) chamber of N-B strokes: mean error, share of the maximum
 TABLE_3_5 = {"position_m": 0.101, "pressure_B_pa": 0.022, "pressure_N_pa": 0.178}
 THRICE = Hidden(("dynamic_friction",), ("friction",), "easy", {"running": 3.0})
-LENGTH = (("N-B", "none", False, (9e5,)), ("B-N", "none", False, (9e5,)), ("N-F", "none", False, (9e5,)))
+LENGTH = (
+    ("N-B", "none", False, (9e5,)),
+    ("B-N", "none", False, (9e5,)),
+    ("N-F", "none", False, (9e5,)),
+)
 
 
 @pytest.fixture

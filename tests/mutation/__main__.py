@@ -61,7 +61,9 @@ class Runner:
         self.session = session
         files = test_files()
         self.reaches = [reach(session, file) for file in files]
-        self.items = {item.nodeid: item for item in session.perform_collect([str(file) for file in files])}
+        self.items = {
+            item.nodeid: item for item in session.perform_collect([str(file) for file in files])
+        }
         for item in self.items.values():
             limit_examples(item)
         gc.freeze()  # or else each fork would copy what it only counts
@@ -83,7 +85,9 @@ class Runner:
         started_s = processor_s()
         source = path.read_text(encoding="utf-8")
         same = Mutant(module, "as it is", "", 1, source.count("\n"), "", "", source)
-        if in_fork(functools.partial(self.noticed, same, path, self.planned(same), [], stale), 300)[0]:
+        if in_fork(functools.partial(self.noticed, same, path, self.planned(same), [], stale), 300)[
+            0
+        ]:
             raise SystemExit(f"{module}: a test fails without any change")
         known = set().union(*(found.lines.get(module, ()) for found in self.reaches))
         loading = set().union(*(found.loading.get(module, ()) for found in self.reaches))
@@ -107,7 +111,9 @@ class Runner:
             if ended == SURVIVED:
                 print(f"  survived: {as_listed(mutant.key)}", file=sys.__stderr__, flush=True)
         took_s = processor_s() - started_s
-        print(f"{self.figures(module, [module])}   {took_s:5.0f} s", file=sys.__stderr__, flush=True)
+        print(
+            f"{self.figures(module, [module])}   {took_s:5.0f} s", file=sys.__stderr__, flush=True
+        )
 
     def noticed(
         self,
@@ -133,7 +139,9 @@ class Runner:
             for line in range(mutant.first, mutant.last + 1):
                 known.update({test: found.durations[test] for test in lines.get(line, ())})
         plan, spent_s = {}, 0.0
-        for test in sorted(known, key=lambda test: (-self.kills[test], not own(mutant, test), known[test])):
+        for test in sorted(
+            known, key=lambda test: (-self.kills[test], not own(mutant, test), known[test])
+        ):
             if spent_s + known[test] <= BUDGET_S:
                 plan[test] = known[test]
                 spent_s += known[test]

@@ -100,7 +100,9 @@ def mutants(module: str, path: Path) -> Iterator[Mutant]:
     for mutation, (first, last) in zip(visitor.mutations, visitor.spans, strict=True):
         number = next(i for i, end in enumerate(ends[1:]) if first <= end)
         changed = deep_replace(tree.body[number], mutation.original_node, mutation.mutated_node)
-        code = "".join((header, *parts[:number], tree.code_for_node(changed), *parts[number + 1 :], footer))
+        code = "".join(
+            (header, *parts[:number], tree.code_for_node(changed), *parts[number + 1 :], footer)
+        )
         new = code.splitlines()
         if new == old:
             continue

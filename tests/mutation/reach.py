@@ -48,7 +48,9 @@ def reach(session: pytest.Session, file: Path) -> Reach:
     """What the tests of a file reach, measured in a fork unless it is known already."""
     digest = hashlib.sha256()
     folders = (ROOT / place for place in TESTS[:2])
-    shared = [path for folder in folders for path in folder.glob("*.py") if "test_" not in path.name]
+    shared = [
+        path for folder in folders for path in folder.glob("*.py") if "test_" not in path.name
+    ]
     for path in (*modules().values(), *sorted(shared), ROOT / file):
         digest.update(path.read_bytes())
     content = digest.hexdigest()

@@ -28,7 +28,9 @@ EXAMPLES = 25
 SURVIVED, KILLED, BROKEN = 0, 1, 3
 
 
-def in_fork(task: Callable[[], tuple[int, str]], limit_s: int, loud: bool = False) -> tuple[int, str]:
+def in_fork(
+    task: Callable[[], tuple[int, str]], limit_s: int, loud: bool = False
+) -> tuple[int, str]:
     """Run a task in a fork; its answer, or another number when it took too long or too much."""
     heard, telling = os.pipe()
     child = os.fork()
@@ -162,7 +164,9 @@ def forget(stale: set[str]) -> None:
         if ours and not name.startswith(("tests.conftest", "tests.mutation")):
             del sys.modules[name]
             outer, _, inner = name.rpartition(".")
-            if hasattr(package := sys.modules.get(outer), inner):  # or else `from outer import inner` finds it
+            if hasattr(
+                package := sys.modules.get(outer), inner
+            ):  # or else `from outer import inner` finds it
                 delattr(package, inner)
 
 

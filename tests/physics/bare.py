@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from plant import layout as L
-from plant.hybrid import HybridSystem
-from plant.packing import Load, flow_coefficients, initial_state, pack
+from plant.integrator.hybrid import HybridSystem
+from plant.kernel import layout as L
+from plant.kernel.packing import Load, flow_coefficients, initial_state, pack
 from plant.parameters import load
 
 MS = 1_000_000
@@ -47,16 +47,12 @@ class Bare(HybridSystem):
     ) -> None:
         self.chambers = ("1", "2") if system == L.FIXED else ("B", "N", "F")
         load = Load(damper=damper)
-        p = pack(
-            NOMINAL, system, supply_pressure_pa=9e5, atmosphere_pa=101325.0, load=load
-        )
+        p = pack(NOMINAL, system, supply_pressure_pa=9e5, atmosphere_pa=101325.0, load=load)
         for index, value in changes.items():
             p[index] = value
         if place is None:
             place = 0.0 if system == L.FIXED else "N"
-        y = initial_state(
-            system, p, position=place, charged=charged, quadratures=L.QUADRATURES
-        )
+        y = initial_state(system, p, position=place, charged=charged, quadratures=L.QUADRATURES)
         for index, value in (state or {}).items():
             y[index] = value
         super().__init__(system, p, flow_coefficients(NOMINAL), y, load, charged, tolerance)

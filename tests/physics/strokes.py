@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from plant.stroke import StrokeConditions
+from plant.systems.stroke import StrokeConditions
 from tests.reference.actuator import Case
 
 
@@ -47,7 +47,9 @@ def every_stroke() -> dict[str, Case]:
             )
         old = kind[0]
         cases[f"{kind} charged"] = Case(
-            kind, commands=((0.01, valve, 0.98), (0.01, old, 0.0), (0.2, valve, 0.0)), charged=(old,)
+            kind,
+            commands=((0.01, valve, 0.98), (0.01, old, 0.0), (0.2, valve, 0.0)),
+            charged=(old,),
         )
     return cases
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant import layout as L
-from plant.stroke import StrokeConditions, simulate
+from plant.kernel import layout as L
+from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import NOMINAL
 from tests.physics.strokes import ALL, conditions_of
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant import layout as L
-from plant.chamber import pressure_rate
+from plant.kernel import layout as L
+from plant.parts.chamber import pressure_rate
 from tests.physics.bare import SMOOTH, Bare
 
 SHUT = {L.K_IN: 0.0, L.K_OUT: 0.0}

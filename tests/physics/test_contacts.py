@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from plant import layout as L
-from plant.setup import make_setup
-from plant.stroke import StrokeConditions, run_setup, simulate
+from plant.kernel import layout as L
+from plant.systems.setup import make_setup
+from plant.systems.stroke import StrokeConditions, run_setup, simulate
 from tests.physics.bare import AIRLESS, MS, NOMINAL, SMOOTH, Bare
 
 FREE = {**AIRLESS, **SMOOTH}

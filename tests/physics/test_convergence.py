@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant import layout as L
-from plant.hybrid import DEFAULT_TOLERANCE
-from plant.stroke import simulate
+from plant.integrator.hybrid import DEFAULT_TOLERANCE
+from plant.kernel import layout as L
+from plant.systems.stroke import simulate
 from tests.physics.bare import NOMINAL
 from tests.physics.strokes import ALL, conditions_of
 

@@ -9,15 +9,15 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from plant import layout as L
-from plant.damper import (
+from plant.kernel import layout as L
+from plant.parts.damper import (
     bulk_modulus,
     discharge_coefficient,
     large_area,
     outflow,
     steady_difference,
 )
-from plant.stroke import StrokeConditions, simulate
+from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import AIRLESS, MS, NOMINAL, SMOOTH, STUCK, Bare
 from tests.reference import parts
 
@@ -120,7 +120,12 @@ def test_shut_oil_is_a_spring() -> None:
 def test_pressure_after_the_stop_falls_as_a_parabola(tolerance: float) -> None:
     start, x = 2.5e6, 0.01285
     rig = Bare(
-        L.FIXED, STUCK, {L.FOIL: 101325.0 + start}, place=x, damper="compressible", tolerance=tolerance
+        L.FIXED,
+        STUCK,
+        {L.FOIL: 101325.0 + start},
+        place=x,
+        damper="compressible",
+        tolerance=tolerance,
     )
     times, y = rig.samples(0.02, 400)
     volume = 2.7e-5 - A_OIL * x

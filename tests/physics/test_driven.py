@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant import layout as L
-from plant.imposed import motion_along, pressures_along
+from plant.batch.prediction import copied
+from plant.effects.setup import Setup
+from plant.effects.stroke_conditions import StrokeConditions
+from plant.kernel import layout as L
 from plant.parameters import load
-from plant.prediction import copied
-from plant.setup import Setup, make_setup
-from plant.stroke import Stroke, run_setup
-from plant.stroke_conditions import StrokeConditions
+from plant.systems.imposed import motion_along, pressures_along
+from plant.systems.setup import make_setup
+from plant.systems.stroke import Stroke, run_setup
 
 TIME_S = np.arange(2501) * 1e-4
 STROKES = {

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plant import layout as L
-from plant.flow import charge, discharge, orifice
-from plant.packing import flow_coefficients
+from plant.kernel import layout as L
+from plant.kernel.packing import flow_coefficients
+from plant.parts.flow import charge, discharge, orifice
 from tests.physics.bare import NOMINAL, STUCK, Bare
 from tests.reference.parts import Flow, nominal, theoretical_flow
 
@@ -32,7 +32,9 @@ def ideal(upstream: float, downstream: float) -> float:
 def test_charge_map_has_its_root_at_the_supply(supply: float) -> None:
     choked = charge.py_func(0.3 * supply, supply, C)
     assert abs(charge.py_func(supply, supply, C)) < 1e-7 * choked
-    assert charge.py_func(0.999 * supply, supply, C) > 0.0 > charge.py_func(1.001 * supply, supply, C)
+    assert (
+        charge.py_func(0.999 * supply, supply, C) > 0.0 > charge.py_func(1.001 * supply, supply, C)
+    )
 
 
 def test_discharge_map_has_its_root_at_the_atmosphere() -> None:
@@ -103,7 +105,9 @@ def test_choked_filling_goes_at_a_constant_rate(exponent: float) -> None:
     end = (CRITICAL * 9e5 - P_ATM) / slope
     times, states = rig.samples(0.999 * end, 50, [(0, 0, 1.0)])
     assert states[:, L.FP1] == pytest.approx(P_ATM + slope * times, rel=1e-9)
-    assert rig.balance().air_in_kg == pytest.approx(slope * times[-1] * volume / exponent / 287.05 / 293.15)
+    assert rig.balance().air_in_kg == pytest.approx(
+        slope * times[-1] * volume / exponent / 287.05 / 293.15
+    )
 
 
 def test_choked_emptying_is_exponential() -> None:

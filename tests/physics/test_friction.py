@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from plant import layout as L
-from plant.friction import breakaway, sliding
-from plant.stroke import StrokeConditions, simulate
+from plant.kernel import layout as L
+from plant.parts.friction import breakaway, sliding
+from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import AIRLESS, MS, NOMINAL, SMOOTH, STUCK, Bare
 
 FREE = {**AIRLESS, **SMOOTH, L.STROKE: 10.0}

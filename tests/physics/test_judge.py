@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant import layout as L
-from plant.stroke import Stroke, simulate
+from plant.kernel import layout as L
+from plant.systems.stroke import Stroke, simulate
 from tests.physics.bare import NOMINAL
 from tests.physics.strokes import ALL, conditions_of
 from tests.reference.actuator import Case, Happening, Solution, actuator

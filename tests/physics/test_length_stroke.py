@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant import layout as L
 from plant.errors import InputError
-from plant.length_stroke import LengthStroke
+from plant.kernel import layout as L
+from plant.systems.length_stroke import LengthStroke
 from tests.physics.bare import MS, NOMINAL
 
 STROKE, FREE = 0.01285, 0.013

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant import layout as L
-from plant.one_equation import steady_oil_pressure
-from plant.packing import Load, pack
+from plant.equations.damper_pressure import steady_oil_pressure
+from plant.kernel import layout as L
+from plant.kernel.packing import Load, pack
 from tests.physics.bare import NOMINAL
 from tests.reference import parts
 

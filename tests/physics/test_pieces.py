@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant.hybrid import Event
-from plant.length_stroke import LengthStroke
+from plant.integrator.hybrid import Event
+from plant.systems.length_stroke import LengthStroke
 from tests.physics.bare import MS, NOMINAL
 
 END = 300 * MS
@@ -73,7 +73,11 @@ def test_switches_and_instants_out_of_order_are_refused() -> None:
     actuator.advance(10 * MS)
     with pytest.raises(ValueError, match="back"):
         actuator.advance(9 * MS)
-    for switches in ([(9 * MS, 0, 1.0)], [(21 * MS, 0, 1.0)], [(15 * MS, 0, 1.0), (12 * MS, 0, 0.0)]):
+    for switches in (
+        [(9 * MS, 0, 1.0)],
+        [(21 * MS, 0, 1.0)],
+        [(15 * MS, 0, 1.0), (12 * MS, 0, 0.0)],
+    ):
         with pytest.raises(ValueError, match="out of order"):
             actuator.advance(20 * MS, switches)
 

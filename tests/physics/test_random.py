@@ -13,10 +13,10 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from plant import layout as L
-from plant.length_stroke import LengthStroke
+from plant.kernel import layout as L
 from plant.parameters import ParameterSet
-from plant.stroke import StrokeConditions, simulate
+from plant.systems.length_stroke import LengthStroke
+from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import MS, NOMINAL
 
 END_S = 0.25
@@ -32,7 +32,9 @@ milliseconds = st.integers(0, 200)
 def length_parameters(draw: st.DrawFn) -> dict[str, float]:
     """Changes of the length stroke's numbers."""
     value = NOMINAL.value
-    changes = {f"friction_length.{n}": value(f"friction_length.{n}") * draw(factor) for n in FRICTIONS}
+    changes = {
+        f"friction_length.{n}": value(f"friction_length.{n}") * draw(factor) for n in FRICTIONS
+    }
     for name in ("length.m_s", "length.m_p", "length.A_s", "length.V_B0", "length.V_F0"):
         changes[name] = value(name) * draw(factor)
     area = value("length.A_p") * draw(factor)
@@ -279,9 +281,7 @@ def test_a_shut_and_unpowered_stroke_gains_no_energy(
     changes: dict[str, float], moves: Any, start: str
 ) -> None:
     # no supply above the atmosphere: nothing may ever move
-    actuator = LengthStroke(
-        NOMINAL.override(changes), initial=start, supply_pressure_pa=101325.0
-    )
+    actuator = LengthStroke(NOMINAL.override(changes), initial=start, supply_pressure_pa=101325.0)
     before = actuator.row()
     actuator.advance(round(END_S * 1e9), moves)
     still = [L.XS, L.X1, L.X2, L.VS, L.V1, L.V2]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from plant import steppers
+from plant.integrator import steppers
 
 Floats = NDArray[np.float64]
 Rhs = Callable[[float, Floats], Floats]
@@ -51,9 +51,7 @@ class Method:
             jac, lu, ft = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
             pivot = np.zeros(n, dtype=np.int64)
             self.k[6] = self.rhs(t, y)
-            self.plain.jacobian(
-                t, y, self.k[6], jac, *nothing, stage, scale, n, n, False, column
-            )
+            self.plain.jacobian(t, y, self.k[6], jac, *nothing, stage, scale, n, n, False, column)
             ft[:] = (self.rhs(t + 1e-6, y) - self.rhs(t - 1e-6, y)) / 2e-6
             norm = self.plain.stiff_step(
                 t, h, y, y1, self.k, *nothing, stage, err, scale, n, n, False, 1e-6,

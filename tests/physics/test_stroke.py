@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plant import layout as L
 from plant.errors import InputError
-from plant.stroke import StrokeConditions, simulate
+from plant.kernel import layout as L
+from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import NOMINAL
 
 TIME_S = np.arange(0, 3001) * 1e-4

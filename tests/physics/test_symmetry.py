@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plant import layout as L
-from plant.stroke import StrokeConditions, simulate
+from plant.kernel import layout as L
+from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import NOMINAL
 from tests.physics.strokes import ALL, conditions_of
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from plant import layout as L
-from plant.length_stroke import LengthStroke
-from plant.stroke import StrokeConditions, simulate
-from plant.synchronizer import barrier
+from plant.kernel import layout as L
+from plant.parts.synchronizer import barrier
+from plant.systems.length_stroke import LengthStroke
+from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import AIRLESS, MS, NOMINAL, SMOOTH, Bare
 
 FREE = {**AIRLESS, **SMOOTH}
@@ -26,9 +26,7 @@ def walked(side: float) -> dict[int, float]:
 
 def force(x: float, direction: float) -> float:
     """The kernel's barrier: 800 N into gear, 600 N out of gear."""
-    return float(
-        barrier.py_func(x, direction, STROKE, 800.0, X_MESH, W_MESH, 600.0, W_PULL)
-    )
+    return float(barrier.py_func(x, direction, STROKE, 800.0, X_MESH, W_MESH, 600.0, W_PULL))
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -51,7 +49,9 @@ def test_passing_the_meshing_barrier_costs_its_area(side: float) -> None:
     start = {**walked(side), L.XS: side * 0.005, L.VS: side * 1.5}
     rig = Bare(L.LENGTH, {**FREE, L.MESH_FORCE: 200.0}, start)
     rig.advance(20 * MS)
-    area = quad(lambda x: 200.0 * math.cos(0.5 * math.pi * (x - X_MESH) / W_MESH) ** 2, 0.006, 0.01)[0]
+    area = quad(
+        lambda x: 200.0 * math.cos(0.5 * math.pi * (x - X_MESH) / W_MESH) ** 2, 0.006, 0.01
+    )[0]
     assert area == pytest.approx(200.0 * W_MESH)
     stop = rig.events[-1]
     assert stop.name == "stop"

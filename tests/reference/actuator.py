@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from . import parts
-from .parts import Flow, Values
+from tests.reference import parts
+from tests.reference.parts import Flow, Values
 
 NEAR_M = 1e-9
 NEAR_M_S = 1e-10
@@ -148,9 +148,7 @@ class Actuator:
             drive[b] - d * self.friction(y, b, d, True) if d else 0.0
             for b, d in enumerate(mode.directions)
         ]
-        out = [
-            net[b] / self.masses[b] if d else 0.0 for b, d in enumerate(mode.directions)
-        ]
+        out = [net[b] / self.masses[b] if d else 0.0 for b, d in enumerate(mode.directions)]
         if mode.joints and mode.directions[0]:
             group = [0, *(c.piston for c in mode.joints)]
             common = sum(net[b] for b in group) / sum(self.masses[b] for b in group)
@@ -360,14 +358,14 @@ class Actuator:
             if d:
                 bound = self.limits(y, b)[1 if d > 0 else 0]
                 if abs(bound) < inf:
-                    out.append((f"limit {b}", lambda y, b=b, d=d, x=bound: d * (x - y[2 * b]) + EPS_M))
+                    out.append(
+                        (f"limit {b}", lambda y, b=b, d=d, x=bound: d * (x - y[2 * b]) + EPS_M)
+                    )
         for contact in self.contacts:
             d = mode.directions
             if contact in mode.joints:
                 if d[0]:
-                    out.append(
-                        (f"part {contact.name}", lambda y, c=contact: self.push(y, mode, c))
-                    )
+                    out.append((f"part {contact.name}", lambda y, c=contact: self.push(y, mode, c)))
             elif contact.piston not in joined and (d[0] or d[contact.piston]):
                 out.append((f"meet {contact.name}", lambda y, c=contact: self.gap(y, c) + EPS_M))
         if self.case.damper == "compressible" and not self.oil_rests:
@@ -516,18 +514,16 @@ class Actuator:
             y = run.y[:, -1].tolist()
             name = ""
             if run.status == 1:
-                k = min(
-                    (float(at[0]), index) for index, at in enumerate(run.t_events) if len(at)
-                )[1]
+                k = min((float(at[0]), index) for index, at in enumerate(run.t_events) if len(at))[
+                    1
+                ]
                 name = guards[k][0]
             t = reached
             mode = self.act(t, y, name, mode, happenings)
         states[written:] = y
         return Solution(states, happenings)
 
-    def act(
-        self, t: float, y: State, name: str, mode: Mode, happenings: list[Happening]
-    ) -> Mode:
+    def act(self, t: float, y: State, name: str, mode: Mode, happenings: list[Happening]) -> Mode:
         """Reset at an event, or nothing at a valve's switching; returns the next mode."""
         for b, d in enumerate(mode.directions):
             if d == 0:  # an implicit method leaves rounding in a constant
@@ -658,7 +654,9 @@ class LengthStroke(Actuator):
         if self.case.kind.startswith("N"):
             if direction * x < 0.0:
                 return 0.0
-            return parts.barrier(peak, (abs(x) - v["synchronizer.x_mesh"]) / v["synchronizer.w_mesh"])
+            return parts.barrier(
+                peak, (abs(x) - v["synchronizer.x_mesh"]) / v["synchronizer.w_mesh"]
+            )
         if direction * x >= 0.0:
             return 0.0
         return parts.barrier(peak, (v["length.stroke"] - abs(x)) / v["synchronizer.w_pull"])

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from . import parts
-from .actuator import Actuator, Case, FixedPiston, LengthStroke, Mode, State
+from tests.reference import parts
+from tests.reference.actuator import Actuator, Case, FixedPiston, LengthStroke, Mode, State
 
 Change = dict[str, float]
 
@@ -55,7 +55,9 @@ class Changed(Actuator):
     areas: tuple[float, ...] = ()
     across: tuple[tuple[int, int], ...] = ()  # chambers at either side of each piston
 
-    def __init__(self, values: parts.Values, case: Case, change: Change, rest_s: float = 2.0) -> None:
+    def __init__(
+        self, values: parts.Values, case: Case, change: Change, rest_s: float = 2.0
+    ) -> None:
         self.c = change
         super().__init__(changed_values(values, change), case)
         self.masses = (self.masses[0] + change.get("mass_kg", 0.0), *self.masses[1:])
@@ -106,15 +108,19 @@ class Changed(Actuator):
         speed = abs(y[2 * body + 1])
         level = super().friction(y, body, direction, sliding)
         if sliding and "stribeck_m_s" in c:
-            at_rest = super().friction([0.0 if i == 2 * body + 1 else v for i, v in enumerate(y)],
-                                       body, direction, False)
-            at_zero = super().friction([0.0 if i == 2 * body + 1 else v for i, v in enumerate(y)],
-                                       body, direction, True)
+            at_rest = super().friction(
+                [0.0 if i == 2 * body + 1 else v for i, v in enumerate(y)], body, direction, False
+            )
+            at_zero = super().friction(
+                [0.0 if i == 2 * body + 1 else v for i, v in enumerate(y)], body, direction, True
+            )
             shape = c.get("stribeck_power", 1.0)
             level += (at_rest - at_zero) * exp(-((speed / c["stribeck_m_s"]) ** shape))
         if body == 0:
             if "bump_n" in c:
-                level += c["bump_n"] * exp(-0.5 * ((y[0] - c["bump_at_m"]) / c["bump_width_m"]) ** 2)
+                level += c["bump_n"] * exp(
+                    -0.5 * ((y[0] - c["bump_at_m"]) / c["bump_width_m"]) ** 2
+                )
             if "drag_n_s2_m2" in c:
                 level += c["drag_n_s2_m2"] * speed * speed
             if self.case.damper is not None:
@@ -238,7 +244,9 @@ class ChangedFixed(Changed, FixedPiston):
 
     across = ((0, 1),)
 
-    def __init__(self, values: parts.Values, case: Case, change: Change, rest_s: float = 2.0) -> None:
+    def __init__(
+        self, values: parts.Values, case: Case, change: Change, rest_s: float = 2.0
+    ) -> None:
         super().__init__(values, case, change, rest_s)
         self.areas = (self.v["fixed.A2"],)
 
@@ -251,7 +259,9 @@ class ChangedLength(Changed, LengthStroke):
 
     across = ((0, 0), (0, 1), (1, 2))
 
-    def __init__(self, values: parts.Values, case: Case, change: Change, rest_s: float = 2.0) -> None:
+    def __init__(
+        self, values: parts.Values, case: Case, change: Change, rest_s: float = 2.0
+    ) -> None:
         super().__init__(values, case, change, rest_s)
         area = self.v["length.A_p"]
         self.areas = (0.0, area, area)

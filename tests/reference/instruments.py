@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
-from .parts import Values
+from tests.reference.parts import Values
 
 Floats = np.ndarray
 

@@ -125,7 +125,8 @@ def oil_pressure(distance: float, speed: float, values: Values) -> float:
     if speed <= 0.0:
         return 0.0
     return (
-        0.5 * values["damper.rho"]
+        0.5
+        * values["damper.rho"]
         * (values["damper.A_oil"] * speed / outlet(distance, speed, values)) ** 2
     )
 

@@ -7,20 +7,20 @@ from pathlib import Path
 
 import pytest
 
-from sil import cosim, scenario
+from sil.simulation import runner, scenario
 
-ShippedRun = Callable[[str], tuple[cosim.Finished, Path]]
+ShippedRun = Callable[[str], tuple[runner.Finished, Path]]
 
 
 @pytest.fixture(scope="session")
 def shipped_run(tmp_path_factory: pytest.TempPathFactory) -> ShippedRun:
     """The finished run of a shipped scenario in one process, and its folder: not to be changed."""
-    known: dict[str, tuple[cosim.Finished, Path]] = {}
+    known: dict[str, tuple[runner.Finished, Path]] = {}
 
-    def of(name: str) -> tuple[cosim.Finished, Path]:
+    def of(name: str) -> tuple[runner.Finished, Path]:
         if name not in known:
             folder = tmp_path_factory.mktemp(name)
-            known[name] = cosim.run(scenario.load(name), folder), folder
+            known[name] = runner.run(scenario.load(name), folder), folder
         return known[name]
 
     return of

@@ -8,7 +8,7 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
-from sil import cosim, scenario
+from sil.simulation import runner, scenario
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -63,7 +63,9 @@ def test_same_run_twice_gives_the_same_bits(tmp_path: Path) -> None:
     hashes = []
     for number in ("1", "2"):
         (tmp_path / number).mkdir()
-        hashes.append(cosim.run(scenario.load("full_shift"), tmp_path / number).result.trace_sha256)
+        hashes.append(
+            runner.run(scenario.load("full_shift"), tmp_path / number).result.trace_sha256
+        )
     assert hashes[0] == hashes[1] and len(hashes[0] or "") == 64
     for file in ("bus.log", "trace.csv", "events.jsonl"):
         assert (tmp_path / "1" / file).read_bytes() == (tmp_path / "2" / file).read_bytes()

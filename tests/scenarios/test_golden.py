@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sil import scenario
-from sil.replays import golden
+from sil.simulation import scenario
+from tests import golden_replays
 from tests.conftest import ROOT
 
 FOLDER = ROOT / "tests" / "golden"
@@ -17,14 +17,14 @@ NAMES = sorted(scenario.shipped())
 
 def test_there_is_one_small_log_for_every_shipped_scenario() -> None:
     files = sorted(FOLDER.iterdir())
-    assert [f.name.removesuffix(golden.SUFFIX) for f in files] == NAMES
+    assert [f.name.removesuffix(golden_replays.SUFFIX) for f in files] == NAMES
     assert sum(f.stat().st_size for f in files) < 400_000
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_firmware_answers_as_it_did(name: str) -> None:
-    """A wanted change: make golden, which says what changed, and commit the logs with it."""
-    found = golden.check(FOLDER, name)
+    """A wanted change: make golden_replays, which says what changed, and commit the logs with it."""
+    found = golden_replays.check(FOLDER, name)
     assert not found.differs, found.comparison.first
     assert found.account.total == found.frames > 200
 
@@ -32,35 +32,37 @@ def test_the_firmware_answers_as_it_did(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_golden_log_is_what_its_scenario_gives_today(name: str) -> None:
-    path = golden.golden_path(FOLDER, name)
-    assert gzip.decompress(golden.record(name)) == gzip.decompress(path.read_bytes())
+    path = golden_replays.golden_path(FOLDER, name)
+    assert gzip.decompress(golden_replays.record(name)) == gzip.decompress(path.read_bytes())
 
 
 def test_an_update_tells_what_changed_and_records_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name = "lab_n_b"
-    whole = golden.golden_path(FOLDER, name).read_bytes()
-    other = golden.golden_path(FOLDER, "filter_off").read_bytes()  # as if the filter were new
-    golden.golden_path(tmp_path, name).write_bytes(other)
-    golden.golden_path(tmp_path, "gone").write_bytes(other)
+    whole = golden_replays.golden_path(FOLDER, name).read_bytes()
+    other = golden_replays.golden_path(
+        FOLDER, "filter_off"
+    ).read_bytes()  # as if the filter were new
+    golden_replays.golden_path(tmp_path, name).write_bytes(other)
+    golden_replays.golden_path(tmp_path, "gone").write_bytes(other)
 
-    assert golden.main([str(tmp_path), name]) == 1
+    assert golden_replays.main([str(tmp_path), name]) == 1
     assert "valve B closes 3 samples (30 ms) later, once out of 1" in capsys.readouterr().out
 
-    assert golden.main([str(tmp_path), name, "--update"]) == 0
+    assert golden_replays.main([str(tmp_path), name, "--update"]) == 0
     told = capsys.readouterr().out
     assert "lab_n_b: recorded anew: 525 frames" in told
     assert "valve B closes 3 samples (30 ms) later, once out of 1" in told
     assert "gone.log.gz: removed, its scenario is gone" in told
-    assert golden.golden_path(tmp_path, name).read_bytes() == whole
+    assert golden_replays.golden_path(tmp_path, name).read_bytes() == whole
 
-    assert golden.main([str(tmp_path), name, "--update"]) == 0
+    assert golden_replays.main([str(tmp_path), name, "--update"]) == 0
     assert capsys.readouterr().out == "0 changed, 1 as they were\n"
-    assert golden.main([str(tmp_path), name]) == 0
+    assert golden_replays.main([str(tmp_path), name]) == 0
 
 
 def test_names_and_folders_that_do_not_exist_are_refused(tmp_path: Path) -> None:
-    assert golden.main([str(tmp_path), "no_such"]) == 2
-    assert golden.main([str(tmp_path / "none")]) == 2
-    assert golden.main([str(tmp_path), "lab_n_b"]) == 2
+    assert golden_replays.main([str(tmp_path), "no_such"]) == 2
+    assert golden_replays.main([str(tmp_path / "none")]) == 2
+    assert golden_replays.main([str(tmp_path), "lab_n_b"]) == 2

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sil import cosim, metrics, scenario
-from sil.memory import run_in_memory
+from sil.simulation import metrics, runner, scenario
+from sil.simulation.in_memory import run_in_memory
 
 PHASES_MS = range(10)
 
@@ -62,7 +62,7 @@ def test_the_filter_makes_it_three_times_slower_and_growing() -> None:
 
 
 def test_the_metric_is_the_shifts(tmp_path: Path) -> None:
-    finished = cosim.run(scenario.load("lab_n_b"), tmp_path)
+    finished = runner.run(scenario.load("lab_n_b"), tmp_path)
     assert finished.shifts == run_in_memory(scenario.load("lab_n_b")).shifts
     figures, (shift,) = finished.result.metrics, finished.shifts
     assert figures["position_lag_10_s"] == shift.position_lag_10_s

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from sil import cli, cosim, scenario
+from sil import cli
+from sil.simulation import runner, scenario
 from tests.conftest import ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -23,7 +24,7 @@ def blocks(language: str) -> list[str]:
 
 def test_the_scenario_in_the_readme_runs_and_passes(tmp_path: Path) -> None:
     (text,) = blocks("toml")
-    finished = cosim.run(scenario.from_table(tomllib.loads(text), "README"), tmp_path)
+    finished = runner.run(scenario.from_table(tomllib.loads(text), "README"), tmp_path)
     assert finished.result.passed
 
 
@@ -40,7 +41,7 @@ def test_runs_in_the_readme_pass_or_say_why_not(line: str, tmp_path: Path) -> No
     """A changed delay may break an expectation of the scenario: exit 1 then, never an error."""
     words = line.split("#")[0].split()
     settings = [words[i + 1] for i, word in enumerate(words) if word == "--set"]
-    finished = cosim.run(scenario.load(words[2], settings=settings), tmp_path)
+    finished = runner.run(scenario.load(words[2], settings=settings), tmp_path)
     assert finished.result.complete
     told = re.search(r"# (\d+) ms", line)
     if told is not None:

@@ -13,7 +13,7 @@ from tests.scenarios.test_readme import README
 
 pytestmark = pytest.mark.slow
 
-TUTORIAL = (ROOT / "sil" / "docs" / "tutorial.md").read_text(encoding="utf-8")
+TUTORIAL = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
 
 
 def lines() -> list[str]:

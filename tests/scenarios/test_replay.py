@@ -9,10 +9,10 @@ import pytest
 
 from can_dbc.contract import DBC_PATH
 from can_dbc.messages import ControllerStatus, PlantMotion
-from sil import cosim, scenario
+from sil.log_replay.replay import Order, Outcome, replay
 from sil.logs import open_log
-from sil.memory import run_in_memory
-from sil.replays.replay import Order, Outcome, replay
+from sil.simulation import runner, scenario
+from sil.simulation.in_memory import run_in_memory
 from tests.scenarios.conftest import ShippedRun
 
 NAMES = sorted(scenario.shipped())
@@ -21,7 +21,7 @@ SOME = ("bus_off", "full_shift", "late_valve_commands", "strategy_predictive")
 
 def recorded(folder: Path, name: str, *settings: str) -> Path:
     folder.mkdir()
-    cosim.run(scenario.load(name, settings=settings), folder)
+    runner.run(scenario.load(name, settings=settings), folder)
     return folder / "bus.log"
 
 

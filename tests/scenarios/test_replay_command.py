@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from can_dbc.contract import DBC_PATH
-from sil.bench.replay import made_log, peak_memory
 from sil.cli import main
-from sil.replays.traffic import OWN_IDS
+from sil.log_replay.recorded_frames import OWN_IDS
+from tests.bench.replay import made_log, peak_memory
 from tests.conftest import ROOT
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError
-from sil import cosim, scenario
+from sil.simulation import runner, scenario
 from tests.conftest import ROOT
 from tests.scenarios.conftest import ShippedRun
 
 
-def run(folder: Path, name: str, **how: object) -> cosim.Finished:
+def run(folder: Path, name: str, **how: object) -> runner.Finished:
     folder.mkdir()
-    return cosim.run(scenario.load(name), folder, **how)  # type: ignore[arg-type]
+    return runner.run(scenario.load(name), folder, **how)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", ["lab_n_b", "lost_frames", "dead_controller"])
@@ -48,7 +48,7 @@ def test_another_seed_matters_only_where_something_is_random(tmp_path: Path) -> 
         for seed in (1, 2):
             folder = tmp_path / f"{name}-{seed}"
             folder.mkdir()
-            finished = cosim.run(scenario.load(name, seed=seed), folder)
+            finished = runner.run(scenario.load(name, seed=seed), folder)
             hashes[name, seed] = finished.result.trace_sha256
     assert hashes["lab_n_b", 1] == hashes["lab_n_b", 2]
     assert hashes["lost_frames", 1] != hashes["lost_frames", 2]
@@ -56,9 +56,9 @@ def test_another_seed_matters_only_where_something_is_random(tmp_path: Path) -> 
 
 def test_a_speed_that_cannot_be_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="real-time factor"):
-        cosim.run(scenario.load("lab_n_b"), tmp_path, speed=0.0)
+        runner.run(scenario.load("lab_n_b"), tmp_path, speed=0.0)
     with pytest.raises(InputError, match="--external"):
-        cosim.run(scenario.load("lab_n_b"), tmp_path, external=["plant"])
+        runner.run(scenario.load("lab_n_b"), tmp_path, external=["plant"])
 
 
 @pytest.mark.parametrize("transport", ["inproc", "local"])
@@ -75,7 +75,7 @@ def test_what_only_the_plant_can_refuse_is_bad_input_on_every_transport(
     folder = tmp_path / "run"
     folder.mkdir()
     with pytest.raises(InputError) as caught:
-        cosim.run(scenario.load("lab_n_b", settings=[setting]), folder, transport=transport)
+        runner.run(scenario.load("lab_n_b", settings=[setting]), folder, transport=transport)
     assert str(caught.value).startswith(str(scenario.shipped()["lab_n_b"]) + ": ")
     assert told in str(caught.value)
     assert not folder.exists()

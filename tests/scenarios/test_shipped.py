@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sil import cosim, scenario
+from sil.simulation import runner, scenario
 from tests.scenarios.conftest import ShippedRun
 
 NAMES = sorted(scenario.shipped())
@@ -51,20 +51,22 @@ def test_shipped_scenario(name: str, shipped_run: ShippedRun) -> None:
 
 
 def test_a_result_runs_again_as_it_was(tmp_path: Path) -> None:
-    first = cosim.run(
+    first = runner.run(
         scenario.load("lab_n_b", settings=["valve.D_fall=0.02", "controller.filter=false"], seed=7),
         tmp_path,
     )
     again_folder = tmp_path / "again"
     again_folder.mkdir()
-    again = cosim.run(scenario.load(str(tmp_path / "result.json")), again_folder)
+    again = runner.run(scenario.load(str(tmp_path / "result.json")), again_folder)
     assert again.result.trace_sha256 == first.result.trace_sha256
     assert again.result.scenario == first.result.scenario
     assert first.result.model["valve.D_fall"] == 0.02
 
 
 def test_an_expectation_that_does_not_hold_fails_the_run(tmp_path: Path) -> None:
-    finished = cosim.run(scenario.load("lab_n_b", settings=["expect.final_gear=forward"]), tmp_path)
+    finished = runner.run(
+        scenario.load("lab_n_b", settings=["expect.final_gear=forward"]), tmp_path
+    )
     assert finished.result.complete and not finished.result.passed
     assert finished.result.status == "failed"
     assert [c.name for c in finished.result.expectations if not c.passed] == ["final gear"]

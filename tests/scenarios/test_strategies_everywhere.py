@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from controller.strategies import NAMES
-from sil import cosim, scenario
-from sil.bench.strategies import cost
-from sil.memory import run_in_memory
+from sil.simulation import runner, scenario
+from sil.simulation.in_memory import run_in_memory
+from tests.bench.strategies import cost
 
 STRATEGIES = [name for name in NAMES if name != "open_loop"]
 
@@ -22,7 +22,7 @@ def test_every_strategy_has_a_scenario() -> None:
 @pytest.mark.parametrize("name", STRATEGIES)
 def test_same_bits_in_its_own_process(name: str, tmp_path: Path) -> None:
     memory = run_in_memory(scenario.load(f"strategy_{name}"))
-    finished = cosim.run(scenario.load(f"strategy_{name}"), tmp_path, transport="local")
+    finished = runner.run(scenario.load(f"strategy_{name}"), tmp_path, transport="local")
     assert finished.result.passed
     assert finished.result.scenario["controller"]["strategy"] == name
     assert finished.result.trace_sha256 == memory.trace_sha256
@@ -35,7 +35,7 @@ def test_same_bits_in_its_own_process_over_vcan(name: str, tmp_path: Path) -> No
     duration_s = 0.4 if name in ("blow_cut", "synchro_brake") else 0.2
     loaded = scenario.load(f"strategy_{name}", settings=[f"duration_s={duration_s}"])
     memory = run_in_memory(loaded)
-    finished = cosim.run(loaded, tmp_path, transport="vcan0")
+    finished = runner.run(loaded, tmp_path, transport="vcan0")
     assert memory.shifts[-1].arrived_s is not None
     assert finished.result.metrics == memory.figures
     assert finished.result.trace_sha256 == memory.trace_sha256

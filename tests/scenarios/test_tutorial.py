@@ -13,7 +13,7 @@ import pytest
 
 from tests.conftest import ROOT, run_opc4
 
-TUTORIAL = (ROOT / "sil" / "docs" / "tutorial.md").read_text(encoding="utf-8")
+TUTORIAL = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
 STEP = re.compile(r"```(sh|toml|python|c)\n(.*?)```", re.DOTALL)
 FILE = re.compile(r"(?:#|/\*) file: (\S+)")
 ELSEWHERE = ("make demo", "export PATH")
@@ -92,7 +92,9 @@ def test_the_diagnosis_finds_the_late_valve(done: tuple[Path, list[str]]) -> Non
     assert cause["id"] == "valve_open_delay" and cause["probability"] > 0.9
     assert cause["parameters"]["delay_s"]["value"] == pytest.approx(0.005, abs=0.0002)
     late = result(done[0] / "as_it_is")["metrics"]["shift_time_s"]
-    assert late - result(done[0] / "first")["metrics"]["shift_time_s"] == pytest.approx(0.005, abs=2e-4)
+    assert late - result(done[0] / "first")["metrics"]["shift_time_s"] == pytest.approx(
+        0.005, abs=2e-4
+    )
 
 
 def test_own_controllers_shift_and_are_one(done: tuple[Path, list[str]]) -> None:
@@ -103,9 +105,11 @@ def test_own_controllers_shift_and_are_one(done: tuple[Path, list[str]]) -> None
 
 
 def test_the_cells_print_what_they_say(
-    done: tuple[Path, list[str]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    done: tuple[Path, list[str]],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    text = (ROOT / "sil" / "docs" / "python.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
     cells = re.findall(r"```python\n(.*?)```\n\n```text\n(.*?)```", text, re.DOTALL)
     assert len(cells) == text.count("```python") >= 8
     monkeypatch.chdir(done[0])

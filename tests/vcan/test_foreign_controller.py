@@ -15,11 +15,11 @@ from pathlib import Path
 import can
 import pytest
 
+from can_dbc.c_header import header
 from can_dbc.codec import can_id_of
 from can_dbc.e2e import E2eStatus, Receiver
 from can_dbc.frame import Frame
 from can_dbc.messages import ControllerStatus, SafetyBlow, ValveCommand
-from sil.c_header import header
 from tests.conftest import ROOT
 
 pytestmark = pytest.mark.vcan
@@ -128,7 +128,7 @@ def test_a_second_one_is_refused_and_without_the_first_the_run_ends(
 
 def test_the_tutorial_s_own_program_joins(tmp_path: Path) -> None:
     """The commands of the tutorial's step, as they stand there."""
-    tutorial = (ROOT / "sil" / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    tutorial = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"```bash\n(.*?)```", tutorial, re.DOTALL)
     (tmp_path / "tests").symlink_to(ROOT / "tests")
     programs = tmp_path / "bin"

@@ -17,7 +17,7 @@ import can
 import pytest
 
 from can_dbc.frame import EDP_BIT
-from sil.transports.socketcan import CanSocket
+from sil.coupling.transports.socketcan import CanSocket
 
 pytestmark = pytest.mark.vcan
 
@@ -174,7 +174,7 @@ def test_kill_9_of_a_process_ends_the_run_within_two_seconds(name: str, tmp_path
 def test_a_burst_is_not_lost_on_the_way(tmp_path: Path) -> None:
     """5,000 frames written at once wait in a receive buffer that a default one is too small for."""
     from can_dbc.frame import Frame
-    from sil.transports import wire
+    from sil.coupling.transports import wire
 
     receiver = CanSocket("vcan0", ((wire.EXTENDED, wire.EXTENDED),))
     sender = CanSocket("vcan0", ())
@@ -194,7 +194,7 @@ def test_an_overrun_is_never_silent() -> None:
 
     from can_dbc.errors import RunError
     from can_dbc.frame import Frame
-    from sil.transports import wire
+    from sil.coupling.transports import wire
 
     receiver = CanSocket("vcan0", ((wire.EXTENDED, wire.EXTENDED),))
     sender = CanSocket("vcan0", ())

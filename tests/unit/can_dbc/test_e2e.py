@@ -325,7 +325,9 @@ def test_after_many_good_frames_a_bad_one_is_still_seen() -> None:
         for counter in range(8):
             assert receiver.receive(8 * CYCLE, frame(counter)) is S.OK
     for other_id in (good.can_id + 1, can_id_of(m.Etc1)):
-        with pytest.raises(ValueError, match=f"^identifier {other_id:#010x} is not a ShiftRequest$"):
+        with pytest.raises(
+            ValueError, match=f"^identifier {other_id:#010x} is not a ShiftRequest$"
+        ):
             receiver.receive(8 * CYCLE, Frame(other_id, good.data))
 
 

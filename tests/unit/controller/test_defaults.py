@@ -214,7 +214,9 @@ def test_what_is_out_of_bounds_is_told_with_its_unit(make: Any, told: str) -> No
 def test_the_plain_wishes_and_what_is_not_known() -> None:
     assert (PUSH, BRAKE, REST) == ((True, False), (False, True), (False, False))
     assert Seen(0.0, 0.0, 0.0, 0) == (0.0, 0.0, 0.0, 0, None, 0.0)
-    nobody = ShiftContext(Gear.NEUTRAL, Gear.NEUTRAL, Chamber.N, Chamber.B, 0, 0, (None, None, None))
+    nobody = ShiftContext(
+        Gear.NEUTRAL, Gear.NEUTRAL, Chamber.N, Chamber.B, 0, 0, (None, None, None)
+    )
     assert nobody[-2:] == (None, 0)
     assert OFF == (0.0, 0.0, 0.0)
 

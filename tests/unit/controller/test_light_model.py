@@ -304,7 +304,12 @@ def test_what_a_measurement_corrects(
 @pytest.mark.parametrize("error_m", [1e-4, 5e-5, -0.001])
 def test_a_stay_at_rest_teaches_nothing_until_it_moves(error_m: float) -> None:
     motion = corrected(0.004, 0.0, error_m)
-    assert (motion.piston_m, motion.stay_m, motion.stay_m_s, motion.load_n) == (0.004, 0.0, 0.3, 100.0)
+    assert (motion.piston_m, motion.stay_m, motion.stay_m_s, motion.load_n) == (
+        0.004,
+        0.0,
+        0.3,
+        100.0,
+    )
 
 
 def test_commands_reach_the_valves_after_the_way_over_the_bus() -> None:

@@ -247,7 +247,11 @@ def test_on_the_edges_of_its_band_the_sliding_mode_rests() -> None:
         (((0.0, 32.0), (0.25, 22.0), (0.5, 12.0)), {"least_rad_s": 10.0}, 0.5 + 12 / 40),
         (((0.0, 32.0), (0.25, 22.0), (0.5, 12.0)), {"least_fall_rad_s2": 40.0}, 0.5 + 12 / 40),
         # 4, then 8 rad/s2: growing by 16 rad/s3, now 10, so that 10 t + 8 t^2 = 48
-        (((0.0, 51.0), (0.25, 50.0), (0.5, 48.0)), {"least_fall_rad_s2": 20.0}, 0.5 + (1636**0.5 - 10) / 16),
+        (
+            ((0.0, 51.0), (0.25, 50.0), (0.5, 48.0)),
+            {"least_fall_rad_s2": 20.0},
+            0.5 + (1636**0.5 - 10) / 16,
+        ),
     ],
 )
 def test_a_fall_as_large_as_the_least_is_one(
@@ -302,7 +306,9 @@ def forecast(v: float, g: float, end_s: float, **parameters: Any) -> float | Non
     return None if found_s is None else found_s - begun_s
 
 
-@pytest.mark.parametrize(("v", "g"), [(1000.0, 0.0), (1000.0, 5000.0), (900.0, 2e4), (2000.0, 100.0)])
+@pytest.mark.parametrize(
+    ("v", "g"), [(1000.0, 0.0), (1000.0, 5000.0), (900.0, 2e4), (2000.0, 100.0)]
+)
 def test_the_release_of_a_parabola_is_forecast_exactly(v: float, g: float) -> None:
     assert forecast(v, g, 0.1) == pytest.approx(0.1, rel=1e-9)
 
@@ -337,12 +343,16 @@ def test_reports_that_stop_are_forgotten_and_begin_anew() -> None:
 
 @pytest.mark.parametrize("period_ns", [10 * MS, 5 * MS, 2_500_000, 2 * MS])
 @pytest.mark.parametrize("periods", [1, 2, 3, 7])
-def test_a_burst_of_whole_periods_lasts_them_whenever_it_begins(period_ns: int, periods: int) -> None:
+def test_a_burst_of_whole_periods_lasts_them_whenever_it_begins(
+    period_ns: int, periods: int
+) -> None:
     burst_s = float(f"{periods * period_ns * 1e-9:.9g}")
     for begin in range(60):
         strategy = made("air_cushion", trigger_m=0.006, lead_s=0.0, burst_s=burst_s, patience_s=1.0)
         filled = [
-            strategy.command(tick * period_ns, seen(0.007 * (tick >= begin), 0.0), push(Gear.BACKWARD)).n
+            strategy.command(
+                tick * period_ns, seen(0.007 * (tick >= begin), 0.0), push(Gear.BACKWARD)
+            ).n
             for tick in range(begin + periods + 2)
         ]
         assert filled == [0.0] * begin + [0.98] * periods + [0.0] * 2

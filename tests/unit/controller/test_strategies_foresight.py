@@ -319,7 +319,9 @@ def test_the_first_step_of_the_cheapest_sequence_is_taken(
     """Cost = speed + 10 time + 300 way: each in turn is 0.1 less for one sequence."""
     strategy = strategies.create(FirmwareConfig(strategy="predictive"))
     assert isinstance(strategy, Foresight)
-    saved = {"speed": (0.9, 0.05, 0.001), "time": (1.0, 0.04, 0.001), "way": (1.0, 0.05, 0.0002)}[by]
+    saved = {"speed": (0.9, 0.05, 0.001), "time": (1.0, 0.04, 0.001), "way": (1.0, 0.05, 0.0002)}[
+        by
+    ]
 
     def trial(*sequence: float) -> Outcome:
         return Outcome(*(saved if sequence == pytest.approx(best) else (1.0, 0.05, 0.001)))
@@ -328,7 +330,9 @@ def test_the_first_step_of_the_cheapest_sequence_is_taken(
     assert strategy.plan(0.0) == wish
 
 
-def test_of_equal_sequences_the_one_that_does_least_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_equal_sequences_the_one_that_does_least_is_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     strategy = strategies.create(FirmwareConfig(strategy="predictive"))
     assert isinstance(strategy, Foresight)
     monkeypatch.setattr(strategy, "trial", lambda *sequence: Outcome(1.0, 0.05, 0.001))

@@ -24,13 +24,13 @@ from can_dbc.messages import (
     SafetyBlow,
     ValveCommand,
 )
-from plant.driveline import DrivelineConfig
-from plant.length_stroke import LengthStroke
+from plant.devices.driveline import DrivelineConfig
+from plant.devices.position_circuit import SensorConfig, SensorFault
+from plant.devices.sensors import InductiveSensor
+from plant.devices.valve_driver import ValveDriverConfig
 from plant.node import TRACE_COLUMNS, PlantConfig, PlantNode
 from plant.parameters import load
-from plant.position_circuit import SensorConfig, SensorFault
-from plant.sensors import InductiveSensor
-from plant.valve_driver import ValveDriverConfig
+from plant.systems.length_stroke import LengthStroke
 
 MS = 1_000_000
 NOMINAL = load("nominal")

@@ -16,7 +16,7 @@ from can_dbc.messages import (
     ShiftState,
     ValveCommand,
 )
-from sil.run_record import BusFrame, PlantEvent, RunRecord
+from sil.recording.run_record import BusFrame, PlantEvent, RunRecord
 
 MS = 1_000_000
 STROKE = 0.01285

@@ -38,7 +38,17 @@ commands = [[0.02, "B", 0.98], [0.2, "B", 0.0]]
 
 def test_run_is_the_command(tmp_path: Path) -> None:
     found = api.run("lab_n_b", {"controller.filter": False})
-    main(["run", "lab_n_b", "--set", "controller.filter=false", "--no-report", "--out", str(tmp_path / "r")])
+    main(
+        [
+            "run",
+            "lab_n_b",
+            "--set",
+            "controller.filter=false",
+            "--no-report",
+            "--out",
+            str(tmp_path / "r"),
+        ]
+    )
     told = json.loads((tmp_path / "r" / "result.json").read_text())
     assert found.trace_sha256 == told["trace_sha256"]
     assert found.passed is told["passed"] is False
@@ -63,8 +73,7 @@ def test_bad_input_is_raised() -> None:
 def test_simulate(tmp_path: Path) -> None:
     (tmp_path / "campaign.toml").write_text(PLAN)
     slow, nominal = (
-        api.simulate(tmp_path, settings)[0]
-        for settings in ({"friction_length.F_rf_p": 80.0}, ())
+        api.simulate(tmp_path, settings)[0] for settings in ({"friction_length.F_rf_p": 80.0}, ())
     )
     assert slow.arrival_s > nominal.arrival_s + 1e-4
     assert nominal.impact_speed_m_s == pytest.approx(0.94, abs=0.02)
@@ -98,7 +107,7 @@ def test_importing_it_costs_nothing_heavy() -> None:
 def test_no_module_of_the_package_hides_a_function() -> None:
     """A submodule, once imported, becomes an attribute of its package."""
     modules = {module.name for module in pkgutil.iter_modules(sil.__path__)}
-    assert {"api", "sweeps", "replays", "simulation"} <= modules
+    assert {"api", "studies", "log_replay", "simulation"} <= modules
     assert not modules & set(sil.__all__)
     for name in sil.__all__:
         assert getattr(sil, name) is getattr(api, name)

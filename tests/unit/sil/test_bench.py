@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant import layout as L
+from plant.batch.prediction import Predictor
+from plant.effects.stroke_conditions import StrokeConditions
+from plant.kernel import layout as L
 from plant.parameters import load
-from plant.prediction import Predictor
-from plant.setup import make_setup
-from plant.stroke import simulate
-from plant.stroke_conditions import StrokeConditions
-from sil.bench.__main__ import main
-from sil.bench._contest import accurate, cheapest, errors
-from sil.bench._piston import Piston, Shown, solve_with_scipy
-from sil.bench.integrator import OPENING_S, TIMES
+from plant.systems.setup import make_setup
+from plant.systems.stroke import simulate
+from tests.bench.__main__ import main
+from tests.bench._contest import accurate, cheapest, errors
+from tests.bench._piston import Piston, Shown, solve_with_scipy
+from tests.bench.integrator import OPENING_S, TIMES
 
 CONDITIONS = StrokeConditions("fixed", 9e5, ((0.01, "1", 0.98),))
 
@@ -24,9 +24,7 @@ def test_the_peers_equations_are_ours() -> None:
     piston = Piston.of(make_setup(load(), CONDITIONS))
     switches = [(OPENING_S, 0, 1)]
     assert stroke.impact is not None
-    ours = Shown(
-        stroke.impact.time_s, stroke.impact.speed_m_s, stroke.states[:, L.FP1 : L.FP2 + 1]
-    )
+    ours = Shown(stroke.impact.time_s, stroke.impact.speed_m_s, stroke.states[:, L.FP1 : L.FP2 + 1])
     for begin_s in (0.0, OPENING_S):
         theirs = solve_with_scipy(piston, switches, TIMES, "DOP853", 1e-10, begin_s)
         late, speed, pressure = errors([ours], [theirs])

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from sil.scenario import shipped
+from sil.simulation.scenario import shipped
 from tests.conftest import ROOT
 
 FIXTURE_TEST = """

@@ -9,16 +9,22 @@ from pathlib import Path
 
 import numpy as np
 
+from plant.batch.prediction import copied
+from plant.effects.stroke_conditions import StrokeConditions
+from plant.effects.tolerances import shift
 from plant.parameters import ParameterSet, load
-from plant.prediction import copied
-from plant.setup import make_setup
-from plant.stroke import run_setup
-from plant.stroke_conditions import StrokeConditions
-from plant.tolerances import shift
-from sil.campaign import Campaign, CampaignStroke, campaign_toml, load_campaign, write_record
-from sil.diagnosis.model import CampaignModel
-from sil.diagnosis.nuisance import Spread
-from sil.diagnosis.observations import observe
+from plant.systems.setup import make_setup
+from plant.systems.stroke import run_setup
+from sil.campaign.campaign import (
+    Campaign,
+    CampaignStroke,
+    campaign_toml,
+    load_campaign,
+    write_record,
+)
+from sil.fitting.model import CampaignModel
+from sil.fitting.nuisance import Spread
+from sil.fitting.observations import observe
 
 KINDS = (
     ("fixed", 900000.0),
@@ -65,7 +71,10 @@ def made(
         setup.phase_s = generator.uniform(0.0, 0.01)
         stroke = run_setup(setup, time_s)
         noise = generator.normal(0.0, 1e-5, len(time_s))
-        columns = {"time_s": time_s, "position_m": np.rint((stroke.position_m + noise) / 5e-5) * 5e-5}
+        columns = {
+            "time_s": time_s,
+            "position_m": np.rint((stroke.position_m + noise) / 5e-5) * 5e-5,
+        }
         for k, name in enumerate(conditions.chambers):
             noise = generator.normal(gauge_pa[k], 300.0, len(time_s))
             columns[f"pressure_{name}_pa"] = stroke.pressure_pa(name) + noise
@@ -81,7 +90,5 @@ def made(
 def model_of(campaign: Campaign) -> CampaignModel:
     """The campaign's strokes ready to be fitted."""
     parameters = load()
-    strokes = [
-        observe(entry, campaign.record(entry), parameters) for entry in campaign.strokes
-    ]
+    strokes = [observe(entry, campaign.record(entry), parameters) for entry in campaign.strokes]
     return CampaignModel(strokes, Spread.of(parameters))

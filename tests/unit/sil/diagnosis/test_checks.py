@@ -9,7 +9,7 @@ import pytest
 
 from can_dbc.errors import InputError
 from plant.parameters import load
-from sil.campaign import CampaignStroke, Record
+from sil.campaign.campaign import CampaignStroke, Record
 from sil.diagnosis.checks import check_record, longest_run, time_shift
 from tests.unit.sil.diagnosis.made_campaign import conditions_of
 

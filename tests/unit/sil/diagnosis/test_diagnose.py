@@ -10,7 +10,7 @@ import pytest
 from plant.parameters import Parameter, ParameterSet, load
 from sil.diagnosis.diagnosis import diagnose
 from sil.diagnosis.report import write_report
-from sil.results import finite
+from sil.files.output_folder import finite
 from tests.unit.sil.diagnosis.made_campaign import made
 
 pytestmark = pytest.mark.slow

@@ -54,7 +54,9 @@ def test_local_polynomials_are_exact_for_cubics() -> None:
     values = 1.0 + 2.0 * t - 0.3 * t**2 + 0.01 * t**3
     inner = slice(10, -10)
     assert local_polynomial(values, 5, 0)[inner] == pytest.approx(values[inner])
-    assert local_polynomial(values, 5, 1)[inner] == pytest.approx((2 - 0.6 * t + 0.03 * t**2)[inner])
+    assert local_polynomial(values, 5, 1)[inner] == pytest.approx(
+        (2 - 0.6 * t + 0.03 * t**2)[inner]
+    )
     assert 2 * local_polynomial(values, 5, 2)[inner] == pytest.approx((-0.6 + 0.06 * t)[inner])
 
 
@@ -78,7 +80,10 @@ def test_extra_friction_is_named_with_its_size(tmp_path, name, change, value) ->
     (parameter,) = plain["causes"][0]["parameters"].values()
     assert parameter["value"] == pytest.approx(value, rel=0.2)
     assert plain["causes"][0]["probability"] > 0.9
-    assert plain["gain"]["channels"]["force_n"]["after"] < plain["gain"]["channels"]["force_n"]["before"]
+    assert (
+        plain["gain"]["channels"]["force_n"]["after"]
+        < plain["gain"]["channels"]["force_n"]["before"]
+    )
 
 
 def test_friction_that_grows_at_rest_is_refused(tmp_path) -> None:

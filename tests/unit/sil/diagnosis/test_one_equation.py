@@ -5,10 +5,9 @@ from __future__ import annotations
 import pytest
 
 from plant.parameters import load
-from sil.diagnosis.fit import Fitter
 from sil.diagnosis.one_equation import alone
-
-from .made_campaign import made, model_of
+from sil.fitting.fit import Fitter
+from tests.unit.sil.diagnosis.made_campaign import made, model_of
 
 FORCE = "force balance of the stay"
 CHAMBERS = ("mass balance of chamber 1", "mass balance of chamber 2")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from plant.batch.prediction import Predictor
 from plant.parameters import load
-from plant.prediction import Predictor
-from plant.setup import make_setup
+from plant.systems.setup import make_setup
 from sil.diagnosis.phases import PHASES, phases, runs
 from tests.unit.sil.diagnosis.made_campaign import conditions_of
 

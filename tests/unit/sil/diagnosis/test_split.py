@@ -35,7 +35,9 @@ def test_every_rest_trains_where_strokes_are_alike(strokes) -> None:
     for item in strokes:
         item.conditions.kind, item.conditions.load = "fixed", "none"
     training, _held_out = split(strokes)
-    assert {strokes[k].conditions.rest_s for k in training} == {s.conditions.rest_s for s in strokes}
+    assert {strokes[k].conditions.rest_s for k in training} == {
+        s.conditions.rest_s for s in strokes
+    }
 
 
 def test_two_strokes_all_train() -> None:

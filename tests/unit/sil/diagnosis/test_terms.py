@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
-from plant import layout as L
+from plant.batch.prediction import Predictor, copied
 from plant.effects import CATALOGUE
+from plant.kernel import layout as L
 from plant.parameters import load
-from plant.prediction import Predictor, copied
-from plant.setup import make_setup
-from plant.stroke import run_setup
+from plant.systems.setup import make_setup
+from plant.systems.stroke import run_setup
 from sil.diagnosis.terms import PLACES, term_candidate
 from tests.unit.sil.diagnosis.made_campaign import conditions_of
 

@@ -104,9 +104,7 @@ def test_a_tiny_second_cause_is_doubted_while_something_is_left() -> None:
     def found(beyond: float):
         pair = entry(400.0, 200.0, "alpha_speed", "dead_volume_passive", beyond=beyond, excess=9.0)
         pair.training = training(0.16, 0.03)
-        return verdict(
-            entry(3000.0, 1500.0, excess=1e5), entry(1500.0, 700.0, "alpha_speed"), pair
-        )
+        return verdict(entry(3000.0, 1500.0, excess=1e5), entry(1500.0, 700.0, "alpha_speed"), pair)
 
     assert found(50.0).probabilities["dead_volume_passive"] == pytest.approx(0.45)
     assert found(50.0).probabilities["alpha_speed"] > 0.9

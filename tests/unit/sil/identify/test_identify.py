@@ -14,12 +14,18 @@ import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
-from plant import layout as L
+from plant.effects.stroke_conditions import StrokeConditions
+from plant.kernel import layout as L
 from plant.parameters import ParameterSet, load
-from plant.setup import make_setup
-from plant.stroke import run_setup
-from plant.stroke_conditions import StrokeConditions
-from sil.campaign import Campaign, CampaignStroke, campaign_toml, load_campaign, write_record
+from plant.systems.setup import make_setup
+from plant.systems.stroke import run_setup
+from sil.campaign.campaign import (
+    Campaign,
+    CampaignStroke,
+    campaign_toml,
+    load_campaign,
+    write_record,
+)
 from sil.cli import main
 from sil.identify.exponents import identify_alpha
 from sil.identify.flow import identify_flow, two_polynomials
@@ -46,7 +52,11 @@ def conditions(**changes: object) -> StrokeConditions:
 
 
 def write_campaign(
-    folder: Path, strokes: list[StrokeConditions], truth: ParameterSet, seed: int, until_s: float = 0.3
+    folder: Path,
+    strokes: list[StrokeConditions],
+    truth: ParameterSet,
+    seed: int,
+    until_s: float = 0.3,
 ) -> Campaign:
     """A noisy campaign of these strokes; each with its own friction, delay and supply."""
     generator = np.random.default_rng(seed)
@@ -65,7 +75,9 @@ def write_campaign(
         steps = (stroke.position_m + 1e-5 * generator.normal(size=len(time_s))) / 5e-5
         columns = {"time_s": time_s, "position_m": np.rint(steps) * 5e-5}
         for k, name in enumerate(("1", "2")):
-            noisy = stroke.pressure_pa(name) + offsets[k] + 300.0 * generator.normal(size=len(time_s))
+            noisy = (
+                stroke.pressure_pa(name) + offsets[k] + 300.0 * generator.normal(size=len(time_s))
+            )
             columns[f"pressure_{name}_pa"] = np.rint(noisy / 244.2) * 244.2
         if condition.load == "damper":
             oil = stroke.pressure_pa("oil2") + 1500.0 * generator.normal(size=len(time_s))
@@ -109,7 +121,9 @@ def test_breakaway_instant_of_a_known_start() -> None:
     late = np.maximum(time_s - 0.0153, 0.0)
     position = 0.5 * 18.0 * late**2 + 2e4 * late**3 / 6.0
     position = np.minimum(position, 0.01285)
-    noisy = np.rint((position + 1e-5 * np.random.default_rng(1).normal(size=len(late))) / 5e-5) * 5e-5
+    noisy = (
+        np.rint((position + 1e-5 * np.random.default_rng(1).normal(size=len(late))) / 5e-5) * 5e-5
+    )
     instant, doubt = breakaway_s(time_s, noisy)
     assert abs(instant - 0.0153) < 2.0 * doubt + 1e-4
     assert doubt < 1e-3
@@ -117,7 +131,9 @@ def test_breakaway_instant_of_a_known_start() -> None:
 
 def test_exponents_are_recovered(tmp_path: Path, truth: ParameterSet) -> None:
     only = load().override({k: v for k, v in TRUTH.items() if k.startswith("alpha")})
-    campaign = write_campaign(tmp_path, [conditions(), conditions(supply_pressure_pa=6e5)] * 2, only, 6)
+    campaign = write_campaign(
+        tmp_path, [conditions(), conditions(supply_pressure_pa=6e5)] * 2, only, 6
+    )
     found = identify_alpha(campaign, load())
     for item in found.estimates:
         assert item.low <= TRUTH[item.path] <= item.high, item
@@ -155,8 +171,8 @@ def test_flow_maps_are_recovered_and_predict_another_volume(tmp_path: Path) -> N
     campaign = write_campaign(tmp_path, resting("small") + resting("large"), wide, 8, until_s=0.7)
     found = identify_flow(campaign, wide)
     identified = wide.override({e.path: list(e.value) for e in found.estimates})  # type: ignore[arg-type]
-    from plant.flow import charge, discharge
-    from plant.packing import flow_coefficients
+    from plant.kernel.packing import flow_coefficients
+    from plant.parts.flow import charge, discharge
 
     c, true = flow_coefficients(identified), flow_coefficients(wide)
     for p in np.linspace(2.0e5, 8.5e5, 14):

@@ -12,7 +12,7 @@ from can_dbc.errors import InputError
 from plant.trace import TRACE_COLUMNS
 from sil.logs import convert
 from sil.logs.traces import comment_of, is_trace_csv, unit_of
-from sil.trace_csv import FIRST, FROM_STATUS
+from sil.recording.trace_csv import FIRST, FROM_STATUS
 from tests.unit.sil.logs.unsorted_mf4 import Field, Mf4Builder, signal_file
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"

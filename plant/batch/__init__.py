@@ -1,0 +1,1 @@
+"""Many strokes in one call: lanes, predictions and derivatives."""

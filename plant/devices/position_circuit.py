@@ -1,0 +1,191 @@
+"""Circuit of the inductive sensor: when it pulses, what it reports, and how it may fail.
+
+Checked by: tests/unit/plant/devices/test_position_circuit.py
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Annotated, Literal, NamedTuple
+
+import msgspec
+from msgspec import Meta
+from numpy.random import Generator
+
+from plant.devices.sensors import InductiveSensor, named_generator
+from plant.devices.signal_faults import Thermometer
+from plant.devices.valve import seconds_to_ns
+from plant.errors import InputError
+
+DEFAULT_LEAD_S = 0.005  # a pulse starts this long before a multiple of its period
+
+
+class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """When pulses start and how they are reported.
+
+    Pulse k starts at phase_s + k period_s (phase_s left out: 5 ms before a multiple of the period)
+    and is reported at its start + capture_s + delay_s; capture_s covers the longest pulse.
+    coil_temperature_k is the coil's own; measured_temperature_k, left out: the same, is the
+    reported one. noise_sd_s is white noise on the pulse before the timer counts it.
+    """
+
+    period_s: Annotated[float, Meta(ge=0.001, le=0.1)] = 0.01
+    phase_s: Annotated[float, Meta(ge=0.0, le=0.1)] | None = None
+    capture_s: Annotated[float, Meta(gt=0.0, le=0.1)] = 0.0015
+    delay_s: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.0
+    coil_temperature_k: Annotated[float, Meta(ge=200.0, le=450.0)] = 293.15
+    measured_temperature_k: Annotated[float, Meta(ge=200.0, le=450.0)] | None = None
+    noise_sd_s: Annotated[float, Meta(ge=0.0, le=1e-3)] = 0.0
+
+    @property
+    def phase_ns(self) -> int:
+        """Start of the first pulse [ns]."""
+        period = seconds_to_ns(self.period_s)
+        if self.phase_s is None:
+            return -seconds_to_ns(DEFAULT_LEAD_S) % period
+        return seconds_to_ns(self.phase_s) % period
+
+
+class SensorFault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A failure of the circuit, for pulses that start at start_s or later and before end_s.
+
+    stuck: the duration stays at the last reported one, or at pulse_s. garbage: durations are
+    uniform in 0..garbage_s. wrong: durations are offset_s longer. off: nothing is reported. slow:
+    only every `every`-th pulse is reported. delayed: each report gives the duration of `late`
+    pulses before (of the fault's first pulse as long as there is none). intermittent: each report
+    is missing with `probability`.
+    """
+
+    kind: Literal["stuck", "garbage", "wrong", "off", "slow", "delayed", "intermittent"]
+    start_s: Annotated[float, Meta(ge=0.0, le=86400.0)] = 0.0
+    end_s: Annotated[float, Meta(ge=0.0, le=86400.0)] | None = None
+    pulse_s: Annotated[float, Meta(ge=0.0, le=0.004)] | None = None
+    garbage_s: Annotated[float, Meta(gt=0.0, le=0.004)] = 0.002
+    offset_s: Annotated[float, Meta(ge=-0.004, le=0.004)] = 5e-5
+    every: Annotated[int, Meta(ge=2, le=1000)] = 4
+    late: Annotated[int, Meta(ge=1, le=1000)] = 5
+    probability: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.5
+
+
+class Reading(NamedTuple):
+    """One report: pulse duration [s], coil temperature [K], number of the pulse modulo 256."""
+
+    pulse_s: float
+    temperature_k: float
+    sample_index: int
+
+
+class PositionCircuit:
+    """Pulses at fixed instants; the state of the stay changes what they tell, never when.
+
+    Raises InputError for a capture time shorter than the longest pulse, or a period shorter.
+    """
+
+    def __init__(
+        self,
+        config: SensorConfig,
+        sensor: InductiveSensor,
+        reach_m: float,
+        faults: tuple[SensorFault, ...] = (),
+        seed: int = 0,
+        thermometer: Thermometer | None = None,
+    ) -> None:
+        """`reach_m` is the farthest position [m] on either side that a pulse must tell."""
+        longest_s = max(
+            sensor.pulse_s(side * reach_m, config.coil_temperature_k) for side in (-1, 1)
+        )
+        if config.capture_s < longest_s:
+            raise InputError(
+                f"sensor.capture_s: {config.capture_s}; expected at least the longest pulse, "
+                f"{longest_s:.6g} s at {config.coil_temperature_k:g} K"
+            )
+        if config.period_s < longest_s:
+            raise InputError(
+                f"sensor.period_s: {config.period_s}; expected at least the longest pulse, "
+                f"{longest_s:.6g} s at {config.coil_temperature_k:g} K"
+            )
+        self.sensor = sensor
+        self._coil_k = config.coil_temperature_k
+        measured_k = config.measured_temperature_k
+        self._reported_k = config.coil_temperature_k if measured_k is None else measured_k
+        self._thermometer = Thermometer((), seed) if thermometer is None else thermometer
+        self._noise_sd_s = config.noise_sd_s
+        self._noise = named_generator(seed, "position sensor", "noise")
+        self._faults = [
+            _ActiveFault(fault, sensor.tick_s, named_generator(seed, "position sensor", i))
+            for i, fault in enumerate(faults)
+        ]
+        self.period_ns = seconds_to_ns(config.period_s)
+        self._report_after_ns = seconds_to_ns(config.capture_s) + seconds_to_ns(config.delay_s)
+        self._start_ns = config.phase_ns  # of the next pulse to be measured
+        self.next_report_ns = config.phase_ns + self._report_after_ns
+        self._count = 0
+        self._waiting: deque[Reading | None] = deque()
+        self._last_pulse_s: float | None = None
+
+    def measurement_instants_ns(self, until_ns: int) -> list[int]:
+        """Instants [ns] up to `until_ns` whose positions `measure` has not been given yet."""
+        first = self._start_ns + self.sensor.measurement_offset_ns
+        return list(range(first, until_ns + 1, self.period_ns))
+
+    def measure(self, position_m: float) -> None:
+        """Take the position at the next measurement instant."""
+        start_ns, self._start_ns = self._start_ns, self._start_ns + self.period_ns
+        index, self._count = self._count & 0xFF, self._count + 1
+        noise_s = float(self._noise.normal(0.0, self._noise_sd_s)) if self._noise_sd_s else 0.0
+        pulse: float | None = self.sensor.pulse_s(position_m, self._coil_k, noise_s)
+        for fault in self._faults:
+            if pulse is not None:
+                pulse = fault.apply(start_ns, pulse, self._last_pulse_s)
+        if pulse is None:
+            self._waiting.append(None)
+            return
+        self._last_pulse_s = pulse
+        reported_k = self._thermometer.reading_k(start_ns, self._reported_k)
+        self._waiting.append(Reading(pulse, reported_k, index))
+
+    def report(self) -> Reading | None:
+        """Report due at `next_report_ns`, None when a fault swallows it; moves on to the next."""
+        self.next_report_ns += self.period_ns
+        return self._waiting.popleft()
+
+
+class _ActiveFault:
+    """One fault and what it remembers."""
+
+    def __init__(self, fault: SensorFault, tick_s: float, generator: Generator) -> None:
+        self._fault = fault
+        self._tick_s = tick_s
+        self._generator = generator
+        self._start_ns = seconds_to_ns(fault.start_s)
+        self._end_ns = None if fault.end_s is None else seconds_to_ns(fault.end_s)
+        self._seen = 0
+        self._stuck_s: float | None = None
+        self._past_s: deque[float] = deque(maxlen=fault.late + 1)
+
+    def apply(self, start_ns: int, pulse_s: float, last_s: float | None) -> float | None:
+        """Duration that a pulse begun at `start_ns` is reported with; None: not reported."""
+        if start_ns < self._start_ns or (self._end_ns is not None and start_ns >= self._end_ns):
+            return pulse_s
+        fault = self._fault
+        seen, self._seen = self._seen, self._seen + 1
+        match fault.kind:
+            case "stuck":
+                if self._stuck_s is None:
+                    held = pulse_s if last_s is None else last_s
+                    self._stuck_s = held if fault.pulse_s is None else fault.pulse_s
+                return self._stuck_s
+            case "garbage":
+                duration_s = float(self._generator.uniform(0.0, fault.garbage_s))
+                return round(duration_s / self._tick_s) * self._tick_s
+            case "wrong":
+                return max(0, round((pulse_s + fault.offset_s) / self._tick_s)) * self._tick_s
+            case "delayed":
+                self._past_s.append(pulse_s)
+                return self._past_s[0]
+            case "off":
+                return None
+            case "slow":
+                return pulse_s if seen % fault.every == 0 else None
+            case "intermittent":
+                return None if self._generator.random() < fault.probability else pulse_s

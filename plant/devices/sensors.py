@@ -1,0 +1,362 @@
+"""Sensors: inductive position sensor, its filtered chain, potentiometer, gauges, recorder.
+
+Checked by: tests/unit/plant/devices/test_sensors.py
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from plant.devices.valve import NS_PER_S, ParameterValues, seconds_to_ns
+from plant.errors import InputError
+
+Floats = NDArray[np.float64]
+Instants = NDArray[np.int64]
+
+
+def named_generator(seed: int, *names: object) -> np.random.Generator:
+    """Random generator that depends on `seed` and the names alone, so no draw disturbs another."""
+    digest = hashlib.sha256("\0".join(str(name) for name in names).encode()).digest()
+    words = [int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4)]
+    return np.random.default_rng(np.random.SeedSequence([seed, *words]))
+
+
+@dataclass(frozen=True)
+class InductiveSensor:
+    """Coil with a movable core: the time its voltage takes to reach 8 V tells the position.
+
+    t8V(x, T) = (t_mid + slope x) (1 + temp_coeff (T - T_ref)), x in m from neutral.
+
+    Parameters: t_mid_s [s], slope_s_m [s/m], temp_coeff_1_k [1/K], t_ref_k [K], tick_s [s].
+    Raises InputError for a time, slope or tick that cannot be.
+    Source: thesis 2.2.4; numbers inferred.
+    """
+
+    t_mid_s: float
+    slope_s_m: float
+    temp_coeff_1_k: float
+    t_ref_k: float
+    tick_s: float
+
+    def __post_init__(self) -> None:
+        for name, size in (
+            ("t_mid", self.t_mid_s),
+            ("slope", abs(self.slope_s_m)),
+            ("timer_resolution", self.tick_s),
+        ):
+            if not size > 0.0:
+                raise InputError(f"position_sensor.{name}: {size:g}; expected other than 0")
+
+    @classmethod
+    def from_parameters(cls, parameters: ParameterValues) -> InductiveSensor:
+        """Sensor from the section `position_sensor` of a parameter set."""
+        value = parameters.value
+        return cls(
+            t_mid_s=value("position_sensor.t_mid"),
+            slope_s_m=value("position_sensor.slope"),
+            temp_coeff_1_k=value("position_sensor.temp_coeff"),
+            t_ref_k=value("position_sensor.T_ref"),
+            tick_s=value("position_sensor.timer_resolution"),
+        )
+
+    def duration_s(self, position_m: ArrayLike, temperature_k: float) -> Floats:
+        """Time to 8 V [s] at a stay position [m] and coil temperature [K]."""
+        cold = self.t_mid_s + self.slope_s_m * np.asarray(position_m, dtype=np.float64)
+        return np.asarray(cold * self._warmth(temperature_k))
+
+    def ticks(self, duration_s: ArrayLike) -> Floats:
+        """Whole timer ticks nearest to a duration [s]."""
+        return np.rint(np.asarray(duration_s, dtype=np.float64) / self.tick_s)
+
+    def pulse_s(self, position_m: float, temperature_k: float, noise_s: float = 0.0) -> float:
+        """Pulse duration [s] as the timer counts it, `noise_s` added before it does."""
+        cold = self.t_mid_s + self.slope_s_m * position_m
+        duration_s = cold * self._warmth(temperature_k) + noise_s
+        return max(0, round(duration_s / self.tick_s)) * self.tick_s
+
+    def position_m(self, pulse_s: ArrayLike, temperature_k: float) -> Floats:
+        """Position [m] that a pulse [s] stands for if the coil is at `temperature_k` [K]."""
+        cold = np.asarray(pulse_s, dtype=np.float64) / self._warmth(temperature_k)
+        return np.asarray((cold - self.t_mid_s) / self.slope_s_m)
+
+    @property
+    def measurement_offset_ns(self) -> int:
+        """Time [ns] from the start of a pulse to the instant whose position it tells."""
+        return seconds_to_ns(0.5 * self.t_mid_s)
+
+    def _warmth(self, temperature_k: float) -> float:
+        return 1.0 + self.temp_coeff_1_k * (temperature_k - self.t_ref_k)
+
+
+def butterworth_sections(order: int, cutoff_hz: float, rate_hz: float) -> Floats:
+    """Second-order sections [n, 5] (b0 b1 b2 a1 a2) of a digital Butterworth low-pass filter.
+
+    Poles of H(s) = prod 1/(s - p_k), p_k = exp(j pi (2k + n + 1)/(2n)), through the bilinear
+    transform with the cut-off prewarped; every section has unit gain at rest. An odd order's last
+    section is of first order.
+    Raises InputError unless 1 <= order <= 12 and 0 < cutoff_hz < rate_hz/2.
+    """
+    if not 1 <= order <= 12:
+        raise InputError(f"position_sensor.butter_order: {order}; expected 1 to 12, or 0 for none")
+    if not 0.0 < cutoff_hz < 0.5 * rate_hz:
+        raise InputError(
+            f"position_sensor.butter_fc: {cutoff_hz:g}; expected above 0 and below "
+            f"{0.5 * rate_hz:g} Hz, half the sample rate"
+        )
+    w = np.tan(np.pi * cutoff_hz / rate_hz)
+    k = np.arange(order // 2)
+    damping = 2.0 * np.sin(np.pi * (2 * k + 1) / (2 * order))  # s^2 + damping s + 1
+    a0 = 1.0 + damping * w + w * w
+    b0 = w * w / a0
+    a1 = 2.0 * (w * w - 1.0) / a0
+    a2 = (1.0 - damping * w + w * w) / a0
+    sections = np.stack([b0, 2.0 * b0, b0, a1, a2], axis=1)
+    if order % 2:
+        b0 = w / (1.0 + w)
+        sections = np.vstack([sections, [b0, b0, 0.0, (w - 1.0) / (w + 1.0), 0.0]])
+    return sections
+
+
+def filter_from_rest(sections: Floats, samples: Floats) -> Floats:
+    """Samples [..., n] through second-order sections [m, 5] that were settled at the first one."""
+    signal = samples.astype(np.float64, copy=True)
+    for b0, b1, b2, a1, a2 in sections:
+        rest = signal[..., 0].copy()
+        z2 = (b2 - a2) * rest
+        z1 = (b1 - a1) * rest + z2
+        for i in range(signal.shape[-1]):
+            sample = signal[..., i].copy()
+            out = b0 * sample + z1
+            z1 = b1 * sample - a1 * out + z2
+            z2 = b2 * sample - a2 * out
+            signal[..., i] = out
+    return signal
+
+
+@dataclass(frozen=True)
+class InternalChain:
+    """The position as the control unit reports it: pulse, timer, conversion, filter, hold.
+
+    A pulse starts at every tick, tells the position at tick + t_mid/2, is counted in timer ticks,
+    converted back with `calibration` and the measured temperature, filtered once per period, and
+    stands from tick + latency + t8V until the next one.
+
+    Parameters: period_s, latency_s [s]; filter_order 0 means no filter; cutoff_hz [Hz];
+    coil_temperature_k is the coil's own, measured_temperature_k [K] the one compensated for.
+    Source: thesis 2.2.4; numbers inferred. Matches `position_internal_m` of recorded strokes.
+    """
+
+    sensor: InductiveSensor
+    calibration: InductiveSensor
+    period_s: float
+    latency_s: float
+    filter_order: int
+    cutoff_hz: float
+    coil_temperature_k: float
+    measured_temperature_k: float
+
+    def __post_init__(self) -> None:
+        if not 1e-6 <= self.period_s <= 10.0:
+            raise InputError(f"position_sensor.period: {self.period_s:g}; expected 1e-6 to 10 s")
+        if not 0.0 <= self.latency_s <= 10.0:
+            raise InputError(f"position_sensor.latency: {self.latency_s:g}; expected 0 to 10 s")
+
+    @classmethod
+    def from_parameters(cls, parameters: ParameterValues) -> InternalChain:
+        """Chain from the section `position_sensor` of a parameter set, coil at T_ref."""
+        sensor = InductiveSensor.from_parameters(parameters)
+        value = parameters.value
+        return cls(
+            sensor=sensor,
+            calibration=sensor,
+            period_s=value("position_sensor.period"),
+            latency_s=value("position_sensor.latency"),
+            filter_order=round(value("position_sensor.butter_order")),
+            cutoff_hz=value("position_sensor.butter_fc"),
+            coil_temperature_k=sensor.t_ref_k,
+            measured_temperature_k=sensor.t_ref_k,
+        )
+
+    def ticks_s(self, end_s: float, phase_s: float = 0.0) -> Floats:
+        """Starts of the pulses [s] of a record 0 <= t <= end_s, one of them at `phase_s`.
+
+        The first is the last one before time 0; the last is measured within the record.
+        """
+        first_s = phase_s % self.period_s
+        last_s = end_s - 0.5 * self.sensor.t_mid_s
+        count = max(0, int(np.floor((last_s - first_s) / self.period_s + 1e-9)) + 1)
+        return np.asarray(first_s + np.arange(-1, count) * self.period_s, dtype=np.float64)
+
+    def measurement_instants_ns(self, end_s: float, phase_s: float = 0.0) -> Instants:
+        """Instants [ns] whose position the pulses of `ticks_s` tell; rest before time 0."""
+        started = np.rint(self.ticks_s(end_s, phase_s) * NS_PER_S).astype(np.int64)
+        return np.maximum(started + self.sensor.measurement_offset_ns, 0)
+
+    def published(
+        self, tick_s: Floats, measured_m: Floats, quantise: bool = True
+    ) -> tuple[Floats, Floats]:
+        """Publication instants [s] and values [m], both [..., k], of positions measured [..., k].
+
+        `quantise=False` leaves the timer out, so that the values depend smoothly on the positions.
+        """
+        pulse_s = self.sensor.duration_s(measured_m, self.coil_temperature_k)
+        if quantise:
+            pulse_s = self.sensor.ticks(pulse_s) * self.sensor.tick_s
+        values = self.calibration.position_m(pulse_s, self.measured_temperature_k)
+        if self.filter_order:
+            rate_hz = 1.0 / self.period_s
+            sections = butterworth_sections(self.filter_order, self.cutoff_hz, rate_hz)
+            values = filter_from_rest(sections, values)
+        return tick_s + self.latency_s + pulse_s, values
+
+    def held_m(
+        self, time_s: Floats, tick_s: Floats, measured_m: Floats, quantise: bool = True
+    ) -> Floats:
+        """Reported position [..., n] at `time_s` [n] of positions measured [..., k] at ticks [k].
+
+        Before the first publication stands the rest value, that of the first measurement. A value
+        published at the very instant of a record is in it, within the rounding of seconds.
+        """
+        instants, values = self.published(tick_s, measured_m, quantise)
+        rows = instants.reshape(-1, instants.shape[-1])
+        held = values.reshape(rows.shape)
+        out = np.empty((len(rows), len(time_s)))
+        for row, (at, value) in enumerate(zip(rows, held, strict=True)):
+            index = np.searchsorted(at, time_s, side="right") - 1
+            out[row] = value[np.maximum(index, 0)]
+        return out.reshape((*instants.shape[:-1], len(time_s)))
+
+    def reported_m(self, time_s: Floats, position_m: Floats, phase_s: float = 0.0) -> Floats:
+        """Reported position [..., n] from the true one [..., n] recorded at `time_s` [n].
+
+        The measured positions are interpolated linearly between records; where the integrator can
+        give them exactly, pass those to `held_m`.
+        Assumption: at rest before the record.
+        """
+        end_s = float(time_s[-1])
+        tick_s = self.ticks_s(end_s, phase_s)
+        at_s = self.measurement_instants_ns(end_s, phase_s) / NS_PER_S
+        at_s = np.clip(at_s, time_s[0], end_s)
+        upper = np.clip(np.searchsorted(time_s, at_s, side="right"), 1, len(time_s) - 1)
+        lower = upper - 1
+        share = (at_s - time_s[lower]) / (time_s[upper] - time_s[lower])
+        measured = position_m[..., lower] * (1.0 - share) + position_m[..., upper] * share
+        return self.held_m(time_s, tick_s, measured)
+
+
+@dataclass(frozen=True)
+class Potentiometer:
+    """Wire-wound linear potentiometer: offset, contact noise, then steps of its resolution.
+
+    Parameters: resolution_m, noise_sd_m, offset_m [m].
+    Source: thesis 2.2.3 (0.05 mm; its start force of 0.25 to 2 N is neglected).
+    """
+
+    resolution_m: float
+    noise_sd_m: float
+    offset_m: float = 0.0
+
+    def measure_m(self, position_m: Floats, generator: np.random.Generator) -> Floats:
+        """Measured positions [m] of true ones, any shape."""
+        noise = generator.normal(0.0, self.noise_sd_m, np.shape(position_m))
+        steps = np.rint((position_m + self.offset_m + noise) / self.resolution_m)
+        return np.asarray(steps * self.resolution_m)
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """Absolute pressure gauge with its converter: offset, white noise, clipping, counts.
+
+    Parameters: range_pa (0..range_pa), noise_sd_pa, offset_pa [Pa], adc_bits.
+    Source: thesis 2.2.2 (10 bar air, 50 bar oil, error below 0.10 % of the range).
+    """
+
+    range_pa: float
+    noise_sd_pa: float
+    adc_bits: int
+    offset_pa: float = 0.0
+
+    @property
+    def count_pa(self) -> float:
+        """Pressure [Pa] of one converter count."""
+        return float(self.range_pa / 2**self.adc_bits)
+
+    def measure_pa(self, pressure_pa: Floats, generator: np.random.Generator) -> Floats:
+        """Measured pressures [Pa] of true ones, any shape."""
+        noise = generator.normal(0.0, self.noise_sd_pa, np.shape(pressure_pa))
+        counts = np.rint((pressure_pa + self.offset_pa + noise) / self.count_pa)
+        return np.asarray(np.clip(counts, 0, 2**self.adc_bits - 1) * self.count_pa)
+
+
+def record_instants_ns(duration_s: float, rate_hz: float) -> Instants:
+    """Sampling instants k/rate_hz [ns] of a recorder in 0 <= t < duration_s, rounded singly."""
+    if not rate_hz > 0.0:
+        raise ValueError(f"recorder rate {rate_hz!r} Hz is not positive")
+    count = round(duration_s * rate_hz)
+    return np.rint(np.arange(count) * (NS_PER_S / rate_hz)).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """The oscilloscope: which sensor stands behind each column, with this rig's offsets.
+
+    Columns: position_m through the potentiometer, pressure_oil*_pa and pressure_*_pa through the
+    gauge of that column; any other column passes unchanged.
+    """
+
+    rate_hz: float
+    potentiometer: Potentiometer
+    air: Gauge
+    oil: Gauge
+    seed: int
+    offset_sd_pa: float
+    accuracy_fro: float
+    oil_offset_ratio: float = 5.0
+
+    @classmethod
+    def from_parameters(cls, parameters: ParameterValues, seed: int) -> Recorder:
+        """Recorder with the set's unit-to-unit scatter of offsets, constant for one `seed`."""
+        value = parameters.value
+        bits = round(value("gauge.adc_bits"))
+        offset_m = named_generator(seed, "potentiometer").normal(
+            0.0, value("repeatability.unit_pot_offset_sd")
+        )
+        return cls(
+            rate_hz=value("scope.rate"),
+            potentiometer=Potentiometer(
+                value("potentiometer.resolution"), value("potentiometer.noise_sd"), offset_m
+            ),
+            air=Gauge(value("gauge.range_air"), value("gauge.noise_sd_air"), bits),
+            oil=Gauge(value("gauge.range_oil"), value("gauge.noise_sd_oil"), bits),
+            seed=seed,
+            offset_sd_pa=value("repeatability.unit_gauge_offset_sd"),
+            accuracy_fro=value("gauge.accuracy_fro"),
+        )
+
+    def gauge(self, column: str) -> Gauge:
+        """Gauge behind a pressure column, with its offset (within its accuracy class)."""
+        is_oil = column.startswith("pressure_oil")
+        gauge = self.oil if is_oil else self.air
+        spread = self.offset_sd_pa * (self.oil_offset_ratio if is_oil else 1.0)
+        limit = self.accuracy_fro * gauge.range_pa
+        drawn = named_generator(self.seed, "gauge", column).normal(0.0, spread)
+        offset = float(np.clip(drawn, -limit, limit))
+        return Gauge(gauge.range_pa, gauge.noise_sd_pa, gauge.adc_bits, offset)
+
+    def record(self, channels: Mapping[str, Floats], stroke: str) -> dict[str, Floats]:
+        """Measured columns of true ones; `stroke` names the noise, another one for each stroke."""
+        measured = {}
+        for column, values in channels.items():
+            generator = named_generator(self.seed, "noise", stroke, column)
+            if column == "position_m":
+                measured[column] = self.potentiometer.measure_m(values, generator)
+            elif column.startswith("pressure_"):
+                measured[column] = self.gauge(column).measure_pa(values, generator)
+            else:
+                measured[column] = values
+        return measured

@@ -1,0 +1,149 @@
+"""Faults of the slow sensors: the coil's thermometer and the two shaft speeds.
+
+Checked by: tests/unit/plant/devices/test_signal_faults.py
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from plant.devices.sensors import named_generator
+from plant.devices.valve import seconds_to_ns
+
+OPEN_LINE_K = 200.0
+"""What the thermometer's circuit reads on a broken line: the cold end of its range."""
+
+RANGE_RAD_S = 1000.0
+"""Where the measurement saturates, to either side."""
+
+Speeds = tuple[float, float]
+
+
+class _Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Acts on reports from start_s on and before end_s (left out: for good)."""
+
+    start_s: Annotated[float, Meta(ge=0.0, le=86400.0)] = 0.0
+    end_s: Annotated[float, Meta(ge=0.0, le=86400.0)] | None = None
+
+    def holds(self, now_ns: int) -> bool:
+        """Whether the fault acts at an instant [ns]."""
+        if now_ns < seconds_to_ns(self.start_s):
+            return False
+        return self.end_s is None or now_ns < seconds_to_ns(self.end_s)
+
+
+class TemperatureFault(_Window, frozen=True, kw_only=True):
+    """A failure of the thermometer in the position sensor's coil.
+
+    off: broken line, the cold end of the range. stuck: reads value_k. wrong: reads offset_k too
+    much. garbage: uniform in 200..450 K. intermittent: the line is broken with `probability`.
+    """
+
+    kind: Literal["off", "stuck", "wrong", "garbage", "intermittent"]
+    value_k: Annotated[float, Meta(ge=200.0, le=450.0)] = 353.15
+    offset_k: Annotated[float, Meta(ge=-250.0, le=250.0)] = 30.0
+    probability: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.5
+
+
+class SpeedFault(_Window, frozen=True, kw_only=True):
+    """A failure of the shaft speed measurement.
+
+    off: no speeds are sent. stuck: they stay as they were. wrong: the input speed reads
+    offset_rad_s too much. garbage: uniform in 0..garbage_rad_s, each for itself. slow: only every
+    `every`-th pair is sent. delayed: the speeds of `late` reports before. intermittent: a report
+    is missing with `probability`.
+    """
+
+    kind: Literal["off", "stuck", "wrong", "garbage", "slow", "delayed", "intermittent"]
+    offset_rad_s: Annotated[float, Meta(ge=-400.0, le=400.0)] = 20.0
+    garbage_rad_s: Annotated[float, Meta(gt=0.0, le=400.0)] = 200.0
+    every: Annotated[int, Meta(ge=2, le=1000)] = 4
+    late: Annotated[int, Meta(ge=1, le=1000)] = 10
+    probability: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.5
+
+
+class Thermometer:
+    """The reported coil temperature behind its faults."""
+
+    def __init__(self, faults: Sequence[TemperatureFault], seed: int) -> None:
+        self._faults = [
+            (fault, named_generator(seed, "thermometer", i)) for i, fault in enumerate(faults)
+        ]
+
+    def reading_k(self, start_ns: int, temperature_k: float) -> float:
+        """Temperature [K] reported with the pulse begun at `start_ns`, within 200..450 K."""
+        for fault, generator in self._faults:
+            if not fault.holds(start_ns):
+                continue
+            match fault.kind:
+                case "off":
+                    temperature_k = OPEN_LINE_K
+                case "stuck":
+                    temperature_k = fault.value_k
+                case "wrong":
+                    temperature_k += fault.offset_k
+                case "garbage":
+                    temperature_k = float(generator.uniform(200.0, 450.0))
+                case "intermittent":
+                    if generator.random() < fault.probability:
+                        temperature_k = OPEN_LINE_K
+        return min(max(temperature_k, 200.0), 450.0)
+
+
+class SpeedSensors:
+    """The reported shaft speeds behind their faults."""
+
+    def __init__(self, faults: Sequence[SpeedFault], seed: int) -> None:
+        self._faults = [_SpeedMemory(fault, seed, i) for i, fault in enumerate(faults)]
+
+    def report(self, now_ns: int, input_rad_s: float, output_rad_s: float) -> Speeds | None:
+        """Speeds [rad/s] to send at `now_ns`, None when none are."""
+        speeds: Speeds | None = (input_rad_s, output_rad_s)
+        for memory in self._faults:
+            if speeds is not None and memory.fault.holds(now_ns):
+                speeds = memory.apply(speeds)
+        if speeds is None or not self._faults:
+            return speeds
+        return _in_range(speeds[0]), _in_range(speeds[1])
+
+
+def _in_range(speed_rad_s: float) -> float:
+    return min(max(speed_rad_s, -RANGE_RAD_S), RANGE_RAD_S)
+
+
+class _SpeedMemory:
+    """One fault and what it remembers."""
+
+    def __init__(self, fault: SpeedFault, seed: int, index: int) -> None:
+        self.fault = fault
+        self._generator = named_generator(seed, "shaft speeds", index)
+        self._seen = 0
+        self._past: deque[Speeds] = deque(maxlen=fault.late + 1)
+
+    def apply(self, speeds: Speeds) -> Speeds | None:
+        fault = self.fault
+        seen, self._seen = self._seen, self._seen + 1
+        match fault.kind:
+            case "off":
+                return None
+            case "stuck":
+                if not self._past:
+                    self._past.append(speeds)
+                return self._past[0]
+            case "wrong":
+                return speeds[0] + fault.offset_rad_s, speeds[1]
+            case "garbage":
+                drawn = self._generator.uniform(0.0, fault.garbage_rad_s, 2)
+                return float(drawn[0]), float(drawn[1])
+            case "slow":
+                return speeds if seen % fault.every == 0 else None
+            case "delayed":
+                self._past.append(speeds)
+                return self._past[0]
+            case "intermittent":
+                return None if self._generator.random() < fault.probability else speeds

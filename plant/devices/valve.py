@@ -1,0 +1,232 @@
+"""On/off solenoid valves as time delays (thesis 3.1.3).
+
+Checked by: tests/unit/plant/devices/test_valve.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from math import log
+from typing import Protocol
+
+from plant.errors import InputError
+from plant.parameters.bounds import outside
+
+NS_PER_S = 1_000_000_000
+LONGEST_S = 1e9
+
+
+def seconds_to_ns(seconds: float) -> int:
+    """Whole nanoseconds nearest to a time in seconds.
+
+    Raises InputError beyond LONGEST_S, thirty years.
+    """
+    if abs(seconds) > LONGEST_S:
+        raise InputError(f"a time of {seconds:g} s; expected at most {LONGEST_S:g} s")
+    return round(seconds * NS_PER_S)
+
+
+class ParameterValues(Protocol):
+    """What this package needs of a parameter set: the value behind a path."""
+
+    def value(self, path: str) -> float:
+        """Value of the parameter at `path`, in SI units."""
+        ...
+
+
+@dataclass(frozen=True)
+class ValveTiming:
+    """Thresholds and delays of a solenoid valve.
+
+    The coil counts as energised at `duty_open` and above, as not energised at `duty_closed` and
+    below; between the two it keeps its state. The plunger follows `rise_ns` after the coil is
+    energised and `fall_delay_ns` after it is not.
+
+    Parameters: duties 0..1, delays in ns; `fall_base_s` and `fall_tau_s` in s, used only when
+    `closing_follows_duty`. Raises InputError naming the parameter that is out of range.
+    Source: thesis 3.1.3 (8 ms, 35 ms, 33 %, 35 %); the duty-dependent closing is inferred from
+    its remark on the freewheel diode.
+    """
+
+    rise_ns: int
+    fall_ns: int
+    duty_closed: float
+    duty_open: float
+    closing_follows_duty: bool = False
+    fall_base_s: float = 0.0
+    fall_tau_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        delays_s = {
+            "D_rise": self.rise_ns / NS_PER_S,
+            "D_fall": self.fall_ns / NS_PER_S,
+            "fall_base": self.fall_base_s,
+            "fall_tau": self.fall_tau_s,
+        }
+        for name, delay_s in delays_s.items():
+            if wrong := outside(f"valve.{name}", "s", (delay_s,)):
+                raise InputError(f"valve.{name}: {wrong}")
+        if not 0.0 <= self.duty_closed < self.duty_open <= 1.0:
+            raise InputError(
+                f"valve.duty_closed, valve.duty_open: {self.duty_closed:g}, {self.duty_open:g}; "
+                "expected 0 <= duty_closed < duty_open <= 1"
+            )
+
+    @classmethod
+    def from_parameters(
+        cls, parameters: ParameterValues, closing_follows_duty: bool = False
+    ) -> ValveTiming:
+        """Timing from the section `valve` of a parameter set."""
+        value = parameters.value
+        return cls(
+            rise_ns=seconds_to_ns(value("valve.D_rise")),
+            fall_ns=seconds_to_ns(value("valve.D_fall")),
+            duty_closed=value("valve.duty_closed"),
+            duty_open=value("valve.duty_open"),
+            closing_follows_duty=closing_follows_duty,
+            fall_base_s=value("valve.fall_base"),
+            fall_tau_s=value("valve.fall_tau"),
+        )
+
+    def slowed(self, factor: float) -> ValveTiming:
+        """The same valve with every delay `factor` times as long.
+
+        Raises InputError when a delay becomes longer than any that a plunger could have.
+        """
+        return replace(
+            self,
+            rise_ns=round(self.rise_ns * factor),
+            fall_ns=round(self.fall_ns * factor),
+            fall_base_s=self.fall_base_s * factor,
+            fall_tau_s=self.fall_tau_s * factor,
+        )
+
+    def is_energised(self, duty: float, before: bool) -> bool:
+        """Whether a coil at `duty` (0..1) is energised, given whether it was before."""
+        if not 0.0 <= duty <= 1.0:
+            raise ValueError(f"duty {duty!r} is not within 0..1")
+        if duty >= self.duty_open:
+            return True
+        if duty <= self.duty_closed:
+            return False
+        return before
+
+    def fall_delay_ns(self, duty: float) -> int:
+        """Closing delay [ns] after the coil was held at `duty` (0..1).
+
+        Constant, or with `closing_follows_duty` D_fall = fall_base + fall_tau ln(d / d_hold), the
+        time that the coil current needs to decay through the freewheel diode to the holding level,
+        d_hold halfway between the two thresholds.
+        Assumption: the coil current had settled at `duty`.
+        """
+        if not self.closing_follows_duty:
+            return self.fall_ns
+        hold = 0.5 * (self.duty_closed + self.duty_open)
+        decay_s = self.fall_tau_s * log(duty / hold) if duty > hold else 0.0
+        return seconds_to_ns(self.fall_base_s + decay_s)
+
+
+class Valve:
+    """One 3/2 valve: open connects its chamber to supply, closed to atmosphere.
+
+    A command that is reversed before the plunger moved is cancelled and leaves no trace. A move due
+    at the very instant of a new command happens first.
+    """
+
+    def __init__(self, timing: ValveTiming, is_open: bool = False, duty: float = 0.0) -> None:
+        """Start at rest, open or closed, with the coil at `duty` since long ago.
+
+        Raises ValueError when `duty` contradicts `is_open`.
+        """
+        if timing.is_energised(duty, is_open) != is_open:
+            raise ValueError(f"a valve at rest under duty {duty} cannot be open={is_open}")
+        self.timing = timing
+        self.is_open = is_open
+        self.is_energised = is_open
+        self.duty = duty
+        self._command_ns: int | None = None
+        # set exactly while is_energised != is_open, unless the plunger is blocked
+        self._move_ns: int | None = None
+        self._blocked = False
+        self._moved: list[tuple[int, float]] = []
+
+    def command(self, t_ns: int, duty: float) -> None:
+        """Apply `duty` (0..1) to the coil from `t_ns` on; instants must not decrease."""
+        if self._command_ns is not None and t_ns < self._command_ns:
+            raise ValueError(f"command at {t_ns} ns after one at {self._command_ns} ns")
+        self._settle(t_ns)
+        self._command_ns = t_ns
+        energised = self.timing.is_energised(duty, self.is_energised)
+        if energised != self.is_energised:
+            self.is_energised = energised
+            if self._move_ns is not None:
+                self._move_ns = None
+            elif not self._blocked:
+                self._follow(t_ns)
+        self.duty = duty
+
+    def block(self, t_ns: int) -> None:
+        """Hold the plunger where it is at `t_ns`, whatever the coil does, until `free`."""
+        self._settle(t_ns)
+        self._blocked = True
+        self._move_ns = None
+
+    def free(self, t_ns: int) -> None:
+        """Let a blocked plunger follow its coil again from `t_ns` on."""
+        if self._blocked:
+            self._blocked = False
+            if self.is_energised != self.is_open:
+                self._follow(t_ns)
+
+    def _follow(self, t_ns: int) -> None:
+        """Move after the delay from the coil's change, whose duty was `duty` until now."""
+        if self.is_energised:
+            self._move_ns = t_ns + self.timing.rise_ns
+        else:
+            self._move_ns = t_ns + self.timing.fall_delay_ns(self.duty)
+
+    def moves(self, until_ns: int) -> list[tuple[int, float]]:
+        """Moves (instant in ns, u = 1 open or 0 closed) up to and including `until_ns`, once each.
+
+        Call it only when every command up to `until_ns` has been given.
+        """
+        self._settle(until_ns)
+        moved, self._moved = self._moved, []
+        return moved
+
+    def _settle(self, until_ns: int) -> None:
+        if self._move_ns is not None and self._move_ns <= until_ns:
+            self.is_open = self.is_energised
+            self._moved.append((self._move_ns, 1.0 if self.is_open else 0.0))
+            self._move_ns = None
+
+
+def switch_schedule(
+    commands: Iterable[tuple[float, int, float]],
+    timing: ValveTiming,
+    valves: int,
+    charged: Sequence[int] = (),
+    charged_duty: float = 0.98,
+) -> list[tuple[int, int, float]]:
+    """Switches (ns, chamber, u) that a list of commands (s, chamber, duty) leads to.
+
+    Chambers are numbered from 0 to `valves` - 1; those in `charged` start open under
+    `charged_duty`. The result is ordered by instant, then chamber.
+    Raises ValueError for a chamber that does not exist.
+    """
+    bank = [
+        Valve(timing, is_open=i in charged, duty=charged_duty if i in charged else 0.0)
+        for i in range(valves)
+    ]
+    last_ns = 0
+    for time_s, chamber, duty in sorted(commands, key=lambda command: command[0]):
+        if not 0 <= chamber < valves:
+            raise ValueError(f"no valve {chamber}: there are {valves}")
+        last_ns = seconds_to_ns(time_s)
+        bank[chamber].command(last_ns, duty)
+    longest = max(timing.rise_ns, timing.fall_ns, timing.fall_delay_ns(1.0))
+    end_ns = last_ns + longest
+    return sorted(
+        (t_ns, chamber, u) for chamber, valve in enumerate(bank) for t_ns, u in valve.moves(end_ns)
+    )

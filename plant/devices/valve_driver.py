@@ -1,0 +1,164 @@
+"""Output stage of the three valves: protected commands in, coil duties out.
+
+Checked by: tests/unit/plant/devices/test_valve_driver.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Generic, TypeVar
+
+import msgspec
+
+from can_dbc import codec
+from can_dbc.e2e import E2eConfig, E2eState, E2eStatus, Receiver
+from can_dbc.frame import Frame
+from can_dbc.messages import Chamber, Gear, SafetyBlow, ValveCommand
+from plant.devices.valve import seconds_to_ns
+
+Duties = tuple[float, float, float]
+
+DE_ENERGISED: Duties = (0.0, 0.0, 0.0)
+NEVER_NS = 1 << 63
+ACCEPTED = (E2eStatus.OK, E2eStatus.OK_SOME_LOST)
+Input = TypeVar("Input", ValveCommand, SafetyBlow)
+
+
+class ValveDriverConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How long the output stage keeps the valves energised without a good frame.
+
+    timeout_s: after this long without a good ValveCommand, or without a good SafetyBlow, every
+    valve is de-energised; D_fall later it is closed.
+    blow_limit_s: no blow lasts longer than this, whatever its frame says.
+    """
+
+    timeout_s: Annotated[float, msgspec.Meta(ge=0.001, le=1.0)] = 0.05
+    blow_limit_s: Annotated[float, msgspec.Meta(ge=0.0, le=4.0)] = 0.5
+
+
+class _Channel(Generic[Input]):
+    """A receiver whose latest message also has to be younger than the timeout.
+
+    The age counts from the last frame whose content was taken over: a stream of frames that only
+    resynchronise the counter keeps the receiver alive, but must not keep an old command in force.
+    """
+
+    def __init__(self, message_type: type[Input], timeout_ns: int) -> None:
+        self.can_id = codec.can_id_of(message_type)
+        self._timeout_ns = timeout_ns
+        self._receiver: Receiver[Input] = Receiver(message_type, E2eConfig(timeout_ns=timeout_ns))
+
+    @property
+    def end_ns(self) -> int | None:
+        """Instant [ns] at which the latest message is too old; None before the first."""
+        if self._receiver.message is None:
+            return None
+        return self._receiver.message_ns + self._timeout_ns
+
+    def receive(self, now_ns: int, frame: Frame) -> Input | None:
+        """The message of a frame that passed every check, otherwise None."""
+        accepted = self._receiver.receive(now_ns, frame) in ACCEPTED
+        return self._receiver.message if accepted else None
+
+    def message(self, now_ns: int) -> Input | None:
+        """The message in force at `now_ns`; None while the channel is not valid."""
+        receiver = self._receiver
+        message = receiver.message
+        if message is None or now_ns >= receiver.message_ns + self._timeout_ns:
+            return None
+        return message if receiver.state(now_ns) is E2eState.VALID else None
+
+
+class ValveDriver:
+    """Receivers of ValveCommand and SafetyBlow, and the duties that they lead to.
+
+    A coil gets the larger of its commanded duty and, while an active blow for its chamber has time
+    left on the driver's own clock, the blow's duty. As soon as either channel is not valid (start,
+    damaged or missing frames, wrong sequence, timeout) every coil gets 0: a dead controller
+    de-energises the valves exactly `timeout_s` after its last good frame. Only frames with a
+    correct checksum and counter and with values inside the contract ever change a duty.
+
+    A timer that ends at the very instant at which a frame arrives is overtaken by the frame.
+    """
+
+    def __init__(self, config: ValveDriverConfig, blow_duty: float) -> None:
+        """Start at time 0 with nothing received; `blow_duty` (0..1) is what a blow applies."""
+        self.blow_duty = blow_duty
+        timeout_ns = seconds_to_ns(config.timeout_s)
+        self._commands = _Channel(ValveCommand, timeout_ns)
+        self._blows = _Channel(SafetyBlow, timeout_ns)
+        self._wanted_ids = (self._commands.can_id, self._blows.can_id)
+        self._blow_limit_s = config.blow_limit_s
+        self._blow_end_ns: int | None = None
+        self._now_ns = 0
+        self._timer_ns = NEVER_NS
+        self.duties = DE_ENERGISED
+        self.target = Gear.UNKNOWN
+
+    def advance(
+        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
+    ) -> list[tuple[int, Duties]]:
+        """Take the frames that arrived up to `until_ns`; return the changes of the duties.
+
+        `deliveries` are (arrival in ns, frame) in order; frames of other messages are passed over.
+        Raises ValueError when an instant lies before the one reached.
+        """
+        changes: list[tuple[int, Duties]] = []
+        for arrival_ns, frame in deliveries:
+            if frame.can_id not in self._wanted_ids:
+                continue
+            if not self._now_ns <= arrival_ns <= until_ns:
+                raise ValueError(f"frame of {arrival_ns} ns outside {self._now_ns}..{until_ns} ns")
+            self._run_timers(arrival_ns, changes)
+            self._receive(arrival_ns, frame)
+            self._settle(arrival_ns, changes)
+        if until_ns < self._now_ns:
+            raise ValueError(f"cannot go back from {self._now_ns} ns to {until_ns} ns")
+        self._run_timers(until_ns + 1, changes)
+        self._now_ns = until_ns
+        return changes
+
+    def _receive(self, now_ns: int, frame: Frame) -> None:
+        if frame.can_id == self._commands.can_id:
+            self._commands.receive(now_ns, frame)
+            return
+        blow = self._blows.receive(now_ns, frame)
+        if blow is not None:
+            lasts_s = min(blow.remaining_s, self._blow_limit_s) if blow.active else 0.0
+            self._blow_end_ns = now_ns + seconds_to_ns(lasts_s) if lasts_s > 0.0 else None
+
+    def _run_timers(self, before_ns: int, changes: list[tuple[int, Duties]]) -> None:
+        """Let every timer act that ends before `before_ns`, in order."""
+        while self._timer_ns < before_ns:
+            self._settle(self._timer_ns, changes)
+
+    def _next_timer_ns(self) -> int:
+        """The first instant after now at which a timer ends."""
+        now_ns, first_ns = self._now_ns, NEVER_NS
+        for end_ns in (self._commands.end_ns, self._blows.end_ns, self._blow_end_ns):
+            if end_ns is not None and now_ns < end_ns < first_ns:
+                first_ns = end_ns
+        return first_ns
+
+    def _settle(self, now_ns: int, changes: list[tuple[int, Duties]]) -> None:
+        """Bring duties and target up to date at `now_ns`."""
+        self._now_ns = now_ns
+        if self._blow_end_ns is not None and now_ns >= self._blow_end_ns:
+            self._blow_end_ns = None
+        duties = self._wanted(now_ns)
+        if duties != self.duties:
+            self.duties = duties
+            changes.append((now_ns, duties))
+        self._timer_ns = self._next_timer_ns()
+
+    def _wanted(self, now_ns: int) -> Duties:
+        command, blow = self._commands.message(now_ns), self._blows.message(now_ns)
+        if command is None or blow is None:
+            self.target = Gear.UNKNOWN
+            return DE_ENERGISED
+        self.target = command.target
+        if self._blow_end_ns is None or blow.chamber is Chamber.NONE:
+            return (command.duty_b, command.duty_n, command.duty_f)
+        duties = [command.duty_b, command.duty_n, command.duty_f]
+        duties[blow.chamber] = max(duties[blow.chamber], self.blow_duty)
+        return (duties[0], duties[1], duties[2])

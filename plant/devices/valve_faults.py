@@ -1,0 +1,192 @@
+"""Faults of the three valves: of the coil and its line, and of the plunger.
+
+Checked by: tests/unit/plant/devices/test_valve_faults.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from plant.devices.sensors import named_generator
+from plant.devices.valve import Valve, seconds_to_ns
+from plant.errors import InputError
+
+Command = tuple[int, float]  # instant in ns, duty 0..1
+
+SLOT_NS = 10_000_000
+"""What comes and goes (garbage, intermittent) is drawn anew every 10 ms."""
+
+LATEST_NS = 1 << 62
+
+
+class ValveFault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A failure of one valve from start_s on and before end_s (left out: for good).
+
+    off: the coil gets no current. wrong: it gets full current, whatever is commanded (short to
+    supply). garbage: its duty is drawn anew every 10 ms, uniform in 0..1. intermittent: its contact
+    is open with `probability`, drawn anew every 10 ms. delayed: commands reach it delay_s late.
+    stuck: the plunger stays where it is. slow: it takes `factor` times as long to open and close.
+    """
+
+    valve: Literal["B", "N", "F"]
+    kind: Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
+    start_s: Annotated[float, Meta(ge=0.0, le=86400.0)] = 0.0
+    end_s: Annotated[float, Meta(ge=0.0, le=86400.0)] | None = None
+    factor: Annotated[float, Meta(ge=1.0, le=100.0)] = 3.0
+    delay_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.02
+    probability: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.5
+
+
+class FaultyValve:
+    """One valve behind its faults: takes the driver's duties, tells what arrives at the coil.
+
+    Several faults of one valve act in the order in which they are stated. Where faults change a
+    duty at the instant of a command, the command is taken first.
+    Raises InputError for a fault that ends before it starts, or for two of a kind at one time.
+    """
+
+    def __init__(
+        self, valve: Valve, faults: Sequence[ValveFault], seed: int, duty: float = 0.0
+    ) -> None:
+        """`duty` (0..1): what the driver has commanded since long ago."""
+        self.valve = valve
+        self._commanded = duty
+        self._timing = valve.timing
+        self._faults = [_Window(fault, seed, i) for i, fault in enumerate(faults)]
+        for i, one in enumerate(self._faults):
+            for other in self._faults[:i]:
+                if (
+                    one.fault.kind == other.fault.kind
+                    and one.start_ns < other.end_ns
+                    and other.start_ns < one.end_ns
+                ):
+                    raise InputError(
+                        f"valve_fault: {one.fault.kind} twice at one time on valve "
+                        f"{one.fault.valve}; expected one after the other"
+                    )
+        for fault in faults:
+            self._timing.slowed(fault.factor)  # refuse now what could not be taken later
+        self._done_ns = -1
+        self._coming: list[Command] = []
+        self._late: list[Command] = []
+
+    def hand_over(self, t_ns: int, duty: float) -> None:
+        """A duty that the driver commands from `t_ns` on; instants must not decrease."""
+        self._coming.append((t_ns, duty))
+
+    def until(self, until_ns: int) -> Iterator[Command]:
+        """What the coil gets, change by change, up to and including `until_ns`.
+
+        The caller gives each to the valve before it asks for the next.
+        """
+        while True:
+            instants = [command[0] for command in self._coming[:1] + self._late[:1]]
+            instants += [window.next_ns(self._done_ns) for window in self._faults]
+            instant = min(instants)
+            if instant > until_ns:
+                break
+            while self._coming and self._coming[0][0] <= instant:
+                _, self._commanded = self._coming.pop(0)
+            yield from self._act(instant)
+            self._done_ns = instant
+        self._done_ns = until_ns
+
+    def _act(self, now_ns: int) -> Iterator[Command]:
+        duty = self._commanded
+        stuck = False
+        factor = 1.0
+        for window in self._faults:
+            if not window.holds(now_ns):
+                if window.held is not None:  # what was still on its way is overtaken
+                    window.held = None
+                    self._late.clear()
+                continue
+            match window.fault.kind:
+                case "off":
+                    duty = 0.0
+                case "wrong":
+                    duty = 1.0
+                case "garbage":
+                    duty = window.drawn(now_ns)
+                case "intermittent":
+                    duty = 0.0 if window.drawn(now_ns) < window.fault.probability else duty
+                case "delayed":
+                    duty = self._delayed(now_ns, duty, window)
+                case "stuck":
+                    stuck = True
+                case "slow":
+                    factor = window.fault.factor
+        self.valve.timing = self._timing if factor == 1.0 else self._timing.slowed(factor)
+        if stuck:
+            self.valve.block(now_ns)
+        yield now_ns, duty
+        if not stuck:
+            self.valve.free(now_ns)
+
+    def _delayed(self, now_ns: int, duty: float, window: _Window) -> float:
+        """The duty of `delay_s` ago; until then the one at the fault's start."""
+        if window.held is None:
+            window.held = self.valve.duty
+        if (self._late[-1][1] if self._late else window.held) != duty:
+            self._late.append((now_ns + seconds_to_ns(window.fault.delay_s), duty))
+        while self._late and self._late[0][0] <= now_ns:
+            window.held = self._late.pop(0)[1]
+        return window.held
+
+
+class _Window:
+    """One fault, when it acts, and what it draws."""
+
+    def __init__(self, fault: ValveFault, seed: int, index: int) -> None:
+        self.fault = fault
+        self.start_ns = seconds_to_ns(fault.start_s)
+        self.end_ns = LATEST_NS if fault.end_s is None else seconds_to_ns(fault.end_s)
+        if self.end_ns <= self.start_ns:
+            raise InputError(
+                f"valve_fault: {fault.kind} on valve {fault.valve} ends at {fault.end_s} s; "
+                f"expected after its start, {fault.start_s} s"
+            )
+        self.held: float | None = None
+        self._generator = named_generator(seed, "valve", fault.valve, index)
+        self._draws = fault.kind in ("garbage", "intermittent")
+        self._slot = -1
+        self._value = 0.0
+
+    def holds(self, now_ns: int) -> bool:
+        """Whether the fault acts at an instant."""
+        return self.start_ns <= now_ns < self.end_ns
+
+    def next_ns(self, after_ns: int) -> int:
+        """The first instant later than `after_ns` at which this fault changes something."""
+        if after_ns < self.start_ns:
+            return self.start_ns
+        if after_ns >= self.end_ns:
+            return LATEST_NS
+        if not self._draws:
+            return self.end_ns
+        slots = (after_ns - self.start_ns) // SLOT_NS + 1
+        return min(self.end_ns, self.start_ns + slots * SLOT_NS)
+
+    def drawn(self, now_ns: int) -> float:
+        """The number of the present slot, uniform in 0..1."""
+        slot = (now_ns - self.start_ns) // SLOT_NS
+        while self._slot < slot:
+            self._slot += 1
+            self._value = float(self._generator.random())
+        return self._value
+
+
+def faulty_valves(
+    valves: Sequence[Valve], names: Sequence[str], faults: Sequence[ValveFault], seed: int
+) -> dict[int, FaultyValve]:
+    """The valves that have faults, by their number."""
+    found = {}
+    for number, (valve, name) in enumerate(zip(valves, names, strict=True)):
+        own = [fault for fault in faults if fault.valve == name]
+        if own:
+            found[number] = FaultyValve(valve, own, seed)
+    return found

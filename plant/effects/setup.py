@@ -1,0 +1,94 @@
+"""A stroke made ready to run: packed parameters, valve timing, start, sensors.
+
+Effects (plant.effects) change a `Setup`; nothing else knows how.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from plant.devices.sensors import InternalChain
+from plant.devices.valve import ValveTiming
+from plant.effects.stroke_conditions import StrokeConditions
+from plant.kernel import layout as L
+from plant.kernel.packing import Floats
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A function by its values on an even grid, straight between them and level beyond."""
+
+    low: float
+    step: float
+    nodes: Floats
+
+    def at(self, where: Floats) -> Floats:
+        """Its values."""
+        grid = self.low + self.step * np.arange(len(self.nodes))
+        return np.asarray(np.interp(where, grid, self.nodes))
+
+
+@dataclass
+class Setup:
+    """Everything that decides a stroke.
+
+    p, c: packed parameters and flow map; timing: valve thresholds and delays; creep_s: time of the
+    plunger's travel [s]; residual_pa: overpressure of chambers at the start [Pa]; chain: the
+    control unit's position chain, its pulses at `phase_s` within the period, with `internal_gain`,
+    and its clock running `clock_offset_s + clock_drift t` late; gauge_lag_s: time constant of the
+    pressure lines [s]; internal_error_m, gauge_error_pa: what the sensors report too much at a
+    position [m] and a pressure [Pa]; has_line: the supply line has a volume and a restriction of its
+    own.
+    """
+
+    conditions: StrokeConditions
+    p: Floats
+    c: Floats
+    timing: ValveTiming
+    chain: InternalChain
+    phase_s: float = 0.0
+    creep_s: float = 0.0
+    residual_pa: dict[str, float] = field(default_factory=dict)
+    internal_gain: float = 1.0
+    clock_offset_s: float = 0.0
+    clock_drift: float = 0.0
+    gauge_lag_s: float = 0.0
+    internal_error_m: Curve | None = None
+    gauge_error_pa: Curve | None = None
+    has_line: bool = False
+
+    @property
+    def exact_gauges(self) -> bool:
+        """Whether the gauges tell the chambers' pressures as they are."""
+        return self.gauge_lag_s <= 0.0 and self.gauge_error_pa is None
+
+    def reported_m(self, position_m: Floats) -> Floats:
+        """What the control unit believes where a right sensor would have it believe `position_m`."""
+        believed = self.internal_gain * position_m
+        if self.internal_error_m is not None:
+            believed = believed + self.internal_error_m.at(position_m)
+        return believed
+
+    @property
+    def passive_chambers(self) -> tuple[str, ...]:
+        """Chambers that the stroke's motion compresses (the far one of the length stroke is not)."""
+        return {"fixed": ("2",), "N-B": ("N",), "N-F": ("N",), "B-N": ("B",), "F-N": ("F",)}[
+            self.conditions.kind
+        ]
+
+    @property
+    def charged_chamber(self) -> str:
+        """The chamber that drives the stroke."""
+        return {"fixed": "1", "N-B": "B", "N-F": "F", "B-N": "N", "F-N": "N"}[self.conditions.kind]
+
+    def volume_index(self, chamber: str) -> int:
+        """Place of a chamber's dead volume in `p`."""
+        return {
+            "1": L.VOL_B,
+            "2": L.VOL_N,
+            "B": L.VOL_B,
+            "N": L.VOL_N,
+            "F": L.VOL_F,
+        }[chamber]

@@ -1,0 +1,1 @@
+"""The hybrid integrator: steps, modes, guards and resets, located exactly."""

@@ -1,0 +1,334 @@
+"""A hybrid system in motion: state, modes, valves and the kernel's call, for both systems.
+
+`HybridSystem` is what `LengthStroke` and `FixedPiston` share: it holds the arrays, advances them in
+simulated nanoseconds, names the events and closes the balances.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.equations import length_contacts as guard
+from plant.equations.volumes import emptied, refuse_empty, volumes_m3
+from plant.errors import IntegrationError, NoVolumeError
+from plant.integrator.filling import NO_CURVES
+from plant.integrator.integrate import (
+    COUNTS,
+    DONE,
+    EVENT_BLOCK,
+    EVENT_COLUMNS,
+    EVENT_GUARD,
+    EVENT_LOST,
+    EVENT_SPEED,
+    EVENT_TIME,
+    EVENT_X,
+    GRID_COLUMNS,
+    NOT_FINITE,
+    OWN_STEPS,
+    STEP_TOO_SMALL,
+    TOO_MANY_EVENTS,
+    advance,
+    start,
+)
+from plant.kernel import layout as L
+from plant.kernel.packing import Floats, Load, modes, scales
+
+NS = 1_000_000_000
+DEFAULT_TOLERANCE = 1e-8
+WORKSPACE = (80, 64)
+NO_GRID = np.zeros((1, GRID_COLUMNS))
+
+GUARD_NAMES = {
+    guard.G_STAY_SPEED: "turn",
+    guard.G_SPEED1: "piston 1 turn",
+    guard.G_SPEED2: "piston 2 turn",
+    guard.G_STAY_HIGH: "stop",
+    guard.G_STAY_LOW: "stop",
+    guard.G_OUTER1: "piston 1 stop",
+    guard.G_OUTER2: "piston 2 stop",
+    guard.G_NUT1: "nut 1 contact",
+    guard.G_COLLAR1: "collar 1 contact",
+    guard.G_NUT2: "nut 2 contact",
+    guard.G_COLLAR2: "collar 2 contact",
+    guard.G_CONTACT1: "piston 1 separation",
+    guard.G_CONTACT2: "piston 2 separation",
+    guard.G_HOLD_STAY: "breakaway",
+    guard.G_HOLD1: "piston 1 breakaway",
+    guard.G_HOLD2: "piston 2 breakaway",
+    guard.G_SYNC: "unblock",
+    guard.G_OIL_EMPTY: "oil empty",
+    guard.G_OIL_FILL: "oil fill",
+    guard.G_NEUTRAL: "damper side",
+}
+
+MOST_EVENTS = 2000
+"""Of one call of `advance`: stick-slip between closed chambers makes hundreds in a quarter second."""
+
+NOTHING_LEFT = 1e-2
+"""Share of a chamber's volume below which a motion that cannot go on is put down to it."""
+
+REASONS = {
+    TOO_MANY_EVENTS: "too many events",
+    STEP_TOO_SMALL: "the step became too small",
+    NOT_FINITE: "the state is not finite",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened at an instant inside the motion.
+
+    name: "stop" (stay against an end stop, or neutral), "block", "unblock", "breakaway", contacts
+    and turns; speed_m_s: the stay's speed into the stop; energy_j: kinetic energy turned to heat.
+    """
+
+    time_s: float
+    name: str
+    position_m: float
+    speed_m_s: float
+    energy_j: float
+
+
+@dataclass(frozen=True, slots=True)
+class Balance:
+    """What must not get lost, as residuals of the integrated quantities.
+
+    energy_residual_j: change of kinetic energy minus work of gas, loads, friction, damper, impacts;
+    energy_scale_j: work done by the gas, for comparison.  gas_residual_j: per chamber, change of
+    PV minus the integrals of alpha_m R epsilon and (1 - alpha) P dV.  air_in_kg, air_out_kg: mass
+    through the valves, at the temperature of the model.
+    """
+
+    energy_residual_j: float
+    energy_scale_j: float
+    gas_residual_j: tuple[float, ...]
+    gas_scale_j: float
+    air_in_kg: float
+    air_out_kg: float
+    friction_j: float
+    damper_j: float
+    impact_j: float
+
+    @property
+    def closed(self) -> bool:
+        """True if the residuals are within 1e-6 of the exchanged energy: integration error alone."""
+        mechanical = abs(self.energy_residual_j) <= 1e-6 * max(self.energy_scale_j, 1.0)
+        gas = max((abs(r) for r in self.gas_residual_j), default=0.0)
+        return mechanical and gas <= 1e-6 * max(self.gas_scale_j, 1.0)
+
+
+class HybridSystem:
+    """State, modes and valves of one actuator, advanced in simulated time.
+
+    Parameters are the packed arrays of plant.kernel.packing; use `LengthStroke` or `FixedPiston`.
+    """
+
+    chambers: tuple[str, ...]
+
+    def __init__(
+        self,
+        system: int,
+        p: Floats,
+        c: Floats,
+        y: Floats,
+        load: Load,
+        charged: Sequence[str],
+        tolerance: float,
+        *,
+        has_line: bool = False,
+    ) -> None:
+        refuse_empty(system, p, [y])
+        self._system = system
+        self._n = L.FIXED_STATES if system == L.FIXED else L.LENGTH_STATES
+        self._p = p
+        self._c = c
+        self._y = y
+        self._m = modes(system, load)
+        self._m[L.M_LINE] = 1 if has_line else 0
+        self._tolerance = tolerance
+        self._scale = scales(system)
+        self._u0 = np.zeros(3)
+        self._du = np.zeros(3)
+        for index, name in enumerate(self.chambers):
+            self._u0[index] = 1.0 if name in charged else 0.0
+        self._step = np.array([1e-4])
+        self._counts = np.zeros(COUNTS, dtype=np.int64)
+        self._record = np.zeros((MOST_EVENTS, EVENT_COLUMNS))
+        self._workspace = np.zeros(WORKSPACE)
+        self._impact_j = 0.0
+        self.now_ns = 0
+        self.events: list[Event] = []
+        start(y, self._m, p, self._workspace)
+        self._pv0 = self._pv()
+        self._kinetic0 = self._kinetic()
+
+    # --- state ------------------------------------------------------------------------------
+    @property
+    def position_m(self) -> float:
+        """Stay (or fixed piston) position [m]."""
+        return float(self._y[0])
+
+    @property
+    def velocity_m_s(self) -> float:
+        """Stay (or fixed piston) velocity [m/s]."""
+        return float(self._y[1])
+
+    @property
+    def valve_positions(self) -> tuple[float, ...]:
+        """Actual positions of the valves, 1 = supply, 0 = atmosphere, in chamber order."""
+        return tuple(float(u) for u in self._u0[: len(self.chambers)])
+
+    @property
+    def packed(self) -> Floats:
+        """A copy of the parameter array (layout: plant/kernel/layout.py)."""
+        return self._p.copy()
+
+    @property
+    def steps(self) -> tuple[int, int]:
+        """Accepted and rejected integration steps so far."""
+        return int(self._counts[1]), int(self._counts[2])
+
+    # --- motion -----------------------------------------------------------------------------
+    def advance(
+        self,
+        until_ns: int,
+        switches: Sequence[tuple[int, int, float] | tuple[int, int, float, float]] = (),
+        sample_ns: NDArray[np.int64] | None = None,
+    ) -> Floats:
+        """Integrate to `until_ns`; returns the states at `sample_ns`, one row each.
+
+        Parameters
+        ----------
+        until_ns : simulated time to reach, not before `now_ns`
+        switches : (instant ns, chamber index, position 0 to 1, slope 1/s if it moves on),
+            ascending, within [now, until]; one at `until` acts from there on
+        sample_ns : instants within [now, until], ascending
+
+        Raises
+        ------
+        IntegrationError : the motion cannot be continued (not finite, endless events)
+        ValueError : instants out of order or out of the interval
+        """
+        if until_ns < self.now_ns:
+            raise ValueError(f"cannot advance back from {self.now_ns} ns to {until_ns} ns")
+        rows = np.zeros((len(switches), 4))
+        last = self.now_ns
+        for k, (instant, chamber, position, *slope) in enumerate(switches):
+            if not last <= instant <= until_ns:
+                raise ValueError(f"switch at {instant} ns is out of order or out of the interval")
+            last = instant
+            rows[k] = (
+                (instant - self.now_ns) / NS,
+                chamber,
+                position,
+                slope[0] if slope else 0.0,
+            )
+        samples = np.zeros(0) if sample_ns is None else (sample_ns - self.now_ns) / NS
+        out = np.zeros((samples.shape[0], self._n))
+        self._counts[0] = 0
+        code = advance(
+            (until_ns - self.now_ns) / NS,
+            self._y,
+            self._m,
+            self._u0,
+            self._du,
+            self._p,
+            self._c,
+            self._scale,
+            self._n,
+            L.QUADRATURES,
+            self._tolerance,
+            self._step,
+            rows,
+            samples,
+            out,
+            self._record,
+            self._counts,
+            self._workspace,
+            False,
+            NO_CURVES,
+            NO_GRID,
+            0,
+            OWN_STEPS,
+            False,
+        )
+        self._note_events()
+        if code != DONE:
+            message = f"integration stopped after {self.now_ns / NS:.6f} s: {REASONS[code]}"
+            shut = emptied(self._system, self._p, [self._y], share=NOTHING_LEFT)
+            if shut:
+                raise NoVolumeError(f"{shut} ({message})")
+            raise IntegrationError(message)
+        self.now_ns = until_ns
+        return out
+
+    def _note_events(self) -> None:
+        for row in self._record[: self._counts[0]]:
+            index = int(row[EVENT_GUARD])
+            name = GUARD_NAMES[index]
+            speed = float(row[EVENT_SPEED])
+            if row[EVENT_BLOCK] == 1.0:
+                name = "block"
+            elif speed > 0.0:
+                name = "stop"
+            self._impact_j += float(row[EVENT_LOST])
+            self.events.append(
+                Event(
+                    self.now_ns / NS + float(row[EVENT_TIME]),
+                    name,
+                    float(row[EVENT_X]),
+                    speed,
+                    float(row[EVENT_LOST]),
+                )
+            )
+
+    # --- balances -----------------------------------------------------------------------------
+    def _pressures(self) -> list[float]:
+        first = L.FP1 if self._system == L.FIXED else L.PB
+        return [float(self._y[first + k]) for k in range(len(self.chambers))]
+
+    def _pv(self) -> list[float]:
+        volumes = volumes_m3(self._system, self._p, self._y)
+        return [float(p * v) for p, v in zip(self._pressures(), volumes, strict=True)]
+
+    def _kinetic(self) -> float:
+        p, y = self._p, self._y
+        energy = 0.5 * p[L.M_S] * y[1] ** 2
+        if self._system == L.LENGTH:
+            energy += 0.5 * p[L.M_P] * (y[L.V1] ** 2 + y[L.V2] ** 2)
+        return float(energy)
+
+    def balance(self) -> Balance:
+        """Energy and gas balances since the start."""
+        q = self._y[self._n :]
+        works = [float(q[L.Q_WORK + k]) for k in range(3)]
+        work = sum(works)
+        residual = (
+            self._kinetic()
+            - self._kinetic0
+            - work
+            - q[L.Q_EXTERNAL]
+            - q[L.Q_ATMOSPHERE]
+            + q[L.Q_FRICTION]
+            + q[L.Q_DAMPER]
+            + self._impact_j
+        )
+        gas = tuple(
+            float(pv - pv0 - q[L.Q_GAS + k] - q[L.Q_HEAT + k])
+            for k, (pv, pv0) in enumerate(zip(self._pv(), self._pv0, strict=True))
+        )
+        return Balance(
+            float(residual),
+            sum(abs(w) for w in works),
+            gas,
+            float(sum(abs(q[L.Q_GAS + k]) + abs(q[L.Q_HEAT + k]) for k in range(3))),
+            float(sum(q[L.Q_MASS_IN : L.Q_MASS_IN + 3])),
+            float(sum(q[L.Q_MASS_OUT : L.Q_MASS_OUT + 3])),
+            float(q[L.Q_FRICTION]),
+            float(q[L.Q_DAMPER]),
+            self._impact_j,
+        )

@@ -1,0 +1,123 @@
+"""A rest as one step: from now to the next switch, or until something breaks away.
+
+Checked by: tests/unit/plant/integrator/test_filling.py, tests/unit/plant/batch/test_batch.py
+"""
+# mypy: disallow-untyped-defs=False
+
+from __future__ import annotations
+
+from plant.integrator.events import all_guards, smallest
+from plant.integrator.filling import CHAMBER_ROW, STILL, W_KIND, chamber_curves, chamber_pressure
+from plant.kernel.compiled import called
+from plant.kernel.layout import FP1, PB
+from plant.kernel.views import rows
+
+# Within this time a crossing needs no proof that it is the first: the scalar kernel looks at its
+# guards no more often.
+NEAR_S = 2e-3
+LOCATED_S = 1e-14
+# Margin below zero at which a breakaway is taken [N]; it moves by far less than that in a time
+# of LOCATED_S.
+AIM = 1e-6
+ACCURACY = 1e-3
+HALVINGS = 40
+
+
+@called
+def pressures_after(dt, fixed, w, table, y):
+    """Pressures of the chambers a time dt on -> y; those that stand still are left alone."""
+    chambers = rows(w, CHAMBER_ROW)
+    first = FP1 if fixed else PB
+    for j in range(2 if fixed else 3):
+        if chambers[j, W_KIND] != STILL:
+            y[first + j] = chamber_pressure(dt, chambers[j], table)
+
+
+@called
+def lowest_corner(t, fixed, y, y1, corner, m, p, w, work, g):
+    """Lowest guard over all mixtures of the pressures of y and of y1 but y and y1 themselves.
+
+    At rest every guard is a smallest of linear functions of the pressures, so its lowest value on
+    the box between the two states is at a corner of it.
+    """
+    chambers = rows(w, CHAMBER_ROW)
+    first = FP1 if fixed else PB
+    count = 2 if fixed else 3
+    moving = 0
+    for j in range(count):
+        if chambers[j, W_KIND] != STILL:
+            moving |= 1 << j
+    lowest = 1.0e30
+    for mixture in range(1, moving):
+        if mixture & ~moving == 0:
+            for j in range(count):
+                source = y1 if mixture >> j & 1 else y
+                corner[first + j] = source[first + j]
+            lowest = min(lowest, all_guards(t, corner, m, p, work, g))
+    return lowest
+
+
+@called
+def rest_jump(t, span, fixed, y, y1, corner, m, u0, p, table, w, work, g, n):
+    """Rest from t on, at most for `span` -> time passed, and the guard that ended it or -1.
+
+    y1 holds the state then, g its guards.  Time 0 without a guard: no closed form here.  All
+    guards must be positive at y.
+    """
+    if not chamber_curves(fixed, y, u0, p, table, w):
+        return 0.0, -1
+    for i in range(n):
+        y1[i] = y[i]
+        corner[i] = y[i]
+    for _ in range(HALVINGS):
+        pressures_after(span, fixed, w, table, y1)
+        last = all_guards(t, y1, m, p, work, g)
+        dt = span
+        if last < 0.0:
+            first = all_guards(t, y, m, p, work, g)
+            dt = crossing(t, span, first, last, fixed, y1, m, p, table, w, work, g)
+        if dt <= NEAR_S or lowest_corner(t, fixed, y, y1, corner, m, p, w, work, g) >= 0.0:
+            if last >= 0.0:
+                return dt, -1
+            all_guards(t, y1, m, p, work, g)
+            return dt, smallest(g)
+        span = 0.5 * dt
+    return 0.0, -1
+
+
+@called
+def crossing(t, span, low_value, high_value, fixed, y1, m, p, table, w, work, g):
+    """Time within `span` at which the lowest guard has just become negative; y1 is the state there.
+
+    Regula falsi with the Illinois weights, aimed at a margin of AIM below zero and met to a share of
+    ACCURACY of it (derivatives need it); bisection every fourth time.
+    """
+    low = 0.0
+    high = span
+    low_value = max(low_value, 0.0) + AIM
+    high_value += AIM
+    side = 0
+    for iteration in range(100):
+        if high_value > -ACCURACY * AIM or high - low < LOCATED_S:
+            break
+        dt = low + (high - low) * low_value / (low_value - high_value)
+        if iteration % 4 == 3:
+            dt = 0.5 * (low + high)
+        if not low < dt < high:
+            break
+        pressures_after(dt, fixed, w, table, y1)
+        value = all_guards(t, y1, m, p, work, g) + AIM
+        if value < 0.0:
+            high = dt
+            high_value = value
+            if side < 0:
+                low_value *= 0.5
+            side = -1
+        else:
+            low = dt
+            low_value = value
+            if side > 0:
+                high_value *= 0.5
+            side = 1
+    pressures_after(high, fixed, w, table, y1)
+    return high

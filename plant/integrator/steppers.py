@@ -1,0 +1,359 @@
+"""One step of an explicit and of an L-stable Runge-Kutta method, with dense output.
+
+`explicit_step`: Dormand-Prince 5(4), seven stages, first same as last, order-4 dense output.
+`stiff_step`: Rodas4, order 4(3), six stages, L-stable, for the compressible oil damper; its
+Jacobian is taken by forward differences, column by column, from the same right-hand side.
+Sources: Dormand and Prince 1980; Hairer, Norsett, Wanner, Solving ODEs I (II.5, II.6); Hairer,
+Wanner, Solving ODEs II (IV.7, IV.10).
+Checked by: tests/physics/test_steppers.py (order of convergence, dense output, stiff decay)
+"""
+
+from __future__ import annotations
+
+from plant.equations.fixed_piston import fixed_rates
+from plant.equations.length_stroke import rates
+from plant.kernel.compiled import called, inlined
+from plant.kernel.layout import FIXED, M_SYSTEM
+
+STAGES = 7
+
+
+@called
+def derivative(t, y, dy, m, u0, du, p, c, work, quadratures):
+    """Right-hand side of the stroke's system -> dy."""
+    if m[M_SYSTEM] == FIXED:
+        fixed_rates(t, y, dy, m, u0, du, p, c, quadratures)
+    else:
+        rates(t, y, dy, m, u0, du, p, c, work, quadratures)
+
+
+@called
+def error_norm(y, y1, err, scale, n, tolerance):
+    """Root mean square of the local error over tolerance (scale + |y|)."""
+    total = 0.0
+    for i in range(n):
+        weight = tolerance * (scale[i] + max(abs(y[i]), abs(y1[i])))
+        total += (err[i] / weight) ** 2
+    return (total / n) ** 0.5
+
+
+@inlined
+def stage_1(h, y, k, out, count):
+    """State of the first inner stage: y + h/5 k0."""
+    for i in range(count):
+        out[i] = y[i] + h * 0.2 * k[0, i]
+
+
+@inlined
+def stage_2(h, y, k, out, count):
+    """State of the second inner stage."""
+    for i in range(count):
+        out[i] = y[i] + h * (3.0 / 40.0 * k[0, i] + 9.0 / 40.0 * k[1, i])
+
+
+@inlined
+def stage_3(h, y, k, out, count):
+    """State of the third inner stage."""
+    for i in range(count):
+        out[i] = y[i] + h * (44.0 / 45.0 * k[0, i] - 56.0 / 15.0 * k[1, i] + 32.0 / 9.0 * k[2, i])
+
+
+@inlined
+def stage_4(h, y, k, out, count):
+    """State of the fourth inner stage."""
+    for i in range(count):
+        out[i] = y[i] + h * (
+            19372.0 / 6561.0 * k[0, i]
+            - 25360.0 / 2187.0 * k[1, i]
+            + 64448.0 / 6561.0 * k[2, i]
+            - 212.0 / 729.0 * k[3, i]
+        )
+
+
+@inlined
+def stage_5(h, y, k, out, count):
+    """State of the fifth inner stage, at the end of the step."""
+    for i in range(count):
+        out[i] = y[i] + h * (
+            9017.0 / 3168.0 * k[0, i]
+            - 355.0 / 33.0 * k[1, i]
+            + 46732.0 / 5247.0 * k[2, i]
+            + 49.0 / 176.0 * k[3, i]
+            - 5103.0 / 18656.0 * k[4, i]
+        )
+
+
+@inlined
+def stage_6(h, y, k, out, count):
+    """The solution of order 5, which is also the last stage."""
+    for i in range(count):
+        out[i] = y[i] + h * (
+            35.0 / 384.0 * k[0, i]
+            + 500.0 / 1113.0 * k[2, i]
+            + 125.0 / 192.0 * k[3, i]
+            - 2187.0 / 6784.0 * k[4, i]
+            + 11.0 / 84.0 * k[5, i]
+        )
+
+
+@inlined
+def local_error(h, k, out, count):
+    """Difference of the solutions of order 5 and 4."""
+    for i in range(count):
+        out[i] = h * (
+            71.0 / 57600.0 * k[0, i]
+            - 71.0 / 16695.0 * k[2, i]
+            + 71.0 / 1920.0 * k[3, i]
+            - 17253.0 / 339200.0 * k[4, i]
+            + 22.0 / 525.0 * k[5, i]
+            - 1.0 / 40.0 * k[6, i]
+        )
+
+
+@called
+def explicit_step(t, h, y, y1, k, m, u0, du, p, c, work, stage, err, scale, n, n_all, quad, tol):
+    """Dormand-Prince 5(4) from y (k[0] = f(t, y)) -> y1, k[6] = f(t + h, y1); error norm."""
+    stage_1(h, y, k, stage, n_all)
+    derivative(t + 0.2 * h, stage, k[1], m, u0, du, p, c, work, quad)
+    stage_2(h, y, k, stage, n_all)
+    derivative(t + 0.3 * h, stage, k[2], m, u0, du, p, c, work, quad)
+    stage_3(h, y, k, stage, n_all)
+    derivative(t + 0.8 * h, stage, k[3], m, u0, du, p, c, work, quad)
+    stage_4(h, y, k, stage, n_all)
+    derivative(t + 8.0 / 9.0 * h, stage, k[4], m, u0, du, p, c, work, quad)
+    stage_5(h, y, k, stage, n_all)
+    derivative(t + h, stage, k[5], m, u0, du, p, c, work, quad)
+    stage_6(h, y, k, y1, n_all)
+    derivative(t + h, y1, k[6], m, u0, du, p, c, work, quad)
+    local_error(h, k, err, n)
+    return error_norm(y, y1, err, scale, n, tol)
+
+
+@inlined
+def dense_quartic(h, k, i):
+    """Last coefficient of element i of the order-4 interpolant."""
+    return h * (
+        -12715105075.0 / 11282082432.0 * k[0, i]
+        + 87487479700.0 / 32700410799.0 * k[2, i]
+        - 10690763975.0 / 1880347072.0 * k[3, i]
+        + 701980252875.0 / 199316789632.0 * k[4, i]
+        - 1453857185.0 / 822651844.0 * k[5, i]
+        + 69997945.0 / 29380423.0 * k[6, i]
+    )
+
+
+@inlined
+def dense_element(h, y, y1, k, dense, i):
+    """Coefficients of element i of the order-4 interpolant of the last explicit step."""
+    d = y1[i] - y[i]
+    b = h * k[0, i] - d
+    dense[0, i] = y[i]
+    dense[1, i] = d
+    dense[2, i] = b
+    dense[3, i] = d - h * k[6, i] - b
+    dense[4, i] = dense_quartic(h, k, i)
+
+
+@called
+def explicit_dense(h, y, y1, k, dense, n_all):
+    """Coefficients of the order-4 interpolant of the last explicit step -> dense[0:5]."""
+    for i in range(n_all):
+        dense_element(h, y, y1, k, dense, i)
+
+
+@inlined
+def interpolated(theta, dense, i):
+    """Element i of the state at the fraction theta of the last step."""
+    rest = 1.0 - theta
+    return dense[0, i] + theta * (
+        dense[1, i] + rest * (dense[2, i] + theta * (dense[3, i] + rest * dense[4, i]))
+    )
+
+
+@called
+def interpolate(theta, dense, out, n_all):
+    """State at the fraction theta of the last step -> out."""
+    for i in range(n_all):
+        out[i] = interpolated(theta, dense, i)
+
+
+@called
+def jacobian(t, y, f, jac, m, u0, du, p, c, work, stage, scale, n, n_all, quad, column):
+    """df/dy by forward differences of the states -> jac[0:n_all, 0:n]."""
+    for i in range(n_all):
+        stage[i] = y[i]
+    for j in range(n):
+        delta = 1.5e-8 * max(abs(y[j]), scale[j])
+        stage[j] = y[j] + delta
+        delta = stage[j] - y[j]
+        derivative(t, stage, column, m, u0, du, p, c, work, quad)
+        for i in range(n_all):
+            jac[i, j] = (column[i] - f[i]) / delta
+        stage[j] = y[j]
+
+
+@called
+def factorise(jac, lu, pivot, n, diagonal):
+    """LU factors with partial pivoting of diagonal I - J -> lu, pivot."""
+    for i in range(n):
+        for j in range(n):
+            lu[i, j] = -jac[i, j]
+        lu[i, i] += diagonal
+    for j in range(n):
+        best = j
+        for i in range(j + 1, n):
+            if abs(lu[i, j]) > abs(lu[best, j]):
+                best = i
+        pivot[j] = best
+        if best != j:
+            for i in range(n):
+                lu[j, i], lu[best, i] = lu[best, i], lu[j, i]
+        for i in range(j + 1, n):
+            lu[i, j] /= lu[j, j]
+            for k in range(j + 1, n):
+                lu[i, k] -= lu[i, j] * lu[j, k]
+
+
+@called
+def solve(jac, lu, pivot, x, n, n_all, diagonal):
+    """Solve (diagonal I - J) x = x in place; quadrature rows follow from the states."""
+    for j in range(n):
+        best = pivot[j]
+        if best != j:
+            x[j], x[best] = x[best], x[j]
+    for i in range(n):
+        for j in range(i):
+            x[i] -= lu[i, j] * x[j]
+    for i in range(n - 1, -1, -1):
+        for j in range(i + 1, n):
+            x[i] -= lu[i, j] * x[j]
+        x[i] /= lu[i, i]
+    for i in range(n, n_all):
+        for j in range(n):
+            x[i] += jac[i, j] * x[j]
+        x[i] /= diagonal
+
+
+@called
+def stiff_step(
+    t,
+    h,
+    y,
+    y1,
+    k,
+    m,
+    u0,
+    du,
+    p,
+    c,
+    work,
+    stage,
+    err,
+    scale,
+    n,
+    n_all,
+    quad,
+    tol,
+    jac,
+    lu,
+    pivot,
+    ft,
+):
+    """Rodas4 from y (k[6] must hold f(t, y)) -> y1, stages in k[0:6]; returns error norm.
+
+    `jac` must hold the Jacobian at (t, y), `ft` the derivative of f in time.
+    """
+    gamma = 0.25
+    diagonal = 1.0 / (h * gamma)
+    factorise(jac, lu, pivot, n, diagonal)
+    for i in range(n_all):
+        k[0, i] = k[6, i] + h * 0.25 * ft[i]
+    solve(jac, lu, pivot, k[0], n, n_all, diagonal)
+    for i in range(n_all):
+        stage[i] = y[i] + 1.544 * k[0, i]
+    derivative(t + 0.386 * h, stage, k[1], m, u0, du, p, c, work, quad)
+    for i in range(n_all):
+        k[1, i] += -5.6688 / h * k[0, i] - h * 0.1043 * ft[i]
+    solve(jac, lu, pivot, k[1], n, n_all, diagonal)
+    for i in range(n_all):
+        stage[i] = y[i] + 0.9466785280815826 * k[0, i] + 0.2557011698983284 * k[1, i]
+    derivative(t + 0.21 * h, stage, k[2], m, u0, du, p, c, work, quad)
+    for i in range(n_all):
+        k[2, i] += (
+            -2.430093356833875 * k[0, i] - 0.2063599157091915 * k[1, i]
+        ) / h + h * 0.1035 * ft[i]
+    solve(jac, lu, pivot, k[2], n, n_all, diagonal)
+    for i in range(n_all):
+        stage[i] = (
+            y[i]
+            + 3.314825187068521 * k[0, i]
+            + 2.896124015972201 * k[1, i]
+            + 0.9986419139977817 * k[2, i]
+        )
+    derivative(t + 0.63 * h, stage, k[3], m, u0, du, p, c, work, quad)
+    for i in range(n_all):
+        k[3, i] += (
+            -0.1073529058151375 * k[0, i]
+            - 9.594562251023355 * k[1, i]
+            - 20.47028614809616 * k[2, i]
+        ) / h - h * 0.0362 * ft[i]
+    solve(jac, lu, pivot, k[3], n, n_all, diagonal)
+    for i in range(n_all):
+        stage[i] = (
+            y[i]
+            + 1.221224509226641 * k[0, i]
+            + 6.019134481288629 * k[1, i]
+            + 12.53708332932087 * k[2, i]
+            - 0.6878860361058950 * k[3, i]
+        )
+    derivative(t + h, stage, k[4], m, u0, du, p, c, work, quad)
+    for i in range(n_all):
+        k[4, i] += (
+            7.496443313967647 * k[0, i]
+            - 10.24680431464352 * k[1, i]
+            - 33.99990352819905 * k[2, i]
+            + 11.70890893206160 * k[3, i]
+        ) / h
+    solve(jac, lu, pivot, k[4], n, n_all, diagonal)
+    for i in range(n_all):
+        stage[i] += k[4, i]
+    derivative(t + h, stage, k[5], m, u0, du, p, c, work, quad)
+    for i in range(n_all):
+        k[5, i] += (
+            8.083246795921522 * k[0, i]
+            - 7.981132988064893 * k[1, i]
+            - 31.52159432874371 * k[2, i]
+            + 16.31930543123136 * k[3, i]
+            - 6.058818238834054 * k[4, i]
+        ) / h
+    solve(jac, lu, pivot, k[5], n, n_all, diagonal)
+    for i in range(n_all):
+        y1[i] = stage[i] + k[5, i]
+    for i in range(n):
+        err[i] = k[5, i]
+    return error_norm(y, y1, err, scale, n, tol)
+
+
+@called
+def stiff_dense(y, y1, k, dense, n_all):
+    """Coefficients of the order-4 interpolant of the last stiff step -> dense[0:5]."""
+    for i in range(n_all):
+        a = (
+            10.12623508344586 * k[0, i]
+            - 7.487995877610167 * k[1, i]
+            - 34.80091861555747 * k[2, i]
+            - 7.992771707568823 * k[3, i]
+            + 1.025137723295662 * k[4, i]
+        )
+        b = (
+            -0.6762803392806898 * k[0, i]
+            + 6.087714651680015 * k[1, i]
+            + 16.43084320892478 * k[2, i]
+            + 24.76722511418386 * k[3, i]
+            - 6.594389125716872 * k[4, i]
+        )
+        dense[0, i] = y[i]
+        dense[1, i] = y1[i] - y[i]
+        dense[2, i] = a
+        dense[3, i] = b
+        dense[4, i] = 0.0

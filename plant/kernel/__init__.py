@@ -1,0 +1,1 @@
+"""What every compiled function builds on: compilation, array layout, packing of parameters."""

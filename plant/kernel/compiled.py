@@ -1,0 +1,100 @@
+"""Compilation of the plant's equations by numba, with a cache that cannot outlive an edit.
+
+numba's own disk cache looks at the file of the compiled function only, so an edited callee in
+another file would silently give the old result. Here the cache folder is named after a hash of
+every kernel source, of numba's version and of the interpreter's: any edit means another folder.
+
+Checked by: tests/unit/plant/kernel/test_compiled.py
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+KERNEL_SOURCES = (
+    "kernel/compiled.py",
+    "kernel/views.py",
+    "kernel/layout.py",
+    "parts/flow.py",
+    "parts/chamber.py",
+    "parts/friction.py",
+    "parts/damper.py",
+    "parts/synchronizer.py",
+    "equations/length_stroke.py",
+    "equations/fixed_piston.py",
+    "equations/length_contacts.py",
+    "equations/length_impacts.py",
+    "integrator/steppers.py",
+    "integrator/events.py",
+    "integrator/integrate.py",
+    "integrator/filling.py",
+    "integrator/rest.py",
+    "batch/lane_steps.py",
+    "batch/lane_control.py",
+    "batch/lanes.py",
+    "batch/singles.py",
+    "equations/damper_pressure.py",
+    "systems/driven.py",
+)
+
+
+def kernel_hash(folder: Path | None = None) -> str:
+    """Hash (12 hex digits) of all kernel sources, numba and Python versions."""
+    root = folder or Path(__file__).parent.parent
+    digest = hashlib.sha256()
+    digest.update(f"{numba.__version__} {sys.version}".encode())
+    for name in KERNEL_SOURCES:
+        path = root / name
+        digest.update(name.encode())
+        if path.exists():
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def cache_folder() -> Path:
+    """Folder of the compiled kernels: $OPC4_CACHE, else the user's cache folder."""
+    base = os.environ.get("OPC4_CACHE")
+    if base is None:
+        home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+        base = os.path.join(home, "opc4-sil")
+    return Path(base) / f"kernel-{kernel_hash()}"
+
+
+_FOLDER = str(cache_folder())
+
+
+def is_warm() -> bool:
+    """True when compiled kernels of exactly these sources lie in the cache."""
+    return any(Path(_FOLDER).glob("**/integrate.*.nbc"))
+
+
+def kernel(function: F) -> F:
+    """Compile `function` with numba (no Python objects, IEEE arithmetic, cached on disk)."""
+    previous = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = _FOLDER
+    try:
+        compiled: F = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
+    finally:
+        numba.config.CACHE_DIR = previous
+    return compiled
+
+
+def inlined(function: F) -> F:
+    """Compile `function` as part of the kernels that call it; always inlined by LLVM."""
+    compiled: F = numba.njit(error_model="numpy", forceinline=True)(function)
+    return compiled
+
+
+def called(function: F) -> F:
+    """Compile `function` as part of the kernels that call it, as a function of its own."""
+    compiled: F = numba.njit(error_model="numpy")(function)
+    return compiled

@@ -1,0 +1,1 @@
+"""Physical parts as compiled functions: chamber, flow, friction, oil damper, synchronizer."""

@@ -1,0 +1,75 @@
+"""Oil damper: orifice area, discharge coefficient, incompressible and compressible pressure.
+
+Source: thesis 3.26-3.35; x is the distance from the start (fixed) or from neutral (length).
+Checked by: tests/physics/test_damper.py
+"""
+
+from __future__ import annotations
+
+from math import acos, sqrt
+
+from plant.kernel.compiled import inlined
+
+# Below this pressure difference the orifice is laminar; the root's infinite slope ends there.
+LAMINAR_PA = 10.0
+
+
+@inlined
+def holes_area(c, r_hole):
+    """Open area of two bolt holes whose covered edge stands c beyond their centre [m^2]."""
+    return 2.0 * (r_hole * r_hole * acos(c / r_hole) - c * sqrt(max(r_hole * r_hole - c * c, 0.0)))
+
+
+@inlined
+def large_area(x_m, area_cap, r_hole, x_hole):
+    """Open area of the large outlet a_valve,B(x) [m^2]: two bolt holes, capped (3.27)."""
+    s = x_m - x_hole
+    if s <= 0.0:
+        return area_cap
+    if s >= 2.0 * r_hole:
+        return 0.0
+    return min(area_cap, holes_area(s - r_hole, r_hole))
+
+
+@inlined
+def borders(x_m, speed_m_s, area_cap, r_hole, x_hole, floor, slope):
+    """Where the damper's law has corners: zero where the holes' area leaves its cap [m^2], where they
+    are covered [m], and where C_D reaches its floor [-]; positive before."""
+    c = min(max(x_m - x_hole, 0.0), 2.0 * r_hole) - r_hole
+    large = large_area(x_m, area_cap, r_hole, x_hole)
+    return (
+        holes_area(c, r_hole) - area_cap,
+        x_hole + 2.0 * r_hole - x_m,
+        large / area_cap + slope * speed_m_s - floor,
+    )
+
+
+@inlined
+def discharge_coefficient(area_large, area_cap, speed_m_s, floor, slope):
+    """C_D(x, v) = max(a_B/a_B0 + 0.65 v, 0.65) (3.35)."""
+    return max(area_large / area_cap + slope * speed_m_s, floor)
+
+
+@inlined
+def steady_difference(speed_m_s, a_oil, area, c_d, rho):
+    """Incompressible pressure difference (A v / (A_valve C_D))^2 rho/2 [Pa], 0 on the way back (3.34)."""
+    if speed_m_s <= 0.0:
+        return 0.0
+    ratio = a_oil * speed_m_s / (area * c_d)
+    return 0.5 * rho * ratio * ratio
+
+
+@inlined
+def outflow(difference_pa, area, c_d, rho):
+    """Flow out of chamber two q = C_D A sqrt(2 dP / rho) [m^3/s] (3.28); laminar next to zero."""
+    if difference_pa <= 0.0:
+        return 0.0
+    if difference_pa < LAMINAR_PA:
+        return c_d * area * sqrt(2.0 * LAMINAR_PA / rho) * difference_pa / LAMINAR_PA
+    return c_d * area * sqrt(2.0 * difference_pa / rho)
+
+
+@inlined
+def bulk_modulus(pressure_pa, kappa, air_fraction, atmosphere_pa):
+    """Effective bulk modulus 1/(1/kappa + air P_atm / P^2) [Pa]: oil with free air."""
+    return 1.0 / (1.0 / kappa + air_fraction * atmosphere_pa / (pressure_pa * pressure_pa))

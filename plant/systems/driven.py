@@ -1,0 +1,105 @@
+"""Position-driven mode: a measured motion in, chamber pressures out (thesis 3.4.2).
+
+The chamber equations alone, for the fixed piston: the force balance, and with it friction, plays no
+part, so a deviation belongs to flow, volume, exponents or valve timing.
+Checked by: tests/physics/test_driven.py
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plant.effects.setup import Setup
+from plant.equations.length_stroke import valve_flow_in, valve_flow_out
+from plant.kernel import layout as L
+from plant.kernel.compiled import kernel
+from plant.kernel.packing import Floats
+from plant.parts.chamber import pressure_rate
+from plant.systems.stroke import valve_moves
+
+SUBSTEPS = 4
+
+
+@kernel
+def chamber_along(time, volume, start, moves, p, c, out):
+    """Pressure of one chamber along a known volume -> out.
+
+    time [s], volume [m^3] (straight between samples), moves rows (time s, position, slope 1/s) of
+    its valve; fourth-order Runge-Kutta, steps split where the valve moves.
+    """
+    pressure = start
+    out[0] = pressure
+    u = moves[0, 1]
+    slope = 0.0
+    since = 0.0
+    k = 1
+    for i in range(1, len(time)):
+        t = time[i - 1]
+        rate = (volume[i] - volume[i - 1]) / (time[i] - time[i - 1])
+        while t < time[i]:
+            while k < len(moves) and moves[k, 0] <= t:
+                u = moves[k, 1]
+                slope = moves[k, 2]
+                since = moves[k, 0]
+                k += 1
+            end = time[i]
+            if k < len(moves) and moves[k, 0] < end:
+                end = moves[k, 0]
+            h = (end - t) / SUBSTEPS
+            for _ in range(SUBSTEPS):
+                total = 0.0
+                slope_before = 0.0
+                for stage in range(4):
+                    part = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+                    at = t + part * h
+                    value = pressure + part * h * slope_before
+                    position = u + slope * (at - since)
+                    flow_in = valve_flow_in(value, p[L.P_SUPPLY], p, c)
+                    flow_out = valve_flow_out(value, p, c)
+                    slope_before = pressure_rate(
+                        value,
+                        position,
+                        flow_in,
+                        flow_out,
+                        0.0,
+                        volume[i - 1] + rate * (at - time[i - 1]),
+                        rate,
+                        p[L.R_AIR],
+                        p[L.ALPHA_M1],
+                        p[L.ALPHA_1],
+                        p[L.ALPHA_M2],
+                        p[L.ALPHA_2],
+                    )
+                    total += slope_before if part == 0.0 or part == 1.0 else 2.0 * slope_before
+                pressure += h * total / 6.0
+                t += h
+            t = end
+        out[i] = pressure
+
+
+def pressures_along(setup: Setup, time_s: Floats, position_m: Floats) -> Floats:
+    """Pressures [n, 2] of the fixed piston's chambers along a measured position [Pa].
+
+    Raises ValueError for the length stroke, whose pistons the position does not tell.
+    """
+    conditions = setup.conditions
+    if conditions.kind != "fixed":
+        raise ValueError("the position of the stay does not tell where the pistons are")
+    p = setup.p
+    moves = valve_moves(setup, round(float(time_s[-1]) * 1e9))
+    out = np.zeros((len(time_s), 2))
+    volumes = (
+        p[L.VOL_B] + p[L.AREA_P] * position_m,
+        p[L.VOL_N] - p[L.AREA_P2] * position_m,
+    )
+    for chamber, volume in enumerate(volumes):
+        charged = conditions.chambers[chamber] in conditions.charged_before
+        rows = [(0.0, 1.0 if charged else 0.0, 0.0)]
+        rows += [(t * 1e-9, u, slope) for t, which, u, slope in moves if which == chamber]
+        begin = p[L.P_SUPPLY] if charged else p[L.P_ATM]
+        column = np.zeros(len(time_s))
+        chamber_along(
+            np.asarray(time_s, dtype=np.float64), volume, begin, np.array(rows), p, setup.c, column
+        )
+        out[:, chamber] = column
+    return out

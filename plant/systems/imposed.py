@@ -1,0 +1,125 @@
+"""One equation at a time: a measured motion in, pressures out; measured pressures in, motion out.
+
+`pressures_along` (thesis 3.4.2) leaves the stay's force balance out: its friction plays no part, so a
+deviation belongs to flow, volume, exponents or valve timing.  `motion_along` leaves the chambers
+out: a deviation belongs to friction, masses or loads.  Both systems; all contacts and stops as in the
+whole model.
+Checked by: tests/physics/test_driven.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from plant.effects.setup import Setup
+from plant.equations.length_stroke import TOUCH_M
+from plant.integrator.hybrid import NS
+from plant.integrator.integrate import start
+from plant.kernel import layout as L
+from plant.kernel.packing import Floats
+from plant.systems import driven
+from plant.systems.stroke import StrokeSystem, valve_moves
+
+TOLERANCE = 1e-7
+HEAVY_KG = 1e9
+"""Mass of a stay that nothing turns from its imposed motion."""
+
+VAST_M3 = 1e9
+"""Volume of a chamber whose pressure nothing changes from its imposed value."""
+
+
+def pressures_along(setup: Setup, time_s: Floats, position_m: Floats) -> Floats:
+    """Pressures [n, chambers] along a measured position of the stay, smoothed before [Pa].
+
+    From rest at time 0; the position is straight between samples.  The length stroke's pistons, which
+    it does not tell, move as the pressures and the moving stay drive them.
+    """
+    if setup.conditions.kind == "fixed":
+        return driven.pressures_along(setup, time_s, position_m)
+    system = ImposedSystem(setup)
+    system.free_stay()
+    out = np.zeros((len(time_s), 3))
+    out[0] = system.pressures_pa
+    for k, (end_ns, moves) in enumerate(intervals(setup, time_s)):
+        left_s = (end_ns - system.now_ns) / NS
+        system.impose_speed((position_m[k + 1] - system.position_m) / left_s)
+        system.advance(end_ns, moves)
+        out[k + 1] = system.pressures_pa
+    return out
+
+
+def motion_along(setup: Setup, time_s: Floats, pressures_pa: Floats) -> Floats:
+    """Position of the stay [n] driven by measured pressures [n, chambers], from rest at time 0 [m].
+
+    Between two samples the chambers stand at the mean of both.
+    """
+    if pressures_pa.shape != (len(time_s), len(setup.conditions.chambers)):
+        raise ValueError(f"pressures: shape {pressures_pa.shape}; expected samples x chambers")
+    system = ImposedSystem(setup)
+    system.hold_pressures()
+    out = np.zeros(len(time_s))
+    out[0] = system.position_m
+    for k, (end_ns, _moves) in enumerate(intervals(setup, time_s)):
+        system.impose_pressures(0.5 * (pressures_pa[k] + pressures_pa[k + 1]))
+        system.advance(end_ns)
+        out[k + 1] = system.position_m
+    return out
+
+
+class ImposedSystem(StrokeSystem):
+    """A stroke of which one part follows a record instead of its equation."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(replace(setup, p=setup.p.copy()), TOLERANCE)
+
+    def free_stay(self) -> None:
+        """Take the stay's stops, loads and damper away, and its motion from all forces."""
+        self._p[[L.SYNC_IMPULSE, L.SPRING_K, L.F_EXTERNAL, L.DETENT_FORCE]] = 0.0
+        self._p[L.STOP_OFFSET] = 1.0
+        self._p[L.M_S] = HEAVY_KG
+        self._m[L.M_DAMPER] = 0
+
+    def impose_speed(self, speed_m_s: float) -> None:
+        """Give the stay a speed, and to the pistons that it then meets."""
+        y, far = self._y, self._p[L.X_FREE] - TOUCH_M
+        y[L.VS] = speed_m_s
+        for x, v, away in ((L.X1, L.V1, -1.0), (L.X2, L.V2, 1.0)):
+            gap = y[x] + away * y[L.XS]
+            opening = y[v] + away * speed_m_s
+            if (gap <= TOUCH_M and opening < 0.0) or (gap >= far and opening > 0.0):
+                y[v] = -away * speed_m_s
+        start(self._y, self._m, self._p, self._workspace)
+
+    def hold_pressures(self) -> None:
+        """Take the chambers' equations away."""
+        self._p[[L.VOL_B, L.VOL_N, L.VOL_F]] = VAST_M3
+
+    def impose_pressures(self, pressures_pa: Floats) -> None:
+        """Give the chambers their pressures, in their order."""
+        first = L.FP1 if self._system == L.FIXED else L.PB
+        self._y[first : first + len(self.chambers)] = pressures_pa
+
+    @property
+    def pressures_pa(self) -> Floats:
+        """Pressures of the chambers, in their order."""
+        return np.array(self._pressures())
+
+
+def intervals(setup: Setup, time_s: Floats) -> list[tuple[int, list]]:
+    """For every interval between samples: its end [ns] and the valves' moves within it."""
+    ends = np.rint(np.asarray(time_s) * NS).astype(np.int64)
+    moves = valve_moves(setup, int(ends[-1]))
+    found = []
+    k = 0
+    while k < len(moves) and moves[k][0] < ends[0]:
+        k += 1
+    for begin, end in pairwise(ends):
+        inside = []
+        while k < len(moves) and begin <= moves[k][0] < end:
+            inside.append(moves[k])
+            k += 1
+        found.append((int(end), inside))
+    return found

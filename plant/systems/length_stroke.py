@@ -1,0 +1,146 @@
+"""The length stroke: stay, two sliding pistons, three chambers B | N | F (thesis 3.3.2).
+
+Gear positions: N at 0, B at +stroke, F at -stroke.  Conventions: header of nominal.toml.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from plant.equations.volumes import ends_of_travel, refuse_empty
+from plant.errors import InputError
+from plant.integrator.hybrid import DEFAULT_TOLERANCE, HybridSystem
+from plant.integrator.integrate import start
+from plant.kernel import layout as L
+from plant.kernel.packing import Load, flow_coefficients, initial_state, pack
+from plant.parameters import ParameterSet
+from plant.systems.run_effects import applied
+
+
+class LengthStroke(HybridSystem):
+    """The length stroke in motion, advanced in simulated nanoseconds.
+
+    Parameters
+    ----------
+    parameters : the parameter set
+    initial : gear at time 0, "N", "B" or "F"
+    supply_pressure_pa : absolute; None takes the set's
+    atmosphere_pa : absolute; None takes the set's
+    charged : chambers that stand at the supply pressure with open valves
+    mounted : on the gearbox (mass, linkage friction)
+    damper : None, "incompressible" or "compressible"
+    mesh_force_n, pull_force_n : peaks of the barriers into and out of gear
+    sync_impulse_n_s : impulse that the synchronizer asks of the next engagement
+    tolerance : of the integrator, relative to each state's scale
+
+    Raises
+    ------
+    InputError : a value outside its range
+
+    Checked by: tests/physics/test_length_stroke.py
+    """
+
+    chambers = ("B", "N", "F")
+    columns = (
+        "position_m",
+        "velocity_m_s",
+        "piston_1_m",
+        "piston_1_velocity_m_s",
+        "piston_2_m",
+        "piston_2_velocity_m_s",
+        "pressure_B_pa",
+        "pressure_N_pa",
+        "pressure_F_pa",
+        "spent_impulse_n_s",
+        "pressure_oil2_pa",
+        "line_pressure_pa",
+    )
+
+    def __init__(
+        self,
+        parameters: ParameterSet,
+        *,
+        initial: str = "N",
+        supply_pressure_pa: float | None = None,
+        atmosphere_pa: float | None = None,
+        charged: Sequence[str] = (),
+        mounted: bool = False,
+        damper: str | None = None,
+        mesh_force_n: float = 0.0,
+        pull_force_n: float = 0.0,
+        sync_impulse_n_s: float = 0.0,
+        tolerance: float = DEFAULT_TOLERANCE,
+    ) -> None:
+        if initial not in self.chambers:
+            raise InputError(f"initial gear {initial!r}: expected N, B or F")
+        load = Load(
+            damper=damper,
+            mounted=mounted,
+            mesh_force_n=mesh_force_n,
+            pull_force_n=pull_force_n,
+            sync_impulse_n_s=sync_impulse_n_s,
+        )
+        p = pack(
+            parameters,
+            L.LENGTH,
+            supply_pressure_pa=(
+                parameters.value("supply.P_s") if supply_pressure_pa is None else supply_pressure_pa
+            ),
+            atmosphere_pa=(
+                parameters.value("gas.P_atm") if atmosphere_pa is None else atmosphere_pa
+            ),
+            load=load,
+        )
+        c = flow_coefficients(parameters)
+        # delays of the valves belong to whoever moves them
+        self.valve_delays_ns: tuple[int, int] | None = None
+        has_line = False
+        if parameters.effects:
+            setup = applied(parameters, p, c, float(p[L.P_SUPPLY]), damper is not None)
+            self.valve_delays_ns = (setup.timing.rise_ns, setup.timing.fall_ns)
+            has_line = setup.has_line
+        # every shift sweeps chamber N; the others shrink in one gear only, which may never come
+        refuse_empty(L.LENGTH, p, ends_of_travel(L.LENGTH, p), "N")
+        y = initial_state(L.LENGTH, p, position=initial, charged=charged, quadratures=L.QUADRATURES)
+        super().__init__(L.LENGTH, p, c, y, load, charged, tolerance, has_line=has_line)
+
+    @property
+    def pressures_pa(self) -> tuple[float, float, float]:
+        """Pressures of the chambers B, N, F, absolute [Pa]."""
+        return (float(self._y[L.PB]), float(self._y[L.PN]), float(self._y[L.PF]))
+
+    @property
+    def pistons_m(self) -> tuple[float, float]:
+        """Positions of piston 1 and 2, inward from their outer stops [m]."""
+        return (float(self._y[L.X1]), float(self._y[L.X2]))
+
+    @property
+    def spent_impulse_n_s(self) -> float:
+        """Impulse given to the synchronizer since it was armed [N s]."""
+        return float(self._y[L.SPENT])
+
+    @property
+    def synchronizer_blocked(self) -> bool:
+        """True while the synchronizer holds the stay at its blocking position."""
+        return bool(self._m[L.M_BLOCKED] != 0)
+
+    def set_sync_impulse(self, impulse_n_s: float) -> None:
+        """Arm the synchronizer for the next engagement; call while the stay is near neutral.
+
+        Raises ValueError for a negative impulse.
+        """
+        if not impulse_n_s >= 0.0:
+            raise ValueError(f"synchronizer impulse {impulse_n_s}: expected 0 or more")
+        self._p[L.SYNC_IMPULSE] = impulse_n_s
+        self._y[L.SPENT] = 0.0
+        start(self._y, self._m, self._p, self._workspace)
+
+    def set_supply_pressure(self, supply_pa: float) -> None:
+        """Change the supply pressure from now on (absolute) [Pa]."""
+        self._p[L.P_SUPPLY] = supply_pa
+
+    def row(self) -> np.ndarray:
+        """Present state, in the order of `columns`."""
+        return self._y[: self._n].copy()

@@ -1,4 +1,0 @@
-"""Measurements side by side, in one run: each figure beside a floor or a peer, as a ratio.
-
-`python -m sil.bench [NAME...]` prints tables; nothing here is a test with a time limit.
-"""

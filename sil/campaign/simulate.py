@@ -1,0 +1,107 @@
+"""The plant alone under each stroke's conditions and commands: a campaign in, a campaign out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from can_dbc.errors import InputError
+from plant.parameters import ParameterSet
+from plant.systems.stroke import Stroke, simulate
+from sil.campaign.campaign import (
+    Campaign,
+    CampaignStroke,
+    campaign_toml,
+    stroke_columns,
+    write_record,
+)
+from sil.files.output_folder import write_whole
+
+TAIL_S = 0.1
+"""Without a recorded time axis a stroke ends this long after its last command."""
+
+
+@dataclass(frozen=True)
+class SimulatedStroke:
+    """A simulated stroke beside the entry it came from, and its deviation from the record.
+
+    rms: per column of the record, the root mean square of simulated minus recorded, in the
+    column's unit; empty where the campaign holds conditions only.
+    """
+
+    entry: CampaignStroke
+    stroke: Stroke
+    rms: dict[str, float]
+
+    @property
+    def arrival_s(self) -> float:
+        """First impact on an end stop [s], nan for none."""
+        impact = self.stroke.impact
+        return impact.time_s if impact else math.nan
+
+    @property
+    def impact_speed_m_s(self) -> float:
+        """Speed of that impact [m/s], nan for none."""
+        impact = self.stroke.impact
+        return impact.speed_m_s if impact else math.nan
+
+
+def simulate_campaign(campaign: Campaign, parameters: ParameterSet) -> Iterable[SimulatedStroke]:
+    """Simulate every stroke of a campaign, sampled as its record (or at the stated rate)."""
+    for entry in campaign.strokes:
+        path = campaign.folder / entry.file
+        recorded = campaign.record(entry) if path.exists() else None
+        if recorded is not None:
+            time_s = recorded.time_s - recorded.time_s[0]
+        else:
+            end = max((command[0] for command in entry.conditions.commands), default=0.0) + TAIL_S
+            time_s = np.arange(round(end * campaign.sample_rate_hz) + 1) / campaign.sample_rate_hz
+        stroke = simulate(parameters, entry.conditions, time_s)
+        rms = {}
+        if recorded is not None:
+            for name, values in stroke_columns(stroke).items():
+                if name in recorded and not name.startswith(("cmd_", "time")):
+                    rms[name] = float(np.sqrt(np.mean((values - recorded[name]) ** 2)))
+        yield SimulatedStroke(entry, stroke, rms)
+
+
+def write_campaign(
+    campaign: Campaign,
+    strokes: Iterable[SimulatedStroke],
+    folder: Path,
+    note: Callable[[SimulatedStroke], None],
+) -> None:
+    """Write simulated strokes as a campaign folder; campaign.toml last, so it is whole or absent."""
+    written = []
+    arrivals = ["# first end-stop impact of each stroke; nan = none within the record"]
+    for item in strokes:
+        write_record(folder / item.entry.file, stroke_columns(item.stroke))
+        arrivals += [
+            "",
+            "[[stroke]]",
+            f'file = "{item.entry.file}"',
+            f"arrival_s = {item.arrival_s:.9f}",
+            f"impact_speed_m_s = {item.impact_speed_m_s:.7f}",
+        ]
+        written.append(item.entry)
+        note(item)
+    write_whole(folder / "reference.toml", "\n".join(arrivals) + "\n")
+    out = replace(campaign, name=f"{campaign.name}_simulated", columns={})
+    write_whole(folder / "campaign.toml", campaign_toml(out, written))
+
+
+def campaign_folder(out: Path, force: bool) -> Path:
+    """The folder for a simulated campaign: made if missing, refused if it holds another one."""
+    held = out / "campaign.toml"
+    if held.exists():
+        if not force:
+            raise InputError(
+                f"{out}: --out: holds another campaign; expected an empty folder, or --force"
+            )
+        for old in [held, out / "reference.toml", *out.glob("stroke_*.csv")]:
+            old.unlink(missing_ok=True)
+    return out

@@ -1,0 +1,1 @@
+"""Coupling of the participants: simulated time, bus, faults, lockstep, transports."""

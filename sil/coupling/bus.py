@@ -1,0 +1,309 @@
+"""The simulated CAN bus: arbitration, exact frame lengths, bit rate, load.
+
+Model: whenever the bus is idle, the frame with the lowest identifier among those released starts
+and is not interrupted; it arrives everywhere at the end of its end-of-frame field; three bits of
+intermission follow. Each sender hands its frames over by priority, so the queue is one for all.
+An identifier that has a mailbox waits once per sender: as in a CAN controller with one transmit
+object per message, newer content overwrites what has not been sent yet.
+What can go wrong on a bus comes in through two functions given by the caller, `frame_filter` and
+`is_off`; without them the bus is perfect.
+Checked by: tests/unit/sil/coupling/test_bus.py
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Container, Iterable
+from dataclasses import dataclass, field
+from heapq import heapify, heappop, heappush
+from typing import Any, NamedTuple, TypeVar
+
+from can_dbc.errors import InputError
+from can_dbc.frame import Frame
+from sil.coupling.frame_bits import EOF_BITS, INTERMISSION_BITS, frame_bits
+
+NS_PER_S = 1_000_000_000
+SHORTEST_ERROR_BITS = 17
+LONGEST_ERROR_BITS = 23
+
+
+class Delivery(NamedTuple):
+    """A frame that arrived at `arrival_ns` and was released by its sender at `queued_ns`."""
+
+    arrival_ns: int
+    frame: Frame
+    sender: str
+    queued_ns: int
+
+
+class Transmission(NamedTuple):
+    """A frame that has won the bus, as a `frame_filter` sees it.
+
+    `start_ns` to `end_ns`: start of frame to end of frame; `attempt` counts from 1.
+    """
+
+    start_ns: int
+    end_ns: int
+    frame: Frame
+    sender: str
+    queued_ns: int
+    attempt: int
+
+    def delivered(self) -> tuple[Delivery, ...]:
+        """What a perfect bus delivers."""
+        return (Delivery(self.end_ns, self.frame, self.sender, self.queued_ns),)
+
+
+class ErrorFrame(NamedTuple):
+    """The verdict that all nodes rejected a transmission.
+
+    `bits` is the length of the error frame with its intermission, 17 (one flag of 6, delimiter 8,
+    intermission 3) to 23 (superposed flags of 12). `at_bit` counts the bits sent before the error
+    flag starts; None: a CRC error, flagged after the ACK delimiter. With `retransmit` the frame
+    competes again at once, otherwise it is lost (a sender that goes bus-off).
+    """
+
+    bits: int = LONGEST_ERROR_BITS
+    at_bit: int | None = None
+    retransmit: bool = True
+
+
+FrameFilter = Callable[[Transmission], Iterable[Delivery] | ErrorFrame]
+"""Called once per transmission, when its start is certain, in order of time.
+
+Returns what arrives and when: `transmission.delivered()`; nothing, for a frame that is lost without
+anybody noticing; a Delivery with other bytes, for corruption that passes the CRC; a later
+`arrival_ns`, for a delay; further Deliveries, for insertion. Arrivals before `end_ns` are refused.
+Or an ErrorFrame, for corruption that is detected. The time that the frame took on the bus does not
+depend on the answer except by an ErrorFrame."""
+
+IsOff = Callable[[str, int], bool]
+"""Whether a sender is bus-off at an instant in ns. Its frames are dropped, those released then and
+those that still wait; a frame already on the bus is left to the `frame_filter`."""
+
+
+@dataclass(slots=True)
+class BusStatistics:
+    """What happened on a bus.
+
+    `frames`: transmissions begun, among them `error_frames` that nobody accepted and `lost` that
+    the filter let vanish; dropped: never sent, their sender being off or its buffer full;
+    `overwritten`: never sent, newer content having taken their mailbox.
+    `busy_ns`: time taken by all of them with their intermissions, to the end of the latest.
+    `sent` and `longest_wait_ns` (release to end of frame) by identifier, without errors.
+    """
+
+    frames: int = 0
+    error_frames: int = 0
+    lost: int = 0
+    overwritten: int = 0
+    dropped_bus_off: int = 0
+    dropped_full: int = 0
+    busy_ns: int = 0
+    sent: Counter[int] = field(default_factory=Counter)
+    longest_wait_ns: dict[int, int] = field(default_factory=dict)
+
+
+class _Ready(NamedTuple):
+    """A released frame; the order of the fields is the order of the bus."""
+
+    can_id: int
+    queued_ns: int
+    serial: int
+    frame: Frame
+    sender: str
+    attempt: int
+
+
+_Entry = TypeVar("_Entry", bound=tuple[Any, ...])
+
+
+def overwritten(ready: list[_Entry], entry: _Entry) -> bool:
+    """Put a frame into its sender's mailbox over what waits there; False when nothing does.
+
+    `ready` is a heap whose entries begin as `_Ready`'s do.
+    """
+    for index, other in enumerate(ready):
+        if other[0] == entry[0] and other[4] == entry[4]:
+            ready[index] = entry
+            heapify(ready)
+            return True
+    return False
+
+
+class BusModel:
+    """A CAN bus in simulated time. See the module for the model.
+
+    bitrate: bit/s, such that a bit lasts a whole number of ns. capacity: frames that a sender may
+    have waiting, further ones are dropped and counted; None for no limit. mailboxes: identifiers of
+    which only the newest content of a sender waits.
+    Raises InputError for a bit rate that does not fit. Checked by: tests/unit/sil/coupling/test_bus.py
+    """
+
+    def __init__(
+        self,
+        bitrate: int = 500_000,
+        frame_filter: FrameFilter | None = None,
+        is_off: IsOff | None = None,
+        capacity: int | None = None,
+        mailboxes: Container[int] = (),
+    ) -> None:
+        if not 10_000 <= bitrate <= 1_000_000 or NS_PER_S % bitrate:
+            raise InputError(
+                f"bus: bitrate: {bitrate} bit/s; expected 10000 to 1000000 with a bit of whole ns, "
+                "such as 125000, 250000, 500000 or 1000000"
+            )
+        self.bitrate = bitrate
+        self.bit_ns = NS_PER_S // bitrate
+        self.statistics = BusStatistics()
+        self._filter = frame_filter
+        self._is_off = is_off
+        self._capacity = capacity
+        self._mailboxes = mailboxes
+        self._now_ns = 0
+        self._free_ns = 0
+        self._released_later: list[tuple[int, int, Frame, str]] = []
+        self._ready: list[_Ready] = []
+        self._arriving: list[tuple[int, int, Delivery]] = []
+        self._waiting: Counter[str] = Counter()
+        self._serial = 0
+
+    @property
+    def now_ns(self) -> int:
+        """The instant up to which the bus has advanced."""
+        return self._now_ns
+
+    @property
+    def waiting(self) -> int:
+        """Number of frames queued and not yet on the bus."""
+        return len(self._ready) + len(self._released_later)
+
+    @property
+    def load(self) -> float:
+        """Share of the time up to now in which the bus was busy or in intermission, 0 to 1."""
+        if self._now_ns == 0:
+            return 0.0
+        still_to_come = max(0, self._free_ns - self._now_ns)
+        return (self.statistics.busy_ns - still_to_come) / self._now_ns
+
+    def queue(self, release_ns: int, frame: Frame, sender: str) -> None:
+        """Hand over a frame that its sender releases at `release_ns`, now or later.
+
+        Raises ValueError for a release in the past and for frames that are not classic CAN.
+        """
+        if release_ns < self._now_ns:
+            raise ValueError(
+                f"frame {frame.can_id:#010x} of {sender} is released at {release_ns} ns; "
+                f"the bus stands at {self._now_ns} ns"
+            )
+        if not (0 <= frame.can_id < 1 << 29 and len(frame.data) <= 8):
+            raise ValueError(f"{frame} of {sender} is not a classic CAN frame with 29-bit id")
+        if self._capacity is not None and self._waiting[sender] >= self._capacity:
+            self.statistics.dropped_full += 1
+            return
+        self._waiting[sender] += 1
+        self._serial += 1
+        heappush(self._released_later, (release_ns, self._serial, frame, sender))
+
+    def advance(self, until_ns: int) -> list[Delivery]:
+        """All frames that arrive up to and at `until_ns`, in order of arrival.
+
+        Who starts at `until_ns` itself is decided by the next call, when all frames released at
+        that instant are known. Raises ValueError for an instant in the past.
+        """
+        if until_ns < self._now_ns:
+            raise ValueError(f"the bus stands at {self._now_ns} ns, not before {until_ns} ns")
+        self._now_ns = until_ns
+        released_later, ready = self._released_later, self._ready
+        while ready or released_later:
+            start_ns = self._free_ns
+            if not ready:
+                start_ns = max(start_ns, released_later[0][0])
+            if start_ns >= until_ns:
+                break
+            while released_later and released_later[0][0] <= start_ns:
+                self._release(*heappop(released_later))
+            if self._is_off is not None:
+                self._drop_senders_off(start_ns, self._is_off)
+            if ready:
+                self._send(start_ns, heappop(ready))
+        arriving = self._arriving
+        arrived: list[Delivery] = []
+        while arriving and arriving[0][0] <= until_ns:
+            arrived.append(heappop(arriving)[2])
+        return arrived
+
+    def _release(self, release_ns: int, serial: int, frame: Frame, sender: str) -> None:
+        if self._is_off is not None and self._is_off(sender, release_ns):
+            self._drop(sender)
+            return
+        entry = _Ready(frame.can_id, release_ns, serial, frame, sender, 1)
+        boxes, ready = self._mailboxes, self._ready
+        if ready and frame.can_id in boxes and overwritten(ready, entry):
+            self.statistics.overwritten += 1
+            self._waiting[sender] -= 1
+            return
+        heappush(self._ready, entry)
+
+    def _drop(self, sender: str) -> None:
+        self.statistics.dropped_bus_off += 1
+        self._waiting[sender] -= 1
+
+    def _drop_senders_off(self, now_ns: int, is_off: IsOff) -> None:
+        off = {
+            sender for sender in {entry.sender for entry in self._ready} if is_off(sender, now_ns)
+        }
+        if off:
+            for entry in self._ready:
+                if entry.sender in off:
+                    self._drop(entry.sender)
+            self._ready[:] = sorted(entry for entry in self._ready if entry.sender not in off)
+
+    def _send(self, start_ns: int, entry: _Ready) -> None:
+        can_id, queued_ns, _, frame, sender, attempt = entry
+        bits = frame_bits(can_id, frame.data)
+        end_ns = start_ns + bits * self.bit_ns
+        self._free_ns = end_ns + INTERMISSION_BITS * self.bit_ns
+        if self._filter is None:
+            self._arrive(end_ns, Delivery(end_ns, frame, sender, queued_ns))
+        else:
+            sent = Transmission(start_ns, end_ns, frame, sender, queued_ns, attempt)
+            verdict = self._filter(sent)
+            if isinstance(verdict, ErrorFrame):
+                self._reject(start_ns, bits, entry, verdict)
+                return
+            deliveries = tuple(verdict)
+            for delivery in deliveries:
+                self._arrive(end_ns, delivery)
+            self.statistics.lost += not deliveries
+        self._waiting[sender] -= 1
+        statistics = self.statistics
+        statistics.frames += 1
+        statistics.busy_ns += self._free_ns - start_ns
+        statistics.sent[can_id] += 1
+        wait_ns = end_ns - queued_ns
+        if wait_ns > statistics.longest_wait_ns.get(can_id, 0):
+            statistics.longest_wait_ns[can_id] = wait_ns
+
+    def _arrive(self, end_ns: int, delivery: Delivery) -> None:
+        if delivery.arrival_ns < end_ns:
+            raise ValueError(f"{delivery} arrives before its frame ends at {end_ns} ns")
+        self._serial += 1
+        heappush(self._arriving, (delivery.arrival_ns, self._serial, delivery))
+
+    def _reject(self, start_ns: int, bits: int, entry: _Ready, error: ErrorFrame) -> None:
+        at_bit = bits - EOF_BITS if error.at_bit is None else error.at_bit
+        if not 1 <= at_bit <= bits:
+            raise ValueError(f"{error} in a frame of {bits} bits")
+        if not SHORTEST_ERROR_BITS <= error.bits <= LONGEST_ERROR_BITS:
+            raise ValueError(
+                f"{error}; expected {SHORTEST_ERROR_BITS} to {LONGEST_ERROR_BITS} bits"
+            )
+        self._free_ns = start_ns + (at_bit + error.bits) * self.bit_ns
+        self.statistics.frames += 1
+        self.statistics.error_frames += 1
+        self.statistics.busy_ns += self._free_ns - start_ns
+        if error.retransmit:
+            heappush(self._ready, entry._replace(attempt=entry.attempt + 1))
+        else:
+            self._waiting[entry.sender] -= 1

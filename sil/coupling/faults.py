@@ -1,0 +1,364 @@
+"""Faults of the bus and of the nodes on it, as a scenario states them: what, whom, when, how often.
+
+All happen in simulated time and draw from generators of the scenario's seed, so a run with faults
+repeats bit by bit on every transport.  A kind that is not in this file is refused.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from collections.abc import Iterable, Sequence
+from typing import Annotated, Any, Literal, NamedTuple
+
+import msgspec
+from msgspec import Meta
+
+from can_dbc import messages
+from can_dbc.codec import can_id_of
+from can_dbc.e2e import COUNTERS, PROTECTED, with_counter
+from can_dbc.errors import InputError
+from can_dbc.frame import Frame
+from sil.coupling.bus import Delivery, ErrorFrame, Transmission
+from sil.coupling.clock import NEVER_NS, to_ns
+
+MessageName = Literal[
+    "ShiftRequest",
+    "ValveCommand",
+    "SafetyBlow",
+    "PositionPulse",
+    "DrivelineSpeeds",
+    "ControllerStatus",
+    "Etc1",
+    "Etc2",
+    "PlantMotion",
+    "PlantPressures",
+]
+NodeName = Literal["driver", "controller", "plant"]
+FirmwareName = Literal["driver", "controller"]
+INTRUDER = "intruder"
+"""Name of the node that sends the frames of `Intrusion` faults."""
+
+Instant = Annotated[float, Meta(ge=0.0, le=86400.0)]
+
+EVENTS_KEPT = 10_000
+MOST_DELAY_S = 10.0
+_NS_PER_US = 1000
+
+
+class _Fault(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind"
+):
+    """Acts from `start_s` to before `end_s`; without an end, for ever."""
+
+    start_s: Instant = 0.0
+    end_s: Instant | None = None
+
+
+class _FrameFault(_Fault, frozen=True, kw_only=True):
+    """Hits frames of `message` that start on the bus while the fault acts.
+
+    Of these every `every`-th one, the first included, with `probability`, at most `count`.
+    """
+
+    message: MessageName
+    every: Annotated[int, Meta(ge=1)] = 1
+    probability: Annotated[float, Meta(gt=0.0, le=1.0)] = 1.0
+    count: Annotated[int, Meta(ge=1)] | None = None
+
+
+class Loss(_FrameFault, frozen=True, kw_only=True, tag="loss"):
+    """The frame takes its time on the bus and arrives nowhere, and nobody notices."""
+
+
+class DetectedCorruption(_FrameFault, frozen=True, kw_only=True, tag="error_frame"):
+    """The frame's CRC fails everywhere: an error frame follows, and the sender tries again.
+
+    Hits the first `attempts` transmissions of a frame.
+    """
+
+    attempts: Annotated[int, Meta(ge=1, le=32)] = 1
+
+
+class UndetectedCorruption(_FrameFault, frozen=True, kw_only=True, tag="corruption"):
+    """The frame arrives with `bits` of its data flipped, drawn at random; CAN's CRC holds."""
+
+    bits: Annotated[int, Meta(ge=1, le=64)] = 1
+
+
+class Delay(_FrameFault, frozen=True, kw_only=True, tag="delay"):
+    """The frame arrives `delay_s` late, and up to `jitter_s` more, drawn in whole microseconds."""
+
+    delay_s: Annotated[float, Meta(ge=0.0, le=MOST_DELAY_S)]
+    jitter_s: Annotated[float, Meta(ge=0.0, le=MOST_DELAY_S)] = 0.0
+
+
+class FrozenCounter(_FrameFault, frozen=True, kw_only=True, tag="frozen_counter"):
+    """The end-to-end counter stays as in the first frame hit; the checksum fits."""
+
+
+class BusOff(_Fault, frozen=True, kw_only=True, tag="bus_off"):
+    """The node's transceiver is off: it sends nothing and hears nothing; what it queues is lost."""
+
+    node: NodeName
+
+
+class Dead(_Fault, frozen=True, kw_only=True, tag="dead"):
+    """The node executes nothing from `start_s` on, for good; frames already handed over leave."""
+
+    node: FirmwareName
+
+
+class Stalled(_Fault, frozen=True, kw_only=True, tag="stalled"):
+    """The node executes nothing until `end_s`, then goes on with its next regular event.
+
+    Frames that arrive meanwhile wait for it.
+    """
+
+    node: FirmwareName
+
+
+class Babbling(_Fault, frozen=True, kw_only=True, tag="babbling"):
+    """A node that is none of ours sends without need: `load` of the bus, at `priority`."""
+
+    load: Annotated[float, Meta(gt=0.0, le=3.0)] = 1.0
+    priority: Annotated[int, Meta(ge=0, le=7)] = 0
+
+
+class Replayed(_Fault, frozen=True, kw_only=True, tag="replayed"):
+    """An intruder sends each frame of `message` once more, `delay_s` after it arrived."""
+
+    message: MessageName
+    delay_s: Annotated[float, Meta(ge=0.001, le=MOST_DELAY_S)]
+
+
+class Spoofed(_Fault, frozen=True, kw_only=True, tag="spoofed"):
+    """An intruder sends frames of `message` every `period_s`, their content drawn at random."""
+
+    message: MessageName
+    period_s: Annotated[float, Meta(ge=0.0005, le=1.0)]
+
+
+BusFault = (
+    Loss
+    | DetectedCorruption
+    | UndetectedCorruption
+    | Delay
+    | FrozenCounter
+    | BusOff
+    | Dead
+    | Stalled
+    | Babbling
+    | Replayed
+    | Spoofed
+)
+"""Any fault that a scenario may state, by its `kind`."""
+
+
+Intrusion = Babbling | Replayed | Spoofed
+"""Faults that put frames on the bus; `sil.nodes.intruder` is the node that sends them."""
+
+
+class FaultEvent(NamedTuple):
+    """One frame hit: when its transmission started, by which fault, and whose frame it was."""
+
+    start_ns: int
+    kind: str
+    can_id: int
+    sender: str
+
+
+class Window(NamedTuple):
+    """From one instant to before another, ns."""
+
+    start_ns: int
+    end_ns: int
+
+    def holds(self, instant_ns: int) -> bool:
+        return self.start_ns <= instant_ns < self.end_ns
+
+
+class _Selection:
+    """Picks the frames that one frame fault hits, and holds what it remembers of them."""
+
+    def __init__(self, fault: Any, window: Window, seed: str) -> None:
+        self.fault = fault
+        self.can_id = can_id_of(getattr(messages, fault.message))
+        self.message_type: type = getattr(messages, fault.message)
+        self.random = random.Random(seed)
+        self.hits = 0
+        self.retries: dict[tuple[int, int], int] = {}
+        self.counter: int | None = None
+        self._window = window
+        self._candidates = 0
+
+    def picks(self, transmission: Transmission) -> bool:
+        if transmission.frame.can_id != self.can_id:
+            return False
+        if transmission.attempt > 1 and isinstance(self.fault, DetectedCorruption):
+            return (transmission.frame.can_id, transmission.queued_ns) in self.retries
+        if not self._window.holds(transmission.start_ns):
+            return False
+        if self.fault.count is not None and self.hits >= self.fault.count:
+            return False
+        self._candidates += 1
+        if (self._candidates - 1) % self.fault.every:
+            return False
+        return self.fault.probability >= 1.0 or self.random.random() < self.fault.probability
+
+
+class FaultPlan:
+    """All faults of one run: the bus model's filter, and the coordinator's `Outages`.
+
+    `events` holds the latest frames hit, `hits` how often each fault hit (frame faults only).
+    Checked by test_faults.
+    """
+
+    def __init__(self, faults: Sequence[BusFault], seed: int) -> None:
+        """Raises InputError naming the fault for a window that is empty, and the like."""
+        self.events: deque[FaultEvent] = deque(maxlen=EVENTS_KEPT)
+        self._by_fault: dict[int, _Selection] = {}
+        self._off: list[tuple[str, Window]] = []
+        self._down: list[tuple[str, Window]] = []
+        for index, fault in enumerate(faults):
+            place = f"fault[{index}]"
+            window = _window(fault, place)
+            if isinstance(fault, Intrusion):
+                continue
+            if isinstance(fault, BusOff):
+                self._off.append((fault.node, window))
+            elif isinstance(fault, Dead | Stalled):
+                self._down.append((fault.node, window))
+            else:
+                selection = _Selection(fault, window, f"{seed}:{place}:{fault.message}")
+                if isinstance(fault, FrozenCounter) and selection.message_type not in PROTECTED:
+                    raise InputError(
+                        f"{place}.message: {fault.message} carries no counter; expected one of "
+                        + ", ".join(kind.__name__ for kind in PROTECTED)
+                    )
+                self._by_fault[index] = selection
+        # Error frames first: what they hit does not arrive yet, so nothing else can happen to it.
+        self._selections = sorted(
+            self._by_fault.values(), key=lambda s: not isinstance(s.fault, DetectedCorruption)
+        )
+
+    @property
+    def hits(self) -> dict[int, int]:
+        """Frames hit so far, by the index of the fault."""
+        return {index: selection.hits for index, selection in self._by_fault.items()}
+
+    @property
+    def touches_frames(self) -> bool:
+        """Whether the bus model needs `frame_filter`."""
+        return bool(self._selections or self._off)
+
+    def frame_filter(self, transmission: Transmission) -> Iterable[Delivery] | ErrorFrame:
+        """Decide what arrives of one transmission; a `sil.coupling.bus.FrameFilter`."""
+        for node, window in self._off:
+            if (
+                node == transmission.sender
+                and transmission.start_ns < window.start_ns <= transmission.end_ns
+            ):
+                self._note(transmission, "bus_off")
+                return ErrorFrame(retransmit=False)
+        deliveries: Sequence[Delivery] = transmission.delivered()
+        for selection in self._selections:
+            if not selection.picks(transmission):
+                continue
+            verdict = _apply(selection, transmission, deliveries)
+            if verdict is None:
+                continue
+            selection.hits += 1
+            self._note(transmission, type(selection.fault).__struct_config__.tag)
+            if isinstance(verdict, ErrorFrame):
+                return verdict
+            deliveries = verdict
+        return deliveries
+
+    def is_off(self, sender: str, instant_ns: int) -> bool:
+        """Tell whether a sender is bus-off; a `sil.coupling.bus.IsOff`."""
+        return any(node == sender and window.holds(instant_ns) for node, window in self._off)
+
+    def deaf(self, instant_ns: int) -> frozenset[str]:
+        """Return the nodes that do not hear a frame that arrives at this instant."""
+        if not self._off:
+            return frozenset()
+        return frozenset(node for node, window in self._off if window.holds(instant_ns))
+
+    def next_event(self, name: str, event_ns: int, period_ns: int) -> int:
+        """Return the node's first event from `event_ns` on at which it runs; see `Outages`."""
+        moved = True
+        while moved and event_ns < NEVER_NS:
+            moved = False
+            for node, window in self._down:
+                if node != name or not window.holds(event_ns):
+                    continue
+                if window.end_ns >= NEVER_NS or period_ns < 1:
+                    return window.end_ns
+                event_ns += -(-(window.end_ns - event_ns) // period_ns) * period_ns
+                moved = True
+        return event_ns
+
+    def _note(self, transmission: Transmission, kind: str) -> None:
+        frame, sender = transmission.frame, transmission.sender
+        self.events.append(FaultEvent(transmission.start_ns, kind, frame.can_id, sender))
+
+
+def _window(fault: BusFault, place: str) -> Window:
+    start_ns = to_ns(fault.start_s, f"{place}.start_s")
+    if fault.end_s is None:
+        if isinstance(fault, Stalled):
+            raise InputError(f"{place}.end_s: missing; expected a time, or the kind 'dead'")
+        return Window(start_ns, NEVER_NS)
+    if isinstance(fault, Dead):
+        raise InputError(f"{place}.end_s: a dead node stays dead; expected the kind 'stalled'")
+    end_ns = to_ns(fault.end_s, f"{place}.end_s")
+    if end_ns <= start_ns:
+        raise InputError(
+            f"{place}.end_s: {fault.end_s} s; expected later than start_s, {fault.start_s} s"
+        )
+    return Window(start_ns, end_ns)
+
+
+def window_of(fault: BusFault) -> Window:
+    """Return when a fault of a scenario acts."""
+    return _window(fault, "fault")
+
+
+def _apply(
+    selection: _Selection, transmission: Transmission, deliveries: Sequence[Delivery]
+) -> Sequence[Delivery] | ErrorFrame | None:
+    """Return what becomes of the deliveries, or None where the fault leaves them as they are."""
+    fault = selection.fault
+    if isinstance(fault, DetectedCorruption):
+        return _error_frame(selection, transmission)
+    if isinstance(fault, Loss):
+        return ()
+    if isinstance(fault, Delay):
+        jitter_us = round(fault.jitter_s * 1e6)
+        late_ns = round(fault.delay_s * 1e6) * _NS_PER_US
+        late_ns += selection.random.randint(0, jitter_us) * _NS_PER_US if jitter_us else 0
+        return [d._replace(arrival_ns=d.arrival_ns + late_ns) for d in deliveries]
+    if isinstance(fault, FrozenCounter):
+        if selection.counter is None:
+            selection.counter = transmission.frame.data[1] % COUNTERS
+        kind, counter = selection.message_type, selection.counter
+        return [d._replace(frame=with_counter(kind, d.frame, counter)) for d in deliveries]
+    return [d._replace(frame=_flipped(d.frame, fault.bits, selection.random)) for d in deliveries]
+
+
+def _error_frame(selection: _Selection, transmission: Transmission) -> ErrorFrame | None:
+    key = (transmission.frame.can_id, transmission.queued_ns)
+    left = selection.retries.pop(key, selection.fault.attempts)
+    if left == 0:
+        return None
+    selection.retries[key] = left - 1
+    return ErrorFrame()
+
+
+def _flipped(frame: Frame, bits: int, generator: random.Random) -> Frame:
+    length = 8 * len(frame.data)
+    changed = int.from_bytes(frame.data, "big")
+    for bit in generator.sample(range(length), min(bits, length)):
+        changed ^= 1 << bit
+    return Frame(frame.can_id, changed.to_bytes(len(frame.data), "big"))

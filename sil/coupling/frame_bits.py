@@ -1,0 +1,133 @@
+"""Exact length of CAN 2.0 data frames on the wire: CRC-15 and bit stuffing.
+
+Stuffable part of a frame, from start of frame to the end of the CRC sequence, in bits:
+extended 54 + 8 n (SOF 1, id 11, SRR 1, IDE 1, id 18, RTR 1, r1 1, r0 1, DLC 4, data 8 n, CRC 15),
+standard 34 + 8 n (SOF 1, id 11, RTR 1, IDE 1, r0 1, DLC 4, data 8 n, CRC 15). After five equal
+bits a complementary one is inserted, which counts as the first of the next run. Ten bits follow
+unstuffed: CRC delimiter, ACK slot, ACK delimiter, seven bits end of frame.
+Source: Bosch CAN specification 2.0 part B (1991).
+Checked by: tests/unit/sil/coupling/test_frame_bits.py
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+CRC15_POLYNOMIAL = 0x4599
+EOF_BITS = 7
+TAIL_BITS = 3 + EOF_BITS
+INTERMISSION_BITS = 3
+CRC_BITS = 15
+_CRC_MASK = 0x7FFF
+
+# A stuffing state is the length of the current run of equal bits (1 to 4) times two plus the bit;
+# state 0 stands before the first bit.
+_START = 0
+
+
+def _stuff_step(state: int, bit: int) -> tuple[int, int]:
+    """The state after one more bit of the frame, and the number of stuff bits it caused."""
+    run = (state >> 1) + 1 if state != _START and state & 1 == bit else 1
+    if run == 5:
+        return 2 | bit ^ 1, 1
+    return run << 1 | bit, 0
+
+
+def _stuff_bits(state: int, word: int, bits: int) -> tuple[int, int]:
+    """The same for the lowest `bits` bits of a word, most significant first."""
+    inserted = 0
+    for position in range(bits - 1, -1, -1):
+        state, more = _stuff_step(state, word >> position & 1)
+        inserted += more
+    return state, inserted
+
+
+def _crc_of_byte(byte: int) -> int:
+    crc = byte << 7
+    for _ in range(8):
+        crc = crc << 1 ^ (CRC15_POLYNOMIAL if crc & 0x4000 else 0)
+    return crc & _CRC_MASK
+
+
+# Next state and stuff bits of each state and byte, packed as state | inserted << 4, at index
+# state << 8 | byte; and the same for the seven low bits that end the CRC sequence.
+_STATES = range(10)
+_STUFF_BYTE = tuple(
+    state_after | inserted << 4
+    for state in _STATES
+    for byte in range(256)
+    for state_after, inserted in (_stuff_bits(state, byte, 8),)
+)
+_STUFF_LAST7 = tuple(_stuff_bits(state, word, 7)[1] for state in _STATES for word in range(128))
+_CRC_BYTE = tuple(_crc_of_byte(byte) for byte in range(256))
+
+
+def crc15(bits: int, count: int) -> int:
+    """CRC-15 of `count` bits, most significant first, starting from 0.
+
+    Generator x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1.
+    Source: Bosch CAN 2.0, 3.1.1. Checked by: tests/unit/sil/coupling/test_frame_bits.py
+    """
+    crc = 0
+    padded = (count + 7) // 8
+    for byte in bits.to_bytes(padded, "big"):
+        crc = (crc << 8 & _CRC_MASK) ^ _CRC_BYTE[crc >> 7 ^ byte]
+    return crc
+
+
+def header_bits(can_id: int, length: int, extended: bool = True) -> tuple[int, int]:
+    """The bits from start of frame to the length code, as a number, and how many there are.
+
+    Raises ValueError for an identifier or a length that does not fit.
+    """
+    if not 0 <= length <= 8:
+        raise ValueError(f"{length} data bytes; expected 0 to 8")
+    if not 0 <= can_id < (1 << 29 if extended else 1 << 11):
+        raise ValueError(f"identifier {can_id:#x} does not fit {29 if extended else 11} bits")
+    if extended:
+        return (can_id >> 18) << 27 | 0b11 << 25 | (can_id & 0x3FFFF) << 7 | length, 39
+    return can_id << 7 | length, 19
+
+
+@lru_cache(maxsize=4096)
+def _after_header(can_id: int, length: int, extended: bool) -> tuple[int, int, int, int]:
+    """CRC, stuffing state and stuff bits after the header, and the unstuffed frame's length."""
+    header, count = header_bits(can_id, length, extended)
+    state, inserted = _stuff_bits(_START, header, count)
+    return crc15(header, count), state, inserted, count + 8 * length + CRC_BITS + TAIL_BITS
+
+
+def frame_bits(can_id: int, data: bytes, extended: bool = True) -> int:
+    """Bits of a data frame from start of frame to end of frame, stuff bits included.
+
+    The intermission of `INTERMISSION_BITS` that must follow is not part of it.
+    Raises ValueError for an identifier or a length that does not fit.
+    Checked by: tests/unit/sil/coupling/test_frame_bits.py
+    """
+    crc, state, inserted, plain = _after_header(can_id, len(data), extended)
+    for byte in data:
+        crc = (crc << 8 & _CRC_MASK) ^ _CRC_BYTE[crc >> 7 ^ byte]
+        step = _STUFF_BYTE[state << 8 | byte]
+        state = step & 15
+        inserted += step >> 4
+    step = _STUFF_BYTE[state << 8 | crc >> 7]
+    return plain + inserted + (step >> 4) + _STUFF_LAST7[(step & 15) << 7 | crc & 0x7F]
+
+
+def longest_frame_bits(length: int, extended: bool = True) -> int:
+    """Upper bound of `frame_bits` over all identifiers and data of a length.
+
+    g + 8 n + floor((g + 8 n - 1) / 4) + 10 with g = 54 (extended) or 34 (standard).
+    Source: Davis, Burns, Bril, Lukkien 2007, eq. 1. Checked by: tests/unit/sil/coupling/test_frame_bits.py
+    """
+    plain = shortest_frame_bits(length, extended) - TAIL_BITS
+    return plain + (plain - 1) // 4 + TAIL_BITS
+
+
+def shortest_frame_bits(length: int, extended: bool = True) -> int:
+    """Bits of a frame of a length without any stuff bit.
+
+    Raises ValueError for a length that does not fit.
+    """
+    _, count = header_bits(0, length, extended)
+    return count + 8 * length + CRC_BITS + TAIL_BITS

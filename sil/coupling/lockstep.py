@@ -1,0 +1,255 @@
+"""The coordinator: owns simulated time and the bus, grants the participants their turns."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import TYPE_CHECKING, Protocol
+
+from can_dbc.errors import RunError
+from can_dbc.frame import Frame
+from sil.coupling.clock import NEVER_NS, to_seconds
+from sil.coupling.real_time import Lateness, Pacer
+from sil.coupling.transports.channel import NOBODY, Channel, ParticipantLost, Turn
+from sil.coupling.transports.inproc import InProcess
+from sil.coupling.transports.wire import can_be_offered
+
+if TYPE_CHECKING:
+    from sil.coupling.bus import Delivery
+
+TURN_ORDER = ("driver", "controller", "plant")
+"""Who queues first at equal instants."""
+
+_PAUSE_NAP_S = 0.02
+
+
+class BusAuthority(Protocol):
+    """What the coordinator asks of the bus model."""
+
+    def queue(self, release_ns: int, frame: Frame, sender: str) -> None:
+        """Enter a frame into its sender's queue at an instant not before the last advance."""
+
+    def advance(self, until_ns: int) -> list[Delivery]:
+        """Return the frames that arrived up to and at `until_ns`, in order of arrival."""
+
+
+class Outages(Protocol):
+    """When participants do not run or do not hear; `sil.coupling.faults.FaultPlan` is one."""
+
+    def deaf(self, instant_ns: int) -> frozenset[str]:
+        """Return who does not hear a frame that arrives at this instant."""
+
+    def next_event(self, name: str, event_ns: int, period_ns: int) -> int:
+        """Return the participant's first event from `event_ns` on at which it runs.
+
+        `period_ns` is the distance of its last two events.  `NEVER_NS`: it never runs again.
+        """
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """What a run amounted to; `lateness` in real time only."""
+
+    end_ns: int
+    turns: int
+    frames: int
+    wall_s: float
+    lateness: Lateness | None
+
+
+class Lockstep:
+    """Runs participants, wherever they are, in simulated time.
+
+    Order of a step at instant T, the earliest next event: the bus delivers what arrived up to and
+    at T; everybody with an event at T is granted T; the frames they release enter the bus in the
+    order of `TURN_ORDER`, whoever answered first.  At the end of the run everybody is granted the
+    end.  What happens does not depend on the wall clock, nor on the channels.
+
+    Use as a context manager: leaving it ends participants and channels, early ones as aborted.
+    Checked by test_lockstep, test_transport_contract.
+    """
+
+    def __init__(
+        self,
+        bus: BusAuthority,
+        channels: Sequence[Channel],
+        end_ns: int,
+        *,
+        record: Callable[[list[Delivery]], None],
+        outages: Outages | None = None,
+        pacer: Pacer | None = None,
+        order: Sequence[str] = TURN_ORDER,
+    ) -> None:
+        """`record` gets the deliveries of each step before the participants do.
+
+        Raises ValueError when a participant is on two channels or missing from `order`.
+        """
+        names = [name for channel in channels for name in channel.names]
+        if len(set(names)) != len(names) or not set(names) <= set(order):
+            raise ValueError(f"participants {names}; expected each once, out of {tuple(order)}")
+        self.names = tuple(name for name in order if name in names)
+        self.now_ns = 0
+        self.end_ns = end_ns
+        self._bus = bus
+        # Participants elsewhere are granted first: they work while ours do.
+        self._channels = sorted(channels, key=lambda channel: isinstance(channel, InProcess))
+        self._channel_of = {name: channel for channel in channels for name in channel.names}
+        self._record = record
+        self._outages = outages
+        self._pacer = pacer
+        self._next: dict[str, int] = {}
+        self._running = threading.Event()
+        self._running.set()
+        self._turns = 0
+        self._frames = 0
+        self._wall_s = 0.0
+        self._started = False
+        self._finished = False
+
+    def __enter__(self) -> Lockstep:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End participants and channels; after a run that did not finish, as aborted."""
+        failures = []
+        for channel in self._channels:
+            try:
+                channel.close(aborted=not self._finished)
+            except RunError as error:
+                failures.append(error)
+        if failures and self._finished:
+            raise failures[0]
+
+    def pause(self) -> None:
+        """Hold the run before its next step; callable from any thread or a signal handler."""
+        self._running.clear()
+
+    def resume(self) -> None:
+        """Let a held run go on; in real time its schedule starts anew at this instant."""
+        self._running.set()
+
+    @property
+    def warnings(self) -> list[str]:
+        """Lines for the user about strangers, slow monitors and the like."""
+        return [line for channel in self._channels for line in channel.counts.warnings]
+
+    def start(self) -> None:
+        """Wait for all participants.  Raises ParticipantLost when one does not come in time."""
+        self._started = True
+        for channel in self._channels:
+            self._next.update(channel.start(self.end_ns))
+        for name, event_ns in self._next.items():
+            self._check_next(name, event_ns, -1)
+            self._next[name] = self._running_event(name, event_ns, 0)
+
+    def run(self) -> RunSummary:
+        """Run from where it stands to the end.  Raises ParticipantLost, and RunError of the bus."""
+        self.advance(self.end_ns - 1)
+        self._timed_step(self.end_ns, [name for name in self.names if name in self._next])
+        self._finished = True
+        lateness = self._pacer.lateness() if self._pacer is not None else None
+        return RunSummary(self.end_ns, self._turns, self._frames, self._wall_s, lateness)
+
+    def advance(self, until_ns: int) -> None:
+        """Take all steps up to and at `until_ns`, before the end; then call it again, or `run`."""
+        if not self._started:
+            self.start()
+        while (now_ns := min(self._next.values(), default=NEVER_NS)) <= until_ns:
+            due = [name for name in self.names if self._next.get(name) == now_ns]
+            self._timed_step(now_ns, due)
+
+    def _timed_step(self, now_ns: int, due: Sequence[str]) -> None:
+        try:
+            if not self._running.is_set():
+                self._hold()
+            started = time.perf_counter()
+            self._step(now_ns, due)
+            self._wall_s += time.perf_counter() - started
+        except ParticipantLost as lost:
+            raise lost.at(to_seconds(now_ns)) from lost.__cause__
+
+    def _step(self, now_ns: int, due: Sequence[str]) -> None:
+        deliveries = self._bus.advance(now_ns)
+        if deliveries:
+            self._frames += len(deliveries)
+            self._record(deliveries)
+        if deliveries:
+            self._deliver(deliveries)
+        if self._pacer is not None:
+            self._pacer.wait(now_ns, self._idle)
+        self.now_ns = now_ns
+        for channel in self._channels:
+            channel.begin_turn(now_ns, due)
+        turns: dict[str, Turn] = {}
+        for channel in self._channels:
+            turns.update(channel.end_turn())
+        for name in due:
+            self._take(name, now_ns, turns[name])
+        self._turns += len(due)
+
+    def _deliver(self, deliveries: list[Delivery]) -> None:
+        if self._pacer is None and self._outages is None:
+            for channel in self._channels:
+                channel.deliver(deliveries)
+            return
+        for delivery in deliveries:
+            if self._pacer is not None:
+                self._pacer.wait(delivery.arrival_ns, self._idle)
+            deaf = NOBODY if self._outages is None else self._outages.deaf(delivery.arrival_ns)
+            for channel in self._channels:
+                channel.deliver((delivery,), deaf)
+
+    def _take(self, name: str, now_ns: int, turn: Turn) -> None:
+        for release_ns, frame in turn.frames:
+            if release_ns < now_ns or not can_be_offered(frame):
+                raise ParticipantLost(
+                    name,
+                    f"released {frame} at {release_ns} ns, granted {now_ns} ns; expected a "
+                    "classic 29-bit frame with EDP clear, not released before the grant",
+                )
+            self._bus.queue(release_ns, frame, name)
+        self._check_next(name, turn.next_ns, now_ns)
+        self._next[name] = self._running_event(name, turn.next_ns, turn.next_ns - now_ns)
+        if self._next[name] >= NEVER_NS and turn.next_ns < NEVER_NS:
+            del self._next[name]
+            self._channel_of[name].retire(name)
+
+    def _check_next(self, name: str, event_ns: int, now_ns: int) -> None:
+        if event_ns <= now_ns:
+            raise ParticipantLost(
+                name, f"named {event_ns} ns as its next event at {now_ns} ns; expected a later one"
+            )
+
+    def _running_event(self, name: str, event_ns: int, period_ns: int) -> int:
+        if self._outages is None:
+            return event_ns
+        return self._outages.next_event(name, event_ns, period_ns)
+
+    def _idle(self, seconds: float) -> None:
+        """Pass wall time on all channels at once: the last one waits, the others are served."""
+        deadline = time.monotonic() + seconds
+        while True:
+            remote = [c for c in self._channels if not isinstance(c, InProcess)]
+            left = deadline - time.monotonic()
+            if left <= 0.0:
+                return
+            share = left if len(remote) < 2 else min(left, _PAUSE_NAP_S) / len(remote)
+            for channel in remote or self._channels:
+                channel.idle(share)
+
+    def _hold(self) -> None:
+        while not self._running.is_set():
+            self._idle(_PAUSE_NAP_S)
+        if self._pacer is not None:
+            self._pacer.anchor(self.now_ns)

@@ -1,0 +1,138 @@
+"""Real time: simulated instants tied to the wall clock, and how late each of them came."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from can_dbc.errors import InputError
+
+_LAST_SLEEP_NS = 2_000_000
+"""The last stretch is slept, not polled: poll wakes up on whole milliseconds."""
+
+
+@dataclass(frozen=True)
+class Lateness:
+    """How late the simulated instants came, in seconds of the wall clock.
+
+    `instants`: how many were awaited; `overruns`: how many were late already when their turn came,
+    because the work before took too long, `worst_overrun_s` by how much at most.  The quantiles are
+    over all instants, each rounded up to two significant digits.
+    """
+
+    factor: float
+    instants: int
+    p50_s: float
+    p99_s: float
+    max_s: float
+    overruns: int
+    worst_overrun_s: float
+
+    def __str__(self) -> str:
+        text = (
+            f"real time x{self.factor:g}: {self.instants} instants, late by "
+            f"p50 {self.p50_s * 1e3:.3f} ms, p99 {self.p99_s * 1e3:.3f} ms, "
+            f"max {self.max_s * 1e3:.3f} ms"
+        )
+        if self.overruns:
+            text += (
+                f"; {self.overruns} overruns, the worst {self.worst_overrun_s * 1e3:.3f} ms: "
+                "this machine did not keep up"
+            )
+        return text
+
+
+class Histogram:
+    """Counts of nanosecond values, rounded up to two significant digits: memory stays flat.
+
+    Checked by test_real_time.
+    """
+
+    def __init__(self) -> None:
+        self._counts: dict[int, int] = {}
+        self.total = 0
+        self.maximum = 0
+
+    def add(self, value: int) -> None:
+        """Count one value; negative ones count as 0."""
+        value = max(0, value)
+        self.total += 1
+        self.maximum = max(self.maximum, value)
+        step = 1
+        while value > 99 * step:
+            step *= 10
+        rounded = -(-value // step) * step
+        self._counts[rounded] = self._counts.get(rounded, 0) + 1
+
+    def quantile(self, share: float) -> int:
+        """Return the value that `share` (0 to 1) of those counted do not exceed; 0 if none."""
+        passed = 0
+        for value in sorted(self._counts):
+            passed += self._counts[value]
+            if passed >= share * self.total:
+                return min(value, self.maximum)
+        return 0
+
+
+class Pacer:
+    """Holds simulated instants back until the wall clock is there.
+
+    The schedule is absolute: wall = origin + (simulated - simulated origin) / factor, so that one
+    late instant does not shift those after it.  Checked by test_real_time.
+    """
+
+    def __init__(
+        self,
+        factor: float = 1.0,
+        clock: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """`factor`: simulated seconds per wall second.  Raises InputError unless it is positive."""
+        if not 1e-6 <= factor <= 1e6:
+            raise InputError(f"real-time factor {factor!r}: expected 1e-6 to 1e6")
+        self.factor = factor
+        self._clock = clock
+        self._sleep = sleep
+        self._origin_wall = 0
+        self._origin_simulated: int | None = None
+        self._late = Histogram()
+        self._overruns = 0
+        self._worst_overrun = 0
+
+    def anchor(self, simulated_ns: int) -> None:
+        """Tie this simulated instant to now: at the start, and after a pause."""
+        self._origin_wall = self._clock()
+        self._origin_simulated = simulated_ns
+
+    def wait(self, simulated_ns: int, idle: Callable[[float], None]) -> None:
+        """Return when the wall clock has reached the instant; `idle(seconds)` passes long waits.
+
+        The first call anchors the schedule.
+        """
+        if self._origin_simulated is None:
+            self.anchor(simulated_ns)
+            return
+        due = self._origin_wall + round((simulated_ns - self._origin_simulated) / self.factor)
+        left = due - self._clock()
+        if left < 0:
+            self._overruns += 1
+            self._worst_overrun = max(self._worst_overrun, -left)
+        elif left > _LAST_SLEEP_NS:
+            idle((left - _LAST_SLEEP_NS) / 1e9)
+        left = due - self._clock()
+        if left > 0:
+            self._sleep(left / 1e9)
+        self._late.add(self._clock() - due)
+
+    def lateness(self) -> Lateness:
+        """Return what was measured so far."""
+        return Lateness(
+            factor=self.factor,
+            instants=self._late.total,
+            p50_s=self._late.quantile(0.5) / 1e9,
+            p99_s=self._late.quantile(0.99) / 1e9,
+            max_s=self._late.maximum / 1e9,
+            overruns=self._overruns,
+            worst_overrun_s=self._worst_overrun / 1e9,
+        )

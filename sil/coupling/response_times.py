@@ -1,0 +1,235 @@
+"""Worst-case response times of the messages on a CAN bus.
+
+For message m with transmission time C_m (worst-case stuffing, intermission included), period T_m
+and queueing jitter J_m, blocked by at most one frame of lower priority, B_m = max of their C:
+
+    busy period  t = B_m + sum over k in hep(m) of ceil((t + J_k) / T_k) C_k,
+    instances    Q_m = ceil((t + J_m) / T_m),
+    queueing     w(q) = B_m + q C_m + sum over k in hp(m) of ceil((w(q) + J_k + tau_bit) / T_k) C_k,
+    response     R_m = max over q < Q_m of J_m + w(q) - q T_m + C_m,
+
+all smallest fixed points, in whole nanoseconds. Looking at the first instance alone, as in the
+analysis of 1994, is optimistic.
+Source: Davis, Burns, Bril, Lukkien, "Controller Area Network (CAN) schedulability analysis:
+refuted, revisited and revised", Real-Time Systems 35 (2007), section 3.2.
+Assumes: perfect bus, every node always offers its most urgent frame, messages independent.
+Checked by: tests/unit/sil/coupling/test_response_times.py (the paper's cases, and the bus model never slower)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from can_dbc.contract import contract
+from can_dbc.errors import InputError
+from sil.coupling.bus import BusModel
+from sil.coupling.frame_bits import INTERMISSION_BITS, longest_frame_bits
+
+if TYPE_CHECKING:
+    from cantools.database import Database
+
+NS_PER_MS = 1_000_000
+_MOST_STEPS = 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodicMessage:
+    """A message as the analysis sees it; times in ns.
+
+    `jitter_ns`: how much later than strictly periodic its frames may be released.
+    `deadline_ns`: None for the period.
+    """
+
+    name: str
+    can_id: int
+    period_ns: int
+    length: int = 8
+    jitter_ns: int = 0
+    deadline_ns: int | None = None
+    extended: bool = True
+
+    @property
+    def rank(self) -> tuple[int, int, int]:
+        """Smaller wins the arbitration: the first 11 bits, then standard before extended."""
+        if self.extended:
+            return self.can_id >> 18, 1, self.can_id & 0x3FFFF
+        return self.can_id, 0, 0
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseTime:
+    """Result for one message; C, B and R of the analysis, times in ns.
+
+    `response_ns` counts from the start of the period (jitter included) to the end of the
+    intermission; `instances` frames of the message were looked at. `load`: share of the bus, 0..1.
+    """
+
+    name: str
+    can_id: int
+    period_ns: int
+    jitter_ns: int
+    transmission_ns: int
+    blocking_ns: int
+    response_ns: int
+    deadline_ns: int
+    load: float
+    instances: int
+
+    @property
+    def in_time(self) -> bool:
+        """Whether the message always meets its deadline."""
+        return self.response_ns <= self.deadline_ns
+
+
+def contract_messages(
+    period_ns: Mapping[str, int] | None = None, jitter_ns: Mapping[str, int] | None = None
+) -> tuple[PeriodicMessage, ...]:
+    """The periodic messages of opc4.dbc; periods and jitters by message name replace its own.
+
+    Raises InputError for a name that is not a periodic message of the contract.
+    """
+    periodic = {spec.name: spec for spec in contract().messages if spec.cycle_ns}
+    for place, given in (("period", period_ns), ("jitter", jitter_ns)):
+        for name in given or {}:
+            if name not in periodic:
+                raise InputError(
+                    f"bus: {place}: {name} is not a periodic message; "
+                    f"expected one of {', '.join(periodic)}"
+                )
+    return tuple(
+        PeriodicMessage(
+            name,
+            spec.can_id,
+            (period_ns or {}).get(name, spec.cycle_ns),
+            spec.length,
+            (jitter_ns or {}).get(name, spec.jitter_ns),
+        )
+        for name, spec in periodic.items()
+    )
+
+
+def database_messages(database: Database) -> tuple[PeriodicMessage, ...]:
+    """The messages with a cycle time of a database read by `can_dbc.dbc.load_dbc`.
+
+    Raises InputError when there is none or one is longer than a classic frame.
+    """
+    messages = []
+    for message in database.messages:
+        if not message.cycle_time:
+            continue
+        if message.length > 8:
+            raise InputError(
+                f"DBC: {message.name}: {message.length} bytes; "
+                "expected at most 8, the analysis covers classic CAN only"
+            )
+        messages.append(
+            PeriodicMessage(
+                message.name,
+                message.frame_id,
+                round(message.cycle_time * NS_PER_MS),
+                message.length,
+                extended=message.is_extended_frame,
+            )
+        )
+    if not messages:
+        raise InputError(
+            "DBC: no message has a cycle time (GenMsgCycleTime); expected at least one"
+        )
+    return tuple(messages)
+
+
+def transmission_ns(message: PeriodicMessage, bitrate: int) -> int:
+    """C_m: the longest frame of the message and the intermission after it, in ns."""
+    bits = longest_frame_bits(message.length, message.extended) + INTERMISSION_BITS
+    return bits * BusModel(bitrate).bit_ns
+
+
+def utilisation(messages: Iterable[PeriodicMessage], bitrate: int) -> Fraction:
+    """Share of the bus that the messages take with worst-case stuffing: sum of C / T."""
+    return sum((Fraction(transmission_ns(x, bitrate), x.period_ns) for x in messages), Fraction(0))
+
+
+def response_times(messages: Sequence[PeriodicMessage], bitrate: int) -> tuple[ResponseTime, ...]:
+    """Worst-case response times, highest priority first.
+
+    Raises InputError for a utilisation above 1, for equal identifiers, periods not above 0 and
+    negative jitter. Source and equations: see the module.
+    Checked by: tests/unit/sil/coupling/test_response_times.py
+    """
+    ranked = sorted(messages, key=lambda message: message.rank)
+    _refuse_malformed(ranked)
+    total = utilisation(ranked, bitrate)
+    if total > 1:
+        raise InputError(
+            f"bus: worst-case load {float(total):.1%} at {bitrate} bit/s: response times are "
+            "unbounded; expected at most 100 %, so raise the bit rate or the periods"
+        )
+    bit_ns = BusModel(bitrate).bit_ns
+    costs = [transmission_ns(message, bitrate) for message in ranked]
+    return tuple(_response_time(ranked, costs, place, bit_ns) for place in range(len(ranked)))
+
+
+def _refuse_malformed(ranked: Sequence[PeriodicMessage]) -> None:
+    for message in ranked:
+        if message.period_ns <= 0 or message.jitter_ns < 0:
+            raise InputError(
+                f"bus: {message.name}: period {message.period_ns} ns, jitter {message.jitter_ns} "
+                "ns; expected a period above 0 and a jitter of at least 0"
+            )
+    for first, second in pairwise(ranked):
+        if first.rank == second.rank:
+            raise InputError(
+                f"bus: {first.name} and {second.name} share identifier {first.can_id:#x}; "
+                "expected different identifiers"
+            )
+
+
+def _response_time(
+    ranked: Sequence[PeriodicMessage], costs: Sequence[int], place: int, bit_ns: int
+) -> ResponseTime:
+    message, cost = ranked[place], costs[place]
+    higher = list(zip(ranked[:place], costs[:place], strict=True))
+    blocking = max(costs[place + 1 :], default=0)
+
+    def interference(
+        window_ns: int, sources: Sequence[tuple[PeriodicMessage, int]], extra_ns: int
+    ) -> int:
+        return sum(-(-(window_ns + k.jitter_ns + extra_ns) // k.period_ns) * c for k, c in sources)
+
+    busy, steps = 0, 0
+    longer = cost
+    while longer != busy and steps < _MOST_STEPS:
+        busy, steps = longer, steps + 1
+        longer = blocking + interference(busy, [*higher, (message, cost)], 0)
+    instances = -(-(busy + message.jitter_ns) // message.period_ns)
+    if longer != busy or instances > _MOST_STEPS:
+        raise InputError(
+            f"bus: {message.name}: with the more urgent messages it loads the bus so close to "
+            "100 % that its busy period has no useful end; expected a lower load"
+        )
+    response = 0
+    queueing = blocking
+    for instance in range(instances):
+        queueing = max(queueing, blocking + instance * cost)
+        while True:
+            longer = blocking + instance * cost + interference(queueing, higher, bit_ns)
+            if longer == queueing:
+                break
+            queueing = longer
+        response = max(response, message.jitter_ns + queueing - instance * message.period_ns + cost)
+    return ResponseTime(
+        name=message.name,
+        can_id=message.can_id,
+        period_ns=message.period_ns,
+        jitter_ns=message.jitter_ns,
+        transmission_ns=cost,
+        blocking_ns=blocking,
+        response_ns=response,
+        deadline_ns=message.period_ns if message.deadline_ns is None else message.deadline_ns,
+        load=cost / message.period_ns,
+        instances=instances,
+    )

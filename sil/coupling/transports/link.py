@@ -1,0 +1,296 @@
+"""The participant's side of the lockstep protocol, over the local socket or a CAN channel."""
+
+from __future__ import annotations
+
+import math
+import os
+import select
+import socket
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from can_dbc.errors import InputError, RunError
+from can_dbc.frame import EDP_BIT, Frame
+from can_dbc.messages import StopReason
+from sil.coupling.transports import address, wire
+from sil.coupling.transports.socketcan import PARTICIPANT_VIEW, CanSocket, lifeline_address
+from sil.coupling.transports.wire import Kind
+
+
+class Grant(NamedTuple):
+    """Time granted up to `now_ns`, and the frames that arrived since the last grant."""
+
+    now_ns: int
+    deliveries: list[tuple[int, Frame]]
+
+
+class Link(ABC):
+    """Moves records between a participant and its coordinator."""
+
+    hello_again_s: float
+    """After how long to repeat a Hello that was not answered."""
+
+    @abstractmethod
+    def read(self, timeout_s: float | None) -> list[tuple[int, bytes]]:
+        """Return the next records (identifier, data), none when the time is up.
+
+        Raises RunError when the coordinator is gone or the channel lost frames.
+        """
+
+    @abstractmethod
+    def write(self, records: Sequence[bytes]) -> None:
+        """Send records; returns when they are on their way."""
+
+    @abstractmethod
+    def welcomed(self, number: int) -> None:
+        """Note that the coordinator has taken this participant in."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Leave the channel."""
+
+
+class LocalLink(Link):
+    """The link to a `Hub`."""
+
+    hello_again_s = math.inf
+
+    def __init__(self, channel: str, start_timeout_s: float) -> None:
+        """Connect, waiting for the hub; raises RunError when it does not come."""
+        self._path = address.socket_path(channel)
+        self._buffer = bytearray(wire.LONGEST_BATCH * wire.RECORD_BYTES)
+        deadline = time.monotonic() + start_timeout_s
+        while True:
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            try:
+                self._socket.connect(str(self._path))
+                return
+            except (FileNotFoundError, ConnectionRefusedError):
+                self._socket.close()
+                if time.monotonic() > deadline:
+                    raise RunError(
+                        f"no coordinator on {self._path} within {start_timeout_s:g} s"
+                    ) from None
+                time.sleep(0.02)
+            except OSError as error:
+                self._socket.close()
+                raise RunError(f"{self._path}: {error.strerror}") from None
+
+    def read(self, timeout_s: float | None) -> list[tuple[int, bytes]]:
+        try:
+            self._socket.settimeout(timeout_s)
+            length = self._socket.recv_into(self._buffer)
+        except TimeoutError:
+            return []
+        except OSError as error:
+            raise RunError(f"{self._path}: {error.strerror}: the coordinator is gone") from None
+        if length == 0:
+            raise RunError(f"{self._path}: the coordinator is gone")
+        try:
+            with memoryview(self._buffer) as view:
+                return list(wire.split(view[:length]))
+        except wire.WireError as error:
+            raise RunError(f"{self._path}: no coordinator of ours: {error}") from None
+
+    def write(self, records: Sequence[bytes]) -> None:
+        try:
+            self._socket.settimeout(None)
+            for start in range(0, len(records), wire.LONGEST_BATCH):
+                self._socket.send(b"".join(records[start : start + wire.LONGEST_BATCH]))
+        except OSError as error:
+            raise RunError(f"{self._path}: {error.strerror}: the coordinator is gone") from None
+
+    def welcomed(self, number: int) -> None:
+        """The connection itself shows who lives."""
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class CanLink(Link):
+    """The link to a `SocketCan` coordinator on the same channel."""
+
+    hello_again_s = 0.1
+
+    def __init__(self, interface: str) -> None:
+        """Open the channel; raises InputError when there is none."""
+        self._can = CanSocket(interface, PARTICIPANT_VIEW)
+        self._lifeline: socket.socket | None = None
+        self._poll = select.poll()
+        self._poll.register(self._can.fileno(), select.POLLIN)
+
+    def read(self, timeout_s: float | None) -> list[tuple[int, bytes]]:
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            received = self._can.receive()
+            if received is not None:
+                return [received]
+            left = None if deadline is None else max(0.0, deadline - time.monotonic()) * 1000.0
+            ready = self._poll.poll(left)
+            if not ready:
+                return []
+            if all(fileno != self._can.fileno() for fileno, _ in ready):
+                received = self._can.receive()  # its Stop may have come just before
+                if received is not None:
+                    return [received]
+                raise RunError(f"channel {self._can.interface!r}: the coordinator is gone")
+
+    def write(self, records: Sequence[bytes]) -> None:
+        self._can.send(b"".join(records))
+
+    def welcomed(self, number: int) -> None:
+        """Hold on to the coordinator's lifeline, so that each notices the other's death."""
+        self._lifeline = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            self._lifeline.connect(lifeline_address(self._can.interface))
+            self._lifeline.send(bytes([number]))
+        except OSError as error:
+            raise RunError(
+                f"channel {self._can.interface!r}: its coordinator cannot be reached beside the "
+                f"channel ({error.strerror}); expected one on this machine"
+            ) from None
+        self._poll.register(self._lifeline.fileno(), select.POLLIN)
+
+    def close(self) -> None:
+        self._can.close()
+        if self._lifeline is not None:
+            self._lifeline.close()
+
+
+class Session:
+    """One participant's part in one run, from Hello to Stop.  Checked by test_link."""
+
+    def __init__(self, name: str, link: Link, scenario: int = 0) -> None:
+        """`scenario` as for `RemoteChannel`.  Raises InputError for a name without a number."""
+        if name not in wire.PARTICIPANTS:
+            raise InputError(f"participant {name!r}: expected {', '.join(wire.PARTICIPANTS)}")
+        self.name = name
+        self.foreign_frames = 0
+        self.ending: StopReason | None = None
+        self._number = wire.PARTICIPANTS[name]
+        self._link = link
+        self._scenario = scenario
+        self._received = 0
+        self._inbox: list[tuple[int, Frame]] = []
+        self._announced: wire.Control | None = None
+        self._records: deque[tuple[int, bytes]] = deque()
+        self._skip = False
+        self._now_ns = 0
+        self._first_event_ns = 0
+
+    def join(self, first_event_ns: int, timeout_s: float) -> None:
+        """Say Hello until welcomed; the first event is told when the run starts.
+
+        Raises InputError when refused, RunError when nobody answers.
+        """
+        nonce = int.from_bytes(os.urandom(2), "little")
+        hello = wire.control(Kind.HELLO, self._number, wire.VERSION, nonce | self._scenario << 16)
+        deadline = time.monotonic() + timeout_s
+        next_hello = 0.0
+        while True:
+            now = time.monotonic()
+            if now > deadline:
+                raise RunError(f"{self.name}: no coordinator answered within {timeout_s:g} s")
+            if now >= next_hello:
+                self._link.write([hello])
+                next_hello = now + self._link.hello_again_s
+            self._records.extend(self._link.read(max(0.0, min(deadline, next_hello) - now)))
+            while self._records:
+                can_id, payload = self._records.popleft()
+                said = self._parse(can_id, payload)
+                if said is None or said.participant != self._number or said.value != nonce:
+                    continue
+                if said.kind == Kind.REFUSED:
+                    raise InputError(f"{self.name}: refused: {wire.reason(said.extra)}")
+                if said.kind == Kind.WELCOME:
+                    self._link.welcomed(self._number)
+                    self._first_event_ns = first_event_ns
+                    return
+
+    def next_grant(self) -> Grant | None:
+        """Wait for time to be granted; None when the run is over, and `ending` says how.
+
+        Raises RunError when the coordinator is gone or frames were lost on the way.
+        """
+        while True:
+            while self._records:
+                can_id, payload = self._records.popleft()
+                if not can_id & EDP_BIT:
+                    self._hear(can_id, payload)
+                    continue
+                said = self._parse(can_id, payload)
+                if said is None:
+                    continue
+                if said.kind == Kind.BUS_TIME:
+                    if self._announced is not None:
+                        raise self._lost_frames()
+                    self._announced = said
+                elif said.kind == Kind.START:
+                    self._link.write(
+                        [wire.control(Kind.DONE, self._number, 0, self._first_event_ns)]
+                    )
+                elif said.kind == Kind.STOP:
+                    regular = said.participant == StopReason.END
+                    self.ending = StopReason.END if regular else StopReason.ABORTED
+                    return None
+                elif said.participant != self._number:
+                    continue
+                elif said.kind == Kind.SKIP:
+                    self._skip = True
+                elif said.kind == Kind.SYNC:
+                    self._link.write([wire.control(Kind.ACK, self._number)])
+                elif said.kind == Kind.GRANT:
+                    if self._announced is not None or said.extra != self._received & 0xFF:
+                        raise self._lost_frames()
+                    self._received = 0
+                    self._now_ns = said.value
+                    inbox, self._inbox = self._inbox, []
+                    return Grant(said.value, inbox)
+            self._records.extend(self._link.read(None))
+
+    def answer(self, frames: Sequence[tuple[int, Frame]], next_ns: int) -> None:
+        """End the turn: offer the frames, each at its release instant, and tell the next event.
+
+        Raises ValueError for a frame that cannot be offered or is released before the grant.
+        """
+        records = []
+        release_ns = self._now_ns
+        for instant_ns, frame in frames:
+            if instant_ns < self._now_ns or not wire.can_be_offered(frame):
+                raise ValueError(f"{self.name} at {self._now_ns} ns: {frame} at {instant_ns} ns")
+            if instant_ns != release_ns:
+                release_ns = instant_ns
+                records.append(wire.control(Kind.RELEASE, self._number, value=release_ns))
+            records.append(wire.offer(frame))
+        records.append(wire.control(Kind.DONE, self._number, len(frames), next_ns))
+        self._link.write(records)
+
+    def fail(self) -> None:
+        """Tell the coordinator that this participant cannot go on."""
+        self._link.write([wire.control(Kind.FAILED, self._number)])
+
+    def _parse(self, can_id: int, payload: bytes) -> wire.Control | None:
+        """Return the control frame, or None for another one, or a stranger's nonsense."""
+        try:
+            return wire.parse_control(can_id, payload)
+        except wire.WireError:
+            self.foreign_frames += 1
+            return None
+
+    def _hear(self, can_id: int, payload: bytes) -> None:
+        """Keep the frame if it is the announced one and somebody else's."""
+        announced = self._announced
+        if announced is None or announced.extra != wire.checksum(can_id, payload):
+            self.foreign_frames += 1
+            return
+        self._announced = None
+        skip, self._skip = self._skip, False
+        if announced.participant != self._number and not skip:
+            self._received += 1
+            self._inbox.append((announced.value, Frame(can_id, payload)))
+
+    def _lost_frames(self) -> RunError:
+        return RunError(f"{self.name}: frames were lost between the coordinator and this process")

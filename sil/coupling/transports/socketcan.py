@@ -1,0 +1,296 @@
+"""The lockstep over a SocketCAN channel: raw sockets, nothing lost in silence."""
+
+from __future__ import annotations
+
+import errno
+import socket
+import struct
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from can_dbc.errors import InputError, RunError
+from can_dbc.frame import DP_BIT, EDP_BIT, MAX_ID
+from sil.coupling.transports import wire
+from sil.coupling.transports.channel import NOBODY, ParticipantLost, Patience, Turn
+from sil.coupling.transports.remote import Peer, RemoteChannel, silent
+from sil.coupling.transports.wire import Kind
+
+if TYPE_CHECKING:
+    from sil.coupling.bus import Delivery
+
+_SO_RCVBUFFORCE = 33
+_SO_RXQ_OVFL = 40
+_RECEIVE_BUFFER_BYTES = 8 << 20
+_REMOTE_FRAME = 0x4000_0000
+_CONTROL_BITS = EDP_BIT | DP_BIT
+_FULL_QUEUE_PATIENCE_S = 2.0
+UNREAD_WINDOW = 256
+"""Records that may wait unread for a participant; a default receive buffer holds about 400."""
+
+ANY_FRAME = ((wire.EXTENDED, wire.EXTENDED | _REMOTE_FRAME),)
+PARTICIPANT_VIEW = (
+    (wire.EXTENDED, wire.EXTENDED | _REMOTE_FRAME | EDP_BIT),
+    (wire.EXTENDED | _CONTROL_BITS, wire.EXTENDED | _REMOTE_FRAME | _CONTROL_BITS),
+)
+"""Kernel filters: every 29-bit data frame; and those without other participants' offers."""
+
+
+class CanSocket:
+    """A raw CAN socket that waits when the queue is full and raises when a frame was lost."""
+
+    def __init__(self, interface: str, filters: Sequence[tuple[int, int]]) -> None:
+        """Open it; raises InputError when there is no such CAN interface, or it is down."""
+        self.interface = interface
+        self._lost = 0
+        try:
+            self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        except OSError as error:
+            raise InputError(
+                f"channel {interface!r}: this kernel has no SocketCAN ({error.strerror}); "
+                "expected inproc, local, or the name of a CAN interface"
+            ) from None
+        try:
+            packed = b"".join(struct.pack("=II", *entry) for entry in filters)
+            self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed)
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
+            self._enlarge_receive_buffer()
+            self._socket.bind((interface,))
+            self._socket.setblocking(False)
+        except OSError as error:
+            self._socket.close()
+            raise InputError(
+                f"channel {interface!r}: {error.strerror}; expected inproc, local, "
+                "or the name of a CAN interface that is up"
+            ) from None
+
+    def _enlarge_receive_buffer(self) -> None:
+        size = _RECEIVE_BUFFER_BYTES
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, size)
+        except PermissionError:  # the system's limit holds for others than root
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size)
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def send(self, records: bytes) -> None:
+        """Send the records, one frame each; raises RunError when the interface takes none."""
+        for start in range(0, len(records), wire.RECORD_BYTES):
+            self._send_one(records[start : start + wire.RECORD_BYTES])
+
+    def _send_one(self, record: bytes) -> None:
+        deadline = None
+        while True:
+            try:
+                self._socket.send(record)
+                return
+            except OSError as error:
+                if error.errno not in (errno.ENOBUFS, errno.EAGAIN):
+                    raise RunError(f"channel {self.interface!r}: {error.strerror}") from None
+                # ENOBUFS: the interface's queue is full; poll does not tell when that has changed
+                now = time.monotonic()
+                deadline = deadline or now + _FULL_QUEUE_PATIENCE_S
+                if now > deadline:
+                    raise RunError(
+                        f"channel {self.interface!r}: took no frame for "
+                        f"{_FULL_QUEUE_PATIENCE_S:g} s ({error.strerror})"
+                    ) from None
+                time.sleep(0.0005)
+
+    def receive(self) -> tuple[int, bytes] | None:
+        """Return identifier and data of the next frame, or None when none waits.
+
+        Raises RunError when the receive buffer overflowed or the interface went away.
+        """
+        try:
+            record, ancillary, _, _ = self._socket.recvmsg(wire.RECORD_BYTES, 64)
+        except BlockingIOError:
+            return None
+        except OSError as error:
+            raise RunError(f"channel {self.interface!r}: {error.strerror}") from None
+        for level, kind, payload in ancillary:
+            if level == socket.SOL_SOCKET and kind == _SO_RXQ_OVFL:
+                lost = int.from_bytes(payload, "little")
+                if lost > self._lost:
+                    raise RunError(
+                        f"channel {self.interface!r}: {lost - self._lost} frames were lost, "
+                        "the receive buffer overflowed"
+                    )
+        flagged_id, length, payload = wire.RECORD.unpack(record)
+        return flagged_id & MAX_ID, payload[:length]
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def lifeline_address(interface: str) -> str:
+    """Return the abstract Unix socket by which one network namespace knows a channel's run."""
+    return f"\0opc4-lockstep/{interface}"
+
+
+class SocketCan(RemoteChannel):
+    """The coordinator's end of a lockstep over a SocketCAN interface.
+
+    Everything is broadcast, so participants of one instant take their turns one after the other.
+    Frames of programs outside the run are ignored by coordinator and participants, and counted.
+    The abstract Unix socket beside the channel keeps a second coordinator away and tells at once
+    when a participant that holds a connection to it dies; one that holds none (a foreign program)
+    is missed after `Patience.answer_s`.  Satisfies `Channel`.  Checked by test_transport_contract.
+    """
+
+    def __init__(
+        self,
+        interface: str,
+        names: Sequence[str],
+        *,
+        scenario: int = 0,
+        patience: Patience | None = None,
+        say: Callable[[str], None] = silent,
+        share_core: bool = True,
+    ) -> None:
+        """Open the channel.  Raises InputError when there is none, RunError when it is taken."""
+        self._can = CanSocket(interface, ANY_FRAME)
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            self._listener.bind(lifeline_address(interface))
+        except OSError:
+            self._can.close()
+            self._listener.close()
+            raise RunError(f"channel {interface!r}: another run uses it") from None
+        self._listener.listen(16)
+        self._listener.setblocking(False)
+        super().__init__(names, scenario, patience or Patience(), say, share_core)
+        self._speaker: Peer | None = None
+        self._granted: list[Peer] = []
+        self._unread = dict.fromkeys(self._peers, 0)
+        self._lifelines: dict[int, socket.socket] = {}
+        self._attend(self._can.fileno(), self._read)
+        self._attend(self._listener.fileno(), self._accept)
+
+    def deliver(self, deliveries: Sequence[Delivery], deaf: frozenset[str] = NOBODY) -> None:
+        for delivery in deliveries:
+            for name in deaf & self._by_name.keys():
+                self._can.send(wire.control(Kind.SKIP, self._by_name[name].number))
+            sender = wire.PARTICIPANTS.get(delivery.sender, wire.NOBODY)
+            self._can.send(wire.announced(sender, delivery.arrival_ns, delivery.frame))
+            for number, peer in self._peers.items():
+                peer.delivered += number != sender and peer.name not in deaf
+                self._unread[number] += 2 + len(deaf)
+            self._let_them_read()
+
+    def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
+        self._pump(0.0)
+        self._now_ns = now_ns
+        self._granted = [self._by_name[name] for name in names if name in self._by_name]
+
+    def end_turn(self) -> dict[str, Turn]:
+        turns = {}
+        for peer in self._granted:
+            self._speaker = peer
+            self._can.send(peer.grant(self._now_ns))
+            turns[peer.name] = self._await_answer(peer, time.monotonic() + self._patience.answer_s)
+            self._unread[peer.number] = 0
+            self._speaker = None
+        return turns
+
+    def _let_them_read(self) -> None:
+        """Wait for participants with so much unread that a small buffer might soon overflow."""
+        for number, peer in self._peers.items():
+            if self._unread[number] > UNREAD_WINDOW and not peer.retired:
+                self._can.send(wire.control(Kind.SYNC, number))
+                deadline = time.monotonic() + self._patience.answer_s
+                while self._unread[number]:
+                    left = deadline - time.monotonic()
+                    if left <= 0.0:
+                        raise ParticipantLost(
+                            peer.name,
+                            f"did not read within {self._patience.answer_s:g} s: it stalled",
+                        )
+                    self._pump(left)
+
+    def _send(self, peer: Peer, records: bytes) -> None:
+        self._can.send(records)
+
+    def _send_all(self, records: bytes) -> None:
+        self._can.send(records)
+
+    def _where(self) -> str:
+        return f"--channel {self._can.interface}"
+
+    def _release(self, peer: Peer) -> None:
+        self._unread[peer.number] = 0
+
+    def _read(self, events: int) -> None:
+        for _ in range(64):  # then others have their turn
+            received = self._can.receive()
+            if received is None:
+                return
+            self._take(*received)
+
+    def _take(self, can_id: int, payload: bytes) -> None:
+        if not can_id & EDP_BIT:
+            self._warn_foreign()
+            return
+        try:
+            said = wire.parse_control(can_id, payload)
+        except wire.WireError:
+            self.counts.garbage += 1
+            self._warn_foreign()
+            return
+        if said is None:
+            for number in self._unread:
+                self._unread[number] += 1
+            if self._speaker is None:
+                self._warn_foreign()
+            else:
+                self._speaker.take(can_id, payload)
+            return
+        peer = self._peers.get(said.participant)
+        if said.kind == Kind.HELLO:
+            self._can.send(self._answer_hello(said)[1])
+        elif said.kind in (Kind.RELEASE, Kind.DONE, Kind.FAILED) and peer is not None:
+            peer.take(can_id, payload)
+        elif said.kind == Kind.ACK and peer is not None:
+            self._unread[peer.number] = 0
+        elif said.kind in (Kind.START, Kind.STOP, Kind.GRANT, Kind.BUS_TIME, Kind.WELCOME):
+            raise RunError(f"channel {self._can.interface!r}: another coordinator speaks on it")
+        else:
+            self._warn_foreign()
+
+    # -- lifelines --------------------------------------------------------------------------
+
+    def _accept(self, events: int) -> None:
+        try:
+            connection, _ = self._listener.accept()
+        except BlockingIOError:
+            return
+        connection.setblocking(False)
+        self._lifelines[connection.fileno()] = connection
+        owner: list[Peer] = []
+        self._attend(connection.fileno(), lambda _: self._lifeline(connection, owner))
+
+    def _lifeline(self, connection: socket.socket, owner: list[Peer]) -> None:
+        try:
+            record = connection.recv(wire.RECORD_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            record = b""
+        if not record:
+            self._ignore(connection.fileno())
+            del self._lifelines[connection.fileno()]
+            connection.close()
+            if owner:
+                self._hung_up(owner[0])
+        elif not owner and len(record) == 1 and record[0] in self._peers:
+            owner.append(self._peers[record[0]])
+
+    def _close_channel(self, farewell: bytes, aborted: bool) -> None:
+        try:
+            self._can.send(farewell)
+        finally:
+            self._can.close()
+            self._listener.close()
+            for connection in self._lifelines.values():
+                connection.close()

@@ -1,1 +1,0 @@
-"""Tutorial, theory and reference."""

@@ -1,0 +1,1 @@
+"""Files: typed TOML, settings from the command line, output folders."""

@@ -1,0 +1,1 @@
+"""The model of a campaign and its fit, shared by identification and diagnosis."""

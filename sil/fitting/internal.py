@@ -1,0 +1,98 @@
+"""The control unit's position as observed: one value a publication, and what it says about when.
+
+Where the record stands within the sensor's period is not known beforehand; it follows from the
+instants of publication under the assumed latency and clock.
+Checked by: tests/unit/sil/fitting/test_internal.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.devices.sensors import InternalChain
+from plant.effects.setup import Setup
+
+Floats = NDArray[np.float64]
+
+INTERNAL_SD_M = 3e-5
+"""Expected scatter of one published position: timer tick and the recorder's step in time."""
+
+RESTING_M = 1e-7
+"""A position that changes less from pulse to pulse is at rest."""
+
+FEWEST_PUBLICATIONS = 4
+
+
+@dataclass(frozen=True)
+class InternalSamples:
+    """Published positions [m] and when they appeared on the recorder's clock [s], mid of the step."""
+
+    published_s: Floats
+    values_m: Floats
+
+
+def internal_samples(time_s: Floats, values: Floats) -> InternalSamples | None:
+    """Publications of the control unit's position, found by its steps; None if it hardly moves."""
+    edges = np.flatnonzero(np.abs(np.diff(values)) > 1e-9) + 1
+    if len(edges) < FEWEST_PUBLICATIONS:
+        return None
+    half = 0.5 * float(time_s[1] - time_s[0])
+    return InternalSamples(time_s[edges] - half, values[edges])
+
+
+def internal_prediction(
+    internal: InternalSamples,
+    time_s: Floats,
+    position_m: Floats,
+    setup: Setup,
+    rounded: bool = True,
+) -> Floats:
+    """The published positions of a stroke under a setup, at the publications observed [m].
+
+    position_m: the true one at time_s; rounded: pulses at rest are counted in timer ticks, as they
+    are (at rest the rounding is the same error every time); without, the result is smooth.
+    """
+    chain = setup.chain
+    period = chain.period_s
+    unit_s = internal.published_s * (1.0 - setup.clock_drift) - setup.clock_offset_s
+    about_s = unit_s - chain.latency_s - 0.5 * chain.sensor.t_mid_s
+    pulse_s = chain.sensor.duration_s(
+        np.interp(about_s, time_s, position_m), chain.coil_temperature_k
+    )
+    begun = unit_s - chain.latency_s - pulse_s
+    turn = 2.0 * np.pi / period
+    phase = float(np.angle(np.mean(np.exp(1j * turn * begun)))) / turn % period
+    pulses = np.rint((begun - phase) / period).astype(int)
+    first = int(np.floor(-phase / period)) - 1
+    first = min(first, int(pulses[0]))
+    count = int(pulses[-1]) - first + 1
+    ticks = phase + period * (first + np.arange(count))
+    true_m = np.interp(ticks + 0.5 * chain.sensor.t_mid_s, time_s, position_m)
+    warm = chain.sensor.duration_s(true_m, chain.coil_temperature_k)
+    if rounded:
+        resting = np.abs(np.diff(true_m, prepend=true_m[0])) < RESTING_M
+        warm = np.where(resting, chain.sensor.ticks(warm) * chain.sensor.tick_s, warm)
+    seen = chain.calibration.position_m(warm, chain.measured_temperature_k)
+    response = impulse_response(replace(chain, latency_s=0.0), count)
+    values = seen[0] + np.convolve(seen - seen[0], response)[:count]
+    index = np.clip(pulses - first, 0, count - 1)
+    return setup.reported_m(values[index])
+
+
+@lru_cache(maxsize=64)
+def impulse_response(chain: InternalChain, count: int) -> Floats:
+    """Response of the chain's filter to one unit value, `count` periods long."""
+    if not chain.filter_order:
+        response = np.zeros(count)
+        response[0] = 1.0
+        return response
+    from plant.devices.sensors import butterworth_sections, filter_from_rest
+
+    sections = butterworth_sections(chain.filter_order, chain.cutoff_hz, 1.0 / chain.period_s)
+    impulse = np.zeros(count + 1)
+    impulse[1] = 1.0
+    return np.asarray(filter_from_rest(sections, impulse)[1:])

@@ -1,0 +1,366 @@
+"""A campaign's strokes as functions of what may be wrong: predictions, residuals, derivatives.
+
+All numbers are standardised by the expected noise of their channel.
+Checked by: tests/unit/sil/fitting/test_fit.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.batch.prediction import copied
+from plant.effects import EffectParameter
+from plant.effects.setup import Setup
+from plant.effects.tolerances import shift
+from plant.integrator.hybrid import IntegrationError
+from sil.fitting.hypotheses import Candidate, is_scale, log_size, precision, scaled_of, value_of
+from sil.fitting.internal import INTERNAL_SD_M, internal_prediction
+from sil.fitting.nuisance import SIMULATED, Spread
+from sil.fitting.observations import StrokeObservation
+
+Floats = NDArray[np.float64]
+NS = 1e9
+
+DIFFERENCE = 0.05
+"""Step of the one-sided differences, in prior standard deviations of the quantity."""
+
+EFFECT_STEP = 0.005
+"""Step of the differences of effect parameters, in typical sizes."""
+
+
+TWINS = {
+    "dynamic_friction": "friction",
+    "static_friction": "friction",
+    "inlet_clog": "flow_in",
+    "exhaust_clog": "flow_out",
+    "supply_low": "supply",
+    "valve_open_delay": "rise",
+    "valve_slow_close": "fall",
+}
+"""Effects whose parameter does what a tolerance does too, wholly or in part."""
+
+
+TIMED = {
+    "valve_open_delay": "rise",
+    "valve_delay_pressure": "rise",
+    "valve_slow_close": "fall",
+}
+"""Effects that move a valve's instant as a tolerance does: their derivative is its, times a factor."""
+
+
+@dataclass(frozen=True)
+class Shared:
+    """Names and positions of the shared parameters: unit tolerances, offsets, the hypothesis' own.
+
+    precision: inverse covariance of the prior of the hypothesis' own.
+    """
+
+    unit: tuple[str, ...]
+    offsets: tuple[str, ...]
+    effects: tuple[str, ...]
+    precision: Floats
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All shared parameters in order."""
+        return self.unit + self.offsets + self.effects
+
+    @property
+    def healthy(self) -> int:
+        """How many of them are healthy tolerances and offsets; they stand first."""
+        return len(self.unit) + len(self.offsets)
+
+    @property
+    def prior(self) -> Floats:
+        """Inverse covariance of the prior of all of them."""
+        out = np.eye(len(self.names))
+        out[self.effect_slice, self.effect_slice] = self.precision
+        return out
+
+    @property
+    def effect_slice(self) -> slice:
+        """Where the hypothesis' own parameters stand."""
+        return slice(self.healthy, self.healthy + len(self.effects))
+
+
+@dataclass(frozen=True)
+class Block:
+    """One stroke, linearised: residual, derivatives of the prediction by shared and scatter.
+
+    base: the smooth prediction that the derivatives belong to.
+    """
+
+    residual: Floats
+    shared: Floats
+    scatter: Floats
+    base: Floats
+
+
+class CampaignModel:
+    """The strokes of a campaign and the healthy spread: what any hypothesis is compared with."""
+
+    def __init__(self, strokes: Sequence[StrokeObservation], spread: Spread) -> None:
+        self.strokes = list(strokes)
+        self.spread = spread
+        gauges = sorted(
+            {
+                channel.name
+                for stroke in self.strokes
+                for channel in stroke.channels
+                if channel.kind in ("pressure", "oil")
+            }
+        )
+        positions = any(c.kind == "position" for s in self.strokes for c in s.channels)
+        self.offsets = (("position_m",) if positions else ()) + tuple(gauges)
+        self.unit = tuple(spread.unit)
+        self.scatter = tuple(spread.stroke)
+        self._measured = [self._standardised(stroke) for stroke in self.strokes]
+        self._offset_columns = [self._offsets_of(stroke) for stroke in self.strokes]
+        # where each stroke was simulated last: a step that is accepted is linearised there
+        self._last: dict[int, tuple[tuple, Setup, Floats]] = {}
+
+    def layout(self, candidates: Sequence[Candidate]) -> Shared:
+        """Layout of the shared parameters under a hypothesis."""
+        effects = tuple(
+            f"{item.name}.{parameter.name}" for item in candidates for parameter in item.parameters
+        )
+        return Shared(self.unit, self.offsets, effects, precision(candidates))
+
+    # --- prediction ---------------------------------------------------------------------------
+    def setup(
+        self,
+        k: int,
+        amounts: dict[str, float],
+        candidates: Sequence[Candidate],
+        values: Sequence[dict[str, float]],
+    ) -> Setup:
+        """Stroke k's setup with healthy amounts and effects applied."""
+        setup = copied(self.strokes[k].setup)
+        for name, amount in amounts.items():
+            if amount != 0.0:
+                shift(setup, name, amount)
+        for candidate, own in zip(candidates, values, strict=True):
+            candidate.change(setup, own)
+        return setup
+
+    def predict(self, k: int, setup: Setup, rounded: bool = False) -> Floats:
+        """All compared numbers of stroke k, without sensor offsets, standardised by their noise.
+
+        rounded: with the timer's rounding at rest, which has no derivative.
+
+        Raises IntegrationError where the motion cannot be continued.
+        """
+        return self.numbers_of(k, setup, self.strokes[k].predictor.states(setup), rounded)
+
+    def numbers_of(self, k: int, setup: Setup, states: Floats, rounded: bool) -> Floats:
+        """The compared numbers of stroke k in these states."""
+        stroke = self.strokes[k]
+        parts = []
+        for channel in stroke.channels:
+            if channel.kind == "oil":
+                values = stroke.oil_pressure_pa(states, setup)[channel.rows]
+            else:
+                values = states[channel.rows, channel.state]
+            parts.append(values / channel.sd)
+        if stroke.internal is not None:
+            reported = internal_prediction(
+                stroke.internal, stroke.time_s, states[:, 0], setup, rounded
+            )
+            parts.append(reported / INTERNAL_SD_M)
+        return np.concatenate(parts)
+
+    def _standardised(self, stroke: StrokeObservation) -> Floats:
+        parts = [channel.measured / channel.sd for channel in stroke.channels]
+        if stroke.internal is not None:
+            parts.append(stroke.internal.values_m / INTERNAL_SD_M)
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def measured(self, k: int) -> Floats:
+        """All compared numbers of stroke k as measured, standardised."""
+        return self._measured[k]
+
+    def _offsets_of(self, stroke: StrokeObservation) -> Floats:
+        columns = np.zeros((stroke.total, len(self.offsets)))
+        begin = 0
+        sizes = {
+            "position": self.spread.position_offset_m,
+            "pressure": self.spread.gauge_offset_pa,
+            "oil": self.spread.oil_gauge_offset_pa,
+        }
+        for channel in stroke.channels:
+            n = len(channel.measured)
+            place = self.offsets.index(channel.name)
+            columns[begin : begin + n, place] = sizes[channel.kind] / channel.sd
+            begin += n
+        return columns
+
+    def offset_part(self, k: int, offsets: Floats) -> Floats:
+        """Contribution of the sensors' offsets, in their standard deviations, to stroke k."""
+        return np.asarray(self._offset_columns[k] @ offsets)
+
+    def amounts(self, shared: Floats, scatter: Floats) -> dict[str, float]:
+        """Healthy amounts of one stroke from unit tolerances and its own scatter."""
+        total = dict.fromkeys(SIMULATED, 0.0)
+        for k, name in enumerate(self.unit):
+            total[name] += shared[k] * self.spread.unit[name]
+        for k, name in enumerate(self.scatter):
+            total[name] += scatter[k] * self.spread.stroke[name]
+        return total
+
+    def effect_values(
+        self, candidates: Sequence[Candidate], scaled: Floats
+    ) -> tuple[dict[str, float], ...]:
+        """Effect parameters from their scaled form, kept within the physical bounds."""
+        values = []
+        k = 0
+        for item in candidates:
+            own = {}
+            for parameter in item.parameters:
+                own[parameter.name] = value_of(parameter, float(scaled[k]))
+                k += 1
+            values.append(own)
+        return tuple(values)
+
+    def effect_step(self, name: str, parameter: EffectParameter) -> float:
+        """Step of an effect parameter's difference, in typical sizes.
+
+        Where a tolerance does the same to the plant, the same step: at stops and breakaways the
+        prediction has kinks, and unlike steps would feign that the two can be told apart.
+        """
+        twin = TWINS.get(name)
+        if twin is None:
+            return EFFECT_STEP
+        step = DIFFERENCE * self.spread.stroke.get(twin, self.spread.unit.get(twin, 0.0))
+        return float(step / (log_size(parameter) if is_scale(parameter) else parameter.typical))
+
+    # --- one stroke ---------------------------------------------------------------------------
+    def residual(
+        self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
+    ) -> Floats:
+        """Standardised residual (measured - predicted) of stroke k."""
+        setup, states = self.here(k, shared, scatter, candidates)
+        offsets = shared[len(self.unit) : len(self.unit) + len(self.offsets)]
+        return (
+            self.measured(k)
+            - self.numbers_of(k, setup, states, True)
+            - self.offset_part(k, offsets)
+        )
+
+    def here(
+        self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
+    ) -> tuple[Setup, Floats]:
+        """Setup and states of stroke k; simulated once as long as nothing else is asked for it."""
+        spot = (shared.tobytes(), scatter.tobytes(), tuple(item.name for item in candidates))
+        last = self._last.get(k)
+        if last is None or last[0] != spot:
+            values = self.effect_values(candidates, shared[len(self.unit) + len(self.offsets) :])
+            setup = self.setup(k, self.amounts(shared, scatter), candidates, values)
+            last = (spot, setup, self.strokes[k].predictor.states(setup))
+            self._last[k] = last
+        return last[1], last[2]
+
+    def linearise(
+        self,
+        k: int,
+        shared: Floats,
+        scatter: Floats,
+        candidates: Sequence[Candidate],
+        central: bool = False,
+        own_only: bool = False,
+        kept: Block | None = None,
+    ) -> Block:
+        """Residual of stroke k, its derivatives by the shared and by the stroke's own parameters.
+
+        own_only: by the hypothesis' own alone, the others are left at zero; kept: a block whose
+        derivatives by tolerances and scatter are taken over.
+        """
+        layout = self.layout(candidates)
+        healthy = layout.healthy
+        values = self.effect_values(candidates, shared[healthy:])
+        amounts = self.amounts(shared, scatter)
+        residual = self.residual(k, shared, scatter, candidates)
+        setup, states = self.here(k, shared, scatter, candidates)
+        base = self.numbers_of(k, setup, states, False)
+        columns: dict[str, Floats] = {}
+        for name in () if own_only or kept is not None else SIMULATED:
+            step = DIFFERENCE * self.spread.stroke.get(name, self.spread.unit.get(name, 0.0))
+
+            def changed(h: float, name: str = name) -> Floats:
+                moved = dict(amounts)
+                moved[name] += h
+                return self.predict(k, self.setup(k, moved, candidates, values))
+
+            columns[name] = difference(changed, base, step, central)
+        shared_columns = np.zeros((len(base), len(layout.names)))
+        for j, name in enumerate(self.unit):
+            if name in columns:
+                shared_columns[:, j] = columns[name] * self.spread.unit[name]
+        if kept is not None:
+            shared_columns[:, : len(self.unit)] = kept.shared[:, : len(self.unit)]
+        shared_columns[:, len(self.unit) : healthy] = self._offset_columns[k]
+        scaled = shared[healthy:]
+        parameters = [p for item in candidates for p in item.parameters]
+        names = [item.id for item in candidates for _ in item.parameters]
+        for j, parameter in enumerate(parameters):
+            step = self.effect_step(names[j], parameter)
+            if scaled_of(parameter, parameter.high) - scaled[j] < step:
+                step = -step
+
+            def moved_setup(h: float, j: int = j) -> Setup:
+                trial = scaled.copy()
+                trial[j] += h
+                own = self.effect_values(candidates, trial)
+                return self.setup(k, amounts, candidates, own)
+
+            def moved_effect(h: float, j: int = j) -> Floats:
+                return self.predict(k, moved_setup(h, j))
+
+            instant = TIMED.get(names[j])
+            if instant is not None and not own_only:
+                later_s = delay_s(moved_setup(step), instant) - delay_s(setup, instant)
+                place = self.scatter.index(instant)
+                by_second = (
+                    columns[instant]
+                    if kept is None
+                    else kept.scatter[:, place] / self.spread.stroke[instant]
+                )
+                shared_columns[:, healthy + j] = by_second * (later_s / step)
+                continue
+            shared_columns[:, healthy + j] = difference(moved_effect, base, step, central)
+        if kept is not None:
+            return Block(residual, shared_columns, kept.scatter, base)
+        scatter_columns = np.zeros((len(base), len(self.scatter)))
+        for j, name in enumerate(self.scatter):
+            if name in columns:
+                scatter_columns[:, j] = columns[name] * self.spread.stroke[name]
+        return Block(residual, shared_columns, scatter_columns, base)
+
+
+def delay_s(setup: Setup, instant: str) -> float:
+    """Delay of a valve's opening ("rise") or closing ("fall") [s]."""
+    timing = setup.timing
+    return (timing.rise_ns if instant == "rise" else timing.fall_ns) / NS
+
+
+def difference(  # type: ignore[no-untyped-def]
+    changed, base: Floats, step: float, central: bool
+) -> Floats:
+    """Difference quotient; one-sided, or with a smaller step, where the motion breaks off."""
+    if central:
+        try:
+            # wider, against the rounding of the integration: the error is of second order here
+            wide = 4.0 * step
+            return np.asarray((changed(wide) - changed(-wide)) / (2.0 * wide))
+        except IntegrationError:
+            pass
+    for h in (step, -step, 0.1 * step, -0.1 * step):
+        try:
+            moved: Floats = changed(h)
+        except IntegrationError:
+            continue
+        return (moved - base) / h
+    raise IntegrationError("no direction in which the motion can be continued")

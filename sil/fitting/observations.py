@@ -1,0 +1,172 @@
+"""What was measured, made ready for comparison: instants, channels, expected noise.
+
+The record is thinned where nothing happens: full resolution while something moves, coarse while
+chambers fill; neighbouring samples of a resting potentiometer carry one piece of information.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.batch.prediction import Predictor
+from plant.effects.setup import Setup
+from plant.effects.stroke_conditions import StrokeConditions
+from plant.equations.damper_pressure import steady_oil_pressure
+from plant.kernel import layout as L
+from plant.parameters import ParameterSet
+from plant.systems.setup import make_setup
+from sil.campaign.campaign import CampaignStroke, Record
+from sil.fitting.internal import InternalSamples, internal_samples
+
+Floats = NDArray[np.float64]
+NS = 1_000_000_000
+
+DENSE_UNTIL_S = 0.06
+"""Behind the last valve event, the record is read densely for this long."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured quantity of a stroke: where it lies in the record and in the prediction."""
+
+    name: str
+    kind: str  # "position", "pressure", "oil", "internal"
+    state: int
+    measured: Floats
+    sd: Floats
+    rows: NDArray[np.int64]  # rows of the predictor's instants
+
+
+@dataclass
+class StrokeObservation:
+    """One stroke: base setup, instants, channels."""
+
+    entry: CampaignStroke
+    setup: Setup
+    predictor: Predictor
+    time_s: Floats
+    channels: tuple[Channel, ...]
+    internal: InternalSamples | None
+
+    @property
+    def conditions(self) -> StrokeConditions:
+        """The stroke's stated conditions."""
+        return self.entry.conditions
+
+    @property
+    def size(self) -> int:
+        """How many numbers are compared."""
+        return sum(len(channel.measured) for channel in self.channels)
+
+    @property
+    def total(self) -> int:
+        """How many numbers are compared, the control unit's positions included."""
+        return self.size + (0 if self.internal is None else len(self.internal.values_m))
+
+    def oil_pressure_pa(self, states: Floats, setup: Setup) -> Floats:
+        """Absolute pressure of the damper's chamber two by the model in force [Pa]."""
+        fixed = self.conditions.system == L.FIXED
+        if self.conditions.damper_model != "incompressible":
+            return np.asarray(states[:, L.FOIL if fixed else L.LOIL])
+        out = np.zeros(len(states))
+        position = np.ascontiguousarray(states[:, 0])
+        steady_oil_pressure(position, np.ascontiguousarray(states[:, 1]), setup.p, out)
+        return out
+
+
+def observe(
+    entry: CampaignStroke,
+    record: Record,
+    parameters: ParameterSet,
+    clipped: Collection[str] = (),
+    dead: Collection[str] = (),
+) -> StrokeObservation:
+    """Thin one stroke's record and set the stroke up as its conditions say.
+
+    clipped: columns whose largest value is no measurement; dead: columns to leave out.
+    """
+    setup = make_setup(parameters, entry.conditions)
+    time_s = record.time_s - record.time_s[0]
+    rows = thinned(time_s, entry.conditions, setup)
+    internal = None
+    if "position_internal_m" in record:
+        internal = internal_samples(time_s, record["position_internal_m"])
+    sample_ns = np.rint(time_s[rows] * NS).astype(np.int64)
+    value = parameters.value
+    channels = []
+    chambers = entry.conditions.chambers
+    first = L.FP1 if entry.conditions.system == L.FIXED else L.PB
+    pot_sd = float(
+        np.hypot(value("potentiometer.noise_sd"), value("potentiometer.resolution") / 12**0.5)
+    )
+    if "position_m" in record:
+        measured = record["position_m"][rows]
+        # a resting wiper stays on one wire: its samples are one observation, not hundreds
+        runs = run_lengths(measured)
+        sd = pot_sd * np.sqrt(np.maximum(1.0, runs / 4.0))
+        channels.append(Channel("position_m", "position", 0, measured, sd, np.arange(len(rows))))
+    adc = value("gauge.range_air") / 2 ** value("gauge.adc_bits") / 12**0.5
+    air_sd = float(np.hypot(value("gauge.noise_sd_air"), adc))
+    for k, name in enumerate(chambers):
+        column = f"pressure_{name}_pa"
+        if column in record and column not in dead:
+            measured = record[column][rows]
+            use = np.arange(len(rows))
+            if column in clipped:
+                use = use[measured < record[column].max() - 1e-9]
+            channels.append(
+                Channel(
+                    column, "pressure", first + k, measured[use], np.full(len(use), air_sd), use
+                )
+            )
+    if "pressure_oil2_pa" in record and entry.conditions.load == "damper":
+        adc = value("gauge.range_oil") / 2 ** value("gauge.adc_bits") / 12**0.5
+        oil_sd = float(np.hypot(value("gauge.noise_sd_oil"), adc))
+        state = L.FOIL if entry.conditions.system == L.FIXED else L.LOIL
+        channels.append(
+            Channel(
+                "pressure_oil2_pa",
+                "oil",
+                state,
+                record["pressure_oil2_pa"][rows],
+                np.full(len(rows), oil_sd),
+                np.arange(len(rows)),
+            )
+        )
+    return StrokeObservation(
+        entry, setup, Predictor(sample_ns), time_s[rows], tuple(channels), internal
+    )
+
+
+def thinned(time_s: Floats, conditions: StrokeConditions, setup: Setup) -> NDArray[np.int64]:
+    """Rows of the record to compare: every second while things happen, every tenth otherwise."""
+    keep = np.zeros(len(time_s), dtype=bool)
+    keep[::10] = True
+    for when, _valve, duty in conditions.commands:
+        opens = duty >= setup.timing.duty_open
+        begin = when + 0.004 if opens else when + 0.02
+        end = when + (0.11 if opens else 0.06)
+        dense = (time_s >= begin) & (time_s <= end)
+        keep[1::2] |= dense[1::2]
+    keep[-1] = True
+    return np.flatnonzero(keep)
+
+
+def run_lengths(values: Floats) -> Floats:
+    """Length of the run of near-equal neighbours that each sample belongs to."""
+    close = np.abs(np.diff(values)) < 0.7e-4
+    same = np.concatenate([[False], close])
+    start = np.flatnonzero(~same)
+    lengths = np.diff(np.concatenate([start, [len(values)]]))
+    # only long level stretches count as rest: the wiper's level must not drift
+    out = np.ones(len(values))
+    for begin, length in zip(start, lengths, strict=True):
+        stretch = values[begin : begin + length]
+        if length > 8:
+            level = np.abs(stretch - np.median(stretch)) < 1.2e-4
+            out[begin : begin + length][level] = np.count_nonzero(level)
+    return out

@@ -1,0 +1,1 @@
+"""J1939 in a log: gear shifts of any truck."""

@@ -1,0 +1,142 @@
+"""The gears that one ETC2 sender reports, as runs of equal samples, and shifts out of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+from sil.j1939.transmission import gear_at
+
+SETTLE_NS: Final = 1_000_000_000
+"""After a shift the reported gear may lag so long behind (ETC2 comes every 100 ms)."""
+
+NEUTRAL_PASS_NS: Final = 2_000_000_000
+"""Neutral for less than this between two gears is part of one shift."""
+
+MOST_RUNS: Final = 1_000_000
+
+
+@dataclass(slots=True)
+class Run:
+    """Samples in a row with the same gears: current (SPN 523) and selected (SPN 524)."""
+
+    current: int | None
+    selected: int | None
+    first_ns: int
+    last_ns: int
+    samples: int = 1
+
+
+class GearChange(NamedTuple):
+    """A change of the reported current gear: last sample of the old, first of the new one."""
+
+    start_ns: int
+    end_ns: int
+    from_gear: int
+    to_gear: int
+
+
+@dataclass(slots=True)
+class GearHistory:
+    """Runs of one sender; memory grows with the changes, not with the log.
+
+    Checked by: tests/unit/sil/j1939/test_shifts.py.
+    """
+
+    samples: int = 0
+    chatter: int = 0
+    runs: list[Run] = field(default_factory=list)
+
+    def take(self, time_ns: int, data: bytes) -> None:
+        """Take one ETC2."""
+        self.samples += 1
+        current, selected = gear_at(data, 3), gear_at(data, 0)
+        if self.runs:
+            last = self.runs[-1]
+            if last.current == current and last.selected == selected and time_ns >= last.last_ns:
+                last.last_ns = time_ns
+                last.samples += 1
+                return
+        if len(self.runs) < MOST_RUNS:
+            self.runs.append(Run(current, selected, time_ns, time_ns))
+
+    def gear_before(self, time_ns: int) -> int | None:
+        """The last valid current gear reported before a time."""
+        found = None
+        for run in self.runs:
+            if run.first_ns > time_ns:
+                break
+            if run.current is not None:
+                found = run.current
+        return found
+
+    def gear_after(self, time_ns: int, until_ns: int) -> int | None:
+        """The current gear that a shift ended in.
+
+        The first one reported after `time_ns` that is also the selected one; without such a
+        one, the last one reported before `until_ns` or the settling time is over.
+        """
+        limit_ns = min(time_ns + SETTLE_NS, until_ns)
+        found = None
+        for run in self.runs:
+            if run.last_ns < time_ns:
+                continue
+            if run.first_ns > limit_ns:
+                break
+            if run.current is None:
+                continue
+            found = run.current
+            if run.selected is None or run.selected == run.current:
+                break
+        return found
+
+    def changes(self) -> list[GearChange]:
+        """Shifts by the current gear alone; neutral in passing is taken as part of a shift.
+
+        A single sample of another gear between samples of the same gear is chatter.
+        """
+        self.chatter = 0
+        stays = list(self._stays())
+        found: list[GearChange] = []
+        index = 0
+        while index + 1 < len(stays):
+            here, there = stays[index], stays[index + 1]
+            step = 1
+            if there.current == 0 and index + 2 < len(stays):
+                beyond = stays[index + 2]
+                if beyond.first_ns - there.first_ns < NEUTRAL_PASS_NS:
+                    there, step = beyond, 2
+            if (
+                here.current is not None
+                and there.current is not None
+                and here.current != there.current
+            ):
+                found.append(GearChange(here.last_ns, there.first_ns, here.current, there.current))
+            index += step
+        return found
+
+    def _stays(self) -> Iterator[Run]:
+        """Runs by the current gear alone, without invalid ones and without chatter."""
+        joined: list[Run] = []
+        for run in self.runs:
+            if run.current is None:
+                continue
+            if joined and joined[-1].current == run.current and run.first_ns >= joined[-1].last_ns:
+                joined[-1].last_ns = run.last_ns
+                joined[-1].samples += run.samples
+                continue
+            joined.append(Run(run.current, None, run.first_ns, run.last_ns, run.samples))
+            self._drop_chatter(joined)
+        yield from joined
+
+    def _drop_chatter(self, joined: list[Run]) -> None:
+        """Take a single odd sample out from between two runs of the same gear."""
+        if len(joined) < 3:
+            return
+        before, odd, after = joined[-3:]
+        if odd.samples == 1 and odd.current != 0 and before.current == after.current:
+            self.chatter += 1
+            del joined[-2:]
+            before.last_ns = after.last_ns
+            before.samples += after.samples

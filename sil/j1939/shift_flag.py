@@ -1,0 +1,157 @@
+"""Shifts out of the shift-in-process flag of one ETC1 sender, one-sample chatter taken out."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Final
+
+from sil.j1939.transmission import flag_at, word_at
+
+CHATTER_NS: Final = 50_000_000
+"""A single sample that differs from those around it for less than this is chatter."""
+
+RATIO_WINDOW_NS: Final = 500_000_000
+"""Shaft speeds are compared over this time before and after a shift."""
+
+RATIO_SETTLE_NS: Final = 100_000_000
+_LEAST_OUTPUT: Final = 160
+"""Output shaft speed (0.125 rpm) below which the ratio of two speeds tells nothing: 20 rpm."""
+
+_MOST_SAMPLES: Final = 1024
+
+
+@dataclass(slots=True)
+class FlaggedShift:
+    """A time in which the flag was up, and the speed ratios (input by output) around it."""
+
+    start_ns: int
+    end_ns: int
+    chatter: int
+    from_ratio: float | None
+    to_ratio: float | None = None
+
+
+@dataclass(slots=True)
+class FlagTracker:
+    """Follows the flag of one sender.
+
+    A change counts from its first sample, once a second sample or `CHATTER_NS` confirms it.
+    flagged: whether a valid flag was ever seen; chatter: samples taken out as chatter;
+    unfinished: shifts of which the log has no beginning or no end.
+    Checked by: tests/unit/sil/j1939/test_shifts.py.
+    """
+
+    samples: int = 0
+    flagged: bool = False
+    chatter: int = 0
+    unfinished: int = 0
+    clock_steps: int = 0
+    shifts: list[FlaggedShift] = field(default_factory=list)
+    _state: bool | None = None
+    _begun_ns: int | None = None
+    _doubt_ns: int | None = None
+    _shift_chatter: int = 0
+    _from_ratio: float | None = None
+    _last_ns: int | None = None
+    _last_data: bytes = b""
+    _ratios: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=_MOST_SAMPLES))
+    _after: list[float] = field(default_factory=list)
+    _settling: FlaggedShift | None = None
+
+    def take(self, time_ns: int, data: bytes) -> None:
+        """Take one ETC1; one that is there twice at the same instant counts once."""
+        if (time_ns, data) == (self._last_ns, self._last_data):
+            return
+        if self._last_ns is not None and time_ns < self._last_ns:
+            self._restart()
+        self._last_ns, self._last_data = time_ns, data
+        self.samples += 1
+        self._ratio(time_ns, data)
+        flag = flag_at(data, 0, 4)
+        if flag is not None:
+            self.flagged = True
+            self._flag(time_ns, flag)
+
+    def _restart(self) -> None:
+        """The clock stepped back: nothing before it can be joined with what comes."""
+        self.clock_steps += 1
+        self._settle()
+        if self._state:
+            self.unfinished += 1
+        self._state = self._begun_ns = self._doubt_ns = None
+        self._ratios.clear()
+
+    def _flag(self, time_ns: int, flag: bool) -> None:
+        if self._state is None:
+            self._state = flag
+            self._begun_ns = None
+            return
+        if flag is self._state:
+            if self._doubt_ns is not None:
+                self._revert(time_ns)
+            return
+        if self._doubt_ns is None:
+            self._doubt_ns = time_ns
+        else:
+            self._change(self._doubt_ns)
+
+    def _revert(self, time_ns: int) -> None:
+        """One differing sample, then the old state again."""
+        doubt_ns = self._doubt_ns
+        self._doubt_ns = None
+        if doubt_ns is None:
+            return
+        if time_ns - doubt_ns < CHATTER_NS:
+            self.chatter += 1
+            self._shift_chatter += 1
+            return
+        self._change(doubt_ns)
+        self._change(time_ns)
+
+    def _change(self, time_ns: int) -> None:
+        """The flag changed at this time."""
+        self._doubt_ns = None
+        if not self._state:
+            self._settle()
+            self._state, self._begun_ns = True, time_ns
+            self._shift_chatter = 0
+            self._from_ratio = self._median(time_ns - RATIO_WINDOW_NS, time_ns)
+            return
+        self._state = False
+        if self._begun_ns is None:
+            self.unfinished += 1
+            return
+        shift = FlaggedShift(self._begun_ns, time_ns, self._shift_chatter, self._from_ratio)
+        self.shifts.append(shift)
+        self._settling = shift
+        self._begun_ns = None
+
+    def _ratio(self, time_ns: int, data: bytes) -> None:
+        output, shaft_in = word_at(data, 1), word_at(data, 5)
+        if output is not None and shaft_in is not None and output >= _LEAST_OUTPUT:
+            self._ratios.append((time_ns, shaft_in / output))
+        shift = self._settling
+        if shift is not None and time_ns > shift.end_ns + RATIO_SETTLE_NS + RATIO_WINDOW_NS:
+            self._settle()
+
+    def _settle(self) -> None:
+        """Take the ratio after the last shift, from the samples that there are by now."""
+        shift, self._settling = self._settling, None
+        if shift is not None:
+            begin_ns = shift.end_ns + RATIO_SETTLE_NS
+            shift.to_ratio = self._median(begin_ns, begin_ns + RATIO_WINDOW_NS)
+
+    def _median(self, begin_ns: int, end_ns: int) -> float | None:
+        found = [ratio for time_ns, ratio in self._ratios if begin_ns <= time_ns < end_ns]
+        return median(found) if found else None
+
+    def finish(self) -> None:
+        """The log ends."""
+        if self._doubt_ns is not None and self._state:
+            self._change(self._doubt_ns)
+        self._settle()
+        if self._state:
+            self.unfinished += 1
+            self._state = None

@@ -1,0 +1,366 @@
+"""J1939 in a log: identifiers split, and the gear shifts of any truck found."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from can_dbc.frame import J1939Id, join_id, split_id
+from sil.j1939.gear_history import SETTLE_NS, GearHistory
+from sil.j1939.shift import Shift
+from sil.j1939.shift_flag import FlagTracker
+from sil.j1939.transmission import PGN_ETC1, PGN_ETC2, decode_etc1, decode_etc2
+from sil.logs.frame import LogFrame
+from sil.logs.registry import open_log
+
+__all__ = [
+    "PGN_ETC1",
+    "PGN_ETC2",
+    "J1939Id",
+    "J1939Summary",
+    "Shift",
+    "ShiftFinder",
+    "decode_etc1",
+    "decode_etc2",
+    "join_id",
+    "shifts",
+    "split_id",
+    "summarize",
+]
+
+RATIO_TOLERANCE: Final = 0.05
+_PGN_MASK: Final = 0x3FFFF00
+_ETC1_BITS: Final = PGN_ETC1 << 8
+_ETC2_BITS: Final = PGN_ETC2 << 8
+_MOST_GROUPS: Final = 20_000
+_GATEWAY_NS: Final = 100_000_000
+"""A gateway forwards within this; the same shift of the same sender on two channels is one."""
+
+_TRANSMISSION: Final = 3
+"""Source address of transmission #1 (SAE J1939-81)."""
+
+
+@dataclass(slots=True)
+class J1939Summary:
+    """What J1939 traffic a log holds.
+
+    groups: frames by parameter group and source. unflagged: changes of the reported gear with
+    no flagged shift around them. chatter: flag changes of one sample left out.
+    unfinished: shifts under way where the log (or its clock) begins or ends.
+    """
+
+    frames: int
+    j1939_frames: int
+    groups: dict[tuple[int, int], int]
+    shifts: list[Shift]
+    unflagged: list[Shift]
+    chatter: int
+    unfinished: int
+    notes: list[str]
+    first_ns: int | None = None
+    """Time of the log's first frame."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it as plain JSON values."""
+        return {
+            "frames": self.frames,
+            "first_ns": self.first_ns,
+            "j1939_frames": self.j1939_frames,
+            "groups": [
+                {"pgn": pgn, "source": source, "frames": count}
+                for (pgn, source), count in sorted(self.groups.items())
+            ],
+            "shifts": [shift.as_dict() for shift in self.shifts],
+            "unflagged_gear_changes": [shift.as_dict() for shift in self.unflagged],
+            "chatter": self.chatter,
+            "unfinished": self.unfinished,
+            "notes": list(self.notes),
+        }
+
+    def lines(self) -> list[str]:
+        """The summary for a reader: shifts first."""
+        found = [f"{len(self.shifts)} shifts in {self.frames} frames"]
+        begin_ns = self.first_ns or 0
+        found += [
+            f"  {number}. +{(shift.start_ns - begin_ns) / 1e9:.3f} s: {shift}"
+            for number, shift in enumerate(self.shifts, 1)
+        ]
+        if self.unflagged:
+            found.append(f"{len(self.unflagged)} changes of gear outside of flagged shifts")
+            found += [f"  {shift}" for shift in self.unflagged]
+        if self.chatter:
+            found.append(f"{self.chatter} one-sample changes of the flag or gear left out")
+        if self.unfinished:
+            found.append(f"{self.unfinished} shifts without beginning or end in the log")
+        return found + self.notes
+
+
+@dataclass(slots=True)
+class ShiftFinder:
+    """Finds the shifts in a stream of frames: `take` each, then `finish`.
+
+    Senders (channel and source address) are followed apart. Error, remote and standard frames
+    and all other parameter groups, transport protocol included, are passed over.
+    Checked by: tests/unit/sil/j1939/test_shifts.py.
+    """
+
+    gear_ratios: Mapping[int, float] | None = None
+    short: int = 0
+    _flags: dict[tuple[str, int], FlagTracker] = field(default_factory=dict)
+    _gears: dict[tuple[str, int], GearHistory] = field(default_factory=dict)
+    unflagged: list[Shift] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def take(self, frame: LogFrame) -> None:
+        """Take one frame."""
+        group = frame.can_id & _PGN_MASK
+        if group != _ETC1_BITS and group != _ETC2_BITS:
+            return
+        if not frame.extended or frame.remote or frame.error:
+            return
+        if len(frame.data) < 8:
+            self.short += 1
+            return
+        sender = frame.channel, frame.can_id & 0xFF
+        if group == _ETC1_BITS:
+            tracker = self._flags.get(sender)
+            if tracker is None:
+                tracker = self._flags[sender] = FlagTracker()
+            tracker.take(frame.time_ns, frame.data)
+        else:
+            history = self._gears.get(sender)
+            if history is None:
+                history = self._gears[sender] = GearHistory()
+            history.take(frame.time_ns, frame.data)
+
+    @property
+    def chatter(self) -> int:
+        """One-sample changes left out, of flags and gears."""
+        return sum(t.chatter for t in self._flags.values()) + sum(
+            h.chatter for h in self._gears.values()
+        )
+
+    @property
+    def unfinished(self) -> int:
+        """Shifts without beginning or end."""
+        return sum(tracker.unfinished for tracker in self._flags.values())
+
+    def finish(self) -> list[Shift]:
+        """All shifts, by their start."""
+        found: list[Shift] = []
+        for sender, tracker in self._flags.items():
+            tracker.finish()
+            if tracker.clock_steps:
+                self.notes.append(
+                    f"source {sender[1]:#04x}: the clock stepped back {tracker.clock_steps} times"
+                )
+            found += self._flagged(sender, tracker)
+        flagged = found
+        found = self._once(found)
+        flagged_channels = {key[0] for key, tracker in self._flags.items() if tracker.shifts}
+        for sender, history in self._gears.items():
+            by_gear = [
+                Shift(
+                    change.start_ns,
+                    change.end_ns,
+                    change.from_gear,
+                    change.to_gear,
+                    sender[1],
+                    sender[0],
+                    "gear",
+                )
+                for change in history.changes()
+            ]
+            alone = [s for s in by_gear if not _near_any(s, flagged)]
+            if sender[0] in flagged_channels:
+                self.unflagged += alone
+            else:
+                found += [s for s in alone if not _repeats(s, found)]
+        if self.short:
+            self.notes.append(f"{self.short} ETC1 or ETC2 frames of fewer than 8 bytes")
+        if not found:
+            self._explain()
+        return sorted(found, key=lambda shift: (shift.start_ns, shift.source, shift.channel))
+
+    def _once(self, found: list[Shift]) -> list[Shift]:
+        """One of each shift that a gateway or another unit repeats: a truck shifts one at a time.
+
+        The one kept is of the transmission's own address, and of the channel seen first.
+        """
+        kept: list[Shift] = []
+        for shift in sorted(found, key=lambda shift: shift.source != _TRANSMISSION):
+            twins = [
+                other
+                for other in kept
+                if (other.source, other.channel) != (shift.source, shift.channel)
+                and abs(other.start_ns - shift.start_ns) < _GATEWAY_NS
+                and abs(other.end_ns - shift.end_ns) < _GATEWAY_NS
+            ]
+            if twins:
+                note = f"shifts on channel {shift.channel} repeat those on {twins[0].channel}"
+                if shift.source != twins[0].source:
+                    note = f"shifts of {shift.source:#04x} repeat those of {twins[0].source:#04x}"
+                if note not in self.notes:
+                    self.notes.append(note)
+            else:
+                kept.append(shift)
+        return kept
+
+    def _explain(self) -> None:
+        """Say why there are no shifts."""
+        if not self._flags and not self._gears:
+            self.notes.append("no ETC1 (PGN 61442) and no ETC2 (PGN 61445) in the log")
+        elif not any(tracker.flagged for tracker in self._flags.values()) and not any(
+            run.current is not None for history in self._gears.values() for run in history.runs
+        ):
+            self.notes.append("neither shift in process nor a current gear is available")
+
+    def _history(self, sender: tuple[str, int]) -> GearHistory | None:
+        """The gears of the same sender, or of the only one on its channel."""
+        own = self._gears.get(sender)
+        if own is not None:
+            return own
+        others = [history for key, history in self._gears.items() if key[0] == sender[0]]
+        return others[0] if len(others) == 1 else None
+
+    def _flagged(self, sender: tuple[str, int], tracker: FlagTracker) -> list[Shift]:
+        history = self._history(sender)
+        found: list[Shift] = []
+        for index, flagged in enumerate(tracker.shifts):
+            following = tracker.shifts[index + 1 : index + 2]
+            until_ns = following[0].start_ns if following else flagged.end_ns + SETTLE_NS
+            if until_ns < flagged.end_ns:
+                until_ns = flagged.end_ns + SETTLE_NS
+            found.append(
+                Shift(
+                    flagged.start_ns,
+                    flagged.end_ns,
+                    history.gear_before(flagged.start_ns) if history else None,
+                    history.gear_after(flagged.end_ns, until_ns) if history else None,
+                    sender[1],
+                    sender[0],
+                    "flag",
+                    flagged.chatter,
+                    flagged.from_ratio,
+                    flagged.to_ratio,
+                )
+            )
+        return self._gears_by_ratio(found)
+
+    def _gears_by_ratio(self, found: list[Shift]) -> list[Shift]:
+        """Fill in gears that nothing reported, from speed ratios that are known for gears."""
+        known: dict[int, float] = dict(self.gear_ratios or {})
+        for shift in found:
+            for gear, ratio in (
+                (shift.from_gear, shift.from_ratio),
+                (shift.to_gear, shift.to_ratio),
+            ):
+                if gear and ratio is not None:
+                    known.setdefault(gear, ratio)
+        return [
+            Shift(
+                shift.start_ns,
+                shift.end_ns,
+                _by_ratio(shift.from_gear, shift.from_ratio, known),
+                _by_ratio(shift.to_gear, shift.to_ratio, known),
+                shift.source,
+                shift.channel,
+                shift.method,
+                shift.chatter,
+                shift.from_ratio,
+                shift.to_ratio,
+            )
+            for shift in found
+        ]
+
+
+def _by_ratio(gear: int | None, ratio: float | None, known: Mapping[int, float]) -> int | None:
+    if gear is not None or ratio is None or not known:
+        return gear
+    nearest = min(known, key=lambda candidate: abs(known[candidate] - ratio))
+    close = abs(known[nearest] - ratio) <= RATIO_TOLERANCE * known[nearest]
+    return nearest if close else None
+
+
+def _near_any(shift: Shift, flagged: Iterable[Shift]) -> bool:
+    """Whether a change of gear belongs to one of the flagged shifts, of whichever channel."""
+    return any(
+        other.start_ns - SETTLE_NS <= shift.end_ns and shift.start_ns <= other.end_ns + SETTLE_NS
+        for other in flagged
+    )
+
+
+def _repeats(shift: Shift, found: Iterable[Shift]) -> bool:
+    """Whether a change of gear is one that another sender reported, too."""
+    return any(
+        (other.source, other.channel) != (shift.source, shift.channel)
+        and (other.from_gear, other.to_gear) == (shift.from_gear, shift.to_gear)
+        and abs(other.end_ns - shift.end_ns) < SETTLE_NS
+        for other in found
+    )
+
+
+def _frames(log: Iterable[LogFrame] | str | os.PathLike[str]) -> Iterable[LogFrame]:
+    return open_log(log) if isinstance(log, (str, os.PathLike)) else log
+
+
+def shifts(
+    log: Iterable[LogFrame] | str | os.PathLike[str],
+    *,
+    gear_ratios: Mapping[int, float] | None = None,
+) -> list[Shift]:
+    """The gear shifts in a truck's log, by their start.
+
+    The shift-in-process flag of ETC1 tells when, the current gear of ETC2 between which gears.
+    On a channel without any flagged shift the changes of the current gear are the shifts.
+    gear_ratios: speed ratio by gear, for logs without ETC2; else gears are then unknown.
+    Raises: InputError when `log` is a file that cannot be read.
+    Checked by: tests/unit/sil/j1939/test_shifts.py.
+    """
+    finder = ShiftFinder(gear_ratios)
+    for frame in _frames(log):
+        finder.take(frame)
+    return finder.finish()
+
+
+def summarize(
+    log: Iterable[LogFrame] | str | os.PathLike[str],
+    *,
+    gear_ratios: Mapping[int, float] | None = None,
+) -> J1939Summary:
+    """Parameter groups, senders and shifts of a truck's log, in one pass and bounded memory.
+
+    Raises: InputError when `log` is a file that cannot be read.
+    Checked by: tests/unit/sil/j1939/test_shifts.py.
+    """
+    finder = ShiftFinder(gear_ratios)
+    identifiers: Counter[int] = Counter()
+    frames = 0
+    first_ns: int | None = None
+    for frame in _frames(log):
+        frames += 1
+        if first_ns is None:
+            first_ns = frame.time_ns
+        if frame.extended and not frame.error and not frame.remote:
+            if len(identifiers) < _MOST_GROUPS or frame.can_id in identifiers:
+                identifiers[frame.can_id] += 1
+            finder.take(frame)
+    groups: Counter[tuple[int, int]] = Counter()
+    for can_id, count in identifiers.items():
+        parts = split_id(can_id)
+        groups[parts.pgn, parts.source] += count
+    found = finder.finish()
+    return J1939Summary(
+        frames,
+        sum(identifiers.values()),
+        dict(groups),
+        found,
+        finder.unflagged,
+        finder.chatter,
+        finder.unfinished,
+        finder.notes,
+        first_ns,
+    )

@@ -1,0 +1,230 @@
+"""A log through the control unit: its inputs at their times, its ticks, both sides' answers.
+
+The log is read some ticks ahead, so that at each tick all of the unit's recorded frames of that
+tick are known, the delayed ones too. Times inside are counted from the unit's first tick.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Final
+
+from can_dbc.e2e import COUNTERS
+from can_dbc.frame import Frame
+from sil.log_replay.comparison import Comparison
+from sil.log_replay.firmware_under_test import Unit
+from sil.log_replay.plant_side import PlantSide
+from sil.log_replay.recorded_frames import INPUTS, OUTPUTS, OWN_IDS, Arrival, bare, is_intact
+from sil.log_replay.signals import NAMES, told, values
+from sil.log_replay.ticks import Span, TickMap
+
+KEPT_INPUTS: Final = 12
+AHEAD_NS: Final = 10_000_000
+
+Hears = Callable[[int], bool]
+
+
+@dataclass
+class Account:
+    """Where every frame of the log went, by message; all together are all frames of the log."""
+
+    inputs: Counter[str] = field(default_factory=Counter)
+    unheard: Counter[str] = field(default_factory=Counter)
+    answers: Counter[str] = field(default_factory=Counter)
+    plant: Counter[str] = field(default_factory=Counter)
+    other: Counter[str] = field(default_factory=Counter)
+    foreign: int = 0
+
+    @property
+    def total(self) -> int:
+        """Frames accounted for."""
+        parts = (self.inputs, self.unheard, self.answers, self.plant, self.other)
+        return sum(sum(part.values()) for part in parts) + self.foreign
+
+
+class Engine:
+    """Runs a unit over a log and hands both sides of each tick to the comparison.
+
+    period_ns: of the unit under replay; the recorded one's is the map's. hears: whether the unit
+    hears a frame of a time (log's clock, ns). plant: takes part where the plant is replayed too.
+    reference: another unit whose answers stand in for the recorded ones.
+    Checked by: tests/unit/sil/log_replay/test_executor.py, tests/scenarios/test_replay.py
+    """
+
+    def __init__(
+        self,
+        ticks: TickMap,
+        unit: Unit,
+        period_ns: int,
+        hears: Hears,
+        plant: PlantSide | None = None,
+        reference: Unit | None = None,
+    ) -> None:
+        self._map = ticks
+        self._grid = ticks.grid
+        self._unit = unit
+        self._period_ns = period_ns
+        self._same_grid = period_ns == ticks.grid.period_ns
+        self._hears = hears
+        self._plant = plant
+        self._reference = reference
+        self._ahead_ns = COUNTERS * self._grid.period_ns + AHEAD_NS
+        self._pending: deque[tuple[int, Frame]] = deque()
+        self._answers: dict[int, dict[type, bytes]] = {}
+        self._next_recorded = 0
+        self._next_ns = 0
+        self._restarts = deque(ticks.restarts)
+        self._heard: deque[tuple[int, type, Frame]] = deque(maxlen=KEPT_INPUTS)
+        self.account = Account()
+        self.steps = 0
+        self.unanswered: Counter[str] = Counter()
+        self.end_ns = ticks.last * self._grid.period_ns
+        self.comparison: Comparison | None = None
+
+    def inputs(self) -> list[str]:
+        """Return the latest inputs as texts, oldest first."""
+        base_ns = self._grid.origin_ns
+        return [
+            f"{(time_ns + base_ns) / 1e9:.6f} s {_input_told(kind, frame)}"
+            for time_ns, kind, frame in self._heard
+        ]
+
+    def run(self, arrivals: Iterable[Arrival], comparison: Comparison) -> None:
+        """Run the whole log."""
+        self.comparison = comparison
+        base_ns = self._grid.origin_ns
+        front_ns = 0
+        for arrival in arrivals:
+            front_ns = arrival.time_ns - base_ns
+            while self._due_ns() + self._ahead_ns <= front_ns and self._due_ns() <= self.end_ns:
+                self._go()
+            self._sort(arrival, front_ns)
+        while self._due_ns() <= self.end_ns:
+            self._go()
+        if self._plant is not None:
+            self._plant.finish(front_ns)
+        comparison.finish()
+
+    def _due_ns(self) -> int:
+        if self._same_grid:
+            return self._next_ns
+        return min(self._next_ns, self._next_recorded * self._grid.period_ns)
+
+    # --- reading ----------------------------------------------------------------------------
+    def _sort(self, arrival: Arrival, time_ns: int) -> None:
+        """Put a frame where it belongs."""
+        kind, account = arrival.kind, self.account
+        if kind is None:
+            account.foreign += 1
+        elif kind in OUTPUTS:
+            self._sort_answer(arrival, kind)
+        elif kind in INPUTS:
+            if self._hears(arrival.time_ns):
+                account.inputs[kind.__name__] += 1
+                self._pending.append((time_ns, arrival.frame))
+            else:
+                account.unheard[kind.__name__] += 1
+        else:
+            account.plant[kind.__name__] += 1
+        if self._plant is not None:
+            self._plant.see(time_ns, arrival)
+
+    def _sort_answer(self, arrival: Arrival, kind: type) -> None:
+        account = self.account
+        if not is_intact(kind, arrival.frame):
+            account.other[f"{kind.__name__} with a wrong checksum or length"] += 1
+            return
+        tick = self._map.tick_of(arrival)
+        if kind in self._answers.get(tick, ()):  # its counter stands still
+            tick = self._grid.latest_tick(arrival)
+        if tick < self._next_recorded:
+            account.other[f"{kind.__name__} from before the replay or too late"] += 1
+            return
+        slot = self._answers.setdefault(tick, {})
+        if kind in slot:
+            account.other[f"{kind.__name__} a second time in one tick"] += 1
+            return
+        account.answers[kind.__name__] += 1
+        slot[kind] = bare(kind, arrival.frame.data)
+
+    # --- running ----------------------------------------------------------------------------
+    def _go(self) -> None:
+        """Take the next tick of either side."""
+        assert self.comparison is not None
+        now_ns = self._due_ns()
+        recorded: dict[type, bytes] = {}
+        tick, rest = divmod(now_ns, self._grid.period_ns)
+        if not rest:
+            recorded = self._answers.pop(tick, {})
+            self._next_recorded = tick + 1
+        replayed: dict[type, bytes] = {}
+        idle = self._map.idle_at(tick)
+        if idle is not None:
+            self._skip(idle)
+        elif now_ns == self._next_ns:
+            self._next_ns += self._period_ns
+            replayed, other = self._step(now_ns, tick, recorded)
+            if other is not None:
+                recorded = other
+        if self._reference is None and self._same_grid:
+            for kind in replayed.keys() - recorded.keys():
+                self.unanswered[kind.__name__] += 1
+            replayed = {k: data for k, data in replayed.items() if k in recorded}
+        if recorded or replayed:
+            self.comparison.take(now_ns, recorded, replayed)
+
+    def _skip(self, idle: Span) -> None:
+        """Go on behind the ticks that did not run, of which there may be very many."""
+        self._next_recorded = idle.end
+        end_ns = idle.end * self._grid.period_ns
+        self._next_ns = -(-end_ns // self._period_ns) * self._period_ns
+        for tick in [tick for tick in self._answers if tick < idle.end]:
+            del self._answers[tick]
+
+    def _step(
+        self, now_ns: int, tick: int, recorded: dict[type, bytes]
+    ) -> tuple[dict[type, bytes], dict[type, bytes] | None]:
+        """Run a tick; return the unit's answers, and the reference's where there is one."""
+        assert self.comparison is not None
+        if self._restarts and self._restarts[0] <= tick:
+            while self._restarts and self._restarts[0] <= tick:
+                self._restarts.popleft()
+            self._unit.restart()
+            if self._reference is not None:
+                self._reference.restart()
+            self.comparison.begin_warm_up()
+        deliveries: list[tuple[int, Frame]] = []
+        while self._pending and self._pending[0][0] <= now_ns:
+            deliveries.append(self._pending.popleft())
+        if self._plant is not None:
+            deliveries = self._plant.deliveries(now_ns, deliveries)
+        self._heard.extend((t, OWN_IDS[frame.can_id], frame) for t, frame in deliveries)
+        released = self._unit.step(now_ns, deliveries)
+        self.steps += 1
+        found = by_kind(released)
+        if self._plant is not None:
+            self._plant.answered(now_ns, released, found, recorded)
+        if self._reference is None:
+            return found, None
+        return found, by_kind(self._reference.step(now_ns, deliveries))
+
+
+def by_kind(released: Iterable[Frame]) -> dict[type, bytes]:
+    """Return the data of released frames by message type, without counter and checksum."""
+    found: dict[type, bytes] = {}
+    for can_id, data in released:
+        kind = OWN_IDS.get(can_id)
+        if kind is not None:
+            found[kind] = bare(kind, data)
+    return found
+
+
+def _input_told(kind: type, frame: Frame) -> str:
+    found = values(kind, frame.data) if is_intact(kind, frame) else None
+    if found is None:
+        return f"{kind.__name__} damaged: {frame.data.hex().upper()}"
+    fields = (name.split(".")[1] for name in NAMES[kind])
+    text = ", ".join(f"{name} {told(value)}" for name, value in zip(fields, found, strict=True))
+    return f"{kind.__name__}: {text}"

@@ -1,0 +1,145 @@
+"""What is replayed with which settings: the run's own beside the log, a file's, or the defaults."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from can_dbc.errors import InputError
+from sil.files import typed_toml
+from sil.log_replay.tick_grid import Survey
+from sil.nodes.own_firmware import absolute
+from sil.simulation import scenario
+from sil.simulation.scenario import Loaded
+
+RESULT = "result.json"
+
+
+@dataclass(frozen=True)
+class Setup:
+    """The settings of a replay.
+
+    told: where the settings are from. own_run: the log is that of the run in `loaded`, whose unit
+    had the period `recorded_ns`.
+    """
+
+    loaded: Loaded
+    told: str
+    own_run: bool
+    recorded_ns: int
+
+
+def setup(
+    log: str,
+    found: Survey,
+    *,
+    firmware: str | None = None,
+    settings: Sequence[str] = (),
+    run: str | None = None,
+    with_plant: bool = False,
+) -> Setup:
+    """Find the settings: result.json beside the log, else the defaults with the log's periods.
+
+    `firmware`: a file with the firmware's settings (a table of them, a [controller] table, a
+    scenario or a result.json), or the program of another firmware (FILE.py or FILE.py:CLASS). `run`: scenario or result.json that the log is of. `settings`:
+    PATH=VALUE; those of the plant need `with_plant`.
+    Raises InputError. Checked by: tests/unit/sil/log_replay/test_options.py
+    """
+    beside = Path(log).with_name(RESULT)
+    own_run = run is not None or _holds_scenario(beside)
+    if own_run:
+        source = str(scenario.find(run)) if run is not None else str(beside)
+        raw = scenario.expanded(scenario.load(source).scenario)
+        told = f"as in {source}"
+    else:
+        source, raw = log, _defaults(found)
+        told = f"defaults, {_periods(raw)} from the log"
+    raw = _without_none(raw)
+    recorded_ns = round(raw["controller"]["period_s"] * 1e9)
+    if firmware is not None and _is_program(firmware):
+        raw["firmware"] = absolute(firmware, Path())
+        told = f"of {firmware}, settings {told}"
+    elif firmware is not None:
+        table = _firmware_table(firmware)
+        if "period_s" not in table:
+            table = {"period_s": raw["controller"]["period_s"], **table}
+        raw["controller"] = table
+        raw.pop("sensor" if not own_run else "", None)
+        source, told = firmware, f"as in {firmware}"
+    if not with_plant:
+        _refuse_plant_settings(settings)
+    loaded = scenario.from_table(raw, source, settings=settings)
+    if settings:
+        told += " with " + ", ".join(settings)
+    return Setup(loaded, told, own_run, recorded_ns)
+
+
+def _is_program(firmware: str) -> bool:
+    return firmware.partition(":")[0].endswith(".py")
+
+
+def _holds_scenario(path: Path) -> bool:
+    try:
+        return isinstance(json.loads(path.read_text(encoding="utf-8"))["scenario"], dict)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return False
+
+
+def _defaults(found: Survey) -> dict[str, Any]:
+    raw: dict[str, Any] = {"name": "replay", "duration_s": 1.0, "request": [], "controller": {}}
+    if found.period_ns is not None and 2_000_000 <= found.period_ns <= 20_000_000:
+        raw["controller"]["period_s"] = found.period_ns / 1e9
+    else:
+        raw["controller"]["period_s"] = 0.01
+    if found.gear is not None:
+        raw["initial_gear"] = found.gear.name.lower()
+    sensor_ns = found.sensor_period_ns
+    if sensor_ns is not None and 1_000_000 <= sensor_ns <= 40_000_000:
+        raw["sensor"] = {"period_s": sensor_ns / 1e9}
+    return raw
+
+
+def _periods(raw: Mapping[str, Any]) -> str:
+    text = f"period {1e3 * raw['controller']['period_s']:g} ms"
+    if "sensor" in raw:
+        text += f" and sensor period {1e3 * raw['sensor']['period_s']:g} ms"
+    return text
+
+
+def _firmware_table(path: str) -> dict[str, Any]:
+    """Read the firmware's settings out of any of the files that hold them."""
+    if path.endswith(".json"):
+        try:
+            table = json.loads(Path(path).read_text(encoding="utf-8"))["scenario"]["controller"]
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            raise InputError(
+                f"{path}: no firmware settings in it; expected a result.json, or a TOML file"
+            ) from None
+    else:
+        table = typed_toml.read_toml(Path(path))
+        if "controller" in table:
+            table = table["controller"]
+        elif "request" in table and "duration_s" in table:  # a scenario with the default firmware
+            table = {}
+    if not isinstance(table, dict):
+        raise InputError(f"{path}: controller: not a table; expected the firmware's settings")
+    return _without_none(table)
+
+
+def _without_none(table: dict[str, Any]) -> dict[str, Any]:
+    return {
+        k: _without_none(v) if isinstance(v, dict) else v for k, v in table.items() if v is not None
+    }
+
+
+def _refuse_plant_settings(settings: Sequence[str]) -> None:
+    for text in settings:
+        path = text.partition("=")[0].strip()
+        if path and path.split(".")[0] not in ("controller", "firmware"):
+            raise InputError(
+                f"--set {typed_toml.one_line(path, 60)}: not of the firmware, which is replayed "
+                "alone; expected controller..., or --plant or --closed-loop"
+            )

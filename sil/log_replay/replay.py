@@ -1,0 +1,367 @@
+"""One replay of a log, from its path to what differs."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import chain, islice
+from pathlib import Path
+
+import msgspec
+
+from can_dbc.errors import InputError
+from can_dbc.messages import ShiftRequest, ValveCommand
+from sil.log_replay.comparison import Comparison
+from sil.log_replay.executor import Account, Engine
+from sil.log_replay.firmware_under_test import ForeignUnit, OwnUnit, Unit
+from sil.log_replay.options import Setup, setup
+from sil.log_replay.plant_side import PlantSide
+from sil.log_replay.recorded_frames import OWN_IDS, Arrival, Traffic, ids_of_database
+from sil.log_replay.signals import Options
+from sil.log_replay.tick_grid import HEAD_FRAMES, NOMINAL, Grid, make_grid, survey
+from sil.log_replay.ticks import TickMap, map_ticks
+from sil.logs import LogFrame, LogReport, open_log
+
+ESTIMATE = "ControllerStatus.estimate_m"
+FORGOTTEN_M = 1e-6
+"""What the filter still remembers of the motion before a replay begun in the middle, at most."""
+
+BEFORE_FRAMES = 500
+"""Frames before the first valve command that the survey sees, too."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """What to replay; see `opc4 replay --help`."""
+
+    log: str
+    firmware: str | None = None
+    settings: Sequence[str] = ()
+    options: Options = field(default_factory=Options)
+    run: str | None = None
+    dbc: str | None = None
+    plant: bool = False
+    closed_loop: bool = False
+    strict: bool = False
+    times: str = "auto"
+    reference: tuple[Path, str] | None = None
+    """Checkout and name of the unit whose answers stand in for the recorded ones."""
+
+
+@dataclass
+class Outcome:
+    """Everything that a replay found."""
+
+    order: Order
+    setup: Setup
+    grid: Grid
+    ticks: TickMap
+    comparison: Comparison
+    account: Account
+    read: LogReport
+    frames: int
+    steps: int
+    unanswered: Counter[str]
+    plant: PlantSide | None
+    notes: list[str] = field(default_factory=list)
+    foreign: list[tuple[str, int]] = field(default_factory=list)
+
+    @property
+    def differs(self) -> bool:
+        """Whether any side differs."""
+        plant_differs = self.plant is not None and self.order.plant and self.plant.differing > 0
+        return self.comparison.differs or plant_differs
+
+    @property
+    def labels(self) -> tuple[str, str]:
+        """What the two sides are called."""
+        return (
+            ("recorded", "replayed")
+            if self.order.reference is None
+            else (
+                self.order.reference[1],
+                "here",
+            )
+        )
+
+
+def replay(order: Order) -> Outcome:
+    """Replay a log. Raises InputError for a log that cannot be, or in which nothing was engaged.
+
+    Checked by: tests/scenarios/test_replay.py
+    """
+    log = _Log(order)
+    found = survey(log.head)
+    ready = setup(
+        order.log,
+        found,
+        firmware=None if _is_folder(order.firmware) else order.firmware,
+        settings=order.settings,
+        run=order.run,
+        with_plant=order.plant or order.closed_loop,
+    )
+    if order.firmware is not None and _is_folder(order.firmware):
+        ready = dataclasses.replace(ready, told=f"of {order.firmware}, settings {ready.told}")
+    scene = ready.loaded.scenario
+    if found.skew and not ready.own_run:
+        log.set_clock(found.first_ns, found.skew)
+        found = survey(log.head)
+    if found.bitrate is None and ready.own_run:
+        found = survey(log.head, scene.bus.bitrate)
+    config = scene.controller
+    period_ns = found.period_ns or ready.recorded_ns
+    if abs(period_ns - ready.recorded_ns) <= NOMINAL * period_ns:
+        period_ns = ready.recorded_ns
+    if found.release_ns is None:
+        raise InputError(
+            f"{order.log}: no step of the recorded unit can be made out; expected its valve commands "
+            "and status at regular times"
+        )
+    grid = make_grid(found, period_ns, config.computation_ns)
+    requests = _Watched(log.traffic())
+    ticks = map_ticks(requests, grid)
+    if not requests.requests:
+        raise InputError(
+            f"{order.log}: no ShiftRequest in it, so nobody asked the control unit for anything; "
+            "expected a log of its bus"
+        )
+    if ticks.restarts and (order.plant or order.closed_loop):
+        raise InputError(
+            f"{order.log}: the recording has {len(ticks.restarts)} holes, over which nobody knows "
+            "what the plant did; expected a whole one, or neither --plant nor --closed-loop"
+        )
+    hears = _hearing(ready, grid, ticks, "controller")
+    with _Units() as units:
+        unit = units.add(_unit(order, ready))
+        reference = None
+        if order.reference is not None:
+            reference = units.add(ForeignUnit(order.reference[0], config, order.reference[1]))
+        plant = _plant(order, ready, grid, hears_plant=_hearing(ready, grid, ticks, "plant"))
+        engine = Engine(ticks, unit, config.period_ns, hears, plant, reference)
+        comparison = Comparison(
+            _options(order.options, grid, ticks),
+            config.duty_closed,
+            engine.inputs,
+            warming=not grid.fresh,
+        )
+        traffic = log.traffic()
+        engine.run(traffic, comparison)
+    engine.account.other.update(traffic.counts)
+    if not comparison.engaged:
+        raise InputError(
+            f"{order.log}: no valve was ever energised, neither then nor now: nothing was engaged, "
+            "and agreement would mean nothing; expected a log with a shift"
+        )
+    outcome = Outcome(
+        order=order,
+        setup=ready,
+        grid=grid,
+        ticks=ticks,
+        comparison=comparison,
+        account=engine.account,
+        read=log.report,
+        frames=traffic.total,
+        steps=engine.steps,
+        unanswered=engine.unanswered,
+        plant=plant,
+    )
+    outcome.foreign = [
+        (log.names.get(can_id, f"{can_id:08X}"), count)
+        for can_id, count in traffic.foreign.most_common(20)
+    ]
+    outcome.notes = _notes(outcome, log, traffic)
+    return outcome
+
+
+class _Log:
+    """The log under replay: its head for the survey, and fresh readings of the whole."""
+
+    def __init__(self, order: Order) -> None:
+        self._order = order
+        self.names: Mapping[int, str] = {}
+        self._ids: Mapping[int, type] = OWN_IDS
+        if order.dbc is not None:
+            self._ids, self.names = ids_of_database(order.dbc)
+        self._reader = open_log(order.log, strict=order.strict, times=order.times)
+        self.channel: str | None = None
+        self.channels: Counter[str] = Counter()
+        self.skew = (0, 0.0)
+        self._frames = self._beginning()
+        self.head = list(Traffic(self._frames, channel=self.channel, ids=self._ids))
+
+    def set_clock(self, begin_ns: int, share: float) -> None:
+        """Tell times by the unit's clock, from which the recorder's drifts away."""
+        self.skew = (begin_ns, share)
+        self.head = list(Traffic(self._frames, channel=self.channel, ids=self._ids, skew=self.skew))
+
+    @property
+    def report(self) -> LogReport:
+        """What the latest reading found."""
+        return self._reader.report
+
+    def traffic(self) -> Traffic:
+        """Return the frames of a new reading."""
+        return Traffic(
+            self._reader, channel=self.channel, ids=self._ids, path=self._order.log, skew=self.skew
+        )
+
+    def _beginning(self) -> list[LogFrame]:
+        """Read on to the first valve command, and some more; choose the channel."""
+        valves = {can_id for can_id, kind in self._ids.items() if kind is ValveCommand}
+        before: deque[LogFrame] = deque(maxlen=BEFORE_FRAMES)
+        frames: list[LogFrame] = []
+        entries = iter(self._reader)
+        first: LogFrame | None = None
+        for entry in entries:
+            first = first or entry
+            before.append(entry)
+            if entry.extended and entry.can_id in valves and not entry.remote and not entry.error:
+                frames = [*before, *islice(entries, HEAD_FRAMES)]
+                break
+        if not frames:
+            raise InputError(
+                f"{self._order.log}: no ValveCommand in it, so there is nothing to compare with; "
+                "expected a log of the control unit's bus, or --summary for any other truck's"
+            )
+        if first is not None and first is not frames[0]:
+            frames.insert(0, first)
+        self.channels = Counter(f.channel for f in frames if f.extended and f.can_id in valves)
+        if len({frame.channel for frame in frames}) > 1:
+            self.channel = self.channels.most_common(1)[0][0]
+        return sorted(frames, key=lambda frame: frame.time_ns)
+
+
+class _Watched:
+    """Frames passed on, requests counted."""
+
+    def __init__(self, traffic: Traffic) -> None:
+        self._traffic = traffic
+        self.requests = 0
+
+    def __iter__(self) -> Iterator[Arrival]:
+        for arrival in self._traffic:
+            self.requests += arrival.kind is ShiftRequest
+            yield arrival
+
+
+class _Units:
+    """Closes the units that were made, whatever happens."""
+
+    def __init__(self) -> None:
+        self._units: list[Unit] = []
+
+    def __enter__(self) -> _Units:
+        return self
+
+    def add(self, unit: Unit) -> Unit:
+        """Keep a unit."""
+        self._units.append(unit)
+        return unit
+
+    def __exit__(self, *_: object) -> None:
+        for unit in self._units:
+            unit.close()
+
+
+def _options(options: Options, grid: Grid, ticks: TickMap) -> Options:
+    """Allow for the filter's memory where the replay began while the unit was at work."""
+    if (grid.fresh and not ticks.restarts) or ESTIMATE in options.tolerance:
+        return options
+    tolerance = {**options.tolerance, ESTIMATE: FORGOTTEN_M}
+    return msgspec.structs.replace(options, tolerance=tolerance)
+
+
+def _is_folder(firmware: str | None) -> bool:
+    return firmware is not None and Path(firmware).is_dir()
+
+
+def _unit(order: Order, ready: Setup) -> Unit:
+    if order.firmware is not None and _is_folder(order.firmware):
+        folder = Path(order.firmware).resolve()
+        if not (folder / "controller" / "node.py").is_file():
+            raise InputError(f"{order.firmware}: no controller/node.py in it; expected a checkout")
+        return ForeignUnit(folder, ready.loaded.scenario.controller, order.firmware)
+    return OwnUnit(ready.loaded.scenario.controller, ready.loaded.scenario.firmware)
+
+
+def _hearing(ready: Setup, grid: Grid, ticks: TickMap, node: str) -> Callable[[int], bool]:
+    """Return whether a node hears a frame of a time: by the run's faults, else by its silence."""
+    from sil.coupling.faults import FaultPlan
+
+    scene = ready.loaded.scenario
+    if ready.own_run and grid.origin_ns == 0:
+        plan = FaultPlan(scene.fault, scene.seed)
+        return lambda time_ns: node not in plan.deaf(time_ns)
+    if node == "controller":
+        return ticks.hears
+    return lambda time_ns: True
+
+
+def _plant(
+    order: Order, ready: Setup, grid: Grid, hears_plant: Callable[[int], bool]
+) -> PlantSide | None:
+    if not (order.plant or order.closed_loop):
+        return None
+    from plant.node import PlantNode
+    from sil.simulation.build import plant_config, warm_up
+
+    warm_up(ready.loaded)
+    scene = ready.loaded.scenario
+    return PlantSide(
+        PlantNode(plant_config(scene), ready.loaded.parameters),
+        order.options,
+        closes=order.closed_loop,
+        bitrate=grid.bitrate,
+        computation_ns=scene.controller.computation_ns,
+        hears=hears_plant,
+        slack_ns=grid.slack_ns,
+    )
+
+
+def _notes(outcome: Outcome, log: _Log, traffic: Traffic) -> list[str]:
+    """Say what of the log was special."""
+    grid, ticks = outcome.grid, outcome.ticks
+    notes = []
+
+    def when(tick: int) -> str:
+        return f"{grid.tick_ns(tick) / 1e9:.3f} s"
+
+    for name, spans in (("did not run", ticks.idle), ("was off the bus", ticks.off_bus)):
+        notes += [f"the unit {name} from {when(a)} to {when(b)}" for a, b in spans[:5]]
+        if len(spans) > 5:
+            notes.append(f"the unit {name} {len(spans) - 5} times more")
+    if ticks.restarts:
+        notes.append(f"holes in the recording: {len(ticks.restarts)}; the replay began anew there")
+    if outcome.plant is not None and (not grid.fresh or not outcome.setup.own_run):
+        gear = outcome.setup.loaded.scenario.initial_gear
+        notes.append(f"the plant begins at rest, vented and in {gear}, as far as the log tells")
+    last_ns = traffic.last_ns or 0
+    if last_ns - grid.tick_ns(ticks.last) > 2 * grid.period_ns:
+        notes.append(
+            f"the unit's last frame is of {when(ticks.last)}; what came later is not compared"
+        )
+    if outcome.unanswered:
+        missing = ", ".join(f"{n} {name}" for name, n in sorted(outcome.unanswered.items()))
+        notes.append(f"replayed but not in the recording, not compared: {missing}")
+    if outcome.comparison.warm_up_ticks:
+        notes.append(
+            f"{outcome.comparison.warm_up_ticks} ticks left out at the beginning, until the unit "
+            f"that starts now agreed with the one that was at work, its position to {FORGOTTEN_M:g} m"
+        )
+    for kind, count in outcome.comparison.damaged.items():
+        notes.append(f"{count} {kind.__name__} with values outside the contract, not compared")
+    if len(log.channels) > 1 or log.channel is not None:
+        notes.append(f"channel {log.channel or '(unnamed)'}")
+    if log.skew[1]:
+        notes.append(
+            f"the recorder's clock runs {1e6 * log.skew[1]:+.1f} ppm against the unit's; times here "
+            "are by the unit's, from the log's first frame on"
+        )
+    if traffic.reordered:
+        notes.append(f"{traffic.reordered} frames out of order, taken as of the latest time before")
+    report = log.report
+    if not report.clean:
+        notes += [f"log: {line}" for line in report.lines()[1:]]
+    return list(chain(notes))

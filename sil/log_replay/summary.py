@@ -1,0 +1,329 @@
+"""What a replay found, as lines for a reader and as values for a program."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sil.log_replay.comparison import Parting, StateHistory
+from sil.log_replay.edges import shift_told
+from sil.log_replay.excerpts import waveforms
+from sil.log_replay.replay import Outcome
+
+MOST_STATES_TOLD = 60
+
+
+def verdict(outcome: Outcome) -> str:
+    """Return the one line that says it all."""
+    found = outcome.comparison
+    if not found.differs:
+        text = f"no difference in {found.ticks} ticks"
+        if outcome.order.reference is not None:
+            text += f" between the firmware here and that of {outcome.labels[0]}"
+    else:
+        signals = sum(1 for entry in found.signals.values() if entry.differing)
+        text = f"{found.differing_ticks} of {found.ticks} ticks differ, in {signals} signals"
+    if outcome.plant is not None and outcome.order.plant:
+        text += f"; {attribution(outcome)}"
+    return text
+
+
+def attribution(outcome: Outcome) -> str:
+    """Say which side differs from the recording."""
+    assert outcome.plant is not None
+    unit, plant = outcome.comparison.differs, outcome.plant.differing > 0
+    known = (
+        "" if outcome.setup.own_run else " (as set by default: --run tells the run's own settings)"
+    )
+    if plant and unit:
+        return f"both the control unit and the plant{known} differ from the recording"
+    if plant:
+        return (
+            f"the control unit answers as recorded, the plant{known} does not: "
+            "the difference is the plant's"
+        )
+    if unit:
+        return (
+            "the plant answers as recorded, the control unit does not: the difference is the unit's"
+        )
+    return "the plant answers as recorded, too"
+
+
+def edge_lines(outcome: Outcome) -> list[str]:
+    """Say which edges moved, are gone or new."""
+    grid = outcome.grid
+    lines: list[str] = []
+    for result in outcome.comparison.lane_results():
+        if result.moved(0):
+            lines += result.lines(grid.period_ns, grid.origin_ns)
+    return lines
+
+
+def summary_lines(outcome: Outcome) -> list[str]:
+    """Return what is printed: verdict, edges, where the sides part, what was special."""
+    lines = [f"{outcome.order.log}: {verdict(outcome)}"]
+    lines += [f"  {line}" for line in edge_lines(outcome)]
+    for history in outcome.comparison.states:
+        if history.differs:
+            lines.append(f"  {_sequences(history, outcome.labels)}")
+    first = outcome.comparison.first
+    if first is not None:
+        lines.append(
+            f"  first difference at {_when(outcome, first.time_ns)}: {_parts(outcome, first)}"
+        )
+    if outcome.plant is not None:
+        lines += [f"  {line}" for line in plant_lines(outcome)]
+    lines.append(f"  firmware {outcome.setup.told}; {outcome.grid.told}")
+    lines.append(f"  {_account_line(outcome)}")
+    lines += [f"  {note}" for note in outcome.notes]
+    return lines
+
+
+def text(outcome: Outcome) -> str:
+    """Return diff.txt."""
+    grid, found = outcome.grid, outcome.comparison
+    lines = [
+        f"replay of {outcome.order.log}",
+        f"firmware  {outcome.setup.told}",
+        f"grid      {grid.told}",
+        f"verdict   {verdict(outcome)}",
+        "",
+        "edges",
+    ]
+    edges = edge_lines(outcome)
+    total = sum(len(lane.recorded) for lane in found.lanes)
+    lines += [f"  {line}" for line in edges] or [f"  all {total} where they were"]
+    lines += ["", "states"]
+    for history in found.states:
+        lines.append(f"  {_sequences(history, outcome.labels)}")
+        lines += [f"    {line}" for line in _state_times(history, outcome)]
+    lines.append("")
+    lines += _parting_lines(outcome, "first difference", found.first)
+    if found.first_command is not None and found.first_command != found.first:
+        lines += _parting_lines(outcome, "first command that differs", found.first_command)
+    if outcome.plant is not None:
+        lines += ["plant", *(f"  {line}" for line in plant_lines(outcome)), ""]
+    for scene in found.scenes.found:
+        where = "commands differ" if scene.differs else "commands are equal"
+        lines.append(f"waveforms, {where}")
+        lines += [f"  {line}".rstrip() for line in waveforms(scene, outcome.labels, grid.origin_ns)]
+    lines += ["signals", *_signal_lines(outcome), "", "frames", f"  {_account_line(outcome)}"]
+    lines += [f"  {line}" for line in account_lines(outcome)]
+    if outcome.notes:
+        lines += ["", "notes", *(f"  {note}" for note in outcome.notes)]
+    return "\n".join(lines) + "\n"
+
+
+def as_dict(outcome: Outcome) -> dict[str, Any]:
+    """Return diff.json; times in s on the log's clock."""
+    grid, found = outcome.grid, outcome.comparison
+    base_ns = grid.origin_ns
+    account = outcome.account
+    return {
+        "format": 1,
+        "log": outcome.order.log,
+        "differs": outcome.differs,
+        "verdict": verdict(outcome),
+        "sides": list(outcome.labels),
+        "firmware": outcome.setup.told,
+        "grid": {
+            "origin_s": base_ns / 1e9,
+            "period_s": grid.period_ns / 1e9,
+            "computation_s": grid.computation_ns / 1e9,
+            "bitrate": grid.bitrate,
+            "exact": grid.exact,
+            "told": grid.told,
+        },
+        "ticks": found.ticks,
+        "differing_ticks": found.differing_ticks,
+        "warm_up_ticks": found.warm_up_ticks,
+        "edges": [
+            result.as_dict(base_ns) | {"told": result.lines(grid.period_ns, base_ns)}
+            for result in found.lane_results()
+        ],
+        "states": [_history(history, base_ns) for history in found.states],
+        "first": _parting(found.first, base_ns),
+        "first_command": _parting(found.first_command, base_ns),
+        "signals": {
+            name: {
+                "compared": entry.compared,
+                "differing": entry.differing,
+                "largest": entry.largest,
+                "first_s": None if entry.first_ns is None else (entry.first_ns + base_ns) / 1e9,
+            }
+            for name, entry in sorted(found.signals.items())
+        },
+        "plant": None
+        if outcome.plant is None
+        else outcome.plant.as_dict(base_ns)
+        | {"attribution": attribution(outcome) if outcome.order.plant else None},
+        "frames": {
+            "total": outcome.frames,
+            "accounted": account.total,
+            "inputs": dict(account.inputs),
+            "unheard": dict(account.unheard),
+            "answers": dict(account.answers),
+            "plant": dict(account.plant),
+            "other": dict(account.other),
+            "foreign": account.foreign,
+            "foreign_names": [{"name": name, "frames": count} for name, count in outcome.foreign],
+            "unanswered": dict(outcome.unanswered),
+        },
+        "log_report": outcome.read.as_dict(),
+        "notes": outcome.notes,
+    }
+
+
+def _when(outcome: Outcome, time_ns: int) -> str:
+    return f"{(time_ns + outcome.grid.origin_ns) / 1e9:.6f} s"
+
+
+def _parts(outcome: Outcome, parting: Parting) -> str:
+    a, b = outcome.labels
+    name, recorded, replayed = parting.signals[0]
+    more = len(parting.signals) - 1
+    return f"{name} {a} {recorded}, {b} {replayed}" + (f", and {more} more" if more else "")
+
+
+def _parting_lines(outcome: Outcome, title: str, parting: Parting | None) -> list[str]:
+    if parting is None:
+        return [f"{title}: none", ""]
+    a, b = outcome.labels
+    lines = [f"{title} at {_when(outcome, parting.time_ns)}"]
+    lines += [f"  {name}: {a} {x}, {b} {y}" for name, x, y in parting.signals]
+    lines += ["  inputs that led there", *(f"    {line}" for line in parting.inputs), ""]
+    return lines
+
+
+def _sequences(history: StateHistory, labels: tuple[str, str]) -> str:
+    recorded, replayed = history.sequence(0), history.sequence(1)
+    if recorded == replayed:
+        return f"{history.name}: the same {len(recorded)} in both: {_row(recorded)}"
+    same = next(
+        (i for i, (a, b) in enumerate(zip(recorded, replayed, strict=False)) if a != b),
+        min(len(recorded), len(replayed)),
+    )
+    start = max(same - 2, 0)
+    return (
+        f"{history.name}: the same {same}, then {labels[0]} {_row(recorded[start:])}; "
+        f"{labels[1]} {_row(replayed[start:])}"
+    )
+
+
+def _row(names: list[str]) -> str:
+    shown = " ".join(names[:MOST_STATES_TOLD]) or "nothing"
+    more = len(names) - MOST_STATES_TOLD
+    return shown + (f" ... and {more} more" if more > 0 else "")
+
+
+def _state_times(history: StateHistory, outcome: Outcome) -> list[str]:
+    """Return the states that begin at another time, of sequences that are the same."""
+    if history.differs:
+        return []
+    lines = []
+    for (recorded_ns, name), (replayed_ns, _) in zip(*history.sides, strict=True):
+        if recorded_ns != replayed_ns:
+            shift = shift_told(replayed_ns - recorded_ns, outcome.grid.period_ns)
+            lines.append(f"{name} of {_when(outcome, recorded_ns)} begins {shift}")
+    return lines[:MOST_STATES_TOLD]
+
+
+def plant_lines(outcome: Outcome) -> list[str]:
+    plant = outcome.plant
+    assert plant is not None
+    lines = []
+    if outcome.order.plant:
+        lines.append(
+            f"plant alone on the recorded commands: {plant.differing} of {plant.compared} frames differ"
+        )
+        if plant.unmatched:
+            lines.append(f"{plant.unmatched} recorded frames of the plant without a counterpart")
+        for name, largest in sorted(plant.largest.items()):
+            lines.append(f"{name}: at most {largest:.6g} apart")
+        if plant.first is not None:
+            time_ns, parts = plant.first
+            name, recorded, replayed = parts[0]
+            lines.append(
+                f"first at {_when(outcome, time_ns)}: {name} recorded {recorded}, replayed {replayed}"
+            )
+        lines.append(attribution(outcome))
+    if outcome.order.closed_loop:
+        if plant.closed_ns is None:
+            lines.append("no command differs, so the loop stayed open")
+        else:
+            lines.append(
+                f"loop closed at {_when(outcome, plant.closed_ns)}: from there the plant answers"
+            )
+    return lines
+
+
+def _signal_lines(outcome: Outcome) -> list[str]:
+    lines = []
+    for name, entry in sorted(outcome.comparison.signals.items()):
+        if entry.differing:
+            size = "" if entry.largest is None else f", at most {entry.largest:.6g} apart"
+            assert entry.first_ns is not None
+            lines.append(
+                f"  {name}: {entry.differing} of {entry.compared} differ{size}, first at "
+                f"{_when(outcome, entry.first_ns)}"
+            )
+    equal = sum(1 for entry in outcome.comparison.signals.values() if not entry.differing)
+    return [*lines, f"  {equal} signals without a difference"]
+
+
+def _account_line(outcome: Outcome) -> str:
+    account = outcome.account
+    parts = [
+        f"{sum(account.inputs.values())} inputs",
+        f"{sum(account.answers.values())} answers of the unit",
+        f"{sum(account.plant.values())} of the plant",
+        f"{account.foreign} foreign",
+    ]
+    if account.unheard:
+        parts.append(f"{sum(account.unheard.values())} inputs while off the bus")
+    if account.other:
+        parts.append(f"{sum(account.other.values())} others")
+    return f"{account.total} of {outcome.frames} frames accounted for: {', '.join(parts)}"
+
+
+def account_lines(outcome: Outcome) -> list[str]:
+    account = outcome.account
+    lines = []
+    for title, part in (
+        ("inputs", account.inputs),
+        ("inputs not heard", account.unheard),
+        ("answers", account.answers),
+        ("plant", account.plant),
+        ("others", account.other),
+    ):
+        if part:
+            told = ", ".join(f"{count} {name}" for name, count in sorted(part.items()))
+            lines.append(f"{title}: {told}")
+    if outcome.foreign:
+        told = ", ".join(f"{count} {name}" for name, count in outcome.foreign)
+        lines.append(f"foreign: {told}")
+    return lines
+
+
+def _history(history: StateHistory, base_ns: int) -> dict[str, Any]:
+    def side(index: int) -> list[dict[str, Any]]:
+        return [
+            {"time_s": (time_ns + base_ns) / 1e9, "value": name}
+            for time_ns, name in history.sides[index]
+        ]
+
+    return {
+        "name": history.name,
+        "differs": history.differs,
+        "recorded": side(0),
+        "replayed": side(1),
+    }
+
+
+def _parting(parting: Parting | None, base_ns: int) -> dict[str, Any] | None:
+    if parting is None:
+        return None
+    return {
+        "time_s": (parting.time_ns + base_ns) / 1e9,
+        "signals": [{"name": name, "recorded": a, "replayed": b} for name, a, b in parting.signals],
+        "inputs": parting.inputs,
+    }

@@ -1,0 +1,48 @@
+"""What end-to-end protection made of the frames on the bus, message by message."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from can_dbc.codec import can_id_of
+from can_dbc.e2e import PROTECTED, E2eStatus, Receiver
+from sil.coupling.faults import INTRUDER
+from sil.recording.run_record import RunRecord
+
+TAKEN = (E2eStatus.OK, E2eStatus.OK_SOME_LOST)
+
+
+class EndToEnd:
+    """A receiver for each protected message, which hears everything, in order of arrival.
+
+    Checked by test_intruder.
+    """
+
+    def __init__(self) -> None:
+        self._receivers: dict[int, Receiver[Any]] = {
+            can_id_of(kind): Receiver(kind) for kind in PROTECTED
+        }
+        self._foreign: dict[str, int] = {}
+
+    def add(self, record: RunRecord) -> None:
+        """Check the frames of the next piece of the run."""
+        for can_id, receiver in self._receivers.items():
+            name = receiver.message_type.__name__
+            for entry in record.frames_of(can_id):
+                status = receiver.receive(entry.arrival_ns, entry.frame)
+                if entry.sender == INTRUDER and status in TAKEN:
+                    self._foreign[name] = self._foreign.get(name, 0) + 1
+
+    def told(self) -> dict[str, dict[str, int]]:
+        """Frames by status, and of an intruder's how many were taken for good ones."""
+        return {
+            receiver.message_type.__name__: {
+                **{
+                    status.value: receiver.counts[status]
+                    for status in E2eStatus
+                    if status is not E2eStatus.NO_NEW_DATA
+                },
+                "intruder's taken": self._foreign.get(receiver.message_type.__name__, 0),
+            }
+            for receiver in self._receivers.values()
+        }

@@ -1,0 +1,136 @@
+"""What a run has left on disk, read back piece by piece: however long it was, memory stays flat."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from sil.recording.events import EVENTS, event_of
+from sil.recording.frames import BUS_FRAMES, FrameReader
+from sil.recording.recorder import PLANT_TRACE, TraceReader
+from sil.recording.run_record import NS, PlantEvent, RunRecord
+
+PIECE_S = 60.0
+"""A run up to this long is one piece."""
+
+MOST_ROWS = 1_000_000
+"""A piece has at most about this many rows of the trace."""
+
+
+class RunReader:
+    """The recordings of a run in a folder; use as a context manager.
+
+    Checked by test_run_reader.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        senders: tuple[str, ...],
+        *,
+        supply_pressure_pa: float,
+        stroke_m: float,
+        free_travel_m: float,
+        trace_period_s: float,
+    ) -> None:
+        """Raises OSError without recordings, InputError for files that are not recordings."""
+        self._supply_pa = supply_pressure_pa
+        self.stroke_m = stroke_m
+        self._free_travel_m = free_travel_m
+        self._trace = TraceReader(folder / PLANT_TRACE)
+        self._frames = FrameReader(folder / BUS_FRAMES, senders)
+        self.piece_s = min(PIECE_S, MOST_ROWS * trace_period_s)
+        self.rows = self._trace.rows
+        self.end_s = float(self._trace.read(self.rows - 1, self.rows)[0, 0]) if self.rows else 0.0
+        self.pieces = int(self.end_s // self.piece_s) + 1 if self.end_s > self.piece_s else 1
+        self._events = open(folder / EVENTS, "rb")  # noqa: SIM115 - closed by __exit__
+        self.balances: Mapping[str, Any] = {}
+        self._spans = self._read_events()
+        self._whole: RunRecord | None = None
+
+    def __enter__(self) -> RunReader:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._frames.close()
+        self._events.close()
+
+    def __iter__(self) -> Iterator[RunRecord]:
+        """The pieces in order of time: each frame, row and event is in one of them."""
+        for number in range(self.pieces):
+            yield self.piece(number)
+
+    def piece(self, number: int) -> RunRecord:
+        """Return one piece of the run; all of it, if it has but one."""
+        if self._whole is not None:
+            return self._whole
+        start = -np.inf if number == 0 else number * self.piece_s
+        end = np.inf if number == self.pieces - 1 else (number + 1) * self.piece_s
+        record = self._record(start, end, end)
+        if self.pieces == 1:
+            self._whole = record
+        return record
+
+    def span(self, start_s: float, until_s: float) -> RunRecord:
+        """Return what figures of the time from start to until are made of, and a little more."""
+        if self.pieces == 1:
+            return self.piece(0)
+        latest_s = until_s + 1.0 + self._frames.longest_way_ns / NS
+        return self._record(start_s - 1.0, until_s + 1.0, latest_s)
+
+    def _record(self, start_s: float, end_s: float, last_arrival_s: float) -> RunRecord:
+        """Rows and events from start to before end, and frames up to before the last arrival."""
+        first = 0 if start_s <= 0.0 else self._trace.first_from(start_s)
+        beyond = self.rows if end_s > self.end_s else self._trace.first_from(end_s)
+        rows = self._trace.read(first, beyond)
+        begin = 0 if start_s <= 0.0 else self._frames.first_from(round(start_s * NS))
+        last = self._frames.frames
+        if last_arrival_s < np.inf:
+            last = self._frames.first_from(round(last_arrival_s * NS))
+        return RunRecord(
+            truth={
+                name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(self._trace.columns)
+            },
+            events=self._events_between(start_s, end_s),
+            frames=self._frames.read(begin, last),
+            stroke_m=self.stroke_m,
+            free_travel_m=self._free_travel_m,
+            supply_pressure_pa=self._supply_pa,
+        )
+
+    def _read_events(self) -> dict[int, tuple[int, int]]:
+        """Return from where to where in the file the events of each piece are; keep the balances."""
+        spans: dict[int, tuple[int, int]] = {}
+        begin = 0
+        for line in self._events:
+            if not line.endswith(b"\n"):
+                break  # torn
+            event = event_of(line, self._events.name)
+            if event.name == "balance" and not self.balances:
+                self.balances = event.values
+            number = min(int(event.time_s // self.piece_s), self.pieces - 1)
+            end = begin + len(line)
+            spans[number] = (spans.get(number, (begin, end))[0], end)
+            begin = end
+        return spans
+
+    def _events_between(self, start_s: float, end_s: float) -> list[PlantEvent]:
+        low = 0 if start_s <= 0.0 else int(start_s // self.piece_s)
+        high = self.pieces - 1 if end_s == np.inf else int(end_s // self.piece_s)
+        spans = [self._spans[n] for n in range(low, high + 1) if n in self._spans]
+        if not spans:
+            return []
+        begin, end = min(span[0] for span in spans), max(span[1] for span in spans)
+        lines = os.pread(self._events.fileno(), end - begin, begin).split(b"\n")[:-1]
+        events = [event_of(line, self._events.name) for line in lines]
+        return [event for event in events if start_s <= event.time_s < end_s]

@@ -1,0 +1,165 @@
+"""What a finished run left behind, as arrays and messages: the input of metrics and pictures."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from can_dbc import codec
+from can_dbc.frame import Frame
+from can_dbc.messages import ControllerStatus
+
+Floats = NDArray[np.float64]
+M = TypeVar("M")
+
+NS = 1_000_000_000
+CHAMBERS = ("B", "N", "F")
+
+
+class BusFrame(NamedTuple):
+    """One frame as it crossed the bus: released by its sender, arrived at everybody else."""
+
+    released_ns: int
+    arrival_ns: int
+    sender: str
+    frame: Frame
+
+
+STORED = struct.Struct("<QQIBB8s")
+"""A frame on disk: released and arrival [ns], identifier, length, number of its sender, data."""
+
+_IDENTIFIER = np.dtype(
+    {"names": ["can_id"], "formats": ["<u4"], "offsets": [16], "itemsize": STORED.size}
+)
+
+
+class StoredFrames(Sequence[BusFrame]):
+    """Frames as they stand on disk, each made into an object when it is looked at.
+
+    A minute of a bus is some 60,000 frames: kept as objects, they cost the garbage collector more
+    than everything that is done with them.  Checked by test_run_reader.
+    """
+
+    def __init__(self, content: bytes, senders: Sequence[str]) -> None:
+        self._content = content
+        self._senders = senders
+        self._ids = np.frombuffer(content, _IDENTIFIER)["can_id"]
+
+    def __len__(self) -> int:
+        return len(self._ids)
+
+    def __iter__(self) -> Iterator[BusFrame]:
+        return self._made(self._content)
+
+    @overload
+    def __getitem__(self, index: int) -> BusFrame: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[BusFrame]: ...
+    def __getitem__(self, index: int | slice) -> BusFrame | Sequence[BusFrame]:
+        if isinstance(index, slice):
+            return [self[place] for place in range(*index.indices(len(self)))]
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"frame {index} of {len(self)}")
+        begin = index % len(self) * STORED.size
+        return next(self._made(self._content[begin : begin + STORED.size]))
+
+    def identifiers(self) -> list[int]:
+        """Return the identifiers that there are."""
+        return [int(can_id) for can_id in np.unique(self._ids)]
+
+    def of_id(self, can_id: int) -> Iterator[BusFrame]:
+        """Return the frames of one identifier, in order."""
+        entries = np.frombuffer(self._content, f"V{STORED.size}")
+        return self._made(entries[self._ids == can_id].tobytes())
+
+    def _made(self, content: bytes) -> Iterator[BusFrame]:
+        senders = self._senders
+        for released, arrival, can_id, length, sender, data in STORED.iter_unpack(content):
+            yield BusFrame(released, arrival, senders[sender], Frame(can_id, data[:length]))
+
+
+@dataclass(frozen=True)
+class PlantEvent:
+    """Something the plant located exactly: a valve moved, the stay stopped, a block released."""
+
+    time_s: float
+    name: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """The truth (columns over time_s), the plant's events and every frame of one run."""
+
+    truth: Mapping[str, Floats]
+    events: Sequence[PlantEvent]
+    frames: Sequence[BusFrame]
+    stroke_m: float
+    free_travel_m: float
+    supply_pressure_pa: float
+
+    @cached_property
+    def messages(self) -> dict[type, list[tuple[BusFrame, Any]]]:
+        """All frames that our contract knows, decoded, by message type in order of arrival.
+
+        Frames of other ids and damaged ones are left out here: they stay in `frames`.
+        """
+        frames = self.frames
+        ids = frames.identifiers() if isinstance(frames, StoredFrames) else self._by_id
+        kinds = [codec.message_type_of(can_id) for can_id in ids]
+        found: dict[type, list[tuple[BusFrame, Any]]]
+        found = {kind: self.of(kind) for kind in kinds if kind is not None}
+        return {kind: entries for kind, entries in found.items() if entries}
+
+    @cached_property
+    def _by_id(self) -> dict[int, list[BusFrame]]:
+        found: dict[int, list[BusFrame]] = {}
+        for entry in self.frames:
+            found.setdefault(entry.frame.can_id, []).append(entry)
+        return found
+
+    @cached_property
+    def _decoded(self) -> dict[type, list[tuple[BusFrame, Any]]]:
+        return {}
+
+    def frames_of(self, can_id: int) -> Iterable[BusFrame]:
+        """Return the frames of one identifier, in order of arrival."""
+        if isinstance(self.frames, StoredFrames):
+            return self.frames.of_id(can_id)
+        return self._by_id.get(can_id, ())
+
+    def each(self, kind: type[M]) -> Iterator[tuple[BusFrame, M]]:
+        """Go through what `of` returns without keeping it."""
+        if kind in self._decoded:
+            yield from self._decoded[kind]
+            return
+        for entry in self.frames_of(codec.can_id_of(kind)):
+            try:
+                message: Any = codec.decode(entry.frame)
+            except codec.CodecError:
+                continue
+            yield entry, message
+
+    def of(self, kind: type[M]) -> list[tuple[BusFrame, M]]:
+        """Return (frame, message) of one message type in order of arrival."""
+        if kind not in self._decoded:
+            self._decoded[kind] = list(self.each(kind))
+        return self._decoded[kind]
+
+    def series(self, kind: type[Any], name: str) -> tuple[Floats, list[Any]]:
+        """Return arrival times in s, and the values, of one field of one message type."""
+        entries = self.of(kind)
+        times = np.array([e.arrival_ns for e, _ in entries], dtype=np.float64) / NS
+        return times, [getattr(m, name) for _, m in entries]
+
+    @cached_property
+    def believed(self) -> tuple[Floats, Floats]:
+        """Times (s) and positions (m) that the controller put on the bus as its estimate."""
+        times, values = self.series(ControllerStatus, "estimate_m")
+        return times, np.array(values, dtype=np.float64)

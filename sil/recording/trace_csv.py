@@ -1,0 +1,121 @@
+"""trace.csv: the truth of a run and what the controller believed, on one time axis."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from can_dbc.messages import ControllerStatus
+from sil.recording.run_record import Floats, RunRecord
+
+FIRST = (
+    "time_s",
+    "position_m",
+    "pressure_B_pa",
+    "pressure_N_pa",
+    "pressure_F_pa",
+    "cmd_B",
+    "cmd_N",
+    "cmd_F",
+    "position_internal_m",
+)
+"""The columns that a measured stroke has too come first, in its order."""
+
+FROM_STATUS = {
+    "position_internal_m": "estimate_m",
+    "controller_state": "state",
+    "controller_faults": "faults",
+}
+"""What the controller's frames tell, as held since the last one."""
+
+ROWS = 20_000
+"""Rows made into text at a time."""
+
+WHOLE = frozenset(("valve_B", "valve_N", "valve_F", "controller_state", "controller_faults"))
+
+
+def held(times: Floats, values: Floats, at: Floats, before: float = math.nan) -> Floats:
+    """Return a held series at given instants; `before` stands before its first value."""
+    padded = np.concatenate([[before], values])
+    return np.asarray(padded[np.searchsorted(times, at, side="right")])
+
+
+def trace_columns(
+    record: RunRecord, before: Mapping[str, float] | None = None
+) -> dict[str, Floats]:
+    """Return all columns of trace.csv: the plant's, and the controller's as held at its frames.
+
+    `before`: what held before the record's first frame, by column.
+    """
+    before = before or {}
+    columns = dict(record.truth)
+    at = columns["time_s"]
+    for name, field in FROM_STATUS.items():
+        times, values = record.series(ControllerStatus, field)
+        last = before.get(name, math.nan)
+        columns[name] = held(times, np.array(values, dtype=np.float64), at, last)
+    rest = [name for name in columns if name not in FIRST]
+    return {name: columns[name] for name in (*FIRST, *rest)}
+
+
+class TraceCsv:
+    """Writes the trace piece by piece: every number reads back to the same bits.
+
+    An unknown number is left empty. Use as a context manager: the file has its name on leaving.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._part = path.with_name(path.name + ".part")
+        self._part.unlink(missing_ok=True)
+        self._file = open(self._part, "x", encoding="utf-8", newline="")  # noqa: SIM115
+        self._held: dict[str, float] = {}
+        self._begun = False
+
+    def add(self, record: RunRecord) -> None:
+        """Append the rows of the next piece of the run."""
+        columns = trace_columns(record, self._held)
+        for name, field in FROM_STATUS.items():
+            _, values = record.series(ControllerStatus, field)
+            if values:
+                self._held[name] = float(values[-1])
+        at = record.truth["time_s"]
+        if not self._begun:
+            self._file.write(",".join(columns) + "\n")
+            self._begun = True
+        for begin in range(0, len(at), ROWS):
+            texts = [
+                ["" if v != v else str(int(v)) for v in column[begin : begin + ROWS].tolist()]
+                if name in WHOLE
+                else ["" if v != v else repr(v) for v in column[begin : begin + ROWS].tolist()]
+                for name, column in columns.items()
+            ]
+            self._file.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
+
+    def __enter__(self) -> TraceCsv:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Move the file to its name; after an error, remove it."""
+        try:
+            self._file.close()  # what is still buffered may find no room
+            if kind is None:
+                os.replace(self._part, self._path)
+        finally:
+            self._part.unlink(missing_ok=True)
+
+
+def write_trace_csv(record: RunRecord, path: Path) -> None:
+    """Write the trace of a whole run."""
+    with TraceCsv(path) as csv:
+        csv.add(record)

@@ -1,0 +1,1 @@
+"""A scenario from its file to its result: build, run, metrics, expectations."""

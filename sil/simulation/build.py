@@ -1,0 +1,267 @@
+"""Participants made from a scenario, in this process or in processes of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+from zlib import crc32
+
+from can_dbc.contract import contract
+from can_dbc.errors import InputError
+from can_dbc.frame import Frame
+from can_dbc.messages import Gear
+from sil.coupling.bus import BusModel
+from sil.coupling.clock import to_ns
+from sil.coupling.faults import FaultPlan, Intrusion
+from sil.coupling.lockstep import TURN_ORDER
+from sil.coupling.transports.channel import Channel, ParticipantLost, Patience
+from sil.coupling.transports.inproc import InProcess, Participant
+from sil.nodes.drift import Drifting
+from sil.nodes.intruder import IntruderNode
+from sil.simulation.scenario import Loaded, Scenario, expanded
+
+if TYPE_CHECKING:
+    from plant.node import PlantConfig, PlantNode
+    from sil.recording.events import EventLog
+    from sil.recording.recorder import TraceWriter
+
+ROOT = Path(__file__).resolve().parents[2]
+SCENARIO = "scenario.json"
+REMOTE = ("controller", "plant")
+"""Who runs in a process of its own on every transport but inproc; the others never do."""
+
+SENDERS = (*TURN_ORDER, "traffic", "intruder")
+"""Everybody who may be on the bus, in the order of their turns."""
+
+PATIENCE = Patience(start_s=300.0, answer_s=2.0, close_s=5.0)
+INITIAL = {"neutral": "N", "backward": "B", "forward": "F"}
+
+Say = Callable[[str], None]
+
+
+def gear_of(name: str) -> Gear:
+    """Return the gear of a scenario's word for it."""
+    return Gear[name.upper()]
+
+
+def scenario_number(scenario: Scenario) -> int:
+    """Return 32 bits that tell scenarios apart when a participant joins; never 0."""
+    return crc32(json.dumps(expanded(scenario), sort_keys=True).encode()) or 1
+
+
+def plant_config(scenario: Scenario) -> PlantConfig:
+    """Return the plant's settings of a scenario."""
+    from plant.node import PlantConfig
+
+    table = scenario.plant
+    return PlantConfig(
+        initial=INITIAL[scenario.initial_gear],  # type: ignore[arg-type]
+        charged=tuple(table.charged),
+        supply_pressure_pa=table.supply_pressure_pa,
+        mounted=table.mounted,
+        damper=table.damper,
+        mesh_force_n=table.mesh_force_n,
+        pull_force_n=table.pull_force_n,
+        closing_follows_duty=table.closing_follows_duty,
+        driveline=scenario.driveline,
+        valve_driver=scenario.valve_driver,
+        sensor=scenario.sensor,
+        sensor_faults=tuple(scenario.sensor_fault),
+        temperature_faults=tuple(scenario.temperature_fault),
+        speed_faults=tuple(scenario.speed_fault),
+        valve_faults=tuple(scenario.valve_fault),
+        speeds_period_s=table.speeds_period_s,
+        truth_period_s=table.truth_period_s,
+        trace_period_s=scenario.trace_period_s,
+        seed=scenario.seed,
+    )
+
+
+class RecordedPlant:
+    """The plant node together with the files that its trace and events go to."""
+
+    name = "plant"
+
+    def __init__(self, node: PlantNode, trace: TraceWriter, events: EventLog) -> None:
+        self.node = node
+        self._files = (trace, events)
+
+    def start(self) -> int:
+        """Return the instant of the plant's first event, ns."""
+        return self.node.start()
+
+    def advance(
+        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
+    ) -> tuple[list[tuple[int, Frame]], int]:
+        """Advance the plant. Raises ParticipantLost when its motion cannot be continued."""
+        from plant.integrator.hybrid import IntegrationError
+
+        try:
+            return self.node.advance(until_ns, deliveries)
+        except IntegrationError as error:
+            raise ParticipantLost("plant", f"could not go on: {error}") from None
+
+    def close(self) -> None:
+        """Close the node, which tells its balances, then the files."""
+        self.node.close()
+        for file in self._files:
+            file.close()
+
+
+def make_participant(name: str, loaded: Loaded, folder: Path) -> Participant:
+    """Return one participant of a scenario, its clock as the scenario says.
+
+    The plant records into `folder`, and its clock is simulated time. Raises InputError.
+    """
+    participant = _on_time(name, loaded, folder)
+    clock = loaded.scenario.clock
+    ppm = {"controller": clock.controller_ppm, "driver": clock.driver_ppm}.get(name, 0.0)
+    return participant if ppm == 0.0 else Drifting(participant, ppm)
+
+
+def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
+    scenario = loaded.scenario
+    if name == "driver":
+        from sil.nodes.driver import DriverNode
+
+        schedule = [(to_ns(r.at_s), gear_of(r.gear)) for r in scenario.request]
+        driver = scenario.driver
+        return DriverNode(
+            gear_of(scenario.initial_gear), schedule, to_ns(driver.period_s), to_ns(driver.phase_s)
+        )
+    if name == "controller":
+        from controller.node import ControllerNode
+
+        if not scenario.firmware:
+            return ControllerNode(scenario.controller)
+        from sil.nodes.own_firmware import own_firmware
+
+        return ControllerNode(
+            scenario.controller, own_firmware(scenario.firmware, scenario.controller)
+        )
+    if name == "traffic":
+        from sil.nodes.other_traffic import TrafficNode
+
+        bus = scenario.bus
+        return TrafficNode(bus.extra_load, bus.extra_priority, bus.bitrate, scenario.seed)
+    if name == "intruder":
+        faults = [fault for fault in scenario.fault if isinstance(fault, Intrusion)]
+        return IntruderNode(faults, scenario.bus.bitrate, scenario.seed)
+    if name != "plant":
+        raise InputError(f"participant {name!r}: expected driver, controller or plant")
+    from plant.integrator.hybrid import IntegrationError
+    from plant.node import TRACE_COLUMNS, PlantNode
+    from sil.recording.events import EVENTS, EventLog
+    from sil.recording.recorder import PLANT_TRACE, TraceWriter
+
+    with contextlib.ExitStack() as on_error:
+        trace = TraceWriter(folder / PLANT_TRACE, TRACE_COLUMNS)
+        on_error.callback(trace.close)
+        events = EventLog(folder / EVENTS)
+        on_error.callback(events.close)
+        try:
+            node = PlantNode(plant_config(scenario), loaded.parameters, trace, events)
+            warm_up(loaded)
+        except InputError as error:
+            raise InputError(f"{loaded.source}: {error}") from None
+        except IntegrationError as error:
+            raise InputError(f"{loaded.source}: the plant cannot even start: {error}") from None
+        on_error.pop_all()
+    return RecordedPlant(node, trace, events)
+
+
+def warm_up(loaded: Loaded) -> None:
+    """Load (or compile) the plant's kernels now, not within the first turn of a run."""
+    import numpy as np
+
+    from plant.systems.length_stroke import LengthStroke
+
+    stroke = LengthStroke(loaded.parameters)
+    stroke.advance(1_000_000, [(500_000, 0, 1.0)], np.array([1_000_000], dtype=np.int64))
+
+
+def participant_names(scenario: Scenario) -> tuple[str, ...]:
+    """Return who takes part in a scenario."""
+    names = ["driver", "controller", "plant"]
+    if scenario.bus.extra_load > 0.0:
+        names.append("traffic")
+    if any(isinstance(fault, Intrusion) for fault in scenario.fault):
+        names.append("intruder")
+    return tuple(names)
+
+
+def mailboxes(scenario: Scenario) -> frozenset[int]:
+    """Return the identifiers whose newer content overwrites what still waits: all of the contract."""
+    if not scenario.bus.mailboxes:
+        return frozenset()
+    return frozenset(spec.can_id for spec in contract().messages)
+
+
+def make_bus(scenario: Scenario, plan: FaultPlan) -> BusModel:
+    """Return the bus of a scenario, with its faults."""
+    return BusModel(
+        scenario.bus.bitrate,
+        frame_filter=plan.frame_filter if plan.touches_frames else None,
+        is_off=plan.is_off if plan.touches_frames else None,
+        capacity=scenario.bus.send_buffer,
+        mailboxes=mailboxes(scenario),
+    )
+
+
+def open_channels(
+    loaded: Loaded,
+    folder: Path,
+    transport: str,
+    external: Iterable[str],
+    say: Say,
+    closing: contextlib.ExitStack,
+) -> list[Channel]:
+    """Return the channels to all participants of a run, their processes started.
+
+    `transport`: inproc, local, or a CAN interface; participants named in `external` are started by
+    somebody else. The files that the plant's process writes are in `folder`.
+    Raises InputError for a transport that this machine does not have, RunError for one in use.
+    """
+    names = participant_names(loaded.scenario)
+    external = set(external)
+    if transport == "inproc":
+        if external:
+            raise InputError("--external: needs --transport local or a CAN interface")
+        return [InProcess([make_participant(name, loaded, folder) for name in names])]
+    number = scenario_number(loaded.scenario)
+    if transport == "local":
+        from sil.coupling.transports.hub import Hub
+
+        channel = f"run-{os.getpid()}"
+        remote: Hub | SocketCan = Hub(channel, REMOTE, scenario=number, patience=PATIENCE, say=say)
+        channel = f"local:{channel}"
+    else:
+        from sil.coupling.transports.socketcan import SocketCan
+
+        channel = transport
+        remote = SocketCan(transport, REMOTE, scenario=number, patience=PATIENCE, say=say)
+    closing.callback(remote.close, aborted=True)  # until the coordinator has it
+    for name in REMOTE:
+        if name in external:
+            say(f"waiting for {name}: opc4 node {name} --channel {channel} --scenario ...")
+        else:
+            remote.spawn(name, node_command(name, channel, folder))
+    here = [make_participant(name, loaded, folder) for name in names if name not in REMOTE]
+    return [remote, InProcess(here)]
+
+
+def node_command(name: str, channel: str, folder: Path) -> list[str]:
+    """Return the command that runs one participant of the run in `folder` in its own process.
+
+    The process runs this very code, whatever lies in the user's folder under the same names.
+    """
+    code = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r}); from sil.cli import main; sys.exit(main())"
+    )
+    command = [sys.executable, "-P", "-c", code, "node", name, "--channel", channel]
+    return [*command, "--scenario", str(folder / SCENARIO), "--out", str(folder), "--force"]

@@ -1,0 +1,103 @@
+"""What the bus did in a run, message by message, beside the worst case."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from can_dbc.contract import contract
+from can_dbc.errors import InputError
+from sil.coupling.bus import BusModel
+from sil.coupling.clock import NS_PER_S, to_ns
+from sil.coupling.faults import FaultPlan
+from sil.coupling.response_times import PeriodicMessage, contract_messages, response_times
+from sil.simulation.results import Check
+from sil.simulation.scenario import Scenario
+
+_CONTROLLER = ("ValveCommand", "SafetyBlow", "ControllerStatus")
+_BROADCAST = ("Etc1", "Etc2")
+_BROADCAST_NS = 10_000_000
+
+
+def periods_ns(scenario: Scenario) -> dict[str, int]:
+    """Return the period of each message as the scenario sets it."""
+    controller = scenario.controller.period_ns
+    return {
+        **dict.fromkeys(_CONTROLLER, controller),
+        **dict.fromkeys(_BROADCAST, max(_BROADCAST_NS, controller)),
+        "PositionPulse": to_ns(scenario.sensor.period_s),
+        "DrivelineSpeeds": to_ns(scenario.plant.speeds_period_s),
+        "PlantMotion": to_ns(scenario.plant.truth_period_s),
+        "PlantPressures": to_ns(scenario.plant.truth_period_s),
+        "ShiftRequest": to_ns(scenario.driver.period_s),
+    }
+
+
+def scenario_messages(scenario: Scenario) -> tuple[PeriodicMessage, ...]:
+    """Return the periodic messages of a scenario, as the response-time analysis takes them.
+
+    ETC1 and ETC2 go out with the firmware's next step, so they jitter by one step when the step
+    does not divide their period. Other nodes' traffic is not among them.
+    """
+    step = scenario.controller.period_ns
+    jitter = 0 if _BROADCAST_NS % step == 0 or step > _BROADCAST_NS else step
+    return contract_messages(periods_ns(scenario), dict.fromkeys(_BROADCAST, jitter))
+
+
+def worst_cases_ns(scenario: Scenario) -> dict[str, int]:
+    """Return the worst-case response time of each message; none when the bus is overloaded."""
+    try:
+        found = response_times(scenario_messages(scenario), scenario.bus.bitrate)
+    except InputError:
+        return {}
+    return {response.name: response.response_ns for response in found}
+
+
+def bus_figures(scenario: Scenario, bus: BusModel, plan: FaultPlan) -> dict[str, Any]:
+    """Return load, counts, and per message: frames, longest response, worst case."""
+    statistics = bus.statistics
+    periods, worst = periods_ns(scenario), worst_cases_ns(scenario)
+    messages = []
+    for spec in contract().messages:
+        if spec.name not in periods:
+            continue
+        longest = statistics.longest_wait_ns.get(spec.can_id)
+        bound = worst.get(spec.name)
+        messages.append(
+            {
+                "name": spec.name,
+                "can_id": f"{spec.can_id:08X}",
+                "sender": ", ".join(spec.senders),
+                "frames": statistics.sent.get(spec.can_id, 0),
+                "period_s": periods[spec.name] / NS_PER_S,
+                "longest_response_s": None if longest is None else longest / NS_PER_S,
+                "worst_case_s": None if bound is None else bound / NS_PER_S,
+            }
+        )
+    return {
+        "bitrate": scenario.bus.bitrate,
+        "load": bus.load,
+        "frames": statistics.frames,
+        "error_frames": statistics.error_frames,
+        "lost": statistics.lost,
+        "overwritten": statistics.overwritten,
+        "dropped_bus_off": statistics.dropped_bus_off,
+        "dropped_full": statistics.dropped_full,
+        "fault_hits": {f"fault[{index}]": hits for index, hits in plan.hits.items()},
+        "messages": sorted(messages, key=lambda m: m["can_id"]),
+    }
+
+
+def response_check(scenario: Scenario, told: dict[str, Any]) -> list[Check]:
+    """Return the check that no frame was later than its worst case, where the analysis holds.
+
+    It does not where faults repeat frames or other nodes' traffic is on the bus.
+    """
+    if scenario.fault or scenario.bus.extra_load > 0.0:
+        return []
+    late = [
+        m["name"]
+        for m in told["messages"]
+        if m["longest_response_s"] is not None
+        and (m["worst_case_s"] is None or m["longest_response_s"] > m["worst_case_s"])
+    ]
+    return [Check(name="frames later than their worst case", passed=not late, value=late, limit=[])]

@@ -1,0 +1,233 @@
+"""What a scenario expects of its run, and the checks that turn a run into passed or failed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from can_dbc.messages import (
+    ControllerStatus,
+    Fault,
+    Gear,
+    PlantMotion,
+    ShiftRequest,
+    ValveCommand,
+)
+from sil.recording.run_record import CHAMBERS, RunRecord
+from sil.simulation.metrics import Shift, gear_at
+from sil.simulation.results import Check
+
+GearName = Literal["neutral", "backward", "forward"]
+ChamberName = Literal["B", "N", "F"]
+StateName = Literal["INIT", "IDLE", "PUSH", "CONFIRM", "BLOW", "HOLD", "VENT", "FAULT"]
+FaultName = Literal[
+    "POSITION_LOST",
+    "POSITION_IMPLAUSIBLE",
+    "REQUEST_LOST",
+    "SPEEDS_LOST",
+    "SHIFT_TIMEOUT",
+    "SENSOR_STUCK",
+    "REQUEST_INVALID",
+    "INTERNAL",
+]
+Instant = Literal[
+    "requested", "commanded", "valve_open", "first_motion", "arrived", "confirmed", "blow_end"
+]
+MetricName = Literal[
+    "shift_time_s",
+    "impact_speed_m_s",
+    "impact_energy_j",
+    "position_lag_10_s",
+    "position_lag_90_s",
+    "bus_lag_10_s",
+    "bus_lag_90_s",
+    "air_used_kg",
+    "valve_switchings",
+    "frames",
+]
+
+_NEVER_NONE = (ShiftRequest, ValveCommand, ControllerStatus, PlantMotion)
+"""Messages without which nothing was shown."""
+
+
+class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A closed range; a missing side is open."""
+
+    min: float | None = None
+    max: float | None = None
+
+    def holds(self, value: float | None) -> bool:
+        """Return whether a value exists and lies within."""
+        if value is None:
+            return False
+        return (self.min is None or value >= self.min) and (self.max is None or value <= self.max)
+
+    def told(self) -> dict[str, float]:
+        """Return the sides that are given."""
+        return {k: v for k, v in (("min", self.min), ("max", self.max)) if v is not None}
+
+
+class Timing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"start": "from"}):
+    """How long it takes from one instant of a shift to another, in s."""
+
+    to: Instant
+    start: Instant = "requested"
+    shift: Annotated[int, msgspec.Meta(ge=1)] = 1
+    min_s: float | None = None
+    max_s: float | None = None
+
+
+class Expectations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The [expect] table of a scenario; what is left out is not checked.
+
+    `final_gear` is where the stay stands at the end, in truth; `confirmed_gear` what the controller
+    reports; `faults` those it must report at some time, all others are then refused too.
+    """
+
+    final_gear: GearName | Literal["unknown"] | None = None
+    confirmed_gear: GearName | Literal["unknown"] | None = None
+    states: list[StateName] = []
+    never_states: list[StateName] = []
+    valves_opened: list[ChamberName] | None = None
+    faults: list[FaultName] | None = None
+    valves_off_at_end: bool | None = None
+    metrics: dict[MetricName, Limits] = {}
+    timing: list[Timing] = []
+    min_frames: Annotated[int, msgspec.Meta(ge=1)] = 1
+
+
+class Observed:
+    """What the expectations ask of a run, gathered piece by piece, in order of time."""
+
+    def __init__(self, stroke_m: float) -> None:
+        self.stroke_m = stroke_m
+        self.counts: dict[type, int] = dict.fromkeys(_NEVER_NONE, 0)
+        self.opened: set[str] = set()
+        self.valves_off = True
+        self.position_m = 0.0
+        self.confirmed: Gear | None = None
+        self.faults = Fault.NONE
+        self.visited: list[str] = []
+
+    def add(self, record: RunRecord) -> None:
+        """Take in the next piece of the run."""
+        for kind in self.counts:
+            self.counts[kind] += sum(1 for _ in record.each(kind))
+        if len(record.truth["time_s"]):
+            valves = [record.truth[f"valve_{c}"] for c in CHAMBERS]
+            self.opened |= {c for c, u in zip(CHAMBERS, valves, strict=True) if (u > 0.5).any()}
+            self.valves_off = all(u[-1] < 0.5 for u in valves)
+            self.position_m = float(record.truth["position_m"][-1])
+        for _, message in record.of(ControllerStatus):
+            self.confirmed = message.confirmed
+            self.faults |= message.faults
+            if message.state.name not in self.visited:
+                self.visited.append(message.state.name)
+
+
+def evaluate(
+    wanted: Expectations, record: RunRecord, found: Sequence[Shift], metrics: dict[str, Any]
+) -> list[Check]:
+    """Return one Check per expectation, the ones against an empty success first.
+
+    Checked by test_expectations.
+    """
+    observed = Observed(record.stroke_m)
+    observed.add(record)
+    return evaluate_observed(wanted, observed, found, metrics)
+
+
+def evaluate_observed(
+    wanted: Expectations, observed: Observed, found: Sequence[Shift], metrics: dict[str, Any]
+) -> list[Check]:
+    """Return what `evaluate` does, of a run that was looked at piece by piece."""
+    checks = _not_vacuous(wanted, observed, found)
+    checks += _ends(wanted, observed)
+    checks += _states(wanted, observed)
+    if wanted.valves_opened is not None:
+        opened = [c for c in CHAMBERS if c in observed.opened]
+        checks.append(_equal("valves opened", opened, sorted(wanted.valves_opened, key=_order)))
+    for name, limits in wanted.metrics.items():
+        value = metrics[name]
+        checks.append(
+            Check(name=name, passed=limits.holds(value), value=value, limit=limits.told())
+        )
+    checks += [_timing(t, found) for t in wanted.timing]
+    return checks
+
+
+def _order(chamber: str) -> int:
+    return CHAMBERS.index(chamber)
+
+
+def _equal(name: str, value: Any, limit: Any) -> Check:
+    return Check(name=name, passed=value == limit, value=value, limit=limit)
+
+
+def _not_vacuous(wanted: Expectations, observed: Observed, found: Sequence[Shift]) -> list[Check]:
+    checks = []
+    for kind, count in observed.counts.items():
+        name = f"{kind.__name__} frames on the bus"
+        least = wanted.min_frames
+        checks.append(Check(name=name, passed=count >= least, value=count, limit={"min": least}))
+    if wanted.valves_opened is None and found:
+        opened = len(observed.opened)
+        checks.append(
+            Check(name="a valve opened", passed=opened > 0, value=opened, limit={"min": 1})
+        )
+    return checks
+
+
+def _ends(wanted: Expectations, observed: Observed) -> list[Check]:
+    checks = []
+    if wanted.final_gear is not None:
+        gear = gear_at(observed.position_m, observed.stroke_m).name.lower()
+        checks.append(_equal("final gear", gear, wanted.final_gear))
+    if wanted.confirmed_gear is not None:
+        confirmed = None if observed.confirmed is None else observed.confirmed.name.lower()
+        checks.append(_equal("confirmed gear", confirmed, wanted.confirmed_gear))
+    if wanted.faults is not None:
+        names = sorted(f.name or "" for f in Fault if f and f in observed.faults)
+        checks.append(_equal("faults reported", names, sorted(wanted.faults)))
+    if wanted.valves_off_at_end is not None:
+        checks.append(
+            _equal("valves off at the end", observed.valves_off, wanted.valves_off_at_end)
+        )
+    return checks
+
+
+def _states(wanted: Expectations, observed: Observed) -> list[Check]:
+    visited = observed.visited
+    checks = []
+    if wanted.states:
+        missing = [s for s in wanted.states if s not in visited]
+        checks.append(
+            Check(
+                name="states visited", passed=not missing, value=visited, limit=list(wanted.states)
+            )
+        )
+    if wanted.never_states:
+        entered = [s for s in wanted.never_states if s in visited]
+        checks.append(
+            Check(
+                name="states never entered",
+                passed=not entered,
+                value=visited,
+                limit=list(wanted.never_states),
+            )
+        )
+    return checks
+
+
+def _timing(wanted: Timing, found: Sequence[Shift]) -> Check:
+    name = f"shift {wanted.shift}: {wanted.start} to {wanted.to}"
+    limits = Limits(wanted.min_s, wanted.max_s)
+    value = None
+    if wanted.shift <= len(found):
+        shift = found[wanted.shift - 1]
+        start, end = getattr(shift, f"{wanted.start}_s"), getattr(shift, f"{wanted.to}_s")
+        if start is not None and end is not None:
+            value = end - start
+    return Check(name=name, passed=limits.holds(value), value=value, limit=limits.told())

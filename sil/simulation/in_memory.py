@@ -1,0 +1,144 @@
+"""A scenario run in memory: the CAN path and equations of `opc4 run`, without files or pictures.
+
+Sweeps and claims use it; a test holds it equal to `opc4 run`, trace hash included.
+Checked by: tests/unit/sil/simulation/test_in_memory.py
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sil.coupling.bus import Delivery
+from sil.coupling.clock import to_ns
+from sil.coupling.faults import FaultPlan
+from sil.coupling.lockstep import Lockstep
+from sil.coupling.transports.inproc import InProcess, Participant
+from sil.recording.recorder import hashed_frame, run_sha256, trace_header
+from sil.recording.run_record import BusFrame, PlantEvent, RunRecord
+from sil.simulation import build, metrics
+from sil.simulation.closed_loop_kernel import run_quickly
+from sil.simulation.scenario import Loaded, Scenario
+
+ROWS_AT_ONCE = 1 << 14
+"""Trace rows that are made together: nobody reads them before the run is over."""
+
+
+@dataclass
+class MemoryRun:
+    """A finished run: record, shifts, metrics, balances."""
+
+    record: RunRecord
+    shifts: list[metrics.Shift]
+    figures: dict[str, Any]
+    balances: dict[str, Any]
+    rows: np.ndarray
+
+    @cached_property
+    def trace_sha256(self) -> str:
+        """The run's hash, as `opc4 run` gives it."""
+        from plant.node import TRACE_COLUMNS
+
+        digest = hashlib.sha256()
+        for entry in self.record.frames:
+            digest.update(hashed_frame(entry.arrival_ns, entry.frame))
+        pieces = [trace_header(TRACE_COLUMNS), self.rows.tobytes()]
+        return run_sha256(digest.digest(), pieces)
+
+
+class TraceRows:
+    """Keeps the plant's trace rows, and their hash."""
+
+    def __init__(self) -> None:
+        self.rows: list[np.ndarray] = []
+
+    def write(self, rows: np.ndarray) -> None:
+        """Keep some rows; the plant makes new ones each time."""
+        self.rows.append(rows)
+
+
+class EventList:
+    """Keeps the plant's events."""
+
+    def __init__(self) -> None:
+        self.events: list[PlantEvent] = []
+
+    def __call__(self, time_s: float, name: str, values: Any) -> None:
+        self.events.append(PlantEvent(time_s, name, dict(values)))
+
+
+def run_in_memory(loaded: Loaded) -> MemoryRun:
+    """Run a scenario as `opc4 run --transport inproc` does; nothing is written.
+
+    Raises InputError for what the scenario cannot be, RunError when a participant fails.
+    """
+    from plant.node import TRACE_COLUMNS, PlantNode
+
+    scenario = loaded.scenario
+    trace, events = TraceRows(), EventList()
+    node = PlantNode(
+        build.plant_config(scenario),
+        loaded.parameters,
+        trace,
+        events,
+        trace_rows_at_once=ROWS_AT_ONCE,
+    )
+    participants = [
+        node if name == "plant" else build.make_participant(name, loaded, Path())
+        for name in build.participant_names(scenario)
+    ]
+    end_ns = to_ns(scenario.duration_s)
+    if scenario.fault or scenario.bus.send_buffer is not None:
+        frames = _coordinated(participants, scenario, end_ns)
+    else:
+        boxes = build.mailboxes(scenario)
+        frames = run_quickly(participants, scenario.bus.bitrate, end_ns, boxes)
+    rows = np.concatenate(trace.rows)
+    parameters, table = loaded.parameters, loaded.scenario.plant
+    supply = table.supply_pressure_pa
+    kept = RunRecord(
+        truth={name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(TRACE_COLUMNS)},
+        events=events.events,
+        frames=frames,
+        stroke_m=parameters.value("length.stroke"),
+        free_travel_m=parameters.value("length.x_free_total"),
+        supply_pressure_pa=parameters.value("supply.P_s") if supply is None else supply,
+    )
+    found = metrics.shifts(kept, build.gear_of(scenario.initial_gear))
+    balances = next((dict(e.values) for e in events.events if e.name == "balance"), {})
+    return MemoryRun(
+        record=kept,
+        shifts=found,
+        figures=metrics.summary(kept, found, balances.get("air_in_kg")),
+        balances=balances,
+        rows=rows,
+    )
+
+
+def _coordinated(
+    participants: Sequence[Participant], scenario: Scenario, end_ns: int
+) -> list[BusFrame]:
+    """Run participants on a bus on which something can go wrong, as `opc4 run` does."""
+    plan = FaultPlan(scenario.fault, scenario.seed)
+    bus = build.make_bus(scenario, plan)
+    frames: list[BusFrame] = []
+
+    def record(deliveries: list[Delivery]) -> None:
+        frames.extend(BusFrame(d.queued_ns, d.arrival_ns, d.sender, d.frame) for d in deliveries)
+
+    with Lockstep(
+        bus,
+        [InProcess(participants)],
+        end_ns,
+        record=record,
+        outages=plan,
+        order=build.SENDERS,
+    ) as lockstep:
+        lockstep.run()
+    return frames

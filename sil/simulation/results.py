@@ -1,0 +1,109 @@
+"""The result of a run: result.json and JUnit."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import platform
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal
+from xml.etree import ElementTree
+
+import msgspec
+
+from sil.files.output_folder import RESULT, finite, write_whole
+
+LIBRARIES = ("opc4-sil", "numpy", "numba", "scipy", "python-can", "cantools", "msgspec")
+
+
+class Check(msgspec.Struct, frozen=True, kw_only=True):
+    """One expectation after the run: what was found beside what was asked."""
+
+    name: str
+    passed: bool
+    value: Any
+    limit: Any
+
+
+class Result(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
+    """Everything in result.json. `complete` is false when the run ended early; `why` says why."""
+
+    format: int = 1
+    scenario_name: str
+    passed: bool
+    complete: bool
+    why: str | None
+    expectations: list[Check]
+    metrics: dict[str, Any]
+    trace_sha256: str | None
+    seed: int
+    transport: str
+    versions: dict[str, str]
+    bus: dict[str, Any]
+    balances: dict[str, Any]
+    speed: dict[str, float]
+    scenario: Any
+    model: Any
+
+    status: Literal["passed", "failed", "incomplete"]
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the libraries that a result depends on."""
+    found = {"python": platform.python_version()}
+    for name in LIBRARIES:
+        with contextlib.suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
+
+
+def as_json(result: Result) -> str:
+    """Return the result as one JSON object, in the order of its fields."""
+    return json.dumps(finite(msgspec.to_builtins(result)), indent=1, ensure_ascii=False)
+
+
+def write_result(result: Result, folder: Path) -> None:
+    """Write result.json whole or not at all."""
+    write_whole(folder / RESULT, as_json(result) + "\n")
+
+
+def junit_xml(result: Result) -> str:
+    """Return the result as a JUnit test suite: one case per expectation.
+
+    A run that did not finish is one case more, an error. Checked by test_results.
+    """
+    failed = [c for c in result.expectations if not c.passed]
+    cases: Sequence[Check] = result.expectations
+    suite = ElementTree.Element(
+        "testsuite",
+        name=result.scenario_name,
+        tests=str(len(cases) + (not result.complete)),
+        failures=str(len(failed)),
+        errors=str(int(not result.complete)),
+        skipped="0",
+        time=f"{result.speed.get('wall_s', 0.0):.3f}",
+    )
+    for check in cases:
+        case = ElementTree.SubElement(
+            suite, "testcase", classname=result.scenario_name, name=check.name
+        )
+        if not check.passed:
+            told = f"{check.name}: {check.value!r}; expected {check.limit!r}"
+            ElementTree.SubElement(case, "failure", message=_xml_text(told))
+    if not result.complete:
+        case = ElementTree.SubElement(
+            suite, "testcase", classname=result.scenario_name, name="run finished"
+        )
+        ElementTree.SubElement(case, "error", message=_xml_text(result.why or "not finished"))
+    root = ElementTree.Element("testsuites")
+    root.append(suite)
+    ElementTree.indent(root)
+    text: str = ElementTree.tostring(root, encoding="unicode", xml_declaration=False)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + text + "\n"
+
+
+def _xml_text(text: str) -> str:
+    """Drop the control characters that XML 1.0 cannot hold."""
+    return "".join(c if c in "\t\n" or ord(c) >= 32 else "?" for c in text)

@@ -1,0 +1,282 @@
+"""One run of a scenario: participants, bus and recorder put together, run, and judged."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from can_dbc.errors import InputError, RunError, told
+from can_dbc.messages import Gear
+from sil.coupling.bus import BusModel, Delivery
+from sil.coupling.clock import to_ns
+from sil.coupling.faults import FaultPlan
+from sil.coupling.lockstep import Lockstep, RunSummary
+from sil.coupling.real_time import Pacer
+from sil.files.output_folder import write_whole
+from sil.recording.end_to_end import EndToEnd
+from sil.recording.events import EVENTS
+from sil.recording.frames import BUS_FRAMES, FrameWriter
+from sil.recording.recorder import BUS_LOG, PLANT_TRACE, BusLog, trace_sha256
+from sil.recording.run_reader import RunReader
+from sil.recording.run_record import RunRecord
+from sil.recording.trace_csv import TraceCsv
+from sil.simulation import build, expectations, metrics
+from sil.simulation.build import SCENARIO, SENDERS, Say
+from sil.simulation.bus_figures import bus_figures, response_check
+from sil.simulation.results import Check, Result, versions, write_result
+from sil.simulation.scenario import Loaded, Scenario, expanded
+
+REFUSED_BY_A_PARTICIPANT = re.compile(r"ended with exit status 2: opc4 node: (?P<told>.*)")
+"""A process that did not take its settings: bad input here as in one process."""
+
+CUT_OFF = "the run was cut off before it could say why"
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A run that has ended, well or not: its result, and what it left, if that is enough.
+
+    `record` is all of it, or of a run longer than `sil.recording.run_reader.PIECE_S` the first piece.
+    """
+
+    result: Result
+    record: RunRecord | None
+    shifts: list[metrics.Shift]
+
+
+def run(
+    loaded: Loaded,
+    folder: Path,
+    *,
+    transport: str = "inproc",
+    speed: float | None = None,
+    external: Iterable[str] = (),
+    say: Say = lambda message: None,
+) -> Finished:
+    """Run a scenario into an empty folder and write everything but pictures there.
+
+    `speed`: simulated seconds per wall second in real-time mode, None as fast as it goes. A run
+    that a participant ends early is written too, marked incomplete with the reason; result.json
+    stands from the start, so even a killed run says that it is not complete.
+    Raises InputError for what the scenario or the transport cannot be; the folder is then empty.
+    Checked by test_end_to_end, test_crash.
+    """
+    scenario = loaded.scenario
+    begun = time.perf_counter()
+    pacer = None if speed is None else Pacer(speed)
+    plan = FaultPlan(scenario.fault, scenario.seed)
+    bus = build.make_bus(scenario, plan)
+    base = _blank(loaded, transport)
+    summary: RunSummary | None = None
+    why: str | None = None
+    log: BusLog | None = None
+    try:
+        with contextlib.ExitStack() as closing:
+            write_result(_with(base, why=CUT_OFF), folder)
+            write_whole(folder / SCENARIO, json.dumps({"scenario": expanded(scenario)}, indent=1))
+            channels = build.open_channels(loaded, folder, transport, external, say, closing)
+            log = BusLog(folder / BUS_LOG)
+            closing.callback(log.close)
+
+            frames = closing.enter_context(FrameWriter(folder / BUS_FRAMES, SENDERS))
+
+            def record(deliveries: list[Delivery]) -> None:
+                log.record(deliveries)
+                frames.record(deliveries)
+
+            lockstep = closing.enter_context(
+                Lockstep(
+                    bus,
+                    channels,
+                    to_ns(scenario.duration_s),
+                    record=record,
+                    outages=plan if scenario.fault else None,
+                    pacer=pacer,
+                    order=SENDERS,
+                )
+            )
+            summary = lockstep.run()
+    except InputError:
+        _discard(folder)
+        raise
+    except RunError as error:
+        if log is None:
+            _discard(folder)
+            raise
+        why = str(error)
+        refused = REFUSED_BY_A_PARTICIPANT.search(why)
+        if refused is not None and not log.frames:
+            _discard(folder)
+            line = refused["told"].replace(str(folder / SCENARIO), loaded.source)
+            raise InputError(line) from None
+    except (KeyboardInterrupt, OSError) as error:  # disk full and the like
+        if log is None:
+            _discard(folder)
+            raise
+        why = told(error) if isinstance(error, OSError) else "interrupted"
+    if summary is not None:
+        for warning in lockstep.warnings:
+            say(warning)
+    return _judge(loaded, folder, base, why, log, bus, plan, summary, begun)
+
+
+def _blank(loaded: Loaded, transport: str) -> Result:
+    scenario = loaded.scenario
+    return Result(
+        scenario_name=scenario.name,
+        passed=False,
+        complete=False,
+        why=None,
+        expectations=[],
+        metrics={},
+        trace_sha256=None,
+        seed=scenario.seed,
+        transport=transport,
+        versions=versions(),
+        bus={},
+        balances={},
+        speed={},
+        scenario=expanded(scenario),
+        model={path: loaded.parameters[path].value for path in loaded.parameters},
+        status="incomplete",
+    )
+
+
+def _with(result: Result, **changes: Any) -> Result:
+    import msgspec
+
+    return msgspec.structs.replace(result, **changes)
+
+
+def _discard(folder: Path) -> None:
+    """Remove what a run that could not begin has put into its folder."""
+    for name in (SCENARIO, BUS_LOG, BUS_FRAMES, PLANT_TRACE, EVENTS, "result.json"):
+        (folder / name).unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # not empty: it was there before us
+        folder.rmdir()
+
+
+def _judge(
+    loaded: Loaded,
+    folder: Path,
+    base: Result,
+    why: str | None,
+    log: BusLog,
+    bus: BusModel,
+    plan: FaultPlan,
+    summary: RunSummary | None,
+    begun: float,
+) -> Finished:
+    """Turn what was recorded into metrics and checks, and write result.json and trace.csv."""
+    scenario = loaded.scenario
+    record: RunRecord | None = None
+    found: list[metrics.Shift] = []
+    figures: dict[str, Any] = {}
+    checks: list[Check] = []
+    balances: dict[str, Any] = {}
+    bus_told = bus_figures(scenario, bus, plan)
+    with contextlib.ExitStack() as closing:
+        kept = _kept(loaded, folder, closing)
+        if kept is not None:
+            try:
+                observed, found, switchings, checked = _figures(
+                    scenario, kept, folder / "trace.csv"
+                )
+            except OSError as error:  # no room for trace.csv: plant.trace stays instead
+                kept, why = None, why or told(error)
+        if kept is not None:
+            bus_told["end_to_end"] = checked.told()
+            record, balances = kept.piece(0), dict(kept.balances)
+            figures = metrics.whole_run(found, balances.get("air_in_kg"), switchings, log.frames)
+            if why is None:
+                checks = expectations.evaluate_observed(scenario.expect, observed, found, figures)
+                checks += _balance_checks(balances)
+                checks += response_check(scenario, bus_told)
+    complete = why is None and summary is not None and record is not None
+    passed = complete and all(c.passed for c in checks)
+    wall = time.perf_counter() - begun
+    speed: dict[str, float] = {"wall_s": wall}
+    if summary is not None:
+        speed["loop_wall_s"] = summary.wall_s
+        speed["simulated_per_wall"] = scenario.duration_s / summary.wall_s
+        speed["turns"] = summary.turns
+        if summary.lateness is not None:
+            late = summary.lateness
+            speed |= {f"late_{q}_s": getattr(late, f"{q}_s") for q in ("p50", "p99", "max")}
+            speed["overruns"] = late.overruns
+    result = _with(
+        base,
+        passed=passed,
+        complete=complete,
+        why=why,
+        expectations=checks,
+        metrics=figures,
+        trace_sha256=trace_sha256(log.digest(), folder / PLANT_TRACE) if complete else None,
+        bus=bus_told,
+        balances=balances,
+        speed=speed,
+        status="passed" if passed else "failed" if complete else "incomplete",
+    )
+    (folder / BUS_FRAMES).unlink(missing_ok=True)
+    write_result(result, folder)
+    if record is not None:
+        (folder / PLANT_TRACE).unlink()
+    (folder / SCENARIO).unlink()
+    return Finished(result, record, found)
+
+
+def _kept(loaded: Loaded, folder: Path, closing: contextlib.ExitStack) -> RunReader | None:
+    """Return what was recorded, or None when the plant never got as far as two rows."""
+    if not (folder / PLANT_TRACE).exists():
+        return None
+    parameters = loaded.parameters
+    supply_pa = loaded.scenario.plant.supply_pressure_pa
+    kept = closing.enter_context(
+        RunReader(
+            folder,
+            SENDERS,
+            supply_pressure_pa=parameters.value("supply.P_s") if supply_pa is None else supply_pa,
+            stroke_m=parameters.value("length.stroke"),
+            free_travel_m=parameters.value("length.x_free_total"),
+            trace_period_s=loaded.scenario.trace_period_s,
+        )
+    )
+    return kept if kept.rows > 1 else None
+
+
+def _figures(
+    scenario: Scenario, kept: RunReader, path: Path
+) -> tuple[expectations.Observed, list[metrics.Shift], int, EndToEnd]:
+    """Go through the run piece by piece: write the trace, observe, find the shifts."""
+    observed = expectations.Observed(kept.stroke_m)
+    gear = build.gear_of(scenario.initial_gear)
+    changes: list[tuple[float, Gear, Gear]] = []
+    switchings = 0
+    checked = EndToEnd()
+    with TraceCsv(path) as csv:
+        for piece in kept:
+            csv.add(piece)
+            observed.add(piece)
+            checked.add(piece)
+            switchings += metrics.valve_switchings(piece)
+            changes += metrics.requests(piece, changes[-1][2] if changes else gear)
+    spans = metrics.spans(changes, kept.end_s)
+    found = [
+        metrics.shift_figures(kept.span(start, until), start, source, target, until)
+        for start, source, target, until in spans
+    ]
+    return observed, found, switchings, checked
+
+
+def _balance_checks(balances: dict[str, Any]) -> list[Check]:
+    if not balances:
+        return [Check(name="mass and energy balances", passed=False, value=None, limit="closed")]
+    closed = balances["closed"] == 1.0
+    state = "closed" if closed else "open"
+    return [Check(name="mass and energy balances", passed=closed, value=state, limit="closed")]

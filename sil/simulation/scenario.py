@@ -1,0 +1,389 @@
+"""Scenarios: what is run, as typed TOML with every value named, bounded and overridable."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from can_dbc.errors import InputError
+from controller.config import FirmwareConfig
+from plant.devices.driveline import DrivelineConfig
+from plant.devices.position_circuit import SensorConfig, SensorFault
+from plant.devices.signal_faults import SpeedFault, TemperatureFault
+from plant.devices.valve_driver import ValveDriverConfig
+from plant.devices.valve_faults import ValveFault
+from sil.coupling.faults import BusFault, FaultPlan
+from sil.files import typed_toml
+from sil.nodes.own_firmware import absolute
+from sil.simulation.expectations import ChamberName, Expectations, GearName
+
+if TYPE_CHECKING:
+    from plant.parameters import ParameterSet
+
+SHIPPED = Path(__file__).parent / "scenarios"
+
+Seconds = Annotated[float, Meta(ge=0.0, le=86400.0)]
+Newtons = Annotated[float, Meta(ge=0.0, le=1e5)]
+
+
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A table of a scenario file; unknown names are refused."""
+
+
+class Request(_Table, frozen=True, kw_only=True):
+    """From `at_s` on the driver asks for `gear`, until the next request."""
+
+    at_s: Seconds
+    gear: GearName
+
+
+class PlantTable(_Table, frozen=True, kw_only=True):
+    """Conditions of the actuator: where it is mounted, what it is fed with, what resists it.
+
+    `supply_pressure_pa` left out is the model's supply.P_s. `charged` names the chambers that stand
+    at supply pressure at the start, the others at atmosphere. `mesh_force_n` and `pull_force_n` are
+    the peaks of the force barriers into and out of a gear. `closing_follows_duty`: the valves close
+    the sooner the smaller the duty was. `truth_period_s`: of the frames that carry the truth.
+    """
+
+    mounted: bool = False
+    supply_pressure_pa: Annotated[float, Meta(ge=1e5, le=2e6)] | None = None
+    charged: list[ChamberName] = []
+    damper: Literal["none", "incompressible", "compressible"] = "none"
+    mesh_force_n: Newtons = 0.0
+    pull_force_n: Newtons = 0.0
+    closing_follows_duty: bool = False
+    speeds_period_s: Annotated[float, Meta(ge=0.001, le=0.02)] = 0.01
+    truth_period_s: Annotated[float, Meta(ge=0.001, le=1.0)] = 0.01
+
+
+class DriverTable(_Table, frozen=True, kw_only=True):
+    """When the driver's frames go out: at phase_s + k period_s."""
+
+    period_s: Annotated[float, Meta(ge=0.001, le=1.0)] = 0.02
+    phase_s: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+
+
+class BusTable(_Table, frozen=True, kw_only=True):
+    """The CAN bus: bit rate, and the share of it that other nodes' frames of a priority take.
+
+    `send_buffer`: frames that a node may have waiting, further ones are lost; without, any number.
+    `mailboxes`: newer content of a message overwrites what its node has not sent yet, as in a CAN
+    controller with a transmit object for each; false: a node sends all, in the order of release.
+    """
+
+    bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 500_000
+    extra_load: Annotated[float, Meta(ge=0.0, le=3.0)] = 0.0
+    extra_priority: Annotated[int, Meta(ge=0, le=7)] = 3
+    send_buffer: Annotated[int, Meta(ge=1, le=100_000)] | None = None
+    mailboxes: bool = True
+
+
+class ClockTable(_Table, frozen=True, kw_only=True):
+    """How much faster than the plant's the clocks run, parts per million."""
+
+    controller_ppm: Annotated[float, Meta(ge=-50_000.0, le=50_000.0)] = 0.0
+    driver_ppm: Annotated[float, Meta(ge=-50_000.0, le=50_000.0)] = 0.0
+
+
+class Scenario(_Table, frozen=True, kw_only=True):
+    """One run, complete. `model` holds overrides of model parameters by their path.
+
+    `firmware` is FILE.py or FILE.py:CLASS of another program in place of ours, beside the scenario.
+    """
+
+    name: Annotated[str, Meta(min_length=1, max_length=80)]
+    description: str = ""
+    duration_s: Annotated[float, Meta(gt=0.0, le=86400.0)]
+    seed: Annotated[int, Meta(ge=0, le=(1 << 53) - 1)] = 1
+    initial_gear: GearName = "neutral"
+    request: list[Request]
+    driver: DriverTable = DriverTable()
+    plant: PlantTable = PlantTable()
+    driveline: DrivelineConfig = DrivelineConfig()
+    valve_driver: ValveDriverConfig = ValveDriverConfig()
+    sensor: SensorConfig = SensorConfig()
+    controller: FirmwareConfig = FirmwareConfig()
+    firmware: str = ""
+    bus: BusTable = BusTable()
+    clock: ClockTable = ClockTable()
+    fault: list[BusFault] = []
+    sensor_fault: list[SensorFault] = []
+    temperature_fault: list[TemperatureFault] = []
+    speed_fault: list[SpeedFault] = []
+    valve_fault: list[ValveFault] = []
+    model_set: str = "nominal"
+    model: dict[str, float | list[float]] = {}
+    trace_period_s: Annotated[float, Meta(ge=1e-5, le=1.0)] = 0.0005
+    expect: Expectations = Expectations()
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A scenario with its model parameters, overrides applied."""
+
+    scenario: Scenario
+    parameters: ParameterSet
+    source: str
+
+
+def shipped() -> dict[str, Path]:
+    """Return the scenarios that come with the package, by name."""
+    return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
+
+
+def load(
+    where: str,
+    *,
+    model: str | None = None,
+    settings: Sequence[str] = (),
+    seed: int | None = None,
+) -> Loaded:
+    """Load a scenario file, or a shipped scenario by name, and apply overrides.
+
+    `settings` are texts PATH=VALUE; PATH names a value of the scenario, the firmware
+    (controller...), sensor, bus, or model (valve.D_fall). A result.json runs again as it was.
+    Raises InputError naming file, place, what is wrong and what was expected.
+    Checked by test_scenario.
+    """
+    table, path = read(where)
+    return from_table(
+        table, str(path), model=model, settings=settings, seed=seed, folder=path.parent
+    )
+
+
+def read(where: str) -> tuple[dict[str, Any], Path]:
+    """Return a scenario file, or a shipped scenario by name, as parsed, and where it is."""
+    path = find(where)
+    return _read(path), path
+
+
+def from_table(
+    table: Mapping[str, Any],
+    source: str,
+    *,
+    model: str | None = None,
+    settings: Sequence[str] = (),
+    seed: int | None = None,
+    folder: Path = Path(),
+) -> Loaded:
+    """Build a scenario from a parsed file; `source` names it, model files are beside `folder`."""
+    raw = copy.deepcopy(dict(table))
+    _normalise(raw, source)
+    scenario = _build(raw, source)
+    if model is not None:
+        raw["model_set"] = model
+    elif scenario.model_set.endswith(".toml"):
+        raw["model_set"] = str(folder / scenario.model_set)
+    if scenario.firmware:
+        raw["firmware"] = absolute(scenario.firmware, folder)
+    parameters = _parameters(raw.get("model_set", scenario.model_set), source)
+    if settings or seed is not None:
+        for text in settings:
+            _apply(raw, text, parameters)
+        if seed is not None:
+            raw["seed"] = seed
+        typed_toml.refuse_not_finite(raw, "--set")
+        _normalise(raw, "--set")
+        scenario = _build(raw, "--set")
+        if scenario.firmware:
+            raw["firmware"] = absolute(scenario.firmware, Path())
+            scenario = _build(raw, "--set")
+    else:
+        scenario = _build(raw, source)
+    _check_consistent(scenario, source)
+    return Loaded(scenario, _overridden(parameters, scenario.model, source), source)
+
+
+def restore(raw: Mapping[str, Any], source: str) -> Loaded:
+    """Rebuild a scenario from its expanded form (as in result.json)."""
+    scenario = _build(copy.deepcopy(dict(raw)), source)
+    parameters = _parameters(scenario.model_set, source)
+    return Loaded(scenario, _overridden(parameters, scenario.model, source), source)
+
+
+def expanded(scenario: Scenario) -> dict[str, Any]:
+    """Return every value of a scenario, defaults included, as plain tables."""
+    found: dict[str, Any] = msgspec.to_builtins(scenario)
+    return found
+
+
+def find(where: str) -> Path:
+    """Return the file of a scenario given by path or by shipped name. Raises InputError."""
+    path = Path(where)
+    try:
+        exists = path.is_file()
+    except (OSError, ValueError):  # a name too long, or with a null byte
+        exists = False
+    if exists:
+        return path
+    known = shipped()
+    if where in known:
+        return known[where]
+    if "/" in where or where.endswith((".toml", ".json")):
+        raise InputError(f"{typed_toml.one_line(where)}: file: not found; expected a scenario")
+    raise InputError(
+        f"{typed_toml.one_line(where)}: scenario: {typed_toml.unknown_name(where, known)}"
+    )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if path.suffix != ".json":
+        return typed_toml.read_toml(path)
+    try:
+        held = json.loads(path.read_text(encoding="utf-8"))
+        table = held["scenario"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        raise InputError(f"{path}: file: no scenario in it; expected a result.json") from None
+    if not isinstance(table, dict):
+        raise InputError(f"{path}: scenario: not a table; expected that of a result.json")
+    return _without_none(table)
+
+
+def _without_none(table: dict[str, Any]) -> dict[str, Any]:
+    """Drop the nulls of an expanded scenario: TOML has none, a default stands for each."""
+    return {
+        k: _without_none(v) if isinstance(v, dict) else v for k, v in table.items() if v is not None
+    }
+
+
+def _normalise(raw: dict[str, Any], source: str) -> None:
+    """Rewrite the short forms: filter = false, [model.valve] D_fall, one sensor period for both."""
+    controller = raw.get("controller")
+    if isinstance(controller, dict) and isinstance(controller.get("filter"), bool):
+        controller["filter"] = {"enabled": controller["filter"]}
+    model = raw.get("model")
+    if isinstance(model, dict):
+        raw["model"] = dict(_flat(model, source, ""))
+    sensor = raw.get("sensor")
+    if isinstance(sensor, dict) and "period_s" in sensor:
+        controller = raw.setdefault("controller", {})
+        if isinstance(controller, dict):
+            own = controller.setdefault("sensor", {})
+            if isinstance(own, dict):
+                own["period_s"] = sensor["period_s"]
+
+
+def _flat(table: Mapping[str, Any], source: str, prefix: str) -> Iterable[tuple[str, Any]]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            if prefix.count(".") > 3:
+                place = typed_toml.one_line(f"model.{prefix}{key}")
+                raise InputError(f"{source}: {place}: nested too deeply; expected section.key")
+            yield from _flat(value, source, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value
+
+
+def _build(raw: dict[str, Any], source: str) -> Scenario:
+    return typed_toml.convert(raw, Scenario, source)
+
+
+def _parameters(model_set: str, source: str) -> ParameterSet:
+    try:
+        return _shipped_parameters(model_set) if model_set == "nominal" else _load(model_set)
+    except InputError as error:
+        raise InputError(f"{source}: model_set: {typed_toml.one_line(str(error))}") from None
+
+
+def _load(model_set: str) -> ParameterSet:
+    from plant.parameters import load as load_parameters
+
+    return load_parameters(model_set)
+
+
+_shipped_parameters = functools.cache(_load)
+"""Parameter sets cannot be changed, so the one that every scenario starts from is read once."""
+
+
+def _overridden(
+    parameters: ParameterSet, changes: Mapping[str, float | list[float]], source: str
+) -> ParameterSet:
+    try:
+        return parameters.override(changes)
+    except InputError as error:
+        raise InputError(f"{source}: model: {error}") from None
+
+
+def _apply(raw: dict[str, Any], text: str, parameters: ParameterSet) -> None:
+    """Apply one PATH=VALUE to the raw scenario."""
+    path, sign, told = text.partition("=")
+    path = path.strip()
+    if not sign or not path:
+        raise InputError(f"--set {typed_toml.one_line(text)}: no value; expected PATH=VALUE")
+    value = typed_toml.parse_value(told.strip())
+    if path in parameters:
+        raw.setdefault("model", {})[path] = value
+        return
+    if path == "controller.filter" and isinstance(value, bool):
+        path = "controller.filter.enabled"
+    if path.startswith(_STRATEGY) and _set_strategy(raw, path.removeprefix(_STRATEGY), value):
+        return
+    if not typed_toml.set_value(raw, Scenario, path, value):
+        known = [*typed_toml.leaf_paths(Scenario, raw), *parameters]
+        near = typed_toml.nearest(path, known, 5) or ["valve.D_fall", "controller.period_s"]
+        raise InputError(
+            f"--set {typed_toml.one_line(path)}: no such value; nearest: {', '.join(near)}"
+        )
+
+
+_STRATEGY = "controller.strategy_parameters."
+
+
+def _set_strategy(raw: dict[str, Any], path: str, value: Any) -> bool:
+    """Set a strategy's own setting, nested ones too; the firmware refuses names it does not have."""
+    *tables, name = path.split(".")
+    at: Any = raw
+    for key in ("controller", "strategy_parameters", *tables):
+        if not isinstance(at, dict):
+            return False
+        at = at.setdefault(key, {})
+    if not isinstance(at, dict) or not name or "" in tables:
+        return False
+    at[name] = value
+    return True
+
+
+def _check_consistent(scenario: Scenario, source: str) -> None:
+    """Refuse what each value allows and the whole does not: order of requests, empty faults."""
+    last = -1.0
+    for index, request in enumerate(scenario.request):
+        place = f"{source}: request[{index}].at_s"
+        if request.at_s <= last:
+            raise InputError(f"{place}: {request.at_s}; expected later than the one before, {last}")
+        if request.at_s >= scenario.duration_s:
+            raise InputError(
+                f"{place}: {request.at_s}; expected before the end, {scenario.duration_s} s"
+            )
+        last = request.at_s
+    if scenario.trace_period_s > 0.1 * scenario.duration_s:
+        raise InputError(
+            f"{source}: trace_period_s: {scenario.trace_period_s}; expected at most a tenth of "
+            f"duration_s, {0.1 * scenario.duration_s:g} s"
+        )
+    if scenario.bus.extra_load > 0.95 and scenario.bus.send_buffer is None:
+        raise InputError(
+            f"{source}: bus.send_buffer: missing; expected a number of frames, since more waits "
+            f"than can be sent with extra_load {scenario.bus.extra_load:g}"
+        )
+    if len(set(scenario.plant.charged)) != len(scenario.plant.charged):
+        raise InputError(f"{source}: plant.charged: a chamber twice; expected each once")
+    for name in ("sensor_fault", "temperature_fault", "speed_fault", "valve_fault"):
+        for index, fault in enumerate(getattr(scenario, name)):
+            if fault.end_s is not None and fault.end_s <= fault.start_s:
+                raise InputError(
+                    f"{source}: {name}[{index}].end_s: {fault.end_s}; expected after its start, "
+                    f"{fault.start_s} s"
+                )
+    try:
+        FaultPlan(scenario.fault, scenario.seed)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from None

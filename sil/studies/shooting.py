@@ -1,0 +1,192 @@
+"""Many command sequences under one load: when each tells the load apart, and how it arrives.
+
+A family is a row of loads that differ in one unknown. Nothing the stay does tells them apart before
+an event that comes sooner or later with the unknown: the synchronizer's release on the gearbox, the
+first contact of piston and stay in the laboratory (the stay cannot move before).
+Checked by: tests/unit/sil/studies/test_bounds.py
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from plant.batch.batch import Strokes, simulate_batch
+from plant.devices.valve import NS_PER_S, switch_schedule
+from plant.effects.setup import Setup
+from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
+from plant.integrator.hybrid import GUARD_NAMES
+from plant.integrator.integrate import DONE, EVENT_GUARD, EVENT_SPEED, EVENT_TIME, EVENT_X
+from plant.parameters import ParameterSet
+from plant.systems.setup import make_setup
+
+ROOM = 48
+"""Events kept of each stroke."""
+
+
+@dataclass(frozen=True)
+class LoadCase:
+    """What a shift from neutral to backward meets."""
+
+    name: str
+    supply_pressure_pa: float = 900000.0
+    mounted: bool = False
+    mesh_force_n: float = 0.0
+    sync_impulse_n_s: float = 0.0
+    damper: bool = False
+
+
+@dataclass(frozen=True)
+class Family:
+    """Loads that differ in one unknown, and the event that tells which it is."""
+
+    name: str
+    unknown: str
+    tells: Literal["collar 1 contact", "unblock"]
+    cases: tuple[LoadCase, ...]
+
+
+LABORATORY = Family(
+    "laboratory",
+    "supply pressure, 6 to 9 bar",
+    "collar 1 contact",
+    tuple(LoadCase(f"{bar:g} bar", supply_pressure_pa=1e5 * bar) for bar in (6.0, 7.0, 8.0, 9.0)),
+)
+GEARBOX = Family(
+    "gearbox",
+    "impulse of the synchronizer, 18 to 250 N s",
+    "unblock",
+    tuple(
+        LoadCase(f"{impulse:g} N s", mounted=True, mesh_force_n=1300.0, sync_impulse_n_s=impulse)
+        for impulse in (18.0, 40.0, 78.0, 140.0, 250.0)
+    ),
+)
+FAMILIES = {family.name: family for family in (LABORATORY, GEARBOX)}
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Instants at which the two commands change, s: the driving valve from on, neutral from off."""
+
+    driving_s: tuple[float, ...] = ()
+    braking_s: tuple[float, ...] = ()
+
+    @property
+    def switches(self) -> int:
+        """Number of changes."""
+        return len(self.driving_s) + len(self.braking_s)
+
+    def until(self, time_s: float) -> Commands:
+        """The changes up to a time."""
+        return Commands(
+            tuple(t for t in self.driving_s if t <= time_s),
+            tuple(t for t in self.braking_s if t <= time_s),
+        )
+
+    def then(self, later: Commands) -> Commands:
+        """These changes, and later ones."""
+        return Commands(self.driving_s + later.driving_s, self.braking_s + later.braking_s)
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """What became of some sequences: impact speed and time, inf for none; when the load told."""
+
+    speed_m_s: np.ndarray
+    time_s: np.ndarray
+    told_s: np.ndarray
+
+
+@dataclass
+class Shooter:
+    """Runs command sequences under one load on the plant's equations.
+
+    limit_s: an arrival later than this counts as none. `runs` counts the simulations.
+    """
+
+    parameters: ParameterSet
+    case: LoadCase
+    limit_s: float
+    tells: str = "unblock"
+    runs: int = 0
+
+    def __post_init__(self) -> None:
+        case = self.case
+        self._setup: Setup = make_setup(
+            self.parameters,
+            StrokeConditions(
+                "N-B",
+                case.supply_pressure_pa,
+                ((0.0, "B", FULL_DUTY),),
+                load="damper" if case.damper else "none",
+                mounted=case.mounted,
+                mesh_force_n=case.mesh_force_n,
+                sync_impulse_n_s=case.sync_impulse_n_s,
+            ),
+        )
+        self._base = Strokes.from_setups([self._setup], self.limit_s)
+        self._half_m = 0.5 * self.parameters.value("length.stroke")
+        self._tell = next(k for k, name in GUARD_NAMES.items() if name == self.tells)
+
+    def shoot(self, sequences: Sequence[Commands]) -> Arrivals:
+        """Simulate sequences up to the limit."""
+        n = len(sequences)
+        self.runs += n
+        base = self._base
+        rows = [self._switches(each) for each in sequences]
+        longest = max(len(row) for row in rows)
+        switches = np.zeros((n, longest, 4))
+        switches[:, :, 0] = np.inf
+        for k, row in enumerate(rows):
+            switches[k, : len(row), :3] = np.array(row).reshape(-1, 3)
+        result = simulate_batch(
+            Strokes(
+                base.system,
+                np.repeat(base.packed, n, axis=0),
+                base.flow,
+                base.initial,
+                base.modes,
+                base.valves,
+                switches,
+                base.duration_s,
+            ),
+            event_room=ROOM,
+            lanes=False,
+        )
+        speed = np.full(n, math.inf)
+        time_s = np.full(n, math.inf)
+        told = np.full(n, math.inf)
+        for k in range(n):
+            events = result.events[k, : min(int(result.event_count[k]), ROOM)]
+            tells = events[events[:, EVENT_GUARD] == self._tell]
+            if len(tells):
+                told[k] = tells[0, EVENT_TIME]
+            at = result.arrival_s[k]
+            hit = events[(events[:, EVENT_TIME] == at) & (events[:, EVENT_SPEED] > 0.0)]
+            in_gear = len(hit) > 0 and hit[0, EVENT_X] > self._half_m
+            if result.status[k] == DONE and in_gear and at <= self.limit_s:
+                speed[k] = result.impact_speed_m_s[k]
+                time_s[k] = at
+        return Arrivals(speed, time_s, told)
+
+    def _switches(self, commands: Commands) -> list[tuple[float, int, float]]:
+        names = self._setup.conditions.chambers
+        b, n = names.index("B"), names.index("N")
+        given = [(0.0, b, FULL_DUTY)]
+        given += [(t, b, FULL_DUTY if k % 2 else 0.0) for k, t in enumerate(commands.driving_s)]
+        given += [(t, n, 0.0 if k % 2 else FULL_DUTY) for k, t in enumerate(commands.braking_s)]
+        moves = switch_schedule(given, self._setup.timing, len(names))
+        return [
+            (at_ns / NS_PER_S, chamber, u) for at_ns, chamber, u in moves
+            if at_ns < self.limit_s * NS_PER_S
+        ]  # fmt: skip
+
+
+def open_loop(parameters: ParameterSet, case: LoadCase, tells: str) -> tuple[float, float, float]:
+    """Impact speed, arrival and telling instant of the plain push."""
+    found = Shooter(parameters, case, 1.0, tells).shoot([Commands()])
+    return float(found.speed_m_s[0]), float(found.time_s[0]), float(found.told_s[0])

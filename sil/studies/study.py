@@ -1,0 +1,288 @@
+"""A study file: what is run, which values change, over which loads and strategies."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+
+from can_dbc.errors import InputError
+
+if TYPE_CHECKING:
+    from sil.simulation.scenario import Loaded
+
+
+Value = float | int | bool | str
+Setting = Value | list[dict[str, Value]]
+"""What a choice may set: a value, or a whole list of tables (requests, faults)."""
+LONGEST_S = 60.0
+MOST_ROWS = 5_000_000
+
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=80)]
+
+
+class StrokeBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The plant alone: one stroke by a list of commands (time s, valve, duty)."""
+
+    kind: Literal["fixed", "N-B", "B-N", "N-F", "F-N"]
+    commands: list[
+        tuple[
+            Annotated[float, msgspec.Meta(ge=0.0, le=LONGEST_S)],
+            str,
+            Annotated[float, msgspec.Meta(ge=0.0, le=1.0)],
+        ]
+    ]
+    until_s: Annotated[float, msgspec.Meta(ge=0.001, le=LONGEST_S)] = 0.3
+    supply_pressure_pa: float = 900000.0
+    load: Literal["none", "damper", "spring"] = "none"
+    damper_model: Literal["compressible", "incompressible"] = "compressible"
+    charged_before: list[str] = []
+    mounted: bool = False
+    mesh_force_n: float = 0.0
+    sync_impulse_n_s: float = 0.0
+
+
+class Sweep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One swept value: a list of values, or a range (for designs: its bounds).
+
+    `scale` "log" spaces a range by equal ratios.
+    """
+
+    path: str
+    values: list[Value] | None = None
+    low: float | None = None
+    high: float | None = None
+    steps: Annotated[int, msgspec.Meta(ge=2, le=MOST_ROWS)] | None = None
+    scale: Literal["linear", "log"] = "linear"
+    label: str = ""
+    unit: str = ""
+
+
+class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A named set of values: a load case, a strategy, a variant of the hardware."""
+
+    name: Name
+    set: dict[str, Setting] = {}
+
+
+class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How swept values are combined: full grid, side by side (list), Latin hypercube, Sobol."""
+
+    kind: Literal["grid", "list", "lhs", "sobol"] = "grid"
+    samples: Annotated[int, msgspec.Meta(ge=0, le=MOST_ROWS)] = 0
+    seed: Annotated[int, msgspec.Meta(ge=0, le=(1 << 53) - 1)] = 0
+
+
+Kind = Literal["runs", "bounds", "budget", "tuning"]
+
+
+class BoundsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How hard the bounds are searched for; see `sil.studies.bounds`.
+
+    extra_s: how much later than the plain push a load may arrive.
+    """
+
+    extra_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.03
+    switches: Annotated[int, msgspec.Meta(ge=1, le=6)] = 6
+    budget: Annotated[int, msgspec.Meta(ge=4, le=10_000)] = 60
+    stems: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8
+    seed: Annotated[int, msgspec.Meta(ge=0)] = 0
+
+
+class TuningTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The budget of a tuning, the same for every strategy; see `sil.studies.tuning`."""
+
+    candidates: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 16
+    free_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.03
+    late_m_s2: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 10.0
+    seed: Annotated[int, msgspec.Meta(ge=0)] = 0
+
+
+class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A study; exactly one of `scenario` and `stroke` is the base, bounds have none.
+
+    kind: what a row is. runs: one shift. bounds: clairvoyant and non-anticipating bound of the
+    family "bound.family" at the information delay "bound.delay_s". budget: the delays of one shift.
+    tuning: the best parameters of a strategy over all loads together.
+    """
+
+    name: Name
+    description: str = ""
+    kind: Kind = "runs"
+    bounds: BoundsTable = BoundsTable()
+    tuning: TuningTable = TuningTable()
+    scenario: str | None = None
+    stroke: StrokeBase | None = None
+    model: str = "nominal"
+    seed: Annotated[int, msgspec.Meta(ge=0, le=(1 << 53) - 1)] | None = None
+    sweep: list[Sweep] = []
+    design: Design = Design()
+    load: list[Choice] = []
+    strategy: list[Choice] = []
+    variant: list[Choice] = []
+    reads: list[str] = []
+    """Metrics that the summary and the pictures show first."""
+    safety: bool = False
+    """Tell of each row what its faults did: detection, end state, damage; and write fault_table.md."""
+
+
+def texts_of(settings: Mapping[str, Setting]) -> list[str]:
+    """Settings as PATH=VALUE."""
+    return [f"{path}={toml_value(value)}" for path, value in settings.items()]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One run of a study: its number, the names of its choices, the values it sets."""
+
+    number: int
+    choices: tuple[str, ...]
+    settings: dict[str, Setting]
+
+    @property
+    def texts(self) -> list[str]:
+        """The settings as PATH=VALUE, as the command line takes them."""
+        return texts_of(self.settings)
+
+
+class Base(msgspec.Struct, frozen=True):
+    """The parsed scenario of a closed-loop study, its file's name and its folder."""
+
+    table: dict[str, Any]
+    source: str
+    folder: str
+
+
+@dataclass(frozen=True)
+class LoadedStudy:
+    """A study with its file and its rows; `base` is there when a scenario is its base."""
+
+    study: Study
+    source: str
+    base: Base | None = None
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of everything that decides the rows."""
+        table = None if self.base is None else self.base.table
+        text = json.dumps([msgspec.to_builtins(self.study), table], sort_keys=True, default=str)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @cached_property
+    def points(self) -> list[tuple[Value, ...]]:
+        """The design's points, one value a sweep."""
+        return design_points(self.study, self.source)
+
+    @property
+    def groups(self) -> list[tuple[str, list[Choice]]]:
+        """The kinds of choices this study has, in column order."""
+        kinds = [("variant", self.study.variant), ("strategy", self.study.strategy)]
+        if self.study.kind != "tuning":  # which takes all loads together
+            kinds.append(("load", self.study.load))
+        return [(name, items) for name, items in kinds if items]
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        total = len(self.points)
+        for _name, items in self.groups:
+            total *= len(items)
+        return total
+
+    def loaded(self, settings: Sequence[str]) -> Loaded:
+        """The base scenario with settings PATH=VALUE."""
+        from sil.simulation.scenario import from_table
+
+        assert self.base is not None
+        return from_table(
+            self.base.table,
+            self.base.source,
+            model=None if self.study.model == "nominal" else self.study.model,
+            settings=settings,
+            seed=self.study.seed,
+            folder=Path(self.base.folder),
+        )
+
+    def rows(self, begin: int = 0) -> Iterator[Row]:
+        """The rows from number `begin` on, in their fixed order."""
+        combos = list(itertools.product(*(items for _name, items in self.groups)))
+        for number in range(begin, self.size):
+            point, combo = divmod(number, len(combos))
+            settings: dict[str, Setting] = {}
+            for choice in combos[combo]:
+                settings |= choice.set
+            for sweep, value in zip(self.study.sweep, self.points[point], strict=True):
+                settings[sweep.path] = value
+            yield Row(number, tuple(choice.name for choice in combos[combo]), settings)
+
+
+def levels(sweep: Sweep) -> list[Value]:
+    """The values of one sweep in a grid or list."""
+    if sweep.values is not None:
+        return list(sweep.values)
+    low, high = float(sweep.low or 0.0), float(sweep.high or 0.0)
+    steps = sweep.steps or 2
+    if sweep.scale == "log":
+        return [float(x) for x in np.geomspace(low, high, steps)]
+    return [float(x) for x in np.linspace(low, high, steps)]
+
+
+def design_points(study: Study, source: str) -> list[tuple[Value, ...]]:
+    """All points of the design, in a fixed order."""
+    if not study.sweep:
+        return [()]
+    if study.design.kind == "grid":
+        return list(itertools.product(*(levels(sweep) for sweep in study.sweep)))
+    if study.design.kind == "list":
+        columns = [levels(sweep) for sweep in study.sweep]
+        if len({len(column) for column in columns}) != 1:
+            raise InputError(f"{source}: design list: the sweeps have different lengths")
+        return list(zip(*columns, strict=True))
+    from scipy.stats import qmc
+
+    dimension = len(study.sweep)
+    if study.design.kind == "lhs":
+        unit = qmc.LatinHypercube(dimension, rng=study.design.seed).random(study.design.samples)
+    else:
+        sampler = qmc.Sobol(dimension, scramble=True, rng=study.design.seed)
+        power = int(np.ceil(np.log2(max(study.design.samples, 1))))
+        unit = sampler.random_base2(power)[: study.design.samples]
+    points = []
+    for row in unit:
+        values: list[Value] = []
+        for sweep, share in zip(study.sweep, row, strict=True):
+            low, high = float(sweep.low or 0.0), float(sweep.high or 0.0)
+            if sweep.scale == "log":
+                values.append(float(low * (high / low) ** share))
+            else:
+                values.append(float(low + (high - low) * share))
+        points.append(tuple(values))
+    return points
+
+
+def toml_value(value: Setting) -> str:
+    """A value, or a list of tables, as TOML text."""
+    if isinstance(value, list):
+        tables = [
+            ", ".join(f"{json.dumps(k)} = {toml_value(v)}" for k, v in table.items())
+            for table in value
+        ]
+        return "[" + ", ".join(f"{{ {table} }}" for table in tables) + "]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value)
+    return repr(value)
+
+
+def described(study: Study) -> Mapping[str, Any]:
+    """The study as plain data."""
+    return dict(msgspec.to_builtins(study))

@@ -1,0 +1,40 @@
+"""Measurements side by side: python -m tests.bench [NAME...]; no name: all that take minutes."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import sys
+
+import tests.bench
+
+HOURS = ("hidden_effects", "soak")
+
+
+def main(wanted: list[str]) -> int:
+    """Run measurements by the name of their module; each has `measure() -> lines of text`."""
+    known = sorted(item.name for item in pkgutil.iter_modules(tests.bench.__path__))
+    known = [name for name in known if not name.startswith("_")]
+    if {"-h", "--help"} & set(wanted):
+        print("usage: python -m tests.bench [NAME...]    (no name: all that take minutes)")
+        for name in known:
+            text = importlib.import_module(f"tests.bench.{name}").__doc__ or ""
+            print(f"  {name:16} {text.split(chr(10), 1)[0]}{'  (hours)' if name in HOURS else ''}")
+        return 0
+    for name in wanted:
+        if name not in known:
+            print(
+                f"tests.bench: no measurement {name!r}; there are {', '.join(known)}",
+                file=sys.stderr,
+            )
+            return 2
+    for name in wanted or [name for name in known if name not in HOURS]:
+        print(f"## {name}")
+        for line in importlib.import_module(f"tests.bench.{name}").measure():
+            print(line, flush=True)
+        print()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,76 @@
+"""Two threads on a batch, beside two processes of a plain C loop on the same machine."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+C_LOOP = """
+#include <stdio.h>
+int main(void) {
+    volatile double sink;
+    double a = 1.0, b = 0.5, c = 0.25, d = 0.125;
+    for (long i = 0; i < 400000000L; i++) {
+        a = a * 0.999999 + 1e-6; b = b * 0.999998 + 1e-6;
+        c = c * 0.999997 + 1e-6; d = d * 0.999996 + 1e-6;
+    }
+    sink = a + b + c + d;
+    return sink < 0.0;
+}
+"""
+BATCH = 20_000
+REPEATS = 5
+
+
+def measure() -> Iterator[str]:
+    """Lines of the table."""
+    from plant.batch.batch import Strokes, simulate_batch
+    from plant.effects.stroke_conditions import StrokeConditions
+    from plant.kernel import layout as L
+    from plant.parameters import load
+    from plant.systems.setup import make_setup
+
+    setup = make_setup(load(), StrokeConditions("fixed", 9e5, ((0.01, "1", 0.98),)))
+    masses = np.random.default_rng(4).uniform(0.8, 3.0, BATCH)
+    strokes = Strokes.varied(setup, 0.25, {L.M_S: masses})
+    one_s = best_wall_s(lambda: simulate_batch(strokes))
+    two_s = best_wall_s(lambda: simulate_batch(strokes, workers=2))
+    cores = len(os.sched_getaffinity(0))
+    yield f"two cores of {cores}, load {os.getloadavg()[0]:.1f} while measured"
+    yield f"ours, {BATCH} strokes, two threads for one: {one_s / two_s:.2f} times as fast"
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        yield "plain C loop: no C compiler here"
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        source, program = Path(folder) / "loop.c", Path(folder) / "loop"
+        source.write_text(C_LOOP, encoding="ascii")
+        subprocess.run([compiler, "-O2", "-o", str(program), str(source)], check=True)
+        alone_s = best_wall_s(lambda: together(program, 1))
+        both_s = best_wall_s(lambda: together(program, 2))
+    yield f"plain C loop, two processes for one: {2.0 * alone_s / both_s:.2f} times as fast"
+
+
+def best_wall_s(once: Callable[[], object]) -> float:
+    """Shortest of several wall times: two cores show in no other."""
+    times = []
+    for _ in range(REPEATS + 1):
+        begin = time.perf_counter()
+        once()
+        times.append(time.perf_counter() - begin)
+    return min(times)
+
+
+def together(program: Path, count: int) -> None:
+    """Run `count` processes at once."""
+    running = [subprocess.Popen([str(program)]) for _ in range(count)]
+    for process in running:
+        if process.wait() != 0:
+            raise RuntimeError("the C loop failed")

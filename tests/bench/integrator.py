@@ -1,0 +1,164 @@
+"""One stroke, many strokes, gradients, two cores and the first start, beside what others need.
+
+Every contender solves the same strokes at its cheapest setting that is accurate enough: impact time
+within 1 us, impact speed within 1 mm/s, pressures within 200 Pa, all checked here against scipy at a
+tolerance of 1e-12.  Times are CPU times, the best of several
+runs: this measures solvers, not the machine's load.  Before the valve opens nothing moves, and LSODA
+makes hard work of it; the peers, and LSODA in its second row, begin there, ours at the command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tests.bench._contest import OUR_SETTINGS, SCIPY_SETTINGS, best_s, cheapest, one_by_one, row
+from tests.bench._piston import Floats, Piston, Shown, solve_with_scipy
+
+END_S = 0.25
+OPENING_S = 0.018
+TIMES: Floats = np.unique(np.append(np.arange(251) * 1e-3, OPENING_S))
+STROKES = 24
+BATCH = 10_000
+
+
+def measure() -> Iterator[str]:
+    """Lines of the tables."""
+    from tests.bench import _cold, _gradient, _length, _scaling
+
+    yield from fixed_strokes()
+    yield ""
+    yield from _length.measure()
+    yield ""
+    yield from _gradient.measure()
+    yield ""
+    yield from _scaling.measure()
+    yield ""
+    yield from _cold.measure()
+
+
+def fixed_strokes() -> Iterator[str]:
+    """One stroke of the fixed piston by each way, and ten thousand of ours at once."""
+    from plant.batch.batch import Strokes, simulate_batch
+    from plant.effects.stroke_conditions import StrokeConditions
+    from plant.integrator.integrate import DONE
+    from plant.kernel import layout as L
+    from plant.parameters import load
+    from plant.systems.setup import make_setup
+
+    base = make_setup(load(), StrokeConditions("fixed", 9e5, ((0.01, "1", 0.98),)))
+
+    def drawn(n: int) -> dict[int, Floats]:
+        draw = np.random.default_rng(1)
+        spans = {
+            L.P_SUPPLY: (7e5, 1e6),
+            L.M_S: (0.8, 3.0),
+            L.VOL_B: (0.8 * base.p[L.VOL_B], 1.5 * base.p[L.VOL_B]),
+            L.VOL_N: (0.9 * base.p[L.VOL_N], 1.1 * base.p[L.VOL_N]),
+            L.F_RUN_S: (40.0, 60.0),
+            L.K_IN: (0.9, 1.1),
+        }
+        return {place: draw.uniform(low, high, n) for place, (low, high) in spans.items()}
+
+    changes = drawn(STROKES)
+    setups = [replace(base, p=base.p.copy()) for _ in range(STROKES)]
+    for place, values in changes.items():
+        for setup, value in zip(setups, values, strict=True):
+            setup.p[place] = value
+    pistons = [Piston.of(setup) for setup in setups]
+    opening = [(OPENING_S, 0, 1)]
+    reference = [solve_with_scipy(p, opening, TIMES, "DOP853", 1e-12) for p in pistons]
+    yield f"fixed piston: command at 10 ms, {END_S} s, {len(TIMES)} samples; errors: worst of {STROKES} different strokes"
+
+    yield f"{'':44} {'CPU time':>12} {'LSODA':>10} {'LSODA*':>10}   * begun when the valve opens"
+    floors_s: list[float] = []
+    for method, begin_s in (("LSODA", 0.0), ("LSODA", OPENING_S), ("RK45", OPENING_S)):
+
+        def by_scipy(
+            tolerance: float, method: str = method, begin_s: float = begin_s
+        ) -> list[Shown]:
+            return [
+                solve_with_scipy(p, opening, TIMES, method, tolerance, begin_s) for p in pistons
+            ]
+
+        setting, worst = cheapest(by_scipy, SCIPY_SETTINGS, reference)
+        each_s = best_s(lambda: by_scipy(setting), 3) / STROKES  # noqa: B023 - called at once
+        if method == "LSODA":
+            floors_s.append(each_s)
+        star = "*" if begin_s else ""
+        yield row(f"scipy solve_ivp {method}{star}, events", each_s, floors_s, setting, worst)
+
+    yield from peers(pistons[:3], reference[:3], floors_s)
+
+    yield one_by_one(setups, TIMES, slice(L.FP1, L.FP2 + 1), reference, floors_s)
+
+    def together(tolerance: float) -> list[Shown]:
+        result = simulate_batch(
+            Strokes.varied(base, END_S, changes),
+            sample_s=TIMES, columns=[L.FP1, L.FP2], tolerance=tolerance,
+        )  # fmt: skip
+        rows = zip(result.arrival_s, result.impact_speed_m_s, result.samples, strict=True)
+        return [Shown(*item) for item in rows]
+
+    setting, worst = cheapest(together, OUR_SETTINGS, reference)
+    many = Strokes.varied(base, END_S, drawn(BATCH))
+    exact = simulate_batch(many, tolerance=1e-10, lanes=False)
+    result = simulate_batch(many, tolerance=setting)
+    if not (result.in_lanes.all() and (result.status == DONE).all()):
+        raise RuntimeError("a stroke of the batch did not run")
+    for columns, what in (
+        ([L.FP1, L.FP2], f"{len(TIMES)} samples each"),
+        ([], "impact and end state"),
+    ):
+        each_s = (
+            best_s(
+                lambda: (
+                    simulate_batch(many, sample_s=TIMES, columns=columns, tolerance=setting)  # noqa: B023
+                    if columns  # noqa: B023
+                    else simulate_batch(many, tolerance=setting)
+                ),
+                5,
+            )
+            / BATCH
+        )
+        yield row(f"ours, {BATCH} at once, {what}", each_s, floors_s, setting, worst)
+    late = np.abs(result.arrival_s - exact.arrival_s)
+    yield (
+        f"the batch against the scalar kernel at 1e-10: impact within {1e6 * late.max():.2f} us, "
+        f"{1e3 * np.abs(result.impact_speed_m_s - exact.impact_speed_m_s).max():.2f} mm/s, end state "
+        f"{np.abs(result.final[:, L.FP1 : L.FP2 + 1] - exact.final[:, L.FP1 : L.FP2 + 1]).max():.1f} Pa"
+    )
+
+
+def peers(
+    pistons: Sequence[Piston], reference: Sequence[Shown], floors_s: Sequence[float]
+) -> Iterator[str]:
+    """The peers that are installed; which are not."""
+    from tests.bench import _heyoka, _numbalsoda
+
+    for name, module in (("heyoka", _heyoka), ("numbalsoda", _numbalsoda)):
+        version = module.version()
+        if version is None:
+            yield f"{name}: not installed (pip install {name}; not a dependency)"
+            continue
+        solvers: dict[float, list[Callable[[], Shown]]] = {}
+
+        def solve(
+            tolerance: float, solvers: dict = solvers, module: object = module
+        ) -> list[Shown]:
+            solvers[tolerance] = [
+                module.solver(p, OPENING_S, TIMES, tolerance)  # type: ignore[attr-defined]
+                for p in pistons
+            ]
+            return [one() for one in solvers[tolerance]]
+
+        try:
+            setting, worst = cheapest(solve, module.SETTINGS, reference)
+        except (ImportError, OSError) as error:
+            yield f"{name} {version}: does not load: {error}"
+            continue
+        ready = solvers[setting]
+        each_s = best_s(lambda: [one() for one in ready], 40) / len(ready)  # noqa: B023
+        yield row(f"{name} {version}*, events, one by one", each_s, floors_s, setting, worst)

@@ -1,0 +1,96 @@
+"""The bus under stress: what becomes of two shifts when others disturb, one scenario a line.
+
+The scenarios are files as a user writes them, in tests/bench/disturbed.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from can_dbc.messages import Fault, Gear
+from sil.simulation.runner import Finished, run
+from sil.simulation.safety import figures
+from sil.simulation.scenario import load
+
+SCENARIOS = Path(__file__).parent / "disturbed"
+FIRST = (
+    *("quiet", "load_50", "load_70", "load_90", "load_120", "babbling", "babbling_for_good"),
+    *(
+        "bus_off",
+        "error_frames",
+        "spoofed",
+        "spoofed_at_rest",
+        "replayed",
+        "replayed_300ms",
+        "drift",
+    ),
+)
+HEAD = (
+    f"{'scenario':18}{'load':>6}{'frames':>8}{'errors':>7}{'lost':>6}{'command':>10}{'refused':>9}"
+    f"{'taken':>7}  {'asked/truly/told':27}{'impact':>7}{'orphan':>8}{'false':>7}  reported"
+)
+
+
+def measure() -> Iterator[str]:
+    """Lines of the table, its legend, and the run with drifting clocks in real time."""
+    yield HEAD
+    for name in FIRST:
+        yield line(load(str(SCENARIOS / f"{name}.toml")))
+    yield "command: longest time from release to arrival of a valve command, ms; lost: overwritten"
+    yield "before they were sent, dropped or sent into a bus-off; told -: at the end no status is believed;"
+    yield "refused: by the end-to-end check, of an intruder's frames"
+    yield "or of what their counters did to ours; taken: an intruder's frame taken for a good one;"
+    yield "orphan: ms a coil stayed on without a living controller; false: ms a gear was reported"
+    yield "that the stay was not in; impact: the worst, m/s"
+    loaded = load(str(SCENARIOS / "drift.toml"))
+    with tempfile.TemporaryDirectory() as folder:
+        result = run(loaded, Path(folder), transport="local", speed=1.0).result
+    late = ", ".join(
+        f"{q} {1e3 * result.speed[f'late_{q}_s']:.2f} ms" for q in ("p50", "p99", "max")
+    )
+    yield (
+        f"drift, in real time, two processes: {result.status}, instants late by {late}, "
+        f"{result.speed['overruns']:.0f} overruns, hash as in simulated time: "
+        f"{'yes' if result.trace_sha256 == quick(loaded) else 'no'}"
+    )
+
+
+def quick(loaded: Any) -> str | None:
+    """The hash of the same scenario in one process, as fast as it goes."""
+    with tempfile.TemporaryDirectory() as folder:
+        return run(loaded, Path(folder)).result.trace_sha256
+
+
+def line(loaded: Any) -> str:
+    """What happened in one scenario."""
+    with tempfile.TemporaryDirectory() as folder:
+        finished = run(loaded, Path(folder))
+    bus, safety = finished.result.bus, safety_of(finished, loaded)
+    checked = bus["end_to_end"].values()
+    refused = sum(c["error"] + c["repeated"] + c["wrong sequence"] + c["sync"] for c in checked)
+    taken = sum(c["intruder's taken"] for c in checked)
+    lost = sum(bus[k] for k in ("lost", "overwritten", "dropped_full", "dropped_bus_off"))
+    command = next(m for m in bus["messages"] if m["name"] == "ValveCommand")["longest_response_s"]
+    asked = loaded.scenario.request[-1].gear
+    truly, told = (
+        "-" if math.isnan(safety[k]) else Gear(int(safety[k])).name.lower()
+        for k in ("end_gear", "reported_gear")
+    )
+    bits = Fault(int(safety["fault_bits"]))
+    names = " ".join(f.name or "" for f in Fault if f and f in bits).lower() or "-"
+    return (
+        f"{loaded.scenario.name:18}{bus['load']:6.0%}{bus['frames']:8d}{bus['error_frames']:7d}"
+        f"{lost:6d}{1e3 * command:10.2f}{refused:9d}{taken:7d}  {f'{asked}/{truly}/{told}':27}"
+        f"{safety['worst_impact_m_s']:7.2f}{1e3 * safety['orphan_energised_s']:8.0f}"
+        f"{1e3 * safety['false_gear_s']:7.0f}  {names}"
+    )
+
+
+def safety_of(finished: Finished, loaded: Any) -> dict[str, float]:
+    """The safety figures of a run; all fault bits count, whenever they were reported."""
+    assert finished.record is not None
+    return figures(finished.record, loaded.scenario)

@@ -1,0 +1,26 @@
+"""The contract as C: every message of the DBC, with what the DBC says."""
+
+from __future__ import annotations
+
+import re
+
+import cantools
+
+from can_dbc.c_header import header
+from can_dbc.contract import DBC_PATH
+
+
+def test_every_message_has_the_identifier_of_the_dbc() -> None:
+    told = {n: int(i, 16) for n, i in re.findall(r"#define (\w+) 0x([0-9A-F]{8})u\n", header())}
+    wanted = {
+        re.sub(r"(?<!^)(?=[A-Z])", "_", message.name).upper(): message.frame_id
+        for message in cantools.database.load_file(DBC_PATH).messages
+    }
+    assert told and told.items() <= wanted.items()
+    assert {"SHIFT_REQUEST", "POSITION_PULSE", "VALVE_COMMAND", "CONTROLLER_STATUS"} <= set(told)
+
+
+def test_protected_messages_have_sixteen_data_ids() -> None:
+    tables = re.findall(r"static const uint8_t (\w+)_IDS\[16\] .* = \{ ([\d, ]+) \};", header())
+    assert {"SHIFT_REQUEST", "VALVE_COMMAND"} <= {name for name, _ in tables}
+    assert all(len(ids.split(", ")) == 16 for _, ids in tables)

@@ -1,0 +1,223 @@
+"""The batch: lanes against the scalar kernel, independence, routing, refusals."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from plant.batch.batch import BatchResult, Strokes, simulate_batch
+from plant.effects.setup import Setup
+from plant.effects.stroke_conditions import StrokeConditions
+from plant.integrator.integrate import DONE, EVENT_TIME
+from plant.kernel import layout as L
+from plant.parameters import load
+from plant.systems.setup import make_setup
+from plant.systems.stroke import run_setup
+
+STROKES = {
+    "fixed": (((0.01, "1", 0.98),), ()),
+    "N-B": (((0.01, "B", 0.98), (0.01, "N", 0.0)), ("N",)),
+    "B-N": (((0.01, "N", 0.98), (0.01, "B", 0.0)), ("B",)),
+    "N-F": (((0.01, "F", 0.98), (0.03, "N", 0.0)), ("N",)),
+    "F-N": (((0.01, "N", 0.98), (0.05, "F", 0.0)), ("F",)),
+}
+DURATION_S = 0.25
+EQUAL = ("status", "arrival_s", "impact_speed_m_s", "final", "samples", "events", "steps")
+
+
+def setup(kind: str = "fixed", **more: object) -> Setup:
+    commands, charged = STROKES[kind]
+    conditions = StrokeConditions(kind, 9e5, commands, charged_before=charged)
+    return make_setup(load(), dataclasses.replace(conditions, **more))
+
+
+def varied(kind: str, n: int = 20, **more: object) -> Strokes:
+    rng = np.random.default_rng(3)
+    return Strokes.varied(
+        setup(kind, **more),
+        DURATION_S,
+        {
+            L.P_SUPPLY: rng.uniform(6e5, 1e6, n),
+            L.M_S: rng.uniform(0.6, 9.0, n),
+            L.K_IN: rng.uniform(0.7, 1.2, n),
+            L.K_OUT: rng.uniform(0.7, 1.2, n),
+            L.VOL_B: rng.uniform(2e-5, 6e-5, n),
+            L.F_RUN_S: rng.uniform(5.0, 80.0, n),
+        },
+    )
+
+
+def same(first: BatchResult, second: BatchResult, rows: object = slice(None)) -> bool:
+    return all(
+        np.array_equal(getattr(first, name)[rows], getattr(second, name), equal_nan=True)
+        for name in EQUAL
+    )
+
+
+@pytest.mark.parametrize("kind", STROKES)
+def test_lanes_agree_with_the_scalar_kernel(kind):
+    strokes = varied(kind)
+    sample_s = np.linspace(0.0, DURATION_S, 51)
+    fast = simulate_batch(strokes, sample_s=sample_s, tolerance=1e-9)
+    slow = simulate_batch(strokes, sample_s=sample_s, tolerance=1e-9, lanes=False)
+    assert fast.in_lanes.all() and not slow.in_lanes.any()
+    assert (fast.status == DONE).all() and (slow.status == DONE).all()
+    assert np.isfinite(slow.arrival_s).sum() >= 15
+    assert np.array_equal(np.isnan(fast.arrival_s), np.isnan(slow.arrival_s))
+    assert np.nanmax(np.abs(fast.arrival_s - slow.arrival_s)) < 2e-7
+    assert np.nanmax(np.abs(fast.impact_speed_m_s - slow.impact_speed_m_s)) < 1e-5
+    first = L.FP1 if kind == "fixed" else L.PB
+    moving = slice(first, first + (2 if kind == "fixed" else 3))
+    assert np.abs(fast.samples[:, :, moving] - slow.samples[:, :, moving]).max() < 20.0
+    assert np.abs(fast.samples[:, :, 0] - slow.samples[:, :, 0]).max() < 1e-7
+    assert np.abs(fast.final - slow.final).max() < 1.0
+
+
+def test_events_and_states_are_those_of_a_single_simulation():
+    base = setup("fixed")
+    stroke = run_setup(base, np.linspace(0.0, DURATION_S, 101))
+    batch = simulate_batch(
+        Strokes.from_setups([base], DURATION_S),
+        sample_s=np.linspace(0.0, DURATION_S, 101),
+        tolerance=1e-8,
+        event_room=8,
+    )
+    times = [event.time_s for event in stroke.events]
+    assert batch.event_count[0] == len(times) == 2
+    assert batch.events[0, :2, EVENT_TIME] == pytest.approx(times, abs=1e-8)
+    assert stroke.impact is not None
+    assert batch.arrival_s[0] == pytest.approx(stroke.impact.time_s, abs=1e-8)
+    assert batch.impact_energy_j[0] == pytest.approx(stroke.impact.energy_j, rel=1e-6)
+    assert np.abs(batch.samples[0, :, 0] - stroke.states[:, 0]).max() < 1e-8
+    assert np.abs(batch.samples[0, :, 2:4] - stroke.states[:, 2:4]).max() < 1.0
+
+
+@pytest.mark.parametrize("kind", ["fixed", "N-B"])
+def test_neighbours_and_workers_do_not_matter(kind):
+    strokes = varied(kind, 37)
+    options = {"sample_s": np.linspace(0.0, DURATION_S, 11), "event_room": 6}
+    whole = simulate_batch(strokes, **options)
+    for workers in (2, 3):
+        assert same(whole, simulate_batch(strokes, workers=workers, **options))
+    for rows in ([5], [36, 2, 17]):
+        part = dataclasses.replace(
+            strokes, packed=strokes.packed[rows], initial=strokes.initial[rows]
+        )
+        assert same(whole, simulate_batch(part, **options), rows)
+
+
+def test_what_the_lanes_do_not_cover_takes_the_scalar_kernel():
+    plain = varied("fixed", 12)
+    packed = plain.packed.copy()
+    packed[1::3, L.LEAK_PISTON] = 2e-8
+    packed[2::3, L.SEAL_MU] = 0.05
+    mixed = simulate_batch(dataclasses.replace(plain, packed=packed), sample_s=np.array([0.1]))
+    assert mixed.in_lanes.tolist() == [True, False, False] * 4
+    only = simulate_batch(
+        dataclasses.replace(plain, packed=packed), sample_s=np.array([0.1]), lanes=False
+    )
+    outside = ~mixed.in_lanes
+    assert np.array_equal(mixed.final[outside], only.final[outside])
+    pure = simulate_batch(plain, sample_s=np.array([0.1]))
+    assert np.array_equal(mixed.final[::3], pure.final[::3])
+    assert (np.abs(mixed.arrival_s - pure.arrival_s)[outside] > 1e-6).all()
+
+
+@pytest.mark.parametrize("model", ["incompressible", "compressible"])
+def test_damped_strokes_run_in_the_same_call(model):
+    base = setup("fixed", load="damper", damper_model=model)
+    batch = simulate_batch(Strokes.from_setups([base], DURATION_S), tolerance=1e-8)
+    stroke = run_setup(base, np.linspace(0.0, DURATION_S, 11))
+    assert not batch.in_lanes[0]
+    assert stroke.impact is not None
+    assert batch.arrival_s[0] == pytest.approx(stroke.impact.time_s, abs=1e-7)
+    assert batch.final[0, L.FP1] == pytest.approx(stroke.states[-1, L.FP1], abs=1.0)
+
+
+def test_different_strokes_in_one_batch():
+    setups = [
+        setup("N-B"),
+        setup("B-N"),
+        setup("N-B", charged_before=(), commands=((0.02, "B", 0.98),)),
+        setup("F-N", supply_pressure_pa=7e5),
+    ]
+    together = simulate_batch(Strokes.from_setups(setups, DURATION_S))
+    for k, item in enumerate(setups):
+        alone = simulate_batch(Strokes.from_setups([item], DURATION_S))
+        assert np.array_equal(alone.final[0], together.final[k])
+        assert np.array_equal(alone.arrival_s, together.arrival_s[k : k + 1], equal_nan=True)
+
+
+def test_durations_columns_and_instants_of_each_stroke():
+    base = varied("fixed", 3)
+    strokes = dataclasses.replace(base, duration_s=np.array([0.05, 0.1, 0.25]))
+    sample_s = np.array([[0.0, 0.02], [0.05, 0.1], [0.1, 0.3]])
+    result = simulate_batch(strokes, sample_s=sample_s, columns=[L.FP1, L.FLINE])
+    assert result.samples.shape == (3, 2, 2)
+    whole = simulate_batch(base, sample_s=np.unique(sample_s), columns=[L.FP1])
+    assert result.samples[0, :, 0] == pytest.approx(whole.samples[0, [0, 1], 0], rel=1e-6)
+    assert result.samples[1, :, 0] == pytest.approx(whole.samples[1, [2, 3], 0], rel=1e-6)
+    # beyond its end a stroke stands still
+    assert result.samples[2, 1, 0] == result.final[2, L.FP1]
+    assert (result.samples[:, :, 1] == strokes.initial[:, None, L.FLINE]).all()
+
+
+def test_creeping_valves_stay_in_the_lanes():
+    base = setup("fixed")
+    base.creep_s = 0.004
+    strokes = Strokes.from_setups([base], DURATION_S)
+    assert strokes.switches.shape[1] == 2 and strokes.in_lanes.all()
+    fast = simulate_batch(strokes, tolerance=1e-9)
+    slow = simulate_batch(strokes, tolerance=1e-9, lanes=False)
+    assert fast.arrival_s[0] == pytest.approx(slow.arrival_s[0], abs=1e-8)
+    sudden = simulate_batch(Strokes.from_setups([setup("fixed")], DURATION_S), tolerance=1e-9)
+    assert fast.arrival_s[0] - sudden.arrival_s[0] > 5e-4
+
+
+def test_a_stroke_that_cannot_go_on_does_not_stop_the_others():
+    strokes = varied("fixed", 9)
+    packed = strokes.packed.copy()
+    packed[4, L.VOL_B] = np.nan
+    result = simulate_batch(dataclasses.replace(strokes, packed=packed))
+    assert result.status[4] != DONE
+    others = np.arange(9) != 4
+    assert (result.status[others] == DONE).all()
+    assert np.array_equal(result.final[others], simulate_batch(strokes).final[others])
+
+
+def test_refusals():
+    strokes = varied("fixed", 3)
+    with pytest.raises(ValueError, match="one system"):
+        Strokes.from_setups([setup("fixed"), setup("N-B")], DURATION_S)
+    with pytest.raises(ValueError, match="packed"):
+        dataclasses.replace(strokes, packed=strokes.packed[:, :-1])
+    with pytest.raises(ValueError, match="initial"):
+        dataclasses.replace(strokes, initial=strokes.initial[:2])
+    with pytest.raises(ValueError, match="ascend"):
+        times = np.array([[[0.02, 0.0, 1.0, 0.0], [0.01, 1.0, 1.0, 0.0]]])
+        dataclasses.replace(strokes, switches=times)
+    with pytest.raises(ValueError, match="duration_s"):
+        dataclasses.replace(strokes, duration_s=np.array([0.0]))
+    with pytest.raises(ValueError, match="columns"):
+        simulate_batch(strokes, sample_s=np.array([0.1]), columns=[6])
+    with pytest.raises(ValueError, match="sample_s"):
+        simulate_batch(strokes, sample_s=np.array([0.2, 0.1]))
+
+
+@pytest.mark.parametrize("lanes", [True, False])
+def test_a_piston_and_a_stay_that_stop_together_come_to_rest(lanes):
+    # each turn of the piston joined it to a stay still slower: an endless sequence of turns
+    strokes = Strokes.varied(
+        setup("N-B"),
+        DURATION_S,
+        {
+            L.P_SUPPLY: np.array([687342.237947325, 818301.9293072699]),
+            L.M_S: np.array([2.745923009162179, 2.940294823728706]),
+            L.VOL_B: np.array([2.2092883797367875e-05, 3.037649213400499e-05]),
+        },
+    )
+    result = simulate_batch(strokes, tolerance=1e-8, lanes=lanes)
+    assert (result.status == DONE).all()
+    assert (result.event_count < 20).all()

@@ -1,0 +1,165 @@
+"""Derivatives along a frozen sequence of steps against central differences of exact runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from plant.batch.batch import Strokes, simulate_batch
+from plant.batch.prediction import Predictor, copied
+from plant.batch.tangents import MOVE, neighbours
+from plant.effects.setup import Setup
+from plant.effects.stroke_conditions import StrokeConditions
+from plant.kernel import layout as L
+from plant.parameters import load
+from plant.systems.setup import make_setup
+
+TIME_S = np.linspace(0.0, 0.25, 251)
+FRICTION = {"fixed": (L.F_STATIC_S, L.BETA_S), "N-B": (L.F_RUN_P, L.BETA_P)}
+MOVED = (L.P_SUPPLY, L.K_IN, L.K_OUT, L.VOL_B, L.VOL_N, L.M_S, L.F_RUN_S, L.ALPHA_M1)
+COLUMNS = {"fixed": (L.FX, L.FP1, L.FP2), "N-B": (L.XS, L.PB, L.PN, L.PF)}
+SIZE = {"fixed": (1e-3, 1e5, 1e5), "N-B": (1e-3, 1e5, 1e5, 1e5)}
+COMMANDS = {
+    "fixed": (((0.01, "1", 0.98),), ()),
+    "N-B": (((0.01, "B", 0.98), (0.01, "N", 0.0)), ("N",)),
+}
+
+
+def setup(kind: str, **more: object) -> Setup:
+    commands, charged = COMMANDS[kind]
+    return make_setup(load(), StrokeConditions(kind, 9e5, commands, charged_before=charged, **more))
+
+
+def moved(base: Setup, places: tuple[int, ...], share: float) -> Strokes:
+    """The stroke, then the stroke with each parameter moved by a share of itself."""
+    rows = np.arange(len(places) + 1)
+    changes = {i: base.p[i] * (1.0 + share * (rows == k + 1)) for k, i in enumerate(places)}
+    return Strokes.varied(base, TIME_S[-1], changes)
+
+
+@pytest.mark.parametrize("kind", sorted(COMMANDS))
+def test_ten_parameters_agree_with_differences_of_exact_runs(kind: str) -> None:
+    base = setup(kind)
+    places = MOVED + FRICTION[kind]
+    found, alike = neighbours(moved(base, places, MOVE), TIME_S, COLUMNS[kind])
+    assert alike.all() and found.event_count[0] >= 2
+    exact = [
+        simulate_batch(
+            moved(base, places, share),
+            sample_s=TIME_S, columns=COLUMNS[kind], tolerance=1e-12, lanes=False,
+        ).samples
+        for share in (3e-5, -3e-5)
+    ]  # fmt: skip
+    for k in range(1, len(places) + 1):
+        ours = (found.samples[k] - found.samples[0]) / MOVE / SIZE[kind]
+        theirs = (exact[0][k] - exact[1][k]) / 6e-5 / SIZE[kind]
+        assert np.linalg.norm(theirs) > 1e-2
+        assert np.linalg.norm(ours - theirs) < 1e-3 * np.linalg.norm(theirs)
+
+
+def test_delays_and_lags_have_derivatives_too() -> None:
+    base = setup("fixed")
+    base.gauge_lag_s = 2e-3
+    late, lagging = copied(base), copied(base)
+    late.timing = replace(late.timing, rise_ns=late.timing.rise_ns + 20)
+    lagging.gauge_lag_s *= 1.0 + MOVE
+    predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64), 1e-9)
+    states, (by_delay, by_lag) = predictor.derivatives(
+        base, [late, lagging], [20e-9, 2e-3 * MOVE], tolerance=1e-9
+    )
+    assert np.abs(states - predictor.states(base)).max() < 1.0
+    assert by_delay is not None and by_lag is not None
+    # everything behind the switch happens later: d/d(delay) = -d/dt
+    pressure = states[:, L.FP1]
+    slope = (pressure[2:] - pressure[:-2]) / (TIME_S[2] - TIME_S[0])
+    smooth = (TIME_S[1:-1] > 0.06) & (TIME_S[1:-1] < 0.2)
+    assert by_delay[1:-1, L.FP1][smooth] == pytest.approx(-slope[smooth], rel=2e-3)
+    twin = copied(base)
+    twin.gauge_lag_s *= 1.01
+    expected = (predictor.states(twin) - states) / (0.01 * base.gauge_lag_s)
+    assert np.abs(by_lag - expected)[:, L.FP1].max() < 0.02 * np.abs(expected[:, L.FP1]).max()
+
+
+def test_a_neighbour_with_other_events_has_none() -> None:
+    base = setup("fixed")
+    stuck, near = copied(base), copied(base)
+    stuck.p[L.F_STATIC_S] = 5000.0
+    near.p[L.M_S] *= 1.0 + MOVE
+    predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64))
+    _, (first, second) = predictor.derivatives(base, [stuck, near], [1.0, 1.0])
+    assert first is None and second is not None
+
+
+TRUCK = {"mounted": True, "mesh_force_n": 500.0, "sync_impulse_n_s": 10.0}
+DAMPER = {"load": "damper", "damper_model": "compressible"}
+
+
+@pytest.mark.parametrize(
+    ("conditions", "leak", "places"),
+    [
+        (DAMPER, 0.0, (L.A_SMALL, L.KAPPA)),
+        ({**DAMPER, "damper_model": "incompressible"}, 0.0, (L.A_SMALL, L.RHO_OIL)),
+        (TRUCK, 0.0, (L.MESH_FORCE, L.SYNC_IMPULSE)),
+        ({}, 3e-7, (L.LEAK_ATM, L.F_RUN_S)),
+    ],
+    ids=["compressible damper", "incompressible damper", "truck", "leak"],
+)
+def test_what_the_lanes_do_not_cover_has_derivatives_too(
+    conditions: dict, leak: float, places: tuple[int, ...]
+) -> None:
+    base = setup("N-B", **conditions)
+    base.p[L.LEAK_ATM] = leak
+    size, columns = SIZE["N-B"], COLUMNS["N-B"]
+
+    def neighbour(place: int, share: float) -> Setup:
+        twin = copied(base)
+        twin.p[place] *= 1.0 + share
+        return twin
+
+    predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64))
+    _, found = predictor.derivatives(
+        base,
+        [neighbour(i, MOVE) for i in places],
+        [MOVE * base.p[i] for i in places],
+        columns,
+        tolerance=1e-7,
+    )
+    exact = Predictor(predictor.sample_ns, 1e-11)
+    for place, ours in zip(places, found, strict=True):
+        assert ours is not None
+        up, down = (exact.states(neighbour(place, share))[:, columns] for share in (1e-5, -1e-5))
+        true = (up - down) / (2e-5 * base.p[place])
+        assert np.linalg.norm((ours - true) / size) < 1e-3 * np.linalg.norm(true / size)
+
+
+@pytest.mark.parametrize("kind", ["fixed", "N-B"])
+def test_corners_of_the_dampers_law_carry_derivatives(kind: str) -> None:
+    # a step across a corner is right to its square, its derivative only to the step's length
+    base = setup(kind, load="damper", damper_model="incompressible")
+    size, columns = SIZE[kind], COLUMNS[kind]
+    predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64))
+    exact = Predictor(predictor.sample_ns, 1e-11)
+
+    def neighbour(place: int, share: float) -> Setup:
+        twin = copied(base)
+        twin.p[place] *= 1.0 + share
+        return twin
+
+    places = (L.RHO_OIL, L.M_S, L.F_RUN_S)
+    _, found = predictor.derivatives(
+        base, [neighbour(i, MOVE) for i in places], [MOVE] * len(places), columns
+    )
+    for place, ours in zip(places, found, strict=True):
+        assert ours is not None
+        up, down = (exact.states(neighbour(place, share))[:, columns] for share in (1e-5, -1e-5))
+        true = (up - down) / 2e-5
+        assert np.linalg.norm((ours - true) / size) < 2e-4 * np.linalg.norm(true / size)
+
+
+def test_as_many_steps_as_neighbours() -> None:
+    base = setup("fixed")
+    predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64))
+    with pytest.raises(ValueError, match="steps"):
+        predictor.derivatives(base, [copied(base)], [])

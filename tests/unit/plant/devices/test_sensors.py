@@ -1,0 +1,279 @@
+"""Sensors: pulse and conversion, filtered chain and its lag, potentiometer, gauges, recorder."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from importlib.resources import files
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+from can_dbc.errors import InputError
+from plant.devices.sensors import (
+    Gauge,
+    InductiveSensor,
+    InternalChain,
+    Potentiometer,
+    Recorder,
+    butterworth_sections,
+    filter_from_rest,
+    named_generator,
+    record_instants_ns,
+)
+
+SENSOR = InductiveSensor(0.0009, 0.022, 0.0012, 293.15, 1e-6)
+CHAIN = InternalChain(SENSOR, SENSOR, 0.01, 0.0041, 6, 22.0, 293.15, 293.15)
+RAW = replace(CHAIN, filter_order=0)
+
+
+class Nominal:
+    """Values of the nominal set, read without its loader."""
+
+    def __init__(self) -> None:
+        text = files("plant").joinpath("parameters/nominal.toml").read_text()
+        self.sections = tomllib.loads(text)
+
+    def value(self, path: str) -> float:
+        section, name = path.split(".")
+        return float(self.sections[section][name]["value"])
+
+
+# --- inductive sensor --------------------------------------------------------------------------
+def test_pulse_at_neutral_and_at_the_reference_temperature_is_0_9_ms() -> None:
+    assert SENSOR.pulse_s(0.0, 293.15) == pytest.approx(0.9e-3, abs=1e-12)
+    assert SENSOR.pulse_s(0.01285, 293.15) == pytest.approx(1183e-6, abs=1e-12)
+    assert SENSOR.measurement_offset_ns == 450_000
+
+
+@settings(deadline=None)
+@given(st.floats(-0.014, 0.014), st.floats(233.0, 413.0))
+def test_conversion_undoes_the_pulse_within_half_a_tick(
+    position: float, temperature: float
+) -> None:
+    pulse = SENSOR.pulse_s(position, temperature)
+    half_tick_m = 0.5 * 1e-6 / 0.022 / (1 + 0.0012 * (temperature - 293.15))
+    assert abs(float(SENSOR.position_m(pulse, temperature)) - position) <= half_tick_m * (1 + 1e-6)
+    assert SENSOR.ticks(SENSOR.duration_s(position, temperature)) == round(pulse / 1e-6)
+
+
+def test_a_coil_warmer_than_believed_reads_further_out() -> None:
+    pulse = SENSOR.duration_s(0.005, 303.15)
+    error = float(SENSOR.position_m(pulse, 293.15)) - 0.005
+    assert error == pytest.approx(0.0012 * 10 * (0.0009 + 0.022 * 0.005) / 0.022)
+
+
+def test_a_pulse_and_its_discharge_fit_into_2_to_3_ms() -> None:
+    longest = max(float(SENSOR.duration_s(x, 293.15)) for x in (-0.01285, 0.01285))
+    assert 2e-3 <= 2 * longest <= 3e-3
+
+
+# --- filter ------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("order", "cutoff"), [(1, 10.0), (2, 5.0), (3, 22.0), (6, 22.0), (8, 45.0)]
+)
+def test_sections_have_the_response_of_scipys_design(order: int, cutoff: float) -> None:
+    sections = butterworth_sections(order, cutoff, 100.0)
+    ours = np.insert(sections, 3, 1.0, axis=1)
+    w, expected = signal.sosfreqz(signal.butter(order, cutoff, fs=100.0, output="sos"), 64, fs=100)
+    _, got = signal.sosfreqz(ours, w, fs=100.0)
+    np.testing.assert_allclose(got, expected, atol=1e-12)
+    at_cutoff = signal.sosfreqz(ours, [cutoff], fs=100.0)[1]
+    assert abs(at_cutoff[0]) == pytest.approx(np.sqrt(0.5))
+
+
+def test_filter_is_settled_at_its_first_sample_and_vectorised() -> None:
+    sections = butterworth_sections(6, 22.0, 100.0)
+    rng = np.random.default_rng(1)
+    samples = rng.normal(size=(3, 4, 30))
+    samples[0, 0] = 0.0123
+    out = filter_from_rest(sections, samples)
+    np.testing.assert_allclose(out[0, 0], 0.0123, rtol=1e-12)
+    sos = np.insert(sections, 3, 1.0, axis=1)
+    for row, got in zip(samples.reshape(-1, 30), out.reshape(-1, 30), strict=True):
+        expected, _ = signal.sosfilt(sos, row, zi=signal.sosfilt_zi(sos) * row[0])
+        np.testing.assert_allclose(got, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("order", "cutoff", "text"),
+    [(13, 22.0, "butter_order"), (0, 22.0, "butter_order"), (6, 50.0, "butter_fc")],
+)
+def test_impossible_filters_are_refused(order: int, cutoff: float, text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        butterworth_sections(order, cutoff, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"), [("t_mid", 0.0), ("slope", 0.0), ("period", 0.0), ("latency", -1.0)]
+)
+def test_impossible_parameters_are_named(path: str, value: float) -> None:
+    nominal = Nominal()
+    nominal.sections["position_sensor"][path]["value"] = value
+    with pytest.raises(InputError, match=f"position_sensor.{path}: "):
+        InternalChain.from_parameters(nominal)
+
+
+# --- the chain ---------------------------------------------------------------------------------
+def mean_lag_s(chain: InternalChain, speed_m_s: float = 0.02) -> float:
+    """Lag behind a ramp once settled, averaged over the sampling phase."""
+    time_s = np.arange(8001) * 1e-4
+    position = speed_m_s * np.maximum(time_s - 0.1, 0.0)
+    late = time_s > 0.5
+    lags = []
+    for phase in np.arange(20) * 5e-4:
+        reported = chain.reported_m(time_s, position, float(phase))
+        lags.append(np.mean(position[late] - reported[late]) / speed_m_s)
+    return float(np.mean(lags))
+
+
+def test_lag_without_filter_is_10_ms_whatever_the_phase() -> None:
+    mean_duration = 0.0009 + 0.022 * 0.02 * 0.55  # t8V half-way through the window
+    expected = 0.0041 + mean_duration - 0.00045 + 0.005
+    assert mean_lag_s(RAW) == pytest.approx(expected, abs=1e-4)
+    assert mean_lag_s(RAW) == pytest.approx(0.010, abs=0.5e-3)
+
+
+def test_filter_adds_its_group_delay_at_rest() -> None:
+    w = np.tan(np.pi * 22.0 / 100.0)
+    damping = sum(2 * np.sin(np.pi * (2 * k + 1) / 12) for k in range(3))
+    delay = damping / w * 0.01 / 2  # sum of the sections' delays d/w in steps of T/2
+    assert mean_lag_s(CHAIN) - mean_lag_s(RAW) == pytest.approx(delay, abs=2e-5)
+    assert 0.03 < mean_lag_s(CHAIN) < 0.045
+
+
+def test_recorded_stroke_of_an_independent_solver() -> None:
+    """Backward to neutral at 9 bar: its positions at the measurement instants, its column."""
+    measured = np.array(
+        [0.01285] * 4 + [0.0126412, 0.01033835, 0.00225285] + [0.0] * 6, dtype=np.float64
+    )
+    expected = {
+        0.0350: 0.0128636, 0.0353: 0.0128600, 0.0550: 0.0127977, 0.0551: 0.0123462,
+        0.0649: 0.0123462, 0.0650: 0.0106282, 0.0850: 0.0019046, 0.0950: -0.0014101,
+        0.1051: -0.0014658,
+    }  # fmt: skip
+    tick_s = CHAIN.ticks_s(0.115)
+    assert len(tick_s) == len(measured)
+    reported = CHAIN.held_m(np.array(list(expected)), tick_s, measured)
+    np.testing.assert_allclose(reported, list(expected.values()), atol=1.5e-7)
+
+
+def test_instants_of_the_chain() -> None:
+    assert list(CHAIN.ticks_s(0.025, 0.0037)) == pytest.approx([-0.0063, 0.0037, 0.0137, 0.0237])
+    assert list(CHAIN.measurement_instants_ns(0.025, 0.0037)) == [0, 4150000, 14150000, 24150000]
+    assert list(CHAIN.measurement_instants_ns(0.02, 0.0)) == [0, 450000, 10450000]
+    assert list(CHAIN.measurement_instants_ns(0.0, 0.013)) == [0]
+
+
+def test_values_change_on_the_raster_of_the_control_unit() -> None:
+    time_s = np.arange(4000) * 1e-4
+    position = 0.0128 * np.clip((time_s - 0.05) / 0.2, 0.0, 1.0)
+    reported = RAW.reported_m(time_s, position, 0.0023)
+    changes = time_s[1:][np.diff(reported) != 0]
+    assert len(changes) > 15
+    raster = (changes - 0.0023 - 0.005) % 0.01
+    assert np.all((raster < 0.0005) | (raster > 0.0099))
+
+
+def test_many_strokes_at_once_equal_each_alone() -> None:
+    time_s = np.arange(3000) * 1e-4
+    strokes = np.stack(
+        [x * np.clip((time_s - 0.03) / 0.02, 0, 1) for x in (0.0128, -0.0128, 0.004)]
+    )
+    together = CHAIN.reported_m(time_s, strokes, 0.0042)
+    for stroke, reported in zip(strokes, together, strict=True):
+        np.testing.assert_array_equal(CHAIN.reported_m(time_s, stroke, 0.0042), reported)
+
+
+def test_without_the_timer_the_report_is_linear_in_the_positions() -> None:
+    rng = np.random.default_rng(3)
+    tick_s = CHAIN.ticks_s(0.3)
+    a, b = rng.uniform(-1e-3, 1e-3, (2, len(tick_s)))
+    values = [CHAIN.published(tick_s, x, quantise=False)[1] for x in (a, b, 2 * a - b)]
+    np.testing.assert_allclose(2 * values[0] - values[1], values[2], atol=1e-15)
+    steps = CHAIN.published(tick_s, a)[1] - values[0]
+    assert 1e-6 < np.abs(steps).max() < 1e-4
+
+
+def test_faults_of_the_chain_are_differences_between_sensor_and_calibration() -> None:
+    time_s = np.arange(1000) * 1e-4
+    position = np.full(1000, 0.008)
+    gain = replace(RAW, sensor=replace(SENSOR, slope_s_m=0.022 * 1.05))
+    assert gain.reported_m(time_s, position)[-1] == pytest.approx(0.0084, abs=3e-5)
+    warm = replace(RAW, coil_temperature_k=313.15)
+    shift = 0.0012 * 20 * (0.0009 + 0.022 * 0.008) / 0.022
+    assert warm.reported_m(time_s, position)[-1] == pytest.approx(0.008 + shift, abs=3e-5)
+
+
+def test_nominal_set_gives_this_chain() -> None:
+    chain = InternalChain.from_parameters(Nominal())
+    assert chain == CHAIN
+
+
+# --- potentiometer and gauges ------------------------------------------------------------------
+def test_potentiometer_steps_and_offset() -> None:
+    still = Potentiometer(5e-5, 0.0, offset_m=2e-5)
+    rng = np.random.default_rng(0)
+    values = still.measure_m(np.array([0.0, 1e-5, 0.01285]), rng)
+    np.testing.assert_allclose(values, [0.0, 5e-5, 0.01285], atol=1e-12)
+    noisy = Potentiometer(5e-5, 1e-5).measure_m(np.full(20000, 2.5e-5), rng)
+    assert set(np.round(noisy / 5e-5)) == {0.0, 1.0}
+    assert np.mean(noisy) == pytest.approx(2.5e-5, abs=1e-6)
+
+
+def test_gauge_counts_clips_and_errs_as_stated() -> None:
+    rng = np.random.default_rng(0)
+    exact = Gauge(1e6, 0.0, 12)
+    counts = exact.measure_pa(np.array([-5e4, 101325.0, 2e6]), rng) / exact.count_pa
+    np.testing.assert_allclose(counts, [0, 415, 4095])
+    noisy = Gauge(1e6, 300.0, 12, offset_pa=400.0).measure_pa(np.full(20000, 3e5), rng) - 3e5
+    assert np.mean(noisy) == pytest.approx(400.0, abs=10.0)
+    assert np.std(noisy) == pytest.approx(np.hypot(300.0, exact.count_pa / np.sqrt(12)), rel=0.03)
+
+
+def test_recorder_samples_at_10_khz() -> None:
+    instants = record_instants_ns(0.3, 10_000.0)
+    assert len(instants) == 3000
+    assert list(instants[:2]) == [0, 100_000]
+    assert np.all(np.diff(instants) == 100_000)
+    thirds = record_instants_ns(1.0, 3.0)
+    assert list(thirds) == [0, 333_333_333, 666_666_667]
+    with pytest.raises(ValueError, match="rate"):
+        record_instants_ns(1.0, 0.0)
+
+
+def test_recorder_offsets_last_and_noise_does_not() -> None:
+    recorder = Recorder.from_parameters(Nominal(), seed=7)
+    assert recorder.rate_hz == 10_000.0
+    truth = {"position_m": np.zeros(4000), "pressure_B_pa": np.full(4000, 2e5), "cmd_B": np.ones(4)}
+    first, again, other = (recorder.record(truth, s) for s in ("s1", "s1", "s2"))
+    assert first.keys() == truth.keys()
+    np.testing.assert_array_equal(first["cmd_B"], truth["cmd_B"])
+    np.testing.assert_array_equal(first["pressure_B_pa"], again["pressure_B_pa"])
+    assert np.any(first["pressure_B_pa"] != other["pressure_B_pa"])
+    offset = recorder.gauge("pressure_B_pa").offset_pa
+    for record in (first, other):
+        assert np.mean(record["pressure_B_pa"]) - 2e5 == pytest.approx(offset, abs=20.0)
+
+
+def test_gauge_offsets_stay_within_the_accuracy_class_and_scatter() -> None:
+    offsets, oil = [], []
+    for seed in range(400):
+        recorder = Recorder.from_parameters(Nominal(), seed)
+        offsets.append(recorder.gauge("pressure_1_pa").offset_pa)
+        oil.append(recorder.gauge("pressure_oil2_pa").offset_pa)
+    assert np.max(np.abs(offsets)) <= 1000.0
+    assert np.max(np.abs(oil)) <= 5000.0
+    assert np.std(offsets) == pytest.approx(350.0, rel=0.15)
+    assert np.std(oil) == pytest.approx(5 * 350.0, rel=0.15)
+    assert Recorder.from_parameters(Nominal(), 1).oil.range_pa == 5e6
+
+
+def test_named_generators_are_reproducible_and_independent() -> None:
+    draw = named_generator(1, "a", 2).normal(size=4)
+    np.testing.assert_array_equal(draw, named_generator(1, "a", 2).normal(size=4))
+    for other in (named_generator(2, "a", 2), named_generator(1, "a2"), named_generator(1, "a", 3)):
+        assert np.all(draw != other.normal(size=4))

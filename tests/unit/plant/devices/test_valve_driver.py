@@ -1,0 +1,259 @@
+"""Valve driver: end-to-end checks, exact timers, the blow, dead controllers, damaged frames."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from can_dbc import codec
+from can_dbc.e2e import Protector, with_counter
+from can_dbc.frame import Frame
+from can_dbc.messages import Chamber, Gear, PlantMotion, SafetyBlow, ValveCommand
+from plant.devices.valve_driver import DE_ENERGISED, Duties, ValveDriver, ValveDriverConfig
+
+MS = 1_000_000
+OFF = ValveCommand(0.0, 0.0, 0.0, Gear.NEUTRAL)
+PUSH_B = ValveCommand(0.984375, 0.0, 0.0, Gear.BACKWARD)
+NO_BLOW = SafetyBlow(Chamber.NONE, False, 0.0)
+ON_B: Duties = (0.984375, 0.0, 0.0)
+
+Delivery = tuple[int, Frame]
+
+
+class Controller:
+    """Sends both messages every 10 ms, 0.3 ms and 0.5 ms after its tick."""
+
+    def __init__(self) -> None:
+        self.commands = Protector(ValveCommand)
+        self.blows = Protector(SafetyBlow)
+
+    def tick(
+        self, t_ms: int, command: ValveCommand = PUSH_B, blow: SafetyBlow = NO_BLOW
+    ) -> list[Delivery]:
+        return [
+            (t_ms * MS + 300_000, self.commands.protect(command)),
+            (t_ms * MS + 500_000, self.blows.protect(blow)),
+        ]
+
+    def ticks(
+        self, times: range, command: ValveCommand = PUSH_B, blow: SafetyBlow = NO_BLOW
+    ) -> list[Delivery]:
+        return [frame for t in times for frame in self.tick(t, command, blow)]
+
+
+def driver(config: ValveDriverConfig | None = None) -> ValveDriver:
+    return ValveDriver(config or ValveDriverConfig(), blow_duty=0.98)
+
+
+def test_nothing_is_energised_before_both_channels_are_valid() -> None:
+    unit, sender = driver(), Controller()
+    frames = sender.ticks(range(0, 40, 10))
+    only_commands = [f for i, f in enumerate(frames) if i % 2 == 0]
+    assert driver().advance(40 * MS, only_commands) == []
+    changes = unit.advance(40 * MS, frames)
+    assert changes == [(10_500_000, ON_B)]  # the second frame of each proves the sequence
+    assert unit.target is Gear.BACKWARD
+    assert unit.duties == ON_B
+
+
+def test_dead_controller_de_energises_the_valves_at_the_stated_instant() -> None:
+    unit = driver(ValveDriverConfig(timeout_s=0.05))
+    changes = unit.advance(1000 * MS, Controller().ticks(range(0, 100, 10)))
+    assert changes[-1] == (90 * MS + 300_000 + 50 * MS, DE_ENERGISED)
+    assert len(changes) == 2
+    assert unit.target is Gear.UNKNOWN
+
+
+def test_a_frame_at_the_instant_of_the_timeout_is_in_time() -> None:
+    unit, sender = driver(ValveDriverConfig(timeout_s=0.05)), Controller()
+    frames = sender.ticks(range(0, 40, 10))
+    late = [(f[0] + 40 * MS, f[1]) for f in sender.tick(40)]  # 50 ms after the ones at 30 ms
+    assert unit.advance(85 * MS, [*frames, *late]) == [(10_500_000, ON_B)]
+    unit, sender = driver(ValveDriverConfig(timeout_s=0.05)), Controller()
+    frames = sender.ticks(range(0, 40, 10))
+    too_late = [(f[0] + 40 * MS + 1, f[1]) for f in sender.tick(40)]
+    assert unit.advance(85 * MS, [*frames, *too_late])[1] == (80 * MS + 300_000, DE_ENERGISED)
+
+
+def test_either_channel_falling_silent_de_energises() -> None:
+    for silent in (0, 1):
+        unit, sender = driver(), Controller()
+        frames = sender.ticks(range(0, 100, 10))
+        kept = [f for i, f in enumerate(frames) if i < 8 or i % 2 != silent]
+        last = max(t for i, (t, _) in enumerate(frames) if i < 8 and i % 2 == silent)
+        assert unit.advance(200 * MS, kept)[1] == (last + 50 * MS, DE_ENERGISED)
+
+
+def test_duties_pass_as_commanded() -> None:
+    unit, sender = driver(), Controller()
+    frames = sender.ticks(range(0, 20, 10))
+    frames += sender.tick(20, ValveCommand(0.0, 0.5, 0.25, Gear.NEUTRAL))
+    assert unit.advance(21 * MS, frames)[-1] == (20_300_000, (0.0, 0.5, 0.25))
+    assert unit.target is Gear.NEUTRAL
+
+
+# --- the blow --------------------------------------------------------------------------------
+def test_blow_energises_its_chamber_until_its_own_clock_has_run_out() -> None:
+    unit, sender = driver(), Controller()
+    frames = sender.ticks(range(0, 20, 10), OFF)
+    frames += sender.tick(20, OFF, SafetyBlow(Chamber.N, True, 0.015))
+    frames += sender.tick(30, OFF, SafetyBlow(Chamber.N, True, 0.005))
+    changes = unit.advance(50 * MS, frames)
+    assert changes == [(20_500_000, (0.0, 0.98, 0.0)), (35_500_000, DE_ENERGISED)]
+
+
+def test_blow_ends_by_itself_when_its_frames_are_delayed() -> None:
+    unit, sender = driver(), Controller()
+    frames = sender.ticks(range(0, 20, 10), OFF)
+    frames += sender.tick(20, OFF, SafetyBlow(Chamber.F, True, 0.0125))
+    assert unit.advance(60 * MS, frames)[-1] == (33_000_000, DE_ENERGISED)
+
+
+def test_blow_keeps_a_larger_commanded_duty_and_other_chambers() -> None:
+    unit, sender = driver(), Controller()
+    blow = SafetyBlow(Chamber.B, True, 0.1)
+    command = ValveCommand(1.0, 0.0, 0.5, Gear.BACKWARD)
+    changes = unit.advance(20 * MS, sender.ticks(range(0, 20, 10), command, blow))
+    assert changes == [(10_500_000, (1.0, 0.0, 0.5))]
+
+
+def test_blow_without_chamber_or_not_active_does_nothing() -> None:
+    for blow in (SafetyBlow(Chamber.NONE, True, 0.1), SafetyBlow(Chamber.N, False, 0.1)):
+        assert driver().advance(50 * MS, Controller().ticks(range(0, 50, 10), OFF, blow)) == []
+
+
+def test_blow_is_cut_by_an_inactive_frame_by_the_limit_and_by_a_dead_controller() -> None:
+    unit, sender = driver(), Controller()
+    blow = SafetyBlow(Chamber.N, True, 0.15)
+    frames = sender.ticks(range(0, 20, 10), OFF, blow) + sender.tick(20, OFF, NO_BLOW)
+    assert unit.advance(30 * MS, frames)[-1] == (20_500_000, DE_ENERGISED)
+    capped = driver(ValveDriverConfig(blow_limit_s=0.005))
+    frames = Controller().ticks(range(0, 20, 10), OFF, SafetyBlow(Chamber.N, True, 4.0))
+    assert capped.advance(30 * MS, frames)[-1] == (15_500_000, DE_ENERGISED)
+    dead = driver()
+    frames = Controller().ticks(range(0, 20, 10), OFF, blow)
+    assert dead.advance(300 * MS, frames)[-1] == (60_300_000, DE_ENERGISED)
+
+
+# --- damage ------------------------------------------------------------------------------------
+def test_other_frames_are_passed_over() -> None:
+    unit = driver()
+    other = codec.encode(PlantMotion(0.0, 0.0, 0.0, 0.0))
+    strange = Frame(0x123, b"")
+    assert unit.advance(5 * MS, [(1 * MS, other), (2 * MS, strange)]) == []
+
+
+def test_single_lost_and_repeated_frames_change_nothing() -> None:
+    unit, sender = driver(), Controller()
+    frames = sender.ticks(range(0, 200, 10))
+    kept = [f for i, f in enumerate(frames) if i not in (8, 9, 20, 31)]
+    kept.insert(13, (kept[12][0], kept[12][1]))
+    assert unit.advance(195 * MS, kept) == [(10_500_000, ON_B)]
+
+
+def test_frozen_counter_de_energises() -> None:
+    unit, sender = driver(), Controller()
+    frames = sender.ticks(range(0, 50, 10))
+    frozen = [(t + i * 10 * MS, f) for i in range(1, 20) for t, f in frames[-2:]]
+    changes = unit.advance(300 * MS, frames + frozen)
+    assert changes[1] == (70_300_000, DE_ENERGISED)  # no good frame among the last three
+    assert len(changes) == 2
+
+
+def test_a_sender_whose_counter_never_settles_does_not_keep_an_old_command_in_force() -> None:
+    unit, sender = driver(), Controller()
+    frames = sender.ticks(range(0, 30, 10))
+    counter = 3
+    for t in range(30, 500, 10):  # jump, step, jump, step: never a good frame
+        counter = (counter + (7 if t % 20 else 1)) % 16
+        for at, frame in sender.tick(t):
+            kind = ValveCommand if at % MS == 300_000 else SafetyBlow
+            frames.append((at, with_counter(kind, frame, counter)))
+    changes = unit.advance(500 * MS, frames)
+    assert changes[1][1] == DE_ENERGISED
+    assert changes[1][0] <= 20_500_000 + 50 * MS
+    assert len(changes) == 2
+
+
+def test_masqueraded_frame_does_not_pass() -> None:
+    unit, sender = driver(), Controller()
+    frames = sender.ticks(range(0, 30, 10), OFF)
+    stranger = Controller().tick(30, OFF)[1][1]
+    frames += [(30 * MS, Frame(frames[0][1].can_id, stranger.data))]
+    assert unit.advance(35 * MS, frames) == []
+
+
+DAMAGE = st.lists(
+    st.tuples(st.integers(0, 39), st.binary(min_size=0, max_size=8)), min_size=1, max_size=12
+)
+
+
+def check_damaged(damage: list[tuple[int, bytes]]) -> None:
+    """Frames replaced by any bytes: the commanded valve or none, and none in the end."""
+    unit, sender = driver(), Controller()
+    frames = sender.ticks(range(0, 200, 10))
+    for index, data in damage:
+        t, frame = frames[index]
+        if data != frame.data:
+            frames[index] = (t, replace_data(frame, data))
+    for _, duties in unit.advance(400 * MS, frames):
+        assert duties in (ON_B, DE_ENERGISED)
+    assert unit.duties == DE_ENERGISED
+
+
+@settings(max_examples=300, deadline=None)
+@given(DAMAGE)
+def test_bytes_at_random_never_energise_a_wrong_valve(damage: list[tuple[int, bytes]]) -> None:
+    check_damaged(damage)
+
+
+@pytest.mark.slow
+@settings(max_examples=10_000, deadline=None)
+@given(DAMAGE)
+def test_ten_thousand_damaged_sequences(damage: list[tuple[int, bytes]]) -> None:
+    check_damaged(damage)
+
+
+def replace_data(frame: Frame, data: bytes) -> Frame:
+    return Frame(frame.can_id, data)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.integers(0, 39), st.integers(0, 63), st.integers(0, 63))
+def test_up_to_two_flipped_bits_are_always_found(index: int, first: int, second: int) -> None:
+    sender = Controller()
+    frames = sender.ticks(range(0, 200, 10))
+    t, frame = frames[index]
+    word = int.from_bytes(frame.data, "little") ^ (1 << first | 1 << second)
+    frames[index] = (t, replace_data(frame, word.to_bytes(8, "little")))
+    for _, duties in driver().advance(195 * MS, frames):
+        assert duties in (ON_B, DE_ENERGISED)
+
+
+# --- determinism -------------------------------------------------------------------------------
+@settings(deadline=None)
+@given(st.lists(st.integers(1, 400), max_size=12), st.sets(st.integers(0, 59), max_size=40))
+def test_changes_do_not_depend_on_how_often_the_driver_is_advanced(
+    cuts: list[int], lost: set[int]
+) -> None:
+    sender = Controller()
+    frames = sender.ticks(range(0, 150, 10))
+    frames += sender.ticks(range(150, 300, 10), OFF, SafetyBlow(Chamber.N, True, 0.0225))
+    frames = [f for i, f in enumerate(frames) if i not in lost]
+    whole = driver().advance(400 * MS, frames)
+    unit, pieces = driver(), []
+    for cut in [*sorted(cuts), 400]:
+        due = [f for f in frames if f[0] <= cut * MS]
+        frames = frames[len(due) :]
+        pieces += unit.advance(cut * MS, due)
+    assert pieces == whole
+
+
+def test_instants_out_of_order_are_refused() -> None:
+    unit, sender = driver(), Controller()
+    unit.advance(50 * MS, [])
+    with pytest.raises(ValueError, match="outside"):
+        unit.advance(60 * MS, sender.tick(0))
+    with pytest.raises(ValueError, match="go back"):
+        unit.advance(10 * MS, [])

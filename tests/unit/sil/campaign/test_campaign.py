@@ -1,0 +1,62 @@
+"""Campaign folders: conditions that are read, kept and refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from can_dbc.errors import InputError
+from plant.parameters import load
+from sil.campaign.campaign import campaign_toml, load_campaign
+from sil.campaign.simulate import simulate_campaign
+
+TEXT = """
+name = "one"
+rig = "fixed"
+atmosphere_pa = 101325.0
+temperature_k = 293.15
+sample_rate_hz = 10000.0
+
+[[stroke]]
+file = "stroke_001.csv"
+kind = "fixed"
+supply_pressure_pa = 900000.0
+commands = [[0.01, "1", 0.98]]
+"""
+
+
+def written(folder: Path, more: str = "") -> Path:
+    folder.mkdir()
+    (folder / "campaign.toml").write_text(TEXT + more, encoding="utf-8")
+    return folder
+
+
+def test_the_theoretical_flow_can_be_chosen_and_is_kept(tmp_path: Path) -> None:
+    mapped = load_campaign(str(written(tmp_path / "mapped")))
+    chosen = load_campaign(str(written(tmp_path / "chosen", 'flow_model = "theoretical"\n')))
+    arrivals = [
+        next(iter(simulate_campaign(campaign, load()))).arrival_s for campaign in (mapped, chosen)
+    ]
+    assert arrivals[1] - arrivals[0] == pytest.approx(1.26e-3, rel=0.1)
+    again = tmp_path / "again"
+    again.mkdir()
+    (again / "campaign.toml").write_text(campaign_toml(chosen, chosen.strokes), encoding="utf-8")
+    assert load_campaign(str(again)).strokes[0].conditions.theoretical_flow
+    assert not mapped.strokes[0].conditions.theoretical_flow
+
+
+def test_an_unknown_flow_model_is_refused(tmp_path: Path) -> None:
+    folder = written(tmp_path / "wrong", 'flow_model = "guessed"\n')
+    with pytest.raises(InputError, match=r"flow_model: 'guessed'; expected mapped, theoretical"):
+        load_campaign(str(folder))
+
+
+@pytest.mark.parametrize("name", ["../stroke.csv", "a/b.csv", "stroke\\u0000.csv", "stroke\\n.csv"])
+def test_a_file_that_is_no_name_beside_it_is_refused(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "wrong"
+    folder.mkdir()
+    text = TEXT.replace("stroke_001.csv", name)
+    (folder / "campaign.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match="expected a name beside"):
+        load_campaign(str(folder))

@@ -1,0 +1,290 @@
+"""Worst-case response times: the paper's case, one worked by hand, and the bus model as witness."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from can_dbc.contract import DBC_PATH
+from can_dbc.dbc import load_dbc, parse_dbc
+from can_dbc.errors import InputError
+from can_dbc.frame import Frame
+from sil.coupling.bus import BusModel
+from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
+from sil.coupling.response_times import (
+    PeriodicMessage,
+    contract_messages,
+    database_messages,
+    response_times,
+    transmission_ns,
+    utilisation,
+)
+
+US = 1_000
+MS = 1_000_000
+
+
+def standard(
+    name: str, can_id: int, period_ns: int, length: int = 7, jitter_ns: int = 0
+) -> PeriodicMessage:
+    """Seven bytes and 11 bits of identifier last exactly 1 ms at 125 kbit/s."""
+    return PeriodicMessage(name, can_id, period_ns, length, jitter_ns, extended=False)
+
+
+def test_the_case_that_refuted_the_older_analysis() -> None:
+    """Davis et al. 2007, table 3: the second instance of C is later than its first.
+
+    The analysis of 1994 gives 3 ms for C, in time; the right value is 3.5 ms, too late.
+    """
+    messages = [
+        replace(standard("A", 1, 2_500 * US), deadline_ns=2_500 * US),
+        replace(standard("B", 2, 3_500 * US), deadline_ns=3_250 * US),
+        replace(standard("C", 3, 3_500 * US), deadline_ns=3_250 * US),
+    ]
+    a, b, c = response_times(messages, 125_000)
+    assert (a.transmission_ns, b.transmission_ns, c.transmission_ns) == (MS, MS, MS)
+    assert (a.response_ns, b.response_ns, c.response_ns) == (2 * MS, 3 * MS, 3_500 * US)
+    assert (a.in_time, b.in_time, c.in_time) == (True, True, False)
+    assert (a.blocking_ns, b.blocking_ns, c.blocking_ns) == (MS, MS, 0)
+    assert c.instances == 2
+    assert utilisation(messages, 125_000) == Fraction(2, 5) + Fraction(4, 7)
+
+
+def test_a_case_worked_by_hand() -> None:
+    """125 kbit/s, 11 bits: C of 2, 7, 8 bytes are 0.6, 1.0, 1.08 ms; tau_bit 0.008 ms.
+
+    m1: T 2, J 0.2: B 1.08; R = 0.2 + 1.08 + 0.6 = 1.88.
+    m2: T 5: B 1.08; w = 1.08 + ceil((w + 0.208) / 2) 0.6 = 1.68; R = 2.68.
+    m3: T 10: B 0; w = ceil((w + 0.208) / 2) 0.6 + ceil((w + 0.008) / 5) 1.0 = 1.6; R = 2.68.
+    """
+    messages = [
+        standard("m3", 30, 10 * MS, length=8),
+        standard("m1", 10, 2 * MS, length=2, jitter_ns=200 * US),
+        standard("m2", 20, 5 * MS),
+    ]
+    results = response_times(messages, 125_000)
+    assert [r.name for r in results] == ["m1", "m2", "m3"]
+    assert [r.transmission_ns for r in results] == [600 * US, 1_000 * US, 1_080 * US]
+    assert [r.blocking_ns for r in results] == [1_080 * US, 1_080 * US, 0]
+    assert [r.response_ns for r in results] == [1_880 * US, 2_680 * US, 2_680 * US]
+    assert [r.instances for r in results] == [1, 1, 1]
+    assert [r.load for r in results] == [0.3, 0.2, pytest.approx(0.108)]
+    assert [r.deadline_ns for r in results] == [2 * MS, 5 * MS, 10 * MS]
+    assert [r.jitter_ns for r in results] == [200 * US, 0, 0]
+    assert all(r.in_time for r in results)
+
+
+def test_a_release_within_the_bit_of_arbitration_still_interferes() -> None:
+    """The same m3 waits for a second m1 when J_1 + tau_bit reaches past 2 - 1.6 ms."""
+
+    def last(jitter_ns: int) -> int:
+        messages = [
+            standard("m1", 10, 2 * MS, length=2, jitter_ns=jitter_ns),
+            standard("m2", 20, 5 * MS),
+            standard("m3", 30, 10 * MS, length=8),
+        ]
+        return response_times(messages, 125_000)[-1].response_ns
+
+    assert last(392 * US) == 2_680 * US
+    assert last(392 * US + 1) == 3_280 * US
+
+
+def test_a_response_at_the_deadline_is_in_time() -> None:
+    message = standard("m", 1, 10 * MS)
+    for deadline_ns, in_time in ((MS, True), (MS - 1, False)):
+        (result,) = response_times([replace(message, deadline_ns=deadline_ns)], 125_000)
+        assert (result.response_ns, result.in_time) == (MS, in_time)
+
+
+def test_own_jitter_counts_from_the_period() -> None:
+    (alone,) = response_times([standard("m", 1, 10 * MS, jitter_ns=3 * MS)], 125_000)
+    assert alone.response_ns == 4 * MS
+    (crowded,) = response_times([standard("m", 1, 2 * MS, jitter_ns=5 * MS)], 125_000)
+    assert crowded.instances > 1
+    assert crowded.response_ns == 6 * MS
+
+
+def test_standard_frames_win_against_extended_ones_of_equal_base() -> None:
+    """A standard frame sends RTR and IDE dominant where an extended one is recessive."""
+    extended = PeriodicMessage("extended", 0x100 << 18, 10 * MS)
+    later = PeriodicMessage("later", 0x0FF << 18 | 0x3FFFF, 10 * MS)
+    base = standard("standard", 0x100, 10 * MS)
+    names = [r.name for r in response_times([extended, base, later], 500_000)]
+    assert names == ["later", "standard", "extended"]
+
+
+@pytest.mark.parametrize("bitrate", [125_000, 250_000, 500_000, 1_000_000])
+def test_the_contract_at_each_bit_rate(bitrate: int) -> None:
+    """All released at once behind the longest other frame: R is a sum of frames of 160 bits."""
+    messages = contract_messages()
+    frame_ns = 160 * (10**9 // bitrate)
+    load = Fraction(frame_ns, 10 * MS) * Fraction(19, 2)
+    assert utilisation(messages, bitrate) == load
+    if load > 1:
+        with pytest.raises(InputError, match=r"worst-case load 121.6% at 125000 bit/s"):
+            response_times(messages, bitrate)
+        return
+    results = response_times(messages, bitrate)
+    assert len(results) == 10
+    for place, result in enumerate(results):
+        assert result.transmission_ns == frame_ns
+        last = place == len(results) - 1
+        assert result.response_ns == frame_ns * (place + (1 if last else 2))
+        assert result.in_time
+    assert [r.name for r in results[:2]] == ["ValveCommand", "SafetyBlow"]
+    assert results[-1].name == "PlantPressures"
+
+
+def test_a_faster_firmware_raises_the_load() -> None:
+    fast = dict.fromkeys(
+        ("ValveCommand", "SafetyBlow", "ControllerStatus", "PositionPulse"), 2_500 * US
+    )
+    results = {r.name: r for r in response_times(contract_messages(fast), 500_000)}
+    assert results["ValveCommand"].load == pytest.approx(0.128)
+    assert results["PlantPressures"].response_ns > 3_200 * US
+    assert results["PlantPressures"].in_time
+    with pytest.raises(InputError, match="expected at most 100 %"):
+        response_times(contract_messages(fast), 250_000)
+
+
+def test_jitter_by_name() -> None:
+    plain = {r.name: r for r in response_times(contract_messages(), 500_000)}
+    late = {
+        r.name: r for r in response_times(contract_messages(jitter_ns={"Etc1": 2 * MS}), 500_000)
+    }
+    assert late["Etc1"].response_ns == plain["Etc1"].response_ns + 2 * MS
+
+
+@pytest.mark.parametrize("given", [{"period_ns": {"Grant": 1}}, {"jitter_ns": {"Valve": 1}}])
+def test_unknown_names_are_refused(given: dict[str, dict[str, int]]) -> None:
+    with pytest.raises(InputError, match=r"is not a periodic message; expected one of Shift"):
+        contract_messages(**given)
+
+
+def test_full_load_without_slack_is_refused_not_searched_for_ever() -> None:
+    full = [standard("a", 1, 2 * MS), standard("b", 2, 2 * MS)]
+    results = response_times(full, 125_000)  # b is not blocked: exactly back to back
+    assert [r.response_ns for r in results] == [2 * MS, 2 * MS]
+    never_idle = [*full[:1], standard("b", 2, 4 * MS), standard("c", 3, 4 * MS)]
+    # b: behind c and a until 2 ms, when the next a is there as well.
+    assert [r.response_ns for r in response_times(never_idle, 125_000)] == [
+        2 * MS,
+        4 * MS,
+        4 * MS,
+    ]
+    with pytest.raises(InputError, match="b: with the more urgent messages it loads the bus so"):
+        response_times([standard("a", 1, 2 * MS), standard("b", 2, 2 * MS, jitter_ns=1)], 125_000)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        replace(standard("w", 9, MS), period_ns=0),
+        replace(standard("w", 9, MS), period_ns=-1),
+        replace(standard("w", 9, MS), jitter_ns=-1),
+    ],
+)
+def test_malformed_messages_are_refused(wrong: PeriodicMessage) -> None:
+    with pytest.raises(InputError, match="w: period"):
+        response_times([wrong], 500_000)
+
+
+def test_shared_identifiers_are_refused() -> None:
+    pair = [standard("a", 5, 10 * MS), standard("b", 5, 20 * MS)]
+    with pytest.raises(InputError, match="a and b share identifier 0x5"):
+        response_times(pair, 500_000)
+    other_format = PeriodicMessage("b", 5, 20 * MS)
+    assert len(response_times([pair[0], other_format], 500_000)) == 2
+
+
+def test_no_messages_no_results() -> None:
+    assert response_times([], 500_000) == ()
+    assert utilisation([], 500_000) == 0
+
+
+def test_a_foreign_database() -> None:
+    assert database_messages(load_dbc(DBC_PATH)) == contract_messages()
+    text = (
+        "BU_: A\n"
+        "BO_ 5 Slow: 3 A\n\n"
+        "BO_ 6 Event: 8 A\n\n"
+        'BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;\n'
+        'BA_DEF_DEF_ "GenMsgCycleTime" 0;\n'
+    )
+    attribute = 'BA_ "GenMsgCycleTime" BO_ 5 100;\n'
+    (slow,) = database_messages(parse_dbc((text + attribute).encode()))
+    assert slow == PeriodicMessage("Slow", 5, 100 * MS, 3, extended=False)
+    with pytest.raises(InputError, match="no message has a cycle time"):
+        database_messages(parse_dbc(text.encode()))
+    long = text.replace("Slow: 3", "Slow: 9") + attribute
+    with pytest.raises(InputError, match="Slow: 9 bytes; expected at most 8"):
+        database_messages(parse_dbc(long.encode()))
+
+
+@st.composite
+def message_sets(draw: st.DrawFn) -> tuple[list[PeriodicMessage], int]:
+    """Up to six messages whose worst-case load is at most 1, and a bit rate."""
+    bitrate = draw(st.sampled_from((125_000, 250_000, 500_000)))
+    number = draw(st.integers(1, 6))
+    ids = draw(
+        st.lists(st.integers(0, (1 << 29) - 1), min_size=number, max_size=number, unique=True)
+    )
+    messages = []
+    for place, can_id in enumerate(ids):
+        length = draw(st.integers(0, 8))
+        message = PeriodicMessage(f"m{place}", can_id, 10**9, length)
+        share = draw(st.floats(1.1, 3.0))
+        period_ns = int(transmission_ns(message, bitrate) * number * share)
+        jitter_ns = draw(st.integers(0, period_ns))
+        messages.append(replace(message, period_ns=period_ns, jitter_ns=jitter_ns))
+    return messages, bitrate
+
+
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_no_simulated_frame_is_later_than_the_worst_case(data: st.DataObject) -> None:
+    """Any phasing, any payload, any jitter up to the bound."""
+    messages, bitrate = data.draw(message_sets())
+    rng = data.draw(st.randoms(use_true_random=False))
+    bound = {r.can_id: r for r in response_times(messages, bitrate)}
+    bus = BusModel(bitrate)
+    end_ns = 12 * max(message.period_ns for message in messages)
+    due: dict[tuple[int, int], int] = {}
+    for message in messages:
+        phase_ns = rng.choice((0, rng.randrange(message.period_ns)))
+        latest_ns = 0
+        for period_ns in range(phase_ns, end_ns, message.period_ns):
+            late_ns = rng.choice((0, message.jitter_ns, rng.randint(0, message.jitter_ns)))
+            latest_ns = max(latest_ns + 1, period_ns + late_ns)  # a sender keeps its order
+            payload = rng.choice((bytes(8), b"\xff" * 8, rng.randbytes(8)))[: message.length]
+            bus.queue(latest_ns, Frame(message.can_id, payload), message.name)
+            due[message.can_id, latest_ns] = period_ns
+    arrived = bus.advance(10 * end_ns)
+    assert len(arrived) == len(due)
+    for delivery in arrived:
+        can_id = delivery.frame.can_id
+        response_ns = delivery.arrival_ns - due[can_id, delivery.queued_ns]
+        # The analysis counts the intermission after the frame as well.
+        assert response_ns + INTERMISSION_BITS * bus.bit_ns <= bound[can_id].response_ns
+
+
+@pytest.mark.parametrize("bitrate", [250_000, 500_000, 1_000_000])
+def test_the_bound_is_reached_but_for_the_stuffing(bitrate: int) -> None:
+    """The contract, all released just after the least urgent frame has started."""
+    results = response_times(contract_messages(), bitrate)
+    bus = BusModel(bitrate)
+    blocker = results[-1]
+    bus.queue(0, Frame(blocker.can_id, bytes(8)), "blocker")
+    for result in results[:-1]:
+        bus.queue(1, Frame(result.can_id, bytes(8)), result.name)
+    spared_bits = 160 - frame_bits(blocker.can_id, bytes(8)) - INTERMISSION_BITS
+    for delivery, result in zip(bus.advance(10**9)[1:], results, strict=False):
+        assert delivery.frame.can_id == result.can_id
+        spared_bits += 160 - frame_bits(result.can_id, bytes(8)) - INTERMISSION_BITS
+        response_ns = delivery.arrival_ns - 1 + INTERMISSION_BITS * bus.bit_ns
+        assert response_ns == result.response_ns - spared_bits * bus.bit_ns - 1
+        assert response_ns > 0.85 * result.response_ns

@@ -1,0 +1,219 @@
+"""One participant's session against a scripted coordinator: what it answers, what it refuses."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from can_dbc.errors import InputError, RunError
+from can_dbc.frame import Frame
+from can_dbc.messages import StopReason
+from sil.coupling.transports import wire
+from sil.coupling.transports.link import Link, Session
+from sil.coupling.transports.wire import Control, Kind, Refusal
+
+CONTROLLER, PLANT = wire.PARTICIPANTS["controller"], wire.PARTICIPANTS["plant"]
+PULSE = Frame(0x0CFF2591, b"\x01\x02\x03")
+VALVES = Frame(0x08FF2003, b"\xff" * 8)
+
+
+class ScriptedLink(Link):
+    """Plays records to a session and keeps what it wrote."""
+
+    hello_again_s = 0.001
+
+    def __init__(self, *script: bytes) -> None:
+        self.script = deque(script)
+        self.written: list[tuple[int, bytes]] = []
+        self.welcomes = 0
+
+    def read(self, timeout_s: float | None) -> list[tuple[int, bytes]]:
+        if not self.script:
+            if timeout_s is None:
+                raise RunError("the script is over")
+            return []
+        return list(wire.split(self.script.popleft()))
+
+    def write(self, records: Sequence[bytes]) -> None:
+        self.written += [found for record in records for found in wire.split(record)]
+
+    def welcomed(self, number: int) -> None:
+        self.welcomes += 1
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def said(self) -> list[Control | None]:
+        return [wire.parse_control(*found) for found in self.written]
+
+
+def session(*script: bytes) -> tuple[Session, ScriptedLink]:
+    link = ScriptedLink(*script)
+    return Session("controller", link, scenario=0xABCD), link
+
+
+def grant(frames: int, now_ns: int, number: int = CONTROLLER) -> bytes:
+    return wire.control(Kind.GRANT, number, frames, now_ns)
+
+
+def test_hello_is_repeated_until_welcomed_and_names_version_and_scenario() -> None:
+    joining, link = session()
+    answers = iter([b"", b"", wire.control(Kind.WELCOME, PLANT, wire.VERSION, 1)])
+
+    def read(timeout_s: float | None) -> list[tuple[int, bytes]]:
+        hello = link.said()[-1]
+        assert hello is not None
+        nonce = hello.value & 0xFFFF
+        record = next(answers, wire.control(Kind.WELCOME, CONTROLLER, wire.VERSION, nonce))
+        return list(wire.split(record))
+
+    link.read = read  # type: ignore[method-assign]
+    joining.join(0, 5.0)
+    hellos = link.said()
+    assert len(hellos) >= 1 and link.welcomes == 1
+    assert set(hellos) == {hellos[0]}
+    hello = hellos[0]
+    assert hello is not None
+    assert (hello.kind, hello.participant, hello.extra) == (Kind.HELLO, CONTROLLER, wire.VERSION)
+    assert hello.value >> 16 == 0xABCD
+
+
+@pytest.mark.parametrize("refusal", list(Refusal))
+def test_a_refusal_is_told(refusal: Refusal) -> None:
+    joining, link = session()
+
+    def read(timeout_s: float | None) -> list[tuple[int, bytes]]:
+        hello = link.said()[-1]
+        assert hello is not None
+        record = wire.control(Kind.REFUSED, CONTROLLER, refusal, hello.value & 0xFFFF)
+        return list(wire.split(record))
+
+    link.read = read  # type: ignore[method-assign]
+    with pytest.raises(InputError, match=wire.reason(refusal)):
+        joining.join(0, 5.0)
+
+
+def test_nobody_there_is_told_after_the_timeout() -> None:
+    joining, link = session()
+    with pytest.raises(RunError, match=r"no coordinator answered within 0.01 s"):
+        joining.join(0, 0.01)
+    assert len(link.written) > 1
+
+
+def test_an_unknown_name_is_refused() -> None:
+    with pytest.raises(InputError, match="expected plant, controller, driver"):
+        Session("gearbox", ScriptedLink())
+
+
+def test_one_turn() -> None:
+    joined, link = session(
+        wire.control(Kind.START, value=10**9)
+        + wire.announced(PLANT, 5_000, PULSE)
+        + wire.announced(CONTROLLER, 6_000, VALVES)
+        + grant(1, 10_000)
+    )
+    assert joined.next_grant() == (10_000, [(5_000, PULSE)])
+    assert link.said() == [Control(Kind.DONE, CONTROLLER, 0, 0)]
+    link.written.clear()
+    joined.answer([(10_000, VALVES), (10_500, PULSE), (10_500, VALVES), (10_000, PULSE)], 20_000)
+    assert link.said() == [
+        None,
+        Control(Kind.RELEASE, CONTROLLER, 255, 10_500),
+        None,
+        None,
+        Control(Kind.RELEASE, CONTROLLER, 255, 10_000),
+        None,
+        Control(Kind.DONE, CONTROLLER, 4, 20_000),
+    ]
+    assert link.written[0] == (VALVES.can_id | 1 << 25, VALVES.data)
+    link.script.append(wire.control(Kind.STOP, StopReason.END, value=1))
+    assert joined.next_grant() is None
+    assert joined.ending is StopReason.END
+
+
+def test_what_is_meant_for_others_is_passed_over() -> None:
+    joined, link = session(
+        grant(7, 1, PLANT),
+        wire.control(Kind.SYNC, PLANT),
+        wire.control(Kind.SKIP, PLANT),
+        wire.control(Kind.RETIRE, PLANT),
+        wire.offer(PULSE),
+        wire.control(Kind.WELCOME, CONTROLLER, 1, 1),
+        wire.RECORD.pack(0x9FFF_FFFF, 3, b"abc"),
+        grant(0, 5),
+    )
+    assert joined.next_grant() == (5, [])
+    assert link.written == []
+    assert joined.foreign_frames == 1
+
+
+def test_sync_is_acknowledged_at_once() -> None:
+    joined, link = session(wire.control(Kind.SYNC, CONTROLLER), grant(0, 5))
+    assert joined.next_grant() == (5, [])
+    assert [said and said.kind for said in link.said()] == [Kind.ACK]
+
+
+def test_frames_for_which_the_node_is_deaf_are_not_heard_and_not_counted() -> None:
+    joined, _ = session(
+        wire.control(Kind.SKIP, CONTROLLER)
+        + wire.announced(PLANT, 1, PULSE)
+        + wire.announced(PLANT, 2, PULSE)
+        + grant(1, 3)
+    )
+    assert joined.next_grant() == (3, [(2, PULSE)])
+
+
+@pytest.mark.parametrize("place", [0, 1, 2, 3, 4])
+def test_strangers_frames_between_any_two_records_change_nothing(place: int) -> None:
+    stranger = wire.real(Frame(0x18FEF100, b"\x11" * 8))
+    time_1, frame_1 = wire.announced(PLANT, 1, PULSE)[:16], wire.real(PULSE)
+    time_2, frame_2 = wire.announced(PLANT, 2, VALVES)[:16], wire.real(VALVES)
+    records = [time_1, frame_1, time_2, frame_2, grant(2, 3)]
+    records.insert(place, stranger)
+    joined, _ = session(*records)
+    assert joined.next_grant() == (3, [(1, PULSE), (2, VALVES)])
+    assert joined.foreign_frames == 1
+
+
+@given(st.integers(0, 4), st.integers(1, 300))
+def test_a_lost_record_is_noticed(lost: int, count: int) -> None:
+    """Losing any announcement or frame shows at the next announcement or grant."""
+    records = []
+    for number in range(count):
+        announced = wire.announced(PLANT, number, Frame(0x0CFF2591, number.to_bytes(8, "big")))
+        records += [announced[:16], announced[16:]]
+    del records[(len(records) - 1) * lost // 4]
+    joined, _ = session(*records, grant(count, 10**6))
+    with pytest.raises(RunError, match="frames were lost"):
+        joined.next_grant()
+
+
+@pytest.mark.parametrize(
+    ("instant_ns", "frame"),
+    [
+        (9_999, VALVES),
+        (10_000, Frame(VALVES.can_id | 1 << 25, b"")),
+        (10_000, Frame(VALVES.can_id | 1 << 24, b"")),
+        (10_000, Frame(1 << 29, b"")),
+        (10_000, Frame(1, bytes(9))),
+    ],
+)
+def test_what_cannot_be_sent_is_an_error_of_the_node(instant_ns: int, frame: Frame) -> None:
+    joined, link = session(grant(0, 10_000))
+    joined.next_grant()
+    with pytest.raises(ValueError, match="controller at 10000 ns"):
+        joined.answer([(instant_ns, frame)], 20_000)
+    assert link.written == []
+    joined.fail()
+    assert [said and said.kind for said in link.said()] == [Kind.FAILED]
+
+
+@pytest.mark.parametrize("code", [StopReason.ABORTED, 2, 255])
+def test_every_other_stop_is_an_early_one(code: int) -> None:
+    joined, _ = session(wire.control(Kind.STOP, code, value=1))
+    assert joined.next_grant() is None
+    assert joined.ending is StopReason.ABORTED

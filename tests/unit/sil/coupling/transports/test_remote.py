@@ -1,0 +1,148 @@
+"""The coordinator's side of the protocol: what it takes from a participant, and what not."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from can_dbc.frame import Frame
+from sil.coupling.transports import remote, wire
+from sil.coupling.transports.channel import ParticipantLost, Patience
+from sil.coupling.transports.hub import Hub
+from sil.coupling.transports.remote import Peer
+from sil.coupling.transports.wire import Kind
+
+PLANT = wire.PARTICIPANTS["plant"]
+FRAME = Frame(0x0CFF2091, b"\x01\x02")
+
+
+def feed(peer: Peer, *records: bytes) -> None:
+    for record in records:
+        for can_id, payload in wire.split(record):
+            peer.take(can_id, payload)
+
+
+@pytest.fixture
+def peer() -> Peer:
+    granted = Peer("plant", PLANT)
+    granted.grant(1000)
+    return granted
+
+
+def test_a_turn_is_offers_with_their_releases_and_a_done(peer: Peer) -> None:
+    feed(
+        peer,
+        wire.offer(FRAME),
+        wire.control(Kind.RELEASE, PLANT, value=1500),
+        wire.offer(FRAME),
+        wire.control(Kind.RELEASE, PLANT, value=1000),
+        wire.offer(FRAME),
+        wire.control(Kind.DONE, PLANT, 3, 2000),
+    )
+    assert peer.turn() == ([(1000, FRAME), (1500, FRAME), (1000, FRAME)], 2000)
+    with pytest.raises(ParticipantLost, match="out of its turn"):
+        feed(peer, wire.offer(FRAME))
+
+
+def test_a_grant_counts_what_was_delivered_since_the_last_one(peer: Peer) -> None:
+    feed(peer, wire.control(Kind.DONE, PLANT, 0, 2000))
+    peer.delivered = 300
+    ((can_id, payload),) = wire.split(peer.grant(2000))
+    said = wire.parse_control(can_id, payload)
+    assert said == (Kind.GRANT, PLANT, 300 - 256, 2000)
+    assert peer.delivered == 0
+    with pytest.raises(ValueError, match="not finished"):
+        peer.turn()
+
+
+@pytest.mark.parametrize(
+    ("record", "complaint"),
+    [
+        (wire.real(FRAME), r"sent 0x0CFF2091 past the arbitration; expected an offer"),
+        (wire.control(Kind.DONE, PLANT + 1, 0, 2000), "spoke as participant number 2"),
+        (wire.control(Kind.RELEASE, PLANT, value=999), "at 999 ns; expected 1000 ns or later"),
+        (wire.control(Kind.DONE, PLANT, 1, 2000), r"offered 1 frames .*, 0 arrived"),
+        (wire.control(Kind.GRANT, PLANT, 0, 2000), "sent GRANT, which is not its to send"),
+        (wire.control(Kind.FAILED, PLANT), "failed; its own error output says why"),
+    ],
+)
+def test_what_is_against_the_rules_ends_the_run_by_name(
+    record: bytes, complaint: str, peer: Peer
+) -> None:
+    with pytest.raises(ParticipantLost, match=rf"^plant .*{complaint}") as lost:
+        feed(peer, record)
+    assert lost.value.participant == "plant"
+
+
+def test_a_babbler_is_stopped(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(remote, "MOST_OFFERS", 10)
+    feed(peer, *[wire.offer(FRAME)] * 10)
+    with pytest.raises(ParticipantLost, match="offered more than 10 frames in one turn"):
+        feed(peer, wire.offer(FRAME))
+
+
+@pytest.fixture
+def joined(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[tuple[Hub, socket.socket]]:
+    """A hub whose plant, a bare socket, has joined and named its first event."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
+    hub = Hub("run", ["plant"], patience=Patience(start_s=5.0, answer_s=0.25))
+    plant = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    plant.connect(str(hub.path))
+    plant.send(wire.control(Kind.HELLO, PLANT, wire.VERSION, 7))
+    waker = threading.Timer(0.05, plant.send, (wire.control(Kind.DONE, PLANT, 0, 0),))
+    waker.start()
+    assert hub.start(10**9) == {"plant": 0}
+    waker.join()
+    yield hub, plant
+    plant.close()
+    hub.close(aborted=True)
+
+
+def test_who_is_still_talking_has_not_stalled(joined: tuple[Hub, socket.socket]) -> None:
+    hub, plant = joined
+
+    def talk() -> None:
+        for _ in range(6):
+            time.sleep(0.1)
+            plant.send(wire.offer(FRAME))
+        plant.send(wire.control(Kind.DONE, PLANT, 6, 10))
+
+    talker = threading.Thread(target=talk)
+    hub.begin_turn(0, ["plant"])
+    talker.start()
+    assert hub.end_turn()["plant"] == ([(0, FRAME)] * 6, 10)
+    talker.join()
+
+
+def test_who_falls_silent_has_stalled(joined: tuple[Hub, socket.socket]) -> None:
+    hub, plant = joined
+    hub.begin_turn(0, ["plant"])
+    plant.send(wire.offer(FRAME))
+    started = time.monotonic()
+    with pytest.raises(ParticipantLost, match=r"plant did not answer within 0.25 s: it stalled"):
+        hub.end_turn()
+    assert 0.25 <= time.monotonic() - started < 2.0
+
+
+@pytest.mark.parametrize("garbage", [b"x", b"\xff" * 16, bytes(40_000)], ids=len)
+def test_garbage_from_a_participant_ends_the_run(
+    garbage: bytes, joined: tuple[Hub, socket.socket]
+) -> None:
+    hub, plant = joined
+    hub.begin_turn(0, ["plant"])
+    plant.send(garbage)
+    with pytest.raises(ParticipantLost, match="plant sent garbage: "):
+        hub.end_turn()
+
+
+def test_a_hang_up_is_noticed_between_turns(joined: tuple[Hub, socket.socket]) -> None:
+    hub, plant = joined
+    plant.close()
+    with pytest.raises(ParticipantLost, match="plant closed its connection"):
+        hub.idle(1.0)

@@ -1,0 +1,53 @@
+"""The catalogue as candidates: complete, neutral at rest, signs."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from plant.batch.prediction import copied
+from plant.effects import CATALOGUE
+from plant.parameters import load
+from plant.systems.setup import make_setup
+from sil.fitting.hypotheses import candidates, compatible
+from tests.unit.sil.diagnosis.made_campaign import conditions_of
+
+ALL = candidates(True, True, True)
+
+
+def test_every_named_cause_stands_in_the_search() -> None:
+    assert {item.id for item in ALL} == set(CATALOGUE) - {"unnamed"}
+    assert len({item.name for item in ALL}) == len(ALL)
+
+
+@pytest.mark.parametrize("item", ALL, ids=lambda item: item.name)
+def test_neutral_changes_nothing_and_starts_are_within_bounds(item) -> None:
+    if item.id != "hose_droop":
+        setup = make_setup(load(), conditions_of("N-B", 900000.0))
+        changed = copied(setup)
+        item.change(changed, {p.name: p.neutral for p in item.parameters})
+        from plant.kernel import layout as L
+
+        inert = (L.BUMP_X, L.BUMP_WIDTH, L.DETENT_WIDTH, L.ALPHA_V0)
+        kept = [k for k in range(len(setup.p)) if k not in inert]
+        assert np.array_equal(changed.p[kept], setup.p[kept])
+    for start in item.starts:
+        assert len(start) == len(item.parameters)
+        for value, parameter in zip(start, item.parameters, strict=True):
+            assert parameter.low <= value <= parameter.high
+        assert item.physical(dict(zip([p.name for p in item.parameters], start, strict=True)))
+
+
+def test_candidates_travel_by_name_and_variants_exclude_each_other() -> None:
+    twin = pickle.loads(pickle.dumps(ALL[0]))
+    assert twin == ALL[0]
+    variants = [item for item in ALL if item.id == "residual_pressure"]
+    assert len(variants) > 1 and not compatible(variants[1], (variants[0],))
+    assert compatible(variants[1], (ALL[0],))
+
+
+def test_fewer_channels_mean_fewer_candidates() -> None:
+    few = {item.id for item in candidates(False, False, False)}
+    assert not few & {"oil_aeration", "sensor_gain", "clock_skew", "free_play"}

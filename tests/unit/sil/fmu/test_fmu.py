@@ -1,0 +1,148 @@
+"""The exported units: valid, and the same numbers in another tool as here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fmpy import read_model_description, simulate_fmu
+from fmpy.validation import validate_fmu
+
+from can_dbc.messages import DrivelineSpeeds, Gear, PositionPulse, ShiftRequest
+from controller.firmware import ChannelState, Firmware, Inputs
+from plant.devices.valve import Valve, ValveTiming
+from plant.parameters import load
+from plant.systems.length_stroke import LengthStroke
+from sil.cli import main
+from sil.simulation import scenario
+
+MS = 1_000_000
+STEP_S = 0.001
+OPEN_MS, CLOSE_MS, END_MS = 10, 90, 200
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+
+@pytest.fixture(scope="module")
+def units(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("fmu")
+    found = {what: folder / f"{what}.fmu" for what in ("plant", "controller")}
+    for what, path in found.items():
+        assert main(["fmu", what, str(path), "--scenario", "lab_n_b"]) == 0
+    return found
+
+
+@pytest.mark.parametrize("what", ["plant", "controller"])
+def test_the_unit_is_valid(units: dict[str, Path], what: str) -> None:
+    assert validate_fmu(str(units[what])) == []
+    described = read_model_description(str(units[what]))
+    assert described.fmiVersion == "3.0" and described.coSimulation is not None
+    causalities = [v.causality for v in described.modelVariables]
+    assert causalities.count("input") >= 3 and causalities.count("output") >= 8
+
+
+def native() -> np.ndarray:
+    """Position, pressures at every millisecond of the same stroke, without the unit."""
+    parameters = load()
+    valve = Valve(ValveTiming.from_parameters(parameters))
+    valve.command(OPEN_MS * MS, 1.0)
+    valve.command(CLOSE_MS * MS, 0.0)
+    switches = [(t, 0, u) for t, u in valve.moves(END_MS * MS)]
+    stroke = LengthStroke(parameters, initial="N")
+    wanted = np.arange(1, END_MS + 1, dtype=np.int64) * MS
+    y = stroke.advance(END_MS * MS, switches, wanted)
+    columns = [stroke.columns.index(n) for n in ("position_m", "pressure_B_pa", "pressure_N_pa")]
+    assert y[-1, columns[0]] == pytest.approx(0.01285)  # the stroke was made
+    return np.asarray(y[:, columns])
+
+
+def test_another_tool_gets_the_same_stroke(units: dict[str, Path]) -> None:
+    commands = np.array(
+        [(0.0, 0.0), (OPEN_MS * STEP_S - 1e-9, 0.0), (OPEN_MS * STEP_S, 1.0),
+         (CLOSE_MS * STEP_S - 1e-9, 1.0), (CLOSE_MS * STEP_S, 0.0)],
+        dtype=[("time", np.float64), ("duty_b", np.float64)],
+    )  # fmt: skip
+    found = simulate_fmu(
+        str(units["plant"]),
+        start_time=0.0,
+        stop_time=END_MS * STEP_S,
+        step_size=STEP_S,
+        output_interval=STEP_S,
+        input=commands,
+        output=["position_m", "pressure_b_pa", "pressure_n_pa"],
+    )
+    here = native()
+    there = np.column_stack([found[n] for n in ("position_m", "pressure_b_pa", "pressure_n_pa")])
+    assert len(there) == END_MS + 1
+    np.testing.assert_allclose(there[1:], here, rtol=1e-6, atol=1e-9)
+
+
+def test_the_firmware_unit_answers_as_the_firmware_does(units: dict[str, Path]) -> None:
+    # seen by the sensor every 10 ms; the driver asks at 0.3 s, and from 0.35 s the stay moves
+    times = np.arange(0.0, 0.6, 0.01)
+    inputs = np.zeros(
+        len(times),
+        dtype=[("time", float), ("pulse_s", float), ("coil_temperature_k", float),
+               ("sample_index", np.int32), ("request", np.int32)],
+    )  # fmt: skip
+    inputs["time"] = times
+    inputs["pulse_s"] = 0.0009 + 0.00028 * np.clip((times - 0.35) / 0.05, 0.0, 1.0)
+    inputs["coil_temperature_k"] = 293.15
+    inputs["sample_index"] = np.arange(len(times))
+    inputs["request"] = np.where(times >= 0.3, Gear.BACKWARD, Gear.NEUTRAL)
+    outputs = ["duty_b", "duty_n", "duty_f", "estimate_m", "state", "confirmed", "faults"]
+    found: Any = simulate_fmu(
+        str(units["controller"]),
+        stop_time=0.6,
+        step_size=0.01,
+        output_interval=0.01,
+        input=inputs,
+        output=outputs,
+    )
+    firmware = Firmware(scenario.load("lab_n_b").scenario.controller)
+    valid = ChannelState.VALID
+    for k, told in enumerate(inputs):
+        out = firmware.step(
+            10 * MS * k,
+            Inputs(
+                (PositionPulse(told["pulse_s"], told["coil_temperature_k"], k),),
+                ShiftRequest(Gear(told["request"])),
+                DrivelineSpeeds(0.0, 0.0),
+                *(valid, valid, valid),
+            ),
+        )
+        here = (
+            *(out.valves.duty_b, out.valves.duty_n, out.valves.duty_f, out.status.estimate_m),
+            *(out.status.state, out.status.confirmed, out.status.faults),
+        )
+        there = [found[name][k + 1] for name in outputs]
+        np.testing.assert_allclose(there, [float(value) for value in here], rtol=1e-12, atol=0.0)
+    assert found["duty_b"].max() > 0.9 and found["duty_b"][:30].max() == 0.0
+    assert {Gear.NEUTRAL, Gear.BACKWARD} <= set(found["confirmed"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["plant", "x.txt"], "expected OUT.fmu"),
+        (["plant", "none/x.fmu"], "no such folder"),
+        (["plant", "x.fmu", "--scenario", "lab_n_x"], "lab_n_b"),
+    ],
+)
+def test_bad_input_is_one_line(
+    arguments: list[str], told: str, tmp_path: Path, capsys: Any, monkeypatch: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["fmu", *arguments]) == 2
+    complaint = capsys.readouterr().err
+    assert told in complaint and complaint.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_file_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "x.fmu"
+    path.write_text("mine")
+    assert main(["fmu", "plant", str(path)]) == 2
+    assert path.read_text() == "mine"

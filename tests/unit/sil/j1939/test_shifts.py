@@ -1,0 +1,476 @@
+"""Shifts of a truck out of its log, through everything that real logs do to them."""
+
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from can_dbc.errors import InputError
+from sil.j1939.shifts import Shift, join_id, shifts, split_id, summarize
+from sil.logs import LogFrame, open_writer
+
+MS = 1_000_000
+START_NS = 1_700_000_000 * 10**9
+RATIOS = {1: 11.7, 2: 9.2, 3: 7.1, 4: 5.6, 5: 4.4, 6: 3.5, 7: 2.7, 8: 2.1}
+OUTPUT = 4000
+"""Output shaft speed in 0.125 rpm: 500 rpm."""
+
+NOT_AVAILABLE = 3
+Drive = list[tuple[int, int, int, int]]
+"""Shifts: begin and end in ms, from gear, to gear."""
+
+SEVEN: Drive = [
+    (2_000, 2_600, 0, 1),
+    (5_000, 5_850, 1, 2),
+    (8_000, 8_900, 2, 3),
+    (11_010, 11_770, 3, 5),
+    (15_000, 15_800, 5, 6),
+    (19_000, 20_020, 6, 4),
+    (24_000, 24_700, 4, 5),
+]
+
+
+def etc1(
+    time_ms: float, flag: int, ratio: float | None = None, source: int = 3, channel: str = "can0"
+) -> LogFrame:
+    words = bytes(4 * (0xFF,))
+    if ratio is not None:
+        raw_in = min(round(OUTPUT * ratio), 0xFAFF)
+        words = OUTPUT.to_bytes(2, "little") + raw_in.to_bytes(2, "little")
+    data = bytes((0xCC | flag << 4,)) + words[:2] + b"\xff\xf0" + words[2:] + b"\xff"
+    can_id = join_id(3, 61442, source)
+    return LogFrame(START_NS + round(time_ms * MS), can_id, data, channel=channel)
+
+
+def etc2(
+    time_ms: float,
+    current: int | None,
+    selected: int | None,
+    source: int = 3,
+    channel: str = "can0",
+) -> LogFrame:
+    raw = [0xFF if gear is None else gear + 125 for gear in (selected, current)]
+    data = bytes((raw[0], 0xFF, 0xFF, raw[1], 0xFF, 0xFF, 0xFF, 0xFF))
+    can_id = join_id(6, 61445, source)
+    return LogFrame(START_NS + round(time_ms * MS), can_id, data, channel=channel)
+
+
+def gear_at(drive: Drive, time_ms: float, lag_ms: float = 0.0) -> tuple[int, int]:
+    """Current and selected gear: neutral while shifting, the new one `lag_ms` after the end."""
+    current = selected = drive[0][2]
+    for begin, end, old, new in drive:
+        if time_ms >= begin:
+            selected = new
+            current = 0 if time_ms < end + lag_ms else new
+            if time_ms < begin + 150:
+                current = old
+    return current, selected
+
+
+def truck(
+    drive: Drive = SEVEN,
+    *,
+    flags: bool = True,
+    gears: bool = True,
+    speeds: bool = False,
+    lag_ms: float = 60.0,
+    period_ms: int = 10,
+    end_ms: int = 28_000,
+    source: int = 3,
+    channel: str = "can0",
+) -> list[LogFrame]:
+    """A truck's log: ETC1 at 100 Hz, ETC2 at 10 Hz, and what else is on its bus."""
+    rng = random.Random(7)
+    found = []
+    for time_ms in range(0, end_ms, period_ms):
+        shifting = any(begin <= time_ms < end for begin, end, _, _ in drive)
+        current, selected = gear_at(drive, time_ms, lag_ms)
+        ratio = None
+        if speeds:
+            ratio = RATIOS.get(current) or rng.uniform(1.0, 15.0)
+        flag = int(shifting) if flags else NOT_AVAILABLE
+        found.append(etc1(time_ms + rng.uniform(0, 0.4), flag, ratio, source, channel))
+        if gears and time_ms % 100 == 30:
+            found.append(etc2(time_ms + 0.5, current, selected, source, channel))
+        if time_ms % 20 == 0:
+            engine = LogFrame(found[-1].time_ns + 1000, 0x0CF00400, rng.randbytes(8))
+            found.append(engine._replace(channel=channel))
+    return found
+
+
+def plain(found: Iterable[Shift]) -> list[tuple[int, int, int | None, int | None]]:
+    """Shifts in whole tens of milliseconds, as a drive is written."""
+    return [
+        (
+            (shift.start_ns - START_NS) // (10 * MS) * 10,
+            (shift.end_ns - START_NS) // (10 * MS) * 10,
+            shift.from_gear,
+            shift.to_gear,
+        )
+        for shift in found
+    ]
+
+
+def test_identifiers_are_split() -> None:
+    parts = split_id(0x18FEF100)
+    assert (parts.priority, parts.pgn, parts.source) == (6, 65265, 0)
+    assert split_id(0x0CF00203).pgn == 61442
+    assert split_id(0x18EAFF0B).destination == 0xFF
+    assert split_id(0x18EA0B27).pgn == 0xEA00
+
+
+def test_seven_shifts_of_a_truck() -> None:
+    found = shifts(truck())
+    assert plain(found) == SEVEN
+    assert found[1].duration_s == pytest.approx(0.85, abs=0.001)
+    assert {shift.method for shift in found} == {"flag"}
+    assert {shift.source for shift in found} == {3}
+
+
+@pytest.mark.parametrize("suffix", ["log", "asc", "blf", "trc", "mf4", "csv.gz"])
+def test_out_of_a_file_of_any_format(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"truck.{suffix}"
+    with open_writer(path) as writer:
+        for frame in truck():
+            writer.write(frame)
+    assert plain(shifts(path)) == SEVEN
+    summary = summarize(path)
+    assert plain(summary.shifts) == SEVEN
+    assert summary.unflagged == []
+    assert summary.groups[61442, 3] == 2800
+    lines = summary.lines()
+    assert lines[0] == f"7 shifts in {summary.frames} frames"
+    assert "1 to 2, source 0x03" in lines[2]
+    assert json.loads(json.dumps(summary.as_dict()))["shifts"][3]["to_gear"] == 5
+
+
+@pytest.mark.parametrize("lag_ms", [0.0, 90.0, 400.0, 900.0])
+def test_the_gear_may_be_told_late(lag_ms: float) -> None:
+    assert plain(shifts(truck(lag_ms=lag_ms))) == SEVEN
+
+
+def test_chatter_of_one_sample_is_left_out_and_counted() -> None:
+    """One sample up in rest, one sample down in a shift, and one at each edge."""
+    log = truck()
+    odd = {3_500, 5_400, 11_000, 19_500}
+    chattering = [
+        frame._replace(data=bytes((frame.data[0] ^ 0x10,)) + frame.data[1:])
+        if frame.can_id & 0xFFFF00 == 0xF00200 and (frame.time_ns - START_NS) // MS in odd
+        else frame
+        for frame in log
+    ]
+    summary = summarize(chattering)
+    begun = list(SEVEN)
+    begun[3] = (11_000, *SEVEN[3][1:])
+    assert plain(summary.shifts) == begun
+    assert summary.chatter == 3
+    assert [shift.chatter for shift in summary.shifts] == [0, 1, 0, 0, 0, 1, 0]
+
+
+def test_not_available_samples_change_nothing() -> None:
+    rng = random.Random(3)
+    log = [
+        frame._replace(data=bytes((rng.choice((0xFC, 0xEC)),)) + frame.data[1:])
+        if frame.can_id & 0xFFFF00 == 0xF00200 and rng.random() < 0.3
+        else frame
+        for frame in truck()
+    ]
+    found = shifts(log)
+    assert len(found) == 7
+    for shift, (begin, end, old, new) in zip(found, SEVEN, strict=True):
+        assert shift.start_ns - START_NS == pytest.approx(begin * MS, abs=100 * MS)
+        assert shift.end_ns - START_NS == pytest.approx(end * MS, abs=100 * MS)
+        assert (shift.from_gear, shift.to_gear) == (old, new)
+
+
+def test_without_the_flag_the_gears_tell() -> None:
+    found = shifts(truck(flags=False))
+    assert {shift.method for shift in found} == {"gear"}
+    assert [(shift.from_gear, shift.to_gear) for shift in found] == [
+        (old, new) for _, _, old, new in SEVEN
+    ]
+    for shift, (begin, end, _, _) in zip(found, SEVEN, strict=True):
+        if shift.from_gear:
+            assert shift.start_ns - START_NS == pytest.approx((begin + 150) * MS, abs=130 * MS)
+        assert shift.end_ns - START_NS == pytest.approx((end + 60) * MS, abs=130 * MS)
+
+
+def test_without_etc1_the_gears_tell() -> None:
+    log = [frame for frame in truck() if split_id(frame.can_id).pgn != 61442]
+    assert [(s.from_gear, s.to_gear) for s in shifts(log)] == [(o, n) for _, _, o, n in SEVEN]
+
+
+def test_a_flag_that_never_moves_leaves_it_to_the_gears() -> None:
+    log = truck(flags=False)
+    still = [
+        frame._replace(data=b"\xcc" + frame.data[1:])
+        if split_id(frame.can_id).pgn == 61442
+        else frame
+        for frame in log
+    ]
+    assert len(shifts(still)) == 7
+
+
+def test_without_etc2_gears_are_unknown() -> None:
+    found = shifts(truck(gears=False))
+    assert plain(found) == [(begin, end, None, None) for begin, end, _, _ in SEVEN]
+    assert all(shift.from_ratio is None for shift in found)
+    assert "? to ?" in str(found[0])
+
+
+def test_without_etc2_ratios_of_the_shafts_tell_gears() -> None:
+    found = shifts(truck(gears=False, speeds=True), gear_ratios=RATIOS)
+    wanted = [(begin, end, old or None, new) for begin, end, old, new in SEVEN]
+    assert plain(found)[1:] == wanted[1:]
+    for shift, (_, _, old, new) in zip(found, SEVEN, strict=True):
+        if old:
+            assert shift.from_ratio == pytest.approx(RATIOS[old], rel=1e-3)
+        assert shift.to_ratio == pytest.approx(RATIOS[new], rel=1e-3)
+
+
+def test_gears_told_for_a_part_of_the_log_name_the_ratios_of_the_rest() -> None:
+    """ETC2 is lost from the fourth shift on; gears 5 and 3 are known by their ratio."""
+    log = [
+        frame
+        for frame in truck(speeds=True)
+        if split_id(frame.can_id).pgn != 61445 or frame.time_ns < START_NS + 14_000 * MS
+    ]
+    found = shifts(log)
+    assert (found[3].from_gear, found[3].to_gear) == (3, 5)
+    assert found[6].to_gear == 5
+
+
+def test_error_and_remote_and_standard_frames_are_passed_over() -> None:
+    rng = random.Random(5)
+    log = []
+    for frame in truck():
+        log.append(frame)
+        if rng.random() < 0.1:
+            log.append(frame._replace(remote=True, data=b""))
+            log.append(frame._replace(error=True, data=bytes(8), extended=False))
+            log.append(frame._replace(can_id=frame.can_id & 0x7FF, extended=False))
+    assert plain(shifts(log)) == SEVEN
+
+
+def test_transport_protocol_and_lockstep_twins_are_other_groups() -> None:
+    """TP frames whose data look like ETC1, and the same group in the extended data page."""
+    log = []
+    for frame in truck():
+        log.append(frame)
+        if split_id(frame.can_id).pgn == 61442:
+            flipped = bytes((frame.data[0] ^ 0x10,)) + frame.data[1:]
+            log.append(frame._replace(can_id=0x1CEBFF03, data=flipped))
+            log.append(frame._replace(can_id=frame.can_id | 1 << 25, data=flipped))
+            log.append(frame._replace(can_id=frame.can_id | 1 << 24, data=flipped))
+    assert plain(shifts(log)) == SEVEN
+
+
+def test_short_frames_are_told() -> None:
+    log = truck()
+    log[5] = log[5]._replace(can_id=join_id(3, 61442, 3), data=b"\xcc")
+    summary = summarize(log)
+    assert len(summary.shifts) == 7
+    assert summary.notes == ["1 ETC1 or ETC2 frames of fewer than 8 bytes"]
+
+
+def test_several_senders_are_followed_apart() -> None:
+    other: Drive = [(3_000, 3_500, 1, 2), (12_000, 12_800, 2, 4)]
+    log = sorted(truck() + truck(other, source=5), key=lambda frame: frame.time_ns)
+    found = shifts(log)
+    assert plain(s for s in found if s.source == 3) == SEVEN
+    assert plain(s for s in found if s.source == 5) == other
+    assert [s.start_ns for s in found] == sorted(s.start_ns for s in found)
+
+
+def test_gears_of_another_sender_serve() -> None:
+    """ETC1 from the clutch unit, ETC2 from the transmission: one of each on the bus."""
+    flags, gears = truck(gears=False, source=9), truck(flags=False, source=3)
+    log = flags + [frame for frame in gears if split_id(frame.can_id).pgn == 61445]
+    assert plain(shifts(sorted(log, key=lambda frame: frame.time_ns))) == SEVEN
+
+
+def test_a_gateway_shows_each_shift_once_more() -> None:
+    forwarded = [
+        frame._replace(time_ns=frame.time_ns + 3 * MS, channel="can1") for frame in truck()
+    ]
+    log = sorted(truck() + forwarded, key=lambda frame: frame.time_ns)
+    summary = summarize(log)
+    assert plain(summary.shifts) == SEVEN
+    assert summary.notes == ["shifts on channel can1 repeat those on can0"]
+
+
+def test_another_unit_that_repeats_the_flag_shows_no_shift_twice() -> None:
+    echo = [
+        frame._replace(time_ns=frame.time_ns + 8 * MS, can_id=frame.can_id & ~0xFF | 0x27)
+        for frame in truck(gears=False)
+        if split_id(frame.can_id).pgn == 61442
+    ]
+    summary = summarize(sorted(echo + truck(), key=lambda frame: frame.time_ns))
+    assert plain(summary.shifts) == SEVEN
+    assert {shift.source for shift in summary.shifts} == {3}
+    assert summary.notes == ["shifts of 0x27 repeat those of 0x03"]
+
+
+def test_gears_alone_on_another_channel_show_no_shift_twice() -> None:
+    forwarded = [
+        frame._replace(time_ns=frame.time_ns + 5 * MS, channel="can1")
+        for frame in truck()
+        if split_id(frame.can_id).pgn == 61445
+    ]
+    summary = summarize(sorted(truck() + forwarded, key=lambda frame: frame.time_ns))
+    assert plain(summary.shifts) == SEVEN and not summary.unflagged
+
+
+def test_gears_alone_of_two_senders_show_no_shift_twice() -> None:
+    gears = [f for f in truck(flags=False) if split_id(f.can_id).pgn == 61445]
+    echo = [f._replace(time_ns=f.time_ns + 40 * MS, can_id=f.can_id & ~0xFF | 0x27) for f in gears]
+    found = shifts(sorted(gears + echo, key=lambda frame: frame.time_ns))
+    assert [(s.from_gear, s.to_gear) for s in found] == [(old, new) for _, _, old, new in SEVEN]
+
+
+def test_without_gears_the_ratios_are_told() -> None:
+    found = shifts(truck(gears=False, speeds=True))
+    assert len(found) == 7
+    assert "? to ?, ratio 11.70 to 9.20" in str(found[1])
+
+
+def test_duplicated_frames_are_no_second_sample() -> None:
+    log = [frame for frame in truck() for _ in range(2)]
+    odd = START_NS + 3_500 * MS
+    log = [
+        frame._replace(data=b"\xdc" + frame.data[1:])
+        if split_id(frame.can_id).pgn == 61442 and odd <= frame.time_ns < odd + MS
+        else frame
+        for frame in log
+    ]
+    summary = summarize(log)
+    assert plain(summary.shifts) == SEVEN
+    assert summary.chatter == 1
+
+
+def test_shifts_cut_off_by_the_log_are_told() -> None:
+    log = [
+        frame for frame in truck() if START_NS + 2_300 * MS < frame.time_ns < START_NS + 24_400 * MS
+    ]
+    summary = summarize(log)
+    assert plain(summary.shifts) == SEVEN[1:6]
+    assert summary.unfinished == 2
+    assert "2 shifts without beginning or end in the log" in summary.lines()
+
+
+def test_a_clock_that_steps_back_joins_nothing() -> None:
+    """Ten hours back in the middle of a shift: that shift is told as unfinished."""
+    log = [
+        frame._replace(time_ns=frame.time_ns - 36_000 * 10**9)
+        if frame.time_ns > START_NS + 8_400 * MS
+        else frame
+        for frame in truck()
+    ]
+    summary = summarize(log)
+    assert len(summary.shifts) == 6
+    assert summary.unfinished >= 1
+    assert all(0 < shift.duration_s < 2 for shift in summary.shifts)
+    assert "the clock stepped back 1 times" in summary.notes[0]
+
+
+def test_slow_etc1_is_believed() -> None:
+    """At 100 ms a shift may be a single sample; that is no chatter."""
+    drive: Drive = [(2_000, 2_100, 1, 2), (5_000, 5_400, 2, 3)]
+    found = shifts(truck(drive, period_ms=100))
+    assert plain(found)[0][:2] == (2_000, 2_100)
+    assert len(found) == 2
+
+
+def test_gear_changes_outside_of_shifts_are_told_apart() -> None:
+    """Rolling out of gear at a stop is no flagged shift."""
+    log = truck()
+    late = [
+        frame
+        for frame in log
+        if not (split_id(frame.can_id).pgn == 61445 and frame.time_ns > START_NS + 26_500 * MS)
+    ]
+    late += [etc2(27_000 + 100 * i, 0, 0) for i in range(5)]
+    summary = summarize(sorted(late, key=lambda frame: frame.time_ns))
+    assert plain(summary.shifts) == SEVEN
+    assert [(s.from_gear, s.to_gear) for s in summary.unflagged] == [(5, 0)]
+    assert any("outside of flagged shifts" in line for line in summary.lines())
+
+
+def test_one_odd_gear_sample_is_chatter() -> None:
+    log = truck(flags=False)
+    at = next(
+        i
+        for i, frame in enumerate(log)
+        if split_id(frame.can_id).pgn == 61445 and frame.time_ns > START_NS + 17_500 * MS
+    )
+    log[at] = etc2((log[at].time_ns - START_NS) / MS, 11, 6)
+    summary = summarize(log)
+    assert len(summary.shifts) == 7
+    assert summary.chatter == 1
+
+
+@pytest.mark.parametrize(
+    ("log", "note"),
+    [
+        ([LogFrame(0, 0x18FEF100, bytes(8))], "no ETC1 (PGN 61442) and no ETC2 (PGN 61445)"),
+        ([etc1(i, NOT_AVAILABLE) for i in range(9)], "neither shift in process nor a current gear"),
+        ([], "no ETC1"),
+    ],
+)
+def test_logs_without_shifts_say_why(log: list[LogFrame], note: str) -> None:
+    summary = summarize(log)
+    assert summary.shifts == []
+    assert note in summary.notes[0]
+
+
+def test_a_missing_file_is_an_input_error(tmp_path: Path) -> None:
+    for read in (shifts, summarize):
+        reading: Callable[[Path], object] = read
+        with pytest.raises(InputError, match="No such file"):
+            reading(tmp_path / "missing.log")
+
+
+@st.composite
+def flag_logs(draw: st.DrawFn) -> tuple[list[LogFrame], Drive]:
+    """Any sequence of rests and shifts of at least three samples."""
+    time_ms, drive, log, gear = 0, [], [], 0
+    for _ in range(draw(st.integers(1, 8))):
+        time_ms += draw(st.integers(3, 80)) * 10
+        end = time_ms + draw(st.integers(3, 80)) * 10
+        drive.append((time_ms, end, gear, gear + 1))
+        time_ms, gear = end, gear + 1
+    end_ms = time_ms + 1_500
+    for t in range(0, end_ms, 10):
+        log.append(etc1(t, int(any(b <= t < e for b, e, _, _ in drive))))
+    return log, drive
+
+
+@given(flag_logs())
+@settings(deadline=None, max_examples=50)
+def test_any_flag_is_followed_to_the_sample(case: tuple[list[LogFrame], Drive]) -> None:
+    log, drive = case
+    assert [row[:2] for row in plain(shifts(log))] == [row[:2] for row in drive]
+
+
+@given(
+    st.lists(
+        st.builds(
+            LogFrame,
+            st.integers(0, 10**12),
+            st.sampled_from((0x0CF00203, 0x18F00503, 0x0CF00205, 0x18F00505)),
+            st.binary(max_size=8),
+        ),
+        max_size=60,
+    )
+)
+@settings(deadline=None)
+def test_no_traffic_breaks_the_finder(log: list[LogFrame]) -> None:
+    for shift in shifts(log):
+        assert shift.duration_s >= 0.0
+        assert shift.method in ("flag", "gear")

@@ -1,0 +1,117 @@
+"""Another commit's firmware: compared in a worktree that is gone afterwards, whatever happens."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from can_dbc.errors import InputError, RunError
+from can_dbc.messages import ValveCommand
+from controller.config import FirmwareConfig
+from sil.log_replay.firmware_under_test import ForeignUnit, OwnUnit
+from sil.log_replay.recorded_frames import OWN_IDS
+from sil.log_replay.replay import Order, replay
+from sil.log_replay.revision import checkout
+from tests.conftest import ROOT
+from tests.unit.sil.log_replay.golden_logs import arrivals, golden
+
+
+def git(folder: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(folder), "-c", "user.name=t", "-c", "user.email=t@t", *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+@pytest.fixture
+def repository(tmp_path: Path) -> Path:
+    """Two commits of the firmware: as it is, and one whose windows ask for one sample more."""
+    folder = tmp_path / "repository"
+    folder.mkdir()
+    for package in ("controller", "can_dbc"):
+        shutil.copytree(
+            ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__")
+        )
+    git(folder, "init", "--quiet", "--initial-branch=main")
+    git(folder, "add", ".")
+    git(folder, "commit", "--quiet", "-m", "as it is")
+    config = folder / "controller" / "firmware.py"
+    text = config.read_text()
+    changed = text.replace("OFF, Duties, ShiftContext", "OFF, Duties, ShiftContext  # changed")
+    changed = changed.replace(
+        "machine.driving:\n            b_ns",
+        "machine.driving and now_ns % 20_000_000 < 5_000_000:\n            b_ns",
+    )
+    assert changed != text
+    config.write_text(changed)
+    git(folder, "commit", "--quiet", "-a", "-m", "drives in every other period only")
+    return folder
+
+
+def test_two_commits_on_one_log(repository: Path) -> None:
+    log = str(golden("lab_n_b"))
+    with checkout("HEAD~1", repository) as tree:
+        assert not replay(Order(log, reference=(tree, "HEAD~1"))).differs
+        assert len(git(repository, "worktree", "list").splitlines()) == 2
+    with checkout("HEAD", repository) as tree:
+        found = replay(Order(log, reference=(tree, "HEAD")))
+    assert found.differs and found.labels == ("HEAD", "here")
+    assert found.comparison.first_command is not None
+    assert found.comparison.first_command.signals[0][0] == "ValveCommand.duty_b"
+    assert not tree.exists() and len(git(repository, "worktree", "list").splitlines()) == 1
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_the_worktree_is_gone_whatever_happens(
+    repository: Path, error: type[BaseException]
+) -> None:
+    with pytest.raises(error), checkout("HEAD", repository) as tree:
+        assert (tree / "controller" / "node.py").is_file()
+        raise error
+    assert not tree.exists()
+    assert len(git(repository, "worktree", "list").splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["no-such-commit", "--help", "", "HEAD~99"])
+def test_a_commit_that_is_not_there_is_refused(repository: Path, name: str) -> None:
+    with pytest.raises(InputError, match="--against"), checkout(name, repository):
+        pass
+    assert len(git(repository, "worktree", "list").splitlines()) == 1
+
+
+def test_code_outside_of_a_repository_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no git repository"), checkout("HEAD", tmp_path):
+        pass
+
+
+def test_a_foreign_unit_answers_as_our_own_does() -> None:
+    log = [a for a in arrivals("lab_n_b") if a.kind is not None]
+    own, foreign = OwnUnit(FirmwareConfig()), ForeignUnit(ROOT, FirmwareConfig(), "here")
+    try:
+        for tick in range(40):
+            now = tick * 10_000_000
+            heard = [(a.time_ns, a.frame) for a in log if now - 10_000_000 < a.time_ns <= now]
+            if tick == 25:
+                own.restart()
+                foreign.restart()
+            ours = own.step(now, heard)
+            assert foreign.step(now, heard) == ours
+            assert OWN_IDS[ours[0].can_id] is ValveCommand
+    finally:
+        foreign.close()
+
+
+def test_a_checkout_without_a_controller_is_refused(tmp_path: Path) -> None:
+    package = tmp_path / "controller"
+    package.mkdir()
+    (package / "__init__.py").write_text("raise RuntimeError('an older world')\n")
+    with pytest.raises(InputError, match=r"cannot be used: .*an older world"):
+        ForeignUnit(tmp_path, FirmwareConfig(), "old")
+
+
+def test_a_foreign_unit_that_ends_is_told() -> None:
+    unit = ForeignUnit(ROOT, FirmwareConfig(), "here")
+    with pytest.raises(RunError, match=r"here: its firmware ended: .*skips the tick"):
+        for now_ns in (0, 10_000_001):
+            unit.step(now_ns, [])

@@ -1,0 +1,122 @@
+"""Nodes that should not be there, clocks that drift, and what end-to-end protection counts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from can_dbc.codec import can_id_of
+from can_dbc.e2e import Protector
+from can_dbc.errors import InputError
+from can_dbc.frame import Frame, split_id
+from can_dbc.messages import Gear, ShiftRequest
+from sil.coupling.bus import BusModel
+from sil.coupling.faults import Babbling, Replayed, Spoofed
+from sil.nodes.drift import Drifting
+from sil.nodes.driver import DriverNode
+from sil.nodes.intruder import IntruderNode
+from sil.recording.end_to_end import EndToEnd
+from sil.recording.run_record import BusFrame, RunRecord
+from sil.simulation import scenario
+
+MS = 1_000_000
+REQUEST = Frame(can_id_of(ShiftRequest), bytes(8))
+
+
+def sent(
+    fault: Any, heard: dict[int, list[tuple[int, Frame]]] | None = None, until_ms: int = 100
+) -> list[tuple[int, Frame]]:
+    node = IntruderNode([fault], 500_000, 1)
+    at, found = node.start(), []
+    while at < until_ms * MS:
+        frames, following = node.advance(at, (heard or {}).get(at, []))
+        assert all(release >= at for release, _ in frames) and following == at + MS
+        found += frames
+        at = following
+    assert node.advance(at - 1, []) == ([], at)  # the run ends within a millisecond
+    node.close()
+    return found
+
+
+def test_babbling_takes_the_bus_while_it_lasts() -> None:
+    frames = sent(Babbling(load=0.5, priority=0, start_s=0.02, end_s=0.07))
+    bus = BusModel(500_000)
+    for release, frame in frames:
+        bus.queue(release, frame, "intruder")
+    bus.advance(100 * MS)
+    assert bus.load == pytest.approx(0.5 * 0.05 / 0.1, rel=0.05)
+    assert {split_id(frame.can_id).priority for _, frame in frames} == {0}
+    assert frames[0][0] >= 20 * MS and frames[-1][0] < 71 * MS
+
+
+def test_replayed_frames_come_again_once() -> None:
+    heard = {
+        5 * MS: [(4 * MS + 7, REQUEST), (5 * MS, Frame(1, b""))],
+        60 * MS: [(60 * MS, REQUEST)],
+    }
+    fault = Replayed(message="ShiftRequest", delay_s=0.03, end_s=0.05)
+    assert sent(fault, heard) == [(34 * MS + 7, REQUEST)]
+
+
+def test_spoofed_frames_are_drawn_by_the_seed() -> None:
+    fault = Spoofed(message="ShiftRequest", period_s=0.0025, start_s=0.01, end_s=0.03)
+    frames = sent(fault)
+    assert [release for release, _ in frames] == [10 * MS + k * 2_500_000 for k in range(8)]
+    assert frames == sent(fault)
+    assert len({frame.data for _, frame in frames}) == 8
+    assert {frame.can_id for _, frame in frames} == {REQUEST.can_id}
+
+
+@pytest.mark.parametrize("ppm", [0.0, 1000.0, -1000.0, 33.3])
+def test_a_drifting_clock_ticks_on_its_own_time(ppm: float) -> None:
+    node = Drifting(DriverNode(Gear.NEUTRAL, [(50 * MS, Gear.FORWARD)], 20 * MS, 3 * MS), ppm)
+    at, releases = node.start(), []
+    for _ in range(200):
+        assert node.name == "driver"
+        frames, following = node.advance(at, [(at, REQUEST)])
+        assert following > at and len(frames) == 1
+        releases += [release for release, _ in frames]
+        at = following
+    own = [release * (1.0 + 1e-6 * ppm) for release in releases]
+    assert own == pytest.approx([3 * MS + k * 20 * MS for k in range(200)], abs=1.0 + 1e-3)
+    assert node.advance(at - 5, [])[1] == at  # the run ends between two ticks
+    node.close()
+
+
+def test_a_drifting_node_that_stood_still_wakes_at_a_tick_of_its_own() -> None:
+    node = Drifting(DriverNode(Gear.NEUTRAL, [], 20 * MS), 1000.0)
+    first = node.start()
+    _, second = node.advance(first, [])
+    _, third = node.advance(second, [])
+    late = third + 5 * (third - second)
+    frames, following = node.advance(late, [])
+    assert len(frames) == 1 and following - late == pytest.approx(20 * MS / 1.001, abs=10)
+
+
+def test_what_the_checks_of_the_frames_found_is_counted() -> None:
+    sender = Protector(ShiftRequest)
+    good = [sender.protect(ShiftRequest(Gear.NEUTRAL)) for _ in range(6)]
+    forged = Frame(good[0].can_id, bytes(len(good[0].data)))
+    order = [(good[0], "driver"), (good[1], "driver"), (good[1], "intruder"), (forged, "intruder"),
+             (good[2], "intruder"), (good[4], "driver")]  # fmt: skip
+    frames = [BusFrame(k * MS, k * MS, who, frame) for k, (frame, who) in enumerate(order)]
+    checked = EndToEnd()
+    checked.add(RunRecord({}, [], frames[:3], 0.0, 0.0, 0.0))
+    checked.add(RunRecord({}, [], frames[3:], 0.0, 0.0, 0.0))
+    assert checked.told()["ShiftRequest"] == {
+        "ok": 2,
+        "ok, some lost": 1,
+        "repeated": 1,
+        "wrong sequence": 0,
+        "error": 1,
+        "initial": 1,
+        "sync": 0,
+        "intruder's taken": 1,
+    }
+
+
+def test_an_overloaded_bus_needs_a_limit_of_what_waits() -> None:
+    with pytest.raises(InputError, match=r"bus\.send_buffer: missing"):
+        scenario.load("lab_n_b", settings=["bus.extra_load=1.2"])
+    assert scenario.load("lab_n_b", settings=["bus.extra_load=1.2", "bus.send_buffer=8"])

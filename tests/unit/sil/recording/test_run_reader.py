@@ -1,0 +1,92 @@
+"""Runs judged piece by piece: the same figures and the same trace as in one piece."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from can_dbc.frame import Frame
+from sil.coupling.bus import Delivery
+from sil.recording import run_reader
+from sil.recording.frames import FrameReader, FrameWriter
+from sil.recording.recorder import TraceReader, TraceWriter
+from sil.recording.run_record import BusFrame
+from sil.simulation import metrics, runner, scenario
+
+SENDERS = ("driver", "controller")
+IDS = (0x0CFF2503, 0x18FF2690)
+
+
+def written(path: Path) -> list[BusFrame]:
+    frames = [
+        BusFrame(10 * k, 10 * k + 7, SENDERS[k % 2], Frame(IDS[k % 5 == 4], bytes(range(k % 9))))
+        for k in range(20)
+    ]
+    with FrameWriter(path, SENDERS) as writer:
+        for f in frames:
+            writer.record([Delivery(f.arrival_ns, f.frame, f.sender, f.released_ns)])
+    assert writer.frames == 20
+    return frames
+
+
+def test_frames_come_back_and_a_torn_last_one_is_left_out(tmp_path: Path) -> None:
+    frames = written(tmp_path / "bus.frames")
+    content = (tmp_path / "bus.frames").read_bytes()
+    (tmp_path / "bus.frames").write_bytes(content[:-1])
+    reader = FrameReader(tmp_path / "bus.frames", SENDERS)
+    assert reader.frames == 19
+    stored = reader.read(0, 19)
+    assert list(stored) == frames[:19] and list(reader.read(5, 7)) == frames[5:7]
+    assert stored[3] == frames[3] and stored[-1] == frames[18] and stored[2:9:3] == frames[2:9:3]
+    with pytest.raises(IndexError):
+        stored[19]
+    assert stored.identifiers() == [0x0CFF2503, 0x18FF2690]
+    assert list(stored.of_id(0x18FF2690)) == frames[4:19:5] and not list(stored.of_id(1))
+    assert reader.longest_way_ns == 7
+    assert [reader.first_from(at) for at in (0, 7, 8, 17, 187, 188)] == [0, 0, 1, 1, 18, 19]
+    reader.close()
+
+
+def test_rows_come_back_by_number(tmp_path: Path) -> None:
+    rows = np.arange(30.0).reshape(10, 3)
+    with TraceWriter(tmp_path / "trace", ("time_s", "a", "b")) as writer:
+        writer.write(rows)
+    with open(tmp_path / "trace", "ab") as file:
+        file.write(b"torn")
+    reader = TraceReader(tmp_path / "trace")
+    assert reader.rows == 10 and np.array_equal(reader.read(2, 5), rows[2:5])
+    assert [reader.first_from(value) for value in (-1.0, 0.0, 0.5, 3.0, 27.0, 28.0)] == [
+        *(0, 0, 1, 1, 9, 10)
+    ]
+
+
+@pytest.mark.parametrize(
+    "name", ["full_shift", pytest.param("lost_frames", marks=pytest.mark.slow)]
+)
+def test_in_many_pieces_or_one_the_result_is_the_same(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = []
+    for piece_s in (run_reader.PIECE_S, 0.07):
+        monkeypatch.setattr(run_reader, "PIECE_S", piece_s)
+        (folder := tmp_path / str(piece_s)).mkdir()
+        finished = runner.run(scenario.load(name), folder)
+        assert finished.result.complete and finished.record is not None
+        rows = len(finished.record.truth["time_s"])
+        found.append((finished, rows, (folder / "trace.csv").read_bytes()))
+        assert not list(folder.glob("*.part")) and not (folder / "bus.frames").exists()
+    (whole, rows, csv), (pieces, few, csv_of_pieces) = found
+    assert pieces.shifts == whole.shifts and csv_of_pieces == csv and few < rows / 5
+    for field in ("expectations", "metrics", "trace_sha256", "bus", "balances", "passed"):
+        assert getattr(pieces.result, field) == getattr(whole.result, field)
+
+
+def test_a_shift_is_followed_for_two_minutes_at_most() -> None:
+    changes = [(1.0, "a", "b"), (2.0, "b", "c"), (500.0, "c", "d")]
+    spans = metrics.spans(changes, 501.0)  # type: ignore[arg-type]
+    assert [(start, until) for start, _, _, until in spans] == [
+        *((1.0, 2.0), (2.0, 122.0), (500.0, 501.0))
+    ]
+    assert metrics.spans([], 3.0) == []

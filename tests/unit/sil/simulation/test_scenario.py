@@ -1,0 +1,300 @@
+"""Scenario files: what is read, what is refused, and what every complaint says."""
+
+from __future__ import annotations
+
+import copy
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from can_dbc.errors import InputError
+from sil.files import typed_toml
+from sil.simulation import scenario
+from sil.simulation.scenario import Scenario
+
+GOOD = """\
+name = "example"
+duration_s = 0.5
+[[request]]
+at_s = 0.1
+gear = "backward"
+"""
+
+
+def load(tmp_path: Path, text: str, **options: Any) -> scenario.Loaded:
+    file = tmp_path / "s.toml"
+    file.write_text(text)
+    return scenario.load(str(file), **options)
+
+
+def refused(tmp_path: Path, text: str, **options: Any) -> str:
+    with pytest.raises(InputError) as caught:
+        load(tmp_path, text, **options)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def test_defaults_are_those_of_the_parts(tmp_path: Path) -> None:
+    loaded = load(tmp_path, GOOD)
+    assert loaded.scenario.controller.period_s == 0.01
+    assert loaded.scenario.bus.bitrate == 500_000
+    assert loaded.parameters.value("valve.D_fall") == 0.035
+    expanded = scenario.expanded(loaded.scenario)
+    assert expanded["controller"]["filter"]["fc_hz"] == 22.0
+    assert scenario.restore(expanded, "x").scenario == loaded.scenario
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("nam = 1\n" + GOOD, "s.toml: nam: unknown; nearest: name"),
+        (GOOD.replace('"backward"', '"backwards"'), "request[0].gear: 'backwards' is unknown; "),
+        (GOOD.replace("0.5", "-1"), "s.toml: duration_s: -1 is wrong; expected float > 0.0"),
+        (GOOD.replace("0.5", "nan"), "s.toml: duration_s: nan is wrong; expected a finite number"),
+        (GOOD.replace("0.5", "inf"), "s.toml: duration_s: inf is wrong; expected a finite number"),
+        (GOOD.replace("0.5", "'x'"), "s.toml: duration_s: 'x' is wrong; expected float"),
+        (GOOD.replace("0.5", "0.1"), "request[0].at_s: 0.1; expected before the end, 0.1 s"),
+        (GOOD.replace("at_s = 0.1\n", ""), "request[0].at_s: missing; expected a value"),
+        (GOOD.replace('gear = "backward"', ""), "gear: missing; expected one of neutral, backward"),
+        (GOOD + GOOD[GOOD.index("[[") :], "request[1].at_s: 0.1; expected later than"),
+        (GOOD + "[controller]\nperiod = 1\n", "controller.period: unknown; expected one of blow, "),
+        (GOOD + "[controller]\nperiod_s = 9.0\n", "controller.period_s: 9.0 is wrong; expected"),
+        (GOOD + "[controller.filter]\nfc_hz = 60.0\n", "controller.filter.fc_hz: 60.0 is wrong"),
+        (GOOD + "[driveline]\nengine_ramp_rad_s2 = 0\n", "driveline: engine_ramp_rad_s2 must"),
+        (GOOD + "[[fault]]\nkind = 'los'\n", "fault[0].kind: 'los' is unknown; "),
+        (
+            GOOD + "[[fault]]\nkind = 'gremlin'\n",
+            "fault[0].kind: 'gremlin' is unknown; expected one",
+        ),
+        (GOOD + "[[fault]]\nkind = 'dead'\nnode = 'plant'\n", "fault[0].node: 'plant' is unknown"),
+        (
+            GOOD + "[[fault]]\nkind = 'stalled'\nnode = 'driver'\n",
+            "s.toml: fault[0].end_s: missing; expected a time",
+        ),
+        (GOOD + "[[sensor_fault]]\nkind = 'sticky'\n", "'sticky' is unknown; expected one of"),
+        (
+            GOOD + "[[sensor_fault]]\nkind = 'off'\nstart_s = 1e308\n",
+            "sensor_fault[0].start_s: 1e+308",
+        ),
+        (GOOD + "[model]\n'valve.D_fal' = 0.1\n", "valve.D_fal: no such parameter; nearest"),
+        (GOOD + "[model]\n'valve.D_fall' = 'x'\n", "model.valve.D_fall: 'x' is wrong"),
+        (GOOD + "[bus]\nbitrate = 300000\n", "bus.bitrate: 300000 is unknown; expected one of"),
+        (GOOD + "[expect.metrics]\nshift_tim_s = {max = 1}\n", "shift_tim_s"),
+        (GOOD + "[plant]\ncharged = ['N', 'N']\n", "plant.charged: a chamber twice"),
+        (GOOD + "[plant]\nsupply_pressure_pa = 1\n", "plant.supply_pressure_pa: 1 is wrong"),
+        ("a = [", "expected TOML"),
+        ("[[[", "expected TOML"),
+        ("", "name: missing"),
+    ],
+)
+def test_complaint(tmp_path: Path, text: str, told: str) -> None:
+    assert told in refused(tmp_path, text)
+
+
+def test_places_of_files(tmp_path: Path) -> None:
+    for where in ("no/such.toml", "lab_n_x", "x" * 5000, "a\0b"):
+        with pytest.raises(InputError):
+            scenario.load(where)
+    with pytest.raises(InputError, match=r"nearest: lab_n_[bf]"):
+        scenario.load("lab_n_x")
+    (tmp_path / "latin.toml").write_bytes(b'name = "\xe9"')
+    with pytest.raises(InputError, match="byte 8: not UTF-8"):
+        scenario.load(str(tmp_path / "latin.toml"))
+    (tmp_path / "r.json").write_text("[]")
+    with pytest.raises(InputError, match="no scenario in it"):
+        scenario.load(str(tmp_path / "r.json"))
+    with pytest.raises(InputError):
+        scenario.load(str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("setting", "path", "value"),
+    [
+        ("valve.D_fall=0.02", None, 0.02),
+        ("controller.period_s=0.005", "controller.period_s", 0.005),
+        ("controller.filter=false", "controller.filter.enabled", False),
+        ("controller.filter.order=2", "controller.filter.order", 2),
+        ("sensor.delay_s=0.003", "sensor.delay_s", 0.003),
+        ("bus.bitrate=250000", "bus.bitrate", 250_000),
+        ("request[0].gear=forward", "request.0.gear", "forward"),
+        ("plant.damper=compressible", "plant.damper", "compressible"),
+        ('plant.charged=["N"]', "plant.charged", ["N"]),
+        ("driveline.residual_rad_s=5", "driveline.residual_rad_s", 5.0),
+        ("expect.final_gear=neutral", "expect.final_gear", "neutral"),
+    ],
+)
+def test_set(tmp_path: Path, setting: str, path: str | None, value: object) -> None:
+    loaded = load(tmp_path, GOOD, settings=[setting])
+    if path is None:
+        assert loaded.parameters.value(setting.split("=")[0]) == value
+        return
+    at: Any = scenario.expanded(loaded.scenario)
+    for step in path.split("."):
+        at = at[int(step)] if step.isdigit() else at[step]
+    assert at == value
+
+
+def test_sensor_period_sets_the_firmwares_too(tmp_path: Path) -> None:
+    loaded = load(tmp_path, GOOD, settings=["sensor.period_s=0.005"])
+    assert loaded.scenario.controller.sensor.period_s == 0.005
+
+
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ("valve.D_fal=1", "--set valve.D_fal: no such value; nearest: valve.D_fall"),
+        ("controller.perod_s=1", "nearest: controller.period_s"),
+        ("sensor.dely_s=1", "nearest: sensor.delay_s"),
+        ("valve.D_fall", "no value; expected PATH=VALUE"),
+        ("=1", "no value; expected PATH=VALUE"),
+        ("valve.D_fall=abc", "--set: model.valve.D_fall: 'abc' is wrong; expected"),
+        ("controller.period_s=abc", "--set: controller.period_s: 'abc' is wrong; expected float"),
+        ("controller.period_s=nan", "--set: controller.period_s: nan is wrong"),
+        ("request[3].gear=neutral", "no such value"),
+        ("name.x=1", "no such value"),
+        ("plant.damper=wet", "--set: plant.damper: 'wet' is unknown; expected one of"),
+    ],
+)
+def test_set_is_refused(tmp_path: Path, setting: str, told: str) -> None:
+    assert told in refused(tmp_path, GOOD, settings=[setting])
+
+
+def test_model_file_and_seed(tmp_path: Path) -> None:
+    model = tmp_path / "m.toml"
+    model.write_text(
+        '[base]\nmodel = "nominal"\n[valve]\nD_fall = {value = 0.01, unit = "s", source = "test"}\n'
+    )
+    loaded = load(tmp_path, GOOD, model=str(model), seed=9)
+    assert loaded.parameters.value("valve.D_fall") == 0.01
+    assert loaded.scenario.seed == 9
+    assert "no such parameter set" in refused(tmp_path, GOOD, model="nominl")
+    assert "seed" in refused(tmp_path, GOOD, seed=-1)
+    near = load(tmp_path, 'model_set = "m.toml"\n' + GOOD)
+    assert near.parameters.value("valve.D_fall") == 0.01
+
+
+def test_every_settable_path_of_a_scenario_can_be_set_to_what_it_is() -> None:
+    loaded = scenario.load("lost_frames")
+    raw = scenario.expanded(loaded.scenario)
+    paths = list(typed_toml.leaf_paths(Scenario, raw))
+    assert len(paths) > 80
+    for path in paths:
+        before = copy.deepcopy(raw)
+        at: Any = raw
+        for step in path.replace("]", "").replace("[", ".").split("."):
+            at = at[int(step)] if isinstance(at, list) else at.get(step)
+        assert typed_toml.set_value(raw, Scenario, path, at), path
+        assert raw == before, path
+
+
+# --- files mutated at random ---------------------------------------------------------------------
+
+SHIPPED = [tomllib.loads(p.read_text()) for p in scenario.shipped().values()]
+NAMES = st.sampled_from(
+    ["name", "request", "gear", "at_s", "controller", "filter", "fault", "kind", "model", "expect"]
+) | st.text(max_size=6)
+VALUES: st.SearchStrategy[Any] = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(10**25), 10**25)
+    | st.floats()
+    | st.text(max_size=8)
+    | st.sampled_from(["neutral", "B", "loss", "controller", "", "PUSH"]),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner, max_size=3),
+    max_leaves=6,
+)
+
+
+def places(value: Any, steps: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    found = [steps] if steps else []
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            found += places(inner, (*steps, key))
+    elif isinstance(value, list):
+        for index, inner in enumerate(value):
+            found += places(inner, (*steps, index))
+    return found
+
+
+@st.composite
+def mutated(draw: st.DrawFn) -> dict[str, Any]:
+    table = copy.deepcopy(draw(st.sampled_from(SHIPPED)))
+    for _ in range(draw(st.integers(1, 3))):
+        candidates = places(table)
+        if not candidates:
+            break
+        steps = draw(st.sampled_from(candidates))
+        at: Any = table
+        for step in steps[:-1]:
+            at = at[step]
+        action = draw(st.sampled_from(["replace", "delete", "rename"]))
+        if action == "replace":
+            at[steps[-1]] = draw(VALUES)
+        elif action == "delete":
+            del at[steps[-1]]
+        elif isinstance(at, dict):
+            at[draw(NAMES)] = at.pop(steps[-1])
+    return table
+
+
+def check_taken_or_refused(table: dict[str, Any]) -> None:
+    try:
+        loaded = scenario.from_table(table, "s.toml")
+    except InputError as error:
+        told = str(error)
+        assert "\n" not in told and told.startswith("s.toml: ") and len(told) < 1000
+    else:
+        assert scenario.restore(scenario.expanded(loaded.scenario), "x").scenario == loaded.scenario
+
+
+@settings(max_examples=800, deadline=None, suppress_health_check=list(HealthCheck))
+@given(table=mutated())
+def test_a_mutated_scenario_is_taken_or_refused_in_one_line(table: dict[str, Any]) -> None:
+    check_taken_or_refused(table)
+
+
+@pytest.mark.slow
+@settings(max_examples=12_000, deadline=None, suppress_health_check=list(HealthCheck))
+@given(table=mutated())
+def test_very_many_mutated_scenarios(table: dict[str, Any]) -> None:
+    check_taken_or_refused(table)
+
+
+@settings(max_examples=1_000, deadline=None)
+@given(raw=st.binary(max_size=200) | st.sampled_from([b"[" * 5000, b"a=" + b"[" * 3000]))
+def test_any_bytes_are_refused_in_one_line(raw: bytes) -> None:
+    try:
+        typed_toml.parse_toml(raw, "s.toml")
+    except InputError as error:
+        assert "\n" not in str(error)
+
+
+@settings(max_examples=500, deadline=None)
+@given(path=st.text(max_size=30), value=st.text(max_size=20))
+def test_any_setting_is_taken_or_refused_in_one_line(path: str, value: str) -> None:
+    table = tomllib.loads(GOOD)
+    try:
+        scenario.from_table(table, "s.toml", settings=[f"{path}={value}"])
+    except InputError as error:
+        assert "\n" not in str(error)
+
+
+def test_a_strategy_s_own_settings_are_set_by_path() -> None:
+    plain = scenario.load("strategy_bang_bang").scenario.controller.strategy_parameters
+    loaded = scenario.load(
+        "strategy_bang_bang",
+        settings=[
+            "controller.strategy_parameters.brake_s=0.011",
+            "controller.strategy_parameters.model.valve_close_s=0.007",
+        ],
+    )
+    found = loaded.scenario.controller.strategy_parameters
+    assert found == {**plain, "brake_s": 0.011, "model": {"valve_close_s": 0.007}}
+    for bad in ("break_s=1", "model.valve_clos_s=1", "brake_s.x=1", "brake_s=-1"):
+        with pytest.raises(InputError, match=r"strategy_parameters.*(expected|nearest)"):
+            scenario.load("strategy_bang_bang", settings=[f"controller.strategy_parameters.{bad}"])

@@ -1,0 +1,124 @@
+"""The tuning procedure: same budget for all, reproducible, its best no worse than the defaults."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from controller import strategies
+from sil.cli import main
+from sil.simulation.in_memory import run_in_memory
+from sil.simulation.scenario import Loaded, load
+from sil.studies import tuning
+from sil.studies.tuning import Case, Outcome
+
+LAB = Case("lab")
+
+
+def lab(settings: Sequence[str]) -> Loaded:
+    return load("lab_n_b", settings=list(settings))
+
+
+QUICK = (
+    "sensor.period_s=0.0025",
+    "controller.period_s=0.0025",
+    "controller.filter=false",
+    "valve.D_fall=0.005",
+)
+
+
+def test_cost_is_the_impact_plus_the_time_lost_beyond_what_is_free() -> None:
+    reference = Outcome(0.9, 0.05)
+    assert tuning.cost_m_s(Outcome(0.3, 0.08), reference, 0.034, 10.0) == 0.3
+    assert tuning.cost_m_s(Outcome(0.3, 0.104), reference, 0.034, 10.0) == pytest.approx(0.5)
+    failed = Outcome(math.inf, math.inf)
+    assert tuning.cost_m_s(failed, reference, 0.034, 10.0) == tuning.FAILED_M_S
+
+
+@pytest.mark.parametrize("strategy", list(tuning.SPACES))
+def test_every_candidate_is_a_setting_that_the_strategy_takes(strategy: str) -> None:
+    found = tuning.candidates(strategy, 9, 3)
+    assert len(found) == (9 if tuning.SPACES[strategy] else 1)
+    assert found[0] == {}
+    assert found == tuning.candidates(strategy, 9, 3)
+    assert not found[1:] or found[1:] != tuning.candidates(strategy, 9, 4)[1:]
+    for parameters in found:
+        made = strategies.parameters(strategy, parameters)
+        for name, value in parameters.items():
+            low, high = tuning.SPACES[strategy][name]
+            assert low <= value <= high
+            assert getattr(made, name) == value
+
+
+def test_the_best_is_no_worse_than_the_defaults_and_runs_again_the_same() -> None:
+    found = tuning.tune(lab, "air_cushion", QUICK, [LAB], budget=5, seed=1)
+    assert len(found) == 5
+    assert [c.cost_m_s for c in found] == sorted(c.cost_m_s for c in found)
+    defaults = next(c for c in found if not c.parameters)
+    assert found[0].cost_m_s <= defaults.cost_m_s
+    case = Case("lab", QUICK)
+    again = tuning.run_case(lab, "air_cushion", found[0].parameters, case)
+    assert again == found[0].outcomes[0]
+
+
+@pytest.mark.parametrize(
+    ("settings", "age_s"),
+    [
+        ([], 0.00455),
+        (["sensor.delay_s=0.01"], 0.01455),
+        (["sensor.period_s=0.0025", "controller.period_s=0.0025"], 0.00205),
+    ],
+)
+def test_strategies_with_a_model_know_their_hardware(settings: list[str], age_s: float) -> None:
+    told = tuning.informed("predictive", lab([*settings, "valve.D_fall=0.0123"]))
+    values = [float(text.partition("=")[2]) for text in told]
+    assert values == [0.008, 0.0123, pytest.approx(age_s, abs=1e-9)]
+    assert tuning.informed("air_cushion", lab(settings)) == []
+
+
+TUNING = """
+name = "small"
+kind = "tuning"
+scenario = "lab_n_b"
+[tuning]
+candidates = 3
+[[variant]]
+name = "quick"
+set = { "sensor.period_s" = 0.0025, "controller.period_s" = 0.0025, "controller.filter.enabled" = false, "valve.D_fall" = 0.005 }
+[[strategy]]
+name = "open loop"
+set = { "controller.strategy" = "open_loop" }
+[[strategy]]
+name = "air cushion"
+set = { "controller.strategy" = "air_cushion" }
+[[load]]
+name = "lab, 9 bar"
+[[load]]
+name = "lab, 6 bar"
+set = { "plant.supply_pressure_pa" = 600000.0 }
+"""
+
+
+def test_a_study_of_tunings_tells_parameters_that_run_again(tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(TUNING)
+    out = tmp_path / "out"
+    assert main(["whatif", str(tmp_path / "small.toml"), "--out", str(out)]) == 0
+    with open(out / "results.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["strategy"] for row in rows] == ["open loop", "air cushion"]
+    assert rows[0]["best.burst_s"] == ""
+    assert float(rows[1]["cost_m_s"]) <= float(rows[1]["default_cost_m_s"])
+    assert float(rows[1]["cost_m_s"]) < float(rows[0]["cost_m_s"])
+    names = [name for name in rows[1] if name.startswith("best.") and rows[1][name]]
+    settings = [
+        *QUICK,
+        "controller.strategy=air_cushion",
+        "plant.supply_pressure_pa=600000.0",
+        *(f"controller.strategy_parameters.{name[5:]}={rows[1][name]}" for name in names),
+    ]
+    shift = run_in_memory(lab(settings)).shifts[-1]
+    assert shift.impact_speed_m_s == float(rows[1]["impact_m_s lab, 6 bar"])
