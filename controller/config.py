@@ -1,246 +1,37 @@
-"""Every setting of the firmware, typed, bounded and with its unit."""
+"""The firmware's whole configuration: the settings all parts share, and the strategy's own."""
 
 from __future__ import annotations
 
-import difflib
-import functools
-import typing
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Annotated, Any, Literal, TypeVar
+from collections.abc import Mapping
+from typing import Any
 
-import msgspec
-from msgspec import Meta, Struct
+from msgspec import field
 
 from can_dbc.errors import InputError
-
-T = TypeVar("T")
-
-
-@functools.cache
-def _bounds(kind: type[Struct]) -> tuple[tuple[str, float, float, str], ...]:
-    """Return (name, lowest, highest, unit) of every bounded field of a settings record."""
-    found = []
-    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
-        for meta in getattr(hint, "__metadata__", ()):
-            found.append((name, float(meta.ge), float(meta.le), str(meta.description)))
-    return tuple(found)
+from controller import strategies
+from controller.settings import ControlConfig, convert
 
 
-class Settings(Struct, frozen=True, forbid_unknown_fields=True):
-    """A settings record whose bounds hold however it was made.
-
-    Raises InputError 'NAME: VALUE is wrong; expected LOW to HIGH UNIT'.
-    Checked by test_config.
-    """
-
-    def __post_init__(self) -> None:
-        for name, low, high, unit in _bounds(type(self)):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InputError(
-                    f"{name}: {value!r} is wrong; expected {low:g} to {high:g} {unit}".rstrip()
-                )
-
-
-def bounded(low: float, high: float, unit: str) -> Any:
-    """Return the annotation that keeps a setting from `low` to `high` in its unit."""
-    return Meta(ge=low, le=high, description=unit)
-
-
-class SensorConfig(Settings, frozen=True):
-    """Calibration of the inductive position sensor and the limits of what it can truly report.
-
-    Pulse law: t8V = (t_mid_s + slope_s_per_m x)(1 + temp_coeff_per_k (T - t_ref_k)), x in m from
-    neutral. Source: thesis 2.2.4 (0.9 ms), the slope and temperature inferred.
-    """
-
-    period_s: Annotated[float, bounded(0.001, 0.1, "s")] = 0.01
-    """Time between two pulses; the filter is designed for it."""
-    t_mid_s: Annotated[float, bounded(1e-5, 0.01, "s")] = 0.0009
-    """Pulse duration in neutral at the calibration temperature."""
-    slope_s_per_m: Annotated[float, bounded(1e-4, 1.0, "s/m")] = 0.022
-    temp_coeff_per_k: Annotated[float, bounded(-0.005, 0.005, "1/K")] = 0.0012
-    t_ref_k: Annotated[float, bounded(200.0, 450.0, "K")] = 293.15
-    timer_resolution_s: Annotated[float, bounded(1e-9, 1e-4, "s")] = 1e-6
-    """One tick of the timer that measures the pulse."""
-    temperature_min_k: Annotated[float, bounded(200.0, 450.0, "K")] = 233.15
-    temperature_max_k: Annotated[float, bounded(200.0, 450.0, "K")] = 423.15
-    """Coil temperatures outside these two make a sample implausible."""
-    overtravel_m: Annotated[float, bounded(0.0, 0.01, "m")] = 0.003
-    """A sample this far beyond an end position is still plausible."""
-    max_speed_m_s: Annotated[float, bounded(0.1, 100.0, "m/s")] = 4.0
-    """A jump from sample to sample faster than this is implausible."""
-    travel_limit_m: Annotated[float, bounded(0.005, 1.0, "m")] = 0.035
-    """More travel than this within a short time is implausible: the stay moves one stroke a leg."""
-    travel_leak_m_s: Annotated[float, bounded(0.0, 10.0, "m/s")] = 0.3
-    """Rate at which old travel is forgotten."""
-    bad_limit: Annotated[int, bounded(1, 100, "")] = 6
-    """The position counts as lost at this level; a bad sample adds 2, a good one takes 1."""
-    still_ticks: Annotated[int, bounded(0, 100, "")] = 2
-    """Changes up to this many timer ticks are no motion."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.temperature_min_k >= self.temperature_max_k:
-            raise InputError(
-                f"temperature_min_k: {self.temperature_min_k!r} is wrong; expected below "
-                f"temperature_max_k, {self.temperature_max_k!r} K"
-            )
-        for limit in (self.temperature_min_k, self.temperature_max_k):
-            if 1.0 + self.temp_coeff_per_k * (limit - self.t_ref_k) <= 0.0:
-                raise InputError(
-                    f"temp_coeff_per_k: {self.temp_coeff_per_k!r} is wrong; expected a pulse "
-                    f"longer than zero at {limit!r} K"
-                )
-
-
-class FilterConfig(Settings, frozen=True):
-    """Butterworth low-pass on the position, one step per sensor sample (thesis 2.2.4)."""
-
-    enabled: bool = True
-    order: Annotated[int, bounded(1, 8, "")] = 6
-    fc_hz: Annotated[float, bounded(0.1, 500.0, "Hz")] = 22.0
-    """Cut-off; below half the sensor's sample rate."""
-
-
-class WindowConfig(Settings, frozen=True):
-    """Where the stay counts as being in neutral, backward or forward."""
-
-    stroke_m: Annotated[float, bounded(0.001, 0.1, "m")] = 0.01285
-    """Distance of either engaged position from neutral."""
-    neutral_tolerance_m: Annotated[float, bounded(1e-4, 0.05, "m")] = 0.0025
-    """Neutral: at most this far from it. The filter overshoots a full stroke by 2.2 mm."""
-    gear_tolerance_m: Annotated[float, bounded(1e-4, 0.05, "m")] = 0.0015
-    """Engaged: no more than this short of the end position."""
-    samples: Annotated[int, bounded(1, 100, "")] = 2
-    """Consecutive sensor samples inside a window that confirm it."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.neutral_tolerance_m + self.gear_tolerance_m >= self.stroke_m:
-            raise InputError(
-                f"neutral_tolerance_m: {self.neutral_tolerance_m!r} is wrong; expected windows "
-                f"that do not overlap: below stroke_m - gear_tolerance_m, "
-                f"{self.stroke_m - self.gear_tolerance_m:g} m"
-            )
-
-
-class BlowConfig(Settings, frozen=True):
-    """Filling that goes on after a position is confirmed (thesis 6.1)."""
-
-    duration_s: Annotated[float, bounded(0.0, 0.25, "s")] = 0.15
-    cut: Literal["none", "sync", "confirmation"] = "sync"
-    """What ends the blow before its time: nothing; agreeing shaft speeds, when a gear is to follow
-    neutral; or the confirmation itself, so that there is no blow."""
-
-
-class ShiftConfig(Settings, frozen=True):
-    """Times and tolerances of the shift state machine."""
-
-    push_timeout_s: Annotated[float, bounded(0.05, 30.0, "s")] = 1.0
-    """A push that has not confirmed its position by then has failed."""
-    retries: Annotated[int, bounded(0, 5, "")] = 1
-    """Further pushes after a failed one, before the fault state."""
-    retry_pause_s: Annotated[float, bounded(0.0, 10.0, "s")] = 0.1
-    """Everything vented this long before another push."""
-    no_motion_s: Annotated[float, bounded(0.05, 30.0, "s")] = 0.4
-    """A push under which the sensor has not changed at all by then: sensor (or actuator) stuck."""
-    reversal_settle_s: Annotated[float, bounded(0.0, 5.0, "s")] = 0.12
-    """A push that starts inside its own window is confirmed only after this time: sensor, filter
-    and closing valve still hide a motion out of the window."""
-    hold_s: Annotated[float, bounded(0.0, 10.0, "s")] = 0.04
-    """After the blow, until the valve has closed (35 ms)."""
-    vent_s: Annotated[float, bounded(0.0, 10.0, "s")] = 0.11
-    """After that, until the chamber has vented."""
-    interlock_s: Annotated[float, bounded(0.0, 1.0, "s")] = 0.04
-    """Backward is not filled sooner than this after forward was, and vice versa."""
-    sync_tolerance_rad_s: Annotated[float, bounded(0.0, 1000.0, "rad/s")] = 2.0
-    """Shaft speeds no further apart than this agree."""
-    wait_for_sync: bool = False
-    """Leave neutral only when the shaft speeds agree (otherwise the synchronizer does it all)."""
-    sync_wait_s: Annotated[float, bounded(0.0, 30.0, "s")] = 1.0
-    """Longest such wait; the push starts then all the same."""
-    init_settle_s: Annotated[float, bounded(0.0, 5.0, "s")] = 0.04
-    """After start or fault: a gear is believed once seen this long without a break."""
-    init_timeout_s: Annotated[float, bounded(0.0, 30.0, "s")] = 0.3
-    """After start or fault: ready with an unknown gear when none was found by then."""
-
-
-class E2eConfig(Settings, frozen=True):
-    """Supervision of the received channels."""
-
-    position_timeout_s: Annotated[float, bounded(0.001, 10.0, "s")] = 0.05
-    request_timeout_s: Annotated[float, bounded(0.001, 10.0, "s")] = 0.1
-    speeds_timeout_s: Annotated[float, bounded(0.001, 10.0, "s")] = 0.05
-    startup_s: Annotated[float, bounded(0.0, 10.0, "s")] = 0.2
-    """A channel that has never been valid this long after the first step counts as lost."""
-
-
-class FirmwareConfig(Settings, frozen=True):
+class FirmwareConfig(ControlConfig, frozen=True):
     """All settings of the firmware; the defaults are today's control unit.
 
-    Raises InputError 'PLACE: what; expected ...'. Checked by test_config.
+    Raises InputError 'FIELD: what; expected ...'.
     """
 
-    period_s: Annotated[float, bounded(0.002, 0.02, "s")] = 0.01
-    """Time between two steps, a whole number of nanoseconds (thesis 2.2.1: 10 ms)."""
-    computation_s: Annotated[float, bounded(0.0, 0.02, "s")] = 0.0001
-    """From the start of a step until its frames wait for the bus; below period_s."""
-    duty: Annotated[float, bounded(0.35, 1.0, "")] = 0.98
-    """Duty that opens a valve (thesis 3.1.3)."""
-    duty_closed: Annotated[float, bounded(0.0, 0.35, "")] = 0.33
-    """A duty up to this surely leaves a valve closed; above it the valve counts as energised."""
-    sensor: SensorConfig = SensorConfig()
-    filter: FilterConfig = FilterConfig()
-    windows: WindowConfig = WindowConfig()
-    blow: BlowConfig = BlowConfig()
-    shift: ShiftConfig = ShiftConfig()
-    e2e: E2eConfig = E2eConfig()
     strategy: str = "open_loop"
     """How a push is carried out: one of controller.strategies.NAMES."""
-    strategy_parameters: dict[str, Any] = {}
+    strategy_parameters: dict[str, Any] = field(default_factory=dict)
     """The strategy's own settings; see its Parameters."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if abs(self.period_s * 1e9 - self.period_ns) > 1e-3:
-            raise InputError(
-                f"period_s: {self.period_s!r} is wrong; expected a whole number of nanoseconds"
-            )
-        if self.computation_s >= self.period_s:
-            raise InputError(
-                f"computation_s: {self.computation_s!r} is wrong; expected below period_s, "
-                f"{self.period_s!r} s"
-            )
-        nyquist_hz = 0.5 / self.sensor.period_s
-        if self.filter.fc_hz >= nyquist_hz:
-            raise InputError(
-                f"filter.fc_hz: {self.filter.fc_hz!r} is wrong; expected below {nyquist_hz:g} Hz, "
-                f"half the rate of the sensor"
-            )
-        if self.e2e.position_timeout_s <= self.sensor.period_s:
-            raise InputError(
-                f"e2e.position_timeout_s: {self.e2e.position_timeout_s!r} is wrong; expected above "
-                f"sensor.period_s, {self.sensor.period_s!r} s"
-            )
-        from controller import strategies  # which needs this module
-
         strategies.parameters(self.strategy, self.strategy_parameters)
 
-    @property
-    def period_ns(self) -> int:
-        """Time between two steps, ns."""
-        return nanoseconds(self.period_s)
 
-    @property
-    def computation_ns(self) -> int:
-        """From the start of a step until its frames wait for the bus, ns."""
-        return nanoseconds(self.computation_s)
-
-
-def nanoseconds(seconds: float) -> int:
-    """Return seconds as whole nanoseconds, ties to even."""
-    return round(seconds * 1e9)
+def create_strategy(config: FirmwareConfig) -> strategies.Strategy:
+    """Return a new instance of the strategy that the settings name."""
+    kind = strategies.strategy_class(config.strategy)
+    return kind(config, strategies.parameters(config.strategy, config.strategy_parameters))
 
 
 def load_config(table: Mapping[str, Any], source: str) -> FirmwareConfig:
@@ -255,53 +46,3 @@ def load_config(table: Mapping[str, Any], source: str) -> FirmwareConfig:
         return convert(raw, FirmwareConfig)
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
-
-
-def convert(raw: object, kind: type[T], place: str = "") -> T:
-    """Turn a parsed table into a settings record.
-
-    Raises InputError 'PLACE: what; expected ...', naming the nearest known names of an unknown
-    one. Checked by test_config.
-    """
-    for complaint in _strangers(raw, kind, place):
-        raise InputError(complaint)
-    try:
-        return msgspec.convert(raw, kind)
-    except msgspec.ValidationError as error:
-        what, _, path = str(error).partition(" - at `$")
-        inside = dotted(place, path.rstrip("`").lstrip("."))
-        if isinstance(error.__cause__, InputError):  # it names its field already
-            raise InputError(dotted(inside, what)) from None
-        expected = what.removeprefix("Expected ").replace("`", "")
-        raise InputError(f"{inside or 'settings'}: wrong value; expected {expected}") from None
-
-
-_fields = functools.cache(msgspec.structs.fields)
-
-
-def _strangers(raw: object, kind: Any, place: str) -> Iterator[str]:
-    """Yield a line for every name and every choice that a settings record does not know."""
-    if typing.get_origin(kind) is Literal and isinstance(raw, str):
-        if raw not in typing.get_args(kind):
-            yield f"{place}: {raw!r} is {unknown_name(typing.get_args(kind), raw)}"
-    elif isinstance(raw, Mapping) and isinstance(kind, type) and issubclass(kind, Struct):
-        fields = {field.name: field.type for field in _fields(kind)}
-        for name, value in raw.items():
-            inside = dotted(place, str(name))
-            if name in fields:
-                yield from _strangers(value, fields[name], inside)
-            else:
-                yield f"{inside}: {unknown_name(sorted(fields), str(name))}"
-
-
-def dotted(place: str, name: str) -> str:
-    """Join two parts of a place, either of which may be empty."""
-    return f"{place}.{name}" if place and name else place or name
-
-
-def unknown_name(known: Iterable[str], name: str) -> str:
-    """Return 'unknown; expected one of ...': the nearest names, or all when none is near."""
-    names = list(known)
-    near = difflib.get_close_matches(name, names)
-    expected = f"one of {', '.join(near or names)}" if names else "none"
-    return f"unknown; expected {expected}"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from controller.config import FirmwareConfig, Settings, bounded
 from controller.filters import SectionFilter, butterworth
 from controller.light_model import LightModel, ModelSettings, Motion, Valve
+from controller.settings import ControlConfig, Settings, bounded
 
 STEP_S = 0.0005
 """Step of the light model."""
@@ -39,7 +39,7 @@ class Observer:
     """
 
     def __init__(
-        self, config: FirmwareConfig, model: ModelSettings, settings: ObserverSettings
+        self, config: ControlConfig, model: ModelSettings, settings: ObserverSettings
     ) -> None:
         self._config = config
         self._settings = settings

@@ -19,9 +19,9 @@ from can_dbc.messages import (
     ShiftState,
     ValveCommand,
 )
-from controller import strategies
-from controller.config import FirmwareConfig, nanoseconds
+from controller.config import FirmwareConfig, create_strategy
 from controller.position import Estimate, GearWindows, PositionEstimator
+from controller.settings import nanoseconds
 from controller.shift import ShiftMachine, View
 from controller.strategies import OFF, Duties, ShiftContext
 
@@ -93,7 +93,7 @@ class Firmware:
         self.config = config
         self._estimator = PositionEstimator(config)
         self._windows = GearWindows(config.windows)
-        self._strategy = strategies.create(config)
+        self._strategy = create_strategy(config)
         self._machine = ShiftMachine(config, self._strategy.blow_s)
         self._startup_ns = nanoseconds(config.e2e.startup_s)
         self._apart_ns = nanoseconds(config.shift.interlock_s) + config.period_ns

@@ -11,7 +11,7 @@ from __future__ import annotations
 from math import sqrt
 from typing import Annotated
 
-from controller.config import Settings, bounded
+from controller.settings import Settings, bounded
 
 R_AIR_J_KG_K = 287.0
 

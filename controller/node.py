@@ -16,8 +16,9 @@ from can_dbc.messages import (
     ShiftRequest,
     ValveCommand,
 )
-from controller.config import FirmwareConfig, nanoseconds
+from controller.config import FirmwareConfig
 from controller.firmware import ChannelState, Firmware, Inputs, Outputs
+from controller.settings import nanoseconds
 
 _CHANNEL_STATE = {
     E2eState.INIT: ChannelState.INIT,

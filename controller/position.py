@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from can_dbc.messages import Gear, PositionPulse
-from controller.config import FirmwareConfig, SensorConfig, WindowConfig
 from controller.filters import SectionFilter, butterworth
+from controller.settings import ControlConfig, SensorConfig, WindowConfig
 from controller.velocity import TwoSampleVelocity
 
 
@@ -131,7 +131,7 @@ class PositionEstimator:
     after a longer gap it starts afresh. Checked by test_estimator.
     """
 
-    def __init__(self, config: FirmwareConfig) -> None:
+    def __init__(self, config: ControlConfig) -> None:
         sensor = config.sensor
         self._calibration = Calibration(sensor)
         self._still_m = self._calibration.still_m

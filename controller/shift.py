@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from can_dbc.messages import Fault, Gear, ShiftState
-from controller.config import FirmwareConfig, nanoseconds
+from controller.settings import ControlConfig, nanoseconds
 
 BlowLength = Callable[[float, Gear, bool], float]
 
@@ -54,7 +54,7 @@ class ShiftMachine:
     Checked by test_shift, test_shift_blow and test_shift_requests.
     """
 
-    def __init__(self, config: FirmwareConfig, blow_s: BlowLength) -> None:
+    def __init__(self, config: ControlConfig, blow_s: BlowLength) -> None:
         shift = config.shift
         self._blow = config.blow
         self._blow_s = blow_s

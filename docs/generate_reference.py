@@ -100,7 +100,7 @@ def fields_of(what: type) -> Iterator[tuple[str, str]]:
         names = tuple(field.name for field in dataclasses.fields(what))
     else:
         names = tuple(getattr(what, "_fields", ()) or getattr(what, "__struct_fields__", ()))
-    kinds = inspect.get_annotations(what)
+    kinds = {k: v for c in reversed(what.__mro__) for k, v in inspect.get_annotations(c).items()}
     for name in names:
         if not name.startswith("_"):
             kind = kinds.get(name, "")

@@ -5,17 +5,14 @@ from __future__ import annotations
 import abc
 import importlib
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from msgspec import Struct
 
-from can_dbc.errors import InputError
+from can_dbc.errors import InputError, unknown_name
 from can_dbc.messages import Chamber, Gear
-from controller import config as settings
-
-if TYPE_CHECKING:
-    from controller.config import FirmwareConfig
-    from controller.position import Estimate
+from controller.position import Estimate
+from controller.settings import ControlConfig, convert
 
 NAMES: Mapping[str, str] = {
     "open_loop": "controller.strategies.open_loop:OpenLoop",
@@ -86,7 +83,7 @@ class Strategy(abc.ABC):
 
     name: ClassVar[str]
 
-    def __init__(self, config: FirmwareConfig, parameters: Struct) -> None:
+    def __init__(self, config: ControlConfig, parameters: Struct) -> None:
         self.config = config
         self.parameters = parameters
 
@@ -106,9 +103,10 @@ class Strategy(abc.ABC):
         return configured_s
 
 
-def _load(name: str) -> type[Strategy]:
+def strategy_class(name: str) -> type[Strategy]:
+    """Return the class of a strategy. Raises InputError for an unknown name."""
     if name not in NAMES:
-        raise InputError(f"strategy: {name!r} is {settings.unknown_name(NAMES, name)}")
+        raise InputError(f"strategy: {name!r} is {unknown_name(name, NAMES)}")
     module, _, attribute = NAMES[name].partition(":")
     found: type[Strategy] = getattr(importlib.import_module(module), attribute)
     return found
@@ -119,10 +117,5 @@ def parameters(name: str, table: Mapping[str, Any]) -> Struct:
 
     Raises InputError for an unknown strategy (naming the nearest) and for a wrong table.
     """
-    kind = _load(name).Parameters
-    return settings.convert(dict(table), kind, "strategy_parameters")
-
-
-def create(config: FirmwareConfig) -> Strategy:
-    """Make the strategy that the settings name. Raises InputError as `parameters` does."""
-    return _load(config.strategy)(config, parameters(config.strategy, config.strategy_parameters))
+    kind = strategy_class(name).Parameters
+    return convert(dict(table), kind, "strategy_parameters")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, ClassVar
 
 from can_dbc.errors import InputError
-from controller.config import bounded
+from controller.settings import bounded
 from controller.strategies.foresight import Foresight, ForesightParameters
 from controller.strategies.into_gear import Seen, Wish, within
 

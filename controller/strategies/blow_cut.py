@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import Annotated, ClassVar
 
 from can_dbc.messages import Gear
-from controller.config import Settings, bounded
+from controller.position import Estimate
+from controller.settings import Settings, bounded
 from controller.strategies import Duties, ShiftContext, Strategy, one_chamber
-
-if TYPE_CHECKING:
-    from controller.position import Estimate
 
 
 class BlowCut(Strategy):

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import abc
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import Annotated, NamedTuple
 
 from msgspec import Struct
 
-from controller.config import bounded
 from controller.estimator import STEP_S, Observer, ObserverSettings
 from controller.light_model import ModelSettings
+from controller.settings import ControlConfig, bounded
 from controller.strategies.into_gear import IntoGear, IntoGearParameters, Seen, Wish
-
-if TYPE_CHECKING:
-    from controller.config import FirmwareConfig
 
 
 class ForesightParameters(IntoGearParameters, frozen=True):
@@ -41,7 +38,7 @@ class Foresight(IntoGear):
 
     parameters: ForesightParameters
 
-    def __init__(self, config: FirmwareConfig, parameters: Struct) -> None:
+    def __init__(self, config: ControlConfig, parameters: Struct) -> None:
         super().__init__(config, parameters)
         self.observer = Observer(config, self.parameters.model, self.parameters.observer)
         self._steps = round(self.parameters.horizon_s / STEP_S)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import abc
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import Annotated, NamedTuple
 
 from can_dbc.messages import Chamber, Gear
-from controller.config import Settings, bounded, nanoseconds
+from controller.position import Estimate
+from controller.settings import Settings, bounded, nanoseconds
 from controller.strategies import Duties, ShiftContext, Strategy, one_chamber
-
-if TYPE_CHECKING:
-    from controller.position import Estimate
 
 
 class Wish(NamedTuple):

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
+from controller.position import Estimate
 from controller.strategies import Duties, ShiftContext, Strategy, one_chamber
-
-if TYPE_CHECKING:
-    from controller.position import Estimate
 
 
 class OpenLoop(Strategy):

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 from msgspec import Struct
 
-from controller.config import bounded
+from controller.settings import ControlConfig, bounded
 from controller.strategies.foresight import Foresight, ForesightParameters, Outcome
 from controller.strategies.into_gear import Wish
-
-if TYPE_CHECKING:
-    from controller.config import FirmwareConfig
 
 NEVER_S = 1e9
 
@@ -54,7 +51,7 @@ class Predictive(Foresight):
     name: ClassVar[str] = "predictive"
     parameters: Predictive.Parameters
 
-    def __init__(self, config: FirmwareConfig, parameters: Struct) -> None:
+    def __init__(self, config: ControlConfig, parameters: Struct) -> None:
         super().__init__(config, parameters)
         self._sequences = sequences(config.period_s)
 

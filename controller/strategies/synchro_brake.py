@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar
 
-from controller.config import bounded
+from controller.settings import bounded
 from controller.strategies.into_gear import PUSH, IntoGear, IntoGearParameters, Seen, Wish, within
 
 REPORTS = 3

@@ -140,7 +140,7 @@ def _main(arguments: list[str]) -> int:
 
 def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
     """Run the command; turn what a user can cause into one line and an exit code."""
-    from can_dbc.errors import InputError, RunError, told
+    from can_dbc.errors import InputError, RunError, os_error_text
 
     try:
         code: int = command.run(parsed)
@@ -160,7 +160,7 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
         sys.stderr.close()
         return NOT_FINISHED
     except OSError as error:  # disk full, no permission
-        message, code = told(error), NOT_FINISHED
+        message, code = os_error_text(error), NOT_FINISHED
         if error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
             message, code = f"{message}; expected a path that can exist", BAD_INPUT
     except ModuleNotFoundError as error:
@@ -178,10 +178,10 @@ def _settle(name: str, why: str | None) -> None:
     results = sys.modules.get("sil.files.output_folder")  # not loaded: nothing was begun
     if results is None:
         return
-    from can_dbc.errors import told
+    from can_dbc.errors import os_error_text
 
     try:
         for line in results.settle(why):
             print(f"opc4 {name}: {line}", file=sys.stderr)
     except OSError as error:
-        print(f"opc4 {name}: {told(error)}", file=sys.stderr)
+        print(f"opc4 {name}: {os_error_text(error)}", file=sys.stderr)

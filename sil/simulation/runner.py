@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from can_dbc.errors import InputError, RunError, told
+from can_dbc.errors import InputError, RunError, os_error_text
 from can_dbc.messages import Gear
 from sil.coupling.bus import BusModel, Delivery
 from sil.coupling.clock import to_ns
@@ -119,7 +119,7 @@ def run(
         if log is None:
             _discard(folder)
             raise
-        why = told(error) if isinstance(error, OSError) else "interrupted"
+        why = os_error_text(error) if isinstance(error, OSError) else "interrupted"
     if summary is not None:
         for warning in lockstep.warnings:
             say(warning)
@@ -189,7 +189,7 @@ def _judge(
                     scenario, kept, folder / "trace.csv"
                 )
             except OSError as error:  # no room for trace.csv: plant.trace stays instead
-                kept, why = None, why or told(error)
+                kept, why = None, why or os_error_text(error)
         if kept is not None:
             bus_told["end_to_end"] = checked.told()
             record, balances = kept.piece(0), dict(kept.balances)

@@ -52,11 +52,11 @@ def operations(call: Any, *arguments: Any) -> tuple[Any, int]:
 
 def cost(name: str) -> tuple[float, float, int]:
     """Median and greatest microseconds of a step of a push, and its greatest count of operations."""
-    from controller.strategies import Strategy, _load
+    from controller.strategies import Strategy, strategy_class
     from sil.simulation.in_memory import run_in_memory
     from sil.simulation.scenario import load
 
-    kind: type[Strategy] = _load(name)
+    kind: type[Strategy] = strategy_class(name)
     plain = kind.command
     spent_s: list[float] = []
     counts: list[int] = []

@@ -1,15 +1,28 @@
-"""What is told of an error that the system raised."""
+"""Words that error lines share."""
 
 from __future__ import annotations
 
 import errno
 import os
 
-from can_dbc.errors import told
+from can_dbc.errors import nearest, os_error_text, unknown_name
 
 
 def test_the_path_and_the_reason_without_python_s_words() -> None:
     full = os.strerror(errno.ENOSPC)
-    assert told(OSError(errno.ENOSPC, full, "out/result.json")) == f"out/result.json: {full}"
-    assert told(OSError(errno.ENOSPC, full)) == full
-    assert told(OSError("no reply")) == "no reply"
+    assert (
+        os_error_text(OSError(errno.ENOSPC, full, "out/result.json")) == f"out/result.json: {full}"
+    )
+    assert os_error_text(OSError(errno.ENOSPC, full)) == full
+    assert os_error_text(OSError("no reply")) == "no reply"
+
+
+def test_unknown_names_are_answered_with_the_nearest() -> None:
+    assert unknown_name("alpa", ["alpha", "beta"]) == "unknown; expected one of alpha"
+    assert unknown_name("zzz", ["alpha", "beta"]) == "unknown; expected one of alpha, beta"
+    assert unknown_name("zzz", []) == "unknown; expected none"
+    many = ["aaa1", "aaa2", "aaa3", "aaa4"]
+    assert len(unknown_name("aaa", many).split(",")) == 3
+    assert len(nearest("aaa", many, count=4)) == 4
+    assert nearest("aa", ["aabbbb"]) == []
+    assert nearest("aa", ["aabbbb"], cutoff=0.4) == ["aabbbb"]

@@ -12,19 +12,19 @@ import pytest
 
 from can_dbc.errors import InputError
 from can_dbc.messages import Chamber, Gear
-from controller.config import (
+from controller.config import FirmwareConfig, create_strategy
+from controller.estimator import ObserverSettings
+from controller.light_model import ModelSettings
+from controller.settings import (
     BlowConfig,
     E2eConfig,
     FilterConfig,
-    FirmwareConfig,
     SensorConfig,
     Settings,
     ShiftConfig,
     WindowConfig,
 )
-from controller.estimator import ObserverSettings
-from controller.light_model import ModelSettings
-from controller.strategies import NAMES, OFF, ShiftContext, Strategy, create, parameters
+from controller.strategies import NAMES, OFF, ShiftContext, Strategy, parameters
 from controller.strategies.foresight import ForesightParameters
 from controller.strategies.into_gear import BRAKE, PUSH, REST, IntoGearParameters, Seen
 
@@ -223,4 +223,4 @@ def test_the_plain_wishes_and_what_is_not_known() -> None:
 
 @pytest.mark.parametrize("name", list(NAMES))
 def test_a_strategy_knows_its_name(name: str) -> None:
-    assert create(FirmwareConfig(strategy=name)).name == name
+    assert create_strategy(FirmwareConfig(strategy=name)).name == name

@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from can_dbc.messages import PositionPulse
-from controller.config import E2eConfig, FilterConfig, FirmwareConfig, SensorConfig
+from controller.config import FirmwareConfig
 from controller.position import (
     Estimate,
     PositionEstimator,
     Sample,
 )
+from controller.settings import E2eConfig, FilterConfig, SensorConfig
 from tests.unit.controller.toy_actuator import T_K, exact
 
 

@@ -11,9 +11,10 @@ from can_dbc.messages import (
     Gear,
     PositionPulse,
 )
-from controller.config import BlowConfig, FilterConfig, FirmwareConfig, SensorConfig, ShiftConfig
+from controller.config import FirmwareConfig
 from controller.firmware import ChannelState, Firmware, Inputs
 from controller.position import Estimate
+from controller.settings import BlowConfig, FilterConfig, SensorConfig, ShiftConfig
 from controller.strategies import Duties, one_chamber
 from tests.unit.controller.invariants import check_invariants, duties
 from tests.unit.controller.toy_actuator import (

@@ -56,7 +56,7 @@ class TestStrategies:
     @pytest.fixture
     def meddled(self, monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.setattr(
-            module.strategies, "create", lambda config: Meddler(config, OpenLoop.Parameters())
+            module, "create_strategy", lambda config: Meddler(config, OpenLoop.Parameters())
         )
 
         def make(start: Gear, *wishes: tuple[float, Gear], **more: Any) -> tuple[Rig, Meddler]:

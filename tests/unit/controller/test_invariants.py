@@ -16,8 +16,9 @@ from can_dbc.messages import (
     ShiftRequest,
     ShiftState,
 )
-from controller.config import BlowConfig, FilterConfig, FirmwareConfig, SensorConfig, ShiftConfig
+from controller.config import FirmwareConfig
 from controller.firmware import ChannelState, Firmware, Inputs
+from controller.settings import BlowConfig, FilterConfig, SensorConfig, ShiftConfig
 from tests.unit.controller.invariants import check_invariants
 from tests.unit.controller.toy_actuator import MS, Rig, Row, Stay, asks, pulse_s
 

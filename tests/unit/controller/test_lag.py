@@ -11,9 +11,10 @@ from collections.abc import Callable
 import pytest
 
 from can_dbc.messages import PositionPulse
-from controller.config import FilterConfig, FirmwareConfig, SensorConfig
+from controller.config import FirmwareConfig
 from controller.filters import delay_at_rest_s
 from controller.firmware import ChannelState, Firmware, Inputs
+from controller.settings import FilterConfig, SensorConfig
 from tests.unit.controller.toy_actuator import pulse_s
 
 STROKE_M = 0.01285

@@ -6,10 +6,11 @@ import math
 
 import pytest
 
-from controller.config import FilterConfig, FirmwareConfig
+from controller.config import FirmwareConfig
 from controller.estimator import STEP_S, Observer, ObserverSettings
 from controller.filters import SectionFilter, butterworth
 from controller.light_model import R_AIR_J_KG_K, LightModel, ModelSettings, Motion, Valve
+from controller.settings import FilterConfig
 
 STROKE_M = 0.01285
 GAP_M = 0.013

@@ -23,9 +23,10 @@ from can_dbc.messages import (
     ShiftState,
     ValveCommand,
 )
-from controller.config import E2eConfig, FirmwareConfig
+from controller.config import FirmwareConfig
 from controller.firmware import Firmware
 from controller.node import ControllerNode
+from controller.settings import E2eConfig
 from tests.unit.controller.toy_actuator import MS, pulse_s
 
 HEARD = (PositionPulse, ShiftRequest, DrivelineSpeeds)

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_dbc.messages import Gear
-from controller.config import SensorConfig, WindowConfig
 from controller.position import (
     Calibration,
     Estimate,
@@ -18,6 +17,7 @@ from controller.position import (
     Plausibility,
     Sample,
 )
+from controller.settings import SensorConfig, WindowConfig
 from tests.unit.controller.toy_actuator import T_K, exact
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from can_dbc.messages import Fault, Gear, ShiftState
-from controller.config import ShiftConfig, WindowConfig
+from controller.settings import ShiftConfig, WindowConfig
 from tests.unit.controller.shift_bench import MS, B, Bench, F, N, S, U
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from can_dbc.messages import Gear, ShiftState
-from controller.config import BlowConfig
+from controller.settings import BlowConfig
 from tests.unit.controller.shift_bench import MS, B, Bench, F, N, S, U
 
 

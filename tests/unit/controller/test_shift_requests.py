@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from can_dbc.messages import Fault, Gear
-from controller.config import ShiftConfig
+from controller.settings import ShiftConfig
 from tests.unit.controller.shift_bench import B, Bench, F, N, S, U
 
 

@@ -9,7 +9,7 @@ import pytest
 from can_dbc.errors import InputError
 from can_dbc.messages import Chamber, Gear
 from controller import strategies
-from controller.config import FirmwareConfig
+from controller.config import FirmwareConfig, create_strategy
 from controller.position import Estimate, Sample
 from controller.strategies import Duties, ShiftContext, Strategy
 from controller.strategies.into_gear import IntoGear, Seen, Wish
@@ -20,7 +20,7 @@ BRAKING = ("air_cushion", "sliding_mode")
 
 
 def made(name: str, **parameters: Any) -> Strategy:
-    strategy = strategies.create(FirmwareConfig(strategy=name, strategy_parameters=parameters))
+    strategy = create_strategy(FirmwareConfig(strategy=name, strategy_parameters=parameters))
     strategy.reset()
     return strategy
 
@@ -118,7 +118,7 @@ def commanded(strategy: Strategy, fall: Fall, leg: Gear = Gear.BACKWARD) -> list
 def test_the_synchro_brake_acts_before_the_speeds_are_equal(leg: Gear) -> None:
     """55 = 500 t + 1000/2 t^2 at 0.1 s: brake from 0.08 for 0.02 s, rest from 0.06 for 0.01 s."""
     own = {"brake_lead_s": 0.02, "burst_s": 0.02, "rest_lead_s": 0.04, "rest_s": 0.01}
-    strategy = strategies.create(
+    strategy = create_strategy(
         FirmwareConfig(
             strategy="synchro_brake",
             period_s=0.005,
@@ -267,7 +267,7 @@ def test_a_fall_as_large_as_the_least_is_one(
 def test_the_synchro_brake_s_times_are_exact_in_steps(late: int) -> None:
     """Powers of two, so that sums are exact: rest 4 steps before the release, brake 2 before it."""
     step_s = 2.0**-8
-    strategy = strategies.create(
+    strategy = create_strategy(
         FirmwareConfig(
             strategy="synchro_brake",
             period_s=step_s,

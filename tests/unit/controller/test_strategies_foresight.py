@@ -9,10 +9,11 @@ import pytest
 from can_dbc.errors import InputError
 from can_dbc.messages import Chamber, Gear
 from controller import strategies
-from controller.config import FilterConfig, FirmwareConfig, SensorConfig
+from controller.config import FirmwareConfig, create_strategy
 from controller.estimator import STEP_S, Observer, ObserverSettings
 from controller.light_model import LightModel, ModelSettings
 from controller.position import Estimate, Sample
+from controller.settings import FilterConfig, SensorConfig
 from controller.strategies import ShiftContext, Strategy
 from controller.strategies.bang_bang import STORED, BangBang, stored_s
 from controller.strategies.foresight import Foresight, Outcome
@@ -32,7 +33,7 @@ def made(name: str, **parameters: Any) -> Foresight:
     import msgspec
 
     config = msgspec.structs.replace(QUICK, strategy=name, strategy_parameters=parameters)
-    strategy = strategies.create(config)
+    strategy = create_strategy(config)
     assert isinstance(strategy, Foresight)
     strategy.reset()
     return strategy
@@ -60,7 +61,7 @@ def played(strategy: Strategy) -> tuple[float, float]:
 
 @pytest.mark.parametrize("name", ["bang_bang", "predictive"])
 def test_with_the_true_model_and_quick_hardware_the_stop_is_soft(name: str) -> None:
-    open_loop_m_s, open_loop_s = played(strategies.create(QUICK))
+    open_loop_m_s, open_loop_s = played(create_strategy(QUICK))
     table = {"table": [[9e5, 0.025]], "brake_s": 0.015} if name == "bang_bang" else {}
     speed_m_s, time_s = played(made(name, **QUICK_VALVES, **table))
     assert open_loop_m_s > 0.7
@@ -155,7 +156,7 @@ def test_bang_bang_s_times_are_exact_in_steps() -> None:
             "seen_m": 2.0**-11,
         },
     )
-    strategy = strategies.create(config)
+    strategy = create_strategy(config)
     assert isinstance(strategy, BangBang)
     strategy.reset()
     wishes = [strategy.decide(Seen(k * step_s, 0.0, 0.0, 0)) for k in range(8)]
@@ -209,7 +210,7 @@ def test_model_steps_of_one_call_are_bounded(
 def test_the_observer_is_brought_up_to_now_and_told_what_was_chosen(
     charge: bool, brake: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    strategy = strategies.create(FirmwareConfig(strategy="predictive"))
+    strategy = create_strategy(FirmwareConfig(strategy="predictive"))
     assert isinstance(strategy, Foresight)
     calls: list[tuple[object, ...]] = []
     monkeypatch.setattr(strategy.observer, "advance", lambda *told: calls.append(told))
@@ -244,7 +245,7 @@ def test_a_trial_is_the_model_with_the_commands_at_their_steps(
     config = FirmwareConfig(
         strategy="predictive", strategy_parameters={"model": quick, "horizon_s": horizon_s}
     )
-    strategy = strategies.create(config)
+    strategy = create_strategy(config)
     strategy.reset()
     assert isinstance(strategy, Foresight)
     brake_on_s, brake_off_s, charge_off_s, charge_on_s = sequence
@@ -317,7 +318,7 @@ def test_the_first_step_of_the_cheapest_sequence_is_taken(
     best: tuple[float, ...], wish: Wish, by: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Cost = speed + 10 time + 300 way: each in turn is 0.1 less for one sequence."""
-    strategy = strategies.create(FirmwareConfig(strategy="predictive"))
+    strategy = create_strategy(FirmwareConfig(strategy="predictive"))
     assert isinstance(strategy, Foresight)
     saved = {"speed": (0.9, 0.05, 0.001), "time": (1.0, 0.04, 0.001), "way": (1.0, 0.05, 0.0002)}[
         by
@@ -333,7 +334,7 @@ def test_the_first_step_of_the_cheapest_sequence_is_taken(
 def test_of_equal_sequences_the_one_that_does_least_is_taken(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    strategy = strategies.create(FirmwareConfig(strategy="predictive"))
+    strategy = create_strategy(FirmwareConfig(strategy="predictive"))
     assert isinstance(strategy, Foresight)
     monkeypatch.setattr(strategy, "trial", lambda *sequence: Outcome(1.0, 0.05, 0.001))
     assert strategy.plan(0.0) == Wish(True, False)
