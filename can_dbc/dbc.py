@@ -13,6 +13,7 @@ from bisect import bisect_right
 from typing import TYPE_CHECKING, NoReturn
 
 from can_dbc.errors import InputError
+from can_dbc.user_file import read_user_file
 
 if TYPE_CHECKING:
     from cantools.database import Database
@@ -65,14 +66,7 @@ def load_dbc(path: str | os.PathLike[str], strict: bool = True) -> Database:
     Checked by: tests/unit/can_dbc/test_dbc.py, tests/fuzz/test_fuzz_dbc.py
     """
     source = os.fspath(path)
-    try:
-        if os.path.getsize(source) > LARGEST_FILE:
-            raise InputError(f"{source}: more than {LARGEST_FILE >> 20} MiB; expected a DBC file")
-        with open(source, "rb") as file:
-            content = file.read()
-    except OSError as error:
-        raise InputError(f"{source}: cannot be read: {error.strerror}") from None
-    return parse_dbc(content, source, strict)
+    return parse_dbc(read_user_file(source, "a DBC file", LARGEST_FILE), source, strict)
 
 
 def parse_dbc(content: bytes, source: str = "DBC", strict: bool = True) -> Database:

@@ -115,16 +115,15 @@ def whatif(study: Where, *, out: Where, workers: int = 1, resume: bool = False) 
 
     Raises InputError for a study or folder that cannot be.
     """
-    from sil.files.output_folder import straight
+    from sil.files.output_folder import locked_folder
     from sil.studies.executor import run_study
     from sil.studies.load_study import load_study
     from sil.studies.table import read_table, summary
 
     loaded = load_study(str(study))
-    folder = straight(Path(out))
-    folder.mkdir(parents=True, exist_ok=True)
-    run_study(loaded, folder, workers=workers, resume=resume)
-    table = read_table(loaded, folder)
+    with locked_folder(Path(out)) as folder:
+        run_study(loaded, folder, workers=workers, resume=resume)
+        table = read_table(loaded, folder)
     return Sweep(table.numbers, table.texts, summary(loaded, table))
 
 

@@ -110,15 +110,19 @@ def _in_memory(loaded: Loaded) -> ScenarioRun:
 
 def _kept(loaded: Loaded, folder: Path) -> list[Check]:
     from can_dbc.errors import RunError
-    from sil.files.output_folder import prepare_folder, settle
+    from sil.files.output_folder import close_folders, prepare_folder
     from sil.report.run_report import write_report
     from sil.simulation import runner
 
-    finished = runner.run(loaded, prepare_folder(folder, loaded.scenario.name, True, True))
-    if not finished.result.complete:
-        raise RunError(finished.result.why or "the run did not finish")
-    write_report(finished, folder)
-    settle(None)
+    why: str | None = "the run did not finish"
+    try:
+        finished = runner.run(loaded, prepare_folder(folder, loaded.scenario.name, True, True))
+        if not finished.result.complete:
+            raise RunError(finished.result.why or why)
+        write_report(finished, folder)
+        why = None
+    finally:
+        close_folders(why)
     return list(finished.result.expectations)
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from can_dbc.user_file import read_user_text
 from plant.errors import InputError
 from plant.parameters.bounds import outside
 
@@ -120,12 +121,7 @@ _DEEP_KEY = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){100}")
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file; unreadable or malformed files raise InputError naming file and place."""
-    try:
-        text = path.read_bytes().decode("utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: byte {error.start}: not UTF-8 text; expected TOML") from None
+    text = read_user_text(path, "a TOML file")
     try:
         return parsed(text)
     except tomllib.TOMLDecodeError as error:

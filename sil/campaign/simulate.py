@@ -19,7 +19,7 @@ from sil.campaign.campaign import (
     stroke_columns,
     write_record,
 )
-from sil.files.output_folder import write_whole
+from sil.files.atomic import write_atomically
 
 TAIL_S = 0.1
 """Without a recorded time axis a stroke ends this long after its last command."""
@@ -89,9 +89,9 @@ def write_campaign(
         ]
         written.append(item.entry)
         note(item)
-    write_whole(folder / "reference.toml", "\n".join(arrivals) + "\n")
+    write_atomically(folder / "reference.toml", "\n".join(arrivals) + "\n")
     out = replace(campaign, name=f"{campaign.name}_simulated", columns={})
-    write_whole(folder / "campaign.toml", campaign_toml(out, written))
+    write_atomically(folder / "campaign.toml", campaign_toml(out, written))
 
 
 def campaign_folder(out: Path, force: bool) -> Path:

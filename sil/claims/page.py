@@ -55,7 +55,7 @@ class Shift:
 
 def write_page(found: Sequence[Finding], folder: Path, again: str) -> None:
     """Write report.html, shift.png and shift.svg; `again` is the call that made them."""
-    from sil.files.output_folder import write_whole
+    from sil.files.atomic import write_atomically
 
     shift = Shift()
     counts = Counter(finding.verdict for finding in found)
@@ -69,7 +69,7 @@ def write_page(found: Sequence[Finding], folder: Path, again: str) -> None:
     )
     picture = Picture(save(draw(shift), folder, "shift"), "A shift over time", CAPTION)
     page = render("claims.html", head, [_plots(shift)], findings=found, picture=picture)
-    write_whole(folder / "report.html", page)
+    write_atomically(folder / "report.html", page)
 
 
 def _plots(shift: Shift) -> Group:

@@ -181,7 +181,7 @@ def _settle(name: str, why: str | None) -> None:
     from can_dbc.errors import os_error_text
 
     try:
-        for line in results.settle(why):
+        for line in results.close_folders(why):
             print(f"opc4 {name}: {line}", file=sys.stderr)
     except OSError as error:
         print(f"opc4 {name}: {os_error_text(error)}", file=sys.stderr)

@@ -26,7 +26,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Check and print; 0 also when a claim is not met: that is an answer."""
     from sil.claims.claim import Finding, check, chosen
     from sil.claims.page import write_page
-    from sil.files.output_folder import prepare_folder, write_whole
+    from sil.files.atomic import write_atomically
+    from sil.files.output_folder import prepare_folder
 
     wanted = chosen(arguments.id)
     folder = None
@@ -45,9 +46,11 @@ def run(arguments: argparse.Namespace) -> int:
     counts = Counter(finding.verdict for finding in found)
     table = {"claims": [asdict(finding) for finding in found], "verdicts": dict(counts)}
     if folder is not None:
-        write_whole(folder / "claims.md", markdown(found))
+        write_atomically(folder / "claims.md", markdown(found))
         write_page(found, folder, shlex.join(["opc4", "claims", *arguments.id]))
-        write_whole(folder / "claims.json", json.dumps(table, indent=1, ensure_ascii=False) + "\n")
+        write_atomically(
+            folder / "claims.json", json.dumps(table, indent=1, ensure_ascii=False) + "\n"
+        )
     if arguments.json:
         print(json.dumps(table, ensure_ascii=False))
     else:

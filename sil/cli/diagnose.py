@@ -27,7 +27,8 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.diagnosis.diagnosis import diagnose
     from sil.diagnosis.force_rig import is_force_rig
     from sil.diagnosis.report import write_report
-    from sil.files.output_folder import finite, write_whole
+    from sil.files.atomic import write_atomically
+    from sil.files.output_folder import finite
 
     if is_force_rig(arguments.campaign):
         return run_force(arguments)
@@ -41,11 +42,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     result = diagnose(campaign, parameters, workers=max(1, arguments.workers), progress=told)
     if result.extended is not None:
-        write_whole(folder / "extended_model.toml", result.extended)
+        write_atomically(folder / "extended_model.toml", result.extended)
     beyond = write_report(result, folder, arguments.campaign, arguments.model)
     plain = finite(result.as_json() | beyond)
     text = json.dumps(plain, indent=1, ensure_ascii=False)
-    write_whole(folder / "diagnosis.json", text + "\n")
+    write_atomically(folder / "diagnosis.json", text + "\n")
     if arguments.json:
         print(json.dumps(plain, ensure_ascii=False))
     else:
@@ -67,13 +68,14 @@ def run_force(arguments: argparse.Namespace) -> int:
     """Diagnose a rig known by driving force and position alone; 1 if a cause is named."""
     from sil.diagnosis.force_page import write_page
     from sil.diagnosis.force_rig import diagnose_force
-    from sil.files.output_folder import finite, write_whole
+    from sil.files.atomic import write_atomically
+    from sil.files.output_folder import finite
 
     found = diagnose_force(arguments.campaign)
     folder = free_folder(arguments, found.name)
     plain = finite(found.as_json())
     text = json.dumps(plain, indent=1, ensure_ascii=False)
-    write_whole(folder / "diagnosis.json", text + "\n")
+    write_atomically(folder / "diagnosis.json", text + "\n")
     write_page(found, folder, arguments.campaign)
     if arguments.json:
         print(json.dumps(plain, ensure_ascii=False))

@@ -26,7 +26,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Identify, write the model file and a picture, print the values with their intervals."""
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
-    from sil.files.output_folder import finite, prepare_folder, write_whole
+    from sil.files.atomic import write_atomically
+    from sil.files.output_folder import finite, prepare_folder
     from sil.identify.estimate import Identified, model_file
     from sil.identify.picture import draw
 
@@ -44,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     found = method(campaign, parameters)
     name = f"{campaign.name}-{arguments.what}"
     folder = prepare_folder(arguments.out, name, arguments.force)
-    write_whole(folder / "model.toml", model_file(found, parameters))
+    write_atomically(folder / "model.toml", model_file(found, parameters))
     draw(found, folder / f"{arguments.what}.png")
     if arguments.json:
         table = {

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     from can_dbc.errors import InputError
     from sil.coupling.participants import open_link, take_part
-    from sil.files.output_folder import straight
+    from sil.files.output_folder import without_parent_steps
     from sil.recording.events import EVENTS
     from sil.recording.recorder import PLANT_TRACE
     from sil.simulation import build, scenario
@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
         settings=arguments.settings,
         seed=arguments.seed,
     )
-    out = straight(arguments.out)
+    out = without_parent_steps(arguments.out)
     if arguments.participant == "plant" and not arguments.force:
         for name in (PLANT_TRACE, EVENTS):
             if (out / name).exists():

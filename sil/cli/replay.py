@@ -137,7 +137,8 @@ def _finish(arguments: argparse.Namespace, order: Order) -> int:
 
 
 def _write(arguments: argparse.Namespace, outcome: Outcome, values: dict[str, object]) -> Path:
-    from sil.files.output_folder import prepare_folder, write_whole
+    from sil.files.atomic import write_atomically
+    from sil.files.output_folder import prepare_folder
     from sil.log_replay.page import replay_page
     from sil.log_replay.summary import text
 
@@ -145,13 +146,13 @@ def _write(arguments: argparse.Namespace, outcome: Outcome, values: dict[str, ob
     parent = Path(arguments.log).resolve().parent.name
     name = f"replay-{parent}" if stem == "bus" else f"replay-{stem}"
     folder = prepare_folder(arguments.out, name, arguments.force)
-    write_whole(folder / "diff.txt", text(outcome))
+    write_atomically(folder / "diff.txt", text(outcome))
     command = shlex.join(["opc4", *sys.argv[1:]])
     for figure in (*folder.glob("scene_*.*"), *folder.glob("positions.*")):
         if figure.suffix in (".png", ".svg"):  # of a replay that --force replaces
             figure.unlink()
-    write_whole(folder / "report.html", replay_page(outcome, values, command, folder))
-    write_whole(folder / "diff.json", json.dumps(values, ensure_ascii=False, indent=1) + "\n")
+    write_atomically(folder / "report.html", replay_page(outcome, values, command, folder))
+    write_atomically(folder / "diff.json", json.dumps(values, ensure_ascii=False, indent=1) + "\n")
     return folder
 
 

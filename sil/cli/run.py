@@ -64,7 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("no SCENARIO; expected a file or a shipped name, see opc4 run --list")
     if arguments.junit is not None and not arguments.junit.parent.is_dir():
         raise InputError(f"{arguments.junit}: --junit: no such folder; expected one that exists")
-    from sil.files.output_folder import prepare_folder, write_whole
+    from sil.files.atomic import write_atomically
+    from sil.files.output_folder import prepare_folder
     from sil.simulation import scenario
     from sil.simulation.results import as_json, junit_xml
 
@@ -92,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         write_report(finished, folder)
     if arguments.junit is not None:
-        write_whole(arguments.junit, junit_xml(finished.result))
+        write_atomically(arguments.junit, junit_xml(finished.result))
     if arguments.json:
         print(as_json(finished.result))
     else:

@@ -27,7 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the rows, write table, summary, pictures and page."""
     from can_dbc.errors import InputError
-    from sil.files.output_folder import begin, finite, prepare_folder, write_whole
+    from sil.files.atomic import write_atomically
+    from sil.files.output_folder import finite, prepare_folder, reopen_folder
     from sil.studies.executor import RESULTS, run_study
     from sil.studies.load_study import load_study, shipped
     from sil.studies.pictures import draw, read_metrics
@@ -46,8 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.resume:
         if arguments.out is None or not (arguments.out / RESULTS).exists():
             raise InputError("--resume: no sweep to continue; expected --out DIR of one")
-        folder = arguments.out
-        begin(folder)
+        folder = reopen_folder(arguments.out)
     else:
         folder = prepare_folder(arguments.out, study.study.name, arguments.force)
     terminal = sys.stderr.isatty()
@@ -68,17 +68,17 @@ def run(arguments: argparse.Namespace) -> int:
         print(file=sys.stderr)
     table = read_table(study, folder)
     told = summary(study, table)
-    write_whole(folder / "summary.json", json.dumps(finite(told), indent=1) + "\n")
+    write_atomically(folder / "summary.json", json.dumps(finite(told), indent=1) + "\n")
     if study.study.safety:
         from sil.studies.fault_table import FAULT_TABLE, draw_outcomes, fault_table, kept
 
         told["kept"] = kept(study, table)
-        write_whole(folder / FAULT_TABLE, fault_table(study, table))
+        write_atomically(folder / FAULT_TABLE, fault_table(study, table))
     pictures = draw(study, table, folder)
     if study.study.safety:
         pictures.append(draw_outcomes(study, table, folder))
     again = shlex.join(["opc4", "whatif", arguments.study])
-    write_whole(folder / "report.html", page(study, table, told, pictures, again))
+    write_atomically(folder / "report.html", page(study, table, told, pictures, again))
     if arguments.json:
         print(json.dumps(finite({"out": str(folder), "rows_now": now, **told})))
         return 0

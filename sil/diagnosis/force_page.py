@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sil.diagnosis.force_rig import UNITS, ForceDiagnosis, base, feature, gains
 from sil.diagnosis.pictures import AFTER, BEFORE, MEASURED, new_figure
-from sil.files.output_folder import write_whole
+from sil.files.atomic import write_atomically
 from sil.report.figures import save
 from sil.report.interactive import Group, Panel, Series, plots
 from sil.report.shell import Head, Picture, render
@@ -124,4 +124,4 @@ def write_page(found: ForceDiagnosis, folder: Path, campaign: str) -> None:
         plain_error=f"{found.error(found.plain):.2%}",
         rows=rows,
     )
-    write_whole(folder / "report.html", page)
+    write_atomically(folder / "report.html", page)

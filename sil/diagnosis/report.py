@@ -27,7 +27,7 @@ from sil.diagnosis.plots import stroke_plots
 from sil.diagnosis.residuals import Shown, show
 from sil.diagnosis.structure import FAULTS
 from sil.diagnosis.terms import is_term, place_of
-from sil.files.output_folder import write_whole
+from sil.files.atomic import write_atomically
 from sil.fitting.hypotheses import Candidate
 from sil.report.figures import save
 from sil.report.shell import Head, Picture, render
@@ -139,7 +139,7 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
         time_text=", ".join(f"{name} {value:.1f} s" for name, value in result.seconds.items()),
         extended=result.extended,
     )
-    write_whole(folder / "report.html", page)
+    write_atomically(folder / "report.html", page)
     return {
         "explanations": [explanation(item, result) for item in result.judged],
         "residuals": {"before": plain_residuals(before), "after": plain_residuals(after)},

@@ -1,18 +1,20 @@
-"""Output folders: files written whole or not at all, and what marks a folder as incomplete."""
+"""Output folders: one writer at a time, and a mark on what is not complete."""
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import math
 import os
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from can_dbc.errors import InputError
+from sil.files.atomic import write_atomically
 
 RESULT = "result.json"
 RUN_FILES = frozenset(
@@ -28,17 +30,20 @@ RUN_FILES = frozenset(
 LAST_WRITTEN = frozenset(
     ("summary.json", "diff.json", "diagnosis.json", "claims.json", "model.toml")
 )
-"""Of these each stands only when its command has finished; result.json says so itself."""
+"""Of these each exists only when its command has finished; result.json itself says `complete`."""
 
 INCOMPLETE = "INCOMPLETE"
-"""A file that says why a command's output is not complete; while it runs, that it is not yet."""
+"""The file that says why a command's output is not complete; it also exists while one runs."""
 
 PREVIOUS = "previous"
-"""Where a run that --force replaces waits inside its folder until the new one stands."""
+"""The subfolder in which a run that --force replaces waits until the new one is complete."""
+
+_open_folders: list[tuple[Path, int]] = []
+"""Folders that this process writes to, each with the descriptor that holds its lock."""
 
 
 def finite(value: Any) -> Any:
-    """Return the value with every not-finite float replaced by None, as JSON wants it."""
+    """Return the value with every not-finite float replaced by None, as JSON needs it."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
@@ -48,87 +53,197 @@ def finite(value: Any) -> Any:
     return value
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file under another name and move it in place, so that no half file is ever seen.
+def prepare_folder(out: Path | None, name: str, force: bool, has_result_json: bool = False) -> Path:
+    """Return the locked folder of a new run, made if missing.
 
-    A link of either name is replaced, not followed.
+    Without `out` it is the first free runs/<name>-<n>.  With `force`, the files of a run that the
+    folder holds are set aside until `close_folders`.  `has_result_json`: the command writes a
+    result.json at once that says it is not complete; for others, the file INCOMPLETE does.
+    Raises InputError for a folder that holds a run, to which another process writes, or in which
+    nothing can be written.
     """
-    part = path.with_name(path.name + ".part")
+    folder, lock = _new_numbered(Path("runs"), name) if out is None else _made(out)
+    _open_folders.append((folder, lock))
     try:
-        part.unlink(missing_ok=True)
-        with open(part, "xb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
-        os.replace(part, path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
-        raise OSError(error.errno, error.strerror, str(path)) from None
-
-
-def prepare_folder(out: Path | None, name: str, force: bool, says_itself: bool = False) -> Path:
-    """Return the folder of a new run, made if missing.
-
-    Without `out` it is the first free runs/<name>-<n>. A folder that holds another run is refused
-    unless `force`, which sets that run's files aside until `settle` is called. `says_itself`: what
-    is written there tells from the start that it is not complete. Raises InputError.
-    Checked by test_results, test_nothing_is_lost_before_the_new_run_stands.
-    """
-    folder = _next_free(Path("runs"), name) if out is None else _made(out, force)
-    if says_itself:
-        _under_way.append(folder)
-    else:
-        begin(folder)
+        _empty(folder, force)
+        if not has_result_json:
+            _mark_incomplete(folder)
+    except BaseException:
+        _open_folders.remove((folder, lock))
+        os.close(lock)
+        raise
     return folder
 
 
-def straight(out: Path) -> Path:
-    """The same folder by a path that goes up first: making `a/../b` would leave an `a` behind."""
+def reopen_folder(out: Path) -> Path:
+    """Return the folder of a run that is to be continued, locked and marked as incomplete.
+
+    Raises InputError for one that is missing or to which another process writes.
+    """
+    folder = without_parent_steps(out)
+    _open_folders.append((folder, _lock(folder)))
+    _mark_incomplete(folder)
+    return folder
+
+
+@contextlib.contextmanager
+def locked_folder(out: Path) -> Iterator[Path]:
+    """Lock a folder, made if missing, while the block runs.
+
+    Raises InputError for one to which another process writes, or that cannot be made.
+    """
+    folder, lock = _made(out)
+    try:
+        yield folder
+    finally:
+        _unlock(lock)
+
+
+def without_parent_steps(out: Path) -> Path:
+    """Return the same folder by a path without `..` inside: making `a/../b` would also make `a`."""
     return Path(os.path.relpath(os.path.realpath(out))) if ".." in out.parts else out
 
 
-def _made(out: Path, force: bool) -> Path:
-    out = straight(out)
+def close_folders(why: str | None) -> list[str]:
+    """End what `prepare_folder` began; `why` it is not complete, or None if it is.
+
+    If it is complete, the run that was set aside is removed.  Otherwise it is put back, unless the
+    new run has left files of its own: then it stays in `previous`.  Returns lines for the user.
+    """
+    messages = []
+    while _open_folders:
+        folder, lock = _open_folders.pop()
+        try:
+            if _is_at(folder, lock):
+                messages += _close(folder, why)
+        finally:
+            _unlock(lock)
+    return messages
+
+
+def _close(folder: Path, why: str | None) -> list[str]:
+    marker, previous = folder / INCOMPLETE, folder / PREVIOUS
+    had_marker = marker.exists()
+    marker.unlink(missing_ok=True)
+    if why is None:
+        shutil.rmtree(previous, ignore_errors=True)
+        return []
+    files = [p for p in folder.iterdir() if p != previous]
+    if had_marker and files:
+        write_atomically(marker, why + "\n")
+    if not previous.is_dir():
+        if not files:
+            folder.rmdir()
+    elif RUN_FILES.intersection(p.name for p in files):
+        return [f"the previous run is in {previous}"]
+    else:
+        marker.unlink(missing_ok=True)
+        for file in list(previous.iterdir()):
+            os.replace(file, folder / file.name)
+        previous.rmdir()
+    return []
+
+
+def _mark_incomplete(folder: Path) -> None:
+    write_atomically(folder / INCOMPLETE, "cut off before it could say why\n")
+
+
+def _made(out: Path) -> tuple[Path, int]:
+    """Return the folder, made if missing, and the descriptor of its lock."""
+    folder = without_parent_steps(out)
+    while True:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except FileExistsError:
+            raise InputError(f"{folder}: --out: is a file; expected a folder") from None
+        except OSError as error:
+            raise _unusable(folder, error) from None
+        lock = _lock(folder)
+        if _is_at(folder, lock):
+            return folder, lock
+        os.close(lock)  # the run that held it has just removed the folder
+
+
+def _is_at(folder: Path, lock: int) -> bool:
+    """Return whether the locked folder is still the one at this path."""
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        held = sorted(RUN_FILES.intersection(p.name for p in out.iterdir()))
-    except FileExistsError:
-        raise InputError(f"{out}: --out: is a file; expected a folder") from None
+        return os.path.samestat(folder.stat(), os.fstat(lock))
+    except OSError:
+        return False
+
+
+def _unusable(folder: Path, error: OSError) -> InputError:
+    return InputError(f"{folder}: --out: {error.strerror}; expected a folder to write in")
+
+
+def _lock(folder: Path) -> int:
+    """Return a descriptor of the folder that holds its lock until it is closed or the process ends.
+
+    A file system that cannot lock folders (some network ones) goes without.
+    Raises InputError while another process holds the lock.
+    """
+    try:
+        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError as error:
-        raise InputError(f"{out}: --out: {error.strerror}; expected a folder to write in") from None
+        raise _unusable(folder, error) from None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(lock)
+        raise InputError(
+            f"{folder}: --out: another run is writing here; expected another folder, or its end"
+        ) from None
+    except OSError:
+        pass
+    return lock
+
+
+def _unlock(lock: int) -> None:
+    with contextlib.suppress(OSError):
+        fcntl.flock(lock, fcntl.LOCK_UN)
+    os.close(lock)
+
+
+def _close_locks() -> None:
+    """Close the locks in a forked process, which must not hold them when its parent has ended."""
+    for _, lock in _open_folders:
+        os.close(lock)
+    _open_folders.clear()
+
+
+os.register_at_fork(after_in_child=_close_locks)
+
+
+def _empty(folder: Path, force: bool) -> None:
+    """Set aside what the folder holds of another run, or refuse it."""
+    try:
+        held = sorted(RUN_FILES.intersection(p.name for p in folder.iterdir()))
+    except OSError as error:
+        raise _unusable(folder, error) from None
     if held and not force:
         raise InputError(
-            f"{out}: --out: holds another run ({held[0]}); expected an empty folder, or --force"
+            f"{folder}: --out: holds another run ({held[0]}); expected an empty folder, or --force"
         )
-    if not os.access(out, os.W_OK):
-        raise InputError(f"{out}: --out: no permission; expected a folder to write in")
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"{folder}: --out: no permission; expected a folder to write in")
     if held:
-        set_aside(out, held)
-    return out
+        _set_aside(folder, held)
 
 
-_under_way: list[Path] = []
+def _set_aside(folder: Path, held: Sequence[str]) -> None:
+    """Move the files of a run into the folder's `previous`.
 
-
-def begin(folder: Path) -> None:
-    """Let a folder say that it is not complete, until `settle`."""
-    write_whole(folder / INCOMPLETE, "cut off before it could say why\n")
-    _under_way.append(folder)
-
-
-def set_aside(folder: Path, held: Sequence[str]) -> None:
-    """Move the files of a run into the folder's `previous`, for `settle` to remove or put back.
-
-    What stands there already is the last run that was complete: then it is the one to keep, unless
-    the run in the folder is complete itself. What makes it complete moves last: killed in between, a
-    folder still tells which of both it is.
+    If `previous` holds a complete run already, and the run in the folder is not complete, that one
+    is kept and the files are deleted.  What marks a run as complete moves last: killed in between,
+    the folder still shows which of both is complete.
     """
     previous = folder / PREVIOUS
     if previous.is_symlink() or (previous.exists() and not previous.is_dir()):
         raise InputError(f"{previous}: not a folder; expected one, or none")
-    keeps = _is_complete(previous) and not _is_complete(folder)
+    delete = _is_complete(previous) and not _is_complete(folder)
     previous.mkdir(exist_ok=True)
     for name in sorted(held, key=lambda name: name == RESULT or name in LAST_WRITTEN):
-        if keeps:
+        if delete:
             (folder / name).unlink()
         else:
             os.replace(folder / name, previous / name)
@@ -143,54 +258,21 @@ def _is_complete(folder: Path) -> bool:
         return False
 
 
-def settle(why: str | None) -> list[str]:
-    """End what `prepare_folder` and `begin` began; `why` it is not complete, None if it is.
-
-    When it is, what was set aside is removed. Otherwise it is put back where nothing has taken its
-    place; where something has, it stays in `previous`. Returns lines for the user about that.
-    """
-    told = []
-    while _under_way:
-        folder = _under_way.pop()
-        marker, previous = folder / INCOMPLETE, folder / PREVIOUS
-        had_marker = marker.exists()
-        marker.unlink(missing_ok=True)
-        if why is None:
-            shutil.rmtree(previous, ignore_errors=True)
-            continue
-        if not folder.is_dir():
-            continue
-        left = [p for p in folder.iterdir() if p != previous]
-        if had_marker and left:
-            write_whole(marker, why + "\n")
-        if not previous.is_dir():
-            if not left:
-                folder.rmdir()
-        elif RUN_FILES.intersection(p.name for p in left):
-            told.append(f"the run that was there before is in {previous}")
-        else:
-            marker.unlink(missing_ok=True)
-            for file in list(previous.iterdir()):
-                os.replace(file, folder / file.name)
-            previous.rmdir()
-    return told
-
-
-def _next_free(parent: Path, name: str) -> Path:
+def _new_numbered(parent: Path, name: str) -> tuple[Path, int]:
+    """Make and lock parent/<name>-<n> with the first number above those taken."""
     stem = re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "run"
+    pattern = re.compile(re.escape(stem) + r"-(\d{1,9})")
     try:
         parent.mkdir(parents=True, exist_ok=True)
-        taken = [
-            int(m[1])
-            for p in parent.iterdir()
-            if (m := re.fullmatch(re.escape(stem) + r"-(\d{1,9})", p.name))
-        ]
+        taken = [int(m[1]) for p in parent.iterdir() if (m := pattern.fullmatch(p.name))]
         number = max(taken, default=0) + 1
         while True:
+            folder = parent / f"{stem}-{number}"
             try:
-                (folder := parent / f"{stem}-{number}").mkdir()
-                return folder
+                folder.mkdir()
             except FileExistsError:  # another run took the number meanwhile
                 number += 1
+            else:
+                return folder, _lock(folder)
     except OSError as error:
         raise InputError(f"{parent}: {error.strerror}; expected a folder, or --out DIR") from None

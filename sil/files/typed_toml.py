@@ -16,12 +16,10 @@ from typing import Any, TypeVar
 import msgspec
 
 from can_dbc.errors import InputError
+from can_dbc.user_file import read_user_file
 from plant.parameters import parsed
 
 T = TypeVar("T")
-
-MAX_BYTES = 4 << 20
-"""A settings file beyond this size is refused before it is parsed."""
 
 _PLACE = re.compile(r"^(?P<what>.*?)(?: - at `(?P<path>.*)`)?$", re.DOTALL)
 _NAMED = re.compile(r"`(?P<name>[^`]*)`$")
@@ -32,19 +30,13 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     Raises InputError naming file, line or place. Checked by test_scenario.
     """
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(f"{path}: file: larger than {MAX_BYTES} bytes; expected a TOML file")
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: file: {error.strerror or error}; expected a TOML file") from None
-    return parse_toml(raw, str(path))
+    return parse_toml(read_user_file(path, "a TOML file"), str(path))
 
 
 def parse_toml(raw: bytes, source: str) -> dict[str, Any]:
     """Parse TOML bytes; `source` stands for the file in messages. Raises InputError."""
     try:
-        table = parsed(raw.decode("utf-8"))
+        table = parsed(raw.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise InputError(f"{source}: byte {error.start}: not UTF-8; expected TOML text") from None
     except tomllib.TOMLDecodeError as error:

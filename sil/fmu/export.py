@@ -12,7 +12,7 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-from sil.files.output_folder import write_whole
+from sil.files.atomic import write_atomically
 from sil.simulation.scenario import Loaded, expanded
 
 SCRIPTS = {"plant": "plant_fmu.py", "controller": "controller_fmu.py"}
@@ -35,4 +35,4 @@ def export(what: str, loaded: Loaded, out: Path) -> None:
         beside = Path(folder) / "settings.json"
         beside.write_text(json.dumps(settings, sort_keys=True))
         built = FmuBuilder.build_FMU(script, Path(folder) / "built", [beside])
-        write_whole(out, Path(built).read_bytes())
+        write_atomically(out, Path(built).read_bytes())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -11,6 +10,7 @@ from types import TracebackType
 import numpy as np
 
 from can_dbc.messages import ControllerStatus
+from sil.files.atomic import open_atomically
 from sil.recording.run_record import Floats, RunRecord
 
 FIRST = (
@@ -70,10 +70,8 @@ class TraceCsv:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self._part = path.with_name(path.name + ".part")
-        self._part.unlink(missing_ok=True)
-        self._file = open(self._part, "x", encoding="utf-8", newline="")  # noqa: SIM115
+        self._opening = open_atomically(path)
+        self._file = self._opening.__enter__()
         self._held: dict[str, float] = {}
         self._begun = False
 
@@ -86,7 +84,7 @@ class TraceCsv:
                 self._held[name] = float(values[-1])
         at = record.truth["time_s"]
         if not self._begun:
-            self._file.write(",".join(columns) + "\n")
+            self._file.write((",".join(columns) + "\n").encode())
             self._begun = True
         for begin in range(0, len(at), ROWS):
             texts = [
@@ -95,7 +93,8 @@ class TraceCsv:
                 else ["" if v != v else repr(v) for v in column[begin : begin + ROWS].tolist()]
                 for name, column in columns.items()
             ]
-            self._file.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
+            lines = "".join(",".join(row) + "\n" for row in zip(*texts, strict=True))
+            self._file.write(lines.encode())
 
     def __enter__(self) -> TraceCsv:
         return self
@@ -106,13 +105,8 @@ class TraceCsv:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Move the file to its name; after an error, remove it."""
-        try:
-            self._file.close()  # what is still buffered may find no room
-            if kind is None:
-                os.replace(self._part, self._path)
-        finally:
-            self._part.unlink(missing_ok=True)
+        """Give the file its name; after an error, remove it."""
+        self._opening.__exit__(kind, error, trace)
 
 
 def write_trace_csv(record: RunRecord, path: Path) -> None:

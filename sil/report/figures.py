@@ -9,7 +9,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sil.files.output_folder import write_whole
+from sil.files.atomic import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,10 +37,10 @@ def save(
     if trimmed:
         how["bbox_inches"] = "tight"
     figure.savefig(image, format="png", dpi=dots_per_inch, metadata={"Software": None}, **how)
-    write_whole(folder / f"{name}.png", image.getvalue())
+    write_atomically(folder / f"{name}.png", image.getvalue())
     # identifiers that would be drawn at random, and the date, make each file another one
     with matplotlib.rc_context({"svg.hashsalt": name}):
         vectors = BytesIO()
         figure.savefig(vectors, format="svg", metadata={"Date": None}, **how)
-        write_whole(folder / f"{name}.svg", vectors.getvalue())
+        write_atomically(folder / f"{name}.svg", vectors.getvalue())
     return image.getvalue()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sil.files.output_folder import write_whole
+from sil.files.atomic import write_atomically
 from sil.report.figures import save
 from sil.report.page import run_page
 from sil.report.picture import draw
@@ -33,4 +33,4 @@ def write_report(finished: Finished, folder: Path) -> None:
     figure = draw(record, shifts, title, subtitle, LIGHT)
     picture = save(figure, folder, "shift", dots_per_inch=140)
     plots = run_plots(record, shifts)
-    write_whole(folder / "report.html", run_page(result, picture, plots))
+    write_atomically(folder / "report.html", run_page(result, picture, plots))

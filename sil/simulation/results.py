@@ -13,7 +13,8 @@ from xml.etree import ElementTree
 
 import msgspec
 
-from sil.files.output_folder import RESULT, finite, write_whole
+from sil.files.atomic import write_atomically
+from sil.files.output_folder import RESULT, finite
 
 LIBRARIES = ("opc4-sil", "numpy", "numba", "scipy", "python-can", "cantools", "msgspec")
 
@@ -66,7 +67,7 @@ def as_json(result: Result) -> str:
 
 def write_result(result: Result, folder: Path) -> None:
     """Write result.json whole or not at all."""
-    write_whole(folder / RESULT, as_json(result) + "\n")
+    write_atomically(folder / RESULT, as_json(result) + "\n")
 
 
 def junit_xml(result: Result) -> str:

@@ -18,7 +18,7 @@ from sil.coupling.clock import to_ns
 from sil.coupling.faults import FaultPlan
 from sil.coupling.lockstep import Lockstep, RunSummary
 from sil.coupling.real_time import Pacer
-from sil.files.output_folder import write_whole
+from sil.files.atomic import write_atomically
 from sil.recording.end_to_end import EndToEnd
 from sil.recording.events import EVENTS
 from sil.recording.frames import BUS_FRAMES, FrameWriter
@@ -79,7 +79,9 @@ def run(
     try:
         with contextlib.ExitStack() as closing:
             write_result(_with(base, why=CUT_OFF), folder)
-            write_whole(folder / SCENARIO, json.dumps({"scenario": expanded(scenario)}, indent=1))
+            write_atomically(
+                folder / SCENARIO, json.dumps({"scenario": expanded(scenario)}, indent=1)
+            )
             channels = build.open_channels(loaded, folder, transport, external, say, closing)
             log = BusLog(folder / BUS_LOG)
             closing.callback(log.close)

@@ -21,7 +21,7 @@ from typing import Any
 import msgspec
 
 from can_dbc.errors import InputError, RunError
-from sil.files.output_folder import write_whole
+from sil.files.atomic import write_atomically
 from sil.studies.rows import columns, run_row
 from sil.studies.study import Base, LoadedStudy, Row, Study, toml_value
 
@@ -102,8 +102,10 @@ def run_study(
     if resume and path.exists():
         begin = completed(study, folder)
     else:
-        write_whole(folder / STATE, json.dumps({"study": study.study.name, "sha256": study.digest}))
-        write_whole(path, first_line(study))
+        write_atomically(
+            folder / STATE, json.dumps({"study": study.study.name, "sha256": study.digest})
+        )
+        write_atomically(path, first_line(study))
     wanted = list(chunks(begin, study.size, CHUNK if study.study.kind == "runs" else 1))
     # the first row runs here: bad settings are told at once, and kernels are compiled once
     done = begin

@@ -1,0 +1,36 @@
+"""Files that the user names."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from can_dbc.errors import InputError
+from can_dbc.user_file import read_user_file, read_user_text
+
+
+def test_what_is_no_regular_file_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path, what in (
+        ("/dev/zero", "is a device or pipe"),
+        (tmp_path / "pipe", "is a device or pipe"),
+        (tmp_path, "is a folder"),
+        (tmp_path / "none", "no such file"),
+        ("null\0byte", "null byte"),
+    ):
+        with pytest.raises(InputError, match=rf"{what}; expected a DBC file"):
+            read_user_file(path, "a DBC file")
+
+
+def test_size_and_encoding_are_bounded(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"\xef\xbb\xbfa = 1\nb = 2")
+    assert read_user_text(path, "TOML") == "a = 1\nb = 2"
+    assert len(read_user_file(path, "TOML", 14)) == 14
+    with pytest.raises(InputError, match="file: larger than 13 bytes; expected TOML"):
+        read_user_file(path, "TOML", 13)
+    path.write_bytes(b"a = 1\nb = '\xfc'\n")
+    with pytest.raises(InputError, match="line 2: byte 0xFC is not UTF-8; expected TOML"):
+        read_user_text(path, "TOML")

@@ -1,0 +1,215 @@
+"""Output folders: numbered, marked, locked."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from can_dbc.errors import InputError
+from sil import cli
+from sil.files import output_folder
+from sil.files.atomic import write_atomically
+from sil.files.output_folder import (
+    close_folders,
+    locked_folder,
+    prepare_folder,
+    reopen_folder,
+)
+from tests.conftest import ROOT
+
+
+@pytest.fixture(autouse=True)
+def _closed() -> Iterator[None]:
+    yield
+    close_folders(None)
+
+
+def test_default_folders_are_numbered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    folders = [prepare_folder(None, "a b/../c", False) for _ in range(3)]
+    assert [str(f) for f in folders] == ["runs/a-b-..-c-1", "runs/a-b-..-c-2", "runs/a-b-..-c-3"]
+    assert prepare_folder(None, "..", False) == Path("runs/run-1")
+
+
+def put(folder: Path, **files: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        (folder / name.replace("_", ".")).write_text(text)
+
+
+def tree(folder: Path) -> dict[str, str]:
+    found = (p for p in sorted(folder.rglob("*")) if p.is_file())
+    return {str(p.relative_to(folder)): p.read_text() for p in found}
+
+
+def test_a_folder_is_marked_as_incomplete_until_it_is_closed(tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "run"
+    assert prepare_folder(out, "x", False) == out
+    assert tree(out) == {"INCOMPLETE": "cut off before it could say why\n"}
+    put(out, diff_txt="half")
+    assert close_folders("interrupted") == []
+    assert tree(out) == {"INCOMPLETE": "interrupted\n", "diff.txt": "half"}
+    with pytest.raises(InputError, match=r"holds another run \(INCOMPLETE\)"):
+        prepare_folder(out, "x", False)
+    assert reopen_folder(out) == out
+    assert close_folders(None) == [] and tree(out) == {"diff.txt": "half"}
+    assert prepare_folder(tmp_path / "empty", "x", False, has_result_json=True).is_dir()
+    assert close_folders("bad input") == [] and not (tmp_path / "empty").exists()
+
+
+def test_a_replaced_run_is_kept_until_the_new_one_is_complete(tmp_path: Path) -> None:
+    old = {"result.json": '{"complete": true}', "bus.log": "old", "notes.txt": "mine"}
+    put(tmp_path, result_json=old["result.json"], bus_log="old", notes_txt="mine")
+    with pytest.raises(InputError, match=r"holds another run \(bus.log\)"):
+        prepare_folder(tmp_path, "x", False)
+    prepare_folder(tmp_path, "x", True, has_result_json=True)
+    assert set(tree(tmp_path)) == {"notes.txt", "previous/result.json", "previous/bus.log"}
+    assert close_folders("bad input") == [] and tree(tmp_path) == old  # nothing came of it
+    for begun in ("new", "newer"):  # twice killed in the middle
+        prepare_folder(tmp_path, "x", True, has_result_json=True)
+        put(tmp_path, result_json='{"complete": false}', bus_log=begun)
+        kept = f"the previous run is in {tmp_path / 'previous'}"
+        assert close_folders("killed") == [kept]
+        assert tree(tmp_path)["bus.log"] == begun and tree(tmp_path)["previous/bus.log"] == "old"
+    prepare_folder(tmp_path, "x", True, has_result_json=True)
+    put(tmp_path, result_json='{"complete": true}', bus_log="newest")
+    assert close_folders(None) == []
+    assert tree(tmp_path) == old | {"bus.log": "newest"}
+
+
+def test_links_of_our_names_are_not_followed(tmp_path: Path) -> None:
+    (outside := tmp_path / "outside").write_text("mine")
+    (out := tmp_path / "out").mkdir()
+    for name in ("result.json", "result.json.part", "previous"):
+        (out / name).symlink_to(outside)
+    with pytest.raises(InputError, match="previous: not a folder"):
+        prepare_folder(out, "x", True)
+    (out / "previous").unlink()
+    write_atomically(prepare_folder(out, "x", True) / "result.json", "{}")
+    close_folders(None)
+    assert outside.read_text() == "mine" and not (out / "result.json").is_symlink()
+
+
+def test_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="is a file"):
+        prepare_folder(tmp_path / "file", "x", False)
+    with pytest.raises(InputError, match="expected a folder"):
+        prepare_folder(tmp_path / "file" / "below", "x", False)
+
+
+def test_parent_steps_in_a_path_make_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    folder = prepare_folder(Path("a/../../b/c"), "run", False)
+    assert folder == Path("../b/c") and folder.is_dir()
+    assert not Path("a").exists()
+
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from sil.files.output_folder import prepare_folder, close_folders
+folder = prepare_folder(Path(sys.argv[1]) if len(sys.argv) > 1 else None, "x", True)
+print(folder, flush=True)
+sys.stdin.read()
+close_folders(None)
+"""
+
+
+def holder(folder: Path, *out: str) -> subprocess.Popen[str]:
+    """Start a process that writes into an output folder until its input ends."""
+    return subprocess.Popen(
+        [sys.executable, "-c", HOLDER, *out],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_a_second_run_into_one_folder_is_refused_while_the_first_lives(
+    killed: bool, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    with holder(tmp_path, str(out)) as first:
+        assert first.stdout is not None and first.stdout.readline() == f"{out}\n"
+        before = tree(out)
+        for force in (False, True):
+            with pytest.raises(InputError, match="out: --out: another run is writing here"):
+                prepare_folder(out, "x", force)
+        with pytest.raises(InputError, match="another run is writing here"):
+            reopen_folder(out)
+        with pytest.raises(InputError, match="another run"), locked_folder(out):
+            pass
+        assert tree(out) == before
+        if killed:
+            first.kill()
+        else:
+            first.communicate()
+            assert not list(out.iterdir())
+    assert prepare_folder(out, "x", True) == out
+
+
+def test_a_worker_process_does_not_hold_the_lock(tmp_path: Path) -> None:
+    prepare_folder(tmp_path, "x", True)
+    started = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        os.write(started[1], b"x")
+        signal.pause()
+    os.read(started[0], 1)
+    try:
+        os.close(output_folder._open_folders.pop()[1])  # as when its process is killed
+        assert prepare_folder(tmp_path, "x", True) == tmp_path
+    finally:
+        os.kill(pid, 9)
+        os.waitpid(pid, 0)
+
+
+def test_runs_that_start_at_once_get_different_numbers(tmp_path: Path) -> None:
+    processes = [holder(tmp_path) for _ in range(4)]
+    names = {p.stdout.readline().strip() for p in processes if p.stdout is not None}
+    for process in processes:
+        process.communicate()
+    assert names == {f"runs/x-{n}" for n in range(1, 5)}
+
+
+def test_the_lock_of_a_removed_folder_is_not_taken_for_the_new_one(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    prepare_folder(out, "x", False, has_result_json=True)
+    out.rmdir()
+    assert prepare_folder(out, "y", False) == out
+    assert close_folders("bad input") == [] and not out.exists()
+
+
+COMMANDS = [
+    ["run", "lab_n_b"],
+    ["replay", "{golden}/lab_n_b.log.gz"],
+    ["whatif", "sensor_delay"],
+    ["claims", "F07"],
+]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda words: words[0])
+def test_commands_refuse_a_folder_in_use(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    words = [word.format(golden=ROOT / "tests" / "golden") for word in command]
+    with holder(tmp_path, str(out)) as first:
+        assert first.stdout is not None and first.stdout.readline()
+        assert cli.main([*words, "--out", str(out), "--force"]) == 2
+        lines = capsys.readouterr().err.splitlines()
+        first.communicate()
+    assert len(lines) == 1 and "another run is writing here" in lines[0]
