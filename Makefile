@@ -1,6 +1,8 @@
 # make demo   install into .venv and run one full truck shift over CAN
 # make test   install into .venv and run the tests (needs no root, no CAN hardware)
-# make lint   ruff, mypy and the import rules
+# make lint   ruff (rules and format), mypy and the import rules
+# make docs   build the documentation site in build/site
+# make bench  measurements side by side (minutes): python -m tests.bench
 # make coverage lines and branches of controller/ and can_dbc/ that no test reaches: none may be left
 # make mutants  mutation testing of both: some 5,300 mutants, 23 min of processor time; mutmut is installed for it
 # make golden say what the firmware does differently, and record the golden replays anew
@@ -10,7 +12,7 @@ PY     := $(VENV)/bin/python
 MARK   ?= not slow and not vcan and not browser
 DEMO   ?= runs/demo
 
-.PHONY: demo test slow lint coverage mutants golden clean
+.PHONY: demo test slow lint docs bench coverage mutants golden clean
 .DELETE_ON_ERROR:
 
 # One stamp per set of extras; an edited requirement installs again, edited source does not.
@@ -45,8 +47,17 @@ slow: $(VENV)/.dev
 
 lint: $(VENV)/.dev
 	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
+
+docs: $(VENV)/.dev
+	$(PY) docs/generate.py
+	$(PY) -m sphinx -q -W --keep-going -d build/doctrees docs build/site
+	@echo "site: build/site/index.html"
+
+bench: $(VENV)/.dev
+	$(PY) -m tests.bench
 
 COVERING := tests/unit/can_dbc tests/unit/controller tests/contracts/test_codec.py tests/contracts/test_e2e.py \
             tests/contracts/test_firmware_contract.py

@@ -1,4 +1,4 @@
-"""The tutorial, done as it stands there: every file written, every command run."""
+"""The tutorial as a reader does it: every file written, every command run."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_the_cells_print_what_they_say(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    text = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "how-to" / "python.md").read_text(encoding="utf-8")
     cells = re.findall(r"```python\n(.*?)```\n\n```text\n(.*?)```", text, re.DOTALL)
     assert len(cells) == text.count("```python") >= 8
     monkeypatch.chdir(done[0])

@@ -1,0 +1,122 @@
+"""The documentation builds without a warning, is up to date, and names only what exists."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from docs.generate import FOLDER, pages
+from sil import cli
+from sil.claims.claim import all_claims
+from sil.simulation.scenario import shipped as scenarios
+from sil.studies.load_study import shipped as studies
+from tests.conftest import ROOT
+from tests.docs.pages import DOCS, PAGES, prose
+
+
+def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going"),
+            *("-d", tmp_path / "trees", DOCS, tmp_path / "site"),
+        ],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0 and not done.stderr, done.stderr
+    assert (tmp_path / "site" / "reference" / "python.html").stat().st_size > 20_000
+
+
+def test_generated_pages_are_up_to_date() -> None:
+    made = pages()
+    assert len(made) >= 2
+    for name, text in made.items():
+        stored = (FOLDER / name).read_text(encoding="utf-8")
+        assert stored == text, f"{name}: run `python docs/generate.py`"
+
+
+def test_the_readme_is_one_page() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 800
+
+
+def anchors(path: Path) -> set[str]:
+    heads = re.findall(r"^#+ (.*)$", prose(path), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page: str) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(PAGES[page])):
+        assert "://" not in target, target
+        name, _, anchor = target.partition("#")
+        file = (PAGES[page].parent / name) if name else PAGES[page]
+        assert file.exists(), target
+        assert not anchor or anchor in anchors(file), target
+
+
+def test_every_page_is_reachable_from_the_index() -> None:
+    index = (DOCS / "index.md").read_text(encoding="utf-8")
+    for path in DOCS.rglob("*.md"):
+        name = path.relative_to(DOCS).with_suffix("").as_posix()
+        assert name == "index" or re.search(rf"^{name}$", index, re.MULTILINE), name
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_names_in_the_text_exist(page: str) -> None:
+    """Commands, shipped studies and scenarios, claims, modules and files."""
+    text = PAGES[page].read_text(encoding="utf-8")
+    for name in re.findall(r"\bopc4 ([a-z]+)\b", text):
+        assert name in cli.COMMANDS, name
+    for name in re.findall(r"`opc4 whatif ([a-z_]+)[` ]", text):
+        assert name in studies(), name
+    for name in re.findall(r"`opc4 run ([a-z_0-9]+)[` ]", text):
+        assert name in scenarios(), name
+    claims = {claim.id for claim in all_claims()}
+    for ids in re.findall(r"`opc4 claims ((?:F\d+\w* ?)+)`", text):
+        assert set(ids.split()) <= claims
+    for module in re.findall(r"python -m ([a-z_.]+)", text):
+        if module.partition(".")[0] in ("can_dbc", "controller", "plant", "sil", "tests"):
+            path = ROOT / Path(*module.split("."))
+            assert path.exists() or path.with_suffix(".py").exists(), module
+    for name in re.findall(r"`((?:can_dbc|controller|plant|sil|tests|docs)/[\w/.-]*)`", text):
+        assert (ROOT / name).exists(), name
+
+
+def test_every_equation_that_the_plant_cites_is_in_the_theory() -> None:
+    theory = (DOCS / "explanation" / "theory.md").read_text(encoding="utf-8")
+
+    def numbers(text: str) -> set[int]:
+        found: set[int] = set()
+        for low, high in re.findall(r"\b3\.(\d\d?)(?:-3\.(\d\d?))?(?![\d.])", text):
+            found |= set(range(int(low), int(high or low) + 1))
+        return found
+
+    cited: set[int] = set()
+    for path in (ROOT / "plant").rglob("*.py"):
+        for docstring in re.findall(r'"""(.*?)"""', path.read_text(encoding="utf-8"), re.DOTALL):
+            if "hesis" in docstring or "(3." in docstring:
+                cited |= numbers(" ".join(re.findall(r"3\.\d\d[\d./,\- ]*", docstring)))
+    assert len(cited) > 15
+    assert cited <= numbers(theory), sorted(cited - numbers(theory))
+
+
+def test_tests_that_docstrings_name_exist() -> None:
+    tests = {path.stem for path in (ROOT / "tests").rglob("test_*.py")}
+    for path in (ROOT / "tests").rglob("test_*.py"):
+        tests |= set(re.findall(r"def (test_\w+)", path.read_text(encoding="utf-8")))
+    missing: list[str] = []
+    for package in ("can_dbc", "controller", "plant", "sil"):
+        for path in (ROOT / package).rglob("*.py"):
+            text = path.read_text(encoding="utf-8")
+            for claim in re.findall(r"[Cc]hecked by:? ([^)]*?)(?:\.\s|\.?\"\"\"|\n\n)", text):
+                for name in re.findall(r"tests/[\w/]+(?:\.py)?", claim):
+                    missing += [f"{path}: {name}"] * (not (ROOT / name).exists())
+                for name in re.findall(r"(?<![\w/])test_\w+", claim):
+                    missing += [f"{path}: {name}"] * (name not in tests)
+    assert missing == []
