@@ -38,6 +38,8 @@ class ChildProcess:
     def __init__(self, name: str, command: Sequence[str]) -> None:
         """Start `command`.  Raises RunError when this machine starts no more processes."""
         self.name = name
+        self.printed: list[str] = []
+        """After its end: lines that the participant's own program printed."""
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
         try:
             self._process = subprocess.Popen(
@@ -79,6 +81,7 @@ class ChildProcess:
         if not self._has_ended(grace_s):
             self._process.kill()
         self._process.wait()
+        self.printed = [x for x in self.output().splitlines() if not x.startswith("opc4 node")]
         os.close(self._pidfd)
         self._output.close()
 

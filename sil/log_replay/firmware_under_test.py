@@ -16,6 +16,9 @@ import msgspec
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
 from controller.config import FirmwareConfig
+from sil.coupling.clock import to_seconds
+from sil.coupling.transports.channel import ParticipantLost
+from sil.coupling.transports.inproc import Participant
 
 _HEAD = struct.Struct("<qH")
 _FRAME = struct.Struct("<qIB")
@@ -43,17 +46,19 @@ class OwnUnit:
     def __init__(self, config: FirmwareConfig, program: str = "") -> None:
         self._config = config
         self._program = program
+        self._node: Participant | None = None
         self.restart()
 
     def restart(self) -> None:
         """See `Unit`."""
-        from controller.node import ControllerNode
-
+        self.close()
         if self._program:
-            from sil.nodes.own_firmware import own_firmware
+            from sil.nodes.own_firmware import OwnController
 
-            self._node = ControllerNode(self._config, own_firmware(self._program, self._config))
+            self._node = OwnController(self._program, self._config)
         else:
+            from controller.node import ControllerNode
+
             self._node = ControllerNode(self._config)
         self._base_ns: int | None = None
 
@@ -63,17 +68,18 @@ class OwnUnit:
             self._base_ns = tick_ns
         base_ns = self._base_ns
         since = [(max(t - base_ns, 0), frame) for t, frame in deliveries]
+        assert self._node is not None
         try:
             released, _ = self._node.advance(tick_ns - base_ns, since)
-        except Exception as error:
-            if not self._program:
-                raise
-            told = " ".join(str(error).split())
-            raise RunError(f"{self._program}: step: {type(error).__name__}: {told}") from None
+        except ParticipantLost as lost:
+            raise lost.at(to_seconds(tick_ns)) from None
         return [frame for _, frame in released]
 
     def close(self) -> None:
         """See `Unit`."""
+        if self._node is not None:
+            self._node.close()
+            self._node = None
 
 
 class ForeignUnit:

@@ -1,71 +1,202 @@
-"""A user's own firmware in place of ours: a class in a Python file.
+"""A user's own firmware in place of ours: a class in a Python file, run in a process of its own.
 
 The class is made with the scenario's firmware settings and has `step(now_ns, inputs) -> outputs`,
-as `controller.firmware.Firmware` has; frames, end-to-end protection and timing stay those of the
-controller node. The file is the user's program: it is run as it is.
+as `controller.firmware.Firmware` has; frames, end-to-end protection and timing are those of the
+controller node, which runs in that process too. Whatever the file does (an exception, `sys.exit`,
+`os._exit`, an endless loop, a crash) ends the run and not the program that runs it; what it prints
+goes to standard error. Wall time ends a run that hangs; it decides nothing else.
 Checked by: tests/unit/sil/nodes/test_own_firmware.py
 """
 
 from __future__ import annotations
 
-import importlib.util
+import atexit
+import contextlib
+import os
+import re
+import signal
+import subprocess
 import sys
-import traceback
+import tempfile
+import time
+from collections.abc import Sequence
+from multiprocessing.connection import Pipe
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+
 from can_dbc.errors import InputError
+from can_dbc.frame import Frame
+from sil.coupling.transports.channel import ParticipantLost
 
 if TYPE_CHECKING:
     from controller.config import FirmwareConfig
-    from controller.node import Steps
 
 DEFAULT_CLASS = "Firmware"
+LOAD_S, STEP_S = 60.0, 5.0
+"""Wall time in s that loading the file with `__init__`, and one step, may take."""
+
+_STACK_S = 1.0
+_SERVER = Path(__file__).with_name("own_firmware_process.py")
 
 
-def own_firmware(where: str, config: FirmwareConfig) -> Steps:
-    """Make the firmware that `where`, FILE.py or FILE.py:CLASS, holds.
+class OwnController:
+    """The controller with the firmware that `where`, FILE.py or FILE.py:CLASS, holds; a participant.
 
-    Raises InputError naming file, line and what is wrong.
+    Raises InputError naming file, line and what is wrong with a file that cannot be loaded, and
+    ParticipantLost (also from `advance`) when its code ends the process or hangs.
     """
-    told, _, name = where.partition(":")
-    path = Path(told)
-    name = name or DEFAULT_CLASS
-    if path.suffix != ".py" or not path.is_file():
-        raise InputError(f"firmware: {told}: no such file; expected FILE.py or FILE.py:CLASS")
-    found = getattr(_module(path), name, None)
-    if not isinstance(found, type) or not callable(getattr(found, "step", None)):
-        raise InputError(f"{path}: no class {name!r} with a method 'step'; expected one")
-    try:
-        made: Steps = found(config)
-    except Exception as error:
-        raise InputError(_line(path, error)) from None
-    return made
+
+    name = "controller"
+
+    def __init__(self, where: str, config: FirmwareConfig) -> None:
+        file, _, class_name = where.partition(":")
+        self._path = Path(file)
+        if self._path.is_dir():
+            raise InputError(f"firmware: {file}: is a folder; expected FILE.py or FILE.py:CLASS")
+        if self._path.suffix != ".py" or not self._path.is_file():
+            raise InputError(f"firmware: {file}: no such file; expected FILE.py or FILE.py:CLASS")
+        self._server: _Server | None = _take_server()
+        settings = msgspec.to_builtins(config)
+        try:
+            self._ask(["load", file, class_name or DEFAULT_CLASS, settings, sys.path], LOAD_S)
+        except ParticipantLost as lost:
+            raise lost.at(0.0) from None
+
+    def start(self) -> int:
+        """Return the time of the first tick, ns."""
+        return 0
+
+    def advance(
+        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
+    ) -> tuple[list[tuple[int, Frame]], int]:
+        """Advance the controller, as `controller.node.ControllerNode` does.
+
+        Raises ParticipantLost with the file, the line and the error when the firmware fails.
+        """
+        heard = [(at_ns, frame.can_id, frame.data) for at_ns, frame in deliveries]
+        released, next_ns = self._ask(["advance", until_ns, heard], STEP_S)
+        return [(at_ns, Frame(can_id, data)) for at_ns, can_id, data in released], next_ns
+
+    def close(self) -> None:
+        """End the firmware's process."""
+        server, self._server = self._server, None
+        if server is not None:
+            with contextlib.suppress(OSError, EOFError):
+                server.connection.send_bytes(b"")
+                if server.connection.poll(_STACK_S) and _decoded(server)[0] == "ended":
+                    _idle.append(server)
+                    return
+            server.kill()
+
+    def _ask(self, message: list[Any], limit_s: float) -> Any:
+        """Return the answer of the firmware's process; end the process unless it is a good one."""
+        server = self._server
+        if server is None:
+            raise ParticipantLost(self.name, f"failed: {self._path}: its process has ended")
+        try:
+            server.connection.send_bytes(msgspec.msgpack.encode(message))
+            if not server.connection.poll(limit_s):
+                server.ask_for_stack(signal.SIGUSR1)
+                what = f"no answer within {limit_s:g} s: it hangs"
+                raise ParticipantLost(self.name, f"failed: {self._place()}: {what}")
+            kind, found = _decoded(server)
+            if kind == "answer":
+                return found
+            if kind == "refused":
+                raise InputError(found)
+            if kind == "ended":
+                name = f"killed by {signal.Signals(-found).name}" if found < 0 else f"exit({found})"
+                found = f"{self._place()}: its process ended: {name}"
+            raise ParticipantLost(self.name, f"failed: {found}")
+        except (OSError, EOFError):
+            what = f"failed: {self._path}: its process was killed"
+            raise ParticipantLost(self.name, what) from None
+        except BaseException:
+            server.kill()
+            self._server = None
+            raise
+
+    def _place(self) -> str:
+        """Return FILE:LINE of the innermost call of the user's file on the stack that was written."""
+        assert self._server is not None
+        name = str(self._path).encode("ascii", "backslashreplace").decode()
+        found = re.search(rf'File "{re.escape(name)}", line (\d+)', self._server.stack())
+        return f"{self._path}:{found[1]}" if found else str(self._path)
 
 
 def absolute(where: str, folder: Path) -> str:
-    """`where` with its file as seen from a folder."""
-    told, colon, name = where.partition(":")
-    return f"{(folder / told).resolve()}{colon}{name}"
+    """Return `where` with its file's path taken from a folder."""
+    file, colon, name = where.partition(":")
+    return f"{(folder / file).resolve()}{colon}{name}"
 
 
-def _module(path: Path) -> Any:
-    spec = importlib.util.spec_from_file_location(f"opc4_own_{path.stem}", path)
-    assert spec is not None and spec.loader is not None  # it ends in .py
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses of the file look their module up
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        raise InputError(_line(path, error)) from None
-    return module
+class _Server:
+    """A process that has loaded the controller, and forks one process for each firmware."""
+
+    def __init__(self) -> None:
+        self.owner = os.getpid()
+        self.connection, theirs = Pipe()
+        self._stack = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
+        code = (
+            f"import sys; sys.path[:] = {sys.path!r};"
+            f"import runpy; runpy.run_path({str(_SERVER)!r}, run_name='__main__')"
+        )
+        handed = (theirs.fileno(), self._stack.fileno())
+        self._process = subprocess.Popen(
+            [sys.executable, "-u", "-c", code, *map(str, (*handed, self.owner))],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL if sys.__stderr__ is None else 2,
+            pass_fds=handed,
+            start_new_session=True,  # an interrupt typed at the terminal is not for the firmware
+        )
+        theirs.close()
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the process runs, and this process started it."""
+        return self.owner == os.getpid() and self._process.poll() is None
+
+    def ask_for_stack(self, number: signal.Signals) -> None:
+        """Let the firmware's process write its stack, wherever it is."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, number)
+        until = time.monotonic() + _STACK_S
+        while _SERVER.name not in self.stack() and time.monotonic() < until:
+            time.sleep(0.01)
+
+    def stack(self) -> str:
+        """Return the stacks written so far."""
+        size = os.fstat(self._stack.fileno()).st_size
+        return os.pread(self._stack.fileno(), size, 0).decode(errors="replace")
+
+    def kill(self) -> None:
+        """End the process; the one it forked ends with it."""
+        self._process.kill()
+        self._process.wait()
+        self.connection.close()
+        self._stack.close()
 
 
-def _line(path: Path, error: Exception) -> str:
-    """One line for an error of the user's file, with the place in it."""
-    number = getattr(error, "lineno", None)
-    if number is None:
-        own = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)]
-        number = own[-1].lineno if own else 1
-    text = " ".join(str(getattr(error, "msg", None) or error).split())
-    return f"{path}:{number}: {type(error).__name__}: {text}; expected a file that runs"
+_idle: list[_Server] = []
+
+
+@atexit.register
+def _end_idle() -> None:
+    for server in _idle:
+        if server.owner == os.getpid():
+            server.kill()
+
+
+def _take_server() -> _Server:
+    """Return a server that no firmware uses: of a study's many runs only the first starts one."""
+    while _idle:
+        server = _idle.pop()
+        if server.is_alive:
+            return server
+    return _Server()
+
+
+def _decoded(server: _Server) -> Any:
+    return msgspec.msgpack.decode(server.connection.recv_bytes())

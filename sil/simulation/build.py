@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import os
 import sys
@@ -135,15 +136,13 @@ def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
             gear_of(scenario.initial_gear), schedule, to_ns(driver.period_s), to_ns(driver.phase_s)
         )
     if name == "controller":
+        if scenario.firmware:
+            from sil.nodes.own_firmware import OwnController
+
+            return OwnController(scenario.firmware, scenario.controller)
         from controller.node import ControllerNode
 
-        if not scenario.firmware:
-            return ControllerNode(scenario.controller)
-        from sil.nodes.own_firmware import own_firmware
-
-        return ControllerNode(
-            scenario.controller, own_firmware(scenario.firmware, scenario.controller)
-        )
+        return ControllerNode(scenario.controller)
     if name == "traffic":
         from sil.nodes.other_traffic import TrafficNode
 
@@ -234,17 +233,22 @@ def open_channels(
             raise InputError("--external: needs --transport local or a CAN interface")
         return [InProcess([make_participant(name, loaded, folder) for name in names])]
     number = scenario_number(loaded.scenario)
+    patience = PATIENCE
+    if loaded.scenario.firmware:
+        from sil.nodes.own_firmware import STEP_S
+
+        patience = dataclasses.replace(PATIENCE, answer_s=STEP_S + PATIENCE.answer_s)
     if transport == "local":
         from sil.coupling.transports.hub import Hub
 
         channel = f"run-{os.getpid()}"
-        remote: Hub | SocketCan = Hub(channel, REMOTE, scenario=number, patience=PATIENCE, say=say)
+        remote: Hub | SocketCan = Hub(channel, REMOTE, scenario=number, patience=patience, say=say)
         channel = f"local:{channel}"
     else:
         from sil.coupling.transports.socketcan import SocketCan
 
         channel = transport
-        remote = SocketCan(transport, REMOTE, scenario=number, patience=PATIENCE, say=say)
+        remote = SocketCan(transport, REMOTE, scenario=number, patience=patience, say=say)
     closing.callback(remote.close, aborted=True)  # until the coordinator has it
     for name in REMOTE:
         if name in external:

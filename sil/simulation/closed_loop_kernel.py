@@ -117,6 +117,8 @@ def _loop(
             inbox, inboxes[k] = inboxes[k], []
             try:
                 frames, following[k] = turns[k](now_ns, inbox)
+            except ParticipantLost as lost:
+                raise lost.at(to_seconds(now_ns)) from lost.__cause__
             except (InputError, RunError):
                 raise
             except Exception as error:  # as when its process dies of it: the run is over

@@ -32,8 +32,8 @@ from sil.simulation.bus_figures import bus_figures, response_check
 from sil.simulation.results import Check, Result, versions, write_result
 from sil.simulation.scenario import Loaded, Scenario, expanded
 
-REFUSED_BY_A_PARTICIPANT = re.compile(r"ended with exit status 2: opc4 node: (?P<told>.*)")
-"""A process that did not take its settings: bad input here as in one process."""
+_SAID_BY_A_PARTICIPANT = re.compile(r"\w+ ended with exit status (?P<code>[23]): opc4 node: ")
+"""What precedes a participant's own words; with 2 its settings were refused, as bad input here."""
 
 CUT_OFF = "the run was cut off before it could say why"
 
@@ -112,11 +112,11 @@ def run(
             _discard(folder)
             raise
         why = str(error)
-        refused = REFUSED_BY_A_PARTICIPANT.search(why)
-        if refused is not None and not log.frames:
-            _discard(folder)
-            line = refused["told"].replace(str(folder / SCENARIO), loaded.source)
-            raise InputError(line) from None
+        if said := _SAID_BY_A_PARTICIPANT.match(why):
+            why = why[said.end() :].replace(str(folder / SCENARIO), loaded.source)
+            if said["code"] == "2" and not log.frames:
+                _discard(folder)
+                raise InputError(why) from None
     except (KeyboardInterrupt, OSError) as error:  # disk full and the like
         if log is None:
             _discard(folder)

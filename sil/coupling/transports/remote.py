@@ -243,6 +243,8 @@ class RemoteChannel(ABC):
             deadline = time.monotonic() + grace
             for child in self._children.values():
                 child.end(max(0.0, deadline - time.monotonic()))
+                for line in child.printed:
+                    self._say(line)
             self._poll.close()
             self._sharing.close()
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from can_dbc.errors import InputError, RunError
+from can_dbc.errors import RunError
 from sil.cli import main
+from sil.nodes import own_firmware
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.scenario import load
 
@@ -48,6 +50,7 @@ def test_it_is_found_beside_the_scenario_and_from_the_command_line(
     ("program", "firmware", "told"),
     [
         (OURS, "none.py", "no such file"),
+        (OURS, ".", "is a folder; expected FILE.py"),
         (OURS, "own.toml", "expected FILE.py"),
         (OURS, "own.py:Other", "no class 'Other'"),
         ("x = 1\nFirmware = 3\n", "own.py", "no class 'Firmware'"),
@@ -69,9 +72,103 @@ def test_bad_files_are_refused_in_one_line(
         assert told in complaint[-1] and not any("Traceback" in line for line in complaint)
 
 
-def test_a_program_that_fails_in_mid_run_ends_it_and_is_named(tmp_path: Path) -> None:
-    program = OURS.replace(
-        "pass", "def step(self, now_ns, inputs):\n        return 1 // (now_ns < 5)\n"
+STEP = """
+import dataclasses, math, os, sys
+from controller.firmware import Firmware
+class Mine(Firmware):
+    def step(self, now_ns, inputs):
+        out = super().step(now_ns, inputs)
+        if now_ns == 140_000_000:
+            {}
+        return out
+"""
+INIT = """
+import os, sys
+from controller.firmware import Firmware
+class Mine(Firmware):
+    def __init__(self, config):
+        {}
+"""
+NAN = "return out._replace(valves=dataclasses.replace(out.valves, duty_b=math.nan))"
+
+
+def broken(folder: Path, program: str) -> Path:
+    return scenario_with(folder, program, "own.py:Mine")
+
+
+@pytest.mark.parametrize(
+    ("statement", "reason"),
+    [
+        ("sys.exit(0)", "own.py:8: SystemExit: 0"),
+        ("os._exit(0)", r"own.py:8: ProcessExit: os._exit\(0\)"),
+        ("1 // 0", "own.py:8: ZeroDivisionError"),
+        ('raise ValueError("first" + chr(10) + "second")', "own.py:8: ValueError: first second"),
+        (NAN, "own.py:5: .*duty_b.*nan"),
+        ("return None", "own.py:5: TypeError: step returned NoneType; expected .*Outputs"),
+        ("os.kill(os.getpid(), 11)", "own.py:8: its process ended: killed by SIGSEGV"),
+        ("while True: pass", "own.py:8: no answer within 0.5 s: it hangs"),
+    ],
+)
+def test_what_fails_in_a_step_ends_the_run_with_file_line_and_time(
+    statement: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(own_firmware, "STEP_S", 0.5)
+    loaded = load(str(broken(tmp_path, STEP.format(statement))))
+    with pytest.raises(RunError, match=rf"failed: .*{reason}.* \(at 0.140000 s simulated\)"):
+        run_in_memory(loaded)
+
+
+@pytest.mark.parametrize(
+    ("statement", "reason"),
+    [
+        ("sys.exit(0)", "own.py:6: SystemExit"),
+        ("os._exit(0)", "own.py:6: ProcessExit"),
+        ("while True: pass", "own.py:6: no answer within 0.5 s"),
+    ],
+)
+def test_an_init_that_does_not_return_ends_the_run(
+    statement: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(own_firmware, "LOAD_S", 0.5)
+    loaded = load(str(broken(tmp_path, INIT.format(statement))))
+    with pytest.raises(RunError, match=rf"failed: .*{reason}.* \(at 0.000000 s simulated\)"):
+        run_in_memory(loaded)
+
+
+@pytest.mark.parametrize("transport", ["inproc", "local"])
+def test_the_command_exits_with_3_and_prints_go_to_standard_error(
+    transport: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = broken(tmp_path, STEP.format("print('printed'); sys.exit(0)"))
+    words = ["run", str(path), "--out", str(tmp_path / "out"), "--transport", transport, "--json"]
+    assert main(words) == 3
+    shown = capfd.readouterr()
+    result = json.loads(shown.out)
+    assert result["why"].endswith("own.py:8: SystemExit: 0 (at 0.140000 s simulated)")
+    assert "printed" in shown.err.splitlines() and result["why"] in shown.err
+
+
+def test_a_replay_of_a_firmware_that_exits_is_exit_3(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = broken(tmp_path, STEP.format("sys.exit(0)"))
+    assert main(["run", "lab_n_b", "--no-report", "--out", str(tmp_path / "run")]) == 0
+    log, firmware = str(tmp_path / "run" / "bus.log"), f"{tmp_path / 'own.py'}:Mine"
+    assert path.exists()
+    assert main(["replay", log, "--firmware", firmware, "--out", str(tmp_path / "diff")]) == 3
+    assert "own.py:8: SystemExit: 0 (at 0.14" in capfd.readouterr().err
+
+
+def test_a_process_serves_one_run_after_the_other(tmp_path: Path) -> None:
+    loaded = load(
+        str(broken(tmp_path, "import sys\nsys.runs = getattr(sys, 'runs', 0) + 1\n" + OURS))
     )
-    with pytest.raises((RunError, InputError), match="controller failed"):
-        run_in_memory(load(str(scenario_with(tmp_path, program, "own.py:Mine"))))
+    first = own_firmware.OwnController(loaded.scenario.firmware, loaded.scenario.controller)
+    second = own_firmware.OwnController(loaded.scenario.firmware, loaded.scenario.controller)
+    servers = {id(first._server), id(second._server)}
+    first.close()
+    third = own_firmware.OwnController(loaded.scenario.firmware, loaded.scenario.controller)
+    assert len(servers) == 2 and id(third._server) in servers
+    assert third.advance(0, [])[0] == second.advance(0, [])[0]
+    second.close()
+    third.close()

@@ -1,0 +1,157 @@
+"""The process that runs a user's firmware: forks for each one, and says how it ended.
+
+Started by `sil.nodes.own_firmware` with a connection, a file for stacks, and its parent's number.
+Takes a firmware to load, then turns, then an empty message. Answers ("answer", value), or
+("refused" or "failed", a line), or ("ended", exit status) from the process that forked.
+Checked by: tests/unit/sil/nodes/test_own_firmware.py
+"""
+
+from __future__ import annotations
+
+import ctypes
+import faulthandler
+import importlib.util
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np  # noqa: F401 - most firmware needs it: loaded once, before the forks
+
+from can_dbc.frame import Frame
+from controller.config import FirmwareConfig
+from controller.firmware import Inputs, Outputs
+from controller.node import ControllerNode, Steps
+
+_KILL_WITH_PARENT = 1  # PR_SET_PDEATHSIG
+
+
+class ProcessExit(BaseException):
+    """The firmware called os._exit."""
+
+
+class _Checked:
+    """A firmware whose outputs are what the node expects. `step` raises TypeError for others."""
+
+    def __init__(self, firmware: Steps) -> None:
+        self._firmware = firmware
+
+    def step(self, now_ns: int, inputs: Inputs) -> Outputs:
+        outputs = self._firmware.step(now_ns, inputs)
+        if not isinstance(outputs, Outputs):
+            kind = type(outputs).__name__
+            raise TypeError(f"step returned {kind}; expected controller.firmware.Outputs")
+        return outputs
+
+
+def serve(connection: Connection, stacks: int) -> None:
+    """Fork a process for each firmware, wait until it ends and report how; until told no more."""
+    while True:
+        try:
+            message = connection.recv_bytes()
+        except EOFError:
+            return
+        parent = os.getpid()
+        child = os.fork()
+        if child == 0:
+            _end_with(parent)
+            faulthandler.enable(stacks, all_threads=False)
+            faulthandler.register(signal.SIGUSR1, stacks, all_threads=False)
+            leave = os._exit
+            os._exit = _exit_in(os.getpid(), leave)  # type: ignore[assignment]
+            _run(connection, msgspec.msgpack.decode(message))
+            leave(0)
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        try:
+            connection.send_bytes(_packed("ended", status))
+        except OSError:  # nobody asks any more
+            return
+
+
+def _run(connection: Connection, load: list[Any]) -> None:
+    """Load a firmware and take turns until an empty message."""
+    _, file, class_name, settings, search_path = load
+    sys.path[:] = search_path
+    path = Path(file)
+    line, kind = 1, "refused"
+    try:
+        try:
+            firmware = _load(path, class_name, settings)
+            line = getattr(getattr(firmware.step, "__code__", None), "co_firstlineno", line)
+            node = ControllerNode(msgspec.convert(settings, FirmwareConfig), _Checked(firmware))
+            kind = "failed"
+            connection.send_bytes(_packed("answer", 0))
+            while message := connection.recv_bytes():
+                _, until_ns, heard = msgspec.msgpack.decode(message)
+                deliveries = [(at_ns, Frame(can_id, data)) for at_ns, can_id, data in heard]
+                released, next_ns = node.advance(until_ns, deliveries)
+                frames = [(at_ns, frame.can_id, frame.data) for at_ns, frame in released]
+                connection.send_bytes(_packed("answer", (frames, next_ns)))
+        except EOFError:
+            pass
+        except Exception as error:
+            connection.send_bytes(_packed(kind, _described(path, line, error)))
+        except BaseException as error:  # sys.exit, os._exit: the control unit is dead, not wrong
+            connection.send_bytes(_packed("failed", _described(path, line, error)))
+    except OSError:
+        pass
+
+
+def _load(path: Path, class_name: str, settings: Any) -> Steps:
+    spec = importlib.util.spec_from_file_location(f"opc4_own_{path.stem}", path)
+    assert spec is not None and spec.loader is not None  # the name ends in .py
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses of the file look their module up
+    spec.loader.exec_module(module)
+    found = getattr(module, class_name, None)
+    if not isinstance(found, type) or not callable(getattr(found, "step", None)):
+        raise LookupError(f"no class {class_name!r} with a method 'step'; expected one")
+    made: Steps = found(msgspec.convert(settings, FirmwareConfig))
+    return made
+
+
+def _described(path: Path, line: int, error: BaseException) -> str:
+    """Return FILE:LINE: TYPE: TEXT; without a call of the file on the stack, the line given."""
+    calls = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)]
+    if calls:
+        line = calls[-1].lineno or line
+    text = str(error)
+    if isinstance(error, SyntaxError) and error.filename == str(path):
+        line, text = error.lineno or line, error.msg
+    text = " ".join(text.split())
+    return f"{path}:{line}: {type(error).__name__}" + (f": {text}" if text else "")
+
+
+def _exit_in(process: int, leave: Callable[[int], Any]) -> Callable[[int], Any]:
+    """Return an os._exit that says where it was called; in a process forked by the user, the real one."""
+
+    def exit_here(status: int) -> Any:
+        if os.getpid() != process:
+            return leave(status)
+        raise ProcessExit(f"os._exit({status})")
+
+    return exit_here
+
+
+def _end_with(parent: int) -> None:
+    """Let the kernel end this process with its parent, however that ends."""
+    ctypes.CDLL(None).prctl(_KILL_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        sys.exit()
+
+
+def _packed(kind: str, value: Any) -> bytes:
+    return msgspec.msgpack.encode((kind, value))
+
+
+if __name__ == "__main__":
+    _connection, _stacks, _parent = map(int, sys.argv[1:])
+    _end_with(_parent)
+    signal.signal(signal.SIGUSR1, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    serve(Connection(_connection), _stacks)
