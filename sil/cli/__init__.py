@@ -6,6 +6,7 @@ import argparse
 import errno
 import importlib
 import json
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -62,11 +63,28 @@ def _shortened(message: str) -> str:
     return f"{message[:half]} ... {message[-half:]}"
 
 
+_ENDING_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
+
+
 def command() -> NoReturn:
-    """The process `opc4`: an interrupt that comes when all is done changes nothing any more."""
+    """Be the process `opc4`: SIGTERM and SIGHUP end a command as Ctrl-C does.
+
+    A signal that is ignored, as SIGHUP under nohup, stays ignored.
+    """
+    for number in _ENDING_SIGNALS:
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
+    os.register_at_fork(after_in_child=_end_at_once)
     code = main()
-    _hear_no_more()
+    _ignore_interrupts()
     sys.exit(code)
+
+
+def _end_at_once() -> None:
+    """Let the ending signals end a worker process without a traceback."""
+    for number in _ENDING_SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -82,14 +100,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except RuntimeError as error:  # what Python 3.11 makes of an interrupt while a class is made
         if not isinstance(error.__cause__, KeyboardInterrupt):
             raise
-    _hear_no_more()
+    _ignore_interrupts()
     print("opc4: interrupted", file=sys.stderr)
     return NOT_FINISHED
 
 
-def _hear_no_more() -> None:
+def _ignore_interrupts() -> None:
     """Ignore interrupts, since what is left takes no time."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, *_ENDING_SIGNALS):
+        signal.signal(number, signal.SIG_IGN)
     # Python notes an interrupt that passed through exec (a dataclass being made), and would end with
     # the signal instead of our exit code; it forgets that when exec runs again.
     exec("")
@@ -152,7 +171,7 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
     except RunError as error:
         message, code = str(error), NOT_FINISHED
     except KeyboardInterrupt:
-        _hear_no_more()
+        _ignore_interrupts()
         message, code = "interrupted", NOT_FINISHED
     except MemoryError:
         message, code = "not enough memory", NOT_FINISHED

@@ -1,7 +1,7 @@
-"""Run one participant of a scenario alone: it joins the run that `opc4 run --external` began.
+"""Run one participant of a scenario alone: it joins a run begun with `opc4 run --external`.
 
-The channel is local:NAME (printed by `opc4 run`) or a CAN interface. The scenario has to be the
-same one: file or shipped name and settings."""
+The channel is local:NAME (printed by `opc4 run`) or a CAN interface.  File or name of the scenario,
+and settings, must be those of the run."""
 
 from __future__ import annotations
 
@@ -9,29 +9,43 @@ import argparse
 import contextlib
 from pathlib import Path
 
-from sil.cli.options import add_model
+from sil.cli.options import add_model, say
 
 EXAMPLE = """\
 example:
   opc4 node controller --channel vcan0 --scenario full_shift
 """
 
+WAIT_S = 300.0
+"""The first start on a machine compiles the plant's equations."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument("participant", choices=("plant", "controller"))
-    parser.add_argument("--channel", required=True, metavar="local:NAME|INTERFACE")
+    parser.add_argument(
+        "--channel", required=True, metavar="local:NAME|INTERFACE", help="where the run is"
+    )
     parser.add_argument(
         "--scenario", default="full_shift", metavar="SCENARIO", help="file or shipped name"
     )
     parser.add_argument("--seed", type=int, metavar="N", help="seed of everything random")
     parser.add_argument(
+        "--timeout",
+        type=float,
+        default=WAIT_S,
+        metavar="SECONDS",
+        help=f"how long to wait for the run [{WAIT_S:g}]",
+    )
+    parser.add_argument(
         "--out", type=Path, default=Path(), metavar="DIR", help="where the plant records [.]"
     )
-    parser.add_argument("--force", action="store_true", help="replace records that stand there")
+    parser.add_argument("--force", action="store_true", help="replace the records in DIR")
     add_model(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
+    """Take part in the run.  Raises InputError for bad input, RunError when the run ends early."""
     from can_dbc.errors import InputError
     from sil.coupling.participants import open_link, take_part
     from sil.files.output_folder import without_parent_steps
@@ -39,6 +53,9 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.recording.recorder import PLANT_TRACE
     from sil.simulation import build, scenario
 
+    wait_s: float = arguments.timeout
+    if not 0.0 <= wait_s <= 86400.0:
+        raise InputError(f"--timeout: {wait_s}; expected 0 to 86400 s")
     loaded = scenario.load(
         arguments.scenario,
         model=arguments.model,
@@ -49,18 +66,14 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.participant == "plant" and not arguments.force:
         for name in (PLANT_TRACE, EVENTS):
             if (out / name).exists():
-                raise InputError(f"{out / name}: stands there; expected none, or --force")
+                raise InputError(f"{out / name}: exists; expected none, or --force")
     with contextlib.ExitStack() as undoing:
-        link = open_link(arguments.channel, build.PATIENCE.start_s)
+        link = open_link(arguments.channel, wait_s, say)
         undoing.callback(link.close)
         if arguments.participant == "plant":
             out.mkdir(parents=True, exist_ok=True)
         participant = build.make_participant(arguments.participant, loaded, out)
-        undoing.pop_all()  # both are closed by whoever takes part
-        take_part(
-            participant,
-            link,
-            scenario=build.scenario_number(loaded.scenario),
-            start_timeout_s=build.PATIENCE.start_s,
-        )
+        undoing.pop_all()  # take_part closes both
+        number = build.scenario_number(loaded.scenario)
+        take_part(participant, link, scenario=number, start_timeout_s=wait_s, say=say)
     return 0

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import json
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -222,8 +223,8 @@ def open_channels(
 ) -> list[Channel]:
     """Return the channels to all participants of a run, their processes started.
 
-    `transport`: inproc, local, or a CAN interface; participants named in `external` are started by
-    somebody else. The files that the plant's process writes are in `folder`.
+    `transport`: inproc, local, local:NAME, or a CAN interface; participants named in `external` are
+    started by the user, with the command that `say` prints. The plant's process records into `folder`.
     Raises InputError for a transport that this machine does not have, RunError for one in use.
     """
     names = participant_names(loaded.scenario)
@@ -238,12 +239,13 @@ def open_channels(
         from sil.nodes.own_firmware import STEP_S
 
         patience = dataclasses.replace(PATIENCE, answer_s=STEP_S + PATIENCE.answer_s)
-    if transport == "local":
+    kind, colon, name = transport.partition(":")
+    if kind == "local":
         from sil.coupling.transports.hub import Hub
 
-        channel = f"run-{os.getpid()}"
-        remote: Hub | SocketCan = Hub(channel, REMOTE, scenario=number, patience=patience, say=say)
-        channel = f"local:{channel}"
+        name = name if colon else f"run-{os.getpid()}"
+        remote: Hub | SocketCan = Hub(name, REMOTE, scenario=number, patience=patience, say=say)
+        channel = f"local:{name}"
     else:
         from sil.coupling.transports.socketcan import SocketCan
 
@@ -252,7 +254,8 @@ def open_channels(
     closing.callback(remote.close, aborted=True)  # until the coordinator has it
     for name in REMOTE:
         if name in external:
-            say(f"waiting for {name}: opc4 node {name} --channel {channel} --scenario ...")
+            command = shlex.join(["opc4", *node_arguments(name, channel, folder.resolve())])
+            say(f"waiting for {name}: {command}")
         else:
             remote.spawn(name, node_command(name, channel, folder))
     here = [make_participant(name, loaded, folder) for name in names if name not in REMOTE]
@@ -267,5 +270,10 @@ def node_command(name: str, channel: str, folder: Path) -> list[str]:
     code = (
         f"import sys; sys.path.insert(0, {str(ROOT)!r}); from sil.cli import main; sys.exit(main())"
     )
-    command = [sys.executable, "-P", "-c", code, "node", name, "--channel", channel]
-    return [*command, "--scenario", str(folder / SCENARIO), "--out", str(folder), "--force"]
+    return [sys.executable, "-P", "-c", code, *node_arguments(name, channel, folder)]
+
+
+def node_arguments(name: str, channel: str, folder: Path) -> list[str]:
+    """Return the arguments of `opc4` that run one participant of the run in `folder`."""
+    recording = ["--out", str(folder), "--force"] if name == "plant" else []
+    return ["node", name, "--channel", channel, "--scenario", str(folder / SCENARIO), *recording]

@@ -184,6 +184,34 @@ def test_interrupted_at_any_moment(name: str, made: Path, tmp_path: Path) -> Non
             assert "interrupted" in told
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_a_run_and_leaves_nothing_behind(
+    number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Children ended, socket removed, no raw files, the folder labelled incomplete, exit 3."""
+    runtime = tmp_path / "runtime"
+    runtime.mkdir()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
+    command = ["run", "lab_n_b", "--transport", "local:bench", "--speed", "0.02", "--out", "out"]
+    process = started(command, tmp_path)
+    log = tmp_path / "out" / "bus.log"
+    while not log.exists() or log.stat().st_size < 1000:
+        assert process.poll() is None
+        time.sleep(0.02)
+    tasks = Path(f"/proc/{process.pid}/task")
+    children = [pid for task in tasks.iterdir() for pid in (task / "children").read_text().split()]
+    assert len(children) == 2 and list((runtime / "opc4").iterdir())
+    process.send_signal(number)
+    _, lines = process.communicate(timeout=20.0)
+    assert process.returncode == 3 and "interrupted" in lines and "Traceback" not in lines
+    assert not list((runtime / "opc4").iterdir())
+    assert not any(Path(f"/proc/{pid}").exists() for pid in children)
+    assert state(tmp_path / "out") == "interrupted"
+    assert {p.name for p in (tmp_path / "out").iterdir()} <= {
+        *("result.json", "bus.log", "trace.csv", "events.jsonl", "INCOMPLETE")
+    }
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("room", [100_000, 1_000])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -81,38 +82,40 @@ def test_what_only_the_plant_can_refuse_is_bad_input_on_every_transport(
     assert not folder.exists()
 
 
-def test_a_participant_that_the_user_starts_joins_the_run(tmp_path: Path) -> None:
-    """opc4 run --external controller, and opc4 node controller beside it: the same bits."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    opc4 = [sys.executable, "-m", "sil.cli"]
+@pytest.mark.parametrize(
+    ("name", "transport"), [("controller", "local"), ("plant", "local:bench-1")]
+)
+def test_the_command_that_an_external_participant_needs_is_printed(
+    name: str, transport: str, tmp_path: Path
+) -> None:
+    """Run verbatim in a second process, it joins the run; the result is the same to the bit."""
+    (tmp_path / "a folder").mkdir()
+    (tmp_path / "bin").mkdir()
+    opc4 = tmp_path / "bin" / "opc4"
+    opc4.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m sil.cli "$@"\n')
+    opc4.chmod(0o755)
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+        "PATH": f"{opc4.parent}:{os.environ['PATH']}",
+    }
+    words = ["run", "lab_n_b", "--transport", transport, "--external", name]
     with subprocess.Popen(
-        [
-            *opc4,
-            "run",
-            "lab_n_b",
-            "--transport",
-            "local",
-            "--external",
-            "controller",
-            "--json",
-            "--no-report",
-            "--out",
-            "run",
-        ],
-        cwd=tmp_path,
+        [opc4, *words, "--json", "--no-report", "--out", "run"],
+        cwd=tmp_path / "a folder",
         env=environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     ) as coordinator:
         assert coordinator.stderr is not None
-        told = ""
-        while "opc4 node" not in told:
-            told = coordinator.stderr.readline()
-            assert told, "the coordinator ended"
-        channel = told.split("--channel ")[1].split()[0]
+        line = ""
+        while "opc4 node" not in line:
+            line = coordinator.stderr.readline()
+            assert line, "the coordinator ended"
         node = subprocess.run(
-            [*opc4, "node", "controller", "--channel", channel, "--scenario", "lab_n_b"],
+            line.split(": ", 1)[1],
+            shell=True,
             cwd=tmp_path,
             env=environment,
             capture_output=True,
@@ -124,3 +127,24 @@ def test_a_participant_that_the_user_starts_joins_the_run(tmp_path: Path) -> Non
     assert (node.returncode, coordinator.returncode) == (0, 0), (node.stderr, err)
     alone = run(tmp_path / "inproc", "lab_n_b")
     assert json.loads(out)["trace_sha256"] == alone.result.trace_sha256
+
+
+def test_a_plant_that_records_elsewhere_is_named(tmp_path: Path) -> None:
+    """Without the plant's records there is no result, and the reason says where they belong."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    nodes: list[subprocess.Popen[bytes]] = []
+
+    def start(message: str) -> None:
+        if "opc4 node" in message:
+            words = shlex.split(message.split("opc4 ", 1)[1])
+            words[words.index("--out") + 1] = str(tmp_path / "elsewhere")
+            nodes.append(subprocess.Popen([sys.executable, "-m", "sil.cli", *words], cwd=ROOT))
+
+    loaded = scenario.load("lab_n_b")
+    finished = runner.run(loaded, folder, transport="local", external=["plant"], say=start)
+    assert nodes[0].wait(60.0) == 0
+    assert not finished.result.complete
+    assert finished.result.why == (
+        f"the plant recorded nothing in {folder}; expected opc4 node plant --out {folder}"
+    )

@@ -279,7 +279,8 @@ class Hub(RemoteChannel):
         for client in list(self._clients.values()):
             self._send_monitor(client, farewell)
         deadline = time.monotonic() + (0.0 if aborted else self._patience.close_s)
-        while any(client.backlog for client in self._clients.values()):
+        # A participant closes its connection once its files are complete.
+        while any(client.backlog or client.peer for client in self._clients.values()):
             left = deadline - time.monotonic()
             if left <= 0.0:
                 break

@@ -9,15 +9,18 @@ import socket
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import EDP_BIT, Frame
 from can_dbc.messages import StopReason
 from sil.coupling.transports import address, wire
+from sil.coupling.transports.remote import silent
 from sil.coupling.transports.socketcan import PARTICIPANT_VIEW, CanSocket, lifeline_address
 from sil.coupling.transports.wire import Kind
+
+_ANSWER_EXPECTED_S = 0.3
 
 
 class Grant(NamedTuple):
@@ -58,11 +61,23 @@ class LocalLink(Link):
 
     hello_again_s = math.inf
 
-    def __init__(self, channel: str, start_timeout_s: float) -> None:
-        """Connect, waiting for the hub; raises RunError when it does not come."""
-        self._path = address.socket_path(channel)
+    def __init__(
+        self, channel: str, start_timeout_s: float, say: Callable[[str], None] = silent
+    ) -> None:
+        """Connect, waiting for the hub; `say` takes the message that it waits.
+
+        Raises InputError for a name that no channel can have, RunError when no hub comes in time.
+        """
+        path = self._path = address.socket_path(channel)
+        if not path.parent.is_dir():
+            raise InputError(
+                f"channel {channel!r}: no folder {path.parent}; expected an existing one"
+            )
+        if path.exists() and not path.is_socket():
+            raise InputError(f"channel {channel!r}: is no socket; expected that of a run")
         self._buffer = bytearray(wire.LONGEST_BATCH * wire.RECORD_BYTES)
         deadline = time.monotonic() + start_timeout_s
+        waiting = False
         while True:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             try:
@@ -72,8 +87,11 @@ class LocalLink(Link):
                 self._socket.close()
                 if time.monotonic() > deadline:
                     raise RunError(
-                        f"no coordinator on {self._path} within {start_timeout_s:g} s"
+                        f"no run on local:{channel} within {start_timeout_s:g} s"
                     ) from None
+                if not waiting:
+                    waiting = True
+                    say(_waiting(channel, start_timeout_s))
                 time.sleep(0.02)
             except OSError as error:
                 self._socket.close()
@@ -110,13 +128,19 @@ class LocalLink(Link):
         self._socket.close()
 
 
+def _waiting(channel: str, timeout_s: float) -> str:
+    others = [f"local:{name}" for name in address.running_channels()]
+    found = f"; runs found: {', '.join(others)}" if others else ""
+    return f"waiting up to {timeout_s:g} s for a run on local:{channel}{found}"
+
+
 class CanLink(Link):
     """The link to a `SocketCan` coordinator on the same channel."""
 
     hello_again_s = 0.1
 
     def __init__(self, interface: str) -> None:
-        """Open the channel; raises InputError when there is none."""
+        """Open the channel.  Raises InputError when there is none."""
         self._can = CanSocket(interface, PARTICIPANT_VIEW)
         self._lifeline: socket.socket | None = None
         self._poll = select.poll()
@@ -181,23 +205,30 @@ class Session:
         self._now_ns = 0
         self._first_event_ns = 0
 
-    def join(self, first_event_ns: int, timeout_s: float) -> None:
-        """Say Hello until welcomed; the first event is told when the run starts.
+    def join(
+        self, first_event_ns: int, timeout_s: float, say: Callable[[str], None] = silent
+    ) -> None:
+        """Send Hello until it is answered; `first_event_ns` is sent when the run starts.
 
-        Raises InputError when refused, RunError when nobody answers.
+        `say` takes the message that nobody has answered yet.
+        Raises InputError when refused, RunError when nobody answers in time.
         """
         nonce = int.from_bytes(os.urandom(2), "little")
         hello = wire.control(Kind.HELLO, self._number, wire.VERSION, nonce | self._scenario << 16)
         deadline = time.monotonic() + timeout_s
         next_hello = 0.0
+        say_at = time.monotonic() + _ANSWER_EXPECTED_S
         while True:
             now = time.monotonic()
             if now > deadline:
-                raise RunError(f"{self.name}: no coordinator answered within {timeout_s:g} s")
+                raise RunError(f"{self.name}: no run answered within {timeout_s:g} s")
+            if now >= say_at:
+                say_at = math.inf
+                say(f"waiting up to {timeout_s:g} s for a run that needs {self.name}")
             if now >= next_hello:
                 self._link.write([hello])
                 next_hello = now + self._link.hello_again_s
-            self._records.extend(self._link.read(max(0.0, min(deadline, next_hello) - now)))
+            self._records.extend(self._link.read(max(0.0, min(deadline, next_hello, say_at) - now)))
             while self._records:
                 can_id, payload = self._records.popleft()
                 said = self._parse(can_id, payload)

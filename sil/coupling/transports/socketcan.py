@@ -48,7 +48,7 @@ class CanSocket:
         except OSError as error:
             raise InputError(
                 f"channel {interface!r}: this kernel has no SocketCAN ({error.strerror}); "
-                "expected inproc, local, or the name of a CAN interface"
+                "expected inproc, local, local:NAME, or the name of a CAN interface"
             ) from None
         try:
             packed = b"".join(struct.pack("=II", *entry) for entry in filters)
@@ -60,7 +60,7 @@ class CanSocket:
         except OSError as error:
             self._socket.close()
             raise InputError(
-                f"channel {interface!r}: {error.strerror}; expected inproc, local, "
+                f"channel {interface!r}: {error.strerror}; expected inproc, local, local:NAME, "
                 "or the name of a CAN interface that is up"
             ) from None
 
@@ -289,6 +289,9 @@ class SocketCan(RemoteChannel):
     def _close_channel(self, farewell: bytes, aborted: bool) -> None:
         try:
             self._can.send(farewell)
+            deadline = time.monotonic() + (0.0 if aborted else self._patience.close_s)
+            while self._lifelines and (left := deadline - time.monotonic()) > 0.0:
+                self._pump(left)  # a participant closes its lifeline once its files are complete
         finally:
             self._can.close()
             self._listener.close()

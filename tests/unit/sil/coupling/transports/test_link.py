@@ -99,7 +99,7 @@ def test_a_refusal_is_told(refusal: Refusal) -> None:
 
 def test_nobody_there_is_told_after_the_timeout() -> None:
     joining, link = session()
-    with pytest.raises(RunError, match=r"no coordinator answered within 0.01 s"):
+    with pytest.raises(RunError, match=r"no run answered within 0.01 s"):
         joining.join(0, 0.01)
     assert len(link.written) > 1
 
