@@ -49,11 +49,19 @@ class Run:
 
 @dataclass(frozen=True)
 class Sweep:
-    """A finished study: its columns by name, numbers [rows] (nan for none) and texts."""
+    """A finished study: its columns by name, numbers [rows] (nan for none) and texts [rows].
+
+    texts["outcome"] is passed, failed or not run; texts["reason"] says why a row did not pass.
+    """
 
     numbers: dict[str, NDArray[np.float64]]
     texts: dict[str, list[str]]
     summary: dict[str, Any]
+
+    @property
+    def passed(self) -> bool:
+        """Return whether every row ran and met its expectation."""
+        return all(outcome == "passed" for outcome in self.texts["outcome"])
 
 
 def run(
@@ -118,7 +126,8 @@ def whatif(study: Where, *, out: Where, workers: int = 1, resume: bool = False) 
     from sil.files.output_folder import locked_folder
     from sil.studies.executor import run_study
     from sil.studies.load_study import load_study
-    from sil.studies.table import read_table, summary
+    from sil.studies.summary import summary
+    from sil.studies.table import read_table
 
     loaded = load_study(str(study))
     with locked_folder(Path(out)) as folder:

@@ -1,4 +1,7 @@
-"""Run a study: any values of model, firmware, sensor and bus swept, one table and its pictures."""
+"""Run a study: any values of model, firmware, sensor and bus swept, one table and its figures.
+
+Exit code 3 if a row could not run, else 1 if a row failed, else 0.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,14 @@ import json
 import shlex
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sil.studies.study import LoadedStudy
+    from sil.studies.table import Table
 
 EXAMPLE = "example: opc4 whatif sensor_delay --workers 2 --out sweep/"
+REASONS_PRINTED = 10
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,15 +33,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the rows, write table, summary, pictures and page."""
+    """Run the rows, write table, summary, figures and page; return the exit code.
+
+    Raises InputError for wrong arguments or a wrong study, RunError if the sweep cannot go on.
+    """
     from can_dbc.errors import InputError
-    from sil.files.atomic import write_atomically
-    from sil.files.output_folder import finite, prepare_folder, reopen_folder
-    from sil.studies.executor import RESULTS, run_study
+    from sil.files.output_folder import finite
+    from sil.studies.executor import run_study
     from sil.studies.load_study import load_study, shipped
-    from sil.studies.pictures import draw, read_metrics
-    from sil.studies.study_page import page
-    from sil.studies.table import read_table, summary
+    from sil.studies.summary import exit_code, summary
+    from sil.studies.table import read_table
 
     if arguments.list:
         for name, path in shipped().items():
@@ -44,18 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.workers < 1:
         raise InputError(f"--workers {arguments.workers}: expected 1 or more")
     study = load_study(arguments.study)
-    if arguments.resume:
-        if arguments.out is None or not (arguments.out / RESULTS).exists():
-            raise InputError("--resume: no sweep to continue; expected --out DIR of one")
-        folder = reopen_folder(arguments.out)
-    else:
-        folder = prepare_folder(arguments.out, study.study.name, arguments.force)
-    terminal = sys.stderr.isatty()
-
-    def progress(done: int, size: int) -> None:
-        if terminal:
-            print(f"\r{done} of {size} rows", end="", file=sys.stderr, flush=True)
-
+    folder = folder_of(study, arguments)
     now = run_study(
         study,
         folder,
@@ -64,49 +62,99 @@ def run(arguments: argparse.Namespace) -> int:
         resume=arguments.resume,
         progress=progress,
     )
-    if terminal:
-        print(file=sys.stderr)
     table = read_table(study, folder)
-    told = summary(study, table)
-    write_atomically(folder / "summary.json", json.dumps(finite(told), indent=1) + "\n")
+    found = summary(study, table)
+    write_files(study, table, found, folder, shlex.join(["opc4", "whatif", arguments.study]))
+    if arguments.json:
+        print(json.dumps(finite({"out": str(folder), "rows_now": now, **found})))
+    else:
+        print_summary(study, found)
+        print(f"{found['rows']} rows ({now} run now) in {folder}")
+    return exit_code(table)
+
+
+def folder_of(study: LoadedStudy, arguments: argparse.Namespace) -> Path:
+    """Return the folder to write. Raises InputError if it cannot be used, naming --resume if that can."""
+    from can_dbc.errors import InputError
+    from sil.files.output_folder import prepare_folder, reopen_folder
+    from sil.studies.executor import rows_to_resume
+    from sil.studies.table import RESULTS
+
+    out: Path | None = arguments.out
+    if arguments.resume:
+        if out is None or not (out / RESULTS).exists():
+            raise InputError("--resume: no sweep to continue; expected --out DIR of one")
+        return reopen_folder(out)
+    stored = None if arguments.force else rows_to_resume(study, out)
+    if stored is not None:
+        raise InputError(
+            f"{out}: --out: holds {stored} of {study.size} rows of this study; "
+            "expected --resume to continue it, or --force to replace it"
+        )
+    return prepare_folder(out, study.study.name, arguments.force)
+
+
+def progress(done: int, size: int) -> None:
+    """Show how many rows are finished, on a terminal."""
+    if sys.stderr.isatty():
+        print(f"\r{done} of {size} rows", end="" if done < size else "\n", file=sys.stderr)
+
+
+def write_files(
+    study: LoadedStudy, table: Table, found: dict[str, Any], folder: Path, command: str
+) -> None:
+    """Write summary, figures and page, of a safety study also the fault table."""
+    from sil.files.atomic import write_atomically
+    from sil.files.output_folder import finite
+    from sil.studies.pictures import draw
+    from sil.studies.study_page import page
+
+    write_atomically(folder / "summary.json", json.dumps(finite(found), indent=1) + "\n")
+    pictures = draw(study, table, folder)
     if study.study.safety:
         from sil.studies.fault_table import FAULT_TABLE, draw_outcomes, fault_table, kept
 
-        told["kept"] = kept(study, table)
+        found["kept"] = kept(study, table)
         write_atomically(folder / FAULT_TABLE, fault_table(study, table))
-    pictures = draw(study, table, folder)
-    if study.study.safety:
         pictures.append(draw_outcomes(study, table, folder))
-    again = shlex.join(["opc4", "whatif", arguments.study])
-    write_atomically(folder / "report.html", page(study, table, told, pictures, again))
-    if arguments.json:
-        print(json.dumps(finite({"out": str(folder), "rows_now": now, **told})))
-        return 0
-    for sentence in told.get("kept", ()):
+    write_atomically(folder / "report.html", page(study, table, found, pictures, command))
+
+
+def print_summary(study: LoadedStudy, found: dict[str, Any]) -> None:
+    """Print a line for each combination of choices, and why rows did not pass."""
+    from sil.studies.pictures import read_metrics
+
+    for sentence in found.get("kept", ()):
         print(sentence)
-    groups = {} if study.study.safety else told["groups"]
-    for name, entry in groups.items():
-        if study.study.kind != "runs":
-            print(f"{name or study.study.name}: {brief(entry, read_metrics(study))}")
-            continue
-        speed = entry.get("impact_speed_m_s")
-        time = entry.get("shift_time_s") or entry.get("arrival_s")
-        parts = [f"{entry['rows']} rows"]
-        if time:
-            parts.append(f"time {1e3 * time['median']:.0f} ms ({1e3 * time['max']:.0f} at worst)")
-        if speed:
-            parts.append(f"impact {speed['median']:.2f} m/s ({speed['max']:.2f} at worst)")
-        parts.append(f"failed {100 * entry['failed_share']:.1f} %")
-        print(f"{name or study.study.name}: {', '.join(parts)}")
-    print(f"{told['rows']} rows ({now} run now) in {folder}")
-    return 0
+    for name, entry in {} if study.study.safety else found["groups"].items():
+        if study.study.kind == "runs":
+            print(f"{name}: {shift_line(entry)}")
+        else:
+            print(f"{name}: {metrics_line(entry, read_metrics(study))}")
+    counts = found["outcomes"]
+    if counts["failed"] or counts["not_run"]:
+        print(f"{counts['failed']} rows failed, {counts['not_run']} could not run:")
+        reasons = [each for each in found["reasons"] if each["outcome"] != "passed"]
+        for each in reasons[:REASONS_PRINTED]:
+            print(f"  {each['rows']} {each['outcome']}: {each['reason']} (row {each['first_row']})")
 
 
-def brief(entry: dict[str, Any], metrics: list[str]) -> str:
-    """The first metrics of a group of rows on one line: value, or least to greatest."""
+def shift_line(entry: dict[str, Any]) -> str:
+    """Return time, impact and failures of a group of shifts."""
+    parts = [f"{entry['rows']} rows"]
+    time, speed = entry.get("shift_time_s") or entry.get("arrival_s"), entry.get("impact_speed_m_s")
+    if time:
+        parts.append(f"time {1e3 * time['median']:.0f} ms ({1e3 * time['max']:.0f} at worst)")
+    if speed:
+        parts.append(f"impact {speed['median']:.2f} m/s ({speed['max']:.2f} at worst)")
+    return ", ".join([*parts, f"failed {100 * entry['failed_share']:.1f} %"])
+
+
+def metrics_line(entry: dict[str, Any], metrics: list[str]) -> str:
+    """Return the metrics shown first of a group of rows: value, or least to greatest."""
     parts = [f"{entry['rows']} rows"] if entry["rows"] > 1 else []
     for name in metrics:
         if name in entry:
             low, high = entry[name]["min"], entry[name]["max"]
             parts.append(f"{name} {low:.3g}" + (f" to {high:.3g}" if high > low else ""))
-    return ", ".join(parts) or "nothing to tell"
+    return ", ".join(parts) or "no figures"

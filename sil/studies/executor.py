@@ -1,18 +1,20 @@
-"""Runs a study's rows, in order, over processes or a cluster, into a table that can be resumed.
+"""Run the rows of a study, in order, over processes or a cluster, into a table that can be resumed.
 
-Rows are written in the order of their numbers whoever ran them, so one worker, two, or a cluster
-give the same bytes, and a killed sweep leaves a prefix that `resume` continues.
+Rows are written in the order of their numbers, so one worker, two, or a cluster give the same bytes,
+and a killed sweep leaves a prefix that `resume` continues.
 """
 
 from __future__ import annotations
 
+import csv
 import functools
 import gc
+import io
 import json
 import math
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -22,64 +24,59 @@ import msgspec
 
 from can_dbc.errors import InputError, RunError
 from sil.files.atomic import write_atomically
-from sil.studies.rows import columns, run_row
+from sil.studies.rows import RowResult, columns, run_row
 from sil.studies.study import Base, LoadedStudy, Row, Study, toml_value
+from sil.studies.table import RESULTS
 
-RESULTS, STATE = "results.csv", "study.json"
+STATE = "study.json"
 CHUNK = 16
-"""Rows of runs that a worker takes at a time; the longer rows of other kinds go one by one."""
+"""Rows of runs that a worker takes at a time; the longer rows of other kinds are taken one by one."""
+
+CONTINUE = "the finished rows are stored; add --resume to continue"
 
 Progress = Callable[[int, int], None]
 
 
-def header(study: LoadedStudy) -> list[str]:
-    """Columns of the table: row, choices, swept values, metrics."""
+def csv_line(cells: Sequence[str]) -> str:
+    """Return cells as one line of CSV text."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerow(cells)
+    return text.getvalue()
+
+
+def header(study: LoadedStudy) -> str:
+    """Return the first line: row, choices, swept values, figures, outcome, reason."""
     names = ["row", *(name for name, _items in study.groups)]
-    return [*names, *(sweep.path for sweep in study.study.sweep), *columns(study)]
+    names += [sweep.path for sweep in study.study.sweep]
+    return csv_line([*names, *columns(study), "outcome", "reason"])
 
 
-def first_line(study: LoadedStudy) -> str:
-    """The columns as CSV text."""
-    return ",".join(quoted(name) for name in header(study)) + "\n"
-
-
-def line(study: LoadedStudy, row: Row, found: dict[str, float]) -> str:
-    """One row of the table as CSV text."""
+def line(study: LoadedStudy, row: Row, result: RowResult) -> str:
+    """Return one row as CSV text; figures with all their digits, empty for NaN."""
     cells = [str(row.number), *row.choices]
     cells += [toml_value(row.settings[sweep.path]) for sweep in study.study.sweep]
-    cells += [number(found[name]) for name in columns(study)]
-    return ",".join(quoted(cell) for cell in cells) + "\n"
-
-
-def number(value: float) -> str:
-    """A number with all its digits; empty for none."""
-    return "" if math.isnan(value) else repr(value)
-
-
-def quoted(cell: str) -> str:
-    """A CSV cell, quoted where it must be."""
-    if any(c in cell for c in ',"\n'):
-        return '"' + cell.replace('"', '""') + '"'
-    return cell
+    figures = (result.figures[name] for name in columns(study))
+    cells += ["" if math.isnan(value) else repr(value) for value in figures]
+    return csv_line([*cells, result.outcome, result.reason])
 
 
 def run_chunk(study: LoadedStudy, numbers: tuple[int, int]) -> list[str]:
-    """Lines of the rows begin..end-1 of a study; what a worker does."""
+    """Run the rows begin..end-1 of a study and return their lines."""
     rows = islice(study.rows(numbers[0]), numbers[1] - numbers[0])
     lines = [line(study, row, run_row(study, row)) for row in rows]
-    _spare_the_collector()
+    _freeze_loaded_objects()
     return lines
 
 
 @functools.cache
-def _spare_the_collector() -> None:
-    """Once a process has loaded what rows need, the collector need not walk it again and again."""
+def _freeze_loaded_objects() -> None:
+    """Exclude what a process has loaded for its rows from further garbage collections."""
     gc.collect()
     gc.freeze()
 
 
 def chunks(begin: int, size: int, rows: int = CHUNK) -> Iterator[tuple[int, int]]:
-    """Row numbers in pieces."""
+    """Yield row numbers in pieces (begin, end)."""
     for start in range(begin, size, rows):
         yield start, min(start + rows, size)
 
@@ -93,21 +90,22 @@ def run_study(
     resume: bool = False,
     progress: Progress = lambda done, size: None,
 ) -> int:
-    """Run the rows that are missing into folder/results.csv; returns how many were run now.
+    """Run the rows that are missing into folder/results.csv and return how many were run now.
 
-    Raises InputError when `folder` holds another study's rows, or a row cannot be set up; RunError
-    when a worker dies or the cluster cannot be reached.
+    Raises InputError if `folder` holds another study's rows, or a row cannot be set up; RunError
+    if a worker dies or the cluster cannot be reached.
     """
     path, begin = folder / RESULTS, 0
     if resume and path.exists():
-        begin = completed(study, folder)
+        begin, length = completed(study, folder)
+        os.truncate(path, length)
     else:
         write_atomically(
             folder / STATE, json.dumps({"study": study.study.name, "sha256": study.digest})
         )
-        write_atomically(path, first_line(study))
+        write_atomically(path, header(study))
     wanted = list(chunks(begin, study.size, CHUNK if study.study.kind == "runs" else 1))
-    # the first row runs here: bad settings are told at once, and kernels are compiled once
+    # the first rows run here: bad settings are reported at once, and kernels are compiled once
     done = begin
     with open(path, "a", encoding="utf-8", newline="") as file:
         for lines in results(study, wanted, workers, cluster):
@@ -122,7 +120,7 @@ def run_study(
 def results(
     study: LoadedStudy, wanted: list[tuple[int, int]], workers: int, cluster: str | None
 ) -> Iterable[list[str]]:
-    """Lines of each chunk, in order."""
+    """Yield the lines of each chunk, in order."""
     if not wanted:
         return
     yield run_chunk(study, wanted[0])
@@ -141,7 +139,7 @@ _STUDY: list[LoadedStudy] = []
 
 
 def begin_worker(study: LoadedStudy, parent: int) -> None:
-    """Keep the study, leave interrupts to the parent, and end when it is gone."""
+    """Store the study, leave interrupts to the parent, and end when the parent is gone."""
     import signal
     import threading
 
@@ -156,14 +154,17 @@ def begin_worker(study: LoadedStudy, parent: int) -> None:
 
 
 def run_worker_chunk(numbers: tuple[int, int]) -> list[str]:
-    """As `run_chunk`, of the worker's study."""
+    """Run a chunk of the worker's study, as `run_chunk` does."""
     return run_chunk(_STUDY[0], numbers)
 
 
 def on_processes(
     study: LoadedStudy, wanted: list[tuple[int, int]], workers: int
 ) -> Iterable[list[str]]:
-    """Chunks over worker processes of this machine."""
+    """Run chunks in worker processes of this machine.
+
+    Raises RunError if a worker dies.
+    """
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
     from concurrent.futures.process import BrokenProcessPool
@@ -177,7 +178,7 @@ def on_processes(
     try:
         yield from pool.map(run_worker_chunk, wanted)
     except BrokenProcessPool:
-        raise RunError("a worker process died; what was done is kept: --resume goes on") from None
+        raise RunError(f"a worker process died; {CONTINUE}") from None
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
 
@@ -185,7 +186,10 @@ def on_processes(
 def on_cluster(
     study: LoadedStudy, wanted: list[tuple[int, int]], address: str
 ) -> Iterable[list[str]]:
-    """Chunks over a dask.distributed cluster, gathered in order; workers need this package."""
+    """Run chunks on a dask.distributed cluster, in order; its workers need this package.
+
+    Raises InputError without dask.distributed, RunError if the cluster is not there or is lost.
+    """
     try:
         from distributed import Client
         from distributed.client import FutureCancelledError
@@ -201,10 +205,10 @@ def on_cluster(
     try:
         if not client.scheduler_info()["workers"]:
             raise RunError(f"--cluster {address}: the scheduler has no workers; expected some")
-        told = msgspec.to_builtins(study.study)
+        plain = msgspec.to_builtins(study.study)
         base = None if study.base is None else msgspec.to_builtins(study.base)
         futures = client.map(
-            partial(run_sent_chunk, study.digest, told, study.source, base),
+            partial(run_sent_chunk, study.digest, plain, study.source, base),
             wanted,
             pure=False,
             retries=2,
@@ -213,9 +217,7 @@ def on_cluster(
             yield future.result()
             future.release()
     except (KilledWorker, FutureCancelledError, OSError) as error:
-        raise RunError(
-            f"--cluster {address}: lost: {error}; what was done is kept: --resume goes on"
-        ) from None
+        raise RunError(f"--cluster {address}: lost: {error}; {CONTINUE}") from None
     finally:
         client.close()
 
@@ -230,7 +232,7 @@ def run_sent_chunk(
     base: dict[str, Any] | None,
     numbers: tuple[int, int],
 ) -> list[str]:
-    """As `run_chunk`, on a machine that has the study only as it was sent."""
+    """Run a chunk on a machine that has the study only as it was sent, as `run_chunk` does."""
     if digest not in _SENT:
         _SENT[digest] = LoadedStudy(
             msgspec.convert(study, Study),
@@ -240,30 +242,35 @@ def run_sent_chunk(
     return run_chunk(_SENT[digest], numbers)
 
 
-def completed(study: LoadedStudy, folder: Path) -> int:
-    """How many rows of this study the folder's table holds; a torn last line is cut off.
+def completed(study: LoadedStudy, folder: Path) -> tuple[int, int]:
+    """Return how many whole rows of this study the folder's table holds, and their length in bytes.
 
-    Raises InputError when the table belongs to another study.
+    Raises InputError if the table belongs to another study.
     """
     state = folder / STATE
     try:
-        told = json.loads(state.read_text(encoding="utf-8"))["sha256"]
+        digest = json.loads(state.read_text(encoding="utf-8"))["sha256"]
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"{state}: not the state of a sweep; expected one begun here") from None
-    if told != study.digest:
+    if digest != study.digest:
         raise InputError(
             f"{folder}: holds the rows of another study; expected --force or another --out"
         )
     path = folder / RESULTS
     content = path.read_bytes()
-    whole = content.rfind(b"\n") + 1
-    lines = content[:whole].decode().splitlines()
-    if not lines or lines[0] + "\n" != first_line(study):
+    length = content.rfind(b"\n") + 1
+    lines = content[:length].decode().splitlines()
+    if not lines or lines[0] + "\n" != header(study):
         raise InputError(f"{path}: line 1: not this study's columns")
     for expected, text in enumerate(lines[1:]):
         if text.split(",", 1)[0] != str(expected):
             raise InputError(f"{path}: line {expected + 2}: not row {expected}")
-    if whole < len(content):
-        with open(path, "r+b") as file:
-            file.truncate(whole)
-    return len(lines) - 1
+    return len(lines) - 1, length
+
+
+def rows_to_resume(study: LoadedStudy, folder: Path | None) -> int | None:
+    """Return how many rows of this study an interrupted run left in a folder, None for any other."""
+    try:
+        return None if folder is None else completed(study, folder)[0]
+    except (InputError, OSError):
+        return None

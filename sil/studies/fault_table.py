@@ -53,7 +53,7 @@ def kept(study: LoadedStudy, table: Table) -> list[str]:
     orphans = int((table.numbers["orphan_energised_s"] > 0.0).sum())
     half = int(table.numbers["half_engaged"].sum())
     false = np.nan_to_num(table.numbers["false_gear_s"])
-    longest, sight = float(false.max(initial=0.0)), longest_sight_s(study)
+    longest, sight = float(false.max(initial=0.0)), study.longest_sight_s
     silent = int(np.isnan(table.numbers["reported_gear"]).sum())
     seen = int((table.numbers["fault_bits"] > 0.0).sum())
     return [
@@ -150,7 +150,7 @@ def draw_outcomes(study: LoadedStudy, table: Table, folder: Path) -> Path:
     labels = [", ".join(table.texts[name][i] for name in names[:-1]) for i in range(table.size)]
     faults = list(dict.fromkeys(labels))
     grid = np.full((len(faults), len(shifts)), 0)
-    sight = longest_sight_s(study)
+    sight = study.longest_sight_s
     for i in range(table.size):
         place = faults.index(labels[i]), shifts.index(table.texts[names[-1]][i])
         grid[place] = outcome(table, i, sight)
@@ -190,13 +190,3 @@ def draw_outcomes(study: LoadedStudy, table: Table, folder: Path) -> Path:
     save(figure, folder, "faults")
     pyplot.close(figure)
     return folder / "faults.png"
-
-
-def longest_sight_s(study: LoadedStudy) -> float:
-    """The longest time before a motion of the base scenario can have reached the status frames."""
-    from sil.simulation.safety import sight_s
-    from sil.simulation.scenario import from_table
-
-    assert study.base is not None
-    base = study.base
-    return sight_s(from_table(base.table, base.source, folder=Path(base.folder)).scenario)

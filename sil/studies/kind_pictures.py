@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from sil.studies.budget import THESIS_S, THESIS_WINDOW_S
-from sil.studies.budget_rows import BARS, closed, simulated
 from sil.studies.figure_style import COLOURS, saved
+from sil.studies.kinds.budget import BARS, THESIS_S, THESIS_WINDOW_S, closed, simulated
 from sil.studies.study import LoadedStudy
 from sil.studies.table import Table
 

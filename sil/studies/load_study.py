@@ -1,56 +1,156 @@
-"""Studies by name or file: read, checked, with the scenario that they start from.
-
-Checked by: tests/unit/sil/studies/test_whatif.py
-"""
+"""Read studies by name or file, with the scenario that they start from, and check them."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
-from can_dbc.errors import InputError
+from can_dbc.errors import InputError, nearest, unknown_name
 from sil.files import typed_toml
-from sil.studies.study import Base, LoadedStudy, Study
-from sil.studies.study_checks import check_metrics, check_study
+from sil.simulation import scenario
+from sil.studies.rows import columns
+from sil.studies.study import MOST_ROWS, Base, LoadedStudy, Study, Sweep, groups_of
 
 SHIPPED = Path(__file__).parent / "shipped"
+BASES = {
+    "runs": ({(True, False), (False, True)}, "either scenario = or [stroke], exactly one"),
+    "bounds": ({(False, False)}, "no scenario and no [stroke], where kind is bounds"),
+    "budget": ({(True, False)}, "scenario = and no [stroke], where kind is budget"),
+    "tuning": ({(True, False)}, "scenario = and no [stroke], where kind is tuning"),
+}
+"""For each kind, which of (scenario, stroke) may be given, and the same in words."""
 
 
 def shipped() -> dict[str, Path]:
-    """The studies that come with the package, by name."""
+    """Return the studies that come with the package, by name."""
     return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
 
 
 def load_study(where: str) -> LoadedStudy:
     """Read a study file, or a shipped study by name.
 
-    Raises InputError naming file, place, what is wrong and what was expected.
+    Raises InputError with file, location, what is wrong and what was expected.
     """
     path = Path(where)
     if not where.endswith(".toml"):
         known = shipped()
         if where not in known:
-            import difflib
-
-            near = difflib.get_close_matches(where, known, n=3, cutoff=0.3) or list(known)
+            near = nearest(where, known) or list(known)
             raise InputError(f"study {where!r}: no such study; nearest: {', '.join(near)}")
         path = known[where]
     study = typed_toml.convert(typed_toml.read_toml(path), Study, str(path))
-    check_study(study, str(path))
+    for check in (check_shape, check_names, check_size):
+        check(study, str(path))
     loaded = LoadedStudy(study, str(path), base_of(study, path))
     check_metrics(loaded)
     return loaded
 
 
 def base_of(study: Study, path: Path) -> Base | None:
-    """The scenario that a study names: a file beside the study's, else a shipped one."""
+    """Read the scenario that a study names: a file in the study's folder, else a shipped one.
+
+    Raises InputError for a scenario that cannot be read.
+    """
     if study.scenario is None:
         return None
-    from sil.simulation import scenario
-
-    beside = path.parent / study.scenario
+    near = path.parent / study.scenario
     try:
-        where = str(beside) if beside.is_file() else study.scenario
-        table, found = scenario.read(where)
+        table, found = scenario.read(str(near) if near.is_file() else study.scenario)
     except InputError as error:
         raise InputError(f"{path}: scenario: {error}") from None
     return Base(table, str(found), str(found.parent))
+
+
+def check_shape(study: Study, source: str) -> None:
+    """Refuse a study without exactly one base, or with an incomplete sweep. Raises InputError."""
+    allowed, expected = BASES[study.kind]
+    if (study.scenario is not None, study.stroke is not None) not in allowed:
+        raise InputError(f"{source}: expected {expected}")
+    if study.kind == "tuning" and not (study.load and study.strategy):
+        raise InputError(f"{source}: a tuning needs [[load]] and [[strategy]]; expected both")
+    for index, sweep in enumerate(study.sweep):
+        wrong = wrong_sweep(sweep, study.design.kind)
+        if wrong:
+            raise InputError(f"{source}: sweep[{index}] {sweep.path}: {wrong}")
+    if study.design.kind in ("lhs", "sobol") and study.design.samples < 1:
+        raise InputError(f"{source}: design.samples: expected 1 or more")
+    if study.safety and (study.scenario is None or study.kind != "runs"):
+        raise InputError(f"{source}: safety: expected a study of runs with a scenario as base")
+
+
+def wrong_sweep(sweep: Sweep, design: str) -> str:
+    """Return what is wrong with a sweep in a design, empty if nothing is."""
+    drawn = design in ("lhs", "sobol")
+    ranged = sweep.low is not None or sweep.high is not None
+    if (sweep.values is None) == (not ranged):
+        return "expected values, or low and high"
+    if sweep.values is not None:
+        if not sweep.values:
+            return "values: empty; expected at least one"
+        return f"a {design} design needs low and high" if drawn else ""
+    if sweep.low is None or sweep.high is None or not sweep.low < sweep.high:
+        return "expected low < high"
+    if sweep.scale == "log" and sweep.low <= 0.0:
+        return "a log range needs low > 0"
+    return "steps: expected 2 or more" if not drawn and sweep.steps is None else ""
+
+
+def check_names(study: Study, source: str) -> None:
+    """Refuse names that no file or table can hold, and values set twice. Raises InputError."""
+    paths = [sweep.path for sweep in study.sweep]
+    twice = next((path for path in paths if paths.count(path) > 1), None)
+    if twice is not None:
+        raise InputError(f"{source}: sweep: {twice} is swept twice; expected each once")
+    named = [("name", study.name)]
+    for group in ("load", "strategy", "variant"):
+        items = getattr(study, group)
+        named += [(f"{group}[{k}].name", item.name) for k, item in enumerate(items)]
+        if len({item.name for item in items}) != len(items):
+            raise InputError(f"{source}: {group}: two have the same name; expected different ones")
+        for item in items:
+            both = next((path for path in item.set if path in paths), None)
+            if both is not None:
+                raise InputError(
+                    f"{source}: {group} {item.name!r}: {both} is swept, too; expected one of them"
+                )
+    for field, name in named:
+        if not name.isprintable() or not name.strip():
+            raise InputError(f"{source}: {field}: {name[:60]!r}; expected printable characters")
+    if "/" in study.name or "\\" in study.name or study.name.startswith("."):
+        raise InputError(f"{source}: name: {study.name!r}; expected a name, not a path")
+
+
+def check_size(study: Study, source: str) -> None:
+    """Refuse more rows than `MOST_ROWS` before any of them is made. Raises InputError."""
+    if study.design.kind in ("lhs", "sobol"):
+        if not study.sweep:
+            raise InputError(
+                f"{source}: a {study.design.kind} design without [[sweep]]; expected one"
+            )
+        size = study.design.samples
+    else:
+        counts = [
+            sweep.steps or 2 if sweep.values is None else len(sweep.values) for sweep in study.sweep
+        ]
+        size = math.prod(counts) if study.design.kind == "grid" else max(counts, default=1)
+    size *= math.prod(len(items) for _name, items in groups_of(study))
+    if size > MOST_ROWS:
+        raise InputError(f"{source}: {size} rows; expected at most {MOST_ROWS}")
+
+
+def check_metrics(loaded: LoadedStudy) -> None:
+    """Refuse `reads` that no row has, and valves that the stroke has not. Raises InputError."""
+    known = columns(loaded)
+    for k, name in enumerate(loaded.study.reads):
+        if name not in known:
+            unknown = unknown_name(name, known)
+            raise InputError(f"{loaded.source}: reads[{k}]: {name!r} is {unknown}")
+    stroke = loaded.study.stroke
+    if stroke is not None:
+        valves = ("1", "2") if stroke.kind == "fixed" else ("B", "N", "F")
+        for k, (_time_s, valve, _duty) in enumerate(stroke.commands):
+            if valve not in valves:
+                raise InputError(
+                    f"{loaded.source}: stroke.commands[{k}]: valve {valve!r}; "
+                    f"expected {', '.join(valves)}"
+                )

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from sil.report.theme import LIGHT
 from sil.studies import kind_pictures
 from sil.studies.figure_style import COLOURS, saved, shown
-from sil.studies.rows import columns, stroke_of
+from sil.studies.kinds.stroke import CHAMBERS, stroke_of
+from sil.studies.rows import columns
 from sil.studies.study import LoadedStudy
-from sil.studies.table import Table
+from sil.studies.table import Table, row_groups
 
 Ints = NDArray[np.int64]
 LINES = ("-", "--", ":", "-.")
@@ -53,18 +54,6 @@ def read_metrics(study: LoadedStudy) -> list[str]:
     return [name for name in study.study.reads or default if name in known]
 
 
-def groups_of(study: LoadedStudy, table: Table) -> dict[str, np.ndarray]:
-    """Rows of each combination of choices."""
-    keys = [name for name, _items in study.groups]
-    if not keys:
-        return {"": np.arange(table.size)}
-    labels = [" / ".join(parts) for parts in zip(*(table.texts[k] for k in keys), strict=True)]
-    return {
-        label: np.flatnonzero([found == label for found in labels])
-        for label in dict.fromkeys(labels)
-    }
-
-
 def draw_lines(study: LoadedStudy, table: Table, folder: Path) -> Path:
     """Each metric against each swept value; a grid's other values as a band of least to greatest."""
     from matplotlib import pyplot
@@ -78,7 +67,7 @@ def draw_lines(study: LoadedStudy, table: Table, folder: Path) -> Path:
         squeeze=False,
         sharey="row",
     )
-    groups = groups_of(study, table)
+    groups = row_groups(study, table)
     looks = line_looks(list(groups))
     for row, metric in enumerate(metrics):
         label, factor = shown(metric)
@@ -207,7 +196,7 @@ def draw_map(study: LoadedStudy, table: Table, folder: Path) -> Path:
     metric = read_metrics(study)[0]
     label, factor = shown(metric)
     first, second = study.study.sweep
-    groups = groups_of(study, table)
+    groups = row_groups(study, table)
     figure, axes = pyplot.subplots(
         1, len(groups), figsize=(4.6 * len(groups) + 1, 4.2), squeeze=False, sharey=True
     )
@@ -238,8 +227,7 @@ def labelled_strokes(study: LoadedStudy) -> tuple[str, str, list[tuple[str, Any]
     """Driving chamber, opposing chamber, and each row of a plant-only study as (label, stroke)."""
     base = study.study.stroke
     assert base is not None
-    names = {"fixed": ("1", "2"), "B-N": ("N", "B"), "F-N": ("N", "F"), "N-F": ("F", "N")}
-    driving, passive = names.get(base.kind, ("B", "N"))
+    driving, passive = CHAMBERS[base.kind]
     found = []
     for row in study.rows():
         sweeps = [

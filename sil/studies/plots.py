@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from sil.report.interactive import Group, Panel, Series, Window, plots
 from sil.report.theme import LIGHT
 from sil.studies.figure_style import shown
-from sil.studies.pictures import MOST_CURVES, choices, groups_of, labelled_strokes, read_metrics
+from sil.studies.pictures import MOST_CURVES, choices, labelled_strokes, read_metrics
 from sil.studies.study import LoadedStudy, Sweep
-from sil.studies.table import Table
+from sil.studies.table import Table, row_groups
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -56,7 +56,7 @@ def _over(study: LoadedStudy, table: Table, sweep: Sweep) -> Group | None:
     if len(x) < 2:
         return None
     lined = len(study.study.sweep) == 1 or len(x) < 0.6 * int(np.count_nonzero(drawn))
-    groups = list(groups_of(study, table).items())[:MOST_GROUPS]
+    groups = list(row_groups(study, table).items())[:MOST_GROUPS]
     rows = {name: found[drawn[found]] for name, found in groups}
     panels = _panels(study, table, rows, np.searchsorted(x, at), len(x), lined)
     if not panels:

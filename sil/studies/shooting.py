@@ -1,9 +1,8 @@
-"""Many command sequences under one load: when each tells the load apart, and how it arrives.
+"""Simulate many command sequences under one load: when each reveals the load, and how it arrives.
 
-A family is a row of loads that differ in one unknown. Nothing the stay does tells them apart before
-an event that comes sooner or later with the unknown: the synchronizer's release on the gearbox, the
-first contact of piston and stay in the laboratory (the stay cannot move before).
-Checked by: tests/unit/sil/studies/test_bounds.py
+The loads of a family differ in one unknown. The motion of the stay is the same for all of them until
+an event whose time depends on the unknown: the synchronizer's release on the gearbox, the first
+contact of piston and stay in the laboratory (the stay cannot move before).
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plant.batch.batch import Strokes, simulate_batch
 from plant.devices.valve import NS_PER_S, switch_schedule
@@ -24,13 +24,14 @@ from plant.integrator.integrate import DONE, EVENT_GUARD, EVENT_SPEED, EVENT_TIM
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
 
+Floats = NDArray[np.float64]
 ROOM = 48
-"""Events kept of each stroke."""
+"""Most events recorded of each stroke."""
 
 
 @dataclass(frozen=True)
 class LoadCase:
-    """What a shift from neutral to backward meets."""
+    """The load of a shift from neutral to backward."""
 
     name: str
     supply_pressure_pa: float = 900000.0
@@ -42,11 +43,11 @@ class LoadCase:
 
 @dataclass(frozen=True)
 class Family:
-    """Loads that differ in one unknown, and the event that tells which it is."""
+    """Loads that differ in one unknown, and the event that reveals which it is."""
 
     name: str
     unknown: str
-    tells: Literal["collar 1 contact", "unblock"]
+    revealed_by: Literal["collar 1 contact", "unblock"]
     cases: tuple[LoadCase, ...]
 
 
@@ -70,40 +71,43 @@ FAMILIES = {family.name: family for family in (LABORATORY, GEARBOX)}
 
 @dataclass(frozen=True)
 class Commands:
-    """Instants at which the two commands change, s: the driving valve from on, neutral from off."""
+    """Times at which the two commands change, s: the driving valve from on, neutral from off."""
 
     driving_s: tuple[float, ...] = ()
     braking_s: tuple[float, ...] = ()
 
     @property
     def switches(self) -> int:
-        """Number of changes."""
+        """Return the number of changes."""
         return len(self.driving_s) + len(self.braking_s)
 
     def until(self, time_s: float) -> Commands:
-        """The changes up to a time."""
+        """Return the changes up to a time."""
         return Commands(
             tuple(t for t in self.driving_s if t <= time_s),
             tuple(t for t in self.braking_s if t <= time_s),
         )
 
     def then(self, later: Commands) -> Commands:
-        """These changes, and later ones."""
+        """Return these changes followed by later ones."""
         return Commands(self.driving_s + later.driving_s, self.braking_s + later.braking_s)
 
 
 @dataclass(frozen=True)
 class Arrivals:
-    """What became of some sequences: impact speed and time, inf for none; when the load told."""
+    """Impact speed [n] in m/s and time [n] in s of sequences, and when each revealed the load [n] in s.
 
-    speed_m_s: np.ndarray
-    time_s: np.ndarray
-    told_s: np.ndarray
+    Infinite where there is none.
+    """
+
+    speed_m_s: Floats
+    time_s: Floats
+    revealed_s: Floats
 
 
 @dataclass
 class Shooter:
-    """Runs command sequences under one load on the plant's equations.
+    """Simulate command sequences under one load with the plant's equations.
 
     limit_s: an arrival later than this counts as none. `runs` counts the simulations.
     """
@@ -111,7 +115,7 @@ class Shooter:
     parameters: ParameterSet
     case: LoadCase
     limit_s: float
-    tells: str = "unblock"
+    revealed_by: str = "unblock"
     runs: int = 0
 
     def __post_init__(self) -> None:
@@ -130,10 +134,10 @@ class Shooter:
         )
         self._base = Strokes.from_setups([self._setup], self.limit_s)
         self._half_m = 0.5 * self.parameters.value("length.stroke")
-        self._tell = next(k for k, name in GUARD_NAMES.items() if name == self.tells)
+        self._guard = next(k for k, name in GUARD_NAMES.items() if name == self.revealed_by)
 
     def shoot(self, sequences: Sequence[Commands]) -> Arrivals:
-        """Simulate sequences up to the limit."""
+        """Simulate sequences [n] up to the limit."""
         n = len(sequences)
         self.runs += n
         base = self._base
@@ -159,19 +163,19 @@ class Shooter:
         )
         speed = np.full(n, math.inf)
         time_s = np.full(n, math.inf)
-        told = np.full(n, math.inf)
+        revealed_s = np.full(n, math.inf)
         for k in range(n):
             events = result.events[k, : min(int(result.event_count[k]), ROOM)]
-            tells = events[events[:, EVENT_GUARD] == self._tell]
-            if len(tells):
-                told[k] = tells[0, EVENT_TIME]
+            revealing = events[events[:, EVENT_GUARD] == self._guard]
+            if len(revealing):
+                revealed_s[k] = revealing[0, EVENT_TIME]
             at = result.arrival_s[k]
             hit = events[(events[:, EVENT_TIME] == at) & (events[:, EVENT_SPEED] > 0.0)]
             in_gear = len(hit) > 0 and hit[0, EVENT_X] > self._half_m
             if result.status[k] == DONE and in_gear and at <= self.limit_s:
                 speed[k] = result.impact_speed_m_s[k]
                 time_s[k] = at
-        return Arrivals(speed, time_s, told)
+        return Arrivals(speed, time_s, revealed_s)
 
     def _switches(self, commands: Commands) -> list[tuple[float, int, float]]:
         names = self._setup.conditions.chambers
@@ -186,7 +190,7 @@ class Shooter:
         ]  # fmt: skip
 
 
-def open_loop(parameters: ParameterSet, case: LoadCase, tells: str) -> tuple[float, float, float]:
-    """Impact speed, arrival and telling instant of the plain push."""
-    found = Shooter(parameters, case, 1.0, tells).shoot([Commands()])
-    return float(found.speed_m_s[0]), float(found.time_s[0]), float(found.told_s[0])
+def plain_push(parameters: ParameterSet, case: LoadCase, event: str) -> tuple[float, float]:
+    """Return impact speed [m/s] and arrival [s] of the push without any further command."""
+    found = Shooter(parameters, case, 1.0, event).shoot([Commands()])
+    return float(found.speed_m_s[0]), float(found.time_s[0])

@@ -1,10 +1,11 @@
-"""A study file: what is run, which values change, over which loads and strategies."""
+"""The study file: what is run, which values change, over which loads and strategies."""
 
 from __future__ import annotations
 
 import hashlib
 import itertools
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -74,7 +75,7 @@ class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How swept values are combined: full grid, side by side (list), Latin hypercube, Sobol."""
+    """How swept values are combined: full grid, value by value (list), Latin hypercube, Sobol."""
 
     kind: Literal["grid", "list", "lhs", "sobol"] = "grid"
     samples: Annotated[int, msgspec.Meta(ge=0, le=MOST_ROWS)] = 0
@@ -85,7 +86,7 @@ Kind = Literal["runs", "bounds", "budget", "tuning"]
 
 
 class BoundsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How hard the bounds are searched for; see `sil.studies.bounds`.
+    """Size of the search for bounds; see `sil.studies.bound_search`.
 
     extra_s: how much later than the plain push a load may arrive.
     """
@@ -98,7 +99,7 @@ class BoundsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class TuningTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The budget of a tuning, the same for every strategy; see `sil.studies.tuning`."""
+    """Size of the search of a tuning, the same for every strategy; see `sil.studies.kinds.tuning`."""
 
     candidates: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 16
     free_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.03
@@ -129,13 +130,23 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     strategy: list[Choice] = []
     variant: list[Choice] = []
     reads: list[str] = []
-    """Metrics that the summary and the pictures show first."""
+    """Metrics that the summary and the figures show first."""
     safety: bool = False
-    """Tell of each row what its faults did: detection, end state, damage; and write fault_table.md."""
+    """Report what the faults of each row did (detection, end state, damage); write fault_table.md."""
+
+
+def groups_of(study: Study) -> list[tuple[str, list[Choice]]]:
+    """Return the kinds of choices of a study, in column order; a tuning takes all loads together."""
+    groups = [("variant", study.variant), ("strategy", study.strategy), ("load", study.load)]
+    return [
+        (name, found)
+        for name, found in groups
+        if found and (name, study.kind) != ("load", "tuning")
+    ]
 
 
 def texts_of(settings: Mapping[str, Setting]) -> list[str]:
-    """Settings as PATH=VALUE."""
+    """Return settings as PATH=VALUE."""
     return [f"{path}={toml_value(value)}" for path, value in settings.items()]
 
 
@@ -149,7 +160,7 @@ class Row:
 
     @property
     def texts(self) -> list[str]:
-        """The settings as PATH=VALUE, as the command line takes them."""
+        """Return the settings as PATH=VALUE, as the command line takes them."""
         return texts_of(self.settings)
 
 
@@ -163,7 +174,7 @@ class Base(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class LoadedStudy:
-    """A study with its file and its rows; `base` is there when a scenario is its base."""
+    """A study with its file and its rows; `base` is its scenario, if it has one."""
 
     study: Study
     source: str
@@ -171,34 +182,31 @@ class LoadedStudy:
 
     @cached_property
     def digest(self) -> str:
-        """Hash of everything that decides the rows."""
+        """Return the hash of everything that decides the rows."""
         table = None if self.base is None else self.base.table
         text = json.dumps([msgspec.to_builtins(self.study), table], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @cached_property
     def points(self) -> list[tuple[Value, ...]]:
-        """The design's points, one value a sweep."""
+        """Return the points of the design, one value for each sweep."""
         return design_points(self.study, self.source)
 
     @property
     def groups(self) -> list[tuple[str, list[Choice]]]:
-        """The kinds of choices this study has, in column order."""
-        kinds = [("variant", self.study.variant), ("strategy", self.study.strategy)]
-        if self.study.kind != "tuning":  # which takes all loads together
-            kinds.append(("load", self.study.load))
-        return [(name, items) for name, items in kinds if items]
+        """Return the kinds of choices of this study, in column order."""
+        return groups_of(self.study)
 
     @property
     def size(self) -> int:
-        """Number of rows."""
-        total = len(self.points)
-        for _name, items in self.groups:
-            total *= len(items)
-        return total
+        """Return the number of rows."""
+        return len(self.points) * math.prod(len(items) for _name, items in self.groups)
 
     def loaded(self, settings: Sequence[str]) -> Loaded:
-        """The base scenario with settings PATH=VALUE."""
+        """Return the base scenario with settings PATH=VALUE.
+
+        Raises InputError for settings that it does not accept.
+        """
         from sil.simulation.scenario import from_table
 
         assert self.base is not None
@@ -211,8 +219,15 @@ class LoadedStudy:
             folder=Path(self.base.folder),
         )
 
+    @cached_property
+    def longest_sight_s(self) -> float:
+        """Return the longest time before a motion of the base scenario reaches the status frames."""
+        from sil.simulation.safety import sight_s
+
+        return sight_s(self.loaded([]).scenario)
+
     def rows(self, begin: int = 0) -> Iterator[Row]:
-        """The rows from number `begin` on, in their fixed order."""
+        """Yield the rows from number `begin` on, in their fixed order."""
         combos = list(itertools.product(*(items for _name, items in self.groups)))
         for number in range(begin, self.size):
             point, combo = divmod(number, len(combos))
@@ -225,7 +240,7 @@ class LoadedStudy:
 
 
 def levels(sweep: Sweep) -> list[Value]:
-    """The values of one sweep in a grid or list."""
+    """Return the values of one sweep in a grid or list."""
     if sweep.values is not None:
         return list(sweep.values)
     low, high = float(sweep.low or 0.0), float(sweep.high or 0.0)
@@ -236,7 +251,10 @@ def levels(sweep: Sweep) -> list[Value]:
 
 
 def design_points(study: Study, source: str) -> list[tuple[Value, ...]]:
-    """All points of the design, in a fixed order."""
+    """Return all points of the design, in a fixed order.
+
+    Raises InputError for a list design whose sweeps differ in length.
+    """
     if not study.sweep:
         return [()]
     if study.design.kind == "grid":
@@ -255,21 +273,19 @@ def design_points(study: Study, source: str) -> list[tuple[Value, ...]]:
         sampler = qmc.Sobol(dimension, scramble=True, rng=study.design.seed)
         power = int(np.ceil(np.log2(max(study.design.samples, 1))))
         unit = sampler.random_base2(power)[: study.design.samples]
-    points = []
-    for row in unit:
-        values: list[Value] = []
-        for sweep, share in zip(study.sweep, row, strict=True):
-            low, high = float(sweep.low or 0.0), float(sweep.high or 0.0)
-            if sweep.scale == "log":
-                values.append(float(low * (high / low) ** share))
-            else:
-                values.append(float(low + (high - low) * share))
-        points.append(tuple(values))
-    return points
+    return [tuple(inside(*pair) for pair in zip(study.sweep, row, strict=True)) for row in unit]
+
+
+def inside(sweep: Sweep, share: float) -> float:
+    """Return the value at a share, 0 to 1, of the range of a sweep."""
+    low, high = float(sweep.low or 0.0), float(sweep.high or 0.0)
+    if sweep.scale == "log":
+        return float(low * (high / low) ** share)
+    return float(low + (high - low) * share)
 
 
 def toml_value(value: Setting) -> str:
-    """A value, or a list of tables, as TOML text."""
+    """Return a value, or a list of tables, as TOML text."""
     if isinstance(value, list):
         tables = [
             ", ".join(f"{json.dumps(k)} = {toml_value(v)}" for k, v in table.items())
@@ -281,8 +297,3 @@ def toml_value(value: Setting) -> str:
     if isinstance(value, str):
         return json.dumps(value)
     return repr(value)
-
-
-def described(study: Study) -> Mapping[str, Any]:
-    """The study as plain data."""
-    return dict(msgspec.to_builtins(study))

@@ -18,6 +18,7 @@ from sil.studies.study import LoadedStudy
 from sil.studies.table import Table
 
 MOST_COLUMNS = 6
+MOST_REASONS = 20
 
 
 def page(
@@ -29,10 +30,13 @@ def page(
         metrics = read_metrics(study)[:MOST_COLUMNS]
     entries = told["groups"]
     metrics = [name for name in metrics if any(name in entry for entry in entries.values())]
-    failed = float(table.numbers["failed"].mean()) if table.size else 0.0
+    failed = float(table.numbers["failed"].mean())
+    counts = told["outcomes"]
     head = Head(
         command="whatif",
         name=study.study.name,
+        verdict=verdict(counts),
+        good=not counts["failed"] and not counts["not_run"],
         tiles=[
             (str(told["rows"]), "rows"),
             (str(len(entries)), "groups"),
@@ -55,6 +59,7 @@ def page(
         ],
         faults=[fault_table.HEAD, *fault_table.rows(study, table)] if safety else [],
         faults_are=fault_table.LEGEND,
+        reasons=told["reasons"][:MOST_REASONS],
         figures_are="Median of the rows of each group, and in brackets least to greatest.",
         metrics=[shown(name)[0] for name in metrics],
         rows=[
@@ -68,6 +73,13 @@ def page(
         ],
         row_again=f"opc4 run {study.study.scenario} --set PATH=VALUE ..." if of_runs else "",
     )
+
+
+def verdict(counts: dict[str, int]) -> str:
+    """Return how many rows failed or could not run, for the head of the page."""
+    parts = [f"{counts[name]} {words}" for name, words in
+             (("failed", "failed"), ("not_run", "could not run")) if counts[name]]  # fmt: skip
+    return ", ".join(parts) or "all rows passed"
 
 
 def _cell(name: str, entry: dict[str, float] | None) -> str:

@@ -1,70 +1,64 @@
-"""The table of a finished study, read back, and its summary."""
+"""The table of a finished study, read back."""
 
 from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sil.studies.executor import RESULTS
-from sil.studies.rows import columns
 from sil.studies.study import LoadedStudy
+
+RESULTS = "results.csv"
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of results.csv: texts for choices, numbers for the rest (nan for none)."""
+    """Columns of results.csv by name: texts, and numbers [rows] in the unit of their name.
+
+    Numbers that a row does not have are NaN. Texts are the choices, `outcome` and `reason`, and
+    swept values that are no numbers.
+    """
 
     texts: dict[str, list[str]]
-    numbers: dict[str, np.ndarray]
+    numbers: dict[str, NDArray[np.float64]]
     size: int
+
+    @property
+    def outcomes(self) -> Counter[str]:
+        """Return how many rows have each outcome."""
+        return Counter(self.texts["outcome"])
 
 
 def read_table(study: LoadedStudy, folder: Path) -> Table:
     """Read a study's results.csv."""
-    choices = [name for name, _items in study.groups]
+    choices = {name for name, _items in study.groups} | {"outcome", "reason"}
     with open(folder / RESULTS, encoding="utf-8", newline="") as file:
-        reader = csv.reader(file)
-        names = next(reader)
-        cells = list(reader)
-    texts, numbers = {}, {}
+        names, *cells = csv.reader(file)
+    texts: dict[str, list[str]] = {}
+    numbers = {}
     for k, name in enumerate(names):
         column = [row[k] for row in cells]
-        if name in choices:
-            texts[name] = column
-            continue
         try:
-            numbers[name] = np.array([float(c) if c else math.nan for c in column])
+            if name in choices:
+                raise ValueError
+            numbers[name] = np.array([float(cell) if cell else math.nan for cell in column])
         except ValueError:
             texts[name] = column
     return Table(texts, numbers, len(cells))
 
 
-def summary(study: LoadedStudy, table: Table) -> dict[str, Any]:
-    """Per choice and metric: least, median, greatest, and the share that failed."""
-    groups: dict[str, Any] = {}
+def row_groups(study: LoadedStudy, table: Table) -> dict[str, NDArray[np.int64]]:
+    """Return the row numbers [rows of the group] of each combination of choices, by its label."""
     keys = [name for name, _items in study.groups]
-    labels = (
-        [" / ".join(parts) for parts in zip(*(table.texts[k] for k in keys), strict=True)]
-        if keys
-        else ["all"] * table.size
-    )
-    for label in dict.fromkeys(labels):
-        chosen = np.array([found == label for found in labels])
-        entry: dict[str, Any] = {"rows": int(np.count_nonzero(chosen))}
-        for name in columns(study):
-            values = table.numbers[name][chosen]
-            values = values[~np.isnan(values)]
-            if len(values):
-                entry[name] = {
-                    "min": float(np.min(values)),
-                    "median": float(np.median(values)),
-                    "max": float(np.max(values)),
-                }
-        entry["failed_share"] = float(np.mean(table.numbers["failed"][chosen]))
-        groups[label] = entry
-    return {"study": study.study.name, "rows": table.size, "groups": groups}
+    if not keys:
+        return {"": np.arange(table.size)}
+    labels = [" / ".join(parts) for parts in zip(*(table.texts[k] for k in keys), strict=True)]
+    found: dict[str, list[int]] = {}
+    for k, label in enumerate(labels):
+        found.setdefault(label, []).append(k)
+    return {label: np.array(rows) for label, rows in found.items()}

@@ -13,8 +13,8 @@ import pytest
 from can_dbc.errors import InputError
 from sil.cli import main
 from sil.studies import executor
-from sil.studies.budget_rows import BARS, closed, simulated
 from sil.studies.kind_pictures import FAMILIES, TUNED, delay_from, envelope, worst_over
+from sil.studies.kinds.budget import BARS, closed, simulated
 from sil.studies.load_study import load_study
 
 SHIPPED_BOUNDS = TUNED.parent / "bounds.csv"
@@ -155,7 +155,7 @@ def test_shipped_rows_come_out_again() -> None:
     """One tuned row and one of the bounds, as the studies make them now."""
     for path, name, number in ((TUNED, "tuning", 15), (SHIPPED_BOUNDS, "bounds", 39)):
         study = load_study(name)
-        text = executor.first_line(study) + "".join(executor.run_chunk(study, (number, number + 1)))
+        text = executor.header(study) + "".join(executor.run_chunk(study, (number, number + 1)))
         (found,) = csv.DictReader(text.splitlines())
         kept = rows_of(path)[number]
         assert list(found) == list(kept)

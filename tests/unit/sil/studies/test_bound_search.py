@@ -11,8 +11,8 @@ import pytest
 from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
 from plant.parameters import load as load_parameters
 from plant.systems.stroke import simulate
-from sil.studies import bounds
-from sil.studies.bounds import Best, Bound
+from sil.studies import bound_search as bounds
+from sil.studies.bound_search import Best, Bound
 from sil.studies.kind_pictures import envelope
 from sil.studies.shooting import FAMILIES, GEARBOX, LABORATORY, Arrivals, Commands, Family, Shooter
 
@@ -49,13 +49,13 @@ def test_a_shot_is_the_stroke_that_the_plant_makes() -> None:
     told = next(event.time_s for event in stroke.events if event.name == "unblock")
     assert found.speed_m_s[1] == pytest.approx(stroke.impact.speed_m_s, rel=1e-3)
     assert found.time_s[1] == pytest.approx(stroke.impact.time_s, abs=1e-6)
-    assert found.told_s[1] == pytest.approx(told, abs=1e-6)
+    assert found.revealed_s[1] == pytest.approx(told, abs=1e-6)
     assert found.speed_m_s[0] != pytest.approx(found.speed_m_s[1], rel=1e-2)
 
 
 def test_an_arrival_beyond_the_limit_is_none() -> None:
     assert Shooter(PARAMETERS, LAB, 0.03).shoot([Commands()]).speed_m_s[0] == math.inf
-    speed_m_s, time_s = bounds.plain_push(PARAMETERS, LAB, LABORATORY.tells)
+    speed_m_s, time_s = bounds.plain_push(PARAMETERS, LAB, LABORATORY.revealed_by)
     assert speed_m_s == pytest.approx(0.9412, abs=1e-3)
     assert time_s == pytest.approx(0.04075, abs=1e-4)
 
@@ -64,7 +64,7 @@ def test_an_arrival_beyond_the_limit_is_none() -> None:
 def test_before_a_load_tells_it_moves_like_the_others(family: Family) -> None:
     """Up to the first telling instant of the family the stay is at the same place."""
     told = [
-        float(Shooter(PARAMETERS, case, 0.4, family.tells).shoot([Commands()]).told_s[0])
+        float(Shooter(PARAMETERS, case, 0.4, family.revealed_by).shoot([Commands()]).revealed_s[0])
         for case in family.cases
     ]
     assert told == sorted(told, reverse=family is LABORATORY)
@@ -171,10 +171,10 @@ def test_the_stem_is_shared_until_the_load_has_told(
 ) -> None:
     found = gearbox[delay_s]
     for case, best in zip(GEARBOX.cases, found.per_load, strict=True):
-        limit_s = bounds.plain_push(QUICK, case, GEARBOX.tells)[1] + EXTRA_S
+        limit_s = bounds.plain_push(QUICK, case, GEARBOX.revealed_by)[1] + EXTRA_S
         shooter = Shooter(QUICK, case, limit_s)
-        told_s = float(shooter.shoot([found.stem]).told_s[0])
-        free_s = told_s + delay_s
+        revealed_s = float(shooter.shoot([found.stem]).revealed_s[0])
+        free_s = revealed_s + delay_s
         assert best.commands.until(free_s - 1e-9) == found.stem.until(free_s - 1e-9)
         again = shooter.shoot([best.commands])
         assert again.speed_m_s[0] == best.speed_m_s <= found.non_anticipating_m_s
@@ -200,9 +200,9 @@ def random_policies(
     worst = np.zeros(count)
     alone = np.zeros(count)
     for shooter in shooters:
-        told_s = shooter.shoot(stems).told_s
+        revealed_s = shooter.shoot(stems).revealed_s
         policies = []
-        for stem, at_s in zip(stems, told_s, strict=True):
+        for stem, at_s in zip(stems, revealed_s, strict=True):
             free_s = max(0.0, min(float(at_s), last_s) + delay_s)
             policies.append(stem.until(free_s).then(some(free_s, shooter.limit_s, 2)))
         worst = np.maximum(worst, shooter.shoot(policies).speed_m_s)

@@ -1,9 +1,8 @@
-"""The latency budget of a shift: what stands between the first motion and the first counter-force.
+"""Rows that are latency budgets: the delays between first motion and first counter-force of a shift.
 
 Each delay is read from a simulated run (frames, truth, plant) and computed in closed form from the
-settings alone; the slack is what is left of
-the time from first motion to the stop. Thesis 4.2.1 counts 30 ms sensor, 10 ms for the velocity
-and 8 ms valve against about 40 ms. Checked by tests/unit/sil/studies/test_budget.py
+settings alone. The slack is the time from first motion to the stop, less all delays. Thesis 4.2.1
+counts 30 ms for the sensor, 10 ms for the velocity and 8 ms for the valve against about 40 ms.
 """
 
 from __future__ import annotations
@@ -11,86 +10,124 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from can_dbc.errors import RunError
 from can_dbc.messages import PositionPulse, ValveCommand
 from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
+from plant.kernel.packing import flow_coefficients
 from plant.parameters import ParameterSet
+from plant.parts.flow import charge
 from plant.systems.stroke import simulate
 from sil.coupling.frame_bits import frame_bits
 from sil.recording.run_record import NS, BusFrame
 from sil.simulation.in_memory import MemoryRun, run_in_memory
-from sil.simulation.scenario import Loaded, load
+from sil.simulation.scenario import Loaded
+from sil.studies.rows import FAILED, RowResult
+from sil.studies.study import LoadedStudy, Row
 
 THESIS_S = (("sensor", 0.030), ("velocity", 0.010), ("valve", 0.008))
 THESIS_WINDOW_S = 0.040
 BRAKE_PA = 100000.0
 """Rise of the neutral chamber's pressure that counts as a brake: about 250 N on the piston."""
 
+BARS = (
+    "waiting for a pulse",
+    "pulse and its report",
+    "bus to the controller",
+    "waiting for the step",
+    "filter",
+    "second sample for the speed",
+    "computation",
+    "bus to the valves",
+    "valve opening",
+    "pressure build-up",
+)
+"""The delays in their order."""
 
-@dataclass(frozen=True)
-class Bar:
-    """One delay, s: as simulated and in closed form."""
+TOTALS = ("window_s", "last_part_s", "spent_s", "closed_spent_s", "slack_s", "last_slack_s")
 
-    name: str
-    simulated_s: float
-    closed_s: float
+
+class NoBudgetError(RunError):
+    """A shift that never arrives, or whose commands or samples are missing, has no budget."""
 
 
 @dataclass(frozen=True)
 class Budget:
-    """A shift's delays in order, and the time from first motion to the stop, s.
+    """The delays of a shift by the names of `BARS`, and the time from first motion to the stop, s.
 
     last_part_s: from the end of the synchronizer's block to the stop; the window without a block.
     """
 
-    scenario: str
     window_s: float
     last_part_s: float
-    bars: tuple[Bar, ...]
+    simulated_s: dict[str, float]
+    closed_s: dict[str, float]
 
     @property
     def spent_s(self) -> float:
-        """Sum of the simulated delays."""
-        return sum(bar.simulated_s for bar in self.bars)
-
-    @property
-    def closed_s(self) -> float:
-        """Sum of the delays in closed form."""
-        return sum(bar.closed_s for bar in self.bars)
+        """Return the sum of the simulated delays."""
+        return sum(self.simulated_s.values())
 
     @property
     def slack_s(self) -> float:
-        """What is left of the window; negative: the stay is at its stop first."""
+        """Return the rest of the window; if negative, the stay is at its stop first."""
         return self.window_s - self.spent_s
 
     @property
     def last_slack_s(self) -> float:
-        """What is left of the part after the block, the only one whose load is known (4.2.1)."""
+        """Return the rest of the part after the block, the only one whose load is known (4.2.1)."""
         return self.last_part_s - self.spent_s
 
 
-def thesis_slack_s() -> float:
-    """Slack by the thesis's own figures (4.2.1), s."""
-    return THESIS_WINDOW_S - sum(delay_s for _, delay_s in THESIS_S)
+def simulated(bar: str) -> str:
+    """Return the column of a delay as simulated."""
+    return f"{bar.replace(' ', '_').replace('-', '_')}_s"
+
+
+def closed(bar: str) -> str:
+    """Return the column of a delay in closed form."""
+    return f"closed_{simulated(bar)}"
+
+
+def columns(study: LoadedStudy) -> tuple[str, ...]:
+    """Return window, sums, slack, and each delay twice."""
+    return (*TOTALS, *map(simulated, BARS), *map(closed, BARS), "failed")
+
+
+def run(study: LoadedStudy, row: Row) -> RowResult:
+    """Return the budget of a row; a shift that never arrives has none and counts as failed.
+
+    Raises InputError for settings that the scenario does not accept, RunError if a participant dies.
+    """
+    try:
+        found = budget_of(study.loaded, row.texts)
+    except NoBudgetError as error:
+        nothing = dict.fromkeys(columns(study), math.nan) | {"failed": 1.0}
+        return RowResult(nothing, FAILED, str(error))
+    return RowResult(
+        {
+            "window_s": found.window_s,
+            "last_part_s": found.last_part_s,
+            "spent_s": found.spent_s,
+            "closed_spent_s": sum(found.closed_s.values()),
+            "slack_s": found.slack_s,
+            "last_slack_s": found.last_slack_s,
+            "failed": 0.0,
+            **{simulated(bar): found.simulated_s[bar] for bar in BARS},
+            **{closed(bar): found.closed_s[bar] for bar in BARS},
+        }
+    )
 
 
 def group_delay_s(order: int, fc_hz: float) -> float:
-    """Delay of slow signals in a Butterworth low-pass: 1 / (2 pi fc sin(pi / 2n)).
-
-    Checked by test_group_delay_is_the_slope_of_the_phase.
-    """
+    """Return the delay of slow signals in a Butterworth low-pass: 1 / (2 pi fc sin(pi / 2n))."""
     return 1.0 / (2.0 * math.pi * fc_hz * math.sin(math.pi / (2.0 * order)))
 
 
 def filling_closed_s(parameters: ParameterSet, supply_pa: float, rise_pa: float) -> float:
-    """Time to raise neutral's pressure: V rise / (alpha_m R f_in), f_in at half the rise."""
-    from plant.kernel.packing import flow_coefficients
-    from plant.parts.flow import charge
-
+    """Return the time to raise neutral's pressure: V rise / (alpha_m R f_in), f_in at half the rise."""
     atmosphere_pa = parameters.value("gas.P_atm")
     inflow = float(charge(atmosphere_pa + 0.5 * rise_pa, supply_pa, flow_coefficients(parameters)))
     stiffness = parameters.value("alpha.alpha_m1") * parameters.value("gas.R_air") * inflow
@@ -98,7 +135,7 @@ def filling_closed_s(parameters: ParameterSet, supply_pa: float, rise_pa: float)
 
 
 def filling_simulated_s(parameters: ParameterSet, supply_pa: float, rise_pa: float) -> float:
-    """The same from a simulated filling of neutral, the stay at rest in neutral."""
+    """Return the same from a simulated filling of neutral, the stay at rest in neutral."""
     opening_s = parameters.value("valve.D_rise")
     conditions = StrokeConditions("N-B", supply_pa, ((0.0, "N", FULL_DUTY),))
     times = np.arange(2001, dtype=np.float64) * 2e-5
@@ -112,9 +149,9 @@ def _bits_s(entry: BusFrame, bitrate: int) -> float:
 
 
 def _report_age_s(run: MemoryRun, loaded: Loaded) -> float:
-    """From the instant a pulse measured until its report is released, as the run itself shows it.
+    """Return the time from a pulse's measurement to the release of its report, read from the run.
 
-    The position of the report that moved most is looked up in the truth.
+    The report whose position moved most is searched in the true positions.
     """
     parameters, record = loaded.parameters, run.record
     offset_s = parameters.value("position_sensor.t_mid")
@@ -142,27 +179,21 @@ def _next(entries: Sequence[tuple[BusFrame, object]], at_ns: int) -> BusFrame:
     for entry, _ in entries:
         if entry.released_ns >= at_ns:
             return entry
-    raise RunError("no command after the first motion's sample")
+    raise NoBudgetError("no frame after the first sample of the motion")
 
 
-def latency_budget(scenario: str, settings: Sequence[str] = ()) -> Budget:
-    """The budget of a scenario with settings; see `budget_of`."""
-    return budget_of(scenario, lambda texts: load(scenario, settings=list(texts)), settings)
+def budget_of(make: Callable[[Sequence[str]], Loaded], settings: Sequence[str] = ()) -> Budget:
+    """Return the delays of a scenario's last shift, in order, from its first motion on.
 
-
-def budget_of(
-    scenario: str, make: Callable[[Sequence[str]], Loaded], settings: Sequence[str] = ()
-) -> Budget:
-    """The delays of a scenario's last shift, one after the other, from its first motion on.
-
-    The filter's bar is how much later the believed position passes 90 % of the travel than in the
-    same run without the filter. `make` builds the scenario `scenario` with settings PATH=VALUE.
+    The filter's delay is how much later the estimated position passes 90 % of the travel than in the
+    same run without the filter. `make` returns the scenario with settings PATH=VALUE.
+    Raises NoBudgetError if the shift does not arrive, RunError if a participant dies.
     """
     loaded = make(settings)
     run = run_in_memory(loaded)
     shift = run.shifts[-1]
     if shift.first_motion_s is None or shift.arrived_s is None:
-        raise RunError(f"{scenario}: the shift never arrives, so that it has no budget")
+        raise NoBudgetError(f"the shift to {shift.to_gear} never arrives, so it has no budget")
     config = loaded.scenario.controller
     bitrate = loaded.scenario.bus.bitrate
     motion_s = shift.first_motion_s
@@ -182,34 +213,33 @@ def budget_of(
         plain = make([*settings, "controller.filter=false"])
         lags = (shift.position_lag_90_s, run_in_memory(plain).shifts[-1].position_lag_90_s)
         if lags[0] is None or lags[1] is None:
-            raise RunError(f"{scenario}: the position is never seen to pass 90 % of the travel")
+            raise NoBudgetError("the estimated position never passes 90 % of the travel")
         filtered_s = lags[0] - lags[1]
         closed_filter_s = group_delay_s(config.filter.order, config.filter.fc_hz)
     opened_s = _opening_s(run)
     supply_pa = run.record.supply_pressure_pa
-    bars = (
-        Bar("waiting for a pulse", released_s - age_s - motion_s, waited_s),
-        Bar("pulse and its report", age_s, reported_s),
-        Bar("bus to the controller", arrived_s - released_s, _bits_s(report, bitrate)),
-        Bar("waiting for the step", step_ns / NS - arrived_s, -there_s % config.period_s),
-        Bar("filter", filtered_s, closed_filter_s),
-        Bar("second sample for the speed", _second_sample_s(run, report), period_s),
-        Bar("computation", (command.released_ns - step_ns) / NS, config.computation_s),
-        Bar(
-            "bus to the valves",
-            (command.arrival_ns - command.released_ns) / NS,
-            _bits_s(command, bitrate),
-        ),
-        Bar("valve opening", opened_s, loaded.parameters.value("valve.D_rise")),
-        Bar(
-            "pressure build-up",
+    delays_s = (
+        (released_s - age_s - motion_s, waited_s),
+        (age_s, reported_s),
+        (arrived_s - released_s, _bits_s(report, bitrate)),
+        (step_ns / NS - arrived_s, -there_s % config.period_s),
+        (filtered_s, closed_filter_s),
+        (_second_sample_s(run, report), period_s),
+        ((command.released_ns - step_ns) / NS, config.computation_s),
+        ((command.arrival_ns - command.released_ns) / NS, _bits_s(command, bitrate)),
+        (opened_s, loaded.parameters.value("valve.D_rise")),
+        (
             filling_simulated_s(loaded.parameters, supply_pa, BRAKE_PA),
             filling_closed_s(loaded.parameters, supply_pa, BRAKE_PA),
         ),
     )
     released = [e.time_s for e in run.record.events if e.name == "sync_unblock"]
     last_s = max([motion_s, *(t for t in released if motion_s < t < shift.arrived_s)])
-    return Budget(scenario, shift.arrived_s - motion_s, shift.arrived_s - last_s, bars)
+    simulated_s, closed_s = (
+        dict(zip(BARS, column, strict=True)) for column in zip(*delays_s, strict=True)
+    )
+    window_s, last_part_s = shift.arrived_s - motion_s, shift.arrived_s - last_s
+    return Budget(window_s, last_part_s, simulated_s, closed_s)
 
 
 def _second_sample_s(run: MemoryRun, first: BusFrame) -> float:
@@ -219,45 +249,8 @@ def _second_sample_s(run: MemoryRun, first: BusFrame) -> float:
 
 
 def _opening_s(run: MemoryRun) -> float:
-    """From the arrival of the command that opens the driving valve until the valve is open."""
+    """Return the time from the arrival of the command that opens the driving valve until it is open."""
     shift = run.shifts[-1]
     if shift.commanded_s is None or shift.valve_open_s is None:
-        raise RunError("no valve was opened")
+        raise NoBudgetError("no valve was opened")
     return shift.valve_open_s - shift.commanded_s
-
-
-def draw(budget: Budget, path: Path) -> None:
-    """The timeline as a picture: bars one after the other, the window, the slack."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    begin_ms = closed_ms = 0.0
-    names = [bar.name for bar in budget.bars]
-    for row, bar in enumerate(budget.bars):
-        axes.barh(row, bar.simulated_s * 1e3, left=begin_ms, height=0.6, color="#0072B2")
-        axes.plot(
-            [closed_ms, closed_ms + bar.closed_s * 1e3], [row + 0.4] * 2, color="#E69F00", lw=3
-        )
-        begin_ms += bar.simulated_s * 1e3
-        closed_ms += bar.closed_s * 1e3
-        axes.text(begin_ms + 0.5, row, f"{bar.simulated_s * 1e3:.1f} ms", va="center")
-    axes.axvline(budget.window_s * 1e3, color="#D55E00")
-    axes.text(
-        budget.window_s * 1e3 + 0.5,
-        len(names) - 0.45,
-        f"stop after {budget.window_s * 1e3:.1f} ms",
-        color="#D55E00",
-        va="center",
-    )
-    axes.set_yticks(range(len(names)), names)
-    axes.set_ylim(len(names), -0.7)
-    axes.set_xlim(0.0, 1.15 * max(begin_ms, budget.window_s * 1e3))
-    axes.set_xlabel("time after the first motion, ms (thin line: closed form)")
-    axes.set_title(
-        f"{budget.scenario}: the first counter-force after {budget.spent_s * 1e3:.0f} ms, "
-        f"slack {budget.slack_s * 1e3:.0f} ms"
-    )
-    figure.savefig(path, dpi=120)

@@ -13,8 +13,9 @@ from controller import strategies
 from sil.cli import main
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.scenario import Loaded, load
-from sil.studies import tuning
-from sil.studies.tuning import Case, Outcome
+from sil.studies.kinds import tuning
+from sil.studies.kinds.tuning import Arrival, Case
+from sil.studies.study import TuningTable
 
 LAB = Case("lab")
 
@@ -32,10 +33,10 @@ QUICK = (
 
 
 def test_cost_is_the_impact_plus_the_time_lost_beyond_what_is_free() -> None:
-    reference = Outcome(0.9, 0.05)
-    assert tuning.cost_m_s(Outcome(0.3, 0.08), reference, 0.034, 10.0) == 0.3
-    assert tuning.cost_m_s(Outcome(0.3, 0.104), reference, 0.034, 10.0) == pytest.approx(0.5)
-    failed = Outcome(math.inf, math.inf)
+    reference = Arrival(0.9, 0.05)
+    assert tuning.cost_m_s(Arrival(0.3, 0.08), reference, 0.034, 10.0) == 0.3
+    assert tuning.cost_m_s(Arrival(0.3, 0.104), reference, 0.034, 10.0) == pytest.approx(0.5)
+    failed = Arrival(math.inf, math.inf)
     assert tuning.cost_m_s(failed, reference, 0.034, 10.0) == tuning.FAILED_M_S
 
 
@@ -55,14 +56,16 @@ def test_every_candidate_is_a_setting_that_the_strategy_takes(strategy: str) -> 
 
 
 def test_the_best_is_no_worse_than_the_defaults_and_runs_again_the_same() -> None:
-    found = tuning.tune(lab, "air_cushion", QUICK, [LAB], budget=5, seed=1)
+    reference = tuning.open_loop(lab, QUICK, [LAB])
+    table = TuningTable(candidates=5, seed=1)
+    found = tuning.tune(lab, "air_cushion", QUICK, [LAB], reference, table)
     assert len(found) == 5
     assert [c.cost_m_s for c in found] == sorted(c.cost_m_s for c in found)
     defaults = next(c for c in found if not c.parameters)
     assert found[0].cost_m_s <= defaults.cost_m_s
     case = Case("lab", QUICK)
     again = tuning.run_case(lab, "air_cushion", found[0].parameters, case)
-    assert again == found[0].outcomes[0]
+    assert again == found[0].arrivals[0]
 
 
 @pytest.mark.parametrize(
@@ -74,10 +77,10 @@ def test_the_best_is_no_worse_than_the_defaults_and_runs_again_the_same() -> Non
     ],
 )
 def test_strategies_with_a_model_know_their_hardware(settings: list[str], age_s: float) -> None:
-    told = tuning.informed("predictive", lab([*settings, "valve.D_fall=0.0123"]))
-    values = [float(text.partition("=")[2]) for text in told]
+    given = tuning.hardware_settings("predictive", lab([*settings, "valve.D_fall=0.0123"]))
+    values = [float(text.partition("=")[2]) for text in given]
     assert values == [0.008, 0.0123, pytest.approx(age_s, abs=1e-9)]
-    assert tuning.informed("air_cushion", lab(settings)) == []
+    assert tuning.hardware_settings("air_cushion", lab(settings)) == []
 
 
 TUNING = """

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from scipy import signal
 
-from can_dbc.errors import RunError
 from plant.parameters import load as load_parameters
-from sil.studies import budget as budgets
-from sil.studies.budget import Bar, Budget, latency_budget
+from sil.simulation.scenario import load
+from sil.studies.kinds import budget as budgets
+from sil.studies.kinds.budget import Budget, NoBudgetError, budget_of
 
 
 @pytest.mark.parametrize(("order", "fc_hz"), [(1, 22.0), (2, 22.0), (6, 22.0), (8, 5.0)])
@@ -24,9 +24,8 @@ def test_group_delay_is_the_slope_of_the_phase(order: int, fc_hz: float) -> None
     assert budgets.group_delay_s(order, fc_hz) == pytest.approx(slope_s, rel=1e-6)
 
 
-def test_the_thesis_figures_leave_less_than_nothing() -> None:
-    assert sum(delay_s for _, delay_s in budgets.THESIS_S) == pytest.approx(0.048)
-    assert budgets.thesis_slack_s() == pytest.approx(-0.008)
+def latency_budget(scenario: str, settings: Sequence[str] = ()) -> Budget:
+    return budget_of(lambda texts: load(scenario, settings=list(texts)), settings)
 
 
 @pytest.mark.parametrize("supply_pa", [6e5, 9e5])
@@ -44,15 +43,15 @@ def today() -> Budget:
 
 
 def test_simulated_and_closed_form_agree_bar_by_bar(today: Budget) -> None:
-    for bar in today.bars:
-        assert bar.simulated_s == pytest.approx(bar.closed_s, rel=0.03, abs=3e-4), bar.name
-    assert today.closed_s == pytest.approx(today.spent_s, rel=0.02)
+    for bar, delay_s in today.simulated_s.items():
+        assert delay_s == pytest.approx(today.closed_s[bar], rel=0.03, abs=3e-4), bar
+    assert sum(today.closed_s.values()) == pytest.approx(today.spent_s, rel=0.02)
 
 
 def test_today_the_stay_is_at_its_stop_long_before(today: Budget) -> None:
     assert 0.018 < today.window_s < 0.023
     assert today.slack_s < -0.05
-    bars = {bar.name: bar.simulated_s for bar in today.bars}
+    bars = today.simulated_s
     assert max(bars, key=lambda name: bars[name]) == "filter"
     without_build_up_s = today.spent_s - bars["pressure build-up"]
     assert without_build_up_s > sum(delay_s for _, delay_s in budgets.THESIS_S)
@@ -60,15 +59,13 @@ def test_today_the_stay_is_at_its_stop_long_before(today: Budget) -> None:
 
 def test_without_the_filter_only_its_bar_goes(today: Budget) -> None:
     plain = latency_budget("lab_n_b", ["controller.filter=false"])
-    for with_filter, without in zip(today.bars, plain.bars, strict=True):
-        if with_filter.name == "filter":
-            assert without == Bar("filter", 0.0, 0.0)
-        else:
-            assert without.simulated_s == pytest.approx(with_filter.simulated_s, abs=3e-4)
+    assert plain.simulated_s["filter"] == plain.closed_s["filter"] == 0.0
+    for bar in set(budgets.BARS) - {"filter"}:
+        assert plain.simulated_s[bar] == pytest.approx(today.simulated_s[bar], abs=3e-4)
 
 
 def test_a_shift_that_never_arrives_has_no_budget() -> None:
-    with pytest.raises(RunError, match="never arrives"):
+    with pytest.raises(NoBudgetError, match="never arrives"):
         latency_budget("lab_n_b", ["plant.supply_pressure_pa=102000.0", "duration_s=0.4"])
 
 
@@ -81,8 +78,3 @@ def test_in_the_truck_the_part_after_the_block_is_shorter_than_any_reaction() ->
 
 def test_without_a_block_the_last_part_is_the_whole(today: Budget) -> None:
     assert today.last_part_s == today.window_s
-
-
-def test_the_picture_is_drawn(today: Budget, tmp_path: Path) -> None:
-    budgets.draw(today, tmp_path / "budget.png")
-    assert (tmp_path / "budget.png").read_bytes()[:4] == b"\x89PNG"

@@ -1,16 +1,15 @@
-"""What a controller reaches at best: the softest worst-case arrival over loads unlike in an unknown.
+"""Search the softest worst-case arrival over the loads of a family.
 
 (a) Clairvoyant: the load is known in advance, and the commands of the driving and of the neutral
-valve may change at any instants, six in all.
+valve may change at any times, six in all.
 (b) Non-anticipating: a policy is a stem of commands that all loads of a family share, and for each
-load an ending of its own that begins no sooner than the event that tells the load apart plus the
-information delay. That is everything a controller with that delay can do, whatever it computes;
-a negative delay stands for a release that is known ahead.
+load an ending of its own that begins at the event that reveals the load plus the information delay.
+That is everything a controller with that delay can do, however it computes. A negative delay means
+that the event is known ahead.
 
-Both are minima over switching instants found by a search on the plant's own equations (random
-starts for every pattern, the best refined), so each figure is a policy that exists: an upper
-estimate of the true bound, which no proof closes from below; (a) is searched from the best starts of
-every pattern, twice. Random policies and every strategy are held against them. Checked by tests/unit/sil/studies/test_bounds.py.
+Both are minima over switching times found by a search on the plant's own equations (random starts
+for every pattern, the best refined). Each value is thus a policy that exists: an upper estimate of
+the true bound. No proof gives a lower one.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plant.parameters import ParameterSet
-from sil.studies.shooting import Arrivals, Commands, Family, LoadCase, Shooter
+from sil.studies.shooting import Arrivals, Commands, Family, Floats, Shooter, plain_push
 
 MOST_SWITCHES = 6
 BUDGET = 60
@@ -30,12 +29,12 @@ BUDGET = 60
 LEAST_STEP_S = 5e-5
 OFFSPRING = 24
 MOVED_SHARE = 0.6
-"""Sequences tried a step of the scattered search, and the share of instants that each moves."""
+"""Sequences tried in a step of the scattered search, and the share of times that each moves."""
 ROUNDS = 2
 PATTERNS_REFINED = 12
 """How often a known load is searched, and how many patterns' best starts are refined each time."""
 LATE_S = 0.06
-"""Half of the starting instants lie so close before the limit: there the stop is decided."""
+"""Half of the starting times are drawn from this interval before the limit, which decides the stop."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class Best:
 
 
 def patterns(most_switches: int) -> Iterator[tuple[int, int]]:
-    """Numbers of changes of (driving, neutral), up to `most_switches` together."""
+    """Yield the numbers of changes of (driving, neutral), up to `most_switches` together."""
     for total in range(most_switches + 1):
         for driving in range(total + 1):
             yield driving, total - driving
@@ -57,7 +56,7 @@ def patterns(most_switches: int) -> Iterator[tuple[int, int]]:
 def starts(
     from_s: float, limit_s: float, most_switches: int, budget: int, rng: np.random.Generator
 ) -> list[Commands]:
-    """Starting sequences: of each pattern all at once, and random ones over the time and its end."""
+    """Return starting sequences: of each pattern all at once, and random ones over the time and its end."""
     late_s = max(from_s, limit_s - LATE_S)
     found = []
     for driving, braking in patterns(most_switches):
@@ -79,7 +78,7 @@ def starts(
 
 
 def neighbours(commands: Commands, step_s: float, from_s: float) -> list[Commands]:
-    """The sequences that differ in one instant, by a step either way; order and start kept."""
+    """Return the sequences that differ in one time by a step either way, in the same order."""
     found = []
     for which in ("driving_s", "braking_s"):
         times = getattr(commands, which)
@@ -93,7 +92,7 @@ def neighbours(commands: Commands, step_s: float, from_s: float) -> list[Command
 
 
 def scattered(shooter: Shooter, best: Best, step_s: float, rng: np.random.Generator) -> Best:
-    """Move several instants at once by normal steps, wider while that helps, closer when not."""
+    """Move several times at once by normal steps, wider while that helps, smaller when not."""
     count = len(best.commands.driving_s)
     times = (*best.commands.driving_s, *best.commands.braking_s)
     widest_s = step_s
@@ -116,7 +115,7 @@ def scattered(shooter: Shooter, best: Best, step_s: float, rng: np.random.Genera
 
 
 def refined(shooter: Shooter, best: Best, fixed: Commands, from_s: float, step_s: float) -> Best:
-    """Move one instant at a time, halving the step: no result is worse than the start."""
+    """Move one time after the other, halving the step: no result is worse than the start."""
     tail = Commands(
         best.commands.driving_s[len(fixed.driving_s) :],
         best.commands.braking_s[len(fixed.braking_s) :],
@@ -145,7 +144,7 @@ def ending(
     rng: np.random.Generator,
     refine: int = 3,
 ) -> Best:
-    """Softest arrival when `fixed` has been commanded and everything after `from_s` is free."""
+    """Return the softest arrival when `fixed` has been commanded and all after `from_s` is free."""
     from_s = max(from_s, 0.0)
     if from_s >= shooter.limit_s:
         plain = shooter.shoot([fixed])
@@ -161,8 +160,8 @@ def ending(
     return min(results, key=lambda one: one.speed_m_s)
 
 
-def best_of_patterns(tails: Sequence[Commands], speed_m_s: np.ndarray) -> list[int]:
-    """The best start of each pattern, the best pattern first."""
+def best_of_patterns(tails: Sequence[Commands], speed_m_s: Floats) -> list[int]:
+    """Return the index of the best start of each pattern, the best first; speed_m_s: [tails] in m/s."""
     found: dict[tuple[int, int], int] = {}
     for k in np.argsort(speed_m_s, kind="stable"):
         tail = tails[int(k)]
@@ -179,7 +178,7 @@ def clairvoyant(
     rounds: int = ROUNDS,
     patterns_refined: int = PATTERNS_REFINED,
 ) -> Best:
-    """The best sequence for a load that is known in advance: the best of several wide searches."""
+    """Return the best sequence for a load that is known in advance, from several wide searches."""
     tries = []
     for number in range(rounds):
         rng = np.random.default_rng([seed, number])
@@ -194,7 +193,7 @@ def clairvoyant(
 
 @dataclass(frozen=True)
 class Bound:
-    """Figures of a family: worst loads of the plain push, the oil damper, (a) and (b), m/s.
+    """Worst impact speeds over a family: plain push, oil damper, bounds (a) and (b), m/s.
 
     stem: the shared commands of (b); per_load: its sequences; runs: simulations made.
     """
@@ -208,20 +207,14 @@ class Bound:
     runs: int
 
 
-def plain_push(parameters: ParameterSet, case: LoadCase, tells: str) -> tuple[float, float]:
-    """Impact speed and arrival of the push without any further command."""
-    found = Shooter(parameters, case, 1.0, tells).shoot([Commands()])
-    return float(found.speed_m_s[0]), float(found.time_s[0])
-
-
 def shooters_of(parameters: ParameterSet, family: Family, extra_s: float) -> list[Shooter]:
-    """One for each load, its limit the plain push's arrival plus what may be lost."""
+    """Return a shooter for each load; its limit is the arrival of the plain push plus `extra_s`."""
     return [
         Shooter(
             parameters,
             case,
-            plain_push(parameters, case, family.tells)[1] + extra_s,
-            family.tells,
+            plain_push(parameters, case, family.revealed_by)[1] + extra_s,
+            family.revealed_by,
         )
         for case in family.cases
     ]
@@ -239,12 +232,12 @@ def bound(
     seed: int = 0,
     known_m_s: Sequence[float] = (),
 ) -> Bound:
-    """(a) and (b) of a family at an information delay; see the module.
+    """Return bounds (a) and (b) of a family at an information delay; see the module.
 
-    extra_s: how much later than the plain push a load may arrive. budget: starting sequences a
-    pattern; stems: how many shared beginnings get endings of their own. known_m_s: what
-    `clairvoyant` found for each load, which does not depend on the delay; without it (a) is what
-    the search of (b) comes by.
+    extra_s: how much later than the plain push a load may arrive. budget: starting sequences of each
+    pattern. stems: number of shared beginnings for which endings are searched. known_m_s: result of
+    `clairvoyant` for each load, which does not depend on the delay; without it, (a) is the best that
+    the search of (b) finds.
     """
     rng = np.random.default_rng(seed)
     shooters = shooters_of(parameters, family, extra_s)
@@ -270,9 +263,10 @@ def bound(
     if known_m_s:
         softest = [min(pair) for pair in zip(softest, known_m_s, strict=True)]
     return Bound(
-        open_loop_m_s=max(plain_push(parameters, c, family.tells)[0] for c in family.cases),
+        open_loop_m_s=max(plain_push(parameters, c, family.revealed_by)[0] for c in family.cases),
         damper_m_s=max(
-            plain_push(parameters, replace(c, damper=True), family.tells)[0] for c in family.cases
+            plain_push(parameters, replace(c, damper=True), family.revealed_by)[0]
+            for c in family.cases
         ),
         clairvoyant_m_s=max(softest),
         non_anticipating_m_s=worst_m_s,
@@ -290,9 +284,9 @@ def own_ending(
     budget: int,
     rng: np.random.Generator,
 ) -> Best:
-    """The best ending of one load: from its telling instant under the stem, plus the delay, on."""
+    """Return the best ending of one load from its revealing event under the stem plus the delay."""
     plain = shooter.shoot([stem])
-    free_from_s = float(plain.told_s[0]) + delay_s
+    free_from_s = float(plain.revealed_s[0]) + delay_s
     if free_from_s >= min(float(plain.time_s[0]), shooter.limit_s):
         return Best(stem, float(plain.speed_m_s[0]), float(plain.time_s[0]))
     fixed = stem.until(free_from_s)
@@ -311,7 +305,7 @@ def best_stems(
     count: int,
     rng: np.random.Generator,
 ) -> list[Commands]:
-    """Shared commands for loads that are never told apart, the best refined, and the plain push.
+    """Return shared commands for loads that are never told apart, the best refined, and the plain push.
 
     The best sequences of the single loads are among the starts.
     """
@@ -319,7 +313,7 @@ def best_stems(
     pool = [Commands(), *(best.commands for best in known)]
     pool += starts(0.0, last_s, most_switches, budget // 4, rng)
 
-    def worst(sequences: Sequence[Commands]) -> np.ndarray:
+    def worst(sequences: Sequence[Commands]) -> Floats:
         alive = np.arange(len(sequences))
         result = np.full(len(sequences), math.inf)
         top = np.zeros(len(sequences))

@@ -12,11 +12,11 @@ import pytest
 from can_dbc.errors import InputError
 from sil.cli import main
 from sil.studies import executor
-from sil.studies.executor import RESULTS, run_study
+from sil.studies.executor import run_study
 from sil.studies.load_study import load_study, shipped
 from sil.studies.pictures import choices
 from sil.studies.plots import study_plots
-from sil.studies.table import read_table
+from sil.studies.table import RESULTS, read_table
 
 GRID = """
 name = "grid"
@@ -147,7 +147,7 @@ def test_space_filling_designs_repeat_and_fill(kind: str, tmp_path: Path) -> Non
         (GRID.replace("low = 1e-5", "low = 1"), "low < high"),
         (GRID + '\nscenario = "lab_n_b"\n', "variant"),
         ('name = "x"\nscenario = "lab_n_b"\n' + GRID.split("\n", 2)[2], "exactly one"),
-        (GRID.replace('name = "heavy, very"', 'name = "plain"'), "twice"),
+        (GRID.replace('name = "heavy, very"', 'name = "plain"'), "same name"),
         (GRID.replace("steps = 20", "steps = 99999999999"), r"sweep\[\d\].steps"),
         (GRID.replace("steps = 20", "steps = 4000000"), "rows; expected at most"),
         (GRID.replace("low = 1e-5", "low = nan"), "finite"),

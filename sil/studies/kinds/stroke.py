@@ -1,0 +1,114 @@
+"""Rows that are strokes of the plant alone: commands at given times, no controller."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from can_dbc.errors import InputError, RunError
+from plant.effects import effect
+from plant.effects.stroke_conditions import StrokeConditions
+from plant.errors import IntegrationError
+from plant.parameters import Parameter, ParameterSet, load
+from plant.systems.stroke import Stroke, simulate
+from sil.studies.rows import FAILED, PASSED, RowResult
+from sil.studies.study import LoadedStudy, Row, StrokeBase
+
+COLUMNS = (
+    "arrival_s",
+    "impact_speed_m_s",
+    "impact_energy_j",
+    "first_motion_s",
+    "first_standstill_m",
+    "standstills",
+    "charging_drop_pa",
+    "passive_peak_pa",
+    "failed",
+)
+STEP_S = 1e-4
+CHAMBERS = {"fixed": ("1", "2"), "N-B": ("B", "N"), "B-N": ("N", "B"), "N-F": ("F", "N"),
+            "F-N": ("N", "F")}  # fmt: skip
+"""Driving and opposing chamber of each kind of stroke."""
+
+
+def columns(study: LoadedStudy) -> tuple[str, ...]:
+    """Return the figures of a stroke."""
+    return COLUMNS
+
+
+def run(study: LoadedStudy, row: Row) -> RowResult:
+    """Simulate a stroke and return its figures.
+
+    Raises InputError for wrong settings, RunError if the equations cannot be solved.
+    """
+    base = study.study.stroke
+    assert base is not None
+    stroke = stroke_of(base, study, row)
+    impact = stroke.impact
+    driving, opposing = CHAMBERS[base.kind]
+    before = stroke.time_s < (impact.time_s if impact else stroke.time_s[-1])
+    charging_pa = stroke.pressure_pa(driving)[before]
+    drop_pa = np.max(np.maximum.accumulate(charging_pa) - charging_pa) if before.any() else 0.0
+    moved = np.flatnonzero(np.abs(stroke.position_m - stroke.position_m[0]) > 5e-5)
+    turns_m = [e.position_m for e in stroke.events if e.name == "turn"]
+    found = {
+        "arrival_s": impact.time_s if impact else math.nan,
+        "impact_speed_m_s": impact.speed_m_s if impact else math.nan,
+        "impact_energy_j": impact.energy_j if impact else math.nan,
+        "first_motion_s": float(stroke.time_s[moved[0]]) if len(moved) else math.nan,
+        "first_standstill_m": turns_m[0] if turns_m else math.nan,
+        "standstills": float(len(turns_m)),
+        "charging_drop_pa": float(drop_pa),
+        "passive_peak_pa": float(np.max(stroke.pressure_pa(opposing))),
+        "failed": 0.0 if impact else 1.0,
+    }
+    if impact:
+        return RowResult(found, PASSED)
+    return RowResult(found, FAILED, f"the stay met no stop within {base.until_s:g} s")
+
+
+def stroke_of(base: StrokeBase, study: LoadedStudy, row: Row) -> Stroke:
+    """Simulate the stroke of a row.
+
+    Settings stroke.* change its conditions, effect.* add effects, all others change the model.
+    Raises InputError for wrong settings, RunError if the equations cannot be solved.
+    """
+    model = {k: v for k, v in row.settings.items() if not k.startswith(("stroke.", "effect."))}
+    parameters = with_effects(load(study.study.model).override(model), row)  # type: ignore[arg-type]
+    fields = [name for name in base.__struct_fields__ if name not in ("commands", "until_s")]
+    values: dict[str, Any] = {name: getattr(base, name) for name in fields}
+    for path, value in row.settings.items():
+        if not path.startswith("stroke."):
+            continue
+        key = path.removeprefix("stroke.")
+        if key not in fields or key == "kind":
+            expected = ", ".join(name for name in fields if name != "kind")
+            raise InputError(f"{path}: no such value to set; expected {expected}")
+        values[key] = str(value) if key == "charged_before" else value
+    values |= {"charged_before": tuple(values["charged_before"]), "commands": tuple(base.commands)}
+    time_s = (np.arange(round(base.until_s / STEP_S) + 1) * STEP_S).astype(np.float64)
+    try:
+        return simulate(parameters, StrokeConditions(**values), time_s, internal=False)
+    except IntegrationError as error:
+        raise RunError(str(error)) from None
+
+
+def with_effects(parameters: ParameterSet, row: Row) -> ParameterSet:
+    """Return the parameters with the row's settings effect.<id>.<parameter> as added effects.
+
+    Raises InputError for a path of another form or an unknown effect.
+    """
+    effects = {name: dict(table) for name, table in parameters.effects.items()}
+    for path, value in row.settings.items():
+        if not path.startswith("effect."):
+            continue
+        parts = path.split(".")
+        if len(parts) != 3 or isinstance(value, str | list):
+            raise InputError(f"{path}: expected effect.<id>.<parameter> = number")
+        units = {item.name: item.unit for item in effect(parts[1]).parameters}
+        unit = units.get(parts[2], "")
+        effects.setdefault(parts[1], {})[parts[2]] = Parameter(float(value), unit, "study")
+    return replace(parameters, effects=effects) if effects else parameters

@@ -1,0 +1,310 @@
+"""Rows that are tunings: the best parameters of a strategy on one hardware, over all loads together.
+
+Every strategy gets the same number of candidates, the same loads and the same cost. Half of the
+candidates are the shipped defaults and points of a scrambled Sobol sequence over the ranges of the
+free parameters. The other half are points around the best so far, in boxes that shrink from a
+quarter to a twentieth of each range. Each candidate is run in closed loop under every load.
+
+The cost of a load is its impact speed plus `late_m_s2` times the time lost against the open loop
+beyond `free_s`, which is about the price of the oil damper. A failed shift costs `FAILED_M_S`. The
+cost of a candidate is half the worst of the loads and half their mean: the worst is what the
+hardware has to withstand, but alone it cannot rank candidates that leave it unchanged.
+
+Strategies with a model are given the valve delays and the age of a sample of their hardware, not the
+load.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from can_dbc.errors import InputError, RunError
+from controller import strategies
+from sil.simulation.in_memory import run_in_memory
+from sil.simulation.scenario import Loaded
+from sil.studies.kinds.budget import group_delay_s
+from sil.studies.rows import FAILED, NOT_RUN, PASSED, RowResult
+from sil.studies.study import LoadedStudy, Row, TuningTable, texts_of
+
+FAILED_M_S = 10.0
+BUS_S = 0.0004
+"""Approximate time that a report spends on the bus."""
+OIL_DAMPER = 'plant.damper="compressible"'
+
+Make = Callable[[Sequence[str]], Loaded]
+"""Returns the base scenario with settings PATH=VALUE."""
+
+SPACES: Mapping[str, Mapping[str, tuple[float, float]]] = {
+    "air_cushion": {
+        "trigger_m": (0.0005, 0.012),
+        "lead_s": (0.0, 0.03),
+        "burst_s": (0.005, 0.04),
+    },
+    "sliding_mode": {
+        "slope_per_s": (10.0, 150.0),
+        "band_m_s": (0.0, 0.5),
+        "beyond_m": (0.0, 0.006),
+    },
+    "synchro_brake": {
+        "brake_lead_s": (0.01, 0.06),
+        "burst_s": (0.005, 0.05),
+        "rest_lead_s": (0.0, 0.08),
+        "rest_s": (0.0, 0.08),
+        "least_lead_s": (0.0, 0.05),
+    },
+    "bang_bang": {"impact_m_s": (0.05, 0.6), "brake_s": (0.005, 0.04)},
+    "predictive": {"time_weight_m_s2": (0.0, 30.0), "way_weight_per_s": (50.0, 1000.0)},
+    "blow_cut": {"neutral_s": (0.0, 0.15)},
+    "open_loop": {},
+}
+"""Free parameters of each strategy and the ranges in which they are searched."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A load: a name, and the settings that make it."""
+
+    name: str
+    settings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """Impact speed and shift time under one load; infinite, with the reason, for a failed shift."""
+
+    speed_m_s: float
+    time_s: float
+    reason: str = ""
+    died: bool = False
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Parameters, the arrival under each load, and the cost."""
+
+    parameters: Mapping[str, float]
+    arrivals: tuple[Arrival, ...]
+    cost_m_s: float
+
+
+def strategy_of(settings: Mapping[str, object]) -> str:
+    """Return the strategy that settings name. Raises InputError for one without ranges."""
+    name = str(settings.get("controller.strategy", "open_loop"))
+    if name not in SPACES:
+        raise InputError(f"controller.strategy: {name!r}; expected one of {', '.join(SPACES)}")
+    return name
+
+
+def parameters(study: LoadedStudy) -> list[str]:
+    """Return the names of all free parameters of the study's strategies.
+
+    Raises InputError for a strategy without ranges.
+    """
+    found: dict[str, None] = {}
+    for choice in study.study.strategy:
+        try:
+            found.update(dict.fromkeys(SPACES[strategy_of(choice.set)]))
+        except InputError as error:
+            raise InputError(f"{study.source}: strategy {choice.name!r}: {error}") from None
+    return list(found)
+
+
+def columns(study: LoadedStudy) -> tuple[str, ...]:
+    """Return cost, worst load, the same with the oil damper, the parameters, and each load."""
+    loads = [choice.name for choice in study.study.load]
+    return (
+        "cost_m_s",
+        "default_cost_m_s",
+        "worst_impact_m_s",
+        "worst_lost_s",
+        "damper_m_s",
+        "damper_worst_m_s",
+        "damper_worst_lost_s",
+        "failed",
+        "information_delay_s",
+        *(f"best.{name}" for name in parameters(study)),
+        *(f"impact_m_s {name}" for name in loads),
+        *(f"lost_s {name}" for name in loads),
+        *(f"damper_m_s {name}" for name in loads),
+    )
+
+
+def run(study: LoadedStudy, row: Row) -> RowResult:
+    """Tune the strategy of a row; parameters left at their default are NaN.
+
+    Raises InputError for settings that the scenario does not accept.
+    """
+    settings = dict(row.settings)
+    strategy = strategy_of(settings)
+    settings.pop("controller.strategy", None)
+    hardware = texts_of(settings)
+    cases = [Case(choice.name, tuple(texts_of(choice.set))) for choice in study.study.load]
+    reference = open_loop(study.loaded, hardware, cases)
+    tuned = tune(study.loaded, strategy, hardware, cases, reference, study.study.tuning)
+    best = tuned[0]
+    default = next(each for each in tuned if not each.parameters)
+    damped = open_loop(study.loaded, [*hardware, OIL_DAMPER], cases)
+    lost_s, damped_lost_s = (
+        [a.time_s - b.time_s for a, b in zip(arrivals, reference, strict=True)]
+        for arrivals in (best.arrivals, damped)
+    )
+    failures = [(case, a) for case, a in zip(cases, best.arrivals, strict=True) if a.reason]
+    found = {
+        "cost_m_s": best.cost_m_s,
+        "default_cost_m_s": default.cost_m_s,
+        "worst_impact_m_s": max(each.speed_m_s for each in best.arrivals),
+        "worst_lost_s": max(lost_s),
+        "damper_m_s": sum(each.speed_m_s for each in damped) / len(damped),
+        "damper_worst_m_s": max(each.speed_m_s for each in damped),
+        "damper_worst_lost_s": max(damped_lost_s),
+        "failed": float(bool(failures)),
+        "information_delay_s": information_delay_s(study.loaded(hardware)),
+    }
+    found |= {f"best.{name}": best.parameters.get(name, math.nan) for name in parameters(study)}
+    for case, ours, ours_lost_s, damper in zip(cases, best.arrivals, lost_s, damped, strict=True):
+        found[f"impact_m_s {case.name}"] = ours.speed_m_s
+        found[f"lost_s {case.name}"] = ours_lost_s
+        found[f"damper_m_s {case.name}"] = damper.speed_m_s
+    return RowResult(
+        {name: value if math.isfinite(value) else math.nan for name, value in found.items()},
+        NOT_RUN if any(each.died for _, each in failures) else FAILED if failures else PASSED,
+        "; ".join(f"{case.name}: {each.reason}" for case, each in failures),
+    )
+
+
+def cost_m_s(arrival: Arrival, reference: Arrival, free_s: float, late_m_s2: float) -> float:
+    """Return the cost of one load."""
+    if not math.isfinite(arrival.time_s):
+        return FAILED_M_S
+    lost_s = max(0.0, arrival.time_s - reference.time_s - free_s)
+    return min(FAILED_M_S, arrival.speed_m_s + late_m_s2 * lost_s)
+
+
+def candidates(strategy: str, count: int, seed: int) -> list[dict[str, float]]:
+    """Return the shipped defaults, then the points of a scrambled Sobol sequence."""
+    from scipy.stats import qmc
+
+    space = SPACES[strategy]
+    if not space or count < 2:
+        return [{}]
+    sampler = qmc.Sobol(len(space), scramble=True, rng=seed)
+    points = sampler.random_base2(math.ceil(math.log2(max(count - 1, 1))))[: count - 1]
+    low, high = limits(strategy)
+    drawn = low + (high - low) * points
+    return [{}, *(dict(zip(space, map(float, row), strict=True)) for row in drawn)]
+
+
+def limits(strategy: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lower and upper ends [parameters] of the ranges, each in its parameter's unit."""
+    ends = np.array(list(SPACES[strategy].values()))
+    return ends[:, 0], ends[:, 1]
+
+
+def nearby(
+    strategy: str, best: Mapping[str, float], share: float, rng: np.random.Generator
+) -> dict[str, float]:
+    """Return a random point in a box around `best`, `share` of each range to either side."""
+    defaults = strategies.parameters(strategy, {})
+    low, high = limits(strategy)
+    middle = np.array([best.get(name, getattr(defaults, name)) for name in SPACES[strategy]])
+    moved = middle + share * (high - low) * rng.uniform(-1.0, 1.0, len(middle))
+    return dict(zip(SPACES[strategy], map(float, np.clip(moved, low, high)), strict=True))
+
+
+def information_delay_s(hardware: Loaded) -> float:
+    """Return the shortest time from a position's measurement to the arrival of the answering command.
+
+    It includes the delay of the filter for slow signals, as the thesis counts it (4.2.1).
+    """
+    controller = hardware.scenario.controller
+    filtering = controller.filter
+    filter_s = group_delay_s(filtering.order, filtering.fc_hz) if filtering.enabled else 0.0
+    return sample_age_s(hardware) + filter_s + controller.computation_s + BUS_S
+
+
+def sample_age_s(hardware: Loaded) -> float:
+    """Return the age of a sample at the first controller step that uses it."""
+    scenario = hardware.scenario
+    sensor, period_s = scenario.sensor, scenario.controller.period_s
+    half_s = 0.5 * hardware.parameters.value("position_sensor.t_mid")
+    there_s = sensor.capture_s + sensor.delay_s - half_s + BUS_S
+    waits_s = -(sensor.phase_ns * 1e-9 + half_s + there_s) % period_s
+    return there_s + waits_s
+
+
+def hardware_settings(strategy: str, hardware: Loaded) -> list[str]:
+    """Return the settings by which a strategy with a model knows its hardware."""
+    if strategy not in ("bang_bang", "predictive"):
+        return []
+    value = hardware.parameters.value
+    prefix = "controller.strategy_parameters"
+    return [
+        f"{prefix}.model.valve_open_s={value('valve.D_rise')!r}",
+        f"{prefix}.model.valve_close_s={value('valve.D_fall')!r}",
+        f"{prefix}.observer.sensor_age_s={min(0.05, sample_age_s(hardware))!r}",
+    ]
+
+
+def run_case(make: Make, strategy: str, values: Mapping[str, Any], case: Case) -> Arrival:
+    """Run one closed-loop shift of a strategy with parameter values."""
+    settings = [*case.settings, f'controller.strategy="{strategy}"']
+    settings += hardware_settings(strategy, make(settings))
+    settings += [f"controller.strategy_parameters.{name}={x!r}" for name, x in values.items()]
+    try:
+        run = run_in_memory(make(settings))
+    except RunError as error:
+        return Arrival(math.inf, math.inf, " ".join(str(error).split()), died=True)
+    shift = run.shifts[-1]
+    speed_m_s, time_s = shift.impact_speed_m_s, shift.shift_time_s
+    if time_s is None:
+        return Arrival(math.inf, math.inf, "the shift did not arrive")
+    if shift.confirmed_s is None:
+        return Arrival(math.inf, math.inf, "the controller did not confirm the gear")
+    return Arrival(0.0 if speed_m_s is None else speed_m_s, time_s)
+
+
+def open_loop(make: Make, hardware: Sequence[str], cases: Sequence[Case]) -> list[Arrival]:
+    """Run the open loop under each load on some hardware."""
+    return [
+        run_case(make, "open_loop", {}, Case(case.name, (*hardware, *case.settings)))
+        for case in cases
+    ]
+
+
+def tune(
+    make: Make,
+    strategy: str,
+    hardware: Sequence[str],
+    cases: Sequence[Case],
+    reference: Sequence[Arrival],
+    table: TuningTable,
+) -> list[Candidate]:
+    """Return all candidates of a strategy on some hardware, the best first.
+
+    reference: the arrivals of the open loop under each case.
+    """
+    on_hardware = [Case(case.name, (*hardware, *case.settings)) for case in cases]
+
+    def tried(values: Mapping[str, float]) -> Candidate:
+        arrivals = tuple(run_case(make, strategy, values, case) for case in on_hardware)
+        costs = [
+            cost_m_s(arrival, plain, table.free_s, table.late_m_s2)
+            for arrival, plain in zip(arrivals, reference, strict=True)
+        ]
+        return Candidate(values, arrivals, 0.5 * (max(costs) + sum(costs) / len(costs)))
+
+    budget = table.candidates
+    found = [tried(each) for each in candidates(strategy, budget - budget // 2, table.seed)]
+    left = budget - len(found) if SPACES[strategy] else 0
+    rng = np.random.default_rng(table.seed)
+    for k in range(left):
+        best = min(found, key=lambda candidate: candidate.cost_m_s)
+        share = 0.25 * 0.2 ** (k / max(left - 1, 1))
+        found.append(tried(nearby(strategy, best.parameters, share, rng)))
+    return sorted(found, key=lambda candidate: candidate.cost_m_s)
