@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from can_dbc.errors import InputError
+from can_dbc.errors import InputError, nearest
 
 CHAPTERS = ("equipment", "pneumatics", "oil", "verification", "truck", "trends")
 
@@ -84,7 +83,7 @@ def chosen(names: Iterable[str]) -> list[Claim]:
     wanted = list(names)
     for name in wanted:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=3, cutoff=0.3) or list(known)[:3]
+            near = nearest(name, known, cutoff=0.3) or list(known)[:3]
             raise InputError(f"claim {name!r}: no such claim; nearest: {', '.join(near)}")
     return [known[name] for name in wanted] or list(known.values())
 

@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     Raises InputError for wrong arguments or a wrong study, RunError if the sweep cannot go on.
     """
     from can_dbc.errors import InputError
-    from sil.files.output_folder import finite
+    from sil.files.output_folder import close_folders, finite
     from sil.studies.executor import run_study
     from sil.studies.load_study import load_study, shipped
     from sil.studies.summary import exit_code, summary
@@ -70,6 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print_summary(study, found)
         print(f"{found['rows']} rows ({now} run now) in {folder}")
+    close_folders(None)  # complete, also if rows could not run
     return exit_code(table)
 
 

@@ -35,7 +35,7 @@ def load_study(where: str) -> LoadedStudy:
     if not where.endswith(".toml"):
         known = shipped()
         if where not in known:
-            near = nearest(where, known) or list(known)
+            near = nearest(where, known, cutoff=0.3) or list(known)
             raise InputError(f"study {where!r}: no such study; nearest: {', '.join(near)}")
         path = known[where]
     study = typed_toml.convert(typed_toml.read_toml(path), Study, str(path))

@@ -1,0 +1,80 @@
+"""`opc4 whatif`: exit codes, reasons of rows, and the hint to resume."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from can_dbc.errors import RunError
+from sil import api
+from sil.cli import main
+from sil.studies.kinds import closed_loop
+
+STUDY = """
+name = "pressures"
+scenario = "lab_n_b"
+[[sweep]]
+path = "plant.supply_pressure_pa"
+values = [{pressures}]
+"""
+TOO_LOW = "102000.0"
+
+
+def study(folder: Path, pressures: str) -> str:
+    path = folder / "study.toml"
+    path.write_text(STUDY.replace("{pressures}", pressures))
+    return str(path)
+
+
+def test_a_failed_row_has_its_reason_and_ends_with_1(tmp_path: Path, capsys: Any) -> None:
+    path, out = study(tmp_path, f"{TOO_LOW}, 900000.0"), tmp_path / "out"
+    assert main(["whatif", path, "--out", str(out)]) == 1
+    with open(out / "results.csv", newline="") as file:
+        failed, passed = csv.DictReader(file)
+    assert (failed["outcome"], passed["outcome"], passed["reason"]) == ("failed", "passed", "")
+    assert failed["reason"].startswith(
+        "the shift to backward did not arrive; the controller reported"
+    )
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["outcomes"] == {"passed": 1, "failed": 1, "not_run": 0}
+    (reason,) = summary["reasons"]
+    assert reason["reason"] == failed["reason"] and reason["first_row"] == 0
+    assert failed["reason"] in (out / "report.html").read_text()
+    assert f"1 failed: {failed['reason']} (row 0)" in capsys.readouterr().out
+
+
+def test_a_row_that_cannot_run_ends_with_3_also_beside_failed_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_in_memory = closed_loop.run_in_memory
+
+    def die(loaded: Any) -> Any:
+        if loaded.scenario.plant.supply_pressure_pa == 900000.0:
+            raise RunError("controller: firmware.py:3: ended by SystemExit(0)")
+        return run_in_memory(loaded)
+
+    monkeypatch.setattr(closed_loop, "run_in_memory", die)
+    path, out = study(tmp_path, f"{TOO_LOW}, 900000.0"), tmp_path / "out"
+    assert main(["whatif", path, "--out", str(out)]) == 3
+    swept = api.whatif(path, out=tmp_path / "api")
+    assert swept.texts["outcome"] == ["failed", "not run"] and not swept.passed
+    assert swept.texts["reason"][1] == "controller: firmware.py:3: ended by SystemExit(0)"
+    assert swept.numbers["failed"].tolist() == [1.0, 1.0]
+    assert not (out / "INCOMPLETE").exists() and (out / "summary.json").exists()
+
+
+def test_repeating_an_interrupted_sweep_names_resume(tmp_path: Path, capsys: Any) -> None:
+    path, out = study(tmp_path, "600000.0, 900000.0"), tmp_path / "out"
+    assert main(["whatif", path, "--out", str(out)]) == 0
+    whole = (out / "results.csv").read_bytes()
+    (out / "results.csv").write_bytes(whole[:-5])
+    (out / "summary.json").unlink()
+    assert main(["whatif", path, "--out", str(out)]) == 2
+    assert "holds 1 of 2 rows of this study; expected --resume" in capsys.readouterr().err
+    assert (out / "results.csv").read_bytes() == whole[:-5]
+    assert main(["whatif", path, "--out", str(out), "--resume"]) == 0
+    assert (out / "results.csv").read_bytes() == whole
