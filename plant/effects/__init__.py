@@ -1,7 +1,8 @@
 """Candidate extensions of the model: what each changes, in which equation, within which bounds.
 
 An effect changes a stroke's `Setup`; at its neutral parameters the stroke is the nominal one.
-Identifiers and classes are those of the vocabulary of causes.
+Identifiers and classes are those of the vocabulary of causes. Everything about an effect is in its
+file here; no other module names one.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from plant.effects.setup import Setup
 from plant.errors import InputError
 from plant.parameters import Parameter, ParameterSet
 
-__all__ = ["CATALOGUE", "Effect", "EffectParameter", "apply_effects", "effect"]
+__all__ = ["CATALOGUE", "Effect", "EffectParameter", "apply_effects", "effect", "look_alikes"]
 
 CATALOGUE: dict[str, Effect] = {
     item.id: item
@@ -25,7 +26,7 @@ CATALOGUE: dict[str, Effect] = {
 
 
 def effect(name: str) -> Effect:
-    """The effect of that id; InputError with the nearest names if there is none."""
+    """Return the effect of that id; raises InputError with the nearest names if there is none."""
     try:
         return CATALOGUE[name]
     except KeyError:
@@ -33,8 +34,21 @@ def effect(name: str) -> Effect:
         raise InputError(f"effect {name!r}: no such effect; nearest: {', '.join(near)}") from None
 
 
+def look_alikes(name: str) -> tuple[str, ...]:
+    """Return the effects that are hard to tell from this one, in the order of the catalogue."""
+    item = effect(name)
+    return tuple(
+        other.id
+        for other in CATALOGUE.values()
+        if other.id in item.look_alikes or name in other.look_alikes
+    )
+
+
 def check_effects(effects: Mapping[str, Mapping[str, Parameter]], name: str) -> None:
-    """Refuse unknown effects, parameters and units, and values outside the physical bounds."""
+    """Check the effects of an extended model.
+
+    Raises InputError for unknown effects, parameters and units, and values outside the bounds.
+    """
     for identifier, table in effects.items():
         try:
             item = effect(identifier)
@@ -44,7 +58,10 @@ def check_effects(effects: Mapping[str, Mapping[str, Parameter]], name: str) -> 
 
 
 def apply_effects(setup: Setup, parameters: ParameterSet) -> None:
-    """Apply every effect of an extended model to a stroke's setup."""
+    """Apply every effect of an extended model to a stroke's setup.
+
+    Raises InputError as `check_effects` does.
+    """
     check_effects(parameters.effects, parameters.name)
     for identifier, table in parameters.effects.items():
         effect(identifier).apply(setup, {key: item.value for key, item in table.items()})

@@ -1,16 +1,29 @@
-"""What an effect is: its place in the model, its parameters, and the change it makes."""
+"""What an effect is: all that is known about one candidate extension of the model.
+
+Kernel, fit, diagnosis and extended model read it from here, so each effect is stated in one file.
+"""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
+from plant.effects.force_term import ForceTerm
 from plant.effects.setup import Setup
 from plant.errors import InputError
 from plant.parameters import Number, Parameter
 
 Values = Mapping[str, Number]
+Change = Callable[[Setup, dict[str, float]], None]
+Starts = tuple[tuple[float, ...], ...]
+
+Scope = Literal["unit", "run", "stroke", "instrument"]
+"""What an effect belongs to: the actuator, the supply of a whole run, one stroke, an instrument."""
+
+Need = Literal["damper", "internal position", "length stroke"]
+"""What the strokes of a campaign must have for an effect to show in them."""
 
 
 @dataclass(frozen=True)
@@ -18,8 +31,9 @@ class EffectParameter:
     """One parameter of an effect.
 
     neutral: the value at which the effect is absent; low, high: physical bounds; typical: the size
-    of an effect worth reporting (scale of a search); one_sided: 0 if both signs are physical, +1 or
-    -1 if only values above or below neutral are; optional: may be left out (neutral then).
+    of an effect worth reporting (scale of a search); sign: 0 if both signs are physical, +1 or -1
+    if only values above or below neutral are; optional: may be left out (neutral then); listed: a
+    list of numbers; fitted: false for a parameter that only a variant sets.
     """
 
     name: str
@@ -28,51 +42,115 @@ class EffectParameter:
     low: float
     high: float
     typical: float
-    one_sided: int = 0
+    sign: int = 0
     optional: bool = False
     listed: bool = False
+    fitted: bool = True
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One reading of an effect that the vocabulary of causes leaves open, e.g. on which chamber.
+
+    fixed: the parameters that make the variant; starts: values of the fitted parameters to begin a
+    search from (none: several multiples of the typical size); needs: beyond those of the effect;
+    fills_table: it takes the one tabulated term that the equations have.
+    """
+
+    name: str = ""
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    starts: Starts = ()
+    needs: tuple[Need, ...] = ()
+    fills_table: bool = False
 
 
 @dataclass(frozen=True)
 class Effect:
     """A candidate extension of the model.
 
-    equation: the one it enters ("force", "chamber", "valve", "sensor", "clock", "gauge",
-    "initial", "geometry", "damper"); change(setup, values) applies it.
+    cause_class: class in the vocabulary of causes; equation: the one it enters ("force", "chamber",
+    "valve", "sensor", "clock", "gauge", "initial", "geometry", "damper"); change(setup, values)
+    applies it; scope: what it belongs to, or a function of its values; on_run: its values as a run
+    applies them.
+
+    tolerance: the tolerance of healthy units that acts the same way; switching: the instant of a
+    valve ("rise" or "fall") that it moves; sized_by: the fitted parameters that say how large it is;
+    rugged: a fit has several minima, so each start is followed separately; look_alikes: effects that
+    are hard to tell from it (stated on either side); force: the same as a term of the force balance
+    of a body of which only force and position are known.
     """
 
     id: str
-    klass: str
+    cause_class: str
     equation: str
     what: str
     parameters: tuple[EffectParameter, ...]
-    change: Callable[[Setup, dict[str, float]], None]
-    needs_damper: bool = False
+    change: Change
+    scope: Scope | Callable[[Values], Scope] = "unit"
+    on_run: Callable[[Values], Values] = dict
+    needs: tuple[Need, ...] = ()
+    variants: tuple[Variant, ...] = (Variant(),)
+    tolerance: str = ""
+    switching: str = ""
+    sized_by: Literal["first", "any", "none"] = "first"
+    rugged: bool = False
+    nonparametric: bool = False
+    look_alikes: tuple[str, ...] = ()
+    force: ForceTerm | None = None
+
+    def scope_of(self, values: Values) -> Scope:
+        """Return what the effect belongs to at these values."""
+        return self.scope(values) if callable(self.scope) else self.scope
 
     def apply(self, setup: Setup, values: Values) -> None:
         """Change a stroke's setup; parameters left out are neutral."""
         full = {item.name: values.get(item.name, item.neutral) for item in self.parameters}
         self.change(setup, full)  # type: ignore[arg-type]
 
-    def check(self, table: Mapping[str, Parameter], place: str) -> None:
-        """Refuse unknown or missing parameters, other units and values outside the bounds."""
+    def check(self, table: Mapping[str, Parameter], where: str) -> None:
+        """Check a table of parameters.
+
+        Raises InputError, with `where` in front, for an unknown or missing parameter, another unit
+        and a value outside the bounds.
+        """
         known = {item.name: item for item in self.parameters}
         for name, given in table.items():
             if name not in known:
                 near = difflib.get_close_matches(name, known, n=3, cutoff=0.3) or list(known)
-                raise InputError(f"{place} {name}: no such parameter; nearest: {', '.join(near)}")
+                raise InputError(f"{where} {name}: no such parameter; nearest: {', '.join(near)}")
             item = known[name]
             if given.unit != item.unit:
-                raise InputError(f"{place} {name}: unit {given.unit!r}; expected {item.unit!r}")
+                raise InputError(f"{where} {name}: unit {given.unit!r}; expected {item.unit!r}")
             values = given.value if isinstance(given.value, tuple) else (given.value,)
             if isinstance(given.value, tuple) != item.listed:
                 kind = "a list of numbers" if item.listed else "one number"
-                raise InputError(f"{place} {name}: expected {kind}")
+                raise InputError(f"{where} {name}: expected {kind}")
             for value in values:
                 if not item.low <= value <= item.high:
                     raise InputError(
-                        f"{place} {name}: {value:g}; expected {item.low:g} to {item.high:g}"
+                        f"{where} {name}: {value:g}; expected {item.low:g} to {item.high:g}"
                     )
         for name, item in known.items():
             if name not in table and not item.optional:
-                raise InputError(f"{place}: no {name}; expected {', '.join(known)}")
+                raise InputError(f"{where}: no {name}; expected {', '.join(known)}")
+
+
+def effect(
+    identifier: str,
+    cause_class: str,
+    equation: str,
+    what: str,
+    *parameters: EffectParameter,
+    **facts: Any,
+) -> Callable[[Change], Effect]:
+    """Make the function below into the effect that it applies; facts: further fields of Effect."""
+    return lambda change: Effect(
+        identifier, cause_class, equation, what, parameters, change, **facts
+    )
+
+
+def choice(
+    name: str, unit: str, usual: float, low: float, high: float, step: float = 1.0
+) -> EffectParameter:
+    """Return a parameter that a variant sets and no fit moves; left out it has its usual value."""
+    return EffectParameter(name, unit, usual, low, high, step, optional=True, fitted=False)

@@ -5,22 +5,59 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.effects.effect import Effect, EffectParameter
+from plant.effects.effect import EffectParameter, Scope, Values, Variant, choice, effect
 from plant.effects.setup import Setup
+from plant.effects.term import Over, Slot, into_kernel
 from plant.kernel import layout as L
 from plant.parts.flow import orifice
 
 Floats = NDArray[np.float64]
 
+CDA = EffectParameter("cda_m2", "m^2", 0.0, 0.0, 2e-5, 2e-7, 1)
+WHERE = choice("where", "-", 0.0, 0.0, 4.0)
+VOLUME = EffectParameter("volume_m3", "m^3", 0.0, -5e-5, 5e-4, 5e-6, 1)
+CLOG = EffectParameter("factor", "-", 1.0, 0.02, 3.0, 0.2, -1)
+
+QUICK_LINE_M = 0.2
+"""Volume over C_d A of a line that follows within a millisecond."""
+
 LEAK_UP_TO_PA = 1.2e6
 """Highest pressure of a chamber that a leak is tabulated for."""
 
 
+@effect(
+    "piston_leak",
+    "leak",
+    "chamber",
+    "flow past the moving piston",
+    CDA,
+    look_alikes=("leak_to_atmosphere", "exhaust_clog"),
+)
 def piston_leak(setup: Setup, values: dict[str, float]) -> None:
     """Orifice C_d A across each piston, from chamber to chamber."""
     setup.p[L.LEAK_PISTON] = values["cda_m2"]
 
 
+def leak_on_run(values: Values) -> Values:
+    """Return the values for a run, in which the chamber that drives is the one on supply."""
+    return {**values, "where": 0.0} if values.get("where") == 1.0 else values
+
+
+@effect(
+    "leak_to_atmosphere",
+    "leak",
+    "chamber",
+    "a charged chamber leaks outside",
+    CDA,
+    WHERE,
+    variants=(
+        Variant(),
+        Variant("driving chamber", {"where": 1.0}, fills_table=True),
+        Variant("every chamber", {"where": 2.0}, fills_table=True),
+    ),
+    on_run=leak_on_run,
+    look_alikes=("inlet_clog", "hose_droop"),
+)
 def leak_out(setup: Setup, values: dict[str, float]) -> None:
     """Orifice C_d A from a chamber to the atmosphere.
 
@@ -35,29 +72,49 @@ def leak_out(setup: Setup, values: dict[str, float]) -> None:
         gas = (values["cda_m2"], p[L.T_GAS], p[L.GAMMA], p[L.R_AIR])
         plain = orifice.py_func  # type: ignore[attr-defined]
         lost = np.array([plain(pressure, p[L.P_ATM], *gas) for pressure in pressures.tolist()])
-        place = setup.conditions.chambers.index(setup.charged_chamber)
+        index = setup.conditions.chambers.index(setup.charged_chamber)
         if values["where"] == 1.0:
-            follow_pressure(setup, 2.0 + place, pressures, -lost)
+            follow_pressure(setup, Slot.FLOW_1 + index, pressures, -lost)
         else:
-            follow_pressure(setup, 8.0, pressures, lost)
+            follow_pressure(setup, Slot.LEAK, pressures, lost)
 
 
-def follow_pressure(setup: Setup, equation: float, pressures: Floats, flows: Floats) -> None:
-    """Flow [K kg/s] of a chamber by its own pressure, through the term of the equations."""
-    p = setup.p
-    p[L.TERM_EQUATION] = equation
-    p[L.TERM_VARIABLE] = 2.0
-    p[L.TERM_LOW] = pressures[0]
-    p[L.TERM_STEP] = pressures[1] - pressures[0]
-    p[L.TERM_COUNT] = float(len(pressures))
-    p[L.TERM_0 : L.TERM_0 + len(pressures)] = flows
+def follow_pressure(setup: Setup, slot: float, pressures: Floats, flows: Floats) -> None:
+    """Enter flows [n] in K kg/s of a chamber, tabulated by its own pressures [n] in Pa."""
+    grid = {"low": float(pressures[0]), "step": float(pressures[1] - pressures[0])}
+    into_kernel(setup.p, {"equation": slot, "variable": Over.SPEED, **grid}, flows)
 
 
+@effect(
+    "supply_low",
+    "supply",
+    "chamber",
+    "true supply pressure below the stated one by a share",
+    EffectParameter("deficit", "-", 0.0, -0.5, 0.8, 0.05, 1),
+    scope="run",
+    tolerance="supply",
+    look_alikes=("inlet_clog", "hose_droop"),
+)
 def supply_low(setup: Setup, values: dict[str, float]) -> None:
     """True supply pressure below the stated one by a share."""
     setup.p[L.P_SUPPLY] *= 1.0 - values["deficit"]
 
 
+@effect(
+    "hose_droop",
+    "supply",
+    "chamber",
+    "restriction and finite volume upstream of the valve",
+    EffectParameter("cda_m2", "m^2", 0.0, 0.0, 1e-3, 5e-6, 1),
+    EffectParameter("volume_m3", "m^3", 5e-5, 1e-6, 1e-2, 5e-5),
+    scope="run",
+    variants=(
+        Variant(starts=((2e-5, 5e-5), (8e-6, 5e-5), (8e-6, 4e-4), (2e-5, 1e-5), (5e-5, 2e-5))),
+    ),
+    sized_by="none",  # the wider the line, the smaller the effect
+    rugged=True,
+    look_alikes=("inlet_clog",),
+)
 def droop(setup: Setup, values: dict[str, float]) -> None:
     """Supply line of a volume behind an orifice: the pressure at the valve sags while it feeds.
 
@@ -70,16 +127,50 @@ def droop(setup: Setup, values: dict[str, float]) -> None:
     setup.p[L.LINE_VOLUME] = max(values["volume_m3"], QUICK_LINE_M * values["cda_m2"])
 
 
+@effect(
+    "exhaust_clog",
+    "flow restriction",
+    "chamber",
+    "exhaust flows times a factor",
+    CLOG,
+    tolerance="flow_out",
+    look_alikes=("dead_volume_passive", "residual_pressure"),
+)
 def exhaust_clog(setup: Setup, values: dict[str, float]) -> None:
     """Exhaust flows times a factor."""
     setup.p[L.K_OUT] *= values["factor"]
 
 
+@effect(
+    "inlet_clog",
+    "flow restriction",
+    "chamber",
+    "charge flows times a factor",
+    CLOG,
+    tolerance="flow_in",
+    look_alikes=("dead_volume_charge",),
+)
 def inlet_clog(setup: Setup, values: dict[str, float]) -> None:
     """Charge flows times a factor."""
     setup.p[L.K_IN] *= values["factor"]
 
 
+def scope_of_volume(values: Values) -> Scope:
+    """Return "unit" if the chambers are given by name, else "stroke": each drives some strokes."""
+    return "unit" if values.get("where", 0.0) == 1.0 else "stroke"
+
+
+@effect(
+    "dead_volume_charge",
+    "volume",
+    "chamber",
+    "extra volume on the charged chamber",
+    VOLUME,
+    WHERE,
+    scope=scope_of_volume,
+    variants=(Variant(), Variant("outer chambers", {"where": 1.0}, needs=("length stroke",))),
+    look_alikes=("alpha_speed",),
+)
 def dead_charge(setup: Setup, values: dict[str, float]) -> None:
     """Extra dead volume on the chamber that drives the stroke (where 0) or on B, F, 1 (where 1)."""
     if values["where"] == 1.0:
@@ -89,6 +180,17 @@ def dead_charge(setup: Setup, values: dict[str, float]) -> None:
         setup.p[setup.volume_index(setup.charged_chamber)] += values["volume_m3"]
 
 
+@effect(
+    "dead_volume_passive",
+    "volume",
+    "chamber",
+    "extra volume on the discharging chamber",
+    VOLUME,
+    WHERE,
+    scope=scope_of_volume,
+    variants=(Variant(), Variant("inner chamber", {"where": 1.0}, needs=("length stroke",))),
+    look_alikes=("alpha_speed",),
+)
 def dead_passive(setup: Setup, values: dict[str, float]) -> None:
     """Extra dead volume on the chamber that the stroke compresses (where 0) or N, 2 (where 1)."""
     if values["where"] == 1.0:
@@ -98,6 +200,22 @@ def dead_passive(setup: Setup, values: dict[str, float]) -> None:
             setup.p[setup.volume_index(chamber)] += values["volume_m3"]
 
 
+@effect(
+    "residual_pressure",
+    "initial state",
+    "initial",
+    "the passive chamber was not vented at the start",
+    EffectParameter("pressure_pa", "Pa", 0.0, -9e4, 1e6, 3e4, 1),
+    WHERE,
+    scope="stroke",
+    variants=(
+        Variant(),
+        Variant("driving chamber", {"where": 1.0}),
+        Variant("inner chamber", {"where": 2.0}, needs=("length stroke",)),
+        Variant("every chamber", {"where": 3.0}),
+        Variant("vented", {"where": 4.0}, needs=("length stroke",)),
+    ),
+)
 def residual(setup: Setup, values: dict[str, float]) -> None:
     """Overpressure at time 0.
 
@@ -119,80 +237,14 @@ def residual(setup: Setup, values: dict[str, float]) -> None:
             setup.residual_pa[chamber] = held + values["pressure_pa"]
 
 
-QUICK_LINE_M = 0.2
-"""Volume over C_d A of a line that follows within a millisecond."""
-
-CDA = EffectParameter("cda_m2", "m^2", 0.0, 0.0, 2e-5, 2e-7, 1)
-WHERE = EffectParameter("where", "-", 0.0, 0.0, 4.0, 1.0, optional=True)
-VOLUME = EffectParameter("volume_m3", "m^3", 0.0, -5e-5, 5e-4, 5e-6, 1)
-
 EFFECTS = (
-    Effect("piston_leak", "leak", "chamber", "flow past the moving piston", (CDA,), piston_leak),
-    Effect(
-        "leak_to_atmosphere",
-        "leak",
-        "chamber",
-        "a charged chamber leaks outside",
-        (CDA, WHERE),
-        leak_out,
-    ),
-    Effect(
-        "supply_low",
-        "supply",
-        "chamber",
-        "true supply pressure below the stated one by a share",
-        (EffectParameter("deficit", "-", 0.0, -0.5, 0.8, 0.05, 1),),
-        supply_low,
-    ),
-    Effect(
-        "hose_droop",
-        "supply",
-        "chamber",
-        "restriction and finite volume upstream of the valve",
-        (
-            EffectParameter("cda_m2", "m^2", 0.0, 0.0, 1e-3, 5e-6, 1),
-            EffectParameter("volume_m3", "m^3", 5e-5, 1e-6, 1e-2, 5e-5),
-        ),
-        droop,
-    ),
-    Effect(
-        "exhaust_clog",
-        "flow restriction",
-        "chamber",
-        "exhaust flows times a factor",
-        (EffectParameter("factor", "-", 1.0, 0.02, 3.0, 0.2, -1),),
-        exhaust_clog,
-    ),
-    Effect(
-        "inlet_clog",
-        "flow restriction",
-        "chamber",
-        "charge flows times a factor",
-        (EffectParameter("factor", "-", 1.0, 0.02, 3.0, 0.2, -1),),
-        inlet_clog,
-    ),
-    Effect(
-        "dead_volume_charge",
-        "volume",
-        "chamber",
-        "extra volume on the charged chamber",
-        (VOLUME, WHERE),
-        dead_charge,
-    ),
-    Effect(
-        "dead_volume_passive",
-        "volume",
-        "chamber",
-        "extra volume on the discharging chamber",
-        (VOLUME, WHERE),
-        dead_passive,
-    ),
-    Effect(
-        "residual_pressure",
-        "initial state",
-        "initial",
-        "the passive chamber was not vented at the start",
-        (EffectParameter("pressure_pa", "Pa", 0.0, -9e4, 1e6, 3e4, 1), WHERE),
-        residual,
-    ),
+    piston_leak,
+    leak_out,
+    supply_low,
+    droop,
+    exhaust_clog,
+    inlet_clog,
+    dead_charge,
+    dead_passive,
+    residual,
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from plant.effects.effect import Effect, EffectParameter
+from plant.effects.effect import EffectParameter, Variant, choice, effect
 from plant.effects.setup import Setup
 from plant.kernel import layout as L
 
@@ -11,6 +11,34 @@ EXPONENTS = (L.ALPHA_M1, L.ALPHA_1, L.ALPHA_M2, L.ALPHA_2)
 VOLUME_TERMS = (L.ALPHA_SPEED, L.ALPHA_SPEED_2)
 
 
+STARTS = tuple(
+    (sign * share, speed) for sign in (1.0, -1.0) for share in (0.02, 0.2) for speed in (0.05, 0.5)
+)
+"""Shares and speeds [m/s] at which a search begins."""
+
+FORMS = (
+    "",
+    "all exponents",
+    "towards adiabatic",
+    "all towards adiabatic",
+    "isothermal at rest",
+    "all isothermal at rest",
+)
+
+
+@effect(
+    "alpha_speed",
+    "thermodynamics",
+    "chamber",
+    "process exponents depend on the piston's speed",
+    EffectParameter("share", "-", 0.0, -1.0, 1.0, 0.1),
+    EffectParameter("speed_m_s", "m/s", 0.3, 0.001, 20.0, 0.3, optional=True),
+    choice("form", "-", 0.0, 0.0, 5.0),
+    variants=tuple(
+        Variant(name, {"form": float(form)} if form else {}, STARTS)
+        for form, name in enumerate(FORMS)
+    ),
+)
 def alpha_speed(setup: Setup, values: dict[str, float]) -> None:
     """Exponents alpha + share f(|v|), f = 1 - exp(-|v| / speed): slow motion is less adiabatic.
 
@@ -33,17 +61,4 @@ def alpha_speed(setup: Setup, values: dict[str, float]) -> None:
         setup.p[index] = values["share"] * towards / speed
 
 
-EFFECTS = (
-    Effect(
-        "alpha_speed",
-        "thermodynamics",
-        "chamber",
-        "process exponents depend on the piston's speed",
-        (
-            EffectParameter("share", "-", 0.0, -1.0, 1.0, 0.1),
-            EffectParameter("speed_m_s", "m/s", 0.3, 0.001, 20.0, 0.3, optional=True),
-            EffectParameter("form", "-", 0.0, 0.0, 5.0, 1.0, optional=True),
-        ),
-        alpha_speed,
-    ),
-)
+EFFECTS = (alpha_speed,)

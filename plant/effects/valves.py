@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from plant.effects.effect import Effect, EffectParameter
+from plant.effects.effect import EffectParameter, Variant, choice, effect
 from plant.effects.setup import Setup
 from plant.effects.tolerances import shift_fall, shift_rise
 from plant.kernel import layout as L
@@ -10,60 +10,66 @@ from plant.kernel import layout as L
 FULL_SUPPLY_PA = 900000.0
 
 
+@effect(
+    "valve_open_delay",
+    "valve timing",
+    "valve",
+    "opens later",
+    EffectParameter("delay_s", "s", 0.0, -0.008, 0.1, 0.003, 1),
+    tolerance="rise",
+    switching="rise",
+    look_alikes=("valve_delay_pressure", "valve_creep"),
+)
 def open_later(setup: Setup, values: dict[str, float]) -> None:
     """Opening delay longer by a time."""
     shift_rise(setup, values["delay_s"])
 
 
+@effect(
+    "valve_delay_pressure",
+    "valve timing",
+    "valve",
+    "opening delay depends on the supply pressure",
+    EffectParameter("slope_s_pa", "s/Pa", 0.0, -1e-7, 1e-7, 1e-8),
+    choice("reference_pa", "Pa", FULL_SUPPLY_PA, 0.0, 2e6, 1e5),
+    variants=(
+        Variant(),
+        Variant("from 6 bar", {"reference_pa": 6e5}),
+        Variant("from atmosphere", {"reference_pa": 101325.0}),
+    ),
+    switching="rise",
+)
 def open_by_pressure(setup: Setup, values: dict[str, float]) -> None:
     """Opening delay plus slope (P_s - reference): the plunger opens against the supply."""
     shift_rise(setup, values["slope_s_pa"] * (setup.p[L.P_SUPPLY] - values["reference_pa"]))
 
 
+@effect(
+    "valve_slow_close",
+    "valve timing",
+    "valve",
+    "closes later",
+    EffectParameter("delay_s", "s", 0.0, -0.035, 0.2, 0.01, 1),
+    tolerance="fall",
+    switching="fall",
+    look_alikes=("valve_creep",),
+)
 def close_later(setup: Setup, values: dict[str, float]) -> None:
     """Closing delay longer by a time."""
     shift_fall(setup, values["delay_s"])
 
 
+@effect(
+    "valve_creep",
+    "valve timing",
+    "valve",
+    "the plunger crosses slowly instead of at once",
+    EffectParameter("travel_s", "s", 0.0, 0.0, 0.1, 0.005, 1),
+    scope="stroke",
+)
 def creep(setup: Setup, values: dict[str, float]) -> None:
     """The plunger crosses in a straight ramp of this duration, both ways."""
     setup.creep_s = values["travel_s"]
 
 
-EFFECTS = (
-    Effect(
-        "valve_open_delay",
-        "valve timing",
-        "valve",
-        "opens later",
-        (EffectParameter("delay_s", "s", 0.0, -0.008, 0.1, 0.003, 1),),
-        open_later,
-    ),
-    Effect(
-        "valve_delay_pressure",
-        "valve timing",
-        "valve",
-        "opening delay depends on the supply pressure",
-        (
-            EffectParameter("slope_s_pa", "s/Pa", 0.0, -1e-7, 1e-7, 1e-8),
-            EffectParameter("reference_pa", "Pa", FULL_SUPPLY_PA, 0.0, 2e6, 1e5, optional=True),
-        ),
-        open_by_pressure,
-    ),
-    Effect(
-        "valve_slow_close",
-        "valve timing",
-        "valve",
-        "closes later",
-        (EffectParameter("delay_s", "s", 0.0, -0.035, 0.2, 0.01, 1),),
-        close_later,
-    ),
-    Effect(
-        "valve_creep",
-        "valve timing",
-        "valve",
-        "the plunger crosses slowly instead of at once",
-        (EffectParameter("travel_s", "s", 0.0, 0.0, 0.1, 0.005, 1),),
-        creep,
-    ),
-)
+EFFECTS = (open_later, open_by_pressure, close_later, creep)

@@ -94,8 +94,8 @@ def delay_scatter() -> Outcome:
     return Outcome(
         PARTLY,
         f"delays are parameters, scattered by {1e3 * value('repeatability.valve_delay_sd'):.1f} ms a "
-        f"stroke and {1e3 * value('repeatability.unit_valve_delay_sd'):.1f} ms a unit; the effect "
-        "valve_delay_pressure makes them follow the supply",
+        f"stroke and {1e3 * value('repeatability.unit_valve_delay_sd'):.1f} ms a unit; an "
+        "effect of the catalogue makes them follow the supply",
         "the thesis gives no sensitivity: none is built into the nominal model",
     )
 

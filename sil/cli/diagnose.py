@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print(f"{campaign.name}: {result.verdict.kind}")
         for cause in result.causes:
-            print(f"  {cause.probability:.2f} {cause.id} ({cause.klass}): {cause.evidence}")
+            print(f"  {cause.probability:.2f} {cause.id} ({cause.cause_class}): {cause.evidence}")
         print(f"  written to {folder}", file=sys.stderr)
     return 0 if result.verdict.kind == "consistent" else 1
 
@@ -65,7 +65,7 @@ def free_folder(arguments: argparse.Namespace, name: str) -> Path:
 
 
 def run_force(arguments: argparse.Namespace) -> int:
-    """Diagnose a rig known by driving force and position alone; 1 if a cause is named."""
+    """Diagnose a rig known by driving force and position alone; 1 if not consistent."""
     from sil.diagnosis.force_page import write_page
     from sil.diagnosis.force_rig import diagnose_force
     from sil.files.atomic import write_atomically
@@ -82,8 +82,14 @@ def run_force(arguments: argparse.Namespace) -> int:
     else:
         print(f"{found.name}: {plain['verdict']}")
         for cause in plain["causes"]:
-            print(f"  {cause['probability']:.2f} {cause['id']} (friction): {cause['evidence']}")
+            print(
+                f"  {cause['probability']:.2f} {cause['id']} ({cause['class']}): {cause['evidence']}"
+            )
+        for key, item in plain["body"].items():
+            print(
+                f"  {key} {item['value']:.4g} {item['unit']} [{item['low']:.4g}, {item['high']:.4g}]"
+            )
         for line in plain["findings"]:
             print(f"  {line}")
         print(f"  written to {folder}", file=sys.stderr)
-    return 1 if plain["causes"] else 0
+    return 0 if plain["verdict"] == "consistent" else 1

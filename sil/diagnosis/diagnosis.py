@@ -6,13 +6,14 @@ Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from can_dbc.errors import InputError
+from plant.effects.effect import Need
 from plant.integrator.hybrid import IntegrationError
 from plant.kernel import layout as L
 from plant.parameters import ParameterSet
@@ -35,10 +36,10 @@ from sil.diagnosis.next_experiment import NextExperiment, next_experiment
 from sil.diagnosis.search import Found, Search
 from sil.diagnosis.split import odd_ones_in, split
 from sil.diagnosis.structure import Structure, structure_of
-from sil.diagnosis.unnamed import try_terms
+from sil.diagnosis.terms import try_terms
 from sil.diagnosis.verdict import Verdict, acceptable, decide
 from sil.fitting.fit import FitResult, Fitter
-from sil.fitting.hypotheses import candidates
+from sil.fitting.hypotheses import Candidate, candidates
 from sil.fitting.model import CampaignModel
 from sil.fitting.nuisance import Spread
 from sil.fitting.observations import StrokeObservation, observe
@@ -81,7 +82,7 @@ class Diagnosis:
             "causes": [
                 {
                     "id": cause.id,
-                    "class": cause.klass,
+                    "class": cause.cause_class,
                     "probability": round(cause.probability, 4),
                     "parameters": {
                         name: {
@@ -146,7 +147,7 @@ def diagnose(
     if try_terms(search, found, verdict, judged, told):
         judged = judged_hypotheses(search, found, held_out, workers)
         verdict = decide(judged, len(strokes))
-    clock.lap("unnamed")
+    clock.lap("terms")
     healthy = whole_fit(search.fitter, verdict.healthy)
     final = healthy if not verdict.claimed else whole_fit(search.fitter, verdict.leader)
     gain = gain_between(model, verdict, held_out)
@@ -255,13 +256,14 @@ def moved(record: Record, shift_s: float) -> Record:
     return Record(record.path, columns)
 
 
-def available(strokes: list[StrokeObservation]):  # type: ignore[no-untyped-def]
+def available(strokes: Sequence[StrokeObservation]) -> list[Candidate]:
     """Candidates that these strokes can show."""
-    return candidates(
-        any(stroke.conditions.load == "damper" for stroke in strokes),
-        any(stroke.internal is not None for stroke in strokes),
-        any(stroke.conditions.system == L.LENGTH for stroke in strokes),
-    )
+    has: dict[Need, bool] = {
+        "damper": any(stroke.conditions.load == "damper" for stroke in strokes),
+        "internal position": any(stroke.internal is not None for stroke in strokes),
+        "length stroke": any(stroke.conditions.system == L.LENGTH for stroke in strokes),
+    }
+    return candidates({need for need, present in has.items() if present})
 
 
 def judged_hypotheses(
@@ -310,7 +312,7 @@ def reported(
         causes.append(
             Cause(
                 candidate.id,
-                candidate.klass,
+                candidate.cause_class,
                 verdict.probabilities[candidate.id],
                 own[candidate.name],
                 sentence(candidate, verdict, judged, gain, own[candidate.name]),
@@ -328,7 +330,7 @@ def reported(
         causes.append(
             Cause(
                 name,
-                candidate.klass,
+                candidate.cause_class,
                 probability,
                 theirs,
                 f"cannot be told apart: {item.name} is {behind:.1f} behind in log evidence",

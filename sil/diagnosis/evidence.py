@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from sil.diagnosis.gain import Gain
 from sil.diagnosis.intervals import Interval
 from sil.diagnosis.judge import Judged
-from sil.diagnosis.terms import is_term, place_of
+from sil.diagnosis.terms import form_of
 from sil.diagnosis.verdict import Verdict
 from sil.fitting.hypotheses import Candidate
 
@@ -21,7 +21,7 @@ class Cause:
     """A cause as reported: probability, parameters with intervals, one sentence of evidence."""
 
     id: str
-    klass: str
+    cause_class: str
     probability: float
     parameters: dict[str, Interval]
     evidence: str
@@ -43,11 +43,11 @@ def sentence(
 ) -> str:
     """What speaks for the cause, and against the next best."""
     gained = verdict.gains[candidate.id]
-    if is_term(candidate):
-        place = place_of(candidate)
+    if candidate.is_term:
+        form = form_of(candidate)
         sizes = [abs(item.value) for item in parameters.values()]
         what = (
-            f"{place.what} depending on {place.on}, up to {max(sizes):.3g} {place.unit}, which no "
+            f"{form.what} depending on {form.on}, up to {max(sizes):.3g} {form.unit}, which no "
             f"named cause describes"
         )
     else:

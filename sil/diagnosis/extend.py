@@ -11,7 +11,7 @@ from plant.parameters import Parameter, ParameterSet
 from sil.campaign.campaign import Campaign
 from sil.diagnosis.evidence import Cause
 from sil.diagnosis.intervals import Interval
-from sil.diagnosis.terms import is_term, place_of
+from sil.diagnosis.terms import form_of
 from sil.fitting.fit import FitResult
 from sil.fitting.hypotheses import Candidate
 
@@ -34,7 +34,7 @@ def extended_model(
     for candidate in final.candidates:
         cause = reported[(candidate.id, candidate.variant)]
         lines += ["", f"[effect.{candidate.id}]"]
-        if is_term(candidate):
+        if candidate.is_term:
             lines += term_lines(candidate, cause.parameters, source)
             continue
         for name, item in cause.parameters.items():
@@ -67,19 +67,19 @@ def entry(name: str, item: Parameter) -> str:
 
 
 def term_lines(candidate: Candidate, parameters: dict[str, Interval], source: str) -> list[str]:
-    """A non-parametric term as the effect "unnamed" holds it."""
-    place = place_of(candidate)
-    told = json.dumps(f"{source}: {place.what} of {place.on} [{place.unit}], class {place.klass}")
-    nodes = [item.value for item in parameters.values()]
-    step = (place.high - place.low) / (place.count - 1)
+    """A non-parametric term as an extended model holds it."""
+    form = form_of(candidate)
+    origin = json.dumps(
+        f"{source}: {form.what} of {form.on} [{form.unit}], class {form.cause_class}"
+    )
     rows = {
-        "equation": place.equation,
-        "variable": place.variable,
-        "low": place.low,
-        "step": step,
-        "nodes": nodes,
+        "equation": float(form.slot),
+        "variable": float(form.over),
+        "low": form.low,
+        "step": form.step,
+        "nodes": [item.value for item in parameters.values()],
     }
     return [
-        f'{name} = {{ value = {value!r}, unit = "-", source = {told} }}'
+        f'{name} = {{ value = {value!r}, unit = "-", source = {origin} }}'
         for name, value in rows.items()
     ]

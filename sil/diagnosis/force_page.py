@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sil.diagnosis.force_rig import UNITS, ForceDiagnosis, base, feature, gains
+from sil.diagnosis.force_rig import TERMS, ForceDiagnosis, base, gains
 from sil.diagnosis.pictures import AFTER, BEFORE, MEASURED, new_figure
 from sil.files.atomic import write_atomically
 from sil.report.figures import save
@@ -31,7 +31,8 @@ def forces(found: ForceDiagnosis) -> tuple[Floats, Floats, Floats]:
     motion = found.motion
     plain, left = base(motion, found.mass_kg)
     added = [
-        feature(n, s, motion) for n, s in zip(found.leader.names, found.leader.shapes, strict=True)
+        TERMS[n].feature(motion, s)
+        for n, s in zip(found.leader.names, found.leader.shapes, strict=True)
     ]
     whole = np.column_stack([plain, *added])
     first = np.linalg.lstsq(plain, left, rcond=None)[0]
@@ -89,11 +90,11 @@ def write_page(found: ForceDiagnosis, folder: Path, campaign: str) -> None:
         rows.append(
             {
                 "name": name,
-                "amount": f"{item.values[0]:.3g} {UNITS[name][1]}",
+                "amount": f"{item.values[0]:.3g} {TERMS[name].unit}",
                 "error": f"{found.error(item):.2%}",
                 "taken": f"{taken:.1%}",
                 "sure": f"{sure:.1f}",
-                "why": found.refused.get(name, "stands"),
+                "why": found.refused.get(name, "accepted"),
             }
         )
     head = Head(

@@ -2,8 +2,9 @@
 
 One body: D = M a + F_C sgn v + d v + F_0 + what a cause adds, with D the measured driving force.
 Speed and acceleration come from the position by local polynomials; D goes through the same filter,
-so both sides are delayed and smoothed alike.  Every hypothesis is linear but for one shape
-parameter, which is searched on a grid; blocks of time are held out in turn.
+so both sides are delayed and smoothed alike. Every hypothesis is linear but for one shape
+parameter, which is searched on a grid; blocks of time are held out in turn. The noise of force and
+position is what the filter removes; carried through the balance it is the yardstick of the residual.
 
 Source: inverse dynamic identification, e.g. Gautier, Janot, Vandanjon 2013.
 Checked by: tests/unit/sil/diagnosis/test_force_rig.py
@@ -13,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,54 +22,54 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
+from plant.effects import CATALOGUE
+from plant.effects.force_term import ForceTerm, Motion
 from plant.parameters import read_toml
 from sil.campaign.campaign import ColumnMap, finite, parse_columns, read_record, real, text
+from sil.diagnosis.checks import longest_run
+from sil.diagnosis.verdict import SUREST, UNNAMED
 
 Floats = NDArray[np.float64]
 
 KEYS = {"name", "rig", "sample_rate_hz", "columns", "body", "stroke"}
 BODY_KEYS = {"mass_kg", "piston_area_m2", "slow_m_s", "smooth_s"}
+BODY = (("coulomb_n", "N"), ("viscous_n_s_m", "N s/m"), ("offset_n", "N"), ("mass_kg", "kg"))
 BLOCKS = 24
 LEAST_GAIN = 0.03
 """A cause must take this share of the held-out misfit away ..."""
 SURE = 3.0
 """... by this many standard errors over the held-out blocks."""
-UNITS = {
-    "friction_asymmetry": ("viscous_n_s_m", "N s/m"),
-    "stribeck": ("force_n", "N"),
-    "seal_pressure_friction": ("friction_n_pa", "N/Pa"),
-    "friction_bump": ("force_n", "N"),
+EXPLAINED = 1.25
+"""Residual over noise up to which the noise explains it; the noise is an estimate itself."""
+LEAST_NOISE = 1e-6
+"""A noise below this share of the driving force cannot be estimated from the record."""
+STUCK_SHARE = 0.05
+"""A driving force that repeats one value over this share of a record's motion is stuck."""
+
+TERMS: dict[str, ForceTerm] = {
+    name: item.force for name, item in CATALOGUE.items() if item.force is not None
 }
-WHAT = {
-    "friction_asymmetry": "friction grows with speed more in one direction than in the other",
-    "stribeck": "sliding friction falls from a higher level over a speed",
-    "seal_pressure_friction": "friction grows with the pressure across the piston",
-    "friction_bump": "local drag around one position",
-}
-
-
-@dataclass(frozen=True)
-class Motion:
-    """Samples in which the body moves: driving force and what it may depend on, with block numbers."""
-
-    force_n: Floats
-    speed_m_s: Floats
-    acceleration_m_s2: Floats
-    position_m: Floats
-    pressure_pa: Floats | None
-    block: NDArray[np.int64]
-    rate_hz: float
+"""Effects that a force balance alone can show."""
 
 
 @dataclass(frozen=True)
 class Tried:
-    """A hypothesis: names, shape parameters, coefficients with deviations, held-out squares by block."""
+    """A hypothesis, fitted.
+
+    names, shapes: [k] causes and their shape parameters; values, deviations: [k] their coefficients
+    with standard deviations; body, body_deviations: [3 or 4] parameters of the body in the order of
+    BODY, without the mass if it is stated; squares: held-out sum of squares of each block of time
+    [N^2]; residual_n: [n] of the fit to all blocks [N].
+    """
 
     names: tuple[str, ...]
     shapes: tuple[float, ...]
     values: Floats
     deviations: Floats
+    body: Floats
+    body_deviations: Floats
     squares: Floats
+    residual_n: Floats
 
     @property
     def total(self) -> float:
@@ -76,20 +77,25 @@ class Tried:
         return float(self.squares.sum())
 
 
-def is_force_rig(path: str | Path) -> bool:
-    """Whether a campaign describes a rig known by force and position alone."""
+def description(path: str | Path) -> Path:
+    """Return the campaign.toml of a folder, or the file itself."""
     folder = Path(path)
-    file = folder if folder.suffix == ".toml" else folder / "campaign.toml"
+    return folder if folder.suffix == ".toml" else folder / "campaign.toml"
+
+
+def is_force_rig(path: str | Path) -> bool:
+    """Return whether a campaign describes a rig known by force and position alone."""
+    file = description(path)
     return file.is_file() and read_toml(file).get("rig") == "force"
 
 
 def read_motion(path: str | Path) -> tuple[str, Motion, float | None]:
-    """Name, moving samples and the stated mass of a campaign with rig = "force".
+    """Return name, moving samples and stated mass of a campaign with rig = "force".
 
-    Raises InputError naming file and place of a missing key, column, or a body that never moves.
+    Raises InputError naming file and key or column: one that is missing, a value that is not a
+    number, a force that is stuck, a body that never moves.
     """
-    folder = Path(path)
-    file = folder if folder.suffix == ".toml" else folder / "campaign.toml"
+    file = description(path)
     raw = read_toml(file)
     name = str(file)
     unknown = sorted(set(raw) - KEYS)
@@ -105,30 +111,42 @@ def read_motion(path: str | Path) -> tuple[str, Motion, float | None]:
         raise InputError(f"{name}: no [[stroke]]; expected at least one")
     parts = []
     for number, entry in enumerate(strokes, start=1):
-        place = f"{name}: stroke {number}"
+        where = f"{name}: stroke {number}"
         if not isinstance(entry, dict) or set(entry) - {"file", "label"}:
-            raise InputError(f"{place}: expected file and label")
-        parts.append(moving(file.parent / text(entry, "file", place), columns, body, rate, name))
-    first = 0
-    joined: dict[str, list[Floats]] = {key: [] for key in ("d", "v", "a", "x", "p", "b")}
-    for part in parts:
-        for key, values in zip("dvaxp", part[:5], strict=True):
-            joined[key].append(values)
-        joined["b"].append(part[5] + first)
-        first = int(joined["b"][-1].max()) + 1
-    whole = {key: np.concatenate(values) for key, values in joined.items()}
-    pressure = None if np.isnan(whole["p"]).any() else whole["p"]
-    motion = Motion(
-        whole["d"], whole["v"], whole["a"], whole["x"], pressure, whole["b"].astype(np.int64), rate
-    )
+            raise InputError(f"{where}: expected file and label")
+        parts.append(moving(file.parent / text(entry, "file", where), columns, body, rate, name))
+    table = np.concatenate([samples for samples, _variances in parts])
+    first = np.cumsum([0, *(samples[-1, 5] + 1 for samples, _variances in parts)])
+    lengths = [len(samples) for samples, _variances in parts]
+    block = (table[:, 5] + np.repeat(first[:-1], lengths)).astype(np.int64)
+    force, speed, acceleration, position, pressure = table[:, :5].T
     mass = finite(body["mass_kg"], f"{name}: mass_kg", 0.0, 1e6) if "mass_kg" in body else None
-    return text(raw, "name", name), motion, mass
+    motion = Motion(
+        force,
+        speed,
+        acceleration,
+        position,
+        None if np.isnan(pressure).any() else pressure,
+        block,
+        rate,
+        0.0,
+    )
+    variances = np.average([v for _samples, v in parts], axis=0, weights=lengths)
+    plain, target = base(motion, mass)
+    found = np.linalg.lstsq(plain, target, rcond=None)[0]
+    scales = np.array([1.0, found[1], found[3] if mass is None else mass])
+    noise = float(np.sqrt(np.sum(scales**2 * variances)))
+    return text(raw, "name", name), replace(motion, noise_n=noise), mass
 
 
 def moving(
     path: Path, columns: Mapping[str, ColumnMap], body: Mapping[str, Any], rate: float, name: str
-) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
-    """Force, speed, acceleration, position, pressure and block of one file's moving samples."""
+) -> tuple[Floats, Floats]:
+    """Return one file's moving samples and the noise variances of force, speed and acceleration.
+
+    Samples [n, 6]: force [N], speed [m/s], acceleration [m/s^2], position [m], pressure [Pa, NaN
+    without], block of time. Raises InputError as `read_motion` does.
+    """
     record = read_record(path, columns)
     area = finite(body.get("piston_area_m2", 0.0), f"{name}: piston_area_m2", -10.0, 10.0)
     if "position_m" not in record:
@@ -150,12 +168,13 @@ def moving(
     if area:
         force = force + area * pressure
     step = float(grid[1] - grid[0])
-    half = max(
-        2, round(0.5 * finite(body.get("smooth_s", 0.02), f"{name}: smooth_s", 0.0, 10.0) / step)
-    )
+    smooth_s = finite(body.get("smooth_s", 0.02), f"{name}: smooth_s", 0.0, 10.0)
+    half = max(2, round(0.5 * smooth_s / step))
     position = even("position_m")
-    x, v, a = (local_polynomial(position, half, order) / step**order for order in (0, 1, 2))
-    a = 2.0 * a
+    x, v, a = (
+        scale * local_polynomial(position, half, order) / step**order
+        for order, scale in ((0, 1.0), (1, 1.0), (2, 2.0))
+    )
     d = local_polynomial(force, half, 0)
     fast = float(np.quantile(np.abs(v), 0.99))
     slow = finite(body.get("slow_m_s", 0.05 * fast), f"{name}: slow_m_s", 0.0, 1e3)
@@ -163,119 +182,131 @@ def moving(
     keep[: 2 * half] = keep[-2 * half :] = False
     if np.count_nonzero(keep) < 100:
         raise InputError(f"{path}: position_m: hardly moves; expected strokes")
+    held = longest_run(np.diff(force[keep]) == 0.0)
+    if held > STUCK_SHARE * np.count_nonzero(keep):
+        raise InputError(
+            f"{path}: the driving force keeps one value over {held + 1} samples in motion; "
+            "expected a sensor that is not stuck"
+        )
     block = np.floor(np.arange(len(grid)) * BLOCKS / len(grid))
-    return d[keep], v[keep], a[keep], x[keep], pressure[keep], block[keep]
+    w = [np.linalg.norm(weights(half, order)) for order in range(3)]
+    force_sd, position_sd = (
+        spread_of((raw - smooth)[keep]) / np.sqrt(1.0 - weights(half, 0)[half])
+        for raw, smooth in ((force, d), (position, x))
+    )
+    deviations = (w[0] * force_sd, w[1] * position_sd / step, 2.0 * w[2] * position_sd / step**2)
+    return np.column_stack([d, v, a, x, pressure, block])[keep], np.array(deviations) ** 2
+
+
+def spread_of(values: Floats) -> float:
+    """Return the standard deviation of values [n] by their median deviation: jumps count little."""
+    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+
+
+def weights(half: int, order: int) -> Floats:
+    """Return the weights [2 half + 1] of a local cubic's coefficient of t^order."""
+    t = np.arange(-half, half + 1, dtype=np.float64)
+    return np.asarray(np.linalg.pinv(np.vander(t, 4, increasing=True))[order])
 
 
 def local_polynomial(values: Floats, half: int, order: int) -> Floats:
-    """Coefficient of t^order of a cubic fitted to 2 half + 1 samples around each one [per step^order]."""
-    t = np.arange(-half, half + 1, dtype=np.float64)
-    weights = np.linalg.pinv(np.vander(t, 4, increasing=True))[order]
+    """Return the coefficient of t^order [n, per step^order] of a cubic around each of values [n]."""
     padded = np.pad(values, half, mode="edge")
-    return np.asarray(np.convolve(padded, weights[::-1], mode="valid"))
+    return np.asarray(np.convolve(padded, weights(half, order)[::-1], mode="valid"))
 
 
 # --- hypotheses -------------------------------------------------------------------------------
-def shapes_of(name: str, motion: Motion) -> tuple[float, ...]:
-    """Shape parameters that a cause is tried with."""
-    if name == "stribeck":
-        fast = float(np.quantile(np.abs(motion.speed_m_s), 0.99))
-        return tuple(fast * share for share in (0.05, 0.1, 0.2, 0.4))
-    if name == "friction_bump":
-        low, high = np.quantile(motion.position_m, (0.05, 0.95))
-        return tuple(np.linspace(low, high, 9))
-    return (0.0,)
-
-
-def feature(name: str, shape: float, motion: Motion) -> Floats:
-    """What a cause adds to the driving force, per unit of its coefficient."""
-    v, sign = motion.speed_m_s, np.sign(motion.speed_m_s)
-    if name == "friction_asymmetry":
-        return np.abs(v)
-    if name == "stribeck":
-        return np.asarray(sign * np.exp(-np.abs(v) / shape))
-    if name == "seal_pressure_friction":
-        assert motion.pressure_pa is not None
-        return np.asarray(sign * np.abs(motion.pressure_pa))
-    low, high = np.quantile(motion.position_m, (0.05, 0.95))
-    return np.asarray(
-        sign * np.exp(-0.5 * ((motion.position_m - shape) / (0.08 * (high - low))) ** 2)
-    )
-
-
 def base(motion: Motion, mass_kg: float | None) -> tuple[Floats, Floats]:
-    """Columns of the plain body (mass unless stated, Coulomb, viscous, offset) and what is left."""
+    """Return columns [n, 3 or 4] of the plain body in the order of BODY, and their target [n] in N."""
     v = motion.speed_m_s
     columns = [np.sign(v), v, np.ones(len(v))]
-    left = motion.force_n
     if mass_kg is None:
-        columns.append(motion.acceleration_m_s2)
-    else:
-        left = left - mass_kg * motion.acceleration_m_s2
-    return np.column_stack(columns), left
+        return np.column_stack([*columns, motion.acceleration_m_s2]), motion.force_n
+    return np.column_stack(columns), motion.force_n - mass_kg * motion.acceleration_m_s2
 
 
 def attempt(
     names: tuple[str, ...], shapes: tuple[float, ...], motion: Motion, mass_kg: float | None
 ) -> Tried:
     """Fit a hypothesis with every block held out in turn; deviations from the blocks."""
-    plain, left = base(motion, mass_kg)
-    added = [feature(n, s, motion) for n, s in zip(names, shapes, strict=True)]
-    columns = np.column_stack([plain, *added]) if added else plain
+    plain, target = base(motion, mass_kg)
+    added = [TERMS[n].feature(motion, s) for n, s in zip(names, shapes, strict=True)]
+    columns = np.column_stack([plain, *added])
     scale = np.sqrt(np.mean(columns**2, axis=0)) + 1e-300
     columns = columns / scale
-    numbers = np.unique(motion.block)
-    grams, sides, squares = [], [], []
-    for number in numbers:
-        rows = motion.block == number
-        grams.append(columns[rows].T @ columns[rows])
-        sides.append(columns[rows].T @ left[rows])
+    rows = [motion.block == number for number in np.unique(motion.block)]
+    grams = [columns[r].T @ columns[r] for r in rows]
+    sides = [columns[r].T @ target[r] for r in rows]
     gram, side = sum(grams), sum(sides)
     guard = 1e-9 * np.trace(gram) * np.eye(len(gram))
-    solutions = []
-    for k, number in enumerate(numbers):
-        rows = motion.block == number
-        without = np.linalg.solve(gram - grams[k] + guard, side - sides[k])
-        solutions.append(without)
-        error = left[rows] - columns[rows] @ without
-        squares.append(float(error @ error))
+    solutions = [
+        np.linalg.solve(gram - g + guard, side - s) for g, s in zip(grams, sides, strict=True)
+    ]
+    squares = [
+        float(np.sum((target[r] - columns[r] @ without) ** 2))
+        for r, without in zip(rows, solutions, strict=True)
+    ]
     values = np.linalg.solve(gram + guard, side)
-    count = len(numbers)
+    count = len(rows)
     # jackknife over blocks: neighbouring samples are not independent
     spread = np.sqrt((count - 1) / count * np.sum((np.array(solutions) - values) ** 2, axis=0))
-    first = plain.shape[1]
+    residual = target - columns @ values
+    values, spread = values / scale, spread / scale
+    k = plain.shape[1]
     return Tried(
-        names, shapes, (values / scale)[first:], (spread / scale)[first:], np.array(squares)
+        names, shapes, values[k:], spread[k:], values[:k], spread[:k], np.array(squares), residual
     )
 
 
 def best_of(names: tuple[str, ...], motion: Motion, mass_kg: float | None) -> Tried:
-    """The best shape of a hypothesis by its held-out squares."""
-    grids = [shapes_of(name, motion) for name in names]
+    """Return a hypothesis with its best shape by its held-out squares."""
+    grids = [TERMS[name].shapes(motion) for name in names]
     tried = [attempt(names, shapes, motion, mass_kg) for shapes in itertools.product(*grids)]
     return min(tried, key=lambda item: item.total)
 
 
 def physical(item: Tried) -> bool:
-    """Whether the extra friction of one-sided causes is positive, and nothing is nil in its interval."""
-    for name, value, deviation in zip(item.names, item.values, item.deviations, strict=True):
-        if name != "friction_asymmetry" and value <= 0.0:
-            return False
-        if abs(value) < 2.0 * deviation:
-            return False
-    return True
+    """Return whether every coefficient has a physical sign and an interval without zero."""
+    return all(
+        (TERMS[name].sign == 0 or value > 0.0) and abs(value) >= 2.0 * deviation
+        for name, value, deviation in zip(item.names, item.values, item.deviations, strict=True)
+    )
 
 
 def gains(item: Tried, other: Tried) -> tuple[float, float]:
-    """Share of the other's held-out squares that a hypothesis takes away, and in standard errors."""
+    """Return the share of the other's held-out squares removed, and that in standard errors."""
     differences = other.squares - item.squares
     error = float(np.std(differences, ddof=1) * np.sqrt(len(differences))) + 1e-300
     return float(differences.sum() / other.total), float(differences.sum() / error)
 
 
+def dependence(residual_n: Floats, motion: Motion) -> tuple[str, float]:
+    """Return what a residual [n] in N depends on most, and the share of its squares that this explains.
+
+    By the means over 24 bins of speed, position and time.
+    """
+    found = []
+    axes = {
+        "speed": motion.speed_m_s,
+        "position": motion.position_m,
+        "time": motion.block.astype(np.float64),
+    }
+    for name, values in axes.items():
+        edges = np.quantile(values, np.linspace(0.0, 1.0, BLOCKS + 1)[1:-1])
+        which = np.searchsorted(edges, values)
+        counts = np.maximum(np.bincount(which, minlength=BLOCKS), 1)
+        means = np.bincount(which, residual_n, BLOCKS) / counts
+        found.append((name, float(np.sum(means[which] ** 2) / np.sum(residual_n**2))))
+    return max(found, key=lambda item: item[1])
+
+
 @dataclass(frozen=True)
 class ForceDiagnosis:
-    """What was found on a rig known by force and position: hypotheses, the one that stands, refusals."""
+    """What was found on a rig known by force and position alone.
+
+    leader: the hypothesis accepted (the plain body if no cause is); refused: why a cause is not
+    claimed; doubts: why nothing can be concluded.
+    """
 
     name: str
     motion: Motion
@@ -284,112 +315,192 @@ class ForceDiagnosis:
     singles: Mapping[str, Tried]
     refused: Mapping[str, str]
     mass_kg: float | None
+    doubts: tuple[str, ...] = ()
 
     def error(self, item: Tried) -> float:
-        """Relative force error: held-out rms over the rms of the driving force."""
+        """Return the relative force error: held-out rms over the rms of the driving force."""
         return float(np.sqrt(item.total / np.sum(self.motion.force_n**2)))
 
-    def as_json(self) -> dict[str, Any]:
-        """The object that diagnosis.json holds."""
-        count = len(self.motion.force_n)
-        before, after = (float(np.sqrt(i.total / count)) for i in (self.plain, self.leader))
-        causes = []
+    def rms_n(self, item: Tried) -> float:
+        """Return the held-out rms [N]."""
+        return float(np.sqrt(item.total / len(self.motion.force_n)))
+
+    def over_noise(self, item: Tried) -> float:
+        """Return the held-out rms over the noise of the force balance; 1 = explained."""
+        return self.rms_n(item) / max(self.motion.noise_n, 1e-300)
+
+    @property
+    def verdict(self) -> str:
+        """One of the verdicts of a diagnosis.
+
+        A residual beyond the noise is never consistent, and a named cause must remove it.
+        """
+        if self.doubts:
+            return "cannot_tell"
+        if self.over_noise(self.leader) > EXPLAINED:
+            return UNNAMED
+        return "named" if self.leader.names else "consistent"
+
+    def body(self) -> dict[str, dict[str, Any]]:
+        """Return the body's fitted parameters with 95 % intervals."""
+        item = self.leader
+        return {
+            name: interval(value, deviation, unit)
+            for (name, unit), value, deviation in zip(
+                BODY, item.body.tolist(), item.body_deviations.tolist(), strict=False
+            )
+        }
+
+    def causes(self) -> list[dict[str, Any]]:
+        """Return the causes claimed, most probable first; last one that no named cause explains."""
+        found: list[dict[str, Any]] = []
         for name, value, deviation in zip(
             self.leader.names, self.leader.values, self.leader.deviations, strict=True
         ):
             rest = tuple(n for n in self.leader.names if n != name)
-            without = self.singles[rest[0]] if rest else self.plain
-            taken, sure = gains(self.leader, without)
-            key, unit = UNITS[name]
-            interval = {
-                "value": value,
-                "low": value - 1.96 * deviation,
-                "high": value + 1.96 * deviation,
-                "unit": unit,
-            }
-            causes.append(
+            taken, sure = gains(self.leader, self.singles[rest[0]] if rest else self.plain)
+            form = TERMS[name]
+            probability = min(SUREST, 1.0 - 0.5 * float(np.exp(-0.5 * (sure - 2.0))))
+            found.append(
                 {
                     "id": name,
-                    "class": "friction",
-                    "probability": round(
-                        min(0.98, 1.0 - 0.5 * float(np.exp(-0.5 * (sure - 2.0)))), 4
-                    ),
-                    "parameters": {key: interval},
-                    "evidence": f"{WHAT[name]}: {value:.3g} {unit}; takes {taken:.1%} of the squared "
-                    f"force error of held-out blocks away, {sure:.1f} standard errors; relative force "
-                    f"error {self.error(self.plain):.2%} before, {self.error(self.leader):.2%} after",
+                    "class": CATALOGUE[name].cause_class,
+                    "probability": round(probability, 4),
+                    "parameters": {form.parameter: interval(value, deviation, form.unit)},
+                    "evidence": f"{form.what}: {value:.3g} {form.unit}; removes {taken:.1%} of the "
+                    f"squared force error of held-out blocks, {sure:.1f} standard errors; relative "
+                    f"force error {self.error(self.plain):.2%} before, "
+                    f"{self.error(self.leader):.2%} after",
                 }
             )
+        found.sort(key=lambda cause: -float(cause["probability"]))
+        if self.verdict == UNNAMED:
+            found.append(self.unexplained())
+        return found
+
+    def unexplained(self) -> dict[str, Any]:
+        """Return the cause of a residual that neither noise nor a named cause explains."""
+        noise = self.motion.noise_n
+        blocks = self.leader.squares / np.unique(self.motion.block, return_counts=True)[1]
+        error = 1.96 * float(np.std(blocks, ddof=1) / np.sqrt(len(blocks)))
+        mean = self.rms_n(self.leader) ** 2 - noise**2
+        low, value, high = (max(0.0, mean + e) ** 0.5 for e in (-error, 0.0, error))
+        on, share = dependence(self.leader.residual_n, self.motion)
+        return {
+            "id": UNNAMED,
+            "class": "friction" if on == "speed" else "mechanics",
+            "probability": SUREST,
+            "parameters": {"force_rms_n": {"value": value, "low": low, "high": high, "unit": "N"}},
+            "evidence": f"a force of {value:.3g} N rms that no named cause explains: the held-out "
+            f"residual is {self.over_noise(self.leader):.3g} times the noise of {noise:.3g} N; {on} "
+            f"explains {share:.0%} of it",
+        }
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the object that diagnosis.json holds."""
+        before, after = self.rms_n(self.plain), self.rms_n(self.leader)
         return {
             "format": 1,
             "campaign": self.name,
-            "verdict": "named" if causes else "consistent",
-            "causes": sorted(causes, key=lambda c: -float(c["probability"])),
+            "verdict": self.verdict,
+            "causes": [] if self.doubts else self.causes(),
             "rivals": [],
             "next_experiment": None,
             "gain": {
                 "heldout_strokes": ["every block of time in turn"],
                 "channels": {"force_n": {"before": before, "after": after, "unit": "rms"}},
-                "standardised": {"before": before / max(after, 1e-300), "after": 1.0},
+                "standardised": {
+                    "before": self.over_noise(self.plain),
+                    "after": self.over_noise(self.leader),
+                },
             },
             "false_alarm": {
                 "level": 0.01,
                 "basis": f"at least {LEAST_GAIN:.0%} of the held-out squares and {SURE:g} standard "
-                "errors over blocks",
+                f"errors over blocks; explained: a residual of at most {EXPLAINED:g} times the noise",
             },
             "extended_model": None,
-            "findings": [f"{name}: {why}" for name, why in self.refused.items()],
+            "body": self.body(),
+            "noise_n": self.motion.noise_n,
+            "findings": [*self.doubts, *(f"{name}: {why}" for name, why in self.refused.items())],
             "detectability": "with driving force and position alone: causes in the force balance; an "
             "offset may be a constant force or Coulomb friction that differs with direction",
         }
 
 
+def interval(value: float, deviation: float, unit: str) -> dict[str, Any]:
+    """Return a value with its 95 % interval."""
+    half = 1.96 * deviation
+    return {"value": value, "low": value - half, "high": value + half, "unit": unit}
+
+
 def diagnose_force(path: str | Path) -> ForceDiagnosis:
-    """Diagnose a campaign with rig = "force": named friction causes, single and in pairs."""
+    """Diagnose a campaign with rig = "force": named friction causes, single and in pairs.
+
+    Raises InputError as `read_motion` does.
+    """
     name, motion, mass = read_motion(path)
     plain = attempt((), (), motion, mass)
-    known = [n for n in UNITS if n != "seal_pressure_friction" or motion.pressure_pa is not None]
+    known = [n for n, t in TERMS.items() if motion.pressure_pa is not None or not t.needs_pressure]
     singles = {n: best_of((n,), motion, mass) for n in known}
     refused: dict[str, str] = {}
-    standing: list[Tried] = []
+    accepted: list[Tried] = []
     for cause, item in singles.items():
         taken, sure = gains(item, plain)
         if not physical(item):
-            refused[cause] = (
-                f"refused: {item.values[0]:.3g} {UNITS[cause][1]} is no physical amount"
-            )
+            refused[cause] = f"refused: {item.values[0]:.3g} {TERMS[cause].unit} is not physical"
         elif taken < LEAST_GAIN or sure < SURE:
             refused[cause] = (
-                f"refused: takes {taken:.1%} of the held-out squares away, {sure:.1f} standard errors"
+                f"refused: removes {taken:.1%} of the held-out squares, {sure:.1f} standard errors"
             )
         else:
-            standing.append(item)
-    leader = min(standing, key=lambda item: item.total, default=plain)
+            accepted.append(item)
+    leader = min(accepted, key=lambda item: item.total, default=plain)
     if leader.names:
-        pairs = pairs_beside(leader, known, singles, motion, mass)
-        leader = min([leader, *pairs], key=lambda item: item.total)
-        for item in standing:
+        leader = min(
+            [leader, *pairs_with(leader, known, singles, motion, mass)], key=lambda item: item.total
+        )
+        for item in accepted:
             if not set(item.names) <= set(leader.names):
                 refused[item.names[0]] = f"explained by {' + '.join(leader.names)}"
-    return ForceDiagnosis(name, motion, plain, leader, singles, refused, mass)
+    doubts = tuple(doubts_of(plain, motion))
+    return ForceDiagnosis(name, motion, plain, leader, singles, refused, mass, doubts)
 
 
-def pairs_beside(
+def doubts_of(plain: Tried, motion: Motion) -> list[str]:
+    """Return why nothing can be concluded from this record, none usually."""
+    found = []
+    speed = np.abs(motion.speed_m_s)
+    power_w = plain.body[0] * float(np.mean(speed)) + plain.body[1] * float(np.mean(speed**2))
+    if power_w < 0.0:
+        found.append(
+            f"friction would drive the body ({-power_w:.3g} W): the sign of the driving force or of "
+            "position_m is reversed, or other forces act"
+        )
+    if len(plain.body) == len(BODY) and plain.body[3] + 1.96 * plain.body_deviations[3] < 0.0:
+        found.append(
+            f"the mass comes out as {plain.body[3]:.3g} kg: the sign of the driving force or of "
+            "position_m is reversed, or other forces act"
+        )
+    if motion.noise_n < LEAST_NOISE * float(np.sqrt(np.mean(motion.force_n**2))):
+        found.append("the record has no noise to compare a residual with: filtered or simulated")
+    return found
+
+
+def pairs_with(
     leader: Tried,
     known: Sequence[str],
     singles: Mapping[str, Tried],
     motion: Motion,
     mass: float | None,
 ) -> list[Tried]:
-    """Pairs with the leading single in which either earns its place."""
+    """Return the pairs with the leading single in which either cause is needed."""
     found = []
-    first = singles[leader.names[0]]
     for other in known:
         if other in leader.names:
             continue
         pair = best_of((*leader.names, other), motion, mass)
-        taken, sure = gains(pair, first)
-        back, back_sure = gains(pair, singles[other])
-        if physical(pair) and min(taken, back) >= LEAST_GAIN and min(sure, back_sure) >= SURE:
+        both = [gains(pair, single) for single in (leader, singles[other])]
+        if physical(pair) and all(taken >= LEAST_GAIN and sure >= SURE for taken, sure in both):
             found.append(pair)
     return found

@@ -16,7 +16,6 @@ import numpy as np
 
 from plant.integrator.hybrid import IntegrationError
 from sil.diagnosis.floor import Misfit
-from sil.diagnosis.terms import is_term
 from sil.diagnosis.workers import spread_out
 from sil.fitting.fit import FARTHEST_SD, FitResult, Fitter
 from sil.fitting.hypotheses import Candidate, scaled_of, value_of
@@ -54,7 +53,7 @@ def intervals(
             place = scaled_of(parameter, value)
             low, high = value_of(parameter, place - half), value_of(parameter, place + half)
             table[parameter.name] = Interval(value, low, high, parameter.unit)
-            if j == 0 and not is_term(candidate):
+            if j == 0 and not candidate.is_term:
                 mains.append((candidate, k, float(deviation[k])))
             k += 1
         found[candidate.name] = table

@@ -18,10 +18,10 @@ from sil.report.theme import LIGHT
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from plant.effects.term import TermForm
     from sil.diagnosis.diagnosis import Diagnosis
     from sil.diagnosis.intervals import Interval
     from sil.diagnosis.one_equation import Alone
-    from sil.diagnosis.terms import TermPlace
 
 Floats = NDArray[np.float64]
 BEFORE, AFTER, MEASURED = LIGHT.before, LIGHT.after, LIGHT.measured
@@ -182,18 +182,18 @@ def alone_picture(result: Diagnosis, found: tuple[int, Alone, Alone]) -> Figure:
     return figure
 
 
-def term_picture(place: TermPlace, nodes: list[Interval]) -> Figure:
+def term_picture(form: TermForm, nodes: list[Interval]) -> Figure:
     """The estimated missing force or flow over its variable, with its interval."""
     figure = new_figure(13.0, 3.2)
     axes = figure.subplots()
-    at = np.linspace(place.low, place.high, place.count)
+    at = np.linspace(form.low, form.high, form.count)
     axes.axhline(0.0, color=LIGHT.grid, lw=1.0)
     axes.fill_between(
         at, [n.low for n in nodes], [n.high for n in nodes], color=AFTER, alpha=0.2, lw=0
     )
     axes.plot(at, [n.value for n in nodes], color=AFTER, marker="o", ms=3.5)
-    axes.set_xlabel(place.on)
-    axes.set_ylabel(f"{place.what}\n[{place.unit}]", fontsize=9)
+    axes.set_xlabel(form.on)
+    axes.set_ylabel(f"{form.what}\n[{form.unit}]", fontsize=9)
     axes.grid(color=LIGHT.grid, lw=0.5)
     axes.spines[["top", "right"]].set_visible(False)
     axes.set_facecolor(LIGHT.paper)

@@ -26,7 +26,8 @@ from sil.diagnosis.pictures import (
 from sil.diagnosis.plots import stroke_plots
 from sil.diagnosis.residuals import Shown, show
 from sil.diagnosis.structure import FAULTS
-from sil.diagnosis.terms import is_term, place_of
+from sil.diagnosis.terms import form_of
+from sil.diagnosis.verdict import UNNAMED
 from sil.files.atomic import write_atomically
 from sil.fitting.hypotheses import Candidate
 from sil.report.figures import save
@@ -83,7 +84,7 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
         if candidate is not None:
             pictures["term"] = Picture(
                 save(
-                    term_picture(place_of(candidate), list(cause.parameters.values())),
+                    term_picture(form_of(candidate), list(cause.parameters.values())),
                     folder,
                     "term",
                 ),
@@ -110,7 +111,7 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
         causes=[
             {
                 "id": cause.id,
-                "klass": cause.klass,
+                "cause_class": cause.cause_class,
                 "variant": cause.variant,
                 "probability": cause.probability,
                 "figures": figures(cause.parameters),
@@ -199,7 +200,7 @@ def alone_rows(found: tuple[int, Alone, Alone]) -> list[dict[str, str]]:
 
 def causes_candidates(result: Diagnosis) -> list[Candidate | None]:
     """The non-parametric term behind each reported cause, None where it is a named one."""
-    terms = {c.name: c for c in result.final.candidates if is_term(c)}
+    terms = {c.name: c for c in result.final.candidates if c.is_term}
     return [terms.get(f"{cause.id}:{cause.variant}") for cause in result.causes]
 
 
@@ -227,7 +228,7 @@ def summary(result: Diagnosis) -> str:
     text = {
         "named": f"The measurements are explained by {names}.",
         "ambiguous": f"{names} explains the measurements, but look-alikes do nearly as well.",
-        "unnamed": (
+        UNNAMED: (
             "Something acts that none of the named causes describes; its equation and shape are "
             "in the extended model."
         ),
@@ -258,7 +259,7 @@ def row_of(item: Judged, result: Diagnosis) -> dict[str, Any]:
     best = result.judged[0].score
     told = []
     for candidate, own in zip(item.training.candidates, item.training.values, strict=True):
-        if is_term(candidate):
+        if candidate.is_term:
             told.append(f"{len(own)} nodes")
         else:
             told += [f"{name} {value:.4g}" for name, value in own.items()]

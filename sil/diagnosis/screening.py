@@ -97,7 +97,7 @@ def screen(
             if square <= 1e-9 * max(1.0, float(sum(c @ c for c in changes.values()))):
                 continue
             amount = slope / square
-            either = candidate.parameters[0].one_sided == 0
+            either = candidate.parameters[0].sign == 0
             gain = 0.5 * slope * amount if amount > 0.0 or either else 0.0
             if best is None or gain > best.gain:
                 best = Score(candidate, start, gain, amount)

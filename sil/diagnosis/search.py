@@ -19,7 +19,7 @@ from sil.diagnosis.screening import Score, screen
 from sil.diagnosis.split import stratum
 from sil.diagnosis.workers import spread_out
 from sil.fitting.fit import FitResult, Fitter
-from sil.fitting.hypotheses import RUGGED, Candidate, compatible, scaled_of
+from sil.fitting.hypotheses import Candidate, compatible, scaled_of
 from sil.fitting.model import Block, CampaignModel
 
 Floats = NDArray[np.float64]
@@ -223,7 +223,7 @@ class Search:
         tasks += [
             Task((item,), ((start,),), None, FIRST_ITERATIONS)
             for item in chosen
-            if item.id in RUGGED
+            if item.effect.rugged
             for start in item.starts
         ]
         self.first = self.run_tasks(tasks)

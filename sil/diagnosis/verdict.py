@@ -13,8 +13,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from plant.effects.term import term
 from sil.diagnosis.judge import Judged, by_cause
-from sil.diagnosis.terms import is_term
+
+UNNAMED = term.id
+"""The cause of a non-parametric term, and the verdict that one acts."""
 
 CLAIM = 15.0
 """Least gain in score (log evidence) of a cause; see `false_alarm` for how it was chosen."""
@@ -72,12 +75,11 @@ def acceptable(item: Judged) -> bool:
     covariance = fit.covariance
     k = fit.layout.healthy
     for candidate, own in zip(fit.candidates, fit.values, strict=True):
-        if not is_term(candidate):
+        if not candidate.is_term:
             if not candidate.physical(own):
                 return False
-            # a clock may drift without being off at the start
-            alone = len(candidate.parameters) if candidate.id == "clock_skew" else 1
-            sizes = [abs(fit.shared[k + j]) / covariance[k + j, k + j] ** 0.5 for j in range(alone)]
+            main = len(candidate.parameters) if candidate.effect.sized_by == "any" else 1
+            sizes = [abs(fit.shared[k + j]) / covariance[k + j, k + j] ** 0.5 for j in range(main)]
             if max(sizes) < 2.0:
                 return False
         k += len(candidate.parameters)
@@ -126,18 +128,18 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
     groups = rivals_of(leader, judged, probabilities)
     most = surest_of(leader, healthy)
     told = {
-        name: p if name == "unnamed" else min(p, most)
+        name: p if name == UNNAMED else min(p, most)
         for name, p in probabilities.items()
         if name in leader.ids or (p >= RIVAL_SHARE and any(name in group for group in groups))
     }
     if leader.whole.beyond > 0.0:
         for name in slight(leader):
             told[name] = min(told[name], DOUBTED)
-    if "unnamed" in leader.ids:
-        told["unnamed"] = min(max(told["unnamed"], 1.0 - most), SUREST)
+    if UNNAMED in leader.ids:
+        told[UNNAMED] = min(max(told[UNNAMED], 1.0 - most), SUREST)
     surest = max(told.values())
-    if "unnamed" in leader.ids and told["unnamed"] >= max(0.5, surest - 1e-9):
-        kind = "unnamed"
+    if UNNAMED in leader.ids and told[UNNAMED] >= max(0.5, surest - 1e-9):
+        kind = UNNAMED
     elif any(told[name] < CLEAR for name in leader.ids):
         kind = "ambiguous"
     else:
@@ -151,7 +153,7 @@ def surest_of(leader: Judged, healthy: Judged) -> float:
     A right cause of a slightly other form leaves a small share; beside a non-parametric term a
     named cause may be no more than a stepping stone.
     """
-    if "unnamed" in leader.ids:
+    if UNNAMED in leader.ids:
         return DOUBTED
     left = leader.whole.beyond / max(healthy.whole.excess, 1e-9)
     if leader.whole.beyond <= 0.02 * leader.whole.count or left <= LEFT[0]:
@@ -169,9 +171,9 @@ def slight(item: Judged) -> tuple[str, ...]:
     k = 0
     for candidate in fit.candidates:
         sizes = np.abs(fit.scaled[k : k + len(candidate.parameters)])
-        # a clock may drift alone; a supply line is the slighter the wider it is
-        size = sizes.max() if candidate.id == "clock_skew" else sizes[0]
-        if not is_term(candidate) and candidate.id != "hose_droop" and size < SLIGHT:
+        sized_by = candidate.effect.sized_by
+        size = sizes.max() if sized_by == "any" else sizes[0]
+        if not candidate.is_term and sized_by != "none" and size < SLIGHT:
             found.append(candidate.id)
         k += len(candidate.parameters)
     return tuple(found)

@@ -8,17 +8,15 @@ Checked by: tests/unit/sil/fitting/test_hypotheses.py
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plant.effects import CATALOGUE, Effect, EffectParameter
+from plant.effects.effect import Need, Starts
 from plant.effects.setup import Setup
-
-Starts = tuple[tuple[float, ...], ...]
-
 
 EFFECT_PRIOR = 10.0
 """Width of the prior of an effect's parameter, in typical sizes: weak."""
@@ -30,7 +28,8 @@ class Candidate:
 
     parameters: those that are fitted; fixed: the others, that make the variant; starts: values of
     the fitted ones to begin from; roughness: by how much a parameter, where they are a function's
-    values on a grid, may leave the line of its neighbours, in typical sizes (0: they are none).
+    values on a grid, may leave the line of its neighbours, in typical sizes (0: they are none);
+    fills_table: it takes the one tabulated term of the equations.
     """
 
     effect: Effect
@@ -38,8 +37,8 @@ class Candidate:
     parameters: tuple[EffectParameter, ...]
     starts: Starts
     fixed: Mapping[str, float] = field(default_factory=dict)
-    told_class: str = ""
     roughness: float = 0.0
+    fills_table: bool = False
 
     def __post_init__(self) -> None:
         KNOWN[self.name] = self
@@ -54,9 +53,14 @@ class Candidate:
         return self.effect.id
 
     @property
-    def klass(self) -> str:
+    def cause_class(self) -> str:
         """Class in the vocabulary."""
-        return self.told_class or self.effect.klass
+        return self.effect.cause_class
+
+    @property
+    def is_term(self) -> bool:
+        """Whether it is a non-parametric term."""
+        return self.effect.nonparametric
 
     @property
     def name(self) -> str:
@@ -70,7 +74,7 @@ class Candidate:
     def physical(self, values: Mapping[str, float]) -> bool:
         """Whether the main parameter lies on the side that the cause's description means."""
         main = self.parameters[0]
-        return main.one_sided * (values[main.name] - main.neutral) >= 0.0
+        return main.sign * (values[main.name] - main.neutral) >= 0.0
 
 
 def scaled_of(parameter: EffectParameter, value: float) -> float:
@@ -129,16 +133,13 @@ def known(name: str) -> Candidate:
 
 
 def compatible(candidate: Candidate, others: Sequence[Candidate]) -> bool:
-    """Whether a candidate can stand beside others: no two variants of one cause, one term at most."""
+    """Return whether a candidate can act together with others.
+
+    No two variants of one cause, and at most one that fills the tabulated term of the equations.
+    """
     if any(candidate.id == other.id for other in others):
         return False
-    return not (fills_term(candidate) and any(fills_term(other) for other in others))
-
-
-def fills_term(candidate: Candidate) -> bool:
-    """Whether a candidate takes the one place that the equations have for a tabulated term."""
-    tabulated = candidate.id == "leak_to_atmosphere" and bool(candidate.variant)
-    return candidate.id == "unnamed" or tabulated
+    return not (candidate.fills_table and any(other.fills_table for other in others))
 
 
 def starts_of(parameters: tuple[EffectParameter, ...]) -> Starts:
@@ -146,101 +147,28 @@ def starts_of(parameters: tuple[EffectParameter, ...]) -> Starts:
     main = parameters[0]
     rest = tuple(item.neutral for item in parameters[1:])
     found = []
-    signs = (1.0, -1.0) if main.one_sided == 0 else (float(main.one_sided),)
-    for sign in signs:
+    for sign in (1.0, -1.0) if main.sign == 0 else (float(main.sign),):
         for size in (0.15, 0.5, 1.5, 4.0):
             value = main.neutral + sign * size * main.typical
-            if main.one_sided == -1 and main.neutral == 1.0:
+            if main.sign == -1 and main.neutral == 1.0:
                 value = 1.0 / (1.0 + size * main.typical)
             if main.low < value < main.high:
                 found.append((value, *rest))
     return tuple(found)
 
 
-SPOTS_M = (0.003, 0.0065, 0.010)
-"""Where a local drag is looked for first: three places on either side."""
-
-SHARES: Starts = tuple(
-    (sign * share, speed) for sign in (1.0, -1.0) for share in (0.02, 0.2) for speed in (0.05, 0.5)
-)
-"""Where exponents that follow the speed are looked for first."""
-
-SPECIAL: dict[str, tuple[tuple[str, dict[str, float], Starts | None, bool], ...]] = {
-    "friction_bump": (
-        (
-            "",
-            {},
-            tuple((30.0, s * x, 0.0012) for s in (1.0, -1.0) for x in SPOTS_M),
-            False,
-        ),
-        ("both sides", {"mirrored": 1.0}, tuple((30.0, x, 0.0012) for x in SPOTS_M), True),
-    ),
-    "hose_droop": (
-        ("", {}, ((2e-5, 5e-5), (8e-6, 5e-5), (8e-6, 4e-4), (2e-5, 1e-5), (5e-5, 2e-5)), False),
-    ),
-    "residual_pressure": (
-        ("", {}, None, False),
-        ("driving chamber", {"where": 1.0}, None, False),
-        ("inner chamber", {"where": 2.0}, None, True),
-        ("every chamber", {"where": 3.0}, None, False),
-        ("vented", {"where": 4.0}, None, True),
-    ),
-    "dead_volume_charge": (
-        ("", {}, None, False),
-        ("outer chambers", {"where": 1.0}, None, True),
-    ),
-    "dead_volume_passive": (
-        ("", {}, None, False),
-        ("inner chamber", {"where": 1.0}, None, True),
-    ),
-    "leak_to_atmosphere": (
-        ("", {}, None, False),
-        ("driving chamber", {"where": 1.0}, None, False),
-        ("every chamber", {"where": 2.0}, None, False),
-    ),
-    "seal_pressure_friction": (
-        ("", {}, None, False),
-        ("smaller face", {"face": 1.0}, None, False),
-    ),
-    "valve_delay_pressure": (
-        ("", {}, None, False),
-        ("from 6 bar", {"reference_pa": 6e5}, None, False),
-        ("from atmosphere", {"reference_pa": 101325.0}, None, False),
-    ),
-    "alpha_speed": (
-        ("", {}, SHARES, False),
-        ("all exponents", {"form": 1.0}, SHARES, False),
-        ("towards adiabatic", {"form": 2.0}, SHARES, False),
-        ("all towards adiabatic", {"form": 3.0}, SHARES, False),
-        ("isothermal at rest", {"form": 4.0}, SHARES, False),
-        ("all isothermal at rest", {"form": 5.0}, SHARES, False),
-    ),
-    "clock_skew": (
-        ("", {}, ((0.003, 0.0), (-0.003, 0.0), (0.0, 0.005), (0.01, 0.0), (0.003, 0.01)), False),
-    ),
-}
-"""Variants (name, what they fix, where they start, whether only the length stroke has them)."""
-
-RUGGED = ("friction_bump", "hose_droop")
-"""Causes with several valleys, which tolerances at their bounds fill: each start is followed by
-itself, from tolerances and scatter at rest."""
-
-VARIANT_KEYS = ("where", "mirrored", "form", "face", "reference_pa")
-
-
-def candidates(has_damper: bool, has_internal: bool, has_length: bool) -> list[Candidate]:
-    """All candidates that this campaign's strokes can show at all."""
+def candidates(has: Collection[Need]) -> list[Candidate]:
+    """Return all candidates that strokes which have this can show at all."""
     found: list[Candidate] = []
     for effect in CATALOGUE.values():
-        if effect.id == "unnamed" or (effect.needs_damper and not has_damper):
+        if effect.nonparametric:
             continue
-        if effect.equation in ("sensor", "clock") and not has_internal:
-            continue
-        if effect.id == "free_play" and not has_length:
-            continue
-        free = tuple(p for p in effect.parameters if p.name not in VARIANT_KEYS)
+        free = tuple(p for p in effect.parameters if p.fitted)
         usual = starts_of(free)
-        for variant, fixed, starts, length_only in SPECIAL.get(effect.id, (("", {}, None, False),)):
-            if has_length or not length_only:
-                found.append(Candidate(effect, variant, free, starts or usual, fixed))
+        for variant in effect.variants:
+            if set(has) >= {*effect.needs, *variant.needs}:
+                starts, table = variant.starts or usual, variant.fills_table
+                found.append(
+                    Candidate(effect, variant.name, free, starts, variant.fixed, fills_table=table)
+                )
     return found

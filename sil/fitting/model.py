@@ -32,26 +32,6 @@ EFFECT_STEP = 0.005
 """Step of the differences of effect parameters, in typical sizes."""
 
 
-TWINS = {
-    "dynamic_friction": "friction",
-    "static_friction": "friction",
-    "inlet_clog": "flow_in",
-    "exhaust_clog": "flow_out",
-    "supply_low": "supply",
-    "valve_open_delay": "rise",
-    "valve_slow_close": "fall",
-}
-"""Effects whose parameter does what a tolerance does too, wholly or in part."""
-
-
-TIMED = {
-    "valve_open_delay": "rise",
-    "valve_delay_pressure": "rise",
-    "valve_slow_close": "fall",
-}
-"""Effects that move a valve's instant as a tolerance does: their derivative is its, times a factor."""
-
-
 @dataclass(frozen=True)
 class Shared:
     """Names and positions of the shared parameters: unit tolerances, offsets, the hypothesis' own.
@@ -225,16 +205,15 @@ class CampaignModel:
             values.append(own)
         return tuple(values)
 
-    def effect_step(self, name: str, parameter: EffectParameter) -> float:
+    def effect_step(self, tolerance: str, parameter: EffectParameter) -> float:
         """Step of an effect parameter's difference, in typical sizes.
 
         Where a tolerance does the same to the plant, the same step: at stops and breakaways the
         prediction has kinks, and unlike steps would feign that the two can be told apart.
         """
-        twin = TWINS.get(name)
-        if twin is None:
+        if not tolerance:
             return EFFECT_STEP
-        step = DIFFERENCE * self.spread.stroke.get(twin, self.spread.unit.get(twin, 0.0))
+        step = DIFFERENCE * self.spread.stroke.get(tolerance, self.spread.unit.get(tolerance, 0.0))
         return float(step / (log_size(parameter) if is_scale(parameter) else parameter.typical))
 
     # --- one stroke ---------------------------------------------------------------------------
@@ -304,9 +283,9 @@ class CampaignModel:
         shared_columns[:, len(self.unit) : healthy] = self._offset_columns[k]
         scaled = shared[healthy:]
         parameters = [p for item in candidates for p in item.parameters]
-        names = [item.id for item in candidates for _ in item.parameters]
+        effects = [item.effect for item in candidates for _ in item.parameters]
         for j, parameter in enumerate(parameters):
-            step = self.effect_step(names[j], parameter)
+            step = self.effect_step(effects[j].tolerance, parameter)
             if scaled_of(parameter, parameter.high) - scaled[j] < step:
                 step = -step
 
@@ -319,8 +298,8 @@ class CampaignModel:
             def moved_effect(h: float, j: int = j) -> Floats:
                 return self.predict(k, moved_setup(h, j))
 
-            instant = TIMED.get(names[j])
-            if instant is not None and not own_only:
+            instant = effects[j].switching
+            if instant and not own_only:
                 later_s = delay_s(moved_setup(step), instant) - delay_s(setup, instant)
                 place = self.scatter.index(instant)
                 by_second = (

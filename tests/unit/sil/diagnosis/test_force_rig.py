@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +51,16 @@ def rig(
     return folder
 
 
+def changed(folder: Path, column: str, change: Callable[[np.ndarray], np.ndarray]) -> Path:
+    """Change one column of a rig's record."""
+    file = folder / "a.csv"
+    names = file.read_text(encoding="utf-8").splitlines()[0].split(",")
+    table = np.loadtxt(file, delimiter=",", skiprows=1)
+    table[:, names.index(column)] = change(table[:, names.index(column)])
+    np.savetxt(file, table, "%.6f", ",", header=",".join(names), comments="")
+    return folder
+
+
 def test_local_polynomials_are_exact_for_cubics() -> None:
     t = np.arange(60.0)
     values = 1.0 + 2.0 * t - 0.3 * t**2 + 0.01 * t**3
@@ -62,8 +74,15 @@ def test_local_polynomials_are_exact_for_cubics() -> None:
 
 def test_plain_friction_is_no_cause(tmp_path) -> None:
     found = diagnose_force(rig(tmp_path / "a"))
-    assert found.as_json()["verdict"] == "consistent"
+    plain = found.as_json()
+    assert plain["verdict"] == "consistent"
     assert set(found.refused) == set(found.singles)
+    standard = plain["gain"]["standardised"]
+    assert standard["before"] == standard["after"] == pytest.approx(1.0, abs=0.1)
+    truth = {"coulomb_n": 15.0, "viscous_n_s_m": 80.0, "offset_n": 2.0, "mass_kg": 20.0}
+    for name, value in truth.items():
+        item = plain["body"][name]
+        assert item["low"] < value < item["high"] < item["low"] + 0.1 * value
 
 
 @pytest.mark.parametrize(
@@ -76,6 +95,8 @@ def test_plain_friction_is_no_cause(tmp_path) -> None:
 )
 def test_extra_friction_is_named_with_its_size(tmp_path, name, change, value) -> None:
     plain = diagnose_force(rig(tmp_path / "a", **change)).as_json()
+    assert plain["verdict"] == "named"
+    assert plain["gain"]["standardised"]["after"] == pytest.approx(1.0, abs=0.1)
     assert [c["id"] for c in plain["causes"]] == [name]
     (parameter,) = plain["causes"][0]["parameters"].values()
     assert parameter["value"] == pytest.approx(value, rel=0.2)
@@ -88,7 +109,39 @@ def test_extra_friction_is_named_with_its_size(tmp_path, name, change, value) ->
 
 def test_friction_that_grows_at_rest_is_refused(tmp_path) -> None:
     found = diagnose_force(rig(tmp_path / "a", stribeck_n=-12.0))
-    assert "no physical amount" in found.refused["stribeck"]
+    assert "not physical" in found.refused["stribeck"]
+    plain = found.as_json()
+    assert plain["verdict"] == "unnamed" and plain["gain"]["standardised"]["after"] > 2.0
+    (cause,) = plain["causes"]
+    assert (cause["id"], cause["class"]) == ("unnamed", "friction")
+
+
+@pytest.mark.parametrize(
+    ("column", "change", "reason"),
+    [
+        ("f", lambda f: -f, "sign of the driving force"),
+        ("x_mm", lambda x: -x, "sign of the driving force"),
+    ],
+)
+def test_a_reversed_sign_is_no_diagnosis(tmp_path, capsys, column, change, reason) -> None:
+    folder = changed(rig(tmp_path / "a"), column, change)
+    assert main(["diagnose", str(folder), "--out", str(tmp_path / "out"), "--json"]) == 1
+    plain = json.loads(capsys.readouterr().out)
+    assert plain["verdict"] == "cannot_tell" and not plain["causes"]
+    assert reason in plain["findings"][0]
+
+
+def test_a_stuck_force_and_a_hole_in_it_are_refused(tmp_path) -> None:
+    stuck = changed(
+        rig(tmp_path / "a"), "f", lambda f: np.where(np.arange(len(f)) < 900, f, f[900])
+    )
+    with pytest.raises(
+        InputError, match=r"a\.csv: the driving force keeps one value over \d+ samples"
+    ):
+        diagnose_force(stuck)
+    hole = changed(rig(tmp_path / "b"), "f", lambda f: np.where(np.arange(len(f)) == 40, np.nan, f))
+    with pytest.raises(InputError, match="line 42: 'nan' is not finite"):
+        diagnose_force(hole)
 
 
 def test_the_command_writes_page_and_json(tmp_path, capsys) -> None:

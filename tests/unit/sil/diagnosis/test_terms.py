@@ -11,14 +11,19 @@ import pytest
 from can_dbc.errors import InputError
 from plant.batch.prediction import Predictor, copied
 from plant.effects import CATALOGUE
+from plant.effects.term import FORMS, TermForm, term
 from plant.kernel import layout as L
 from plant.parameters import load
 from plant.systems.setup import make_setup
 from plant.systems.stroke import run_setup
-from sil.diagnosis.terms import PLACES, term_candidate
+from sil.diagnosis.terms import term_candidate
 from tests.unit.sil.diagnosis.made_campaign import conditions_of
 
 SAMPLES = (np.arange(1, 400) * 500_000).astype(np.int64)
+
+
+def form_named(name: str) -> TermForm:
+    return next(form for form in FORMS if form.name == name)
 
 
 def states(change, kind: str = "N-B") -> np.ndarray:
@@ -27,17 +32,17 @@ def states(change, kind: str = "N-B") -> np.ndarray:
     return Predictor(SAMPLES, 1e-9).states(setup)
 
 
-@pytest.mark.parametrize("place", PLACES, ids=lambda place: place.name)
+@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
 @pytest.mark.parametrize("kind", ["fixed", "B-N"])
-def test_zero_nodes_change_nothing(place, kind: str) -> None:
-    candidate = term_candidate(place)
+def test_zero_nodes_change_nothing(form, kind: str) -> None:
+    candidate = term_candidate(form)
     zero = {p.name: 0.0 for p in candidate.parameters}
     same = states(lambda setup: candidate.change(setup, zero), kind)
     assert np.allclose(same, states(lambda setup: None, kind), rtol=1e-6, atol=5e-8)
 
 
 @pytest.mark.parametrize(
-    ("place", "level", "effect", "values"),
+    ("name", "level", "effect", "values"),
     [
         ("charge flow of pressure", -0.2, "inlet_clog", {"factor": 0.8}),
         ("discharge flow of pressure", -0.3, "exhaust_clog", {"factor": 0.7}),
@@ -51,27 +56,26 @@ def test_zero_nodes_change_nothing(place, kind: str) -> None:
     ],
 )
 @pytest.mark.parametrize("kind", ["fixed", "N-B"])
-def test_constant_nodes_are_a_named_effect(place, level, effect, values, kind) -> None:
-    item = next(p for p in PLACES if p.name == place)
-    candidate = term_candidate(item)
+def test_constant_nodes_are_a_named_effect(name, level, effect, values, kind) -> None:
+    candidate = term_candidate(form_named(name))
     nodes = {p.name: level for p in candidate.parameters}
-    term = states(lambda setup: candidate.change(setup, nodes), kind)
+    found = states(lambda setup: candidate.change(setup, nodes), kind)
     named = states(lambda setup: CATALOGUE[effect].apply(setup, values), kind)
     nominal = states(lambda setup: None, kind)
-    assert np.allclose(term, named, rtol=1e-5, atol=1e-8)
-    assert not np.allclose(term, nominal, rtol=1e-3, atol=1e-6)
+    assert np.allclose(found, named, rtol=1e-5, atol=1e-8)
+    assert not np.allclose(found, nominal, rtol=1e-3, atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("place", "same", "other"),
+    ("name", "same", "other"),
     [
         ("opening delay of rest", {"rest_s": 30.0}, {"rest_s": 600.0}),
         ("opening delay of progress", {"progress": 0.0}, {"progress": 1.0}),
         ("opening delay of valve", {}, {"kind": "F-N"}),
     ],
 )
-def test_a_level_holds_for_the_strokes_it_is_of(place: str, same: dict, other: dict) -> None:
-    candidate = term_candidate(next(p for p in PLACES if p.name == place))
+def test_a_level_holds_for_the_strokes_it_is_of(name: str, same: dict, other: dict) -> None:
+    candidate = term_candidate(form_named(name))
     names = [p.name for p in candidate.parameters]
     reached = []
     for changed in (same, other):
@@ -86,8 +90,8 @@ def test_a_level_holds_for_the_strokes_it_is_of(place: str, same: dict, other: d
 
 
 def test_errors_of_sensors_are_added_to_what_they_tell() -> None:
-    for place, level in (("internal position", 3e-4), ("gauge of pressure", 4e3)):
-        candidate = term_candidate(next(p for p in PLACES if p.name == place))
+    for name, level in (("internal position", 3e-4), ("gauge of pressure", 4e3)):
+        candidate = term_candidate(form_named(name))
         setup = make_setup(load(), conditions_of("N-B", 900000.0))
         time_s = np.arange(1500) * 1e-4
         plain = run_setup(setup, time_s)
@@ -95,41 +99,41 @@ def test_errors_of_sensors_are_added_to_what_they_tell() -> None:
         told = run_setup(setup, time_s)
         more_m = told.internal_m - plain.internal_m
         more_pa = told.states[:, L.PB : L.PF + 1] - plain.states[:, L.PB : L.PF + 1]
-        if place == "internal position":
+        if name == "internal position":
             assert np.allclose(more_m, level, atol=1e-9) and not np.any(more_pa)
         else:
             assert np.allclose(more_pa, level, atol=1e-6) and not np.any(more_m)
 
 
-@pytest.mark.parametrize("place", ["friction of rest", "friction of progress"])
-def test_a_level_of_friction_is_more_of_all_friction(place: str) -> None:
-    candidate = term_candidate(next(p for p in PLACES if p.name == place))
+@pytest.mark.parametrize("name", ["friction of rest", "friction of progress"])
+def test_a_level_of_friction_is_more_of_all_friction(name: str) -> None:
+    candidate = term_candidate(form_named(name))
     nodes = {p.name: log(2.0) for p in candidate.parameters}
 
     def doubled(setup) -> None:
-        for name in ("dynamic_friction", "static_friction"):
-            CATALOGUE[name].apply(setup, {"factor": 2.0})
+        for effect in ("dynamic_friction", "static_friction"):
+            CATALOGUE[effect].apply(setup, {"factor": 2.0})
 
     for kind in ("fixed", "F-N"):
-        term = states(lambda setup: candidate.change(setup, nodes), kind)
-        assert np.allclose(term, states(doubled, kind), rtol=1e-6, atol=5e-8)
+        found = states(lambda setup: candidate.change(setup, nodes), kind)
+        assert np.allclose(found, states(doubled, kind), rtol=1e-6, atol=5e-8)
 
 
 def test_a_level_of_something_that_changes_during_a_stroke_is_refused() -> None:
     setup = make_setup(load(), conditions_of("N-B", 900000.0))
     values = {"equation": 10.0, "variable": 1.0, "low": 0.0, "step": 1.0, "nodes": (0.0, 1.0)}
     with pytest.raises(InputError, match="one level a stroke"):
-        CATALOGUE["unnamed"].apply(setup, values)
+        term.apply(setup, values)
 
 
-@pytest.mark.parametrize("place", ["friction of position", "friction of speed"])
-def test_constant_resistance_is_coulomb_friction(place: str) -> None:
-    candidate = term_candidate(next(p for p in PLACES if p.name == place))
+@pytest.mark.parametrize("name", ["friction of position", "friction of speed"])
+def test_constant_resistance_is_coulomb_friction(name: str) -> None:
+    candidate = term_candidate(form_named(name))
     nodes = {p.name: 40.0 for p in candidate.parameters}
 
     def more(setup) -> None:
         setup.p[L.F_LINKAGE] += 40.0
 
     for kind in ("fixed", "F-N"):
-        term = states(lambda setup: candidate.change(setup, nodes), kind)
-        assert np.allclose(term, states(more, kind), rtol=1e-6, atol=5e-8)
+        found = states(lambda setup: candidate.change(setup, nodes), kind)
+        assert np.allclose(found, states(more, kind), rtol=1e-6, atol=5e-8)

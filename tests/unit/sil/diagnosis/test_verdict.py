@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from plant.effects import CATALOGUE
 from sil.diagnosis.judge import weigh
 from sil.diagnosis.verdict import decide
 
@@ -23,6 +24,11 @@ def entry(
         training=SimpleNamespace(candidates=[], scaled=[]),
         probability=0.0,
     )
+
+
+def named(name: str) -> SimpleNamespace:
+    """A candidate of a named effect with one fitted parameter."""
+    return SimpleNamespace(id=name, parameters=(None,), is_term=False, effect=CATALOGUE[name])
 
 
 def verdict(*entries: SimpleNamespace):
@@ -97,7 +103,7 @@ def test_a_tiny_second_cause_is_doubted_while_something_is_left() -> None:
     def training(*sizes: float) -> SimpleNamespace:
         ids = ("alpha_speed", "dead_volume_passive")
         return SimpleNamespace(
-            candidates=[SimpleNamespace(id=name, parameters=(None,)) for name in ids],
+            candidates=[named(name) for name in ids],
             scaled=sizes,
         )
 
@@ -117,7 +123,7 @@ def test_a_tiny_second_cause_that_gains_next_to_nothing_is_not_claimed() -> None
         pair = entry(900.0, 440.0, "seal_pressure_friction", "external_force")
         ids = ("seal_pressure_friction", "external_force")
         pair.training = SimpleNamespace(
-            candidates=[SimpleNamespace(id=name, parameters=(None,)) for name in ids],
+            candidates=[named(name) for name in ids],
             scaled=(1.0, size),
         )
         return verdict(

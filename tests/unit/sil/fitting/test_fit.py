@@ -15,7 +15,7 @@ from sil.fitting.fit import Fitter
 from sil.fitting.hypotheses import candidates
 from tests.unit.sil.diagnosis.made_campaign import made, model_of
 
-ALL = {item.name: item for item in candidates(False, True, True)}
+ALL = {item.name: item for item in candidates(("internal position", "length stroke"))}
 
 
 def with_effect(name: str, **values: float) -> ParameterSet:

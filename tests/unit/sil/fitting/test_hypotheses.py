@@ -14,7 +14,7 @@ from plant.systems.setup import make_setup
 from sil.fitting.hypotheses import candidates, compatible
 from tests.unit.sil.diagnosis.made_campaign import conditions_of
 
-ALL = candidates(True, True, True)
+ALL = candidates(("damper", "internal position", "length stroke"))
 
 
 def test_every_named_cause_stands_in_the_search() -> None:
@@ -49,5 +49,5 @@ def test_candidates_travel_by_name_and_variants_exclude_each_other() -> None:
 
 
 def test_fewer_channels_mean_fewer_candidates() -> None:
-    few = {item.id for item in candidates(False, False, False)}
+    few = {item.id for item in candidates(())}
     assert not few & {"oil_aeration", "sensor_gain", "clock_skew", "free_play"}

@@ -1,0 +1,53 @@
+"""Effects on a body of which only driving force, position and perhaps a pressure are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Samples in which the body moves.
+
+    Arrays [n]: driving force in N, speed in m/s, acceleration in m/s^2, position in m, pressure in
+    Pa (None: not measured) and number of the block of time. noise_n: standard deviation of the noise
+    of a sample of the force balance [N].
+    """
+
+    force_n: Floats
+    speed_m_s: Floats
+    acceleration_m_s2: Floats
+    position_m: Floats
+    pressure_pa: Floats | None
+    block: NDArray[np.int64]
+    rate_hz: float
+    noise_n: float
+
+
+def no_shape(motion: Motion) -> tuple[float, ...]:
+    """Return the one shape of a term that has no shape parameter."""
+    return (0.0,)
+
+
+@dataclass(frozen=True)
+class ForceTerm:
+    """An effect as a coefficient times a feature of the motion.
+
+    parameter, unit: of the coefficient; what: in words; feature(motion, shape): [n], force per unit
+    of the coefficient; shapes(motion): shape parameters to try; sign: +1 if only positive
+    coefficients are physical, 0 if both signs are.
+    """
+
+    parameter: str
+    unit: str
+    what: str
+    feature: Callable[[Motion, float], Floats]
+    shapes: Callable[[Motion], tuple[float, ...]] = no_shape
+    sign: int = 1
+    needs_pressure: bool = False
