@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sil.log_replay import summary
-from sil.log_replay.pictures import draw_positions, draw_scene
-from sil.log_replay.plots import replay_plots
+from sil.log_replay.figures import positions_figure, scenes_figure
 from sil.log_replay.replay import Outcome
-from sil.report.figures import save
+from sil.report.picture import save
+from sil.report.plots import Group, plots
 from sil.report.shell import Head, Picture, render
 
 
@@ -33,13 +35,14 @@ def replay_page(outcome: Outcome, values: dict[str, Any], command: str, folder: 
         tiles=_tiles(outcome),
         again=command,
     )
+    pictures, groups = _pictures(outcome, folder)
     return render(
         "replay.html",
         head,
-        replay_plots(outcome),
+        groups,
         told=values,
         edges=summary.edge_lines(outcome),
-        pictures=_pictures(outcome, folder),
+        pictures=pictures,
         states=states,
         plant=summary.plant_lines(outcome) if outcome.plant is not None else [],
         frames=summary.account_lines(outcome),
@@ -65,24 +68,32 @@ def _tiles(outcome: Outcome) -> list[tuple[str, str]]:
     return [(value, name) for name, value in tiles]
 
 
-def _pictures(outcome: Outcome, folder: Path) -> list[Picture]:
-    base_ns = outcome.grid.origin_ns
+def _pictures(outcome: Outcome, folder: Path) -> tuple[list[Picture], list[Group]]:
+    """Return the pictures, each written into the folder, and the plots of the same figures."""
+    base_ns, scenes = outcome.grid.origin_ns, outcome.comparison.scenes.found
     positions = outcome.plant.positions if outcome.plant is not None else []
     a, b = outcome.labels
-    found = [
+    pictures = [
         Picture(
-            save(draw_scene(scene, outcome.labels, base_ns, positions), folder, f"scene_{number}"),
+            save(
+                scenes_figure([scene], outcome.labels, base_ns, positions),
+                folder,
+                f"scene_{number}",
+            ),
             "Position, coils and states of both sides over time",
-            f"What the unit believed, the coils it energised (pale: {a}, full: {b}) and its states.",
+            f"The controller's estimate, the coils energised (pale: {a}, full: {b}) and the states.",
         )
-        for number, scene in enumerate(outcome.comparison.scenes.found, start=1)
+        for number, scene in enumerate(scenes, start=1)
     ]
-    if any(p.recorded_m == p.recorded_m for p in positions):
-        found.append(
+    groups = plots(scenes_figure(scenes, outcome.labels, base_ns, positions)) if scenes else []
+    if any(np.isfinite(p.recorded_m) for p in positions):
+        figure = positions_figure(positions, base_ns)
+        pictures.append(
             Picture(
-                save(draw_positions(positions, base_ns), folder, "positions"),
+                save(figure, folder, "positions"),
                 "Recorded and replayed position over time",
                 "The plant's position as recorded and as replayed.",
             )
         )
-    return found
+        groups += plots(figure)
+    return pictures, groups

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 
 from sil.files.output_folder import finite
-from sil.report.interactive import Group
+from sil.report.plots import Group
 from sil.report.shell import Head, Picture, render
 from sil.simulation.results import Result
 
 ALT = "Position, valves, pressures, firmware states and CAN frames over simulated time"
 CAPTION = (
-    "True position against what the controller believed; commanded against actual valve states; "
+    "True position against the controller's estimate; commanded against actual valve states; "
     "chamber pressures; firmware states; every CAN frame from its release to its arrival. One time "
     "axis per shift."
 )
@@ -38,8 +39,8 @@ def tiles(metrics: dict[str, Any]) -> list[tuple[str, str]]:
     ]
 
 
-def run_page(result: Result, picture: bytes | None, plots: Group | None = None) -> str:
-    """Return the page of a run; `picture` is a PNG on light paper, `plots` of `run_plots`."""
+def run_page(result: Result, picture: bytes | None, groups: Sequence[Group] = ()) -> str:
+    """Return the page of a run; `picture` is a PNG on light paper, `groups` show the same figure."""
     plain = msgspec.to_builtins(result)
     details = {
         key: plain[key] for key in ("versions", "balances", "speed", "bus", "scenario", "model")
@@ -55,7 +56,7 @@ def run_page(result: Result, picture: bytes | None, plots: Group | None = None) 
     return render(
         "run.html",
         head,
-        [] if plots is None else [plots],
+        groups,
         result=plain,
         picture=None if picture is None else Picture(picture, ALT, CAPTION),
         details=json.dumps(finite(details), indent=1, ensure_ascii=False),

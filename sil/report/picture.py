@@ -1,116 +1,409 @@
-"""shift.png: truth, belief, valves, pressures and bus of a run on one time axis."""
+"""The matplotlib backend: a figure as PNG and SVG, the same bytes for the same figure."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from io import BytesIO
+from math import isfinite
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
 
-from sil.recording.run_record import RunRecord
-from sil.report.bus_panel import draw_bus, draw_states
-from sil.report.drawing import MM, MS, Drawing, Window
-from sil.report.position_panel import draw_position
-from sil.report.pressure_panel import draw_pressures
-from sil.report.theme import Theme
-from sil.report.valve_panel import draw_valves
-from sil.simulation.metrics import Shift
+from sil.files.atomic import write_atomically
+from sil.report.figure import Figure, Note, Panel, Rule, Span, Stack
+from sil.report.theme import LIGHT, Theme
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Drawing
 
-MOST_COLUMNS = 3
-AFTERMATH_S = 0.025
-"""What is shown after everything has settled."""
+PIXELS_PER_INCH = 80.0
+"""Of a panel's height."""
+
+MOST_ZOOMS = 3
+"""A picture shows this many parts of an axis beside one another; a page has a button for each."""
+
+DOTS_PER_INCH = 110
+DASHES: dict[str, Any] = {"solid": "-", "dashed": (0, (4, 2)), "dotted": ":"}
+LETTER = 0.6
+"""Mean width of a letter over the size of its font."""
+
+View = tuple[float, float]
 
 
-def windows(record: RunRecord, shifts: Sequence[Shift]) -> list[Window]:
-    """Return the spans worth a zoom: each shift from just before its request until it has settled.
+def save(
+    figure: Figure | Drawing, folder: Path, name: str, dots_per_inch: int = DOTS_PER_INCH
+) -> bytes:
+    """Write `name`.png and `name`.svg into the folder and return the PNG's bytes."""
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    Without a shift it is the whole run.
-    """
-    end = float(record.truth["time_s"][-1])
-    found = []
-    for index, shift in enumerate(shifts[:MOST_COLUMNS]):
-        until = shifts[index + 1].requested_s if index + 1 < len(shifts) else end
-        settled = [shift.arrived_s, shift.confirmed_s, shift.requested_s + 0.1]
-        settled += [
-            e.time_s
-            for e in record.events
-            if e.name.endswith("_close") and shift.requested_s <= e.time_s <= until
-        ]
-        last = max(instant for instant in settled if instant is not None)
-        found.append(
-            Window(max(shift.requested_s - 0.02, 0.0), min(last + AFTERMATH_S, until), shift)
+    drawing = draw(figure) if isinstance(figure, Figure) else figure
+    FigureCanvasAgg(drawing)
+    colour = drawing.get_facecolor()
+    image, vectors = BytesIO(), BytesIO()
+    drawing.savefig(
+        image, format="png", dpi=dots_per_inch, metadata={"Software": None}, facecolor=colour
+    )
+    # random identifiers and the date would make each file another one
+    with matplotlib.rc_context({"svg.hashsalt": name}):
+        drawing.savefig(vectors, format="svg", metadata={"Date": None}, facecolor=colour)
+    write_atomically(folder / f"{name}.png", image.getvalue())
+    write_atomically(folder / f"{name}.svg", vectors.getvalue())
+    return image.getvalue()
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A stack, or one zoom of it, as a column of panels."""
+
+    stack: Stack
+    view: View
+    is_first: bool
+    width: float
+
+    @property
+    def panels(self) -> list[Panel]:
+        return [panel for panel in self.stack.panels if panel.drawn != "page"]
+
+
+def draw(figure: Figure, theme: Theme = LIGHT) -> Drawing:
+    """Return the figure drawn by matplotlib."""
+    from matplotlib.figure import Figure as Drawing
+
+    columns = [column for stack in figure.stacks for column in _columns(stack)]
+    rows = max(len(column.panels) for column in columns)
+    heights = [
+        max(c.panels[row].height for c in columns if row < len(c.panels)) / PIXELS_PER_INCH
+        for row in range(rows)
+    ]
+    overview = next((s.overview for s in figure.stacks if s.overview is not None), None)
+    if overview is not None:
+        heights.insert(0, overview.height / PIXELS_PER_INCH)
+    head = (0.32 if figure.title else 0.08) + (0.2 if figure.subtitle else 0.0)
+    width = sum(column.width for column in columns) + 1.2
+    height = head + sum(heights) + 0.16 * len(heights) + 0.5
+    made = Drawing(figsize=(width, height), facecolor=theme.paper, layout="constrained")
+    layout: Any = made.get_layout_engine()
+    layout.set(
+        rect=(0.0, 0.0, 1.0, 1.0 - head / height), h_pad=0.03, w_pad=0.06, hspace=0.0, wspace=0.0
+    )
+    made.text(
+        0.12 / width,
+        1.0 - 0.1 / height,
+        figure.title,
+        fontsize=15,
+        weight="bold",
+        color=theme.ink,
+        va="top",
+    )
+    made.text(
+        0.12 / width,
+        1.0 - 0.38 / height,
+        figure.subtitle,
+        fontsize=9.5,
+        color=theme.faint,
+        va="top",
+    )
+    grid = made.add_gridspec(
+        len(heights), len(columns), height_ratios=heights, width_ratios=[c.width for c in columns]
+    )
+    if overview is not None:
+        note = "top: the whole; shaded: enlarged below"
+        made.text(
+            1.0 - 0.12 / width,
+            1.0 - 0.38 / height,
+            note,
+            fontsize=8.5,
+            color=theme.faint,
+            va="top",
+            ha="right",
         )
-    return found or [Window(0.0, end, None)]
-
-
-def draw(
-    record: RunRecord, shifts: Sequence[Shift], title: str, subtitle: str, theme: Theme
-) -> Figure:
-    """Return the picture as a figure: an overview, then one column of panels per shift."""
-    from matplotlib.figure import Figure
-
-    columns = windows(record, shifts)
-    width = 9.0 + 4.5 * len(columns)
-    figure = Figure(figsize=(width, 11.0), facecolor=theme.paper)
-    drawing = Drawing(record, theme, figure)
-    grid = figure.add_gridspec(
-        6,
-        len(columns),
-        height_ratios=[0.85, 3.6, 1.9, 2.4, 0.42, 2.5],
-        width_ratios=[max(w.end_s - w.start_s, 0.15) ** 0.6 for w in columns],
-        left=1.45 / width,
-        right=1.0 - 0.3 / width,
-        top=0.925,
-        bottom=0.05,
-        hspace=0.1,
-        wspace=0.045 * len(columns),
-    )
-    figure.text(0.15 / width, 0.982, title, fontsize=15, weight="bold", color=theme.ink, va="top")
-    figure.text(0.15 / width, 0.957, subtitle, fontsize=9.5, color=theme.faint, va="top")
-    note = "top: whole run, ms; shaded: enlarged below"
-    figure.text(
-        1.0 - 0.2 / width, 0.957, note, fontsize=8.5, color=theme.faint, va="top", ha="right"
-    )
-    _overview(drawing, figure.add_subplot(grid[0, :]), columns)
-    for number, window in enumerate(columns):
-        first: Axes | None = None
-        for row, panel in enumerate(
-            (draw_position, draw_valves, draw_pressures, draw_states, draw_bus), start=1
-        ):
-            axes = figure.add_subplot(grid[row, number], sharex=first)
-            first = first or axes
-            _style(axes, theme)
-            panel(drawing, axes, window, number == 0)
-            axes.tick_params(labelbottom=row == 5, length=0)
-            if number and row > 1:  # the same scale as in the first column
+        _overview(made.add_subplot(grid[0, :]), theme, overview, columns)
+    for number, column in enumerate(columns):
+        shown: set[str] = set()
+        for row, panel in enumerate(column.panels):
+            axes = made.add_subplot(grid[row + (overview is not None), number])
+            limits = _vertical(figure, columns, column, row)
+            is_lowest = row == len(column.panels) - 1
+            _draw_panel(axes, theme, panel, column, limits, is_lowest)
+            names = {s.label for s in panel.series if s.label}
+            if panel.legend and column.is_first and not (names and names <= shown):
+                _legend(axes, theme, panel, column.width)
+            shown |= names
+            repeats = number > 0 and (
+                figure.same_scale or (not column.is_first and panel.limits is not None)
+            )
+            if repeats:
                 axes.tick_params(labelleft=False)
-        assert first is not None
-        first.set_xlim(window.start_s * MS, window.end_s * MS)
-        axes.set_xlabel("simulated time, ms", color=theme.ink, fontsize=9)
-    return figure
+            elif column.is_first:
+                _name(axes, theme, panel)
+            if panel.scale is not None and number == len(columns) - 1:
+                _colour_bar(made, axes, panel)
+            if row == 0 and column.stack.title and column.is_first:
+                axes.set_title(
+                    column.stack.title,
+                    fontsize=10,
+                    loc="left",
+                    color=theme.ink,
+                    pad=22 if axes.get_legend() else 6,
+                )
+    return made
+
+
+def _columns(stack: Stack) -> list[_Column]:
+    """Return one column for each zoom that is drawn, or one for the whole stack."""
+    zooms = stack.zooms[:MOST_ZOOMS]
+    if stack.overview is None or not zooms:
+        low, high = stack.ends()
+        margin = (
+            0.02 * (high - low)
+            if any(s.style in ("dots", "marked") for p in stack.panels for s in p.series)
+            else 0.0
+        )
+        if stack.logarithmic or stack.limits is not None or stack.ticks:
+            margin = 0.0
+        view = (low - margin, high + margin) if not stack.logarithmic else (low / 1.05, high * 1.05)
+        return [_Column(stack, view, True, stack.width)]
+    longest = max(zoom.high - zoom.low for zoom in zooms)
+    weights = [max(zoom.high - zoom.low, 0.25 * longest) ** 0.6 for zoom in zooms]
+    width = stack.width + 4.5 * len(zooms)
+    return [
+        _Column(stack, (zoom.low, zoom.high), k == 0, width * weight / sum(weights))
+        for k, (zoom, weight) in enumerate(zip(zooms, weights, strict=True))
+    ]
+
+
+def _vertical(figure: Figure, columns: Sequence[_Column], column: _Column, row: int) -> View:
+    """Return the vertical limits of a panel."""
+    panel = column.panels[row]
+    if panel.limits is not None:
+        return panel.limits
+    alike = [c for c in columns if row < len(c.panels)] if figure.same_scale else [column]
+    found = [v for c in alike for v in c.panels[row].heights(c.view)]
+    low, high = (min(found), max(found)) if found else (0.0, 1.0)
+    room = 0.06 * (high - low) or abs(low) / 10 or 1.0
+    return low - room, high + room
 
 
 def _style(axes: Axes, theme: Theme) -> None:
     axes.set_facecolor(theme.paper)
     axes.grid(True, color=theme.grid, linewidth=0.6)
     axes.set_axisbelow(True)
-    axes.tick_params(colors=theme.ink, labelsize=8.5)
+    axes.tick_params(colors=theme.ink, labelsize=8.5, length=0)
     for side, spine in axes.spines.items():
         spine.set_visible(side in ("left", "bottom"))
         spine.set_color(theme.grid)
 
 
-def _overview(drawing: Drawing, axes: Axes, columns: Sequence[Window]) -> None:
-    theme, record = drawing.theme, drawing.record
+def _draw_panel(
+    axes: Axes, theme: Theme, panel: Panel, column: _Column, limits: View, is_lowest: bool
+) -> None:
+    """Draw the content of one panel, with the axes' limits and ticks."""
+    stack, view = column.stack, column.view
     _style(axes, theme)
-    time = record.truth["time_s"]
-    axes.plot(time * MS, record.truth["position_m"] * MM, color=theme.truth, linewidth=1.2)
-    for window in columns:
-        axes.axvspan(window.start_s * MS, window.end_s * MS, color=theme.band, zorder=0)
-    stroke = record.stroke_m * MM
-    axes.set_yticks([-stroke, 0.0, stroke], ["forward", "neutral", "backward"])
-    axes.set_ylim(-1.25 * stroke, 1.25 * stroke)
-    axes.set_xlim(0.0, float(time[-1]) * MS)
-    axes.tick_params(labeltop=True, labelbottom=False, length=0)
+    if stack.logarithmic:
+        axes.set_xscale("log")
+    axes.set_xlim(*view)
+    axes.set_ylim(*limits)
+    _spans(axes, theme, panel.spans, column.width)
+    for band in panel.bands:
+        axes.fill_between(
+            band.x, band.low, band.high, color=theme.colour(band.role), alpha=0.15, lw=0
+        )
+    for rule in panel.rules:
+        _rule(axes, theme, rule)
+    _series(axes, theme, panel)
+    for note in panel.notes:
+        if view[0] <= note.x <= view[1]:
+            _note(axes, theme, note)
+    if panel.extra is not None:
+        panel.extra(axes, theme, view)
+    if panel.ticks:
+        axes.set_yticks([at for at, _ in panel.ticks], [name for _, name in panel.ticks])
+        axes.tick_params(axis="y", labelsize=8.5 if len(panel.ticks) < 9 else 7.5)
+        axes.grid(False, axis="y")
+    if stack.ticks:
+        names = [name for _, name in stack.ticks]
+        crowded = sum(map(len, names)) * LETTER * 8.5 / 72 > column.width
+        turn: dict[str, Any] = {"rotation": 30, "ha": "right"} if crowded else {}
+        axes.set_xticks([at for at, _ in stack.ticks], names, **turn)
+        axes.grid(False, axis="x")
+    axes.tick_params(labelbottom=is_lowest)
+    if is_lowest:
+        axes.set_xlabel(stack.axis, color=theme.ink, fontsize=9)
+
+
+def _series(axes: Axes, theme: Theme, panel: Panel) -> None:
+    styles: dict[str, dict[str, Any]] = {
+        "line": {},
+        "stepped": {"drawstyle": "steps-post"},
+        "sampled": {"drawstyle": "steps-post", "marker": "."},
+        "dots": {"linestyle": "none", "marker": "o"},
+        "marked": {"marker": "o"},
+    }
+    for order, s in enumerate(panel.series):
+        style = {"linestyle": DASHES["dashed" if s.dashed else "solid"]} | styles[s.style]
+        axes.plot(
+            s.x, s.y, color=theme.colour(s.role), linewidth=s.width, markersize=2.0 + 1.2 * s.width,
+            label=s.label or "_", zorder=3 + 0.01 * order, **style,
+        )  # fmt: skip
+
+
+def _spans(axes: Axes, theme: Theme, spans: Sequence[Span], width: float) -> None:
+    """Draw rectangles of one look together, then the labels that have room."""
+    from matplotlib.collections import PolyCollection
+
+    (left, right), (low, high) = axes.get_xlim(), sorted(axes.get_ylim())
+    looks: dict[tuple[str, str], list[Any]] = {}
+    labels: list[tuple[Span, float, float]] = []
+    for span in spans:
+        if span.end < left or span.start > right:
+            continue
+        a, b = max(span.start, left), min(span.end, right)
+        bottom, top = max(span.low, low), min(span.high, high)
+        looks.setdefault((span.role, span.style), []).append(
+            [(a, bottom), (a, top), (b, top), (b, bottom)]
+        )
+        if span.label:
+            labels.append((span, a, b))
+    for (role, style), corners in looks.items():
+        colour = theme.colour(role)
+        how: dict[str, Any] = {
+            "solid": {"facecolors": colour, "edgecolors": colour, "linewidths": 0.7},
+            "pale": {"facecolors": colour, "alpha": 0.35, "linewidths": 0},
+            "hatched": {
+                "facecolors": "none",
+                "edgecolors": colour,
+                "hatch": "////",
+                "linewidths": 0,
+            },
+            "frame": {"facecolors": "none", "edgecolors": colour, "linewidths": 3},
+            "dashed frame": {
+                "facecolors": "none",
+                "edgecolors": colour,
+                "linewidths": 3,
+                "linestyles": "--",
+            },
+        }[style]
+        is_background = not isfinite(spans[0].low) and style == "solid"
+        axes.add_collection(
+            PolyCollection(corners, zorder=0.5 if is_background else 2, **how), autolim=False
+        )
+    for span, a, b in labels:
+        _span_label(axes, theme, span, (a, b), 72.0 * 0.9 * width / (right - left))
+
+
+def _span_label(axes: Axes, theme: Theme, span: Span, view: View, points: float) -> None:
+    """Write a label into a span: smaller, or upright, where there is little room.
+
+    points: per unit of the horizontal axis.
+    """
+    room = (view[1] - view[0]) * points
+    size, turned = next(
+        ((size, False) for size in (8.5, 6.5) if LETTER * size * len(span.label) <= room),
+        (6.5, True),
+    )
+    if turned and room < 6.5:
+        return
+    box = {"facecolor": theme.paper, "edgecolor": "none", "pad": 0.8, "alpha": 0.8}
+    axes.text(
+        0.5 * (view[0] + view[1]), 0.5 * (span.low + span.high) if isfinite(span.low) else axes.get_ylim()[0],
+        span.label, ha="center", va="center", fontsize=size, rotation=90 if turned else 0,
+        color=_ink_on(theme, span), clip_on=True, zorder=4, bbox=box if span.style == "hatched" else None,
+    )  # fmt: skip
+
+
+def _ink_on(theme: Theme, span: Span) -> str:
+    """Return black or white, whichever is easier to read on the span's colour."""
+    if span.style != "solid":
+        return theme.ink
+    colour = theme.colour(span.role)
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return "#1a1a1a" if 0.299 * red + 0.587 * green + 0.114 * blue > 110 else "#ffffff"
+
+
+def _rule(axes: Axes, theme: Theme, rule: Rule) -> None:
+    line = axes.axvline if rule.axis == "x" else axes.axhline
+    colour = theme.colour(rule.role)
+    line(
+        rule.at,
+        color=colour,
+        linewidth=1.4 if rule.style == "solid" else 0.9,
+        linestyle=DASHES[rule.style],
+        zorder=1,
+    )
+    if not rule.text:
+        return
+    across = rule.axis == "y"
+    axes.annotate(
+        rule.text, (0.005, rule.at) if across else (rule.at, 0.5),
+        xycoords=("axes fraction", "data") if across else ("data", "axes fraction"),
+        xytext=(0, -3) if across else (-2, 0), textcoords="offset points",
+        ha="left" if across else "right", va="top" if across else "center",
+        rotation=0 if across else 90, fontsize=8, color=colour, annotation_clip=True,
+    )  # fmt: skip
+
+
+def _note(axes: Axes, theme: Theme, note: Note) -> None:
+    from matplotlib.patheffects import withStroke
+
+    axes.annotate(
+        note.text, (note.x, note.y), xytext=({"left": 4, "center": 0, "right": -4}[note.align], note.up),
+        textcoords="offset points", ha=note.align,
+        va="center" if note.up == 0.0 else "bottom" if note.up > 0.0 else "top",
+        fontsize=8.5, weight="bold" if note.bold else "normal", color=theme.colour(note.role),
+        path_effects=[withStroke(linewidth=2.5, foreground=theme.paper)], zorder=7, annotation_clip=True,
+    )  # fmt: skip
+
+
+def _legend(axes: Axes, theme: Theme, panel: Panel, width: float) -> None:
+    """Put a legend above the panel, if there is more than one thing to tell apart."""
+    from matplotlib.patches import Patch
+
+    lines, _ = axes.get_legend_handles_labels()
+    handles: list[Any] = [
+        *lines,
+        *(Patch(color=theme.colour(role), label=text) for text, role in panel.keys),
+    ]
+    if len(handles) < 2 and not panel.keys:
+        return
+    longest = max(len(h.get_label()) for h in handles)
+    fits = max(1, int(72 * width / (LETTER * 8 * longest + 40)))
+    axes.legend(
+        handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(fits, len(handles)),
+        fontsize=8, frameon=False, labelcolor=theme.ink, borderaxespad=0.1, handlelength=1.6, borderpad=0.2,
+    )  # fmt: skip
+
+
+def _name(axes: Axes, theme: Theme, panel: Panel) -> None:
+    """Name the vertical axis; named ticks without a unit need no name."""
+    if panel.ticks and not panel.unit:
+        return
+    text = f"{panel.title}, {panel.unit}" if panel.unit else panel.title
+    axes.set_ylabel(fill(text, max(12, panel.height // 6)), color=theme.ink, fontsize=9)
+
+
+def _colour_bar(made: Drawing, axes: Axes, panel: Panel) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+
+    scale = panel.scale
+    assert scale is not None
+    colours = LinearSegmentedColormap.from_list("scale", list(scale.colours))
+    made.colorbar(
+        ScalarMappable(Normalize(scale.low, scale.high), colours), ax=axes, label=scale.label
+    )
+
+
+def _overview(axes: Axes, theme: Theme, panel: Panel, columns: Sequence[_Column]) -> None:
+    """Draw the whole axis, with the parts that are enlarged below shaded."""
+    stack = columns[0].stack
+    whole = _Column(stack, stack.ends(), True, sum(column.width for column in columns))
+    limits = panel.limits or (0.0, 1.0)
+    _draw_panel(axes, theme, panel, whole, limits, True)
+    axes.set_xlabel("")
+    for column in columns:
+        axes.axvspan(*column.view, color=theme.band, zorder=0)
+    axes.tick_params(labeltop=True, labelbottom=False)

@@ -6,81 +6,203 @@
   const PAPER_WIDTH = 680;
   let printing = false;
 
+  const STEPPED = ["stepped", "sampled"];
+  const MOST_NOTES = 60; // in sight at once: more would cover each other
+
   function line(series, colours, dot) {
-    const colour = colours[series.role];
+    const colour = colours(series.role);
+    const hasDots = ["dots", "marked", "sampled"].includes(series.style);
     const made = {
       label: series.label,
       stroke: colour,
-      width: series.role === "truth" || series.role === "measured" ? 2.2 : 1.5,
+      width: series.width,
       dash: series.dashed ? [6, 4] : undefined,
-      spanGaps: series.joined,
-      points: { show: series.dotted, size: dot, fill: colour, width: 0 },
+      spanGaps: series.style === "marked",
+      points: { show: hasDots, size: dot, fill: colour, width: 0 },
       value: (chart, value) => (value == null ? "–" : value.toPrecision(4)),
     };
-    if (series.stepped) made.paths = uPlot.paths.stepped({ align: 1 });
-    if (series.dotted) made.paths = () => null;
+    if (STEPPED.includes(series.style)) made.paths = uPlot.paths.stepped({ align: 1 });
+    if (series.style === "dots") made.paths = () => null;
     return made;
   }
 
   function upright(panel, axis) {
     const space = panel.height < 150 ? 16 : 30; // or a low panel has a single number on its axis
-    const made = { ...axis, size: 56, label: panel.unit, labelSize: 18, space };
-    if (panel.marks.length) {
-      made.splits = () => panel.marks.map((mark) => mark[0]);
-      made.values = () => panel.marks.map((mark) => mark[1]);
+    const letters = Math.max(0, ...panel.ticks.map((tick) => tick[1].length));
+    const label = panel.unit || undefined;
+    const made = { ...axis, size: Math.max(label ? 56 : 74, 7 * letters + 8), label, labelSize: 18, space };
+    if (panel.ticks.length) {
+      made.splits = () => panel.ticks.map((tick) => tick[0]);
+      made.values = () => panel.ticks.map((tick) => tick[1]);
     }
     return made;
   }
 
-  // A line that never changes lies in the middle, and a band is always in sight.
+  // A line that never changes is in the middle, and what was drawn across is always visible.
   function tall(panel) {
+    if (panel.limits) return () => [Math.min(...panel.limits), Math.max(...panel.limits)];
     return (chart, least, most) => {
-      let [low, high] = least == null ? [0, 1] : [least, most];
-      if (panel.band) [low, high] = [Math.min(low, panel.band[0]), Math.max(high, panel.band[1])];
+      const known = [least, most, ...panel.include].filter((value) => value != null);
+      const [low, high] = known.length ? [Math.min(...known), Math.max(...known)] : [0, 1];
       if (low < high) return uPlot.rangeNum(low, high, 0.1, true);
       const room = Math.abs(low) / 10 || 1;
       return [low - room, high + room];
     };
   }
 
-  function shade(panel, colours) {
-    return (chart) => {
-      if (!panel.band) return;
-      const box = chart.bbox;
-      const [a, b] = panel.band.map((value) => chart.valToPos(value, "y", true));
-      const top = Math.max(box.top, Math.min(a, b));
-      const end = Math.min(box.top + box.height, Math.max(a, b));
-      chart.ctx.save();
-      chart.ctx.fillStyle = colours.grid;
-      chart.ctx.fillRect(box.left, top, box.width, Math.max(0, end - top));
-      chart.ctx.restore();
-    };
-  }
-
-  // Names stand under the lowest panel only, and upright where they would not fit side by side.
-  function level(told, axis, last, wide) {
+  // Names are under the lowest panel only, and upright where they would not fit side by side.
+  function level(content, axis, last, wide) {
     const made = { ...axis, size: 26, label: undefined, labelSize: 0 };
-    if (last) Object.assign(made, { size: 40, label: told.axis, labelSize: 20 });
-    if (!told.names.length) return made;
-    const letters = Math.max(...told.names.map((name) => name.length));
-    made.splits = () => told.x;
-    made.values = () => told.names.map((name) => (last ? name : ""));
-    if (last && 7 * letters * told.names.length > wide) {
+    if (last) Object.assign(made, { size: 40, label: content.axis, labelSize: 20 });
+    if (!content.ticks.length) return made;
+    const names = content.ticks.map((tick) => tick[1]);
+    const letters = Math.max(...names.map((name) => name.length));
+    made.splits = () => content.ticks.map((tick) => tick[0]);
+    made.values = () => names.map((name) => (last ? name : ""));
+    if (last && 7 * letters * names.length > wide) {
       made.rotate = -90;
       made.size = 20 + 7 * letters;
     }
     return made;
   }
 
+  // What uPlot has no series for: spans and bands below the lines, rules and texts above them.
+  function drawing(chart, colours) {
+    const { ctx, bbox } = chart;
+    const ratio = uPlot.pxRatio;
+    const ends = { x: [bbox.left, bbox.left + bbox.width], y: [bbox.top + bbox.height, bbox.top] };
+    const at = (value, axis, end) => (value == null ? ends[axis][end] : chart.valToPos(value, axis, true));
+    const font = (size, bold) => `${bold ? "bold " : ""}${size * ratio}px system-ui, sans-serif`;
+
+    function inside(act) {
+      ctx.save();
+      ctx.beginPath();
+      ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+      ctx.clip();
+      act();
+      ctx.restore();
+    }
+
+    function text(words, x, y, { role = "ink", align = "center", base = "middle", turned = false, bold = false, size = 11, outlined = true }) {
+      ctx.save();
+      ctx.translate(x, y);
+      if (turned) ctx.rotate(-Math.PI / 2);
+      ctx.font = font(size, bold);
+      ctx.textAlign = align;
+      ctx.textBaseline = base;
+      if (outlined) {
+        ctx.strokeStyle = colours("paper");
+        ctx.lineWidth = 3 * ratio;
+        ctx.strokeText(words, 0, 0);
+      }
+      ctx.fillStyle = colours(role);
+      ctx.fillText(words, 0, 0);
+      ctx.restore();
+    }
+
+    function dark(colour) {
+      const [r, g, b] = [1, 3, 5].map((i) => parseInt(colour.slice(i, i + 2), 16));
+      return 0.299 * r + 0.587 * g + 0.114 * b <= 110;
+    }
+
+    function span([start, end, low, high, role, label, style]) {
+      const [first, last] = [Math.max(at(start, "x", 0), ends.x[0]), Math.min(at(end, "x", 1), ends.x[1])];
+      if (last < ends.x[0] || first > ends.x[1]) return;
+      const [bottom, top] = [at(low, "y", 0), at(high, "y", 1)];
+      const [y, wide, deep] = [Math.min(top, bottom), Math.max(last - first, ratio), Math.abs(bottom - top)];
+      ctx.fillStyle = ctx.strokeStyle = colours(role);
+      if (style.endsWith("frame")) {
+        ctx.setLineDash(style === "frame" ? [] : [6 * ratio, 4 * ratio]);
+        ctx.lineWidth = 3 * ratio;
+        ctx.strokeRect(first, y, wide, deep);
+        ctx.setLineDash([]);
+      } else {
+        ctx.globalAlpha = { solid: 1, pale: 0.35, hatched: 0.6 }[style];
+        ctx.fillRect(first, y, wide, Math.max(deep, ratio));
+        ctx.globalAlpha = 1;
+      }
+      if (!label) return;
+      ctx.font = font(11);
+      const fits = ctx.measureText(label).width + 4 * ratio <= wide;
+      if (!fits && (wide < 9 * ratio || ctx.measureText(label).width * 0.8 > deep)) return;
+      const plain = style === "solid";
+      const ink = !plain ? "ink" : dark(colours(role)) ? "#ffffff" : "#1a1a1a";
+      const look = { role: ink, turned: !fits, size: fits ? 11 : 9, outlined: !plain };
+      text(label, first + wide / 2, y + deep / 2, look);
+    }
+
+    function band([x, low, high, role]) {
+      ctx.fillStyle = colours(role);
+      ctx.globalAlpha = 0.15;
+      ctx.beginPath();
+      x.forEach((value, k) => ctx.lineTo(at(value, "x", 0), at(high[k], "y", 1)));
+      x.map((_, k) => x.length - 1 - k).forEach((k) => ctx.lineTo(at(x[k], "x", 0), at(low[k], "y", 0)));
+      ctx.fill();
+      ctx.globalAlpha = 1;
+    }
+
+    function rule([value, words, role, axis, style]) {
+      const spot = at(value, axis, 0);
+      const across = axis === "y";
+      ctx.strokeStyle = colours(role);
+      ctx.lineWidth = ratio;
+      ctx.setLineDash({ solid: [], dashed: [6, 4], dotted: [2, 3] }[style].map((v) => v * ratio));
+      ctx.beginPath();
+      ctx.moveTo(across ? ends.x[0] : spot, across ? spot : ends.y[0]);
+      ctx.lineTo(across ? ends.x[1] : spot, across ? spot : ends.y[1]);
+      ctx.stroke();
+      ctx.setLineDash([]);
+      if (!words) return;
+      if (across) text(words, ends.x[0] + 3 * ratio, spot + 3 * ratio, { role, align: "left", base: "top" });
+      else text(words, spot - 3 * ratio, (ends.y[0] + ends.y[1]) / 2, { role, base: "bottom", turned: true });
+    }
+
+    function note([x, y, words, role, align, up, bold]) {
+      const aside = { left: 4, center: 0, right: -4 }[align] * ratio;
+      const base = up > 0 ? "bottom" : up < 0 ? "top" : "middle";
+      text(words, at(x, "x", 0) + aside, at(y, "y", 0) - up * ratio, { role, align, base, bold });
+    }
+
+    return {
+      below: (panel) => inside(() => { panel.spans.forEach(span); panel.bands.forEach(band); }),
+      above: (panel) => inside(() => {
+        const { min, max } = chart.scales.x;
+        const shown = ([x]) => x >= min && x <= max;
+        const rules = panel.rules.filter((item) => item[3] === "y" || shown(item));
+        const notes = panel.notes.filter(shown);
+        const room = rules.length + notes.length <= MOST_NOTES;
+        rules.forEach(([value, words, ...look]) => rule([value, room ? words : "", ...look]));
+        if (room) notes.forEach(note);
+      }),
+    };
+  }
+
+  // Colours that no line has: squares with their names, or a strip from low to high.
+  function keys(panel, colours) {
+    const made = document.createElement("p");
+    made.className = "keys";
+    const entries = panel.keys.map(([name, role]) => [name, colours(role)]);
+    if (panel.scale) {
+      const [label, low, high, strip] = panel.scale;
+      entries.push([`${label}: ${low.toPrecision(3)} to ${high.toPrecision(3)}`, `linear-gradient(to right, ${strip})`]);
+    }
+    entries.forEach(([name, background]) => {
+      const item = document.createElement("span");
+      const square = document.createElement("i");
+      square.style.background = background;
+      item.append(square, name);
+      made.appendChild(item);
+    });
+    return made;
+  }
+
   function group(place, number) {
-    const told = JSON.parse(place.querySelector("script").textContent);
+    const content = JSON.parse(place.querySelector("script").textContent);
     const holder = place.querySelector(".panels");
-    const known = told.x.filter((value) => value != null);
-    const room = told.names.length ? 0.5 : 0;
-    const whole = [known[0] - room, known[known.length - 1] + room];
+    const whole = content.ends;
     // powers and roots instead of sums and halves on a logarithmic axis
-    const to = told.log ? Math.log : (value) => value;
-    const from = told.log ? Math.exp : (value) => value;
+    const to = content.log ? Math.log : (value) => value;
+    const from = content.log ? Math.exp : (value) => value;
     let range = whole.slice();
     let charts = [];
 
@@ -135,14 +257,15 @@
 
     function options(panel, colours, last) {
       const axis = {
-        stroke: colours.faint,
-        grid: { stroke: colours.grid, width: 1 },
-        ticks: { stroke: colours.grid, width: 1 },
+        stroke: colours("faint"),
+        grid: { stroke: colours("grid"), width: 1 },
+        ticks: { stroke: colours("grid"), width: 1 },
       };
-      const across = level(told, axis, last, width() - 60);
+      const across = level(content, axis, last, width() - 60);
       const named = (chart, v) => {
         if (v == null) return "–";
-        return told.names.length ? told.names[told.x.indexOf(v)] : v.toPrecision(5);
+        const tick = content.ticks.find((one) => one[0] === v);
+        return content.ticks.length ? (tick ? tick[1] : "–") : String(Number(v.toPrecision(7)));
       };
       return {
         width: width(),
@@ -152,14 +275,15 @@
           drag: { x: true, y: false, setScale: false },
         },
         scales: {
-          x: { time: false, distr: told.log ? 3 : 1, range: () => range },
+          x: { time: false, distr: content.log ? 3 : 1, range: () => range },
           y: { range: tall(panel) },
         },
         axes: [across, upright(panel, axis)],
-        series: [{ label: told.axis, value: named }]
-          .concat(panel.series.map((series) => line(series, colours, told.names.length ? 10 : 4))),
+        series: [{ label: content.axis, value: named }]
+          .concat(panel.series.map((series) => line(series, colours, content.ticks.length ? 10 : 4))),
         hooks: {
-          drawClear: [shade(panel, colours)],
+          drawClear: [(chart) => drawing(chart, colours).below(panel)],
+          draw: [(chart) => drawing(chart, colours).above(panel)],
           setSelect: [
             (chart) => {
               const { left, width: wide } = chart.select;
@@ -172,18 +296,20 @@
     }
 
     function draw() {
-      const colours = themes[dark.matches && !printing ? "dark" : "light"];
+      const theme = themes[dark.matches && !printing ? "dark" : "light"];
+      const colours = (role) => theme[role] || role;
       charts.forEach((chart) => chart.destroy());
       holder.replaceChildren();
-      charts = told.panels.map((panel, i) => {
+      charts = content.panels.map((panel, i) => {
         const box = document.createElement("div");
         box.className = "panel";
         const title = document.createElement("h4");
         title.textContent = panel.title;
         box.appendChild(title);
         holder.appendChild(box);
-        const values = [told.x].concat(panel.series.map((series) => series.y));
-        const chart = new uPlot(options(panel, colours, i === told.panels.length - 1), values, box);
+        const values = [content.x].concat(panel.series.map((series) => series.y));
+        if (panel.keys.length || panel.scale) box.appendChild(keys(panel, colours));
+        const chart = new uPlot(options(panel, colours, i === content.panels.length - 1), values, box);
         chart.over.addEventListener("dblclick", () => show(whole[0], whole[1]));
         touch(chart.over, chart);
         return chart;
@@ -200,7 +326,7 @@
     }
 
     button("whole", "show everything", () => show(whole[0], whole[1]));
-    told.windows.forEach(([name, low, high]) => button(name, name, () => show(low, high)));
+    content.zooms.forEach(([name, low, high]) => button(name, name, () => show(low, high)));
     button("+", "zoom in", () => zoom(0.5));
     button("−", "zoom out", () => zoom(2));
     button("←", "earlier", () => move(-0.5));

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sil.files.atomic import write_atomically
-from sil.report.figures import save
 from sil.report.page import run_page
-from sil.report.picture import draw
-from sil.report.run_plots import run_plots
-from sil.report.theme import LIGHT
+from sil.report.picture import save
+from sil.report.plots import plots
+from sil.report.run_figure import run_figure
 
 if TYPE_CHECKING:
     from sil.simulation.runner import Finished
@@ -30,7 +29,6 @@ def write_report(finished: Finished, folder: Path) -> None:
     if end_s < duration_s - result.scenario["trace_period_s"]:
         subtitle = f"the first {end_s:.0f} s of {duration_s:g} s. {subtitle}"
         shifts = [s for s in shifts if (s.confirmed_s or s.requested_s + 1.0) < end_s]
-    figure = draw(record, shifts, title, subtitle, LIGHT)
+    figure = run_figure(record, shifts, title, subtitle)
     picture = save(figure, folder, "shift", dots_per_inch=140)
-    plots = run_plots(record, shifts)
-    write_atomically(folder / "report.html", run_page(result, picture, plots))
+    write_atomically(folder / "report.html", run_page(result, picture, plots(figure)))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sil.report.interactive import Group, colours
+from sil.report.plots import Group
 from sil.report.theme import DARK, LIGHT
 
 HERE = Path(__file__).parent
@@ -77,7 +77,7 @@ def render(template: str, head: Head, groups: Sequence[Group] = (), **values: An
 def _library() -> dict[str, str]:
     """What plots need in the page, once."""
     uplot = (HERE / "uplot" / "uPlot.min.js").read_text(encoding="utf-8")
-    themes = {theme.name: colours(theme) for theme in (LIGHT, DARK)}
+    themes = {theme.name: theme.roles() for theme in (LIGHT, DARK)}
     return {
         # its banner names its home; a page without any address is easily seen to need no network
         "uplot": uplot.replace("https://", ""),

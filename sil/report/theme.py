@@ -16,7 +16,7 @@ class Theme:
     grid: str
     band: str
     truth: str
-    believed: str
+    estimate: str
     alarm: str
     measured: str
     before: str
@@ -24,6 +24,19 @@ class Theme:
     chamber: dict[str, str]
     state: dict[str, str]
     series: tuple[str, ...]
+
+    def colour(self, role: str) -> str:
+        """Return the colour of a role: a field, a chamber, a state, "series0" and so on, "#rrggbb".
+
+        Raises KeyError for an unknown role.
+        """
+        return role if role.startswith("#") else self.roles()[role]
+
+    def roles(self) -> dict[str, str]:
+        """Return the colour of every role by name."""
+        single = {name: value for name, value in vars(self).items() if isinstance(value, str)}
+        numbered = {f"series{k}": colour for k, colour in enumerate(self.series)}
+        return single | self.chamber | self.state | numbered
 
 
 LIGHT = Theme(
@@ -34,7 +47,7 @@ LIGHT = Theme(
     grid="#e3e3e3",
     band="#f1f3f5",
     truth="#000000",
-    believed="#c2458f",
+    estimate="#c2458f",
     alarm="#d55e00",
     measured="#8a9197",
     before="#d55e00",
@@ -64,7 +77,7 @@ DARK = Theme(
     grid="#2b3136",
     band="#1d2226",
     truth="#ffffff",
-    believed="#f08cc4",
+    estimate="#f08cc4",
     alarm="#ff8a4c",
     measured="#b9c0c6",
     before="#ff8a4c",

@@ -68,6 +68,8 @@ def made() -> RunRecord:
         "velocity_m_s": np.gradient(position, time_s),
         "piston_1_m": position + 0.013,
         "piston_2_m": zero,
+        "input_rad_s": zero,
+        "output_rad_s": zero,
         "pressure_B_pa": 1e5 + 8e5 * is_open,
         "pressure_N_pa": zero + 1e5,
         "pressure_F_pa": zero + 1.1e5,

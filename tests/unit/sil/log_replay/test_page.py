@@ -8,7 +8,6 @@ from base64 import b64decode
 from pathlib import Path
 
 from sil.log_replay.page import replay_page
-from sil.log_replay.plots import replay_plots
 from sil.log_replay.replay import Order, replay
 from sil.log_replay.summary import as_dict, summary_lines, text
 from tests.unit.sil.log_replay.golden_logs import golden
@@ -32,21 +31,6 @@ def test_the_page_of_no_difference_shows_what_was_compared(tmp_path: Path) -> No
     assert ">no difference<" in page and "All where they were." in page
     assert len(re.findall(r"base64,", page)) == 2
     assert "First difference" not in page
-
-
-def test_the_plots_hold_both_shifts_once_with_a_gap_between() -> None:
-    (group,) = replay_plots(FOUND)
-    told = json.loads(group.numbers)
-    assert told["x"] == sorted(set(told["x"]))
-    assert len(told["windows"]) == 2 and all(
-        name.endswith("differs") for name, *_ in told["windows"]
-    )
-    position, coils, states = told["panels"]
-    recorded, replayed = (line["y"] for line in position["series"])
-    assert recorded.count(None) == replayed.count(None) == 1
-    assert recorded != replayed and max(v for v in recorded if v is not None) > 12.0
-    assert len(coils["series"]) == len(coils["marks"]) == 6
-    assert {"push", "blow", "hold"} <= {name for _, name in states["marks"]}
 
 
 def test_the_text_has_edges_first_difference_and_waveforms() -> None:

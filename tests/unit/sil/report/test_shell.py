@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 from jinja2 import UndefinedError
 
 import sil.report
-from sil.report.interactive import Panel, Series, plots
+from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 from sil.report.theme import DARK, LIGHT
+from tests.unit.sil.report.test_figure import everything
 
 TEMPLATES = sorted(Path(sil.report.__path__[0]).glob("*.html"))
 PARTS = {"shell.html", "plots.html"}
@@ -28,10 +28,10 @@ def test_every_page_extends_the_shell_and_has_no_style_of_its_own() -> None:
 
 
 def test_names_are_escaped_and_nothing_is_asked_of_the_network() -> None:
-    group = plots("t, s", np.zeros(2), [Panel("p", "m", [Series("a", np.zeros(2), "truth")])])
+    groups = plots(everything())
     head = Head("diagnose", "<b>x", "named", good=False, tiles=[("1", "</div>")], again="a && b")
     page = render(
-        "force.html", head, [group], detectability="d", causes=[], plain_error="1 %", rows=[],
+        "force.html", head, groups, detectability="d", causes=[], plain_error="1 %", rows=[],
         picture=Picture(b"png", "what", "caption"),
     )  # fmt: skip
     assert "<title>&lt;b&gt;x: named</title>" in page and "<b>x" not in page
@@ -61,6 +61,6 @@ def contrast(one: str, other: str) -> float:
 def test_text_and_lines_stand_out_from_the_paper(theme: object) -> None:
     assert contrast(theme.ink, theme.paper) > 7.0  # type: ignore[attr-defined]
     assert contrast(theme.faint, theme.paper) > 4.5  # type: ignore[attr-defined]
-    lines = [theme.truth, theme.believed, theme.alarm, theme.measured, theme.before, theme.after]  # type: ignore[attr-defined]
+    lines = [theme.truth, theme.estimate, theme.alarm, theme.measured, theme.before, theme.after]  # type: ignore[attr-defined]
     for colour in (*lines, *theme.chamber.values()):  # type: ignore[attr-defined]
         assert contrast(colour, theme.paper) > 2.8, colour  # type: ignore[attr-defined]

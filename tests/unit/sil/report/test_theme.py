@@ -48,7 +48,7 @@ def lab(colour: str, vision: str) -> NDArray[np.float64]:
 @pytest.mark.parametrize("theme", [LIGHT, DARK], ids=lambda theme: theme.name)
 def test_lines_that_share_a_panel_stay_apart(theme: Theme, vision: str) -> None:
     panels = (
-        [theme.truth, theme.believed, theme.alarm],
+        [theme.truth, theme.estimate, theme.alarm],
         list(theme.chamber.values()),
         [theme.measured, theme.before, theme.after],
         list(theme.series),

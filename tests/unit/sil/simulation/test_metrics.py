@@ -7,7 +7,7 @@ import pytest
 
 from can_dbc.messages import Gear, ShiftRequest
 from sil.recording.trace_csv import trace_columns
-from sil.report.picture import windows
+from sil.report.run_figure import shift_zooms
 from sil.simulation import metrics
 from tests.unit.sil import made_run
 
@@ -136,7 +136,7 @@ def test_a_run_that_ended_early_has_the_figures_it_got_to(end_s: float) -> None:
             assert found[0].arrived_s is None
         metrics.summary(cut, found, None)
         assert trace_columns(cut)["time_s"][-1] <= end_s + 1e-4
-        assert windows(cut, found)
+        assert shift_zooms(cut, found)
 
 
 def test_no_request_no_shift() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import re
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -16,13 +15,8 @@ from can_dbc.messages import Gear
 from sil.recording.events import EventLog, read_events
 from sil.recording.run_record import PlantEvent
 from sil.recording.trace_csv import held, write_trace_csv
-from sil.report.bus_panel import SILENT, state_spans
-from sil.report.figures import save
 from sil.report.page import run_page
-from sil.report.picture import draw, windows
 from sil.report.shell import told
-from sil.report.theme import DARK, LIGHT
-from sil.report.valve_panel import valve_spans
 from sil.simulation import metrics
 from tests.unit.sil import made_run
 from tests.unit.sil.simulation.test_results import made as made_result
@@ -72,48 +66,6 @@ def test_trace_csv_begins_like_a_measured_stroke_and_keeps_every_bit(tmp_path: P
     assert [float(r["position_m"]) for r in rows] == truth["position_m"].tolist()
     assert rows[0]["position_internal_m"] == ""  # before the first status frame
     assert float(rows[-1]["position_internal_m"]) == pytest.approx(made_run.STROKE, abs=1e-7)
-
-
-def test_valve_spans_are_those_of_the_events() -> None:
-    record = made_run.made()
-    events = [PlantEvent(0.110, "coil_B_on"), *record.events, PlantEvent(0.2005, "coil_B_off")]
-    record.__dict__["events"] = sorted(events, key=lambda e: e.time_s)
-    coil, blow, valve = valve_spans(record, "B")
-    assert coil == [(0.110, pytest.approx(0.0905))]
-    assert valve == [(0.118, pytest.approx(0.1175))]
-    assert blow[0][0] == pytest.approx(0.17075) and len(blow) == 1
-    assert valve_spans(record, "N") == ([], [], [])
-
-
-def test_state_spans_merge_and_tell_silence() -> None:
-    times = np.array([0.0, 0.01, 0.02, 0.03, 0.2, 0.21])
-    names = ["IDLE", "IDLE", "PUSH", "PUSH", "PUSH", "IDLE"]
-    spans = [(round(a, 3), round(b, 3), n) for a, b, n in state_spans(times, names, 0.22)]
-    assert spans == [
-        (0.0, 0.02, "IDLE"),
-        (0.02, 0.04, "PUSH"),
-        (0.04, 0.2, SILENT),
-        (0.2, 0.21, "PUSH"),
-        (0.21, 0.22, "IDLE"),
-    ]
-    assert state_spans(np.array([]), [], 1.0) == [(0.0, 1.0, SILENT)]
-
-
-def test_picture_of_a_shift_and_of_a_run_without_one(tmp_path: Path) -> None:
-    record = made_run.made()
-    shifts = metrics.shifts(record, Gear.NEUTRAL)
-    (window,) = windows(record, shifts)
-    assert window.start_s == pytest.approx(0.08)
-    assert window.end_s == pytest.approx(0.2355 + 0.025)
-    texts = {t.get_text() for a in draw(record, shifts, "a", "b", LIGHT).axes for t in a.texts}
-    assert {"backward requested", "backward confirmed", "stop: 0.64 m/s, 0.2 J"} <= texts
-    assert any(re.fullmatch(r"\d+ ms late", text) for text in texts)
-    image = save(draw(record, shifts, "a", "b", DARK), tmp_path, "dark", dots_per_inch=40)
-    assert image.startswith(b"\x89PNG") and len(image) > 10_000
-    (whole,) = windows(record, [])
-    assert (whole.start_s, whole.shift) == (0.0, None)
-    assert len(draw(record, [], "a", "b", LIGHT).axes) > 3
-    assert (tmp_path / "dark.svg").read_text().rstrip().endswith("</svg>")
 
 
 class _Tags(HTMLParser):

@@ -1,0 +1,128 @@
+"""The page's backend: a figure as interactive plots, zoomed together, without a network.
+
+Drawn in the browser by uPlot (MIT licence, in the folder `uplot`); the page carries library and
+numbers. Checked by: tests/unit/sil/report/test_plots.py, tests/browser/
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sil.report.figure import Figure, Floats, Panel, Series, Stack
+
+MOST_POINTS = 8000
+"""A longer record is thinned to this many points; the trace has them all."""
+
+DIGITS = 6
+
+
+@dataclass(frozen=True)
+class Group:
+    """The plots of one stack, as the template `plots.html` reads them.
+
+    repeated: a picture on the page shows the same, so that paper does without these plots.
+    """
+
+    title: str
+    numbers: str
+    thinned: str
+    repeated: bool
+
+
+def plots(figure: Figure, *, repeated: bool = True) -> list[Group]:
+    """Return the plots of a figure, a group for each stack."""
+    return [_group(stack, repeated) for stack in figure.stacks]
+
+
+def _group(stack: Stack, repeated: bool) -> Group:
+    panels = [panel for panel in stack.panels if panel.drawn != "picture"]
+    xs = [series.x for panel in panels for series in panel.series]
+    ends = stack.ends()
+    x = np.unique(np.concatenate(xs)) if xs else np.array(ends)
+    x = x[(x >= ends[0]) & (x <= ends[1])]
+    stride = max(1, -(-len(x) // MOST_POINTS))
+    x = x[::stride]
+    content = {
+        "axis": stack.axis,
+        "log": stack.logarithmic,
+        "ticks": [list(tick) for tick in stack.ticks],
+        "ends": ends,
+        "x": rounded(x, DIGITS + 2),
+        "zooms": [[zoom.name, zoom.low, zoom.high] for zoom in stack.zooms],
+        "panels": [_panel(panel, x) for panel in panels],
+    }
+    text = json.dumps(content, separators=(",", ":"), ensure_ascii=True)
+    return Group(
+        title=stack.title,
+        numbers=text.replace("<", "\\u003c"),  # inside a script element, "<" could end it
+        thinned=f"one point in {stride}" if stride > 1 else "",
+        repeated=repeated,
+    )
+
+
+def _panel(panel: Panel, x: Floats) -> dict[str, Any]:
+    scale = panel.scale
+    return {
+        "title": panel.title,
+        "unit": panel.unit,
+        "height": panel.height,
+        "ticks": [list(tick) for tick in panel.ticks],
+        "limits": panel.limits,
+        "include": rounded(panel.fixed_heights()),
+        "keys": [list(key) for key in panel.keys],
+        "scale": scale and [scale.label, scale.low, scale.high, list(scale.colours)],
+        "series": [
+            {
+                "label": s.label,
+                "role": s.role,
+                "style": s.style,
+                "dashed": s.dashed,
+                "width": s.width,
+                "y": rounded(on_axis(s, x)),
+            }
+            for s in panel.series
+        ],
+        "bands": [[rounded(b.x), rounded(b.low), rounded(b.high), b.role] for b in panel.bands],
+        "spans": [
+            [
+                *rounded((s.start, s.end), DIGITS + 2),
+                *rounded((s.low, s.high)),
+                s.role,
+                s.label,
+                s.style,
+            ]
+            for s in panel.spans
+        ],
+        "rules": [[r.at, r.text, r.role, r.axis, r.style] for r in panel.rules],
+        "notes": [[n.x, n.y, n.text, n.role, n.align, n.up, n.bold] for n in panel.notes],
+    }
+
+
+def on_axis(series: Series, x: Floats) -> Floats:
+    """Return a series' values at other x: [n], NaN outside its ends and, for points, between them.
+
+    Stepped values hold until the next one; lines are interpolated.
+    """
+    if len(series.x) == len(x) and np.array_equal(series.x, x):
+        return series.y
+    if not len(series.x):
+        return np.full(len(x), np.nan)
+    outside = (x < series.x[0]) | (x > series.x[-1])
+    index = np.clip(np.searchsorted(series.x, x, side="right") - 1, 0, None)
+    if series.style == "line":
+        found = np.interp(x, series.x, series.y)
+    else:
+        found = series.y[index]
+        if series.style not in ("stepped", "sampled"):
+            outside |= series.x[index] != x
+    return np.where(outside, np.nan, found)
+
+
+def rounded(values: Iterable[float], digits: int = DIGITS) -> list[float | None]:
+    """Return numbers with so many significant digits; None for those that are not finite."""
+    return [float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in values]

@@ -1,0 +1,374 @@
+"""The figure of a run: position, valves, pressures, firmware states and bus over simulated time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from can_dbc.messages import Chamber, ControllerStatus, SafetyBlow
+from sil.recording.run_record import CHAMBERS, NS, Floats, RunRecord
+from sil.report.figure import (
+    BAR,
+    MM,
+    MS,
+    Figure,
+    Note,
+    Panel,
+    Rule,
+    Series,
+    Span,
+    Stack,
+    Zoom,
+    spans_of,
+)
+from sil.simulation.metrics import Shift
+
+SETTLED_S = 0.025
+"""What is shown after everything has settled."""
+
+SILENT = "SILENT"
+SENDERS = {"driver": "B", "controller": "estimate", "plant": "truth"}
+"""Colour of each sender's frames."""
+
+Interval = tuple[float, float]
+
+
+def run_figure(
+    record: RunRecord, shifts: Sequence[Shift], title: str = "", subtitle: str = ""
+) -> Figure:
+    """Return the figure of a finished run, with a zoom for each shift."""
+    zooms = shift_zooms(record, shifts)
+    truth = record.truth
+    time = truth["time_s"] * MS
+    stroke = record.stroke_m * MM
+    speed = Series("true", time, truth["velocity_m_s"], "truth")
+    shafts = [
+        Series(name, time, truth[f"{name}_rad_s"], role, "stepped")
+        for name, role in (("input", "estimate"), ("output", "faint"))
+    ]
+    panels = [
+        _position(record, zooms, shifts),
+        Panel("Speed of the stay", "m/s", [speed], height=130, drawn="page"),
+        _valves(record),
+        _pressures(record, zooms),
+        _states(record),
+        _bus(record, zooms),
+        Panel(
+            "Shaft speeds, referred to the synchronizer", "rad/s", shafts, height=130, drawn="page"
+        ),
+    ]
+    overview = Panel(
+        "Position",
+        series=[Series("", time, truth["position_m"] * MM, "truth", width=1.2)],
+        height=52,
+        ticks=[(-stroke, "forward"), (0.0, "neutral"), (stroke, "backward")],
+        limits=(-1.25 * stroke, 1.25 * stroke),
+    )
+    stack = Stack("simulated time, ms", panels, zooms=zooms, overview=overview)
+    return Figure([stack], title, subtitle)
+
+
+def shift_zooms(record: RunRecord, shifts: Sequence[Shift]) -> list[Zoom]:
+    """Return the part of the time axis, in ms, from before each request until it has settled.
+
+    Without a shift it is the whole run.
+    """
+    end = float(record.truth["time_s"][-1])
+    found = []
+    for index, shift in enumerate(shifts):
+        until = shifts[index + 1].requested_s if index + 1 < len(shifts) else end
+        settled = [shift.arrived_s, shift.confirmed_s, shift.requested_s + 0.1]
+        settled += [
+            e.time_s
+            for e in record.events
+            if e.name.endswith("_close") and shift.requested_s <= e.time_s <= until
+        ]
+        last = max(instant for instant in settled if instant is not None)
+        low, high = max(shift.requested_s - 0.02, 0.0), min(last + SETTLED_S, until)
+        found.append(Zoom(f"{shift.from_gear} to {shift.to_gear}", low * MS, high * MS))
+    return found or [Zoom("whole run", 0.0, end * MS)]
+
+
+# --- position -----------------------------------------------------------------------------------
+def _position(record: RunRecord, zooms: Sequence[Zoom], shifts: Sequence[Shift]) -> Panel:
+    time, position = record.truth["time_s"] * MS, record.truth["position_m"] * MM
+    estimate_s, estimate_m = record.believed
+    lines = [
+        Series("true position of the stay", time, position, "truth", width=2.2),
+        Series(
+            "controller's estimate",
+            estimate_s * MS,
+            estimate_m * MM,
+            "estimate",
+            "sampled",
+            width=1.8,
+        ),
+    ]
+    pistons: list[Series] = []
+    stroke = record.stroke_m * MM
+    rules = [Rule(at, "", "grid", "y", "solid") for at in (-stroke, 0.0, stroke)]
+    notes = list(_synchronizer_notes(record))
+    arrows: list[tuple[float, float, float]] = []
+    for zoom, shift in zip(zooms, shifts, strict=False):  # a run without a shift has one zoom
+        rules.append(Rule(shift.requested_s * MS, f"{shift.to_gear} requested"))
+        if shift.confirmed_s is not None:
+            rules.append(Rule(shift.confirmed_s * MS, f"{shift.to_gear} confirmed"))
+        inside = (time >= zoom.low) & (time <= zoom.high)
+        for name, values in _piston(record, shift):
+            low, high = _reach(position[inside])
+            shown = np.where((values >= low) & (values <= high), values, np.nan)[inside]
+            label = "" if pistons else "moving piston, where it touches the stay"
+            pistons.append(Series(label, time[inside], shown, "faint", dashed=True, width=1.0))
+            notes += _note_on_line(time[inside], shown, name)
+        lags = list(_lags(record, shift))
+        arrows += lags
+        notes += [
+            Note(at + 0.5 * lag, level, f"{lag:.0f} ms late", "alarm", up=-4.0, bold=True)
+            for at, lag, level in lags
+        ]
+        notes += _stop_note(record, shift)
+
+    def draw_arrows(axes: Any, theme: Any, view: Interval) -> None:
+        """Mark how late the estimate is: a picture only."""
+        style = {"arrowstyle": "<->", "color": theme.alarm, "lw": 1.5, "shrinkA": 0, "shrinkB": 0}
+        for at, lag, level in arrows:
+            if view[0] <= at <= view[1]:
+                axes.annotate("", (at + lag, level), (at, level), arrowprops=style, zorder=6)
+
+    return Panel(
+        "Position",
+        "mm",
+        [*pistons, *lines],
+        rules=rules,
+        notes=notes,
+        height=230,
+        extra=draw_arrows,
+    )
+
+
+def _reach(position_mm: Floats) -> Interval:
+    """Return the lowest and the highest position of a shift, with some room."""
+    if not len(position_mm):
+        return 0.0, 0.0
+    return float(position_mm.min()) - 1.5, float(position_mm.max()) + 1.5
+
+
+def _piston(record: RunRecord, shift: Shift) -> Iterator[tuple[str, Floats]]:
+    """Yield the piston that carries this shift, in mm, where its driving contact meets the stay.
+
+    Out of neutral it pushes on the collar, so its free travel is taken off; towards neutral it
+    pulls on the nut. Piston 2 is the mirror image.
+    """
+    away = shift.to_gear != "neutral"
+    side = shift.to_gear if away else shift.from_gear
+    free = record.free_travel_m if away else 0.0
+    if side == "backward":
+        yield "piston 1", (record.truth["piston_1_m"] - free) * MM
+    elif side == "forward":
+        yield "piston 2", (free - record.truth["piston_2_m"]) * MM
+
+
+def _note_on_line(time: Floats, values: Floats, text: str) -> list[Note]:
+    """Return a text at the first point of a line where it moves."""
+    if len(values) < 2:
+        return []
+    moving = np.flatnonzero(np.abs(np.gradient(values)) > 1e-3)
+    return [Note(float(time[i]), float(values[i]), text, "faint", "right") for i in moving[:1]]
+
+
+def _synchronizer_notes(record: RunRecord) -> Iterator[Note]:
+    """Yield how long the synchronizer holds the stay, each time that it does."""
+    begun: float | None = None
+    for event in record.events:
+        if event.name == "sync_block":
+            begun = event.time_s
+        elif event.name in ("sync_unblock", "breakaway") and begun is not None:
+            text = f"synchronizer holds {(event.time_s - begun) * MS:.0f} ms"
+            middle = 0.5 * (begun + event.time_s) * MS
+            yield Note(middle, float(event.values["position_m"]) * MM, text, up=-4.0)
+            begun = None
+
+
+def _lags(record: RunRecord, shift: Shift) -> Iterator[tuple[float, float, float]]:
+    """Yield (true instant in ms, lag in ms, position in mm) at 10 % and 90 % of the travel.
+
+    The lag is the one of the metrics: on average over the phase of the controller's sampling.
+    """
+    if shift.arrived_s is None:
+        return
+    time, position = record.truth["time_s"], record.truth["position_m"]
+    start = float(np.interp(shift.requested_s, time, position))
+    goal = float(np.interp(shift.arrived_s, time, position))
+    for share, lag in ((0.1, shift.position_lag_10_s), (0.9, shift.position_lag_90_s)):
+        level = start + share * (goal - start)
+        after = (time >= shift.requested_s) & (time <= shift.arrived_s + 1e-3)
+        beyond = after & ((position >= level) if goal > start else (position <= level))
+        if lag is not None and beyond.any():
+            yield float(time[int(np.argmax(beyond))]) * MS, lag * MS, level * MM
+
+
+def _stop_note(record: RunRecord, shift: Shift) -> list[Note]:
+    if shift.arrived_s is None or shift.impact_speed_m_s is None or shift.impact_energy_j is None:
+        return []
+    time, position = record.truth["time_s"], record.truth["position_m"]
+    start, goal = np.interp([shift.requested_s, shift.arrived_s], time, position)
+    text = f"stop: {shift.impact_speed_m_s:.2f} m/s, {shift.impact_energy_j:.1f} J"
+    return [Note(shift.arrived_s * MS, goal * MM, text, up=7.0 if goal > start else -7.0)]
+
+
+# --- valves -------------------------------------------------------------------------------------
+def _valves(record: RunRecord) -> Panel:
+    """Each coil as commanded above what its valve did, with the delays between them."""
+    spans, notes, ticks, rules = [], [], [], []
+    for lane, chamber in enumerate(reversed(CHAMBERS)):
+        coil, blowing, is_open = (
+            [(a * MS, b * MS) for a, b in found] for found in valve_spans(record, chamber)
+        )
+        open_lane, coil_lane = (lane + 0.08, lane + 0.44), (lane + 0.54, lane + 0.90)
+        spans += [Span(a, b, chamber, "", *open_lane) for a, b in is_open]
+        spans += [Span(a, b, chamber, "", *coil_lane, style="pale") for a, b in coil]
+        spans += [
+            Span(a, b, chamber, "safety blow", *coil_lane, style="hatched") for a, b in blowing
+        ]
+        ticks += [(lane + 0.26, f"{chamber} valve"), (lane + 0.72, f"{chamber} command")]
+        rules.append(Rule(float(lane), "", "grid", "y", "solid"))
+        for opened, closed in is_open:
+            before = [a for a, b in coil if a <= opened <= b]
+            after = [b for _, b in coil if opened < b <= closed]
+            for causes, reacted, align in ((before, opened, "left"), (after, closed, "right")):
+                if causes:
+                    text = f"{reacted - causes[-1]:.0f} ms"
+                    notes.append(Note(reacted, lane + 0.26, text, "ink", align))  # type: ignore[arg-type]
+                    first, last = sorted((causes[-1], reacted))
+                    spans.append(Span(first, last, "ink", "", lane + 0.485, lane + 0.495))
+    return Panel("Valves: command and reaction", "", spans=spans, notes=notes, ticks=ticks, rules=rules,
+                 height=130, limits=(-0.02, 3.0))  # fmt: skip
+
+
+def valve_spans(
+    record: RunRecord, chamber: str
+) -> tuple[list[Interval], list[Interval], list[Interval]]:
+    """Return (start, end) in s of a coil energised, a safety blow under way, a valve open.
+
+    The coil is what commands and blows amount to at the valve driver, timeouts included.
+    """
+    end = float(record.truth["time_s"][-1])
+    times, active = record.series(SafetyBlow, "active")
+    _, chambers = record.series(SafetyBlow, "chamber")
+    blowing = [a and c == Chamber[chamber] for a, c in zip(active, chambers, strict=True)]
+    coil = _event_spans(record, f"coil_{chamber}_", ("on", "off"), False, end)
+    is_open = bool(record.truth[f"valve_{chamber}"][0] > 0.5)
+    valve = _event_spans(record, f"valve_{chamber}_", ("open", "close"), is_open, end)
+    return coil, _overlap(spans_of(times, blowing, end), coil), valve
+
+
+def _event_spans(
+    record: RunRecord, prefix: str, names: tuple[str, str], at_start: bool, end: float
+) -> list[Interval]:
+    """Return the spans between a pair of plant events that switch something on and off."""
+    moves = [(e.time_s, e.name) for e in record.events if e.name.startswith(prefix)]
+    on = [at_start, *(name == prefix + names[0] for _, name in moves)]
+    return spans_of([0.0, *(t for t, _ in moves)], on, end)
+
+
+def _overlap(spans: list[Interval], others: list[Interval]) -> list[Interval]:
+    """Return the parts of spans that are within other spans."""
+    return [(max(a, c), min(b, d)) for a, b in spans for c, d in others if a < d and c < b]
+
+
+# --- pressures, states, bus ---------------------------------------------------------------------
+def _pressures(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
+    time = record.truth["time_s"] * MS
+    supply = record.supply_pressure_pa * BAR
+    lines = {c: record.truth[f"pressure_{c}_pa"] * BAR for c in CHAMBERS}
+    return Panel(
+        "Pressure, absolute",
+        "bar",
+        [Series(c, time, values, c, width=1.8) for c, values in lines.items()],
+        rules=[Rule(supply, "supply", "faint", "y", "dashed")],
+        notes=[note for zoom in zooms for note in _letters(zoom, time, lines, supply)],
+        height=155,
+        limits=(0.0, 1.12 * supply),
+        legend=False,
+    )
+
+
+def _letters(zoom: Zoom, time: Floats, lines: dict[str, Floats], scale: float) -> Iterator[Note]:
+    """Yield the name of each line where it is furthest from the others."""
+    margin = 0.04 * (zoom.high - zoom.low)
+    inside = np.flatnonzero((time > zoom.low + margin) & (time < zoom.high - margin))
+    if not len(inside):
+        return
+    t = time[inside]
+    for order, (name, line) in enumerate(lines.items()):
+        gaps = [np.abs(line - other)[inside] for key, other in lines.items() if key != name]
+        # lines on top of one another have their letters side by side
+        ripple = np.cos((t - t[0]) / (t[-1] - t[0] + 1e-9) * 6.0 + 2.0 * order)
+        i = int(np.argmax(np.minimum(np.minimum(*gaps), 0.25 * scale) + 1e-3 * scale * ripple))
+        yield Note(float(t[i]), float(line[inside][i]), name, name, bold=True)
+
+
+def _states(record: RunRecord) -> Panel:
+    """What state the controller reported, and where it reported nothing."""
+    times, states = record.series(ControllerStatus, "state")
+    names = [state.name for state in states]
+    spans = [
+        Span(a * MS, b * MS, "faint" if name == SILENT else name, name.lower(), 0.0, 1.0,
+             "hatched" if name == SILENT else "solid")
+        for a, b, name in state_spans(times, names, float(record.truth["time_s"][-1]))
+    ]  # fmt: skip
+    return Panel(
+        "Firmware state",
+        "",
+        spans=spans,
+        ticks=[(0.5, "firmware state")],
+        height=38,
+        limits=(0.0, 1.0),
+    )
+
+
+def state_spans(times: Floats, names: Sequence[str], end: float) -> list[tuple[float, float, str]]:
+    """Return (start, end, state) of each state reported, SILENT where three reports are missing.
+
+    times: [n] of the reports, end: of the run, both in s; names: [n].
+    """
+    if len(times) == 0:
+        return [(0.0, end, SILENT)]
+    step = float(np.median(np.diff(times))) if len(times) > 1 else end
+    spans: list[tuple[float, float, str]] = []
+    for i, name in enumerate(names):
+        since = float(times[i])
+        until = float(times[i + 1]) if i + 1 < len(times) else end
+        heard = until if until - since < 3.5 * step else since + step
+        if spans and spans[-1][2] == name and spans[-1][1] == since:
+            spans[-1] = (spans[-1][0], heard, name)
+        else:
+            spans.append((since, heard, name))
+        if heard < until:
+            spans.append((heard, until, SILENT))
+    return spans
+
+
+def _bus(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
+    """One lane per message, lowest identifier (highest priority) on top: released to arrived."""
+    lanes = sorted(
+        ((entries[0][0].frame.can_id, kind, entries) for kind, entries in record.messages.items()),
+        key=lambda lane: -lane[0],
+    )
+    spans = []
+    for lane, (_, _, entries) in enumerate(lanes):
+        role = SENDERS.get(entries[0][0].sender, "B")
+        for entry, _ in entries:
+            start, end = entry.released_ns / NS * MS, entry.arrival_ns / NS * MS
+            if any(zoom.low <= end and start <= zoom.high for zoom in zooms):
+                spans.append(Span(start, max(end, start + 0.1), role, "", lane - 0.32, lane + 0.32))
+    return Panel(
+        "Frames on the bus, from release to arrival",
+        spans=spans,
+        ticks=[(float(lane), kind.__name__) for lane, (_, kind, _) in enumerate(lanes)],
+        keys=list(SENDERS.items()),
+        height=160,
+        limits=(-0.7, len(lanes) - 0.3),
+    )

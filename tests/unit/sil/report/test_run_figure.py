@@ -1,0 +1,77 @@
+"""The figure of a run: spans of valves and states, texts, the same lags as the metrics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from can_dbc.messages import Gear
+from sil.recording.run_record import PlantEvent
+from sil.report.picture import draw, save
+from sil.report.run_figure import SILENT, run_figure, state_spans, valve_spans
+from sil.report.theme import DARK
+from sil.simulation import metrics
+from tests.unit.sil import made_run
+
+
+def test_valve_spans_are_those_of_the_events() -> None:
+    record = made_run.made()
+    events = [PlantEvent(0.110, "coil_B_on"), *record.events, PlantEvent(0.2005, "coil_B_off")]
+    record.__dict__["events"] = sorted(events, key=lambda e: e.time_s)
+    coil, blow, valve = valve_spans(record, "B")
+    assert coil == [(0.110, 0.2005)]
+    assert valve == [(0.118, pytest.approx(0.2355))]
+    assert blow[0][0] == pytest.approx(0.17075) and len(blow) == 1
+    assert valve_spans(record, "N") == ([], [], [])
+
+
+def test_state_spans_merge_and_show_silence() -> None:
+    times = np.array([0.0, 0.01, 0.02, 0.03, 0.2, 0.21])
+    names = ["IDLE", "IDLE", "PUSH", "PUSH", "PUSH", "IDLE"]
+    spans = [(round(a, 3), round(b, 3), n) for a, b, n in state_spans(times, names, 0.22)]
+    assert spans == [
+        (0.0, 0.02, "IDLE"),
+        (0.02, 0.04, "PUSH"),
+        (0.04, 0.2, SILENT),
+        (0.2, 0.21, "PUSH"),
+        (0.21, 0.22, "IDLE"),
+    ]
+    assert state_spans(np.array([]), [], 1.0) == [(0.0, 1.0, SILENT)]
+
+
+def test_figure_of_a_shift() -> None:
+    record = made_run.made()
+    shifts = metrics.shifts(record, Gear.NEUTRAL)
+    figure = run_figure(record, shifts, "a", "b")
+    (zoom,) = figure.stacks[0].zooms
+    assert zoom.low == pytest.approx(80.0) and zoom.high == pytest.approx(235.5 + 25.0)
+    texts = {text.get_text() for axes in draw(figure).axes for text in axes.texts}
+    assert {"backward requested", "backward confirmed", "stop: 0.64 m/s, 0.2 J"} <= texts
+
+
+def test_the_picture_shows_the_lag_of_the_metrics() -> None:
+    record = made_run.made()
+    shifts = metrics.shifts(record, Gear.NEUTRAL)
+    lags = [
+        f"{1e3 * lag:.0f} ms late"
+        for lag in (shifts[0].position_lag_10_s, shifts[0].position_lag_90_s)
+        if lag
+    ]
+    notes = [note.text for note in run_figure(record, shifts).stacks[0].panels[0].notes]
+    assert lags and [text for text in notes if text.endswith("late")] == lags
+
+
+def test_every_state_in_the_picture_has_its_name() -> None:
+    record = made_run.made()
+    (panel,) = [p for p in run_figure(record, []).stacks[0].panels if p.title == "Firmware state"]
+    assert panel.spans and all(span.label == span.role.lower() for span in panel.spans)
+
+
+def test_figure_of_a_run_without_a_shift_in_dark_colours(tmp_path: Path) -> None:
+    figure = run_figure(made_run.made(), [])
+    (zoom,) = figure.stacks[0].zooms
+    assert zoom.low == 0.0 and len(draw(figure, DARK).axes) > 3
+    image = save(figure, tmp_path, "run", dots_per_inch=40)
+    assert image.startswith(b"\x89PNG") and len(image) > 10_000
