@@ -256,19 +256,19 @@ def _spans(axes: Axes, theme: Theme, spans: Sequence[Span], width: float) -> Non
     from matplotlib.collections import PolyCollection
 
     (left, right), (low, high) = axes.get_xlim(), sorted(axes.get_ylim())
-    looks: dict[tuple[str, str], list[Any]] = {}
+    looks: dict[tuple[str, str, bool], list[Any]] = {}
     labels: list[tuple[Span, float, float]] = []
     for span in spans:
         if span.end < left or span.start > right:
             continue
         a, b = max(span.start, left), min(span.end, right)
         bottom, top = max(span.low, low), min(span.high, high)
-        looks.setdefault((span.role, span.style), []).append(
+        looks.setdefault((span.role, span.style, isfinite(span.low)), []).append(
             [(a, bottom), (a, top), (b, top), (b, bottom)]
         )
         if span.label:
             labels.append((span, a, b))
-    for (role, style), corners in looks.items():
+    for (role, style, is_bounded), corners in looks.items():
         colour = theme.colour(role)
         how: dict[str, Any] = {
             "solid": {"facecolors": colour, "edgecolors": colour, "linewidths": 0.7},
@@ -287,9 +287,8 @@ def _spans(axes: Axes, theme: Theme, spans: Sequence[Span], width: float) -> Non
                 "linestyles": "--",
             },
         }[style]
-        is_background = not isfinite(spans[0].low) and style == "solid"
         axes.add_collection(
-            PolyCollection(corners, zorder=0.5 if is_background else 2, **how), autolim=False
+            PolyCollection(corners, zorder=2 if is_bounded else 0.5, **how), autolim=False
         )
     for span, a, b in labels:
         _span_label(axes, theme, span, (a, b), 72.0 * 0.9 * width / (right - left))

@@ -7,7 +7,6 @@
   let printing = false;
 
   const STEPPED = ["stepped", "sampled"];
-  const MOST_NOTES = 60; // in sight at once: more would cover each other
 
   function line(series, colours, dot) {
     const colour = colours(series.role);
@@ -30,7 +29,7 @@
     const space = panel.height < 150 ? 16 : 30; // or a low panel has a single number on its axis
     const letters = Math.max(0, ...panel.ticks.map((tick) => tick[1].length));
     const label = panel.unit || undefined;
-    const made = { ...axis, size: Math.max(label ? 56 : 74, 7 * letters + 8), label, labelSize: 18, space };
+    const made = { ...axis, size: Math.max(56, 7 * letters + 24), label, labelSize: 18, space };
     if (panel.ticks.length) {
       made.splits = () => panel.ticks.map((tick) => tick[0]);
       made.values = () => panel.ticks.map((tick) => tick[1]);
@@ -67,7 +66,7 @@
   }
 
   // What uPlot has no series for: spans and bands below the lines, rules and texts above them.
-  function drawing(chart, colours) {
+  function drawing(chart, colours, widest) {
     const { ctx, bbox } = chart;
     const ratio = uPlot.pxRatio;
     const ends = { x: [bbox.left, bbox.left + bbox.width], y: [bbox.top + bbox.height, bbox.top] };
@@ -170,7 +169,7 @@
         const shown = ([x]) => x >= min && x <= max;
         const rules = panel.rules.filter((item) => item[3] === "y" || shown(item));
         const notes = panel.notes.filter(shown);
-        const room = rules.length + notes.length <= MOST_NOTES;
+        const room = max - min <= widest;
         rules.forEach(([value, words, ...look]) => rule([value, room ? words : "", ...look]));
         if (room) notes.forEach(note);
       }),
@@ -200,6 +199,8 @@
     const content = JSON.parse(place.querySelector("script").textContent);
     const holder = place.querySelector(".panels");
     const whole = content.ends;
+    // texts of a longer part would cover each other
+    const widest = content.zooms.length ? 1.5 * Math.max(...content.zooms.map((zoom) => zoom[2] - zoom[1])) : Infinity;
     // powers and roots instead of sums and halves on a logarithmic axis
     const to = content.log ? Math.log : (value) => value;
     const from = content.log ? Math.exp : (value) => value;
@@ -269,7 +270,7 @@
       };
       return {
         width: width(),
-        height: panel.height + (last ? across.size - 6 : 0),
+        height: panel.height + across.size,
         cursor: {
           sync: { key: "opc4 " + number },
           drag: { x: true, y: false, setScale: false },
@@ -282,8 +283,8 @@
         series: [{ label: content.axis, value: named }]
           .concat(panel.series.map((series) => line(series, colours, content.ticks.length ? 10 : 4))),
         hooks: {
-          drawClear: [(chart) => drawing(chart, colours).below(panel)],
-          draw: [(chart) => drawing(chart, colours).above(panel)],
+          drawClear: [(chart) => drawing(chart, colours, widest).below(panel)],
+          draw: [(chart) => drawing(chart, colours, widest).above(panel)],
           setSelect: [
             (chart) => {
               const { left, width: wide } = chart.select;
@@ -310,6 +311,9 @@
         const values = [content.x].concat(panel.series.map((series) => series.y));
         if (panel.keys.length || panel.scale) box.appendChild(keys(panel, colours));
         const chart = new uPlot(options(panel, colours, i === content.panels.length - 1), values, box);
+        chart.root.querySelectorAll(".u-legend .u-series").forEach((row, k) => {
+          if (k && !panel.series[k - 1].label) row.style.display = "none";
+        });
         chart.over.addEventListener("dblclick", () => show(whole[0], whole[1]));
         touch(chart.over, chart);
         return chart;

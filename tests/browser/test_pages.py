@@ -179,13 +179,13 @@ def test_it_prints_in_light_colours_within_the_paper(browser: Any, page: str) ->
 def test_the_buttons_of_a_run_show_its_shifts(browser: Any, page_of: Callable[[str], str]) -> None:
     opened(browser, page_of("run"))
     (whole,) = ranges(browser)
-    assert len(whole) == 5
+    assert len(whole) == 7
     buttons = {b.text: b for b in browser.find_elements(By.CSS_SELECTOR, ".plots button")}
     assert {"backward to neutral", "neutral to forward"} < set(buttons)
     buttons["neutral to forward"].click()
     low, high = ranges(browser)[0][0]
-    assert 0.5 < low < 0.65 < high < 1.1
-    assert ranges(browser) == [[[low, high]] * 5]
+    assert 500.0 < low < 650.0 < high < 1100.0
+    assert ranges(browser) == [[[low, high]] * 7]
 
 
 @pytest.mark.parametrize("kind", ["diagnose"])
