@@ -22,8 +22,8 @@ from can_dbc.messages import (
 from controller.config import FirmwareConfig, create_strategy
 from controller.position import Estimate, GearWindows, PositionEstimator
 from controller.settings import nanoseconds
-from controller.shift import ShiftMachine, View
-from controller.strategies import OFF, Duties, ShiftContext
+from controller.shift import Event, Observation, ShiftMachine
+from controller.strategies import OFF, Duties, ShiftContext, one_chamber
 
 BROADCAST_NS = 10_000_000
 """Period of ETC1 and ETC2, ns (SAE J1939-71)."""
@@ -126,10 +126,10 @@ class Firmware:
         waking = now_ns - self._start_ns < self._startup_ns
 
         estimate, position_faults = self._sense(now_ns, inputs, waking)
-        live, wanted = self._judge_inputs(inputs, waking)
+        live, requested = self._judge_inputs(inputs, waking)
         live = _either(live, position_faults)
         speeds = inputs.speeds if inputs.speeds_state is ChannelState.VALID else None
-        self._run_machine(now_ns, estimate, wanted, speeds)
+        self._run_machine(now_ns, estimate, requested, speeds)
         if speeds is not self._speeds:
             self._speeds, self._speeds_ns = speeds, now_ns
         duties = self._drive(now_ns, estimate)
@@ -139,7 +139,7 @@ class Firmware:
             self._estimator.distrust()
         if machine.state is ShiftState.FAULT and not self._latched:
             self._latched = machine.raised | position_faults
-        elif machine.recovered:
+        elif machine.event is Event.RECOVERED:
             self._latched = Fault.NONE
         if self._estimator.stuck:
             live |= Fault.SENSOR_STUCK
@@ -188,7 +188,7 @@ class Firmware:
         self,
         now_ns: int,
         estimate: Estimate,
-        wanted: Gear | None,
+        requested: Gear | None,
         speeds: DrivelineSpeeds | None,
     ) -> None:
         windows = self._windows
@@ -201,25 +201,25 @@ class Firmware:
         machine = self._machine
         machine.step(
             now_ns,
-            View(
+            Observation(
                 position_valid=estimate.valid,
                 gear=windows.gear if trusted else Gear.UNKNOWN,
                 run=windows.run,
                 moved=self._estimator.moved,
-                wanted=wanted,
+                requested=requested,
                 synchronized=agree,
                 clear_b=self._clear(now_ns, Chamber.F),
                 clear_f=self._clear(now_ns, Chamber.B),
                 recoverable=self._latched is _NO_FAULT or not self._latched & Fault.INTERNAL,
             ),
         )
-        if machine.new_leg:
+        if machine.event is Event.LEG_STARTED:
             self._estimator.mark()
             if machine.leg is not Gear.NEUTRAL:
                 self._passive = Chamber.N
             else:
                 self._passive = Chamber.B if estimate.position_m > 0.0 else Chamber.F
-        if machine.new_attempt:
+        if machine.event is Event.LEG_STARTED or machine.event is Event.PAUSE_OVER:
             self._strategy.reset()
 
     def _clear(self, now_ns: int, chamber: Chamber) -> bool:
@@ -255,6 +255,10 @@ class Firmware:
                 machine.fail(Fault.INTERNAL)
                 duties = OFF
         blown = self._blown()
+        if (
+            machine.event is Event.CONFIRMED
+        ):  # SafetyBlow arrives after ValveCommand: hold the coil until then
+            duties = one_chamber(blown, self._duties[blown])
         for chamber, duty in zip((Chamber.B, Chamber.N, Chamber.F), duties, strict=True):
             if duty > self.config.duty_closed or chamber is blown:
                 self._energised_ns[chamber] = now_ns

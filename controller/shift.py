@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from enum import Enum
 from typing import NamedTuple
 
 from can_dbc.messages import Fault, Gear, ShiftState
@@ -10,27 +11,76 @@ from controller.settings import ControlConfig, nanoseconds
 
 BlowLength = Callable[[float, Gear, bool], float]
 
-UNDER_WAY = frozenset(
-    {ShiftState.PUSH, ShiftState.CONFIRM, ShiftState.BLOW, ShiftState.HOLD, ShiftState.VENT}
-)
+
+class Event(Enum):
+    """What makes the machine change its state; the value describes it."""
+
+    GEAR_FOUND = "the stay is in a gear long enough"
+    INIT_TIMEOUT = "no gear found in time"
+    LEG_STARTED = "a leg begins"
+    LEG_WAITS = "a leg must wait for the opposite chamber or the shaft speeds"
+    WINDOW_ENTERED = "the stay enters the window of the leg's gear"
+    WINDOW_LEFT = "the stay leaves the window again"
+    CONFIRMED = "the gear is confirmed and its blow begins"
+    SLIPPED = "the stay leaves the gear during the blow"
+    SHIFT_DONE = "the last leg is confirmed and its blow over"
+    WAIT_CANCELLED = "neutral is requested while a leg waits"
+    HOLD_OVER = "the hold time is over"
+    VENT_OVER = "the vent time is over"
+    RETRY = "the push timed out, a retry is left"
+    PAUSE_OVER = "the pause before the retry is over"
+    FAILED = "the push failed for good"
+    POSITION_LOST = "the position is not valid"
+    RECOVERED = "a new request after a fault that is gone"
+
+
+S = ShiftState
+DRIVING = (S.PUSH, S.CONFIRM)
+UNDER_WAY = (*DRIVING, S.BLOW, S.HOLD, S.VENT)
 """States of a shift in process, its after-treatment included."""
 
+_TABLE: tuple[tuple[tuple[ShiftState, ...], Event, ShiftState], ...] = (
+    ((S.INIT,), Event.GEAR_FOUND, S.IDLE),
+    ((S.INIT,), Event.INIT_TIMEOUT, S.IDLE),
+    ((S.IDLE, *UNDER_WAY), Event.LEG_STARTED, S.PUSH),
+    ((S.IDLE, *UNDER_WAY), Event.LEG_WAITS, S.HOLD),
+    ((S.PUSH,), Event.WINDOW_ENTERED, S.CONFIRM),
+    ((S.CONFIRM,), Event.WINDOW_LEFT, S.PUSH),
+    (DRIVING, Event.CONFIRMED, S.BLOW),
+    ((S.BLOW,), Event.SLIPPED, S.PUSH),
+    ((*DRIVING, S.BLOW), Event.SHIFT_DONE, S.HOLD),
+    ((S.HOLD,), Event.WAIT_CANCELLED, S.VENT),
+    ((S.HOLD,), Event.HOLD_OVER, S.VENT),
+    ((S.VENT,), Event.VENT_OVER, S.IDLE),
+    (DRIVING, Event.RETRY, S.VENT),
+    ((S.VENT,), Event.PAUSE_OVER, S.PUSH),
+    (DRIVING, Event.FAILED, S.FAULT),
+    ((S.INIT, S.IDLE), Event.POSITION_LOST, S.INIT),
+    ((*UNDER_WAY, S.FAULT), Event.POSITION_LOST, S.FAULT),
+    ((S.FAULT,), Event.RECOVERED, S.INIT),
+)
 
-class View(NamedTuple):
-    """What the machine sees in one step.
+TRANSITIONS: Mapping[tuple[ShiftState, Event], ShiftState] = {
+    (state, event): target for states, event, target in _TABLE for state in states
+}
+"""The next state by state and event; the machine changes its state by this table alone."""
 
-    `gear` is where the stay is believed to be and `run` for how many samples in a row; `moved`
-    tells whether it has moved since this leg began. `wanted` is the driver's wish, None without a
-    valid one. `synchronized` is None without valid speeds. `clear_b` and `clear_f` tell that the
-    chamber *opposite* to backward and forward has been off long enough. `recoverable` tells that
-    nothing stands in the way of leaving the fault state.
+
+class Observation(NamedTuple):
+    """What the machine observes in one step.
+
+    `gear` is the gear whose window the position estimate is in and `run` for how many samples in a
+    row; `moved` says whether the stay has moved since this leg began. `requested` is the driver's
+    request, None without a valid one. `synchronized` is None without valid speeds. `clear_b` and
+    `clear_f` say that the chamber *opposite* to backward and forward has been off long enough.
+    `recoverable` says that the fault state may be left.
     """
 
     position_valid: bool
     gear: Gear
     run: int
     moved: bool
-    wanted: Gear | None
+    requested: Gear | None
     synchronized: bool | None
     clear_b: bool
     clear_f: bool
@@ -38,20 +88,18 @@ class View(NamedTuple):
 
 
 class ShiftMachine:
-    """Sequence of a gear shift, one transition per step at most.
+    """Sequence of a gear shift, one transition of `TRANSITIONS` per step at most.
 
-    INIT (which gear is it?) - IDLE - PUSH - CONFIRM - BLOW - HOLD - VENT - IDLE. From gear to gear
-    the way leads through neutral: after the blow into N the next PUSH follows at once. A request
-    counts when it differs from both the confirmed gear and the last request that was served (or
-    failed), so that a gear that drops out, or a failed shift, is not tried again by itself. A push
-    ends the confirmation of the gear it leaves.
+    From gear to gear the way leads through neutral: after the blow into N the next PUSH follows at
+    once. A request counts when it differs from both the confirmed gear and the last request that
+    was served (or failed), so that a gear that drops out, or a failed shift, is not tried again by
+    itself. A push ends the confirmation of the gear it leaves.
 
     A request that changes during a shift: on the way to neutral only what follows changes; a push
     into, or a blow on, a gear is given up and neutral pushed; in HOLD and VENT the new shift starts
     at once. A request that is lost: the leg under way is finished, none follows.
     A lost position ends a shift in FAULT; so does a push that fails. FAULT is left by a request
     that differs from the failed one, once the faults are gone.
-    Checked by test_shift, test_shift_blow and test_shift_requests.
     """
 
     def __init__(self, config: ControlConfig, blow_s: BlowLength) -> None:
@@ -74,15 +122,13 @@ class ShiftMachine:
         self._sync_wait_ns = nanoseconds(shift.sync_wait_s)
 
         self.state = ShiftState.INIT
+        self.event: Event | None = None  # of the latest step
         self.confirmed = Gear.UNKNOWN
-        self.leg = Gear.UNKNOWN  # pushed for, or about to be
-        self.final = Gear.UNKNOWN  # where the shift is to end
+        self.leg = Gear.UNKNOWN  # gear of the present push, or of the next one
+        self.final = Gear.UNKNOWN  # gear at the end of the shift
         self.attempt = 0
         self.attempt_ns = 0
-        self.new_leg = False
-        self.new_attempt = False
         self.raised = Fault.NONE
-        self.recovered = False
         self._served: Gear | None = None
         self._pending = False  # HOLD or VENT before a push, rather than after a shift
         self._leg_ns = 0
@@ -93,228 +139,227 @@ class ShiftMachine:
     @property
     def driving(self) -> bool:
         """Whether the strategy has the valves."""
-        return self.state is ShiftState.PUSH or self.state is ShiftState.CONFIRM
+        return self.state is S.PUSH or self.state is S.CONFIRM
 
     @property
     def in_process(self) -> bool:
-        """Whether a wanted gear is still to be reached."""
-        if self.state is ShiftState.BLOW:
+        """Whether a requested gear is still to be reached."""
+        if self.state is S.BLOW:
             return self.final != self.leg
         return self.driving or self._pending
 
     def blow_remaining_ns(self, now_ns: int) -> int:
-        """Return how long the blow still lasts, ns; 0 without one."""
-        return self._until_ns - now_ns if self.state is ShiftState.BLOW else 0
+        """Return the rest of the blow, ns; 0 without one."""
+        return self._until_ns - now_ns if self.state is S.BLOW else 0
 
-    def step(self, now_ns: int, view: View) -> None:
-        """Make at most one transition. The attributes tell what to do until the next step."""
-        self.new_leg = self.new_attempt = self.recovered = False
+    def step(self, now_ns: int, observed: Observation) -> None:
+        """Make at most one transition; the attributes hold until the next step."""
+        self.event = None
         self.raised = Fault.NONE
-        if not view.position_valid:
+        if not observed.position_valid:
             self._lose_position()
             return
-        if self.confirmed != view.gear:
+        if self.confirmed != observed.gear:
             self.confirmed = Gear.UNKNOWN
         match self.state:
-            case ShiftState.INIT:
-                self._init(now_ns, view)
-            case ShiftState.IDLE:
-                self._idle(now_ns, view)
-            case ShiftState.PUSH | ShiftState.CONFIRM:
-                self._push(now_ns, view)
-            case ShiftState.BLOW:
-                self._blowing(now_ns, view)
-            case ShiftState.HOLD:
-                self._hold(now_ns, view)
-            case ShiftState.VENT:
-                self._vent(now_ns, view)
+            case S.INIT:
+                self._init(now_ns, observed)
+            case S.IDLE:
+                self._confirm_again(observed, observed.gear)
+                self._serve(now_ns, observed)
+            case S.PUSH | S.CONFIRM:
+                self._push(now_ns, observed)
+            case S.BLOW:
+                self._blowing(now_ns, observed)
+            case S.HOLD:
+                self._hold(now_ns, observed)
+            case S.VENT:
+                self._vent(now_ns, observed)
             case _:  # FAULT
-                self._recover(view)
+                self._recover(observed)
 
     def fail(self, fault: Fault) -> None:
-        """Enter FAULT; the request that led here counts as served."""
-        self.state = ShiftState.FAULT
+        """Give up a push and enter FAULT; the request that led here counts as served."""
+        self._change(Event.FAILED)
+        self._give_up(fault)
+
+    def _change(self, event: Event) -> None:
+        self.event = event
+        self.state = TRANSITIONS[self.state, event]
+
+    def _give_up(self, fault: Fault) -> None:
         self.confirmed = Gear.UNKNOWN
-        self.raised |= fault
+        self.raised = fault
         self._served = self.final
         self._pending = False
 
     def _lose_position(self) -> None:
         self.confirmed = Gear.UNKNOWN
         if self.state in UNDER_WAY:
-            self.fail(Fault.NONE)
-        elif self.state is not ShiftState.FAULT:
-            self.state = ShiftState.INIT
-            self._init_ns = None
+            self._give_up(Fault.NONE)
+        self._change(Event.POSITION_LOST)
+        self._init_ns = None
 
-    def _init(self, now_ns: int, view: View) -> None:
+    def _init(self, now_ns: int, observed: Observation) -> None:
         if self._init_ns is None:
             self._init_ns = now_ns
-        found = view.gear != Gear.UNKNOWN and view.run >= self._init_samples
-        if found:
-            self.confirmed = view.gear
-        if found or now_ns - self._init_ns >= self._init_timeout_ns:
-            self.state = ShiftState.IDLE
+        if observed.gear != Gear.UNKNOWN and observed.run >= self._init_samples:
+            self.confirmed = observed.gear
+            self._change(Event.GEAR_FOUND)
+        elif now_ns - self._init_ns >= self._init_timeout_ns:
+            self._change(Event.INIT_TIMEOUT)
 
-    def _recover(self, view: View) -> None:
-        if view.recoverable and view.wanted is not None and view.wanted != self._served:
-            self.state = ShiftState.INIT
+    def _recover(self, observed: Observation) -> None:
+        if (
+            observed.recoverable
+            and observed.requested is not None
+            and observed.requested != self._served
+        ):
             self._init_ns = None
-            self.recovered = True
+            self._change(Event.RECOVERED)
 
-    def _idle(self, now_ns: int, view: View) -> None:
-        self._see_again(view, view.gear)
-        self._serve(now_ns, view)
-
-    def _see_again(self, view: View, gear: Gear) -> None:
-        """Confirm a gear that the stay has been seen in for long enough."""
-        if view.gear == gear and view.run >= self._samples:
+    def _confirm_again(self, observed: Observation, gear: Gear) -> None:
+        """Confirm a gear in whose window the stay has been long enough."""
+        if observed.gear == gear and observed.run >= self._samples:
             self.confirmed = gear
 
-    def _serve(self, now_ns: int, view: View) -> bool:
-        """Begin a shift if there is a new wish; return whether one began."""
-        if view.wanted is None:
+    def _serve(self, now_ns: int, observed: Observation) -> bool:
+        """Begin a shift if there is a new request; return whether one began."""
+        final = observed.requested
+        if final is None:
             return False
-        if view.wanted == self.confirmed:
-            self._served = view.wanted
-        if view.wanted == self._served:
+        if final == self.confirmed:
+            self._served = final
+        if final == self._served:
             return False
-        self._begin(now_ns, view, view.wanted)
-        return True
-
-    def _begin(self, now_ns: int, view: View, final: Gear) -> None:
         self.final = final
         straight = final == Gear.NEUTRAL or self.confirmed == Gear.NEUTRAL
-        self._start_leg(now_ns, view, final if straight else Gear.NEUTRAL)
+        self._start_leg(now_ns, observed, final if straight else Gear.NEUTRAL)
+        return True
 
-    def _start_leg(self, now_ns: int, view: View, leg: Gear) -> None:
+    def _start_leg(self, now_ns: int, observed: Observation, leg: Gear) -> None:
         self.leg = leg
         self.attempt = 0
         self._until_ns = now_ns + self._sync_wait_ns
-        if self._held_back(now_ns, view):
-            self.state = ShiftState.HOLD
+        if self._held_back(now_ns, observed):
             self._pending = True
+            self._change(Event.LEG_WAITS)
         else:
-            self._push_now(now_ns, view)
+            self._push_now(now_ns, observed)
 
-    def _held_back(self, now_ns: int, view: View) -> bool:
+    def _held_back(self, now_ns: int, observed: Observation) -> bool:
         """Whether the push must wait: for the opposite chamber, or for the shaft speeds."""
         if self.leg == Gear.NEUTRAL:
             return False
-        clear = view.clear_b if self.leg == Gear.BACKWARD else view.clear_f
-        waits = self._wait_for_sync and view.synchronized is False and now_ns < self._until_ns
+        clear = observed.clear_b if self.leg == Gear.BACKWARD else observed.clear_f
+        waits = self._wait_for_sync and observed.synchronized is False and now_ns < self._until_ns
         return waits or not clear
 
-    def _push_now(self, now_ns: int, view: View) -> None:
-        self.state = ShiftState.PUSH
-        self.confirmed = Gear.UNKNOWN  # from here on the sensor tells late, or never, where it is
+    def _push_now(self, now_ns: int, observed: Observation) -> None:
+        self.confirmed = Gear.UNKNOWN  # from here on the sensor reports the position late or never
         self._pending = False
         self._leg_ns = self.attempt_ns = now_ns
-        self._earliest_ns = now_ns + self._settle_ns if view.gear == self.leg else now_ns
-        self.new_leg = self.new_attempt = True
+        self._earliest_ns = now_ns + self._settle_ns if observed.gear == self.leg else now_ns
+        self._change(Event.LEG_STARTED)
 
-    def _follow_request(self, now_ns: int, view: View) -> bool:
+    def _follow_request(self, now_ns: int, observed: Observation) -> bool:
         """Act on a changed or lost request during a leg; return whether the leg was given up."""
         if self.leg == Gear.NEUTRAL:
-            self.final = Gear.NEUTRAL if view.wanted is None else view.wanted
-        elif view.wanted is not None and view.wanted != self.leg:
-            self.final = view.wanted
-            self._start_leg(now_ns, view, Gear.NEUTRAL)
+            self.final = Gear.NEUTRAL if observed.requested is None else observed.requested
+        elif observed.requested is not None and observed.requested != self.leg:
+            self.final = observed.requested
+            self._start_leg(now_ns, observed, Gear.NEUTRAL)
             return True
         return False
 
-    def _push(self, now_ns: int, view: View) -> None:
-        if self._follow_request(now_ns, view):
+    def _push(self, now_ns: int, observed: Observation) -> None:
+        if self._follow_request(now_ns, observed):
             return
-        there = view.gear == self.leg
-        if there and view.run >= self._samples and now_ns >= self._earliest_ns:
+        there = observed.gear == self.leg
+        if there and observed.run >= self._samples and now_ns >= self._earliest_ns:
             self.confirmed = self.leg
-            self._begin_blow(now_ns, view)
-        elif not (there or view.moved) and now_ns - self._leg_ns >= self._no_motion_ns:
+            self._begin_blow(now_ns, observed)
+        elif not (there or observed.moved) and now_ns - self._leg_ns >= self._no_motion_ns:
             self.fail(Fault.SENSOR_STUCK)
         elif now_ns - self.attempt_ns < self._push_timeout_ns:
-            self.state = ShiftState.CONFIRM if there else ShiftState.PUSH
+            if there is not (self.state is S.CONFIRM):
+                self._change(Event.WINDOW_ENTERED if there else Event.WINDOW_LEFT)
         elif self.attempt < self._retries:
             self.attempt += 1
-            self.state = ShiftState.VENT
             self._pending = True
             self._until_ns = now_ns + self._retry_pause_ns
+            self._change(Event.RETRY)
         else:
             self.fail(Fault.SHIFT_TIMEOUT)
 
-    def _begin_blow(self, now_ns: int, view: View) -> None:
+    def _begin_blow(self, now_ns: int, observed: Observation) -> None:
         configured_s = 0.0 if self._blow.cut == "confirmation" else self._blow.duration_s
-        wished_s = self._blow_s(configured_s, self.leg, self.final != self.leg)
-        self._until_ns = now_ns + nanoseconds(min(max(wished_s, 0.0), configured_s))
-        if self._blow_over(now_ns, view):
-            self._after_blow(now_ns, view)
+        chosen_s = self._blow_s(configured_s, self.leg, self.final != self.leg)
+        self._until_ns = now_ns + nanoseconds(min(max(chosen_s, 0.0), configured_s))
+        if self._blow_over(now_ns, observed):
+            self._after_blow(now_ns, observed)
         else:
-            self.state = ShiftState.BLOW
+            self._change(Event.CONFIRMED)
 
-    def _blow_over(self, now_ns: int, view: View) -> bool:
-        if self._blow.cut == "sync" and self.final != self.leg and view.synchronized:
+    def _blow_over(self, now_ns: int, observed: Observation) -> bool:
+        if self._blow.cut == "sync" and self.final != self.leg and observed.synchronized:
             return True
         return now_ns >= self._until_ns
 
-    def _after_blow(self, now_ns: int, view: View) -> None:
-        if self.confirmed != self.leg:
-            self.state = ShiftState.PUSH  # it has slipped out: the same push goes on
-        elif self.final != self.leg:
-            self._start_leg(now_ns, view, self.final)
+    def _after_blow(self, now_ns: int, observed: Observation) -> None:
+        if self.final != self.leg:
+            self._start_leg(now_ns, observed, self.final)
         else:
             self._served = self.final
-            self.state = ShiftState.HOLD
             self._until_ns = now_ns + self._hold_ns
+            self._change(Event.SHIFT_DONE)
 
-    def _blowing(self, now_ns: int, view: View) -> None:
-        if self._follow_request(now_ns, view):
+    def _blowing(self, now_ns: int, observed: Observation) -> None:
+        if self._follow_request(now_ns, observed):
             return
-        self._see_again(view, self.leg)
-        if view.gear != self.leg and view.run >= self._samples:
-            self.state = ShiftState.PUSH
-        elif self._blow_over(now_ns, view):
-            self._after_blow(now_ns, view)
+        self._confirm_again(observed, self.leg)
+        over = self._blow_over(now_ns, observed)
+        if (observed.gear != self.leg and observed.run >= self._samples) or (
+            over and self.confirmed != self.leg
+        ):
+            self._change(Event.SLIPPED)  # the same push goes on
+        elif over:
+            self._after_blow(now_ns, observed)
 
-    def _hold(self, now_ns: int, view: View) -> None:
+    def _hold(self, now_ns: int, observed: Observation) -> None:
         if self._pending:
-            self._wait_in_neutral(now_ns, view)
+            self._wait_in_neutral(now_ns, observed)
             return
-        self._see_again(view, self.leg)
-        if not self._serve(now_ns, view) and now_ns >= self._until_ns:
-            self._enter_vent(now_ns)
+        self._confirm_again(observed, self.leg)
+        if not self._serve(now_ns, observed) and now_ns >= self._until_ns:
+            self._enter_vent(now_ns, Event.HOLD_OVER)
 
-    def _enter_vent(self, now_ns: int) -> None:
-        self.state = ShiftState.VENT
+    def _enter_vent(self, now_ns: int, event: Event) -> None:
         self._until_ns = now_ns + self._vent_ns
+        self._change(event)
 
-    def _wait_in_neutral(self, now_ns: int, view: View) -> None:
-        """Hold before a push into gear: leave when nothing holds it back, or the wish changes."""
-        self.final = Gear.NEUTRAL if view.wanted is None else view.wanted
+    def _wait_in_neutral(self, now_ns: int, observed: Observation) -> None:
+        """Hold before a push into gear, until nothing holds it back or the request changes."""
+        self.final = Gear.NEUTRAL if observed.requested is None else observed.requested
         if self.confirmed != Gear.NEUTRAL:
-            self._start_leg(now_ns, view, Gear.NEUTRAL)
+            self._start_leg(now_ns, observed, Gear.NEUTRAL)
         elif self.final == Gear.NEUTRAL:
             self.leg = Gear.NEUTRAL
             self._served = Gear.NEUTRAL
             self._pending = False
-            self._enter_vent(now_ns)
+            self._enter_vent(now_ns, Event.WAIT_CANCELLED)
         else:
             self.leg = self.final
-            if not self._held_back(now_ns, view):
-                self._push_now(now_ns, view)
+            if not self._held_back(now_ns, observed):
+                self._push_now(now_ns, observed)
 
-    def _vent(self, now_ns: int, view: View) -> None:
-        if self._pending:
-            self._pause(now_ns, view)
+    def _vent(self, now_ns: int, observed: Observation) -> None:
+        if self._pending:  # between two attempts of a leg
+            if not self._follow_request(now_ns, observed) and now_ns >= self._until_ns:
+                self._pending = False
+                self.attempt_ns = now_ns
+                self._change(Event.PAUSE_OVER)
             return
-        self._see_again(view, self.leg)
-        if not self._serve(now_ns, view) and now_ns >= self._until_ns:
-            self.state = ShiftState.IDLE
-
-    def _pause(self, now_ns: int, view: View) -> None:
-        """Vent between two attempts of a leg."""
-        if self._follow_request(now_ns, view) or now_ns < self._until_ns:
-            return
-        self.state = ShiftState.PUSH
-        self._pending = False
-        self.attempt_ns = now_ns
-        self.new_attempt = True
+        self._confirm_again(observed, self.leg)
+        if not self._serve(now_ns, observed) and now_ns >= self._until_ns:
+            self._change(Event.VENT_OVER)

@@ -49,6 +49,11 @@ class _Channel(Generic[Input]):
         self._receiver: Receiver[Input] = Receiver(message_type, E2eConfig(timeout_ns=timeout_ns))
 
     @property
+    def message_ns(self) -> int:
+        """Arrival [ns] of the latest message; -1 before the first."""
+        return self._receiver.message_ns
+
+    @property
     def end_ns(self) -> int | None:
         """Instant [ns] at which the latest message is too old; None before the first."""
         if self._receiver.message is None:
@@ -73,7 +78,8 @@ class ValveDriver:
     """Receivers of ValveCommand and SafetyBlow, and the duties that they lead to.
 
     A coil gets the larger of its commanded duty and, while an active blow for its chamber has time
-    left on the driver's own clock, the blow's duty. As soon as either channel is not valid (start,
+    left on the driver's own clock, the blow's duty. A command received before the blow began ends
+    with the blow. As soon as either channel is not valid (start,
     damaged or missing frames, wrong sequence, timeout) every coil gets 0: a dead controller
     de-energises the valves exactly `timeout_s` after its last good frame. Only frames with a
     correct checksum and counter and with values inside the contract ever change a duty.
@@ -89,7 +95,9 @@ class ValveDriver:
         self._blows = _Channel(SafetyBlow, timeout_ns)
         self._wanted_ids = (self._commands.can_id, self._blows.can_id)
         self._blow_limit_s = config.blow_limit_s
+        self._blow_start_ns = -1  # first active frame of the latest blow
         self._blow_end_ns: int | None = None
+        self._blown = Chamber.NONE
         self._now_ns = 0
         self._timer_ns = NEVER_NS
         self.duties = DE_ENERGISED
@@ -123,9 +131,15 @@ class ValveDriver:
             self._commands.receive(now_ns, frame)
             return
         blow = self._blows.receive(now_ns, frame)
-        if blow is not None:
-            lasts_s = min(blow.remaining_s, self._blow_limit_s) if blow.active else 0.0
-            self._blow_end_ns = now_ns + seconds_to_ns(lasts_s) if lasts_s > 0.0 else None
+        if blow is None:
+            return
+        lasts_s = min(blow.remaining_s, self._blow_limit_s) if blow.active else 0.0
+        if lasts_s <= 0.0 or blow.chamber is Chamber.NONE:
+            self._blow_end_ns = None
+            return
+        if self._blow_end_ns is None or blow.chamber is not self._blown:
+            self._blow_start_ns, self._blown = now_ns, blow.chamber
+        self._blow_end_ns = now_ns + seconds_to_ns(lasts_s)
 
     def _run_timers(self, before_ns: int, changes: list[tuple[int, Duties]]) -> None:
         """Let every timer act that ends before `before_ns`, in order."""
@@ -157,8 +171,9 @@ class ValveDriver:
             self.target = Gear.UNKNOWN
             return DE_ENERGISED
         self.target = command.target
-        if self._blow_end_ns is None or blow.chamber is Chamber.NONE:
-            return (command.duty_b, command.duty_n, command.duty_f)
         duties = [command.duty_b, command.duty_n, command.duty_f]
-        duties[blow.chamber] = max(duties[blow.chamber], self.blow_duty)
+        if self._blow_end_ns is not None:
+            duties[self._blown] = max(duties[self._blown], self.blow_duty)
+        elif self._commands.message_ns < self._blow_start_ns:
+            duties[self._blown] = 0.0
         return (duties[0], duties[1], duties[2])

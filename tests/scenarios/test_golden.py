@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import gzip
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
+from can_dbc.codec import can_id_of, decode
+from can_dbc.frame import Frame
+from can_dbc.messages import ControllerStatus
+from controller.shift import TRANSITIONS
 from sil.simulation import scenario
 from tests import golden_replays
 from tests.conftest import ROOT
@@ -27,6 +32,24 @@ def test_the_firmware_answers_as_it_did(name: str) -> None:
     found = golden_replays.check(FOLDER, name)
     assert not found.differs, found.comparison.first
     assert found.account.total == found.frames > 200
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_firmware_changes_its_state_as_its_table_says(name: str) -> None:
+    allowed = {(state, after) for (state, _), after in TRANSITIONS.items()}
+    wanted = f"{can_id_of(ControllerStatus):08X}"
+    log = gzip.decompress(golden_replays.golden_path(FOLDER, name).read_bytes()).decode()
+    frames = (line.split()[2].split("#") for line in log.splitlines())
+    statuses = [Frame(int(i, 16), bytes.fromhex(data)) for i, data in frames if i == wanted]
+    found = set()
+    for one, other in pairwise(statuses):
+        states = decode(one), decode(other)
+        assert isinstance(states[0], ControllerStatus) and isinstance(states[1], ControllerStatus)
+        if (other.data[1] - one.data[1]) & 0xF == 1:  # none was lost between
+            found.add((states[0].state, states[1].state))
+    changes = {(before, after) for before, after in found if before is not after}
+    assert len(changes) >= 2
+    assert changes <= allowed
 
 
 @pytest.mark.slow

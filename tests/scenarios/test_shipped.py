@@ -50,6 +50,26 @@ def test_shipped_scenario(name: str, shipped_run: ShippedRun) -> None:
     assert json.loads((folder / "result.json").read_text())["passed"] is True
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_no_coil_is_released_during_a_handover(name: str, shipped_run: ShippedRun) -> None:
+    """A coil that goes off stays off until the controller's next step at least."""
+    finished, folder = shipped_run(name)
+    period_s = finished.result.scenario["controller"].get("period_s", 0.01)
+    off_s: dict[str, float] = {}
+    coils = 0
+    for line in (folder / "events.jsonl").read_text().splitlines():
+        event = json.loads(line)
+        kind, _, change = event["name"].rpartition("_")
+        if not kind.startswith("coil_"):
+            continue
+        coils += 1
+        if change == "off":
+            off_s[kind] = event["time_s"]
+        else:
+            assert event["time_s"] - off_s.get(kind, -1.0) > 0.9 * period_s
+    assert coils > 0
+
+
 def test_a_result_runs_again_as_it_was(tmp_path: Path) -> None:
     first = runner.run(
         scenario.load("lab_n_b", settings=["valve.D_fall=0.02", "controller.filter=false"], seed=7),

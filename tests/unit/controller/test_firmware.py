@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from can_dbc.messages import (
@@ -39,8 +41,9 @@ class TestShifts:
         rig = shift(start, (100, end)).run(600)
         assert rig.states() == ONE_LEG
         chamber = {B: Chamber.B, N: Chamber.N, F: Chamber.F}[end]
-        for row in rig.rows:
-            if row.state in (S.PUSH, S.CONFIRM):
+        for before, row in pairwise(rig.rows):
+            driving = row.state in (S.PUSH, S.CONFIRM)
+            if driving or (row.state is S.BLOW and before.state is not S.BLOW):
                 assert duties(row.out) == one_chamber(chamber, 0.98)
                 assert row.out.valves.target is end
             else:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
 
 from can_dbc.messages import Fault, Gear, ShiftState
-from controller.settings import ShiftConfig, WindowConfig
+from controller.settings import BlowConfig, ShiftConfig, WindowConfig
+from controller.shift import TRANSITIONS, Event
 from tests.unit.controller.shift_bench import MS, B, Bench, F, N, S, U
 
 
@@ -62,7 +65,7 @@ class TestInit:
 
     def test_requests_wait(self) -> None:
         bench = Bench(N)
-        assert bench.step(wanted=B, run=1) is S.INIT
+        assert bench.step(requested=B, run=1) is S.INIT
         assert bench.step(run=4) is S.IDLE
         assert bench.step() is S.PUSH
 
@@ -81,24 +84,22 @@ class TestIdle:
     def test_a_request_starts_the_first_leg(self, here: Gear, wanted: Gear, leg: Gear) -> None:
         bench = Bench(here)
         bench.until(S.IDLE)
-        assert bench.step(wanted=wanted) is S.PUSH
+        assert bench.step(requested=wanted) is S.PUSH
         assert bench.facts() == (S.PUSH, leg, wanted, U)
         machine = bench.machine
-        assert machine.new_leg
-        assert machine.new_attempt
+        assert machine.event is Event.LEG_STARTED
         assert machine.attempt == 0
         assert machine.attempt_ns == bench.now_ns
         assert machine.driving
         assert machine.in_process
         assert machine.blow_remaining_ns(bench.now_ns) == 0
         bench.step()
-        assert not machine.new_leg
-        assert not machine.new_attempt
+        assert machine.event is not Event.LEG_STARTED
 
     @pytest.mark.parametrize("gear", [N, B, F])
     def test_a_request_for_the_engaged_gear_is_served_already(self, gear: Gear) -> None:
         bench = Bench(gear).idle()
-        assert bench.step(wanted=gear) is S.IDLE
+        assert bench.step(requested=gear) is S.IDLE
         # it drops out: not engaged again by itself, however long the request stands
         for _ in range(20):
             assert bench.step(gear=U, run=1) is S.IDLE
@@ -114,9 +115,9 @@ class TestIdle:
 
     def test_a_dropped_gear_is_left_by_a_new_request(self) -> None:
         bench = Bench(B).idle()
-        bench.step(wanted=B)
+        bench.step(requested=B)
         bench.step(gear=U)
-        assert bench.step(wanted=F) is S.PUSH
+        assert bench.step(requested=F) is S.PUSH
         assert bench.machine.leg is N
 
     def test_lost_position_leads_back_to_init_not_to_fault(self) -> None:
@@ -158,7 +159,9 @@ class TestPush:
 
     def test_a_push_that_starts_in_its_window_must_stay_there_for_120_ms(self) -> None:
         bench = Bench(N).pushing(B)
-        assert bench.step(wanted=N) is S.PUSH  # at once back: sensor and filter still see neutral
+        assert (
+            bench.step(requested=N) is S.PUSH
+        )  # at once back: sensor and filter still see neutral
         assert bench.facts() == (S.PUSH, N, N, U)
         for _ in range(11):
             assert bench.step() is S.CONFIRM
@@ -166,7 +169,7 @@ class TestPush:
 
     def test_and_when_it_leaves_meanwhile_two_samples_confirm_as_ever(self) -> None:
         bench = Bench(N).pushing(B)
-        bench.step(wanted=N)
+        bench.step(requested=N)
         bench.step(gear=U, run=1)
         for _ in range(14):
             assert bench.step() is S.PUSH
@@ -194,7 +197,7 @@ class TestPush:
     def test_no_motion_needed_where_it_shall_be(self) -> None:
         config = ShiftConfig(reversal_settle_s=1.0, no_motion_s=0.05)
         bench = Bench(N, shift=config).pushing(B)
-        bench.step(wanted=N, moved=False)
+        bench.step(requested=N, moved=False)
         for _ in range(80):
             assert bench.step() is S.CONFIRM
 
@@ -209,8 +212,7 @@ class TestPush:
         assert not machine.driving
         assert machine.in_process
         assert bench.until(S.PUSH) == 100
-        assert machine.new_attempt
-        assert not machine.new_leg
+        assert machine.event is Event.PAUSE_OVER
         assert machine.attempt_ns == bench.now_ns
         assert machine.in_process
         assert bench.until(S.FAULT) == 1000
@@ -274,3 +276,41 @@ class TestPush:
         assert bench.machine.confirmed is U
         assert bench.machine.raised is Fault.NONE  # the firmware knows why
         assert bench.step(position_valid=False) is S.FAULT
+
+
+class TestTable:
+    def test_every_transition_of_the_table_is_made_and_no_other(self) -> None:
+        """Random observations make the machine use the whole table."""
+        rng = random.Random(1)
+        made: set[tuple[ShiftState, Event]] = set()
+        for wait in (False, True):
+            for cut in ("none", "sync", "confirmation"):
+                bench = Bench(shift=ShiftConfig(wait_for_sync=wait), blow=BlowConfig(cut=cut))
+                for _ in range(8000):
+                    before = bench.machine.state
+                    gear = rng.choice((bench.machine.leg, bench.view.gear, N, B, F, U))
+                    bench.step(
+                        rng.choice((10, 10, 10, 120, 1100)),
+                        position_valid=rng.random() < 0.98,
+                        gear=gear,
+                        run=1
+                        if gear != bench.view.gear
+                        else bench.view.run + rng.choice((0, 1, 5)),
+                        moved=rng.random() < 0.9,
+                        requested=rng.choice((bench.view.requested,) * 8 + (N, B, F, None)),
+                        synchronized=rng.choice((True, False, None)),
+                        clear_b=rng.random() < 0.8,
+                        clear_f=rng.random() < 0.8,
+                    )
+                    event, after = bench.machine.event, bench.machine.state
+                    if event is None:
+                        assert after is before
+                    else:
+                        made.add((before, event))
+                        assert after is TRANSITIONS[before, event]
+        assert made == set(TRANSITIONS)
+
+    def test_a_strategy_that_fails_ends_a_push(self) -> None:
+        bench = Bench().pushing(B)
+        bench.machine.fail(Fault.INTERNAL)
+        assert (bench.machine.state, bench.machine.event) == (S.FAULT, Event.FAILED)

@@ -8,6 +8,7 @@ import pytest
 
 from can_dbc.messages import Gear, ShiftState
 from controller.settings import BlowConfig
+from controller.shift import Event
 from tests.unit.controller.shift_bench import MS, B, Bench, F, N, S, U
 
 
@@ -46,7 +47,7 @@ class TestBlow:
         assert bench.step() is S.BLOW
         assert bench.step(synchronized=True) is S.PUSH
         assert bench.facts() == (S.PUSH, F, F, U)
-        assert bench.machine.new_leg
+        assert bench.machine.event is Event.LEG_STARTED
 
     def test_agreeing_speeds_at_confirmation_skip_it(self) -> None:
         bench = Bench(B).pushing(F)
@@ -109,7 +110,7 @@ class TestBlow:
         assert bench.machine.confirmed is U
         assert bench.step(gear=U, run=2) is S.PUSH
         assert bench.machine.leg is B
-        assert not bench.machine.new_leg
+        assert bench.machine.event is not Event.LEG_STARTED
         bench.until(S.VENT)
         assert bench.now_ns - pushed_ns == 1000 * MS
 
@@ -132,13 +133,13 @@ class TestBlow:
     @pytest.mark.parametrize("wanted", [N, F])
     def test_a_new_request_in_a_gear_leaves_it_at_once(self, wanted: Gear) -> None:
         bench = Bench(N).blowing(B)
-        assert bench.step(wanted=wanted) is S.PUSH
+        assert bench.step(requested=wanted) is S.PUSH
         assert bench.facts() == (S.PUSH, N, wanted, U)
-        assert bench.machine.new_leg
+        assert bench.machine.event is Event.LEG_STARTED
 
     def test_a_new_request_in_neutral_changes_what_follows(self) -> None:
         bench = Bench(B).blowing(N)
-        assert bench.step(wanted=F) is S.BLOW
+        assert bench.step(requested=F) is S.BLOW
         assert bench.facts() == (S.BLOW, N, F, N)
         assert bench.machine.in_process
         assert bench.until(S.PUSH) == 140
@@ -147,7 +148,7 @@ class TestBlow:
     @pytest.mark.parametrize("wanted", [N, None])
     def test_a_request_taken_back_in_neutral_ends_there(self, wanted: Gear | None) -> None:
         bench = self.to_neutral_on_the_way()
-        bench.step(wanted=wanted)
+        bench.step(requested=wanted)
         assert bench.until(S.HOLD) == 140
         assert bench.machine.final is N
 
@@ -167,7 +168,7 @@ class TestAfterwards:
         bench = Bench(N).blowing(B)
         bench.until(state)
         assert not bench.machine.in_process
-        assert bench.step(wanted=F) is S.PUSH
+        assert bench.step(requested=F) is S.PUSH
         assert bench.facts() == (S.PUSH, N, F, U)
 
     @pytest.mark.parametrize(("state", "ms"), [(S.HOLD, 40), (S.VENT, 110)])
@@ -176,7 +177,7 @@ class TestAfterwards:
         bench.until(state)
         for _ in range(ms // 10 - 1):
             assert bench.step() is state
-        assert bench.step(wanted=F) is S.PUSH
+        assert bench.step(requested=F) is S.PUSH
 
     @pytest.mark.parametrize("state", [S.HOLD, S.VENT])
     def test_a_gear_that_slips_out_is_told_and_seen_again(self, state: ShiftState) -> None:

@@ -136,6 +136,50 @@ def test_blow_is_cut_by_an_inactive_frame_by_the_limit_and_by_a_dead_controller(
     assert dead.advance(300 * MS, frames)[-1] == (60_300_000, DE_ENERGISED)
 
 
+ON_N = ValveCommand(0.0, 0.98, 0.0, Gear.NEUTRAL)
+
+
+@pytest.mark.parametrize("blow_s", [0.003, 0.0125, 0.025])
+def test_a_coil_stays_energised_from_command_to_blow_and_no_longer_than_the_blow(
+    blow_s: float,
+) -> None:
+    unit, sender = driver(), Controller()
+    frames = sender.ticks(range(0, 20, 10), ON_N)
+    frames += sender.tick(20, ON_N, SafetyBlow(Chamber.N, True, blow_s))
+    for after_ms in range(10, 40, 10):
+        left_s = max(0.0, blow_s - after_ms / 1e3)
+        blow = SafetyBlow(Chamber.N, True, left_s) if left_s else NO_BLOW
+        frames += sender.tick(20 + after_ms, OFF, blow)
+    changes = unit.advance(59 * MS, frames)
+    end_ns = 20_500_000 + round(blow_s * 1e9)
+    assert changes == [(10_500_000, (0.0, 0.98, 0.0)), (end_ns, DE_ENERGISED)]
+
+
+def test_a_new_command_outlasts_the_blow() -> None:
+    unit, sender = driver(), Controller()
+    frames = sender.ticks(range(0, 20, 10), OFF)
+    frames += sender.tick(20, OFF, SafetyBlow(Chamber.N, True, 0.015))
+    frames += sender.tick(30, ON_N, SafetyBlow(Chamber.N, True, 0.003))
+    frames += sender.tick(40, ON_N)
+    assert unit.advance(49 * MS, frames) == [(20_500_000, (0.0, 0.98, 0.0))]
+
+
+def test_a_command_lost_after_a_blow_that_was_cut_does_not_energise_again() -> None:
+    unit, sender = driver(), Controller()
+    frames = sender.ticks(range(0, 20, 10), ON_N)
+    frames += sender.tick(20, ON_N, SafetyBlow(Chamber.N, True, 0.15))
+    frames += sender.tick(30, OFF)[1:]
+    assert unit.advance(39 * MS, frames)[-1] == (30_500_000, DE_ENERGISED)
+
+
+def test_a_blow_that_changes_its_chamber_takes_over_the_new_one() -> None:
+    unit, sender = driver(), Controller()
+    frames = sender.ticks(range(0, 20, 10), ON_N, SafetyBlow(Chamber.B, True, 0.1))
+    frames += sender.tick(20, ON_N, SafetyBlow(Chamber.N, True, 0.005))
+    changes = unit.advance(29 * MS, frames)
+    assert changes[-2:] == [(20_500_000, (0.0, 0.98, 0.0)), (25_500_000, DE_ENERGISED)]
+
+
 # --- damage ------------------------------------------------------------------------------------
 def test_other_frames_are_passed_over() -> None:
     unit = driver()
