@@ -10,6 +10,7 @@ Checked by: tests/unit/plant/kernel/test_compiled.py
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import sys
 from collections.abc import Callable
@@ -17,6 +18,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from numba.core import event
+
+from plant.errors import InputError
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -47,6 +51,12 @@ KERNEL_SOURCES = (
 )
 
 
+if numba.config.DISABLE_JIT:
+    raise InputError(
+        "NUMBA_DISABLE_JIT is set; expected it unset: the plant's equations run compiled only"
+    )
+
+
 def kernel_hash(folder: Path | None = None) -> str:
     """Hash (12 hex digits) of all kernel sources, numba and Python versions."""
     root = folder or Path(__file__).parent.parent
@@ -73,8 +83,28 @@ _FOLDER = str(cache_folder())
 
 
 def is_warm() -> bool:
-    """True when compiled kernels of exactly these sources lie in the cache."""
+    """Return whether kernels compiled from exactly these sources are in the cache."""
     return any(Path(_FOLDER).glob("**/integrate.*.nbc"))
+
+
+class _Announcement(event.Listener):
+    """Log, once, that kernels are being compiled: it takes about a minute and looks like a hang."""
+
+    announced = False
+
+    def on_start(self, event: Any) -> None:
+        """Log it when a kernel that is not in the cache begins to be compiled."""
+        if not self.announced and event.data["dispatcher"].stats.cache_path is not None:
+            self.announced = True
+            logging.getLogger("plant").warning(
+                "compiling the plant's equations, once; this takes about a minute ..."
+            )
+
+    def on_end(self, event: Any) -> None:
+        """Do nothing."""
+
+
+event.register("numba:compile", _Announcement())
 
 
 def kernel(function: F) -> F:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import codecs
 import errno
 import importlib
+import io
 import json
 import os
 import signal
@@ -14,7 +16,8 @@ from typing import Any, NoReturn
 
 PASSED, FAILED, BAD_INPUT, NOT_FINISHED = 0, 1, 2, 3
 
-LONGEST_COMPLAINT = 1000
+LONGEST_ERROR = 1000
+_STDOUT = "standard output"
 
 COMMANDS = {
     "run": "run one scenario: plant and controller over CAN",
@@ -43,41 +46,28 @@ commands:
 exit codes: 0 done and passed, 1 an expectation failed or a difference was found,
             2 bad input or usage, 3 a participant died or the run could not finish
 
-opc4 COMMAND --help tells more, with an example; opc4 --version prints the version.
+opc4 COMMAND --help describes a command, with an example; opc4 --version prints the version;
+opc4 --completion bash|zsh|fish prints the shell's completion of commands, options and scenarios.
 """
 
 
 class _Parser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one line."""
+    """An argument parser whose errors are one line."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(BAD_INPUT, f"{self.prog}: {_shortened(message)}; see {self.prog} --help\n")
 
 
 def _shortened(message: str) -> str:
-    """One line, and what the user gave us at great length cut in its middle."""
+    """Return one line; what the user gave at great length is cut in its middle."""
     message = " ".join(message.split("\n"))
-    if len(message) <= LONGEST_COMPLAINT:
+    half = LONGEST_ERROR // 2
+    if len(message) <= LONGEST_ERROR:
         return message
-    half = LONGEST_COMPLAINT // 2
     return f"{message[:half]} ... {message[-half:]}"
 
 
 _ENDING_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
-
-
-def command() -> NoReturn:
-    """Be the process `opc4`: SIGTERM and SIGHUP end a command as Ctrl-C does.
-
-    A signal that is ignored, as SIGHUP under nohup, stays ignored.
-    """
-    for number in _ENDING_SIGNALS:
-        if signal.getsignal(number) is signal.SIG_DFL:
-            signal.signal(number, signal.default_int_handler)
-    os.register_at_fork(after_in_child=_end_at_once)
-    code = main()
-    _ignore_interrupts()
-    sys.exit(code)
 
 
 def _end_at_once() -> None:
@@ -85,6 +75,52 @@ def _end_at_once() -> None:
     for number in _ENDING_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.SIG_DFL)
+
+
+class _Output(io.FileIO):
+    """Standard output, whose errors name it."""
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, _STDOUT) from None
+
+
+def command() -> NoReturn:
+    """Be the process `opc4`: SIGTERM and SIGHUP end a command as Ctrl-C does.
+
+    A signal that is ignored, as SIGHUP under nohup, stays ignored. Standard streams that are closed
+    are replaced by the null device.
+    """
+    for number in _ENDING_SIGNALS:
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
+    os.register_at_fork(after_in_child=_end_at_once)
+    for descriptor in (0, 1, 2):  # else a file of ours could become standard output
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+    codecs.register_error("json", _escaped)
+    encoding = sys.stdout.encoding if sys.stdout else "utf-8"
+    output = io.BufferedWriter(_Output(1, "w", closefd=False))
+    sys.stdout = io.TextIOWrapper(output, encoding, "json", line_buffering=os.isatty(1))
+    if sys.stderr is None:
+        sys.stderr = open(2, "w", closefd=False)  # noqa: SIM115
+    code = main()
+    _ignore_interrupts()
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        code = _unwritable(error)
+    sys.exit(code)
+
+
+def _escaped(error: UnicodeError) -> tuple[str, int]:
+    """Return what a stream cannot encode as JSON escapes it: the output stays valid JSON."""
+    assert isinstance(error, UnicodeEncodeError)
+    return json.dumps(error.object[error.start : error.end])[1:-1], error.end
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -97,6 +133,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _main(list(sys.argv[1:] if argv is None else argv))
     except KeyboardInterrupt:  # while a command was being loaded
         pass
+    except OSError as error:  # of standard output: all others are reported by _guarded
+        return _unwritable(error)
     except RuntimeError as error:  # what Python 3.11 makes of an interrupt while a class is made
         if not isinstance(error.__cause__, KeyboardInterrupt):
             raise
@@ -109,9 +147,15 @@ def _ignore_interrupts() -> None:
     """Ignore interrupts, since what is left takes no time."""
     for number in (signal.SIGINT, *_ENDING_SIGNALS):
         signal.signal(number, signal.SIG_IGN)
-    # Python notes an interrupt that passed through exec (a dataclass being made), and would end with
-    # the signal instead of our exit code; it forgets that when exec runs again.
-    exec("")
+
+
+def _unwritable(error: OSError) -> int:
+    """Report that standard output cannot be written; what it still holds is dropped."""
+    if not isinstance(error, BrokenPipeError):  # else the reader is gone: nobody to report it to
+        print(f"opc4: {_STDOUT}: {error.strerror}", file=sys.stderr)
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+    return NOT_FINISHED
 
 
 def _main(arguments: list[str]) -> int:
@@ -128,10 +172,14 @@ def _main(arguments: list[str]) -> int:
         print(f"opc4-sil {version('opc4-sil')}")
         return PASSED
     name = arguments[0]
-    if name not in COMMANDS:
-        import difflib
+    if name == "--completion":
+        from sil.cli.completion import print_completion
 
-        near = difflib.get_close_matches(name, COMMANDS, n=3) or list(COMMANDS)
+        return print_completion(arguments[1:])
+    if name not in COMMANDS:
+        from can_dbc.errors import nearest
+
+        near = nearest(name, COMMANDS) or list(COMMANDS)
         print(
             f"opc4: no command {_shortened(repr(name))}; nearest: {', '.join(near)}",
             file=sys.stderr,
@@ -142,23 +190,33 @@ def _main(arguments: list[str]) -> int:
     except ModuleNotFoundError as error:
         print(f"opc4 {name}: the library {error.name!r} is not installed", file=sys.stderr)
         return NOT_FINISHED
-    parser = _Parser(
+    try:
+        parsed = parser(name, command).parse_args(arguments[1:])
+    except SystemExit as leaving:
+        return leaving.code if isinstance(leaving.code, int) else BAD_INPUT
+    if parsed.quiet:
+        from sil.files import progress
+
+        progress.silence()
+    return _guarded(name, command, parsed)
+
+
+def parser(name: str, command: Any) -> argparse.ArgumentParser:
+    """Return the argument parser of a command, given its module."""
+    made = _Parser(
         prog=f"opc4 {name}",
         description=command.__doc__,
         epilog=command.EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    command.add_arguments(parser)
-    try:
-        parsed = parser.parse_args(arguments[1:])
-    except SystemExit as leaving:
-        return leaving.code if isinstance(leaving.code, int) else BAD_INPUT
-    return _guarded(name, command, parsed)
+    command.add_arguments(made)
+    made.add_argument("--quiet", action="store_true", help="no progress on standard error")
+    return made
 
 
 def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
-    """Run the command; turn what a user can cause into one line and an exit code."""
+    """Run the command; report what a user can cause in one line and an exit code."""
     from can_dbc.errors import InputError, RunError, os_error_text
 
     try:
@@ -175,10 +233,10 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
         message, code = "interrupted", NOT_FINISHED
     except MemoryError:
         message, code = "not enough memory", NOT_FINISHED
-    except BrokenPipeError:  # the reader of our output went away: nobody to tell
-        sys.stderr.close()
-        return NOT_FINISHED
     except OSError as error:  # disk full, no permission
+        if error.filename == _STDOUT:
+            _settle(name, "not finished")
+            return _unwritable(error)
         message, code = os_error_text(error), NOT_FINISHED
         if error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
             message, code = f"{message}; expected a path that can exist", BAD_INPUT

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sil.cli.options import add_json, add_out, say
+from sil.cli.options import add_json, add_out
 
 if TYPE_CHECKING:
     from sil.log_replay.replay import Order, Outcome
@@ -87,11 +87,6 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.against is not None and (arguments.plant or arguments.closed_loop):
         raise InputError("--against: not together with --plant or --closed-loop; expected one")
     order = _order(arguments)
-    if arguments.plant or arguments.closed_loop:
-        from plant.kernel.compiled import is_warm
-
-        if not is_warm():
-            say("compiling the plant's equations, once; this takes about a minute ...")
     if arguments.against is None:
         return _finish(arguments, order)
     import dataclasses

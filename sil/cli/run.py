@@ -77,7 +77,6 @@ def run(arguments: argparse.Namespace) -> int:
     )
     speed = arguments.speed if arguments.speed is not None else 1.0 if arguments.realtime else None
     folder = prepare_folder(arguments.out, loaded.scenario.name, arguments.force, True)
-    _tell_first_use()
     from sil.simulation import runner
 
     finished = runner.run(
@@ -112,13 +111,6 @@ def _list() -> int:
         first = loaded.scenario.description.strip().split("\n")[0]
         print(f"{name:<24} {first}")
     return 0
-
-
-def _tell_first_use() -> None:
-    from plant.kernel.compiled import is_warm
-
-    if not is_warm():
-        say("compiling the plant's equations, once; this takes about a minute ...")
 
 
 def _tell(loaded: Loaded, finished: Finished, folder: Path) -> None:

@@ -233,6 +233,11 @@ def open_channels(
         if external:
             raise InputError("--external: needs --transport local or a CAN interface")
         return [InProcess([make_participant(name, loaded, folder) for name in names])]
+    if "plant" not in external:
+        from plant.kernel.compiled import is_warm
+
+        if not is_warm():  # compiled here, it is announced to the user
+            warm_up(loaded)
     number = scenario_number(loaded.scenario)
     patience = PATIENCE
     if loaded.scenario.firmware:

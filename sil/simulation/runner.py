@@ -14,11 +14,12 @@ from typing import Any
 from can_dbc.errors import InputError, RunError, os_error_text
 from can_dbc.messages import Gear
 from sil.coupling.bus import BusModel, Delivery
-from sil.coupling.clock import to_ns
+from sil.coupling.clock import to_ns, to_seconds
 from sil.coupling.faults import FaultPlan
 from sil.coupling.lockstep import Lockstep, RunSummary
 from sil.coupling.real_time import Pacer
 from sil.files.atomic import write_atomically
+from sil.files.progress import Progress
 from sil.recording.end_to_end import EndToEnd
 from sil.recording.events import EVENTS
 from sil.recording.frames import BUS_FRAMES, FrameWriter
@@ -87,10 +88,12 @@ def run(
             closing.callback(log.close)
 
             frames = closing.enter_context(FrameWriter(folder / BUS_FRAMES, SENDERS))
+            progress = closing.enter_context(Progress(scenario.name, "s simulated"))
 
             def record(deliveries: list[Delivery]) -> None:
                 log.record(deliveries)
                 frames.record(deliveries)
+                progress(to_seconds(deliveries[-1].arrival_ns), scenario.duration_s)
 
             lockstep = closing.enter_context(
                 Lockstep(

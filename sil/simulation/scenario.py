@@ -354,6 +354,9 @@ def _set_strategy(raw: dict[str, Any], path: str, value: Any) -> bool:
 
 def _check_consistent(scenario: Scenario, source: str) -> None:
     """Refuse what each value allows and the whole does not: order of requests, empty faults."""
+    if not scenario.name.isprintable():  # pictures, pages and JUnit files hold the name
+        name = typed_toml.one_line(scenario.name)
+        raise InputError(f"{source}: name: {name!r}; expected printable characters only")
     last = -1.0
     for index, request in enumerate(scenario.request):
         place = f"{source}: request[{index}].at_s"

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -68,3 +70,41 @@ def test_bad_input_is_exit_2_and_one_json_object(capsys: pytest.CaptureFixture[s
     told = capsys.readouterr()
     assert json.loads(told.out)["exit_code"] == 2
     assert told.err.count("\n") == 1 and "no_such_scenario" in told.err
+
+
+def shell(line: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    opc4 = f"{sys.executable} -c 'from sil.cli import command; command()'"
+    return subprocess.run(
+        ["bash", "-c", line.replace("opc4", opc4)],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "error"),
+    [
+        ("opc4 run --list >&-", 0, ""),
+        ("opc4 --help >/dev/full", 3, "opc4: standard output: No space left on device\n"),
+        ("opc4 bus --json >/dev/full", 3, "opc4: standard output: No space left on device\n"),
+        ("opc4 run --list 2>&- >/dev/full", 3, ""),
+    ],
+)
+def test_standard_output_that_cannot_be_written(line: str, code: int, error: str) -> None:
+    done = shell(line)
+    assert (done.returncode, done.stderr) == (code, error)
+
+
+def test_a_terminal_that_knows_no_umlauts_gets_them_escaped(tmp_path: Path) -> None:
+    done = shell(f"cd {tmp_path}; opc4 run Tür.toml --json", LC_ALL="C", PYTHONIOENCODING="ascii")
+    assert done.returncode == 2 and done.stderr.startswith("opc4 run: T\\xfcr.toml: ")
+    assert done.stdout.isascii() and json.loads(done.stdout)["error"].startswith("Tür.toml")
+
+
+def test_without_compilation_the_plant_is_refused_in_one_line() -> None:
+    done = shell("opc4 simulate none", NUMBA_DISABLE_JIT="1")
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert "NUMBA_DISABLE_JIT is set; expected it unset" in done.stderr

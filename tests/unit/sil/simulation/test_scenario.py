@@ -54,6 +54,7 @@ def test_defaults_are_those_of_the_parts(tmp_path: Path) -> None:
     [
         ("nam = 1\n" + GOOD, "s.toml: nam: unknown; nearest: name"),
         (GOOD.replace('"backward"', '"backwards"'), "request[0].gear: 'backwards' is unknown; "),
+        (GOOD.replace("example", "a\\u0001b"), "name: 'a\\\\x01b'; expected printable characters"),
         (GOOD.replace("0.5", "-1"), "s.toml: duration_s: -1 is wrong; expected float > 0.0"),
         (GOOD.replace("0.5", "nan"), "s.toml: duration_s: nan is wrong; expected a finite number"),
         (GOOD.replace("0.5", "inf"), "s.toml: duration_s: inf is wrong; expected a finite number"),

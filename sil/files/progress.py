@@ -1,0 +1,65 @@
+"""Progress of long work on standard error: a bar on a terminal, a plain line now and then elsewhere.
+
+Nothing is shown of work that takes less than two seconds, nor after `silence()` (option --quiet).
+Checked by: tests/unit/sil/files/test_progress.py
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+FIRST_AFTER_S = 2.0
+LINE_EVERY_S = 10.0
+BAR_EVERY_S = 0.1
+BAR_WIDTH = 30
+
+_silent = False
+
+
+def silence() -> None:
+    """Show no progress in this process any more, nor that the plant is being compiled."""
+    import logging
+
+    global _silent
+    _silent = True
+    logging.getLogger("plant").setLevel(logging.ERROR)
+
+
+class Progress:
+    """Shows how much of some work is done; a context manager, so that the bar is removed at the end.
+
+    with Progress("rows") as progress:
+        progress(done, size)
+    """
+
+    def __init__(self, what: str, unit: str = "") -> None:
+        """`what` is being done; `unit` of the amounts, e.g. "s"."""
+        self._what = what
+        self._unit = f" {unit}" if unit else ""
+        self._next_s = time.monotonic() + FIRST_AFTER_S
+        self._shown = ""
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._shown:
+            print("\r" + " " * len(self._shown), end="\r", file=sys.stderr, flush=True)
+
+    def __call__(self, done: float, size: float) -> None:
+        """Show that `done` of `size` is done, if it is time to."""
+        now_s = time.monotonic()
+        if now_s < self._next_s or _silent or sys.stderr is None:
+            return
+        share = min(1.0, done / size) if size > 0 else 1.0
+        text = f"{self._what}: {100 * share:.0f} % ({done:.6g} of {size:.6g}{self._unit})"
+        if sys.stderr.isatty():
+            self._next_s = now_s + BAR_EVERY_S
+            full = round(BAR_WIDTH * share)
+            bar = f"[{'#' * full}{'.' * (BAR_WIDTH - full)}] {text}"
+            print("\r" + bar.ljust(len(self._shown)), end="", file=sys.stderr, flush=True)
+            self._shown = bar
+        else:
+            self._next_s = now_s + LINE_EVERY_S
+            print(text, file=sys.stderr, flush=True)
