@@ -1,28 +1,86 @@
-"""Generate the reference pages from the code: commands, CAN contract.
+"""Generate reference pages and diagrams from the code; a test checks that they are up to date.
 
-`python docs/generate.py` writes them to docs/reference; a test checks that they are up to date.
+`python docs/generate.py` writes them: commands, CAN contract, the diagram of the layers.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
-FOLDER = Path(__file__).parent / "reference"
+FOLDER = Path(__file__).parent
+ROOT = FOLDER.parent
 
 
-def pages() -> dict[str, str]:
-    """Return the text of every generated page by file name."""
+def generated() -> dict[str, str]:
+    """Return the text of every generated file by its path in docs/."""
     made = {
-        "cli.md": ("Commands", commands()),
-        "can.md": ("CAN contract", messages()),
+        "reference/cli.md": ("Commands", commands()),
+        "reference/can.md": ("CAN contract", messages()),
     }
-    return {
+    pages = {
         name: "\n".join([f"# {title}", "", *lines]).rstrip() + "\n"
         for name, (title, lines) in made.items()
     }
+    return {**pages, "images/layers.svg": layers_svg()}
+
+
+def layers() -> dict[str, list[list[str]]]:
+    """Return the layers of each package, top first, from the import contracts."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    contracts = project["tool"]["importlinter"]["contracts"]
+    return {
+        contract["containers"][0]: [
+            [name.strip() for name in row.split("|")] for row in contract["layers"]
+        ]
+        for contract in contracts
+        if contract["type"] == "layers" and "containers" in contract
+    }
+
+
+def layers_svg() -> str:
+    """Draw the layers of the packages: each may import those below it in its package."""
+    box_height, gap, width = 26, 6, 860
+    found = layers()
+    parts: list[str] = []
+
+    def column(package: str, x: float, top: float, wide: float) -> float:
+        rows = found[package]
+        height = 30 + len(rows) * (box_height + gap) + gap
+        parts.append(
+            f'<rect x="{x}" y="{top}" width="{wide}" height="{height}" rx="6" class="package"/>'
+            f'<text x="{x + 12}" y="{top + 20}" class="title">{package}/</text>'
+        )
+        for number, row in enumerate(rows):
+            y = top + 30 + number * (box_height + gap)
+            each = (wide - 2 * 12 - (len(row) - 1) * gap) / len(row)
+            for place, name in enumerate(row):
+                left = x + 12 + place * (each + gap)
+                parts.append(
+                    f'<rect x="{left:.1f}" y="{y}" width="{each:.1f}" height="{box_height}" rx="4"/>'
+                    f'<text x="{left + each / 2:.1f}" y="{y + 18}" class="name">{name}</text>'
+                )
+        return top + height
+
+    bottom = column("sil", 10, 10, width - 20) + 14
+    half = (width - 34) / 2
+    below = max(column("plant", 10, bottom, half), column("controller", 24 + half, bottom, half))
+    end = column("can_dbc", 10, below + 14, width - 20) + 10
+    style = (
+        "rect{fill:#f4f7fa;stroke:#7a8b99}.package{fill:#fff;stroke:#33424f;stroke-width:1.5}"
+        "text{font:13px sans-serif;fill:#1d2830}.title{font-weight:bold;font-size:15px}"
+        ".name{text-anchor:middle}"
+    )
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {end:.0f}" role="img" '
+        f'aria-label="Layers of the packages"><style>{style}</style>'
+        f'<rect width="{width}" height="{end:.0f}" style="fill:#fff;stroke:none"/>\n'
+        + "\n".join(parts)
+        + "\n</svg>\n"
+    )
 
 
 def cell(text: str) -> str:
@@ -95,5 +153,5 @@ def messages() -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    for name, text in pages().items():
+    for name, text in generated().items():
         (FOLDER / name).write_text(text, encoding="utf-8")
