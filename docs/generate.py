@@ -20,12 +20,13 @@ def generated() -> dict[str, str]:
     made = {
         "reference/cli.md": ("Commands", commands()),
         "reference/can.md": ("CAN contract", messages()),
+        "reference/firmware.md": ("Firmware states", states()),
     }
     pages = {
         name: "\n".join([f"# {title}", "", *lines]).rstrip() + "\n"
         for name, (title, lines) in made.items()
     }
-    return {**pages, "images/layers.svg": layers_svg()}
+    return {**pages, "images/layers.svg": layers_svg(), "images/states.svg": states_svg()}
 
 
 def layers() -> dict[str, list[list[str]]]:
@@ -81,6 +82,92 @@ def layers_svg() -> str:
         + "\n".join(parts)
         + "\n</svg>\n"
     )
+
+
+STATES = {
+    "INIT": (90, 60),
+    "IDLE": (330, 60),
+    "PUSH": (570, 60),
+    "CONFIRM": (810, 60),
+    "FAULT": (90, 300),
+    "VENT": (330, 300),
+    "HOLD": (570, 300),
+    "BLOW": (810, 300),
+}
+"""Centres of the states in the diagram."""
+
+
+def transitions() -> dict[tuple[str, str], list[str]]:
+    """Return the descriptions of the events that lead from one state to another."""
+    from controller.shift import TRANSITIONS
+
+    found: dict[tuple[str, str], list[str]] = {}
+    for (state, event), target in TRANSITIONS.items():
+        found.setdefault((state.name, target.name), []).append(event.value)
+    return found
+
+
+def states() -> Iterator[str]:
+    """Yield the lines of the page of the firmware's states."""
+    yield "The firmware carries out a request as a sequence of states. Diagram and table are made from the"
+    yield "transition table that the firmware uses (`controller/shift.py`)."
+    yield ""
+    yield "![States of the firmware](../images/states.svg)"
+    yield ""
+    yield "| arrow | from | to | event |"
+    yield "|---|---|---|---|"
+    for number, ((state, target), events) in enumerate(transitions().items(), 1):
+        yield f"| {number} | {state} | {target} | {'; '.join(events)} |"
+
+
+def states_svg() -> str:
+    """Draw the states of the firmware; the numbers of the arrows are those of the table."""
+    parts = []
+    for number, (state, target) in enumerate(transitions(), 1):
+        (x0, y0), (x1, y1) = STATES[state], STATES[target]
+        if state == target:
+            up = -1 if y0 < 180 else 1
+            near, far = y0 + up * 20, y0 + up * 62
+            path = f"M{x0 - 22},{near} C{x0 - 40},{far} {x0 + 40},{far} {x0 + 22},{near}"
+            x, y = x0, y0 + up * 52 + 4
+        else:
+            length = ((x1 - x0) ** 2 + (y1 - y0) ** 2) ** 0.5
+            ux, uy = (x1 - x0) / length, (y1 - y0) / length
+            bend = 0.11 * length + 4
+            cx, cy = (x0 + x1) / 2 - uy * bend, (y0 + y1) / 2 + ux * bend
+            (sx, sy), (ex, ey) = edge(x0, y0, cx, cy), edge(x1, y1, cx, cy)
+            path = f"M{sx:.0f},{sy:.0f} Q{cx:.0f},{cy:.0f} {ex:.0f},{ey:.0f}"
+            x, y = 0.25 * sx + 0.5 * cx + 0.25 * ex, 0.25 * sy + 0.5 * cy + 0.25 * ey + 4
+        parts.append(f'<path d="{path}" marker-end="url(#tip)"/>')
+        parts.append(
+            f'<circle cx="{x:.0f}" cy="{y - 4:.0f}" r="9"/><text x="{x:.0f}" y="{y:.0f}">{number}</text>'
+        )
+    for name, (x, y) in STATES.items():
+        parts.append(
+            f'<rect x="{x - 50}" y="{y - 20}" width="100" height="40" rx="8"/>'
+            f'<text x="{x}" y="{y + 5}" class="state">{name}</text>'
+        )
+    style = (
+        "path{fill:none;stroke:#56646f}rect{fill:#e8f0f7;stroke:#33424f;stroke-width:1.5}"
+        "circle{fill:#fff;stroke:none}text{font:11px sans-serif;text-anchor:middle;fill:#1d2830}"
+        ".state{font-size:14px;font-weight:bold}"
+    )
+    return (
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 900 370" role="img" '
+        f'aria-label="States of the firmware"><style>{style}</style><defs><marker id="tip" '
+        'viewBox="0 0 8 8" refX="7" refY="4" markerWidth="8" markerHeight="8" orient="auto">'
+        '<path d="M0,0 L8,4 L0,8 z" style="fill:#56646f"/></marker></defs>'
+        '<rect width="900" height="370" style="fill:#fff;stroke:none"/>\n'
+        + "\n".join(parts)
+        + "\n</svg>\n"
+    )
+
+
+def edge(x: float, y: float, towards_x: float, towards_y: float) -> tuple[float, float]:
+    """Return where the line from a state's centre towards a point leaves its box."""
+    dx, dy = towards_x - x, towards_y - y
+    scale = min(52 / abs(dx) if dx else 1e9, 22 / abs(dy) if dy else 1e9)
+    return x + scale * dx, y + scale * dy
 
 
 def cell(text: str) -> str:
