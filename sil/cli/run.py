@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--transport",
         default="inproc",
-        metavar="inproc|local|CHANNEL",
+        metavar="inproc|local[:NAME]|CHANNEL",
         help="one process; processes on a local bus; processes on a CAN interface [inproc]",
     )
     parser.add_argument(

@@ -23,6 +23,7 @@ from sil.coupling.faults import FaultPlan, Intrusion
 from sil.coupling.lockstep import TURN_ORDER
 from sil.coupling.transports.channel import Channel, ParticipantLost, Patience
 from sil.coupling.transports.inproc import InProcess, Participant
+from sil.coupling.transports.wire import GUEST
 from sil.nodes.drift import Drifting
 from sil.nodes.intruder import IntruderNode
 from sil.simulation.scenario import Loaded, Scenario, expanded
@@ -37,7 +38,7 @@ SCENARIO = "scenario.json"
 REMOTE = ("controller", "plant")
 """Who runs in a process of its own on every transport but inproc; the others never do."""
 
-SENDERS = (*TURN_ORDER, "traffic", "intruder")
+SENDERS = (*TURN_ORDER, "traffic", "intruder", GUEST)
 """Everybody who may be on the bus, in the order of their turns."""
 
 PATIENCE = Patience(start_s=300.0, answer_s=2.0, close_s=5.0)
@@ -152,6 +153,11 @@ def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
     if name == "intruder":
         faults = [fault for fault in scenario.fault if isinstance(fault, Intrusion)]
         return IntruderNode(faults, scenario.bus.bitrate, scenario.seed)
+    if name == GUEST:
+        raise InputError(
+            f"{loaded.source}: bus.guest: its program joins over a channel only; "
+            "expected opc4 run --transport local:NAME or a CAN interface"
+        )
     if name != "plant":
         raise InputError(f"participant {name!r}: expected driver, controller or plant")
     from plant.integrator.hybrid import IntegrationError
@@ -187,7 +193,9 @@ def warm_up(loaded: Loaded) -> None:
 
 def participant_names(scenario: Scenario) -> tuple[str, ...]:
     """Return who takes part in a scenario."""
-    names = ["driver", "controller", "plant"]
+    # The guest first: in one process it is refused before others have opened files.
+    names = [GUEST] if scenario.bus.guest else []
+    names += ["driver", "controller", "plant"]
     if scenario.bus.extra_load > 0.0:
         names.append("traffic")
     if any(isinstance(fault, Intrusion) for fault in scenario.fault):
@@ -239,6 +247,7 @@ def open_channels(
         if not is_warm():  # compiled here, it is announced to the user
             warm_up(loaded)
     number = scenario_number(loaded.scenario)
+    remote_names = [*REMOTE, GUEST] if loaded.scenario.bus.guest else REMOTE
     patience = PATIENCE
     if loaded.scenario.firmware:
         from sil.nodes.own_firmware import STEP_S
@@ -249,21 +258,24 @@ def open_channels(
         from sil.coupling.transports.hub import Hub
 
         name = name if colon else f"run-{os.getpid()}"
-        remote: Hub | SocketCan = Hub(name, REMOTE, scenario=number, patience=patience, say=say)
+        remote: Hub | SocketCan
+        remote = Hub(name, remote_names, scenario=number, patience=patience, say=say)
         channel = f"local:{name}"
     else:
         from sil.coupling.transports.socketcan import SocketCan
 
         channel = transport
-        remote = SocketCan(transport, REMOTE, scenario=number, patience=patience, say=say)
+        remote = SocketCan(transport, remote_names, scenario=number, patience=patience, say=say)
     closing.callback(remote.close, aborted=True)  # until the coordinator has it
-    for name in REMOTE:
-        if name in external:
+    for name in remote_names:
+        if name == GUEST:
+            say(f"waiting for guest: start your program on channel {channel}")
+        elif name in external:
             command = shlex.join(["opc4", *node_arguments(name, channel, folder.resolve())])
             say(f"waiting for {name}: {command}")
         else:
             remote.spawn(name, node_command(name, channel, folder))
-    here = [make_participant(name, loaded, folder) for name in names if name not in REMOTE]
+    here = [make_participant(name, loaded, folder) for name in names if name not in remote_names]
     return [remote, InProcess(here)]
 
 

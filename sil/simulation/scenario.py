@@ -78,6 +78,7 @@ class BusTable(_Table, frozen=True, kw_only=True):
     `send_buffer`: frames that a node may have waiting, further ones are lost; without, any number.
     `mailboxes`: newer content of a message overwrites what its node has not sent yet, as in a CAN
     controller with a transmit object for each; false: a node sends all, in the order of release.
+    `guest`: a program of the user takes part as the node "guest"; the run waits for it to join.
     """
 
     bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 500_000
@@ -85,6 +86,7 @@ class BusTable(_Table, frozen=True, kw_only=True):
     extra_priority: Annotated[int, Meta(ge=0, le=7)] = 3
     send_buffer: Annotated[int, Meta(ge=1, le=100_000)] | None = None
     mailboxes: bool = True
+    guest: bool = False
 
 
 class ClockTable(_Table, frozen=True, kw_only=True):

@@ -7,11 +7,15 @@ import os
 import shlex
 import subprocess
 import sys
+import threading
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from can_dbc.errors import InputError
+from can_dbc.frame import Frame
+from sil.coupling.participants import open_link, take_part
 from sil.simulation import runner, scenario
 from tests.conftest import ROOT
 from tests.scenarios.conftest import ShippedRun
@@ -148,3 +152,48 @@ def test_a_plant_that_records_elsewhere_is_named(tmp_path: Path) -> None:
     assert finished.result.why == (
         f"the plant recorded nothing in {folder}; expected opc4 node plant --out {folder}"
     )
+
+
+class Guest:
+    """A node of the user: sends the number of frames received so far every 20 ms."""
+
+    name = "guest"
+
+    def __init__(self) -> None:
+        self.received = 0
+
+    def start(self) -> int:
+        return 0
+
+    def advance(
+        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
+    ) -> tuple[list[tuple[int, Frame]], int]:
+        self.received += len(deliveries)
+        frame = Frame(0x18FF9927, self.received.to_bytes(8, "little"))
+        return [(until_ns, frame)], until_ns + 20_000_000
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+
+def test_a_guest_announced_in_the_scenario_sends_too(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same guest gives the same bits; in one process, where it cannot join, it is refused."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
+    loaded = scenario.load("lab_n_b", settings=["bus.guest=true"])
+    results = []
+    for name in ("first", "second"):
+        (folder := tmp_path / name).mkdir()
+        guest = Guest()
+        joining = threading.Thread(
+            target=lambda guest=guest: take_part(guest, open_link("local:bench", 60.0))
+        )
+        joining.start()
+        results.append(runner.run(loaded, folder, transport="local:bench").result)
+        joining.join()
+        sent = (folder / "bus.log").read_text().count(" 18FF9927#")
+        assert sent == 35 and guest.received + sent == results[-1].bus["frames"]
+    assert results[0].passed and results[0].trace_sha256 == results[1].trace_sha256
+    with pytest.raises(InputError, match="its program joins over a channel only"):
+        runner.run(loaded, tmp_path / "first")

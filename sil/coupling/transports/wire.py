@@ -53,7 +53,10 @@ VERSION = 1
 """Version of the protocol; Hello and Welcome carry it, and another one is refused."""
 
 COORDINATOR = int(ParticipantId.COORDINATOR)
+GUEST = "guest"
+"""The participant that a program of the user may be, announced in the scenario."""
 PARTICIPANTS = {p.name.lower(): int(p) for p in ParticipantId if p != ParticipantId.COORDINATOR}
+PARTICIPANTS[GUEST] = 4
 """Participant name to its number on the wire."""
 NAMES = {number: name for name, number in PARTICIPANTS.items()}
 EXTENDED = 0x8000_0000

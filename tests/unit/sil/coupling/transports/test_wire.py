@@ -88,7 +88,7 @@ def test_unknown_control_frames_are_refused() -> None:
 
 
 def test_participants_have_the_numbers_of_the_contract() -> None:
-    assert wire.PARTICIPANTS == {"plant": 1, "controller": 2, "driver": 3}
+    assert wire.PARTICIPANTS == {"plant": 1, "controller": 2, "driver": 3, "guest": 4}
     assert wire.COORDINATOR == 0
 
 
