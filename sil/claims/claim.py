@@ -1,12 +1,20 @@
-"""What a claim is, the list of them, and how one is checked."""
+"""The list of claims, and the check of each.
+
+claims.toml holds the wording; the modules named in `CHAPTERS` hold a function for each claim, marked
+with `shows`. To add a claim: its table in claims.toml, and a function in the module of its chapter.
+"""
 
 from __future__ import annotations
 
 import importlib
 import re
+import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
+
+import msgspec
 
 from can_dbc.errors import InputError, nearest
 
@@ -23,15 +31,17 @@ class Outcome(NamedTuple):
     reason: str = ""
 
 
-@dataclass(frozen=True)
-class Claim:
-    """One claim: its number in the list of facts, section, wording, and what shows it."""
+class Claim(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One claim: number in the list of facts, section, wording, and the command that shows it.
 
-    id: str
+    outcome: given where no simulation can decide the claim.
+    """
+
     section: str
     text: str
-    show: Callable[[], Outcome]
-    command: str
+    command: str = ""
+    outcome: Outcome | None = None
+    id: str = ""
 
 
 @dataclass(frozen=True)
@@ -47,38 +57,41 @@ class Finding:
     command: str
 
 
-_REGISTRY: dict[str, Claim] = {}
+Show = Callable[[], Outcome]
+_SHOWN: dict[str, Show] = {}
 
 
-def claim(
-    number: str, section: str, text: str, command: str | None = None
-) -> Callable[[Callable[[], Outcome]], Callable[[], Outcome]]:
-    """Register a function as what shows claim `number`; the command defaults to this list's own."""
+def shows(number: str) -> Callable[[Show], Show]:
+    """Register a function as the check of claim `number`."""
 
-    def register(show: Callable[[], Outcome]) -> Callable[[], Outcome]:
-        if number in _REGISTRY:
-            raise ValueError(f"claim {number} stands twice")
-        _REGISTRY[number] = Claim(number, section, text, show, command or f"opc4 claims {number}")
+    def register(show: Show) -> Show:
+        _SHOWN[number] = show
         return show
 
     return register
 
 
 def all_claims() -> list[Claim]:
-    """Every claim, in the order of its number."""
-    for chapter in CHAPTERS:
-        importlib.import_module(f"sil.claims.{chapter}")
-    return sorted(_REGISTRY.values(), key=lambda item: order(item.id))
+    """Return every claim, in the order of its number."""
+    text = Path(__file__).with_name("claims.toml").read_text(encoding="utf-8")
+    tables = msgspec.convert(tomllib.loads(text), dict[str, Claim])
+    return [
+        msgspec.structs.replace(item, id=number, command=item.command or f"opc4 claims {number}")
+        for number, item in sorted(tables.items(), key=lambda pair: order(pair[0]))
+    ]
 
 
 def order(number: str) -> tuple[int, str]:
-    """Sort key of a claim's number: F09 < F34 < F34b."""
+    """Return the sort key of a claim's number: F09 < F34 < F34b."""
     found = re.fullmatch(r"F(\d+)(\w*)", number)
     return (int(found[1]), found[2]) if found else (10_000, number)
 
 
 def chosen(names: Iterable[str]) -> list[Claim]:
-    """The claims of these numbers, all for none; InputError with the nearest for an unknown one."""
+    """Return the claims of these numbers, all if there are none.
+
+    Raises InputError, with the nearest numbers, for an unknown one.
+    """
     known = {item.id: item for item in all_claims()}
     wanted = list(names)
     for name in wanted:
@@ -89,19 +102,13 @@ def chosen(names: Iterable[str]) -> list[Claim]:
 
 
 def check(item: Claim) -> Finding:
-    """Run what shows a claim."""
-    outcome = item.show()
-    return Finding(
-        item.id,
-        item.section,
-        item.text,
-        outcome.achieved,
-        outcome.verdict,
-        outcome.reason,
-        item.command,
-    )
+    """Run the simulation that shows a claim."""
+    for chapter in CHAPTERS:
+        importlib.import_module(f"sil.claims.{chapter}")
+    verdict, achieved, reason = item.outcome or _SHOWN[item.id]()
+    return Finding(item.id, item.section, item.text, achieved, verdict, reason, item.command)
 
 
 def judged(good: bool, achieved: str, reason: str = "") -> Outcome:
-    """Met, or not met with the reason."""
+    """Return met, or not met with the reason."""
     return Outcome(MET if good else NOT_MET, achieved, "" if good else reason)

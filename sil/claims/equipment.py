@@ -6,33 +6,31 @@ from functools import cache
 
 import numpy as np
 
-from sil.claims.claim import MET, OPEN, PARTLY, Outcome, claim, judged
+from sil.claims.claim import MET, NOT_MET, OPEN, PARTLY, Outcome, judged, shows
 from sil.claims.strokes import nominal, plain, run
 from sil.simulation.in_memory import MemoryRun, run_in_memory
 
 
 @cache
 def loop(name: str, *settings: str) -> MemoryRun:
-    """A shipped scenario, run in memory."""
+    """Return a shipped scenario run in memory."""
     from sil.simulation.scenario import load
 
     return run_in_memory(load(name, settings=list(settings)))
 
 
-@claim("F01", "1, 2", "the length stroke has three positions: forward, neutral, backward")
-def three_positions() -> Outcome:
+@shows("F01")
+def _three_positions() -> Outcome:
     ends = {kind: plain(kind).position_m[-1] for kind in ("N-B", "B-N", "N-F", "F-N")}
     stroke = nominal().value("length.stroke")
     goal = {"N-B": stroke, "B-N": 0.0, "N-F": -stroke, "F-N": 0.0}
     good = all(abs(ends[kind] - goal[kind]) < 1e-6 for kind in goal)
-    told = ", ".join(f"{kind} ends at {1e3 * x:.2f} mm" for kind, x in ends.items())
-    return judged(good, told, "a shift does not reach its position")
+    positions = ", ".join(f"{kind} ends at {1e3 * x:.2f} mm" for kind, x in ends.items())
+    return judged(good, positions, "a shift does not reach its position")
 
 
-@claim(
-    "F02", "2.2.1", "the control unit samples every 10 ms and could be faster", "opc4 run lab_n_b"
-)
-def sampling() -> Outcome:
+@shows("F02")
+def _sampling() -> Outcome:
     from can_dbc.messages import ControllerStatus
 
     periods = []
@@ -47,8 +45,8 @@ def sampling() -> Outcome:
     )
 
 
-@claim("F03", "2.2.1", "MPC563, 40 MHz, 32 kB RAM, 512 kB flash")
-def processor() -> Outcome:
+@shows("F03")
+def _processor() -> Outcome:
     clock = nominal().value("opc4.clock")
     return Outcome(
         OPEN,
@@ -57,8 +55,8 @@ def processor() -> Outcome:
     )
 
 
-@claim("F04", "2.2.2", "absolute gauges 0-10 bar (air), 0-50 bar (oil), error < 0.10 % FRO")
-def gauges() -> Outcome:
+@shows("F04")
+def _gauges() -> Outcome:
     value = nominal().value
     highest = max(
         float(np.max(plain(kind).pressure_pa(name)))
@@ -77,16 +75,16 @@ def gauges() -> Outcome:
     )
 
 
-@claim("F05", "2.2.3", "potentiometer resolves 0.05 mm; start force 0.25-2 N is negligible")
-def potentiometer() -> Outcome:
+@shows("F05")
+def _potentiometer() -> Outcome:
     value = nominal().value
     share = value("potentiometer.start_force_max") / value("friction_fixed.F_sf")
     good = value("potentiometer.resolution") == 5e-5 and share <= 0.03
     return judged(good, f"steps of 0.05 mm; start force is {100 * share:.1f} % of breakaway")
 
 
-@claim("F06", "2.2.4", "time to 8 V about 0.9 ms, depends on position; temperature is compensated")
-def pulse() -> Outcome:
+@shows("F06")
+def _pulse() -> Outcome:
     from plant.devices.sensors import InductiveSensor
 
     sensor = InductiveSensor.from_parameters(nominal())
@@ -107,7 +105,7 @@ PHASES = tuple(0.0005 * k for k in range(20))
 
 @cache
 def lags(*settings: str) -> tuple[float, float]:
-    """Lag of the held position at 10 % and 90 % of travel, averaged over the sampling phase [s]."""
+    """Return the lag of the held position [s] at 10 % and 90 % of travel, averaged over the phase."""
     from sil.simulation.scenario import load
 
     found = []
@@ -120,13 +118,8 @@ def lags(*settings: str) -> tuple[float, float]:
     return float(mean[0]), float(mean[1])
 
 
-@claim(
-    "F07",
-    "2.2.4",
-    "the internal sensor is late by 30 ms when motion starts, by 40 ms at its end",
-    "opc4 run lab_n_b",
-)
-def sensor_lag() -> Outcome:
+@shows("F07")
+def _sensor_lag() -> Outcome:
     early, late = lags()
     good = abs(early - 0.030) < 0.003 and abs(late - 0.040) < 0.003
     return judged(
@@ -137,13 +130,8 @@ def sensor_lag() -> Outcome:
     )
 
 
-@claim(
-    "F08",
-    "2.2.4",
-    "without the Butterworth filter the response is three times faster and does not slacken",
-    "opc4 run filter_off",
-)
-def unfiltered_lag() -> Outcome:
+@shows("F08")
+def _unfiltered_lag() -> Outcome:
     early, late = lags("controller.filter.enabled=false")
     slow = lags()
     ratio = sum(slow) / (early + late)
@@ -155,32 +143,22 @@ def unfiltered_lag() -> Outcome:
     )
 
 
-@claim(
-    "F09",
-    "2.2.4",
-    "in the truck the sensor is even slower in longer processes",
-    "opc4 run truck_into_gear_2200n",
-)
-def slower_in_truck() -> Outcome:
+@shows("F09")
+def _slower_in_truck() -> Outcome:
     shift = loop("truck_into_gear_2200n").shifts[-1]
     late = shift.position_lag_90_s
     lab = loop("lab_n_b").shifts[0].position_lag_90_s
-    told = f"{1e3 * (late or 0):.0f} ms at 90 % in the long truck shift, {1e3 * (lab or 0):.0f} ms in the lab"
+    achieved = f"{1e3 * (late or 0):.0f} ms at 90 % in the long truck shift, {1e3 * (lab or 0):.0f} ms in the lab"
     return Outcome(
-        "not met",
-        told,
+        NOT_MET,
+        achieved,
         "a linear filter's lag saturates at its group delay: what the truck adds is not in the thesis's "
         "description and stays open",
     )
 
 
-@claim(
-    "F10",
-    "2.2.4, 6.3",
-    "with reduced sampling a value every 2-3 ms is possible",
-    "opc4 run firmware_2500us",
-)
-def fast_sampling() -> Outcome:
+@shows("F10")
+def _fast_sampling() -> Outcome:
     from can_dbc.messages import PositionPulse
 
     times, _ = loop("firmware_2500us").record.series(PositionPulse, "pulse_s")
@@ -194,8 +172,8 @@ def fast_sampling() -> Outcome:
     )
 
 
-@claim("F11", "2.2.5", "the oscilloscope records at 10 kHz")
-def scope() -> Outcome:
+@shows("F11")
+def _scope() -> Outcome:
     rate = nominal().value("scope.rate")
     step = float(np.median(np.diff(plain("fixed").time_s)))
     return Outcome(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -10,40 +11,30 @@ from plant.effects.setup import Setup
 from plant.kernel import layout as L
 from plant.kernel.packing import flow_coefficients
 from plant.parts.flow import charge, discharge, orifice
-from sil.claims.claim import MET, NOT_MET, PARTLY, Outcome, claim, judged
-from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, nominal, plain, run
+from plant.systems.stroke import Stroke
+from sil.claims.claim import MET, NOT_MET, PARTLY, Outcome, judged, shows
+from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, Floats, nominal, plain, run
 
 
-@claim("F12", "3.1.2", "alpha and alpha_m lie between 1 and gamma in theory")
-def alpha_range() -> Outcome:
+@shows("F12")
+def _alpha_range() -> Outcome:
     value = nominal().value
     names = ("alpha_m1", "alpha_1", "alpha_m2", "alpha_2")
     outside = [n for n in names if not 1.0 <= value(f"alpha.{n}") <= value("gas.gamma")]
-    told = ", ".join(f"{n} {value(f'alpha.{n}')}" for n in names)
+    values = ", ".join(f"{n} {value(f'alpha.{n}')}" for n in names)
     return Outcome(
         PARTLY if outside else MET,
-        told,
+        values,
         f"{', '.join(outside)} of Table 3.2 lie outside: fitted numbers, used as they are (F35)",
     )
 
 
-def shut(alpha: float):  # type: ignore[no-untyped-def]
-    """No flow, one exponent: what the process laws say of a closed chamber."""
-
-    def change(setup: Setup) -> None:
-        p = setup.p
-        p[L.K_IN] = p[L.K_OUT] = 0.0
-        p[L.ALPHA_1] = p[L.ALPHA_2] = alpha
-        p[L.F_EXTERNAL] = 400.0
-
-    return change
-
-
-@claim("F13", "3.1.2", "isothermal and adiabatic laws differ only by the factor gamma")
-def process_laws() -> Outcome:
+@shows("F13")
+def _process_laws() -> Outcome:
     spread = []
     for alpha in (1.0, 1.4):
-        stroke = run("fixed", change=shut(alpha), until_s=0.1)
+        shut = {L.K_IN: 0.0, L.K_OUT: 0.0, L.ALPHA_1: alpha, L.ALPHA_2: alpha, L.F_EXTERNAL: 400.0}
+        stroke = run("fixed", put=shut, until_s=0.1)
         volume = stroke.packed[L.VOL_N] - stroke.packed[L.AREA_P2] * stroke.position_m
         constant = stroke.pressure_pa("2") * volume**alpha
         compressed = float(np.max(stroke.pressure_pa("2"))) / ATMOSPHERE_PA
@@ -56,8 +47,8 @@ def process_laws() -> Outcome:
     )
 
 
-@claim("F14", "3.1.3", "valves are driven with 98 % duty", "opc4 run lab_n_b")
-def duty() -> Outcome:
+@shows("F14")
+def _duty() -> Outcome:
     from can_dbc.messages import ValveCommand
     from sil.claims.equipment import loop
 
@@ -65,8 +56,8 @@ def duty() -> Outcome:
     return judged(abs(highest - 0.98) < 1e-9, f"{100 * highest:.1f} %")
 
 
-@claim("F15", "3.1.3", "33 % duty: closed; 35 %: open; no room for flow control")
-def thresholds() -> Outcome:
+@shows("F15")
+def _thresholds() -> Outcome:
     def peak(duty: float) -> float:
         stroke = run("fixed", commands=((0.01, "1", duty),), until_s=0.2)
         return float(np.max(stroke.pressure_pa("1")))
@@ -74,12 +65,12 @@ def thresholds() -> Outcome:
     duties = (0.2, 0.33, 0.34, 0.35, 0.5, 0.98)
     peaks = [peak(d) / 1e5 for d in duties]
     good = peaks[1] < 1.02 and peaks[3] > 5.0 and abs(peaks[3] - peaks[5]) < 1e-9
-    told = ", ".join(f"{100 * d:.0f} %: {p:.2f} bar" for d, p in zip(duties, peaks, strict=True))
-    return judged(good, told)
+    reached = ", ".join(f"{100 * d:.0f} %: {p:.2f} bar" for d, p in zip(duties, peaks, strict=True))
+    return judged(good, reached)
 
 
-@claim("F16", "3.1.3", "opening delay 8 ms, closing delay 35 ms")
-def delays() -> Outcome:
+@shows("F16")
+def _delays() -> Outcome:
     stroke = run("fixed", commands=((0.01, "1", 0.98), (0.2, "1", 0.0)), until_s=0.3, step_s=2e-5)
     p1 = stroke.pressure_pa("1")
     opens = stroke.time_s[np.argmax(p1 > p1[0] + 50.0)] - 0.01
@@ -88,8 +79,8 @@ def delays() -> Outcome:
     return judged(good, f"pressure rises {1e3 * opens:.2f} ms and falls {1e3 * falls:.2f} ms after")
 
 
-@claim("F17", "3.1.3", "the delays are very sensitive to temperature and pressure")
-def delay_scatter() -> Outcome:
+@shows("F17")
+def _delay_scatter() -> Outcome:
     value = nominal().value
     return Outcome(
         PARTLY,
@@ -100,8 +91,8 @@ def delay_scatter() -> Outcome:
     )
 
 
-@claim("F18", "3.1.3", "the freewheel diode causes the long closing; a smaller duty shortens it")
-def duty_closing() -> Outcome:
+@shows("F18")
+def _duty_closing() -> Outcome:
     from plant.devices.valve import ValveTiming
 
     timing = ValveTiming.from_parameters(nominal(), closing_follows_duty=True)
@@ -115,14 +106,14 @@ def duty_closing() -> Outcome:
 
 
 def flow(ratio: float) -> float:
-    """Theoretical charge flow at a pressure ratio [K kg/s]."""
+    """Return the theoretical charge flow at a pressure ratio [K kg/s]."""
     value = nominal().value
     cda = value("orifice.A_valve") * value("orifice.C_d_in")
     return float(orifice(SUPPLY_PA, ratio * SUPPLY_PA, cda, value("gas.T"), 1.4, 287.05))
 
 
-@claim("F19", "3.1.4", "the critical pressure ratio is 0.5283")
-def critical() -> Outcome:
+@shows("F19")
+def _critical() -> Outcome:
     gamma = nominal().value("gas.gamma")
     ratio = (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
     below, above = flow(ratio * 0.9), flow(ratio * 1.05)
@@ -130,12 +121,8 @@ def critical() -> Outcome:
     return judged(good, f"{ratio:.6f}; choked below, falling above")
 
 
-@claim(
-    "F20",
-    "3.1.4",
-    "choked flow does not depend on chamber pressure; free flow falls to zero at P_s",
-)
-def choking() -> Outcome:
+@shows("F20")
+def _choking() -> Outcome:
     gamma = nominal().value("gas.gamma")
     edge = (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
     constant = abs(flow(0.1) / flow(0.5) - 1.0)
@@ -150,8 +137,8 @@ def choking() -> Outcome:
 
 
 @cache
-def fill(factor: float, theoretical: bool, empty: bool) -> np.ndarray:
-    """Pressure of a fixed volume (stay held at the end) filled or emptied, over 0.3 s."""
+def fill(factor: float, theoretical: bool, empty: bool) -> Floats:
+    """Return the pressure [times] in Pa of a fixed volume, the stay held, while filled or emptied."""
 
     def change(setup: Setup) -> None:
         p = setup.p
@@ -159,21 +146,29 @@ def fill(factor: float, theoretical: bool, empty: bool) -> np.ndarray:
         p[L.AREA_P] = p[L.AREA_P2] = 1e-12
         p[L.F_STATIC_S] = 1e9
 
-    commands = ((0.01, "1", 0.0),) if empty else ((0.01, "1", 0.98),)
-    charged = ("1",) if empty else ()
     stroke = run(
         "fixed",
         change=change,
-        commands=commands,
-        charged_before=charged,
+        commands=((0.01, "1", 0.0 if empty else 0.98),),
+        charged_before=("1",) if empty else (),
         theoretical_flow=theoretical,
         until_s=0.4,
     )
     return stroke.pressure_pa("1")
 
 
-@claim("F21", "3.1.4", "theoretical flows, even with a discharge coefficient, are poor")
-def theory_poor() -> Outcome:
+def time_ratio(factor: float, empty: bool) -> Floats:
+    """Return how many times as long a volume times `factor` takes to pressures from 2 to 8 bar [13]."""
+    sign, opening_s = (-1.0, 0.045) if empty else (1.0, 0.018)
+    levels_pa = sign * np.linspace(2e5, 8e5, 13)
+    one, larger = (sign * fill(size, False, empty) for size in (1.0, factor))
+    time_s = np.arange(len(one)) * 1e-4 - opening_s
+    ratio: Floats = np.interp(levels_pa, larger, time_s) / np.interp(levels_pa, one, time_s)
+    return ratio
+
+
+@shows("F21")
+def _theory_poor() -> Outcome:
     errors = []
     for empty in (False, True):
         mapped = fill(1.0, False, empty)
@@ -190,14 +185,14 @@ def theory_poor() -> Outcome:
     )
 
 
-@claim("F22", "3.1.4", "two polynomials a map, consistent from P_s to P_atm")
-def map_consistent() -> Outcome:
+@shows("F22")
+def _map_consistent() -> Outcome:
     c = flow_coefficients(nominal())
     value = nominal().value
     y, z = value("flow_charge.y_split"), value("flow_discharge.z_split")
     eps = 1e-9
 
-    def jump(function, upstream: float, at: float) -> float:  # type: ignore[no-untyped-def]
+    def jump(function: Callable[..., float], upstream: float, at: float) -> float:
         low = function((at - eps) * upstream, upstream, c)
         high = function((at + eps) * upstream, upstream, c)
         return abs(high - low) / function(0.5 * upstream if at < 1 else 5 * upstream, upstream, c)
@@ -215,13 +210,9 @@ def map_consistent() -> Outcome:
     )
 
 
-@claim("F23", "3.1.4", "epsilon depends on pressure only, not on time")
-def flow_of_pressure() -> Outcome:
-    a, b = fill(1.0, False, False), fill(2.0, False, False)
-    time_s = np.arange(len(a)) * 1e-4 - 0.018
-    # the same pressures, reached in twice the time
-    levels = np.linspace(2e5, 8e5, 13)
-    ratio = np.interp(levels, b, time_s) / np.interp(levels, a, time_s)
+@shows("F23")
+def _flow_of_pressure() -> Outcome:
+    ratio = time_ratio(2.0, empty=False)
     worst = float(np.max(np.abs(ratio - 2.0)))
     return judged(
         worst < 2e-3,
@@ -230,23 +221,18 @@ def flow_of_pressure() -> Outcome:
     )
 
 
-@claim("F24", "3.1.4", "the maps are verified on a volume of about three times V_B,f")
-def three_volumes() -> Outcome:
-    a, b = fill(1.0, False, True), fill(3.0, False, True)
-    time_s = np.arange(len(a)) * 1e-4 - 0.045
-    levels = np.linspace(2e5, 8e5, 13)
-    ta = np.interp(-levels, -a, time_s)
-    tb = np.interp(-levels, -b, time_s)
-    worst = float(np.max(np.abs(tb / ta - 3.0)))
+@shows("F24")
+def _three_volumes() -> Outcome:
+    ratio = time_ratio(3.0, empty=True)
+    worst = float(np.max(np.abs(ratio - 3.0)))
     return judged(
         worst < 5e-3,
-        f"three times the volume empties in {np.mean(tb / ta):.4f} times "
-        "the time with the same map",
+        f"three times the volume empties in {np.mean(ratio):.4f} times the time with the same map",
     )
 
 
-@claim("F25", "3.1.4", "alpha_m = 1 after the motion (pure filling)")
-def alpha_after() -> Outcome:
+@shows("F25")
+def _alpha_after() -> Outcome:
     value = nominal().value
     return Outcome(
         NOT_MET,
@@ -255,19 +241,20 @@ def alpha_after() -> Outcome:
     )
 
 
-@claim("F26", "3.1.5", "the net force at breakaway is 71 N")
-def breakaway() -> Outcome:
+@shows("F26")
+def _breakaway() -> Outcome:
     stroke = run("fixed", step_s=1e-5, until_s=0.05)
     event = next(e for e in stroke.events if e.name == "breakaway")
     value = nominal().value
-    p1 = float(np.interp(event.time_s, stroke.time_s, stroke.pressure_pa("1")))
-    p2 = float(np.interp(event.time_s, stroke.time_s, stroke.pressure_pa("2")))
+    p1, p2 = (
+        float(np.interp(event.time_s, stroke.time_s, stroke.pressure_pa(name))) for name in "12"
+    )
     force = p1 * value("fixed.A1") - p2 * value("fixed.A2") - ATMOSPHERE_PA * value("fixed.A_s")
     return judged(abs(force - 71.0) < 0.2, f"{force:.2f} N at {1e3 * event.time_s:.2f} ms")
 
 
-@claim("F27", "3.1.5", "the stroke is 12.85 mm")
-def stroke_length() -> Outcome:
+@shows("F27")
+def _stroke_length() -> Outcome:
     ends = [
         abs(plain(kind).position_m[-1] - plain(kind).position_m[0]) for kind in ("fixed", "N-B")
     ]
@@ -276,33 +263,31 @@ def stroke_length() -> Outcome:
     )
 
 
-@claim("F28", "T3.1", "beta = 38.8 N s/m, F_rf = 50.9 N")
-def dynamic_friction() -> Outcome:
+def drive_n(stroke: Stroke) -> Floats:
+    """Return the force of the pressures [times] in N on the piston of the fixed actuator."""
+    p = stroke.packed
+    one, two = stroke.pressure_pa("1") * p[L.AREA_P], stroke.pressure_pa("2") * p[L.AREA_P2]
+    force: Floats = one - two - ATMOSPHERE_PA * p[L.AREA_S]
+    return force
+
+
+@shows("F28")
+def _dynamic_friction() -> Outcome:
     speeds, forces = [], []
     for supply in (SUPPLY_PA, 600000.0):
         stroke = run("fixed", supply_pressure_pa=supply, step_s=1e-5, until_s=0.05)
-        p = stroke.packed
-        drive = (
-            stroke.pressure_pa("1") * p[L.AREA_P]
-            - stroke.pressure_pa("2") * p[L.AREA_P2]
-            - ATMOSPHERE_PA * p[L.AREA_S]
-        )
         velocity = stroke.states[:, L.FV]
         acceleration = np.gradient(velocity, stroke.time_s)
         moving = (velocity > 0.05) & (stroke.position_m < 0.0125)
         speeds.append(velocity[moving])
-        forces.append((drive - p[L.M_S] * acceleration)[moving])
+        forces.append((drive_n(stroke) - stroke.packed[L.M_S] * acceleration)[moving])
     slope, offset = np.polyfit(np.concatenate(speeds), np.concatenate(forces), 1)
     good = abs(slope - 38.8) < 0.5 and abs(offset - 50.9) < 0.5
     return judged(good, f"F - m a against v: slope {slope:.1f} N s/m, offset {offset:.1f} N")
 
 
-@claim(
-    "F29",
-    "3.1.5",
-    "two supply pressures; the friction identified from differentiated position scatters widely",
-)
-def friction_scatter() -> Outcome:
+@shows("F29")
+def _friction_scatter() -> Outcome:
     from plant.devices.sensors import Potentiometer
 
     value = nominal().value
@@ -314,14 +299,9 @@ def friction_scatter() -> Outcome:
     kernel = np.hanning(11) / np.hanning(11).sum()
     smooth = np.convolve(velocity, kernel, "same")
     acceleration = np.convolve(np.gradient(smooth, stroke.time_s), kernel, "same")
-    p = stroke.packed
-    drive = (
-        stroke.pressure_pa("1") * p[L.AREA_P]
-        - stroke.pressure_pa("2") * p[L.AREA_P2]
-        - ATMOSPHERE_PA * p[L.AREA_S]
-    )
     moving = (stroke.position_m > 0.002) & (stroke.position_m < 0.011)
-    residual = (drive - p[L.M_S] * acceleration)[moving] - (50.9 + 38.8 * smooth[moving])
+    force = drive_n(stroke) - stroke.packed[L.M_S] * acceleration
+    residual = force[moving] - (50.9 + 38.8 * smooth[moving])
     scatter = float(np.std(residual))
     return judged(
         scatter > 20.0,

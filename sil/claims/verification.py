@@ -6,42 +6,41 @@ about the size and sign of deviations, and says so.
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping
 
-from plant.effects.setup import Setup
+import numpy as np
+from numpy.typing import NDArray
+
 from plant.kernel import layout as L
 from plant.systems.stroke import Stroke
-from sil.claims.claim import PARTLY, Outcome, claim, judged
-from sil.claims.strokes import first_motion_s, nominal, plain, relative_errors, run
+from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged, shows
+from sil.claims.strokes import arrival, first_motion_s, nominal, plain, relative_errors, run
 
 WINDOW_S = 0.2
 DISTURBED = "against a disturbed plant; the thesis's own record is not at hand"
 
 
-def window(stroke: Stroke) -> np.ndarray:
-    """Samples of the first 0.2 s after the command."""
+def window(stroke: Stroke) -> NDArray[np.bool_]:
+    """Return which samples [n] are in the first 0.2 s after the command."""
     return (stroke.time_s >= 0.01) & (stroke.time_s <= 0.01 + WINDOW_S)
 
 
-def triple_friction(setup: Setup) -> None:
-    """Dynamic friction times three, as the thesis tried."""
-    for index in (L.F_RUN_S, L.BETA_S, L.F_RUN_P, L.BETA_P):
-        setup.p[index] *= 3.0
+DYNAMIC_FRICTION = (L.F_RUN_S, L.BETA_S, L.F_RUN_P, L.BETA_P)
+TRIPLE_FRICTION = dict.fromkeys(DYNAMIC_FRICTION, 3.0)
+"""Dynamic friction times three, as the thesis tried."""
 
 
-@claim("F35", "T3.2", "alpha_m1 0.94, alpha_1 0.87, alpha_m2 1.5, alpha_2 1.05")
-def table() -> Outcome:
+@shows("F35")
+def _table() -> Outcome:
     p = plain("fixed").packed
     used = tuple(float(p[i]) for i in (L.ALPHA_M1, L.ALPHA_1, L.ALPHA_M2, L.ALPHA_2))
     return judged(used == (0.94, 0.87, 1.5, 1.05), f"used as they are: {used}")
 
 
-@claim("F36", "3.3.1", "the piston's motion is over in 15 ms; the process takes about 200 ms")
-def durations() -> Outcome:
+@shows("F36")
+def _durations() -> Outcome:
     stroke = plain("fixed")
-    impact = stroke.impact
-    begins = first_motion_s(stroke)
-    motion = impact.time_s - begins if impact else 0.0
+    motion = arrival(stroke) - first_motion_s(stroke)
     p1 = stroke.pressure_pa("1")
     filled = float(stroke.time_s[np.argmax(p1 > 0.99 * 900000.0)]) - 0.01
     good = abs(motion - 0.015) < 0.0025 and 0.15 < filled < 0.26
@@ -51,13 +50,8 @@ def durations() -> Outcome:
     )
 
 
-@claim(
-    "F37",
-    "3.3.2",
-    "one piston is always fixed; the other walks x_free alone, then carries the stay; "
-    "the walk is not observable",
-)
-def walk() -> Outcome:
+@shows("F37")
+def _walk() -> Outcome:
     stroke = plain("N-B")
     contact = next(e for e in stroke.events if e.name == "collar 1 contact")
     before = stroke.time_s < contact.time_s
@@ -72,19 +66,12 @@ def walk() -> Outcome:
     )
 
 
-@claim(
-    "F38", "T3.3", "damper stroke with imposed position: mean/max error P1 1.7/3.5 %, P2 3.8/9.3 %"
-)
-def imposed_position() -> Outcome:
+@shows("F38")
+def _imposed_position() -> Outcome:
     from plant.systems.driven import pressures_along
     from plant.systems.setup import make_setup
 
-    def worn(setup: Setup) -> None:
-        setup.p[L.K_IN] *= 1.02
-        setup.p[L.K_OUT] *= 0.97
-        setup.p[L.VOL_N] *= 1.02
-
-    stroke = run("fixed", load="damper", change=worn)
+    stroke = run("fixed", load="damper", scale={L.K_IN: 1.02, L.K_OUT: 0.97, L.VOL_N: 1.02})
     setup = make_setup(nominal(), stroke.conditions)
     simulated = pressures_along(setup, stroke.time_s, stroke.position_m)
     inside = window(stroke)
@@ -98,8 +85,8 @@ def imposed_position() -> Outcome:
     )
 
 
-@claim("F39", "3.4.3", "spring test: V1 +43 %, V2 -16 %")
-def spring_volumes() -> Outcome:
+@shows("F39")
+def _spring_volumes() -> Outcome:
     value = nominal().value
     x0 = value("spring_test.x0")
     one = value("fixed.A1") * x0 / value("fixed.V10")
@@ -110,29 +97,24 @@ def spring_volumes() -> Outcome:
     )
 
 
-def spring(change=None) -> Stroke:  # type: ignore[no-untyped-def]
-    """The verification stroke with the spring."""
+def spring(scale: Mapping[int, float]) -> Stroke:
+    """Return the verification stroke with the spring, its parameters scaled."""
     value = nominal().value
     return run(
         "fixed",
         load="spring",
         spring_n_per_m=value("spring_test.k"),
         start_offset_m=value("spring_test.x0"),
-        change=change,
+        scale=scale,
     )
 
 
-@claim(
-    "F40",
-    "T3.4",
-    "spring: x 5.1/11.1 %, P1 4.3/5.9 %, P2 5.4/10.3 %; simulated motion about 2 ms off",
-)
-def spring_errors() -> Outcome:
-    measured, simulated = spring(triple_friction), spring()
+@shows("F40")
+def _spring_errors() -> Outcome:
+    measured, simulated = spring(TRIPLE_FRICTION), spring({})
     inside = window(measured)
     x = relative_errors(measured.position_m[inside], simulated.position_m[inside])
-    a, b = measured.impact, simulated.impact
-    late = 1e3 * (a.time_s - b.time_s) if a and b else float("nan")
+    late = 1e3 * (arrival(measured) - arrival(simulated))
     return Outcome(
         PARTLY,
         f"x {100 * x[0]:.1f}/{100 * x[1]:.1f} %, arrival {late:.1f} ms apart",
@@ -140,31 +122,22 @@ def spring_errors() -> Outcome:
     )
 
 
-@claim("F41", "3.4.4", "friction is the largest error and varies between shifts")
-def friction_matters() -> Outcome:
+@shows("F41")
+def _friction_matters() -> Outcome:
     base = plain("N-B")
     shifts = {}
-    for name, indices, amount in (
-        (
-            "friction +20 %",
-            (L.F_RUN_S, L.BETA_S, L.F_RUN_P, L.BETA_P, L.F_STATIC_S, L.F_STATIC_P),
-            1.2,
-        ),
+    for name, indices, factor in (
+        ("friction +20 %", (*DYNAMIC_FRICTION, L.F_STATIC_S, L.F_STATIC_P), 1.2),
         ("flow +3 %", (L.K_IN,), 1.03),
         ("volumes +3 %", (L.VOL_B, L.VOL_N, L.VOL_F), 1.03),
     ):
-
-        def change(setup: Setup, indices=indices, amount=amount) -> None:  # type: ignore[no-untyped-def]
-            for index in indices:
-                setup.p[index] *= amount
-
-        other = run("N-B", change=change)
+        other = run("N-B", scale=dict.fromkeys(indices, factor))
         shifts[name] = float(np.max(np.abs(other.position_m - base.position_m)))
     good = max(shifts, key=lambda k: shifts[k]).startswith("friction")
-    told = ", ".join(f"{k}: {1e3 * v:.2f} mm" for k, v in shifts.items())
+    changes = ", ".join(f"{k}: {1e3 * v:.2f} mm" for k, v in shifts.items())
     return judged(
         good,
-        f"largest change of position, each at the size of its known uncertainty: {told}; "
+        f"largest change of position, each at the size of its known uncertainty: {changes}; "
         f"scatter of {100 * nominal().value('repeatability.friction_sd'):.0f} % a stroke is a "
         "parameter",
         "another parameter matters more",
@@ -172,69 +145,51 @@ def friction_matters() -> Outcome:
 
 
 def length_errors(simulated: Stroke, measured: Stroke) -> dict[str, tuple[float, float]]:
-    """Mean and maximum relative errors of position, charging and discharging pressure."""
+    """Return mean and maximum relative errors of position, charging and discharging pressure."""
     inside = window(measured)
-    return {
-        "x": relative_errors(measured.position_m[inside], simulated.position_m[inside]),
-        "charging": relative_errors(
-            measured.pressure_pa("B")[inside], simulated.pressure_pa("B")[inside]
-        ),
-        "discharging": relative_errors(
-            measured.pressure_pa("N")[inside], simulated.pressure_pa("N")[inside]
-        ),
-    }
+
+    def errors(name: str) -> tuple[float, float]:
+        return relative_errors(
+            measured.pressure_pa(name)[inside], simulated.pressure_pa(name)[inside]
+        )
+
+    x = relative_errors(measured.position_m[inside], simulated.position_m[inside])
+    return {"x": x, "charging": errors("B"), "discharging": errors("N")}
 
 
-def told_errors(errors: dict[str, tuple[float, float]]) -> str:
+def listed(errors: dict[str, tuple[float, float]]) -> str:
+    """Return the errors in percent as text."""
     return ", ".join(f"{k} {100 * a:.1f}/{100 * b:.1f} %" for k, (a, b) in errors.items())
 
 
-def real_stroke() -> Stroke:
-    """A stand-in for the measured N-B stroke: three times the friction, and a clogged exhaust."""
-
-    def change(setup: Setup) -> None:
-        triple_friction(setup)
-        setup.p[L.K_OUT] *= 1.6
-
-    return run("N-B", change=change)
-
-
-@claim(
-    "F42",
-    "T3.5",
-    "N-B: x 10.1/34.0 %, charging 2.2/5.4 %, discharging 17.8/76.7 %; simulated too fast",
-)
-def too_fast() -> Outcome:
-    measured = run("N-B", change=triple_friction)
+@shows("F42")
+def _too_fast() -> Outcome:
+    measured = run("N-B", scale=TRIPLE_FRICTION)
     errors = length_errors(plain("N-B"), measured)
-    a, b = measured.impact, plain("N-B").impact
-    faster = a is not None and b is not None and b.time_s < a.time_s
+    faster = arrival(plain("N-B")) < arrival(measured)
     order = (
         errors["charging"][0] < errors["x"][0] and errors["charging"][0] < errors["discharging"][0]
     )
     peak = np.max(plain("N-B").pressure_pa("N")) > np.max(measured.pressure_pa("N"))
-    verdict = PARTLY if faster and order and peak else "not met"
+    verdict = PARTLY if faster and order and peak else NOT_MET
     return Outcome(
         verdict,
-        f"{told_errors(errors)}; the simulation is too fast and its passive "
-        "pressure rushes, as printed",
+        f"{listed(errors)}; the simulation is too fast and its passive pressure rushes, as printed",
         f"{DISTURBED} (dynamic friction times three)",
     )
 
 
-@claim(
-    "F43", "T3.6", "dynamic friction x3: x 2.8/9.9 %, charging 2.1/5.2 %, discharging 10.6/62.4 %"
-)
-def friction_repairs() -> Outcome:
-    measured = real_stroke()
+@shows("F43")
+def _friction_repairs() -> Outcome:
+    measured = run("N-B", scale=TRIPLE_FRICTION | {L.K_OUT: 1.6})  # in place of the thesis's record
     before = length_errors(plain("N-B"), measured)
-    after = length_errors(run("N-B", change=triple_friction), measured)
+    after = length_errors(run("N-B", scale=TRIPLE_FRICTION), measured)
     repaired = after["x"][0] < 0.5 * before["x"][0]
     remains = after["discharging"][0] > 0.2 * before["discharging"][0]
-    verdict = PARTLY if repaired and remains else "not met"
+    verdict = PARTLY if repaired and remains else NOT_MET
     return Outcome(
         verdict,
-        f"{told_errors(before)} become {told_errors(after)}: friction repairs the "
+        f"{listed(before)} become {listed(after)}: friction repairs the "
         "position, the discharging chamber keeps an error",
         f"{DISTURBED} (friction times three and another exhaust)",
     )
