@@ -92,7 +92,7 @@ def convert(
 
 def _signals(source: str, target: str) -> TraceReport | None:
     """Convert a table of signals if the source is one."""
-    from sil.logs.mdf_signals import holds_signals_only
+    from sil.logs.mf4 import holds_signals_only
     from sil.logs.traces import is_trace_csv, mf4_to_trace, trace_to_mf4
 
     plain = target.removesuffix(".gz").lower()

@@ -29,8 +29,10 @@ class Place:
     byte: int | None = None
 
     def __str__(self) -> str:
-        where = f"line {self.line}" if self.line is not None else f"byte {self.byte}"
-        return f"{where}: {printable(self.reason)}"
+        reason = printable(self.reason)
+        if self.line is not None:
+            return f"line {self.line}: {reason}"
+        return reason if self.byte is None else f"byte {self.byte}: {reason}"
 
 
 @dataclass(slots=True)

@@ -12,8 +12,7 @@ from can_dbc.errors import InputError
 from can_dbc.messages import Fault, ShiftState
 from sil.logs.backend import open_beside
 from sil.logs.byte_source import ByteSource
-from sil.logs.mdf_signals import SignalTable
-from sil.logs.mf4_writer import import_asammdf, new_measurement
+from sil.logs.mf4 import SignalTable, import_asammdf, new_measurement
 from sil.logs.report import LogReport
 from sil.logs.text_lines import lines
 

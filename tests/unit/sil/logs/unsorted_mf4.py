@@ -43,6 +43,11 @@ class Mf4Builder:
         """Set a link of a block."""
         struct.pack_into("<Q", self.blob, address + 24 + 8 * index, target)
 
+    def data_list(self, following: int, blocks: Sequence[int]) -> int:
+        """A DL block."""
+        body = struct.pack("<B3xI", 0, len(blocks)) + bytes(8 * len(blocks))
+        return self.block(b"DL", [following, *blocks], body)
+
     def text(self, text: str) -> int:
         """A TX block."""
         return self.block(b"TX", [], text.encode() + b"\x00")
