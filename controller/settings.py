@@ -58,11 +58,15 @@ class SensorConfig(Settings, frozen=True):
     t_mid_s: Annotated[float, bounded(1e-5, 0.01, "s")] = 0.0009
     """Pulse duration in neutral at the calibration temperature."""
     slope_s_per_m: Annotated[float, bounded(1e-4, 1.0, "s/m")] = 0.022
+    """Change of the pulse duration with the position."""
     temp_coeff_per_k: Annotated[float, bounded(-0.005, 0.005, "1/K")] = 0.0012
+    """Relative change of the pulse duration with the coil temperature."""
     t_ref_k: Annotated[float, bounded(200.0, 450.0, "K")] = 293.15
+    """Calibration temperature."""
     timer_resolution_s: Annotated[float, bounded(1e-9, 1e-4, "s")] = 1e-6
     """One tick of the timer that measures the pulse."""
     temperature_min_k: Annotated[float, bounded(200.0, 450.0, "K")] = 233.15
+    """Lowest plausible coil temperature."""
     temperature_max_k: Annotated[float, bounded(200.0, 450.0, "K")] = 423.15
     """Coil temperatures outside these two make a sample implausible."""
     overtravel_m: Annotated[float, bounded(0.0, 0.01, "m")] = 0.003
@@ -97,7 +101,9 @@ class FilterConfig(Settings, frozen=True):
     """Butterworth low-pass on the position, one step per sensor sample (thesis 2.2.4)."""
 
     enabled: bool = True
+    """Whether the position is filtered; controller.filter = false is short for it."""
     order: Annotated[int, bounded(1, 8, "")] = 6
+    """Order of the filter."""
     fc_hz: Annotated[float, bounded(0.1, 500.0, "Hz")] = 22.0
     """Cut-off; below half the sensor's sample rate."""
 
@@ -128,6 +134,7 @@ class BlowConfig(Settings, frozen=True):
     """Filling that goes on after a position is confirmed (thesis 6.1)."""
 
     duration_s: Annotated[float, bounded(0.0, 0.25, "s")] = 0.15
+    """Duration of the blow."""
     cut: Literal["none", "sync", "confirmation"] = "sync"
     """What ends the blow before its time: nothing; agreeing shaft speeds, when a gear is to follow
     neutral; or the confirmation itself, so that there is no blow."""
@@ -169,8 +176,11 @@ class E2eConfig(Settings, frozen=True):
     """Supervision of the received channels."""
 
     position_timeout_s: Annotated[float, bounded(0.001, 10.0, "s")] = 0.05
+    """Position pulses count as lost after this long without a good one."""
     request_timeout_s: Annotated[float, bounded(0.001, 10.0, "s")] = 0.1
+    """Gear requests count as lost after this long without a good one."""
     speeds_timeout_s: Annotated[float, bounded(0.001, 10.0, "s")] = 0.05
+    """Shaft speeds count as lost after this long without good ones."""
     startup_s: Annotated[float, bounded(0.0, 10.0, "s")] = 0.2
     """A channel that has never been valid this long after the first step counts as lost."""
 

@@ -30,12 +30,20 @@ class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """
 
     period_s: Annotated[float, Meta(ge=0.001, le=0.1)] = 0.01
+    """Period of the pulses; also the period the firmware assumes, unless
+    controller.sensor.period_s is set."""
     phase_s: Annotated[float, Meta(ge=0.0, le=0.1)] | None = None
+    """Start of the first pulse; if left out, 5 ms before a multiple of the period."""
     capture_s: Annotated[float, Meta(gt=0.0, le=0.1)] = 0.0015
+    """Time from a pulse's start to its report; covers the longest pulse."""
     delay_s: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.0
+    """Further delay of each report."""
     coil_temperature_k: Annotated[float, Meta(ge=200.0, le=450.0)] = 293.15
+    """Temperature of the coil."""
     measured_temperature_k: Annotated[float, Meta(ge=200.0, le=450.0)] | None = None
+    """Temperature that is reported; if left out, that of the coil."""
     noise_sd_s: Annotated[float, Meta(ge=0.0, le=1e-3)] = 0.0
+    """Standard deviation of white noise on the pulse, before the timer counts it."""
 
     @property
     def phase_ns(self) -> int:
@@ -58,13 +66,21 @@ class SensorFault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     kind: Literal["stuck", "garbage", "wrong", "off", "slow", "delayed", "intermittent"]
     start_s: Annotated[float, Meta(ge=0.0, le=86400.0)] = 0.0
+    """Time from which the fault acts."""
     end_s: Annotated[float, Meta(ge=0.0, le=86400.0)] | None = None
+    """Time at which the fault ends; if left out, never."""
     pulse_s: Annotated[float, Meta(ge=0.0, le=0.004)] | None = None
+    """Duration reported by a stuck sensor; if left out, the last one."""
     garbage_s: Annotated[float, Meta(gt=0.0, le=0.004)] = 0.002
+    """Longest duration of garbage."""
     offset_s: Annotated[float, Meta(ge=-0.004, le=0.004)] = 5e-5
+    """Error of a wrong sensor."""
     every: Annotated[int, Meta(ge=2, le=1000)] = 4
+    """Which pulses a slow sensor reports."""
     late: Annotated[int, Meta(ge=1, le=1000)] = 5
+    """By how many pulses a delayed sensor is late."""
     probability: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.5
+    """Probability that a report is missing."""
 
 
 class Reading(NamedTuple):

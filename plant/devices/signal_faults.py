@@ -28,7 +28,9 @@ class _Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """Acts on reports from start_s on and before end_s (left out: for good)."""
 
     start_s: Annotated[float, Meta(ge=0.0, le=86400.0)] = 0.0
+    """Time from which the fault acts."""
     end_s: Annotated[float, Meta(ge=0.0, le=86400.0)] | None = None
+    """Time at which the fault ends; if left out, never."""
 
     def holds(self, now_ns: int) -> bool:
         """Whether the fault acts at an instant [ns]."""
@@ -46,8 +48,11 @@ class TemperatureFault(_Window, frozen=True, kw_only=True):
 
     kind: Literal["off", "stuck", "wrong", "garbage", "intermittent"]
     value_k: Annotated[float, Meta(ge=200.0, le=450.0)] = 353.15
+    """Temperature that a stuck thermometer reads."""
     offset_k: Annotated[float, Meta(ge=-250.0, le=250.0)] = 30.0
+    """Error of a wrong thermometer."""
     probability: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.5
+    """Probability that the line is broken."""
 
 
 class SpeedFault(_Window, frozen=True, kw_only=True):
@@ -61,10 +66,15 @@ class SpeedFault(_Window, frozen=True, kw_only=True):
 
     kind: Literal["off", "stuck", "wrong", "garbage", "slow", "delayed", "intermittent"]
     offset_rad_s: Annotated[float, Meta(ge=-400.0, le=400.0)] = 20.0
+    """Error of a wrong input speed."""
     garbage_rad_s: Annotated[float, Meta(gt=0.0, le=400.0)] = 200.0
+    """Highest speed of garbage."""
     every: Annotated[int, Meta(ge=2, le=1000)] = 4
+    """Which pairs are sent when slow."""
     late: Annotated[int, Meta(ge=1, le=1000)] = 10
+    """By how many reports delayed speeds are late."""
     probability: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.5
+    """Probability that a report is missing."""
 
 
 class Thermometer:

@@ -33,12 +33,18 @@ class ValveFault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """
 
     valve: Literal["B", "N", "F"]
+    """Valve that fails."""
     kind: Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
     start_s: Annotated[float, Meta(ge=0.0, le=86400.0)] = 0.0
+    """Time from which the fault acts."""
     end_s: Annotated[float, Meta(ge=0.0, le=86400.0)] | None = None
+    """Time at which the fault ends; if left out, never."""
     factor: Annotated[float, Meta(ge=1.0, le=100.0)] = 3.0
+    """How many times longer a slow valve takes."""
     delay_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.02
+    """Delay of the commands."""
     probability: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.5
+    """Probability that the contact is open."""
 
 
 class FaultyValve:

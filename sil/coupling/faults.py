@@ -52,7 +52,9 @@ class _Fault(
     """Acts from `start_s` to before `end_s`; without an end, for ever."""
 
     start_s: Instant = 0.0
+    """Time from which the fault acts."""
     end_s: Instant | None = None
+    """Time at which the fault ends; if left out, never."""
 
 
 class _FrameFault(_Fault, frozen=True, kw_only=True):
@@ -62,9 +64,13 @@ class _FrameFault(_Fault, frozen=True, kw_only=True):
     """
 
     message: MessageName
+    """Message whose frames are hit."""
     every: Annotated[int, Meta(ge=1)] = 1
+    """Every how manieth of its frames is hit, the first included."""
     probability: Annotated[float, Meta(gt=0.0, le=1.0)] = 1.0
+    """Probability that such a frame is hit."""
     count: Annotated[int, Meta(ge=1)] | None = None
+    """Most frames that are hit; if left out, any number."""
 
 
 class Loss(_FrameFault, frozen=True, kw_only=True, tag="loss"):
@@ -78,19 +84,23 @@ class DetectedCorruption(_FrameFault, frozen=True, kw_only=True, tag="error_fram
     """
 
     attempts: Annotated[int, Meta(ge=1, le=32)] = 1
+    """How many transmissions of a frame fail in a row."""
 
 
 class UndetectedCorruption(_FrameFault, frozen=True, kw_only=True, tag="corruption"):
     """The frame arrives with `bits` of its data flipped, drawn at random; CAN's CRC holds."""
 
     bits: Annotated[int, Meta(ge=1, le=64)] = 1
+    """Number of bits that are flipped."""
 
 
 class Delay(_FrameFault, frozen=True, kw_only=True, tag="delay"):
     """The frame arrives `delay_s` late, and up to `jitter_s` more, drawn in whole microseconds."""
 
     delay_s: Annotated[float, Meta(ge=0.0, le=MOST_DELAY_S)]
+    """Delay of each frame hit."""
     jitter_s: Annotated[float, Meta(ge=0.0, le=MOST_DELAY_S)] = 0.0
+    """Largest further delay, drawn at random."""
 
 
 class FrozenCounter(_FrameFault, frozen=True, kw_only=True, tag="frozen_counter"):
@@ -101,12 +111,14 @@ class BusOff(_Fault, frozen=True, kw_only=True, tag="bus_off"):
     """The node's transceiver is off: it sends nothing and hears nothing; what it queues is lost."""
 
     node: NodeName
+    """Node that is bus-off."""
 
 
 class Dead(_Fault, frozen=True, kw_only=True, tag="dead"):
     """The node executes nothing from `start_s` on, for good; frames already handed over leave."""
 
     node: FirmwareName
+    """Node that dies."""
 
 
 class Stalled(_Fault, frozen=True, kw_only=True, tag="stalled"):
@@ -116,27 +128,34 @@ class Stalled(_Fault, frozen=True, kw_only=True, tag="stalled"):
     """
 
     node: FirmwareName
+    """Node that stalls."""
 
 
 class Babbling(_Fault, frozen=True, kw_only=True, tag="babbling"):
     """A node that is none of ours sends without need: `load` of the bus, at `priority`."""
 
     load: Annotated[float, Meta(gt=0.0, le=3.0)] = 1.0
+    """Share of the bus that the frames take."""
     priority: Annotated[int, Meta(ge=0, le=7)] = 0
+    """Priority of the frames; 0 is the highest."""
 
 
 class Replayed(_Fault, frozen=True, kw_only=True, tag="replayed"):
     """An intruder sends each frame of `message` once more, `delay_s` after it arrived."""
 
     message: MessageName
+    """Message whose frames are repeated."""
     delay_s: Annotated[float, Meta(ge=0.001, le=MOST_DELAY_S)]
+    """Time from a frame's arrival to its repetition."""
 
 
 class Spoofed(_Fault, frozen=True, kw_only=True, tag="spoofed"):
     """An intruder sends frames of `message` every `period_s`, their content drawn at random."""
 
     message: MessageName
+    """Message whose frames are forged."""
     period_s: Annotated[float, Meta(ge=0.0005, le=1.0)]
+    """Period of the forged frames."""
 
 
 BusFault = (

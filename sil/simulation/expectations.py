@@ -56,7 +56,9 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A closed range; a missing side is open."""
 
     min: float | None = None
+    """Smallest value allowed."""
     max: float | None = None
+    """Largest value allowed."""
 
     def holds(self, value: float | None) -> bool:
         """Return whether a value exists and lies within."""
@@ -70,32 +72,43 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Timing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"start": "from"}):
-    """How long it takes from one instant of a shift to another, in s."""
+    """Limits of the time from one instant of a shift to another."""
 
     to: Instant
+    """Instant at which the time ends."""
     start: Instant = "requested"
+    """Instant at which the time begins."""
     shift: Annotated[int, msgspec.Meta(ge=1)] = 1
+    """Number of the shift, from 1."""
     min_s: float | None = None
+    """Shortest time allowed."""
     max_s: float | None = None
+    """Longest time allowed."""
 
 
 class Expectations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The [expect] table of a scenario; what is left out is not checked.
-
-    `final_gear` is where the stay stands at the end, in truth; `confirmed_gear` what the controller
-    reports; `faults` those it must report at some time, all others are then refused too.
-    """
+    """The [expect] table of a scenario; what is left out is not checked."""
 
     final_gear: GearName | Literal["unknown"] | None = None
+    """Gear whose stop the stay is at when the run ends, in the plant."""
     confirmed_gear: GearName | Literal["unknown"] | None = None
+    """Gear that the controller reports at the end."""
     states: list[StateName] = []
+    """States that the controller must have reported."""
     never_states: list[StateName] = []
+    """States that the controller must not have reported."""
     valves_opened: list[ChamberName] | None = None
+    """Valves that must have opened; no others may."""
     faults: list[FaultName] | None = None
+    """Faults that the controller must have reported at some time; no others may."""
     valves_off_at_end: bool | None = None
+    """Whether all valves are off at the end."""
     metrics: dict[MetricName, Limits] = {}
+    """Limits of metrics by name, e.g. shift_time_s = { max = 0.1 }."""
     timing: list[Timing] = []
+    """Limits of the time between two instants of a shift."""
     min_frames: Annotated[int, msgspec.Meta(ge=1)] = 1
+    """Least number of frames of each kind that show that the run did anything."""
 
 
 class Observed:

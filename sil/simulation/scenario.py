@@ -39,75 +39,89 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class Request(_Table, frozen=True, kw_only=True):
-    """From `at_s` on the driver asks for `gear`, until the next request."""
+    """A gear that the driver requests."""
 
     at_s: Seconds
+    """Time from which the driver requests the gear, until the next request."""
     gear: GearName
+    """The gear requested."""
 
 
 class PlantTable(_Table, frozen=True, kw_only=True):
-    """Conditions of the actuator: where it is mounted, what it is fed with, what resists it.
-
-    `supply_pressure_pa` left out is the model's supply.P_s. `charged` names the chambers that stand
-    at supply pressure at the start, the others at atmosphere. `mesh_force_n` and `pull_force_n` are
-    the peaks of the force barriers into and out of a gear. `closing_follows_duty`: the valves close
-    the sooner the smaller the duty was. `truth_period_s`: of the frames that carry the truth.
-    """
+    """Conditions of the actuator: where it is mounted, what it is fed with, what resists it."""
 
     mounted: bool = False
+    """Mounted on the gearbox, with its masses, teeth and synchronizer; otherwise in the lab."""
     supply_pressure_pa: Annotated[float, Meta(ge=1e5, le=2e6)] | None = None
+    """Supply pressure, absolute; if left out, the model's supply.P_s."""
     charged: list[ChamberName] = []
+    """Chambers at supply pressure at the start; the others are at atmospheric pressure."""
     damper: Literal["none", "incompressible", "compressible"] = "none"
+    """Oil damper on the stay, and how its oil is modelled."""
     mesh_force_n: Newtons = 0.0
+    """Peak of the force against meshing, on the way into a gear."""
     pull_force_n: Newtons = 0.0
+    """Peak of the force that holds the teeth, on the way out of a gear."""
     closing_follows_duty: bool = False
+    """A valve closes sooner after a smaller duty."""
     speeds_period_s: Annotated[float, Meta(ge=0.001, le=0.02)] = 0.01
+    """Period of the DrivelineSpeeds frames."""
     truth_period_s: Annotated[float, Meta(ge=0.001, le=1.0)] = 0.01
+    """Period of the frames that carry the true motion and pressures."""
 
 
 class DriverTable(_Table, frozen=True, kw_only=True):
-    """When the driver's frames go out: at phase_s + k period_s."""
+    """When the driver's frames are sent: at phase_s + k period_s."""
 
     period_s: Annotated[float, Meta(ge=0.001, le=1.0)] = 0.02
+    """Period of the ShiftRequest frames."""
     phase_s: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    """Time of the first ShiftRequest frame."""
 
 
 class BusTable(_Table, frozen=True, kw_only=True):
-    """The CAN bus: bit rate, and the share of it that other nodes' frames of a priority take.
-
-    `send_buffer`: frames that a node may have waiting, further ones are lost; without, any number.
-    `mailboxes`: newer content of a message overwrites what its node has not sent yet, as in a CAN
-    controller with a transmit object for each; false: a node sends all, in the order of release.
-    `guest`: a program of the user takes part as the node "guest"; the run waits for it to join.
-    """
+    """The CAN bus and the load that other nodes put on it."""
 
     bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 500_000
+    """Bit rate in bit/s."""
     extra_load: Annotated[float, Meta(ge=0.0, le=3.0)] = 0.0
+    """Share of the bus that the frames of other nodes take; above 1 it is overloaded."""
     extra_priority: Annotated[int, Meta(ge=0, le=7)] = 3
+    """Priority of the frames of other nodes; 0 is the highest."""
     send_buffer: Annotated[int, Meta(ge=1, le=100_000)] | None = None
+    """Frames that a node can have waiting; further ones are lost. If left out, any number."""
     mailboxes: bool = True
+    """Newer content of a message overwrites what its node has not sent yet, as in a CAN
+    controller with one transmit object for each message; otherwise a node sends all, in the
+    order of release."""
     guest: bool = False
+    """A program of the user takes part as the node "guest"; the run waits for it to join."""
 
 
 class ClockTable(_Table, frozen=True, kw_only=True):
-    """How much faster than the plant's the clocks run, parts per million."""
+    """Clocks that run faster or slower than simulated time."""
 
     controller_ppm: Annotated[float, Meta(ge=-50_000.0, le=50_000.0)] = 0.0
+    """How much faster than simulated time the controller's clock runs, in millionths."""
     driver_ppm: Annotated[float, Meta(ge=-50_000.0, le=50_000.0)] = 0.0
+    """The same for the driver's clock."""
 
 
 class Scenario(_Table, frozen=True, kw_only=True):
-    """One run, complete. `model` holds overrides of model parameters by their path.
-
-    `firmware` is FILE.py or FILE.py:CLASS of another program in place of ours, beside the scenario.
-    """
+    """One run, complete."""
 
     name: Annotated[str, Meta(min_length=1, max_length=80)]
+    """Name of the run, in pictures, pages and folders."""
     description: str = ""
+    """What the scenario shows; its first line is printed by opc4 run --list."""
     duration_s: Annotated[float, Meta(gt=0.0, le=86400.0)]
+    """Simulated time of the run."""
     seed: Annotated[int, Meta(ge=0, le=(1 << 53) - 1)] = 1
+    """Seed of all random numbers."""
     initial_gear: GearName = "neutral"
+    """Gear at the start."""
     request: list[Request]
+    """Requests of the driver, in order of time."""
     driver: DriverTable = DriverTable()
     plant: PlantTable = PlantTable()
     driveline: DrivelineConfig = DrivelineConfig()
@@ -115,16 +129,26 @@ class Scenario(_Table, frozen=True, kw_only=True):
     sensor: SensorConfig = SensorConfig()
     controller: FirmwareConfig = FirmwareConfig()
     firmware: str = ""
+    """FILE.py or FILE.py:CLASS of a user's own firmware in place of ours, relative to the
+    scenario; empty for ours."""
     bus: BusTable = BusTable()
     clock: ClockTable = ClockTable()
     fault: list[BusFault] = []
+    """Faults of the bus and of the nodes on it."""
     sensor_fault: list[SensorFault] = []
+    """Faults of the position sensor."""
     temperature_fault: list[TemperatureFault] = []
+    """Faults of the thermometer in the position sensor."""
     speed_fault: list[SpeedFault] = []
+    """Faults of the shaft speeds that the plant reports."""
     valve_fault: list[ValveFault] = []
+    """Faults of the valves."""
     model_set: str = "nominal"
+    """Parameter set of the plant: a shipped name, or a model file relative to the scenario."""
     model: dict[str, float | list[float]] = {}
+    """Parameters of the plant that differ from the set, by path, e.g. "valve.D_fall" = 0.02."""
     trace_period_s: Annotated[float, Meta(ge=1e-5, le=1.0)] = 0.0005
+    """Distance of the rows of trace.csv; at most a tenth of duration_s."""
     expect: Expectations = Expectations()
 
 

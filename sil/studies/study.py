@@ -34,6 +34,7 @@ class StrokeBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The plant alone: one stroke by a list of commands (time s, valve, duty)."""
 
     kind: Literal["fixed", "N-B", "B-N", "N-F", "F-N"]
+    """Rig and stroke."""
     commands: list[
         tuple[
             Annotated[float, msgspec.Meta(ge=0.0, le=LONGEST_S)],
@@ -41,14 +42,23 @@ class StrokeBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             Annotated[float, msgspec.Meta(ge=0.0, le=1.0)],
         ]
     ]
+    """Valve commands: time in s, valve, duty."""
     until_s: Annotated[float, msgspec.Meta(ge=0.001, le=LONGEST_S)] = 0.3
+    """Simulated time."""
     supply_pressure_pa: float = 900000.0
+    """Supply pressure, absolute."""
     load: Literal["none", "damper", "spring"] = "none"
+    """What is coupled to the stay."""
     damper_model: Literal["compressible", "incompressible"] = "compressible"
+    """How the oil of the damper is modelled."""
     charged_before: list[str] = []
+    """Chambers at supply pressure at the start."""
     mounted: bool = False
+    """Mounted on the gearbox."""
     mesh_force_n: float = 0.0
+    """Peak of the force against meshing."""
     sync_impulse_n_s: float = 0.0
+    """Impulse that the synchronizer needs."""
 
 
 class Sweep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -58,28 +68,41 @@ class Sweep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """
 
     path: str
+    """Value that is swept, by the path that --set takes."""
     values: list[Value] | None = None
+    """Its values; or else a range."""
     low: float | None = None
+    """Lower end of the range."""
     high: float | None = None
+    """Upper end of the range."""
     steps: Annotated[int, msgspec.Meta(ge=2, le=MOST_ROWS)] | None = None
+    """Number of values in the range."""
     scale: Literal["linear", "log"] = "linear"
+    """Equal distances, or equal ratios."""
     label: str = ""
+    """Text for figures; if empty, the path."""
     unit: str = ""
+    """Unit for figures."""
 
 
 class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A named set of values: a load case, a strategy, a variant of the hardware."""
 
     name: Name
+    """Name in tables and figures."""
     set: dict[str, Setting] = {}
+    """Values that the choice sets, by path."""
 
 
 class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How swept values are combined: full grid, value by value (list), Latin hypercube, Sobol."""
 
     kind: Literal["grid", "list", "lhs", "sobol"] = "grid"
+    """How swept values are combined: full grid, value by value (list), Latin hypercube, Sobol."""
     samples: Annotated[int, msgspec.Meta(ge=0, le=MOST_ROWS)] = 0
+    """Number of samples of a hypercube or Sobol design."""
     seed: Annotated[int, msgspec.Meta(ge=0, le=(1 << 53) - 1)] = 0
+    """Seed of a hypercube or Sobol design."""
 
 
 Kind = Literal["runs", "bounds", "budget", "tuning"]
@@ -93,18 +116,26 @@ class BoundsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     extra_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.03
     switches: Annotated[int, msgspec.Meta(ge=1, le=6)] = 6
+    """Most switchings of a command that is searched."""
     budget: Annotated[int, msgspec.Meta(ge=4, le=10_000)] = 60
+    """Simulations for each search."""
     stems: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8
+    """Starting points of the search."""
     seed: Annotated[int, msgspec.Meta(ge=0)] = 0
+    """Seed of the search."""
 
 
 class TuningTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Size of the search of a tuning, the same for every strategy; see `sil.studies.kinds.tuning`."""
 
     candidates: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 16
+    """Candidates for each strategy."""
     free_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.03
+    """Extra shift time that costs nothing."""
     late_m_s2: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 10.0
+    """Cost of further shift time: impact speed per time."""
     seed: Annotated[int, msgspec.Meta(ge=0)] = 0
+    """Seed of the search."""
 
 
 class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -116,19 +147,30 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """
 
     name: Name
+    """Name of the study."""
     description: str = ""
+    """What the study shows."""
     kind: Kind = "runs"
     bounds: BoundsTable = BoundsTable()
     tuning: TuningTable = TuningTable()
     scenario: str | None = None
+    """Scenario that is run: a file or a shipped name."""
     stroke: StrokeBase | None = None
+    """Stroke of the plant alone that is simulated instead."""
     model: str = "nominal"
+    """Parameter set or model file of the plant."""
     seed: Annotated[int, msgspec.Meta(ge=0, le=(1 << 53) - 1)] | None = None
+    """Seed of the scenario."""
     sweep: list[Sweep] = []
+    """Values that are swept."""
     design: Design = Design()
+    """How they are combined."""
     load: list[Choice] = []
+    """Load cases."""
     strategy: list[Choice] = []
+    """Strategies that are compared."""
     variant: list[Choice] = []
+    """Variants of the hardware that are compared."""
     reads: list[str] = []
     """Metrics that the summary and the figures show first."""
     safety: bool = False
