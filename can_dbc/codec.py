@@ -17,73 +17,13 @@ from functools import cache, lru_cache
 from operator import attrgetter, index
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, get_args, get_type_hints
 
-from can_dbc import messages as m
 from can_dbc.contract import MessageSpec, SignalSpec, contract
 from can_dbc.errors import CodecError
 from can_dbc.frame import Frame, is_lockstep, split_id
+from can_dbc.messages import SIGNALS, Message
 
 if TYPE_CHECKING:
     from can_dbc.lockstep import ControlMessage
-
-SIGNALS: dict[type, dict[str, str]] = {
-    m.ShiftRequest: {"target": "TargetGear"},
-    m.ValveCommand: {
-        "duty_b": "DutyB",
-        "duty_n": "DutyN",
-        "duty_f": "DutyF",
-        "target": "TargetGear",
-    },
-    m.SafetyBlow: {
-        "chamber": "BlowChamber",
-        "active": "BlowActive",
-        "remaining_s": "BlowRemaining",
-    },
-    m.PositionPulse: {
-        "pulse_s": "PulseDuration",
-        "coil_temperature_k": "CoilTemperature",
-        "sample_index": "SampleIndex",
-    },
-    m.DrivelineSpeeds: {"input_rad_s": "InputSpeed", "output_rad_s": "OutputSpeed"},
-    m.ControllerStatus: {
-        "state": "State",
-        "confirmed": "ConfirmedGear",
-        "estimate_m": "PositionEstimate",
-        "faults": "Faults",
-    },
-    m.Etc1: {
-        "driveline_engaged": "DrivelineEngaged",
-        "torque_converter_lockup": "TorqueConverterLockup",
-        "shift_in_process": "ShiftInProcess",
-        "lockup_transition": "LockupTransition",
-        "output_shaft_rad_s": "OutputShaftSpeed",
-        "clutch_slip": "ClutchSlip",
-        "momentary_overspeed": "MomentaryOverspeed",
-        "progressive_shift_disabled": "ProgressiveShiftDisable",
-        "momentary_maximum_power": "MomentaryMaximumPower",
-        "input_shaft_rad_s": "InputShaftSpeed",
-        "controlling_address": "ControllingAddress",
-    },
-    m.Etc2: {
-        "selected_gear": "SelectedGear",
-        "gear_ratio": "GearRatio",
-        "current_gear": "CurrentGear",
-        "requested_range": "RequestedRange",
-        "current_range": "CurrentRange",
-    },
-    m.PlantMotion: {
-        "position_m": "Position",
-        "velocity_m_s": "Velocity",
-        "piston_1_m": "Piston1",
-        "piston_2_m": "Piston2",
-    },
-    m.PlantPressures: {
-        "pressure_b_pa": "PressureB",
-        "pressure_n_pa": "PressureN",
-        "pressure_f_pa": "PressureF",
-        "supply_pa": "PressureSupply",
-    },
-}
-"""Which signal carries which field; those of the lockstep are in `can_dbc.lockstep`."""
 
 _SI = {
     "": (1.0, 1.0),
@@ -244,7 +184,7 @@ class _MessageCodec:
         spec = spec_of(message_type)
         hints = get_type_hints(message_type)
         names = _signals(message_type)
-        signals = {field: spec.signal(names[field]) for field in hints}
+        signals = {field: spec.signal(name) for field, name in zip(hints, names, strict=True)}
         self.message_type = message_type
         self.can_id = spec.can_id
         self.length = spec.length
@@ -347,7 +287,7 @@ def message_type_of(can_id: int) -> type | None:
     return (_lockstep_types() if is_lockstep(can_id) else _types()).get(can_id)
 
 
-def _signals(message_type: type) -> dict[str, str]:
+def _signals(message_type: type) -> tuple[str, ...]:
     if message_type.__module__ == "can_dbc.lockstep":
         from can_dbc import lockstep
 
@@ -387,7 +327,7 @@ _encoders = _Encoders()
 _decoders = _Decoders()
 
 
-def encode(message: m.Message | ControlMessage) -> Frame:
+def encode(message: Message | ControlMessage) -> Frame:
     """The frame of a message, rounded half to even to the resolution of the DBC.
 
     Raises CodecError for a value out of range, NaN or of another type, naming the field.
@@ -396,11 +336,11 @@ def encode(message: m.Message | ControlMessage) -> Frame:
     return _encoders[message.__class__](message)
 
 
-def decode(frame: Frame) -> m.Message | ControlMessage:
+def decode(frame: Frame) -> Message | ControlMessage:
     """The message in a frame, in SI units; the inverse of `encode` on the grid of the DBC.
 
     Raises CodecError for an unknown identifier, a wrong length, a value without meaning or unused
     bits that are not 1. Checked by: tests/contracts/test_codec.py
     """
-    message: m.Message | ControlMessage = _decoders[frame[0]](frame[1])
+    message: Message | ControlMessage = _decoders[frame[0]](frame[1])
     return message

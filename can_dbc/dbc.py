@@ -1,15 +1,13 @@
 """Databases of other people, read through cantools.
 
-cantools declares no exceptions for malformed files and some files make it expand ranges without
-end, so that impossible numbers are refused first and everything it raises becomes one line.
-Checked by: tests/unit/can_dbc/test_dbc.py, tests/fuzz/test_fuzz_dbc.py
+cantools declares no exceptions for malformed files and expands some ranges without end. Impossible
+numbers are therefore refused first, and whatever cantools raises becomes one line.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from bisect import bisect_right
 from typing import TYPE_CHECKING, NoReturn
 
 from can_dbc.errors import InputError
@@ -23,7 +21,6 @@ LONGEST_MESSAGE = 1785
 """Bytes of a J1939 transport protocol message, the longest that a DBC for CAN describes."""
 
 _MOST_MULTIPLEXED = 4096
-_LARGEST_TO_BISECT = 200_000
 _LARGEST_POWER = 400
 _LARGEST_NUMBER = 1e300
 _LONGEST_CYCLE_MS = 10**12
@@ -39,46 +36,44 @@ _MESSAGE = re.compile(r"\bBO_\s+[-+]?(\d+)\s+(\w+)\s*:\s*[-+]?(\d+)")
 _SIGNAL = re.compile(r"\bSG_\s+(\w+)[^:;]*:([^:;|]*)\|([^:;@]*)@\s*(\S?)")
 _MULTIPLEXED = re.compile(r"\bSG_MUL_VAL_\b[^;]*")
 _RANGE = re.compile(r"(\d+)\s*-\s*(\d+)")
-_STATEMENT = re.compile(
-    r"^[ \t]*(?:BO_|SG_|BU_|CM_|BA_|VAL_|EV_|SIG_|SG_MUL_|BO_TX|ENV)", re.MULTILINE
-)
-
-
-class _Text:
-    """A file's text with the line of each offset."""
-
-    def __init__(self, source: str, text: str) -> None:
-        self.source = source
-        self.text = text
-        self.line_ends = [match.start() for match in re.finditer("\n", text)]
-
-    def refuse(self, offset: int | None, what: str) -> NoReturn:
-        """Raise the InputError for a place, or for the file as a whole."""
-        place = "" if offset is None else f" line {bisect_right(self.line_ends, offset - 1) + 1}:"
-        raise InputError(f"{self.source}:{place} {what}")
 
 
 def load_dbc(path: str | os.PathLike[str], strict: bool = True) -> Database:
     """Read a DBC file, in UTF-8 or else in Windows-1252.
 
     `strict` also refuses overlapping signals and signals that leave their message.
-    Raises InputError with file, line (where it can be told) and reason for all that is wrong.
-    Checked by: tests/unit/can_dbc/test_dbc.py, tests/fuzz/test_fuzz_dbc.py
+    Raises InputError with file, line (where it is known) and reason for all that is wrong.
     """
     source = os.fspath(path)
     return parse_dbc(read_user_file(source, "a DBC file", LARGEST_FILE), source, strict)
 
 
 def parse_dbc(content: bytes, source: str = "DBC", strict: bool = True) -> Database:
-    """The same for the bytes of a file, `source` being its name in messages."""
+    """Read the bytes of a DBC file as `load_dbc` does; `source` is its name in messages."""
+    from cantools.database.can import Database
+
     text = _Text(source, _decoded(content, source))
     _refuse_impossible(text)
+    database = Database(strict=strict)
     try:
-        database = _parse(text.text, strict)
+        database.add_dbc_string(text.text)
     except Exception as error:  # whatever cantools raises is the file's fault
-        text.refuse(_offset_of(error, text, strict), _reason(error))
+        text.refuse(_offset_of(error, text.text), _reason(error))
     _refuse_unusable(database, text)
     return database
+
+
+class _Text:
+    """A file's text and name."""
+
+    def __init__(self, source: str, text: str) -> None:
+        self.source = source
+        self.text = text
+
+    def refuse(self, offset: int | None, what: str) -> NoReturn:
+        """Raise the InputError for the line at an offset, or for the file as a whole."""
+        line = "" if offset is None else f" line {self.text.count(chr(10), 0, offset) + 1}:"
+        raise InputError(f"{self.source}:{line} {what}")
 
 
 def _decoded(content: bytes, source: str) -> str:
@@ -98,22 +93,14 @@ def _decoded(content: bytes, source: str) -> str:
         ) from None
 
 
-def _parse(text: str, strict: bool) -> Database:
-    from cantools.database.can import Database
-
-    database = Database(strict=strict)
-    database.add_dbc_string(text)
-    return database
-
-
 def _refuse_impossible(text: _Text) -> None:
-    """Refuse what cantools would expand without end, overwrite or misread without a word."""
+    """Refuse what cantools would expand without end, or overwrite or misread silently."""
     code = _UNREAD.sub(lambda match: re.sub(r"[^\n]", " ", match.group()), text.text)
     _refuse_huge_powers(text, code)
     names: set[str] = set()
     identifiers: dict[str, str] = {}
     for match in _MESSAGE.finditer(code):
-        identifier, name = match.group(1).lstrip("0"), match.group(2)
+        identifier, name, length = match.group(1).lstrip("0"), match.group(2), match.group(3)
         if name in names:
             text.refuse(match.start(), f"message {name} is declared twice")
         if identifier in identifiers:
@@ -121,27 +108,18 @@ def _refuse_impossible(text: _Text) -> None:
             text.refuse(match.start(), f"messages {other} and {name} share an identifier")
         names.add(name)
         identifiers[identifier] = name
-        if _above(match.group(3), LONGEST_MESSAGE):
-            text.refuse(
-                match.start(),
-                f"message {match.group(2)} has {match.group(3)[:20]} bytes; "
-                f"expected at most {LONGEST_MESSAGE}",
-            )
+        if _above(length, LONGEST_MESSAGE):
+            what = f"message {name} has {length[:20]} bytes; expected at most {LONGEST_MESSAGE}"
+            text.refuse(match.start(), what)
     for match in _SIGNAL.finditer(code):
         name, start, length, order = match.groups()
         if order not in ("0", "1"):
-            text.refuse(
-                match.start(),
-                f"signal {name} has byte order {order!r}; "
-                "expected 0 (big-endian) or 1 (little-endian)",
-            )
+            what = f"signal {name} has byte order {order!r}; expected 0 (big-endian) or 1 (little-endian)"
+            text.refuse(match.start(), what)
         for number in (re.sub(r"\D", "", start), re.sub(r"\D", "", length)):
             if _above(number, 8 * LONGEST_MESSAGE):
-                text.refuse(
-                    match.start(),
-                    f"signal {name} reaches bit {number[:20]}; "
-                    f"expected at most {8 * LONGEST_MESSAGE}",
-                )
+                limit = f"expected at most {8 * LONGEST_MESSAGE}"
+                text.refuse(match.start(), f"signal {name} reaches bit {number[:20]}; {limit}")
     for statement in _MULTIPLEXED.finditer(code):
         values = 0
         for match in _RANGE.finditer(statement.group()):
@@ -149,11 +127,9 @@ def _refuse_impossible(text: _Text) -> None:
             huge = _above(high, 1 << 63) or _above(low, 1 << 63)
             values += 0 if huge else max(0, int(high) - int(low) + 1)
             if huge or values > _MOST_MULTIPLEXED:
-                text.refuse(
-                    statement.start() + match.start(),
-                    f"multiplexer range {low[:20]}-{high[:20]}; "
-                    f"expected at most {_MOST_MULTIPLEXED} values of a signal",
-                )
+                limit = f"expected at most {_MOST_MULTIPLEXED} values of a signal"
+                offset = statement.start() + match.start()
+                text.refuse(offset, f"multiplexer range {low[:20]}-{high[:20]}; {limit}")
 
 
 def _refuse_huge_powers(text: _Text, code: str) -> None:
@@ -174,31 +150,24 @@ def _above(digits: str, limit: int) -> bool:
     return len(digits) > 20 or int(digits or "0") > limit
 
 
-def _offset_of(error: Exception, text: _Text, strict: bool) -> int | None:
-    """Offset that the error names, else of the first statement that brings it about."""
+def _offset_of(error: Exception, text: str) -> int | None:
+    """Return the offset that an error states, else that of what its message names."""
     offset = getattr(error, "offset", None)
     if isinstance(offset, int):
         return offset
-    if len(text.text) > _LARGEST_TO_BISECT:
+    reason = str(error)
+    if isinstance(error, KeyError):  # an attribute that is not defined
+        sought = rf'^[ \t]*BA_\w*\s+"{re.escape(str(error.args[0]))}"'
+    elif unused := re.search(r"VAL_ (\d+) (\w+)", reason):
+        sought = rf"^[ \t]*VAL_\s+{unused.group(1)}\s+{unused.group(2)}\b"
+    elif message := re.search(r"in message (\w+)", reason):
+        sought = rf"^[ \t]*BO_\s+\d+\s+{message.group(1)}\b"
+        if signal := re.search(r"signals? (\w+)", reason):
+            sought += rf"[^;]*?\n[ \t]*(?=SG_\s+{signal.group(1)}\b)"
+    else:
         return None
-    starts = [match.start() for match in _STATEMENT.finditer(text.text)]
-    ends = [*starts[1:], len(text.text)]
-    good, bad = 0, len(ends)
-    while bad - good > 1:
-        middle = (good + bad) // 2
-        if _fails_alike(text.text[: ends[middle - 1]], strict, error):
-            bad = middle
-        else:
-            good = middle
-    return starts[bad - 1] if starts else None
-
-
-def _fails_alike(text: str, strict: bool, error: Exception) -> bool:
-    try:
-        _parse(text, strict)
-    except Exception as other:  # as in parse_dbc
-        return type(other) is type(error)
-    return False
+    found = re.search(sought, text, re.MULTILINE)
+    return None if found is None else max(found.start(), found.end() - 1)
 
 
 def _reason(error: Exception) -> str:
@@ -216,18 +185,15 @@ def _reason(error: Exception) -> str:
 
 
 def _refuse_unusable(database: Database, text: _Text) -> None:
-    """Refuse what cantools takes without a word although nothing can be done with it."""
+    """Refuse what cantools accepts although nothing can be done with it."""
     for message in database.messages:
         declared = re.search(rf"\bBO_\s+\d+\s+{re.escape(message.name)}\b", text.text)
         offset = declared.start() if declared else None
         cycle_ms = message.cycle_time
         number = isinstance(cycle_ms, int | float) and 0 <= cycle_ms < _LONGEST_CYCLE_MS
         if cycle_ms is not None and not number:
-            text.refuse(
-                offset,
-                f"message {message.name}: cycle time {str(cycle_ms)[:30]!r}; "
-                "expected 0 to 10^12 milliseconds",
-            )
+            given = f"cycle time {str(cycle_ms)[:30]!r}; expected 0 to 10^12 milliseconds"
+            text.refuse(offset, f"message {message.name}: {given}")
         for signal in message.signals:
             where = f"signal {signal.name} of {message.name}"
             scale, shift = signal.conversion.scale, signal.conversion.offset

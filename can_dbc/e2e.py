@@ -21,24 +21,17 @@ from typing import Generic, TypeVar
 
 from e2e.p02 import e2e_p02_check, e2e_p02_protect
 
-from can_dbc import messages as m
 from can_dbc.codec import decode, encode, spec_of
 from can_dbc.errors import CodecError, InputError
 from can_dbc.frame import Frame
+from can_dbc.messages import SIGNALS
 
 COUNTERS = 16
 LARGEST_COUNTER = COUNTERS - 1
 TIMEOUT_CYCLES = 3
 
-PROTECTED: tuple[type, ...] = (
-    m.ShiftRequest,
-    m.ValveCommand,
-    m.SafetyBlow,
-    m.PositionPulse,
-    m.DrivelineSpeeds,
-    m.ControllerStatus,
-)
-"""Message types that travel with counter and CRC."""
+PROTECTED: tuple[type, ...] = tuple(kind for kind in SIGNALS if spec_of(kind).e2e_data_ids)
+"""Message types with counter and CRC."""
 
 M = TypeVar("M")
 

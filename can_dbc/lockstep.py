@@ -163,26 +163,21 @@ ControlMessage = (
 )
 """Any control frame."""
 
-SIGNALS: dict[type, dict[str, str]] = {
-    Start: {"end_ns": "EndTime"},
-    Stop: {"reason": "StopReason", "time_ns": "StopTime"},
-    Grant: {"participant": "Participant", "frames": "Frames", "time_ns": "GrantedTime"},
-    BusTime: {"sender": "Sender", "checksum": "Checksum", "time_ns": "ArrivalTime"},
-    Done: {"participant": "Participant", "frames": "Frames", "next_event_ns": "NextEvent"},
-    Release: {"participant": "Participant", "time_ns": "ReleaseTime"},
-    Hello: {
-        "participant": "Participant",
-        "version": "Version",
-        "nonce": "Nonce",
-        "scenario": "Scenario",
-    },
-    Welcome: {"participant": "Participant", "version": "Version", "nonce": "WelcomeNonce"},
-    Refused: {"participant": "Participant", "reason": "RefusalReason", "nonce": "RefusedNonce"},
-    Failed: {"participant": "Participant"},
-    Sync: {"participant": "Participant"},
-    Ack: {"participant": "Participant"},
-    Retire: {"participant": "Participant"},
-    Monitor: {"echo": "Echo"},
-    Skip: {"participant": "Participant"},
+SIGNALS: dict[type, tuple[str, ...]] = {
+    Start: ("EndTime",),
+    Stop: ("StopReason", "StopTime"),
+    Grant: ("Participant", "Frames", "GrantedTime"),
+    BusTime: ("Sender", "Checksum", "ArrivalTime"),
+    Done: ("Participant", "Frames", "NextEvent"),
+    Release: ("Participant", "ReleaseTime"),
+    Hello: ("Participant", "Version", "Nonce", "Scenario"),
+    Welcome: ("Participant", "Version", "WelcomeNonce"),
+    Refused: ("Participant", "RefusalReason", "RefusedNonce"),
+    Failed: ("Participant",),
+    Sync: ("Participant",),
+    Ack: ("Participant",),
+    Retire: ("Participant",),
+    Monitor: ("Echo",),
+    Skip: ("Participant",),
 }
-"""Which signal carries which field."""
+"""Signals of each control frame in the order of its fields."""

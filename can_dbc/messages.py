@@ -208,3 +208,29 @@ Message = (
     | PlantPressures
 )
 """Any message of the simulated bus; those of the lockstep are in `can_dbc.lockstep`."""
+
+SIGNALS: dict[type, tuple[str, ...]] = {
+    ShiftRequest: ("TargetGear",),
+    ValveCommand: ("DutyB", "DutyN", "DutyF", "TargetGear"),
+    SafetyBlow: ("BlowChamber", "BlowActive", "BlowRemaining"),
+    PositionPulse: ("PulseDuration", "CoilTemperature", "SampleIndex"),
+    DrivelineSpeeds: ("InputSpeed", "OutputSpeed"),
+    ControllerStatus: ("State", "ConfirmedGear", "PositionEstimate", "Faults"),
+    Etc1: (
+        "DrivelineEngaged",
+        "TorqueConverterLockup",
+        "ShiftInProcess",
+        "LockupTransition",
+        "OutputShaftSpeed",
+        "ClutchSlip",
+        "MomentaryOverspeed",
+        "ProgressiveShiftDisable",
+        "MomentaryMaximumPower",
+        "InputShaftSpeed",
+        "ControllingAddress",
+    ),
+    Etc2: ("SelectedGear", "GearRatio", "CurrentGear", "RequestedRange", "CurrentRange"),
+    PlantMotion: ("Position", "Velocity", "Piston1", "Piston2"),
+    PlantPressures: ("PressureB", "PressureN", "PressureF", "PressureSupply"),
+}
+"""Signals of each message in the order of its fields; those of the lockstep are in `can_dbc.lockstep`."""

@@ -50,16 +50,6 @@ def butterworth(order: int, fc_hz: float, rate_hz: float) -> tuple[Section, ...]
     return tuple(sections)
 
 
-def delay_at_rest_s(order: int, fc_hz: float, rate_hz: float) -> float:
-    """Return the group delay at zero frequency, s: sum(1/Q_k) / (2 rate K).
-
-    By it a slow ramp lags; sum(1/Q_k) includes 1 for the single pole of an odd order and equals
-    1/sin(pi/(2 n)). Checked by test_filters.
-    """
-    k = math.tan(math.pi * fc_hz / rate_hz)
-    return 1.0 / (2.0 * rate_hz * k * math.sin(math.pi / (2 * order)))
-
-
 class SectionFilter:
     """A cascade of sections in transposed direct form II; 5 multiplications a section and step.
 

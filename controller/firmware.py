@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from enum import IntEnum
 from typing import NamedTuple
 
+from can_dbc.e2e import E2eState
 from can_dbc.messages import (
     Chamber,
     ControllerStatus,
@@ -50,23 +50,15 @@ NO_BLOW = SafetyBlow(chamber=Chamber.NONE, active=False, remaining_s=0.0)
 _NO_FAULT = Fault.NONE
 
 
-class ChannelState(IntEnum):
-    """State of a received channel's end-to-end protection."""
-
-    INIT = 0
-    VALID = 1
-    INVALID = 2
-
-
 class Inputs(NamedTuple):
     """What has arrived since the last step: new pulses, and of the others the latest good one."""
 
     pulses: tuple[PositionPulse, ...] = ()
     request: ShiftRequest | None = None
     speeds: DrivelineSpeeds | None = None
-    position_state: ChannelState = ChannelState.INIT
-    request_state: ChannelState = ChannelState.INIT
-    speeds_state: ChannelState = ChannelState.INIT
+    position_state: E2eState = E2eState.INIT
+    request_state: E2eState = E2eState.INIT
+    speeds_state: E2eState = E2eState.INIT
 
 
 class Outputs(NamedTuple):
@@ -128,7 +120,7 @@ class Firmware:
         estimate, position_faults = self._sense(now_ns, inputs, waking)
         live, requested = self._judge_inputs(inputs, waking)
         live = _either(live, position_faults)
-        speeds = inputs.speeds if inputs.speeds_state is ChannelState.VALID else None
+        speeds = inputs.speeds if inputs.speeds_state is E2eState.VALID else None
         self._run_machine(now_ns, estimate, requested, speeds)
         if speeds is not self._speeds:
             self._speeds, self._speeds_ns = speeds, now_ns
@@ -145,12 +137,12 @@ class Firmware:
             live |= Fault.SENSOR_STUCK
         return self._report(now_ns, estimate, duties, _either(live, self._latched), speeds)
 
-    def _lost(self, channel: str, state: ChannelState, waking: bool) -> bool:
+    def _lost(self, channel: str, state: E2eState, waking: bool) -> bool:
         """Whether a channel is lost: no longer valid, or never valid when it should be by now."""
-        if state is ChannelState.VALID:
+        if state is E2eState.VALID:
             self._heard[channel] = True
             return False
-        return state is ChannelState.INVALID or self._heard[channel] or not waking
+        return state is E2eState.INVALID or self._heard[channel] or not waking
 
     def _sense(self, now_ns: int, inputs: Inputs, waking: bool) -> tuple[Estimate, Fault]:
         """Return the estimate and the faults of the position.
@@ -158,7 +150,7 @@ class Firmware:
         A channel that is valid but brings no usable sample for its timeout is lost as well.
         """
         lost = self._lost("position", inputs.position_state, waking)
-        valid = inputs.position_state is ChannelState.VALID
+        valid = inputs.position_state is E2eState.VALID
         if not valid:
             self._sampled_ns = now_ns
         estimate = self._estimator.update(inputs.pulses, not valid)
@@ -178,7 +170,7 @@ class Firmware:
         live = Fault.SPEEDS_LOST if lost else Fault.NONE
         if self._lost("request", inputs.request_state, waking):
             live |= Fault.REQUEST_LOST
-        if inputs.request_state is not ChannelState.VALID or inputs.request is None:
+        if inputs.request_state is not E2eState.VALID or inputs.request is None:
             return live, None
         if inputs.request.target is Gear.UNKNOWN:
             return live | Fault.REQUEST_INVALID, None

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from can_dbc.codec import can_id_of, encode
-from can_dbc.e2e import E2eConfig, E2eState, E2eStatus, Protector, Receiver
+from can_dbc.e2e import E2eConfig, E2eStatus, Protector, Receiver
 from can_dbc.frame import Frame
 from can_dbc.messages import (
     ControllerStatus,
@@ -17,14 +17,9 @@ from can_dbc.messages import (
     ValveCommand,
 )
 from controller.config import FirmwareConfig
-from controller.firmware import ChannelState, Firmware, Inputs, Outputs
+from controller.firmware import Firmware, Inputs, Outputs
 from controller.settings import nanoseconds
 
-_CHANNEL_STATE = {
-    E2eState.INIT: ChannelState.INIT,
-    E2eState.VALID: ChannelState.VALID,
-    E2eState.INVALID: ChannelState.INVALID,
-}
 _GOOD = (E2eStatus.OK, E2eStatus.OK_SOME_LOST)
 
 
@@ -112,9 +107,9 @@ class ControllerNode:
             pulses=tuple(self._new_pulses),
             request=self.requests.message,
             speeds=self.speeds.message,
-            position_state=_CHANNEL_STATE[self.pulses.state(now_ns)],
-            request_state=_CHANNEL_STATE[self.requests.state(now_ns)],
-            speeds_state=_CHANNEL_STATE[self.speeds.state(now_ns)],
+            position_state=self.pulses.state(now_ns),
+            request_state=self.requests.state(now_ns),
+            speeds_state=self.speeds.state(now_ns),
         )
         self._new_pulses.clear()
         self.outputs = out = self.firmware.step(now_ns, inputs)

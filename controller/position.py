@@ -8,7 +8,6 @@ from typing import NamedTuple
 from can_dbc.messages import Gear, PositionPulse
 from controller.filters import SectionFilter, butterworth
 from controller.settings import ControlConfig, SensorConfig, WindowConfig
-from controller.velocity import TwoSampleVelocity
 
 
 class Sample(NamedTuple):
@@ -136,13 +135,12 @@ class PositionEstimator:
         self._calibration = Calibration(sensor)
         self._still_m = self._calibration.still_m
         self._plausibility = Plausibility(sensor, config.windows.stroke_m, self._still_m)
+        self._rate_hz = 1.0 / sensor.period_s
         self._filter: SectionFilter | None = None
         if config.filter.enabled:
-            rate_hz = 1.0 / sensor.period_s
             self._filter = SectionFilter(
-                butterworth(config.filter.order, config.filter.fc_hz, rate_hz)
+                butterworth(config.filter.order, config.filter.fc_hz, self._rate_hz)
             )
-        self._velocity = TwoSampleVelocity(sensor.period_s)
         self._most_pulses = int(config.period_s / sensor.period_s) + 3
         self._longest_gap = min(64, int(config.e2e.position_timeout_s / sensor.period_s))
         self._settled = False
@@ -224,17 +222,18 @@ class PositionEstimator:
     def _settle(self, raw_m: float) -> None:
         if self._filter is not None:
             self._filter.settle(raw_m)
-        self._velocity.settle(raw_m)
         self._settled = True
         self._last = Sample(raw_m, raw_m, 0.0)
 
     def _filter_to(self, raw_m: float, steps: int) -> None:
-        start_m = self._last.raw_m
+        """Filter up to a new sample; the velocity is the last difference over the period."""
+        start_m, before_m, _ = self._last
         for step in range(1, steps + 1):
             position_m = start_m + (raw_m - start_m) * step / steps
             if self._filter is not None:
                 position_m = self._filter.update(position_m)
-            velocity_m_s = self._velocity.update(position_m)
+            velocity_m_s = (position_m - before_m) * self._rate_hz
+            before_m = position_m
         self._last = Sample(raw_m, position_m, velocity_m_s)
 
     def _accept(self, index: int, accepted: list[Sample]) -> None:

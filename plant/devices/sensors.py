@@ -1,4 +1,4 @@
-"""Sensors: inductive position sensor, its filtered chain, potentiometer, gauges, recorder.
+"""Sensors of the position: inductive sensor, its filtered chain, potentiometer.
 
 Checked by: tests/unit/plant/devices/test_sensors.py
 """
@@ -6,7 +6,6 @@ Checked by: tests/unit/plant/devices/test_sensors.py
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -266,97 +265,3 @@ class Potentiometer:
         noise = generator.normal(0.0, self.noise_sd_m, np.shape(position_m))
         steps = np.rint((position_m + self.offset_m + noise) / self.resolution_m)
         return np.asarray(steps * self.resolution_m)
-
-
-@dataclass(frozen=True)
-class Gauge:
-    """Absolute pressure gauge with its converter: offset, white noise, clipping, counts.
-
-    Parameters: range_pa (0..range_pa), noise_sd_pa, offset_pa [Pa], adc_bits.
-    Source: thesis 2.2.2 (10 bar air, 50 bar oil, error below 0.10 % of the range).
-    """
-
-    range_pa: float
-    noise_sd_pa: float
-    adc_bits: int
-    offset_pa: float = 0.0
-
-    @property
-    def count_pa(self) -> float:
-        """Pressure [Pa] of one converter count."""
-        return float(self.range_pa / 2**self.adc_bits)
-
-    def measure_pa(self, pressure_pa: Floats, generator: np.random.Generator) -> Floats:
-        """Measured pressures [Pa] of true ones, any shape."""
-        noise = generator.normal(0.0, self.noise_sd_pa, np.shape(pressure_pa))
-        counts = np.rint((pressure_pa + self.offset_pa + noise) / self.count_pa)
-        return np.asarray(np.clip(counts, 0, 2**self.adc_bits - 1) * self.count_pa)
-
-
-def record_instants_ns(duration_s: float, rate_hz: float) -> Instants:
-    """Sampling instants k/rate_hz [ns] of a recorder in 0 <= t < duration_s, rounded singly."""
-    if not rate_hz > 0.0:
-        raise ValueError(f"recorder rate {rate_hz!r} Hz is not positive")
-    count = round(duration_s * rate_hz)
-    return np.rint(np.arange(count) * (NS_PER_S / rate_hz)).astype(np.int64)
-
-
-@dataclass(frozen=True)
-class Recorder:
-    """The oscilloscope: which sensor stands behind each column, with this rig's offsets.
-
-    Columns: position_m through the potentiometer, pressure_oil*_pa and pressure_*_pa through the
-    gauge of that column; any other column passes unchanged.
-    """
-
-    rate_hz: float
-    potentiometer: Potentiometer
-    air: Gauge
-    oil: Gauge
-    seed: int
-    offset_sd_pa: float
-    accuracy_fro: float
-    oil_offset_ratio: float = 5.0
-
-    @classmethod
-    def from_parameters(cls, parameters: ParameterValues, seed: int) -> Recorder:
-        """Recorder with the set's unit-to-unit scatter of offsets, constant for one `seed`."""
-        value = parameters.value
-        bits = round(value("gauge.adc_bits"))
-        offset_m = named_generator(seed, "potentiometer").normal(
-            0.0, value("repeatability.unit_pot_offset_sd")
-        )
-        return cls(
-            rate_hz=value("scope.rate"),
-            potentiometer=Potentiometer(
-                value("potentiometer.resolution"), value("potentiometer.noise_sd"), offset_m
-            ),
-            air=Gauge(value("gauge.range_air"), value("gauge.noise_sd_air"), bits),
-            oil=Gauge(value("gauge.range_oil"), value("gauge.noise_sd_oil"), bits),
-            seed=seed,
-            offset_sd_pa=value("repeatability.unit_gauge_offset_sd"),
-            accuracy_fro=value("gauge.accuracy_fro"),
-        )
-
-    def gauge(self, column: str) -> Gauge:
-        """Gauge behind a pressure column, with its offset (within its accuracy class)."""
-        is_oil = column.startswith("pressure_oil")
-        gauge = self.oil if is_oil else self.air
-        spread = self.offset_sd_pa * (self.oil_offset_ratio if is_oil else 1.0)
-        limit = self.accuracy_fro * gauge.range_pa
-        drawn = named_generator(self.seed, "gauge", column).normal(0.0, spread)
-        offset = float(np.clip(drawn, -limit, limit))
-        return Gauge(gauge.range_pa, gauge.noise_sd_pa, gauge.adc_bits, offset)
-
-    def record(self, channels: Mapping[str, Floats], stroke: str) -> dict[str, Floats]:
-        """Measured columns of true ones; `stroke` names the noise, another one for each stroke."""
-        measured = {}
-        for column, values in channels.items():
-            generator = named_generator(self.seed, "noise", stroke, column)
-            if column == "position_m":
-                measured[column] = self.potentiometer.measure_m(values, generator)
-            elif column.startswith("pressure_"):
-                measured[column] = self.gauge(column).measure_pa(values, generator)
-            else:
-                measured[column] = values
-        return measured

@@ -108,21 +108,22 @@ class Opc4Controller(Fmi3Slave):
         return True
 
     def _tick(self, now_ns: int) -> None:
+        from can_dbc.e2e import E2eState
         from can_dbc.messages import DrivelineSpeeds, Gear, PositionPulse, ShiftRequest
-        from controller.firmware import ChannelState, Inputs
+        from controller.firmware import Inputs
 
         pulses: tuple[PositionPulse, ...] = ()
         if self.sample_index >= 0 and self.sample_index != self._seen_index:
             self._seen_index = self.sample_index
             pulses = (PositionPulse(self.pulse_s, self.coil_temperature_k, self.sample_index),)
-        state = ChannelState.VALID
+        state = E2eState.VALID
         out = self.firmware.step(
             now_ns,
             Inputs(
                 pulses=pulses,
                 request=ShiftRequest(Gear(self.request)),
                 speeds=DrivelineSpeeds(self.input_rad_s, self.output_rad_s),
-                position_state=state if self._seen_index >= 0 else ChannelState.INIT,
+                position_state=state if self._seen_index >= 0 else E2eState.INIT,
                 request_state=state,
                 speeds_state=state,
             ),

@@ -25,7 +25,10 @@ from can_dbc.errors import CodecError, InputError
 from can_dbc.frame import Frame
 
 TYPES = get_args(m.Message) + get_args(lockstep.ControlMessage)
-SIGNALS = codec.SIGNALS | lockstep.SIGNALS
+SIGNALS = {
+    kind: dict(zip(get_type_hints(kind), names, strict=True))
+    for kind, names in (codec.SIGNALS | lockstep.SIGNALS).items()
+}
 NAMES = [message_type.__name__ for message_type in TYPES]
 every_message = pytest.mark.parametrize("message_type", TYPES, ids=NAMES)
 

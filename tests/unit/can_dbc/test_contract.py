@@ -112,7 +112,7 @@ def test_identifiers_and_cycles(message_type: type, can_id: int, cycle_ms: int) 
     [(m, m.Message, codec.SIGNALS), (lockstep, lockstep.ControlMessage, lockstep.SIGNALS)],
 )
 def test_every_message_has_its_dataclass_and_every_signal_its_field(
-    module: ModuleType, union: UnionType, signals: dict[type, dict[str, str]]
+    module: ModuleType, union: UnionType, signals: dict[type, tuple[str, ...]]
 ) -> None:
     types = get_args(union)
     classes = [x for _, x in inspect.getmembers(module, inspect.isclass)]
@@ -123,10 +123,10 @@ def test_every_message_has_its_dataclass_and_every_signal_its_field(
     for message_type in types:
         spec = codec.spec_of(message_type)
         header = {"Crc", "Counter"} if message_type in e2e.PROTECTED else set()
-        fields = signals[message_type]
-        assert set(fields) == set(message_type.__dataclass_fields__)
-        assert set(fields.values()) | header == {s.name for s in spec.signals}
-        assert not set(fields.values()) & header
+        named = signals[message_type]
+        assert len(named) == len(message_type.__dataclass_fields__) == len(set(named))
+        assert set(named) | header == {s.name for s in spec.signals}
+        assert not set(named) & header
         assert codec.message_type_of(spec.can_id) is message_type
 
 
@@ -156,7 +156,8 @@ def test_signals_neither_overlap_nor_leave_their_message() -> None:
 )
 def test_value_tables_are_the_enums(message_type: type, field: str, enum: type[m.Gear]) -> None:
     signals = codec.SIGNALS | lockstep.SIGNALS
-    signal = codec.spec_of(message_type).signal(signals[message_type][field])
+    index = list(message_type.__dataclass_fields__).index(field)
+    signal = codec.spec_of(message_type).signal(signals[message_type][index])
     assert signal.choices == {member.value: member.name for member in enum}
 
 
@@ -170,6 +171,9 @@ def test_protected_messages_carry_the_header_of_profile_2() -> None:
             assert len(spec.e2e_data_ids) == 16
             with_header.add(codec.message_type_of(spec.can_id))
     assert with_header == set(e2e.PROTECTED)
+    assert " ".join(kind.__name__ for kind in e2e.PROTECTED) == (
+        "ShiftRequest ValveCommand SafetyBlow PositionPulse DrivelineSpeeds ControllerStatus"
+    )
     all_ids = b"".join(spec.e2e_data_ids for spec in contract().messages)
     assert len(set(all_ids)) == len(all_ids) == 96
 

@@ -247,10 +247,10 @@ def test_quoted_text_is_not_taken_for_statements() -> None:
     assert refusal(GOOD + "nonsense\n").startswith("x.dbc: line 17: column 1: ")
 
 
-def test_large_files_are_refused_without_searching_for_the_line() -> None:
+def test_large_files_are_refused_with_their_line() -> None:
     filler = f'CM_ BU_ A "{"x" * 200_000}";\n'
     line = refusal(changed("VAL_ 5 Left", "VAL_ 6 Left").replace("CM_ SG_", filler + "CM_ SG_"))
-    assert line.startswith("x.dbc: not a DBC that can be understood (ValueError: unused VAL_")
+    assert line.startswith("x.dbc: line 17: not a DBC that can be understood (ValueError: unused")
 
 
 def test_long_reasons_are_cut() -> None:

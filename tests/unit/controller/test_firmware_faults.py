@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from can_dbc.e2e import E2eState
 from can_dbc.messages import (
     DrivelineSpeeds,
     Fault,
@@ -14,7 +15,7 @@ from can_dbc.messages import (
     ShiftState,
 )
 from controller.config import FirmwareConfig
-from controller.firmware import ChannelState, Firmware, Inputs
+from controller.firmware import Firmware, Inputs
 from tests.unit.controller.invariants import check_invariants
 from tests.unit.controller.toy_actuator import (
     MS,
@@ -42,9 +43,7 @@ class TestPositionFaults:
             (100, B),
             (900, N),
             position_state=lambda now_ns: (
-                ChannelState.INVALID
-                if lost_ns <= now_ns < lost_ns + 100 * MS
-                else ChannelState.VALID
+                E2eState.INVALID if lost_ns <= now_ns < lost_ns + 100 * MS else E2eState.VALID
             ),
         ).run(890)
         at = next(r for r in rig.rows if r.time_ns == lost_ns)
@@ -65,7 +64,7 @@ class TestPositionFaults:
         rig = shift(
             B,
             position_state=lambda now_ns: (
-                ChannelState.INVALID if 200 * MS <= now_ns < 300 * MS else ChannelState.VALID
+                E2eState.INVALID if 200 * MS <= now_ns < 300 * MS else E2eState.VALID
             ),
         ).run(500)
         assert rig.states() == ["INIT", "IDLE", "INIT", "IDLE"]
@@ -186,7 +185,7 @@ class TestStart:
 
     def test_a_channel_that_was_valid_has_no_grace(self) -> None:
         firmware = Firmware(FirmwareConfig())
-        valid, none = ChannelState.VALID, ChannelState.INIT
+        valid, none = E2eState.VALID, E2eState.INIT
         pulse = PositionPulse(pulse_s(0.0), 293.15, 0)
         firmware.step(
             0,
@@ -202,7 +201,7 @@ class TestStart:
 
     def test_an_invalid_channel_has_no_grace_either(self) -> None:
         firmware = Firmware(FirmwareConfig())
-        bad = ChannelState.INVALID
+        bad = E2eState.INVALID
         out = firmware.step(0, Inputs((), None, None, bad, bad, bad))
         assert out.status.faults == Fault.POSITION_LOST | Fault.REQUEST_LOST | Fault.SPEEDS_LOST
 
@@ -216,9 +215,9 @@ class TestStart:
                     (PositionPulse(pulse_s(0.0), 293.15, 100 + k),),
                     ShiftRequest(B),
                     DrivelineSpeeds(1.0, 1.0),
-                    ChannelState.VALID,
-                    ChannelState.INVALID,
-                    ChannelState.INVALID,
+                    E2eState.VALID,
+                    E2eState.INVALID,
+                    E2eState.INVALID,
                 ),
             )
             assert out.status.state is S.IDLE

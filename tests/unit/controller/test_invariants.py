@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from can_dbc.e2e import E2eState
 from can_dbc.messages import (
     DrivelineSpeeds,
     Gear,
@@ -17,7 +18,7 @@ from can_dbc.messages import (
     ShiftState,
 )
 from controller.config import FirmwareConfig
-from controller.firmware import ChannelState, Firmware, Inputs
+from controller.firmware import Firmware, Inputs
 from controller.settings import BlowConfig, FilterConfig, SensorConfig, ShiftConfig
 from tests.unit.controller.invariants import check_invariants
 from tests.unit.controller.toy_actuator import MS, Rig, Row, Stay, asks, pulse_s
@@ -48,7 +49,7 @@ CONFIGS = st.builds(
     ),
 )
 
-CHANNEL = st.sampled_from([ChannelState.VALID] * 14 + [ChannelState.INVALID, ChannelState.INIT])
+CHANNEL = st.sampled_from([E2eState.VALID] * 14 + [E2eState.INVALID, E2eState.INIT])
 
 SCENES = st.lists(
     st.tuples(
@@ -71,9 +72,9 @@ Scene = tuple[
     float,
     Gear,
     tuple[float, float] | None,
-    ChannelState,
-    ChannelState,
-    ChannelState,
+    E2eState,
+    E2eState,
+    E2eState,
     int,
 ]
 
@@ -84,9 +85,9 @@ WAKE: Scene = (
     0.0,
     Gear.NEUTRAL,
     None,
-    ChannelState.VALID,
-    ChannelState.VALID,
-    ChannelState.VALID,
+    E2eState.VALID,
+    E2eState.VALID,
+    E2eState.VALID,
     1,
 )
 
@@ -170,9 +171,9 @@ def troubled(draw: st.DrawFn) -> Rig:
             return replace(real, pulse_s=0.003)
         return real
 
-    def position_state(now_ns: int) -> ChannelState:
+    def position_state(now_ns: int) -> E2eState:
         lost = fault == "lost" and begin_ns <= now_ns < end_ns
-        return ChannelState.INVALID if lost else ChannelState.VALID
+        return E2eState.INVALID if lost else E2eState.VALID
 
     return Rig(
         stay=Stay(position_m=start_m, block_m=draw(st.sampled_from([None, None, 0.006]))),

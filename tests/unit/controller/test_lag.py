@@ -10,11 +10,12 @@ from collections.abc import Callable
 
 import pytest
 
+from can_dbc.e2e import E2eState
 from can_dbc.messages import PositionPulse
 from controller.config import FirmwareConfig
-from controller.filters import delay_at_rest_s
-from controller.firmware import ChannelState, Firmware, Inputs
+from controller.firmware import Firmware, Inputs
 from controller.settings import FilterConfig, SensorConfig
+from tests.unit.controller.test_filters import delay_at_rest_s
 from tests.unit.controller.toy_actuator import pulse_s
 
 STROKE_M = 0.01285
@@ -51,7 +52,7 @@ def held(
             position_m = path(start_s + MEASURED_S - started_s)
             pulses.append(PositionPulse(pulse_s(position_m), 293.15, taken % 256))
             taken += 1
-        inputs = Inputs(tuple(pulses), position_state=ChannelState.VALID)
+        inputs = Inputs(tuple(pulses), position_state=E2eState.VALID)
         out = firmware.step(k * config.period_ns, inputs)
         told.append((tick_s + PUBLISHED_S, out.status.estimate_m))
     return told

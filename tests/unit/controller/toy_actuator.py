@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
 
+from can_dbc.e2e import E2eState
 from can_dbc.messages import (
     Chamber,
     DrivelineSpeeds,
@@ -18,7 +19,7 @@ from can_dbc.messages import (
     ShiftState,
 )
 from controller.config import FirmwareConfig
-from controller.firmware import ChannelState, Firmware, Inputs, Outputs
+from controller.firmware import Firmware, Inputs, Outputs
 
 MS = 1_000_000
 STROKE_M = 0.01285
@@ -100,7 +101,7 @@ class Rig:
     request: Callable[[int], ShiftRequest | None] = lambda now_ns: None
     speeds: Callable[[int], DrivelineSpeeds | None] = lambda now_ns: None
     pulse: Callable[[int, PositionPulse], PositionPulse | None] = lambda now_ns, pulse: pulse
-    position_state: Callable[[int], ChannelState] = lambda now_ns: ChannelState.VALID
+    position_state: Callable[[int], E2eState] = lambda now_ns: E2eState.VALID
 
     def __post_init__(self) -> None:
         self.firmware = Firmware(self.config)
@@ -140,8 +141,8 @@ class Rig:
                 request=request,
                 speeds=speeds,
                 position_state=self.position_state(now_ns),
-                request_state=ChannelState.VALID if request else ChannelState.INVALID,
-                speeds_state=ChannelState.VALID if speeds else ChannelState.INVALID,
+                request_state=E2eState.VALID if request else E2eState.INVALID,
+                speeds_state=E2eState.VALID if speeds else E2eState.INVALID,
             ),
         )
         self._pulses.clear()

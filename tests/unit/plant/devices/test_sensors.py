@@ -14,15 +14,12 @@ from scipy import signal
 
 from can_dbc.errors import InputError
 from plant.devices.sensors import (
-    Gauge,
     InductiveSensor,
     InternalChain,
     Potentiometer,
-    Recorder,
     butterworth_sections,
     filter_from_rest,
     named_generator,
-    record_instants_ns,
 )
 
 SENSOR = InductiveSensor(0.0009, 0.022, 0.0012, 293.15, 1e-6)
@@ -222,54 +219,6 @@ def test_potentiometer_steps_and_offset() -> None:
     noisy = Potentiometer(5e-5, 1e-5).measure_m(np.full(20000, 2.5e-5), rng)
     assert set(np.round(noisy / 5e-5)) == {0.0, 1.0}
     assert np.mean(noisy) == pytest.approx(2.5e-5, abs=1e-6)
-
-
-def test_gauge_counts_clips_and_errs_as_stated() -> None:
-    rng = np.random.default_rng(0)
-    exact = Gauge(1e6, 0.0, 12)
-    counts = exact.measure_pa(np.array([-5e4, 101325.0, 2e6]), rng) / exact.count_pa
-    np.testing.assert_allclose(counts, [0, 415, 4095])
-    noisy = Gauge(1e6, 300.0, 12, offset_pa=400.0).measure_pa(np.full(20000, 3e5), rng) - 3e5
-    assert np.mean(noisy) == pytest.approx(400.0, abs=10.0)
-    assert np.std(noisy) == pytest.approx(np.hypot(300.0, exact.count_pa / np.sqrt(12)), rel=0.03)
-
-
-def test_recorder_samples_at_10_khz() -> None:
-    instants = record_instants_ns(0.3, 10_000.0)
-    assert len(instants) == 3000
-    assert list(instants[:2]) == [0, 100_000]
-    assert np.all(np.diff(instants) == 100_000)
-    thirds = record_instants_ns(1.0, 3.0)
-    assert list(thirds) == [0, 333_333_333, 666_666_667]
-    with pytest.raises(ValueError, match="rate"):
-        record_instants_ns(1.0, 0.0)
-
-
-def test_recorder_offsets_last_and_noise_does_not() -> None:
-    recorder = Recorder.from_parameters(Nominal(), seed=7)
-    assert recorder.rate_hz == 10_000.0
-    truth = {"position_m": np.zeros(4000), "pressure_B_pa": np.full(4000, 2e5), "cmd_B": np.ones(4)}
-    first, again, other = (recorder.record(truth, s) for s in ("s1", "s1", "s2"))
-    assert first.keys() == truth.keys()
-    np.testing.assert_array_equal(first["cmd_B"], truth["cmd_B"])
-    np.testing.assert_array_equal(first["pressure_B_pa"], again["pressure_B_pa"])
-    assert np.any(first["pressure_B_pa"] != other["pressure_B_pa"])
-    offset = recorder.gauge("pressure_B_pa").offset_pa
-    for record in (first, other):
-        assert np.mean(record["pressure_B_pa"]) - 2e5 == pytest.approx(offset, abs=20.0)
-
-
-def test_gauge_offsets_stay_within_the_accuracy_class_and_scatter() -> None:
-    offsets, oil = [], []
-    for seed in range(400):
-        recorder = Recorder.from_parameters(Nominal(), seed)
-        offsets.append(recorder.gauge("pressure_1_pa").offset_pa)
-        oil.append(recorder.gauge("pressure_oil2_pa").offset_pa)
-    assert np.max(np.abs(offsets)) <= 1000.0
-    assert np.max(np.abs(oil)) <= 5000.0
-    assert np.std(offsets) == pytest.approx(350.0, rel=0.15)
-    assert np.std(oil) == pytest.approx(5 * 350.0, rel=0.15)
-    assert Recorder.from_parameters(Nominal(), 1).oil.range_pa == 5e6
 
 
 def test_named_generators_are_reproducible_and_independent() -> None:

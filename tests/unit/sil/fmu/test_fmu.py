@@ -10,8 +10,9 @@ import pytest
 from fmpy import read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 
+from can_dbc.e2e import E2eState
 from can_dbc.messages import DrivelineSpeeds, Gear, PositionPulse, ShiftRequest
-from controller.firmware import ChannelState, Firmware, Inputs
+from controller.firmware import Firmware, Inputs
 from plant.devices.valve import Valve, ValveTiming
 from plant.parameters import load
 from plant.systems.length_stroke import LengthStroke
@@ -102,7 +103,7 @@ def test_the_firmware_unit_answers_as_the_firmware_does(units: dict[str, Path]) 
         output=outputs,
     )
     firmware = Firmware(scenario.load("lab_n_b").scenario.controller)
-    valid = ChannelState.VALID
+    valid = E2eState.VALID
     for k, told in enumerate(inputs):
         out = firmware.step(
             10 * MS * k,
