@@ -38,7 +38,7 @@ def test_the_text_has_edges_first_difference_and_waveforms() -> None:
     assert "  safety blow begins 3 samples (30 ms) earlier, twice out of 2\n" in told
     assert "first difference at 0.180000 s\n  ControllerStatus.estimate_m: recorded" in told
     assert (
-        "first command that differs at 0.210000 s\n  ValveCommand.duty_n: recorded 0.98, replayed 0\n"
+        "first command that differs at 0.210000 s\n  SafetyBlow.chamber: recorded NONE, replayed N\n"
         in told
     )
     recorded, replayed = (
