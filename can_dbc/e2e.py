@@ -24,7 +24,7 @@ from e2e.p02 import e2e_p02_check, e2e_p02_protect
 from can_dbc.codec import decode, encode, spec_of
 from can_dbc.errors import CodecError, InputError
 from can_dbc.frame import Frame
-from can_dbc.messages import SIGNALS
+from can_dbc.messages import SIGNALS, E2eState
 
 COUNTERS = 16
 LARGEST_COUNTER = COUNTERS - 1
@@ -56,16 +56,6 @@ _ACCEPTED = frozenset((E2eStatus.OK, E2eStatus.OK_SOME_LOST))
 
 _ALIVE = _ACCEPTED | {E2eStatus.INITIAL}
 """Frames that start the timeout anew."""
-
-
-class E2eState(Enum):
-    """Whether a channel may be trusted; INIT includes AUTOSAR's NODATA (nothing heard yet)."""
-
-    INIT = "init"
-    VALID = "valid"
-    INVALID = "invalid"
-
-    __hash__ = object.__hash__
 
 
 @dataclass(frozen=True, slots=True)

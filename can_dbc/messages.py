@@ -8,7 +8,7 @@ Checked by: tests/contracts/test_codec.py
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum, IntFlag
+from enum import Enum, IntEnum, IntFlag
 
 GEAR_PARK = 126
 """Value of the J1939 gear fields that means park (raw 251)."""
@@ -81,6 +81,16 @@ class StopReason(IntEnum):
 
     END = 0
     ABORTED = 1
+
+
+class E2eState(Enum):
+    """Trust in a protected channel; INIT includes AUTOSAR's NODATA (nothing received yet)."""
+
+    INIT = "init"
+    VALID = "valid"
+    INVALID = "invalid"
+
+    __hash__ = object.__hash__
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from can_dbc.e2e import E2eState
 from can_dbc.messages import (
     Chamber,
     ControllerStatus,
     DrivelineSpeeds,
+    E2eState,
     Etc1,
     Etc2,
     Fault,

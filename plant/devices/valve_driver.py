@@ -11,9 +11,9 @@ from typing import Annotated, Generic, TypeVar
 import msgspec
 
 from can_dbc import codec
-from can_dbc.e2e import E2eConfig, E2eState, E2eStatus, Receiver
+from can_dbc.e2e import E2eConfig, E2eStatus, Receiver
 from can_dbc.frame import Frame
-from can_dbc.messages import Chamber, Gear, SafetyBlow, ValveCommand
+from can_dbc.messages import Chamber, E2eState, Gear, SafetyBlow, ValveCommand
 from plant.devices.valve import seconds_to_ns
 
 Duties = tuple[float, float, float]

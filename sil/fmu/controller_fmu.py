@@ -108,8 +108,7 @@ class Opc4Controller(Fmi3Slave):
         return True
 
     def _tick(self, now_ns: int) -> None:
-        from can_dbc.e2e import E2eState
-        from can_dbc.messages import DrivelineSpeeds, Gear, PositionPulse, ShiftRequest
+        from can_dbc.messages import DrivelineSpeeds, E2eState, Gear, PositionPulse, ShiftRequest
         from controller.firmware import Inputs
 
         pulses: tuple[PositionPulse, ...] = ()

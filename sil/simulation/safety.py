@@ -22,8 +22,8 @@ from itertools import zip_longest
 import numpy as np
 
 from can_dbc.codec import can_id_of
-from can_dbc.e2e import E2eConfig, E2eState, E2eStatus, Receiver
-from can_dbc.messages import ControllerStatus, Fault, Gear, ValveCommand
+from can_dbc.e2e import E2eConfig, E2eStatus, Receiver
+from can_dbc.messages import ControllerStatus, E2eState, Fault, Gear, ValveCommand
 from sil.coupling.faults import BusOff, Dead, Delay, Stalled
 from sil.recording.run_record import NS, BusFrame, RunRecord
 from sil.simulation.metrics import gear_position_m

@@ -14,7 +14,6 @@ from can_dbc.codec import can_id_of, decode, encode, spec_of
 from can_dbc.e2e import (
     PROTECTED,
     E2eConfig,
-    E2eState,
     E2eStatus,
     Protector,
     Receiver,
@@ -22,6 +21,7 @@ from can_dbc.e2e import (
     with_counter,
 )
 from can_dbc.frame import Frame
+from can_dbc.messages import E2eState
 
 MS = 1_000_000
 EXAMPLES: dict[type, m.Message] = {

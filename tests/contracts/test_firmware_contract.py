@@ -11,11 +11,12 @@ from collections.abc import Sequence
 import pytest
 
 from can_dbc.codec import decode, spec_of
-from can_dbc.e2e import E2eState, E2eStatus, Protector, Receiver
+from can_dbc.e2e import E2eStatus, Protector, Receiver
 from can_dbc.frame import Frame
 from can_dbc.messages import (
     ControllerStatus,
     DrivelineSpeeds,
+    E2eState,
     Etc1,
     Etc2,
     Gear,

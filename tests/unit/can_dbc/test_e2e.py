@@ -8,9 +8,10 @@ import pytest
 
 from can_dbc import messages as m
 from can_dbc.codec import can_id_of
-from can_dbc.e2e import E2eConfig, E2eState, E2eStatus, Protector, Receiver, with_counter
+from can_dbc.e2e import E2eConfig, E2eStatus, Protector, Receiver, with_counter
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
+from can_dbc.messages import E2eState
 
 MS = 1_000_000
 CYCLE = 10 * MS

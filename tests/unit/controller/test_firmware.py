@@ -6,10 +6,10 @@ from itertools import pairwise
 
 import pytest
 
-from can_dbc.e2e import E2eState
 from can_dbc.messages import (
     Chamber,
     DrivelineSpeeds,
+    E2eState,
     Fault,
     Gear,
     PositionPulse,

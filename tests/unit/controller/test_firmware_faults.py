@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from can_dbc.e2e import E2eState
 from can_dbc.messages import (
     DrivelineSpeeds,
+    E2eState,
     Fault,
     PositionPulse,
     ShiftRequest,

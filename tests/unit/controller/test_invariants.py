@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from can_dbc.e2e import E2eState
 from can_dbc.messages import (
     DrivelineSpeeds,
+    E2eState,
     Gear,
     PositionPulse,
     ShiftRequest,

@@ -10,8 +10,7 @@ from collections.abc import Callable
 
 import pytest
 
-from can_dbc.e2e import E2eState
-from can_dbc.messages import PositionPulse
+from can_dbc.messages import E2eState, PositionPulse
 from controller.config import FirmwareConfig
 from controller.firmware import Firmware, Inputs
 from controller.settings import FilterConfig, SensorConfig

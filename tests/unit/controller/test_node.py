@@ -7,11 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.codec import can_id_of, decode, encode
-from can_dbc.e2e import E2eState, E2eStatus, Protector
+from can_dbc.e2e import E2eStatus, Protector
 from can_dbc.frame import Frame
 from can_dbc.messages import (
     ControllerStatus,
     DrivelineSpeeds,
+    E2eState,
     Etc1,
     Etc2,
     Fault,

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
 
-from can_dbc.e2e import E2eState
 from can_dbc.messages import (
     Chamber,
     DrivelineSpeeds,
+    E2eState,
     Fault,
     Gear,
     PositionPulse,

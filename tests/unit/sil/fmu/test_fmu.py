@@ -10,8 +10,7 @@ import pytest
 from fmpy import read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 
-from can_dbc.e2e import E2eState
-from can_dbc.messages import DrivelineSpeeds, Gear, PositionPulse, ShiftRequest
+from can_dbc.messages import DrivelineSpeeds, E2eState, Gear, PositionPulse, ShiftRequest
 from controller.firmware import Firmware, Inputs
 from plant.devices.valve import Valve, ValveTiming
 from plant.parameters import load

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from can_dbc.e2e import E2eConfig, E2eState, Receiver
+from can_dbc.e2e import E2eConfig, Receiver
 from can_dbc.frame import Frame
-from can_dbc.messages import Gear, ShiftRequest
+from can_dbc.messages import E2eState, Gear, ShiftRequest
 from sil.nodes.driver import DriverNode
 
 MS = 1_000_000
