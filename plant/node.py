@@ -26,7 +26,6 @@ from plant.devices.valve_driver import ValveDriver, ValveDriverConfig
 from plant.devices.valve_faults import ValveFault, faulty_valves
 from plant.errors import InputError
 from plant.integrator.hybrid import Balance
-from plant.kernel import layout
 from plant.parameters import ParameterSet
 from plant.systems.length_stroke import LengthStroke
 from plant.trace import CMD, PULSE, SPEEDS, TRACE_COLUMNS, VALVE, TraceRows, TraceSink, Update
@@ -157,7 +156,7 @@ class PlantNode:
         )
         self._faulty = faulty_valves(self.valves, CHAMBERS, config.valve_faults, config.seed)
         self.driver = ValveDriver(config.valve_driver, blow_duty=duty)
-        self.supply_pressure_pa = float(self.stroke.packed[layout.P_SUPPLY])
+        self.supply_pressure_pa = float(self.stroke.packed.p_supply)
         self.circuit = PositionCircuit(
             config.sensor,
             InductiveSensor.from_parameters(parameters),

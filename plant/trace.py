@@ -136,5 +136,5 @@ class TraceRows:
         """Oil pressure where it is no state but follows from the motion [n]."""
         oil = np.empty(len(states))
         position, velocity = np.ascontiguousarray(states[:, :2].T)
-        steady_oil_pressure(position, velocity, self._stroke.packed, oil)
+        steady_oil_pressure(position, velocity, self._stroke.packed.array, oil)
         return oil

@@ -17,14 +17,9 @@ from numpy.typing import NDArray
 from plant.batch.lane_control import (
     KNOWN,
     MEMORY,
-    R_ARRIVAL,
-    R_ENERGY,
-    R_EVENTS,
-    R_SPEED,
-    R_STATUS,
-    R_STEPS,
     RESULTS,
     SCRATCH,
+    Result,
 )
 from plant.batch.lane_steps import FREE_OF, MODES_FREE_OF, ROWS, WIDTH
 from plant.batch.lanes import run_lanes
@@ -39,14 +34,22 @@ from plant.integrator.integrate import (
     OWN_STEPS,
     WRITE_GRID,
 )
-from plant.kernel import layout as L
-from plant.kernel.packing import Floats, Ints, initial_state, modes, scales
+from plant.kernel.layout import FIRST_PRESSURE, FIXED, FlowMap, Modes, Parameters
+from plant.kernel.packing import Floats, Ints, fresh_modes, initial_state, scales, state_record
 from plant.systems.stroke import valve_moves
 
 BATCH_TOLERANCE = 1e-6
 LONGEST_GRID = 4096
 FREE_PLACES, FREE_MODES = np.array(FREE_OF), np.array(MODES_FREE_OF)
-BEGIN = np.array([L.P_ATM, L.P_SUPPLY, L.STROKE, L.STOP_OFFSET, L.X_FREE])
+BEGIN = np.array(
+    [
+        Parameters.p_atm,
+        Parameters.p_supply,
+        Parameters.stroke,
+        Parameters.stop_offset,
+        Parameters.x_free,
+    ]
+)
 """What a state at time 0 depends on."""
 Bools = NDArray[np.bool_]
 
@@ -77,12 +80,12 @@ class Strokes:
 
     def __post_init__(self) -> None:
         n = len(self.packed)
-        states = L.FIXED_STATES if self.system == L.FIXED else L.LENGTH_STATES
+        states = state_record(self.system).size
         for name, tail in (
-            ("packed", (L.PARAMETERS,)),
-            ("flow", (L.FLOW_COEFFICIENTS,)),
+            ("packed", (Parameters.size,)),
+            ("flow", (FlowMap.size,)),
             ("initial", (states,)),
-            ("modes", (L.MODES,)),
+            ("modes", (Modes.size,)),
             ("valves", (3,)),
             ("switches", (self.switches.shape[1], 4)),
             ("duration_s", ()),
@@ -108,7 +111,7 @@ class Strokes:
         """
         if len({setup.conditions.system for setup in setups}) != 1:
             raise ValueError("a batch holds strokes of one system")
-        packed = np.array([setup.p for setup in setups])
+        packed = np.array([setup.p.array for setup in setups])
         like: tuple | None = None
         driven: tuple[Ints, Floats, Floats] | None = None
         items = []
@@ -145,12 +148,12 @@ class Strokes:
         packed = np.repeat(base.packed, n, axis=0)
         for index, value in changes.items():
             packed[:, index] = value
-        first = L.FP1 if base.system == L.FIXED else L.PB
+        first = FIRST_PRESSURE[base.system]
         initial = base.initial
-        if L.P_SUPPLY in changes or L.P_ATM in changes:
+        if Parameters.p_supply in changes or Parameters.p_atm in changes:
             initial = np.repeat(initial, n, axis=0)
             for place in range(first, first + len(setup.conditions.chambers)):
-                for index in (L.P_SUPPLY, L.P_ATM):
+                for index in (Parameters.p_supply, Parameters.p_atm):
                     if base.initial[0, place] == base.packed[0, index]:
                         initial[:, place] = packed[:, index]
         return cls(
@@ -183,10 +186,10 @@ def _initial(setup: Setup) -> Floats:
     y = initial_state(
         system,
         setup.p,
-        position=conditions.start_offset_m if system == L.FIXED else conditions.kind[0],
+        position=conditions.start_offset_m if system == FIXED else conditions.kind[0],
         charged=conditions.charged_before,
     )
-    first = L.FP1 if system == L.FIXED else L.PB
+    first = FIRST_PRESSURE[system]
     for chamber, pressure in setup.residual_pa.items():
         y[first + conditions.chambers.index(chamber)] += pressure
     return y
@@ -209,8 +212,8 @@ def initials(setups: Sequence[Setup], packed: Floats) -> list[Floats]:
 def _driven(setup: Setup, duration_s: float) -> tuple[Ints, Floats, Floats]:
     """Modes, valves and switches: what the conditions and the valves' timing decide."""
     conditions = setup.conditions
-    m = modes(conditions.system, conditions.loads())[: L.MODES]
-    m[L.M_LINE] = 1 if setup.has_line else 0
+    m = fresh_modes(conditions.system, conditions.loads())
+    m.line = 1 if setup.has_line else 0
     valves = np.zeros(3)
     for index, name in enumerate(conditions.chambers):
         valves[index] = 1.0 if name in conditions.charged_before else 0.0
@@ -218,7 +221,7 @@ def _driven(setup: Setup, duration_s: float) -> tuple[Ints, Floats, Floats]:
         (instant / NS, chamber, target, slope)
         for instant, chamber, target, slope in valve_moves(setup, round(duration_s * NS))
     ]
-    return m, valves, np.array(switches).reshape(-1, 4)
+    return m.array[: Modes.size], valves, np.array(switches).reshape(-1, 4)
 
 
 def _padded(switches: Floats, rows: int) -> Floats:
@@ -321,7 +324,7 @@ def simulate_batch(
     tabulated, curves = filling_curves(c) if len(c) == 1 else (False, NO_CURVES)
     grid = np.zeros((LONGEST_GRID if follow else 1, GRID_COLUMNS))
     known = np.zeros((instants.shape[1] if follow else 1, KNOWN))
-    moving = 4 if strokes.system == L.FIXED else 9
+    moving = 4 if strokes.system == FIXED else 9
 
     def run(order: Ints, steps: int = 0, use: int = OWN_STEPS) -> None:
         inside = order[covered[order]]
@@ -344,7 +347,7 @@ def simulate_batch(
     everything = np.arange(n)
     if follow:
         run(everything[:1], LONGEST_GRID, WRITE_GRID)
-        run(everything[1:], min(int(results[0, R_STEPS]), LONGEST_GRID), FOLLOW_GRID)
+        run(everything[1:], min(int(results[0, Result.steps]), LONGEST_GRID), FOLLOW_GRID)
     elif workers <= 1 or n < 2 * WIDTH:
         run(everything)
     else:
@@ -356,14 +359,14 @@ def simulate_batch(
             :, wanted[place], None
         ]
     return BatchResult(
-        status=results[:, R_STATUS].astype(np.int64),
-        arrival_s=results[:, R_ARRIVAL],
-        impact_speed_m_s=results[:, R_SPEED],
-        impact_energy_j=results[:, R_ENERGY],
+        status=results[:, Result.status].astype(np.int64),
+        arrival_s=results[:, Result.arrival],
+        impact_speed_m_s=results[:, Result.speed],
+        impact_energy_j=results[:, Result.energy],
         final=final,
         samples=out,
         events=events,
-        event_count=results[:, R_EVENTS].astype(np.int64),
-        steps=results[:, R_STEPS].astype(np.int64),
+        event_count=results[:, Result.events].astype(np.int64),
+        steps=results[:, Result.steps].astype(np.int64),
         in_lanes=covered,
     )

@@ -28,170 +28,198 @@ from plant.integrator.steppers import (
     stage_5,
     stage_6,
 )
-from plant.kernel import layout as L
-from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import FLOW_COEFFICIENTS, MAX_STATES, MODES, PARAMETERS
-from plant.kernel.views import ABSENT, copy_row, lane, rows
+from plant.kernel.compiled import called, inlined, plain
+from plant.kernel.layout import MAX_STATES, FlowMap, Modes, Parameters
+from plant.kernel.record_views import fixed_state, flow_map, length_state
+from plant.kernel.records import Record, Value, block
+from plant.kernel.views import ABSENT, copy_row, lane, named, rows
 
 WIDTH = 8
 
 # Parameters and modes that must be 0 in a lane; what depends on them is not compiled.
 FREE_OF = (
-    L.FLOW_MODEL,
-    L.STRIBECK_V,
-    L.BUMP_FORCE,
-    L.SEAL_MU,
-    L.MESH_FORCE,
-    L.PULL_FORCE,
-    L.SYNC_IMPULSE,
-    L.DETENT_FORCE,
-    L.LEAK_PISTON,
-    L.LEAK_ATM,
-    L.ALPHA_SPEED,
-    L.TERM_EQUATION,
+    Parameters.flow_model,
+    Parameters.stribeck_v,
+    Parameters.bump_force,
+    Parameters.seal_mu,
+    Parameters.mesh_force,
+    Parameters.pull_force,
+    Parameters.sync_impulse,
+    Parameters.detent_force,
+    Parameters.leak_piston,
+    Parameters.leak_atm,
+    Parameters.alpha_speed,
+    Parameters.term_slot,
 )
-MODES_FREE_OF = (L.M_DAMPER, L.M_LINE, L.M_OIL_REST, L.M_BLOCKED)
+MODES_FREE_OF = (Modes.damper, Modes.line, Modes.oil_rest, Modes.blocked)
 ABSENT["lane parameters"] = sum(1 << i for i in FREE_OF)
-ABSENT["plain parameters"] = ABSENT["lane parameters"] | 1 << L.ALPHA_V0
+ABSENT["plain parameters"] = ABSENT["lane parameters"] | 1 << Parameters.alpha_v0
 ABSENT["lane modes"] = sum(1 << i for i in MODES_FREE_OF)
+lane_parameters = named(Parameters, "lane parameters")
+plain_parameters = named(Parameters, "plain parameters")
+lane_modes = named(Modes, "lane modes")
 
-# Blocks of the flat array, in rows of WIDTH.
-Y = 0
-STAGE = Y + MAX_STATES
-RATE = STAGE + MAX_STATES
-RATE_0 = RATE + MAX_STATES
-SPARE = RATE_0 + MAX_STATES
-K = SPARE + MAX_STATES
-DENSE = K + 7 * MAX_STATES
-MODE = DENSE + 5 * MAX_STATES
-VALVE = MODE + MODES
-VALVE_RATE = VALVE + 3
-WORK = VALVE_RATE + 3
-TIME = WORK + 6
-STEP = TIME + 1
-WANTED = STEP + 1  # step that the error control would take
-NEXT = WANTED + 1  # time of the next switch, or of the end
-END = NEXT + 1
-NORM = END + 1  # square of the error norm
-FACTOR = NORM + 1
-ROOT = FACTOR + 1  # sixteenth root of the norm
-BEFORE = ROOT + 1  # the same of the last step taken, at least LEAST_ROOT
-LOWEST = BEFORE + 1  # guard at the end of the step
-HIDES = LOWEST + 1  # 1: a body may have turned or met another within the step
-C = HIDES + 1
-P = C + FLOW_COEFFICIENTS
-STEPS = P + PARAMETERS  # step sizes again, once for every state
-SCALE = STEPS + MAX_STATES
-TAKE = SCALE + MAX_STATES  # ACCEPTED again, once for every state
-ACCEPTED = TAKE + MAX_STATES  # 1: the state at the end of the last step is to be taken
-ROWS = ACCEPTED + 1
+
+class Lane(Record):
+    """One of WIDTH interleaved strokes in the flat array."""
+
+    y: Value = block(MAX_STATES)
+    stage: Value = block(MAX_STATES)  # state of a stage, at the end the new state
+    rate: Value = block(MAX_STATES)  # its rates
+    rate_0: Value = block(MAX_STATES)  # rates at the step's start
+    spare: Value = block(MAX_STATES)
+    k: Value = block(7, MAX_STATES)  # step times rates
+    dense: Value = block(5, MAX_STATES)
+    modes: Value = block(Modes.size)
+    valve: Value = block(3)
+    valve_rate: Value = block(3)
+    work: Value = block(6)
+    time: Value
+    step: Value
+    wanted: Value  # step that the error control would take
+    next: Value  # time of the next switch, or of the end
+    end: Value
+    norm: Value  # square of the error norm
+    factor: Value
+    root: Value  # sixteenth root of the norm
+    before: Value  # the same of the last step taken, at least LEAST_ROOT
+    lowest: Value  # guard at the end of the step
+    hides: Value  # 1: a body may have turned or met another within the step
+    flow: Value = block(FlowMap.size)
+    parameters: Value = block(Parameters.size)
+    steps: Value = block(MAX_STATES)  # step sizes again, once for every state
+    scale: Value = block(MAX_STATES)
+    take: Value = block(MAX_STATES)  # `accepted` again, once for every state
+    accepted: Value  # 1: the state at the end of the last step is to be taken
+
+
+ROWS = Lane.size
 LANE_STATES = MAX_STATES * WIDTH
-
-lane_fixed_rates = inlined(fixed_rates.py_func)  # type: ignore[attr-defined]
-lane_length_rates = inlined(rates.py_func)  # type: ignore[attr-defined]
-lane_fixed_guards = inlined(fixed_guards.py_func)  # type: ignore[attr-defined]
-lane_length_guards = inlined(guards.py_func)  # type: ignore[attr-defined]
+# Where the rows of all lanes begin in the flat array.
+Y, STAGE, RATE, RATE_0, SPARE, K, STEPS, SCALE, TAKE = (
+    WIDTH * Lane.fields[name].start
+    for name in ("y", "stage", "rate", "rate_0", "spare", "k", "steps", "scale", "take")
+)
+STEP, NORM, ACCEPTED = (WIDTH * Lane.fields[name].start for name in ("step", "norm", "accepted"))
+lane_record = named(Lane)
 
 
 @inlined
-def fixed_rates_of_lane(f, j, fraction, parameters):
-    """Rates of lane j of fixed-piston strokes."""
+def lane_of(f, j):
+    """Lane j of the flat array."""
+    return lane_record(lane(f, 0, j, WIDTH, ""))
+
+
+lane_fixed_rates = inlined(plain(fixed_rates))
+lane_length_rates = inlined(plain(rates))
+lane_fixed_guards = inlined(plain(fixed_guards))
+lane_length_guards = inlined(plain(guards))
+
+
+@inlined
+def fixed_rates_of_lane(one, fraction, p):
+    """Rates of a lane of fixed-piston strokes."""
     lane_fixed_rates(
-        f[TIME * WIDTH + j] + fraction * f[STEP * WIDTH + j],
-        lane(f, STAGE, j, WIDTH, ""),
-        lane(f, RATE, j, WIDTH, ""),
-        lane(f, MODE, j, WIDTH, "lane modes"),
-        lane(f, VALVE, j, WIDTH, ""),
-        lane(f, VALVE_RATE, j, WIDTH, ""),
-        parameters,
-        lane(f, C, j, WIDTH, ""),
+        one.time + fraction * one.step,
+        fixed_state(one.stage),
+        fixed_state(one.rate),
+        lane_modes(one.modes),
+        one.valve,
+        one.valve_rate,
+        p,
+        flow_map(one.flow),
         False,
     )
 
 
 @inlined
-def length_rates_of_lane(f, j, fraction, parameters):
-    """Rates of lane j of length strokes."""
+def length_rates_of_lane(one, fraction, p):
+    """Rates of a lane of length strokes."""
     lane_length_rates(
-        f[TIME * WIDTH + j] + fraction * f[STEP * WIDTH + j],
-        lane(f, STAGE, j, WIDTH, ""),
-        lane(f, RATE, j, WIDTH, ""),
-        lane(f, MODE, j, WIDTH, "lane modes"),
-        lane(f, VALVE, j, WIDTH, ""),
-        lane(f, VALVE_RATE, j, WIDTH, ""),
-        parameters,
-        lane(f, C, j, WIDTH, ""),
-        lane(f, WORK, j, WIDTH, ""),
+        one.time + fraction * one.step,
+        length_state(one.stage),
+        length_state(one.rate),
+        lane_modes(one.modes),
+        one.valve,
+        one.valve_rate,
+        p,
+        flow_map(one.flow),
+        one.work,
         False,
     )
 
 
 @called
 def rates_of_lanes(f, fixed, curved, fraction, width):
-    """Rates of all lanes at their stage states, `fraction` of their step on: STAGE -> RATE.
+    """Rates of all lanes at their stage states, `fraction` of their step on: stage -> rate.
 
     curved: a lane's exponents may follow its speed along a curve; else there is no exp, which would
     be called for one lane after the other.
     """
     if fixed and curved:
         for j in range(width):
-            fixed_rates_of_lane(f, j, fraction, lane(f, P, j, WIDTH, "lane parameters"))
+            one = lane_of(f, j)
+            fixed_rates_of_lane(one, fraction, lane_parameters(one.parameters))
     elif fixed:
         for j in range(width):
-            fixed_rates_of_lane(f, j, fraction, lane(f, P, j, WIDTH, "plain parameters"))
+            one = lane_of(f, j)
+            fixed_rates_of_lane(one, fraction, plain_parameters(one.parameters))
     elif curved:
         for j in range(width):
-            length_rates_of_lane(f, j, fraction, lane(f, P, j, WIDTH, "lane parameters"))
+            one = lane_of(f, j)
+            length_rates_of_lane(one, fraction, lane_parameters(one.parameters))
     else:
         for j in range(width):
-            length_rates_of_lane(f, j, fraction, lane(f, P, j, WIDTH, "plain parameters"))
+            one = lane_of(f, j)
+            length_rates_of_lane(one, fraction, plain_parameters(one.parameters))
 
 
 @called
 def guards_of_lanes(f, fixed, width):
-    """Of all lanes: lowest guard at the end of the step -> LOWEST, something hidden in it -> HIDES."""
+    """Of all lanes: lowest guard at the end of the step -> lowest, something hidden in it -> hides."""
     if fixed:
         for j in range(width):
-            f[LOWEST * WIDTH + j] = lane_fixed_guards(
-                f[TIME * WIDTH + j] + f[STEP * WIDTH + j],
-                lane(f, STAGE, j, WIDTH, ""),
-                lane(f, MODE, j, WIDTH, "lane modes"),
-                lane(f, P, j, WIDTH, "lane parameters"),
-                lane(f, WORK, j, WIDTH, "discarded"),
+            one = lane_of(f, j)
+            m = lane_modes(one.modes)
+            one.lowest = lane_fixed_guards(
+                one.time + one.step,
+                fixed_state(one.stage),
+                m,
+                lane_parameters(one.parameters),
+                lane(f, 0, j, WIDTH, "discarded"),
             )
-            hides = fixed_may_hide(
-                lane(f, RATE_0, j, WIDTH, ""),
-                lane(f, RATE, j, WIDTH, ""),
-                lane(f, MODE, j, WIDTH, "lane modes"),
-            )
-            f[HIDES * WIDTH + j] = 1.0 if hides else 0.0
+            hides = fixed_may_hide(fixed_state(one.rate_0), fixed_state(one.rate), m)
+            one.hides = 1.0 if hides else 0.0
     else:
         for j in range(width):
-            f[LOWEST * WIDTH + j] = lane_length_guards(
-                f[TIME * WIDTH + j] + f[STEP * WIDTH + j],
-                lane(f, STAGE, j, WIDTH, ""),
-                lane(f, MODE, j, WIDTH, "lane modes"),
-                lane(f, P, j, WIDTH, "lane parameters"),
-                lane(f, WORK, j, WIDTH, ""),
-                lane(f, WORK, j, WIDTH, "discarded"),
+            one = lane_of(f, j)
+            m = lane_modes(one.modes)
+            p = lane_parameters(one.parameters)
+            one.lowest = lane_length_guards(
+                one.time + one.step,
+                length_state(one.stage),
+                m,
+                p,
+                one.work,
+                lane(f, 0, j, WIDTH, "discarded"),
             )
             hides = may_hide(
-                lane(f, Y, j, WIDTH, ""),
-                lane(f, STAGE, j, WIDTH, ""),
-                lane(f, RATE_0, j, WIDTH, ""),
-                lane(f, RATE, j, WIDTH, ""),
-                lane(f, MODE, j, WIDTH, "lane modes"),
-                lane(f, P, j, WIDTH, "lane parameters"),
+                length_state(one.y),
+                length_state(one.stage),
+                length_state(one.rate_0),
+                length_state(one.rate),
+                m,
+                p,
             )
-            f[HIDES * WIDTH + j] = 1.0 if hides else 0.0
+            one.hides = 1.0 if hides else 0.0
 
 
 @inlined
 def increments(f, source, stage, count):
     """Step times rates of all lanes -> row `stage` of K."""
-    k = f[(K + stage * MAX_STATES) * WIDTH :]
-    rate = f[source * WIDTH :]
-    steps = f[STEPS * WIDTH :]
+    k = f[K + stage * LANE_STATES :]
+    rate = f[source:]
+    steps = f[STEPS:]
     for e in range(count):
         k[e] = steps[e] * rate[e]
 
@@ -207,16 +235,16 @@ def step_of_lanes(f, fixed, curved, n, tolerance, width):
     `width` must be WIDTH; as a variable it keeps the compiler from unrolling the lanes.
     """
     count = n * WIDTH
-    y = f[Y * WIDTH :]
-    out = f[STAGE * WIDTH :]
-    error = f[SPARE * WIDTH :]
-    k = rows(f[K * WIDTH :], LANE_STATES)
+    y = f[Y:]
+    out = f[STAGE:]
+    error = f[SPARE:]
+    k = rows(f[K:], LANE_STATES)
     for i in range(n):
-        copy_row(f, STEP * WIDTH, (STEPS + i) * WIDTH, WIDTH)
-        copy_row(f, ACCEPTED * WIDTH, (TAKE + i) * WIDTH, WIDTH)
-    take = f[TAKE * WIDTH :]
-    first = f[RATE_0 * WIDTH :]
-    last = f[RATE * WIDTH :]
+        copy_row(f, STEP, STEPS + i * WIDTH, WIDTH)
+        copy_row(f, ACCEPTED, TAKE + i * WIDTH, WIDTH)
+    take = f[TAKE:]
+    first = f[RATE_0:]
+    last = f[RATE:]
     for e in range(count):
         old = y[e]
         new = out[e]
@@ -247,20 +275,21 @@ def step_of_lanes(f, fixed, curved, n, tolerance, width):
     guards_of_lanes(f, fixed, width)
     local_error(1.0, k, error, count)
     share = 1.0 / n
-    scale = f[SCALE * WIDTH :]
+    scale = f[SCALE:]
     for e in range(count):
         ratio = error[e] / (tolerance * (scale[e] + max(abs(y[e]), abs(out[e]))))
         error[e] = ratio * ratio
     for j in range(WIDTH):
-        f[NORM * WIDTH + j] = 0.0
+        f[NORM + j] = 0.0
     for i in range(n):
         for j in range(WIDTH):
-            f[NORM * WIDTH + j] += error[i * WIDTH + j]
+            f[NORM + j] += error[i * WIDTH + j]
     for j in range(width):
         # a proportional-integral controller by square roots alone: norm^(-1/8), times the last
         # norm's power 1/16 (see `grown`), which keeps the steps from swinging
-        norm = f[NORM * WIDTH + j] * share
+        one = lane_of(f, j)
+        norm = one.norm * share
         eighth = sqrt(sqrt(sqrt(sqrt(norm))))
-        f[NORM * WIDTH + j] = norm
-        f[ROOT * WIDTH + j] = sqrt(eighth)
-        f[FACTOR * WIDTH + j] = 0.95 / max(eighth, 0.1)
+        one.norm = norm
+        one.root = sqrt(eighth)
+        one.factor = 0.95 / max(eighth, 0.1)

@@ -11,43 +11,22 @@ from __future__ import annotations
 import numpy as np
 
 from plant.batch.lane_control import (
-    EVENTS,
     IDLE,
-    JUMPS,
-    NEXT_SAMPLE,
-    R_ARRIVAL,
-    R_ENERGY,
-    R_EVENTS,
-    R_JUMPS,
-    R_REJECTED,
-    R_SPEED,
-    R_STATUS,
-    R_STEPS,
-    REJECTED,
     RESULTS,
     STEPPING,
-    STROKE,
-    TAKEN,
     begin,
     judge,
+    memory_of,
     prepare,
+    result_of,
 )
-from plant.batch.lane_steps import (
-    ACCEPTED,
-    END,
-    RATE_0,
-    SCALE,
-    STEP,
-    TIME,
-    WIDTH,
-    C,
-    Y,
-    step_of_lanes,
-)
+from plant.batch.lane_steps import WIDTH, lane_of, step_of_lanes
 from plant.integrator.integrate import DONE, EVENT_COLUMNS
 from plant.kernel.compiled import kernel
-from plant.kernel.layout import ALPHA_V0, FLOW_COEFFICIENTS
+from plant.kernel.layout import FlowMap, Parameters
 from plant.kernel.views import view
+
+ALPHA_V0, FLOW_SIZE = Parameters.fields["alpha_v0"].start, FlowMap.size
 
 
 @kernel
@@ -61,7 +40,7 @@ def run_lanes(
     Parameters
     ----------
     system, n : FIXED or LENGTH, and how many leading states move
-    packed : float64 [strokes, PARAMETERS]
+    packed : float64 [strokes, Parameters.size]
     c, y0, m0, u0, switches, duration, samples : one row a stroke, or one row for all; switches
         [., k, 4] ascending with infinite times behind the last, samples [., s] ascending
     columns : int64, states to be sampled
@@ -110,65 +89,66 @@ def run_lanes(
         curved = curved or packed[stroke, ALPHA_V0] != 0.0
     upcoming = 0
     active = 0
-    for k in range(n):
-        for j in range(WIDTH):
-            f[(SCALE + k) * WIDTH + j] = scale[k]
     for j in range(WIDTH):
-        memory[STROKE * WIDTH + j] = IDLE
+        memory_of(memory, j).stroke = IDLE
+        for k in range(n):
+            lane_of(f, j).scale[k] = scale[k]
     status = DONE
     starting = True
     while starting or active > 0:
         if not starting:
             step_of_lanes(f, fixed, curved, n, tolerance, width)
         for j in range(WIDTH):
-            stroke = memory[STROKE * WIDTH + j]
+            one = lane_of(f, j)
+            own = memory_of(memory, j)
+            stroke = own.stroke
             if stroke == IDLE and not starting:
                 continue
             if not starting:
                 status = judge(
-                    f, j, n, memory,
+                    one, n, own,
                     sample_view[0 if one_sample else stroke * n_sample:], n_sample,
                     column_view, n_columns,
                     out_view[stroke * n_sample * n_columns:],
                     event_view[stroke * room * EVENT_COLUMNS:], room,
-                    result_view[stroke * RESULTS:], scratch, grid_view, steps, use,
+                    result_of(result_view[stroke * RESULTS:]), scratch, grid_view, steps, use,
                 )  # fmt: skip
             fresh = starting
             while status != STEPPING:
-                if fresh or status != DONE or f[TIME * WIDTH + j] >= f[END * WIDTH + j]:
+                if fresh or status != DONE or one.time >= one.end:
                     if not fresh:
-                        result = result_view[stroke * RESULTS :]
-                        result[R_STATUS] = status
-                        result[R_EVENTS] = memory[EVENTS * WIDTH + j]
-                        result[R_STEPS] = memory[TAKEN * WIDTH + j]
-                        result[R_REJECTED] = memory[REJECTED * WIDTH + j]
-                        result[R_JUMPS] = memory[JUMPS * WIDTH + j]
+                        result = result_of(result_view[stroke * RESULTS :])
+                        result.status = status
+                        result.events = own.events
+                        result.steps = own.taken
+                        result.rejected = own.rejected
+                        result.jumps = own.jumps
                         for k in range(n):
-                            final[stroke, k] = f[(Y + k) * WIDTH + j]
+                            final[stroke, k] = one.y[k]
                         for k in range(n, states):
                             final[stroke, k] = y0[0 if one_y else stroke, k]
-                        for i in range(memory[NEXT_SAMPLE * WIDTH + j], n_sample):
+                        for i in range(own.next_sample, n_sample):
                             for k in range(n_columns):
                                 out[stroke, i, k] = final[stroke, columns[k]]
                         active -= 1
-                        memory[STROKE * WIDTH + j] = IDLE
+                        own.stroke = IDLE
                     fresh = False
                     if upcoming >= order.shape[0]:
                         for k in range(n):
-                            f[(RATE_0 + k) * WIDTH + j] = 0.0
-                        f[ACCEPTED * WIDTH + j] = 0.0
-                        f[STEP * WIDTH + j] = 0.0
+                            one.rate_0[k] = 0.0
+                        one.accepted = 0.0
+                        one.step = 0.0
                         break
                     stroke = order[upcoming]
                     upcoming += 1
                     active += 1
-                    memory[STROKE * WIDTH + j] = stroke
+                    own.stroke = stroke
                     row = 0 if one_c else stroke
                     if starting or not one_c:
-                        for k in range(FLOW_COEFFICIENTS):
-                            f[(C + k) * WIDTH + j] = c_view[row * FLOW_COEFFICIENTS + k]
+                        for k in range(FLOW_SIZE):
+                            one.flow[k] = c_view[row * FLOW_SIZE + k]
                     begin(
-                        f, j, n, memory,
+                        one, n, own,
                         p_view[stroke * packed.shape[1]:],
                         y_view[0 if one_y else stroke * y0.shape[1]:],
                         m_view[0 if one_m else stroke * m0.shape[1]:],
@@ -176,17 +156,18 @@ def run_lanes(
                         duration[0 if one_duration else stroke],
                         scratch,
                     )  # fmt: skip
-                    result_view[stroke * RESULTS + R_ARRIVAL] = np.nan
-                    result_view[stroke * RESULTS + R_SPEED] = np.nan
-                    result_view[stroke * RESULTS + R_ENERGY] = np.nan
+                    result = result_of(result_view[stroke * RESULTS :])
+                    result.arrival = np.nan
+                    result.speed = np.nan
+                    result.energy = np.nan
                 status = prepare(
-                    f, j, fixed, n, memory,
+                    one, fixed, n, own,
                     switch_view[0 if one_switch else stroke * n_switch * 4:], n_switch,
                     sample_view[0 if one_sample else stroke * n_sample:], n_sample,
                     column_view, n_columns,
                     out_view[stroke * n_sample * n_columns:],
                     event_view[stroke * room * EVENT_COLUMNS:], room,
-                    result_view[stroke * RESULTS:],
+                    result_of(result_view[stroke * RESULTS:]),
                     tabulated, table_view, scratch, grid_view, steps, use, known_view,
                 )  # fmt: skip
             status = DONE

@@ -19,9 +19,9 @@ from plant.batch.tangents import Followers
 from plant.effects.setup import Setup
 from plant.integrator.filling import filling_curves
 from plant.integrator.hybrid import NO_GRID, NS, REASONS, WORKSPACE, IntegrationError
-from plant.integrator.integrate import COUNTS, DONE, EVENT_COLUMNS, OWN_STEPS, advance
-from plant.kernel import layout as L
-from plant.kernel.packing import Floats, Ints, active_states, initial_state, modes, scales
+from plant.integrator.integrate import DONE, EVENT_COLUMNS, OWN_STEPS, advance
+from plant.kernel.layout import CHAMBERS, FIRST_PRESSURE, FIXED, Counts, Modes, Parameters
+from plant.kernel.packing import Floats, Ints, active_states, fresh_modes, initial_state, scales
 from plant.systems.stroke import gauged, valve_moves
 
 FIT_TOLERANCE = 1e-7
@@ -57,20 +57,20 @@ class _Ready(NamedTuple):
     def of(cls, setup: Setup, end_ns: int) -> _Ready:
         conditions = setup.conditions
         system, names = conditions.system, conditions.chambers
-        m = modes(system, conditions.loads())
-        m[L.M_LINE] = 1 if setup.has_line else 0
+        m = fresh_modes(system, conditions.loads())
+        m.line = 1 if setup.has_line else 0
         valves = np.zeros(3)
         for index, name in enumerate(names):
             valves[index] = 1.0 if name in conditions.charged_before else 0.0
         moves = [(at / NS, *move) for at, *move in valve_moves(setup, end_ns)]
         return cls(
             system,
-            conditions.start_offset_m if system == L.FIXED else conditions.kind[0],
+            conditions.start_offset_m if system == FIXED else conditions.kind[0],
             conditions.charged_before,
             names,
-            L.FP1 if system == L.FIXED else L.PB,
+            FIRST_PRESSURE[system],
             active_states(system, m),
-            m,
+            m.array,
             valves,
             np.array(moves, dtype=np.float64).reshape(-1, 4),
             scales(system),
@@ -95,7 +95,7 @@ class Predictor:
         self._modes = np.zeros(32, dtype=np.int64)
         self._valves, self._valve_rates = np.zeros(3), np.zeros(3)
         self._step = np.zeros(1)
-        self._counts = np.zeros(COUNTS, dtype=np.int64)
+        self._counts = np.zeros(Counts.size, dtype=np.int64)
         self._followers: Followers | None = None
 
     @property
@@ -134,7 +134,7 @@ class Predictor:
             m,
             self._valves,
             self._valve_rates,
-            p,
+            p.array,
             setup.c,
             ready.scale,
             ready.states,
@@ -184,13 +184,13 @@ class Predictor:
         system = setup.conditions.system
         ready = self._prepared(setup)
         if all(_driven_alike(one, setup) for one in moved):
-            packed = np.empty((len(setups), L.PARAMETERS))
+            packed = np.empty((len(setups), Parameters.size))
             for row, one in zip(packed, setups, strict=True):
-                row[:] = one.p
+                row[:] = one.p.array
             flow = shared([one.c for one in setups])
             initial = shared(initials(setups, packed))
             modes_, valves, switches = (
-                ready.modes[None, : L.MODES],
+                ready.modes[None, : Modes.size],
                 ready.valves[None],
                 ready.moves[None],
             )
@@ -208,8 +208,8 @@ class Predictor:
         if status != DONE:
             raise IntegrationError(f"integration stopped: {REASONS[status]}")
         if not all(one.exact_gauges for one in setups):
-            first, count = (L.FP1, 2) if system == L.FIXED else (L.PB, 3)
-            pressures = np.flatnonzero((wanted >= first) & (wanted < first + count))
+            first = FIRST_PRESSURE[system]
+            pressures = np.flatnonzero((wanted >= first) & (wanted < first + CHAMBERS[system]))
             for one, own in zip(setups, samples, strict=True):
                 own[:, pressures] = gauged(one, self._sample_s, own[:, pressures])
         base = samples[0]

@@ -8,31 +8,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from plant.batch.lane_control import (
-    R_ARRIVAL,
-    R_ENERGY,
-    R_EVENTS,
-    R_JUMPS,
-    R_REJECTED,
-    R_SPEED,
-    R_STATUS,
-    R_STEPS,
-)
+from plant.batch.lane_control import result_of
 from plant.integrator.integrate import (
-    COUNTS,
-    EVENT_BLOCK,
     EVENT_COLUMNS,
-    EVENT_LOST,
-    EVENT_SPEED,
-    EVENT_TIME,
     ROW,
     WORKSPACE_ROWS,
     advance,
 )
-from plant.kernel.compiled import kernel
-from plant.kernel.layout import FIXED, FOIL, FP2, LOIL, M_DAMPER, M_LINE, SPENT
+from plant.kernel.compiled import called, kernel
+from plant.kernel.layout import Counts
+from plant.kernel.packing import active_states
+from plant.kernel.record_views import counts_of, event_row, modes
 
 FIRST_STEP = 1e-4
+COUNTS = Counts.size
+active = called(active_states)
 
 
 @kernel
@@ -69,12 +59,7 @@ def run_singles(
         k = 0
         while k < rows.shape[0] and rows[k, 0] < np.inf:
             k += 1
-        if m[M_LINE] != 0:
-            n = states
-        elif m[M_DAMPER] == 2:
-            n = (FOIL if system == FIXED else LOIL) + 1
-        else:
-            n = (FP2 if system == FIXED else SPENT) + 1
+        n = active(system, modes(m))
         for s in range(n, states):
             sampled[:, s] = y[s]
         status = advance(
@@ -103,24 +88,25 @@ def run_singles(
             use,
             True,
         )
-        result = results[stroke]
-        result[R_STATUS] = status
-        result[R_ARRIVAL] = np.nan
-        result[R_SPEED] = np.nan
-        result[R_ENERGY] = np.nan
-        result[R_EVENTS] = counts[0]
-        result[R_STEPS] = counts[1]
-        result[R_REJECTED] = counts[2]
-        result[R_JUMPS] = 0.0
-        for e in range(min(counts[0], record.shape[0])):
+        counted = counts_of(counts)
+        result = result_of(results[stroke])
+        result.status = status
+        result.arrival = np.nan
+        result.speed = np.nan
+        result.energy = np.nan
+        result.events = counted.events
+        result.steps = counted.steps
+        result.rejected = counted.rejected
+        result.jumps = 0.0
+        for e in range(min(counted.events, record.shape[0])):
             if e < room:
                 events[stroke, e] = record[e]
-            row = record[e]
-            arrived = row[EVENT_SPEED] > 0.0 and row[EVENT_BLOCK] == 0.0
-            if arrived and not result[R_ARRIVAL] >= 0.0:
-                result[R_ARRIVAL] = row[EVENT_TIME]
-                result[R_SPEED] = row[EVENT_SPEED]
-                result[R_ENERGY] = row[EVENT_LOST]
+            row = event_row(record[e])
+            arrived = row.speed > 0.0 and row.at_block == 0.0
+            if arrived and not result.arrival >= 0.0:
+                result.arrival = row.time
+                result.speed = row.speed
+                result.energy = row.lost
         final[stroke] = y
         for i in range(n_sample):
             for s in range(len(columns)):

@@ -24,13 +24,13 @@ from plant.batch.batch import (
     covered_by_lanes,
     simulate_batch,
 )
-from plant.batch.lane_control import KNOWN, MEMORY, R_EVENTS, R_STATUS, R_STEPS, RESULTS, SCRATCH
+from plant.batch.lane_control import KNOWN, MEMORY, RESULTS, SCRATCH, Result
 from plant.batch.lane_steps import ROWS, WIDTH
 from plant.batch.lanes import run_lanes
 from plant.batch.singles import run_singles
 from plant.integrator.filling import NO_CURVES, filling_curves
 from plant.integrator.integrate import DONE, EVENT_COLUMNS, FOLLOW_GRID, GRID_COLUMNS, WRITE_GRID
-from plant.kernel import layout as L
+from plant.kernel.layout import FIXED, LENGTH
 from plant.kernel.packing import Floats, Ints, scales
 
 MOVE = 1e-6
@@ -74,7 +74,7 @@ class Followers:
         self._known = np.zeros((len(sample_s), KNOWN))
         self._flat, self._scratch = np.zeros(ROWS * WIDTH), np.zeros(SCRATCH)
         self._memory = np.zeros(MEMORY * WIDTH, dtype=np.int64)
-        self._scales = {system: scales(system) for system in (L.FIXED, L.LENGTH)}
+        self._scales = {system: scales(system) for system in (FIXED, LENGTH)}
 
     def run(
         self,
@@ -91,7 +91,7 @@ class Followers:
         Arrays as those of `Strokes`; driven: its modes, valves, switches and durations.
         """
         n, states = len(packed), initial.shape[1]
-        moving = 4 if system == L.FIXED else 9
+        moving = 4 if system == FIXED else 9
         covered = covered_by_lanes(packed, driven[0])
         lanes = bool(covered[0])
         known, table = filling_curves(flow) if len(flow) == 1 else (False, NO_CURVES)
@@ -104,7 +104,9 @@ class Followers:
         arrays = (packed, flow, initial, *driven, self._instants, columns, self._scales[system])
         for order, use in ((everything[:1], WRITE_GRID), (everything[1:], FOLLOW_GRID)):
             steps = (
-                LONGEST_GRID if use == WRITE_GRID else min(int(results[0, R_STEPS]), LONGEST_GRID)
+                LONGEST_GRID
+                if use == WRITE_GRID
+                else min(int(results[0, Result.steps]), LONGEST_GRID)
             )
             if lanes:
                 run_lanes(
@@ -123,8 +125,8 @@ class Followers:
                     out[:, :, place] = initial[:, column, None]
         alike = (
             (covered == covered[0])
-            & (results[:, R_STATUS] == DONE)
-            & (results[:, R_STEPS] == results[0, R_STEPS])
-            & (results[:, R_EVENTS] == results[0, R_EVENTS])
+            & (results[:, Result.status] == DONE)
+            & (results[:, Result.steps] == results[0, Result.steps])
+            & (results[:, Result.events] == results[0, Result.events])
         )
-        return int(results[0, R_STATUS]), out, alike
+        return int(results[0, Result.status]), out, alike

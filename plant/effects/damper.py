@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from plant.effects.effect import EffectParameter, effect
 from plant.effects.setup import Setup
-from plant.kernel import layout as L
 
 
 @effect(
@@ -18,7 +17,7 @@ from plant.kernel import layout as L
 )
 def aeration(setup: Setup, values: dict[str, float]) -> None:
     """More free air: 1/kappa + air P_atm / P^2."""
-    setup.p[L.AIR_FRACTION] = values["air_fraction"]
+    setup.p.air_fraction = values["air_fraction"]
 
 
 @effect(
@@ -32,7 +31,7 @@ def aeration(setup: Setup, values: dict[str, float]) -> None:
 )
 def clog(setup: Setup, values: dict[str, float]) -> None:
     """Small outlet times a factor."""
-    setup.p[L.A_SMALL] *= values["factor"]
+    setup.p.a_small *= values["factor"]
 
 
 @effect(
@@ -47,7 +46,7 @@ def clog(setup: Setup, values: dict[str, float]) -> None:
 def misalignment(setup: Setup, values: dict[str, float]) -> None:
     """Extra friction of the stay while the damper is mounted."""
     if setup.conditions.load == "damper":
-        setup.p[L.DAMPER_DRAG] += values["force_n"]
+        setup.p.damper_drag += values["force_n"]
 
 
 EFFECTS = (aeration, clog, misalignment)

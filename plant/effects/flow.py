@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from plant.effects.effect import EffectParameter, Scope, Values, Variant, choice, effect
 from plant.effects.setup import Setup
-from plant.effects.term import Over, Slot, into_kernel
-from plant.kernel import layout as L
+from plant.effects.term import into_kernel
+from plant.kernel.layout import TERM_NODES, Over, Slot
 from plant.parts.flow import orifice
 
 Floats = NDArray[np.float64]
@@ -35,7 +35,7 @@ LEAK_UP_TO_PA = 1.2e6
 )
 def piston_leak(setup: Setup, values: dict[str, float]) -> None:
     """Orifice C_d A across each piston, from chamber to chamber."""
-    setup.p[L.LEAK_PISTON] = values["cda_m2"]
+    setup.p.leak_piston = values["cda_m2"]
 
 
 def leak_on_run(values: Values) -> Values:
@@ -65,13 +65,13 @@ def leak_out(setup: Setup, values: dict[str, float]) -> None:
     or not; 2: from every chamber, always.
     """
     if values["where"] == 0.0:
-        setup.p[L.LEAK_ATM] = values["cda_m2"]
+        setup.p.leak_atm = values["cda_m2"]
     elif values["cda_m2"] > 0.0:
         p = setup.p
-        pressures = np.linspace(p[L.P_ATM], LEAK_UP_TO_PA, L.TERM_NODES)
-        gas = (values["cda_m2"], p[L.T_GAS], p[L.GAMMA], p[L.R_AIR])
+        pressures = np.linspace(p.p_atm, LEAK_UP_TO_PA, TERM_NODES)
+        gas = (values["cda_m2"], p.t_gas, p.gamma, p.r_air)
         plain = orifice.py_func  # type: ignore[attr-defined]
-        lost = np.array([plain(pressure, p[L.P_ATM], *gas) for pressure in pressures.tolist()])
+        lost = np.array([plain(pressure, p.p_atm, *gas) for pressure in pressures.tolist()])
         index = setup.conditions.chambers.index(setup.charged_chamber)
         if values["where"] == 1.0:
             follow_pressure(setup, Slot.FLOW_1 + index, pressures, -lost)
@@ -97,7 +97,7 @@ def follow_pressure(setup: Setup, slot: float, pressures: Floats, flows: Floats)
 )
 def supply_low(setup: Setup, values: dict[str, float]) -> None:
     """True supply pressure below the stated one by a share."""
-    setup.p[L.P_SUPPLY] *= 1.0 - values["deficit"]
+    setup.p.p_supply *= 1.0 - values["deficit"]
 
 
 @effect(
@@ -123,8 +123,8 @@ def droop(setup: Setup, values: dict[str, float]) -> None:
     if values["cda_m2"] <= 0.0:
         return
     setup.has_line = True
-    setup.p[L.LINE_CDA] = values["cda_m2"]
-    setup.p[L.LINE_VOLUME] = max(values["volume_m3"], QUICK_LINE_M * values["cda_m2"])
+    setup.p.line_cda = values["cda_m2"]
+    setup.p.line_volume = max(values["volume_m3"], QUICK_LINE_M * values["cda_m2"])
 
 
 @effect(
@@ -138,7 +138,7 @@ def droop(setup: Setup, values: dict[str, float]) -> None:
 )
 def exhaust_clog(setup: Setup, values: dict[str, float]) -> None:
     """Exhaust flows times a factor."""
-    setup.p[L.K_OUT] *= values["factor"]
+    setup.p.k_out *= values["factor"]
 
 
 @effect(
@@ -152,7 +152,7 @@ def exhaust_clog(setup: Setup, values: dict[str, float]) -> None:
 )
 def inlet_clog(setup: Setup, values: dict[str, float]) -> None:
     """Charge flows times a factor."""
-    setup.p[L.K_IN] *= values["factor"]
+    setup.p.k_in *= values["factor"]
 
 
 def scope_of_volume(values: Values) -> Scope:
@@ -174,8 +174,8 @@ def scope_of_volume(values: Values) -> Scope:
 def dead_charge(setup: Setup, values: dict[str, float]) -> None:
     """Extra dead volume on the chamber that drives the stroke (where 0) or on B, F, 1 (where 1)."""
     if values["where"] == 1.0:
-        setup.p[L.VOL_B] += values["volume_m3"]
-        setup.p[L.VOL_F] += values["volume_m3"]
+        setup.p.vol_b += values["volume_m3"]
+        setup.p.vol_f += values["volume_m3"]
     else:
         setup.p[setup.volume_index(setup.charged_chamber)] += values["volume_m3"]
 
@@ -194,7 +194,7 @@ def dead_charge(setup: Setup, values: dict[str, float]) -> None:
 def dead_passive(setup: Setup, values: dict[str, float]) -> None:
     """Extra dead volume on the chamber that the stroke compresses (where 0) or N, 2 (where 1)."""
     if values["where"] == 1.0:
-        setup.p[L.VOL_N] += values["volume_m3"]
+        setup.p.vol_n += values["volume_m3"]
     else:
         for chamber in setup.passive_chambers:
             setup.p[setup.volume_index(chamber)] += values["volume_m3"]

@@ -7,7 +7,7 @@ import numpy as np
 from plant.effects.effect import EffectParameter, Variant, choice, effect
 from plant.effects.force_term import Floats, ForceTerm, Motion
 from plant.effects.setup import Setup
-from plant.kernel import layout as L
+from plant.kernel.layout import FIXED, Parameters
 
 FACTOR = EffectParameter("factor", "-", 1.0, 0.2, 10.0, 0.5, 1)
 
@@ -23,7 +23,7 @@ FACTOR = EffectParameter("factor", "-", 1.0, 0.2, 10.0, 0.5, 1)
 )
 def scale_running(setup: Setup, values: dict[str, float]) -> None:
     """Coulomb and viscous level times a factor, on stay and pistons (not the truck's linkage)."""
-    for index in (L.F_RUN_S, L.BETA_S, L.F_RUN_P, L.BETA_P):
+    for index in (Parameters.f_run_s, Parameters.beta_s, Parameters.f_run_p, Parameters.beta_p):
         setup.p[index] *= values["factor"]
 
 
@@ -38,7 +38,7 @@ def scale_running(setup: Setup, values: dict[str, float]) -> None:
 )
 def scale_static(setup: Setup, values: dict[str, float]) -> None:
     """Breakaway force times a factor."""
-    for index in (L.F_STATIC_S, L.F_STATIC_P):
+    for index in (Parameters.f_static_s, Parameters.f_static_p):
         setup.p[index] *= values["factor"]
 
 
@@ -69,7 +69,7 @@ def stribeck_speeds(motion: Motion) -> tuple[float, ...]:
 )
 def stribeck(setup: Setup, values: dict[str, float]) -> None:
     """Sliding friction falls from the static level over a speed: exp(-|v|/v_s)."""
-    setup.p[L.STRIBECK_V] = values["speed_m_s"]
+    setup.p.stribeck_v = values["speed_m_s"]
 
 
 @effect(
@@ -89,7 +89,7 @@ def stribeck(setup: Setup, values: dict[str, float]) -> None:
 )
 def asymmetry(setup: Setup, values: dict[str, float]) -> None:
     """Friction times 1 + a towards + (backward, extension), 1 - a towards -."""
-    setup.p[L.ASYMMETRY] = values["asymmetry"]
+    setup.p.asymmetry = values["asymmetry"]
 
 
 SPOTS_M = (0.003, 0.0065, 0.010)
@@ -139,9 +139,9 @@ def bump(setup: Setup, values: dict[str, float]) -> None:
     position = values["position_m"]
     if values["mirrored"] == 1.0 and setup.conditions.kind in ("N-F", "F-N"):
         position = -position
-    setup.p[L.BUMP_FORCE] = values["force_n"]
-    setup.p[L.BUMP_X] = position
-    setup.p[L.BUMP_WIDTH] = values["width_m"]
+    setup.p.bump_force = values["force_n"]
+    setup.p.bump_x = position
+    setup.p.bump_width = values["width_m"]
 
 
 def seal_feature(motion: Motion, shape: float) -> Floats:
@@ -173,9 +173,9 @@ def seal(setup: Setup, values: dict[str, float]) -> None:
     A is the piston's larger face (face 0) or its smaller one (1): they differ on the fixed rig.
     """
     share = 1.0
-    if values["face"] == 1.0 and setup.conditions.system == L.FIXED:
-        share = setup.p[L.AREA_P2] / setup.p[L.AREA_P]
-    setup.p[L.SEAL_MU] = values["mu"] * share
+    if values["face"] == 1.0 and setup.conditions.system == FIXED:
+        share = setup.p.area_p2 / setup.p.area_p
+    setup.p.seal_mu = values["mu"] * share
 
 
 EFFECTS = (scale_running, scale_static, stribeck, asymmetry, bump, seal)

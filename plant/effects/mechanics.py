@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from plant.effects.effect import EffectParameter, effect
 from plant.effects.setup import Setup
-from plant.kernel import layout as L
 
 
 @effect(
@@ -18,7 +17,7 @@ from plant.kernel import layout as L
 )
 def free_play(setup: Setup, values: dict[str, float]) -> None:
     """Free travel of the pistons on the stay longer or shorter (length stroke)."""
-    setup.p[L.X_FREE] += values["travel_m"]
+    setup.p.x_free += values["travel_m"]
 
 
 @effect(
@@ -31,7 +30,7 @@ def free_play(setup: Setup, values: dict[str, float]) -> None:
 )
 def stop_wear(setup: Setup, values: dict[str, float]) -> None:
     """The engaged end stop has moved outward."""
-    setup.p[L.STOP_OFFSET] += values["offset_m"]
+    setup.p.stop_offset += values["offset_m"]
 
 
 @effect(
@@ -44,7 +43,7 @@ def stop_wear(setup: Setup, values: dict[str, float]) -> None:
 )
 def added_mass(setup: Setup, values: dict[str, float]) -> None:
     """More inertia on the stay."""
-    setup.p[L.M_S] += values["mass_kg"]
+    setup.p.m_s += values["mass_kg"]
 
 
 @effect(
@@ -56,7 +55,7 @@ def added_mass(setup: Setup, values: dict[str, float]) -> None:
 )
 def external(setup: Setup, values: dict[str, float]) -> None:
     """Constant force on the stay, towards + (backward, extension)."""
-    setup.p[L.F_EXTERNAL] += values["force_n"]
+    setup.p.f_external += values["force_n"]
 
 
 @effect(
@@ -70,8 +69,8 @@ def external(setup: Setup, values: dict[str, float]) -> None:
 )
 def detent(setup: Setup, values: dict[str, float]) -> None:
     """Ball and spring pulling into rest and engaged positions: -F sin(pi d / w), |d| < w."""
-    setup.p[L.DETENT_FORCE] += values["force_n"]
-    setup.p[L.DETENT_WIDTH] = values["width_m"]
+    setup.p.detent_force += values["force_n"]
+    setup.p.detent_width = values["width_m"]
 
 
 @effect(
@@ -83,7 +82,7 @@ def detent(setup: Setup, values: dict[str, float]) -> None:
 )
 def bounce(setup: Setup, values: dict[str, float]) -> None:
     """Stops rebound with this coefficient of restitution."""
-    setup.p[L.RESTITUTION] = values["restitution"]
+    setup.p.restitution = values["restitution"]
 
 
 EFFECTS = (free_play, stop_wear, added_mass, external, detent, bounce)

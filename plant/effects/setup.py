@@ -12,7 +12,7 @@ import numpy as np
 from plant.devices.sensors import InternalChain
 from plant.devices.valve import ValveTiming
 from plant.effects.stroke_conditions import StrokeConditions
-from plant.kernel import layout as L
+from plant.kernel.layout import Parameters
 from plant.kernel.packing import Floats
 
 
@@ -44,7 +44,7 @@ class Setup:
     """
 
     conditions: StrokeConditions
-    p: Floats
+    p: Parameters
     c: Floats
     timing: ValveTiming
     chain: InternalChain
@@ -86,9 +86,9 @@ class Setup:
     def volume_index(self, chamber: str) -> int:
         """Place of a chamber's dead volume in `p`."""
         return {
-            "1": L.VOL_B,
-            "2": L.VOL_N,
-            "B": L.VOL_B,
-            "N": L.VOL_N,
-            "F": L.VOL_F,
+            "1": Parameters.vol_b,
+            "2": Parameters.vol_n,
+            "B": Parameters.vol_b,
+            "N": Parameters.vol_n,
+            "F": Parameters.vol_f,
         }[chamber]

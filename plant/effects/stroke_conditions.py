@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from plant.kernel import layout as L
+from plant.kernel.layout import FIXED, LENGTH
 from plant.kernel.packing import Load
 
 KINDS = ("fixed", "N-B", "B-N", "N-F", "F-N")
@@ -43,7 +43,7 @@ class StrokeConditions:
     @property
     def system(self) -> int:
         """Layout number of the actuator: FIXED or LENGTH."""
-        return L.FIXED if self.kind == "fixed" else L.LENGTH
+        return FIXED if self.kind == "fixed" else LENGTH
 
     @property
     def chambers(self) -> tuple[str, ...]:

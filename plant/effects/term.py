@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 
@@ -12,51 +11,8 @@ from plant.effects.effect import EffectParameter, Scope, Values, effect
 from plant.effects.setup import Curve, Setup
 from plant.effects.tolerances import shift
 from plant.errors import InputError
-from plant.kernel import layout as L
+from plant.kernel.layout import TERM_NODES, Over, Parameters, Slot
 from plant.kernel.packing import Floats
-
-
-class Slot(IntEnum):
-    """Equation that a term enters, as `equation` of an extended model writes it.
-
-    FLOW_1 to FLOW_3: into a chamber; FRICTION, RISE, FALL, SUPPLY, CHARGE_LEVEL and DISCHARGE_LEVEL
-    have one level a stroke.
-    """
-
-    FORCE = 1
-    FLOW_1 = 2
-    FLOW_2 = 3
-    FLOW_3 = 4
-    RESISTANCE = 5
-    CHARGE = 6
-    DISCHARGE = 7
-    LEAK = 8
-    EXPONENT = 9
-    RISE = 10
-    FALL = 11
-    SUPPLY = 12
-    POSITION = 13
-    GAUGE = 14
-    FRICTION = 15
-    CHARGE_LEVEL = 16
-    DISCHARGE_LEVEL = 17
-
-
-class Over(IntEnum):
-    """Variable that a term depends on, as `variable` of an extended model writes it.
-
-    SPEED: speed or pressure, as the equation has it; REST, PROGRESS and VALVE have one value a stroke:
-    log10 of the rest before it [s], where it is in its campaign (0 first, 1 last), and the valve that
-    drives it (1, B, N, F: 0 to 3).
-    """
-
-    TIME = 0
-    POSITION = 1
-    SPEED = 2
-    REST = 3
-    PROGRESS = 4
-    VALVE = 5
-
 
 LEVELLED = {
     Slot.RISE: "rise",
@@ -188,8 +144,8 @@ def term(setup: Setup, values: dict[str, float]) -> None:
     stroke.
     """
     nodes = np.atleast_1d(np.asarray(values["nodes"], dtype=np.float64))
-    if len(nodes) > L.TERM_NODES:
-        raise ValueError(f"{len(nodes)} nodes; at most {L.TERM_NODES}")
+    if len(nodes) > TERM_NODES:
+        raise ValueError(f"{len(nodes)} nodes; at most {TERM_NODES}")
     equation = values["equation"]
     curve = Curve(values["low"], values["step"], nodes)
     if equation in LEVELLED:
@@ -208,14 +164,14 @@ def term(setup: Setup, values: dict[str, float]) -> None:
         into_kernel(setup.p, values, nodes)
 
 
-def into_kernel(p: Floats, values: dict[str, float], nodes: Floats) -> None:
+def into_kernel(p: Parameters, values: dict[str, float], nodes: Floats) -> None:
     """Write a term, nodes [n], into the packed parameters where the equations read it."""
-    p[L.TERM_EQUATION] = values["equation"]
-    p[L.TERM_VARIABLE] = values["variable"]
-    p[L.TERM_LOW] = values["low"]
-    p[L.TERM_STEP] = values["step"]
-    p[L.TERM_COUNT] = float(len(nodes))
-    p[L.TERM_0 : L.TERM_0 + len(nodes)] = nodes
+    p.term_slot = values["equation"]
+    p.term_variable = values["variable"]
+    p.term_low = values["low"]
+    p.term_step = values["step"]
+    p.term_count = float(len(nodes))
+    p.term_nodes[: len(nodes)] = nodes
 
 
 EFFECTS = (term,)

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from plant.effects.effect import EffectParameter, Variant, choice, effect
 from plant.effects.setup import Setup
-from plant.kernel import layout as L
+from plant.kernel.layout import Parameters
 
-SLOPES = (L.ALPHA_SPEED_M1, L.ALPHA_SPEED, L.ALPHA_SPEED_M2, L.ALPHA_SPEED_2)
-EXPONENTS = (L.ALPHA_M1, L.ALPHA_1, L.ALPHA_M2, L.ALPHA_2)
-VOLUME_TERMS = (L.ALPHA_SPEED, L.ALPHA_SPEED_2)
+SLOPES = (
+    Parameters.alpha_speed_m1,
+    Parameters.alpha_speed,
+    Parameters.alpha_speed_m2,
+    Parameters.alpha_speed_2,
+)
+EXPONENTS = (Parameters.alpha_m1, Parameters.alpha_1, Parameters.alpha_m2, Parameters.alpha_2)
+VOLUME_TERMS = (Parameters.alpha_speed, Parameters.alpha_speed_2)
 
 
 STARTS = tuple(
@@ -48,7 +53,7 @@ def alpha_speed(setup: Setup, values: dict[str, float]) -> None:
     """
     form = values["form"]
     speed = max(values["speed_m_s"], 1e-3)
-    setup.p[L.ALPHA_V0] = speed
+    setup.p.alpha_v0 = speed
     for index, exponent in zip(SLOPES, EXPONENTS, strict=True):
         if form in (0.0, 2.0, 4.0) and index not in VOLUME_TERMS:
             continue
@@ -57,7 +62,7 @@ def alpha_speed(setup: Setup, values: dict[str, float]) -> None:
             towards = setup.p[exponent] - 1.0
             setup.p[exponent] -= values["share"] * towards
         elif form >= 2.0:
-            towards = setup.p[L.GAMMA] - setup.p[exponent]
+            towards = setup.p.gamma - setup.p[exponent]
         setup.p[index] = values["share"] * towards / speed
 
 

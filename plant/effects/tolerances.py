@@ -10,15 +10,22 @@ from dataclasses import replace
 
 from plant.devices.valve import seconds_to_ns
 from plant.effects.setup import Setup
-from plant.kernel import layout as L
+from plant.kernel.layout import Parameters
 
 FACTORS: dict[str, tuple[int, ...]] = {
-    "friction": (L.F_STATIC_S, L.F_RUN_S, L.BETA_S, L.F_STATIC_P, L.F_RUN_P, L.BETA_P),
-    "supply": (L.P_SUPPLY,),
-    "flow_in": (L.K_IN,),
-    "flow_out": (L.K_OUT,),
-    "volume_a": (L.VOL_B, L.VOL_F),
-    "volume_b": (L.VOL_N,),
+    "friction": (
+        Parameters.f_static_s,
+        Parameters.f_run_s,
+        Parameters.beta_s,
+        Parameters.f_static_p,
+        Parameters.f_run_p,
+        Parameters.beta_p,
+    ),
+    "supply": (Parameters.p_supply,),
+    "flow_in": (Parameters.k_in,),
+    "flow_out": (Parameters.k_out,),
+    "volume_a": (Parameters.vol_b, Parameters.vol_f),
+    "volume_b": (Parameters.vol_n,),
 }
 """Quantities that differ by a factor, and the parameters that it scales."""
 

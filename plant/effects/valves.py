@@ -5,7 +5,6 @@ from __future__ import annotations
 from plant.effects.effect import EffectParameter, Variant, choice, effect
 from plant.effects.setup import Setup
 from plant.effects.tolerances import shift_fall, shift_rise
-from plant.kernel import layout as L
 
 FULL_SUPPLY_PA = 900000.0
 
@@ -41,7 +40,7 @@ def open_later(setup: Setup, values: dict[str, float]) -> None:
 )
 def open_by_pressure(setup: Setup, values: dict[str, float]) -> None:
     """Opening delay plus slope (P_s - reference): the plunger opens against the supply."""
-    shift_rise(setup, values["slope_s_pa"] * (setup.p[L.P_SUPPLY] - values["reference_pa"]))
+    shift_rise(setup, values["slope_s_pa"] * (setup.p.p_supply - values["reference_pa"]))
 
 
 @effect(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from plant.equations.length_stroke import damper_outlet
 from plant.kernel.compiled import kernel
-from plant.kernel.layout import A_OIL, P_ATM, RHO_OIL
+from plant.kernel.record_views import parameters
 from plant.parts.damper import steady_difference
 
 
@@ -17,8 +17,9 @@ def steady_oil_pressure(position, velocity, p, out):
 
     position [m] and velocity [m/s] of the stay; it acts on the way out from 0 (3.34).
     """
+    p = parameters(p)
     for i in range(len(position)):
         side = 1.0 if position[i] > 0.0 or (position[i] == 0.0 and velocity[i] >= 0.0) else -1.0
         speed = side * velocity[i]
         outlet = damper_outlet(abs(position[i]), speed, p)
-        out[i] = p[P_ATM] + steady_difference(speed, p[A_OIL], outlet, 1.0, p[RHO_OIL])
+        out[i] = p.p_atm + steady_difference(speed, p.a_oil, outlet, 1.0, p.rho_oil)

@@ -20,38 +20,7 @@ from plant.equations.length_stroke import (
     touching,
 )
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import (
-    COLLAR,
-    FREE,
-    LOIL,
-    M_BLOCKED,
-    M_DAMPER,
-    M_JOINED1,
-    M_JOINED2,
-    M_OIL_REST,
-    M_P,
-    M_PISTON1,
-    M_PISTON2,
-    M_S,
-    M_SIDE,
-    M_STAY,
-    NUT,
-    P_ATM,
-    PB,
-    PF,
-    PN,
-    RESTITUTION,
-    SPENT,
-    SYNC_IMPULSE,
-    V1,
-    V2,
-    VS,
-    X1,
-    X2,
-    X_BLOCK,
-    X_FREE,
-    XS,
-)
+from plant.kernel.layout import COLLAR, FREE, NUT
 
 # A rebound slower than this is a stop: the end of a Zeno sequence.
 REST_M_S = 1e-4
@@ -80,33 +49,33 @@ def join_velocity(y, p, which, slow):
     Conserves momentum.  The other piston takes part if it touches and does not part (faster than
     `slow` [m/s]).
     """
-    vs = y[VS]
-    w1 = y[V1]
-    w2 = -y[V2]
-    before = p[M_S] * vs * vs + p[M_P] * (w1 * w1 + w2 * w2)
+    vs = y.v_s
+    w1 = y.v_1
+    w2 = -y.v_2
+    before = p.m_s * vs * vs + p.m_p * (w1 * w1 + w2 * w2)
     if which == 1:
-        v = (p[M_S] * vs + p[M_P] * w1) / (p[M_S] + p[M_P])
-        contact = touching(y[X2] + y[XS], p)
+        v = (p.m_s * vs + p.m_p * w1) / (p.m_s + p.m_p)
+        contact = touching(y.x_2 + y.x_s, p)
         both = contact != FREE and sign_ahead(2, contact) * (w2 - v) < slow
     else:
-        v = (p[M_S] * vs + p[M_P] * w2) / (p[M_S] + p[M_P])
-        contact = touching(y[X1] - y[XS], p)
+        v = (p.m_s * vs + p.m_p * w2) / (p.m_s + p.m_p)
+        contact = touching(y.x_1 - y.x_s, p)
         both = contact != FREE and sign_ahead(1, contact) * (w1 - v) < slow
     if both:
-        v = (p[M_S] * vs + p[M_P] * (w1 + w2)) / (p[M_S] + 2.0 * p[M_P])
+        v = (p.m_s * vs + p.m_p * (w1 + w2)) / (p.m_s + 2.0 * p.m_p)
     if both or which == 1:
-        y[V1] = v
+        y.v_1 = v
     if both or which == 2:
-        y[V2] = -v
-    y[VS] = v
-    after = p[M_S] * v * v + p[M_P] * (y[V1] * y[V1] + y[V2] * y[V2])
+        y.v_2 = -v
+    y.v_s = v
+    after = p.m_s * v * v + p.m_p * (y.v_1 * y.v_1 + y.v_2 * y.v_2)
     return 0.5 * (before - after)
 
 
 @inlined
 def rebound(v, p):
     """Velocity after a stop: -e v, or 0 when slower than a rebound that counts."""
-    after = -p[RESTITUTION] * v
+    after = -p.restitution * v
     return after if abs(after) > REST_M_S else 0.0
 
 
@@ -136,7 +105,7 @@ def lone_piston(v, drive, pressure, stop_plus, stop_minus, p):
         piston_static(-1.0, pressure, p),
         piston_sliding(v, 1.0, pressure, p),
         piston_sliding(v, -1.0, pressure, p),
-        p[M_P],
+        p.m_p,
         stop_plus,
         stop_minus,
     )
@@ -148,113 +117,113 @@ def slow_partings(t, y, m, p, work):
 
     SLOW_M_S where the accelerations, each body alone, would close the contact again; else 0.
     """
-    m[M_STAY] = 0
-    m[M_PISTON1] = 0
-    m[M_PISTON2] = 0
+    m.stay = 0
+    m.piston_1 = 0
+    m.piston_2 = 0
     force = work[0:3]
     net_forces(y, m, p, t, force)
     high, low = stay_limits(y, m, p)
     a = group_acceleration(
-        y[VS],
+        y.v_s,
         force[0],
-        stay_static(y[XS], 1.0, p),
-        stay_static(y[XS], -1.0, p),
-        stay_sliding(y[XS], y[VS], 1.0, p),
-        stay_sliding(y[XS], y[VS], -1.0, p),
-        p[M_S],
-        y[XS] >= high - TOUCH_M,
-        y[XS] <= low + TOUCH_M,
+        stay_static(y.x_s, 1.0, p),
+        stay_static(y.x_s, -1.0, p),
+        stay_sliding(y.x_s, y.v_s, 1.0, p),
+        stay_sliding(y.x_s, y.v_s, -1.0, p),
+        p.m_s,
+        y.x_s >= high - TOUCH_M,
+        y.x_s <= low + TOUCH_M,
     )
-    a1 = lone_piston(y[V1], force[1], y[PB] - y[PN], False, y[X1] <= TOUCH_M, p)
-    a2 = lone_piston(-y[V2], force[2], y[PF] - y[PN], y[X2] <= TOUCH_M, False, p)
-    c1 = touching(y[X1] - y[XS], p)
-    c2 = touching(y[X2] + y[XS], p)
+    a1 = lone_piston(y.v_1, force[1], y.p_b - y.p_n, False, y.x_1 <= TOUCH_M, p)
+    a2 = lone_piston(-y.v_2, force[2], y.p_f - y.p_n, y.x_2 <= TOUCH_M, False, p)
+    c1 = touching(y.x_1 - y.x_s, p)
+    c2 = touching(y.x_2 + y.x_s, p)
     slow1 = SLOW_M_S if c1 != FREE and sign_ahead(1, c1) * (a1 - a) < 0.0 else 0.0
     slow2 = SLOW_M_S if c2 != FREE and sign_ahead(2, c2) * (a2 - a) < 0.0 else 0.0
     return slow1, slow2
 
 
 @called
-def impacts(t, y, m, p, record, work):
-    """Resolve all closing contacts and stops at this instant; record[0] energy lost [J],
-    record[1] speed of the stay into an end stop, record[2] 1 if it was the synchronizer.
+def impacts(t, y, m, p, impact, work):
+    """Resolve all closing contacts and stops at this instant; impact.lost energy lost [J],
+    impact.speed speed of the stay into an end stop, impact.at_block 1 if it was the synchronizer.
 
     Leaves the bodies' modes of motion to `settle`.
     """
     slow1, slow2 = slow_partings(t, y, m, p, work)
-    record[0] = 0.0
-    record[1] = 0.0
-    record[2] = 0.0
+    impact.lost = 0.0
+    impact.speed = 0.0
+    impact.at_block = 0.0
     for _ in range(12):
         high, low = stay_limits(y, m, p)
         again = False
         held = 0.0
         # pistons on their outer stops
-        if y[X1] <= TOUCH_M and y[V1] < 0.0:
-            y[X1] = 0.0
-            after = rebound(y[V1], p)
-            record[0] += 0.5 * p[M_P] * (y[V1] * y[V1] - after * after)
-            y[V1] = after
+        if y.x_1 <= TOUCH_M and y.v_1 < 0.0:
+            y.x_1 = 0.0
+            after = rebound(y.v_1, p)
+            impact.lost += 0.5 * p.m_p * (y.v_1 * y.v_1 - after * after)
+            y.v_1 = after
             again = True
-        if y[X2] <= TOUCH_M and y[V2] < 0.0:
-            y[X2] = 0.0
-            after = rebound(y[V2], p)
-            record[0] += 0.5 * p[M_P] * (y[V2] * y[V2] - after * after)
-            y[V2] = after
+        if y.x_2 <= TOUCH_M and y.v_2 < 0.0:
+            y.x_2 = 0.0
+            after = rebound(y.v_2, p)
+            impact.lost += 0.5 * p.m_p * (y.v_2 * y.v_2 - after * after)
+            y.v_2 = after
             again = True
         # the stay on its stops
-        if y[XS] >= high - TOUCH_M and y[VS] > 0.0:
+        if y.x_s >= high - TOUCH_M and y.v_s > 0.0:
             held = 1.0
-            y[XS] = high
-        elif y[XS] <= low + TOUCH_M and y[VS] < 0.0:
+            y.x_s = high
+        elif y.x_s <= low + TOUCH_M and y.v_s < 0.0:
             held = -1.0
-            y[XS] = low
+            y.x_s = low
         # neutral: a piston at rest on its outer stop is as fixed as the housing
-        elif y[VS] < 0.0 and y[X2] + y[XS] <= TOUCH_M and y[X2] <= TOUCH_M and y[V2] <= 0.0:
+        elif y.v_s < 0.0 and y.x_2 + y.x_s <= TOUCH_M and y.x_2 <= TOUCH_M and y.v_2 <= 0.0:
             held = -2.0
-            y[XS] = 0.0
-            y[X2] = 0.0
-        elif y[VS] > 0.0 and y[X1] - y[XS] <= TOUCH_M and y[X1] <= TOUCH_M and y[V1] <= 0.0:
+            y.x_s = 0.0
+            y.x_2 = 0.0
+        elif y.v_s > 0.0 and y.x_1 - y.x_s <= TOUCH_M and y.x_1 <= TOUCH_M and y.v_1 <= 0.0:
             held = 2.0
-            y[XS] = 0.0
-            y[X1] = 0.0
+            y.x_s = 0.0
+            y.x_1 = 0.0
         if held != 0.0:
-            at_block = abs(held) == 1.0 and abs(y[XS]) < end_stop(p) - TOUCH_M
-            after = 0.0 if at_block else rebound(y[VS], p)
-            record[0] += 0.5 * p[M_S] * (y[VS] * y[VS] - after * after)
-            if abs(y[VS]) > record[1]:
-                record[1] = abs(y[VS])
-                record[2] = 1.0 if at_block else 0.0
-            y[VS] = after
+            at_block = abs(held) == 1.0 and abs(y.x_s) < end_stop(p) - TOUCH_M
+            after = 0.0 if at_block else rebound(y.v_s, p)
+            impact.lost += 0.5 * p.m_s * (y.v_s * y.v_s - after * after)
+            if abs(y.v_s) > impact.speed:
+                impact.speed = abs(y.v_s)
+                impact.at_block = 1.0 if at_block else 0.0
+            y.v_s = after
             again = True
         # contacts of stay and pistons
-        relative = y[V1] - y[VS]
-        if meets(touching(y[X1] - y[XS], p), relative, slow1):
+        relative = y.v_1 - y.v_s
+        if meets(touching(y.x_1 - y.x_s, p), relative, slow1):
             stopped = (
-                (y[XS] >= high - TOUCH_M and relative > 0.0)
-                or (y[XS] <= low + TOUCH_M and relative < 0.0)
-                or (relative < 0.0 and y[X2] + y[XS] <= TOUCH_M and y[X2] <= TOUCH_M)
+                (y.x_s >= high - TOUCH_M and relative > 0.0)
+                or (y.x_s <= low + TOUCH_M and relative < 0.0)
+                or (relative < 0.0 and y.x_2 + y.x_s <= TOUCH_M and y.x_2 <= TOUCH_M)
                 or abs(relative) < slow1
-            ) and y[VS] == 0.0
+            ) and y.v_s == 0.0
             if stopped:
-                record[0] += 0.5 * p[M_P] * y[V1] * y[V1]
-                y[V1] = 0.0
+                impact.lost += 0.5 * p.m_p * y.v_1 * y.v_1
+                y.v_1 = 0.0
             else:
-                record[0] += join_velocity(y, p, 1, slow2)
+                impact.lost += join_velocity(y, p, 1, slow2)
             again = True
-        relative = y[VS] + y[V2]
-        if meets(touching(y[X2] + y[XS], p), relative, slow2):
+        relative = y.v_s + y.v_2
+        if meets(touching(y.x_2 + y.x_s, p), relative, slow2):
             stopped = (
-                (y[XS] <= low + TOUCH_M and relative > 0.0)
-                or (y[XS] >= high - TOUCH_M and relative < 0.0)
-                or (relative < 0.0 and y[X1] - y[XS] <= TOUCH_M and y[X1] <= TOUCH_M)
+                (y.x_s <= low + TOUCH_M and relative > 0.0)
+                or (y.x_s >= high - TOUCH_M and relative < 0.0)
+                or (relative < 0.0 and y.x_1 - y.x_s <= TOUCH_M and y.x_1 <= TOUCH_M)
                 or abs(relative) < slow2
-            ) and y[VS] == 0.0
+            ) and y.v_s == 0.0
             if stopped:
-                record[0] += 0.5 * p[M_P] * y[V2] * y[V2]
-                y[V2] = 0.0
+                impact.lost += 0.5 * p.m_p * y.v_2 * y.v_2
+                y.v_2 = 0.0
             else:
-                record[0] += join_velocity(y, p, 2, slow1)
+                impact.lost += join_velocity(y, p, 2, slow1)
             again = True
         if not again:
             break
@@ -281,22 +250,22 @@ def settle_damper(y, m, p):
     At neutral: the side to which the stay goes; one that stays there keeps its side.  The oil of the
     side it comes to stands at the atmosphere.
     """
-    before = m[M_SIDE]
-    if abs(y[XS]) > TOUCH_M:
-        m[M_SIDE] = 1 if y[XS] > 0.0 else -1
-    elif m[M_STAY] != 0:
-        m[M_SIDE] = m[M_STAY]
+    before = m.side
+    if abs(y.x_s) > TOUCH_M:
+        m.side = 1 if y.x_s > 0.0 else -1
+    elif m.stay != 0:
+        m.side = m.stay
     elif before == 0:
-        m[M_SIDE] = 1
-    side = float(m[M_SIDE])
-    note_corners(side * y[XS], side * y[VS], m, p)
-    if m[M_DAMPER] == 2:
-        if before != 0 and m[M_SIDE] != before:
-            y[LOIL] = p[P_ATM]
-        m[M_OIL_REST] = 0
-        if y[LOIL] <= p[P_ATM] + EPS_PA:
-            y[LOIL] = p[P_ATM]
-            m[M_OIL_REST] = 0 if m[M_STAY] * m[M_SIDE] > 0 else 1
+        m.side = 1
+    side = float(m.side)
+    note_corners(side * y.x_s, side * y.v_s, m, p)
+    if m.damper == 2:
+        if before != 0 and m.side != before:
+            y.p_oil = p.p_atm
+        m.oil_rest = 0
+        if y.p_oil <= p.p_atm + EPS_PA:
+            y.p_oil = p.p_atm
+            m.oil_rest = 0 if m.stay * m.side > 0 else 1
 
 
 @called
@@ -310,63 +279,63 @@ def settle(t, y, m, p, work):
     """
     force = work[0:3]
     note_side(y, m, p)
-    if m[M_DAMPER] != 0:
-        side = float(m[M_SIDE])
-        note_corners(side * y[XS], side * y[VS], m, p)
-    m[M_BLOCKED] = 0
-    m[M_STAY] = 0
-    m[M_PISTON1] = 0
-    m[M_PISTON2] = 0
+    if m.damper != 0:
+        side = float(m.side)
+        note_corners(side * y.x_s, side * y.v_s, m, p)
+    m.blocked = 0
+    m.stay = 0
+    m.piston_1 = 0
+    m.piston_2 = 0
     net_forces(y, m, p, t, force)
     drive_s = force[0]
     drive1 = force[1]
     drive2 = force[2]
     high, low = stay_limits(y, m, p)
-    gap1 = y[X1] - y[XS]
-    gap2 = y[X2] + y[XS]
-    same1 = abs(y[V1] - y[VS]) <= SAME_M_S
-    same2 = abs(y[V2] + y[VS]) <= SAME_M_S
+    gap1 = y.x_1 - y.x_s
+    gap2 = y.x_2 + y.x_s
+    same1 = abs(y.v_1 - y.v_s) <= SAME_M_S
+    same2 = abs(y.v_2 + y.v_s) <= SAME_M_S
     touch1 = touching(gap1, p) if same1 else FREE
     touch2 = touching(gap2, p) if same2 else FREE
     c1 = FREE
     c2 = FREE
-    pressure1 = y[PB] - y[PN]
-    pressure2 = y[PF] - y[PN]
+    pressure1 = y.p_b - y.p_n
+    pressure2 = y.p_f - y.p_n
     a = 0.0
     a1 = 0.0
     a2 = 0.0
     for _ in range(3):
         drive = drive_s
-        mass = p[M_S]
-        cap_plus = stay_static(y[XS], 1.0, p)
-        cap_minus = stay_static(y[XS], -1.0, p)
-        stop_plus = y[XS] >= high - TOUCH_M
-        stop_minus = y[XS] <= low + TOUCH_M
-        run_plus = stay_sliding(y[XS], y[VS], 1.0, p)
-        run_minus = stay_sliding(y[XS], y[VS], -1.0, p)
+        mass = p.m_s
+        cap_plus = stay_static(y.x_s, 1.0, p)
+        cap_minus = stay_static(y.x_s, -1.0, p)
+        stop_plus = y.x_s >= high - TOUCH_M
+        stop_minus = y.x_s <= low + TOUCH_M
+        run_plus = stay_sliding(y.x_s, y.v_s, 1.0, p)
+        run_minus = stay_sliding(y.x_s, y.v_s, -1.0, p)
         if c1 != FREE:
             drive += drive1
-            mass += p[M_P]
+            mass += p.m_p
             cap_plus += piston_static(1.0, pressure1, p)
             cap_minus += piston_static(-1.0, pressure1, p)
-            run_plus += piston_sliding(y[VS], 1.0, pressure1, p)
-            run_minus += piston_sliding(y[VS], -1.0, pressure1, p)
-            stop_minus = stop_minus or y[X1] <= TOUCH_M
+            run_plus += piston_sliding(y.v_s, 1.0, pressure1, p)
+            run_minus += piston_sliding(y.v_s, -1.0, pressure1, p)
+            stop_minus = stop_minus or y.x_1 <= TOUCH_M
         if c2 != FREE:
             drive += drive2
-            mass += p[M_P]
+            mass += p.m_p
             cap_plus += piston_static(1.0, pressure2, p)
             cap_minus += piston_static(-1.0, pressure2, p)
-            run_plus += piston_sliding(y[VS], 1.0, pressure2, p)
-            run_minus += piston_sliding(y[VS], -1.0, pressure2, p)
-            stop_plus = stop_plus or y[X2] <= TOUCH_M
+            run_plus += piston_sliding(y.v_s, 1.0, pressure2, p)
+            run_minus += piston_sliding(y.v_s, -1.0, pressure2, p)
+            stop_plus = stop_plus or y.x_2 <= TOUCH_M
         a = group_acceleration(
-            y[VS], drive, cap_plus, cap_minus, run_plus, run_minus, mass, stop_plus, stop_minus
+            y.v_s, drive, cap_plus, cap_minus, run_plus, run_minus, mass, stop_plus, stop_minus
         )
-        a1 = lone_piston(y[V1], drive1, pressure1, False, y[X1] <= TOUCH_M, p)
+        a1 = lone_piston(y.v_1, drive1, pressure1, False, y.x_1 <= TOUCH_M, p)
         if c1 != FREE:
             a1 = a
-        a2 = lone_piston(-y[V2], drive2, pressure2, y[X2] <= TOUCH_M, False, p)
+        a2 = lone_piston(-y.v_2, drive2, pressure2, y.x_2 <= TOUCH_M, False, p)
         if c2 != FREE:
             a2 = a
         joined = False
@@ -379,12 +348,12 @@ def settle(t, y, m, p, work):
         if not joined:
             break
     # a contact that would have to pull is none: a piston that slides faster than the group leaves it
-    d = direction_of(y[VS], a)
+    d = direction_of(y.v_s, a)
     for _ in range(2):
         if d == 0 or (c1 == FREE and c2 == FREE):
             break
-        alone1 = (drive1 - d * piston_sliding(y[VS], d, pressure1, p)) / p[M_P]
-        alone2 = (drive2 - d * piston_sliding(y[VS], d, pressure2, p)) / p[M_P]
+        alone1 = (drive1 - d * piston_sliding(y.v_s, d, pressure1, p)) / p.m_p
+        alone2 = (drive2 - d * piston_sliding(y.v_s, d, pressure2, p)) / p.m_p
         if c1 != FREE and sign_ahead(1, c1) * (alone1 - a) > 0.0:
             a1 = alone1
             c1 = FREE
@@ -393,35 +362,35 @@ def settle(t, y, m, p, work):
             c2 = FREE
         else:
             break
-        mass = p[M_S]
-        a = drive_s - d * stay_sliding(y[XS], y[VS], d, p)
+        mass = p.m_s
+        a = drive_s - d * stay_sliding(y.x_s, y.v_s, d, p)
         if c1 != FREE:
-            mass += p[M_P]
-            a += p[M_P] * alone1
+            mass += p.m_p
+            a += p.m_p * alone1
         if c2 != FREE:
-            mass += p[M_P]
-            a += p[M_P] * alone2
+            mass += p.m_p
+            a += p.m_p * alone2
         a /= mass
-        if y[VS] == 0.0 and d * a < 0.0:
+        if y.v_s == 0.0 and d * a < 0.0:
             a = 0.0
-    m[M_JOINED1] = c1
-    m[M_JOINED2] = c2
-    m[M_STAY] = direction_of(y[VS], a)
-    m[M_PISTON1] = m[M_STAY] if c1 != FREE else direction_of(y[V1], a1)
-    m[M_PISTON2] = m[M_STAY] if c2 != FREE else direction_of(-y[V2], a2)
+    m.joined_1 = c1
+    m.joined_2 = c2
+    m.stay = direction_of(y.v_s, a)
+    m.piston_1 = m.stay if c1 != FREE else direction_of(y.v_1, a1)
+    m.piston_2 = m.stay if c2 != FREE else direction_of(-y.v_2, a2)
     if c1 != FREE:
-        y[X1] = y[XS] + (p[X_FREE] if c1 == COLLAR else 0.0)
-        y[V1] = y[VS]
+        y.x_1 = y.x_s + (p.x_free if c1 == COLLAR else 0.0)
+        y.v_1 = y.v_s
     if c2 != FREE:
-        y[X2] = (p[X_FREE] if c2 == COLLAR else 0.0) - y[XS]
-        y[V2] = -y[VS]
+        y.x_2 = (p.x_free if c2 == COLLAR else 0.0) - y.x_s
+        y.v_2 = -y.v_s
     # the stay was put on its stop: a piston that is just leaving it must not stand inside it
-    y[X1] = min(max(y[X1], y[XS]), y[XS] + p[X_FREE])
-    y[X2] = min(max(y[X2], -y[XS]), p[X_FREE] - y[XS])
-    if m[M_STAY] == 0 and y[SPENT] < p[SYNC_IMPULSE]:
-        if abs(y[XS] - p[X_BLOCK]) <= TOUCH_M:
-            m[M_BLOCKED] = 1
-        elif abs(y[XS] + p[X_BLOCK]) <= TOUCH_M:
-            m[M_BLOCKED] = -1
-    if m[M_DAMPER] != 0:
+    y.x_1 = min(max(y.x_1, y.x_s), y.x_s + p.x_free)
+    y.x_2 = min(max(y.x_2, -y.x_s), p.x_free - y.x_s)
+    if m.stay == 0 and y.impulse < p.sync_impulse:
+        if abs(y.x_s - p.x_block) <= TOUCH_M:
+            m.blocked = 1
+        elif abs(y.x_s + p.x_block) <= TOUCH_M:
+            m.blocked = -1
+    if m.damper != 0:
         settle_damper(y, m, p)

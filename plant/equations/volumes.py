@@ -10,35 +10,38 @@ from collections.abc import Iterable
 from plant.equations.fixed_piston import fixed_volumes
 from plant.equations.length_stroke import length_volumes
 from plant.errors import NoVolumeError
-from plant.kernel import layout as L
-from plant.kernel.packing import Floats, initial_state
+from plant.kernel.compiled import plain
+from plant.kernel.layout import FIXED, LENGTH, Parameters
+from plant.kernel.packing import Floats, initial_state, state_record
 
 HELD = {
-    L.FIXED: (("1", "fixed.V10", L.VOL_B), ("2", "fixed.V20", L.VOL_N)),
-    L.LENGTH: (
-        ("B", "length.V_B0", L.VOL_B),
-        ("N", "length.V_N0", L.VOL_N),
-        ("F", "length.V_F0", L.VOL_F),
+    FIXED: (("1", "fixed.V10", Parameters.vol_b), ("2", "fixed.V20", Parameters.vol_n)),
+    LENGTH: (
+        ("B", "length.V_B0", Parameters.vol_b),
+        ("N", "length.V_N0", Parameters.vol_n),
+        ("F", "length.V_F0", Parameters.vol_f),
     ),
 }
 
 
-def volumes_m3(system: int, p: Floats, y: Floats) -> list[float]:
+def volumes_m3(system: int, p: Parameters, y: Floats) -> list[float]:
     """Volumes of the chambers in a state [m^3], in their order."""
-    plain = (fixed_volumes if system == L.FIXED else length_volumes).py_func  # type: ignore[attr-defined]
-    return [float(volume) for volume in plain(y, p)]
+    volumes = plain(fixed_volumes if system == FIXED else length_volumes)
+    return [float(volume) for volume in volumes(state_record(system)(y), p)]
 
 
-def ends_of_travel(system: int, p: Floats, gears: Iterable[str] = ("N", "B", "F")) -> list[Floats]:
+def ends_of_travel(
+    system: int, p: Parameters, gears: Iterable[str] = ("N", "B", "F")
+) -> list[Floats]:
     """States of the fixed piston at both its stops, of the length stroke in the gears."""
-    if system == L.FIXED:
-        end = float(p[L.STROKE] + p[L.STOP_OFFSET])
+    if system == FIXED:
+        end = float(p.stroke + p.stop_offset)
         return [initial_state(system, p, position=x, charged=()) for x in (0.0, end)]
     return [initial_state(system, p, position=gear, charged=()) for gear in gears]
 
 
 def refuse_empty(
-    system: int, p: Floats, states: Iterable[Floats], chambers: Iterable[str] = "12BNF"
+    system: int, p: Parameters, states: Iterable[Floats], chambers: Iterable[str] = "12BNF"
 ) -> None:
     """Raise NoVolumeError if a chamber has no volume left in one of the states."""
     message = emptied(system, p, states, chambers)
@@ -48,7 +51,7 @@ def refuse_empty(
 
 def emptied(
     system: int,
-    p: Floats,
+    p: Parameters,
     states: Iterable[Floats],
     chambers: Iterable[str] = "12BNF",
     share: float = 0.0,
@@ -59,7 +62,7 @@ def emptied(
     for k, (chamber, path, place) in enumerate(HELD[system]):
         volume, worst = min((volumes[k], j) for j, volumes in enumerate(held))
         if chamber in chambers and not volume > share * abs(float(p[place])):
-            body = "piston" if system == L.FIXED else "stay"
+            body = "piston" if system == FIXED else "stay"
             return (
                 f"{path}: {float(p[place]):.6g} m^3 leaves chamber {chamber} no volume with the "
                 f"{body} at {1e3 * float(listed[worst][0]):.2f} mm; "

@@ -20,29 +20,8 @@ from plant.equations.length_contacts import guards as length_guards
 from plant.equations.length_impacts import impacts, settle
 from plant.integrator.steppers import interpolate
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import (
-    FIXED,
-    FOIL,
-    FREE,
-    FV,
-    LOIL,
-    M_JOINED1,
-    M_JOINED2,
-    M_PISTON1,
-    M_PISTON2,
-    M_STAY,
-    M_SYSTEM,
-    P_ATM,
-    SPENT,
-    SYNC_IMPULSE,
-    V1,
-    V2,
-    VS,
-    X1,
-    X2,
-    X_FREE,
-    XS,
-)
+from plant.kernel.layout import FIXED, FREE
+from plant.kernel.record_views import fixed_state, length_state
 
 # A velocity below this after an event is rounding, and ends a Zeno sequence of stops.
 ZERO_M_S = 1e-10
@@ -53,24 +32,24 @@ NEXT_S = 1e-15
 @called
 def all_guards(t, y, m, p, work, g):
     """Guards of the stroke's system -> g; returns the lowest, negative if an event is due."""
-    if m[M_SYSTEM] == FIXED:
-        return fixed_guards(t, y, m, p, g)
-    return length_guards(t, y, m, p, work, g)
+    if m.system == FIXED:
+        return fixed_guards(t, fixed_state(y), m, p, g)
+    return length_guards(t, length_state(y), m, p, work, g)
 
 
 @called
 def choose_modes(t, y, m, p, work):
     """Modes that continue the motion from here (sticking, joined, moving)."""
-    if m[M_SYSTEM] == FIXED:
-        fixed_settle(t, y, m, p)
+    if m.system == FIXED:
+        fixed_settle(t, fixed_state(y), m, p)
     else:
-        settle(t, y, m, p, work)
+        settle(t, length_state(y), m, p, work)
 
 
 @called
 def at_rest(m):
     """True if neither the stay nor a piston moves or is about to."""
-    return m[M_STAY] == 0 and m[M_PISTON1] == 0 and m[M_PISTON2] == 0
+    return m.stay == 0 and m.piston_1 == 0 and m.piston_2 == 0
 
 
 @called
@@ -110,26 +89,34 @@ def lowest_place(v0, v1, s0, s1):
 @inlined
 def may_hide(y, y1, rate0, rate1, m, p):
     """True if `hidden_turn` or `hidden_meeting` may find something in a step of the length stroke."""
-    d = m[M_STAY]
-    found = d != 0 and dips(d * rate0[VS], d * rate1[VS])
-    if m[M_JOINED1] == FREE:
-        d = m[M_PISTON1]
-        found = found or (d != 0 and dips(d * rate0[V1], d * rate1[V1]))
-        sign = 1.0 if y[X1] - y[XS] < 0.5 * p[X_FREE] else -1.0
-        found = found or dips(sign * (y[V1] - y[VS]), sign * (y1[V1] - y1[VS]))
-    if m[M_JOINED2] == FREE:
-        d = -m[M_PISTON2]
-        found = found or (d != 0 and dips(d * rate0[V2], d * rate1[V2]))
-        sign = 1.0 if y[X2] + y[XS] < 0.5 * p[X_FREE] else -1.0
-        found = found or dips(sign * (y[V2] + y[VS]), sign * (y1[V2] + y1[VS]))
+    d = m.stay
+    found = d != 0 and dips(d * rate0.v_s, d * rate1.v_s)
+    if m.joined_1 == FREE:
+        d = m.piston_1
+        found = found or (d != 0 and dips(d * rate0.v_1, d * rate1.v_1))
+        sign = 1.0 if y.x_1 - y.x_s < 0.5 * p.x_free else -1.0
+        found = found or dips(sign * (y.v_1 - y.v_s), sign * (y1.v_1 - y1.v_s))
+    if m.joined_2 == FREE:
+        d = -m.piston_2
+        found = found or (d != 0 and dips(d * rate0.v_2, d * rate1.v_2))
+        sign = 1.0 if y.x_2 + y.x_s < 0.5 * p.x_free else -1.0
+        found = found or dips(sign * (y.v_2 + y.v_s), sign * (y1.v_2 + y1.v_s))
     return found
 
 
 @inlined
 def fixed_may_hide(rate0, rate1, m):
     """True if `hidden_turn` may find something in a step of the fixed piston."""
-    d = m[M_STAY]
-    return d != 0 and dips(d * rate0[FV], d * rate1[FV])
+    d = m.stay
+    return d != 0 and dips(d * rate0.v, d * rate1.v)
+
+
+@inlined
+def turn_fraction(d, h, v, v1, a, a1):
+    """`lowest_place` of the velocity of a body that moves in direction d, 1 for one at rest."""
+    if d == 0:
+        return 1.0
+    return lowest_place(d * v, d * v1, h * d * a, h * d * a1)
 
 
 @called
@@ -139,23 +126,33 @@ def hidden_turn(h, y, y1, rate0, rate1, m):
     A body that would rest for a moment turns twice within a long step; the guards at its ends do
     not see it.
     """
-    d = m[M_STAY]
-    if m[M_SYSTEM] == FIXED:
-        if d == 0:
-            return 1.0
-        return lowest_place(d * y[FV], d * y1[FV], h * d * rate0[FV], h * d * rate1[FV])
-    stay = 1.0
-    if d != 0:
-        stay = lowest_place(d * y[VS], d * y1[VS], h * d * rate0[VS], h * d * rate1[VS])
+    if m.system == FIXED:
+        before, after = fixed_state(y), fixed_state(y1)
+        return turn_fraction(
+            m.stay, h, before.v, after.v, fixed_state(rate0).v, fixed_state(rate1).v
+        )
+    y = length_state(y)
+    y1 = length_state(y1)
+    rate0 = length_state(rate0)
+    rate1 = length_state(rate1)
+    stay = turn_fraction(m.stay, h, y.v_s, y1.v_s, rate0.v_s, rate1.v_s)
     one = 1.0
-    d = m[M_PISTON1]
-    if d != 0 and m[M_JOINED1] == FREE:
-        one = lowest_place(d * y[V1], d * y1[V1], h * d * rate0[V1], h * d * rate1[V1])
+    if m.joined_1 == FREE:
+        one = turn_fraction(m.piston_1, h, y.v_1, y1.v_1, rate0.v_1, rate1.v_1)
     two = 1.0
-    d = -m[M_PISTON2]
-    if d != 0 and m[M_JOINED2] == FREE:
-        two = lowest_place(d * y[V2], d * y1[V2], h * d * rate0[V2], h * d * rate1[V2])
+    if m.joined_2 == FREE:
+        two = turn_fraction(-m.piston_2, h, y.v_2, y1.v_2, rate0.v_2, rate1.v_2)
     return min(stay, one, two)
+
+
+@inlined
+def meeting_fraction(h, gap, gap1, opening, opening1, p):
+    """`lowest_place` of the distance of stay and piston from the contact they are nearer to."""
+    low = 0.0 if gap < 0.5 * p.x_free else p.x_free
+    sign = 1.0 if low == 0.0 else -1.0
+    return lowest_place(
+        sign * (gap - low), sign * (gap1 - low), h * sign * opening, h * sign * opening1
+    )
 
 
 @called
@@ -164,30 +161,16 @@ def hidden_meeting(h, y, y1, m, p):
 
     Two bodies that graze each other close and part again within one step.
     """
-    if m[M_SYSTEM] == FIXED:
+    if m.system == FIXED:
         return 1.0
+    y = length_state(y)
+    y1 = length_state(y1)
     one = 1.0
-    if m[M_JOINED1] == FREE:
-        gap = y[X1] - y[XS]
-        low = 0.0 if gap < 0.5 * p[X_FREE] else p[X_FREE]
-        sign = 1.0 if low == 0.0 else -1.0
-        one = lowest_place(
-            sign * (gap - low),
-            sign * (y1[X1] - y1[XS] - low),
-            h * sign * (y[V1] - y[VS]),
-            h * sign * (y1[V1] - y1[VS]),
-        )
+    if m.joined_1 == FREE:
+        one = meeting_fraction(h, y.x_1 - y.x_s, y1.x_1 - y1.x_s, y.v_1 - y.v_s, y1.v_1 - y1.v_s, p)
     two = 1.0
-    if m[M_JOINED2] == FREE:
-        gap = y[X2] + y[XS]
-        low = 0.0 if gap < 0.5 * p[X_FREE] else p[X_FREE]
-        sign = 1.0 if low == 0.0 else -1.0
-        two = lowest_place(
-            sign * (gap - low),
-            sign * (y1[X2] + y1[XS] - low),
-            h * sign * (y[V2] + y[VS]),
-            h * sign * (y1[V2] + y1[VS]),
-        )
+    if m.joined_2 == FREE:
+        two = meeting_fraction(h, y.x_2 + y.x_s, y1.x_2 + y1.x_s, y.v_2 + y.v_s, y1.v_2 + y1.v_s, p)
     return min(one, two)
 
 
@@ -258,35 +241,52 @@ def locate(t, h, high, dense, y, m, p, work, g, g0, n_all):
     return high, smallest(below)
 
 
+@inlined
+def settled_speed(v):
+    """A velocity after an event: 0 below ZERO_M_S."""
+    return 0.0 if abs(v) < ZERO_M_S else v
+
+
 @called
-def after_event(t, index, y, m, p, record, work):
+def after_event(t, index, y, m, p, impact, work):
     """Reset at an event and choose the modes that follow."""
-    if m[M_SYSTEM] == FIXED:
-        if index == G_STAY_SPEED:
-            y[FV] = 0.0
-        if index == G_OIL_EMPTY:
-            y[FOIL] = p[P_ATM]
-        if abs(y[FV]) < ZERO_M_S:
-            y[FV] = 0.0
-        fixed_impacts(y, m, p, record)
-        fixed_settle(t, y, m, p)
-        return
+    if m.system == FIXED:
+        fixed_reset(t, index, fixed_state(y), m, p, impact)
+    else:
+        length_reset(t, index, length_state(y), m, p, impact, work)
+
+
+@called
+def fixed_reset(t, index, y, m, p, impact):
+    """`after_event` of the fixed piston."""
     if index == G_STAY_SPEED:
-        if m[3] != 0:
-            y[V1] = 0.0
-        if m[4] != 0:
-            y[V2] = 0.0
-        y[VS] = 0.0
+        y.v = 0.0
+    if index == G_OIL_EMPTY:
+        y.p_oil = p.p_atm
+    y.v = settled_speed(y.v)
+    fixed_impacts(y, m, p, impact)
+    fixed_settle(t, y, m, p)
+
+
+@called
+def length_reset(t, index, y, m, p, impact, work):
+    """`after_event` of the length stroke."""
+    if index == G_STAY_SPEED:
+        if m.joined_1 != FREE:
+            y.v_1 = 0.0
+        if m.joined_2 != FREE:
+            y.v_2 = 0.0
+        y.v_s = 0.0
     elif index == G_SPEED1:
-        y[V1] = 0.0
+        y.v_1 = 0.0
     elif index == G_SPEED2:
-        y[V2] = 0.0
+        y.v_2 = 0.0
     elif index == G_SYNC:
-        y[SPENT] = p[SYNC_IMPULSE]
+        y.impulse = p.sync_impulse
     elif index == G_OIL_EMPTY:
-        y[LOIL] = p[P_ATM]
-    for i in (VS, V1, V2):
-        if abs(y[i]) < ZERO_M_S:
-            y[i] = 0.0
-    impacts(t, y, m, p, record, work)
+        y.p_oil = p.p_atm
+    y.v_s = settled_speed(y.v_s)
+    y.v_1 = settled_speed(y.v_1)
+    y.v_2 = settled_speed(y.v_2)
+    impacts(t, y, m, p, impact, work)
     settle(t, y, m, p, work)

@@ -21,45 +21,35 @@ import numpy as np
 from plant.equations.fixed_piston import fixed_volumes
 from plant.equations.length_stroke import length_volumes
 from plant.kernel.compiled import called, inlined, kernel
-from plant.kernel.layout import (
-    ALPHA_M1,
-    ALPHA_M2,
-    C_SLOPE,
-    C_Y_MIN,
-    C_Y_SPLIT,
-    D_SLOPE,
-    D_Z_SPLIT,
-    FP1,
-    K_IN,
-    K_OUT,
-    P_ATM,
-    P_SUPPLY,
-    PB,
-    R_AIR,
-)
-from plant.kernel.views import rows, view
+from plant.kernel.record_views import fixed_state, flow_map, length_state, pressures
+from plant.kernel.records import Record, Value, block
+from plant.kernel.views import named, view
 from plant.parts.flow import charge, discharge
 
-# One curve: head, then cells of its two regions, each with its own length: a cubic's coefficients.
 CELLS_FAR, CELLS_NEAR = 256, 1536
-(
-    HEAD_START,
-    HEAD_SPLIT,
-    HEAD_END,
-    HEAD_STEP_FAR,
-    HEAD_STEP_NEAR,
-    HEAD_CELLS_FAR,  # cells per unit of tau
-    HEAD_CELLS_NEAR,
-    HEAD_RATE,
-    HEAD_SLOPE,  # dr/d tau at the start
-) = range(9)
-HEAD = 12
 CUBIC = 4
-FAR = HEAD
-NEAR = FAR + CUBIC * CELLS_FAR
-CURVE = NEAR + CUBIC * CELLS_NEAR
-CHARGE, DISCHARGE = 0, CURVE
+
+
+class Curve(Record):
+    """One curve: head, then the cells of its two regions, each a cubic's coefficients."""
+
+    start: Value  # ratio and slope dr/d tau at the start
+    slope: Value
+    split: Value  # ratio at which the near region begins
+    end: Value  # ratio at the end of the table
+    step_far: Value  # length of a cell in tau
+    step_near: Value
+    cells_far: Value  # cells per unit of tau
+    cells_near: Value
+    rate: Value
+    spare: Value = block(3)
+    far: Value = block(CELLS_FAR, CUBIC)
+    near: Value = block(CELLS_NEAR, CUBIC)
+
+
+CURVE = Curve.size
 TABLE = 2 * CURVE
+curve_of = named(Curve)
 # Ratio P/P_atm at which the discharge curve starts, and how far the near regions reach.
 Z_TOP = 16.0
 NEAR_REACH = 20.0
@@ -70,8 +60,31 @@ KNOWN_COLUMNS = 4
 
 # How a chamber at rest goes on: constant, on a curve, or a deviation decaying to its reference.
 STILL, ON_CHARGE, ON_DISCHARGE, DECAY, UNKNOWN = range(5)
-W_KIND, W_TAU, W_RATE, W_REFERENCE = range(4)
-CHAMBER_ROW = 4
+
+
+class ChamberCurve(Record):
+    """How one chamber at rest goes on."""
+
+    kind: Value
+    tau: Value  # place on the curve, or the deviation that decays
+    rate: Value  # d tau / dt
+    reference: Value
+
+
+CHAMBER_ROW = ChamberCurve.size
+chamber_row = named(ChamberCurve)
+
+
+@inlined
+def chamber_of(w, j):
+    """How chamber j goes on, from the rows of all."""
+    return chamber_row(w[CHAMBER_ROW * j :])
+
+
+@inlined
+def curve_for(charging, table):
+    """The charge or the discharge curve of a table."""
+    return curve_of(table[0:] if charging else table[CURVE:])
 
 
 @inlined
@@ -96,7 +109,7 @@ def fill_cells(start, step, cells, charging, c, rate, out):
         if not (slope * sign > 0.0 and sign * (1.0 - r) > 0.0):
             return 0.0
         if node > 0:
-            cubic = out[CUBIC * (node - 1) :]
+            cubic = out[node - 1]
             d = r - left
             s0 = step * left_slope
             s1 = step * slope
@@ -119,10 +132,10 @@ def fill_cells(start, step, cells, charging, c, rate, out):
 
 @called
 def fill_curve(charging, c, curve):
-    """One curve -> curve[0:CURVE]; False if the map is not a flow that ends at equal pressures."""
-    start = c[C_Y_MIN] if charging else Z_TOP
-    split = c[C_Y_SPLIT] if charging else c[D_Z_SPLIT]
-    rate = abs(c[C_SLOPE] if charging else c[D_SLOPE])
+    """One curve -> curve; False if the map is not a flow that ends at equal pressures."""
+    start = c.y_min if charging else Z_TOP
+    split = c.y_split if charging else c.z_split
+    rate = abs(c.charge_slope if charging else c.discharge_slope)
     if not (rate > 0.0 and (start < split < 1.0 if charging else start > split > 1.0)):
         return False
     # length of the far region: Simpson's rule on d tau = rate dr / phi
@@ -146,17 +159,17 @@ def fill_curve(charging, c, curve):
     length = total * rate
     if not 0.0 < length < 1e3:
         return False
-    curve[HEAD_START] = start
-    curve[HEAD_SPLIT] = split
-    curve[HEAD_STEP_FAR] = length / CELLS_FAR
-    curve[HEAD_STEP_NEAR] = NEAR_REACH / CELLS_NEAR
-    curve[HEAD_CELLS_FAR] = CELLS_FAR / length
-    curve[HEAD_CELLS_NEAR] = CELLS_NEAR / NEAR_REACH
-    curve[HEAD_RATE] = rate
-    curve[HEAD_SLOPE] = slope_of(start, charging, c) / rate
-    far = fill_cells(start, length / CELLS_FAR, CELLS_FAR, charging, c, rate, curve[FAR:])
-    near = fill_cells(split, NEAR_REACH / CELLS_NEAR, CELLS_NEAR, charging, c, rate, curve[NEAR:])
-    curve[HEAD_END] = near
+    curve.start = start
+    curve.split = split
+    curve.step_far = length / CELLS_FAR
+    curve.step_near = NEAR_REACH / CELLS_NEAR
+    curve.cells_far = CELLS_FAR / length
+    curve.cells_near = CELLS_NEAR / NEAR_REACH
+    curve.rate = rate
+    curve.slope = slope_of(start, charging, c) / rate
+    far = fill_cells(start, length / CELLS_FAR, CELLS_FAR, charging, c, rate, curve.far)
+    near = fill_cells(split, NEAR_REACH / CELLS_NEAR, CELLS_NEAR, charging, c, rate, curve.near)
+    curve.end = near
     # the far region ends at the border itself, up to integration error
     return abs(far - split) < 1e-9 and near > 0.0
 
@@ -165,12 +178,12 @@ def fill_curve(charging, c, curve):
 def tabulate(c, table):
     """Both curves of a flow map -> table [TABLE]; False if it has no such curves.
 
-    c : float64 [FLOW_COEFFICIENTS]
+    c : float64 [FlowMap.size]
     """
-    coefficients = view(c, 0)
+    coefficients = flow_map(c)
     out = view(table, 0)
-    return fill_curve(True, coefficients, out[CHARGE:]) and fill_curve(
-        False, coefficients, out[DISCHARGE:]
+    return fill_curve(True, coefficients, curve_of(out)) and fill_curve(
+        False, coefficients, curve_of(out[CURVE:])
     )
 
 
@@ -194,7 +207,7 @@ def cubic(cells, place):
     """Ratio at a place, counted in cells."""
     cell = int(place)
     w = place - cell
-    q = cells[CUBIC * cell :]
+    q = cells[cell]
     return q[0] + w * (q[1] + w * (q[2] + w * q[3]))
 
 
@@ -202,15 +215,15 @@ def cubic(cells, place):
 def curve_value(curve, tau):
     """Pressure ratio at tau; tau = 0 at the head of the table."""
     if tau < 0.0:
-        return curve[HEAD_START] + tau * curve[HEAD_SLOPE]
-    place = tau * curve[HEAD_CELLS_FAR]
+        return curve.start + tau * curve.slope
+    place = tau * curve.cells_far
     if place < CELLS_FAR:
-        return cubic(curve[FAR:], place)
-    tau -= curve[HEAD_STEP_FAR] * CELLS_FAR
-    place = tau * curve[HEAD_CELLS_NEAR]
+        return cubic(curve.far, place)
+    tau -= curve.step_far * CELLS_FAR
+    place = tau * curve.cells_near
     if place < CELLS_NEAR:
-        return cubic(curve[NEAR:], max(place, 0.0))
-    return 1.0 + (curve[HEAD_END] - 1.0) * faded(tau - NEAR_REACH)
+        return cubic(curve.near, max(place, 0.0))
+    return 1.0 + (curve.end - 1.0) * faded(tau - NEAR_REACH)
 
 
 @inlined
@@ -227,65 +240,65 @@ def curve_place(curve, r):
 
     r must lie between the start of the curve (any lower for charging) and the end of its table.
     """
-    start = curve[HEAD_START]
-    split = curve[HEAD_SPLIT]
+    start = curve.start
+    split = curve.split
     sign = 1.0 if split > start else -1.0
     if sign * (r - start) < 0.0:
-        return (r - start) / curve[HEAD_SLOPE]
+        return (r - start) / curve.slope
     far = sign * (split - r) > 0.0
-    cells = curve[FAR:] if far else curve[NEAR:]
-    step = curve[HEAD_STEP_FAR] if far else curve[HEAD_STEP_NEAR]
+    cells = curve.far if far else curve.near
+    step = curve.step_far if far else curve.step_near
     low = 0
     size = CELLS_FAR if far else CELLS_NEAR
     while size > 1:
         half = size // 2
-        low = low + half if sign * (r - cells[CUBIC * (low + half)]) >= 0.0 else low
+        low = low + half if sign * (r - cells[low + half, 0]) >= 0.0 else low
         size -= half
-    q = cells[CUBIC * low :]
+    q = cells[low]
     w = (r - q[0]) / (q[1] + q[2] + q[3])
     for _ in range(3):
         w -= (q[0] + w * (q[1] + w * (q[2] + w * q[3])) - r) / (
             q[1] + w * (2.0 * q[2] + w * 3.0 * q[3])
         )
-    return (low + w) * step + (0.0 if far else curve[HEAD_STEP_FAR] * CELLS_FAR)
+    return (low + w) * step + (0.0 if far else curve.step_far * CELLS_FAR)
 
 
 @called
 def chamber_curve(pressure, u, volume, p, table, out):
     """How one chamber at rest goes on -> out[0:CHAMBER_ROW]."""
     charging = u == 1.0
-    curve = table[CHARGE:] if charging else table[DISCHARGE:]
-    reference = p[P_SUPPLY] if charging else p[P_ATM]
-    factor = p[ALPHA_M1] * p[K_IN] if charging else p[ALPHA_M2] * p[K_OUT]
+    curve = curve_for(charging, table)
+    reference = p.p_supply if charging else p.p_atm
+    factor = p.alpha_m1 * p.k_in if charging else p.alpha_m2 * p.k_out
     ratio = pressure / reference
     deviation = ratio - 1.0 if charging else 1.0 - ratio
-    out[W_REFERENCE] = reference
-    out[W_RATE] = curve[HEAD_RATE] * factor * p[R_AIR] / volume
-    out[W_KIND] = UNKNOWN
-    out[W_TAU] = 0.0
+    out.reference = reference
+    out.rate = curve.rate * factor * p.r_air / volume
+    out.kind = UNKNOWN
+    out.tau = 0.0
     if u != 1.0 and u != 0.0:
         return
     if abs(deviation) < 1e-14:
-        out[W_KIND] = STILL
-        out[W_REFERENCE] = pressure
-    elif deviation > 0.0 or abs(deviation) <= abs(1.0 - curve[HEAD_END]):
-        out[W_KIND] = DECAY
-        out[W_TAU] = ratio - 1.0
+        out.kind = STILL
+        out.reference = pressure
+    elif deviation > 0.0 or abs(deviation) <= abs(1.0 - curve.end):
+        out.kind = DECAY
+        out.tau = ratio - 1.0
     elif charging or ratio <= Z_TOP:
-        out[W_KIND] = ON_CHARGE if charging else ON_DISCHARGE
-        out[W_TAU] = curve_place(curve, ratio)
+        out.kind = ON_CHARGE if charging else ON_DISCHARGE
+        out.tau = curve_place(curve, ratio)
 
 
 @inlined
 def chamber_pressure(dt, row, table):
     """Pressure of a chamber a time dt after its row was written."""
-    kind = row[W_KIND]
+    kind = row.kind
     if kind == STILL:
-        return row[W_REFERENCE]
+        return row.reference
     if kind == DECAY:
-        return row[W_REFERENCE] * (1.0 + row[W_TAU] * exp(-row[W_RATE] * dt))
-    curve = table[CHARGE:] if kind == ON_CHARGE else table[DISCHARGE:]
-    return row[W_REFERENCE] * curve_value(curve, row[W_TAU] + row[W_RATE] * dt)
+        return row.reference * (1.0 + row.tau * exp(-row.rate * dt))
+    curve = curve_for(kind == ON_CHARGE, table)
+    return row.reference * curve_value(curve, row.tau + row.rate * dt)
 
 
 @called
@@ -294,31 +307,31 @@ def chamber_samples(row, table, t, samples, begin, end, out, stride):
 
     t: when its row was written.  The same numbers as `chamber_pressure`, region by region.
     """
-    kind = row[W_KIND]
-    reference = row[W_REFERENCE]
+    kind = row.kind
+    reference = row.reference
     if kind in (STILL, DECAY):
         for i in range(begin, end):
             out[i * stride] = chamber_pressure(max(samples[i] - t, 0.0), row, table)
         return
-    curve = table[CHARGE:] if kind == ON_CHARGE else table[DISCHARGE:]
-    start = row[W_TAU]
-    rate = row[W_RATE]
+    curve = curve_for(kind == ON_CHARGE, table)
+    start = row.tau
+    rate = row.rate
     i = begin
     while i < end and start + rate * max(samples[i] - t, 0.0) < 0.0:
         tau = start + rate * max(samples[i] - t, 0.0)
         out[i * stride] = reference * curve_value(curve, tau)
         i += 1
-    cells = curve[FAR:]
-    density = curve[HEAD_CELLS_FAR]
+    cells = curve.far
+    density = curve.cells_far
     while i < end:
         place = (start + rate * max(samples[i] - t, 0.0)) * density
         if not place < CELLS_FAR:
             break
         out[i * stride] = reference * cubic(cells, place)
         i += 1
-    far = curve[HEAD_STEP_FAR] * CELLS_FAR
-    cells = curve[NEAR:]
-    density = curve[HEAD_CELLS_NEAR]
+    far = curve.step_far * CELLS_FAR
+    cells = curve.near
+    density = curve.cells_near
     while i < end:
         tau = start + rate * max(samples[i] - t, 0.0) - far
         place = tau * density
@@ -328,7 +341,7 @@ def chamber_samples(row, table, t, samples, begin, end, out, stride):
         i += 1
     while i < end:
         tau = start + rate * max(samples[i] - t, 0.0) - far
-        out[i * stride] = reference * (1.0 + (curve[HEAD_END] - 1.0) * faded(tau - NEAR_REACH))
+        out[i * stride] = reference * (1.0 + (curve.end - 1.0) * faded(tau - NEAR_REACH))
         i += 1
 
 
@@ -339,14 +352,14 @@ def neighbour_samples(row, table, c, t, samples, begin, end, known, width, first
     The `first` of several like strokes evaluates its curve and notes kind, place, value and slope in
     known[i * width : i * width + 4]; the others, next to it, go along that slope.
     """
-    kind = row[W_KIND]
+    kind = row.kind
     decays = kind == DECAY
     charging = kind == ON_CHARGE
-    curve = table[CHARGE:] if charging else table[DISCHARGE:]
-    reference = row[W_REFERENCE]
-    start = 0.0 if decays else row[W_TAU]
-    rate = row[W_RATE]
-    scale = reference * row[W_TAU] if decays else reference
+    curve = curve_for(charging, table)
+    reference = row.reference
+    start = 0.0 if decays else row.tau
+    rate = row.rate
+    scale = reference * row.tau if decays else reference
     offset = reference if decays else 0.0
     for i in range(begin, end):
         place = start + rate * max(samples[i] - t, 0.0)
@@ -357,7 +370,7 @@ def neighbour_samples(row, table, c, t, samples, begin, end, known, width, first
         else:
             value = exp(-place) if decays else curve_value(curve, place)
         if first:
-            slope = -value if decays else slope_of(value, charging, c) / curve[HEAD_RATE]
+            slope = -value if decays else slope_of(value, charging, c) / curve.rate
             noted[0] = kind
             noted[1] = place
             noted[2] = value
@@ -368,18 +381,18 @@ def neighbour_samples(row, table, c, t, samples, begin, end, known, width, first
 @called
 def chamber_curves(fixed, y, u0, p, table, w):
     """How every chamber goes on -> w; True if all are known."""
-    chambers = rows(w, CHAMBER_ROW)
+    pressure = pressures(fixed, y)
     if fixed:
-        volumes = fixed_volumes(y, p)
-        chamber_curve(y[FP1], u0[0], volumes[0], p, table, chambers[0])
-        chamber_curve(y[FP1 + 1], u0[1], volumes[1], p, table, chambers[1])
-        return chambers[0, W_KIND] != UNKNOWN and chambers[1, W_KIND] != UNKNOWN
-    volumes = length_volumes(y, p)
-    chamber_curve(y[PB], u0[0], volumes[0], p, table, chambers[0])
-    chamber_curve(y[PB + 1], u0[1], volumes[1], p, table, chambers[1])
-    chamber_curve(y[PB + 2], u0[2], volumes[2], p, table, chambers[2])
+        v_1, v_2 = fixed_volumes(fixed_state(y), p)
+        chamber_curve(pressure[0], u0[0], v_1, p, table, chamber_of(w, 0))
+        chamber_curve(pressure[1], u0[1], v_2, p, table, chamber_of(w, 1))
+        return chamber_of(w, 0).kind != UNKNOWN and chamber_of(w, 1).kind != UNKNOWN
+    v_b, v_n, v_f = length_volumes(length_state(y), p)
+    chamber_curve(pressure[0], u0[0], v_b, p, table, chamber_of(w, 0))
+    chamber_curve(pressure[1], u0[1], v_n, p, table, chamber_of(w, 1))
+    chamber_curve(pressure[2], u0[2], v_f, p, table, chamber_of(w, 2))
     return (
-        chambers[0, W_KIND] != UNKNOWN
-        and chambers[1, W_KIND] != UNKNOWN
-        and chambers[2, W_KIND] != UNKNOWN
+        chamber_of(w, 0).kind != UNKNOWN
+        and chamber_of(w, 1).kind != UNKNOWN
+        and chamber_of(w, 2).kind != UNKNOWN
     )

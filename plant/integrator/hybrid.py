@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +18,8 @@ from plant.equations.volumes import emptied, refuse_empty, volumes_m3
 from plant.errors import IntegrationError, NoVolumeError
 from plant.integrator.filling import NO_CURVES
 from plant.integrator.integrate import (
-    COUNTS,
     DONE,
-    EVENT_BLOCK,
     EVENT_COLUMNS,
-    EVENT_GUARD,
-    EVENT_LOST,
-    EVENT_SPEED,
-    EVENT_TIME,
-    EVENT_X,
     GRID_COLUMNS,
     NOT_FINITE,
     OWN_STEPS,
@@ -34,8 +28,8 @@ from plant.integrator.integrate import (
     advance,
     start,
 )
-from plant.kernel import layout as L
-from plant.kernel.packing import Floats, Load, modes, scales
+from plant.kernel.layout import FIRST_PRESSURE, LENGTH, Counts, EventRow, Parameters, Quadratures
+from plant.kernel.packing import Floats, Load, fresh_modes, scales, state_record
 
 NS = 1_000_000_000
 DEFAULT_TOLERANCE = 1e-8
@@ -132,7 +126,7 @@ class HybridSystem:
     def __init__(
         self,
         system: int,
-        p: Floats,
+        p: Parameters,
         c: Floats,
         y: Floats,
         load: Load,
@@ -143,12 +137,13 @@ class HybridSystem:
     ) -> None:
         refuse_empty(system, p, [y])
         self._system = system
-        self._n = L.FIXED_STATES if system == L.FIXED else L.LENGTH_STATES
+        self._state: Any = state_record(system)(y)
+        self._n = self._state.size
         self._p = p
         self._c = c
         self._y = y
-        self._m = modes(system, load)
-        self._m[L.M_LINE] = 1 if has_line else 0
+        self._m = fresh_modes(system, load)
+        self._m.line = 1 if has_line else 0
         self._tolerance = tolerance
         self._scale = scales(system)
         self._u0 = np.zeros(3)
@@ -156,13 +151,13 @@ class HybridSystem:
         for index, name in enumerate(self.chambers):
             self._u0[index] = 1.0 if name in charged else 0.0
         self._step = np.array([1e-4])
-        self._counts = np.zeros(COUNTS, dtype=np.int64)
+        self._counts = np.zeros(Counts.size, dtype=np.int64)
         self._record = np.zeros((MOST_EVENTS, EVENT_COLUMNS))
         self._workspace = np.zeros(WORKSPACE)
         self._impact_j = 0.0
         self.now_ns = 0
         self.events: list[Event] = []
-        start(y, self._m, p, self._workspace)
+        start(y, self._m.array, p.array, self._workspace)
         self._pv0 = self._pv()
         self._kinetic0 = self._kinetic()
 
@@ -183,8 +178,8 @@ class HybridSystem:
         return tuple(float(u) for u in self._u0[: len(self.chambers)])
 
     @property
-    def packed(self) -> Floats:
-        """A copy of the parameter array (layout: plant/kernel/layout.py)."""
+    def packed(self) -> Parameters:
+        """A copy of the parameters."""
         return self._p.copy()
 
     @property
@@ -233,14 +228,14 @@ class HybridSystem:
         code = advance(
             (until_ns - self.now_ns) / NS,
             self._y,
-            self._m,
+            self._m.array,
             self._u0,
             self._du,
-            self._p,
+            self._p.array,
             self._c,
             self._scale,
             self._n,
-            L.QUADRATURES,
+            Quadratures.size,
             self._tolerance,
             self._step,
             rows,
@@ -267,28 +262,28 @@ class HybridSystem:
         return out
 
     def _note_events(self) -> None:
-        for row in self._record[: self._counts[0]]:
-            index = int(row[EVENT_GUARD])
+        for row in map(EventRow, self._record[: self._counts[0]]):
+            index = int(row.guard)
             name = GUARD_NAMES[index]
-            speed = float(row[EVENT_SPEED])
-            if row[EVENT_BLOCK] == 1.0:
+            speed = float(row.speed)
+            if row.at_block == 1.0:
                 name = "block"
             elif speed > 0.0:
                 name = "stop"
-            self._impact_j += float(row[EVENT_LOST])
+            self._impact_j += float(row.lost)
             self.events.append(
                 Event(
-                    self.now_ns / NS + float(row[EVENT_TIME]),
+                    self.now_ns / NS + float(row.time),
                     name,
-                    float(row[EVENT_X]),
+                    float(row.x),
                     speed,
-                    float(row[EVENT_LOST]),
+                    float(row.lost),
                 )
             )
 
     # --- balances -----------------------------------------------------------------------------
     def _pressures(self) -> list[float]:
-        first = L.FP1 if self._system == L.FIXED else L.PB
+        first = FIRST_PRESSURE[self._system]
         return [float(self._y[first + k]) for k in range(len(self.chambers))]
 
     def _pv(self) -> list[float]:
@@ -297,38 +292,38 @@ class HybridSystem:
 
     def _kinetic(self) -> float:
         p, y = self._p, self._y
-        energy = 0.5 * p[L.M_S] * y[1] ** 2
-        if self._system == L.LENGTH:
-            energy += 0.5 * p[L.M_P] * (y[L.V1] ** 2 + y[L.V2] ** 2)
+        energy = 0.5 * p.m_s * y[1] ** 2
+        if self._system == LENGTH:
+            energy += 0.5 * p.m_p * (self._state.v_1**2 + self._state.v_2**2)
         return float(energy)
 
     def balance(self) -> Balance:
         """Energy and gas balances since the start."""
-        q = self._y[self._n :]
-        works = [float(q[L.Q_WORK + k]) for k in range(3)]
+        q = Quadratures(self._y[self._n :])
+        works = [float(work) for work in q.work]
         work = sum(works)
         residual = (
             self._kinetic()
             - self._kinetic0
             - work
-            - q[L.Q_EXTERNAL]
-            - q[L.Q_ATMOSPHERE]
-            + q[L.Q_FRICTION]
-            + q[L.Q_DAMPER]
+            - q.external
+            - q.atmosphere
+            + q.friction
+            + q.damper
             + self._impact_j
         )
         gas = tuple(
-            float(pv - pv0 - q[L.Q_GAS + k] - q[L.Q_HEAT + k])
+            float(pv - pv0 - q.gas[k] - q.heat[k])
             for k, (pv, pv0) in enumerate(zip(self._pv(), self._pv0, strict=True))
         )
         return Balance(
             float(residual),
             sum(abs(w) for w in works),
             gas,
-            float(sum(abs(q[L.Q_GAS + k]) + abs(q[L.Q_HEAT + k]) for k in range(3))),
-            float(sum(q[L.Q_MASS_IN : L.Q_MASS_IN + 3])),
-            float(sum(q[L.Q_MASS_OUT : L.Q_MASS_OUT + 3])),
-            float(q[L.Q_FRICTION]),
-            float(q[L.Q_DAMPER]),
+            float(sum(abs(q.gas[k]) + abs(q.heat[k]) for k in range(3))),
+            float(sum(q.mass_in)),
+            float(sum(q.mass_out)),
+            float(q.friction),
+            float(q.damper),
             self._impact_j,
         )

@@ -21,7 +21,7 @@ from plant.integrator.events import (
     locate,
     smallest,
 )
-from plant.integrator.filling import CHAMBER_ROW, STILL, W_KIND, chamber_samples
+from plant.integrator.filling import STILL, chamber_of, chamber_samples
 from plant.integrator.rest import rest_jump
 from plant.integrator.steppers import (
     derivative,
@@ -32,28 +32,21 @@ from plant.integrator.steppers import (
     stiff_dense,
     stiff_step,
 )
-from plant.kernel.compiled import called, kernel
-from plant.kernel.layout import (
-    FIXED,
-    FLOW_MODEL,
-    FP1,
-    LEAK_ATM,
-    LEAK_PISTON,
-    M_BLOCKED,
-    M_DAMPER,
-    M_LINE,
-    M_OIL_REST,
-    M_SYSTEM,
-    PB,
-    SEAL_MU,
-    TERM_EQUATION,
+from plant.kernel.compiled import called, inlined, kernel
+from plant.kernel.layout import CHAMBERS, FIRST_PRESSURE, FIXED, EventRow, GridRow, Slot
+from plant.kernel.record_views import (
+    counts_of,
+    event_row,
+    flow_map,
+    grid_row,
+    impact_of,
+    length_state,
+    modes,
+    parameters,
 )
 from plant.kernel.views import rows, view
 
-# Columns of the event record.
-EVENT_TIME, EVENT_GUARD, EVENT_LOST, EVENT_SPEED, EVENT_BLOCK, EVENT_X, EVENT_V = range(7)
-EVENT_COLUMNS = 7
-COUNTS = 5
+EVENT_COLUMNS = EventRow.size
 
 # Why `advance` stopped.
 DONE, TOO_MANY_EVENTS, STEP_TOO_SMALL, NOT_FINITE = 0, 1, 2, 3
@@ -61,8 +54,7 @@ OFF_GRID = 10  # something happened that the stroke of the grid did not meet
 
 # A grid of steps, written by one stroke and followed by others: where each step was to end, whether
 # that was the next switch, and the guard that ended it before (-1: none).
-GRID_END, GRID_SWITCH, GRID_GUARD = range(3)
-GRID_COLUMNS = 3
+GRID_COLUMNS = GridRow.size
 OWN_STEPS, WRITE_GRID, FOLLOW_GRID = range(3)
 
 LONGEST_STEP_S = 5e-3
@@ -78,27 +70,26 @@ WORKSPACE_ROWS, ROW = 80, 64
 def rests_are_plain(p, m):
     """True if chambers at rest follow the flow map alone and all guards are linear in pressures."""
     return (
-        p[FLOW_MODEL] == 0.0
-        and p[LEAK_PISTON] == 0.0
-        and p[LEAK_ATM] == 0.0
-        and p[SEAL_MU] == 0.0
-        and p[TERM_EQUATION] == 0.0
-        and m[M_LINE] == 0
+        p.flow_model == 0.0
+        and p.leak_piston == 0.0
+        and p.leak_atm == 0.0
+        and p.seal_mu == 0.0
+        and p.term_slot == Slot.NONE
+        and m.line == 0
     )
 
 
 @called
 def sample_rest(t, until, begin, samples, n_sample, out, width, fixed, rest, curves, y, n):
     """Samples of a rest from t on; y holds all that does not move.  Returns the next sample's number."""
-    chambers = rows(rest, CHAMBER_ROW)
     end = begin
     while end < n_sample and samples[end] <= until:
         end += 1
-    place = FP1 if fixed else PB
-    count = 2 if fixed else 3
+    place = FIRST_PRESSURE[0] if fixed else FIRST_PRESSURE[1]
+    count = CHAMBERS[0] if fixed else CHAMBERS[1]
     for k in range(n):
-        row = chambers[max(k - place, 0)]
-        if k < place or k >= place + count or row[W_KIND] == STILL:
+        row = chamber_of(rest, max(k - place, 0))
+        if k < place or k >= place + count or row.kind == STILL:
             value = y[k]
             for i in range(begin, end):
                 out[i * width + k] = value
@@ -107,30 +98,36 @@ def sample_rest(t, until, begin, samples, n_sample, out, width, fixed, rest, cur
     return end
 
 
+@inlined
+def write_event(t, index, impact, y, row):
+    """Store an event."""
+    row.time = t
+    row.guard = index
+    row.lost = impact.lost
+    row.speed = impact.speed
+    row.at_block = impact.at_block
+    row.x = y[0]
+    row.v = y[1]
+
+
 @called
-def note_event(t, index, y, record, events, counts, limit):
+def note_event(t, index, y, impact, events, counts, limit):
     """Record an event; False if there are too many.  A corner is none, but counts towards the limit."""
-    count = counts[0]
+    count = counts.events
     if index >= FIRST_CORNER:
-        counts[4] += 1
-        return count + counts[4] < limit
-    if count >= events.shape[0] or count + counts[4] >= limit:
+        counts.corners += 1
+        return count + counts.corners < limit
+    if count >= events.shape[0] or count + counts.corners >= limit:
         return False
-    events[count, EVENT_TIME] = t
-    events[count, EVENT_GUARD] = index
-    events[count, EVENT_LOST] = record[0]
-    events[count, EVENT_SPEED] = record[1]
-    events[count, EVENT_BLOCK] = record[2]
-    events[count, EVENT_X] = y[0]
-    events[count, EVENT_V] = y[1]
-    counts[0] += 1
+    write_event(t, index, impact, y, event_row(view(events, count * EVENT_COLUMNS)))
+    counts.events += 1
     return True
 
 
 @kernel
 def start(y, m, p, workspace):
     """Choose the modes of an initial state."""
-    choose_modes(0.0, view(y, 0), view(m, 0), view(p, 0), view(workspace, 0))
+    choose_modes(0.0, view(y, 0), modes(m), parameters(p), view(workspace, 0))
 
 
 @kernel
@@ -174,7 +171,7 @@ def advance(
     switches : float64 [k, 4] rows (time, chamber, position, slope), times ascending
     samples : float64 [s], times at which the state is wanted, ascending -> out [s, n]
     events : float64 [e, EVENT_COLUMNS], filled in order
-    counts : int64 [COUNTS]: events, steps, rejected steps, samples written, corners of a law; added to
+    counts : int64 [Counts.size]: events, steps, rejected steps, samples written, corners of a law; added to
     workspace : float64 [WORKSPACE_ROWS, ROW] scratch
     tabulated : True if `table` holds the filling curves of c: rests are then passed in closed form
         where there is one (without quadratures only)
@@ -184,11 +181,11 @@ def advance(
     """
     y = view(y, 0)
     pivot = view(m, 16)
-    m = view(m, 0)
+    m = modes(m)
     u0 = view(u0, 0)
     du = view(du, 0)
-    p = view(p, 0)
-    c = view(c, 0)
+    p = parameters(p)
+    c = flow_map(c)
     scale = view(scale, 0)
     n_all = n + quad
     with_quad = quad > 0
@@ -198,7 +195,8 @@ def advance(
     stage = view(workspace, 3 * ROW)
     err = view(workspace, 4 * ROW)
     y1 = view(workspace, 5 * ROW)
-    record = view(workspace, 6 * ROW)
+    impact = impact_of(view(workspace, 6 * ROW))
+    counts = counts_of(counts)
     column = view(workspace, 7 * ROW)
     ft = view(workspace, 8 * ROW)
     k = rows(view(workspace, 9 * ROW), ROW)
@@ -215,17 +213,17 @@ def advance(
     samples = view(samples, 0)
     width = out.shape[1]
     out = view(out, 0)
-    fixed = m[M_SYSTEM] == FIXED
+    fixed = m.system == FIXED
     curves = view(table, 0)
     rest = view(workspace, 79 * ROW)
     leaping = tabulated and not with_quad and rests_are_plain(p, m)
-    stiff = m[M_DAMPER] == 2
+    stiff = m.damper == 2
     h = step[0]
     fresh = True
     have_jacobian = False
-    limit_events = counts[0] + counts[4] + 4000
+    limit_events = counts.events + counts.corners + 4000
     i_step = -1
-    grid_row = view(grid, 0)
+    row = grid_row(grid)
     expected = True
     while True:
         while i_switch < n_switch and switches[i_switch, 0] <= t:
@@ -246,8 +244,8 @@ def advance(
             if all_guards(t, y, m, p, work, g0) < 0.0:
                 worst = smallest(g0)
                 # a jump of input or parameters has already passed a guard: act on it now
-                after_event(t, worst, y, m, p, record, work)
-                if not note_event(t, worst, y, record, events, counts, limit_events):
+                after_event(t, worst, y, m, p, impact, work)
+                if not note_event(t, worst, y, impact, events, counts, limit_events):
                     return TOO_MANY_EVENTS
                 continue
             fresh = False
@@ -257,8 +255,8 @@ def advance(
                 leaping
                 and still
                 and at_rest(m)
-                and m[M_BLOCKED] == 0
-                and (not stiff or m[M_OIL_REST] != 0)
+                and m.blocked == 0
+                and (not stiff or m.oil_rest != 0)
             ):
                 dt, index = rest_jump(
                     t, left, fixed, y, y1, stage, m, u0, p, curves, rest, work, g, n
@@ -285,25 +283,25 @@ def advance(
                     )
                     t = t_end
                     if index >= 0:
-                        after_event(t, index, y, m, p, record, work)
-                        if not note_event(t, index, y, record, events, counts, limit_events):
+                        after_event(t, index, y, m, p, impact, work)
+                        if not note_event(t, index, y, impact, events, counts, limit_events):
                             return TOO_MANY_EVENTS
                     h = STEP_AFTER_REST_S
                     fresh = True
                     continue
-        if m[M_SYSTEM] != FIXED:
-            note_side(y, m, p)
+        if m.system != FIXED:
+            note_side(length_state(y), m, p)
         if use == FOLLOW_GRID:
             i_step += 1
             if i_step >= steps:
                 return OFF_GRID
-            grid_row = view(grid, i_step * GRID_COLUMNS)
-            end = t_next if grid_row[GRID_SWITCH] != 0.0 else grid_row[GRID_END]
+            row = grid_row(view(grid, i_step * GRID_COLUMNS))
+            end = t_next if row.switch != 0.0 else row.end
             if not t < end <= t_next:
                 return OFF_GRID
             last = end == t_next
             trial = end - t
-            expected = grid_row[GRID_GUARD] >= 0.0
+            expected = row.guard >= 0.0
         else:
             last = h >= left * (1.0 - 1e-12)
             trial = left if last else min(h, 0.5 * left)
@@ -392,7 +390,7 @@ def advance(
             if not stiff:
                 for i in range(n_all):
                     k[6, i] = k[0, i]
-            counts[2] += 1
+            counts.rejected += 1
             continue
         factor = 5.0 if norm < 1e-12 else min(5.0, max(0.2, 0.9 * norm ** (-power)))
         if norm > 1.0 and use != FOLLOW_GRID:
@@ -402,9 +400,9 @@ def advance(
             if not stiff:
                 for i in range(n_all):
                     k[6, i] = k[0, i]
-            counts[2] += 1
+            counts.rejected += 1
             continue
-        counts[1] += 1
+        counts.steps += 1
         grown = trial * factor
         h = max(h, grown) if last and trial < h else grown
         h = min(h, LONGEST_REST_STEP_S if at_rest(m) else LONGEST_STEP_S)
@@ -435,11 +433,11 @@ def advance(
             theta, index = locate(t, trial, theta, dense, y1, m, p, work, g, g0, n_all)
         if use == WRITE_GRID:
             i_step += 1
-            grid_row = view(grid, min(i_step, steps - 1) * GRID_COLUMNS)
-            grid_row[GRID_END] = t + trial
-            grid_row[GRID_SWITCH] = 1.0 if last else 0.0
-            grid_row[GRID_GUARD] = index
-        elif use == FOLLOW_GRID and grid_row[GRID_GUARD] != index:
+            row = grid_row(view(grid, min(i_step, steps - 1) * GRID_COLUMNS))
+            row.end = t + trial
+            row.switch = 1.0 if last else 0.0
+            row.guard = index
+        elif use == FOLLOW_GRID and row.guard != index:
             return OFF_GRID
         t_end = t + theta * trial
         if last and not fired:
@@ -452,8 +450,8 @@ def advance(
             y[i] = y1[i]
         t = t_end
         if fired:
-            after_event(t, index, y, m, p, record, work)
-            if not note_event(t, index, y, record, events, counts, limit_events):
+            after_event(t, index, y, m, p, impact, work)
+            if not note_event(t, index, y, impact, events, counts, limit_events):
                 return TOO_MANY_EVENTS
             fresh = True
             h = min(h, max(FIRST_STEP_S, 0.3 * trial))
@@ -470,5 +468,5 @@ def advance(
     for j in range(3):
         u0[j] = u0[j] + du[j] * duration
     step[0] = max(h, 1e-9)
-    counts[3] += i_sample
+    counts.samples += i_sample
     return DONE

@@ -7,10 +7,9 @@ Checked by: tests/unit/plant/integrator/test_filling.py, tests/unit/plant/batch/
 from __future__ import annotations
 
 from plant.integrator.events import all_guards, smallest
-from plant.integrator.filling import CHAMBER_ROW, STILL, W_KIND, chamber_curves, chamber_pressure
+from plant.integrator.filling import STILL, chamber_curves, chamber_of, chamber_pressure
 from plant.kernel.compiled import called
-from plant.kernel.layout import FP1, PB
-from plant.kernel.views import rows
+from plant.kernel.record_views import pressures
 
 # Within this time a crossing needs no proof that it is the first: the scalar kernel looks at its
 # guards no more often.
@@ -26,11 +25,10 @@ HALVINGS = 40
 @called
 def pressures_after(dt, fixed, w, table, y):
     """Pressures of the chambers a time dt on -> y; those that stand still are left alone."""
-    chambers = rows(w, CHAMBER_ROW)
-    first = FP1 if fixed else PB
+    pressure = pressures(fixed, y)
     for j in range(2 if fixed else 3):
-        if chambers[j, W_KIND] != STILL:
-            y[first + j] = chamber_pressure(dt, chambers[j], table)
+        if chamber_of(w, j).kind != STILL:
+            pressure[j] = chamber_pressure(dt, chamber_of(w, j), table)
 
 
 @called
@@ -40,19 +38,19 @@ def lowest_corner(t, fixed, y, y1, corner, m, p, w, work, g):
     At rest every guard is a smallest of linear functions of the pressures, so its lowest value on
     the box between the two states is at a corner of it.
     """
-    chambers = rows(w, CHAMBER_ROW)
-    first = FP1 if fixed else PB
     count = 2 if fixed else 3
+    before = pressures(fixed, y)
+    after = pressures(fixed, y1)
+    mixed = pressures(fixed, corner)
     moving = 0
     for j in range(count):
-        if chambers[j, W_KIND] != STILL:
+        if chamber_of(w, j).kind != STILL:
             moving |= 1 << j
     lowest = 1.0e30
     for mixture in range(1, moving):
         if mixture & ~moving == 0:
             for j in range(count):
-                source = y1 if mixture >> j & 1 else y
-                corner[first + j] = source[first + j]
+                mixed[j] = after[j] if mixture >> j & 1 else before[j]
             lowest = min(lowest, all_guards(t, corner, m, p, work, g))
     return lowest
 

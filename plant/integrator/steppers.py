@@ -13,7 +13,8 @@ from __future__ import annotations
 from plant.equations.fixed_piston import fixed_rates
 from plant.equations.length_stroke import rates
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import FIXED, M_SYSTEM
+from plant.kernel.layout import FIXED
+from plant.kernel.record_views import fixed_state, length_state
 
 STAGES = 7
 
@@ -21,10 +22,10 @@ STAGES = 7
 @called
 def derivative(t, y, dy, m, u0, du, p, c, work, quadratures):
     """Right-hand side of the stroke's system -> dy."""
-    if m[M_SYSTEM] == FIXED:
-        fixed_rates(t, y, dy, m, u0, du, p, c, quadratures)
+    if m.system == FIXED:
+        fixed_rates(t, fixed_state(y), fixed_state(dy), m, u0, du, p, c, quadratures)
     else:
-        rates(t, y, dy, m, u0, du, p, c, work, quadratures)
+        rates(t, length_state(y), length_state(dy), m, u0, du, p, c, work, quadratures)
 
 
 @called

@@ -24,31 +24,14 @@ from plant.errors import InputError
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-KERNEL_SOURCES = (
-    "kernel/compiled.py",
-    "kernel/views.py",
-    "kernel/layout.py",
-    "parts/flow.py",
-    "parts/chamber.py",
-    "parts/friction.py",
-    "parts/damper.py",
-    "parts/synchronizer.py",
-    "equations/length_stroke.py",
-    "equations/fixed_piston.py",
-    "equations/length_contacts.py",
-    "equations/length_impacts.py",
-    "integrator/steppers.py",
-    "integrator/events.py",
-    "integrator/integrate.py",
-    "integrator/filling.py",
-    "integrator/rest.py",
-    "batch/lane_steps.py",
-    "batch/lane_control.py",
-    "batch/lanes.py",
-    "batch/singles.py",
-    "equations/damper_pressure.py",
-    "systems/driven.py",
-)
+KERNEL_FOLDERS = ("kernel", "parts", "equations", "integrator", "batch", "systems")
+"""Folders of the package that hold compiled functions."""
+
+
+def kernel_sources(folder: Path | None = None) -> list[Path]:
+    """Return all modules of the kernel's folders, in a fixed order."""
+    root = folder or Path(__file__).parent.parent
+    return [path for name in KERNEL_FOLDERS for path in sorted((root / name).glob("*.py"))]
 
 
 if numba.config.DISABLE_JIT:
@@ -59,14 +42,11 @@ if numba.config.DISABLE_JIT:
 
 def kernel_hash(folder: Path | None = None) -> str:
     """Hash (12 hex digits) of all kernel sources, numba and Python versions."""
-    root = folder or Path(__file__).parent.parent
     digest = hashlib.sha256()
     digest.update(f"{numba.__version__} {sys.version}".encode())
-    for name in KERNEL_SOURCES:
-        path = root / name
-        digest.update(name.encode())
-        if path.exists():
-            digest.update(path.read_bytes())
+    for path in kernel_sources(folder):
+        digest.update(f"{path.parent.name}/{path.name}".encode())
+        digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
 
 
@@ -128,3 +108,8 @@ def called(function: F) -> F:
     """Compile `function` as part of the kernels that call it, as a function of its own."""
     compiled: F = numba.njit(error_model="numpy")(function)
     return compiled
+
+
+def plain(function: F) -> F:
+    """Return the Python function behind a compiled one."""
+    return getattr(function, "py_func", function)

@@ -1,141 +1,287 @@
-"""Where each number stands in the arrays that the compiled equations read and write.
+"""The records that the compiled equations read and write: parameters, states, modes, flow maps.
 
-A stroke's parameters are one flat float64 array `p`; its state another, `y`; its modes an int64
-array `m`.  The constants here are the only place that knows the order.
+Symbols follow the thesis: s stay, p piston, 1 and 2 the two pistons (or chambers of the fixed piston),
+B, N and F the chambers of the length stroke.
 """
 
 from __future__ import annotations
 
-# --- systems ----------------------------------------------------------------------------------
-FIXED = 0
-LENGTH = 1
+from enum import IntEnum
 
-# --- state of the fixed piston ----------------------------------------------------------------
-FX, FV, FP1, FP2, FOIL, FLINE = 0, 1, 2, 3, 4, 5
-FIXED_STATES = 6
+from plant.kernel.records import Record, Value, block
 
-# --- state of the length stroke: pistons inward positive, stay positive towards backward --------
-XS, VS, X1, V1, X2, V2, PB, PN, PF, SPENT, LOIL, LLINE = range(12)
-LENGTH_STATES = 12
+# The two actuators.
+FIXED, LENGTH = 0, 1
 
-MAX_STATES = 12
-# Quadratures behind the states, per chamber (3): gas in, compression heat, work, mass in, mass out;
-# then friction, damper, external, atmosphere, synchroniser.
-QUADRATURES = 20
-Q_GAS, Q_HEAT, Q_WORK, Q_MASS_IN, Q_MASS_OUT = 0, 3, 6, 9, 12
-Q_FRICTION, Q_DAMPER, Q_EXTERNAL, Q_ATMOSPHERE, Q_STOPS = 15, 16, 17, 18, 19
 
-# --- modes --------------------------------------------------------------------------------------
-# status of a body: 0 at rest, +1 / -1 moving, in the direction of x_s (fixed: of x)
-M_STAY, M_PISTON1, M_PISTON2 = 0, 1, 2
-# joined to the stay: 0 no, 1 at the nut, 2 at the collar
-M_JOINED1, M_JOINED2 = 3, 4
-M_BLOCKED = 5  # +1 / -1: held by the synchronizer at +x_block / -x_block
-M_DAMPER = 6  # 0 none, 1 incompressible, 2 compressible
-M_SYSTEM = 7
-M_OIL_REST = 8  # compressible damper: 1 while its pressure stands at atmosphere
-M_LINE = 9  # 1: supply line with volume and restriction (hose droop)
-M_INSIDE = 10  # 1 while the stay is between the two blocking positions of the synchronizer
-M_SIDE = 11  # +1 / -1: side of neutral on which the length stroke's damper acts
-# sides of the corners of the damper's law: 1 before them (`plant.parts.damper.borders`)
-M_CAPPED, M_OPEN, M_LIFTED = 12, 13, 14
-MODES = 15
+class FixedState(Record):
+    """State of the fixed piston."""
+
+    x: Value  # position [m]
+    v: Value  # velocity [m/s]
+    p_1: Value  # chamber pressures [Pa]
+    p_2: Value
+    p_oil: Value  # pressure of the damper's chamber two [Pa]
+    p_line: Value  # pressure of the supply line [Pa]
+
+
+class LengthState(Record):
+    """State of the length stroke; the stay positive towards B, the pistons positive inward."""
+
+    x_s: Value  # positions [m] and velocities [m/s] of stay and pistons
+    v_s: Value
+    x_1: Value
+    v_1: Value
+    x_2: Value
+    v_2: Value
+    p_b: Value  # chamber pressures [Pa]
+    p_n: Value
+    p_f: Value
+    impulse: Value  # given to the synchronizer since it was armed [N s]
+    p_oil: Value  # pressure of the damper's chamber two [Pa]
+    p_line: Value  # pressure of the supply line [Pa]
+
+
+MAX_STATES = LengthState.size
+FIRST_PRESSURE = (FixedState.p_1, LengthState.p_b)
+CHAMBERS = (2, 3)
+
+
+def pressure_slice(system: int) -> slice:
+    """Return the columns of the chambers' pressures among a system's states."""
+    first = FIRST_PRESSURE[system]
+    return slice(first, first + CHAMBERS[system])
+
+
+class Quadratures(Record):
+    """Integrals behind the states; three chambers each, then energies [J]."""
+
+    gas: Value = block(3)  # alpha_m R epsilon [J]
+    heat: Value = block(3)  # (1 - alpha) P dV [J]
+    work: Value = block(3)  # P dV [J]
+    mass_in: Value = block(3)  # through the valve [kg]
+    mass_out: Value = block(3)
+    friction: Value
+    damper: Value
+    external: Value
+    atmosphere: Value
+
+
+class Modes(Record):
+    """Modes of motion (int64).
+
+    Status of a body: 0 at rest, +1 / -1 moving in the direction of x_s (fixed piston: of x).
+    """
+
+    stay: Value
+    piston_1: Value
+    piston_2: Value
+    joined_1: Value  # contact of piston and stay: FREE, NUT or COLLAR
+    joined_2: Value
+    blocked: Value  # +1 / -1: held by the synchronizer at +x_block / -x_block
+    damper: Value  # 0 none, 1 incompressible, 2 compressible
+    system: Value  # FIXED or LENGTH
+    oil_rest: Value  # compressible damper: 1 while its pressure is that of the atmosphere
+    line: Value  # 1: the supply line has a volume and a restriction
+    inside: Value  # 1 while the stay is between the synchronizer's two blocking positions
+    side: Value  # +1 / -1: side of neutral on which the length stroke's damper acts
+    # sides of the corners of the damper's law: 1 before them (`plant.parts.damper.borders`)
+    capped: Value
+    opened: Value
+    lifted: Value
+
+
 FREE, NUT, COLLAR = 0, 1, 2
+INCOMPRESSIBLE, COMPRESSIBLE = 1, 2
 
-# --- parameters -----------------------------------------------------------------------------------
-(
-    R_AIR,
-    T_GAS,
-    P_ATM,
-    P_SUPPLY,
-    ALPHA_M1,
-    ALPHA_1,
-    ALPHA_M2,
-    ALPHA_2,
-    K_IN,  # factor on all charge flows
-    K_OUT,  # factor on all discharge flows
-    FLOW_MODEL,  # 0 mapped, 1 orifice (3.13/3.20)
-    CDA_IN,
-    CDA_OUT,
-    GAMMA,
-    # geometry
-    STROKE,
-    X_FREE,
-    AREA_P,  # length: annulus A_p; fixed: A1
-    AREA_P2,  # fixed: A2
-    AREA_S,
-    VOL_B,  # length V_B0, fixed V10
-    VOL_N,  # length V_N0, fixed V20
-    VOL_F,
-    M_S,  # stay, with everything that moves with it
-    M_P,
-    # friction of the stay (fixed piston: of the whole)
-    F_STATIC_S,
-    F_RUN_S,
-    BETA_S,
-    F_STATIC_P,
-    F_RUN_P,
-    BETA_P,
-    F_LINKAGE,  # added to the stay's static and sliding friction
-    STRIBECK_V,  # 0: the level falls at once
-    ASYMMETRY,  # friction times (1 + a) towards +, (1 - a) towards -
-    BUMP_FORCE,
-    BUMP_X,
-    BUMP_WIDTH,
-    SEAL_MU,  # friction per pressure-difference force across the piston
-    DAMPER_DRAG,  # extra friction of the stay with the damper mounted
-    # loads on the stay
-    MESH_FORCE,
-    PULL_FORCE,
-    X_MESH,
-    W_MESH,
-    W_PULL,
-    X_BLOCK,
-    SYNC_IMPULSE,
-    SPRING_K,
-    SPRING_X0,
-    F_EXTERNAL,
-    DETENT_FORCE,
-    DETENT_WIDTH,
-    # stops
-    RESTITUTION,
-    STOP_OFFSET,  # the engaged stop has moved outward by this much
-    # leaks, as orifice areas C_d A
-    LEAK_PISTON,
-    LEAK_ATM,
-    # supply line
-    LINE_VOLUME,
-    LINE_CDA,
-    # process exponents against speed
-    ALPHA_SPEED_M1,  # slope of alpha_m1 against the piston's speed, and of the others
-    ALPHA_SPEED,
-    ALPHA_SPEED_M2,
-    ALPHA_SPEED_2,
-    ALPHA_V0,  # speed beyond which the exponents change no further; 0: they go on
-    # oil damper
-    A_OIL,
-    A_SMALL,
-    A_LARGE,
-    R_HOLE,
-    X_HOLE,
-    RHO_OIL,
-    KAPPA,
-    AIR_FRACTION,
-    V_OIL,
-    CD_FLOOR,
-    CD_SLOPE,
-    # a smooth non-parametric term: which equation, which variable, number of nodes
-    TERM_EQUATION,
-    TERM_VARIABLE,
-    TERM_LOW,
-    TERM_STEP,
-    TERM_COUNT,
-    TERM_0,
-) = range(78)
+
 TERM_NODES = 24
-PARAMETERS = TERM_0 + TERM_NODES
 
-# --- flow maps: c = charge and discharge polynomials ------------------------------------------
-C_Y_MIN, C_Y_SPLIT, C_HIGH, C_LOW, C_SLOPE = 0, 1, 2, 6, 11  # charge: 4 high, 5 low, phi'(1)
-D_Z_SPLIT, D_LOW, D_HIGH, D_SLOPE = 12, 13, 18, 21  # discharge: 5 low, 3 high, phi'(1)
-FLOW_COEFFICIENTS = 22
+
+class Parameters(Record):
+    """Parameters of one stroke."""
+
+    # gas
+    r_air: Value
+    t_gas: Value
+    p_atm: Value
+    p_supply: Value
+    alpha_m1: Value  # process exponents: charge flow, volume at u = 1,
+    alpha_1: Value
+    alpha_m2: Value  # discharge flow, volume at u = 0
+    alpha_2: Value
+    k_in: Value  # factor on all charge flows
+    k_out: Value  # factor on all discharge flows
+    flow_model: Value  # 0 mapped, 1 orifice (3.13, 3.20)
+    cda_in: Value
+    cda_out: Value
+    gamma: Value
+    # geometry
+    stroke: Value
+    x_free: Value
+    area_p: Value  # length stroke: annulus A_p; fixed piston: A1
+    area_p2: Value  # fixed piston: A2
+    area_s: Value
+    vol_b: Value  # length stroke: V_B0; fixed piston: V10
+    vol_n: Value  # length stroke: V_N0; fixed piston: V20
+    vol_f: Value
+    m_s: Value  # mass of the stay with everything that moves with it
+    m_p: Value
+    # friction of the stay (fixed piston: of the whole) and of a piston
+    f_static_s: Value
+    f_run_s: Value
+    beta_s: Value
+    f_static_p: Value
+    f_run_p: Value
+    beta_p: Value
+    f_linkage: Value  # added to the stay's static and sliding friction
+    stribeck_v: Value  # 0: the friction falls at once
+    asymmetry: Value  # friction times (1 + a) towards +, (1 - a) towards -
+    bump_force: Value
+    bump_x: Value
+    bump_width: Value
+    seal_mu: Value  # friction per force of the pressure difference across the piston
+    damper_drag: Value  # extra friction of the stay with the damper mounted
+    # loads on the stay
+    mesh_force: Value
+    pull_force: Value
+    x_mesh: Value
+    w_mesh: Value
+    w_pull: Value
+    x_block: Value
+    sync_impulse: Value
+    spring_k: Value
+    spring_x0: Value
+    f_external: Value
+    detent_force: Value
+    detent_width: Value
+    # stops
+    restitution: Value
+    stop_offset: Value  # the engaged stop has moved outward by this much
+    # leaks, as orifice areas C_d A
+    leak_piston: Value
+    leak_atm: Value
+    # supply line
+    line_volume: Value
+    line_cda: Value
+    # slopes of the process exponents against the speed of the piston
+    alpha_speed_m1: Value
+    alpha_speed: Value
+    alpha_speed_m2: Value
+    alpha_speed_2: Value
+    alpha_v0: Value  # speed beyond which the exponents change no further; 0: they go on
+    # oil damper
+    a_oil: Value
+    a_small: Value
+    a_large: Value
+    r_hole: Value
+    x_hole: Value
+    rho_oil: Value
+    kappa: Value
+    air_fraction: Value
+    v_oil: Value
+    cd_floor: Value
+    cd_slope: Value
+    # non-parametric term: the slot it enters, its variable, and its nodes on an even grid
+    term_slot: Value
+    term_variable: Value
+    term_low: Value
+    term_step: Value
+    term_count: Value
+    term_nodes: Value = block(TERM_NODES)
+
+
+class Slot(IntEnum):
+    """Where a non-parametric term enters, as `equation` of an extended model writes it.
+
+    NONE to EXPONENT are slots of the equations (`Parameters.term_slot`).
+    FLOW_1 to FLOW_3: into a chamber; FRICTION, RISE, FALL, SUPPLY, CHARGE_LEVEL and DISCHARGE_LEVEL
+    have one level a stroke.
+    """
+
+    NONE = 0
+    FORCE = 1  # on the stay [N]
+    FLOW_1 = 2  # T m_dot into chamber 1 or B, 2 or N, F [K kg/s]
+    FLOW_2 = 3
+    FLOW_3 = 4
+    RESISTANCE = 5  # of the stay [N]
+    CHARGE = 6  # share of the charge flow, of P / P_s
+    DISCHARGE = 7  # share of the discharge flow, of P / P_atm
+    LEAK = 8  # T m_dot out of every chamber, of its pressure [K kg/s]
+    EXPONENT = 9  # shift of the exponents of the volume terms, of speed
+    RISE = 10
+    FALL = 11
+    SUPPLY = 12
+    POSITION = 13
+    GAUGE = 14
+    FRICTION = 15
+    CHARGE_LEVEL = 16
+    DISCHARGE_LEVEL = 17
+
+
+class Over(IntEnum):
+    """Variable that a term depends on, as `variable` of an extended model writes it.
+
+    SPEED: speed or pressure, as the equation has it; REST, PROGRESS and VALVE have one value a stroke:
+    log10 of the rest before it [s], where it is in its campaign (0 first, 1 last), and the valve that
+    drives it (1, B, N, F: 0 to 3).
+    """
+
+    TIME = 0
+    POSITION = 1
+    SPEED = 2
+    REST = 3
+    PROGRESS = 4
+    VALVE = 5
+
+
+class FlowMap(Record):
+    """Coefficients of the two flow maps: polynomials in y = P / P_s and z = P / P_atm."""
+
+    y_min: Value
+    y_split: Value
+    charge_high: Value = block(4)  # y below y_split
+    charge_low: Value = block(5)
+    charge_slope: Value  # phi'(1)
+    z_split: Value
+    discharge_low: Value = block(5)  # z below z_split
+    discharge_high: Value = block(3)
+    discharge_slope: Value  # phi'(1)
+
+
+class Impact(Record):
+    """What the resets at one instant did."""
+
+    lost: Value  # kinetic energy turned to heat [J]
+    speed: Value  # of the stay into a stop [m/s]
+    at_block: Value  # 1 if the stop was the synchronizer
+
+
+class EventRow(Record):
+    """One event as the kernels store it."""
+
+    time: Value
+    guard: Value
+    lost: Value
+    speed: Value
+    at_block: Value
+    x: Value
+    v: Value
+
+
+class GridRow(Record):
+    """One step of a grid: written by one stroke and followed by others."""
+
+    end: Value  # time at which the step was to end [s]
+    switch: Value  # 1 if that was the next switch
+    guard: Value  # that ended it before, -1 if none did
+
+
+class Counts(Record):
+    """Counters of one integration (int64)."""
+
+    events: Value
+    steps: Value
+    rejected: Value
+    samples: Value
+    corners: Value  # of a law passed, which are no events

@@ -1,23 +1,35 @@
-"""From a parameter set and a stroke's conditions to the arrays that the kernels read.
-
-The only place where parameter names meet array positions.
-"""
+"""From a parameter set and a stroke's conditions to the records that the kernels read."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.kernel import layout as L
+from plant.kernel.layout import (
+    COMPRESSIBLE,
+    FIRST_PRESSURE,
+    FIXED,
+    INCOMPRESSIBLE,
+    FixedState,
+    FlowMap,
+    LengthState,
+    Modes,
+    Parameters,
+)
 from plant.parameters import ParameterSet
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 FIXED_SCALE = (0.01, 1.0, 1e5, 1e5, 1e5, 1e5)
+CHAMBER_NAMES = (("1", "2"), ("B", "N", "F"))
+# Leading states that are integrated: without oil and supply line, with oil, with the line.
+FIXED_COUNTS = (FixedState.p_2 + 1, FixedState.p_oil + 1, FixedState.size)
+LENGTH_COUNTS = (LengthState.impulse + 1, LengthState.p_oil + 1, LengthState.size)
 LENGTH_SCALE = (0.01, 1.0, 0.01, 1.0, 0.01, 1.0, 1e5, 1e5, 1e5, 1.0, 1e5, 1e5)
 
 
@@ -41,21 +53,21 @@ class Load:
 
 def flow_coefficients(parameters: ParameterSet) -> Floats:
     """Coefficients of both flow maps in the kernels' order, with the end slopes derived."""
-    c = np.zeros(L.FLOW_COEFFICIENTS)
-    c[L.C_Y_MIN] = parameters.value("flow_charge.y_min")
-    c[L.C_Y_SPLIT] = parameters.value("flow_charge.y_split")
+    c = FlowMap.zeros()
+    c.y_min = parameters.value("flow_charge.y_min")
+    c.y_split = parameters.value("flow_charge.y_split")
     high = parameters.values("flow_charge.c_high")
     low = parameters.values("flow_charge.c_low")
-    c[L.C_HIGH : L.C_HIGH + len(high)] = high
-    c[L.C_LOW : L.C_LOW + len(low)] = low
-    c[L.C_SLOPE] = sum(k * low[k] for k in range(1, len(low)))
-    c[L.D_Z_SPLIT] = parameters.value("flow_discharge.z_split")
+    c.charge_high[: len(high)] = high
+    c.charge_low[: len(low)] = low
+    c.charge_slope = sum(k * low[k] for k in range(1, len(low)))
+    c.z_split = parameters.value("flow_discharge.z_split")
     low = parameters.values("flow_discharge.c_low")
     high = parameters.values("flow_discharge.c_high")
-    c[L.D_LOW : L.D_LOW + len(low)] = low
-    c[L.D_HIGH : L.D_HIGH + len(high)] = high
-    c[L.D_SLOPE] = sum(k * low[k] for k in range(1, len(low)))
-    return c
+    c.discharge_low[: len(low)] = low
+    c.discharge_high[: len(high)] = high
+    c.discharge_slope = sum(k * low[k] for k in range(1, len(low)))
+    return c.array
 
 
 def pack(
@@ -66,106 +78,107 @@ def pack(
     atmosphere_pa: float,
     load: Load,
     theoretical_flow: bool = False,
-) -> Floats:
-    """The parameter array `p` of one stroke (layout: plant/kernel/layout.py)."""
+) -> Parameters:
+    """Return the parameters of one stroke."""
     value = parameters.value
-    p = np.zeros(L.PARAMETERS)
-    p[L.R_AIR] = value("gas.R_air")
-    p[L.T_GAS] = value("gas.T")
-    p[L.P_ATM] = atmosphere_pa
-    p[L.P_SUPPLY] = supply_pressure_pa
-    p[L.ALPHA_M1] = value("alpha.alpha_m1")
-    p[L.ALPHA_1] = value("alpha.alpha_1")
-    p[L.ALPHA_M2] = value("alpha.alpha_m2")
-    p[L.ALPHA_2] = value("alpha.alpha_2")
-    p[L.K_IN] = 1.0
-    p[L.K_OUT] = 1.0
-    p[L.FLOW_MODEL] = 1.0 if theoretical_flow else 0.0
-    p[L.CDA_IN] = value("orifice.A_valve") * value("orifice.C_d_in")
-    p[L.CDA_OUT] = value("orifice.A_valve") * value("orifice.C_d_out")
-    p[L.GAMMA] = value("gas.gamma")
-    if system == L.FIXED:
-        p[L.STROKE] = value("fixed.stroke")
-        p[L.AREA_P] = value("fixed.A1")
-        p[L.AREA_P2] = value("fixed.A2")
-        p[L.AREA_S] = value("fixed.A_s")
-        p[L.VOL_B] = value("fixed.V10")
-        p[L.VOL_N] = value("fixed.V20")
-        p[L.M_S] = value("fixed.m_s") + value("fixed.m_p")
-        p[L.F_STATIC_S] = value("friction_fixed.F_sf")
-        p[L.F_RUN_S] = value("friction_fixed.F_rf")
-        p[L.BETA_S] = value("friction_fixed.beta")
+    p = Parameters.zeros()
+    p.r_air = value("gas.R_air")
+    p.t_gas = value("gas.T")
+    p.p_atm = atmosphere_pa
+    p.p_supply = supply_pressure_pa
+    p.alpha_m1 = value("alpha.alpha_m1")
+    p.alpha_1 = value("alpha.alpha_1")
+    p.alpha_m2 = value("alpha.alpha_m2")
+    p.alpha_2 = value("alpha.alpha_2")
+    p.k_in = 1.0
+    p.k_out = 1.0
+    p.flow_model = 1.0 if theoretical_flow else 0.0
+    p.cda_in = value("orifice.A_valve") * value("orifice.C_d_in")
+    p.cda_out = value("orifice.A_valve") * value("orifice.C_d_out")
+    p.gamma = value("gas.gamma")
+    if system == FIXED:
+        p.stroke = value("fixed.stroke")
+        p.area_p = value("fixed.A1")
+        p.area_p2 = value("fixed.A2")
+        p.area_s = value("fixed.A_s")
+        p.vol_b = value("fixed.V10")
+        p.vol_n = value("fixed.V20")
+        p.m_s = value("fixed.m_s") + value("fixed.m_p")
+        p.f_static_s = value("friction_fixed.F_sf")
+        p.f_run_s = value("friction_fixed.F_rf")
+        p.beta_s = value("friction_fixed.beta")
     else:
-        p[L.STROKE] = value("length.stroke")
-        p[L.X_FREE] = value("length.x_free_total")
-        p[L.AREA_P] = value("length.A_p")
-        p[L.AREA_S] = value("length.A_s")
-        p[L.VOL_B] = value("length.V_B0")
-        p[L.VOL_N] = value("length.V_N0")
-        p[L.VOL_F] = value("length.V_F0")
-        p[L.M_S] = value("length.m_s")
-        p[L.M_P] = value("length.m_p")
-        p[L.F_STATIC_S] = value("friction_length.F_sf_s")
-        p[L.F_RUN_S] = value("friction_length.F_rf_s")
-        p[L.BETA_S] = value("friction_length.beta_s")
-        p[L.F_STATIC_P] = value("friction_length.F_sf_p")
-        p[L.F_RUN_P] = value("friction_length.F_rf_p")
-        p[L.BETA_P] = value("friction_length.beta_p")
+        p.stroke = value("length.stroke")
+        p.x_free = value("length.x_free_total")
+        p.area_p = value("length.A_p")
+        p.area_s = value("length.A_s")
+        p.vol_b = value("length.V_B0")
+        p.vol_n = value("length.V_N0")
+        p.vol_f = value("length.V_F0")
+        p.m_s = value("length.m_s")
+        p.m_p = value("length.m_p")
+        p.f_static_s = value("friction_length.F_sf_s")
+        p.f_run_s = value("friction_length.F_rf_s")
+        p.beta_s = value("friction_length.beta_s")
+        p.f_static_p = value("friction_length.F_sf_p")
+        p.f_run_p = value("friction_length.F_rf_p")
+        p.beta_p = value("friction_length.beta_p")
     if load.mounted:
-        p[L.M_S] += value("truck.m_gearbox")
-        p[L.F_LINKAGE] = value("truck.F_gearbox")
-    p[L.MESH_FORCE] = load.mesh_force_n
-    p[L.PULL_FORCE] = load.pull_force_n
-    p[L.X_MESH] = value("synchronizer.x_mesh")
-    p[L.W_MESH] = value("synchronizer.w_mesh")
-    p[L.W_PULL] = value("synchronizer.w_pull")
-    p[L.X_BLOCK] = value("synchronizer.x_block")
-    p[L.SYNC_IMPULSE] = load.sync_impulse_n_s
-    p[L.SPRING_K] = load.spring_n_per_m
-    p[L.SPRING_X0] = load.spring_x0_m
-    p[L.BUMP_WIDTH] = 1.0
-    p[L.DETENT_WIDTH] = 1.0
-    p[L.RESTITUTION] = value("stops.restitution")
-    p[L.LINE_VOLUME] = 1.0
-    p[L.A_OIL] = value("damper.A_oil")
-    p[L.A_SMALL] = value("damper.A_S")
-    p[L.A_LARGE] = value("damper.A_B0")
-    p[L.R_HOLE] = value("damper.r_hole")
-    p[L.X_HOLE] = value("damper.x_B")
-    p[L.RHO_OIL] = value("damper.rho")
-    p[L.KAPPA] = value("damper.kappa_effective")
-    p[L.V_OIL] = value("damper.V_oil2_0")
-    p[L.CD_FLOOR] = value("damper.C_D_floor")
-    p[L.CD_SLOPE] = value("damper.C_D_slope")
-    p[L.TERM_STEP] = 1.0
+        p.m_s += value("truck.m_gearbox")
+        p.f_linkage = value("truck.F_gearbox")
+    p.mesh_force = load.mesh_force_n
+    p.pull_force = load.pull_force_n
+    p.x_mesh = value("synchronizer.x_mesh")
+    p.w_mesh = value("synchronizer.w_mesh")
+    p.w_pull = value("synchronizer.w_pull")
+    p.x_block = value("synchronizer.x_block")
+    p.sync_impulse = load.sync_impulse_n_s
+    p.spring_k = load.spring_n_per_m
+    p.spring_x0 = load.spring_x0_m
+    p.bump_width = 1.0
+    p.detent_width = 1.0
+    p.restitution = value("stops.restitution")
+    p.line_volume = 1.0
+    p.a_oil = value("damper.A_oil")
+    p.a_small = value("damper.A_S")
+    p.a_large = value("damper.A_B0")
+    p.r_hole = value("damper.r_hole")
+    p.x_hole = value("damper.x_B")
+    p.rho_oil = value("damper.rho")
+    p.kappa = value("damper.kappa_effective")
+    p.v_oil = value("damper.V_oil2_0")
+    p.cd_floor = value("damper.C_D_floor")
+    p.cd_slope = value("damper.C_D_slope")
+    p.term_step = 1.0
     return p
 
 
 def scales(system: int) -> Floats:
     """Typical size of each state, for the error control."""
-    return np.array(FIXED_SCALE if system == L.FIXED else LENGTH_SCALE)
+    return np.array(FIXED_SCALE if system == FIXED else LENGTH_SCALE)
 
 
-def modes(system: int, load: Load) -> Ints:
-    """A fresh mode array for the system, with the damper model set."""
-    m = np.zeros(32, dtype=np.int64)
-    m[L.M_SYSTEM] = system
-    m[L.M_DAMPER] = {None: 0, "incompressible": 1, "compressible": 2}[load.damper]
+def fresh_modes(system: int, load: Load) -> Modes:
+    """Return modes with the system and the damper's model set."""
+    m = Modes(np.zeros(32, dtype=np.int64))
+    m.system = system
+    m.damper = {None: 0, "incompressible": INCOMPRESSIBLE, "compressible": COMPRESSIBLE}[
+        load.damper
+    ]
     return m
 
 
-def active_states(system: int, m: Ints) -> int:
+def active_states(system: int, m: Modes) -> int:
     """How many leading states are integrated: oil and supply line only where they exist."""
-    if m[L.M_LINE] != 0:
-        return L.FIXED_STATES if system == L.FIXED else L.LENGTH_STATES
-    if m[L.M_DAMPER] == 2:
-        return L.FOIL + 1 if system == L.FIXED else L.LOIL + 1
-    return L.FP2 + 1 if system == L.FIXED else L.SPENT + 1
+    counts = FIXED_COUNTS if system == FIXED else LENGTH_COUNTS
+    if m.line != 0:
+        return counts[2]
+    return counts[1] if m.damper == COMPRESSIBLE else counts[0]
 
 
 def initial_state(
     system: int,
-    p: Floats,
+    p: Parameters,
     *,
     position: str | float,
     charged: Sequence[str],
@@ -173,27 +186,27 @@ def initial_state(
 ) -> Floats:
     """State at rest: fixed piston at a start position [m], length stroke in gear N, B or F.
 
-    Chambers named in `charged` stand at the supply pressure, the others at the atmosphere.
+    Chambers named in `charged` are at the supply pressure, the others at the atmosphere's.
     """
-    states = L.FIXED_STATES if system == L.FIXED else L.LENGTH_STATES
-    y = np.zeros(states + quadratures)
-    atmosphere, supply = p[L.P_ATM], p[L.P_SUPPLY]
-    if system == L.FIXED:
-        y[L.FX] = float(position)
-        for index, name in ((L.FP1, "1"), (L.FP2, "2")):
-            y[index] = supply if name in charged else atmosphere
-        y[L.FOIL] = atmosphere
-        y[L.FLINE] = supply
-        return y
-    stroke = min(p[L.STROKE] + p[L.STOP_OFFSET], p[L.X_FREE])
-    if position == "B":
-        y[L.XS] = stroke
-        y[L.X1] = stroke + p[L.X_FREE]
-    elif position == "F":
-        y[L.XS] = -stroke
-        y[L.X2] = stroke + p[L.X_FREE]
-    for index, name in ((L.PB, "B"), (L.PN, "N"), (L.PF, "F")):
-        y[index] = supply if name in charged else atmosphere
-    y[L.LOIL] = atmosphere
-    y[L.LLINE] = supply
-    return y
+    array = np.zeros(state_record(system).size + quadratures)
+    y: Any = state_record(system)(array)
+    if system == FIXED:
+        y.x = float(position)
+    elif position in ("B", "F"):
+        stroke = min(p.stroke + p.stop_offset, p.x_free)
+        y.x_s = stroke if position == "B" else -stroke
+        if position == "B":
+            y.x_1 = stroke + p.x_free
+        else:
+            y.x_2 = stroke + p.x_free
+    first = FIRST_PRESSURE[system]
+    for index, name in enumerate(CHAMBER_NAMES[system], first):
+        array[index] = p.p_supply if name in charged else p.p_atm
+    y.p_oil = p.p_atm
+    y.p_line = p.p_supply
+    return array
+
+
+def state_record(system: int) -> type[FixedState | LengthState]:
+    """Return the record of a system's state."""
+    return FixedState if system == FIXED else LengthState

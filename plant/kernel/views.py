@@ -1,10 +1,12 @@
-"""Views: bare pointers into a kernel's arrays, as light to pass as a number.
+"""Views: bare pointers into a kernel's arrays, as cheap to pass as a number.
 
 numba passes an array as seven values and counts the references to every slice; a view is one
-pointer, and the kernels run in half the time.  `v[i]` reads or writes element i, `v[a:]` is the
-view from a on; a view with rows takes `v[i, j]`, and `v[i]` is row i.  A lane view is one of
-`width` interleaved copies (structure of arrays), so that the same equations run on many strokes
-side by side.  No bounds are checked: a view lives inside one kernel call, on arrays it was given.
+pointer, and the kernels run in half the time.  `v[i]` is element i, `v[a:]` the view from element a
+on; a view with rows takes `v[i, j]`, and `v[i]` is row i.  A view of a record (`plant.kernel.records`)
+has its fields as attributes: `p.leak_atm`.  A lane view is one of `width` interleaved copies
+(structure of arrays), so that the same equations run on many strokes at the same time.  Compiled
+views check no bounds; with NUMBA_DISABLE_JIT=1 the kernels run as plain Python on
+`plant.kernel.checked`, which does.
 
 Checked by: tests/unit/plant/kernel/test_views.py
 """
@@ -14,13 +16,27 @@ from __future__ import annotations
 
 import operator
 
+import numba
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.core.errors import TypingError
-from numba.extending import intrinsic, models, overload, register_model
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import (
+    infer_getattr,
+    intrinsic,
+    lower_cast,
+    lower_getattr_generic,
+    lower_setattr_generic,
+    models,
+    overload,
+    register_model,
+)
+
+from plant.kernel import checked
+from plant.kernel.records import RECORDS, Record
 
 # Name of a set of elements -> bit mask of those known to be 0 (see `lane`).
-ABSENT: dict[str, int] = {"": 0, "discarded": 0}
+ABSENT: dict[str, int] = checked.ABSENT
 HALF = 62  # bits of a mask that fit one positive int64
 
 
@@ -28,15 +44,26 @@ class View(types.Type):
     """Type of a view.
 
     dtype: of its elements; width: distance between neighbours; length: of a row, 0 without rows;
-    absent: name of the set of elements that read as 0 without being looked at.
+    absent: name of the set of elements that read as 0; record: name of the record, if it is one.
     """
 
-    def __init__(self, dtype, width: int = 1, length: int = 0, absent: str = "") -> None:
+    def __init__(
+        self, dtype, width: int = 1, length: int = 0, absent: str = "", record: str = ""
+    ) -> None:
         self.dtype = dtype
         self.width = width
         self.length = length
         self.absent = absent
-        super().__init__(name=f"View({dtype},{width},{length},{absent})")
+        self.record = record
+        super().__init__(name=f"View({dtype},{width},{length},{absent},{record})")
+
+    def field(self, name: str):
+        """Return the field of that name, None if there is none."""
+        return RECORDS[self.record].fields.get(name) if self.record else None
+
+    def reads_zero(self, index: int) -> bool:
+        """Return True if an element is known to be 0."""
+        return bool(ABSENT[self.absent] >> index & 1)
 
 
 @register_model(View)
@@ -55,7 +82,7 @@ def _element(builder, pointer, width, index):
 
 
 @intrinsic
-def view(typing_context, array, offset):
+def _view(typing_context, array, offset):
     """View of a C-contiguous array from element `offset` on."""
     if not isinstance(array, types.Array) or array.layout != "C":
         raise TypingError("a view needs a C-contiguous array")
@@ -69,8 +96,8 @@ def view(typing_context, array, offset):
 
 
 @intrinsic(prefer_literal=True)
-def rows(typing_context, v, length):
-    """The same view, read as rows of `length` elements (a constant)."""
+def _rows(typing_context, v, length):
+    """Return the same view, read as rows of `length` elements (a constant)."""
     result = View(v.dtype, v.width, length.literal_value)
 
     def generate(context, builder, signature, arguments):
@@ -80,7 +107,7 @@ def rows(typing_context, v, length):
 
 
 @intrinsic(prefer_literal=True)
-def lane(typing_context, v, block, index, width, absent):
+def _lane(typing_context, v, block, index, width, absent):
     """Lane `index` of `width` interleaved copies, from row `block` on.
 
     Element i is v[(block + i) width + index].  `absent` names a set of ABSENT: those elements read
@@ -97,7 +124,7 @@ def lane(typing_context, v, block, index, width, absent):
 
 
 @intrinsic(prefer_literal=True)
-def copy_row(typing_context, v, source, target, width):
+def _copy_row(typing_context, v, source, target, width):
     """Copy `width` (a constant) neighbours from element `source` on to `target` on, as one vector."""
     lanes = width.literal_value
 
@@ -109,6 +136,33 @@ def copy_row(typing_context, v, source, target, width):
         return context.get_dummy_value()
 
     return types.void(v, types.intp, types.intp, width), generate
+
+
+def _named(record: type[Record], absent: str = ""):
+    """Return the function that makes a view, or a C-contiguous array, a view of a record.
+
+    `absent` names a set of ABSENT: fields that read as 0, and what depends on them is compiled away.
+    """
+    name = record.__name__
+
+    @intrinsic
+    def named(typing_context, v):
+        if isinstance(v, View):
+            signature = View(v.dtype, v.width, 0, absent or v.absent, name)(v)
+        elif isinstance(v, types.Array) and v.layout == "C":
+            signature = View(v.dtype, 1, 0, absent, name)(v)
+        else:
+            raise TypingError(f"{name} needs a view or a C-contiguous array")
+
+        def generate(context, builder, signature, arguments):
+            if isinstance(signature.args[0], View):
+                return arguments[0]
+            whole = context.make_array(signature.args[0])(context, builder, arguments[0])
+            return whole.data
+
+        return signature, generate
+
+    return named
 
 
 @intrinsic
@@ -174,3 +228,51 @@ def _write(v, i, value):
     if isinstance(i, types.BaseTuple):
         return lambda v, i, value: _store(v, i[0] * length + i[1], value)
     return lambda v, i, value: _store(v, i, value)
+
+
+@infer_getattr
+class Fields(AttributeTemplate):
+    """Attributes of a view of a record: one number, or a view of several."""
+
+    key = View
+
+    def generic_resolve(self, value, attribute):
+        """Return the type of a field."""
+        field = value.field(attribute)
+        if field is None:
+            return None
+        return View(value.dtype, value.width, field.row) if field.length else value.dtype
+
+
+def _pointer(context, builder, v, pointer, field):
+    return _element(builder, pointer, v.width, context.get_constant(types.intp, field.start))
+
+
+@lower_getattr_generic(View)
+def _get(context, builder, v, pointer, attribute):
+    field = v.field(attribute)
+    if field.length:
+        return _pointer(context, builder, v, pointer, field)
+    if v.reads_zero(field.start):
+        return context.get_constant(v.dtype, 0)
+    return builder.load(_pointer(context, builder, v, pointer, field))
+
+
+@lower_setattr_generic(View)
+def _set(context, builder, signature, arguments, attribute):
+    v = signature.args[0]
+    pointer, value = arguments
+    if v.absent != "discarded":
+        builder.store(value, _pointer(context, builder, v, pointer, v.field(attribute)))
+
+
+@lower_cast(types.IntEnumMember, types.Float)
+def _enumerated(context, builder, member, number, value):
+    """Compare members of the enumerations with elements of float arrays."""
+    return context.cast(builder, value, member.dtype, number)
+
+
+if numba.config.DISABLE_JIT:
+    from plant.kernel.checked import copy_row, lane, named, rows, view
+else:
+    view, rows, lane, copy_row, named = _view, _rows, _lane, _copy_row, _named

@@ -9,17 +9,6 @@ from __future__ import annotations
 from math import sqrt
 
 from plant.kernel.compiled import inlined
-from plant.kernel.layout import (
-    C_HIGH,
-    C_LOW,
-    C_SLOPE,
-    C_Y_MIN,
-    C_Y_SPLIT,
-    D_HIGH,
-    D_LOW,
-    D_SLOPE,
-    D_Z_SPLIT,
-)
 
 
 @inlined
@@ -31,11 +20,13 @@ def charge(pressure_pa, supply_pa, c):
     """
     per_supply = 1.0 / supply_pa  # one division for all chambers
     ratio = pressure_pa * per_supply
-    y = max(ratio, c[C_Y_MIN])
-    high = c[C_HIGH] + y * (c[C_HIGH + 1] + y * (c[C_HIGH + 2] + y * c[C_HIGH + 3]))
-    low = c[C_LOW] + y * (c[C_LOW + 1] + y * (c[C_LOW + 2] + y * (c[C_LOW + 3] + y * c[C_LOW + 4])))
-    back = c[C_SLOPE] * (y - 1.0)
-    phi = high if y < c[C_Y_SPLIT] else (low if y <= 1.0 else back)
+    y = max(ratio, c.y_min)
+    high = c.charge_high[0] + y * (c.charge_high[1] + y * (c.charge_high[2] + y * c.charge_high[3]))
+    low = c.charge_low[0] + y * (
+        c.charge_low[1] + y * (c.charge_low[2] + y * (c.charge_low[3] + y * c.charge_low[4]))
+    )
+    back = c.charge_slope * (y - 1.0)
+    phi = high if y < c.y_split else (low if y <= 1.0 else back)
     return supply_pa * phi
 
 
@@ -47,10 +38,13 @@ def discharge(pressure_pa, atmosphere_pa, c):
     """
     per_atmosphere = 1.0 / atmosphere_pa  # one division for all chambers
     z = pressure_pa * per_atmosphere
-    low = c[D_LOW] + z * (c[D_LOW + 1] + z * (c[D_LOW + 2] + z * (c[D_LOW + 3] + z * c[D_LOW + 4])))
-    high = c[D_HIGH] + z * (c[D_HIGH + 1] + z * c[D_HIGH + 2])
-    suction = c[D_SLOPE] * (z - 1.0)
-    phi = suction if z < 1.0 else (low if z < c[D_Z_SPLIT] else high)
+    low = c.discharge_low[0] + z * (
+        c.discharge_low[1]
+        + z * (c.discharge_low[2] + z * (c.discharge_low[3] + z * c.discharge_low[4]))
+    )
+    high = c.discharge_high[0] + z * (c.discharge_high[1] + z * c.discharge_high[2])
+    suction = c.discharge_slope * (z - 1.0)
+    phi = suction if z < 1.0 else (low if z < c.z_split else high)
     return atmosphere_pa * phi
 
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from plant.effects.setup import Setup
 from plant.equations.length_stroke import valve_flow_in, valve_flow_out
-from plant.kernel import layout as L
 from plant.kernel.compiled import kernel
 from plant.kernel.packing import Floats
+from plant.kernel.record_views import flow_map, parameters
 from plant.parts.chamber import pressure_rate
 from plant.systems.stroke import valve_moves
 
@@ -27,6 +27,8 @@ def chamber_along(time, volume, start, moves, p, c, out):
     time [s], volume [m^3] (straight between samples), moves rows (time s, position, slope 1/s) of
     its valve; fourth-order Runge-Kutta, steps split where the valve moves.
     """
+    p = parameters(p)
+    c = flow_map(c)
     pressure = start
     out[0] = pressure
     u = moves[0, 1]
@@ -54,7 +56,7 @@ def chamber_along(time, volume, start, moves, p, c, out):
                     at = t + part * h
                     value = pressure + part * h * slope_before
                     position = u + slope * (at - since)
-                    flow_in = valve_flow_in(value, p[L.P_SUPPLY], p, c)
+                    flow_in = valve_flow_in(value, p.p_supply, p, c)
                     flow_out = valve_flow_out(value, p, c)
                     slope_before = pressure_rate(
                         value,
@@ -64,11 +66,11 @@ def chamber_along(time, volume, start, moves, p, c, out):
                         0.0,
                         volume[i - 1] + rate * (at - time[i - 1]),
                         rate,
-                        p[L.R_AIR],
-                        p[L.ALPHA_M1],
-                        p[L.ALPHA_1],
-                        p[L.ALPHA_M2],
-                        p[L.ALPHA_2],
+                        p.r_air,
+                        p.alpha_m1,
+                        p.alpha_1,
+                        p.alpha_m2,
+                        p.alpha_2,
                     )
                     total += slope_before if part == 0.0 or part == 1.0 else 2.0 * slope_before
                 pressure += h * total / 6.0
@@ -89,17 +91,23 @@ def pressures_along(setup: Setup, time_s: Floats, position_m: Floats) -> Floats:
     moves = valve_moves(setup, round(float(time_s[-1]) * 1e9))
     out = np.zeros((len(time_s), 2))
     volumes = (
-        p[L.VOL_B] + p[L.AREA_P] * position_m,
-        p[L.VOL_N] - p[L.AREA_P2] * position_m,
+        p.vol_b + p.area_p * position_m,
+        p.vol_n - p.area_p2 * position_m,
     )
     for chamber, volume in enumerate(volumes):
         charged = conditions.chambers[chamber] in conditions.charged_before
         rows = [(0.0, 1.0 if charged else 0.0, 0.0)]
         rows += [(t * 1e-9, u, slope) for t, which, u, slope in moves if which == chamber]
-        begin = p[L.P_SUPPLY] if charged else p[L.P_ATM]
+        begin = p.p_supply if charged else p.p_atm
         column = np.zeros(len(time_s))
         chamber_along(
-            np.asarray(time_s, dtype=np.float64), volume, begin, np.array(rows), p, setup.c, column
+            np.asarray(time_s, dtype=np.float64),
+            volume,
+            begin,
+            np.array(rows),
+            p.array,
+            setup.c,
+            column,
         )
         out[:, chamber] = column
     return out

@@ -18,7 +18,7 @@ from plant.effects.setup import Setup
 from plant.equations.length_stroke import TOUCH_M
 from plant.integrator.hybrid import NS
 from plant.integrator.integrate import start
-from plant.kernel import layout as L
+from plant.kernel.layout import FIRST_PRESSURE, LengthState
 from plant.kernel.packing import Floats
 from plant.systems import driven
 from plant.systems.stroke import StrokeSystem, valve_moves
@@ -77,29 +77,33 @@ class ImposedSystem(StrokeSystem):
 
     def free_stay(self) -> None:
         """Take the stay's stops, loads and damper away, and its motion from all forces."""
-        self._p[[L.SYNC_IMPULSE, L.SPRING_K, L.F_EXTERNAL, L.DETENT_FORCE]] = 0.0
-        self._p[L.STOP_OFFSET] = 1.0
-        self._p[L.M_S] = HEAVY_KG
-        self._m[L.M_DAMPER] = 0
+        p = self._p
+        p.sync_impulse = p.spring_k = p.f_external = p.detent_force = 0.0
+        p.stop_offset = 1.0
+        p.m_s = HEAVY_KG
+        self._m.damper = 0
 
     def impose_speed(self, speed_m_s: float) -> None:
         """Give the stay a speed, and to the pistons that it then meets."""
-        y, far = self._y, self._p[L.X_FREE] - TOUCH_M
-        y[L.VS] = speed_m_s
-        for x, v, away in ((L.X1, L.V1, -1.0), (L.X2, L.V2, 1.0)):
-            gap = y[x] + away * y[L.XS]
+        y, far = self._y, self._p.x_free - TOUCH_M
+        y[LengthState.v_s] = speed_m_s
+        for x, v, away in (
+            (LengthState.x_1, LengthState.v_1, -1.0),
+            (LengthState.x_2, LengthState.v_2, 1.0),
+        ):
+            gap = y[x] + away * y[LengthState.x_s]
             opening = y[v] + away * speed_m_s
             if (gap <= TOUCH_M and opening < 0.0) or (gap >= far and opening > 0.0):
                 y[v] = -away * speed_m_s
-        start(self._y, self._m, self._p, self._workspace)
+        start(self._y, self._m.array, self._p.array, self._workspace)
 
     def hold_pressures(self) -> None:
         """Take the chambers' equations away."""
-        self._p[[L.VOL_B, L.VOL_N, L.VOL_F]] = VAST_M3
+        self._p.vol_b = self._p.vol_n = self._p.vol_f = VAST_M3
 
     def impose_pressures(self, pressures_pa: Floats) -> None:
         """Give the chambers their pressures, in their order."""
-        first = L.FP1 if self._system == L.FIXED else L.PB
+        first = FIRST_PRESSURE[self._system]
         self._y[first : first + len(self.chambers)] = pressures_pa
 
     @property

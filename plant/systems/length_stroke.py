@@ -13,7 +13,7 @@ from plant.equations.volumes import ends_of_travel, refuse_empty
 from plant.errors import InputError
 from plant.integrator.hybrid import DEFAULT_TOLERANCE, HybridSystem
 from plant.integrator.integrate import start
-from plant.kernel import layout as L
+from plant.kernel.layout import LENGTH, Quadratures
 from plant.kernel.packing import Load, flow_coefficients, initial_state, pack
 from plant.parameters import ParameterSet
 from plant.systems.run_effects import applied
@@ -84,7 +84,7 @@ class LengthStroke(HybridSystem):
         )
         p = pack(
             parameters,
-            L.LENGTH,
+            LENGTH,
             supply_pressure_pa=(
                 parameters.value("supply.P_s") if supply_pressure_pa is None else supply_pressure_pa
             ),
@@ -98,33 +98,36 @@ class LengthStroke(HybridSystem):
         self.valve_delays_ns: tuple[int, int] | None = None
         has_line = False
         if parameters.effects:
-            setup = applied(parameters, p, c, float(p[L.P_SUPPLY]), damper is not None)
+            setup = applied(parameters, p, c, float(p.p_supply), damper is not None)
             self.valve_delays_ns = (setup.timing.rise_ns, setup.timing.fall_ns)
             has_line = setup.has_line
         # every shift sweeps chamber N; the others shrink in one gear only, which may never come
-        refuse_empty(L.LENGTH, p, ends_of_travel(L.LENGTH, p), "N")
-        y = initial_state(L.LENGTH, p, position=initial, charged=charged, quadratures=L.QUADRATURES)
-        super().__init__(L.LENGTH, p, c, y, load, charged, tolerance, has_line=has_line)
+        refuse_empty(LENGTH, p, ends_of_travel(LENGTH, p), "N")
+        y = initial_state(
+            LENGTH, p, position=initial, charged=charged, quadratures=Quadratures.size
+        )
+        super().__init__(LENGTH, p, c, y, load, charged, tolerance, has_line=has_line)
 
     @property
     def pressures_pa(self) -> tuple[float, float, float]:
         """Pressures of the chambers B, N, F, absolute [Pa]."""
-        return (float(self._y[L.PB]), float(self._y[L.PN]), float(self._y[L.PF]))
+        y = self._state
+        return (float(y.p_b), float(y.p_n), float(y.p_f))
 
     @property
     def pistons_m(self) -> tuple[float, float]:
         """Positions of piston 1 and 2, inward from their outer stops [m]."""
-        return (float(self._y[L.X1]), float(self._y[L.X2]))
+        return (float(self._state.x_1), float(self._state.x_2))
 
     @property
     def spent_impulse_n_s(self) -> float:
         """Impulse given to the synchronizer since it was armed [N s]."""
-        return float(self._y[L.SPENT])
+        return float(self._state.impulse)
 
     @property
     def synchronizer_blocked(self) -> bool:
         """True while the synchronizer holds the stay at its blocking position."""
-        return bool(self._m[L.M_BLOCKED] != 0)
+        return bool(self._m.blocked != 0)
 
     def set_sync_impulse(self, impulse_n_s: float) -> None:
         """Arm the synchronizer for the next engagement; call while the stay is near neutral.
@@ -133,13 +136,13 @@ class LengthStroke(HybridSystem):
         """
         if not impulse_n_s >= 0.0:
             raise ValueError(f"synchronizer impulse {impulse_n_s}: expected 0 or more")
-        self._p[L.SYNC_IMPULSE] = impulse_n_s
-        self._y[L.SPENT] = 0.0
-        start(self._y, self._m, self._p, self._workspace)
+        self._p.sync_impulse = impulse_n_s
+        self._state.impulse = 0.0
+        start(self._y, self._m.array, self._p.array, self._workspace)
 
     def set_supply_pressure(self, supply_pa: float) -> None:
         """Change the supply pressure from now on (absolute) [Pa]."""
-        self._p[L.P_SUPPLY] = supply_pa
+        self._p.p_supply = supply_pa
 
     def row(self) -> np.ndarray:
         """Present state, in the order of `columns`."""

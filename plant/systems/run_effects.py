@@ -11,6 +11,7 @@ from plant.effects import CATALOGUE, check_effects
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.errors import InputError
+from plant.kernel.layout import Parameters
 from plant.kernel.packing import Floats
 from plant.parameters import ParameterSet
 
@@ -23,7 +24,7 @@ REFUSED = {
 
 
 def applied(
-    parameters: ParameterSet, p: Floats, c: Floats, supply_pa: float, damped: bool
+    parameters: ParameterSet, p: Parameters, c: Floats, supply_pa: float, damped: bool
 ) -> Setup:
     """The packed parameters `p` of a run changed by the set's effects, as part of a setup.
 

@@ -16,8 +16,8 @@ from plant.equations.damper_pressure import steady_oil_pressure
 from plant.equations.volumes import ends_of_travel, refuse_empty
 from plant.errors import InputError
 from plant.integrator.hybrid import DEFAULT_TOLERANCE, NS, Balance, Event, HybridSystem
-from plant.kernel import layout as L
-from plant.kernel.packing import Floats, initial_state
+from plant.kernel.layout import FIRST_PRESSURE, FIXED, Parameters, Quadratures, pressure_slice
+from plant.kernel.packing import Floats, initial_state, state_record
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
 
@@ -40,7 +40,7 @@ class Stroke:
     internal_m: Floats
     events: tuple[Event, ...]
     balance: Balance
-    packed: Floats
+    packed: Parameters
 
     @property
     def position_m(self) -> Floats:
@@ -51,7 +51,7 @@ class Stroke:
         """Pressure of a chamber ("1", "2", "B", "N", "F") or of the damper ("oil2") [Pa]."""
         if chamber == "oil2":
             return self.oil_pressure_pa()
-        first = L.FP1 if self.conditions.system == L.FIXED else L.PB
+        first = FIRST_PRESSURE[self.conditions.system]
         return self.states[:, first + self.conditions.chambers.index(chamber)]
 
     def oil_pressure_pa(self) -> Floats:
@@ -60,9 +60,9 @@ class Stroke:
             out = np.zeros(len(self.time_s))
             position = np.ascontiguousarray(self.states[:, 0])
             velocity = np.ascontiguousarray(self.states[:, 1])
-            steady_oil_pressure(position, velocity, self.packed, out)
+            steady_oil_pressure(position, velocity, self.packed.array, out)
             return out
-        return self.states[:, L.FOIL if self.conditions.system == L.FIXED else L.LOIL]
+        return self.states[:, state_record(self.conditions.system).p_oil]
 
     @property
     def impact(self) -> Event | None:
@@ -82,10 +82,10 @@ class StrokeSystem(HybridSystem):
         system = conditions.system
         p = setup.p
         position: str | float
-        position = conditions.start_offset_m if system == L.FIXED else conditions.kind[0]
-        if system == L.FIXED and not 0.0 <= conditions.start_offset_m <= p[L.STROKE]:
+        position = conditions.start_offset_m if system == FIXED else conditions.kind[0]
+        if system == FIXED and not 0.0 <= conditions.start_offset_m <= p.stroke:
             raise InputError(
-                f"start offset {conditions.start_offset_m} m: expected 0 to {p[L.STROKE]}"
+                f"start offset {conditions.start_offset_m} m: expected 0 to {p.stroke}"
             )
         refuse_empty(
             system, p, ends_of_travel(system, p, (conditions.kind[0], conditions.kind[-1]))
@@ -95,9 +95,9 @@ class StrokeSystem(HybridSystem):
             p,
             position=position,
             charged=conditions.charged_before,
-            quadratures=L.QUADRATURES,
+            quadratures=Quadratures.size,
         )
-        first = L.FP1 if system == L.FIXED else L.PB
+        first = FIRST_PRESSURE[system]
         for chamber, pressure in setup.residual_pa.items():
             y[first + self.chambers.index(chamber)] += pressure
         super().__init__(
@@ -225,8 +225,7 @@ def run_setup(
         reported = setup.reported_m(held)
     if internal and len(wanted) != len(sample_ns):
         states = states[np.searchsorted(wanted, sample_ns)]
-    first, count = (L.FP1, 2) if conditions.system == L.FIXED else (L.PB, 3)
-    pressures = slice(first, first + count)
+    pressures = pressure_slice(conditions.system)
     states[:, pressures] = gauged(setup, time_s, states[:, pressures])
     return Stroke(
         conditions=conditions,

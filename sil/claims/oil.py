@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from plant.kernel import layout as L
+from plant.kernel.layout import Parameters
 from plant.parts.damper import bulk_modulus, discharge_coefficient, large_area
 from plant.systems.stroke import Stroke
 from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged, shows
@@ -20,9 +20,9 @@ FINE: dict[str, Any] = {"until_s": 0.12, "step_s": 1e-5}
 @cache
 def damped(variant: str) -> Stroke:
     """Return the fixed stroke with the damper: kappa/10, kappa, or kappa with free air."""
-    put = {} if variant == "kappa/10" else {L.KAPPA: nominal().value("damper.kappa")}
+    put = {} if variant == "kappa/10" else {Parameters.kappa: nominal().value("damper.kappa")}
     if variant == "air":
-        put[L.AIR_FRACTION] = nominal().value("damper.air_fraction")
+        put[Parameters.air_fraction] = nominal().value("damper.air_fraction")
     return run("fixed", load="damper", put=put, **FINE)
 
 
@@ -113,8 +113,8 @@ def _mount_friction() -> Outcome:
             "fixed",
             load="damper",
             damper_model="incompressible",
-            put={L.DAMPER_DRAG: force},
-            scale={L.A_SMALL: outlet, L.A_LARGE: outlet},
+            put={Parameters.damper_drag: force},
+            scale={Parameters.a_small: outlet, Parameters.a_large: outlet},
             **FINE,
         )
 

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from plant.effects.setup import Setup
-from plant.kernel import layout as L
+from plant.kernel.layout import FixedState, Parameters
 from plant.kernel.packing import flow_coefficients
 from plant.parts.flow import charge, discharge, orifice
 from plant.systems.stroke import Stroke
@@ -33,9 +33,15 @@ def _alpha_range() -> Outcome:
 def _process_laws() -> Outcome:
     spread = []
     for alpha in (1.0, 1.4):
-        shut = {L.K_IN: 0.0, L.K_OUT: 0.0, L.ALPHA_1: alpha, L.ALPHA_2: alpha, L.F_EXTERNAL: 400.0}
+        shut = {
+            Parameters.k_in: 0.0,
+            Parameters.k_out: 0.0,
+            Parameters.alpha_1: alpha,
+            Parameters.alpha_2: alpha,
+            Parameters.f_external: 400.0,
+        }
         stroke = run("fixed", put=shut, until_s=0.1)
-        volume = stroke.packed[L.VOL_N] - stroke.packed[L.AREA_P2] * stroke.position_m
+        volume = stroke.packed.vol_n - stroke.packed.area_p2 * stroke.position_m
         constant = stroke.pressure_pa("2") * volume**alpha
         compressed = float(np.max(stroke.pressure_pa("2"))) / ATMOSPHERE_PA
         spread.append((float(np.ptp(constant) / constant[0]), compressed))
@@ -142,9 +148,9 @@ def fill(factor: float, theoretical: bool, empty: bool) -> Floats:
 
     def change(setup: Setup) -> None:
         p = setup.p
-        p[L.VOL_B] = (p[L.VOL_B] + p[L.AREA_P] * p[L.STROKE]) * factor
-        p[L.AREA_P] = p[L.AREA_P2] = 1e-12
-        p[L.F_STATIC_S] = 1e9
+        p.vol_b = (p.vol_b + p.area_p * p.stroke) * factor
+        p.area_p = p.area_p2 = 1e-12
+        p.f_static_s = 1e9
 
     stroke = run(
         "fixed",
@@ -266,8 +272,8 @@ def _stroke_length() -> Outcome:
 def drive_n(stroke: Stroke) -> Floats:
     """Return the force of the pressures [times] in N on the piston of the fixed actuator."""
     p = stroke.packed
-    one, two = stroke.pressure_pa("1") * p[L.AREA_P], stroke.pressure_pa("2") * p[L.AREA_P2]
-    force: Floats = one - two - ATMOSPHERE_PA * p[L.AREA_S]
+    one, two = stroke.pressure_pa("1") * p.area_p, stroke.pressure_pa("2") * p.area_p2
+    force: Floats = one - two - ATMOSPHERE_PA * p.area_s
     return force
 
 
@@ -276,11 +282,11 @@ def _dynamic_friction() -> Outcome:
     speeds, forces = [], []
     for supply in (SUPPLY_PA, 600000.0):
         stroke = run("fixed", supply_pressure_pa=supply, step_s=1e-5, until_s=0.05)
-        velocity = stroke.states[:, L.FV]
+        velocity = stroke.states[:, FixedState.v]
         acceleration = np.gradient(velocity, stroke.time_s)
         moving = (velocity > 0.05) & (stroke.position_m < 0.0125)
         speeds.append(velocity[moving])
-        forces.append((drive_n(stroke) - stroke.packed[L.M_S] * acceleration)[moving])
+        forces.append((drive_n(stroke) - stroke.packed.m_s * acceleration)[moving])
     slope, offset = np.polyfit(np.concatenate(speeds), np.concatenate(forces), 1)
     good = abs(slope - 38.8) < 0.5 and abs(offset - 50.9) < 0.5
     return judged(good, f"F - m a against v: slope {slope:.1f} N s/m, offset {offset:.1f} N")
@@ -300,7 +306,7 @@ def _friction_scatter() -> Outcome:
     smooth = np.convolve(velocity, kernel, "same")
     acceleration = np.convolve(np.gradient(smooth, stroke.time_s), kernel, "same")
     moving = (stroke.position_m > 0.002) & (stroke.position_m < 0.011)
-    force = drive_n(stroke) - stroke.packed[L.M_S] * acceleration
+    force = drive_n(stroke) - stroke.packed.m_s * acceleration
     residual = force[moving] - (50.9 + 38.8 * smooth[moving])
     scatter = float(np.std(residual))
     return judged(

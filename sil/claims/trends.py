@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from plant.effects.setup import Setup
-from plant.kernel import layout as L
+from plant.kernel.layout import Parameters
 from plant.systems.stroke import Stroke
 from sil.claims.claim import PARTLY, Outcome, judged, shows
 from sil.claims.strokes import Change, arrival, first_motion_s, nominal, plain, run, speed
@@ -39,10 +39,10 @@ def radius(factor: float) -> Change:
 
     def change(setup: Setup) -> None:
         p = setup.p
-        dead = p[L.VOL_N] - p[L.AREA_P2] * p[L.STROKE]
-        p[L.AREA_P] *= factor**2
-        p[L.AREA_P2] = p[L.AREA_P] - p[L.AREA_S]
-        p[L.VOL_N] = dead + p[L.AREA_P2] * p[L.STROKE]
+        dead = p.vol_n - p.area_p2 * p.stroke
+        p.area_p *= factor**2
+        p.area_p2 = p.area_p - p.area_s
+        p.vol_n = dead + p.area_p2 * p.stroke
 
     return change
 
@@ -52,8 +52,8 @@ def small_final(factor: float) -> Change:
 
     def change(setup: Setup) -> None:
         p = setup.p
-        final = p[L.VOL_N] - p[L.AREA_P2] * p[L.STROKE]
-        p[L.VOL_N] = final * factor + p[L.AREA_P2] * p[L.STROKE]
+        final = p.vol_n - p.area_p2 * p.stroke
+        p.vol_n = final * factor + p.area_p2 * p.stroke
 
     return change
 
@@ -109,7 +109,7 @@ def _larger_chambers() -> Outcome:
 @shows("F53")
 def _initial_volume() -> Outcome:
     def figures(factor: float) -> tuple[float, float]:
-        stroke = run("fixed", scale={L.VOL_B: factor})
+        stroke = run("fixed", scale={Parameters.vol_b: factor})
         return first_motion_s(stroke), drop_pa(stroke)
 
     small, normal, large = (figures(f) for f in (0.1, 1.0, 3.0))
@@ -126,7 +126,7 @@ def _initial_volume() -> Outcome:
 
 @shows("F54")
 def _walk_time() -> Outcome:
-    saved = 1e3 * (arrival(plain("N-B")) - arrival(run("N-B", scale={L.VOL_B: 0.1})))
+    saved = 1e3 * (arrival(plain("N-B")) - arrival(run("N-B", scale={Parameters.vol_b: 0.1})))
     return judged(0.0 < saved < 10.0, f"{saved:.1f} ms earlier with V_B0 / 10")
 
 
@@ -148,7 +148,7 @@ def _final_volume() -> Outcome:
 @shows("F56")
 def _both_small() -> Outcome:
     base = plain("fixed")
-    stroke = run("fixed", scale={L.VOL_B: 0.1}, change=small_final(0.1), until_s=0.5)
+    stroke = run("fixed", scale={Parameters.vol_b: 0.1}, change=small_final(0.1), until_s=0.5)
     starts = (first_motion_s(stroke), first_motion_s(base))
     good = speed(stroke) < speed(base) and starts[0] < starts[1]
     return judged(
@@ -161,7 +161,7 @@ def _both_small() -> Outcome:
 @shows("F57")
 def _lighter() -> Outcome:
     base = run("N-B", mounted=True)
-    stroke = run("N-B", mounted=True, scale={L.M_P: 0.5})
+    stroke = run("N-B", mounted=True, scale={Parameters.m_p: 0.5})
     dt = 1e3 * abs(arrival(stroke) - arrival(base))
     dv = abs(speed(stroke) / speed(base) - 1.0)
     return judged(

@@ -6,7 +6,6 @@ from functools import cache
 
 import numpy as np
 
-from plant.kernel import layout as L
 from plant.systems.stroke import Stroke
 from sil.claims.claim import MET, NOT_MET, PARTLY, Outcome, judged, shows
 from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, arrival, nominal, run, speed
@@ -112,7 +111,7 @@ def _budget() -> Outcome:
 @shows("F48")
 def _stall() -> Outcome:
     p = into_gear(500.0, 18.0).packed
-    force = (SUPPLY_PA - ATMOSPHERE_PA) * (p[L.AREA_P] + p[L.AREA_S])
+    force = (SUPPLY_PA - ATMOSPHERE_PA) * (p.area_p + p.area_s)
     return judged(force >= 2200.0, f"stall force {force:.0f} N at 9 bar")
 
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.kernel import layout as L
+from plant.kernel.layout import LengthState, Parameters
 from plant.systems.stroke import Stroke
 from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged, shows
 from sil.claims.strokes import arrival, first_motion_s, nominal, plain, relative_errors, run
@@ -25,7 +25,7 @@ def window(stroke: Stroke) -> NDArray[np.bool_]:
     return (stroke.time_s >= 0.01) & (stroke.time_s <= 0.01 + WINDOW_S)
 
 
-DYNAMIC_FRICTION = (L.F_RUN_S, L.BETA_S, L.F_RUN_P, L.BETA_P)
+DYNAMIC_FRICTION = (Parameters.f_run_s, Parameters.beta_s, Parameters.f_run_p, Parameters.beta_p)
 TRIPLE_FRICTION = dict.fromkeys(DYNAMIC_FRICTION, 3.0)
 """Dynamic friction times three, as the thesis tried."""
 
@@ -33,7 +33,10 @@ TRIPLE_FRICTION = dict.fromkeys(DYNAMIC_FRICTION, 3.0)
 @shows("F35")
 def _table() -> Outcome:
     p = plain("fixed").packed
-    used = tuple(float(p[i]) for i in (L.ALPHA_M1, L.ALPHA_1, L.ALPHA_M2, L.ALPHA_2))
+    used = tuple(
+        float(p[i])
+        for i in (Parameters.alpha_m1, Parameters.alpha_1, Parameters.alpha_m2, Parameters.alpha_2)
+    )
     return judged(used == (0.94, 0.87, 1.5, 1.05), f"used as they are: {used}")
 
 
@@ -56,8 +59,8 @@ def _walk() -> Outcome:
     contact = next(e for e in stroke.events if e.name == "collar 1 contact")
     before = stroke.time_s < contact.time_s
     still = float(np.max(np.abs(stroke.position_m[before])))
-    other = float(np.max(np.abs(stroke.states[:, L.X2])))
-    walked = float(np.interp(contact.time_s, stroke.time_s, stroke.states[:, L.X1]))
+    other = float(np.max(np.abs(stroke.states[:, LengthState.x_2])))
+    walked = float(np.interp(contact.time_s, stroke.time_s, stroke.states[:, LengthState.x_1]))
     good = still < 1e-9 and other < 1e-9 and abs(walked - 0.013) < 1e-4
     return judged(
         good,
@@ -71,7 +74,11 @@ def _imposed_position() -> Outcome:
     from plant.systems.driven import pressures_along
     from plant.systems.setup import make_setup
 
-    stroke = run("fixed", load="damper", scale={L.K_IN: 1.02, L.K_OUT: 0.97, L.VOL_N: 1.02})
+    stroke = run(
+        "fixed",
+        load="damper",
+        scale={Parameters.k_in: 1.02, Parameters.k_out: 0.97, Parameters.vol_n: 1.02},
+    )
     setup = make_setup(nominal(), stroke.conditions)
     simulated = pressures_along(setup, stroke.time_s, stroke.position_m)
     inside = window(stroke)
@@ -127,9 +134,9 @@ def _friction_matters() -> Outcome:
     base = plain("N-B")
     shifts = {}
     for name, indices, factor in (
-        ("friction +20 %", (*DYNAMIC_FRICTION, L.F_STATIC_S, L.F_STATIC_P), 1.2),
-        ("flow +3 %", (L.K_IN,), 1.03),
-        ("volumes +3 %", (L.VOL_B, L.VOL_N, L.VOL_F), 1.03),
+        ("friction +20 %", (*DYNAMIC_FRICTION, Parameters.f_static_s, Parameters.f_static_p), 1.2),
+        ("flow +3 %", (Parameters.k_in,), 1.03),
+        ("volumes +3 %", (Parameters.vol_b, Parameters.vol_n, Parameters.vol_f), 1.03),
     ):
         other = run("N-B", scale=dict.fromkeys(indices, factor))
         shifts[name] = float(np.max(np.abs(other.position_m - base.position_m)))
@@ -181,7 +188,9 @@ def _too_fast() -> Outcome:
 
 @shows("F43")
 def _friction_repairs() -> Outcome:
-    measured = run("N-B", scale=TRIPLE_FRICTION | {L.K_OUT: 1.6})  # in place of the thesis's record
+    measured = run(
+        "N-B", scale=TRIPLE_FRICTION | {Parameters.k_out: 1.6}
+    )  # in place of the thesis's record
     before = length_errors(plain("N-B"), measured)
     after = length_errors(run("N-B", scale=TRIPLE_FRICTION), measured)
     repaired = after["x"][0] < 0.5 * before["x"][0]

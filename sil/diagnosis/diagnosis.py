@@ -15,7 +15,7 @@ import numpy as np
 from can_dbc.errors import InputError
 from plant.effects.effect import Need
 from plant.integrator.hybrid import IntegrationError
-from plant.kernel import layout as L
+from plant.kernel.layout import LENGTH
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign, Record
 from sil.diagnosis.checks import (
@@ -261,7 +261,7 @@ def available(strokes: Sequence[StrokeObservation]) -> list[Candidate]:
     has: dict[Need, bool] = {
         "damper": any(stroke.conditions.load == "damper" for stroke in strokes),
         "internal position": any(stroke.internal is not None for stroke in strokes),
-        "length stroke": any(stroke.conditions.system == L.LENGTH for stroke in strokes),
+        "length stroke": any(stroke.conditions.system == LENGTH for stroke in strokes),
     }
     return candidates({need for need, present in has.items() if present})
 

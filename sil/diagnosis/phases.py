@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.effects.setup import Setup
-from plant.kernel import layout as L
+from plant.kernel.layout import FIXED, FixedState, LengthState
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def phases(time_s: Floats, states: Floats, setup: Setup) -> NDArray[np.int64]:
     return a motion after the driving chamber's valve has closed.
     """
     conditions = setup.conditions
-    fixed = conditions.system == L.FIXED
+    fixed = conditions.system == FIXED
     name = {phase: k for k, phase in enumerate(PHASES)}
     out = np.full(len(time_s), name["rest"], dtype=np.int64)
     opens = [t for t, _v, duty in conditions.commands if duty >= setup.timing.duty_open]
@@ -50,10 +50,13 @@ def phases(time_s: Floats, states: Floats, setup: Setup) -> NDArray[np.int64]:
     later = [t for t in closes if t > begin]
     vent_s = min(later) + setup.timing.fall_ns / 1e9 if later else np.inf
     out[time_s >= vent_s] = name["venting"]
-    speed = np.abs(states[:, L.FV if fixed else L.VS])
+    speed = np.abs(states[:, FixedState.v if fixed else LengthState.v_s])
     stay = speed > MOVING_M_S
     if not fixed:
-        pistons = np.maximum(np.abs(states[:, L.V1]), np.abs(states[:, L.V2])) > MOVING_M_S
+        pistons = (
+            np.maximum(np.abs(states[:, LengthState.v_1]), np.abs(states[:, LengthState.v_2]))
+            > MOVING_M_S
+        )
         out[pistons & ~stay & (time_s < vent_s)] = name["walk"]
     else:
         pistons = np.zeros(len(time_s), dtype=bool)

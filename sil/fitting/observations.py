@@ -16,7 +16,7 @@ from plant.batch.prediction import Predictor
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.equations.damper_pressure import steady_oil_pressure
-from plant.kernel import layout as L
+from plant.kernel.layout import FIXED, FixedState, LengthState
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
 from sil.campaign.campaign import CampaignStroke, Record
@@ -69,12 +69,12 @@ class StrokeObservation:
 
     def oil_pressure_pa(self, states: Floats, setup: Setup) -> Floats:
         """Absolute pressure of the damper's chamber two by the model in force [Pa]."""
-        fixed = self.conditions.system == L.FIXED
+        fixed = self.conditions.system == FIXED
         if self.conditions.damper_model != "incompressible":
-            return np.asarray(states[:, L.FOIL if fixed else L.LOIL])
+            return np.asarray(states[:, FixedState.p_oil if fixed else LengthState.p_oil])
         out = np.zeros(len(states))
         position = np.ascontiguousarray(states[:, 0])
-        steady_oil_pressure(position, np.ascontiguousarray(states[:, 1]), setup.p, out)
+        steady_oil_pressure(position, np.ascontiguousarray(states[:, 1]), setup.p.array, out)
         return out
 
 
@@ -99,7 +99,7 @@ def observe(
     value = parameters.value
     channels = []
     chambers = entry.conditions.chambers
-    first = L.FP1 if entry.conditions.system == L.FIXED else L.PB
+    first = FixedState.p_1 if entry.conditions.system == FIXED else LengthState.p_b
     pot_sd = float(
         np.hypot(value("potentiometer.noise_sd"), value("potentiometer.resolution") / 12**0.5)
     )
@@ -126,7 +126,7 @@ def observe(
     if "pressure_oil2_pa" in record and entry.conditions.load == "damper":
         adc = value("gauge.range_oil") / 2 ** value("gauge.adc_bits") / 12**0.5
         oil_sd = float(np.hypot(value("gauge.noise_sd_oil"), adc))
-        state = L.FOIL if entry.conditions.system == L.FIXED else L.LOIL
+        state = FixedState.p_oil if entry.conditions.system == FIXED else LengthState.p_oil
         channels.append(
             Channel(
                 "pressure_oil2_pa",

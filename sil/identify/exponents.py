@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from plant.batch.prediction import copied
-from plant.kernel import layout as L
+from plant.kernel.layout import Parameters
 from plant.parameters import ParameterSet
 from plant.systems.driven import pressures_along
 from plant.systems.setup import make_setup
@@ -14,7 +14,7 @@ from sil.identify.estimate import Curve, Estimate, Floats, Identified, Panel
 from sil.identify.friction import plain_strokes
 
 NAMES = ("alpha_m1", "alpha_1", "alpha_m2", "alpha_2")
-PLACES = (L.ALPHA_M1, L.ALPHA_1, L.ALPHA_M2, L.ALPHA_2)
+PLACES = (Parameters.alpha_m1, Parameters.alpha_1, Parameters.alpha_m2, Parameters.alpha_2)
 
 
 def identify_alpha(campaign: Campaign, parameters: ParameterSet) -> Identified:
@@ -55,7 +55,7 @@ def identify_alpha(campaign: Campaign, parameters: ParameterSet) -> Identified:
         for place, alpha in zip(PLACES, x[:4], strict=True):
             twin.p[place] = alpha
         later, closes = (seconds_to_ns(ms * 1e-3) for ms in x[4 + 3 * k : 6 + 3 * k])
-        twin.p[L.P_SUPPLY] *= 1.0 + supply_sd * x[6 + 3 * k]
+        twin.p.p_supply *= 1.0 + supply_sd * x[6 + 3 * k]
         twin.timing = replace(
             twin.timing,
             rise_ns=max(0, twin.timing.rise_ns + later),

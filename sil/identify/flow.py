@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
-from plant.kernel import layout as L
+from plant.kernel.layout import FIXED, Parameters
 from plant.kernel.packing import flow_coefficients
 from plant.parameters import ParameterSet
 from plant.systems.driven import chamber_along
@@ -103,20 +103,20 @@ def loose_until(record: Record, time_s: Floats, driving: str, inside: NDArray[np
     return float(time_s[places[-1]]) if len(places) else -1.0
 
 
-def resting_volume(kind: str, chamber: str, position: float, p: Floats) -> float | None:
+def resting_volume(kind: str, chamber: str, position: float, p: Parameters) -> float | None:
     """Volume of a chamber while everything rests after the motion; None where it is not known."""
     if kind == "fixed":
         if chamber == "1":
-            return float(p[L.VOL_B] + p[L.AREA_P] * position)
-        return float(p[L.VOL_N] - p[L.AREA_P2] * position)
+            return float(p.vol_b + p.area_p * position)
+        return float(p.vol_n - p.area_p2 * position)
     driving = {"N-B": "B", "N-F": "F", "B-N": "N", "F-N": "N"}[kind]
     if chamber != driving:
         return None
     if chamber == "N":
-        return float(p[L.VOL_N])
-    outer = p[L.VOL_B] if chamber == "B" else p[L.VOL_F]
-    walked = p[L.X_FREE] + abs(position)
-    return float(outer + p[L.AREA_P] * walked + p[L.AREA_S] * abs(position))
+        return float(p.vol_n)
+    outer = p.vol_b if chamber == "B" else p.vol_f
+    walked = p.x_free + abs(position)
+    return float(outer + p.area_p * walked + p.area_s * abs(position))
 
 
 def slope(record: RestRecord) -> tuple[Floats, Floats]:
@@ -294,7 +294,7 @@ def predict(record: RestRecord, parameters: ParameterSet, campaign: Campaign) ->
 
     p = pack(
         parameters,
-        L.FIXED,
+        FIXED,
         supply_pressure_pa=record.supply_pa,
         atmosphere_pa=campaign.atmosphere_pa,
         load=Load(),
@@ -307,7 +307,7 @@ def predict(record: RestRecord, parameters: ParameterSet, campaign: Campaign) ->
         np.full(len(out), record.volume_m3),
         float(head[-1]),
         np.array([[0.0, position, 0.0]]),
-        p,
+        p.array,
         flow_coefficients(parameters),
         out,
     )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from can_dbc.errors import InputError
-from plant.kernel import layout as L
+from plant.kernel.layout import Parameters
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
 from sil.campaign.campaign import Campaign, CampaignStroke, Record
@@ -37,12 +37,12 @@ def plain_strokes(campaign: Campaign) -> list[tuple[CampaignStroke, Record]]:
     return found
 
 
-def net_force(record: Record, p: Floats, atmosphere_pa: float) -> Floats:
+def net_force(record: Record, p: Parameters, atmosphere_pa: float) -> Floats:
     """Pressure force on the piston P1 A1 - P2 A2 - P_atm A_s [N]; gauge offsets taken at rest."""
     quiet = slice(0, max(5, len(record) // 100))
     one = record["pressure_1_pa"] - np.mean(record["pressure_1_pa"][quiet]) + atmosphere_pa
     two = record["pressure_2_pa"] - np.mean(record["pressure_2_pa"][quiet]) + atmosphere_pa
-    return np.asarray(one * p[L.AREA_P] - two * p[L.AREA_P2] - atmosphere_pa * p[L.AREA_S])
+    return np.asarray(one * p.area_p - two * p.area_p2 - atmosphere_pa * p.area_s)
 
 
 def breakaway_s(time_s: Floats, position_m: Floats) -> tuple[float, float]:
@@ -109,7 +109,7 @@ def identify_friction(campaign: Campaign, parameters: ParameterSet) -> Identifie
         reach = float(np.max(travel))
         moving = (travel > 0.12 * reach) & (travel < 0.85 * reach) & (velocity > 0.05)
         v = velocity[moving]
-        f = (force - p[L.M_S] * acceleration)[moving]
+        f = (force - p.m_s * acceleration)[moving]
         if len(v) < 10:
             continue
         speeds.append(v)
@@ -178,9 +178,9 @@ def whole_record(
         [entry for entry, _record in strokes],
         parameters,
         {
-            "friction_fixed.F_sf": (L.F_STATIC_S,),
-            "friction_fixed.F_rf": (L.F_RUN_S,),
-            "friction_fixed.beta": (L.BETA_S,),
+            "friction_fixed.F_sf": (Parameters.f_static_s,),
+            "friction_fixed.F_rf": (Parameters.f_run_s,),
+            "friction_fixed.beta": (Parameters.beta_s,),
         },
         ("friction",),
         f"whole-record fit of {len(strokes)} strokes with their scatter",

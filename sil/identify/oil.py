@@ -7,7 +7,7 @@ scatter included.
 from __future__ import annotations
 
 from can_dbc.errors import InputError
-from plant.kernel import layout as L
+from plant.kernel.layout import Parameters
 from plant.parameters import ParameterSet
 from plant.systems.stroke import simulate
 from sil.campaign.campaign import Campaign
@@ -35,9 +35,9 @@ def identify_damper(campaign: Campaign, parameters: ParameterSet) -> Identified:
         [entry for entry, _record in strokes],
         parameters,
         {
-            "damper.A_S": (L.A_SMALL,),
-            "damper.A_B0": (L.A_LARGE,),
-            "damper.kappa_effective": (L.KAPPA,),
+            "damper.A_S": (Parameters.a_small,),
+            "damper.A_B0": (Parameters.a_large,),
+            "damper.kappa_effective": (Parameters.kappa,),
         },
         (),
         f"whole-record fit of {len(strokes)} damper strokes with their scatter",

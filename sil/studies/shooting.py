@@ -20,7 +20,8 @@ from plant.devices.valve import NS_PER_S, switch_schedule
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
 from plant.integrator.hybrid import GUARD_NAMES
-from plant.integrator.integrate import DONE, EVENT_GUARD, EVENT_SPEED, EVENT_TIME, EVENT_X
+from plant.integrator.integrate import DONE
+from plant.kernel.layout import EventRow
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
 
@@ -166,12 +167,12 @@ class Shooter:
         revealed_s = np.full(n, math.inf)
         for k in range(n):
             events = result.events[k, : min(int(result.event_count[k]), ROOM)]
-            revealing = events[events[:, EVENT_GUARD] == self._guard]
+            revealing = events[events[:, EventRow.guard] == self._guard]
             if len(revealing):
-                revealed_s[k] = revealing[0, EVENT_TIME]
+                revealed_s[k] = revealing[0, EventRow.time]
             at = result.arrival_s[k]
-            hit = events[(events[:, EVENT_TIME] == at) & (events[:, EVENT_SPEED] > 0.0)]
-            in_gear = len(hit) > 0 and hit[0, EVENT_X] > self._half_m
+            hit = events[(events[:, EventRow.time] == at) & (events[:, EventRow.speed] > 0.0)]
+            in_gear = len(hit) > 0 and hit[0, EventRow.x] > self._half_m
             if result.status[k] == DONE and in_gear and at <= self.limit_s:
                 speed[k] = result.impact_speed_m_s[k]
                 time_s[k] = at

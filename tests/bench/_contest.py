@@ -77,7 +77,7 @@ def one_by_one(
 ) -> str:
     """Our line for single strokes, called from Python one after the other."""
     from plant.batch.prediction import Predictor
-    from plant.integrator.integrate import EVENT_LOST, EVENT_SPEED, EVENT_TIME
+    from plant.kernel.layout import EventRow
 
     samples = np.rint(times * 1e9).astype(np.int64)
 
@@ -87,9 +87,9 @@ def one_by_one(
         for setup in setups:
             states = predictor.states(setup)
             stop = next(
-                e for e in predictor.happened if e[EVENT_SPEED] > 0.0 and e[EVENT_LOST] > 0.0
+                e for e in predictor.happened if e[EventRow.speed] > 0.0 and e[EventRow.lost] > 0.0
             )
-            found.append(Shown(stop[EVENT_TIME], stop[EVENT_SPEED], states[:, pressures]))
+            found.append(Shown(stop[EventRow.time], stop[EventRow.speed], states[:, pressures]))
         return found
 
     setting, worst = cheapest(solve, OUR_SETTINGS, reference)

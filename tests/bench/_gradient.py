@@ -20,20 +20,35 @@ def measure() -> Iterator[str]:
     from plant.batch.prediction import Predictor
     from plant.batch.tangents import MOVE, neighbours
     from plant.effects.stroke_conditions import StrokeConditions
-    from plant.kernel import layout as L
+    from plant.kernel.layout import FixedState, LengthState, Parameters
     from plant.parameters import load
     from plant.systems.setup import make_setup
 
-    common = (L.P_SUPPLY, L.K_IN, L.K_OUT, L.VOL_B, L.VOL_N, L.M_S, L.F_RUN_S, L.ALPHA_M1)
+    common = (
+        Parameters.p_supply,
+        Parameters.k_in,
+        Parameters.k_out,
+        Parameters.vol_b,
+        Parameters.vol_n,
+        Parameters.m_s,
+        Parameters.f_run_s,
+        Parameters.alpha_m1,
+    )
     yield f"gradient: {len(TIMES)} samples of position and pressures by 10 parameters, events moving along"
     for kind, commands, charged, own, columns in (
-        ("fixed", ((0.01, "1", 0.98),), (), (L.F_STATIC_S, L.BETA_S), (L.FX, L.FP1, L.FP2)),
+        (
+            "fixed",
+            ((0.01, "1", 0.98),),
+            (),
+            (Parameters.f_static_s, Parameters.beta_s),
+            (FixedState.x, FixedState.p_1, FixedState.p_2),
+        ),
         (
             "N-B",
             ((0.01, "B", 0.98), (0.01, "N", 0.0)),
             ("N",),
-            (L.F_RUN_P, L.BETA_P),
-            (L.XS, L.PB, L.PN, L.PF),
+            (Parameters.f_run_p, Parameters.beta_p),
+            (LengthState.x_s, LengthState.p_b, LengthState.p_n, LengthState.p_f),
         ),
     ):
         setup = make_setup(load(), StrokeConditions(kind, 9e5, commands, charged_before=charged))
@@ -65,7 +80,7 @@ def measure() -> Iterator[str]:
         predictor = Predictor(np.rint(TIMES * 1e9).astype(np.int64))
         plain_s = best_s(lambda: predictor.states(setup), 300)  # noqa: B023
         kernel_s = best_s(lambda: neighbours(strokes, TIMES, columns), 300)  # noqa: B023
-        twins = [setup] + [replace(setup, p=p.copy()) for p in strokes.packed[1:]]
+        twins = [setup] + [replace(setup, p=Parameters(p.copy())) for p in strokes.packed[1:]]
         whole_s = best_s(lambda: predictor.derivatives(setup, twins[1:], [MOVE] * 10, columns), 100)  # noqa: B023
         yield (
             f"{kind:6} plain stroke {1e6 * plain_s:6.0f} us   gradient {1e6 * kernel_s:6.0f} us = "

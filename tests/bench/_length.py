@@ -21,7 +21,7 @@ def measure() -> Iterator[str]:
     from plant.batch.batch import Strokes, simulate_batch
     from plant.effects.stroke_conditions import StrokeConditions
     from plant.integrator.integrate import DONE
-    from plant.kernel import layout as L
+    from plant.kernel.layout import LengthState, Parameters
     from plant.parameters import load
     from plant.systems.setup import make_setup
 
@@ -67,8 +67,10 @@ def measure() -> Iterator[str]:
     floor_s = best_s(lambda: by_scipy(setting), 2) / len(cases)
     yield row("the judge, scipy solve_ivp DOP853, events", floor_s, [floor_s], setting, worst)
     setups = [make_setup(load(), c) for c in cases]
-    yield one_by_one(setups, TIMES, slice(L.PB, L.PF + 1), reference, [floor_s])
-    pressures = [L.PB, L.PN, L.PF]
+    yield one_by_one(
+        setups, TIMES, slice(LengthState.p_b, LengthState.p_f + 1), reference, [floor_s]
+    )
+    pressures = [LengthState.p_b, LengthState.p_n, LengthState.p_f]
 
     def together(tolerance: float) -> list[Shown]:
         found: list[Shown] = []
@@ -85,9 +87,9 @@ def measure() -> Iterator[str]:
     setting, worst = cheapest(together, OUR_SETTINGS, reference)
     draw = np.random.default_rng(2)
     changes: dict[int, float | Floats] = {
-        L.P_SUPPLY: draw.uniform(7e5, 1e6, BATCH),
-        L.M_S: setups[0].p[L.M_S] * draw.uniform(0.8, 1.5, BATCH),
-        L.K_OUT: draw.uniform(0.9, 1.1, BATCH),
+        Parameters.p_supply: draw.uniform(7e5, 1e6, BATCH),
+        Parameters.m_s: setups[0].p.m_s * draw.uniform(0.8, 1.5, BATCH),
+        Parameters.k_out: draw.uniform(0.9, 1.1, BATCH),
     }
     many = Strokes.varied(setups[0], TIMES[-1], changes)
     result = simulate_batch(many, sample_s=TIMES, columns=pressures, tolerance=setting)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.effects.setup import Setup
-from plant.kernel import layout as L
+from plant.kernel.layout import FlowMap
 
 Floats = NDArray[np.float64]
 
@@ -53,24 +53,24 @@ class Piston(NamedTuple):
         """The numbers of a setup without leaks, damper or effects."""
         p, c = setup.p, setup.c
         return cls(
-            p[L.AREA_P],
-            p[L.AREA_P2],
-            p[L.P_ATM] * p[L.AREA_S],
-            p[L.VOL_B],
-            p[L.VOL_N],
-            p[L.M_S],
-            max(p[L.F_STATIC_S], p[L.F_RUN_S]) + p[L.F_LINKAGE],
-            p[L.F_RUN_S] + p[L.F_LINKAGE],
-            p[L.BETA_S],
-            p[L.STROKE],
-            p[L.P_SUPPLY],
-            p[L.P_ATM],
-            p[L.R_AIR] * p[L.ALPHA_M1] * p[L.K_IN] * p[L.P_SUPPLY],
-            p[L.R_AIR] * p[L.ALPHA_M2] * p[L.K_OUT] * p[L.P_ATM],
-            p[L.ALPHA_1],
-            p[L.ALPHA_2],
-            tuple(float(v) for v in c[: L.D_Z_SPLIT]),
-            tuple(float(v) for v in c[L.D_Z_SPLIT :]),
+            p.area_p,
+            p.area_p2,
+            p.p_atm * p.area_s,
+            p.vol_b,
+            p.vol_n,
+            p.m_s,
+            max(p.f_static_s, p.f_run_s) + p.f_linkage,
+            p.f_run_s + p.f_linkage,
+            p.beta_s,
+            p.stroke,
+            p.p_supply,
+            p.p_atm,
+            p.r_air * p.alpha_m1 * p.k_in * p.p_supply,
+            p.r_air * p.alpha_m2 * p.k_out * p.p_atm,
+            p.alpha_1,
+            p.alpha_2,
+            tuple(float(v) for v in c[: FlowMap.z_split]),
+            tuple(float(v) for v in c[FlowMap.z_split :]),
         )
 
     def filling(self, pressure: float) -> float:

@@ -33,13 +33,13 @@ def measure() -> Iterator[str]:
     """Lines of the table."""
     from plant.batch.batch import Strokes, simulate_batch
     from plant.effects.stroke_conditions import StrokeConditions
-    from plant.kernel import layout as L
+    from plant.kernel.layout import Parameters
     from plant.parameters import load
     from plant.systems.setup import make_setup
 
     setup = make_setup(load(), StrokeConditions("fixed", 9e5, ((0.01, "1", 0.98),)))
     masses = np.random.default_rng(4).uniform(0.8, 3.0, BATCH)
-    strokes = Strokes.varied(setup, 0.25, {L.M_S: masses})
+    strokes = Strokes.varied(setup, 0.25, {Parameters.m_s: masses})
     one_s = best_wall_s(lambda: simulate_batch(strokes))
     two_s = best_wall_s(lambda: simulate_batch(strokes, workers=2))
     cores = len(os.sched_getaffinity(0))

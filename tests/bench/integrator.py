@@ -44,7 +44,7 @@ def fixed_strokes() -> Iterator[str]:
     from plant.batch.batch import Strokes, simulate_batch
     from plant.effects.stroke_conditions import StrokeConditions
     from plant.integrator.integrate import DONE
-    from plant.kernel import layout as L
+    from plant.kernel.layout import FixedState, Parameters
     from plant.parameters import load
     from plant.systems.setup import make_setup
 
@@ -53,12 +53,12 @@ def fixed_strokes() -> Iterator[str]:
     def drawn(n: int) -> dict[int, Floats]:
         draw = np.random.default_rng(1)
         spans = {
-            L.P_SUPPLY: (7e5, 1e6),
-            L.M_S: (0.8, 3.0),
-            L.VOL_B: (0.8 * base.p[L.VOL_B], 1.5 * base.p[L.VOL_B]),
-            L.VOL_N: (0.9 * base.p[L.VOL_N], 1.1 * base.p[L.VOL_N]),
-            L.F_RUN_S: (40.0, 60.0),
-            L.K_IN: (0.9, 1.1),
+            Parameters.p_supply: (7e5, 1e6),
+            Parameters.m_s: (0.8, 3.0),
+            Parameters.vol_b: (0.8 * base.p.vol_b, 1.5 * base.p.vol_b),
+            Parameters.vol_n: (0.9 * base.p.vol_n, 1.1 * base.p.vol_n),
+            Parameters.f_run_s: (40.0, 60.0),
+            Parameters.k_in: (0.9, 1.1),
         }
         return {place: draw.uniform(low, high, n) for place, (low, high) in spans.items()}
 
@@ -92,12 +92,12 @@ def fixed_strokes() -> Iterator[str]:
 
     yield from peers(pistons[:3], reference[:3], floors_s)
 
-    yield one_by_one(setups, TIMES, slice(L.FP1, L.FP2 + 1), reference, floors_s)
+    yield one_by_one(setups, TIMES, slice(FixedState.p_1, FixedState.p_2 + 1), reference, floors_s)
 
     def together(tolerance: float) -> list[Shown]:
         result = simulate_batch(
             Strokes.varied(base, END_S, changes),
-            sample_s=TIMES, columns=[L.FP1, L.FP2], tolerance=tolerance,
+            sample_s=TIMES, columns=[FixedState.p_1, FixedState.p_2], tolerance=tolerance,
         )  # fmt: skip
         rows = zip(result.arrival_s, result.impact_speed_m_s, result.samples, strict=True)
         return [Shown(*item) for item in rows]
@@ -109,7 +109,7 @@ def fixed_strokes() -> Iterator[str]:
     if not (result.in_lanes.all() and (result.status == DONE).all()):
         raise RuntimeError("a stroke of the batch did not run")
     for columns, what in (
-        ([L.FP1, L.FP2], f"{len(TIMES)} samples each"),
+        ([FixedState.p_1, FixedState.p_2], f"{len(TIMES)} samples each"),
         ([], "impact and end state"),
     ):
         each_s = (
@@ -128,7 +128,7 @@ def fixed_strokes() -> Iterator[str]:
     yield (
         f"the batch against the scalar kernel at 1e-10: impact within {1e6 * late.max():.2f} us, "
         f"{1e3 * np.abs(result.impact_speed_m_s - exact.impact_speed_m_s).max():.2f} mm/s, end state "
-        f"{np.abs(result.final[:, L.FP1 : L.FP2 + 1] - exact.final[:, L.FP1 : L.FP2 + 1]).max():.1f} Pa"
+        f"{np.abs(result.final[:, FixedState.p_1 : FixedState.p_2 + 1] - exact.final[:, FixedState.p_1 : FixedState.p_2 + 1]).max():.1f} Pa"
     )
 
 

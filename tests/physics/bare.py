@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from plant.integrator.hybrid import HybridSystem
-from plant.kernel import layout as L
+from plant.kernel.layout import FIXED, Parameters, Quadratures
 from plant.kernel.packing import Load, flow_coefficients, initial_state, pack
 from plant.parameters import load
 
@@ -15,17 +15,23 @@ MS = 1_000_000
 NOMINAL = load()
 
 # Numbers that leave bodies without air and friction.
-AIRLESS = {L.AREA_P: 0.0, L.AREA_P2: 0.0, L.AREA_S: 0.0, L.K_IN: 0.0, L.K_OUT: 0.0}
+AIRLESS = {
+    Parameters.area_p: 0.0,
+    Parameters.area_p2: 0.0,
+    Parameters.area_s: 0.0,
+    Parameters.k_in: 0.0,
+    Parameters.k_out: 0.0,
+}
 SMOOTH = {
-    L.F_STATIC_S: 0.0,
-    L.F_RUN_S: 0.0,
-    L.BETA_S: 0.0,
-    L.F_STATIC_P: 0.0,
-    L.F_RUN_P: 0.0,
-    L.BETA_P: 0.0,
+    Parameters.f_static_s: 0.0,
+    Parameters.f_run_s: 0.0,
+    Parameters.beta_s: 0.0,
+    Parameters.f_static_p: 0.0,
+    Parameters.f_run_p: 0.0,
+    Parameters.beta_p: 0.0,
 }
 # Friction that holds everything.
-STUCK = {L.F_STATIC_S: 1e6, L.F_STATIC_P: 1e6}
+STUCK = {Parameters.f_static_s: 1e6, Parameters.f_static_p: 1e6}
 
 
 class Bare(HybridSystem):
@@ -45,14 +51,14 @@ class Bare(HybridSystem):
         damper: str | None = None,
         tolerance: float = 1e-8,
     ) -> None:
-        self.chambers = ("1", "2") if system == L.FIXED else ("B", "N", "F")
+        self.chambers = ("1", "2") if system == FIXED else ("B", "N", "F")
         load = Load(damper=damper)
         p = pack(NOMINAL, system, supply_pressure_pa=9e5, atmosphere_pa=101325.0, load=load)
         for index, value in changes.items():
             p[index] = value
         if place is None:
-            place = 0.0 if system == L.FIXED else "N"
-        y = initial_state(system, p, position=place, charged=charged, quadratures=L.QUADRATURES)
+            place = 0.0 if system == FIXED else "N"
+        y = initial_state(system, p, position=place, charged=charged, quadratures=Quadratures.size)
         for index, value in (state or {}).items():
             y[index] = value
         super().__init__(system, p, flow_coefficients(NOMINAL), y, load, charged, tolerance)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant.kernel import layout as L
+from plant.kernel.layout import LengthState
 from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import NOMINAL
 from tests.physics.strokes import ALL, conditions_of
@@ -51,4 +51,7 @@ def test_a_pulse_shorter_than_the_opening_delay_leaves_no_trace() -> None:
     conditions = StrokeConditions("N-B", 9e5, ((0.01, "B", 0.98), (0.0179, "B", 0.0)))
     stroke = simulate(NOMINAL, conditions, np.array([0.0, 0.3]), internal=False)
     assert stroke.events == ()
-    assert np.ptp(stroke.states[:, [L.PB, L.PN, L.PF]], axis=0).max() < 1e-4
+    assert (
+        np.ptp(stroke.states[:, [LengthState.p_b, LengthState.p_n, LengthState.p_f]], axis=0).max()
+        < 1e-4
+    )

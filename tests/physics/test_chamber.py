@@ -5,23 +5,31 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant.kernel import layout as L
+from plant.kernel.layout import FIXED, LENGTH, FixedState, LengthState, Parameters
 from plant.parts.chamber import pressure_rate
 from tests.physics.bare import SMOOTH, Bare
 
-SHUT = {L.K_IN: 0.0, L.K_OUT: 0.0}
+SHUT = {Parameters.k_in: 0.0, Parameters.k_out: 0.0}
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.4])
 @pytest.mark.parametrize("force", [150.0, 900.0])
 def test_shut_fixed_piston_keeps_p_v_to_the_exponent(exponent: float, force: float) -> None:
-    rig = Bare(L.FIXED, {**SHUT, L.ALPHA_1: exponent, L.ALPHA_2: exponent, L.F_EXTERNAL: force})
+    rig = Bare(
+        FIXED,
+        {
+            **SHUT,
+            Parameters.alpha_1: exponent,
+            Parameters.alpha_2: exponent,
+            Parameters.f_external: force,
+        },
+    )
     _, y = rig.samples(0.1, 300)
     p = rig.packed
-    assert np.ptp(y[:, L.FX]) > 1e-3  # it moved
+    assert np.ptp(y[:, FixedState.x]) > 1e-3  # it moved
     for pressure, volume in (
-        (y[:, L.FP1], p[L.VOL_B] + p[L.AREA_P] * y[:, L.FX]),
-        (y[:, L.FP2], p[L.VOL_N] - p[L.AREA_P2] * y[:, L.FX]),
+        (y[:, FixedState.p_1], p.vol_b + p.area_p * y[:, FixedState.x]),
+        (y[:, FixedState.p_2], p.vol_n - p.area_p2 * y[:, FixedState.x]),
     ):
         product = pressure * volume**exponent
         assert product == pytest.approx(np.full(len(product), product[0]), rel=1e-6)
@@ -29,16 +37,16 @@ def test_shut_fixed_piston_keeps_p_v_to_the_exponent(exponent: float, force: flo
 
 @pytest.mark.parametrize("exponent", [1.0, 1.4])
 def test_shut_length_stroke_keeps_p_v_to_the_exponent(exponent: float) -> None:
-    changes = {**SHUT, **SMOOTH, L.ALPHA_1: exponent, L.ALPHA_2: exponent}
-    rig = Bare(L.LENGTH, changes, {L.PB: 5e5, L.PF: 1.5e5})
+    changes = {**SHUT, **SMOOTH, Parameters.alpha_1: exponent, Parameters.alpha_2: exponent}
+    rig = Bare(LENGTH, changes, {LengthState.p_b: 5e5, LengthState.p_f: 1.5e5})
     _, y = rig.samples(0.1, 300)
     p = rig.packed
-    ap, a_s = p[L.AREA_P], p[L.AREA_S]
-    assert np.ptp(y[:, L.XS]) > 5e-3 and np.ptp(y[:, L.X1]) > 5e-3
+    ap, a_s = p.area_p, p.area_s
+    assert np.ptp(y[:, LengthState.x_s]) > 5e-3 and np.ptp(y[:, LengthState.x_1]) > 5e-3
     for pressure, volume in (
-        (y[:, L.PB], p[L.VOL_B] + ap * y[:, L.X1] + a_s * y[:, L.XS]),
-        (y[:, L.PN], p[L.VOL_N] - ap * (y[:, L.X1] + y[:, L.X2])),
-        (y[:, L.PF], p[L.VOL_F] + ap * y[:, L.X2] - a_s * y[:, L.XS]),
+        (y[:, LengthState.p_b], p.vol_b + ap * y[:, LengthState.x_1] + a_s * y[:, LengthState.x_s]),
+        (y[:, LengthState.p_n], p.vol_n - ap * (y[:, LengthState.x_1] + y[:, LengthState.x_2])),
+        (y[:, LengthState.p_f], p.vol_f + ap * y[:, LengthState.x_2] - a_s * y[:, LengthState.x_s]),
     ):
         product = pressure * volume**exponent
         assert product == pytest.approx(np.full(len(product), product[0]), rel=1e-6)

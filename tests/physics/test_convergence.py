@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plant.integrator.hybrid import DEFAULT_TOLERANCE
-from plant.kernel import layout as L
+from plant.kernel.layout import FixedState, LengthState
 from plant.systems.stroke import simulate
 from tests.physics.bare import NOMINAL
 from tests.physics.strokes import ALL, conditions_of
@@ -24,7 +24,7 @@ def test_results_are_converged(name: str) -> None:
         NOMINAL, conditions, TIME_S, tolerance=DEFAULT_TOLERANCE / 100.0, internal=False
     )
     moved = np.abs(loose.states - tight.states)
-    first = L.FP1 if conditions.kind == "fixed" else L.PB
+    first = FixedState.p_1 if conditions.kind == "fixed" else LengthState.p_b
     assert moved[:, 0].max() < POSITION_M
     assert moved[:, first : first + len(conditions.chambers)].max() < PRESSURE_PA
     assert loose.impact is not None and tight.impact is not None

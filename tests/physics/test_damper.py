@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from plant.kernel import layout as L
+from plant.kernel.layout import FIXED, FixedState, Parameters
 from plant.parts.damper import (
     bulk_modulus,
     discharge_coefficient,
@@ -84,8 +84,14 @@ def test_free_air_softens_the_oil() -> None:
 @pytest.mark.parametrize("model", ["incompressible", "compressible"])
 @pytest.mark.parametrize("force", [50.0, 200.0])
 def test_a_constant_force_reaches_the_steady_speed(model: str, force: float) -> None:
-    changes = {**FREE, L.F_EXTERNAL: force, L.STROKE: 9.0, L.X_HOLE: 9.0, L.V_OIL: 5e-3}
-    rig = Bare(L.FIXED, changes, damper=model)
+    changes = {
+        **FREE,
+        Parameters.f_external: force,
+        Parameters.stroke: 9.0,
+        Parameters.x_hole: 9.0,
+        Parameters.v_oil: 5e-3,
+    }
+    rig = Bare(FIXED, changes, damper=model)
     rig.advance(800 * MS)
 
     def excess(v: float) -> float:
@@ -98,7 +104,7 @@ def test_a_constant_force_reaches_the_steady_speed(model: str, force: float) -> 
 
 def test_on_the_way_back_the_damper_does_not_act() -> None:
     for model in ("incompressible", "compressible"):
-        rig = Bare(L.FIXED, FREE, {L.FV: -0.5}, place=0.01, damper=model)
+        rig = Bare(FIXED, FREE, {FixedState.v: -0.5}, place=0.01, damper=model)
         rig.advance(10 * MS)
         assert rig.velocity_m_s == pytest.approx(-0.5, rel=1e-9)
         assert rig.position_m == pytest.approx(0.005, rel=1e-9)
@@ -106,8 +112,8 @@ def test_on_the_way_back_the_damper_does_not_act() -> None:
 
 def test_shut_oil_is_a_spring() -> None:
     kappa, volume, mass = 1.724e8, 2.7e-5, 1.1
-    changes = {**FREE, L.A_SMALL: 0.0, L.X_HOLE: -1.0}
-    rig = Bare(L.FIXED, changes, {L.FV: 0.01}, damper="compressible")
+    changes = {**FREE, Parameters.a_small: 0.0, Parameters.x_hole: -1.0}
+    rig = Bare(FIXED, changes, {FixedState.v: 0.01}, damper="compressible")
     rig.advance(5 * MS)
     turn = rig.events[0]
     assert turn.name == "turn"
@@ -120,9 +126,9 @@ def test_shut_oil_is_a_spring() -> None:
 def test_pressure_after_the_stop_falls_as_a_parabola(tolerance: float) -> None:
     start, x = 2.5e6, 0.01285
     rig = Bare(
-        L.FIXED,
+        FIXED,
         STUCK,
-        {L.FOIL: 101325.0 + start},
+        {FixedState.p_oil: 101325.0 + start},
         place=x,
         damper="compressible",
         tolerance=tolerance,
@@ -131,7 +137,7 @@ def test_pressure_after_the_stop_falls_as_a_parabola(tolerance: float) -> None:
     volume = 2.7e-5 - A_OIL * x
     slope = 0.5 * 1.724e8 / volume * 0.65 * 2.1e-6 * math.sqrt(2.0 / RHO)
     root = np.maximum(math.sqrt(start) - slope * times, 0.0)
-    assert y[:, L.FOIL] - 101325.0 == pytest.approx(root**2, abs=20.0)
+    assert y[:, FixedState.p_oil] - 101325.0 == pytest.approx(root**2, abs=20.0)
     # erratum "two fall times": a constant bulk modulus has one ratio
     fall = [(math.sqrt(0.9) - math.sqrt(level)) for level in (0.2, 0.1)]
     assert fall[1] / fall[0] == pytest.approx(1.26, abs=0.01)

@@ -8,7 +8,6 @@ import pytest
 from plant.batch.prediction import copied
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
-from plant.kernel import layout as L
 from plant.parameters import load
 from plant.systems.imposed import motion_along, pressures_along
 from plant.systems.setup import make_setup
@@ -47,7 +46,7 @@ def test_the_motion_gives_back_the_pressures(kind: str) -> None:
     assert np.ptp(true, axis=0).max() > 4e5
     # friction of the stay plays no part, a volume does
     rough = copied(setup)
-    rough.p[L.F_RUN_S] *= 3.0
+    rough.p.f_run_s *= 3.0
     assert pressures_along(rough, TIME_S, stroke.position_m) == pytest.approx(found, rel=1e-6)
     large = copied(setup)
     large.p[setup.volume_index(setup.charged_chamber)] *= 1.1
@@ -62,10 +61,10 @@ def test_the_pressures_give_back_the_motion(kind: str) -> None:
     assert np.sqrt(np.mean((found - stroke.position_m) ** 2)) < 2e-5
     # a volume plays no part, friction does
     large = copied(setup)
-    large.p[L.VOL_B] *= 1.1
+    large.p.vol_b *= 1.1
     assert np.array_equal(motion_along(large, TIME_S, pressures_of(stroke)), found)
     rough = copied(setup)
-    rough.p[L.F_RUN_S] *= 3.0
+    rough.p.f_run_s *= 3.0
     changed = motion_along(rough, TIME_S, pressures_of(stroke))
     assert np.abs(changed - stroke.position_m).max() > 1e-4
 

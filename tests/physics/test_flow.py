@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plant.kernel import layout as L
+from plant.kernel.layout import FIXED, FixedState, Parameters
 from plant.kernel.packing import flow_coefficients
 from plant.parts.flow import charge, discharge, orifice
 from tests.physics.bare import NOMINAL, STUCK, Bare
@@ -92,19 +92,19 @@ def test_theoretical_flow_agrees_with_3_12_to_3_20_step_by_step(
 
 def filling(volume_m3: float, changes: dict[int, float], charged: bool = False) -> Bare:
     """Chamber 1 of a stuck fixed piston, by the theoretical flow through 2 mm^2."""
-    orifices = {L.FLOW_MODEL: 1.0, L.CDA_IN: 2e-6, L.CDA_OUT: 2e-6}
-    start = {L.FP1: 9e5} if charged else {}
-    return Bare(L.FIXED, {**STUCK, **orifices, L.VOL_B: volume_m3, **changes}, start)
+    orifices = {Parameters.flow_model: 1.0, Parameters.cda_in: 2e-6, Parameters.cda_out: 2e-6}
+    start = {FixedState.p_1: 9e5} if charged else {}
+    return Bare(FIXED, {**STUCK, **orifices, Parameters.vol_b: volume_m3, **changes}, start)
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.4])
 def test_choked_filling_goes_at_a_constant_rate(exponent: float) -> None:
     volume = 1e-4
-    rig = filling(volume, {L.ALPHA_M1: exponent})
+    rig = filling(volume, {Parameters.alpha_m1: exponent})
     slope = exponent * 287.05 * ideal(9e5, 1e5) * 2.0 / volume
     end = (CRITICAL * 9e5 - P_ATM) / slope
     times, states = rig.samples(0.999 * end, 50, [(0, 0, 1.0)])
-    assert states[:, L.FP1] == pytest.approx(P_ATM + slope * times, rel=1e-9)
+    assert states[:, FixedState.p_1] == pytest.approx(P_ATM + slope * times, rel=1e-9)
     assert rig.balance().air_in_kg == pytest.approx(
         slope * times[-1] * volume / exponent / 287.05 / 293.15
     )
@@ -112,18 +112,18 @@ def test_choked_filling_goes_at_a_constant_rate(exponent: float) -> None:
 
 def test_choked_emptying_is_exponential() -> None:
     volume = 1e-4
-    rig = filling(volume, {L.ALPHA_M2: 1.0}, charged=True)
+    rig = filling(volume, {Parameters.alpha_m2: 1.0}, charged=True)
     rate = 287.05 * ideal(9e5, P_ATM) / 9e5 * 2.0 / volume
     end = math.log(9e5 * CRITICAL / P_ATM) / rate
     times, states = rig.samples(0.999 * end, 50)
-    assert states[:, L.FP1] == pytest.approx(9e5 * np.exp(-rate * times), rel=1e-7)
+    assert states[:, FixedState.p_1] == pytest.approx(9e5 * np.exp(-rate * times), rel=1e-7)
 
 
 def test_the_same_map_fills_three_times_the_volume_in_three_times_the_time() -> None:
     fields = []
     for factor in (1.0, 3.0):
-        rig = Bare(L.FIXED, {**STUCK, L.VOL_B: factor * 1e-4})
+        rig = Bare(FIXED, {**STUCK, Parameters.vol_b: factor * 1e-4})
         _times, states = rig.samples(0.05 * factor, 100, [(0, 0, 1.0)])
-        fields.append(states[:, L.FP1])
+        fields.append(states[:, FixedState.p_1])
     assert fields[1] == pytest.approx(fields[0], rel=1e-6)
     assert fields[0][-1] > 3e5

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant.kernel import layout as L
+from plant.kernel.layout import FixedState, LengthState
 from plant.systems.stroke import Stroke, simulate
 from tests.physics.bare import NOMINAL
 from tests.physics.strokes import ALL, conditions_of
@@ -57,19 +57,22 @@ def alike(theirs: Happening, ours: str) -> bool:
 def positions(case: Case, stroke: Stroke, judged: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Positions of all bodies [m], ours and the judge's, in the judge's direction."""
     if case.kind == "fixed":
-        return stroke.states[:, [L.FX]], judged.states[:, [0]]
-    ours = stroke.states[:, [L.XS, L.X1, L.X2]] * [1.0, 1.0, -1.0]
+        return stroke.states[:, [FixedState.x]], judged.states[:, [0]]
+    ours = stroke.states[:, [LengthState.x_s, LengthState.x_1, LengthState.x_2]] * [1.0, 1.0, -1.0]
     return ours, judged.states[:, [0, 2, 4]]
 
 
 def pressures(case: Case, stroke: Stroke, judged: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Pressures of all chambers, and of the compressible damper [Pa]."""
     if case.kind == "fixed":
-        ours, theirs = stroke.states[:, [L.FP1, L.FP2]], judged.states[:, 2:4]
-        oil = stroke.states[:, L.FOIL]
+        ours, theirs = stroke.states[:, [FixedState.p_1, FixedState.p_2]], judged.states[:, 2:4]
+        oil = stroke.states[:, FixedState.p_oil]
     else:
-        ours, theirs = stroke.states[:, [L.PB, L.PN, L.PF]], judged.states[:, 6:9]
-        oil = stroke.states[:, L.LOIL]
+        ours, theirs = (
+            stroke.states[:, [LengthState.p_b, LengthState.p_n, LengthState.p_f]],
+            judged.states[:, 6:9],
+        )
+        oil = stroke.states[:, LengthState.p_oil]
     if case.damper == "compressible":
         ours = np.column_stack([ours, oil - 101325.0])
         theirs = np.column_stack([theirs, judged.states[:, -1]])

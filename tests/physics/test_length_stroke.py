@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plant.errors import InputError
-from plant.kernel import layout as L
+from plant.kernel.layout import LengthState
 from plant.systems.length_stroke import LengthStroke
 from tests.physics.bare import MS, NOMINAL
 
@@ -26,12 +26,12 @@ LOADS = {
 
 def within(actuator: LengthStroke, y: np.ndarray) -> None:
     """No stop is passed, no pressure negative, the balances close, the events are few."""
-    assert np.abs(y[:, L.XS]).max() <= STROKE + 1e-9
-    for piston, side in ((L.X1, -1.0), (L.X2, 1.0)):
+    assert np.abs(y[:, LengthState.x_s]).max() <= STROKE + 1e-9
+    for piston, side in ((LengthState.x_1, -1.0), (LengthState.x_2, 1.0)):
         assert y[:, piston].min() >= -1e-9
-        gap = y[:, piston] + side * y[:, L.XS]
+        gap = y[:, piston] + side * y[:, LengthState.x_s]
         assert gap.min() >= -1e-9 and gap.max() <= FREE + 1e-9
-    assert y[:, [L.PB, L.PN, L.PF]].min() > 5e4
+    assert y[:, [LengthState.p_b, LengthState.p_n, LengthState.p_f]].min() > 5e4
     assert actuator.balance().closed
     assert len(actuator.events) < 400
     assert sum(actuator.steps) < 20_000
@@ -63,7 +63,7 @@ def test_full_shift_through_neutral(load: str, start: str, first: int, last: int
     y = run(actuator, 1300, switches)
     within(actuator, y)
     side = 1.0 if last == 0 else -1.0
-    assert y[1480, L.XS] == pytest.approx(0.0, abs=1e-9)  # in neutral at 296 ms
+    assert y[1480, LengthState.x_s] == pytest.approx(0.0, abs=1e-9)  # in neutral at 296 ms
     assert actuator.position_m == pytest.approx(side * STROKE, abs=1e-9)
     stops = [e for e in actuator.events if e.name == "stop" and e.speed_m_s > 0.05]
     assert [round(stop.position_m / STROKE) for stop in stops][:1] == [0]
@@ -79,7 +79,7 @@ def test_both_engaging_chambers_charged(load: str, start: str) -> None:
     within(actuator, y)
     # B and F push against each other: until B is vented nothing reaches the other end
     if start == "N":
-        assert np.abs(y[:1900, L.XS]).max() < STROKE
+        assert np.abs(y[:1900, LengthState.x_s]).max() < STROKE
 
 
 @pytest.mark.parametrize("charged", [("B",), ("N",), ("F",), ("B", "N", "F"), ("B", "F")])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plant.equations.damper_pressure import steady_oil_pressure
-from plant.kernel import layout as L
+from plant.kernel.layout import FIXED, LENGTH
 from plant.kernel.packing import Load, pack
 from tests.physics.bare import NOMINAL
 from tests.reference import parts
@@ -14,7 +14,7 @@ from tests.reference import parts
 VALUES = parts.nominal()
 
 
-@pytest.mark.parametrize("system", [L.FIXED, L.LENGTH])
+@pytest.mark.parametrize("system", [FIXED, LENGTH])
 def test_oil_pressure_of_a_known_motion_is_3_34_along_it(system: int) -> None:
     p = pack(NOMINAL, system, supply_pressure_pa=9e5, atmosphere_pa=99000.0, load=Load())
     position = np.linspace(0.0, 0.01285, 60)
@@ -29,7 +29,7 @@ def test_oil_pressure_of_a_known_motion_is_3_34_along_it(system: int) -> None:
 
 
 def test_the_damper_acts_away_from_neutral_on_either_side() -> None:
-    p = pack(NOMINAL, L.LENGTH, supply_pressure_pa=9e5, atmosphere_pa=101325.0, load=Load())
+    p = pack(NOMINAL, LENGTH, supply_pressure_pa=9e5, atmosphere_pa=101325.0, load=Load())
     position = np.array([0.005, 0.005, -0.005, -0.005, 0.0, 0.0])
     velocity = np.array([0.4, -0.4, 0.4, -0.4, 0.4, -0.4])
     out = np.zeros(6)

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from plant.kernel import layout as L
+from plant.kernel.layout import FixedState, LengthState
 from plant.parameters import ParameterSet
 from plant.systems.length_stroke import LengthStroke
 from plant.systems.stroke import StrokeConditions, simulate
@@ -100,13 +100,13 @@ def check_length(changes: dict[str, float], load: dict[str, Any], moves: Any, st
     y = actuator.advance(round(END_S * 1e9), moves, wanted)
     stroke, free = NOMINAL.value("length.stroke"), NOMINAL.value("length.x_free_total")
     assert np.isfinite(y).all()
-    assert np.abs(y[:, L.XS]).max() <= stroke + 1e-9
-    assert y[:, [L.X1, L.X2]].min() >= -1e-9
-    for piston, side in ((L.X1, -1.0), (L.X2, 1.0)):
-        gap = y[:, piston] + side * y[:, L.XS]
+    assert np.abs(y[:, LengthState.x_s]).max() <= stroke + 1e-9
+    assert y[:, [LengthState.x_1, LengthState.x_2]].min() >= -1e-9
+    for piston, side in ((LengthState.x_1, -1.0), (LengthState.x_2, 1.0)):
+        gap = y[:, piston] + side * y[:, LengthState.x_s]
         assert gap.min() >= -1e-9 and gap.max() <= free + 1e-9
-    assert y[:, [L.PB, L.PN, L.PF]].min() > 0.0
-    assert y[:, L.LOIL].min() > 0.0
+    assert y[:, [LengthState.p_b, LengthState.p_n, LengthState.p_f]].min() > 0.0
+    assert y[:, LengthState.p_oil].min() > 0.0
     check_balances(actuator)
     assert len(actuator.events) < 1000
     assert sum(actuator.steps) < 30_000
@@ -269,8 +269,11 @@ def test_fixed_piston_stays_physical(
     stroke = simulate(NOMINAL.override(changes), conditions, times, internal=False)
     y = stroke.states
     assert np.isfinite(y).all()
-    assert y[:, L.FX].min() >= -1e-9 and y[:, L.FX].max() <= NOMINAL.value("fixed.stroke") + 1e-9
-    assert y[:, [L.FP1, L.FP2, L.FOIL]].min() > 0.0
+    assert (
+        y[:, FixedState.x].min() >= -1e-9
+        and y[:, FixedState.x].max() <= NOMINAL.value("fixed.stroke") + 1e-9
+    )
+    assert y[:, [FixedState.p_1, FixedState.p_2, FixedState.p_oil]].min() > 0.0
     check_balances(stroke)
     assert len(stroke.events) < 1000
 
@@ -284,5 +287,12 @@ def test_a_shut_and_unpowered_stroke_gains_no_energy(
     actuator = LengthStroke(NOMINAL.override(changes), initial=start, supply_pressure_pa=101325.0)
     before = actuator.row()
     actuator.advance(round(END_S * 1e9), moves)
-    still = [L.XS, L.X1, L.X2, L.VS, L.V1, L.V2]
+    still = [
+        LengthState.x_s,
+        LengthState.x_1,
+        LengthState.x_2,
+        LengthState.v_s,
+        LengthState.v_1,
+        LengthState.v_2,
+    ]
     assert actuator.row()[still].tolist() == before[still].tolist()

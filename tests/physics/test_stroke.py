@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plant.errors import InputError
-from plant.kernel import layout as L
+from plant.kernel.layout import LengthState
 from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import NOMINAL
 
@@ -57,7 +57,7 @@ def test_walk_of_the_piston_is_not_observable() -> None:
     walk = next(e.time_s for e in stroke.events if e.name == "collar 1 contact")
     still = walk > TIME_S
     assert np.abs(stroke.position_m[still]).max() < 1e-12
-    assert np.ptp(stroke.states[still, L.X1]) > 0.0129 - 0.0005
+    assert np.ptp(stroke.states[still, LengthState.x_1]) > 0.0129 - 0.0005
     assert np.ptp(stroke.pressure_pa("B")[still]) > 3e4
 
 

@@ -7,14 +7,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plant.kernel import layout as L
+from plant.kernel.layout import LengthState
 from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import NOMINAL
 from tests.physics.strokes import ALL, conditions_of
 
 TIME_S = np.arange(0, 3001) * 1e-4
 SWAP = {"B": "F", "F": "B", "N": "N"}
-MIRROR = [L.XS, L.VS, L.X2, L.V2, L.X1, L.V1, L.PF, L.PN, L.PB, L.SPENT, L.LOIL, L.LLINE]
+MIRROR = [
+    LengthState.x_s,
+    LengthState.v_s,
+    LengthState.x_2,
+    LengthState.v_2,
+    LengthState.x_1,
+    LengthState.v_1,
+    LengthState.p_f,
+    LengthState.p_n,
+    LengthState.p_b,
+    LengthState.impulse,
+    LengthState.p_oil,
+    LengthState.p_line,
+]
 SIGN = np.array([-1.0, -1.0] + [1.0] * 10)
 # The damper's kinks magnify rounding; forward differences of the stiff method are not symmetric.
 LIMIT = {None: 1e-12, "incompressible": 1e-8, "compressible": 1e-5}

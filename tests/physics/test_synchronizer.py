@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from plant.kernel import layout as L
+from plant.kernel.layout import LENGTH, LengthState, Parameters
 from plant.parts.synchronizer import barrier
 from plant.systems.length_stroke import LengthStroke
 from plant.systems.stroke import StrokeConditions, simulate
@@ -21,7 +21,11 @@ X_BLOCK = 0.006
 
 def walked(side: float) -> dict[int, float]:
     """Pistons where they leave the stay free between neutral and the engaged stop."""
-    return {L.X1: 0.013, L.X2: 0.0} if side > 0.0 else {L.X1: 0.0, L.X2: 0.013}
+    return (
+        {LengthState.x_1: 0.013, LengthState.x_2: 0.0}
+        if side > 0.0
+        else {LengthState.x_1: 0.0, LengthState.x_2: 0.013}
+    )
 
 
 def force(x: float, direction: float) -> float:
@@ -46,8 +50,8 @@ def test_barriers_are_cosines_squared_into_and_out_of_gear(side: float) -> None:
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_passing_the_meshing_barrier_costs_its_area(side: float) -> None:
-    start = {**walked(side), L.XS: side * 0.005, L.VS: side * 1.5}
-    rig = Bare(L.LENGTH, {**FREE, L.MESH_FORCE: 200.0}, start)
+    start = {**walked(side), LengthState.x_s: side * 0.005, LengthState.v_s: side * 1.5}
+    rig = Bare(LENGTH, {**FREE, Parameters.mesh_force: 200.0}, start)
     rig.advance(20 * MS)
     area = quad(
         lambda x: 200.0 * math.cos(0.5 * math.pi * (x - X_MESH) / W_MESH) ** 2, 0.006, 0.01
@@ -59,7 +63,11 @@ def test_passing_the_meshing_barrier_costs_its_area(side: float) -> None:
 
 
 def test_a_barrier_too_high_holds_the_stay() -> None:
-    rig = Bare(L.LENGTH, {**FREE, L.MESH_FORCE: 2000.0}, {**walked(1.0), L.XS: 0.005, L.VS: 1.5})
+    rig = Bare(
+        LENGTH,
+        {**FREE, Parameters.mesh_force: 2000.0},
+        {**walked(1.0), LengthState.x_s: 0.005, LengthState.v_s: 1.5},
+    )
     rig.advance(50 * MS)
     assert rig.names() == ["turn"]
     assert X_MESH - W_MESH < rig.position_m < X_MESH
@@ -69,8 +77,13 @@ def test_a_barrier_too_high_holds_the_stay() -> None:
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_constant_force_is_blocked_for_impulse_over_force(side: float) -> None:
     pull, impulse = 400.0, 14.0
-    changes = {**FREE, L.F_EXTERNAL: side * pull, L.SYNC_IMPULSE: impulse, L.M_S: 9.9}
-    rig = Bare(L.LENGTH, changes, walked(side))
+    changes = {
+        **FREE,
+        Parameters.f_external: side * pull,
+        Parameters.sync_impulse: impulse,
+        Parameters.m_s: 9.9,
+    }
+    rig = Bare(LENGTH, changes, walked(side))
     rig.advance(200 * MS)
     assert rig.names() == ["block", "unblock", "stop"]
     block, unblock, stop = rig.events
@@ -95,10 +108,10 @@ def test_the_stroke_is_held_until_the_quadrature_of_its_driving_force_reaches_th
     grid = np.concatenate([[0.0], held])
     stroke = simulate(NOMINAL, conditions, grid, internal=False)
     y, p = stroke.states[1:-1], stroke.packed
-    assert y[:, L.XS] == pytest.approx(X_BLOCK, abs=1e-9)
-    pressed = np.abs(y[:, L.X1] - y[:, L.XS] - p[L.X_FREE]) < 1e-9
-    driving = (y[:, L.PB] - y[:, L.PF]) * p[L.AREA_S]
-    driving += np.where(pressed, (y[:, L.PB] - y[:, L.PN]) * p[L.AREA_P], 0.0)
+    assert y[:, LengthState.x_s] == pytest.approx(X_BLOCK, abs=1e-9)
+    pressed = np.abs(y[:, LengthState.x_1] - y[:, LengthState.x_s] - p.x_free) < 1e-9
+    driving = (y[:, LengthState.p_b] - y[:, LengthState.p_f]) * p.area_s
+    driving += np.where(pressed, (y[:, LengthState.p_b] - y[:, LengthState.p_n]) * p.area_p, 0.0)
     integral = np.trapezoid(np.maximum(driving, 0.0), held[:-1])
     integral += max(driving[-1], 0.0) * (held[-1] - held[-2])
     # the grid knows the instants at which the piston meets the stay to one step
@@ -106,14 +119,16 @@ def test_the_stroke_is_held_until_the_quadrature_of_its_driving_force_reaches_th
 
 
 def test_without_an_impulse_nothing_is_blocked() -> None:
-    rig = Bare(L.LENGTH, {**FREE, L.F_EXTERNAL: 400.0}, walked(1.0))
+    rig = Bare(LENGTH, {**FREE, Parameters.f_external: 400.0}, walked(1.0))
     rig.advance(200 * MS)
     assert rig.names() == ["stop"]
 
 
 def test_out_of_gear_the_synchronizer_lets_the_stay_pass_and_blocks_the_other_side() -> None:
-    changes = {**FREE, L.F_EXTERNAL: -400.0, L.SYNC_IMPULSE: 10.0}
-    rig = Bare(L.LENGTH, changes, {L.X1: 0.02, L.X2: 1e-4, L.XS: STROKE})
+    changes = {**FREE, Parameters.f_external: -400.0, Parameters.sync_impulse: 10.0}
+    rig = Bare(
+        LENGTH, changes, {LengthState.x_1: 0.02, LengthState.x_2: 1e-4, LengthState.x_s: STROKE}
+    )
     rig.advance(200 * MS)
     held = [event for event in rig.events if "block" in event.name]
     assert [event.name for event in held] == ["block", "unblock"]

@@ -7,7 +7,7 @@ import pytest
 
 from plant.batch.prediction import Predictor
 from plant.effects.stroke_conditions import StrokeConditions
-from plant.kernel import layout as L
+from plant.kernel.layout import FixedState
 from plant.parameters import load
 from plant.systems.setup import make_setup
 from plant.systems.stroke import simulate
@@ -24,7 +24,11 @@ def test_the_peers_equations_are_ours() -> None:
     piston = Piston.of(make_setup(load(), CONDITIONS))
     switches = [(OPENING_S, 0, 1)]
     assert stroke.impact is not None
-    ours = Shown(stroke.impact.time_s, stroke.impact.speed_m_s, stroke.states[:, L.FP1 : L.FP2 + 1])
+    ours = Shown(
+        stroke.impact.time_s,
+        stroke.impact.speed_m_s,
+        stroke.states[:, FixedState.p_1 : FixedState.p_2 + 1],
+    )
     for begin_s in (0.0, OPENING_S):
         theirs = solve_with_scipy(piston, switches, TIMES, "DOP853", 1e-10, begin_s)
         late, speed, pressure = errors([ours], [theirs])

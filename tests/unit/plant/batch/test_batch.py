@@ -10,8 +10,8 @@ import pytest
 from plant.batch.batch import BatchResult, Strokes, simulate_batch
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
-from plant.integrator.integrate import DONE, EVENT_TIME
-from plant.kernel import layout as L
+from plant.integrator.integrate import DONE
+from plant.kernel.layout import EventRow, FixedState, LengthState, Parameters
 from plant.parameters import load
 from plant.systems.setup import make_setup
 from plant.systems.stroke import run_setup
@@ -39,12 +39,12 @@ def varied(kind: str, n: int = 20, **more: object) -> Strokes:
         setup(kind, **more),
         DURATION_S,
         {
-            L.P_SUPPLY: rng.uniform(6e5, 1e6, n),
-            L.M_S: rng.uniform(0.6, 9.0, n),
-            L.K_IN: rng.uniform(0.7, 1.2, n),
-            L.K_OUT: rng.uniform(0.7, 1.2, n),
-            L.VOL_B: rng.uniform(2e-5, 6e-5, n),
-            L.F_RUN_S: rng.uniform(5.0, 80.0, n),
+            Parameters.p_supply: rng.uniform(6e5, 1e6, n),
+            Parameters.m_s: rng.uniform(0.6, 9.0, n),
+            Parameters.k_in: rng.uniform(0.7, 1.2, n),
+            Parameters.k_out: rng.uniform(0.7, 1.2, n),
+            Parameters.vol_b: rng.uniform(2e-5, 6e-5, n),
+            Parameters.f_run_s: rng.uniform(5.0, 80.0, n),
         },
     )
 
@@ -68,7 +68,7 @@ def test_lanes_agree_with_the_scalar_kernel(kind):
     assert np.array_equal(np.isnan(fast.arrival_s), np.isnan(slow.arrival_s))
     assert np.nanmax(np.abs(fast.arrival_s - slow.arrival_s)) < 2e-7
     assert np.nanmax(np.abs(fast.impact_speed_m_s - slow.impact_speed_m_s)) < 1e-5
-    first = L.FP1 if kind == "fixed" else L.PB
+    first = FixedState.p_1 if kind == "fixed" else LengthState.p_b
     moving = slice(first, first + (2 if kind == "fixed" else 3))
     assert np.abs(fast.samples[:, :, moving] - slow.samples[:, :, moving]).max() < 20.0
     assert np.abs(fast.samples[:, :, 0] - slow.samples[:, :, 0]).max() < 1e-7
@@ -86,7 +86,7 @@ def test_events_and_states_are_those_of_a_single_simulation():
     )
     times = [event.time_s for event in stroke.events]
     assert batch.event_count[0] == len(times) == 2
-    assert batch.events[0, :2, EVENT_TIME] == pytest.approx(times, abs=1e-8)
+    assert batch.events[0, :2, EventRow.time] == pytest.approx(times, abs=1e-8)
     assert stroke.impact is not None
     assert batch.arrival_s[0] == pytest.approx(stroke.impact.time_s, abs=1e-8)
     assert batch.impact_energy_j[0] == pytest.approx(stroke.impact.energy_j, rel=1e-6)
@@ -111,8 +111,8 @@ def test_neighbours_and_workers_do_not_matter(kind):
 def test_what_the_lanes_do_not_cover_takes_the_scalar_kernel():
     plain = varied("fixed", 12)
     packed = plain.packed.copy()
-    packed[1::3, L.LEAK_PISTON] = 2e-8
-    packed[2::3, L.SEAL_MU] = 0.05
+    packed[1::3, Parameters.leak_piston] = 2e-8
+    packed[2::3, Parameters.seal_mu] = 0.05
     mixed = simulate_batch(dataclasses.replace(plain, packed=packed), sample_s=np.array([0.1]))
     assert mixed.in_lanes.tolist() == [True, False, False] * 4
     only = simulate_batch(
@@ -133,7 +133,9 @@ def test_damped_strokes_run_in_the_same_call(model):
     assert not batch.in_lanes[0]
     assert stroke.impact is not None
     assert batch.arrival_s[0] == pytest.approx(stroke.impact.time_s, abs=1e-7)
-    assert batch.final[0, L.FP1] == pytest.approx(stroke.states[-1, L.FP1], abs=1.0)
+    assert batch.final[0, FixedState.p_1] == pytest.approx(
+        stroke.states[-1, FixedState.p_1], abs=1.0
+    )
 
 
 def test_different_strokes_in_one_batch():
@@ -154,14 +156,14 @@ def test_durations_columns_and_instants_of_each_stroke():
     base = varied("fixed", 3)
     strokes = dataclasses.replace(base, duration_s=np.array([0.05, 0.1, 0.25]))
     sample_s = np.array([[0.0, 0.02], [0.05, 0.1], [0.1, 0.3]])
-    result = simulate_batch(strokes, sample_s=sample_s, columns=[L.FP1, L.FLINE])
+    result = simulate_batch(strokes, sample_s=sample_s, columns=[FixedState.p_1, FixedState.p_line])
     assert result.samples.shape == (3, 2, 2)
-    whole = simulate_batch(base, sample_s=np.unique(sample_s), columns=[L.FP1])
+    whole = simulate_batch(base, sample_s=np.unique(sample_s), columns=[FixedState.p_1])
     assert result.samples[0, :, 0] == pytest.approx(whole.samples[0, [0, 1], 0], rel=1e-6)
     assert result.samples[1, :, 0] == pytest.approx(whole.samples[1, [2, 3], 0], rel=1e-6)
     # beyond its end a stroke stands still
-    assert result.samples[2, 1, 0] == result.final[2, L.FP1]
-    assert (result.samples[:, :, 1] == strokes.initial[:, None, L.FLINE]).all()
+    assert result.samples[2, 1, 0] == result.final[2, FixedState.p_1]
+    assert (result.samples[:, :, 1] == strokes.initial[:, None, FixedState.p_line]).all()
 
 
 def test_creeping_valves_stay_in_the_lanes():
@@ -179,7 +181,7 @@ def test_creeping_valves_stay_in_the_lanes():
 def test_a_stroke_that_cannot_go_on_does_not_stop_the_others():
     strokes = varied("fixed", 9)
     packed = strokes.packed.copy()
-    packed[4, L.VOL_B] = np.nan
+    packed[4, Parameters.vol_b] = np.nan
     result = simulate_batch(dataclasses.replace(strokes, packed=packed))
     assert result.status[4] != DONE
     others = np.arange(9) != 4
@@ -213,9 +215,9 @@ def test_a_piston_and_a_stay_that_stop_together_come_to_rest(lanes):
         setup("N-B"),
         DURATION_S,
         {
-            L.P_SUPPLY: np.array([687342.237947325, 818301.9293072699]),
-            L.M_S: np.array([2.745923009162179, 2.940294823728706]),
-            L.VOL_B: np.array([2.2092883797367875e-05, 3.037649213400499e-05]),
+            Parameters.p_supply: np.array([687342.237947325, 818301.9293072699]),
+            Parameters.m_s: np.array([2.745923009162179, 2.940294823728706]),
+            Parameters.vol_b: np.array([2.2092883797367875e-05, 3.037649213400499e-05]),
         },
     )
     result = simulate_batch(strokes, tolerance=1e-8, lanes=lanes)

@@ -12,14 +12,29 @@ from plant.batch.prediction import Predictor, copied
 from plant.batch.tangents import MOVE, neighbours
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
-from plant.kernel import layout as L
+from plant.kernel.layout import FixedState, LengthState, Parameters
 from plant.parameters import load
 from plant.systems.setup import make_setup
 
 TIME_S = np.linspace(0.0, 0.25, 251)
-FRICTION = {"fixed": (L.F_STATIC_S, L.BETA_S), "N-B": (L.F_RUN_P, L.BETA_P)}
-MOVED = (L.P_SUPPLY, L.K_IN, L.K_OUT, L.VOL_B, L.VOL_N, L.M_S, L.F_RUN_S, L.ALPHA_M1)
-COLUMNS = {"fixed": (L.FX, L.FP1, L.FP2), "N-B": (L.XS, L.PB, L.PN, L.PF)}
+FRICTION = {
+    "fixed": (Parameters.f_static_s, Parameters.beta_s),
+    "N-B": (Parameters.f_run_p, Parameters.beta_p),
+}
+MOVED = (
+    Parameters.p_supply,
+    Parameters.k_in,
+    Parameters.k_out,
+    Parameters.vol_b,
+    Parameters.vol_n,
+    Parameters.m_s,
+    Parameters.f_run_s,
+    Parameters.alpha_m1,
+)
+COLUMNS = {
+    "fixed": (FixedState.x, FixedState.p_1, FixedState.p_2),
+    "N-B": (LengthState.x_s, LengthState.p_b, LengthState.p_n, LengthState.p_f),
+}
 SIZE = {"fixed": (1e-3, 1e5, 1e5), "N-B": (1e-3, 1e5, 1e5, 1e5)}
 COMMANDS = {
     "fixed": (((0.01, "1", 0.98),), ()),
@@ -72,21 +87,24 @@ def test_delays_and_lags_have_derivatives_too() -> None:
     assert np.abs(states - predictor.states(base)).max() < 1.0
     assert by_delay is not None and by_lag is not None
     # everything behind the switch happens later: d/d(delay) = -d/dt
-    pressure = states[:, L.FP1]
+    pressure = states[:, FixedState.p_1]
     slope = (pressure[2:] - pressure[:-2]) / (TIME_S[2] - TIME_S[0])
     smooth = (TIME_S[1:-1] > 0.06) & (TIME_S[1:-1] < 0.2)
-    assert by_delay[1:-1, L.FP1][smooth] == pytest.approx(-slope[smooth], rel=2e-3)
+    assert by_delay[1:-1, FixedState.p_1][smooth] == pytest.approx(-slope[smooth], rel=2e-3)
     twin = copied(base)
     twin.gauge_lag_s *= 1.01
     expected = (predictor.states(twin) - states) / (0.01 * base.gauge_lag_s)
-    assert np.abs(by_lag - expected)[:, L.FP1].max() < 0.02 * np.abs(expected[:, L.FP1]).max()
+    assert (
+        np.abs(by_lag - expected)[:, FixedState.p_1].max()
+        < 0.02 * np.abs(expected[:, FixedState.p_1]).max()
+    )
 
 
 def test_a_neighbour_with_other_events_has_none() -> None:
     base = setup("fixed")
     stuck, near = copied(base), copied(base)
-    stuck.p[L.F_STATIC_S] = 5000.0
-    near.p[L.M_S] *= 1.0 + MOVE
+    stuck.p.f_static_s = 5000.0
+    near.p.m_s *= 1.0 + MOVE
     predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64))
     _, (first, second) = predictor.derivatives(base, [stuck, near], [1.0, 1.0])
     assert first is None and second is not None
@@ -99,10 +117,14 @@ DAMPER = {"load": "damper", "damper_model": "compressible"}
 @pytest.mark.parametrize(
     ("conditions", "leak", "places"),
     [
-        (DAMPER, 0.0, (L.A_SMALL, L.KAPPA)),
-        ({**DAMPER, "damper_model": "incompressible"}, 0.0, (L.A_SMALL, L.RHO_OIL)),
-        (TRUCK, 0.0, (L.MESH_FORCE, L.SYNC_IMPULSE)),
-        ({}, 3e-7, (L.LEAK_ATM, L.F_RUN_S)),
+        (DAMPER, 0.0, (Parameters.a_small, Parameters.kappa)),
+        (
+            {**DAMPER, "damper_model": "incompressible"},
+            0.0,
+            (Parameters.a_small, Parameters.rho_oil),
+        ),
+        (TRUCK, 0.0, (Parameters.mesh_force, Parameters.sync_impulse)),
+        ({}, 3e-7, (Parameters.leak_atm, Parameters.f_run_s)),
     ],
     ids=["compressible damper", "incompressible damper", "truck", "leak"],
 )
@@ -110,7 +132,7 @@ def test_what_the_lanes_do_not_cover_has_derivatives_too(
     conditions: dict, leak: float, places: tuple[int, ...]
 ) -> None:
     base = setup("N-B", **conditions)
-    base.p[L.LEAK_ATM] = leak
+    base.p.leak_atm = leak
     size, columns = SIZE["N-B"], COLUMNS["N-B"]
 
     def neighbour(place: int, share: float) -> Setup:
@@ -147,7 +169,7 @@ def test_corners_of_the_dampers_law_carry_derivatives(kind: str) -> None:
         twin.p[place] *= 1.0 + share
         return twin
 
-    places = (L.RHO_OIL, L.M_S, L.F_RUN_S)
+    places = (Parameters.rho_oil, Parameters.m_s, Parameters.f_run_s)
     _, found = predictor.derivatives(
         base, [neighbour(i, MOVE) for i in places], [MOVE] * len(places), columns
     )

@@ -10,13 +10,10 @@ from scipy.integrate import solve_ivp
 from plant.integrator import filling
 from plant.integrator.filling import (
     CELLS_FAR,
-    CHARGE,
-    DISCHARGE,
-    HEAD_RATE,
-    HEAD_SPLIT,
-    HEAD_START,
-    HEAD_STEP_FAR,
+    CURVE,
     TABLE,
+    Curve,
+    curve_of,
     curve_place,
     curve_value,
     tabulate,
@@ -24,6 +21,8 @@ from plant.integrator.filling import (
 from plant.kernel.packing import flow_coefficients
 from plant.kernel.views import view
 from plant.parameters import load
+
+CHARGE, DISCHARGE = 0, CURVE
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +40,7 @@ def table(flow):
 @numba.njit
 def values(table, place, tau):
     out = np.zeros(len(tau))
-    curve = view(table, place)
+    curve = curve_of(view(table, place))
     for i in range(len(tau)):
         out[i] = curve_value(curve, tau[i])
     return out
@@ -50,7 +49,7 @@ def values(table, place, tau):
 @numba.njit
 def places(table, place, ratio):
     out = np.zeros(len(ratio))
-    curve = view(table, place)
+    curve = curve_of(view(table, place))
     for i in range(len(ratio)):
         out[i] = curve_place(curve, ratio[i])
     return out
@@ -71,16 +70,16 @@ def phi(flow, charging, r):
 
 @pytest.mark.parametrize("place, charging", [(CHARGE, True), (DISCHARGE, False)])
 def test_curve_is_the_integral_of_the_flow(flow, table, place, charging):
-    head = table[place : place + 8]
+    head = Curve(table[place:])
     sign = 1.0 if charging else -1.0
-    border = head[HEAD_STEP_FAR] * CELLS_FAR
+    border = head.step_far * CELLS_FAR
 
     def rate(_, r):
-        return [sign * phi(flow, charging, r[0]) / head[HEAD_RATE]]
+        return [sign * phi(flow, charging, r[0]) / head.rate]
 
     for start, first, last in (
-        (head[HEAD_START], 0.0, border),
-        (head[HEAD_SPLIT], border, border + 18.0),
+        (head.start, 0.0, border),
+        (head.split, border, border + 18.0),
     ):
         tau = np.linspace(first, last, 400)[1:-1]
         truth = solve_ivp(
@@ -92,7 +91,7 @@ def test_curve_is_the_integral_of_the_flow(flow, table, place, charging):
 
 @pytest.mark.parametrize("place", [CHARGE, DISCHARGE])
 def test_place_is_the_inverse_of_value(table, place):
-    tau = np.linspace(0.0, table[place + HEAD_STEP_FAR] * CELLS_FAR + 15.0, 2001)
+    tau = np.linspace(0.0, Curve(table[place:]).step_far * CELLS_FAR + 15.0, 2001)
     ratio = values(table, place, tau)
     assert (np.diff(ratio) * (1.0 if place == CHARGE else -1.0) > 0.0).all()
     # near the end the ratio itself resolves tau no better
@@ -101,10 +100,10 @@ def test_place_is_the_inverse_of_value(table, place):
 
 
 def test_beyond_the_table(flow, table):
-    start, slope = flow[0], phi(flow, True, flow[0]) / table[CHARGE + HEAD_RATE]
+    start, slope = flow[0], phi(flow, True, flow[0]) / Curve(table).rate
     below = values(table, CHARGE, np.array([-0.01]))[0]
     assert below == pytest.approx(start - 0.01 * slope, abs=1e-15)
-    border = table[CHARGE + HEAD_STEP_FAR] * CELLS_FAR
+    border = Curve(table).step_far * CELLS_FAR
     end = border + filling.NEAR_REACH
     left, right = values(table, CHARGE, np.array([end + 1.0, end + 2.0])) - 1.0
     assert left < 0.0
@@ -118,7 +117,7 @@ def test_what_fades_beyond_the_table_is_nothing(table) -> None:
     assert np.max(np.abs(faded - np.exp(-x))) < 2.5e-3
     assert np.all(np.diff(faded) < 0.0)
     for begin in (CHARGE, DISCHARGE):
-        assert abs(table[begin + filling.HEAD_END] - 1.0) < 1e-7
+        assert abs(Curve(table[begin:]).end - 1.0) < 1e-7
 
 
 def test_maps_that_do_not_close_have_no_curve(flow):

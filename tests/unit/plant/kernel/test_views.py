@@ -7,10 +7,22 @@ import numpy as np
 import pytest
 from numba.core.errors import TypingError
 
-from plant.kernel import views
-from plant.kernel.views import ABSENT, lane, rows, view
+from plant.kernel import checked, views
+from plant.kernel.records import Record, Value, block
+from plant.kernel.views import ABSENT, lane, named, rows, view
 
 WIDTH = 4
+
+
+class Sample(Record):
+    first: Value
+    pair: Value = block(2)
+    matrix: Value = block(2, 3)
+    last: Value
+
+
+sample = named(Sample)
+sample_without_last = named(Sample, "test: last")
 
 
 @numba.njit
@@ -78,6 +90,91 @@ def test_absent_elements_read_as_zero():
     expected = array.copy()
     expected[[1, 70]] = 0.0
     assert np.array_equal(out, expected)
+
+
+@numba.njit
+def shuffle(array, out):
+    s = sample(array)
+    s.first = s.last
+    s.pair[1] = 5.0
+    s.matrix[1, 2] = 6.0
+    s.matrix[0][1] += 1.0
+    for k in range(WIDTH):
+        other = sample(lane(view(out, 0), 0, k, WIDTH, ""))
+        other.last = float(k)
+        other.matrix[1, 0] = 10.0 * k
+
+
+def test_fields_of_records():
+    array = np.arange(10.0)
+    lanes = np.zeros((Sample.size, WIDTH))
+    shuffle(array, lanes)
+    mine = Sample(array)
+    assert (mine.first, mine.last) == (9.0, 9.0)
+    assert mine.pair.tolist() == [1.0, 5.0]
+    assert mine.matrix.tolist() == [[3.0, 5.0, 5.0], [6.0, 7.0, 6.0]]
+    assert lanes[Sample.last].tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert lanes[Sample.matrix][3].tolist() == [0.0, 10.0, 20.0, 30.0]
+    assert lanes.sum() == 66.0
+
+
+def test_absent_fields_read_as_zero():
+    ABSENT["test: last"] = 1 << Sample.last
+
+    @numba.njit
+    def read(array):
+        s = sample_without_last(array)
+        return s.first, s.last
+
+    try:
+        assert read(np.arange(1.0, 11.0)) == (1.0, 0.0)
+    finally:
+        del ABSENT["test: last"]
+
+
+def test_a_record_refuses_unknown_names():
+    with pytest.raises(AttributeError):
+        Sample.zeros().second = 1.0
+
+    @numba.njit
+    def read(array):
+        return sample(array).second
+
+    with pytest.raises(TypingError, match="second"):
+        read(np.zeros(10))
+
+
+def test_a_record_of_many_strokes_has_columns():
+    many = Sample(np.arange(20.0).reshape(2, 10))
+    assert many.first.tolist() == [0.0, 10.0]
+    many.last = 1.5
+    assert many.array[:, Sample.last].tolist() == [1.5, 1.5]
+
+
+def test_checked_views_read_as_compiled_ones():
+    array, lanes = np.arange(10.0), np.zeros((Sample.size, WIDTH))
+    expected, expected_lanes = array.copy(), lanes.copy()
+    shuffle(expected, expected_lanes)
+    plain = {name: getattr(checked, name) for name in ("view", "rows", "lane")}
+    body = shuffle.py_func
+    scope = {**body.__globals__, **plain, "sample": checked.named(Sample)}
+    type(body)(body.__code__, scope)(array, lanes)
+    assert np.array_equal(array, expected) and np.array_equal(lanes, expected_lanes)
+
+
+def test_checked_views_check_their_bounds():
+    v = checked.view(np.zeros(10), 2)
+    assert v[7] == 0.0
+    for index in (-1, 8):
+        with pytest.raises(IndexError):
+            v[index]
+    s = checked.named(Sample)(np.zeros(10))
+    with pytest.raises(IndexError):
+        s.pair[2] = 1.0
+    with pytest.raises(IndexError):
+        checked.named(Sample)(np.zeros(5)).last = 1.0
+    with pytest.raises(IndexError):
+        checked.lane(checked.view(np.zeros(8), 0), 0, 1, WIDTH, "")[2]
 
 
 def test_strided_arrays_are_refused():

@@ -56,8 +56,7 @@ def test_what_a_run_cannot_apply_is_refused(name, values, told) -> None:
 
 def test_volumes_of_named_chambers_are_applied() -> None:
     model = extended("dead_volume_passive", volume_m3=(5e-6, "m^3"), where=(1.0, "-"))
-    from plant.kernel import layout as L
 
-    assert LengthStroke(model).packed[L.VOL_N] == pytest.approx(
-        LengthStroke(load()).packed[L.VOL_N] + 5e-6
+    assert LengthStroke(model).packed.vol_n == pytest.approx(
+        LengthStroke(load()).packed.vol_n + 5e-6
     )

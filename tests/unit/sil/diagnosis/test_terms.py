@@ -12,7 +12,7 @@ from can_dbc.errors import InputError
 from plant.batch.prediction import Predictor, copied
 from plant.effects import CATALOGUE
 from plant.effects.term import FORMS, TermForm, term
-from plant.kernel import layout as L
+from plant.kernel.layout import LengthState
 from plant.parameters import load
 from plant.systems.setup import make_setup
 from plant.systems.stroke import run_setup
@@ -98,7 +98,10 @@ def test_errors_of_sensors_are_added_to_what_they_tell() -> None:
         candidate.change(setup, {p.name: level for p in candidate.parameters})
         told = run_setup(setup, time_s)
         more_m = told.internal_m - plain.internal_m
-        more_pa = told.states[:, L.PB : L.PF + 1] - plain.states[:, L.PB : L.PF + 1]
+        more_pa = (
+            told.states[:, LengthState.p_b : LengthState.p_f + 1]
+            - plain.states[:, LengthState.p_b : LengthState.p_f + 1]
+        )
         if name == "internal position":
             assert np.allclose(more_m, level, atol=1e-9) and not np.any(more_pa)
         else:
@@ -132,7 +135,7 @@ def test_constant_resistance_is_coulomb_friction(name: str) -> None:
     nodes = {p.name: 40.0 for p in candidate.parameters}
 
     def more(setup) -> None:
-        setup.p[L.F_LINKAGE] += 40.0
+        setup.p.f_linkage += 40.0
 
     for kind in ("fixed", "F-N"):
         found = states(lambda setup: candidate.change(setup, nodes), kind)

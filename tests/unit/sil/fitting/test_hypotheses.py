@@ -28,11 +28,16 @@ def test_neutral_changes_nothing_and_starts_are_within_bounds(item) -> None:
         setup = make_setup(load(), conditions_of("N-B", 900000.0))
         changed = copied(setup)
         item.change(changed, {p.name: p.neutral for p in item.parameters})
-        from plant.kernel import layout as L
+        from plant.kernel.layout import Parameters
 
-        inert = (L.BUMP_X, L.BUMP_WIDTH, L.DETENT_WIDTH, L.ALPHA_V0)
-        kept = [k for k in range(len(setup.p)) if k not in inert]
-        assert np.array_equal(changed.p[kept], setup.p[kept])
+        inert = (
+            Parameters.bump_x,
+            Parameters.bump_width,
+            Parameters.detent_width,
+            Parameters.alpha_v0,
+        )
+        kept = [k for k in range(Parameters.size) if k not in inert]
+        assert np.array_equal(changed.p.array[kept], setup.p.array[kept])
     for start in item.starts:
         assert len(start) == len(item.parameters)
         for value, parameter in zip(start, item.parameters, strict=True):

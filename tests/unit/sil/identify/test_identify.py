@@ -15,7 +15,7 @@ import pytest
 
 from can_dbc.errors import InputError
 from plant.effects.stroke_conditions import StrokeConditions
-from plant.kernel import layout as L
+from plant.kernel.layout import Parameters
 from plant.parameters import ParameterSet, load
 from plant.systems.setup import make_setup
 from plant.systems.stroke import run_setup
@@ -65,9 +65,9 @@ def write_campaign(
     for number, condition in enumerate(strokes, start=1):
         setup = make_setup(truth, condition)
         factor = 1.0 + 0.05 * generator.normal()
-        for index in (L.F_STATIC_S, L.F_RUN_S, L.BETA_S):
+        for index in (Parameters.f_static_s, Parameters.f_run_s, Parameters.beta_s):
             setup.p[index] *= factor
-        setup.p[L.P_SUPPLY] *= 1.0 + 0.003 * generator.normal()
+        setup.p.p_supply *= 1.0 + 0.003 * generator.normal()
         later = round(2e5 * generator.normal())
         setup.timing = replace(setup.timing, rise_ns=setup.timing.rise_ns + later)
         time_s = np.arange(round(until_s * RATE_HZ) + 1) / RATE_HZ
