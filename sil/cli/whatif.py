@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     """
     from can_dbc.errors import InputError
     from sil.files.output_folder import close_folders, finite
+    from sil.files.progress import Progress
     from sil.studies.executor import run_study
     from sil.studies.load_study import load_study, shipped
     from sil.studies.summary import exit_code, summary
@@ -54,14 +54,15 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"--workers {arguments.workers}: expected 1 or more")
     study = load_study(arguments.study)
     folder = folder_of(study, arguments)
-    now = run_study(
-        study,
-        folder,
-        workers=arguments.workers,
-        cluster=arguments.cluster,
-        resume=arguments.resume,
-        progress=progress,
-    )
+    with Progress("rows") as progress:
+        now = run_study(
+            study,
+            folder,
+            workers=arguments.workers,
+            cluster=arguments.cluster,
+            resume=arguments.resume,
+            progress=progress,
+        )
     table = read_table(study, folder)
     found = summary(study, table)
     write_files(study, table, found, folder, shlex.join(["opc4", "whatif", arguments.study]))
@@ -95,37 +96,27 @@ def folder_of(study: LoadedStudy, arguments: argparse.Namespace) -> Path:
     return prepare_folder(out, study.study.name, arguments.force)
 
 
-def progress(done: int, size: int) -> None:
-    """Show how many rows are finished, on a terminal."""
-    if sys.stderr.isatty():
-        print(f"\r{done} of {size} rows", end="" if done < size else "\n", file=sys.stderr)
-
-
 def write_files(
     study: LoadedStudy, table: Table, found: dict[str, Any], folder: Path, command: str
 ) -> None:
     """Write summary, figures and page, of a safety study also the fault table."""
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import finite
-    from sil.studies.pictures import draw
-    from sil.studies.study_page import page
+    from sil.studies.fault_table import FAULT_TABLE, fault_table, safe_states
+    from sil.studies.study_page import write_page
 
     write_atomically(folder / "summary.json", json.dumps(finite(found), indent=1) + "\n")
-    pictures = draw(study, table, folder)
     if study.study.safety:
-        from sil.studies.fault_table import FAULT_TABLE, draw_outcomes, fault_table, kept
-
-        found["kept"] = kept(study, table)
+        found["safe_states"] = safe_states(study, table)
         write_atomically(folder / FAULT_TABLE, fault_table(study, table))
-        pictures.append(draw_outcomes(study, table, folder))
-    write_atomically(folder / "report.html", page(study, table, found, pictures, command))
+    write_page(study, table, found, folder, command)
 
 
 def print_summary(study: LoadedStudy, found: dict[str, Any]) -> None:
     """Print a line for each combination of choices, and why rows did not pass."""
-    from sil.studies.pictures import read_metrics
+    from sil.studies.figures import read_metrics
 
-    for sentence in found.get("kept", ()):
+    for sentence in found.get("safe_states", ()):
         print(sentence)
     for name, entry in {} if study.study.safety else found["groups"].items():
         if study.study.kind == "runs":

@@ -9,13 +9,13 @@ import importlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
 from can_dbc.errors import InputError, RunError
 from sil.studies.study import LoadedStudy, Row
 
 if TYPE_CHECKING:
+    from sil.report.figure import Figure
     from sil.studies.table import Table
 
 PASSED: Literal["passed"] = "passed"
@@ -46,8 +46,8 @@ class StudyKind(Protocol):
     def run(self, study: LoadedStudy, row: Row) -> RowResult:
         """Run one row. Raises InputError for wrong settings, RunError if it cannot finish."""
 
-    def draw(self, study: LoadedStudy, table: Table, folder: Path) -> list[Path]:
-        """Write the figures of a finished study; return the paths of the PNG files."""
+    def figures(self, study: LoadedStudy, table: Table) -> dict[str, Figure]:
+        """Return the figures of a finished study by file name."""
 
 
 def kind_of(study: LoadedStudy) -> StudyKind:

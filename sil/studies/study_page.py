@@ -1,19 +1,17 @@
-"""The page of a study: its question, pictures, plots and figures; offline, in one file.
-
-Checked by: tests/unit/sil/studies/test_whatif.py, tests/browser/
-"""
+"""The page of a study: its question, figures, plots and numbers; offline, in one file."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from sil.files.atomic import write_atomically
+from sil.report.picture import save
+from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 from sil.studies import fault_table
-from sil.studies.figure_style import shown
-from sil.studies.pictures import read_metrics
-from sil.studies.plots import study_plots
+from sil.studies.figures import read_metrics, shown
+from sil.studies.rows import kind_of
 from sil.studies.study import LoadedStudy
 from sil.studies.table import Table
 
@@ -21,50 +19,50 @@ MOST_COLUMNS = 6
 MOST_REASONS = 20
 
 
-def page(
-    study: LoadedStudy, table: Table, told: dict[str, Any], pictures: Sequence[Path], again: str
-) -> str:
-    """The report as HTML text; `again` is the call that made it."""
+def write_page(
+    study: LoadedStudy, table: Table, found: dict[str, Any], folder: Path, again: str
+) -> None:
+    """Write the figures and report.html; `found` is the summary, `again` the command that made it."""
     metrics = ["shift_time_s", "arrival_s", "impact_speed_m_s", "impact_energy_j"]
     if study.study.kind != "runs":
         metrics = read_metrics(study)[:MOST_COLUMNS]
-    entries = told["groups"]
+    entries = found["groups"]
     metrics = [name for name in metrics if any(name in entry for entry in entries.values())]
     failed = float(table.numbers["failed"].mean())
-    counts = told["outcomes"]
+    counts, safety = found["outcomes"], study.study.safety
     head = Head(
         command="whatif",
         name=study.study.name,
         verdict=verdict(counts),
         good=not counts["failed"] and not counts["not_run"],
         tiles=[
-            (str(told["rows"]), "rows"),
+            (str(found["rows"]), "rows"),
             (str(len(entries)), "groups"),
-            (f"{100 * failed:.3g} %", "shift not done" if study.study.safety else "failed"),
+            (f"{100 * failed:.3g} %", "shift not done" if safety else "failed"),
             *_ranges(study, table),
         ],
         again=again,
     )
-    safety = study.study.safety
+    figures = kind_of(study).figures(study, table)
     of_runs = study.study.kind == "runs" and study.study.scenario is not None
-    return render(
+    page = render(
         "whatif.html",
         head,
-        study_plots(study, table),
+        [group for figure in figures.values() for group in plots(figure)],
         description=study.study.description,
-        sentences=told.get("kept", ()),
+        sentences=found.get("safe_states", ()),
         pictures=[
-            Picture(path.read_bytes(), path.stem, f"{path.stem}.png, {path.stem}.svg")
-            for path in pictures
+            Picture(save(figure, folder, name), name, f"{name}.png, {name}.svg")
+            for name, figure in figures.items()
         ],
         faults=[fault_table.HEAD, *fault_table.rows(study, table)] if safety else [],
         faults_are=fault_table.LEGEND,
-        reasons=told["reasons"][:MOST_REASONS],
+        reasons=found["reasons"][:MOST_REASONS],
         figures_are="Median of the rows of each group, and in brackets least to greatest.",
-        metrics=[shown(name)[0] for name in metrics],
+        metrics=[", ".join(filter(None, shown(name)[:2])) for name in metrics],
         rows=[
             {
-                "name": name or study.study.name,
+                "name": name,
                 "rows": entry["rows"],
                 "cells": [_cell(name, entry.get(name)) for name in metrics],
                 "failed": f"{100 * entry['failed_share']:.3g} %",
@@ -73,6 +71,7 @@ def page(
         ],
         row_again=f"opc4 run {study.study.scenario} --set PATH=VALUE ..." if of_runs else "",
     )
+    write_atomically(folder / "report.html", page)
 
 
 def verdict(counts: dict[str, int]) -> str:
@@ -85,19 +84,20 @@ def verdict(counts: dict[str, int]) -> str:
 def _cell(name: str, entry: dict[str, float] | None) -> str:
     if entry is None:
         return ""
-    factor = shown(name)[1]
+    factor = shown(name)[2]
     least, middle, greatest = (f"{factor * entry[k]:.4g}" for k in ("min", "median", "max"))
     return middle if least == greatest else f"{middle} ({least} to {greatest})"
 
 
 def _ranges(study: LoadedStudy, table: Table) -> list[tuple[str, str]]:
-    """Least and greatest of the metrics shown first."""
+    """Return least and greatest of the metrics shown first."""
     found = []
     for name in read_metrics(study)[:2]:
         values = table.numbers[name][table.numbers[name] == table.numbers[name]]
         if len(values):
-            label, factor = shown(name)
+            title, unit, factor = shown(name)
             ends = (factor * values.min(), factor * values.max())
             least, greatest = (f"{float(f'{end:.3g}'):g}" for end in ends)  # 2430, not 2.43e+03
+            label = ", ".join(filter(None, (title, unit)))
             found.append((least if least == greatest else f"{least} to {greatest}", label))
     return found

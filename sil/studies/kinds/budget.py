@@ -21,11 +21,14 @@ from plant.parameters import ParameterSet
 from plant.parts.flow import charge
 from plant.systems.stroke import simulate
 from sil.coupling.frame_bits import frame_bits
+from sil.report.figure import MS, Figure, Note, Panel, Span, Stack
 from sil.recording.run_record import NS, BusFrame
 from sil.simulation.in_memory import MemoryRun, run_in_memory
 from sil.simulation.scenario import Loaded
+from sil.studies.figures import numbered
 from sil.studies.rows import FAILED, RowResult
 from sil.studies.study import LoadedStudy, Row
+from sil.studies.table import Table
 
 THESIS_S = (("sensor", 0.030), ("velocity", 0.010), ("valve", 0.008))
 THESIS_WINDOW_S = 0.040
@@ -254,3 +257,52 @@ def _opening_s(run: MemoryRun) -> float:
     if shift.commanded_s is None or shift.valve_open_s is None:
         raise NoBudgetError("no valve was opened")
     return shift.valve_open_s - shift.commanded_s
+
+
+COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#d62728", "#8c564b", "#e377c2", "#7f7f7f",
+           "#bcbd22", "#17becf")  # fmt: skip
+
+
+def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
+    """Return the thesis's sum, and each row's delays as one stack against the time that there is."""
+    keys = [name for name, _items in study.groups]
+    rows = [k for k in range(table.size) if not table.numbers["failed"][k]]
+    labels = [", ".join(table.texts[key][k] for key in keys) or study.study.name for k in rows]
+    spans, notes = thesis_bar()
+    for at, k in enumerate(rows, start=1):
+        value_ms = {name: MS * float(table.numbers[name][k]) for name in columns(study)}
+        left = exact = 0.0
+        for bar, colour in zip(BARS, COLOURS, strict=True):
+            ends = left + value_ms[simulated(bar)], exact + value_ms[closed(bar)]
+            spans.append(Span(left, ends[0], colour, "", at - 0.28, at + 0.28))
+            spans.append(Span(exact, ends[1], colour, "", at + 0.33, at + 0.39))
+            left, exact = ends
+        part, window = value_ms["last_part_s"], value_ms["window_s"]
+        spans.append(Span(part - 0.15, part + 0.15, "alarm", "", at - 0.42, at + 0.42))
+        if window > part + 0.5:
+            spans.append(Span(window - 0.05, window + 0.05, "alarm", "", at - 0.3, at + 0.3))
+        notes.append(Note(max(left, exact) + 1.0, at, f"slack {part - left:.0f}", align="left"))
+    panel = Panel(
+        "Delays",
+        spans=spans,
+        notes=notes,
+        ticks=numbered(["thesis 4.2.1", *labels]),
+        limits=(len(rows) + 0.6, -0.6),
+        keys=[*zip(BARS, COLOURS, strict=True), ("stop; thin: from the first motion", "alarm")],
+        height=36 * (len(rows) + 1) + 40,
+    )
+    axis = "ms after the motion that is to be answered (thin lines: closed form)"
+    title = "From motion to counter-force: every delay, and the time there is"
+    return {"budget": Figure([Stack(axis, [panel], limits=(0.0, 115.0), width=9.0)], title)}
+
+
+def thesis_bar() -> tuple[list[Span], list[Note]]:
+    """Return the thesis's own delays (4.2.1) as the first bar, and its slack."""
+    spans, left = [], 0.0
+    for name, delay_s in THESIS_S:
+        label = f"{name} {MS * delay_s:.0f}"
+        spans.append(Span(left, left + MS * delay_s, "measured", label, -0.3, 0.3))
+        left += MS * delay_s
+    stop = MS * THESIS_WINDOW_S
+    spans.append(Span(stop - 0.15, stop + 0.15, "alarm", "", -0.45, 0.45))
+    return spans, [Note(left + 1.0, 0.0, f"slack {stop - left:.0f}", align="left")]

@@ -12,8 +12,12 @@ from can_dbc.messages import ControllerStatus, Fault
 from sil.simulation import safety
 from sil.simulation.in_memory import MemoryRun, run_in_memory
 from sil.simulation.scenario import Loaded
+from sil.report.figure import Figure
+from sil.studies.fault_table import outcomes_figure
+from sil.studies.figures import swept_figures
 from sil.studies.rows import FAILED, PASSED, RowResult
 from sil.studies.study import LoadedStudy, Row
+from sil.studies.table import Table
 
 COLUMNS = (
     "shift_time_s",
@@ -105,3 +109,9 @@ def after_arrival(
     moving = v[np.abs(v) > 1e-3]
     turns = int(np.count_nonzero(np.diff(np.sign(moving)) != 0))
     return float(np.max(np.abs(x - x[-1]))), float(turns)
+
+
+def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
+    """Return metrics over sweeps and choices, of a safety study how each fault ended."""
+    found = swept_figures(study, table)
+    return found | ({"faults": outcomes_figure(study, table)} if study.study.safety else {})

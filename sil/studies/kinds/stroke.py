@@ -14,8 +14,11 @@ from plant.effects.stroke_conditions import StrokeConditions
 from plant.errors import IntegrationError
 from plant.parameters import Parameter, ParameterSet, load
 from plant.systems.stroke import Stroke, simulate
+from sil.report.figure import BAR, MM, MS, Figure, Panel, Series, Stack
+from sil.studies.figures import COLOURS, swept_figures, title_of
 from sil.studies.rows import FAILED, PASSED, RowResult
 from sil.studies.study import LoadedStudy, Row, StrokeBase
+from sil.studies.table import Table
 
 COLUMNS = (
     "arrival_s",
@@ -29,6 +32,8 @@ COLUMNS = (
     "failed",
 )
 STEP_S = 1e-4
+MOST_CURVES = 12
+"""Most rows that are drawn over time."""
 CHAMBERS = {"fixed": ("1", "2"), "N-B": ("B", "N"), "B-N": ("N", "B"), "N-F": ("F", "N"),
             "F-N": ("N", "F")}  # fmt: skip
 """Driving and opposing chamber of each kind of stroke."""
@@ -112,3 +117,40 @@ def with_effects(parameters: ParameterSet, row: Row) -> ParameterSet:
         unit = units.get(parts[2], "")
         effects.setdefault(parts[1], {})[parts[2]] = Parameter(float(value), unit, "study")
     return replace(parameters, effects=effects) if effects else parameters
+
+
+def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
+    """Return metrics over sweeps and choices, of a small study also the strokes over time."""
+    found = swept_figures(study, table)
+    return found | ({"curves": curves_figure(study)} if study.size <= MOST_CURVES else {})
+
+
+def curves_figure(study: LoadedStudy) -> Figure:
+    """Return position and pressures of every row over time."""
+    base = study.study.stroke
+    assert base is not None
+    driving, opposing = CHAMBERS[base.kind]
+    positions: list[Series] = []
+    pushing: list[Series] = []
+    against: list[Series] = []
+    end_s = 0.0
+    for row in study.rows():
+        values = (f"{s.label or s.path} {row.settings[s.path]} {s.unit}" for s in study.study.sweep)
+        label = ", ".join([*row.choices, *map(str.strip, values)])
+        role, dashed = f"series{row.number % COLOURS}", row.number >= COLOURS
+        stroke = stroke_of(base, study, row)
+        for lines, y in (
+            (positions, MM * stroke.position_m),
+            (pushing, BAR * stroke.pressure_pa(driving)),
+            (against, BAR * stroke.pressure_pa(opposing)),
+        ):
+            lines.append(Series(label, MS * stroke.time_s, y, role, dashed=dashed))
+        end_s = max(end_s, stroke.impact.time_s if stroke.impact else 0.0)
+    last_s = min(base.until_s, 1.6 * end_s + 0.02) if end_s else base.until_s
+    panels = [
+        Panel("Position of the stay", "mm", positions, height=220),
+        Panel(f"Pressure {driving}, absolute", "bar", pushing),
+        Panel(f"Pressure {opposing}, absolute", "bar", against),
+    ]
+    stack = Stack("time, ms", panels, "Over time", limits=(0.0, MS * last_s), width=8.6)
+    return Figure([stack], title_of(study))

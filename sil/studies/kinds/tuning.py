@@ -19,22 +19,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError, RunError
 from controller import strategies
+from sil.report.figure import VIRIDIS, ColourScale, Figure, Panel, Span, Stack
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.scenario import Loaded
+from sil.studies.figures import cells_of, grid_of, map_panel, map_stack, numbered, title_of
 from sil.studies.kinds.budget import group_delay_s
 from sil.studies.rows import FAILED, NOT_RUN, PASSED, RowResult
 from sil.studies.study import LoadedStudy, Row, TuningTable, texts_of
+from sil.studies.table import Table, row_groups
 
 FAILED_M_S = 10.0
 BUS_S = 0.0004
 """Approximate time that a report spends on the bus."""
+MOST_BARS = 64
 OIL_DAMPER = 'plant.damper="compressible"'
 
 Make = Callable[[Sequence[str]], Loaded]
@@ -308,3 +312,94 @@ def tune(
         share = 0.25 * 0.2 ** (k / max(left - 1, 1))
         found.append(tried(nearby(strategy, best.parameters, share, rng)))
     return sorted(found, key=lambda candidate: candidate.cost_m_s)
+
+
+def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
+    """Return the worst impact of each row by family, and over a grid of two values also as maps."""
+    found = {}
+    if study.study.design.kind == "grid" and len(study.study.sweep) == 2:
+        found["map"] = maps_figure(study, table)
+    if table.size <= MOST_BARS:
+        found["tuning"] = worst_figure(study, table)
+    return found
+
+
+def families_of(table: Table) -> list[str]:
+    """Return the part before the comma in the names of a tuning's loads, each once."""
+    names = [n.removeprefix("impact_m_s ") for n in table.numbers if n.startswith("impact_m_s ")]
+    return list(dict.fromkeys(name.split(",")[0] for name in names))
+
+
+def impacts_m_s(table: Table, family: str, what: str = "impact_m_s") -> NDArray[np.float64]:
+    """Return the impact speed [loads, rows] in m/s under each load of a family, NaN for a failure."""
+    return np.array([v for n, v in table.numbers.items() if n.startswith(f"{what} {family}")])
+
+
+def worst_figure(study: LoadedStudy, table: Table) -> Figure:
+    """Return the worst impact of each row over the loads of each family, as bars."""
+    labels = []
+    for k in range(table.size):
+        parts = [table.texts[name][k] for name, _items in study.groups]
+        parts += [f"{s.label or s.path} {value_text(table, s.path, k)}" for s in study.study.sweep]
+        labels.append(", ".join(parts))
+    families = families_of(table)
+    spans = []
+    for n, family in enumerate(families):
+        low, width = 0.4 * (2 * n / len(families) - 1.0), 0.8 / len(families)
+        for k, worst in enumerate(np.max(impacts_m_s(table, family), axis=0)):
+            if np.isfinite(worst):
+                spans.append(Span(0.0, worst, f"series{n}", "", k + low, k + low + 0.9 * width))
+    panel = Panel(
+        "Worst impact",
+        spans=spans,
+        ticks=numbered(labels),
+        limits=(table.size - 0.5, -0.5),
+        keys=[(family, f"series{n}") for n, family in enumerate(families)],
+        height=60 + 20 * table.size,
+    )
+    stack = Stack("worst impact speed over the loads, m/s", [panel], width=7.0)
+    return Figure([stack], title_of(study))
+
+
+def value_text(table: Table, path: str, row: int) -> str:
+    """Return a swept value of a row as text, times in ms."""
+    if path in table.texts:
+        return table.texts[path][row]
+    value = float(table.numbers[path][row])
+    return f"{1e3 * value:g} ms" if path.endswith(("_s", "D_rise", "D_fall")) else f"{value:g}"
+
+
+def maps_figure(study: LoadedStudy, table: Table) -> Figure:
+    """Return maps of the worst impact over the two swept values: a row a family, a column a variant."""
+    scale = ColourScale("worst impact speed over the loads, m/s", 0.0, 1.4, VIRIDIS[::-1])
+    i, j = cells_of(study, table)
+    stacks = []
+    for variant, rows in row_groups(study, table).items():
+        panels = []
+        for family in families_of(table):
+            frames = [
+                Span(j[k] - 0.45, j[k] + 0.45, "alarm", "", i[k] - 0.45, i[k] + 0.45, style)
+                for k in rows
+                if (style := frame_style(table, family, k)) is not None
+            ]
+            worst_m_s = np.max(impacts_m_s(table, family), axis=0)
+            grid = grid_of(study, table, rows, worst_m_s)
+            panels.append(map_panel(study, table, grid, scale, frames))
+        stacks.append(map_stack(study, table, panels, variant))
+    return Figure(
+        stacks,
+        title_of(study),
+        f"{' above '.join(families_of(table))}; framed: as soft as the oil damper in the worst of "
+        "the loads (dashed: in their mean only); empty: failed",
+        same_scale=True,
+    )
+
+
+def frame_style(
+    table: Table, family: str, row: int
+) -> Literal["frame", "dashed frame"] | None:
+    """Return the frame of a row as soft as the oil damper: at worst, in the mean only, or none."""
+    ours, damper = (impacts_m_s(table, family, what)[:, row] for what in ("impact_m_s", "damper_m_s"))
+    if np.max(ours) <= np.max(damper):
+        return "frame"
+    return "dashed frame" if np.mean(ours) <= np.mean(damper) else None

@@ -1,0 +1,266 @@
+"""Figures that several kinds of studies share: metrics over what was swept or chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sil.report.figure import (
+    Band,
+    ColourScale,
+    Figure,
+    Floats,
+    Panel,
+    Series,
+    Span,
+    Stack,
+)
+from sil.report.theme import LIGHT
+from sil.studies.rows import columns
+from sil.studies.study import LoadedStudy, Sweep
+from sil.studies.table import Table, row_groups
+
+Ints = NDArray[np.int64]
+MOST_DOTS = 2000
+"""Of a larger study every so-many-th row is drawn as a dot; results.csv has them all."""
+
+COLOURS = len(LIGHT.series)
+UNITS = {"_m_s": ("m/s", 1.0), "_s": ("ms", 1e3), "_m": ("mm", 1e3), "_pa": ("bar", 1e-5),
+         "_j": ("J", 1.0), "_kg": ("g", 1e3)}  # fmt: skip
+
+
+def shown(metric: str) -> tuple[str, str, float]:
+    """Return title, unit and factor with which a metric is shown."""
+    for suffix, (unit, factor) in UNITS.items():
+        if metric.endswith(suffix):
+            return metric.removesuffix(suffix).replace("_", " "), unit, factor
+    return metric.replace("_", " "), "", 1.0
+
+
+def read_metrics(study: LoadedStudy) -> list[str]:
+    """Return the metrics to show first."""
+    known = columns(study)
+    default = ["impact_speed_m_s", "shift_time_s" if "shift_time_s" in known else "arrival_s"]
+    return [name for name in study.study.reads or default if name in known]
+
+
+def swept_figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
+    """Return the figures of a study of shifts or strokes by name: map, lines or choices."""
+    found = {}
+    numeric = [sweep for sweep in study.study.sweep if sweep.path in table.numbers]
+    if study.study.design.kind == "grid" and len(numeric) == len(study.study.sweep) == 2:
+        found["map"] = map_figure(study, table)
+    stacks = [stack for sweep in numeric if (stack := lines_over(study, table, sweep)) is not None]
+    if stacks:
+        found["lines"] = Figure(stacks, title_of(study), same_scale=True)
+    elif not study.study.safety:
+        found["choices"] = choices_figure(study, table)
+    return found
+
+
+def title_of(study: LoadedStudy) -> str:
+    """Return the name of a study as the title of a figure."""
+    return study.study.name.replace("_", " ")
+
+
+def axis_of(sweep: Sweep) -> tuple[str, float]:
+    """Return the label of a swept value's axis with its unit, and the factor; times are in ms."""
+    unit, factor = ("ms", 1e3) if sweep.unit == "s" else (sweep.unit, 1.0)
+    return f"{sweep.label or sweep.path}{f', {unit}' if unit else ''}", factor
+
+
+def lines_over(study: LoadedStudy, table: Table, sweep: Sweep) -> Stack | None:
+    """Return each metric over a swept value, None where it has one value only.
+
+    Where values repeat, a group of rows is a line of medians in a band from least to greatest;
+    otherwise each row is a dot.
+    """
+    axis, factor = axis_of(sweep)
+    at = factor * table.numbers[sweep.path]
+    if len(np.unique(at)) < 2:
+        return None
+    alone = len(study.study.sweep) == 1
+    groups = row_groups(study, table)
+    looks = group_looks(list(groups))
+    panels = []
+    for metric in read_metrics(study):
+        title, unit, scale = shown(metric)
+        y = scale * table.numbers[metric]
+        lines, bands, repeated = [], [], False
+        for name, rows in groups.items():
+            role, dashed = looks[name]
+            rows = rows[~np.isnan(y[rows])]
+            levels = np.unique(at[rows])
+            if alone or len(levels) < 0.6 * len(rows):
+                values = [y[rows][at[rows] == level] for level in levels]
+                middle = np.array([np.median(each) for each in values])
+                lines.append(Series(name, levels, middle, role, "marked", dashed))
+                if len(levels) < len(rows):
+                    repeated = True
+                    low, high = (np.array([f(each) for each in values]) for f in (np.min, np.max))
+                    bands.append(Band(levels, low, high, role))
+            else:
+                rows = rows[rows % -(-table.size // MOST_DOTS) == 0]
+                rows = rows[np.argsort(at[rows], kind="stable")]
+                lines.append(Series(name, at[rows], y[rows], role, "dots"))
+        lines = [line for line in lines if len(line.x)]
+        if lines:
+            title += ", median" if repeated else ""
+            panels.append(Panel(title, unit, lines, bands, height=240))
+    if not panels:
+        return None
+    return Stack(
+        axis,
+        panels,
+        f"Over {sweep.label or sweep.path}",
+        logarithmic=sweep.scale == "log" and float(np.min(at)) > 0.0,
+        width=5.2,
+    )
+
+
+def group_looks(names: Sequence[str]) -> dict[str, tuple[str, bool]]:
+    """Return colour and dashing of each group: of more than the colours, one for each last choice."""
+    if len(names) <= COLOURS:
+        return {name: (f"series{k}", False) for k, name in enumerate(names)}
+    parts = [name.rpartition(" / ") for name in names]
+    first = list(dict.fromkeys(before for before, _slash, _last in parts))
+    last = list(dict.fromkeys(after for _before, _slash, after in parts))
+    return {
+        name: (f"series{last.index(after) % COLOURS}", first.index(before) % 2 == 1)
+        for name, (before, _slash, after) in zip(names, parts, strict=True)
+    }
+
+
+class Choices(NamedTuple):
+    """The rows by their choices: the kind with the most options, and combinations of the others.
+
+    index: [rows] number of each row's option in `names`. series: row numbers by combination, in one
+    series if there are more combinations than colours.
+    """
+
+    kind: str
+    names: list[str]
+    index: Ints
+    series: dict[str, Ints]
+
+
+def choices(study: LoadedStudy, table: Table) -> Choices:
+    """Return the choices of each row: loads and the like, and swept values that are no numbers."""
+    kinds = {name: name for name, _items in study.groups}
+    kinds |= {s.path: s.label or s.path for s in study.study.sweep if s.path in table.texts}
+    if not kinds:
+        rows = np.arange(table.size)
+        return Choices("", [study.study.name], np.zeros_like(rows), {"": rows})
+    options = {kind: list(dict.fromkeys(table.texts[kind])) for kind in kinds}
+    widest = max(kinds, key=lambda kind: len(options[kind]))
+    index = np.array([options[widest].index(name) for name in table.texts[widest]])
+    others = [table.texts[kind] for kind in kinds if kind != widest]
+    labels = [" / ".join(parts) for parts in zip(*others, strict=True)]
+    if not labels or len(set(labels)) > COLOURS:
+        labels = [""] * table.size
+    series = {name: np.flatnonzero(np.array(labels) == name) for name in dict.fromkeys(labels)}
+    return Choices(kinds[widest], options[widest], index, series)
+
+
+def choices_figure(study: LoadedStudy, table: Table) -> Figure:
+    """Return each metric by choice: a dot at the median, a line from least to greatest."""
+    by = choices(study, table)
+    offsets = np.linspace(-0.3, 0.3, len(by.series)) if len(by.series) > 1 else [0.0]
+    panels = []
+    for metric in read_metrics(study):
+        title, unit, factor = shown(metric)
+        lines, spans, repeated = [], [], False
+        for k, (name, rows) in enumerate(by.series.items()):
+            role, x, y = f"series{k}", [], []
+            for option in range(len(by.names)):
+                values = factor * table.numbers[metric][rows[by.index[rows] == option]]
+                values = values[~np.isnan(values)]
+                if len(values):
+                    repeated |= len(values) > 1
+                    x.append(option + offsets[k])
+                    y.append(float(np.median(values)))
+                    ends = float(values.min()), float(values.max())
+                    spans.append(Span(x[-1] - 0.01, x[-1] + 0.01, role, "", *ends))
+            if x:
+                lines.append(Series(name, np.array(x), np.array(y), role, "dots", width=3.0))
+        if lines:
+            title += ", median" if repeated else ""
+            panels.append(Panel(title, unit, lines, spans=spans, height=240))
+    stack = Stack(
+        by.kind,
+        panels,
+        f"By {by.kind}",
+        ticks=numbered(by.names),
+        width=max(6.0, 0.8 * len(by.names)),
+    )
+    return Figure([stack], title_of(study))
+
+
+def map_figure(study: LoadedStudy, table: Table) -> Figure:
+    """Return the greatest value of the first metric over a grid, a map for each group of rows."""
+    title, unit, factor = shown(read_metrics(study)[0])
+    values = factor * table.numbers[read_metrics(study)[0]]
+    label = f"{title}, {unit}" if unit else title
+    scale = ColourScale(label, float(np.nanmin(values)), float(np.nanmax(values)))
+    stacks = []
+    for name, rows in row_groups(study, table).items():
+        panel = map_panel(study, table, grid_of(study, table, rows, values), scale)
+        stacks.append(map_stack(study, table, [panel], name))
+    return Figure(stacks, title_of(study), same_scale=True)
+
+
+def grid_of(study: LoadedStudy, table: Table, rows: Ints, values: Floats) -> Floats:
+    """Return the greatest of the values [rows] at each point of a grid [second sweep, first sweep].
+
+    values: of all rows of the table, in any unit. NaN where no row has a value.
+    """
+    i, j = cells_of(study, table)
+    grid = np.full((i.max() + 1, j.max() + 1), np.nan)
+    for k in rows:
+        grid[i[k], j[k]] = np.fmax(grid[i[k], j[k]], values[k])
+    return grid
+
+
+def cells_of(study: LoadedStudy, table: Table) -> tuple[Ints, Ints]:
+    """Return the grid indices [rows] of each row of the table: second sweep, first sweep."""
+    first, second = (table.numbers[sweep.path] for sweep in study.study.sweep)
+    return np.searchsorted(np.unique(second), second), np.searchsorted(np.unique(first), first)
+
+
+def map_panel(
+    study: LoadedStudy, table: Table, grid: Floats, scale: ColourScale, frames: Sequence[Span] = ()
+) -> Panel:
+    """Return a map of a grid [second sweep, first sweep], in the unit of the scale."""
+    second = study.study.sweep[1]
+    axis, factor = axis_of(second)
+    text = "{:.2f}" if grid.size <= 100 else ""
+    return Panel(
+        axis,
+        spans=[*scale.cells(grid, text.format), *frames],
+        scale=scale,
+        ticks=ticks_of(factor * table.numbers[second.path]),
+        limits=(-0.5, grid.shape[0] - 0.5),
+        height=260,
+    )
+
+
+def map_stack(study: LoadedStudy, table: Table, panels: Sequence[Panel], title: str) -> Stack:
+    """Return maps one above the other over the first swept value."""
+    axis, factor = axis_of(study.study.sweep[0])
+    ticks = ticks_of(factor * table.numbers[study.study.sweep[0].path])
+    return Stack(axis, panels, title, ticks=ticks, width=3.6)
+
+
+def ticks_of(values: Floats) -> list[tuple[float, str]]:
+    """Return (index, text) for the different values [rows], at most about ten of them."""
+    levels = np.unique(values)
+    stride = -(-len(levels) // 10)
+    return [(float(k), f"{v:g}") for k, v in enumerate(levels) if k % stride == 0]
+
+
+def numbered(names: Mapping[str, object] | Sequence[str]) -> list[tuple[float, str]]:
+    """Return (index, name) for the ticks of a named axis."""
+    return [(float(k), name) for k, name in enumerate(names)]
