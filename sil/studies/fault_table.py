@@ -42,7 +42,14 @@ LEGEND = (
 
 def fault_table(study: LoadedStudy, table: Table) -> str:
     """Return the table as Markdown, one line for each row, after the counts of safe states."""
-    lines = [f"# {study.study.name}", "", study.study.description, "", *safe_states(study, table), ""]
+    lines = [
+        f"# {study.study.name}",
+        "",
+        study.study.description,
+        "",
+        *safe_states(study, table),
+        "",
+    ]
     lines += ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
     lines += ["| " + " | ".join(cells) + " |" for cells in rows(study, table)]
     lines += ["", *(f"- {line}" for line in LEGEND)]
@@ -148,7 +155,7 @@ def outcomes_figure(study: LoadedStudy, table: Table) -> Figure:
     labels = [", ".join(table.texts[name][i] for name in names[:-1]) for i in range(table.size)]
     faults = list(dict.fromkeys(labels))
     half = len(faults) if len(faults) < 12 else -(-len(faults) // 2)
-    stacks = []
+    stacks: list[Stack] = []
     for part in (faults[:half], faults[half:]):
         if not part:
             continue
@@ -164,7 +171,7 @@ def outcomes_figure(study: LoadedStudy, table: Table) -> Figure:
             ticks=numbered(part),
             limits=(half - 0.5, -0.5),
             keys=() if stacks else OUTCOMES,
-            height=40 + 14 * half,
+            height=max(120, 40 + 14 * half),
         )
-        stacks.append(Stack("shift", [panel], ticks=numbered(shifts), width=3.6))
+        stacks.append(Stack("shift", [panel], ticks=numbered(shifts), width=6.5))
     return Figure(stacks, study.study.name.replace("_", " "))

@@ -92,9 +92,10 @@ def lines_over(study: LoadedStudy, table: Table, sweep: Sweep) -> Stack | None:
         lines, bands, repeated = [], [], False
         for name, rows in groups.items():
             role, dashed = looks[name]
+            as_line = alone or len(np.unique(at[rows])) < 0.6 * len(rows)
             rows = rows[~np.isnan(y[rows])]
             levels = np.unique(at[rows])
-            if alone or len(levels) < 0.6 * len(rows):
+            if as_line:
                 values = [y[rows][at[rows] == level] for level in levels]
                 middle = np.array([np.median(each) for each in values])
                 lines.append(Series(name, levels, middle, role, "marked", dashed))
@@ -137,13 +138,13 @@ def group_looks(names: Sequence[str]) -> dict[str, tuple[str, bool]]:
 class Choices(NamedTuple):
     """The rows by their choices: the kind with the most options, and combinations of the others.
 
-    index: [rows] number of each row's option in `names`. series: row numbers by combination, in one
+    option: [rows] number of each row's option in `names`. series: row numbers by combination, in one
     series if there are more combinations than colours.
     """
 
     kind: str
     names: list[str]
-    index: Ints
+    option: Ints
     series: dict[str, Ints]
 
 
@@ -176,7 +177,7 @@ def choices_figure(study: LoadedStudy, table: Table) -> Figure:
         for k, (name, rows) in enumerate(by.series.items()):
             role, x, y = f"series{k}", [], []
             for option in range(len(by.names)):
-                values = factor * table.numbers[metric][rows[by.index[rows] == option]]
+                values = factor * table.numbers[metric][rows[by.option[rows] == option]]
                 values = values[~np.isnan(values)]
                 if len(values):
                     repeated |= len(values) > 1

@@ -18,6 +18,7 @@ from can_dbc.errors import InputError
 from plant.parameters import load
 from sil.report.figure import MS, Figure, Floats, Panel, Rule, Series, Span, Stack
 from sil.studies.bound_search import bound, clairvoyant, shooters_of
+from sil.studies.figures import title_of
 from sil.studies.kinds.budget import THESIS_S
 from sil.studies.rows import RowResult
 from sil.studies.shooting import FAMILIES
@@ -137,10 +138,10 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
             x, y = np.array(sorted(points)).T
             lines.append(Series(strategy, MS * x, y, f"series{k % 8}", "dots", width=3.0))
         rules = [
-            Rule(table.numbers[column][first], name, role, "y", style)
-            for name, column, role, style in (
-                ("open loop", "open_loop_m_s", "ink", "dotted"),
-                ("oil damper", "damper_m_s", "series2", "solid"),
+            Rule(table.numbers[column][first], name, role, "y", "solid")
+            for name, column, role in (
+                ("open loop", "open_loop_m_s", "faint"),
+                ("oil damper", "damper_m_s", "series2"),
             )
         ]
         thesis = MS * sum(delay_s for _name, delay_s in THESIS_S)
@@ -154,7 +155,7 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
         axis = "information delay, ms (grey: known ahead)"
         title = f"{family}: worst of its loads"
         stacks.append(Stack(axis, [panel], title, limits=(low, LAST_MS), width=6.4))
-    return {"bounds": Figure(stacks, headline(table, families), same_scale=True)}
+    return {"bounds": Figure(stacks, title_of(study), headline(table, families), same_scale=True)}
 
 
 def headline(table: Table, families: Iterable[str]) -> str:

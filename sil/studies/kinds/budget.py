@@ -21,8 +21,8 @@ from plant.parameters import ParameterSet
 from plant.parts.flow import charge
 from plant.systems.stroke import simulate
 from sil.coupling.frame_bits import frame_bits
-from sil.report.figure import MS, Figure, Note, Panel, Span, Stack
 from sil.recording.run_record import NS, BusFrame
+from sil.report.figure import MS, Figure, Note, Panel, Span, Stack
 from sil.simulation.in_memory import MemoryRun, run_in_memory
 from sil.simulation.scenario import Loaded
 from sil.studies.figures import numbered

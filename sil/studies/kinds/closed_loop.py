@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.messages import ControllerStatus, Fault
+from sil.report.figure import Figure
 from sil.simulation import safety
 from sil.simulation.in_memory import MemoryRun, run_in_memory
 from sil.simulation.scenario import Loaded
-from sil.report.figure import Figure
 from sil.studies.fault_table import outcomes_figure
 from sil.studies.figures import swept_figures
 from sil.studies.rows import FAILED, PASSED, RowResult

@@ -395,11 +395,11 @@ def maps_figure(study: LoadedStudy, table: Table) -> Figure:
     )
 
 
-def frame_style(
-    table: Table, family: str, row: int
-) -> Literal["frame", "dashed frame"] | None:
+def frame_style(table: Table, family: str, row: int) -> Literal["frame", "dashed frame"] | None:
     """Return the frame of a row as soft as the oil damper: at worst, in the mean only, or none."""
-    ours, damper = (impacts_m_s(table, family, what)[:, row] for what in ("impact_m_s", "damper_m_s"))
+    ours, damper = (
+        impacts_m_s(table, family, what)[:, row] for what in ("impact_m_s", "damper_m_s")
+    )
     if np.max(ours) <= np.max(damper):
         return "frame"
     return "dashed frame" if np.mean(ours) <= np.mean(damper) else None

@@ -13,7 +13,7 @@ from plant.parameters import load as load_parameters
 from plant.systems.stroke import simulate
 from sil.studies import bound_search as bounds
 from sil.studies.bound_search import Best, Bound
-from sil.studies.kind_pictures import envelope
+from sil.studies.kinds.bounds import envelope
 from sil.studies.shooting import FAMILIES, GEARBOX, LABORATORY, Arrivals, Commands, Family, Shooter
 
 PARAMETERS = load_parameters("nominal")

@@ -13,9 +13,8 @@ from can_dbc.errors import InputError
 from sil.cli import main
 from sil.studies import executor
 from sil.studies.executor import run_study
+from sil.studies.figures import choices, choices_figure
 from sil.studies.load_study import load_study, shipped
-from sil.studies.pictures import choices
-from sil.studies.plots import study_plots
 from sil.studies.table import RESULTS, read_table
 
 GRID = """
@@ -227,14 +226,14 @@ def test_what_is_no_number_is_drawn_by_name(tmp_path: Path) -> None:
     by = choices(study, read)
     assert (by.kind, by.names) == ("load", ["9 bar", "7 bar", "6 bar"])
     assert list(by.series) == ['""', '"N"']
-    drawn = json.loads(study_plots(study, read)[-1].numbers)
-    assert drawn["names"] == by.names
-    for line in drawn["panels"][0]["series"]:
+    (stack,) = choices_figure(study, read).stacks
+    assert [name for _at, name in stack.ticks] == by.names
+    for line in stack.panels[0].series:
         expected = [
             1e3 * float(row["arrival_s"])
             for name in by.names
             for row in rows
-            if row["load"] == name and row["stroke.charged_before"] == line["label"]
+            if row["load"] == name and row["stroke.charged_before"] == line.label
         ]
         assert len(expected) == 3
-        np.testing.assert_allclose(line["y"], expected, rtol=1e-5)
+        np.testing.assert_allclose(line.y, expected, rtol=1e-5)

@@ -13,9 +13,10 @@ import pytest
 from can_dbc.errors import InputError
 from sil.cli import main
 from sil.studies import executor
-from sil.studies.kind_pictures import FAMILIES, TUNED, delay_from, envelope, worst_over
+from sil.studies.kinds.bounds import TUNED, delay_of, envelope, worst_over
 from sil.studies.kinds.budget import BARS, closed, simulated
 from sil.studies.load_study import load_study
+from sil.studies.shooting import FAMILIES
 
 SHIPPED_BOUNDS = TUNED.parent / "bounds.csv"
 
@@ -115,7 +116,7 @@ def test_no_tuned_strategy_is_below_the_bound_at_its_delay(family: str) -> None:
         worst_m_s = worst_over(row, family)
         if worst_m_s is None or row["strategy"] == "oil damper":
             continue
-        delay_now_s = delay_from(row, family, float(row["information_delay_s"]))
+        delay_now_s = delay_of(row, family)
         valves = VALVES.get(row["variant"], "opens 8, closes 5 ms")
         points = [line for line in table if line["variant"] == valves]
         delay_s = np.array([float(line["bound.delay_s"]) for line in points])
