@@ -96,7 +96,7 @@ def run(
         metrics=done.figures,
         shifts=done.shifts,
         signals=dict(done.record.truth),
-        believed=done.record.believed,
+        believed=done.record.estimate,
         frames=done.record.frames,
         trace_sha256=done.trace_sha256,
     )

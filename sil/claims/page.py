@@ -58,7 +58,7 @@ def shift_figure() -> Figure:
         ("controller's estimate", "estimate", filtered),
         ("estimate without the filter", "alarm", unfiltered),
     ):
-        when_s, estimate_m = record.believed
+        when_s, estimate_m = record.estimate
         positions.append(Series(label, MS * when_s, MM * estimate_m, role, "stepped"))
     pressures = [
         Series(f"chamber {name}", time_ms, BAR * truth[f"pressure_{name}_pa"], name)

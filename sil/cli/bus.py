@@ -1,6 +1,7 @@
 """Show the transports found on this machine, and load and worst-case response times of a bus.
 
-Without --dbc it is the project's own contract; with a scenario, the periods are that scenario's."""
+Without --dbc it is the project's own contract; with a scenario, the periods are that scenario's.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +18,7 @@ example:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument("--dbc", metavar="FILE", help="another database [the project's]")
     parser.add_argument("--scenario", metavar="SCENARIO", help="take periods and bit rate from it")
     parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="[500000]")
@@ -24,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    """Print; return 1 if a message may be too late.  Raises InputError for bad input."""
     from can_dbc.errors import InputError
     from sil.coupling import response_times
 
@@ -46,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     load = float(response_times.utilisation(messages, bitrate))
     responses = response_times.response_times(messages, bitrate)
     transports = _transports()
-    told: dict[str, Any] = {
+    figures: dict[str, Any] = {
         "transports": transports,
         "bitrate": bitrate,
         "worst_case_load": load,
@@ -65,9 +68,9 @@ def run(arguments: argparse.Namespace) -> int:
         ],
     }
     if arguments.json:
-        print(json.dumps(told, indent=1))
+        print(json.dumps(figures, indent=1))
     else:
-        _tell(told)
+        _print(figures)
     return 0 if all(r.in_time for r in responses) else 1
 
 
@@ -88,19 +91,21 @@ def _transports() -> dict[str, Any]:
     return {"inproc": True, "local": True, "local_runs": running_channels(), "can": interfaces}
 
 
-def _tell(told: dict[str, Any]) -> None:
-    found = told["transports"]
+def _print(figures: dict[str, Any]) -> None:
+    found = figures["transports"]
     print("transports: inproc, local" + "".join(f", {name}" for name in found["can"]))
     if not found["can"]:
         print("  no CAN interface on this machine")
     for name in found["local_runs"]:
         print(f"  a run listens on local:{name}")
-    print(f"bus: {told['bitrate']} bit/s, {100 * told['worst_case_load']:.1f} % loaded at worst")
+    print(
+        f"bus: {figures['bitrate']} bit/s, {100 * figures['worst_case_load']:.1f} % loaded at worst"
+    )
     print(
         f"  {'message':<18} {'identifier':>10} {'period ms':>10} {'frame ms':>9} "
         f"{'blocked ms':>11} {'worst ms':>9}"
     )
-    for m in told["messages"]:
+    for m in figures["messages"]:
         late = "" if m["in_time"] else "  too late"
         print(
             f"  {m['name']:<18} {m['can_id']:>10} {1e3 * m['period_s']:>10.1f} "

@@ -1,7 +1,8 @@
 """Run one participant of a scenario alone: it joins a run begun with `opc4 run --external`.
 
 The channel is local:NAME (printed by `opc4 run`) or a CAN interface.  File or name of the scenario,
-and settings, must be those of the run."""
+and settings, must be those of the run.
+"""
 
 from __future__ import annotations
 
@@ -56,6 +57,10 @@ def run(arguments: argparse.Namespace) -> int:
     wait_s: float = arguments.timeout
     if not 0.0 <= wait_s <= 86400.0:
         raise InputError(f"--timeout: {wait_s}; expected 0 to 86400 s")
+
+    def notify(message: str) -> None:
+        say(f"opc4 node: {message}")
+
     loaded = scenario.load(
         arguments.scenario,
         model=arguments.model,
@@ -68,12 +73,12 @@ def run(arguments: argparse.Namespace) -> int:
             if (out / name).exists():
                 raise InputError(f"{out / name}: exists; expected none, or --force")
     with contextlib.ExitStack() as undoing:
-        link = open_link(arguments.channel, wait_s, say)
+        link = open_link(arguments.channel, wait_s, notify)
         undoing.callback(link.close)
         if arguments.participant == "plant":
             out.mkdir(parents=True, exist_ok=True)
         participant = build.make_participant(arguments.participant, loaded, out)
         undoing.pop_all()  # take_part closes both
         number = build.scenario_number(loaded.scenario)
-        take_part(participant, link, scenario=number, start_timeout_s=wait_s, say=say)
+        take_part(participant, link, scenario=number, start_timeout_s=wait_s, say=notify)
     return 0

@@ -3,11 +3,10 @@
 Model: whenever the bus is idle, the frame with the lowest identifier among those released starts
 and is not interrupted; it arrives everywhere at the end of its end-of-frame field; three bits of
 intermission follow. Each sender hands its frames over by priority, so the queue is one for all.
-An identifier that has a mailbox waits once per sender: as in a CAN controller with one transmit
-object per message, newer content overwrites what has not been sent yet.
-What can go wrong on a bus comes in through two functions given by the caller, `frame_filter` and
-`is_off`; without them the bus is perfect.
-Checked by: tests/unit/sil/coupling/test_bus.py
+Of an identifier with a mailbox, one frame waits per sender: as in a CAN controller with one
+transmit object per message, newer content overwrites what has not been sent yet.
+Faults enter through two functions given by the caller, `frame_filter` and `is_off`; without them
+the bus is perfect.
 """
 
 from __future__ import annotations
@@ -20,9 +19,9 @@ from typing import Any, NamedTuple, TypeVar
 
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
+from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import EOF_BITS, INTERMISSION_BITS, frame_bits
 
-NS_PER_S = 1_000_000_000
 SHORTEST_ERROR_BITS = 17
 LONGEST_ERROR_BITS = 23
 
@@ -37,7 +36,7 @@ class Delivery(NamedTuple):
 
 
 class Transmission(NamedTuple):
-    """A frame that has won the bus, as a `frame_filter` sees it.
+    """A frame that has won the arbitration, as a `frame_filter` receives it.
 
     `start_ns` to `end_ns`: start of frame to end of frame; `attempt` counts from 1.
     """
@@ -50,7 +49,7 @@ class Transmission(NamedTuple):
     attempt: int
 
     def delivered(self) -> tuple[Delivery, ...]:
-        """What a perfect bus delivers."""
+        """Return what a perfect bus delivers."""
         return (Delivery(self.end_ns, self.frame, self.sender, self.queued_ns),)
 
 
@@ -84,7 +83,7 @@ those that still wait; a frame already on the bus is left to the `frame_filter`.
 
 @dataclass(slots=True)
 class BusStatistics:
-    """What happened on a bus.
+    """Counts and times of a bus.
 
     `frames`: transmissions begun, among them `error_frames` that nobody accepted and `lost` that
     the filter let vanish; dropped: never sent, their sender being off or its buffer full;
@@ -119,7 +118,7 @@ _Entry = TypeVar("_Entry", bound=tuple[Any, ...])
 
 
 def overwritten(ready: list[_Entry], entry: _Entry) -> bool:
-    """Put a frame into its sender's mailbox over what waits there; False when nothing does.
+    """Replace the frame that waits in its sender's mailbox; return False when none does.
 
     `ready` is a heap whose entries begin as `_Ready`'s do.
     """
@@ -132,12 +131,11 @@ def overwritten(ready: list[_Entry], entry: _Entry) -> bool:
 
 
 class BusModel:
-    """A CAN bus in simulated time. See the module for the model.
+    """A CAN bus in simulated time; the module docstring states the model.
 
     bitrate: bit/s, such that a bit lasts a whole number of ns. capacity: frames that a sender may
     have waiting, further ones are dropped and counted; None for no limit. mailboxes: identifiers of
     which only the newest content of a sender waits.
-    Raises InputError for a bit rate that does not fit. Checked by: tests/unit/sil/coupling/test_bus.py
     """
 
     def __init__(
@@ -148,6 +146,7 @@ class BusModel:
         capacity: int | None = None,
         mailboxes: Container[int] = (),
     ) -> None:
+        """Make an idle bus.  Raises InputError for a bit rate without a bit of whole ns."""
         if not 10_000 <= bitrate <= 1_000_000 or NS_PER_S % bitrate:
             raise InputError(
                 f"bus: bitrate: {bitrate} bit/s; expected 10000 to 1000000 with a bit of whole ns, "
@@ -194,7 +193,7 @@ class BusModel:
         if release_ns < self._now_ns:
             raise ValueError(
                 f"frame {frame.can_id:#010x} of {sender} is released at {release_ns} ns; "
-                f"the bus stands at {self._now_ns} ns"
+                f"the bus is at {self._now_ns} ns"
             )
         if not (0 <= frame.can_id < 1 << 29 and len(frame.data) <= 8):
             raise ValueError(f"{frame} of {sender} is not a classic CAN frame with 29-bit id")
@@ -206,13 +205,13 @@ class BusModel:
         heappush(self._released_later, (release_ns, self._serial, frame, sender))
 
     def advance(self, until_ns: int) -> list[Delivery]:
-        """All frames that arrive up to and at `until_ns`, in order of arrival.
+        """Return all frames that arrive up to and at `until_ns`, in order of arrival.
 
-        Who starts at `until_ns` itself is decided by the next call, when all frames released at
-        that instant are known. Raises ValueError for an instant in the past.
+        The frame that starts at `until_ns` itself is chosen by the next call, when all frames
+        released at that instant are known. Raises ValueError for an instant in the past.
         """
         if until_ns < self._now_ns:
-            raise ValueError(f"the bus stands at {self._now_ns} ns, not before {until_ns} ns")
+            raise ValueError(f"the bus is at {self._now_ns} ns, not before {until_ns} ns")
         self._now_ns = until_ns
         released_later, ready = self._released_later, self._ready
         while ready or released_later:

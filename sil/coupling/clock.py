@@ -10,28 +10,28 @@ from can_dbc.lockstep import NEVER_NS as NEVER_NS  # the largest instant of the 
 NS_PER_S = 1_000_000_000
 
 
-def to_ns(seconds: float, place: str = "time") -> int:
+def to_ns(seconds: float, name: str = "time") -> int:
     """Return the whole nanosecond nearest to `seconds`.
 
-    `place` names the value in the message.  Raises InputError for a value that is not finite, is
-    negative, or lies beyond what the lockstep carries (78 h).  Checked by test_clock.
+    `name` names the value in the message.  Raises InputError for a value that is not finite, is
+    negative, or is beyond the range of the lockstep (78 h).
     """
     if not math.isfinite(seconds) or seconds < 0.0:
-        raise InputError(f"{place}: {seconds!r} s; expected a finite time, zero or more")
+        raise InputError(f"{name}: {seconds!r} s; expected a finite time, zero or more")
     if seconds >= NEVER_NS // NS_PER_S:
-        raise InputError(f"{place}: {seconds!r} s; expected less than {NEVER_NS // NS_PER_S} s")
+        raise InputError(f"{name}: {seconds!r} s; expected less than {NEVER_NS // NS_PER_S} s")
     return round(seconds * NS_PER_S)
 
 
 def to_seconds(nanoseconds: int) -> float:
-    """Return the float64 nearest to `nanoseconds` in seconds.  Checked by test_clock."""
+    """Return the float64 nearest to `nanoseconds` in seconds."""
     return nanoseconds / NS_PER_S
 
 
 def next_tick(after_ns: int, period_ns: int, phase_ns: int = 0) -> int:
     """Return the first instant of the schedule phase + k * period (k = 0, 1, ...) after `after_ns`.
 
-    Raises ValueError for a period below 1 ns.  Checked by test_clock.
+    Raises ValueError for a period below 1 ns.
     """
     if period_ns < 1:
         raise ValueError(f"period {period_ns} ns; expected at least 1")

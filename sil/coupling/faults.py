@@ -1,7 +1,7 @@
-"""Faults of the bus and of the nodes on it, as a scenario states them: what, whom, when, how often.
+"""Faults of the bus and of its nodes, as a scenario states them.
 
-All happen in simulated time and draw from generators of the scenario's seed, so a run with faults
-repeats bit by bit on every transport.  A kind that is not in this file is refused.
+All happen in simulated time and draw from generators seeded by the scenario, so a run with faults
+repeats to the bit on every transport.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ INTRUDER = "intruder"
 
 Instant = Annotated[float, Meta(ge=0.0, le=86400.0)]
 
-EVENTS_KEPT = 10_000
+MOST_EVENTS = 10_000
 MOST_DELAY_S = 10.0
 _NS_PER_US = 1000
 
@@ -74,7 +74,7 @@ class _FrameFault(_Fault, frozen=True, kw_only=True):
 
 
 class Loss(_FrameFault, frozen=True, kw_only=True, tag="loss"):
-    """The frame takes its time on the bus and arrives nowhere, and nobody notices."""
+    """The frame occupies the bus but arrives nowhere, unnoticed."""
 
 
 class DetectedCorruption(_FrameFault, frozen=True, kw_only=True, tag="error_frame"):
@@ -108,7 +108,7 @@ class FrozenCounter(_FrameFault, frozen=True, kw_only=True, tag="frozen_counter"
 
 
 class BusOff(_Fault, frozen=True, kw_only=True, tag="bus_off"):
-    """The node's transceiver is off: it sends nothing and hears nothing; what it queues is lost."""
+    """The node's transceiver is off: it neither sends nor receives; what it queues is lost."""
 
     node: NodeName
     """Node that is bus-off."""
@@ -132,7 +132,7 @@ class Stalled(_Fault, frozen=True, kw_only=True, tag="stalled"):
 
 
 class Babbling(_Fault, frozen=True, kw_only=True, tag="babbling"):
-    """A node that is none of ours sends without need: `load` of the bus, at `priority`."""
+    """A foreign node sends all the time: `load` of the bus, at `priority`."""
 
     load: Annotated[float, Meta(gt=0.0, le=3.0)] = 1.0
     """Share of the bus that the frames take."""
@@ -194,11 +194,12 @@ class Window(NamedTuple):
     end_ns: int
 
     def holds(self, instant_ns: int) -> bool:
+        """Return whether the instant is inside."""
         return self.start_ns <= instant_ns < self.end_ns
 
 
 class _Selection:
-    """Picks the frames that one frame fault hits, and holds what it remembers of them."""
+    """Selects the frames that one frame fault hits, and stores its state."""
 
     def __init__(self, fault: Any, window: Window, seed: str) -> None:
         self.fault = fault
@@ -227,21 +228,20 @@ class _Selection:
 
 
 class FaultPlan:
-    """All faults of one run: the bus model's filter, and the coordinator's `Outages`.
+    """All faults of one run, for the bus model and the coordinator.
 
-    `events` holds the latest frames hit, `hits` how often each fault hit (frame faults only).
-    Checked by test_faults.
+    `events`: the latest frames hit; `hits`: how often each fault hit (frame faults only).
     """
 
     def __init__(self, faults: Sequence[BusFault], seed: int) -> None:
-        """Raises InputError naming the fault for a window that is empty, and the like."""
-        self.events: deque[FaultEvent] = deque(maxlen=EVENTS_KEPT)
+        """Take the faults.  Raises InputError naming one that is impossible."""
+        self.events: deque[FaultEvent] = deque(maxlen=MOST_EVENTS)
         self._by_fault: dict[int, _Selection] = {}
         self._off: list[tuple[str, Window]] = []
         self._down: list[tuple[str, Window]] = []
         for index, fault in enumerate(faults):
-            place = f"fault[{index}]"
-            window = _window(fault, place)
+            name = f"fault[{index}]"
+            window = _window(fault, name)
             if isinstance(fault, Intrusion):
                 continue
             if isinstance(fault, BusOff):
@@ -249,10 +249,10 @@ class FaultPlan:
             elif isinstance(fault, Dead | Stalled):
                 self._down.append((fault.node, window))
             else:
-                selection = _Selection(fault, window, f"{seed}:{place}:{fault.message}")
+                selection = _Selection(fault, window, f"{seed}:{name}:{fault.message}")
                 if isinstance(fault, FrozenCounter) and selection.message_type not in PROTECTED:
                     raise InputError(
-                        f"{place}.message: {fault.message} carries no counter; expected one of "
+                        f"{name}.message: {fault.message} carries no counter; expected one of "
                         + ", ".join(kind.__name__ for kind in PROTECTED)
                     )
                 self._by_fault[index] = selection
@@ -295,17 +295,20 @@ class FaultPlan:
         return deliveries
 
     def is_off(self, sender: str, instant_ns: int) -> bool:
-        """Tell whether a sender is bus-off; a `sil.coupling.bus.IsOff`."""
+        """Return whether a sender is bus-off; a `sil.coupling.bus.IsOff`."""
         return any(node == sender and window.holds(instant_ns) for node, window in self._off)
 
-    def deaf(self, instant_ns: int) -> frozenset[str]:
-        """Return the nodes that do not hear a frame that arrives at this instant."""
+    def bus_off(self, instant_ns: int) -> frozenset[str]:
+        """Return the nodes that do not receive a frame that arrives at this instant."""
         if not self._off:
             return frozenset()
         return frozenset(node for node, window in self._off if window.holds(instant_ns))
 
     def next_event(self, name: str, event_ns: int, period_ns: int) -> int:
-        """Return the node's first event from `event_ns` on at which it runs; see `Outages`."""
+        """Return the node's first event from `event_ns` on at which it runs; `NEVER_NS`: none.
+
+        `period_ns` is the time between its last two events.
+        """
         moved = True
         while moved and event_ns < NEVER_NS:
             moved = False
@@ -323,18 +326,18 @@ class FaultPlan:
         self.events.append(FaultEvent(transmission.start_ns, kind, frame.can_id, sender))
 
 
-def _window(fault: BusFault, place: str) -> Window:
-    start_ns = to_ns(fault.start_s, f"{place}.start_s")
+def _window(fault: BusFault, name: str) -> Window:
+    start_ns = to_ns(fault.start_s, f"{name}.start_s")
     if fault.end_s is None:
         if isinstance(fault, Stalled):
-            raise InputError(f"{place}.end_s: missing; expected a time, or the kind 'dead'")
+            raise InputError(f"{name}.end_s: missing; expected a time, or the kind 'dead'")
         return Window(start_ns, NEVER_NS)
     if isinstance(fault, Dead):
-        raise InputError(f"{place}.end_s: a dead node stays dead; expected the kind 'stalled'")
-    end_ns = to_ns(fault.end_s, f"{place}.end_s")
+        raise InputError(f"{name}.end_s: a dead node stays dead; expected the kind 'stalled'")
+    end_ns = to_ns(fault.end_s, f"{name}.end_s")
     if end_ns <= start_ns:
         raise InputError(
-            f"{place}.end_s: {fault.end_s} s; expected later than start_s, {fault.start_s} s"
+            f"{name}.end_s: {fault.end_s} s; expected later than start_s, {fault.start_s} s"
         )
     return Window(start_ns, end_ns)
 
@@ -347,7 +350,7 @@ def window_of(fault: BusFault) -> Window:
 def _apply(
     selection: _Selection, transmission: Transmission, deliveries: Sequence[Delivery]
 ) -> Sequence[Delivery] | ErrorFrame | None:
-    """Return what becomes of the deliveries, or None where the fault leaves them as they are."""
+    """Return the changed deliveries, or None where the fault does not change them."""
     fault = selection.fault
     if isinstance(fault, DetectedCorruption):
         return _error_frame(selection, transmission)

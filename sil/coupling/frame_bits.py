@@ -6,7 +6,6 @@ standard 34 + 8 n (SOF 1, id 11, RTR 1, IDE 1, r0 1, DLC 4, data 8 n, CRC 15). A
 bits a complementary one is inserted, which counts as the first of the next run. Ten bits follow
 unstuffed: CRC delimiter, ACK slot, ACK delimiter, seven bits end of frame.
 Source: Bosch CAN specification 2.0 part B (1991).
-Checked by: tests/unit/sil/coupling/test_frame_bits.py
 """
 
 from __future__ import annotations
@@ -21,12 +20,12 @@ CRC_BITS = 15
 _CRC_MASK = 0x7FFF
 
 # A stuffing state is the length of the current run of equal bits (1 to 4) times two plus the bit;
-# state 0 stands before the first bit.
+# state 0 is before the first bit.
 _START = 0
 
 
 def _stuff_step(state: int, bit: int) -> tuple[int, int]:
-    """The state after one more bit of the frame, and the number of stuff bits it caused."""
+    """Return the state after one more bit of the frame, and the stuff bits it caused."""
     run = (state >> 1) + 1 if state != _START and state & 1 == bit else 1
     if run == 5:
         return 2 | bit ^ 1, 1
@@ -34,7 +33,7 @@ def _stuff_step(state: int, bit: int) -> tuple[int, int]:
 
 
 def _stuff_bits(state: int, word: int, bits: int) -> tuple[int, int]:
-    """The same for the lowest `bits` bits of a word, most significant first."""
+    """Return the same for the lowest `bits` bits of a word, most significant first."""
     inserted = 0
     for position in range(bits - 1, -1, -1):
         state, more = _stuff_step(state, word >> position & 1)
@@ -63,10 +62,10 @@ _CRC_BYTE = tuple(_crc_of_byte(byte) for byte in range(256))
 
 
 def crc15(bits: int, count: int) -> int:
-    """CRC-15 of `count` bits, most significant first, starting from 0.
+    """Return the CRC-15 of `count` bits, most significant first, starting from 0.
 
     Generator x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1.
-    Source: Bosch CAN 2.0, 3.1.1. Checked by: tests/unit/sil/coupling/test_frame_bits.py
+    Source: Bosch CAN 2.0, 3.1.1.
     """
     crc = 0
     padded = (count + 7) // 8
@@ -76,7 +75,7 @@ def crc15(bits: int, count: int) -> int:
 
 
 def header_bits(can_id: int, length: int, extended: bool = True) -> tuple[int, int]:
-    """The bits from start of frame to the length code, as a number, and how many there are.
+    """Return the bits from start of frame to the length code, as a number, and their count.
 
     Raises ValueError for an identifier or a length that does not fit.
     """
@@ -91,18 +90,18 @@ def header_bits(can_id: int, length: int, extended: bool = True) -> tuple[int, i
 
 @lru_cache(maxsize=4096)
 def _after_header(can_id: int, length: int, extended: bool) -> tuple[int, int, int, int]:
-    """CRC, stuffing state and stuff bits after the header, and the unstuffed frame's length."""
+    """Return CRC, stuffing state and stuff bits after the header, and the unstuffed frame's length."""
     header, count = header_bits(can_id, length, extended)
     state, inserted = _stuff_bits(_START, header, count)
     return crc15(header, count), state, inserted, count + 8 * length + CRC_BITS + TAIL_BITS
 
 
 def frame_bits(can_id: int, data: bytes, extended: bool = True) -> int:
-    """Bits of a data frame from start of frame to end of frame, stuff bits included.
+    """Return the bits of a data frame from start of frame to end of frame, stuff bits included.
 
     The intermission of `INTERMISSION_BITS` that must follow is not part of it.
     Raises ValueError for an identifier or a length that does not fit.
-    Checked by: tests/unit/sil/coupling/test_frame_bits.py
+
     """
     crc, state, inserted, plain = _after_header(can_id, len(data), extended)
     for byte in data:
@@ -115,17 +114,17 @@ def frame_bits(can_id: int, data: bytes, extended: bool = True) -> int:
 
 
 def longest_frame_bits(length: int, extended: bool = True) -> int:
-    """Upper bound of `frame_bits` over all identifiers and data of a length.
+    """Return an upper bound of `frame_bits` over all identifiers and data of a length.
 
     g + 8 n + floor((g + 8 n - 1) / 4) + 10 with g = 54 (extended) or 34 (standard).
-    Source: Davis, Burns, Bril, Lukkien 2007, eq. 1. Checked by: tests/unit/sil/coupling/test_frame_bits.py
+    Source: Davis, Burns, Bril, Lukkien 2007, eq. 1.
     """
     plain = shortest_frame_bits(length, extended) - TAIL_BITS
     return plain + (plain - 1) // 4 + TAIL_BITS
 
 
 def shortest_frame_bits(length: int, extended: bool = True) -> int:
-    """Bits of a frame of a length without any stuff bit.
+    """Return the bits of a frame of a length without any stuff bit.
 
     Raises ValueError for a length that does not fit.
     """

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from can_dbc.errors import RunError
-from can_dbc.frame import Frame
 from sil.coupling.clock import NEVER_NS, to_seconds
 from sil.coupling.real_time import Lateness, Pacer
 from sil.coupling.transports.channel import NOBODY, Channel, ParticipantLost, Turn
@@ -18,40 +16,18 @@ from sil.coupling.transports.inproc import InProcess
 from sil.coupling.transports.wire import can_be_offered
 
 if TYPE_CHECKING:
-    from sil.coupling.bus import Delivery
+    from sil.coupling.bus import BusModel, Delivery
+    from sil.coupling.faults import FaultPlan
 
 TURN_ORDER = ("driver", "controller", "plant")
 """Who queues first at equal instants."""
 
-_PAUSE_NAP_S = 0.02
-
-
-class BusAuthority(Protocol):
-    """What the coordinator asks of the bus model."""
-
-    def queue(self, release_ns: int, frame: Frame, sender: str) -> None:
-        """Enter a frame into its sender's queue at an instant not before the last advance."""
-
-    def advance(self, until_ns: int) -> list[Delivery]:
-        """Return the frames that arrived up to and at `until_ns`, in order of arrival."""
-
-
-class Outages(Protocol):
-    """When participants do not run or do not hear; `sil.coupling.faults.FaultPlan` is one."""
-
-    def deaf(self, instant_ns: int) -> frozenset[str]:
-        """Return who does not hear a frame that arrives at this instant."""
-
-    def next_event(self, name: str, event_ns: int, period_ns: int) -> int:
-        """Return the participant's first event from `event_ns` on at which it runs.
-
-        `period_ns` is the distance of its last two events.  `NEVER_NS`: it never runs again.
-        """
+_LONGEST_WAIT_S = 0.02
 
 
 @dataclass(frozen=True)
 class RunSummary:
-    """What a run amounted to; `lateness` in real time only."""
+    """The figures of a finished run; `lateness` in real time only."""
 
     end_ns: int
     turns: int
@@ -61,29 +37,29 @@ class RunSummary:
 
 
 class Lockstep:
-    """Runs participants, wherever they are, in simulated time.
+    """Runs participants over any channels in simulated time.
 
     Order of a step at instant T, the earliest next event: the bus delivers what arrived up to and
     at T; everybody with an event at T is granted T; the frames they release enter the bus in the
     order of `TURN_ORDER`, whoever answered first.  At the end of the run everybody is granted the
     end.  What happens does not depend on the wall clock, nor on the channels.
 
-    Use as a context manager: leaving it ends participants and channels, early ones as aborted.
-    Checked by test_lockstep, test_transport_contract.
+    Use as a context manager: leaving it ends participants and channels; before the end of the run,
+    as aborted.
     """
 
     def __init__(
         self,
-        bus: BusAuthority,
+        bus: BusModel,
         channels: Sequence[Channel],
         end_ns: int,
         *,
         record: Callable[[list[Delivery]], None],
-        outages: Outages | None = None,
+        outages: FaultPlan | None = None,
         pacer: Pacer | None = None,
         order: Sequence[str] = TURN_ORDER,
     ) -> None:
-        """`record` gets the deliveries of each step before the participants do.
+        """Prepare a run; `record` receives the deliveries of each step before the participants.
 
         Raises ValueError when a participant is on two channels or missing from `order`.
         """
@@ -101,8 +77,6 @@ class Lockstep:
         self._outages = outages
         self._pacer = pacer
         self._next: dict[str, int] = {}
-        self._running = threading.Event()
-        self._running.set()
         self._turns = 0
         self._frames = 0
         self._wall_s = 0.0
@@ -121,7 +95,10 @@ class Lockstep:
         self.close()
 
     def close(self) -> None:
-        """End participants and channels; after a run that did not finish, as aborted."""
+        """End participants and channels; those of an unfinished run as aborted.
+
+        Raises RunError for a channel that cannot be closed after a finished run.
+        """
         failures = []
         for channel in self._channels:
             try:
@@ -131,17 +108,9 @@ class Lockstep:
         if failures and self._finished:
             raise failures[0]
 
-    def pause(self) -> None:
-        """Hold the run before its next step; callable from any thread or a signal handler."""
-        self._running.clear()
-
-    def resume(self) -> None:
-        """Let a held run go on; in real time its schedule starts anew at this instant."""
-        self._running.set()
-
     @property
     def warnings(self) -> list[str]:
-        """Lines for the user about strangers, slow monitors and the like."""
+        """Lines for the user about foreign frames, slow monitors and the like."""
         return [line for channel in self._channels for line in channel.counts.warnings]
 
     def start(self) -> None:
@@ -154,7 +123,7 @@ class Lockstep:
             self._next[name] = self._running_event(name, event_ns, 0)
 
     def run(self) -> RunSummary:
-        """Run from where it stands to the end.  Raises ParticipantLost, and RunError of the bus."""
+        """Run from the present instant to the end.  Raises ParticipantLost, and RunError of the bus."""
         self.advance(self.end_ns - 1)
         self._timed_step(self.end_ns, [name for name in self.names if name in self._next])
         self._finished = True
@@ -162,7 +131,7 @@ class Lockstep:
         return RunSummary(self.end_ns, self._turns, self._frames, self._wall_s, lateness)
 
     def advance(self, until_ns: int) -> None:
-        """Take all steps up to and at `until_ns`, before the end; then call it again, or `run`."""
+        """Take all steps up to and at `until_ns`, which is before the end."""
         if not self._started:
             self.start()
         while (now_ns := min(self._next.values(), default=NEVER_NS)) <= until_ns:
@@ -171,8 +140,6 @@ class Lockstep:
 
     def _timed_step(self, now_ns: int, due: Sequence[str]) -> None:
         try:
-            if not self._running.is_set():
-                self._hold()
             started = time.perf_counter()
             self._step(now_ns, due)
             self._wall_s += time.perf_counter() - started
@@ -184,7 +151,6 @@ class Lockstep:
         if deliveries:
             self._frames += len(deliveries)
             self._record(deliveries)
-        if deliveries:
             self._deliver(deliveries)
         if self._pacer is not None:
             self._pacer.wait(now_ns, self._idle)
@@ -206,9 +172,11 @@ class Lockstep:
         for delivery in deliveries:
             if self._pacer is not None:
                 self._pacer.wait(delivery.arrival_ns, self._idle)
-            deaf = NOBODY if self._outages is None else self._outages.deaf(delivery.arrival_ns)
+            bus_off = (
+                NOBODY if self._outages is None else self._outages.bus_off(delivery.arrival_ns)
+            )
             for channel in self._channels:
-                channel.deliver((delivery,), deaf)
+                channel.deliver((delivery,), bus_off)
 
     def _take(self, name: str, now_ns: int, turn: Turn) -> None:
         for release_ns, frame in turn.frames:
@@ -237,19 +205,13 @@ class Lockstep:
         return self._outages.next_event(name, event_ns, period_ns)
 
     def _idle(self, seconds: float) -> None:
-        """Pass wall time on all channels at once: the last one waits, the others are served."""
+        """Pass wall time, serving all channels."""
         deadline = time.monotonic() + seconds
         while True:
             remote = [c for c in self._channels if not isinstance(c, InProcess)]
             left = deadline - time.monotonic()
             if left <= 0.0:
                 return
-            share = left if len(remote) < 2 else min(left, _PAUSE_NAP_S) / len(remote)
+            share = left if len(remote) < 2 else min(left, _LONGEST_WAIT_S) / len(remote)
             for channel in remote or self._channels:
                 channel.idle(share)
-
-    def _hold(self) -> None:
-        while not self._running.is_set():
-            self._idle(_PAUSE_NAP_S)
-        if self._pacer is not None:
-            self._pacer.anchor(self.now_ns)

@@ -1,4 +1,4 @@
-"""A participant in a process of its own: joins a run, takes its turns, ends with it."""
+"""The main loop of a participant that joins a run from its own process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Participants as child processes: started, watched, and never outliving the coordinator."""
+"""Participants as child processes, which never outlive the coordinator."""
 
 from __future__ import annotations
 
@@ -31,15 +31,14 @@ class ChildProcess:
 
     The kernel kills it when the thread that started it ends, however that happens.  It is in a
     session of its own: an interrupt typed at the terminal reaches the coordinator alone, which then
-    ends its children.  What the child prints is kept: its last line is the reason given when it
-    ends too early.  Checked by test_participants.
+    ends its children.  The last line that the child prints is the reason given when it ends early.
     """
 
     def __init__(self, name: str, command: Sequence[str]) -> None:
         """Start `command`.  Raises RunError when this machine starts no more processes."""
         self.name = name
         self.printed: list[str] = []
-        """After its end: lines that the participant's own program printed."""
+        """After its end: the lines that the participant's own program printed."""
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
         try:
             self._process = subprocess.Popen(
@@ -93,27 +92,26 @@ class ChildProcess:
 
 @contextlib.contextmanager
 def sharing_one_core(pids: Sequence[int]) -> Iterator[int | None]:
-    """Keep the calling thread and these processes on the core it runs on; yield which.
+    """Keep the calling thread and these processes on one core; yield its number.
 
-    Two processes in lockstep take turns, and waking a neighbour core that sleeps costs several
-    times what a turn passed on the same core does.  Yields None, and changes nothing, where there
-    is but one core or affinity may not be set.  The affinity of the calling thread is put back.
-    Checked by test_participants.
+    Processes in lockstep run one at a time, and to wake another core takes several times as long as
+    to pass a turn on the same one.  Yields None, and changes nothing, if there is only one core or
+    affinity may not be set.  The affinity of the calling thread is restored.
     """
     allowed = os.sched_getaffinity(0)
     try:
-        yield _gathered((0, *pids), allowed)
+        yield _pinned((0, *pids), allowed)
     finally:
         os.sched_setaffinity(0, allowed)
 
 
-def _gathered(pids: Sequence[int], allowed: set[int]) -> int | None:
+def _pinned(pids: Sequence[int], allowed: set[int]) -> int | None:
     core: int = ctypes.CDLL(None).sched_getcpu()
     if len(allowed) < 2 or core not in allowed:
         return None
     try:
         for pid in pids:
             os.sched_setaffinity(pid, {core})
-    except (PermissionError, ProcessLookupError):  # one is not ours, or is gone: leave it at that
+    except (PermissionError, ProcessLookupError):  # one is not ours, or has ended
         return None
     return core

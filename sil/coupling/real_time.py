@@ -1,4 +1,4 @@
-"""Real time: simulated instants tied to the wall clock, and how late each of them came."""
+"""Real-time pacing: simulated instants tied to the wall clock, and their lateness."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from can_dbc.errors import InputError
 
 _LAST_SLEEP_NS = 2_000_000
-"""The last stretch is slept, not polled: poll wakes up on whole milliseconds."""
+"""The last stretch is slept, not polled: poll wakes up on whole milliseconds only."""
 
 
 @dataclass(frozen=True)
 class Lateness:
-    """How late the simulated instants came, in seconds of the wall clock.
+    """How late the simulated instants were, in seconds of the wall clock.
 
-    `instants`: how many were awaited; `overruns`: how many were late already when their turn came,
-    because the work before took too long, `worst_overrun_s` by how much at most.  The quantiles are
+    `instants`: number awaited; `overruns`: number already late when their turn came, because the
+    work before took too long, the worst by `worst_overrun_s`.  The quantiles are
     over all instants, each rounded up to two significant digits.
     """
 
@@ -44,10 +44,7 @@ class Lateness:
 
 
 class Histogram:
-    """Counts of nanosecond values, rounded up to two significant digits: memory stays flat.
-
-    Checked by test_real_time.
-    """
+    """Counts of nanosecond values, rounded up to two significant digits: memory stays flat."""
 
     def __init__(self) -> None:
         self._counts: dict[int, int] = {}
@@ -76,10 +73,10 @@ class Histogram:
 
 
 class Pacer:
-    """Holds simulated instants back until the wall clock is there.
+    """Delays simulated instants until the wall clock has reached them.
 
     The schedule is absolute: wall = origin + (simulated - simulated origin) / factor, so that one
-    late instant does not shift those after it.  Checked by test_real_time.
+    late instant does not shift those after it.
     """
 
     def __init__(
@@ -88,7 +85,7 @@ class Pacer:
         clock: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """`factor`: simulated seconds per wall second.  Raises InputError unless it is positive."""
+        """Set `factor`, simulated seconds per wall second.  Raises InputError unless it is positive."""
         if not 1e-6 <= factor <= 1e6:
             raise InputError(f"real-time factor {factor!r}: expected 1e-6 to 1e6")
         self.factor = factor
@@ -100,18 +97,14 @@ class Pacer:
         self._overruns = 0
         self._worst_overrun = 0
 
-    def anchor(self, simulated_ns: int) -> None:
-        """Tie this simulated instant to now: at the start, and after a pause."""
-        self._origin_wall = self._clock()
-        self._origin_simulated = simulated_ns
-
     def wait(self, simulated_ns: int, idle: Callable[[float], None]) -> None:
         """Return when the wall clock has reached the instant; `idle(seconds)` passes long waits.
 
-        The first call anchors the schedule.
+        The first call ties its instant to the present wall time.
         """
         if self._origin_simulated is None:
-            self.anchor(simulated_ns)
+            self._origin_wall = self._clock()
+            self._origin_simulated = simulated_ns
             return
         due = self._origin_wall + round((simulated_ns - self._origin_simulated) / self.factor)
         left = due - self._clock()

@@ -13,7 +13,6 @@ analysis of 1994, is optimistic.
 Source: Davis, Burns, Bril, Lukkien, "Controller Area Network (CAN) schedulability analysis:
 refuted, revisited and revised", Real-Time Systems 35 (2007), section 3.2.
 Assumes: perfect bus, every node always offers its most urgent frame, messages independent.
-Checked by: tests/unit/sil/coupling/test_response_times.py (the paper's cases, and the bus model never slower)
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ _MOST_STEPS = 20_000
 
 @dataclass(frozen=True, slots=True)
 class PeriodicMessage:
-    """A message as the analysis sees it; times in ns.
+    """A message of the analysis; times in ns.
 
     `jitter_ns`: how much later than strictly periodic its frames may be released.
     `deadline_ns`: None for the period.
@@ -54,7 +53,7 @@ class PeriodicMessage:
 
     @property
     def rank(self) -> tuple[int, int, int]:
-        """Smaller wins the arbitration: the first 11 bits, then standard before extended."""
+        """The priority, of which the smallest wins: the first 11 bits, then standard before extended."""
         if self.extended:
             return self.can_id >> 18, 1, self.can_id & 0x3FFFF
         return self.can_id, 0, 0
@@ -88,16 +87,16 @@ class ResponseTime:
 def contract_messages(
     period_ns: Mapping[str, int] | None = None, jitter_ns: Mapping[str, int] | None = None
 ) -> tuple[PeriodicMessage, ...]:
-    """The periodic messages of opc4.dbc; periods and jitters by message name replace its own.
+    """Return the periodic messages of opc4.dbc; periods and jitters by message name replace its own.
 
     Raises InputError for a name that is not a periodic message of the contract.
     """
     periodic = {spec.name: spec for spec in contract().messages if spec.cycle_ns}
-    for place, given in (("period", period_ns), ("jitter", jitter_ns)):
+    for what, given in (("period", period_ns), ("jitter", jitter_ns)):
         for name in given or {}:
             if name not in periodic:
                 raise InputError(
-                    f"bus: {place}: {name} is not a periodic message; "
+                    f"bus: {what}: {name} is not a periodic message; "
                     f"expected one of {', '.join(periodic)}"
                 )
     return tuple(
@@ -113,7 +112,7 @@ def contract_messages(
 
 
 def database_messages(database: Database) -> tuple[PeriodicMessage, ...]:
-    """The messages with a cycle time of a database read by `can_dbc.dbc.load_dbc`.
+    """Return the messages with a cycle time of a database read by `can_dbc.dbc.load_dbc`.
 
     Raises InputError when there is none or one is longer than a classic frame.
     """
@@ -143,22 +142,21 @@ def database_messages(database: Database) -> tuple[PeriodicMessage, ...]:
 
 
 def transmission_ns(message: PeriodicMessage, bitrate: int) -> int:
-    """C_m: the longest frame of the message and the intermission after it, in ns."""
+    """Return C_m, the longest frame of the message and the intermission after it, in ns."""
     bits = longest_frame_bits(message.length, message.extended) + INTERMISSION_BITS
     return bits * BusModel(bitrate).bit_ns
 
 
 def utilisation(messages: Iterable[PeriodicMessage], bitrate: int) -> Fraction:
-    """Share of the bus that the messages take with worst-case stuffing: sum of C / T."""
+    """Return the share of the bus that the messages take with worst-case stuffing: sum of C / T."""
     return sum((Fraction(transmission_ns(x, bitrate), x.period_ns) for x in messages), Fraction(0))
 
 
 def response_times(messages: Sequence[PeriodicMessage], bitrate: int) -> tuple[ResponseTime, ...]:
-    """Worst-case response times, highest priority first.
+    """Return the worst-case response times, highest priority first.
 
     Raises InputError for a utilisation above 1, for equal identifiers, periods not above 0 and
-    negative jitter. Source and equations: see the module.
-    Checked by: tests/unit/sil/coupling/test_response_times.py
+    negative jitter. The module docstring has the equations.
     """
     ranked = sorted(messages, key=lambda message: message.rank)
     _refuse_malformed(ranked)
@@ -170,7 +168,7 @@ def response_times(messages: Sequence[PeriodicMessage], bitrate: int) -> tuple[R
         )
     bit_ns = BusModel(bitrate).bit_ns
     costs = [transmission_ns(message, bitrate) for message in ranked]
-    return tuple(_response_time(ranked, costs, place, bit_ns) for place in range(len(ranked)))
+    return tuple(_response_time(ranked, costs, index, bit_ns) for index in range(len(ranked)))
 
 
 def _refuse_malformed(ranked: Sequence[PeriodicMessage]) -> None:
@@ -189,11 +187,11 @@ def _refuse_malformed(ranked: Sequence[PeriodicMessage]) -> None:
 
 
 def _response_time(
-    ranked: Sequence[PeriodicMessage], costs: Sequence[int], place: int, bit_ns: int
+    ranked: Sequence[PeriodicMessage], costs: Sequence[int], index: int, bit_ns: int
 ) -> ResponseTime:
-    message, cost = ranked[place], costs[place]
-    higher = list(zip(ranked[:place], costs[:place], strict=True))
-    blocking = max(costs[place + 1 :], default=0)
+    message, cost = ranked[index], costs[index]
+    higher = list(zip(ranked[:index], costs[:index], strict=True))
+    blocking = max(costs[index + 1 :], default=0)
 
     def interference(
         window_ns: int, sources: Sequence[tuple[PeriodicMessage, int]], extra_ns: int

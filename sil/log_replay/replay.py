@@ -293,7 +293,7 @@ def _hearing(ready: Setup, grid: Grid, ticks: TickMap, node: str) -> Callable[[i
     scene = ready.loaded.scenario
     if ready.own_run and grid.origin_ns == 0:
         plan = FaultPlan(scene.fault, scene.seed)
-        return lambda time_ns: node not in plan.deaf(time_ns)
+        return lambda time_ns: node not in plan.bus_off(time_ns)
     if node == "controller":
         return ticks.hears
     return lambda time_ns: True

@@ -1,4 +1,4 @@
-"""What end-to-end protection made of the frames on the bus, message by message."""
+"""The end-to-end status of the frames on the bus, message by message."""
 
 from __future__ import annotations
 
@@ -9,16 +9,14 @@ from can_dbc.e2e import PROTECTED, E2eStatus, Receiver
 from sil.coupling.faults import INTRUDER
 from sil.recording.run_record import RunRecord
 
-TAKEN = (E2eStatus.OK, E2eStatus.OK_SOME_LOST)
+ACCEPTED = (E2eStatus.OK, E2eStatus.OK_SOME_LOST)
 
 
 class EndToEnd:
-    """A receiver for each protected message, which hears everything, in order of arrival.
-
-    Checked by test_intruder.
-    """
+    """A receiver for each protected message, given every frame in order of arrival."""
 
     def __init__(self) -> None:
+        """Start without frames."""
         self._receivers: dict[int, Receiver[Any]] = {
             can_id_of(kind): Receiver(kind) for kind in PROTECTED
         }
@@ -30,11 +28,11 @@ class EndToEnd:
             name = receiver.message_type.__name__
             for entry in record.frames_of(can_id):
                 status = receiver.receive(entry.arrival_ns, entry.frame)
-                if entry.sender == INTRUDER and status in TAKEN:
+                if entry.sender == INTRUDER and status in ACCEPTED:
                     self._foreign[name] = self._foreign.get(name, 0) + 1
 
-    def told(self) -> dict[str, dict[str, int]]:
-        """Frames by status, and of an intruder's how many were taken for good ones."""
+    def counts(self) -> dict[str, dict[str, int]]:
+        """Return frames by status, and how many of an intruder's frames were accepted."""
         return {
             receiver.message_type.__name__: {
                 **{

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import struct
+from bisect import bisect_left
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -34,18 +35,16 @@ _AT_ONCE = 1 << 18
 
 
 class FrameWriter(AppendedFile):
-    """Appends the frames delivered in each step.  Checked by test_run_reader."""
+    """Appends the frames delivered in each step."""
 
     def __init__(self, path: Path, senders: Sequence[str]) -> None:
-        """`senders`: everybody who can send, in the order that the reader is told, too."""
+        """Create the file; `senders`: everybody who can send, in the order given to the reader."""
         super().__init__(path)
         self._number = {name: number for number, name in enumerate(senders)}
-        self.frames = 0
 
     def record(self, deliveries: Sequence[Delivery]) -> None:
         """Append the frames delivered in one step."""
         pack, number = STORED.pack, self._number
-        self.frames += len(deliveries)
         self.append(
             b"".join(
                 pack(
@@ -62,22 +61,23 @@ class FrameWriter(AppendedFile):
 
 
 class FrameReader:
-    """Reads frames by their place in the order of arrival.  A torn last one is left out."""
+    """Reads frames by their index in the order of arrival; a torn last one is ignored."""
 
     def __init__(self, path: Path, senders: Sequence[str]) -> None:
+        """Open the file; `senders` as for the writer."""
         self._senders = tuple(senders)
         self._file = open(path, "rb", buffering=0)  # noqa: SIM115 - closed by close
         self.frames = os.fstat(self._file.fileno()).st_size // STORED.size
 
     def read(self, begin: int, end: int) -> StoredFrames:
-        """Return frames begin..end-1."""
+        """Return frames begin to end - 1."""
         size = STORED.size
         content = os.pread(self._file.fileno(), (end - begin) * size, begin * size)
         return StoredFrames(content, self._senders)
 
     @cached_property
     def longest_way_ns(self) -> int:
-        """The longest time from the release of a frame to its arrival."""
+        """The longest time from the release of a frame to its arrival, ns."""
         longest = 0
         for begin in range(0, self.frames, _AT_ONCE):
             count = min(_AT_ONCE, self.frames - begin)
@@ -87,16 +87,13 @@ class FrameReader:
         return longest
 
     def first_from(self, arrival_ns: int) -> int:
-        """Return the place of the first frame that arrived at this instant or later."""
-        low, high = 0, self.frames
-        while low < high:
-            middle = (low + high) // 2
-            entry = os.pread(self._file.fileno(), _ARRIVAL.size, middle * STORED.size)
-            if _ARRIVAL.unpack(entry)[0] < arrival_ns:
-                low = middle + 1
-            else:
-                high = middle
-        return low
+        """Return the index of the first frame that arrived at this instant or later."""
+        return bisect_left(range(self.frames), arrival_ns, key=self._arrival_ns)
+
+    def _arrival_ns(self, index: int) -> int:
+        entry = os.pread(self._file.fileno(), _ARRIVAL.size, index * STORED.size)
+        arrival: int = _ARRIVAL.unpack(entry)[0]
+        return arrival
 
     def close(self) -> None:
         """Close the file."""

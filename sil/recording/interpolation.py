@@ -1,4 +1,4 @@
-"""Cubic lines through samples; scipy's own would cost a run more time to import than to run."""
+"""Cubic interpolation; importing scipy's would take longer than a whole run."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from sil.recording.run_record import Floats
 
 
 def hermite(times: Floats, values: Floats, slopes: Floats, at: Floats) -> Floats:
-    """Return the cubic line through samples with given slopes, at instants within their range.
+    """Return a cubic Hermite interpolant: [n] in the unit of `values`, for `at` [n] in s.
+
+    `times` in s, `values` and their `slopes` per s: [m]; `at` lies within `times`.
 
     With s = (t - t_i)/h: y = (1 + 2s)(1 - s)^2 y_i + s (1 - s)^2 h m_i
     + s^2 (3 - 2s) y_i+1 + s^2 (s - 1) h m_i+1.
-    Checked by test_interpolation (against scipy).
     """
     i = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
     h = times[i + 1] - times[i]
@@ -25,11 +26,12 @@ def hermite(times: Floats, values: Floats, slopes: Floats, at: Floats) -> Floats
 
 
 def monotone_slopes(times: Floats, values: Floats) -> Floats:
-    """Return slopes that keep a cubic line monotone wherever its samples are.
+    """Return slopes [m], per s, with which the interpolant is monotone wherever its samples are.
+
+    `times` in s and `values`: [m], three or more.
 
     Weighted harmonic mean of the neighbouring differences, 0 where these change sign; at the ends
     the three-point formula, limited. Source: Fritsch and Butland 1984, as in scipy's PCHIP.
-    Needs three samples or more. Checked by test_interpolation (against scipy).
     """
     h, d = np.diff(times), np.diff(values) / np.diff(times)
     slopes = np.zeros(len(times))

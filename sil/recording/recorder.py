@@ -1,4 +1,4 @@
-"""What is kept while a run goes on: the bus log and the plant's trace, on disk after each step."""
+"""What is recorded while a run goes on: the bus log and the plant's trace, on disk after each step."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import hashlib
 import json
 import os
 import struct
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,18 +29,19 @@ _HASHED_FRAME = struct.Struct("<QIB")
 
 
 class AppendedFile:
-    """A new file to which whole blocks are appended, each on disk when `append` returns.
+    """A new file to which blocks are appended.
 
-    "On disk" means with the operating system: whatever dies, save the machine itself, the block
-    stays readable.
+    When `append` returns, the operating system has the block: it survives the death of the process.
     """
 
     def __init__(self, path: Path) -> None:
+        """Create the file, or empty an existing one."""
         self.path = path
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_CLOEXEC
         self._descriptor = os.open(path, flags, 0o666)
 
     def append(self, block: bytes) -> None:
+        """Write a block.  Raises OSError naming the file."""
         left = memoryview(block)
         while left:
             try:
@@ -48,6 +50,7 @@ class AppendedFile:
                 raise OSError(error.errno, error.strerror, str(self.path)) from None
 
     def close(self) -> None:
+        """Close the file; may be called more than once."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
@@ -68,17 +71,17 @@ class BusLog(AppendedFile):
     """The delivered frames as a log of the form `candump -l` writes, and their hash.
 
     A line is `(0000000001.234567) opc4 0CFF2503#0011223344556677`, the arrival in simulated time.
-    Microseconds, because canplayer takes no other form; at 125 kbit/s to 1 Mbit/s, with releases on
-    whole microseconds, they are exact.  An arrival between two microseconds gets nine digits: no
-    time is rounded, and canplayer refuses that file, loudly.  Checked by test_recorder.
+    Microseconds are what canplayer reads; at 125 kbit/s to 1 Mbit/s, with releases on whole
+    microseconds, they are exact.  An arrival between two microseconds is written with nine digits,
+    which canplayer refuses: no time is rounded.
     """
 
     def __init__(self, path: Path, channel: str = "opc4") -> None:
+        """Create the file; `channel` is the name in its lines."""
         super().__init__(path)
         self._channel = channel
         self._hash = hashlib.sha256()
         self.frames = 0
-        self.whole_microseconds = True
 
     def record(self, deliveries: Sequence[Delivery]) -> None:
         """Append the frames delivered in one step."""
@@ -88,11 +91,8 @@ class BusLog(AppendedFile):
             payload = frame.data
             self._hash.update(hashed_frame(arrival_ns, frame))
             seconds, nanoseconds = divmod(arrival_ns, 1_000_000_000)
-            if nanoseconds % 1000:
-                self.whole_microseconds = False
-                fraction = f"{nanoseconds:09d}"
-            else:
-                fraction = f"{nanoseconds // 1000:06d}"
+            digits = f"{nanoseconds:09d}"
+            fraction = digits.removesuffix("000")
             lines.append(
                 f"({seconds:010d}.{fraction}) {self._channel} "
                 f"{frame.can_id:08X}#{payload.hex().upper()}\n"
@@ -109,51 +109,27 @@ class TraceWriter(AppendedFile):
     """The plant's rows at full precision, appended by whichever process runs the plant.
 
     The file is one line of JSON (format, columns) and then the rows, float64, little endian.
-    Checked by test_recorder.
     """
 
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
+        """Create the file with its header."""
         super().__init__(path)
         self._width = len(columns)
         self.append(trace_header(columns))
 
     def write(self, rows: NDArray[np.float64]) -> None:
-        """Append rows, shape (any number, number of columns)."""
+        """Append rows: [n, columns].  Raises ValueError for another shape."""
         if rows.ndim != 2 or rows.shape[1] != self._width:
             raise ValueError(f"rows of shape {rows.shape}; expected (n, {self._width})")
         if len(rows):
             self.append(np.ascontiguousarray(rows, dtype="<f8").tobytes())
 
 
-class Trace(NamedTuple):
-    """A trace as read: its columns, its rows, and how many bytes of a torn last row were left."""
-
-    columns: tuple[str, ...]
-    rows: NDArray[np.float64]
-    torn_bytes: int
-
-
-def read_trace(path: Path) -> Trace:
-    """Read what a TraceWriter wrote, also while it still writes or after it was killed.
-
-    Raises InputError for a file that is none.  Checked by test_recorder.
-    """
-    with open(path, "rb") as file:
-        columns = _columns(path, file.readline(_HEADER_BYTES_AT_MOST))
-        content = file.read()
-    row_bytes = 8 * len(columns)
-    torn = len(content) % row_bytes
-    values = np.frombuffer(content[: len(content) - torn], dtype="<f8")
-    return Trace(columns, values.reshape(-1, len(columns)).astype(np.float64), torn)
-
-
 class TraceReader:
-    """Reads rows of a trace file by their number; a torn last one is left out.
-
-    Raises InputError for a file that is none.  Checked by test_run_reader.
-    """
+    """Reads rows of a trace file by their index, also while it is written; a torn last row is ignored."""
 
     def __init__(self, path: Path) -> None:
+        """Read the header.  Raises InputError for a file that is not a trace."""
         with open(path, "rb") as file:
             self.columns = _columns(path, file.readline(_HEADER_BYTES_AT_MOST))
             self._begin = file.tell()
@@ -161,30 +137,24 @@ class TraceReader:
         self._row_bytes = 8 * len(self.columns)
         self.rows = (path.stat().st_size - self._begin) // self._row_bytes
 
-    def read(self, begin: int, end: int) -> NDArray[np.float64]:
-        """Return rows begin..end-1, shape (end - begin, number of columns)."""
+    def read(self, begin: int = 0, end: int | None = None) -> NDArray[np.float64]:
+        """Return rows begin to end - 1, without `end` to the last: [rows, columns]."""
+        end = self.rows if end is None else end
         width = len(self.columns)
         offset = self._begin + begin * self._row_bytes
         values = np.fromfile(self._path, "<f8", (end - begin) * width, offset=offset)
         return values.reshape(-1, width).astype(np.float64, copy=False)
 
     def first_from(self, value: float) -> int:
-        """Return the number of the first row whose first column is `value` or more."""
-        low, high = 0, self.rows
-        while low < high:
-            middle = (low + high) // 2
-            if self.read(middle, middle + 1)[0, 0] < value:
-                low = middle + 1
-            else:
-                high = middle
-        return low
+        """Return the index of the first row whose first column is `value` or more."""
+        return bisect_left(range(self.rows), value, key=lambda k: self.read(k, k + 1)[0, 0])
 
 
 def trace_sha256(frames_digest: bytes, trace_path: Path) -> str:
     """Return the run's hash: SHA-256 over the frames' digest and the plant's trace, byte by byte.
 
     Two runs have one hash when every frame arrived at the same nanosecond with the same data and
-    every value of every trace row has the same bits.  Checked by test_transport_contract.
+    every value of every trace row has the same bits.
     """
     with open(trace_path, "rb") as file:
         return run_sha256(frames_digest, iter(lambda: file.read(1 << 20), b""))
@@ -199,7 +169,7 @@ def run_sha256(frames_digest: bytes, trace: Iterable[bytes]) -> str:
 
 
 def hashed_frame(arrival_ns: int, frame: Frame) -> bytes:
-    """Return what of a delivered frame goes into the digest: arrival, identifier, length, data."""
+    """Return the bytes of a delivered frame that are hashed: arrival, identifier, length, data."""
     return _HASHED_FRAME.pack(arrival_ns, frame.can_id, len(frame.data)) + frame.data
 
 

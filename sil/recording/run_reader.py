@@ -1,4 +1,4 @@
-"""What a run has left on disk, read back piece by piece: however long it was, memory stays flat."""
+"""The recordings of a run, read piece by piece, so that memory does not grow with its length."""
 
 from __future__ import annotations
 
@@ -23,10 +23,7 @@ MOST_ROWS = 1_000_000
 
 
 class RunReader:
-    """The recordings of a run in a folder; use as a context manager.
-
-    Checked by test_run_reader.
-    """
+    """The recordings of a run in a folder; use as a context manager."""
 
     def __init__(
         self,
@@ -38,7 +35,7 @@ class RunReader:
         free_travel_m: float,
         trace_period_s: float,
     ) -> None:
-        """Raises OSError without recordings, InputError for files that are not recordings."""
+        """Open the files.  Raises OSError without recordings, InputError for other files."""
         self._supply_pa = supply_pressure_pa
         self.stroke_m = stroke_m
         self._free_travel_m = free_travel_m
@@ -66,7 +63,7 @@ class RunReader:
         self._events.close()
 
     def __iter__(self) -> Iterator[RunRecord]:
-        """The pieces in order of time: each frame, row and event is in one of them."""
+        """Yield the pieces in order of time: each frame, row and event is in one of them."""
         for number in range(self.pieces):
             yield self.piece(number)
 
@@ -82,14 +79,14 @@ class RunReader:
         return record
 
     def span(self, start_s: float, until_s: float) -> RunRecord:
-        """Return what figures of the time from start to until are made of, and a little more."""
+        """Return the record from `start_s` to `until_s`, and a second more on either side."""
         if self.pieces == 1:
             return self.piece(0)
         latest_s = until_s + 1.0 + self._frames.longest_way_ns / NS
         return self._record(start_s - 1.0, until_s + 1.0, latest_s)
 
     def _record(self, start_s: float, end_s: float, last_arrival_s: float) -> RunRecord:
-        """Rows and events from start to before end, and frames up to before the last arrival."""
+        """Return rows and events from start to before end, frames to before the last arrival."""
         first = 0 if start_s <= 0.0 else self._trace.first_from(start_s)
         beyond = self.rows if end_s > self.end_s else self._trace.first_from(end_s)
         rows = self._trace.read(first, beyond)
@@ -109,7 +106,7 @@ class RunReader:
         )
 
     def _read_events(self) -> dict[int, tuple[int, int]]:
-        """Return from where to where in the file the events of each piece are; keep the balances."""
+        """Return the byte range of each piece's events in the file, and store the balances."""
         spans: dict[int, tuple[int, int]] = {}
         begin = 0
         for line in self._events:

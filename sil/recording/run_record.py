@@ -1,4 +1,4 @@
-"""What a finished run left behind, as arrays and messages: the input of metrics and pictures."""
+"""The record of a finished run as arrays and messages: the input of metrics and pictures."""
 
 from __future__ import annotations
 
@@ -40,13 +40,14 @@ _IDENTIFIER = np.dtype(
 
 
 class StoredFrames(Sequence[BusFrame]):
-    """Frames as they stand on disk, each made into an object when it is looked at.
+    """Frames in their form on disk, each made into an object on access.
 
-    A minute of a bus is some 60,000 frames: kept as objects, they cost the garbage collector more
-    than everything that is done with them.  Checked by test_run_reader.
+    A minute of a bus is some 60,000 frames: as objects they would cost the garbage collector more
+    time than everything that is done with them.
     """
 
     def __init__(self, content: bytes, senders: Sequence[str]) -> None:
+        """Take the content of a file of frames; `senders`: names by number."""
         self._content = content
         self._senders = senders
         self._ids = np.frombuffer(content, _IDENTIFIER)["can_id"]
@@ -55,7 +56,7 @@ class StoredFrames(Sequence[BusFrame]):
         return len(self._ids)
 
     def __iter__(self) -> Iterator[BusFrame]:
-        return self._made(self._content)
+        return self._frames(self._content)
 
     @overload
     def __getitem__(self, index: int) -> BusFrame: ...
@@ -63,22 +64,22 @@ class StoredFrames(Sequence[BusFrame]):
     def __getitem__(self, index: slice) -> Sequence[BusFrame]: ...
     def __getitem__(self, index: int | slice) -> BusFrame | Sequence[BusFrame]:
         if isinstance(index, slice):
-            return [self[place] for place in range(*index.indices(len(self)))]
+            return [self[k] for k in range(*index.indices(len(self)))]
         if not -len(self) <= index < len(self):
             raise IndexError(f"frame {index} of {len(self)}")
         begin = index % len(self) * STORED.size
-        return next(self._made(self._content[begin : begin + STORED.size]))
+        return next(self._frames(self._content[begin : begin + STORED.size]))
 
     def identifiers(self) -> list[int]:
-        """Return the identifiers that there are."""
+        """Return the distinct identifiers, sorted."""
         return [int(can_id) for can_id in np.unique(self._ids)]
 
     def of_id(self, can_id: int) -> Iterator[BusFrame]:
         """Return the frames of one identifier, in order."""
         entries = np.frombuffer(self._content, f"V{STORED.size}")
-        return self._made(entries[self._ids == can_id].tobytes())
+        return self._frames(entries[self._ids == can_id].tobytes())
 
-    def _made(self, content: bytes) -> Iterator[BusFrame]:
+    def _frames(self, content: bytes) -> Iterator[BusFrame]:
         senders = self._senders
         for released, arrival, can_id, length, sender, data in STORED.iter_unpack(content):
             yield BusFrame(released, arrival, senders[sender], Frame(can_id, data[:length]))
@@ -86,7 +87,7 @@ class StoredFrames(Sequence[BusFrame]):
 
 @dataclass(frozen=True)
 class PlantEvent:
-    """Something the plant located exactly: a valve moved, the stay stopped, a block released."""
+    """An event that the plant located exactly: a valve moved, the stay stopped, a block released."""
 
     time_s: float
     name: str
@@ -106,9 +107,9 @@ class RunRecord:
 
     @cached_property
     def messages(self) -> dict[type, list[tuple[BusFrame, Any]]]:
-        """All frames that our contract knows, decoded, by message type in order of arrival.
+        """The decoded messages of the contract by type, in order of arrival.
 
-        Frames of other ids and damaged ones are left out here: they stay in `frames`.
+        Frames of other identifiers and damaged ones are only in `frames`.
         """
         frames = self.frames
         ids = frames.identifiers() if isinstance(frames, StoredFrames) else self._by_id
@@ -135,7 +136,7 @@ class RunRecord:
         return self._by_id.get(can_id, ())
 
     def each(self, kind: type[M]) -> Iterator[tuple[BusFrame, M]]:
-        """Go through what `of` returns without keeping it."""
+        """Yield what `of` returns, without storing it."""
         if kind in self._decoded:
             yield from self._decoded[kind]
             return
@@ -153,13 +154,13 @@ class RunRecord:
         return self._decoded[kind]
 
     def series(self, kind: type[Any], name: str) -> tuple[Floats, list[Any]]:
-        """Return arrival times in s, and the values, of one field of one message type."""
+        """Return arrival times [n] in s, and the n values, of one field of one message type."""
         entries = self.of(kind)
         times = np.array([e.arrival_ns for e, _ in entries], dtype=np.float64) / NS
         return times, [getattr(m, name) for _, m in entries]
 
     @cached_property
-    def believed(self) -> tuple[Floats, Floats]:
-        """Times (s) and positions (m) that the controller put on the bus as its estimate."""
+    def estimate(self) -> tuple[Floats, Floats]:
+        """Times [n] in s and positions [n] in m of the controller's estimate on the bus."""
         times, values = self.series(ControllerStatus, "estimate_m")
         return times, np.array(values, dtype=np.float64)

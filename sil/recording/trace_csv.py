@@ -1,4 +1,4 @@
-"""trace.csv: the truth of a run and what the controller believed, on one time axis."""
+"""trace.csv: the truth of a run and the controller's estimate, on one time axis."""
 
 from __future__ import annotations
 
@@ -24,23 +24,26 @@ FIRST = (
     "cmd_F",
     "position_internal_m",
 )
-"""The columns that a measured stroke has too come first, in its order."""
+"""The columns that come first: those of a measured stroke, in its order."""
 
 FROM_STATUS = {
     "position_internal_m": "estimate_m",
     "controller_state": "state",
     "controller_faults": "faults",
 }
-"""What the controller's frames tell, as held since the last one."""
+"""Columns from the controller's frames, each value held until the next frame."""
 
 ROWS = 20_000
-"""Rows made into text at a time."""
+"""Rows formatted at a time."""
 
-WHOLE = frozenset(("valve_B", "valve_N", "valve_F", "controller_state", "controller_faults"))
+INTEGERS = frozenset(("valve_B", "valve_N", "valve_F", "controller_state", "controller_faults"))
 
 
 def held(times: Floats, values: Floats, at: Floats, before: float = math.nan) -> Floats:
-    """Return a held series at given instants; `before` stands before its first value."""
+    """Return a series, held between its values, at other instants: [n] for `at` [n] in s.
+
+    `times` in s and `values`: [m]; `before` is the value before the first one.
+    """
     padded = np.concatenate([[before], values])
     return np.asarray(padded[np.searchsorted(times, at, side="right")])
 
@@ -48,9 +51,9 @@ def held(times: Floats, values: Floats, at: Floats, before: float = math.nan) ->
 def trace_columns(
     record: RunRecord, before: Mapping[str, float] | None = None
 ) -> dict[str, Floats]:
-    """Return all columns of trace.csv: the plant's, and the controller's as held at its frames.
+    """Return all columns of trace.csv by name, each [n] in the unit that its name ends with.
 
-    `before`: what held before the record's first frame, by column.
+    `before`: values before the record's first frame, by column.
     """
     before = before or {}
     columns = dict(record.truth)
@@ -66,10 +69,11 @@ def trace_columns(
 class TraceCsv:
     """Writes the trace piece by piece: every number reads back to the same bits.
 
-    An unknown number is left empty. Use as a context manager: the file has its name on leaving.
+    An unknown number is an empty field.  Use as a context manager: the file has its name on leaving.
     """
 
     def __init__(self, path: Path) -> None:
+        """Open the file under another name."""
         self._opening = open_atomically(path)
         self._file = self._opening.__enter__()
         self._held: dict[str, float] = {}
@@ -89,7 +93,7 @@ class TraceCsv:
         for begin in range(0, len(at), ROWS):
             texts = [
                 ["" if v != v else str(int(v)) for v in column[begin : begin + ROWS].tolist()]
-                if name in WHOLE
+                if name in INTEGERS
                 else ["" if v != v else repr(v) for v in column[begin : begin + ROWS].tolist()]
                 for name, column in columns.items()
             ]
@@ -107,9 +111,3 @@ class TraceCsv:
     ) -> None:
         """Give the file its name; after an error, remove it."""
         self._opening.__exit__(kind, error, trace)
-
-
-def write_trace_csv(record: RunRecord, path: Path) -> None:
-    """Write the trace of a whole run."""
-    with TraceCsv(path) as csv:
-        csv.add(record)

@@ -94,7 +94,7 @@ def shift_zooms(record: RunRecord, shifts: Sequence[Shift]) -> list[Zoom]:
 # --- position -----------------------------------------------------------------------------------
 def _position(record: RunRecord, zooms: Sequence[Zoom], shifts: Sequence[Shift]) -> Panel:
     time, position = record.truth["time_s"] * MS, record.truth["position_m"] * MM
-    estimate_s, estimate_m = record.believed
+    estimate_s, estimate_m = record.estimate
     lines = [
         Series("true position of the stay", time, position, "truth", width=2.2),
         Series(

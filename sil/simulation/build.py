@@ -21,7 +21,7 @@ from sil.coupling.bus import BusModel
 from sil.coupling.clock import to_ns
 from sil.coupling.faults import FaultPlan, Intrusion
 from sil.coupling.lockstep import TURN_ORDER
-from sil.coupling.transports.channel import Channel, ParticipantLost, Patience
+from sil.coupling.transports.channel import Channel, ParticipantLost, Timeouts
 from sil.coupling.transports.inproc import InProcess, Participant
 from sil.coupling.transports.wire import GUEST
 from sil.nodes.drift import Drifting
@@ -41,7 +41,7 @@ REMOTE = ("controller", "plant")
 SENDERS = (*TURN_ORDER, "traffic", "intruder", GUEST)
 """Everybody who may be on the bus, in the order of their turns."""
 
-PATIENCE = Patience(start_s=300.0, answer_s=2.0, close_s=5.0)
+TIMEOUTS = Timeouts(start_s=300.0, answer_s=2.0, close_s=5.0)
 INITIAL = {"neutral": "N", "backward": "B", "forward": "F"}
 
 Say = Callable[[str], None]
@@ -248,24 +248,24 @@ def open_channels(
             warm_up(loaded)
     number = scenario_number(loaded.scenario)
     remote_names = [*REMOTE, GUEST] if loaded.scenario.bus.guest else REMOTE
-    patience = PATIENCE
+    timeouts = TIMEOUTS
     if loaded.scenario.firmware:
         from sil.nodes.own_firmware import STEP_S
 
-        patience = dataclasses.replace(PATIENCE, answer_s=STEP_S + PATIENCE.answer_s)
+        timeouts = dataclasses.replace(TIMEOUTS, answer_s=STEP_S + TIMEOUTS.answer_s)
     kind, colon, name = transport.partition(":")
     if kind == "local":
         from sil.coupling.transports.hub import Hub
 
         name = name if colon else f"run-{os.getpid()}"
         remote: Hub | SocketCan
-        remote = Hub(name, remote_names, scenario=number, patience=patience, say=say)
+        remote = Hub(name, remote_names, scenario=number, timeouts=timeouts, say=say)
         channel = f"local:{name}"
     else:
         from sil.coupling.transports.socketcan import SocketCan
 
         channel = transport
-        remote = SocketCan(transport, remote_names, scenario=number, patience=patience, say=say)
+        remote = SocketCan(transport, remote_names, scenario=number, timeouts=timeouts, say=say)
     closing.callback(remote.close, aborted=True)  # until the coordinator has it
     for name in remote_names:
         if name == GUEST:

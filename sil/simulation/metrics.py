@@ -235,7 +235,7 @@ def _lags(
     time, position = record.truth["time_s"], record.truth["position_m"]
     inside = (time >= start - 1e-9) & (time <= until + 1e-9)
     true = [crossing(time[inside], position[inside], level, rising) for level in levels]
-    when, believed = record.believed
+    when, believed = record.estimate
     seen = (when >= start) & (when <= until)
     when, believed = when[seen], believed[seen]
     mean = [phase_averaged_crossing(when, believed, level, rising) for level in levels]

@@ -196,7 +196,7 @@ def _judge(
             except OSError as error:  # no room for trace.csv: plant.trace stays instead
                 kept, why = None, why or os_error_text(error)
         if kept is not None:
-            bus_told["end_to_end"] = checked.told()
+            bus_told["end_to_end"] = checked.counts()
             record, balances = kept.piece(0), dict(kept.balances)
             figures = metrics.whole_run(found, balances.get("air_in_kg"), switchings, log.frames)
             if why is None:

@@ -14,7 +14,7 @@ from sil.coupling.faults import BusFault, FaultPlan
 from sil.coupling.lockstep import Lockstep
 from sil.coupling.processes import ChildProcess
 from sil.coupling.real_time import Pacer
-from sil.coupling.transports.channel import Channel, Patience
+from sil.coupling.transports.channel import Channel, Timeouts
 from sil.coupling.transports.hub import Hub
 from sil.coupling.transports.inproc import InProcess
 from sil.coupling.transports.remote import RemoteChannel
@@ -24,7 +24,7 @@ from tests.contracts.toy_nodes import COLUMNS, ToyNode
 
 ROOT = Path(__file__).resolve().parents[2]
 REMOTE = ("controller", "plant")
-PATIENCE = Patience(start_s=20.0, answer_s=2.0, close_s=5.0)
+TIMEOUTS = Timeouts(start_s=20.0, answer_s=2.0, close_s=5.0)
 
 
 @dataclass
@@ -65,7 +65,7 @@ def toy_run(
     external: Sequence[str] = (),
     faults: Sequence[BusFault] = (),
     pacer: Pacer | None = None,
-    patience: Patience = PATIENCE,
+    timeouts: Timeouts = TIMEOUTS,
     scenario: int = 0,
     say: Callable[[str], None] = lambda message: None,
 ) -> Iterator[ToyRun]:
@@ -90,7 +90,7 @@ def toy_run(
                 channel.removeprefix("local:"),
                 REMOTE,
                 scenario=scenario,
-                patience=patience,
+                timeouts=timeouts,
                 say=say,
             )
         else:
@@ -98,7 +98,7 @@ def toy_run(
                 transport,
                 REMOTE,
                 scenario=scenario,
-                patience=patience,
+                timeouts=timeouts,
                 say=say,
             )
         channels = [remote, InProcess(nodes)]

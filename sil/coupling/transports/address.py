@@ -1,4 +1,4 @@
-"""Where the local bus's sockets are: one folder per user, one socket per channel."""
+"""The sockets of the local bus: one folder per user, one socket per channel."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def folder() -> Path:
 def socket_path(channel: str) -> Path:
     """Return the socket of a channel: a name (letters, digits, `_.-`), or a path with a slash.
 
-    Raises InputError for another text, or a path too long for a socket.  Checked by test_address.
+    Raises InputError for another text, or a path too long for a socket.
     """
     if "/" in channel:
         path = Path(channel)
@@ -55,19 +55,19 @@ def socket_path(channel: str) -> Path:
 
 
 def running_channels() -> list[str]:
-    """Return the names of the channels on which a hub listens, sorted.  Checked by test_address."""
+    """Return the names of the channels on which a hub listens, sorted."""
     return sorted(path.stem for path in folder().glob("*.sock") if _listened_to(path))
 
 
 def listen(channel: str) -> tuple[socket.socket, Path]:
     """Open the listening socket of a channel, in place of one that a killed hub left behind.
 
-    Raises RunError when a hub listens there.  Checked by test_address.
+    Raises RunError when a hub listens there.
     """
     path = socket_path(channel)
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     try:
-        with _folder_locked(path.parent):  # two hubs starting at once must not both clear the way
+        with _folder_locked(path.parent):  # two hubs that start at once must not both unlink
             if _listened_to(path):
                 raise RunError(f"channel {channel!r}: another run uses it ({path})")
             if path.is_socket():

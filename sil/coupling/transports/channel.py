@@ -1,4 +1,4 @@
-"""What the coordinator asks of a transport, and what a participant answers in one turn."""
+"""The interface of a transport: `Channel`, and the `Turn` that a participant answers with."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class ParticipantLost(RunError):
 
 
 @dataclass(frozen=True)
-class Patience:
+class Timeouts:
     """How long the coordinator waits, in seconds of the wall clock.
 
     `start_s`: for all participants to join (the first start on a machine compiles the plant);
@@ -55,48 +55,47 @@ class Patience:
 
 @dataclass
 class ChannelCounts:
-    """What a channel saw besides the run itself."""
+    """What a channel noticed besides the run itself."""
 
     foreign_frames: int = 0
-    monitors_dropped: int = 0
     garbage: int = 0
     warnings: list[str] = field(default_factory=list)
 
     def warn(self, message: str) -> None:
-        """Keep a line for the user, once."""
+        """Record a line for the user, once."""
         if message not in self.warnings:
             self.warnings.append(message)
 
 
 class Channel(Protocol):
-    """Carries frames and grants to some of the participants; the contract suite holds for each.
+    """Carries frames and grants to some of the participants.
 
-    A turn is begun and ended apart, so that participants in other processes work at the same time.
+    A turn is begun and ended by two calls, so that participants in other processes work in parallel.
     """
 
     names: tuple[str, ...]
     counts: ChannelCounts
 
     def start(self, end_ns: int) -> dict[str, int]:
-        """Wait for the participants; return the instant of the first event of each, in ns."""
+        """Wait for the participants; return the instant of each one's first event, ns.
 
-    def deliver(self, deliveries: Sequence[Delivery], deaf: frozenset[str] = NOBODY) -> None:
-        """Pass on frames that arrived, in order of arrival.
-
-        They reach everybody but their senders and those named in `deaf`.
+        Raises ParticipantLost when one does not join in time.
         """
+
+    def deliver(self, deliveries: Sequence[Delivery], bus_off: frozenset[str] = NOBODY) -> None:
+        """Pass on frames, in order of arrival, to all but their senders and those in `bus_off`."""
 
     def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
         """Grant `now_ns` to those of the named participants that are on this channel."""
 
     def end_turn(self) -> dict[str, Turn]:
-        """Return the answers to the grants of begin_turn; raises ParticipantLost."""
+        """Return the answers to the grants of begin_turn.  Raises ParticipantLost without one."""
 
     def retire(self, name: str) -> None:
-        """Let a participant go for good: it is neither granted time nor sent frames any more."""
+        """Grant a participant no more time and send it no more frames."""
 
     def idle(self, seconds: float) -> None:
-        """Let wall time pass while still noticing who dies and who wants to listen."""
+        """Let wall time pass, still noticing who dies and who connects."""
 
     def close(self, aborted: bool) -> None:
-        """End the participants and give everything back; may be called more than once."""
+        """End the participants and release all resources; may be called more than once."""

@@ -1,10 +1,9 @@
-"""The local bus: a hub on a Unix seqpacket socket in the coordinator's process."""
+"""The coordinator's end of the local bus: a hub on a Unix seqpacket socket."""
 
 from __future__ import annotations
 
 import select
 import socket
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from can_dbc.frame import EDP_BIT
 from sil.coupling.transports import address, wire
-from sil.coupling.transports.channel import NOBODY, ParticipantLost, Patience, Turn
+from sil.coupling.transports.channel import NOBODY, ParticipantLost, Timeouts, Turn
 from sil.coupling.transports.remote import Peer, RemoteChannel, silent
 from sil.coupling.transports.wire import Kind, Refusal
 
@@ -24,23 +23,22 @@ _BUFFER_BYTES = wire.LONGEST_BATCH * wire.RECORD_BYTES
 _FLUSH_RECORDS = 512
 MOST_CLIENTS = 250
 MONITOR_BACKLOG_BYTES = 8 << 20
-"""What the hub keeps for a monitor that does not read, some 250,000 frames; then it lets it go."""
+"""A monitor for which more than this waits unread (some 250,000 frames) is disconnected."""
 
 
 class _Client:
-    """One connection, and what could not be sent on it yet."""
+    """One connection, and the records that could not be sent on it yet."""
 
     def __init__(self, connection: socket.socket) -> None:
         connection.setblocking(False)
         self.connection = connection
         self.fileno = connection.fileno()
         self.peer: Peer | None = None
-        self.echo = False
         self.backlog: deque[bytes] = deque()
         self.backlog_bytes = 0
 
     def send(self, records: bytes) -> bool:
-        """Send, or keep for later; tell whether everything is sent.  Raises OSError."""
+        """Send or queue records; return whether everything is sent.  Raises OSError."""
         if not self.backlog:
             try:
                 self.connection.send(records)
@@ -53,7 +51,7 @@ class _Client:
         return False
 
     def drain(self) -> bool:
-        """Send what was kept; tell whether everything is sent.  Raises OSError."""
+        """Send queued records; return whether everything is sent.  Raises OSError."""
         while self.backlog:
             try:
                 self.connection.send(self.backlog[0])
@@ -64,32 +62,30 @@ class _Client:
 
 
 class Hub(RemoteChannel):
-    """The coordinator's end of the local bus, and the bus of its monitors.
+    """A `Channel` over a Unix socket, to participants and to monitors.
 
-    A connection that says Hello is a participant; every other one is a monitor: it may come and go
-    at any time and gets each delivered frame with its BusTime.  A monitor that does not read is
-    let go once `MONITOR_BACKLOG_BYTES` wait for it; participants are never, and a participant gets
-    all frames since its last grant in one datagram with the next.
-
-    Without participants the hub is a plain bus (`serve`): what one client sends, all others get.
-    Satisfies `Channel`.  Checked by test_transport_contract, test_local_bus.
+    A connection that sends Hello is a participant.  Every other one is a monitor: it may come and go
+    at any time and receives each delivered frame with its BusTime.  A participant receives all
+    frames since its last grant in one datagram with the next grant.
     """
 
     def __init__(
         self,
         channel: str,
-        names: Sequence[str] = (),
+        names: Sequence[str],
         *,
         scenario: int = 0,
-        patience: Patience | None = None,
+        timeouts: Timeouts | None = None,
         say: Callable[[str], None] = silent,
         share_core: bool = True,
     ) -> None:
-        """Open the channel.  Raises RunError when another hub has it, InputError for its name."""
+        """Open the channel; parameters as for `RemoteChannel`.
+
+        Raises RunError when another hub uses it, InputError for a name that no channel can have.
+        """
         self._listener, self.path = address.listen(channel)
         self.channel = channel
-        super().__init__(names, scenario, patience or Patience(), say, share_core)
-        self._plain = not names
+        super().__init__(names, scenario, timeouts or Timeouts(), say, share_core)
         self._buffer = bytearray(_BUFFER_BYTES + 1)
         self._clients: dict[int, _Client] = {}
         self._client_of: dict[int, _Client] = {}
@@ -99,31 +95,31 @@ class Hub(RemoteChannel):
         self._served_first = self._listener.fileno()
         self._attend(self._served_first, self._accept)
 
-    # -- turns ------------------------------------------------------------------------------
-
-    def deliver(self, deliveries: Sequence[Delivery], deaf: frozenset[str] = NOBODY) -> None:
-        everything: list[bytes] = []
-        hearing = {n: w for n, w in self._waiting.items() if self._peers[n].name not in deaf}
+    def deliver(self, deliveries: Sequence[Delivery], bus_off: frozenset[str] = NOBODY) -> None:
+        """Send frames to monitors, and queue them for the participants."""
+        delivered: list[bytes] = []
+        receiving = {n: w for n, w in self._waiting.items() if self._peers[n].name not in bus_off}
         for delivery in deliveries:
             sender = wire.PARTICIPANTS.get(delivery.sender, wire.NOBODY)
             records = wire.announced(sender, delivery.arrival_ns, delivery.frame)
-            everything.append(records)
-            for number, waiting in hearing.items():
+            delivered.append(records)
+            for number, waiting in receiving.items():
                 if number != sender:
                     waiting.append(records)
                     self._peers[number].delivered += 1
-        for number, waiting in hearing.items():
+        for number, waiting in receiving.items():
             if len(waiting) >= _FLUSH_RECORDS:
                 self._flush(self._peers[number])
         for client in list(self._clients.values()):
             if client.peer is None:  # one frame per datagram, hence per wake-up of its reader
-                for records in everything:
+                for records in delivered:
                     self._send_monitor(client, records)
 
     def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
+        """Send the grants."""
         self._pump(0.0)
         self._now_ns = now_ns
-        self._deadline = time.monotonic() + self._patience.answer_s
+        self._deadline = time.monotonic() + self._timeouts.answer_s
         for name in names:
             peer = self._by_name.get(name)
             if peer is not None:
@@ -132,6 +128,7 @@ class Hub(RemoteChannel):
                 self._flush(peer)
 
     def end_turn(self) -> dict[str, Turn]:
+        """Wait for the answers; see `Channel`."""
         granted, self._granted = self._granted, []
         return {peer.name: self._await_answer(peer, self._deadline) for peer in granted}
 
@@ -147,7 +144,7 @@ class Hub(RemoteChannel):
             if not client.send(records):
                 self._poll.modify(client.fileno, select.EPOLLIN | select.EPOLLOUT)
         except OSError:
-            self._hung_up(peer)
+            self._connection_lost(peer)
 
     def _send_all(self, records: bytes) -> None:
         for peer in self._peers.values():
@@ -158,15 +155,14 @@ class Hub(RemoteChannel):
             if client.send(records):
                 return
         except OSError:
-            self._let_go(client)
+            self._disconnect(client)
             return
         if client.backlog_bytes > MONITOR_BACKLOG_BYTES:
-            self.counts.monitors_dropped += 1
             self.counts.warn(
                 f"a monitor that did not read was disconnected "
                 f"({client.backlog_bytes >> 20} MiB of frames waited for it)"
             )
-            self._let_go(client)
+            self._disconnect(client)
         else:
             self._poll.modify(client.fileno, select.EPOLLIN | select.EPOLLOUT)
 
@@ -175,8 +171,6 @@ class Hub(RemoteChannel):
 
     def _where(self) -> str:
         return f"--channel local:{self.channel}"
-
-    # -- connections ------------------------------------------------------------------------
 
     def _accept(self, events: int) -> None:
         while True:
@@ -198,7 +192,7 @@ class Hub(RemoteChannel):
                 if client.drain():
                     self._poll.modify(client.fileno, select.EPOLLIN)
             except OSError:
-                self._let_go(client)
+                self._disconnect(client)
                 return
         if events & ~select.EPOLLOUT:
             self._read(client)
@@ -211,7 +205,7 @@ class Hub(RemoteChannel):
         except OSError:
             length = 0
         if length == 0:
-            self._let_go(client)
+            self._disconnect(client)
             return
         try:
             if length > _BUFFER_BYTES:
@@ -225,60 +219,41 @@ class Hub(RemoteChannel):
             if client.peer is not None:
                 raise ParticipantLost(client.peer.name, f"sent garbage: {error}") from None
             self.counts.warn(f"a connection that sent garbage was closed: {error}")
-            self._let_go(client)
+            self._disconnect(client)
 
     def _take(self, client: _Client, can_id: int, payload: bytes) -> None:
         if client.peer is not None:
             client.peer.take(can_id, payload)
             return
-        said = wire.parse_control(can_id, payload)
-        if said is not None and said.kind == Kind.HELLO and not self._plain:
-            peer, answer = self._answer_hello(said)
+        control = wire.parse_control(can_id, payload)
+        if control is not None and control.kind == Kind.HELLO:
+            peer, answer = self._answer_hello(control)
             if peer is not None and peer.number not in self._client_of:
                 client.peer = peer
                 self._client_of[peer.number] = client
             self._send_monitor(client, answer)
-        elif said is not None and said.kind == Kind.MONITOR:
-            client.echo = bool(said.extra & 1)
         elif can_id & EDP_BIT:
             raise wire.WireError(f"0x{can_id:08X} from a connection that has not joined the run")
-        elif self._plain:
-            self._relay(client, can_id, payload)
         else:
             self._warn_foreign()
             refused = wire.control(Kind.REFUSED, extra=Refusal.NO_PARTICIPANT)
             self._send_monitor(client, refused)
 
-    def _let_go(self, client: _Client) -> None:
+    def _disconnect(self, client: _Client) -> None:
         if self._clients.pop(client.fileno, None) is None:
             return
         self._ignore(client.fileno)
         client.connection.close()
         if client.peer is not None:
-            self._hung_up(client.peer)
+            self._connection_lost(client.peer)
 
-    # -- a plain bus --------------------------------------------------------------------------
-
-    def _relay(self, sender: _Client, can_id: int, payload: bytes) -> None:
-        record = wire.RECORD.pack(can_id | wire.EXTENDED, len(payload), payload)
-        for client in list(self._clients.values()):
-            if client is not sender or client.echo:
-                self._send_monitor(client, record)
-
-    def serve(self, stop: threading.Event) -> None:
-        """Carry frames between the clients of a plain bus until `stop` is set."""
-        while not stop.is_set():
-            self._pump(0.05)
-
-    # -- the end ------------------------------------------------------------------------------
-
-    def _close_channel(self, farewell: bytes, aborted: bool) -> None:
+    def _close_channel(self, stop: bytes, aborted: bool) -> None:
         self._ignore(self._listener.fileno())
         self.path.unlink(missing_ok=True)
         self._listener.close()
         for client in list(self._clients.values()):
-            self._send_monitor(client, farewell)
-        deadline = time.monotonic() + (0.0 if aborted else self._patience.close_s)
+            self._send_monitor(client, stop)
+        deadline = time.monotonic() + (0.0 if aborted else self._timeouts.close_s)
         # A participant closes its connection once its files are complete.
         while any(client.backlog or client.peer for client in self._clients.values()):
             left = deadline - time.monotonic()

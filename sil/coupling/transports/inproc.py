@@ -15,15 +15,14 @@ if TYPE_CHECKING:
 
 
 class Participant(Protocol):
-    """A node of the co-simulation; plant, controller and driver have this form.
+    """A node of the co-simulation: plant, controller, driver and others.
 
-    Its events are a static schedule of its configuration, and it is granted time at these only,
-    and at the end of the run.
+    It is granted time at its events, which its configuration determines, and at the end of the run.
     """
 
     @property
     def name(self) -> str:
-        """Its name: a key of `sil.coupling.transports.wire.PARTICIPANTS`."""
+        """Return its name, a key of `sil.coupling.transports.wire.PARTICIPANTS`."""
 
     def start(self) -> int:
         """Return the simulated instant of the first event, in ns."""
@@ -39,14 +38,14 @@ class Participant(Protocol):
         """
 
     def close(self) -> None:
-        """Give back files and the like; called once, also after a run that failed."""
+        """Release files and the like; called once, also after a run that failed."""
 
 
 class InProcess:
-    """The channel to participants that live in this process.  Satisfies `Channel`."""
+    """A `Channel` to participants in this process."""
 
     def __init__(self, participants: Sequence[Participant]) -> None:
-        """Raises ValueError when two participants have the same name."""
+        """Take the participants.  Raises ValueError when two have the same name."""
         self._participants = {participant.name: participant for participant in participants}
         if len(self._participants) != len(participants):
             raise ValueError(f"two participants of one name: {[p.name for p in participants]}")
@@ -57,14 +56,17 @@ class InProcess:
         self._closed = False
 
     def start(self, end_ns: int) -> dict[str, int]:
+        """Start the participants."""
         return {name: participant.start() for name, participant in self._participants.items()}
 
-    def deliver(self, deliveries: Sequence[Delivery], deaf: frozenset[str] = NOBODY) -> None:
+    def deliver(self, deliveries: Sequence[Delivery], bus_off: frozenset[str] = NOBODY) -> None:
+        """Queue frames for the participants."""
         for name, inbox in self._inboxes.items():
-            if name not in deaf:
+            if name not in bus_off:
                 inbox.extend((d.arrival_ns, d.frame) for d in deliveries if d.sender != name)
 
     def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
+        """Run the turns.  Raises ParticipantLost for one that fails; InputError and RunError pass."""
         for name in names:
             inbox = self._inboxes.get(name)
             if inbox is not None:
@@ -78,17 +80,21 @@ class InProcess:
                     raise ParticipantLost(name, what) from error
 
     def end_turn(self) -> dict[str, Turn]:
+        """Return the finished turns."""
         turns, self._turns = self._turns, {}
         return turns
 
     def retire(self, name: str) -> None:
+        """Drop a participant."""
         self._inboxes.pop(name, None)
 
     def idle(self, seconds: float) -> None:
+        """Sleep."""
         if seconds > 0.0:
             time.sleep(seconds)
 
     def close(self, aborted: bool) -> None:
+        """Close the participants."""
         if self._closed:
             return
         self._closed = True

@@ -1,4 +1,4 @@
-"""The participant's side of the lockstep protocol, over the local socket or a CAN channel."""
+"""A participant's end of a channel: the local socket or a CAN interface."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Link(ABC):
     """Moves records between a participant and its coordinator."""
 
     hello_again_s: float
-    """After how long to repeat a Hello that was not answered."""
+    """Time after which an unanswered Hello is repeated."""
 
     @abstractmethod
     def read(self, timeout_s: float | None) -> list[tuple[int, bytes]]:
@@ -45,11 +45,11 @@ class Link(ABC):
 
     @abstractmethod
     def write(self, records: Sequence[bytes]) -> None:
-        """Send records; returns when they are on their way."""
+        """Send records.  Raises RunError when the coordinator is gone."""
 
     @abstractmethod
     def welcomed(self, number: int) -> None:
-        """Note that the coordinator has taken this participant in."""
+        """Note that the coordinator has accepted this participant."""
 
     @abstractmethod
     def close(self) -> None:
@@ -98,6 +98,7 @@ class LocalLink(Link):
                 raise RunError(f"{self._path}: {error.strerror}") from None
 
     def read(self, timeout_s: float | None) -> list[tuple[int, bytes]]:
+        """Return the next records.  Raises RunError when the coordinator is gone."""
         try:
             self._socket.settimeout(timeout_s)
             length = self._socket.recv_into(self._buffer)
@@ -111,9 +112,10 @@ class LocalLink(Link):
             with memoryview(self._buffer) as view:
                 return list(wire.split(view[:length]))
         except wire.WireError as error:
-            raise RunError(f"{self._path}: no coordinator of ours: {error}") from None
+            raise RunError(f"{self._path}: not the coordinator of a run: {error}") from None
 
     def write(self, records: Sequence[bytes]) -> None:
+        """Send records.  Raises RunError when the coordinator is gone."""
         try:
             self._socket.settimeout(None)
             for start in range(0, len(records), wire.LONGEST_BATCH):
@@ -122,9 +124,10 @@ class LocalLink(Link):
             raise RunError(f"{self._path}: {error.strerror}: the coordinator is gone") from None
 
     def welcomed(self, number: int) -> None:
-        """The connection itself shows who lives."""
+        """Do nothing: the connection itself shows who is alive."""
 
     def close(self) -> None:
+        """Close the connection."""
         self._socket.close()
 
 
@@ -147,6 +150,7 @@ class CanLink(Link):
         self._poll.register(self._can.fileno(), select.POLLIN)
 
     def read(self, timeout_s: float | None) -> list[tuple[int, bytes]]:
+        """Return the next record.  Raises RunError when the coordinator is gone."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
             received = self._can.receive()
@@ -163,32 +167,37 @@ class CanLink(Link):
                 raise RunError(f"channel {self._can.interface!r}: the coordinator is gone")
 
     def write(self, records: Sequence[bytes]) -> None:
+        """Send records."""
         self._can.send(b"".join(records))
 
     def welcomed(self, number: int) -> None:
-        """Hold on to the coordinator's lifeline, so that each notices the other's death."""
+        """Connect to the coordinator's lifeline, so that each notices the other's death.
+
+        Raises RunError when the coordinator is not on this machine.
+        """
         self._lifeline = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self._lifeline.connect(lifeline_address(self._can.interface))
             self._lifeline.send(bytes([number]))
         except OSError as error:
             raise RunError(
-                f"channel {self._can.interface!r}: its coordinator cannot be reached beside the "
-                f"channel ({error.strerror}); expected one on this machine"
+                f"channel {self._can.interface!r}: its coordinator is not reached by Unix socket "
+                f"({error.strerror}); expected one on this machine"
             ) from None
         self._poll.register(self._lifeline.fileno(), select.POLLIN)
 
     def close(self) -> None:
+        """Close the channel and the lifeline."""
         self._can.close()
         if self._lifeline is not None:
             self._lifeline.close()
 
 
 class Session:
-    """One participant's part in one run, from Hello to Stop.  Checked by test_link."""
+    """The exchange of one participant with its coordinator, from Hello to Stop."""
 
     def __init__(self, name: str, link: Link, scenario: int = 0) -> None:
-        """`scenario` as for `RemoteChannel`.  Raises InputError for a name without a number."""
+        """Prepare to join; `scenario` as for `RemoteChannel`.  Raises InputError for an unknown name."""
         if name not in wire.PARTICIPANTS:
             raise InputError(f"participant {name!r}: expected {', '.join(wire.PARTICIPANTS)}")
         self.name = name
@@ -231,18 +240,18 @@ class Session:
             self._records.extend(self._link.read(max(0.0, min(deadline, next_hello, say_at) - now)))
             while self._records:
                 can_id, payload = self._records.popleft()
-                said = self._parse(can_id, payload)
-                if said is None or said.participant != self._number or said.value != nonce:
+                control = self._parse(can_id, payload)
+                if control is None or control.participant != self._number or control.value != nonce:
                     continue
-                if said.kind == Kind.REFUSED:
-                    raise InputError(f"{self.name}: refused: {wire.reason(said.extra)}")
-                if said.kind == Kind.WELCOME:
+                if control.kind == Kind.REFUSED:
+                    raise InputError(f"{self.name}: refused: {wire.reason(control.extra)}")
+                if control.kind == Kind.WELCOME:
                     self._link.welcomed(self._number)
                     self._first_event_ns = first_event_ns
                     return
 
     def next_grant(self) -> Grant | None:
-        """Wait for time to be granted; None when the run is over, and `ending` says how.
+        """Wait for a grant; return None when the run is over: then `ending` says how.
 
         Raises RunError when the coordinator is gone or frames were lost on the way.
         """
@@ -250,40 +259,40 @@ class Session:
             while self._records:
                 can_id, payload = self._records.popleft()
                 if not can_id & EDP_BIT:
-                    self._hear(can_id, payload)
+                    self._receive(can_id, payload)
                     continue
-                said = self._parse(can_id, payload)
-                if said is None:
+                control = self._parse(can_id, payload)
+                if control is None:
                     continue
-                if said.kind == Kind.BUS_TIME:
+                if control.kind == Kind.BUS_TIME:
                     if self._announced is not None:
                         raise self._lost_frames()
-                    self._announced = said
-                elif said.kind == Kind.START:
+                    self._announced = control
+                elif control.kind == Kind.START:
                     self._link.write(
                         [wire.control(Kind.DONE, self._number, 0, self._first_event_ns)]
                     )
-                elif said.kind == Kind.STOP:
-                    regular = said.participant == StopReason.END
+                elif control.kind == Kind.STOP:
+                    regular = control.participant == StopReason.END
                     self.ending = StopReason.END if regular else StopReason.ABORTED
                     return None
-                elif said.participant != self._number:
+                elif control.participant != self._number:
                     continue
-                elif said.kind == Kind.SKIP:
+                elif control.kind == Kind.SKIP:
                     self._skip = True
-                elif said.kind == Kind.SYNC:
+                elif control.kind == Kind.SYNC:
                     self._link.write([wire.control(Kind.ACK, self._number)])
-                elif said.kind == Kind.GRANT:
-                    if self._announced is not None or said.extra != self._received & 0xFF:
+                elif control.kind == Kind.GRANT:
+                    if self._announced is not None or control.extra != self._received & 0xFF:
                         raise self._lost_frames()
                     self._received = 0
-                    self._now_ns = said.value
+                    self._now_ns = control.value
                     inbox, self._inbox = self._inbox, []
-                    return Grant(said.value, inbox)
+                    return Grant(control.value, inbox)
             self._records.extend(self._link.read(None))
 
     def answer(self, frames: Sequence[tuple[int, Frame]], next_ns: int) -> None:
-        """End the turn: offer the frames, each at its release instant, and tell the next event.
+        """End the turn: offer the frames, each at its release instant (ns), and name the next event.
 
         Raises ValueError for a frame that cannot be offered or is released before the grant.
         """
@@ -300,19 +309,19 @@ class Session:
         self._link.write(records)
 
     def fail(self) -> None:
-        """Tell the coordinator that this participant cannot go on."""
+        """Report to the coordinator that this participant cannot go on."""
         self._link.write([wire.control(Kind.FAILED, self._number)])
 
     def _parse(self, can_id: int, payload: bytes) -> wire.Control | None:
-        """Return the control frame, or None for another one, or a stranger's nonsense."""
+        """Return the control frame, or None for another frame or one that is malformed."""
         try:
             return wire.parse_control(can_id, payload)
         except wire.WireError:
             self.foreign_frames += 1
             return None
 
-    def _hear(self, can_id: int, payload: bytes) -> None:
-        """Keep the frame if it is the announced one and somebody else's."""
+    def _receive(self, can_id: int, payload: bytes) -> None:
+        """Accept the frame if it is the announced one and was sent by another participant."""
         announced = self._announced
         if announced is None or announced.extra != wire.checksum(can_id, payload):
             self.foreign_frames += 1

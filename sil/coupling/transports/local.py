@@ -13,33 +13,27 @@ import can
 from can.typechecking import AutoDetectedConfig
 
 from can_dbc.errors import InputError, RunError
-from can_dbc.frame import EDP_BIT
 from can_dbc.messages import StopReason
 from sil.coupling.clock import to_seconds
 from sil.coupling.transports import address, wire
 from sil.coupling.transports.wire import Kind
 
 ONLY_CHANNEL = "auto"
-_ECHO = 1
 
 
 class LocalBus(can.BusABC):
-    """One connection to a local bus: a monitor of a lockstep run, or a node of a plain bus.
+    """A listener on a local bus: the frames of a run, with the simulated time of their arrival.
 
-    In a run, messages carry the simulated time of their arrival in seconds; on a plain bus, the
-    wall time of their receipt.  A run takes no frames from outside: sending one is refused, which
-    the next `send` or `recv` raises.  Only classic data frames with 29-bit identifiers travel here.
-    Checked by test_local_bus.
+    Sending is refused: only the participants of a run send.
     """
 
     def __init__(
         self,
         channel: str = ONLY_CHANNEL,
         can_filters: can.typechecking.CanFilters | None = None,
-        receive_own_messages: bool = False,
         **ignored: Any,
     ) -> None:
-        """Connect to the hub of `channel`; "auto" means the only one that runs.
+        """Connect to the run on `channel`; "auto" means the only one there is.
 
         Raises can.CanInitializationError when there is none.
         """
@@ -56,17 +50,15 @@ class LocalBus(can.BusABC):
         except OSError as error:
             connection.close()
             raise can.CanInitializationError(
-                f"opc4local: no hub on {self._path}: {error.strerror}"
+                f"opc4local: no run on {self._path}: {error.strerror}"
             ) from None
         connection.setblocking(False)
         self._connection = connection
         self._buffer = bytearray(wire.LONGEST_BATCH * wire.RECORD_BYTES)
         self._received: deque[can.Message] = deque()
-        self._arrival: wire.Control | None = None
+        self._arrival_ns = 0
         self._failure: str | None = None
         self.channel_info = f"opc4local {self._path}"
-        if receive_own_messages:
-            self._send(wire.control(Kind.MONITOR, extra=_ECHO), None)
         super().__init__(channel=channel, can_filters=can_filters)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
@@ -77,14 +69,14 @@ class LocalBus(can.BusABC):
                 length = connection.recv_into(self._buffer)
             except BlockingIOError:
                 left = None if deadline is None else max(0.0, deadline - time.monotonic())
-                if not _ready(connection, select.POLLIN, left):
+                if not _is_readable(connection, left):
                     return None, False
                 continue
             except OSError as error:
                 raise can.CanOperationError(f"{self.channel_info}: {error.strerror}") from None
             if length == 0:
                 self._failure = self._failure or (
-                    "the hub closed the connection: it ended, or this program did not read"
+                    "the run closed the connection: it was killed, or this program did not read"
                 )
                 continue
             with memoryview(self._buffer) as view:
@@ -93,59 +85,29 @@ class LocalBus(can.BusABC):
         return self._received.popleft(), False
 
     def _take(self, can_id: int, payload: bytes) -> None:
-        said = wire.parse_control(can_id, payload)
-        if said is None:
-            self._received.append(self._message(can_id, payload))
-        elif said.kind == Kind.BUS_TIME:
-            self._arrival = said
-        elif said.kind == Kind.REFUSED:
-            self._failure = f"frame refused: {wire.reason(said.extra)}"
-        elif said.kind == Kind.STOP:
-            regular = said.participant == StopReason.END
+        control = wire.parse_control(can_id, payload)
+        if control is None:
+            message = can.Message(
+                timestamp=to_seconds(self._arrival_ns),
+                arbitration_id=can_id,
+                is_extended_id=True,
+                data=payload,
+                channel=self._path.stem,
+            )
+            self._received.append(message)
+        elif control.kind == Kind.BUS_TIME:
+            self._arrival_ns = control.value
+        elif control.kind == Kind.STOP:
+            regular = control.participant == StopReason.END
             self._failure = "the run has ended" + ("" if regular else " early")
 
-    def _message(self, can_id: int, payload: bytes) -> can.Message:
-        arrival, self._arrival = self._arrival, None
-        return can.Message(
-            timestamp=time.time() if arrival is None else to_seconds(arrival.value),
-            arbitration_id=can_id,
-            is_extended_id=True,
-            data=payload,
-            channel=self._path.stem,
-        )
-
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        if msg.is_fd or msg.is_error_frame or msg.is_remote_frame or not msg.is_extended_id:
-            raise can.CanOperationError(
-                f"{self.channel_info}: cannot carry {msg}; "
-                "expected a classic data frame with a 29-bit identifier"
-            )
-        if msg.arbitration_id & EDP_BIT:
-            raise can.CanOperationError(
-                f"{self.channel_info}: identifier 0x{msg.arbitration_id:08X} has bit 25 (EDP) set, "
-                "which marks lockstep traffic"
-            )
-        payload = bytes(msg.data)
-        self._send(
-            wire.RECORD.pack(msg.arbitration_id | wire.EXTENDED, len(payload), payload), timeout
-        )
-
-    def _send(self, record: bytes, timeout: float | None) -> None:
-        deadline = None if timeout is None else time.monotonic() + timeout
-        connection = self._open()
-        while True:
-            try:
-                connection.send(record)
-                return
-            except BlockingIOError:
-                left = None if deadline is None else max(0.0, deadline - time.monotonic())
-                if not _ready(connection, select.POLLOUT, left):
-                    raise can.CanTimeoutError(f"{self.channel_info}: send timed out") from None
-            except OSError as error:
-                raise can.CanOperationError(f"{self.channel_info}: {error.strerror}") from None
+        """Refuse the message.  Raises can.CanOperationError."""
+        self._open()
+        reason = wire.reason(wire.Refusal.NO_PARTICIPANT)
+        raise can.CanOperationError(f"{self.channel_info}: frame refused: {reason}")
 
     def _open(self) -> socket.socket:
-        """Return the connection; raises can.CanOperationError when it is closed or has failed."""
         if self._connection is None:
             raise can.CanOperationError(f"{self.channel_info}: the bus is shut down")
         if self._failure is not None:
@@ -160,6 +122,7 @@ class LocalBus(can.BusABC):
         return -1 if self._connection is None else self._connection.fileno()
 
     def shutdown(self) -> None:
+        """Close the connection."""
         super().shutdown()
         if self._connection is not None:
             self._connection.close()
@@ -173,11 +136,12 @@ class LocalBus(can.BusABC):
 def _only_channel() -> str:
     running = address.running_channels()
     if len(running) != 1:
-        raise InputError(f"opc4local: {len(running)} buses run ({', '.join(running)}); name one")
+        names = f" ({', '.join(running)}): name one" if running else ""
+        raise InputError(f"opc4local: {len(running)} runs found{names}")
     return running[0]
 
 
-def _ready(connection: socket.socket, event: int, timeout_s: float | None) -> bool:
+def _is_readable(connection: socket.socket, timeout_s: float | None) -> bool:
     poll = select.poll()
-    poll.register(connection.fileno(), event)
+    poll.register(connection.fileno(), select.POLLIN)
     return bool(poll.poll(None if timeout_s is None else timeout_s * 1000.0))

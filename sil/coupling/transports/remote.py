@@ -8,33 +8,34 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 from can_dbc.frame import EDP_BIT, Frame
 from can_dbc.messages import StopReason
 from sil.coupling.processes import ChildProcess, sharing_one_core
 from sil.coupling.transports import wire
-from sil.coupling.transports.channel import NOBODY, ChannelCounts, ParticipantLost, Patience, Turn
+from sil.coupling.transports.channel import (
+    Channel,
+    ChannelCounts,
+    ParticipantLost,
+    Timeouts,
+    Turn,
+)
 from sil.coupling.transports.wire import Kind, Refusal
-
-if TYPE_CHECKING:
-    from sil.coupling.bus import Delivery
 
 
 def silent(message: str) -> None:
-    """Say nothing: for runs whose user asked for no messages."""
+    """Discard a message for the user."""
 
 
 MOST_OFFERS = 100_000
 """Frames that a participant may offer in one turn."""
 
-
 FAILED_ENDS_S = 2.0
-"""How long a participant that said it failed may take to end, and so to say why."""
+"""How long a process that reported a failure may take to end with its reason."""
 
 
 class Peer:
-    """What the coordinator knows of one participant, and the turn it is collecting from it."""
+    """One participant as the coordinator knows it, and the turn being received from it."""
 
     def __init__(self, name: str, number: int) -> None:
         self.name = name
@@ -52,6 +53,7 @@ class Peer:
 
     @property
     def joined(self) -> bool:
+        """Whether it has been welcomed."""
         return self.nonce is not None
 
     def grant(self, now_ns: int) -> bytes:
@@ -66,11 +68,11 @@ class Peer:
         self.granted_ns = self._release_ns = 0
 
     def take(self, can_id: int, payload: bytes) -> None:
-        """Take one record of this participant; raises ParticipantLost for one against the rules."""
+        """Take one record of this participant.  Raises ParticipantLost for a protocol error."""
         if self.granted_ns is None:
             raise self._against_rules(f"sent 0x{can_id:08X} out of its turn")
-        said = wire.parse_control(can_id, payload)
-        if said is None:
+        control = wire.parse_control(can_id, payload)
+        if control is None:
             if not can_id & EDP_BIT:
                 raise self._against_rules(
                     f"sent 0x{can_id:08X} past the arbitration; expected an offer (EDP set)"
@@ -78,27 +80,27 @@ class Peer:
             self._frames.append((self._release_ns, Frame(can_id & ~EDP_BIT, payload)))
             if len(self._frames) > MOST_OFFERS:
                 raise self._against_rules(f"offered more than {MOST_OFFERS} frames in one turn")
-        elif said.participant != self.number:
-            raise self._against_rules(f"spoke as participant number {said.participant}")
-        elif said.kind == Kind.RELEASE:
-            if said.value < self.granted_ns:
+        elif control.participant != self.number:
+            raise self._against_rules(f"sent as participant number {control.participant}")
+        elif control.kind == Kind.RELEASE:
+            if control.value < self.granted_ns:
                 raise self._against_rules(
-                    f"released a frame at {said.value} ns; expected {self.granted_ns} ns or later"
+                    f"released a frame at {control.value} ns; expected {self.granted_ns} ns or later"
                 )
-            self._release_ns = said.value
-        elif said.kind == Kind.DONE:
-            if said.extra != len(self._frames) & 0xFF:
+            self._release_ns = control.value
+        elif control.kind == Kind.DONE:
+            if control.extra != len(self._frames) & 0xFF:
                 raise self._against_rules(
-                    f"offered {said.extra} frames (modulo 256), {len(self._frames)} arrived: "
+                    f"offered {control.extra} frames (modulo 256), {len(self._frames)} arrived: "
                     "the channel lost frames, or another program sent some"
                 )
-            self.done = said.value
+            self.done = control.value
             self.granted_ns = None
-        elif said.kind == Kind.FAILED:
+        elif control.kind == Kind.FAILED:
             how = self.child.how_it_ended(FAILED_ENDS_S) if self.child is not None else None
             raise ParticipantLost(self.name, how or "failed; its own error output says why")
         else:
-            raise self._against_rules(f"sent {said.kind.name}, which is not its to send")
+            raise self._against_rules(f"sent {control.kind.name}, which only the coordinator sends")
 
     @property
     def offered(self) -> int:
@@ -106,7 +108,7 @@ class Peer:
         return len(self._frames)
 
     def turn(self) -> Turn:
-        """Return the finished turn."""
+        """Return the finished turn.  Raises ValueError when it is not finished."""
         if self.done is None:
             raise ValueError(f"{self.name}: the turn is not finished")
         frames, self._frames = self._frames, []
@@ -116,30 +118,30 @@ class Peer:
         return ParticipantLost(self.name, f"broke the lockstep protocol: it {what}")
 
 
-class RemoteChannel(ABC):
-    """Handshake, turns, timeouts and the watch over processes; subclasses move the records.
-
-    Satisfies `Channel`.  Checked by test_transport_contract.
-    """
+class RemoteChannel(Channel, ABC):
+    """A `Channel` to other processes: handshake, turns, timeouts; subclasses move the records."""
 
     def __init__(
         self,
         names: Sequence[str],
         scenario: int,
-        patience: Patience,
+        timeouts: Timeouts,
         say: Callable[[str], None],
         share_core: bool,
     ) -> None:
-        """`scenario`: 32 bits that tell scenarios apart; 0 joins with any.  `say` takes messages
-        for the user while the run waits.  `share_core`: once all have joined, keep this thread and
-        the processes spawned here on one core (`core` is which, None without)."""
+        """Prepare the handshake.
+
+        `scenario`: 32 bits that distinguish scenarios; 0 joins with any.  `say` takes messages for
+        the user while the run waits.  `share_core`: keep this thread and the processes spawned here
+        on one core once all have joined (`core` is its number, None without).
+        """
         self.names = tuple(names)
         self.counts = ChannelCounts()
         self._by_name = {name: Peer(name, wire.PARTICIPANTS[name]) for name in names}
         self._peers = {peer.number: peer for peer in self._by_name.values()}
         self._children: dict[str, ChildProcess] = {}
         self._scenario = scenario
-        self._patience = patience
+        self._timeouts = timeouts
         self._share_core = share_core
         self._sharing = contextlib.ExitStack()
         self.core: int | None = None
@@ -149,8 +151,6 @@ class RemoteChannel(ABC):
         self._poll = select.epoll()
         self._handlers: dict[int, Callable[[int], None]] = {}
         self._served_first = -1
-
-    # -- what a subclass provides -------------------------------------------------------------
 
     @abstractmethod
     def _send(self, peer: Peer, records: bytes) -> None:
@@ -166,25 +166,11 @@ class RemoteChannel(ABC):
 
     @abstractmethod
     def _release(self, peer: Peer) -> None:
-        """Forget a retired participant's connection, if there is one."""
+        """Drop what is stored for a retired participant."""
 
     @abstractmethod
-    def deliver(self, deliveries: Sequence[Delivery], deaf: frozenset[str] = NOBODY) -> None:
-        """See `Channel.deliver`."""
-
-    @abstractmethod
-    def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
-        """See `Channel.begin_turn`."""
-
-    @abstractmethod
-    def end_turn(self) -> dict[str, Turn]:
-        """See `Channel.end_turn`."""
-
-    @abstractmethod
-    def _close_channel(self, farewell: bytes, aborted: bool) -> None:
-        """Send the farewell to everybody, and close what the subclass opened."""
-
-    # -- the life of a run --------------------------------------------------------------------
+    def _close_channel(self, stop: bytes, aborted: bool) -> None:
+        """Send the Stop record to everybody, and close what the subclass opened."""
 
     def spawn(self, name: str, command: Sequence[str]) -> ChildProcess:
         """Start `command` as the process of participant `name`, to be watched and ended here."""
@@ -195,29 +181,31 @@ class RemoteChannel(ABC):
         return child
 
     def start(self, end_ns: int) -> dict[str, int]:
-        deadline = time.monotonic() + self._patience.start_s
-        told = time.monotonic() + 2.0
+        """Wait for the participants.  Raises ParticipantLost when one does not come in time."""
+        deadline = time.monotonic() + self._timeouts.start_s
+        say_at = time.monotonic() + 2.0
         while missing := [p.name for p in self._peers.values() if not p.joined]:
             now = time.monotonic()
             if now >= deadline:
                 raise ParticipantLost(
                     missing[0],
-                    f"did not join within {self._patience.start_s:g} s ({self._where()})",
+                    f"did not join within {self._timeouts.start_s:g} s ({self._where()})",
                 )
-            if now >= told:
-                told = deadline
+            if now >= say_at:
+                say_at = deadline
                 self._say(f"waiting for {' and '.join(missing)} to join ({self._where()})")
-            self._pump(min(deadline, told) - now)
+            self._pump(min(deadline, say_at) - now)
         for peer in self._peers.values():
             peer.expect_first_event()
         if self._share_core and self._children:
             pids = [child.pid for child in self._children.values()]
             self.core = self._sharing.enter_context(sharing_one_core(pids))
         self._send_all(wire.control(Kind.START, value=end_ns))
-        answered = time.monotonic() + self._patience.answer_s
+        answered = time.monotonic() + self._timeouts.answer_s
         return {p.name: self._await_answer(p, answered).next_ns for p in self._peers.values()}
 
     def retire(self, name: str) -> None:
+        """Grant a participant no more time."""
         peer = self._by_name.get(name)
         if peer is None or peer.retired:
             return
@@ -226,12 +214,14 @@ class RemoteChannel(ABC):
         self._release(peer)
 
     def idle(self, seconds: float) -> None:
+        """Let wall time pass, still serving connections."""
         deadline = time.monotonic() + seconds
         self._pump(0.0)
         while (left := deadline - time.monotonic()) > 0.0:
             self._pump(left)
 
     def close(self, aborted: bool) -> None:
+        """Send Stop, end the processes started here, close the channel."""
         if self._closed:
             return
         self._closed = True
@@ -239,7 +229,7 @@ class RemoteChannel(ABC):
             stop = StopReason.ABORTED if aborted else StopReason.END
             self._close_channel(wire.control(Kind.STOP, stop, value=self._now_ns), aborted)
         finally:
-            grace = 0.1 if aborted else self._patience.close_s
+            grace = 0.1 if aborted else self._timeouts.close_s
             deadline = time.monotonic() + grace
             for child in self._children.values():
                 child.end(max(0.0, deadline - time.monotonic()))
@@ -247,8 +237,6 @@ class RemoteChannel(ABC):
                     self._say(line)
             self._poll.close()
             self._sharing.close()
-
-    # -- for subclasses -----------------------------------------------------------------------
 
     def _attend(self, fileno: int, handler: Callable[[int], None]) -> None:
         self._handlers[fileno] = handler
@@ -261,7 +249,7 @@ class RemoteChannel(ABC):
     def _pump(self, timeout_s: float) -> None:
         """Serve whatever is ready, waiting at most `timeout_s` for the first."""
         ready = self._poll.poll(timeout_s)
-        if len(ready) > 1:  # who connected before a frame was sent gets it
+        if len(ready) > 1:  # who connected before a frame was sent receives it
             ready.sort(key=lambda entry: entry[0] != self._served_first)
         for fileno, events in ready:
             handler = self._handlers.get(fileno)
@@ -269,9 +257,9 @@ class RemoteChannel(ABC):
                 handler(events)
 
     def _await_answer(self, peer: Peer, deadline: float) -> Turn:
-        """Pump until the participant is done.
+        """Wait until the participant is done.
 
-        Raises ParticipantLost when it says nothing at all until the deadline, or for as long again.
+        Raises ParticipantLost when it sends nothing until the deadline, or later for as long again.
         """
         offered = 0
         while peer.done is None:
@@ -280,19 +268,19 @@ class RemoteChannel(ABC):
             if left <= 0.0 and peer.done is None:
                 if peer.offered > offered:
                     offered = peer.offered
-                    deadline = time.monotonic() + self._patience.answer_s
+                    deadline = time.monotonic() + self._timeouts.answer_s
                     continue
                 raise ParticipantLost(
-                    peer.name, f"did not answer within {self._patience.answer_s:g} s: it stalled"
+                    peer.name, f"did not answer within {self._timeouts.answer_s:g} s: it stalled"
                 )
         return peer.turn()
 
-    def _answer_hello(self, said: wire.Control) -> tuple[Peer | None, bytes]:
-        """Return who joins (None: nobody) and the record to answer with."""
-        nonce, scenario = said.value & 0xFFFF, said.value >> 16
-        peer = self._peers.get(said.participant)
+    def _answer_hello(self, control: wire.Control) -> tuple[Peer | None, bytes]:
+        """Return the participant that joins, or None, and the record to answer with."""
+        nonce, scenario = control.value & 0xFFFF, control.value >> 16
+        peer = self._peers.get(control.participant)
         refusal = None
-        if said.extra != wire.VERSION:
+        if control.extra != wire.VERSION:
             refusal = Refusal.VERSION
         elif peer is None or peer.retired:
             refusal = Refusal.UNEXPECTED
@@ -301,10 +289,10 @@ class RemoteChannel(ABC):
         elif scenario and self._scenario and scenario != self._scenario:
             refusal = Refusal.SCENARIO
         if refusal is not None or peer is None:
-            name = wire.NAMES.get(said.participant, f"participant number {said.participant}")
+            name = wire.NAMES.get(control.participant, f"participant number {control.participant}")
             reason = refusal or Refusal.UNEXPECTED
             self.counts.warn(f"a {name} was refused: {wire.reason(reason)}")
-            return None, wire.control(Kind.REFUSED, said.participant, reason, nonce)
+            return None, wire.control(Kind.REFUSED, control.participant, reason, nonce)
         peer.nonce = nonce
         return peer, wire.control(Kind.WELCOME, peer.number, wire.VERSION, nonce)
 
@@ -314,8 +302,8 @@ class RemoteChannel(ABC):
         if not self._closed and peer is not None and not peer.retired:
             raise ParticipantLost(child.name, child.how_it_ended() or "died")
 
-    def _hung_up(self, peer: Peer) -> None:
-        """Raise the reason why a participant's connection ended, unless it was let go."""
+    def _connection_lost(self, peer: Peer) -> None:
+        """Raise ParticipantLost for a connection that ended, unless the run or its part is over."""
         if self._closed or peer.retired:
             return
         child = self._children.get(peer.name)
@@ -325,6 +313,6 @@ class RemoteChannel(ABC):
     def _warn_foreign(self) -> None:
         self.counts.foreign_frames += 1
         self.counts.warn(
-            "frames of programs that take no part in the run were ignored: "
-            "taken in at a moment that only the wall clock decides, they would make it unrepeatable"
+            "frames of programs that take no part in the run were ignored: their instants depend on "
+            "the wall clock, so the run could not be repeated"
         )

@@ -1,4 +1,4 @@
-"""The lockstep over a SocketCAN channel: raw sockets, nothing lost in silence."""
+"""The coordinator's end of a SocketCAN channel: raw sockets that report every lost frame."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import DP_BIT, EDP_BIT, MAX_ID
 from sil.coupling.transports import wire
-from sil.coupling.transports.channel import NOBODY, ParticipantLost, Patience, Turn
+from sil.coupling.transports.channel import NOBODY, ParticipantLost, Timeouts, Turn
 from sil.coupling.transports.remote import Peer, RemoteChannel, silent
 from sil.coupling.transports.wire import Kind
 
@@ -24,7 +24,7 @@ _SO_RXQ_OVFL = 40
 _RECEIVE_BUFFER_BYTES = 8 << 20
 _REMOTE_FRAME = 0x4000_0000
 _CONTROL_BITS = EDP_BIT | DP_BIT
-_FULL_QUEUE_PATIENCE_S = 2.0
+_FULL_QUEUE_WAIT_S = 2.0
 UNREAD_WINDOW = 256
 """Records that may wait unread for a participant; a default receive buffer holds about 400."""
 
@@ -37,10 +37,10 @@ PARTICIPANT_VIEW = (
 
 
 class CanSocket:
-    """A raw CAN socket that waits when the queue is full and raises when a frame was lost."""
+    """A raw CAN socket that waits while the queue is full and raises when a frame was lost."""
 
     def __init__(self, interface: str, filters: Sequence[tuple[int, int]]) -> None:
-        """Open it; raises InputError when there is no such CAN interface, or it is down."""
+        """Open it.  Raises InputError when there is no such CAN interface, or it is down."""
         self.interface = interface
         self._lost = 0
         try:
@@ -72,10 +72,11 @@ class CanSocket:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size)
 
     def fileno(self) -> int:
+        """Return the socket's descriptor."""
         return self._socket.fileno()
 
     def send(self, records: bytes) -> None:
-        """Send the records, one frame each; raises RunError when the interface takes none."""
+        """Send the records, one frame each.  Raises RunError when the interface takes none."""
         for start in range(0, len(records), wire.RECORD_BYTES):
             self._send_one(records[start : start + wire.RECORD_BYTES])
 
@@ -88,13 +89,13 @@ class CanSocket:
             except OSError as error:
                 if error.errno not in (errno.ENOBUFS, errno.EAGAIN):
                     raise RunError(f"channel {self.interface!r}: {error.strerror}") from None
-                # ENOBUFS: the interface's queue is full; poll does not tell when that has changed
+                # ENOBUFS: the interface's queue is full; poll does not report when that changes
                 now = time.monotonic()
-                deadline = deadline or now + _FULL_QUEUE_PATIENCE_S
+                deadline = deadline or now + _FULL_QUEUE_WAIT_S
                 if now > deadline:
                     raise RunError(
                         f"channel {self.interface!r}: took no frame for "
-                        f"{_FULL_QUEUE_PATIENCE_S:g} s ({error.strerror})"
+                        f"{_FULL_QUEUE_WAIT_S:g} s ({error.strerror})"
                     ) from None
                 time.sleep(0.0005)
 
@@ -121,22 +122,22 @@ class CanSocket:
         return flagged_id & MAX_ID, payload[:length]
 
     def close(self) -> None:
+        """Close the socket."""
         self._socket.close()
 
 
 def lifeline_address(interface: str) -> str:
-    """Return the abstract Unix socket by which one network namespace knows a channel's run."""
+    """Return the abstract Unix socket of the run on an interface of this network namespace."""
     return f"\0opc4-lockstep/{interface}"
 
 
 class SocketCan(RemoteChannel):
-    """The coordinator's end of a lockstep over a SocketCAN interface.
+    """A `Channel` over a SocketCAN interface.
 
     Everything is broadcast, so participants of one instant take their turns one after the other.
-    Frames of programs outside the run are ignored by coordinator and participants, and counted.
-    The abstract Unix socket beside the channel keeps a second coordinator away and tells at once
-    when a participant that holds a connection to it dies; one that holds none (a foreign program)
-    is missed after `Patience.answer_s`.  Satisfies `Channel`.  Checked by test_transport_contract.
+    Frames of programs outside the run are ignored, and counted.  An abstract Unix socket refuses a
+    second coordinator, and shows at once when a participant connected to it (its lifeline) dies; the
+    death of one without such a connection is noticed after `Timeouts.answer_s`.
     """
 
     def __init__(
@@ -145,11 +146,14 @@ class SocketCan(RemoteChannel):
         names: Sequence[str],
         *,
         scenario: int = 0,
-        patience: Patience | None = None,
+        timeouts: Timeouts | None = None,
         say: Callable[[str], None] = silent,
         share_core: bool = True,
     ) -> None:
-        """Open the channel.  Raises InputError when there is none, RunError when it is taken."""
+        """Open the channel; parameters as for `RemoteChannel`.
+
+        Raises InputError when there is none, RunError when another run uses it.
+        """
         self._can = CanSocket(interface, ANY_FRAME)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
@@ -160,7 +164,7 @@ class SocketCan(RemoteChannel):
             raise RunError(f"channel {interface!r}: another run uses it") from None
         self._listener.listen(16)
         self._listener.setblocking(False)
-        super().__init__(names, scenario, patience or Patience(), say, share_core)
+        super().__init__(names, scenario, timeouts or Timeouts(), say, share_core)
         self._speaker: Peer | None = None
         self._granted: list[Peer] = []
         self._unread = dict.fromkeys(self._peers, 0)
@@ -168,28 +172,31 @@ class SocketCan(RemoteChannel):
         self._attend(self._can.fileno(), self._read)
         self._attend(self._listener.fileno(), self._accept)
 
-    def deliver(self, deliveries: Sequence[Delivery], deaf: frozenset[str] = NOBODY) -> None:
+    def deliver(self, deliveries: Sequence[Delivery], bus_off: frozenset[str] = NOBODY) -> None:
+        """Send frames, each after its BusTime."""
         for delivery in deliveries:
-            for name in deaf & self._by_name.keys():
+            for name in bus_off & self._by_name.keys():
                 self._can.send(wire.control(Kind.SKIP, self._by_name[name].number))
             sender = wire.PARTICIPANTS.get(delivery.sender, wire.NOBODY)
             self._can.send(wire.announced(sender, delivery.arrival_ns, delivery.frame))
             for number, peer in self._peers.items():
-                peer.delivered += number != sender and peer.name not in deaf
-                self._unread[number] += 2 + len(deaf)
+                peer.delivered += number != sender and peer.name not in bus_off
+                self._unread[number] += 2 + len(bus_off)
             self._let_them_read()
 
     def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
+        """Note who is granted time."""
         self._pump(0.0)
         self._now_ns = now_ns
         self._granted = [self._by_name[name] for name in names if name in self._by_name]
 
     def end_turn(self) -> dict[str, Turn]:
+        """Grant the turns one after the other, and wait for each."""
         turns = {}
         for peer in self._granted:
             self._speaker = peer
             self._can.send(peer.grant(self._now_ns))
-            turns[peer.name] = self._await_answer(peer, time.monotonic() + self._patience.answer_s)
+            turns[peer.name] = self._await_answer(peer, time.monotonic() + self._timeouts.answer_s)
             self._unread[peer.number] = 0
             self._speaker = None
         return turns
@@ -199,13 +206,13 @@ class SocketCan(RemoteChannel):
         for number, peer in self._peers.items():
             if self._unread[number] > UNREAD_WINDOW and not peer.retired:
                 self._can.send(wire.control(Kind.SYNC, number))
-                deadline = time.monotonic() + self._patience.answer_s
+                deadline = time.monotonic() + self._timeouts.answer_s
                 while self._unread[number]:
                     left = deadline - time.monotonic()
                     if left <= 0.0:
                         raise ParticipantLost(
                             peer.name,
-                            f"did not read within {self._patience.answer_s:g} s: it stalled",
+                            f"did not read within {self._timeouts.answer_s:g} s: it stalled",
                         )
                     self._pump(left)
 
@@ -233,12 +240,12 @@ class SocketCan(RemoteChannel):
             self._warn_foreign()
             return
         try:
-            said = wire.parse_control(can_id, payload)
+            control = wire.parse_control(can_id, payload)
         except wire.WireError:
             self.counts.garbage += 1
             self._warn_foreign()
             return
-        if said is None:
+        if control is None:
             for number in self._unread:
                 self._unread[number] += 1
             if self._speaker is None:
@@ -246,19 +253,17 @@ class SocketCan(RemoteChannel):
             else:
                 self._speaker.take(can_id, payload)
             return
-        peer = self._peers.get(said.participant)
-        if said.kind == Kind.HELLO:
-            self._can.send(self._answer_hello(said)[1])
-        elif said.kind in (Kind.RELEASE, Kind.DONE, Kind.FAILED) and peer is not None:
+        peer = self._peers.get(control.participant)
+        if control.kind == Kind.HELLO:
+            self._can.send(self._answer_hello(control)[1])
+        elif control.kind in (Kind.RELEASE, Kind.DONE, Kind.FAILED) and peer is not None:
             peer.take(can_id, payload)
-        elif said.kind == Kind.ACK and peer is not None:
+        elif control.kind == Kind.ACK and peer is not None:
             self._unread[peer.number] = 0
-        elif said.kind in (Kind.START, Kind.STOP, Kind.GRANT, Kind.BUS_TIME, Kind.WELCOME):
-            raise RunError(f"channel {self._can.interface!r}: another coordinator speaks on it")
+        elif control.kind in (Kind.START, Kind.STOP, Kind.GRANT, Kind.BUS_TIME, Kind.WELCOME):
+            raise RunError(f"channel {self._can.interface!r}: another coordinator sends on it")
         else:
             self._warn_foreign()
-
-    # -- lifelines --------------------------------------------------------------------------
 
     def _accept(self, events: int) -> None:
         try:
@@ -282,14 +287,14 @@ class SocketCan(RemoteChannel):
             del self._lifelines[connection.fileno()]
             connection.close()
             if owner:
-                self._hung_up(owner[0])
+                self._connection_lost(owner[0])
         elif not owner and len(record) == 1 and record[0] in self._peers:
             owner.append(self._peers[record[0]])
 
-    def _close_channel(self, farewell: bytes, aborted: bool) -> None:
+    def _close_channel(self, stop: bytes, aborted: bool) -> None:
         try:
-            self._can.send(farewell)
-            deadline = time.monotonic() + (0.0 if aborted else self._patience.close_s)
+            self._can.send(stop)
+            deadline = time.monotonic() + (0.0 if aborted else self._timeouts.close_s)
             while self._lifelines and (left := deadline - time.monotonic()) > 0.0:
                 self._pump(left)  # a participant closes its lifeline once its files are complete
         finally:

@@ -1,17 +1,17 @@
-"""The lockstep protocol: what participants and coordinator say to each other, byte by byte.
+"""The lockstep protocol: the records that participants and coordinator exchange, byte by byte.
 
 A channel carries records of 16 bytes, each one SocketCAN `struct can_frame`: a CAN channel one per
-frame, the local socket many per datagram.  The data page bits of the identifier (EDP and DP) tell
-what a record is:
+frame, the local socket many per datagram.  The data page bits of the identifier (EDP and DP) mark
+the kind of record:
 
     EDP clear         a frame of the simulated bus.  Only the coordinator sends these, in the order
                       of their simulated arrival, each right after its BusTime.
     EDP set           an offer: the frame of a participant that waits for arbitration, with EDP set.
     EDP and DP set    a control frame: 8 data bytes, byte 0 the number of the participant it is
                       about, byte 1 an additional number, bytes 2 to 7 a value, little endian; an
-                      instant is in nanoseconds (up to 78 h).  What is not used has all bits set.
+                      instant is in nanoseconds (up to 78 h).  Unused fields have all bits set.
 
-One run, seen by a participant of number n:
+One run, as a participant of number n exchanges it:
 
     participant  Hello(n, version, nonce and scenario)    again every 100 ms until answered
     coordinator  Welcome(n, version, nonce)               or Refused(n, reason, nonce)
@@ -111,7 +111,7 @@ _REASONS: dict[int, str] = {
 
 
 class Control(NamedTuple):
-    """A control frame taken apart; see the module's text for the meaning per kind."""
+    """A parsed control frame; the module docstring gives the meaning per kind."""
 
     kind: Kind
     participant: int
@@ -120,7 +120,7 @@ class Control(NamedTuple):
 
 
 class WireError(ValueError):
-    """Bytes on a channel that no program speaking the protocol sends."""
+    """Bytes on a channel that do not follow the protocol."""
 
 
 def reason(refusal: int) -> str:
@@ -134,7 +134,6 @@ def control(
     """Return the record of a control frame.
 
     `participant` and `extra` are taken modulo 256; raises struct.error for a value outside 48 bits.
-    Checked by test_wire.
     """
     word = value << 16 | (extra & 0xFF) << 8 | participant & 0xFF
     return _CONTROL.pack(EXTENDED | kind, 8, word)
@@ -143,13 +142,13 @@ def control(
 def parse_control(can_id: int, payload: bytes) -> Control | None:
     """Return the control frame, or None when the identifier is not one.
 
-    Raises WireError for one that is unknown or not 8 bytes long.  Checked by test_wire.
+    Raises WireError for one that is unknown or not 8 bytes long.
     """
     if can_id & _CONTROL_BITS != _CONTROL_BITS:
         return None
     kind = _KINDS.get(can_id)
     if kind is None or len(payload) != 8:
-        raise WireError(f"control frame 0x{can_id:08X} of {len(payload)} bytes is none of ours")
+        raise WireError(f"control frame 0x{can_id:08X} of {len(payload)} bytes is unknown")
     word = int.from_bytes(payload, "little")
     return Control(kind, word & 0xFF, word >> 8 & 0xFF, word >> 16)
 
@@ -158,7 +157,7 @@ _KINDS = {int(kind): kind for kind in Kind}
 
 
 def real(frame: Frame) -> bytes:
-    """Return the record of a frame as the simulated bus delivers it.  Checked by test_wire."""
+    """Return the record of a frame as the simulated bus delivers it."""
     return RECORD.pack(frame.can_id | EXTENDED, len(frame.data), frame.data)
 
 
@@ -168,10 +167,9 @@ def offer(frame: Frame) -> bytes:
 
 
 def can_be_offered(frame: Frame) -> bool:
-    """Tell whether a participant may send the frame.
+    """Return whether a participant may send the frame.
 
     Classic, 29-bit, both data page bits clear: set they mean an offer or a control frame.
-    Checked by test_wire.
     """
     return (
         0 <= frame.can_id <= MAX_ID
@@ -184,8 +182,7 @@ def announced(sender: int, arrival_ns: int, frame: Frame) -> bytes:
     """Return the two records of a delivered frame: its BusTime and itself.
 
     The checksum in BusTime, the low byte of the CRC-32 of the frame's record, lets a participant
-    tell the announced frame from one that a stranger put on the channel at that moment.
-    Checked by test_wire.
+    distinguish the announced frame from one that another program sends at that moment.
     """
     record = RECORD.pack(frame.can_id | EXTENDED, len(frame.data), frame.data)
     word = arrival_ns << 16 | (crc32(record) & 0xFF) << 8 | sender
@@ -201,7 +198,7 @@ def split(records: bytes | memoryview) -> Iterator[tuple[int, bytes]]:
     """Yield the identifier (29 bits) and data of each record.
 
     Raises WireError for a torn record, an identifier of 11 bits, a remote or error frame, or a
-    length over 8.  Checked by test_wire.
+    length over 8.
     """
     if len(records) % RECORD_BYTES:
         raise WireError(f"{len(records)} bytes; expected a multiple of {RECORD_BYTES}")

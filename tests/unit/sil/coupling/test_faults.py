@@ -159,8 +159,8 @@ def test_bus_off_silences_and_deafens_one_node() -> None:
     assert gone == set(range(200 * MS, end_ns, PERIOD_NS)), "the one in transmission is cut off"
     assert bus.statistics.error_frames == 1 and bus.statistics.dropped_bus_off == 9
     assert [event.kind for event in plan.events] == ["bus_off"]
-    assert plan.deaf(start_ns) == plan.deaf(end_ns - 1) == {"driver"}
-    assert plan.deaf(start_ns - 1) == plan.deaf(end_ns) == frozenset()
+    assert plan.bus_off(start_ns) == plan.bus_off(end_ns - 1) == {"driver"}
+    assert plan.bus_off(start_ns - 1) == plan.bus_off(end_ns) == frozenset()
 
 
 def test_the_dead_have_no_events_and_the_stalled_go_on_with_their_schedule() -> None:

@@ -1,8 +1,7 @@
-"""The coordinator alone, with participants in one process: order, instants, refusals, pause."""
+"""The coordinator alone, with participants in one process: order, instants, refusals."""
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Sequence
 
@@ -223,34 +222,8 @@ def test_every_participant_is_there_once() -> None:
         lockstep(1, Node("gearbox", [], every(1)))
 
 
-def test_pause_holds_the_run_before_its_next_step() -> None:
-    heard: Heard = []
-    resumed_at: list[float] = []
-
-    def resume() -> None:
-        resumed_at.append(time.monotonic())
-        coordinator.resume()
-
+def test_real_time_follows_the_wall_clock() -> None:
     def say(now: int) -> tuple[Said, int]:
-        if now == 3 * US:
-            coordinator.pause()
-            threading.Timer(0.15, resume).start()
-        if now == 4 * US:
-            assert resumed_at and time.monotonic() >= resumed_at[0]
-        return [], now + US
-
-    coordinator, _ = lockstep(10 * US, Node("driver", heard, say))
-    with coordinator:
-        coordinator.run()
-    assert [now // US for _, now, _ in heard] == list(range(11))
-    assert len(resumed_at) == 1
-
-
-def test_real_time_goes_with_the_wall_clock_and_survives_a_pause() -> None:
-    def say(now: int) -> tuple[Said, int]:
-        if now == 50_000 * US:
-            coordinator.pause()
-            threading.Timer(0.3, coordinator.resume).start()
         return [(now, frame(0x100))], now + 10_000 * US
 
     coordinator, recorded = lockstep(100_000 * US, Node("driver", [], say), pacer=Pacer(1.0))
@@ -258,8 +231,7 @@ def test_real_time_goes_with_the_wall_clock_and_survives_a_pause() -> None:
         started = time.monotonic()
         summary = coordinator.run()
         took = time.monotonic() - started
-    assert 0.4 <= took < 2.0
+    assert 0.1 <= took < 2.0
     assert summary.lateness is not None
     assert summary.lateness.instants == 20  # 10 ticks after the first, 10 frames; none twice
-    assert summary.lateness.max_s < 0.2, "the pause is not lateness"
     assert len(recorded) == 10

@@ -77,17 +77,6 @@ def test_work_that_takes_too_long_is_an_overrun_and_is_caught_up() -> None:
     assert "did not keep up" in str(found)
 
 
-def test_a_pause_is_not_lateness() -> None:
-    wall = FakeWall()
-    pacer = paced(wall)
-    pacer.wait(0, wall.idle)
-    wall.now += 3600 * 1000 * MS
-    pacer.anchor(0)
-    pacer.wait(10 * MS, wall.idle)
-    assert pacer.lateness().max_s == 0.0
-    assert "overruns" not in str(pacer.lateness())
-
-
 @pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf"), 1e9])
 def test_an_impossible_factor_is_refused(factor: float) -> None:
     with pytest.raises(InputError, match="real-time factor"):

@@ -2,70 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from html.parser import HTMLParser
-from pathlib import Path
 
-import numpy as np
-import pytest
-
-from can_dbc.errors import InputError
 from can_dbc.messages import Gear
-from sil.recording.events import EventLog, read_events
-from sil.recording.run_record import PlantEvent
-from sil.recording.trace_csv import held, write_trace_csv
 from sil.report.page import run_page
 from sil.report.shell import told
 from sil.simulation import metrics
 from tests.unit.sil import made_run
 from tests.unit.sil.simulation.test_results import made as made_result
-
-
-def test_events_come_back_and_a_torn_last_line_is_left_out(tmp_path: Path) -> None:
-    path = tmp_path / "events.jsonl"
-    log = EventLog(path)
-    log(0.5, "stay_stop", {"speed_m_s": 0.1 + 0.2})
-    log(0.6, "valve_B_open", {})
-    log.close()
-    wanted = [
-        PlantEvent(0.5, "stay_stop", {"speed_m_s": 0.1 + 0.2}),
-        PlantEvent(0.6, "valve_B_open"),
-    ]
-    assert read_events(path) == wanted
-    path.write_bytes(path.read_bytes() + b'{"time_s": 0.7, "na')
-    assert read_events(path) == wanted
-    path.write_bytes(b'{"time_s": 0.7}\n')
-    with pytest.raises(InputError, match="line 1: not an event"):
-        read_events(path)
-
-
-def test_held_values() -> None:
-    at = np.array([0.0, 1.0, 1.5, 2.0, 3.0])
-    values = held(np.array([1.0, 2.0]), np.array([10.0, 20.0]), at)
-    assert math.isnan(values[0]) and values[1:].tolist() == [10.0, 10.0, 20.0, 20.0]
-
-
-def test_trace_csv_begins_like_a_measured_stroke_and_keeps_every_bit(tmp_path: Path) -> None:
-    record = made_run.made()
-    truth = record.truth
-    write_trace_csv(record, tmp_path / "trace.csv")
-    with (tmp_path / "trace.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert list(rows[0])[:9] == [
-        "time_s",
-        "position_m",
-        "pressure_B_pa",
-        "pressure_N_pa",
-        "pressure_F_pa",
-        "cmd_B",
-        "cmd_N",
-        "cmd_F",
-        "position_internal_m",
-    ]
-    assert [float(r["position_m"]) for r in rows] == truth["position_m"].tolist()
-    assert rows[0]["position_internal_m"] == ""  # before the first status frame
-    assert float(rows[-1]["position_internal_m"]) == pytest.approx(made_run.STROKE, abs=1e-7)
 
 
 class _Tags(HTMLParser):

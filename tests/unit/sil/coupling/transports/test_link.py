@@ -157,7 +157,7 @@ def test_sync_is_acknowledged_at_once() -> None:
     assert [said and said.kind for said in link.said()] == [Kind.ACK]
 
 
-def test_frames_for_which_the_node_is_deaf_are_not_heard_and_not_counted() -> None:
+def test_skipped_frames_are_not_received_and_not_counted() -> None:
     joined, _ = session(
         wire.control(Kind.SKIP, CONTROLLER)
         + wire.announced(PLANT, 1, PULSE)

@@ -11,7 +11,7 @@ import pytest
 
 from can_dbc.frame import Frame
 from sil.coupling.transports import remote, wire
-from sil.coupling.transports.channel import ParticipantLost, Patience
+from sil.coupling.transports.channel import ParticipantLost, Timeouts
 from sil.coupling.transports.hub import Hub
 from sil.coupling.transports.remote import Peer
 from sil.coupling.transports.wire import Kind
@@ -63,10 +63,10 @@ def test_a_grant_counts_what_was_delivered_since_the_last_one(peer: Peer) -> Non
     ("record", "complaint"),
     [
         (wire.real(FRAME), r"sent 0x0CFF2091 past the arbitration; expected an offer"),
-        (wire.control(Kind.DONE, PLANT + 1, 0, 2000), "spoke as participant number 2"),
+        (wire.control(Kind.DONE, PLANT + 1, 0, 2000), "sent as participant number 2"),
         (wire.control(Kind.RELEASE, PLANT, value=999), "at 999 ns; expected 1000 ns or later"),
         (wire.control(Kind.DONE, PLANT, 1, 2000), r"offered 1 frames .*, 0 arrived"),
-        (wire.control(Kind.GRANT, PLANT, 0, 2000), "sent GRANT, which is not its to send"),
+        (wire.control(Kind.GRANT, PLANT, 0, 2000), "sent GRANT, which only the coordinator sends"),
         (wire.control(Kind.FAILED, PLANT), "failed; its own error output says why"),
     ],
 )
@@ -91,7 +91,7 @@ def joined(
 ) -> Iterator[tuple[Hub, socket.socket]]:
     """A hub whose plant, a bare socket, has joined and named its first event."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
-    hub = Hub("run", ["plant"], patience=Patience(start_s=5.0, answer_s=0.25))
+    hub = Hub("run", ["plant"], timeouts=Timeouts(start_s=5.0, answer_s=0.25))
     plant = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     plant.connect(str(hub.path))
     plant.send(wire.control(Kind.HELLO, PLANT, wire.VERSION, 7))
