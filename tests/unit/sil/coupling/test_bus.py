@@ -437,7 +437,7 @@ def test_the_limits_of_the_bit_rate_fit() -> None:
 def test_the_past_is_refused() -> None:
     bus = BusModel()
     bus.advance(100)
-    with pytest.raises(ValueError, match="is released at 99 ns; the bus stands at 100 ns"):
+    with pytest.raises(ValueError, match="is released at 99 ns; the bus is at 100 ns"):
         bus.queue(99, USUAL, "a")
     with pytest.raises(ValueError, match="not before 99 ns"):
         bus.advance(99)
