@@ -1,31 +1,28 @@
 """Vector ASC logs (CANalyzer, CANoe, and tools that write alike).
 
-python-can's reader takes `timestamps relative` for absolute, a length code of 9 to 15 for CAN FD
-lengths, drops all but eight bytes of longer lines, and carries times as floats; so this reader
-stands in front of it. Times are kept as recorded, counted from the start of the measurement; a
-comment of our own writer, `// time origin S s`, tells the instant they count from.
+Times are those recorded, counted from the start of the measurement; a comment of our own writer,
+`// time origin S s`, gives the instant that they count from.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import Final
+from typing import Final, NamedTuple
 
-from sil.logs.asc_line import AscEvent, AscFrame, AscState, parse_event
-from sil.logs.backend import Batch, LogWriter, ReadOptions
-from sil.logs.byte_source import ByteSource
-from sil.logs.calendar_text import parse_date, write_date
-from sil.logs.frame import MAX_TIME_NS, MOST_KNOWN_IDS, LogFrame, ordinary_frame
-from sil.logs.relative_text import LineReader, RelativeWriter
+from sil.logs.format import Batch, Format, NotAFrame, TextReader
+from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame, frame_problem
 from sil.logs.report import LogReport
-from sil.logs.text_lines import Chunk, Line, chunks, line_at
+from sil.logs.source import ByteSource, Chunk, Line
 from sil.logs.times import (
     NS_PER_S,
     enough_decimals,
     format_ns,
+    parse_date,
     parse_decimal_ns,
+    write_date,
 )
+from sil.logs.writer import RelativeWriter
 
 _HEADER: Final = re.compile(
     r"\s*(?:date\s|base\s+(?:hex|dec)|begin\s+triggerblock|(?:no\s+)?internal\s+events)",
@@ -44,69 +41,222 @@ _OTHER_HEADER: Final = re.compile(
     re.IGNORECASE,
 )
 _PLAIN: Final = re.compile(
-    r"^(?: *(\d{1,9})\.(\d{1,9}) +(0|[1-9]\d{0,3}) +([0-9A-F]{1,8})(x?) +(Rx|Tx) +d ([0-8])"
+    r"^(?: *(\d{1,9})\.(\d{1,9}) +(0|[1-9]\d{0,3}) +([0-9A-F]{1,8}x?) +(Rx|Tx) +d ([0-8])"
     r"((?: [0-9A-F]{2}){0,8})(?: +Length = [^\n]*)?[ \r]*|([^\n]*))$",
     re.MULTILINE,
 )
 """A line as nearly all are, taken apart; of any other line, the whole of it."""
 
-_SCALE: Final = tuple(10 ** (9 - decimals) for decimals in range(10))
 _ORIGIN: Final = re.compile(r"//\s*time origin (\d{1,10}\.\d{1,9}) s\s*\Z")
 _TIMED: Final = re.compile(r"(\d{1,10}\.\d{1,12})\s+(\S.*)\Z")
 
 
-class AscReader(LineReader):
+class AscFrame(NamedTuple):
+    """A frame without its time, and whether the line cannot go on behind its last character."""
+
+    frame: LogFrame
+    surely_whole: bool
+    remark: str = ""
+
+
+_CLASSIC = re.compile(
+    r"(\d{1,5})\s+([0-9A-Fa-f]{1,10})(x?)\s+(Rx|TxRq|Tx)\s+([dr])(?:\s+(.*))?\Z", re.IGNORECASE
+)
+_CLASSIC_LOOK = re.compile(r"\d+\s+\S+\s+(?:Rx|Tx|TxRq)\b|\d+\s+[0-9A-F]+x?\s+\S+\s+[dr]\b", re.I)
+_SYMBOLIC = re.compile(r"\d+\s+[A-Za-z_]\w*x?\s+(?:Rx|Tx|TxRq)\s", re.IGNORECASE)
+_ERROR = re.compile(r"(\d{1,5})\s+ErrorFrame\b", re.IGNORECASE)
+_FD = re.compile(
+    r"CANFD\s+(\d{1,5})\s+(Rx|TxRq|Tx)\s+([0-9A-F]{1,8})(x?)\s+(?:(?![01]\s+[01]\s+[0-9A-F]\s+\d)"
+    r"([A-Za-z_]\S*)\s+)?([01])\s+([01])\s+([0-9A-F])\s+(\d{1,2})(?:\s+(.*))?\Z",
+    re.IGNORECASE,
+)
+_FD_ERROR = re.compile(r"CANFD\s+(\d{1,5})\s+(Rx|TxRq|Tx)\s+ErrorFrame\b", re.IGNORECASE)
+_HEX_BYTE = re.compile(r"[0-9A-Fa-f]{2}\Z")
+_DECIMAL_BYTE = re.compile(r"\d{1,3}\Z")
+_HEX_WORD = re.compile(r"[0-9A-Fa-f]{1,8}\Z")
+_NAMED: Final = (
+    (re.compile(r"start of measurement", re.I), ""),
+    (re.compile(r"CAN\s+\d+\s+Status:|\d+\s+Statistic:|CAN\s+\d+\s+", re.I), "status line"),
+    (re.compile(r"\d+\s+J1939TP\b", re.I), "reassembled J1939 message"),
+    (re.compile(r"\d+\s+OverloadFrame\b", re.I), "overload frame"),
+    (re.compile(r"CANXL\b", re.I), "CAN XL frame"),
+)
+
+
+def parse_event(text: str, decimal: bool) -> AscFrame:
+    """Parse the line after its time.
+
+    decimal: the numbers are decimal, not hex. Raises NotAFrame for an event of another kind,
+    ValueError for a broken frame line.
+    """
+    classic = _CLASSIC.match(text)
+    if classic:
+        return _classic(classic, decimal)
+    if text[:5].upper() == "CANFD":
+        return _fd(text, decimal)
+    error = _ERROR.match(text)
+    if error:
+        frame = LogFrame(0, 0, b"", False, error=True, channel=_channel(error[1]))
+        return AscFrame(frame, True)
+    for pattern, name in _NAMED:
+        if pattern.match(text):
+            raise NotAFrame(name)
+    if _SYMBOLIC.match(text):
+        raise NotAFrame("frame with a symbolic name in place of its identifier")
+    if _CLASSIC_LOOK.match(text):
+        raise ValueError(f"{text[:40]!r} is no whole frame")
+    raise NotAFrame("event of another kind")
+
+
+def _channel(digits: str) -> str:
+    return str(int(digits))
+
+
+def _direction(word: str) -> str | None:
+    """Rx or Tx; None for a request to send, which is no frame on the bus."""
+    return {"rx": "Rx", "tx": "Tx"}.get(word.lower())
+
+
+def _bytes(words: list[str], decimal: bool) -> bytes:
+    """The bytes at the beginning of a list of words."""
+    pattern, base = (_DECIMAL_BYTE, 10) if decimal else (_HEX_BYTE, 16)
+    found = []
+    for word in words:
+        if not pattern.match(word) or int(word, base) > 255:
+            break
+        found.append(int(word, base))
+    return bytes(found)
+
+
+def _checked(frame: LogFrame, surely_whole: bool, remark: str = "") -> AscFrame:
+    problem = frame_problem(frame)
+    if problem:
+        raise ValueError(problem)
+    return AscFrame(frame, surely_whole, remark)
+
+
+def _classic(match: re.Match[str], decimal: bool) -> AscFrame:
+    channel, digits, extended, way, kind, rest = match.groups()
+    base = 10 if decimal else 16
+    if decimal and not digits.isdecimal():
+        raise ValueError(f"identifier {digits} is not decimal as the header tells")
+    direction = _direction(way)
+    words = (rest or "").split()
+    if direction is None:
+        raise NotAFrame("request to send")
+    can_id = int(digits, base)
+    code_text = words[0] if words else ""
+    if kind.lower() == "r":
+        coded = bool(_HEX_WORD.match(code_text)) and len(code_text) <= 2
+        raw_dlc = int(code_text, base) if coded and (base == 16 or code_text.isdecimal()) else 0
+        frame = LogFrame(
+            0,
+            can_id,
+            b"",
+            bool(extended),
+            remote=True,
+            channel=_channel(channel),
+            direction=direction,
+            raw_dlc=raw_dlc,
+        )
+        return _checked(frame, coded or len(words) > 1)
+    if not _HEX_WORD.match(code_text) or len(code_text) > 2:
+        raise ValueError("no length after d")
+    if decimal and not code_text.isdecimal():
+        raise ValueError(f"length {code_text} is not decimal as the header tells")
+    code = int(code_text, base)
+    data = _bytes(words[1:], decimal)
+    length, raw_dlc, fd, remark = code, 0, False, ""
+    if code > 8 and len(data) <= 8:
+        length, raw_dlc = 8, code
+    elif code > 8:
+        fd, remark = True, "classic lines with more than 8 bytes were read as CAN FD"
+    if len(data) != length or code > 64:
+        raise ValueError(f"{len(data)} bytes of data where {code_text} is told")
+    frame = LogFrame(
+        0,
+        can_id,
+        data,
+        bool(extended),
+        fd=fd,
+        channel=_channel(channel),
+        direction=direction,
+        raw_dlc=raw_dlc,
+    )
+    return _checked(frame, not decimal or len(words) > 1 + length, remark)
+
+
+def _fd(text: str, decimal: bool) -> AscFrame:
+    error = _FD_ERROR.match(text)
+    if error:
+        frame = LogFrame(
+            0,
+            0,
+            b"",
+            False,
+            error=True,
+            fd=True,
+            channel=_channel(error[1]),
+            direction=_direction(error[2]) or "",
+        )
+        return AscFrame(frame, True)
+    match = _FD.match(text)
+    if match is None:
+        raise ValueError(f"{text[:40]!r} is no whole CANFD line")
+    channel, way, digits, extended, _name, brs, esi, code_text, length_text, rest = match.groups()
+    direction = _direction(way)
+    if direction is None:
+        raise NotAFrame("request to send")
+    code, length = int(code_text, 16), int(length_text)
+    words = (rest or "").split()
+    data = _bytes(words[:length], False)
+    if len(data) != length:
+        raise ValueError(f"{len(data)} bytes of data where {length} are told")
+    flags_text = words[length + 2] if len(words) > length + 2 else ""
+    flags = int(flags_text, 16) if _HEX_WORD.match(flags_text) else None
+    remote = length == 0 and (code > 0 or bool(flags and flags & 0x10))
+    fd = remote or flags is None or bool(flags & 0x1000)
+    if not fd and (length > 8 or brs == "1" or esi == "1"):
+        fd = True
+    raw_dlc = code if remote else 0
+    if not remote:
+        if length != (DLC_LENGTHS[code] if fd else min(code, 8)):
+            raise ValueError(f"length code {code_text} beside {length} bytes")
+        raw_dlc = code if not fd and code > 8 else 0
+    frame = LogFrame(
+        0,
+        int(digits, 16),
+        data,
+        bool(extended),
+        remote,
+        False,
+        fd,
+        brs == "1",
+        esi == "1",
+        _channel(channel),
+        direction,
+        raw_dlc,
+    )
+    return _checked(frame, len(words) > length + 3)
+
+
+class AscReader(TextReader):
     """State of one reading: number base, kind of times, and where they count from."""
 
     def __init__(self, report: LogReport) -> None:
         super().__init__(report)
-        self._state = AscState()
+        report.time_base = "relative"
+        self._decimal = False
         self._deltas = False
         self._origin_ns = 0
         self._last_ns = 0
-        self._ids: dict[str, int] = {}
 
-    def read(self, source: ByteSource) -> Iterator[Batch]:
-        """Frames chunk by chunk."""
-        for chunk in chunks(source):
-            batch = self._plain(chunk) if self._is_plain(chunk) else self._mixed(chunk)
-            if batch.frames:
-                yield batch
-
-    def _is_plain(self, chunk: Chunk) -> bool:
-        """Whether the header lies before this chunk and tells hex numbers and plain times."""
-        if chunk.line == 1 or chunk.unterminated or self._deltas or self._state.decimal:
-            return False
-        if self._origin_ns > MAX_TIME_NS // 2:
-            return False
-        return "base" not in chunk.text.lower()
-
-    def _plain(self, chunk: Chunk) -> Batch:
-        """The frames of a chunk in which most lines are data frames in hex."""
-        frames: list[LogFrame] = []
-        places: list[int] = []
-        ids = self._ids
-        found = _PLAIN.findall(chunk.text[:-1])
-        for index, words in enumerate(found):
-            seconds, fraction, channel, digits, mark, way, code, data, other = words
-            can_id = ids.get(digits + mark, -1)
-            if not seconds or can_id < 0 or len(data) != 3 * int(code):
-                if not seconds and not other:
-                    continue
-                frame = self._guarded(line_at(chunk, index))
-                if frame is None:
-                    continue
-                if seconds and len(ids) < MOST_KNOWN_IDS:
-                    ids[digits + mark] = frame.can_id
-            else:
-                time_ns = int(seconds) * NS_PER_S + int(fraction) * _SCALE[len(fraction)]
-                payload = bytes.fromhex(data)
-                frame = ordinary_frame(
-                    self._origin_ns + time_ns, can_id, payload, mark == "x", channel, way
-                )
-            frames.append(frame)
-            places.append(chunk.line + index)
-        return Batch(frames, places)
+    def _quick(self, chunk: Chunk) -> Batch | None:
+        """Return the frames if the header lies before, with hex numbers and plain times."""
+        odd = chunk.line == 1 or self._deltas or self._decimal
+        if odd or self._origin_ns > MAX_TIME_NS // 2 or "base" in chunk.text.lower():
+            return None
+        return self._by_pattern(chunk, _PLAIN, self._origin_ns, NS_PER_S)
 
     def _line(self, line: Line) -> LogFrame | None:
         text = line.text.strip()
@@ -120,14 +270,7 @@ class AscReader(LineReader):
         if self._deltas:
             time_ns += self._last_ns
         self._last_ns = time_ns
-        event = parse_event(timed[2], self._state)
-        if isinstance(event, AscEvent):
-            if event.name:
-                self._report.other[event.name] += 1
-            return None
-        return self._frame(time_ns, event, line)
-
-    def _frame(self, time_ns: int, event: AscFrame, line: Line) -> LogFrame:
+        event = parse_event(timed[2], self._decimal)
         if line.unterminated and not event.surely_whole:
             raise ValueError("the last line has no end and may be cut short")
         if event.remark:
@@ -137,7 +280,7 @@ class AscReader(LineReader):
         return event.frame._replace(time_ns=self._origin_ns + time_ns)
 
     def _header(self, text: str) -> None:
-        """Take in a line without a time."""
+        """Take in a line without a time. Raises ValueError if it is no header."""
         report = self._report
         if text.startswith("//"):
             origin = _ORIGIN.match(text)
@@ -147,7 +290,7 @@ class AscReader(LineReader):
             return
         base = _BASE.match(text)
         if base:
-            self._state.decimal = base[1].lower() == "dec"
+            self._decimal = base[1].lower() == "dec"
             self._deltas = (base[2] or "").lower() == "relative"
             if self._deltas:
                 report.time_base = "delta"
@@ -226,24 +369,14 @@ class AscWriter(RelativeWriter):
         self._out.write(b"End TriggerBlock\n")
 
 
-class Asc:
-    """The ASC format."""
+def _recognise(head: bytes) -> bool:
+    """Return whether one of the first lines is a header or frame line of an ASC log."""
+    first = head.decode("latin-1").split("\n")[:200]
+    return any(_HEADER.match(text) or _EVENT.match(text) for text in first)
 
-    name = "asc"
-    suffixes: tuple[str, ...] = (".asc",)
-    place_word = "line"
 
-    def sniff(self, head: bytes) -> bool:
-        """Whether one of the first lines is a header or frame line of an ASC log."""
-        first = head.decode("latin-1").split("\n")[:200]
-        return any(_HEADER.match(text) or _EVENT.match(text) for text in first)
+def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
+    return AscReader(report).read(source)
 
-    def batches(
-        self, source: ByteSource, report: LogReport, options: ReadOptions
-    ) -> Iterator[Batch]:
-        """The frames of an ASC log."""
-        return AscReader(report).read(source)
 
-    def writer(self, path: str) -> LogWriter:
-        """A writer of a new ASC log."""
-        return AscWriter(path)
+FORMAT: Final = Format("asc", (".asc",), _recognise, _read, AscWriter)

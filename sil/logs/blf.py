@@ -1,27 +1,358 @@
 """BLF, the binary log of CANalyzer and CANoe.
 
-python-can's reader and writer carry times as floats (0.2 µs off today), stop at the first damaged
-container and lose what follows without a word; so ours stand in front. A damaged container is
-skipped whole (its checksum tells), and reading goes on at the next one.
+There is no public specification; the layouts are those that the open readers of the format agree
+on (Technica and Lorenz's Vector BLF, python-can). A damaged container is skipped as a whole (its
+checksum shows the damage), and reading goes on at the next one.
 """
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections.abc import Iterator
-from typing import Final
+from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
-from sil.logs import blf_objects as blf
-from sil.logs.backend import Batch, LogWriter, ReadOptions
-from sil.logs.byte_source import ByteSource
-from sil.logs.frame import LogFrame
-from sil.logs.report import LogReport, Place
-from sil.logs.times import NS_PER_MS, RELATIVE_BELOW_NS, format_ns
+from sil.logs.format import Batch, Format, time_base
+from sil.logs.frame import (
+    MAX_EXTENDED_ID,
+    MAX_STANDARD_ID,
+    MAX_TIME_NS,
+    LogFrame,
+    frame_problem,
+    ordinary_frame,
+)
+from sil.logs.report import Location, LogReport
+from sil.logs.source import ByteSource
+from sil.logs.times import NS_PER_MS, RELATIVE_BELOW_NS, format_ns, utc_calendar, utc_ns
+from sil.logs.writer import LogWriter
 
 _LARGEST_CONTAINER: Final = 1 << 26
 _WRITTEN_CONTAINER: Final = 1 << 17
 _BLOCK: Final = 1 << 18
+FILE_HEADER: Final = struct.Struct("<4sLBBBBBBBBQQLL8H8H")
+FILE_HEADER_SIZE: Final = 144
+OBJECT: Final = struct.Struct("<4sHHLL")
+"""Signature, header size, header version, object size, object type."""
+
+TIMES_V1: Final = struct.Struct("<LHHQ")
+TIMES_V2: Final = struct.Struct("<LBxHQ8x")
+CONTAINER: Final = struct.Struct("<H6xL4x")
+"""Compression method, unpacked size."""
+
+CAN: Final = struct.Struct("<HBBL8s")
+CAN_ERROR_OLD: Final = struct.Struct("<HH")
+CAN_ERROR_EXT: Final = struct.Struct("<HHLBBBxLLH2x8s")
+CAN_FD: Final = struct.Struct("<HBBLLBBB5x64s")
+CAN_FD_64: Final = struct.Struct("<BBBBLLLLLLLHBBL")
+CAN_FD_ERROR_64: Final = struct.Struct("<BBBBHHBxHLLLLLHHL")
+
+TYPE_CAN: Final = 1
+TYPE_CAN_ERROR: Final = 2
+TYPE_CONTAINER: Final = 10
+TYPE_CAN_ERROR_EXT: Final = 73
+TYPE_CAN_2: Final = 86
+TYPE_CAN_FD: Final = 100
+TYPE_CAN_FD_64: Final = 101
+TYPE_CAN_FD_ERROR_64: Final = 104
+
+PLAIN: Final = struct.Struct("<4sHHLLL4xQHBBL8s")
+"""A classic frame as a whole: header, time flag, ticks, and `CAN`."""
+
+_PLAIN_HEADERS: Final = frozenset(
+    (b"LOBJ", OBJECT.size + TIMES_V1.size, 1, PLAIN.size, kind) for kind in (TYPE_CAN, TYPE_CAN_2)
+)
+EXTENDED: Final = 0x80000000
+REMOTE: Final = 0x80
+TICK_NS: Final = {1: 10_000, 2: 1}
+"""Nanoseconds of one tick, by an object's time flag."""
+
+OTHER_TYPES: Final = {
+    3: "overload frame",
+    4: "bus statistics",
+    5: "trigger",
+    31: "status line",
+    65: "text",
+    71: "Ethernet frame",
+    92: "global marker",
+    96: "global marker",
+    115: "unused bytes",
+    120: "Ethernet frame",
+}
+_LIN_TYPES: Final = frozenset((*range(11, 21), *range(54, 64), 75))
+_LARGEST: Final = 1 << 22
+_LARGEST_FRAME: Final = 1 << 12
+_FRAME_TYPES: Final = {
+    TYPE_CAN: CAN,
+    TYPE_CAN_2: CAN,
+    TYPE_CAN_ERROR: CAN_ERROR_OLD,
+    TYPE_CAN_ERROR_EXT: CAN_ERROR_EXT,
+    TYPE_CAN_FD: CAN_FD,
+    TYPE_CAN_FD_64: CAN_FD_64,
+    TYPE_CAN_FD_ERROR_64: CAN_FD_ERROR_64,
+}
+SystemTime = tuple[int, int, int, int, int, int, int, int]
+
+
+class Broken(NamedTuple):
+    """Bytes that are no object: why, and how many were passed over."""
+
+    reason: str
+    passed: int
+
+
+class Other(NamedTuple):
+    """An object that is no CAN frame."""
+
+    name: str
+
+
+class Unfinished(NamedTuple):
+    """The data ends inside an object that begins here."""
+
+    start: int
+
+
+def read_systemtime(fields: SystemTime) -> int:
+    """Nanoseconds since 1970 of a Windows SYSTEMTIME (taken as UTC); 0 for none."""
+    year, month, _weekday, day, hour, minute, second, milliseconds = fields
+    try:
+        return utc_ns(year, month, day, hour, minute, second, milliseconds * NS_PER_MS)
+    except (ValueError, OverflowError):
+        return 0
+
+
+def write_systemtime(time_ns: int) -> SystemTime:
+    """The SYSTEMTIME of a time, all zero for 0; whole milliseconds."""
+    if time_ns == 0:
+        return (0,) * 8
+    moment = utc_calendar(time_ns)
+    return (
+        moment.year,
+        moment.month,
+        moment.isoweekday() % 7,
+        moment.day,
+        moment.hour,
+        moment.minute,
+        moment.second,
+        time_ns // NS_PER_MS % 1000,
+    )
+
+
+def plausible_header(data: bytes | memoryview, pos: int) -> str | None:
+    """What is wrong with the object header at `pos`, or None."""
+    signature, header_size, version, size, kind = OBJECT.unpack_from(data, pos)
+    if signature != b"LOBJ":
+        return "no object begins here"
+    least = OBJECT.size if kind == TYPE_CONTAINER else OBJECT.size + TIMES_V1.size
+    if version not in (1, 2) or header_size < least or size < header_size:
+        return f"object header of version {version} with sizes {header_size} and {size}"
+    layout = _FRAME_TYPES.get(kind)
+    if layout is not None and not header_size + layout.size <= size <= _LARGEST_FRAME:
+        return f"object of type {kind} with {size} bytes"
+    if size > _LARGEST and kind != TYPE_CONTAINER:
+        return f"object of {size} bytes"
+    return None
+
+
+def objects(data: bytes, start_ns: int) -> Iterator[LogFrame | Other | Broken | Unfinished]:
+    """What is in unpacked data, in order; at most one `Unfinished`, as the last."""
+    pos, end = 0, len(data)
+    while True:
+        for frame in _run_of_plain(data, pos, start_ns):
+            yield frame
+            pos += PLAIN.size
+        found = data.find(b"LOBJ", pos, pos + 8)
+        if found < 0:
+            if end - pos < 8:
+                if data[pos:].strip(b"\x00"):
+                    yield Unfinished(pos)
+                return
+            found = _next_object(data, pos)
+            if found < 0:
+                yield Broken("no object begins here", end - pos)
+                return
+            yield Broken("no object begins here", found - pos)
+        pos = found
+        if end - pos < OBJECT.size:
+            yield Unfinished(pos)
+            return
+        problem = plausible_header(data, pos)
+        if problem is not None:
+            found = _next_object(data, pos + 4)
+            yield Broken(problem, (end if found < 0 else found) - pos)
+            if found < 0:
+                return
+            pos = found
+            continue
+        _, header_size, version, size, kind = OBJECT.unpack_from(data, pos)
+        if pos + size > end:
+            yield Unfinished(pos)
+            return
+        if kind not in _FRAME_TYPES:
+            yield _other(kind)
+        else:
+            times = TIMES_V1 if version == 1 else TIMES_V2
+            flags, _, _, ticks = times.unpack_from(data, pos + OBJECT.size)
+            tick_ns = TICK_NS.get(flags & 3)
+            if tick_ns is None:
+                yield Broken(f"time flag {flags}", size)
+            else:
+                body = data[pos + header_size : pos + size]
+                yield _frame(kind, body, start_ns + ticks * tick_ns, header_size)
+        pos += size
+
+
+def _run_of_plain(data: bytes, pos: int, start_ns: int) -> Iterator[LogFrame]:
+    """Classic data frames, one after the other, as long as there is nothing else."""
+    end = pos + (len(data) - pos) // PLAIN.size * PLAIN.size
+    for fields in PLAIN.iter_unpack(memoryview(data)[pos:end]):
+        if fields[:5] not in _PLAIN_HEADERS or fields[5] != 2:
+            return
+        ticks, channel, flags, dlc, word, payload = fields[6:]
+        extended = word > MAX_EXTENDED_ID
+        if flags > 1 or dlc > 8 or (not extended and word > MAX_STANDARD_ID):
+            return
+        if extended and word >> 29 != 4:
+            return
+        time_ns = start_ns + ticks
+        if time_ns > MAX_TIME_NS:
+            return
+        yield ordinary_frame(
+            time_ns,
+            word & MAX_EXTENDED_ID,
+            payload[:dlc],
+            extended,
+            str(channel),
+            "Tx" if flags else "Rx",
+        )
+
+
+def _next_object(data: bytes, pos: int) -> int:
+    """Where the next believable object header begins, or -1."""
+    while True:
+        pos = data.find(b"LOBJ", pos)
+        if pos < 0 or len(data) - pos < OBJECT.size:
+            return pos
+        if plausible_header(data, pos) is None:
+            return pos
+        pos += 4
+
+
+def _other(kind: int) -> Other:
+    if kind in _LIN_TYPES:
+        return Other("LIN event")
+    return Other(OTHER_TYPES.get(kind, f"BLF object of type {kind}"))
+
+
+def _frame(kind: int, body: bytes, time_ns: int, header_size: int) -> LogFrame | Broken:
+    """One frame object."""
+    if kind in (TYPE_CAN, TYPE_CAN_2):
+        frame = _classic(body, time_ns)
+    elif kind == TYPE_CAN_FD:
+        frame = _fd(body, time_ns)
+    elif kind == TYPE_CAN_FD_64:
+        frame = _fd_64(body, time_ns, header_size)
+    elif kind == TYPE_CAN_ERROR_EXT:
+        fields = CAN_ERROR_EXT.unpack_from(body)
+        frame = LogFrame(
+            time_ns,
+            fields[7] & 0x1FFFFFFF,
+            fields[9][: min(fields[5], 8)],
+            _extended(fields[7]),
+            error=True,
+            channel=str(fields[0]),
+        )
+    elif kind == TYPE_CAN_ERROR:
+        channel = CAN_ERROR_OLD.unpack_from(body)[0]
+        frame = LogFrame(time_ns, 0, b"", False, error=True, channel=str(channel))
+    else:
+        channel = CAN_FD_ERROR_64.unpack_from(body)[0]
+        frame = LogFrame(time_ns, 0, b"", False, error=True, fd=True, channel=str(channel))
+    problem = frame_problem(frame)
+    return frame if problem is None else Broken(problem, len(body))
+
+
+def _way(code: int) -> str:
+    """Rx or Tx; "" for other codes (2 is a request to send, 3 and more are converters' noise)."""
+    return ("Rx", "Tx")[code] if code < 2 else ""
+
+
+def _extended(word: int) -> bool:
+    """The flag, or an identifier that fits no standard frame (some writers leave the flag out)."""
+    return bool(word & EXTENDED) or word & 0x1FFFFFFF > MAX_STANDARD_ID
+
+
+def _raw_dlc(dlc: int, remote: bool, fd: bool) -> int:
+    """What `LogFrame.raw_dlc` keeps; the field has four bits on the bus."""
+    if remote:
+        return dlc & 0x0F
+    return dlc if not fd and 8 < dlc < 16 else 0
+
+
+def _classic(body: bytes, time_ns: int) -> LogFrame:
+    channel, flags, dlc, word, data = CAN.unpack_from(body)
+    direction = _way(flags & 0x0F)
+    remote = bool(flags & REMOTE)
+    return LogFrame(
+        time_ns,
+        word & 0x1FFFFFFF,
+        b"" if remote else data[:dlc],
+        _extended(word),
+        remote,
+        False,
+        False,
+        False,
+        False,
+        str(channel),
+        direction,
+        _raw_dlc(dlc, remote, False),
+    )
+
+
+def _fd(body: bytes, time_ns: int) -> LogFrame:
+    channel, flags, dlc, word, _, _, fd_flags, length, data = CAN_FD.unpack_from(body)
+    direction = _way(flags & 0x0F)
+    fd, remote = bool(fd_flags & 1), bool(flags & REMOTE)
+    return LogFrame(
+        time_ns,
+        word & 0x1FFFFFFF,
+        b"" if remote else data[:length],
+        _extended(word),
+        remote,
+        False,
+        fd,
+        fd and bool(fd_flags & 2),
+        fd and bool(fd_flags & 4),
+        str(channel),
+        direction,
+        _raw_dlc(dlc, remote, fd),
+    )
+
+
+def _fd_64(body: bytes, time_ns: int, header_size: int) -> LogFrame:
+    fields = CAN_FD_64.unpack_from(body)
+    channel, dlc, length, _, word, _, flags = fields[:7]
+    direction = _way(fields[12])
+    fd, remote = bool(flags & 0x1000), bool(flags & 0x10)
+    extra = fields[13]
+    stored = (extra - header_size if extra > header_size else len(body)) - CAN_FD_64.size
+    # Vector's own writer leaves out trailing zero bytes that `length` still counts.
+    data = body[CAN_FD_64.size :][: max(min(stored, length), 0)].ljust(length, b"\x00")
+    return LogFrame(
+        time_ns,
+        word & 0x1FFFFFFF,
+        b"" if remote else data,
+        _extended(word),
+        remote,
+        False,
+        fd,
+        fd and bool(flags & 0x2000),
+        fd and bool(flags & 0x4000),
+        str(channel),
+        direction,
+        _raw_dlc(dlc, remote, fd),
+    )
 
 
 class _Feed:
@@ -82,29 +413,31 @@ class BlfReader:
         feed = _Feed(source)
         told_size = self._header(feed)
         while True:
-            if not feed.fill(blf.OBJECT.size + 8) and feed.only_zeros():
+            if not feed.fill(OBJECT.size + 8) and feed.only_zeros():
                 break
             yield from self._object(feed)
         if self._tail.strip(b"\x00"):
-            self._report.cut(Place("the log ends inside an object", byte=feed.offset))
+            self._report.cut(Location("the log ends inside an object", byte=feed.offset))
         if told_size > feed.offset + feed.left():
             self._report.cut(
-                Place(f"the header tells {told_size} bytes, more than there are", byte=feed.offset)
+                Location(
+                    f"the header tells {told_size} bytes, more than there are", byte=feed.offset
+                )
             )
 
     def _header(self, feed: _Feed) -> int:
         path = self._report.path
-        if not feed.fill(blf.FILE_HEADER.size) or feed.window[:4] != b"LOGG":
+        if not feed.fill(FILE_HEADER.size) or feed.window[:4] != b"LOGG":
             raise InputError(f"{path}: byte 0: no BLF header; expected a BLF log")
-        fields = blf.FILE_HEADER.unpack_from(feed.window)
+        fields = FILE_HEADER.unpack_from(feed.window)
         size, told_size = fields[1], fields[10]
-        if not blf.FILE_HEADER.size <= size <= 4096:
-            self._report.skip(Place(f"a file header of {size} bytes", byte=4))
-            size = blf.FILE_HEADER_SIZE
-        start_ns = blf.read_systemtime(fields[14:22])
+        if not FILE_HEADER.size <= size <= 4096:
+            self._report.skip(Location(f"a file header of {size} bytes", byte=4))
+            size = FILE_HEADER_SIZE
+        start_ns = read_systemtime(fields[14:22])
         self._start_ns = start_ns
         self._report.start_ns = start_ns or None
-        self._report.time_base = "absolute" if start_ns else "relative"
+        self._report.time_base = time_base(start_ns)
         feed.fill(size)
         feed.drop(size)
         return int(told_size)
@@ -113,27 +446,27 @@ class BlfReader:
         """Take the object (or the rubbish) at the window's start."""
         report = self._report
         skip = feed.find(b"LOBJ", 8)
-        if feed.left() < max(skip, 0) + blf.OBJECT.size:
-            report.cut(Place("the log ends inside an object", byte=feed.offset))
+        if feed.left() < max(skip, 0) + OBJECT.size:
+            report.cut(Location("the log ends inside an object", byte=feed.offset))
             feed.drop(feed.left())
             return
         problem: str | None = "no object begins here"
         if skip >= 0:
-            problem = blf.plausible_header(feed.window, feed.pos + skip)
+            problem = plausible_header(feed.window, feed.pos + skip)
         if problem is None:
             feed.drop(skip)
-            _, header_size, _, size, kind = blf.OBJECT.unpack_from(feed.window, feed.pos)
-            if kind == blf.TYPE_CONTAINER and not 32 <= size <= _LARGEST_CONTAINER:
+            _, header_size, _, size, kind = OBJECT.unpack_from(feed.window, feed.pos)
+            if kind == TYPE_CONTAINER and not 32 <= size <= _LARGEST_CONTAINER:
                 problem = f"container of {size} bytes"
         if problem is not None:
-            report.skip(Place(problem, byte=feed.offset))
+            report.skip(Location(problem, byte=feed.offset))
             self._drop_tail()
             self._to_next_object(feed)
             return
         whole = feed.fill(size)
         offset = feed.offset
         body = feed.take(size)
-        if kind != blf.TYPE_CONTAINER:
+        if kind != TYPE_CONTAINER:
             yield self._batch(body, offset)
             return
         unpacked = self._unpack(body, header_size, offset, whole)
@@ -163,31 +496,31 @@ class BlfReader:
     def _unpack(self, body: bytes, header_size: int, offset: int, whole: bool) -> bytes | None:
         """The content of a container, of a cut-off one as much as there is; None if damaged."""
         report = self._report
-        if len(body) < header_size + blf.CONTAINER.size:
-            report.cut(Place("the log ends inside a container", byte=offset))
+        if len(body) < header_size + CONTAINER.size:
+            report.cut(Location("the log ends inside a container", byte=offset))
             return None
-        method, size = blf.CONTAINER.unpack_from(body, header_size)
-        packed = body[header_size + blf.CONTAINER.size :]
+        method, size = CONTAINER.unpack_from(body, header_size)
+        packed = body[header_size + CONTAINER.size :]
         if method == 0:
             content = packed
         elif method == 2:
             if size > _LARGEST_CONTAINER:
-                report.skip(Place(f"container of {size} unpacked bytes", byte=offset))
+                report.skip(Location(f"container of {size} unpacked bytes", byte=offset))
                 return None
             inflate = zlib.decompressobj()
             try:
                 content = inflate.decompress(packed, size + 1)
             except zlib.error as error:
-                report.skip(Place(f"damaged container ({error})", byte=offset))
+                report.skip(Location(f"damaged container ({error})", byte=offset))
                 return None
             if whole and (not inflate.eof or len(content) != size):
-                report.skip(Place("damaged container (its size is another)", byte=offset))
+                report.skip(Location("damaged container (its size is another)", byte=offset))
                 return None
         else:
-            report.skip(Place(f"container packed by method {method}", byte=offset))
+            report.skip(Location(f"container packed by method {method}", byte=offset))
             return None
         if not whole:
-            report.cut(Place("the log ends inside a container", byte=offset))
+            report.cut(Location("the log ends inside a container", byte=offset))
         return content
 
     def _batch(self, data: bytes, offset: int) -> Batch:
@@ -196,13 +529,13 @@ class BlfReader:
         data = self._tail + data
         self._tail = b""
         frames: list[LogFrame] = []
-        for item in blf.objects(data, self._start_ns):
+        for item in objects(data, self._start_ns):
             if isinstance(item, LogFrame):
                 frames.append(item)
-            elif isinstance(item, blf.Other):
+            elif isinstance(item, Other):
                 report.other[item.name] += 1
-            elif isinstance(item, blf.Broken):
-                report.skip(Place(f"{item.reason}, {item.passed} bytes left out", byte=offset))
+            elif isinstance(item, Broken):
+                report.skip(Location(f"{item.reason}, {item.passed} bytes left out", byte=offset))
             else:
                 self._tail = data[item.start :]
         return Batch(frames, [offset] * len(frames))
@@ -219,8 +552,8 @@ class BlfWriter(LogWriter):
         self._start_ns: int | None = None
         self._stop_ns = 0
         self._buffer = bytearray()
-        self._unpacked_size = blf.FILE_HEADER_SIZE
-        self._out.write(bytes(blf.FILE_HEADER_SIZE))
+        self._unpacked_size = FILE_HEADER_SIZE
+        self._out.write(bytes(FILE_HEADER_SIZE))
 
     def _write_batch(self, frames: list[LogFrame]) -> None:
         if self._start_ns is None:
@@ -239,8 +572,8 @@ class BlfWriter(LogWriter):
             )
         self._stop_ns = max(self._stop_ns, frame.time_ns)
         channel = self.channel_number(frame.channel)
-        word = frame.can_id | (blf.EXTENDED if frame.extended else 0)
-        flags = (blf.REMOTE if frame.remote else 0) | (frame.direction == "Tx")
+        word = frame.can_id | (EXTENDED if frame.extended else 0)
+        flags = (REMOTE if frame.remote else 0) | (frame.direction == "Tx")
         if not frame.direction and not frame.error:
             self.losses["direction not recorded, written as Rx"] += 1
         if frame.error:
@@ -248,22 +581,22 @@ class BlfWriter(LogWriter):
                 self.losses["flags of an error frame"] += 1
             if len(frame.data) > 8:
                 self.losses["bytes of an error frame after the eighth"] += 1
-            kind = blf.TYPE_CAN_ERROR_EXT
+            kind = TYPE_CAN_ERROR_EXT
             length = min(len(frame.data), 8)
-            body = blf.CAN_ERROR_EXT.pack(channel, 0, 0, 0, 0, length, 0, word, 0, frame.data[:8])
+            body = CAN_ERROR_EXT.pack(channel, 0, 0, 0, 0, length, 0, word, 0, frame.data[:8])
         elif frame.fd:
-            kind = blf.TYPE_CAN_FD
+            kind = TYPE_CAN_FD
             fd_flags = 1 | frame.brs << 1 | frame.esi << 2
-            body = blf.CAN_FD.pack(
+            body = CAN_FD.pack(
                 channel, flags, frame.dlc, word, 0, 0, fd_flags, len(frame.data), frame.data
             )
         else:
-            kind = blf.TYPE_CAN
-            body = blf.CAN.pack(channel, flags, frame.dlc, word, frame.data)
-        header_size = blf.OBJECT.size + blf.TIMES_V1.size
+            kind = TYPE_CAN
+            body = CAN.pack(channel, flags, frame.dlc, word, frame.data)
+        header_size = OBJECT.size + TIMES_V1.size
         size = header_size + len(body)
-        self._buffer += blf.OBJECT.pack(b"LOBJ", header_size, 1, size, kind)
-        self._buffer += blf.TIMES_V1.pack(2, 0, 0, time_ns)
+        self._buffer += OBJECT.pack(b"LOBJ", header_size, 1, size, kind)
+        self._buffer += TIMES_V1.pack(2, 0, 0, time_ns)
         self._buffer += body
         self._buffer += bytes(size % 4)
         if len(self._buffer) >= _WRITTEN_CONTAINER:
@@ -272,50 +605,39 @@ class BlfWriter(LogWriter):
 
     def _container(self, content: bytearray) -> None:
         packed = zlib.compress(content, 6)
-        size = blf.OBJECT.size + blf.CONTAINER.size + len(packed)
-        self._out.write(blf.OBJECT.pack(b"LOBJ", blf.OBJECT.size, 1, size, blf.TYPE_CONTAINER))
-        self._out.write(blf.CONTAINER.pack(2, len(content)))
+        size = OBJECT.size + CONTAINER.size + len(packed)
+        self._out.write(OBJECT.pack(b"LOBJ", OBJECT.size, 1, size, TYPE_CONTAINER))
+        self._out.write(CONTAINER.pack(2, len(content)))
         self._out.write(packed)
         self._out.write(bytes(size % 4))
-        self._unpacked_size += blf.OBJECT.size + blf.CONTAINER.size + len(content)
+        self._unpacked_size += OBJECT.size + CONTAINER.size + len(content)
 
     def _finish(self) -> None:
         if self._buffer:
             self._container(self._buffer)
         start_ns = self._start_ns or 0
         size = self._out.tell()
-        header = blf.FILE_HEADER.pack(
+        header = FILE_HEADER.pack(
             b"LOGG",
-            blf.FILE_HEADER_SIZE,
+            FILE_HEADER_SIZE,
             *(0, 0, 0, 0, 2, 6, 8, 1),
             size,
             self._unpacked_size,
             self.frames,
             0,
-            *blf.write_systemtime(start_ns),
-            *blf.write_systemtime(self._stop_ns if start_ns else 0),
+            *write_systemtime(start_ns),
+            *write_systemtime(self._stop_ns if start_ns else 0),
         )
         self._out.seek(0)
         self._out.write(header)
 
 
-class Blf:
-    """The BLF format."""
+def _recognise(head: bytes) -> bool:
+    return head.startswith(b"LOGG")
 
-    name = "blf"
-    suffixes: tuple[str, ...] = (".blf",)
-    place_word = "byte"
 
-    def sniff(self, head: bytes) -> bool:
-        """Whether the file has the BLF signature."""
-        return head.startswith(b"LOGG")
+def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
+    return BlfReader(report).read(source)
 
-    def batches(
-        self, source: ByteSource, report: LogReport, options: ReadOptions
-    ) -> Iterator[Batch]:
-        """The frames of a BLF log."""
-        return BlfReader(report).read(source)
 
-    def writer(self, path: str) -> LogWriter:
-        """A writer of a new BLF log."""
-        return BlfWriter(path)
+FORMAT: Final = Format("blf", (".blf",), _recognise, _read, BlfWriter, "byte")

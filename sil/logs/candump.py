@@ -1,107 +1,429 @@
-"""candump logs: all the forms of `candump_line` read, the log form of `candump -l` written.
+"""candump logs: every form that can-utils prints is read, the log form of `candump -l` written.
 
-python-can's own reader takes only the log form, crashes on all others, and carries times as
-floats (0.2 µs off today); so this reader stands in front of it for every file.
+Forms: the log form (`(1.000000) can0 123#1122 R`), the screen form with absolute, dated, delta,
+zero-based or no times, extra message information, ASCII, binary or swapped data, colours; numbered
+lines and trailing remarks as J1939 printers write them; TruckDevil's print.
+Source: can-utils' own printing (lib.c, candump.c).
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
-from itertools import pairwise
-from typing import Final
+from itertools import pairwise, repeat
+from operator import add
+from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
-from sil.logs.backend import Batch, LogWriter, ReadOptions
-from sil.logs.byte_source import ByteSource
-from sil.logs.candump_line import DROPPED, ERROR_FLAG, NotAFrame, parse_line, surely_whole
-from sil.logs.candump_plain import PlainChunks
-from sil.logs.frame import MAX_TIME_NS, MOST_KNOWN_IDS, LogFrame
-from sil.logs.report import LogReport, Place
-from sil.logs.text_lines import Chunk, chunk_lines, chunks
-from sil.logs.times import NS_PER_S, RELATIVE_BELOW_NS, enough_decimals
+from sil.logs.format import Batch, Format, NotAFrame, TextReader, time_base
+from sil.logs.frame import MAX_TIME_NS, LogFrame, frame_problem
+from sil.logs.report import LogReport
+from sil.logs.source import ByteSource, Chunk, Line
+from sil.logs.times import NS_PER_S, enough_decimals, parse_decimal_ns, utc_ns
+from sil.logs.writer import LogWriter
 
+_MOST_KNOWN_IDS: Final = 100_000
+_ERROR_FLAG: Final = 0x20000000
+_DROPPED_NAME: Final = "frame dropped by the recorder"
 _LETTER: Final = {"": "", "Rx": " R", "Tx": " T"}
 _DECIDED_BY: Final = 256
 """Frames that are looked at (if there are so many) to tell differences of time from times."""
 
 _BUS_ERROR: Final = 0x80
 """SocketCAN's class of an error seen on the bus (CAN_ERR_BUSERROR)."""
+_ANSI = re.compile(r"\x1b\[[0-9;]*m")
+_TIME = re.compile(r"(?:\d{1,12}\s+)?\(([^()]{1,48})\)\s+")
+_DATE = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)\.(\d{6}|\d{9})\Z")
+_COMPACT = re.compile(r"([!-~]{1,64})\s+([0-9A-Fa-f]{1,8})#(\S*)(?:\s+([RT]))?\s*(?:\s;.*)?\Z")
+_SCREEN = re.compile(
+    r"([!-~]{1,64})\s+(?:(RX|TX) ([BS-]) ([ER-])\s+)?([0-9A-F]{3}|[0-9A-F]{8})\s+"
+    r"(?:\[(\d{1,2})\]|\{([0-9A-F])\})(.*)\Z"
+)
+_SCREEN_XL = re.compile(r"\S{1,64}\s.*\[\d{4}\] \([0-9A-F]{2}\|[0-9A-F]{2}:")
+_SCREEN_DATA = re.compile(
+    r"\s*((?:[0-9A-F]{2}|[01]{8})(?:[ `](?:[0-9A-F]{2}|[01]{8}))*)?"
+    r"(?:\s+(?:'.*'|`.*`|ERRORFRAME))?\s*\Z"
+)
+_TRUCKDEVIL = re.compile(
+    r"([0-9A-F]{8})\s+([0-9A-F]{2}) ([0-9A-F]{4}) ([0-9A-F]{2}) --> ([0-9A-F]{2}) "
+    r"\[(\d{4})\] ([0-9A-F]*)\Z"
+)
+_XL = re.compile(r"[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{8}#")
+_REMOTE = re.compile(r"[Rr](?:([0-8])(?:_([9A-Fa-f]))?)?\Z")
+_DATA = re.compile(r"((?:\.?[0-9A-Fa-f]{2})*)(?:_([9A-Fa-f]))?\Z")
+_DROPPED = re.compile(r"DROPCOUNT: dropped (\d+) CAN frame")
+_PLAIN_IDENTIFIER: Final = re.compile(r"[01][0-9A-Fa-f]{7}\Z|[0-7][0-9A-Fa-f]{2}\Z")
+_PLAIN_CHANNEL: Final = re.compile(r"[!-~]{1,64}\Z")
+_DATA_LENGTHS: Final = frozenset(range(0, 17, 2))
+_MOST_SECONDS: Final = 9_223_372_035
+_LETTERS: Final = {"R": "Rx", "T": "Tx"}
 
 
-class CandumpReader:
-    """State of one reading: the kind of its times and the last chunk's frames."""
+class Parsed(NamedTuple):
+    """A line's frame (its time 0 when it has none) and what else the line told.
 
-    def __init__(self, report: LogReport, options: ReadOptions) -> None:
-        self._report = report
-        self._times = options.times
+    length_told: the line itself says how many bytes of data there are.
+    ended: the line's last word is whole, whatever may have followed it.
+    """
+
+    frame: LogFrame
+    timed: bool
+    length_told: bool
+
+
+def parse_line(text: str) -> Parsed:
+    """Parse one line.
+
+    Raises: NotAFrame for a known line that is no frame; ValueError with what is broken.
+    """
+    if "\x1b" in text:
+        text = _ANSI.sub("", text)
+    line = text.strip()
+    if not line or line[0] in "#;":
+        raise NotAFrame("")
+    if text[0] == "\t":
+        raise NotAFrame("error frame explanation line")
+    dropped = _DROPPED.match(line)
+    if dropped:
+        raise NotAFrame(_DROPPED_NAME, int(dropped[1][:9]))
+    timed = _TIME.match(line)
+    time_ns = 0
+    if timed:
+        time_ns = _time(timed[1])
+        line = line[timed.end() :]
+    compact = _COMPACT.match(line)
+    if compact:
+        frame, told = _compact(time_ns, compact)
+    else:
+        screen = _SCREEN.match(line)
+        if screen:
+            frame, told = _screen(time_ns, screen)
+        else:
+            frame, told = _other(time_ns, line)
+    problem = frame_problem(frame)
+    if problem:
+        raise ValueError(problem)
+    return Parsed(frame, timed is not None, told)
+
+
+def _time(text: str) -> int:
+    date = _DATE.match(text)
+    if date is None:
+        time_ns = parse_decimal_ns(text)
+        if time_ns < 0:
+            raise ValueError(f"time {text} is negative")
+        return time_ns
+    year, month, day, hour, minute, second = (int(date[i]) for i in range(1, 7))
+    try:
+        return utc_ns(year, month, day, hour, minute, second, int(date[7].ljust(9, "0")))
+    except (ValueError, OverflowError):
+        raise ValueError(f"there is no date {text}") from None
+
+
+def _identifier(digits: str) -> tuple[int, bool, bool]:
+    """Split an identifier word into number, extended, error."""
+    if len(digits) not in (3, 8):
+        raise ValueError(f"identifier {digits} has {len(digits)} digits; candump writes 3 or 8")
+    number = int(digits, 16)
+    if len(digits) == 3:
+        return number, False, False
+    if number & _ERROR_FLAG:
+        if number > 0x3FFFFFFF:
+            raise ValueError(f"identifier {digits} has more than 29 bits")
+        return number & ~_ERROR_FLAG, False, True
+    return number, True, False
+
+
+def _compact(time_ns: int, match: re.Match[str]) -> tuple[LogFrame, bool]:
+    channel, digits, body, direction_letter = match.groups()
+    direction = {"R": "Rx", "T": "Tx", None: ""}[direction_letter]
+    if _XL.match(body):
+        raise NotAFrame("CAN XL frame")
+    can_id, extended, error = _identifier(digits)
+    remote = _REMOTE.match(body)
+    if remote:
+        raw_dlc = int(remote[2] or remote[1] or "0", 16)
+        frame = LogFrame(
+            time_ns,
+            can_id,
+            b"",
+            extended,
+            remote=True,
+            channel=channel,
+            direction=direction,
+            raw_dlc=raw_dlc,
+            error=error,
+        )
+        return frame, bool(direction or remote[2])
+    fd = body.startswith("#")
+    flags = 0
+    if fd:
+        if len(body) < 2 or body[1] not in "0123456789ABCDEFabcdef":
+            raise ValueError("no flags after ## of a CAN FD frame")
+        flags, body = int(body[1], 16), body[2:]
+    data = _DATA.match(body)
+    if data is None:
+        raise ValueError(f"data {body[:24]!r} is not pairs of hex digits")
+    payload = bytes.fromhex(data[1].replace(".", ""))
+    if data[2] and (fd or len(payload) != 8):
+        raise ValueError(f"raw length code _{data[2]} beside {len(payload)} bytes")
+    frame = LogFrame(
+        time_ns,
+        can_id,
+        payload,
+        extended,
+        False,
+        error,
+        fd,
+        bool(flags & 1),
+        bool(flags & 2),
+        channel,
+        direction,
+        int(data[2] or "0", 16),
+    )
+    return frame, bool(direction or data[2]) or len(payload) == 64
+
+
+def _screen(time_ns: int, match: re.Match[str]) -> tuple[LogFrame, bool]:
+    channel, direction, brs, esi, digits, length_text, code_text, rest = match.groups()
+    can_id, extended, error = _identifier(digits)
+    fd = length_text is not None and len(length_text) == 2
+    raw_dlc = int(code_text, 16) if code_text else 0
+    length = int(length_text) if length_text else min(raw_dlc, 8)
+    direction = (direction or "").capitalize()
+    if rest.strip() == "remote request":
+        return (
+            LogFrame(
+                time_ns,
+                can_id,
+                b"",
+                extended,
+                remote=True,
+                channel=channel,
+                direction=direction,
+                raw_dlc=raw_dlc or length,
+            ),
+            True,
+        )
+    body = _SCREEN_DATA.match(rest)
+    if body is None:
+        raise ValueError(f"data {rest.strip()[:24]!r} is not bytes")
+    words = re.split("[ `]", body[1]) if body[1] else []
+    if len(words) != length:
+        raise ValueError(f"{len(words)} bytes of data where [{length}] is told")
+    base = 2 if words and len(words[0]) == 8 else 16
+    if any(len(word) != len(words[0]) for word in words):
+        raise ValueError("bytes in two notations")
+    payload = bytes(int(word, base) for word in words)
+    if body[1] and "`" in body[1]:
+        payload = payload[::-1]
+    if not fd and length > 8:
+        raise ValueError(f"length [{length}] of a classic frame")
+    frame = LogFrame(
+        time_ns,
+        can_id,
+        payload,
+        extended,
+        False,
+        error,
+        fd,
+        fd and brs == "B",
+        fd and esi == "E",
+        channel,
+        direction,
+        raw_dlc if raw_dlc > 8 else 0,
+    )
+    return frame, True
+
+
+def _other(time_ns: int, line: str) -> tuple[LogFrame, bool]:
+    truck = _TRUCKDEVIL.match(line)
+    if truck:
+        can_id = int(truck[1], 16)
+        if len(truck[7]) != 2 * int(truck[6]):
+            raise ValueError(f"{len(truck[7])} hex digits where [{truck[6]}] bytes are told")
+        if int(truck[6]) > 8:
+            raise NotAFrame("reassembled J1939 message")
+        if (can_id >> 26 & 7, can_id & 0xFF) != (int(truck[2], 16), int(truck[4], 16)):
+            raise ValueError("priority and source beside the identifier are other ones")
+        return LogFrame(time_ns, can_id, bytes.fromhex(truck[7])), True
+    if _SCREEN_XL.match(line):
+        raise NotAFrame("CAN XL frame")
+    raise ValueError(f"{line[:40]!r} is no candump line")
+
+
+def surely_whole(parsed: Parsed, earlier: list[LogFrame]) -> bool:
+    """Whether a last line without a line end can be taken for whole.
+
+    A cut can shorten data unseen. It is whole when the line tells its length, has all the bytes
+    there can be, or the frame last seen with the same identifier was as long; and it has a
+    direction if the others have one.
+    """
+    frame = parsed.frame
+    if earlier and earlier[-1].direction and not frame.direction:
+        return False
+    if parsed.length_told or (len(frame.data) == 8 and not frame.fd):
+        return True
+    for before in reversed(earlier):
+        if before.can_id == frame.can_id and before.extended == frame.extended:
+            return (
+                len(before.data) == len(frame.data)
+                and before.remote == frame.remote
+                and before.raw_dlc == frame.raw_dlc
+            )
+    return False
+
+
+class PlainChunks:
+    """Reads such chunks; keeps identifiers that were met before."""
+
+    def __init__(self) -> None:
+        self._ids: dict[str, int] = {}
+        self._extended: dict[str, bool] = {}
+
+    def frames(self, text: str, count: int) -> list[LogFrame] | None:
+        """The frames of `count` lines of text, None when one of them is not a common line."""
+        if "\r" in text:
+            text = text.replace("\r\n", "\n")
+        first = text[: text.find("\n")]
+        directed = first.endswith((" R", " T"))
+        words = _words(text, count, first, 10 if directed else 9)
+        if words is None:
+            return None
+        step = 10 if directed else 9
+        seconds = self._seconds(words[1::step])
+        fractions = words[3::step]
+        digits = words[6::step]
+        data = words[8::step]
+        channels = words[5::step]
+        ways = words[9::step] if directed else None
+        sound = (
+            seconds is not None
+            and set(map(len, fractions)) == {9}
+            and "".join(fractions).isdigit()
+            and _DATA_LENGTHS.issuperset(map(len, data))
+            and all(map(_PLAIN_CHANNEL.match, set(channels)))
+            and self._learn(set(digits))
+            and (ways is None or _LETTERS.keys() >= set(ways))
+        )
+        if not sound or seconds is None:
+            return None
+        try:
+            payloads = list(map(bytes.fromhex, data))
+        except ValueError:
+            return None
+        times_ns = map(add, map(seconds.__getitem__, words[1::step]), map(int, fractions))
+        no = repeat(False)
+        rows = zip(
+            times_ns,
+            map(self._ids.__getitem__, digits),
+            payloads,
+            map(self._extended.__getitem__, digits),
+            *(no, no, no, no, no),
+            channels,
+            repeat("") if ways is None else map(_LETTERS.__getitem__, ways),
+            repeat(0),
+            strict=False,
+        )
+        return list(map(tuple.__new__, repeat(LogFrame), rows))
+
+    def _seconds(self, words: list[str]) -> dict[str, int] | None:
+        """Nanoseconds of each number of seconds, None when one is no such number."""
+        found = {}
+        for word in set(words):
+            if not (word.isdigit() and len(word) <= 10 and int(word) <= _MOST_SECONDS):
+                return None
+            found[word] = int(word) * NS_PER_S
+        return found
+
+    def _learn(self, digits: set[str]) -> bool:
+        """Know the numbers of identifiers; False when one is none that a data frame can have."""
+        new = digits - self._ids.keys()
+        if not all(map(_PLAIN_IDENTIFIER.match, new)):
+            return False
+        if len(self._ids) > _MOST_KNOWN_IDS:
+            self._ids.clear()
+            self._extended.clear()
+            new = digits
+        for word in new:
+            self._ids[word] = int(word, 16)
+            self._extended[word] = len(word) == 8
+        return True
+
+
+def _words(text: str, count: int, first: str, step: int) -> list[str] | None:
+    """The words of the lines, `step` of each, or None when the marks stand elsewhere.
+
+    The words are ( seconds . fraction ) channel identifier # data and, of ten, the direction.
+    """
+    point, closing = first.find("."), first.find(") ")
+    if closing - point == 7:
+        padding = "000 ) "
+    elif closing - point == 10:
+        padding = " ) "
+    else:
+        return None
+    if first[:1] != "(":
+        return None
+    text = "( " + text[1:-1].replace("\n(", " ( ").replace(") ", padding)
+    if not (text.isascii() and text.isprintable()):
+        return None
+    text = text.replace(".", " . ").replace("#", " # ")
+    words = text.split(" ")
+    if len(words) != step * count:
+        return None
+    marks = (("(", 0), (".", 2), (")", 4), ("#", 7))
+    if all(words[at::step].count(mark) == count for mark, at in marks):
+        return words
+    return None
+
+
+class CandumpReader(TextReader):
+    """State of one reading: what the times of the log are."""
+
+    def __init__(self, report: LogReport, times: str) -> None:
+        super().__init__(report)
+        self._times = times
         self._decided = False
         self._timed: bool | None = None
         self._sum_ns = 0
-        self._plain_chunks = PlainChunks()
+        self._columns = PlainChunks()
         self._earlier: list[LogFrame] = []
 
     def read(self, source: ByteSource) -> Iterator[Batch]:
-        """Frames chunk by chunk."""
+        """Yield the frames chunk by chunk."""
         held = Batch([], [])
-        for chunk in chunks(source):
-            batch = self._plain(chunk) or self._mixed(chunk)
-            if batch.frames:
-                self._earlier = batch.frames
-                if not self._decided:
-                    held = Batch(held.frames + batch.frames, [*held.places, *batch.places])
-                    if len(held.frames) < _DECIDED_BY:
-                        continue
-                    batch, held = held, Batch([], [])
-                yield self._with_times(batch)
+        for batch in super().read(source):
+            self._earlier = batch.frames
+            if not self._decided:
+                held = Batch(held.frames + batch.frames, [*held.locations, *batch.locations])
+                if len(held.frames) < _DECIDED_BY:
+                    continue
+                batch, held = held, Batch([], [])
+            yield self._with_times(batch)
         if held.frames:
             yield self._with_times(held)
 
-    def _plain(self, chunk: Chunk) -> Batch | None:
-        """The frames of a chunk when every line of it is a common one."""
-        if chunk.unterminated or self._timed is False:
+    def _quick(self, chunk: Chunk) -> Batch | None:
+        if self._timed is False:
             return None
         count = chunk.text.count("\n")
-        frames = self._plain_chunks.frames(chunk.text, count)
+        frames = self._columns.frames(chunk.text, count)
         if frames is None:
             return None
         self._timed = True
         return Batch(frames, range(chunk.line, chunk.line + count))
 
-    def _mixed(self, chunk: Chunk) -> Batch:
-        """The frames of a chunk with other lines in it."""
-        frames: list[LogFrame] = []
-        places: list[int] = []
-        report = self._report
-        for line in chunk_lines(chunk):
-            try:
-                parsed = parse_line(line.text)
-            except NotAFrame as known:
-                if known.name:
-                    report.other[known.name] += known.count
-                continue
-            except ValueError as error:
-                place = Place(str(error), line.number, line.byte)
-                if line.unterminated:
-                    report.cut(place)
-                else:
-                    report.skip(place)
-                continue
-            if line.unterminated and not surely_whole(parsed, self._earlier + frames):
-                report.cut(
-                    Place("the last line has no end and may be cut short", line.number, line.byte)
-                )
-                continue
-            if self._timed is None:
-                self._timed = parsed.timed
-            if parsed.timed is not self._timed:
-                known_times = "has times" if self._timed else "has none"
-                report.skip(
-                    Place(f"other than the lines before it, which {known_times}", line.number)
-                )
-                continue
-            frames.append(parsed.frame)
-            places.append(line.number)
-        return Batch(frames, places)
+    def _line(self, line: Line) -> LogFrame:
+        parsed = parse_line(line.text)
+        if line.unterminated and not surely_whole(parsed, self._earlier):
+            raise ValueError("the last line has no end and may be cut short")
+        if self._timed is None:
+            self._timed = parsed.timed
+        if parsed.timed is not self._timed:
+            known_times = "has times" if self._timed else "has none"
+            raise ValueError(f"other than the lines before it, which {known_times}")
+        return parsed.frame
 
     def _with_times(self, batch: Batch) -> Batch:
         if not self._decided:
@@ -115,14 +437,14 @@ class CandumpReader:
             summed.append(frame._replace(time_ns=total))
         if total > MAX_TIME_NS:
             raise InputError(
-                f"{self._report.path}: line {batch.places[-1]}: the differences add up to "
+                f"{self._report.path}: line {batch.locations[-1]}: the differences add up to "
                 f"{total // NS_PER_S} s; expected times within 292 years"
             )
         self._sum_ns = total
-        return Batch(summed, batch.places)
+        return Batch(summed, batch.locations)
 
     def _decide(self, frames: list[LogFrame]) -> None:
-        """Find out what the times of this log are, from its first chunk."""
+        """Find out from the first frames what the times of this log are."""
         self._decided = True
         report = self._report
         if not self._timed:
@@ -134,8 +456,7 @@ class CandumpReader:
             self._times = "delta"
             report.time_base = "delta"
         else:
-            absolute = frames[0].time_ns >= RELATIVE_BELOW_NS
-            report.time_base = "absolute" if absolute else "relative"
+            report.time_base = time_base(frames[0].time_ns)
 
 
 def look_like_deltas(frames: list[LogFrame]) -> bool:
@@ -143,7 +464,6 @@ def look_like_deltas(frames: list[LogFrame]) -> bool:
 
     Both begin at 0.  Differences fall in at least a fifth of the steps, or are all the same;
     a clock does neither.
-    Checked by: tests/unit/sil/logs/test_candump.py.
     """
     times = [frame.time_ns for frame in frames]
     if len(times) < 3 or times[0] != 0:
@@ -185,14 +505,14 @@ class CandumpWriter(LogWriter):
         names = {frame[9]: self._name(frame[9]) for frame in frames}
         hexes = "\n".join([frame[2].hex() for frame in frames]).upper().split("\n")
         prefixes = self._prefixes
-        if len(prefixes) > MOST_KNOWN_IDS:
+        if len(prefixes) > _MOST_KNOWN_IDS:
             prefixes.clear()
         lines = []
         for frame, digits in zip(frames, hexes, strict=True):
             time_ns, can_id, _, extended, _, _, _, _, _, channel, direction, _ = frame
             prefix = prefixes.get((can_id, extended))
             if prefix is None:
-                prefix = prefixes[can_id, extended] = _identifier(frame)
+                prefix = prefixes[can_id, extended] = _id_text(frame)
             lines.append(
                 f"({time_ns // NS_PER_S:010d}.{time_ns % NS_PER_S // 1000:06d}) {names[channel]} "
                 f"{prefix}#{digits}{_LETTER[direction]}\n"
@@ -218,7 +538,7 @@ class CandumpWriter(LogWriter):
         if frame.error or frame.remote or frame.fd or frame.raw_dlc:
             body = self._special(frame)
         else:
-            body = f"{_identifier(frame)}#{frame.data.hex().upper()}"
+            body = f"{_id_text(frame)}#{frame.data.hex().upper()}"
         return f"({stamp}) {self._name(frame.channel)} {body}{_LETTER[frame.direction]}\n"
 
     def _finish(self) -> None:
@@ -242,14 +562,14 @@ class CandumpWriter(LogWriter):
         return channel
 
     def _special(self, frame: LogFrame) -> str:
-        digits = _identifier(frame)
+        digits = _id_text(frame)
         if frame.error:
             if frame.extended or frame.remote or frame.fd:
                 self.losses["flags of an error frame"] += 1
             if not frame.can_id and not frame.data:
                 self.losses["error frame without a class written as a bus error"] += 1
-                return f"{ERROR_FLAG | _BUS_ERROR:08X}#{bytes(8).hex()}"
-            return f"{ERROR_FLAG | frame.can_id:08X}#{frame.data.hex().upper()}"
+                return f"{_ERROR_FLAG | _BUS_ERROR:08X}#{bytes(8).hex()}"
+            return f"{_ERROR_FLAG | frame.can_id:08X}#{frame.data.hex().upper()}"
         if frame.remote:
             if frame.fd:
                 self.losses["CAN FD flag of a remote frame"] += 1
@@ -262,37 +582,27 @@ class CandumpWriter(LogWriter):
         return f"{digits}#{frame.data.hex().upper()}_{frame.raw_dlc:X}"
 
 
-def _identifier(frame: LogFrame) -> str:
+def _id_text(frame: LogFrame) -> str:
     return f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
 
 
-class Candump:
-    """The candump format."""
-
-    name = "candump"
-    suffixes: tuple[str, ...] = (".log", ".candump", ".txt")
-    place_word = "line"
-
-    def sniff(self, head: bytes) -> bool:
-        """Whether one of the first lines is a candump line."""
-        for text in head.decode("latin-1").split("\n")[:200]:
-            try:
-                parse_line(text.removesuffix("\r"))
-            except NotAFrame as known:
-                if known.name == DROPPED:
-                    return True
-            except ValueError:
-                continue
-            else:
+def _recognise(head: bytes) -> bool:
+    """Return whether one of the first lines is a candump line."""
+    for text in head.decode("latin-1").split("\n")[:200]:
+        try:
+            parse_line(text.removesuffix("\r"))
+        except NotAFrame as known:
+            if known.name == _DROPPED_NAME:
                 return True
-        return False
+        except ValueError:
+            continue
+        else:
+            return True
+    return False
 
-    def batches(
-        self, source: ByteSource, report: LogReport, options: ReadOptions
-    ) -> Iterator[Batch]:
-        """The frames of a candump log."""
-        return CandumpReader(report, options).read(source)
 
-    def writer(self, path: str) -> LogWriter:
-        """A writer of the log form."""
-        return CandumpWriter(path)
+def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
+    return CandumpReader(report, times).read(source)
+
+
+FORMAT: Final = Format("candump", (".log", ".candump", ".txt"), _recognise, _read, CandumpWriter)

@@ -1,4 +1,4 @@
-"""CSV logs: our own table written; that, python-can's, SavvyCAN's and CSS Electronics' read.
+"""CSV logs: our own table, and those of python-can, SavvyCAN (GVRET) and CSS Electronics.
 
 Our columns: `time_s,channel,direction,id,extended,remote,error,fd,brs,esi,dlc,data`, numbers of
 flags 0 or 1, id and data in hex, dlc the code on the wire; nothing of a frame is lost.
@@ -7,239 +7,218 @@ flags 0 or 1, id and data in hex, dlc the code on the wire; nothing of a frame i
 from __future__ import annotations
 
 import base64
-import binascii
 import re
 from collections.abc import Callable, Iterator
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 from can_dbc.errors import InputError
-from sil.logs.backend import Batch, LogWriter, ReadOptions
-from sil.logs.byte_source import ByteSource
+from sil.logs.format import Batch, Format, TextReader, time_base
 from sil.logs.frame import DLC_LENGTHS, LogFrame, frame_problem
-from sil.logs.report import LogReport, Place, printable
-from sil.logs.text_lines import Line, lines
-from sil.logs.times import RELATIVE_BELOW_NS, format_ns, parse_decimal_ns
+from sil.logs.report import LogReport, printable
+from sil.logs.source import ByteSource, Line
+from sil.logs.times import format_ns, parse_decimal_ns
+from sil.logs.writer import LogWriter
 
 OUR_HEADER: Final = "time_s,channel,direction,id,extended,remote,error,fd,brs,esi,dlc,data"
-_PYTHON_CAN: Final = "timestamp,arbitration_id,extended,remote,error,dlc,data"
-_SAVVYCAN: Final = "time stamp,id,extended,dir,bus,len,d1,"
-_CSS: Final = "timestampepoch;buschannel;id;ide;dlc;datalength;dir;edl;brs"
 _HEX: Final = re.compile(r"(?:0x)?([0-9A-Fa-f]{1,8})\Z")
 _HEX_BYTES: Final = re.compile(r"(?:[0-9A-Fa-f]{2})*\Z")
 _FLAGS: Final = {"0": False, "1": True, "false": False, "true": True}
 
 
 def _flag(text: str) -> bool:
-    value = _FLAGS.get(text.strip().lower())
-    if value is None:
+    if text.lower() not in _FLAGS:
         raise ValueError(f"{text[:10]!r} is neither 0 nor 1")
-    return value
+    return _FLAGS[text.lower()]
 
 
 def _identifier(text: str) -> int:
-    match = _HEX.match(text.strip())
+    match = _HEX.match(text)
     if match is None:
         raise ValueError(f"identifier {text[:12]!r} is not hex")
     return int(match[1], 16)
 
 
-def _count(text: str, most: int) -> int:
-    text = text.strip()
-    if not (text.isascii() and text.isdecimal() and len(text) < 4 and int(text) <= most):
-        raise ValueError(f"{text[:10]!r} is no count up to {most}")
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and len(text) < 4 and int(text) <= 64):
+        raise ValueError(f"{text[:10]!r} is no count up to 64")
+    return int(text)
+
+
+def _code(text: str) -> int:
+    if _count(text) > 15:
+        raise ValueError(f"{text[:10]!r} is no length code up to 15")
     return int(text)
 
 
 def _hex_bytes(text: str) -> bytes:
-    text = text.strip()
     if not _HEX_BYTES.match(text):
         raise ValueError(f"data {text[:24]!r} is not pairs of hex digits")
     return bytes.fromhex(text)
 
 
-def _require_columns(found: list[str], count: int) -> None:
-    if len(found) != count:
-        raise ValueError(f"{len(found)} columns where the header tells {count}")
-
-
-def _require_length(data: bytes, length: int) -> None:
-    if len(data) != length:
-        raise ValueError(f"{len(data)} bytes of data where {length} are told")
-
-
-def _ours(text: str) -> LogFrame:
-    found = text.split(",")
-    _require_columns(found, 12)
-    remote, error, fd = _flag(found[5]), _flag(found[6]), _flag(found[7])
-    dlc = _count(found[10], 15)
-    data = _hex_bytes(found[11])
-    raw_dlc = 0
-    if remote:
-        raw_dlc = dlc
-    elif fd or len(data) > 8:
-        _require_length(data, DLC_LENGTHS[dlc])
-    else:
-        _require_length(data, min(dlc, 8))
-        raw_dlc = dlc if dlc > 8 else 0
-    return LogFrame(
-        parse_decimal_ns(found[0]),
-        _identifier(found[3]),
-        data,
-        _flag(found[4]),
-        remote,
-        error,
-        fd,
-        _flag(found[8]),
-        _flag(found[9]),
-        found[1],
-        found[2],
-        raw_dlc,
-    )
-
-
-def _python_can(text: str) -> LogFrame:
-    found = text.split(",")
-    _require_columns(found, 7)
-    remote, length = _flag(found[3]), _count(found[5], 64)
+def _base64(text: str) -> bytes:
     try:
-        data = base64.b64decode(found[6].strip(), validate=True)
-    except binascii.Error as broken:
-        raise ValueError(f"data {found[6][:24]!r} is not base64 ({broken})") from None
-    if not remote:
-        _require_length(data, length)
-    return LogFrame(
-        parse_decimal_ns(found[0]),
-        _identifier(found[1]),
-        b"" if remote else data,
-        _flag(found[2]),
-        remote,
-        _flag(found[4]),
-        fd=length > 8,
-        raw_dlc=length if remote else 0,
-    )
+        return base64.b64decode(text, validate=True)
+    except ValueError as broken:
+        raise ValueError(f"data {text[:24]!r} is not base64 ({broken})") from None
 
 
-def _savvycan(text: str) -> LogFrame:
-    found = text.rstrip(",").split(",")
-    if len(found) < 6:
-        raise ValueError(f"{len(found)} columns where at least 6 are needed")
-    length = _count(found[5], 64)
-    data = _hex_bytes("".join(word.strip().rjust(2, "0") for word in found[6:] if word.strip()))
-    _require_length(data, length)
-    return LogFrame(
-        parse_decimal_ns(found[0].strip(), 1000),
-        _identifier(found[1]),
-        data,
-        _flag(found[2]),
-        fd=length > 8,
-        channel=found[4].strip(),
-        direction=found[3].strip().capitalize(),
-    )
+def _microseconds(text: str) -> int:
+    return parse_decimal_ns(text, 1000)
 
 
-def _css(text: str) -> LogFrame:
-    found = text.split(";")
-    if len(found) not in (10, 11):
-        raise ValueError(f"{len(found)} columns where the header tells 10 or 11")
-    data = _hex_bytes(found[-1])
-    _require_length(data, _count(found[5], 64))
-    fd = _flag(found[7])
-    dlc = _count(found[4], 15)
-    return LogFrame(
-        parse_decimal_ns(found[0]),
-        _identifier(found[2]),
-        data,
-        _flag(found[3]),
-        fd=fd,
-        brs=_flag(found[8]),
-        esi=_flag(found[9]) if len(found) == 11 else False,
-        channel=found[1].strip(),
-        direction=("Rx", "Tx")[_flag(found[6])],
-        raw_dlc=dlc if not fd and dlc > 8 else 0,
-    )
+def _numbered_direction(text: str) -> str:
+    return "Tx" if _flag(text) else "Rx"
 
 
-def _row_parser(header: str) -> Callable[[str], LogFrame] | None:
-    """The reading of the rows under a header line, or None for an unknown header."""
+Column = tuple[str, Callable[[str], Any]]
+
+
+class Dialect(NamedTuple):
+    """The table of one tool: how its header begins, and what its columns are.
+
+    columns: the field of a frame that each column holds, and how its text is read. `length` is the
+    number of data bytes, `dlc` the code on the wire, `data` comes last.
+    spread: each byte of the data has a column of its own.
+    """
+
+    header: str
+    separator: str
+    columns: tuple[Column, ...]
+    spread: bool = False
+
+
+_ID: Final[Column] = ("can_id", _identifier)
+_EXTENDED: Final[Column] = ("extended", _flag)
+_SECONDS: Final[Column] = ("time_ns", parse_decimal_ns)
+_CHANNEL: Final[Column] = ("channel", str)
+_LENGTH: Final[Column] = ("length", _count)
+_DATA: Final[Column] = ("data", _hex_bytes)
+_ERROR: Final[Column] = ("error", _flag)
+_REMOTE: Final[Column] = ("remote", _flag)
+_FD_FLAGS: Final[tuple[Column, ...]] = (("fd", _flag), ("brs", _flag), ("esi", _flag))
+_GVRET: Final[tuple[Column, ...]] = (("time_ns", _microseconds), _ID, _EXTENDED)
+_CSS: Final[tuple[Column, ...]] = (
+    *(_SECONDS, _CHANNEL, _ID, _EXTENDED, ("dlc", _code), _LENGTH),
+    *(("direction", _numbered_direction), *_FD_FLAGS),
+)
+_DIRECTION: Final[Column] = ("direction", str)
+_OUR_FIRST: Final[tuple[Column, ...]] = (
+    *(_SECONDS, _CHANNEL, _DIRECTION, _ID, _EXTENDED, _REMOTE),
+)
+
+DIALECTS: Final = (
+    Dialect(
+        OUR_HEADER,
+        ",",
+        (*_OUR_FIRST, _ERROR, *_FD_FLAGS, ("dlc", _code), _DATA),
+    ),
+    Dialect(
+        "timestamp,arbitration_id,extended,remote,error,dlc,data",
+        ",",
+        (_SECONDS, _ID, _EXTENDED, _REMOTE, _ERROR, _LENGTH, ("data", _base64)),
+    ),
+    Dialect(
+        "time stamp,id,extended,dir,bus,len,d1",
+        ",",
+        (*_GVRET, ("direction", str.capitalize), _CHANNEL, _LENGTH, _DATA),
+        spread=True,
+    ),
+    Dialect("time stamp,id,extended,bus,len,d1", ",", (*_GVRET, _CHANNEL, _LENGTH, _DATA), True),
+    Dialect(
+        "timestampepoch;buschannel;id;ide;dlc;datalength;dir;edl;brs;esi;databytes",
+        ";",
+        (*_CSS, _DATA),
+    ),
+    Dialect(
+        "timestampepoch;buschannel;id;ide;dlc;datalength;dir;edl;brs;databytes",
+        ";",
+        (*_CSS[:-1], _DATA),
+    ),
+)
+
+
+def _dialect(header: str) -> Dialect | None:
+    """Return the dialect of a header line, None if it is of none."""
     plain = header.strip().lower().replace('"', "")
-    if plain == OUR_HEADER:
-        return _ours
-    if plain == _PYTHON_CAN:
-        return _python_can
-    if plain.startswith(_SAVVYCAN):
-        return _savvycan
-    if plain.startswith(_CSS) and plain.endswith("databytes"):
-        return _css
+    for dialect in DIALECTS:
+        if plain == dialect.header or (dialect.spread and plain.startswith(dialect.header)):
+            return dialect
     return None
 
 
-class CsvReader:
-    """State of one reading."""
+def _frame(dialect: Dialect, text: str) -> LogFrame:
+    """Return the frame of a row. Raises ValueError for a broken one."""
+    words = [word.strip() for word in text.split(dialect.separator)]
+    last = len(dialect.columns) - 1
+    if dialect.spread:
+        words[last:] = ["".join(word.rjust(2, "0") for word in words[last:] if word)]
+    if len(words) != len(dialect.columns):
+        raise ValueError(f"{len(words)} columns; expected {len(dialect.columns)} as in the header")
+    row: dict[str, Any] = {
+        name: read(word) for (name, read), word in zip(dialect.columns, words, strict=True)
+    }
+    length, dlc, data = row.pop("length", None), row.pop("dlc", None), row["data"]
+    remote = row.get("remote", False)
+    fd = row.setdefault("fd", not remote and (length or 0) > 8)
+    if dlc is not None and length is None:
+        length = DLC_LENGTHS[dlc] if fd or len(data) > 8 else min(dlc, 8)
+    if remote:
+        row["raw_dlc"], row["data"] = (length if dlc is None else dlc), b""
+    elif len(data) != length:
+        raise ValueError(f"{len(data)} bytes of data; expected {length}")
+    elif dlc is not None and dlc > 8 and not fd:
+        row["raw_dlc"] = dlc
+    frame = LogFrame(**row)
+    problem = frame_problem(frame)
+    if problem is not None:
+        raise ValueError(problem)
+    return frame
+
+
+class CsvReader(TextReader):
+    """State of one reading: the dialect, once the header is read."""
 
     def __init__(self, report: LogReport) -> None:
-        self._report = report
-        self._row: Callable[[str], LogFrame] | None = None
+        super().__init__(report)
+        self._dialect: Dialect | None = None
 
     def read(self, source: ByteSource) -> Iterator[Batch]:
-        """Frames in batches."""
-        report = self._report
-        frames: list[LogFrame] = []
-        places: list[int] = []
-        for line in lines(source):
-            if not line.text.strip():
-                continue
-            if self._row is None:
-                self._row = self._header(line.text)
-                continue
-            try:
-                if line.unterminated and self._row is _savvycan and line.text[-2:-1] == ",":
-                    raise ValueError("the last line has no end and may be cut short")
-                frame = self._row(line.text)
-                problem = frame_problem(frame)
-                if problem is not None:
-                    raise ValueError(problem)
-            except ValueError as error:
-                self._broken(line, str(error))
-                continue
-            frames.append(frame)
-            places.append(line.number)
-            if len(frames) >= 4096:
-                self._tell_base(frames)
-                yield Batch(frames, places)
-                frames, places = [], []
-        if frames:
-            self._tell_base(frames)
-            yield Batch(frames, places)
-        if self._row is None:
-            report.note("an empty file")
+        """Yield the frames chunk by chunk."""
+        first = True
+        for batch in super().read(source):
+            if first:
+                self._report.time_base = time_base(batch.frames[0].time_ns)
+                first = False
+            yield batch
+        if self._dialect is None:
+            self._report.note("an empty file")
 
-    def _tell_base(self, frames: list[LogFrame]) -> None:
-        if not self._report.frames:
-            absolute = frames[0].time_ns >= RELATIVE_BELOW_NS
-            self._report.time_base = "absolute" if absolute else "relative"
+    def _line(self, line: Line) -> LogFrame | None:
+        if not line.text.strip():
+            return None
+        if self._dialect is None:
+            self._dialect = self._header(line.text)
+            return None
+        if line.unterminated and self._dialect.spread and line.text[-2:-1] == ",":
+            raise ValueError("the last line has no end and may be cut short")
+        return _frame(self._dialect, line.text)
 
-    def _broken(self, line: Line, reason: str) -> None:
-        place = Place(reason, line.number, line.byte)
-        if line.unterminated:
-            self._report.cut(place)
-        else:
-            self._report.skip(place)
-
-    def _header(self, text: str) -> Callable[[str], LogFrame]:
-        row = _row_parser(text)
-        if row is None:
-            names = text.strip().split(",")
-            if names[0] == "time_s":
-                signals = printable(", ".join(names[1:4]))
-                raise InputError(
-                    f"{self._report.path}: line 1: holds signals ({signals}, ...), no CAN frames; "
-                    "expected a log of frames (convert turns this into MF4)"
-                )
+    def _header(self, text: str) -> Dialect:
+        """Return the dialect of the log. Raises InputError if the header is unknown."""
+        dialect = _dialect(text)
+        if dialect is not None:
+            return dialect
+        names = text.strip().split(",")
+        if names[0] == "time_s":
             raise InputError(
-                f"{self._report.path}: line 1: header {text.strip()[:60]!r} is unknown; expected "
-                f"{OUR_HEADER}, or python-can's, SavvyCAN's or CSS Electronics' columns"
+                f"{self._report.path}: line 1: holds signals ({printable(', '.join(names[1:4]))}, "
+                "...), no CAN frames; expected a log of frames (convert turns this into MF4)"
             )
-        return row
+        raise InputError(
+            f"{self._report.path}: line 1: header {text.strip()[:60]!r} is unknown; expected "
+            f"{OUR_HEADER}, or python-can's, SavvyCAN's or CSS Electronics' columns"
+        )
 
 
 class CsvWriter(LogWriter):
@@ -255,7 +234,10 @@ class CsvWriter(LogWriter):
         rows = []
         for frame in frames:
             if "," in frame.channel:
-                raise InputError(f"{self.path}: channel name {frame.channel!r} has a comma in it")
+                raise InputError(
+                    f"{self.path}: channel name {frame.channel!r} has a comma in it; expected "
+                    "another name, or another format"
+                )
             rows.append(
                 f"{format_ns(frame.time_ns, 9)},{frame.channel},{frame.direction},"
                 f"{frame.can_id:X},{frame.extended:d},{frame.remote:d},{frame.error:d},"
@@ -264,27 +246,17 @@ class CsvWriter(LogWriter):
         self._out.write("".join(rows).encode("ascii"))
 
     def _finish(self) -> None:
-        """There is nothing after the last row."""
+        """Write nothing more after the last row."""
 
 
-class CsvLog:
-    """The CSV formats."""
+def _recognise(head: bytes) -> bool:
+    """Return whether the first line is a header we know, of frames or of signals."""
+    first = head.decode("latin-1").split("\n", 1)[0]
+    return _dialect(first) is not None or first.startswith("time_s,")
 
-    name = "csv"
-    suffixes: tuple[str, ...] = (".csv",)
-    place_word = "line"
 
-    def sniff(self, head: bytes) -> bool:
-        """Whether the first line is a header we know, of frames or of signals."""
-        first = head.decode("latin-1").split("\n", 1)[0]
-        return _row_parser(first) is not None or first.startswith("time_s,")
+def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
+    return CsvReader(report).read(source)
 
-    def batches(
-        self, source: ByteSource, report: LogReport, options: ReadOptions
-    ) -> Iterator[Batch]:
-        """The frames of a CSV log."""
-        return CsvReader(report).read(source)
 
-    def writer(self, path: str) -> LogWriter:
-        """A writer of our own table."""
-        return CsvWriter(path)
+FORMAT: Final = Format("csv", (".csv",), _recognise, _read, CsvWriter)

@@ -22,8 +22,6 @@ LENGTH_DLC: Final = tuple(
 MAX_STANDARD_ID: Final = 0x7FF
 MAX_EXTENDED_ID: Final = 0x1FFFFFFF
 MAX_TIME_NS: Final = 2**63 - 1
-MOST_KNOWN_IDS: Final = 100_000
-"""Identifiers that a reader remembers the text of."""
 
 _CHANNEL = re.compile(r"[!-~]{0,64}\Z")
 _DIRECTIONS: Final = frozenset(("", "Rx", "Tx"))
@@ -39,8 +37,6 @@ class LogFrame(NamedTuple):
     error: an error frame; `can_id` is then the recorder's error class, `data` its details, if any.
     channel: the recorder's name or number of the bus, "" where it has none.
     direction: "Rx", "Tx" or "" where it is not recorded.
-
-    Checked by: tests/unit/sil/logs/test_frame.py.
     """
 
     time_ns: int
@@ -92,10 +88,7 @@ def all_ordinary(frames: Sequence[LogFrame], channels: Set[str]) -> bool:
 
 
 def frame_problem(frame: LogFrame) -> str | None:
-    """Say what makes a frame impossible on any CAN bus, or None when nothing does.
-
-    Checked by: tests/unit/sil/logs/test_frame.py.
-    """
+    """Say what makes a frame impossible on any CAN bus, or None when nothing does."""
     length = len(frame.data)
     problem: str | None = None
     if not 0 <= frame.can_id <= MAX_EXTENDED_ID:

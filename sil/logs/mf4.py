@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
 
 from can_dbc.errors import InputError
 from sil.files.extras import import_extra
-from sil.logs.backend import Batch, LogWriter, ReadOptions
-from sil.logs.byte_source import ByteSource
+from sil.logs.format import Batch, Format, time_base
 from sil.logs.frame import (
     DLC_LENGTHS,
     MAX_EXTENDED_ID,
@@ -31,8 +30,10 @@ from sil.logs.frame import (
     LogFrame,
     frame_problem,
 )
-from sil.logs.report import LogReport, Place, printable
+from sil.logs.report import Location, LogReport, printable
+from sil.logs.source import ByteSource
 from sil.logs.times import NS_PER_MS, NS_PER_S, RELATIVE_BELOW_NS
+from sil.logs.writer import LogWriter
 
 if TYPE_CHECKING:
     import numpy as np
@@ -87,7 +88,7 @@ class _Broken(Exception):
 
     def __init__(self, byte: int, reason: str) -> None:
         super().__init__(reason)
-        self.place = Place(reason, byte=byte)
+        self.location = Location(reason, byte=byte)
 
 
 class _Block(NamedTuple):
@@ -275,9 +276,11 @@ class Mf4File:
             try:
                 structure.check()
             except _Broken as broken:
-                raise InputError(f"{report.path}: {broken.place}; expected a whole MF4") from None
+                raise InputError(
+                    f"{report.path}: {broken.location}; expected a whole MF4"
+                ) from None
             if structure.cut_at is not None:
-                report.cut(Place("the file ends inside a data block", byte=structure.cut_at))
+                report.cut(Location("the file ends inside a data block", byte=structure.cut_at))
                 if file is source.file:
                     file = stack.enter_context(_copy(file))
             for address, length in structure.resized:
@@ -398,7 +401,7 @@ class Mf4File:
             self._file.seek(-rest, os.SEEK_END)
             if self._file.read(rest).strip(b"\x00"):
                 size = self._file.seek(0, os.SEEK_END)
-                self.report.cut(Place("the data ends inside a record", byte=size - rest))
+                self.report.cut(Location("the data ends inside a record", byte=size - rest))
             else:
                 self.report.note("zero bytes after the last record")
 
@@ -429,8 +432,7 @@ class Mf4Reader:
                 raise InputError(f"{report.path}: byte 64: a start time out of range; expected MF4")
             self._start_ns = header.abs_time
             report.start_ns = header.abs_time or None
-            absolute = header.abs_time >= RELATIVE_BELOW_NS
-            report.time_base = "absolute" if absolute else "relative"
+            report.time_base = time_base(header.abs_time)
             streams = file.streams()
             if not streams:
                 self._refuse_signals(file)
@@ -476,7 +478,7 @@ class Mf4Reader:
             missing = "a time"
         if missing:
             address = group.channel_group.address
-            report.skip(Place(f"{kind} without {missing}", byte=address))
+            report.skip(Location(f"{kind} without {missing}", byte=address))
             return
         expected, count = group.channel_group.cycles_nr, 0
         values = _Values(file, group, stream.parts.get("DataBytes"))
@@ -486,15 +488,15 @@ class Mf4Reader:
             for frame, problem in rows:
                 count += 1
                 if problem == _NO_VALUE and (file.cut or file.open_end):
-                    report.cut(Place(f"{kind} record {count}: {problem}"))
+                    report.cut(Location(f"{kind} record {count}: {problem}"))
                     return
                 problem = problem or frame_problem(frame)
                 if problem is None:
                     yield frame
                 else:
-                    report.skip(Place(f"{kind} record {count}: {problem}"))
+                    report.skip(Location(f"{kind} record {count}: {problem}"))
         if count < expected:
-            report.cut(Place(f"{kind} record {count + 1} is missing"))
+            report.cut(Location(f"{kind} record {count + 1} is missing"))
 
 
 class _Values:
@@ -858,26 +860,12 @@ def _columns(name: str, data_bytes: int) -> Any:
     return np.dtype(fields)
 
 
-class Mf4:
-    """The MF4 format."""
+def _recognise(head: bytes) -> bool:
+    return head.startswith((b"MDF     ", b"UnFinMF "))
 
-    name = "mf4"
-    suffixes: tuple[str, ...] = (".mf4", ".mdf")
-    place_word = "frame"
 
-    def sniff(self, head: bytes) -> bool:
-        """Whether the file has the MDF signature, finished or not."""
-        return head.startswith((b"MDF     ", b"UnFinMF "))
+def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
+    return Mf4Reader(report).read(source)
 
-    def batches(
-        self, source: ByteSource, report: LogReport, options: ReadOptions
-    ) -> Iterator[Batch]:
-        """The frames of an MF4 log."""
-        return Mf4Reader(report).read(source)
 
-    def writer(self, path: str) -> LogWriter:
-        """A writer of a new MF4 log.
-
-        Raises: InputError when asammdf is not installed.
-        """
-        return Mf4Writer(path)
+FORMAT: Final = Format("mf4", (".mf4", ".mdf"), _recognise, _read, Mf4Writer, "frame")

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from operator import lt
 
 from can_dbc.errors import InputError
-from sil.logs.backend import Backend, Batch, ReadOptions
-from sil.logs.byte_source import ByteSource
+from sil.logs.format import Batch, Format
 from sil.logs.frame import LogFrame
-from sil.logs.report import KEPT_PLACES, LogReport
+from sil.logs.report import MOST_LOCATIONS, LogReport
+from sil.logs.source import ByteSource
 from sil.logs.times import format_ns
 
 _WATCHED_INSTANT = 64
@@ -28,20 +28,20 @@ class LogReader:
     Checked by: tests/unit/sil/logs/test_reader.py, tests/contracts/test_log_formats.py.
     """
 
-    def __init__(self, path: str, backend: Backend, *, strict: bool, times: str) -> None:
+    def __init__(self, path: str, format: Format, *, strict: bool, times: str) -> None:
         self.path = path
-        self.format = backend.name
-        self._backend = backend
+        self.format = format.name
+        self._format = format
         self._strict = strict
-        self._options = ReadOptions(times)
-        self.report = LogReport(path, backend.name, strict=strict)
+        self._times = times
+        self.report = LogReport(path, format.name, strict=strict)
 
     def __iter__(self) -> Iterator[LogFrame]:
         report = self.report = LogReport(self.path, self.format, strict=self._strict)
-        watch = _Watch(report, self._backend.place_word)
+        watch = _Watch(report, self._format.location)
         source = ByteSource(self.path, report)
         try:
-            for batch in self._backend.batches(source, report, self._options):
+            for batch in self._format.read(source, report, self._times):
                 watch.take(batch)
                 yield from batch.frames
         finally:
@@ -53,7 +53,9 @@ class LogReader:
         if report.frames:
             return
         if report.skipped or report.truncated:
-            first = str(report.skipped_places[0]) if report.skipped_places else report.notes[0]
+            first = (
+                str(report.skipped_locations[0]) if report.skipped_locations else report.notes[0]
+            )
             raise InputError(
                 f"{self.path}: {first}; no CAN frame found, expected a {self.format} log"
             )
@@ -63,9 +65,9 @@ class LogReader:
 class _Watch:
     """Counts frames and watches the clock and duplicates, batch by batch."""
 
-    def __init__(self, report: LogReport, place_word: str) -> None:
+    def __init__(self, report: LogReport, location_word: str) -> None:
         self._report = report
-        self._place_word = place_word
+        self._location_word = location_word
         self._last_ns: int | None = None
         self._instant: list[LogFrame] = []
 
@@ -93,41 +95,41 @@ class _Watch:
     def _look(self, batch: Batch) -> None:
         """Find the steps back and the duplicates of a batch in which time does not simply run."""
         last_ns, instant = self._last_ns, self._instant
-        for frame, place in zip(batch.frames, batch.places, strict=True):
+        for frame, location in zip(batch.frames, batch.locations, strict=True):
             time_ns = frame[0]
             if last_ns is None or time_ns > last_ns:
                 instant = [frame]
             elif time_ns == last_ns:
                 if frame in instant:
-                    self._duplicate(frame, place)
+                    self._duplicate(frame, location)
                 elif len(instant) < _WATCHED_INSTANT:
                     instant.append(frame)
             else:
-                self._backwards(last_ns, time_ns, place)
+                self._backwards(last_ns, time_ns, location)
                 instant = [frame]
             last_ns = time_ns
         self._instant = instant
 
-    def _backwards(self, before_ns: int, after_ns: int, place: int) -> None:
+    def _backwards(self, before_ns: int, after_ns: int, location: int) -> None:
         report = self._report
         report.backwards += 1
         where = (
-            f"{self._place_word} {place}: the clock steps back from {format_ns(before_ns)} s "
+            f"{self._location_word} {location}: the clock steps back from {format_ns(before_ns)} s "
             f"to {format_ns(after_ns)} s"
         )
         if report.strict:
             raise InputError(f"{report.path}: {where}; expected times that do not fall")
-        if len(report.backwards_places) < KEPT_PLACES:
-            report.backwards_places.append(where)
+        if len(report.backwards_locations) < MOST_LOCATIONS:
+            report.backwards_locations.append(where)
 
-    def _duplicate(self, frame: LogFrame, place: int) -> None:
+    def _duplicate(self, frame: LogFrame, location: int) -> None:
         report = self._report
         report.duplicates += 1
         where = (
-            f"{self._place_word} {place}: the frame {frame.can_id:X} at "
+            f"{self._location_word} {location}: the frame {frame.can_id:X} at "
             f"{format_ns(frame.time_ns)} s is there twice"
         )
         if report.strict:
             raise InputError(f"{report.path}: {where}; expected every frame once")
-        if len(report.duplicate_places) < KEPT_PLACES:
-            report.duplicate_places.append(where)
+        if len(report.duplicate_locations) < MOST_LOCATIONS:
+            report.duplicate_locations.append(where)

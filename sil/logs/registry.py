@@ -1,107 +1,34 @@
-"""The formats, and which of them a file is."""
+"""The log formats, which of them a file is, and how logs are opened."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from typing import Final
 
 from can_dbc.errors import InputError
-from sil.logs.backend import Backend, LogWriter
-from sil.logs.byte_source import ByteSource
+from sil.logs import asc, blf, candump, csv_log, mf4, trc
+from sil.logs.format import Format
 from sil.logs.reader import LogReader
 from sil.logs.report import LogReport
+from sil.logs.source import ByteSource
+from sil.logs.writer import LogWriter
 
-
-def _candump() -> Backend:
-    from sil.logs.candump import Candump
-
-    return Candump()
-
-
-def _asc() -> Backend:
-    from sil.logs.asc import Asc
-
-    return Asc()
-
-
-def _blf() -> Backend:
-    from sil.logs.blf import Blf
-
-    return Blf()
-
-
-def _trc() -> Backend:
-    from sil.logs.trc import Trc
-
-    return Trc()
-
-
-def _mf4() -> Backend:
-    from sil.logs.mf4 import Mf4
-
-    return Mf4()
-
-
-def _csv() -> Backend:
-    from sil.logs.csv_log import CsvLog
-
-    return CsvLog()
-
-
-_LOADERS: Final[dict[str, Callable[[], Backend]]] = {
-    "blf": _blf,
-    "mf4": _mf4,
-    "trc": _trc,
-    "asc": _asc,
-    "csv": _csv,
-    "candump": _candump,
-}
+_MODULES: Final = (blf, mf4, trc, asc, csv_log, candump)
 """In the order in which they are asked whether a file is theirs: the surest mark first."""
 
-FORMATS: Final = ("candump", "asc", "blf", "trc", "mf4", "csv")
+FORMATS: Final[dict[str, Format]] = {module.FORMAT.name: module.FORMAT for module in _MODULES}
 
 
-def load_backend(name: str) -> Backend:
-    """The format of a name.
-
-    Raises: InputError for an unknown one.
-    """
-    loader = _LOADERS.get(name)
-    if loader is None:
+def _format_named(name: str) -> Format:
+    if name not in FORMATS:
         raise InputError(f"log format: {name!r} is unknown; expected one of {', '.join(FORMATS)}")
-    return loader()
+    return FORMATS[name]
 
 
-def backend_of_name(path: str) -> Backend | None:
-    """The format that a file's name stands for, if any."""
+def _format_of_name(path: str) -> Format | None:
+    """Return the format that a file's name stands for, if any."""
     suffix = os.path.splitext(path.removesuffix(".gz"))[1].lower()
-    for name in FORMATS:
-        backend = load_backend(name)
-        if suffix in backend.suffixes:
-            return backend
-    return None
-
-
-def backend_of_file(path: str) -> Backend:
-    """The format of a file's content; for content that tells nothing, of its name.
-
-    Raises: InputError when neither tells.
-    """
-    source = ByteSource(path, LogReport(path, "unknown"))
-    source.close()
-    head = source.head
-    for name in _LOADERS:
-        backend = load_backend(name)
-        if backend.sniff(head):
-            return backend
-    named = backend_of_name(path)
-    if named is None:
-        raise InputError(
-            f"{path}: neither content nor name is that of a log; "
-            f"expected one of {', '.join(FORMATS)}"
-        )
-    return named
+    return next((one for one in FORMATS.values() if suffix in one.suffixes), None)
 
 
 def open_log(
@@ -113,35 +40,58 @@ def open_log(
 ) -> LogReader:
     """Open a recorded CAN log for reading.
 
-    format: one of `FORMATS`; None asks the file's content, then its name.
-    strict: refuse what is otherwise skipped and counted.
-    times: candump logs only: "delta" when the times are differences from line to line, "recorded"
-    when they are not; "auto" looks.
-    Raises: InputError when the file cannot be opened or is no log.
-    Checked by: tests/contracts/test_log_formats.py.
+    Parameters
+    ----------
+    path
+        The log; gzipped ones are unpacked.
+    format
+        One of `FORMATS`; None: the one that the file's content, else its name, stands for.
+    strict
+        Refuse what is otherwise skipped and counted.
+    times
+        For candump logs: "delta" if the times are differences from line to line, "recorded" if
+        they are not; "auto" finds out.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be opened or is no log.
     """
     name = os.fspath(path)
     if times not in ("auto", "delta", "recorded"):
         raise InputError(f"{name}: times {times!r}; expected auto, delta or recorded")
-    backend = load_backend(format) if format is not None else backend_of_file(name)
-    if format is not None:
-        ByteSource(name, LogReport(name, format)).close()
-    return LogReader(name, backend, strict=strict, times=times)
+    found = None if format is None else _format_named(format)
+    source = ByteSource(name, LogReport(name, "unknown"))
+    source.close()
+    if found is None:
+        recognised = (one for one in FORMATS.values() if one.recognise(source.head))
+        found = next(recognised, None) or _format_of_name(name)
+    if found is None:
+        raise InputError(
+            f"{name}: neither content nor name is that of a log; expected one of "
+            f"{', '.join(FORMATS)}"
+        )
+    return LogReader(name, found, strict=strict, times=times)
 
 
 def open_writer(path: str | os.PathLike[str], *, format: str | None = None) -> LogWriter:
-    """Open a new log for writing; it gets its name when it is closed whole.
+    """Open a new log for writing; the file appears when the writer is closed.
 
-    format: one of `FORMATS`; None takes the name's suffix (.log, .candump, .txt, .asc, .blf,
-    .trc, .mf4, .csv, each also with .gz after it).
-    Raises: InputError for an unknown suffix or a place that cannot be written.
-    Checked by: tests/contracts/test_log_formats.py.
+    Parameters
+    ----------
+    path
+        The new log; with .gz at its end it is gzipped.
+    format
+        One of `FORMATS`; None: the one of the name's suffix.
+
+    Raises
+    ------
+    InputError
+        If the suffix is unknown or the file cannot be written.
     """
     name = os.fspath(path)
-    backend = load_backend(format) if format is not None else backend_of_name(name)
-    if backend is None:
-        raise InputError(
-            f"{name}: the name tells no log format; expected a suffix .log, .candump, .txt, .asc, "
-            ".blf, .trc, .mf4 or .csv"
-        )
-    return backend.writer(name)
+    found = _format_of_name(name) if format is None else _format_named(format)
+    if found is None:
+        suffixes = ", ".join(suffix for one in FORMATS.values() for suffix in one.suffixes)
+        raise InputError(f"{name}: its suffix is of no log format; expected one of {suffixes}")
+    return found.writer(name)

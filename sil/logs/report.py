@@ -1,4 +1,4 @@
-"""What reading a log found: counts, and where the bad places are."""
+"""What reading a log found: counts, and the locations of what is broken."""
 
 from __future__ import annotations
 
@@ -8,21 +8,18 @@ from typing import Any, Final
 
 from can_dbc.errors import InputError
 
-KEPT_PLACES: Final = 10
-"""How many places of each kind a report remembers; all of them are counted."""
+MOST_LOCATIONS: Final = 10
+"""Locations of each kind that a report holds; all of them are counted."""
 
 
 def printable(text: str) -> str:
-    """Text out of a file, fit for a message of one line."""
+    """Return text out of a file, fit for a message of one line."""
     return "".join(character if character.isprintable() else "?" for character in text)
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """A spot in a file, by line (from 1) in text or byte (from 0), and what is wrong there.
-
-    In a compressed file both are counted in the unpacked text.
-    """
+class Location:
+    """A line (from 1) or byte (from 0) of a file, after unpacking, and what is wrong there."""
 
     reason: str
     line: int | None = None
@@ -39,14 +36,12 @@ class Place:
 class LogReport:
     """Counts of one reading of a log; complete once the reader is exhausted.
 
-    frames: all frames handed out; error, remote and fd are shares of it.
+    frames: all frames read; error, remote and fd are shares of it.
     other: things in the log that are no CAN frames, by name (status lines, LIN frames, ...).
     skipped: broken lines or records left out; backwards: steps of the clock to an earlier time;
     duplicates: frames that repeat one of the same instant in every field.
     truncated: the log ends inside a line, record or block.
     time_base: "absolute", "relative", "delta" (differences, summed up) or "none".
-
-    Checked by: tests/unit/sil/logs/test_reader.py.
     """
 
     path: str
@@ -56,11 +51,11 @@ class LogReport:
     remote: int = 0
     fd: int = 0
     skipped: int = 0
-    skipped_places: list[Place] = field(default_factory=list)
+    skipped_locations: list[Location] = field(default_factory=list)
     backwards: int = 0
-    backwards_places: list[str] = field(default_factory=list)
+    backwards_locations: list[str] = field(default_factory=list)
     duplicates: int = 0
-    duplicate_places: list[str] = field(default_factory=list)
+    duplicate_locations: list[str] = field(default_factory=list)
     truncated: bool = False
     other: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)
@@ -70,40 +65,34 @@ class LogReport:
     time_base: str = "absolute"
     strict: bool = False
 
-    def skip(self, place: Place) -> None:
-        """Count a broken place, or refuse the log there when reading strictly.
-
-        Raises: InputError when `strict`.
-        """
+    def skip(self, location: Location) -> None:
+        """Count a broken line or record. Raises InputError if `strict`."""
         if self.strict:
-            raise InputError(f"{self.path}: {place}; expected a whole {self.format} log")
+            raise InputError(f"{self.path}: {location}; expected a whole {self.format} log")
         self.skipped += 1
-        if len(self.skipped_places) < KEPT_PLACES:
-            self.skipped_places.append(place)
+        if len(self.skipped_locations) < MOST_LOCATIONS:
+            self.skipped_locations.append(location)
 
-    def cut(self, place: Place) -> None:
-        """Mark the log as ending early, or refuse it when reading strictly.
-
-        Raises: InputError when `strict`.
-        """
+    def cut(self, location: Location) -> None:
+        """Mark the log as cut off. Raises InputError if `strict`."""
         if not self.truncated:
             self.truncated = True
-            self.note(f"cut off at {place}")
+            self.note(f"cut off at {location}")
         if self.strict:
-            raise InputError(f"{self.path}: {place}; expected a log that is not cut off")
+            raise InputError(f"{self.path}: {location}; expected a log that is not cut off")
 
     def note(self, text: str) -> None:
-        """Keep a remark once."""
-        if text not in self.notes and len(self.notes) < KEPT_PLACES:
+        """Add a remark, each only once."""
+        if text not in self.notes and len(self.notes) < MOST_LOCATIONS:
             self.notes.append(text)
 
     @property
     def clean(self) -> bool:
-        """Nothing skipped, no clock step backwards, no duplicate, not cut off."""
+        """Whether nothing is skipped, stepping backwards, there twice or cut off."""
         return not (self.skipped or self.backwards or self.duplicates or self.truncated)
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it as plain JSON values."""
+        """Return all of it as plain JSON values."""
         return {
             "path": self.path,
             "format": self.format,
@@ -113,11 +102,11 @@ class LogReport:
             "fd": self.fd,
             "other": dict(sorted(self.other.items())),
             "skipped": self.skipped,
-            "skipped_places": [str(place) for place in self.skipped_places],
+            "skipped_places": [str(location) for location in self.skipped_locations],
             "backwards": self.backwards,
-            "backwards_places": list(self.backwards_places),
+            "backwards_places": list(self.backwards_locations),
             "duplicates": self.duplicates,
-            "duplicate_places": list(self.duplicate_places),
+            "duplicate_places": list(self.duplicate_locations),
             "truncated": self.truncated,
             "notes": list(self.notes),
             "first_ns": self.first_ns,
@@ -127,21 +116,21 @@ class LogReport:
         }
 
     def lines(self) -> list[str]:
-        """The report for a reader: one fact per line, only what is there."""
+        """Return the report as text: one fact per line, only what is there."""
         found = [f"{self.frames} frames ({self.format}, {self.time_base} times)"]
         for name in ("error", "remote", "fd"):
             count = getattr(self, name)
             if count:
                 found.append(f"  of them {name}: {count}")
         found += [f"not frames: {count} {name}" for name, count in sorted(self.other.items())]
-        for title, count, places in (
-            ("broken and skipped", self.skipped, [str(p) for p in self.skipped_places]),
-            ("clock steps backwards", self.backwards, self.backwards_places),
-            ("duplicates", self.duplicates, self.duplicate_places),
+        for title, count, locations in (
+            ("broken and skipped", self.skipped, [str(one) for one in self.skipped_locations]),
+            ("clock steps backwards", self.backwards, self.backwards_locations),
+            ("duplicates", self.duplicates, self.duplicate_locations),
         ):
             if count:
                 found.append(f"{title}: {count}")
-                found += [f"  {place}" for place in places]
-                if count > len(places):
-                    found.append(f"  and {count - len(places)} more")
+                found += [f"  {location}" for location in locations]
+                if count > len(locations):
+                    found.append(f"  and {count - len(locations)} more")
         return found + self.notes

@@ -1,4 +1,4 @@
-"""Decimal times as integers of nanoseconds: no float ever comes between."""
+"""Times in logs as integers of nanoseconds, never through a float; dates in their headers."""
 
 from __future__ import annotations
 
@@ -10,18 +10,26 @@ from typing import Final
 
 NS_PER_S: Final = 1_000_000_000
 NS_PER_MS: Final = 1_000_000
+_MONTH_NAMES: Final = "jan feb mar apr may jun jul aug sep oct nov dec"
+_MONTHS: Final = tuple(_MONTH_NAMES.split())
+_FOREIGN_MONTHS: Final = {"mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12}
+_DAYS: Final = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
+_TEXT: Final = re.compile(
+    r"(?:\w+\.?\s+)?(\w{3})\w*\.?\s+(\d{1,2})\s+(\d{1,2}):(\d\d):(\d\d)(?:\.(\d{1,6}))?"
+    r"(?:\s+([ap]m))?\s+(\d{4})\s*\Z",
+    re.IGNORECASE,
+)
 RELATIVE_BELOW_NS: Final = 315_532_800 * NS_PER_S
 """Times before 1980 are taken as counted from the start of a log, not from 1970."""
 
-_DECIMAL = re.compile(r"([+-]?)(\d{0,15})(?:\.(\d{0,40}))?\Z", re.ASCII)
+_DECIMAL = re.compile(r"([+-]?)(\d{0,19})(?:\.(\d{0,40}))?\Z", re.ASCII)
 _EXPONENT = re.compile(r"([+-]?\d{0,15}(?:\.\d{0,40})?)[eE]([+-]?\d{1,2})\Z", re.ASCII)
 
 
 def parse_decimal_ns(text: str, unit_ns: int = NS_PER_S) -> int:
-    """Turn a decimal number of seconds (or of `unit_ns`) into nanoseconds, rounded half up.
+    """Return a decimal number of seconds (or of `unit_ns`) in nanoseconds, rounded half up.
 
-    Raises: ValueError when it is no decimal number or out of the 64-bit range.
-    Checked by: tests/unit/sil/logs/test_times.py.
+    Raises ValueError if it is no decimal number or out of the 64-bit range.
     """
     match = _DECIMAL.match(text)
     shift = 0
@@ -47,10 +55,9 @@ def parse_decimal_ns(text: str, unit_ns: int = NS_PER_S) -> int:
 
 
 def format_ns(time_ns: int, decimals: int | None = None) -> str:
-    """Write nanoseconds as seconds: 6 decimals when that is exact, else 9 (or as told).
+    """Write nanoseconds as seconds: 6 decimals when that is exact, else 9 (or `decimals`).
 
     With fewer decimals than needed the time is rounded half up.
-    Checked by: tests/unit/sil/logs/test_times.py.
     """
     if decimals is None:
         decimals = 9 if time_ns % 1000 else 6
@@ -62,24 +69,61 @@ def format_ns(time_ns: int, decimals: int | None = None) -> str:
 
 
 def enough_decimals(frames: Iterable[tuple[int, *tuple[object, ...]]]) -> int:
-    """6 when all the frames' times are whole microseconds, else 9."""
+    """Return 6 if all the frames' times are whole microseconds, else 9."""
     return 9 if any(frame[0] % 1000 for frame in frames) else 6
 
 
 def utc_ns(
     year: int, month: int, day: int, hour: int = 0, minute: int = 0, second: int = 0, ns: int = 0
 ) -> int:
-    """Nanoseconds since 1970 of a calendar time; logs name no zone, so it is taken as UTC.
+    """Return the nanoseconds since 1970 of a calendar time; logs name no zone, so it is UTC.
 
-    Raises: ValueError for a date that does not exist.
+    Raises ValueError for a date that does not exist.
     """
     moment = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
     return calendar.timegm(moment.timetuple()) * NS_PER_S + ns
 
 
 def utc_calendar(time_ns: int) -> datetime:
-    """The UTC calendar time of whole seconds since 1970 (fraction dropped).
+    """Return the UTC calendar time of nanoseconds since 1970, the fraction of a second dropped.
 
-    Raises: ValueError or OverflowError outside years 1 to 9999.
+    Raises ValueError or OverflowError outside of the years 1 to 9999.
     """
     return datetime.fromtimestamp(time_ns // NS_PER_S, UTC)
+
+
+def parse_date(text: str) -> int | None:
+    """Return the nanoseconds since 1970 of `Sat Sep 30 10:06:13.191 PM 2017` and the like, or None.
+
+    Weekday in any language, month in English or German, 12 or 24 hours; the zone is not written
+    and taken as UTC.
+    """
+    found = _TEXT.match(text.strip())
+    if found is None:
+        return None
+    name = found[1].lower()
+    month = _MONTHS.index(name) + 1 if name in _MONTHS else _FOREIGN_MONTHS.get(name, 0)
+    hour = int(found[3])
+    half = (found[7] or "").lower()
+    if half:
+        if not 1 <= hour <= 12:
+            return None
+        hour = hour % 12 + (12 if half == "pm" else 0)
+    nanoseconds = int((found[6] or "0").ljust(9, "0"))
+    try:
+        return utc_ns(
+            int(found[8]), month, int(found[2]), hour, int(found[4]), int(found[5]), nanoseconds
+        )
+    except (ValueError, OverflowError):
+        return None
+
+
+def write_date(time_ns: int) -> str:
+    """Return a date for a header, English, UTC, with milliseconds; the same on every locale."""
+    moment = utc_calendar(time_ns)
+    milliseconds = time_ns // NS_PER_MS % 1000
+    month = _MONTHS[moment.month - 1].capitalize()
+    return (
+        f"{_DAYS[moment.weekday()]} {month} {moment.day:02d} {moment:%H:%M:%S}.{milliseconds:03d} "
+        f"{moment.year:04d}"
+    )

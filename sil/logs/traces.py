@@ -10,11 +10,10 @@ from typing import Any, Final
 
 from can_dbc.errors import InputError
 from can_dbc.messages import Fault, ShiftState
-from sil.logs.backend import open_beside
-from sil.logs.byte_source import ByteSource
 from sil.logs.mf4 import SignalTable, import_asammdf, new_measurement
 from sil.logs.report import LogReport
-from sil.logs.text_lines import lines
+from sil.logs.source import ByteSource, lines
+from sil.logs.writer import open_beside
 
 _ROWS: Final = 1 << 14
 _UNITS: Final = (

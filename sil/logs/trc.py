@@ -1,7 +1,5 @@
-"""PEAK TRC logs, versions 1.0 to 2.1 read, 2.1 written.
+"""PEAK TRC logs: versions 1.0 to 2.1 are read, 2.1 is written.
 
-python-can's reader knows no version 1.2, drops error frames, and carries times as floats; its
-writer drops error, remote and FD frames. So ours stand in front.
 Source: PEAK CAN TRC file format, as the files of PCAN-View and PEAK-Converter show it.
 """
 
@@ -12,26 +10,16 @@ from collections.abc import Iterator
 from typing import Final
 
 from can_dbc.errors import InputError
-from sil.logs.backend import Batch, LogWriter, ReadOptions
-from sil.logs.byte_source import ByteSource
-from sil.logs.frame import (
-    DLC_LENGTHS,
-    MAX_TIME_NS,
-    MOST_KNOWN_IDS,
-    LogFrame,
-    frame_problem,
-    ordinary_frame,
-)
-from sil.logs.relative_text import LineReader, NoFrame
+from sil.logs.format import Batch, Format, NotAFrame, TextReader, time_base
+from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame, frame_problem
 from sil.logs.report import LogReport
-from sil.logs.text_lines import Chunk, Line, chunks, line_at
-from sil.logs.times import (
-    NS_PER_MS,
-    RELATIVE_BELOW_NS,
-    parse_decimal_ns,
-    utc_ns,
-)
-from sil.logs.trc_writer import DAY_NS, EPOCH_DAYS, TrcWriter
+from sil.logs.source import ByteSource, Chunk, Line
+from sil.logs.times import NS_PER_MS, NS_PER_S, parse_decimal_ns, utc_calendar, utc_ns
+from sil.logs.writer import RelativeWriter
+
+_DAY_NS: Final = 86_400 * NS_PER_S
+_EPOCH_DAYS: Final = 25_569
+"""Days from 1899-12-30, where PEAK's times begin, to 1970-01-01."""
 
 _VERSION_1: Final = re.compile(
     r"(\d+)\)\s+(\d+(?:\.\d+)?)\s+(?:(?:(\d{1,2})\s+)?(Rx|Tx|Warng|Error)\s+)?"
@@ -53,7 +41,6 @@ _PLAIN: Final = {
 }
 """Common lines: time, bus, identifier, direction, length, data; of any other line, all of it."""
 
-_SCALE: Final = tuple(10 ** (6 - decimals) for decimals in range(7))
 _START_TEXT: Final = re.compile(
     r";\s*Start time:\s*(\d\d)\.(\d\d)\.(\d{4}) (\d\d):(\d\d):(\d\d)\.(\d{3})"
 )
@@ -70,65 +57,24 @@ _HEX_BYTE: Final = re.compile(r"[0-9A-F]{2}\Z", re.IGNORECASE)
 _IDENTIFIER: Final = re.compile(r"[0-9A-F]{1,8}\Z", re.IGNORECASE)
 
 
-class TrcReader(LineReader):
+class TrcReader(TextReader):
     """State of one reading: version, columns, and the instant the offsets count from."""
 
     def __init__(self, report: LogReport) -> None:
         super().__init__(report)
         self._version = ""
         self._columns: list[str] = []
-        self._ids: dict[str, int] = {}
+        report.time_base = "relative"
         self._origin_ns: int | None = None
 
-    def read(self, source: ByteSource) -> Iterator[Batch]:
-        """Frames chunk by chunk."""
-        for chunk in chunks(source):
-            plain = None if chunk.unterminated or ";$" in chunk.text else self._pattern()
-            batch = self._mixed(chunk) if plain is None else self._plain(chunk, plain)
-            if batch.frames:
-                yield batch
-
-    def _pattern(self) -> re.Pattern[str] | None:
-        """What a common line of this log is like, None where there is no pattern for it."""
+    def _quick(self, chunk: Chunk) -> Batch | None:
         if self._version == "2.1" and ",".join(self._columns) != _DEFAULT_COLUMNS["2.1"]:
             return None
-        if self._origin_ns is None or self._origin_ns > MAX_TIME_NS // 2:
+        origin_ns = self._origin_ns
+        if origin_ns is None or origin_ns > MAX_TIME_NS // 2 or ";$" in chunk.text:
             return None
-        return _PLAIN.get(self._version)
-
-    def _plain(self, chunk: Chunk, pattern: re.Pattern[str]) -> Batch:
-        """The frames of a chunk in which most lines are classic data frames."""
-        frames: list[LogFrame] = []
-        places: list[int] = []
-        ids = self._ids
-        origin_ns = self._origin_ns or 0
-        found = pattern.findall(chunk.text[:-1])
-        for index, words in enumerate(found):
-            whole, fraction, channel, digits, way, code, data, other = words
-            can_id = ids.get(digits, -1)
-            frame: LogFrame | None
-            payload = bytes.fromhex(data)
-            if can_id < 0 or len(payload) != int(code):
-                if not whole and not other:
-                    continue
-                frame = self._guarded(line_at(chunk, index))
-                if frame is None:
-                    continue
-                if whole and len(ids) < MOST_KNOWN_IDS:
-                    ids[digits] = frame.can_id
-            else:
-                offset_ns = int(whole) * NS_PER_MS + int(fraction) * _SCALE[len(fraction)]
-                frame = ordinary_frame(
-                    origin_ns + offset_ns,
-                    can_id,
-                    payload,
-                    len(digits) > 4,
-                    channel,
-                    way,
-                )
-            frames.append(frame)
-            places.append(chunk.line + index)
-        return Batch(frames, places)
+        pattern = _PLAIN.get(self._version)
+        return pattern and self._by_pattern(chunk, pattern, origin_ns, NS_PER_MS)
 
     def _line(self, line: Line) -> LogFrame | None:
         text = line.text.strip()
@@ -160,11 +106,10 @@ class TrcReader(LineReader):
                 )
             self._columns = _DEFAULT_COLUMNS.get(self._version, "").split(",")
         elif name == ";$STARTTIME":
-            days_ns = parse_decimal_ns(value.strip(), DAY_NS)
-            self._origin_ns = days_ns - EPOCH_DAYS * DAY_NS
-            absolute = self._origin_ns >= RELATIVE_BELOW_NS
-            report.time_base = "absolute" if absolute else "relative"
-            report.start_ns = self._origin_ns if absolute else None
+            days_ns = parse_decimal_ns(value.strip(), _DAY_NS)
+            self._origin_ns = days_ns - _EPOCH_DAYS * _DAY_NS
+            report.time_base = time_base(self._origin_ns)
+            report.start_ns = self._origin_ns if report.time_base == "absolute" else None
         elif name == ";$COLUMNS":
             columns = [column.strip() for column in value.split(",")]
             needed = {"O", "T", "I", "D"} <= set(columns) and {"l", "L"} & set(columns)
@@ -193,7 +138,7 @@ class TrcReader(LineReader):
         length = int(length_text)
         words = (rest or "").split()
         if kind == "Warng" or (kind is None and digits == "FFFFFFFF"):
-            raise NoFrame("status line")
+            raise NotAFrame("status line")
         can_id = int(digits, 16)
         channel = str(int(bus)) if bus else ""
         direction = kind if kind in ("Rx", "Tx") else ""
@@ -232,7 +177,7 @@ class TrcReader(LineReader):
             raise ValueError(f"{text[:40]!r} is no TRC line")
         kind = words[type_at]
         if kind in _OTHER_TYPES:
-            raise NoFrame(_OTHER_TYPES[kind])
+            raise NotAFrame(_OTHER_TYPES[kind])
         if kind not in _FD_TYPES and kind not in ("DT", "RR", "ER"):
             raise ValueError(f"{kind[:10]!r} is no type of a message")
         identifier_at = columns.index("I")
@@ -310,27 +255,72 @@ def _bytes(words: list[str], length: int) -> bytes:
     return bytes(int(word, 16) for word in told)
 
 
-class Trc:
-    """The TRC format."""
+class TrcWriter(RelativeWriter):
+    """Writes version 2.1, times in milliseconds with three decimals as PEAK's own tools."""
 
-    name = "trc"
-    suffixes: tuple[str, ...] = (".trc",)
-    place_word = "line"
+    format = "trc"
 
-    def sniff(self, head: bytes) -> bool:
-        """Whether there is a TRC header, or a first line as version 1 has them."""
-        text = head.decode("latin-1")
-        if ";$FILEVERSION=" in text:
-            return True
-        lines = [line for line in text.split("\n") if line.strip() and line[0] != ";"]
-        return bool(lines) and bool(_VERSION_1_LOOK.match(lines[0]))
+    def __init__(self, path: str) -> None:
+        super().__init__(path)
+        self._number = 0
 
-    def batches(
-        self, source: ByteSource, report: LogReport, options: ReadOptions
-    ) -> Iterator[Batch]:
-        """The frames of a TRC log."""
-        return TrcReader(report).read(source)
+    def _header(self, frames: list[LogFrame]) -> str:
+        days, part_ns = divmod(self._origin_ns, _DAY_NS)
+        fraction = (part_ns * 10**15 + _DAY_NS // 2) // _DAY_NS
+        moment = utc_calendar(self._origin_ns)
+        milliseconds = self._origin_ns // NS_PER_MS % 1000
+        return (
+            ";$FILEVERSION=2.1\n"
+            f";$STARTTIME={days + _EPOCH_DAYS}.{fraction:015d}\n"
+            ";$COLUMNS=N,O,T,B,I,d,R,L,D\n"
+            ";\n"
+            f";   Start time: {moment:%d.%m.%Y %H:%M:%S}.{milliseconds:03d}.000\n"
+            ";---------------------------------------------------------------------\n"
+            ";   Message   Time    Type    ID     Rx/Tx\n"
+            ";   Number    Offset  |  Bus  [hex]  |  Reserved\n"
+            ";   |         [ms]    |  |    |      |  |  Data Length Code\n"
+            ";   |         |       |  |    |      |  |  |    Data [hex] ...\n"
+            ";---+-- ------+------ +- +- --+----- +- +- +--- +- -- -- -- -- -- -- --\n"
+        )
 
-    def writer(self, path: str) -> LogWriter:
-        """A writer of a new TRC log."""
-        return TrcWriter(path)
+    def _text(self, frame: LogFrame, time_ns: int) -> str:
+        if time_ns % 1000:
+            self.losses["times rounded to the microsecond"] += 1
+        whole, fraction = divmod((time_ns + 500) // 1000, 1000)
+        self._number += 1
+        bus = self.channel_number(frame.channel)
+        if not frame.direction:
+            self.losses["direction not recorded, written as Rx"] += 1
+        identifier = f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:04X}"
+        kind = "RR" if frame.remote else "DT"
+        if frame.fd and not frame.remote:
+            kind = (("FD", "BI"), ("FB", "FE"))[frame.brs][frame.esi]
+        elif frame.fd:
+            self.losses["CAN FD flag of a remote frame"] += 1
+        if frame.error:
+            kind, identifier = "ER", "-"
+            if frame.can_id or frame.extended or frame.fd or frame.remote:
+                self.losses["error frame class and flags"] += 1
+            if len(frame.data) > 8:
+                self.losses["bytes of an error frame after the eighth"] += 1
+                frame = frame._replace(data=frame.data[:8])
+        return (
+            f"{self._number:>7} {whole:>9}.{fraction:03d} {kind} {bus:<2} {identifier:>8} "
+            f"{frame.direction or 'Rx'} -  {frame.dlc:<2}   {frame.data.hex(' ').upper()}\n"
+        )
+
+
+def _recognise(head: bytes) -> bool:
+    """Return whether there is a TRC header, or a first line as version 1 has them."""
+    text = head.decode("latin-1")
+    if ";$FILEVERSION=" in text:
+        return True
+    lines = [line for line in text.split("\n") if line.strip() and line[0] != ";"]
+    return bool(lines) and bool(_VERSION_1_LOOK.match(lines[0]))
+
+
+def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
+    return TrcReader(report).read(source)
+
+
+FORMAT: Final = Format("trc", (".trc",), _recognise, _read, TrcWriter)

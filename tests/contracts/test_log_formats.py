@@ -274,7 +274,7 @@ def test_the_clock_may_step_back(fmt: Format, tmp_path: Path) -> None:
     found = list(reader)
     assert [(f.time_ns, f.data) for f in found] == [(f.time_ns, f.data) for f in frames]
     assert reader.report.backwards == 1
-    assert "steps back" in reader.report.backwards_places[0]
+    assert "steps back" in reader.report.backwards_locations[0]
     with pytest.raises(InputError, match="steps back"):
         list(open_log(path, strict=True))
 

@@ -14,7 +14,7 @@ from can_dbc.errors import InputError
 from sil.j1939.shifts import summarize
 from sil.logs import LogFrame, open_log, open_writer
 from sil.logs.frame import DLC_LENGTHS, frame_problem
-from tests.unit.sil.logs.unsorted_mf4 import logger_file
+from tests.unit.sil.logs.mf4_builder import logger_file
 
 FIXTURES = Path(__file__).resolve().parent.parent / "data" / "logs"
 LONGEST_S = 2.0

@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
-from sil.logs import LogFrame, open_log, open_writer
-from sil.logs import blf_objects as blf
-from sil.logs.blf_objects import Broken, Other, Unfinished, objects
+from sil.logs import LogFrame, blf, open_log, open_writer
+from sil.logs.blf import Broken, Other, Unfinished, objects
 
 START_NS = 1_700_000_000_123 * 10**6
 
@@ -162,7 +161,7 @@ def test_a_damaged_container_is_left_out_whole(tmp_path: Path) -> None:
     numbers = [frame.can_id - 0x100 for frame in frames]
     assert numbers == [*range(10), *range(20, 30)]
     assert report.skipped == 1
-    assert report.skipped_places[0].byte == 144 + len(parts[0])
+    assert report.skipped_locations[0].byte == 144 + len(parts[0])
     with pytest.raises(InputError, match=r"byte \d+: damaged container"):
         read(file_of(parts[0], bytes(damaged), parts[2]), tmp_path, strict=True)
 
@@ -179,7 +178,7 @@ def test_rubbish_inside_a_container(tmp_path: Path) -> None:
     frames, report = read(file_of(container(content)), tmp_path)
     assert [frame.can_id for frame in frames] == [0x100, 0x101, 0x102]
     assert report.skipped == 2
-    assert "33 bytes left out" in str(report.skipped_places[0])
+    assert "33 bytes left out" in str(report.skipped_locations[0])
 
 
 def test_a_cut_log_gives_what_there_is(tmp_path: Path) -> None:

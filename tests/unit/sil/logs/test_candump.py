@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_log, open_writer
-from sil.logs.candump import CandumpWriter, look_like_deltas
-from sil.logs.candump_line import NotAFrame, parse_line
-from sil.logs.candump_plain import PlainChunks
+from sil.logs.candump import CandumpWriter, PlainChunks, look_like_deltas, parse_line
+from sil.logs.format import NotAFrame
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
 START_S = 1_436_509_052

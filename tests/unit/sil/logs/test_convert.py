@@ -45,7 +45,7 @@ def test_a_log_is_never_converted_onto_itself(tmp_path: Path) -> None:
 
 
 def test_unknown_targets_and_missing_sources(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="tells no log format"):
+    with pytest.raises(InputError, match="is of no log format"):
         convert(DATA / "candump_log.log", tmp_path / "log.xyz")
     with pytest.raises(InputError, match="No such file"):
         convert(tmp_path / "missing.log", tmp_path / "log.asc")

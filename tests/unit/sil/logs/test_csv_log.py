@@ -79,7 +79,7 @@ def test_broken_rows(row: str, tmp_path: Path) -> None:
     path.write_text(f"{OUR_HEADER}\n0.0,can0,Rx,123,0,0,0,0,0,0,1,01\n{row}\n")
     reader = open_log(path)
     assert len(list(reader)) == 1
-    assert reader.report.skipped_places[0].line == 3
+    assert reader.report.skipped_locations[0].line == 3
 
 
 def test_signals_are_named() -> None:

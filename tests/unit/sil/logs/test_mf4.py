@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_log, open_writer
 from sil.logs.mf4 import holds_signals_only
-from tests.unit.sil.logs.unsorted_mf4 import (
+from tests.unit.sil.logs.mf4_builder import (
     DATA_FRAME,
     TIME,
     Field,
@@ -268,7 +268,7 @@ def test_no_time_is_skipped(tmp_path: Path) -> None:
     struct.pack_into("<d", blob, at, float("nan"))
     frames, report = read(bytes(blob), tmp_path)
     assert frames == expected(EVENTS)[1:]
-    assert "a time that is no number" in str(report.skipped_places[0])
+    assert "a time that is no number" in str(report.skipped_locations[0])
 
 
 def test_links_in_a_circle_end_the_search(tmp_path: Path) -> None:
@@ -349,5 +349,5 @@ def test_a_group_that_cannot_be_read_leaves_the_others(tmp_path: Path) -> None:
     build.link(first, 0, build.data_group(good, data, 0))
     frames, report = read(bytes(build.blob), tmp_path)
     assert frames == expected([(5, 0x123, b"\x11")])
-    assert "without an ID" in str(report.skipped_places[0])
+    assert "without an ID" in str(report.skipped_locations[0])
     assert any("local time" in note for note in report.notes)

@@ -25,14 +25,17 @@ def test_everything_wrong_is_counted_and_located() -> None:
         (11_300, 0x125),
     ]
     assert report.skipped == 6
-    assert [(place.line, place.byte) for place in report.skipped_places[:2]] == [(3, 48), (4, 56)]
+    assert [(place.line, place.byte) for place in report.skipped_locations[:2]] == [
+        (3, 48),
+        (4, 56),
+    ]
     text = (DATA / "torn.log").read_bytes()
     assert text[48:].startswith(b"garbage\n")
     assert text[56:].startswith(b"(10.100000) can0 123#1\n")
     assert report.duplicates == 1
-    assert report.duplicate_places == ["line 2: the frame 123 at 10.000000 s is there twice"]
+    assert report.duplicate_locations == ["line 2: the frame 123 at 10.000000 s is there twice"]
     assert report.backwards == 1
-    assert report.backwards_places[0].startswith("line 5: the clock steps back from 10.000000 s")
+    assert report.backwards_locations[0].startswith("line 5: the clock steps back from 10.000000 s")
     assert report.truncated
     assert report.other == {"CAN XL frame": 1, "frame dropped by the recorder": 7}
     assert (report.first_ns, report.last_ns) == (10 * 10**9, 11_300_000_000)
@@ -80,7 +83,7 @@ def test_places_kept_are_few_and_counts_are_all(tmp_path: Path) -> None:
     reader = open_log(path)
     list(reader)
     assert reader.report.skipped == 5000
-    assert len(reader.report.skipped_places) == 10
+    assert len(reader.report.skipped_locations) == 10
     assert "  and 4990 more" in reader.report.lines()
 
 
@@ -103,7 +106,7 @@ def test_duplicates_are_found_among_frames_of_one_instant(tmp_path: Path) -> Non
     reader = open_log(path)
     assert len(list(reader)) == 5
     assert reader.report.duplicates == 1
-    assert "line 4" in reader.report.duplicate_places[0]
+    assert "line 4" in reader.report.duplicate_locations[0]
 
 
 def test_times_across_batches_are_watched(tmp_path: Path) -> None:
@@ -114,15 +117,15 @@ def test_times_across_batches_are_watched(tmp_path: Path) -> None:
     path.write_text("\n".join([*lines, ""]))
     reader = open_log(path)
     assert len(list(reader)) == count
-    assert reader.report.backwards_places == [
+    assert reader.report.backwards_locations == [
         "line 3001: the clock steps back from 2999.000000 s to 2998.500000 s"
     ]
 
 
 def test_unknown_formats_and_names(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="'pcap' is unknown; expected one of candump"):
+    with pytest.raises(InputError, match="'pcap' is unknown; expected one of blf"):
         open_log(DATA / "candump_log.log", format="pcap")
-    with pytest.raises(InputError, match="tells no log format"):
+    with pytest.raises(InputError, match="is of no log format"):
         open_writer(tmp_path / "log.xyz")
     with pytest.raises(InputError, match="times 'later'"):
         open_log(DATA / "candump_log.log", times="later")

@@ -8,8 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sil.logs.calendar_text import parse_date, write_date
-from sil.logs.times import enough_decimals, format_ns, parse_decimal_ns, utc_calendar, utc_ns
+from sil.logs.times import (
+    enough_decimals,
+    format_ns,
+    parse_date,
+    parse_decimal_ns,
+    utc_calendar,
+    utc_ns,
+    write_date,
+)
 
 
 @settings(deadline=None)

@@ -13,7 +13,7 @@ from plant.trace import TRACE_COLUMNS
 from sil.logs import convert
 from sil.logs.traces import comment_of, is_trace_csv, unit_of
 from sil.recording.trace_csv import FIRST, FROM_STATUS
-from tests.unit.sil.logs.unsorted_mf4 import Field, Mf4Builder, signal_file
+from tests.unit.sil.logs.mf4_builder import Field, Mf4Builder, signal_file
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
 

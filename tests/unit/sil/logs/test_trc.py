@@ -125,7 +125,7 @@ def test_broken_lines(line: str, tmp_path: Path) -> None:
     path.write_text(f";$FILEVERSION=2.1\n;$STARTTIME=44548.5\n{sound}\n{line}\n")
     reader = open_log(path)
     assert len(list(reader)) == 1
-    assert reader.report.skipped_places[0].line == 4
+    assert reader.report.skipped_locations[0].line == 4
 
 
 common = st.tuples(

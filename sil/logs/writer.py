@@ -1,4 +1,4 @@
-"""What a log format has to offer; one file per format implements it."""
+"""Writing a log: under another name until it is whole."""
 
 from __future__ import annotations
 
@@ -8,51 +8,14 @@ import os
 import shutil
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterator, Sequence
 from types import TracebackType
-from typing import BinaryIO, Final, NamedTuple, Protocol, Self
+from typing import BinaryIO, Final, Self
 
 from can_dbc.errors import InputError
-from sil.logs.byte_source import ByteSource
 from sil.logs.frame import LogFrame, all_ordinary, require_possible
-from sil.logs.report import LogReport
+from sil.logs.times import NS_PER_MS, RELATIVE_BELOW_NS, format_ns
 
 WRITE_BATCH: Final = 2048
-
-
-class Batch(NamedTuple):
-    """Frames in the log's order and the line (text) or byte (binary) at which each begins."""
-
-    frames: list[LogFrame]
-    places: Sequence[int]
-
-
-class ReadOptions(NamedTuple):
-    """times: "auto", or "delta" / "recorded" where a candump log's kind is known better."""
-
-    times: str = "auto"
-
-
-class Backend(Protocol):
-    """A log format."""
-
-    name: str
-    suffixes: tuple[str, ...]
-    place_word: str
-
-    def sniff(self, head: bytes) -> bool:
-        """Whether a file that begins so is of this format."""
-        ...
-
-    def batches(
-        self, source: ByteSource, report: LogReport, options: ReadOptions
-    ) -> Iterator[Batch]:
-        """The frames of a log; broken places go to the report."""
-        ...
-
-    def writer(self, path: str) -> LogWriter:
-        """A writer for a new log."""
-        ...
 
 
 class LogWriter(ABC):
@@ -82,8 +45,6 @@ class LogWriter(ABC):
         self._closed = False
         self._channels_seen: set[str] = set()
         self._ordinary = False
-        if os.path.isdir(path):
-            raise InputError(f"{path}: is a folder; expected the name of a log file")
         self._file, self._partial = open_beside(path)
         self._out: BinaryIO = self._file
         if path.endswith(".gz") and not self.patched:
@@ -227,6 +188,9 @@ def open_beside(path: str) -> tuple[BinaryIO, str]:
     Returns: the file and its name for now.
     Raises: InputError when it cannot be made.
     """
+    if os.path.exists(path) and not os.path.isfile(path):
+        kind = "a folder" if os.path.isdir(path) else "a pipe or device"
+        raise InputError(f"{path}: is {kind}; expected the name of a file")
     folder, name = os.path.split(os.path.abspath(path))
     for attempt in range(1000):
         partial = os.path.join(folder, f".{name}.{os.getpid()}.{attempt}.part")
@@ -239,3 +203,44 @@ def open_beside(path: str) -> tuple[BinaryIO, str]:
                 f"{path}: {error.strerror}; expected a place where a file can be written"
             ) from None
     raise InputError(f"{path}: a thousand unfinished files beside it; expected room for one more")
+
+
+class RelativeWriter(LogWriter):
+    """Writes lines of text; the first frames tell from which instant times count."""
+
+    def __init__(self, path: str) -> None:
+        super().__init__(path)
+        self._begun = False
+        self._origin_ns = 0
+
+    @abstractmethod
+    def _header(self, frames: list[LogFrame]) -> str:
+        """What stands before the first frames, which are given."""
+
+    @abstractmethod
+    def _text(self, frame: LogFrame, time_ns: int) -> str:
+        """The line of a frame; `time_ns` counts from the log's start."""
+
+    def _begin(self, frames: list[LogFrame]) -> None:
+        """Write the header, once."""
+        if self._begun:
+            return
+        self._begun = True
+        first_ns = min((frame.time_ns for frame in frames), default=0)
+        if first_ns >= RELATIVE_BELOW_NS:
+            self._origin_ns = first_ns // NS_PER_MS * NS_PER_MS
+        self._out.write(self._header(frames).encode("ascii"))
+
+    def _write_batch(self, frames: list[LogFrame]) -> None:
+        self._begin(frames)
+        first_ns = min(frame.time_ns for frame in frames)
+        if first_ns < self._origin_ns:
+            raise InputError(
+                f"{self.path}: a frame at {format_ns(first_ns)} s lies before the start of "
+                f"the log at {format_ns(self._origin_ns)} s; expected candump, csv or mf4 for it"
+            )
+        lines = [self._text(frame, frame.time_ns - self._origin_ns) for frame in frames]
+        self._out.write("".join(lines).encode("ascii"))
+
+    def _finish(self) -> None:
+        self._begin([])

@@ -1,0 +1,146 @@
+"""What a log format has to offer, and what the text formats share."""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final, NamedTuple
+
+from can_dbc.errors import InputError
+from sil.logs.frame import LogFrame, ordinary_frame
+from sil.logs.report import Location, LogReport
+from sil.logs.source import ByteSource, Chunk, Line, chunk_lines, chunks, line_at
+from sil.logs.times import RELATIVE_BELOW_NS
+from sil.logs.writer import LogWriter
+
+_MOST_KNOWN_IDS: Final = 100_000
+
+
+class Batch(NamedTuple):
+    """Frames in the log's order and where each begins: line, byte or number of the frame."""
+
+    frames: list[LogFrame]
+    locations: Sequence[int]
+
+
+class Format(NamedTuple):
+    """A log format; the registry lists one for each.
+
+    suffixes: of file names, the usual one first.
+    recognise: whether a file that begins with these bytes is of this format.
+    read: the frames of a source; what is broken goes to the report. `times` is "auto", or "delta"
+    or "recorded" to say what the times of a candump log are.
+    writer: open a writer for a new log.
+    location: what the numbers in a batch count: "line", "byte" or "frame".
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    recognise: Callable[[bytes], bool]
+    read: Callable[[ByteSource, LogReport, str], Iterator[Batch]]
+    writer: Callable[[str], LogWriter]
+    location: str = "line"
+
+
+class NotAFrame(Exception):
+    """A line that belongs in a log and is no frame.
+
+    name: what it is, "" for what need not be counted; count: how many of these it stands for.
+    """
+
+    def __init__(self, name: str, count: int = 1) -> None:
+        super().__init__(name)
+        self.name = name
+        self.count = count
+
+
+class TextReader(ABC):
+    """Reads a log of lines; a format says how a line becomes a frame."""
+
+    def __init__(self, report: LogReport) -> None:
+        self._report = report
+        self._ids: dict[str, tuple[int, bool]] = {}
+
+    def read(self, source: ByteSource) -> Iterator[Batch]:
+        """Yield the frames chunk by chunk."""
+        for chunk in chunks(source):
+            batch = None if chunk.unterminated else self._quick(chunk)
+            batch = batch or self._each_line(chunk)
+            if batch.frames:
+                yield batch
+
+    def _quick(self, chunk: Chunk) -> Batch | None:
+        """Return the frames of a chunk by a quick way, None if there is none for it."""
+        return None
+
+    @abstractmethod
+    def _line(self, line: Line) -> LogFrame | None:
+        """Return the frame of a line, None for one that counts for nothing.
+
+        Raises NotAFrame for what is known and no frame, ValueError for a broken line, InputError
+        where nothing after it can be read.
+        """
+
+    def _each_line(self, chunk: Chunk) -> Batch:
+        frames: list[LogFrame] = []
+        locations: list[int] = []
+        for line in chunk_lines(chunk):
+            frame = self._guarded(line)
+            if frame is not None:
+                frames.append(frame)
+                locations.append(line.number)
+        return Batch(frames, locations)
+
+    def _guarded(self, line: Line) -> LogFrame | None:
+        """Return the frame of a line; other lines and broken ones go to the report."""
+        try:
+            return self._line(line)
+        except InputError:
+            raise
+        except NotAFrame as known:
+            if known.name:
+                self._report.other[known.name] += known.count
+        except ValueError as error:
+            location = Location(str(error), line.number, line.byte)
+            if line.unterminated:
+                self._report.cut(location)
+            else:
+                self._report.skip(location)
+        return None
+
+    def _by_pattern(
+        self, chunk: Chunk, pattern: re.Pattern[str], origin_ns: int, unit_ns: int
+    ) -> Batch:
+        """Return the frames of a chunk in which most lines are classic data frames.
+
+        The groups of the pattern are the time before and after the point, channel, identifier,
+        direction, length, data, and any other line as a whole.
+        """
+        frames: list[LogFrame] = []
+        locations: list[int] = []
+        ids = self._ids
+        scale = [unit_ns // 10**decimals for decimals in range(10)]
+        for index, words in enumerate(pattern.findall(chunk.text[:-1])):
+            whole, fraction, channel, digits, way, code, data, other = words
+            known = ids.get(digits)
+            payload = bytes.fromhex(data)
+            if known is None or len(payload) != int(code):
+                if not whole and not other:
+                    continue
+                frame = self._guarded(line_at(chunk, index))
+                if frame is None:
+                    continue
+                if whole and len(ids) < _MOST_KNOWN_IDS:
+                    ids[digits] = frame.can_id, frame.extended
+            else:
+                time_ns = origin_ns + int(whole + fraction) * scale[len(fraction)]
+                frame = ordinary_frame(time_ns, known[0], payload, known[1], channel, way)
+            frames.append(frame)
+            locations.append(chunk.line + index)
+        return Batch(frames, locations)
+
+
+def time_base(time_ns: int) -> str:
+    """Return the kind of times of a log by one of them: since 1970, or since its own start."""
+    return "absolute" if time_ns >= RELATIVE_BELOW_NS else "relative"

@@ -1,0 +1,187 @@
+"""The bytes and lines of a log file, unpacked if gzipped, in bounded memory."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import zlib
+from collections.abc import Callable, Iterator
+from typing import BinaryIO, Final, NamedTuple, Protocol
+
+from can_dbc.errors import InputError
+from sil.logs.report import Location, LogReport
+
+HEAD_BYTES: Final = 1 << 14
+CHUNK_BYTES: Final = 1 << 15
+LONGEST_LINE: Final = 1 << 16
+"""A longer line is no line of a log; its excess is dropped so that memory stays bounded."""
+
+_LARGEST_RATIO: Final = 100
+"""Logs, whose times never repeat, pack to a tenth; a file beyond this is no log ..."""
+_HARMLESS_BYTES: Final = 1 << 20
+"""... unless it is this small."""
+_NOT_LOGS: Final = {
+    b"PK\x03\x04": "a zip archive",
+    b"BZh": "a bzip2 archive",
+    b"\xfd7zXZ\x00": "an xz archive",
+    b"\x28\xb5\x2f\xfd": "a zstd archive",
+    b"\xff\xfe": "UTF-16 text",
+    b"\n\r\r\n": "a pcapng capture",
+    b"\xd4\xc3\xb2\xa1": "a pcap capture",
+}
+
+
+class ByteSource:
+    """The bytes of a file, unpacked; `head` holds the first of them, `packed` if it is gzipped."""
+
+    def __init__(self, path: str, report: LogReport) -> None:
+        """Open a file; a gzip file that is cut off or damaged goes to the report.
+
+        Raises InputError if the file cannot be opened or is known to be no log.
+        """
+        self.path = path
+        self._report = report
+        self._unpacked = 0
+        try:
+            if os.path.exists(path) and not os.path.isfile(path):
+                kind = "a folder" if os.path.isdir(path) else "a pipe or device"
+                raise InputError(f"{path}: is {kind}; expected a log file")
+            self.file: BinaryIO = open(path, "rb")  # noqa: SIM115 closed by close()
+        except OSError as error:
+            raise InputError(f"{path}: {error.strerror}; expected a readable log file") from None
+        try:
+            self._held = self.file.read(2)
+            self.file.seek(0)
+            self.packed = self._held == b"\x1f\x8b"
+            # read1 gives what is unpacked so far before it fails on what is damaged.
+            packed = gzip.GzipFile(fileobj=self.file)
+            self._read: Callable[[int], bytes] = packed.read1 if self.packed else self.file.read
+            self._held = b""
+            self.head = self._held = self.read(HEAD_BYTES).removeprefix(b"\xef\xbb\xbf")
+            for mark, name in _NOT_LOGS.items():
+                if self.head.startswith(mark):
+                    raise InputError(f"{path}: is {name}; expected a log, plain or gzipped")
+        except BaseException:
+            self.file.close()
+            raise
+
+    def read(self, size: int, /) -> bytes:
+        """Return up to `size` bytes, b"" at the end. Raises InputError if reading fails."""
+        if self._held:
+            held, self._held = self._held[:size], self._held[size:]
+            return held
+        try:
+            block = self._read(size)
+        except EOFError:
+            self._report.cut(Location("the gzip file ends too early", byte=self.file.tell()))
+            return b""
+        except (zlib.error, gzip.BadGzipFile) as error:
+            self._report.skip(Location(f"damaged gzip block ({error})", byte=self.file.tell()))
+            return b""
+        except OSError as error:
+            raise InputError(
+                f"{self.path}: {error.strerror}; expected a readable log file"
+            ) from None
+        self._unpacked += len(block)
+        if self.packed and self._unpacked > max(_HARMLESS_BYTES, _LARGEST_RATIO * self.file.tell()):
+            raise InputError(
+                f"{self.path}: unpacks to over {_LARGEST_RATIO} times its size, as no log does; "
+                "expected a readable log file"
+            )
+        return block
+
+    def close(self) -> None:
+        """Close the file."""
+        self.file.close()
+
+
+class Readable(Protocol):
+    """Anything that gives bytes, in order."""
+
+    def read(self, size: int, /) -> bytes:
+        """Return up to `size` bytes, b"" at the end."""
+        ...
+
+
+class Chunk(NamedTuple):
+    """Whole lines of a log, some hundreds: what a processor's cache holds is read fastest.
+
+    text: the lines, each ended by a newline (Latin-1, so that every byte has a character).
+    line: number of the first one (1-based); byte: its offset.
+    unterminated: this is the very last line of the file, and it has no newline of its own.
+    """
+
+    text: str
+    line: int
+    byte: int
+    unterminated: bool
+
+
+class Line(NamedTuple):
+    """One line without its end, its number (1-based), byte offset, and whether it has no end."""
+
+    text: str
+    number: int
+    byte: int
+    unterminated: bool
+
+
+def chunks(stream: Readable) -> Iterator[Chunk]:
+    """Split a stream into chunks of whole lines; a carriage return alone ends no line."""
+    line = 1
+    offset = 0
+    rest = b""
+    while True:
+        block = stream.read(CHUNK_BYTES)
+        held = rest + block
+        end = held.rfind(b"\n") + 1
+        whole, rest = held[:end], held[end:]
+        if whole:
+            yield Chunk(whole.decode("latin-1"), line, offset, False)
+            line += whole.count(b"\n")
+            offset += len(whole)
+        if not block:
+            break
+        if len(rest) > LONGEST_LINE:
+            passed, after = _skip_to_newline(stream, len(rest))
+            yield Chunk(rest[:LONGEST_LINE].decode("latin-1") + "\n", line, offset, False)
+            line += 1
+            offset += passed
+            rest = after
+    if rest:
+        yield Chunk(rest.decode("latin-1") + "\n", line, offset, True)
+
+
+def _skip_to_newline(stream: Readable, passed: int) -> tuple[int, bytes]:
+    """Read on to the next newline; return the bytes passed, and those after it already read."""
+    while block := stream.read(CHUNK_BYTES):
+        end = block.find(b"\n")
+        if end >= 0:
+            return passed + end + 1, block[end + 1 :]
+        passed += len(block)
+    return passed, b""
+
+
+def chunk_lines(chunk: Chunk) -> Iterator[Line]:
+    """Yield the lines of a chunk."""
+    number, byte = chunk.line, chunk.byte
+    for text in chunk.text[:-1].split("\n"):
+        yield Line(text.removesuffix("\r"), number, byte, chunk.unterminated)
+        number += 1
+        byte += len(text) + 1
+
+
+def lines(stream: Readable) -> Iterator[Line]:
+    """Yield the lines of a stream."""
+    for chunk in chunks(stream):
+        yield from chunk_lines(chunk)
+
+
+def line_at(chunk: Chunk, index: int) -> Line:
+    """Return the line of a chunk at an index, counted from 0."""
+    begin = 0
+    for _ in range(index):
+        begin = chunk.text.index("\n", begin) + 1
+    end = chunk.text.index("\n", begin)
+    text = chunk.text[begin:end].removesuffix("\r")
+    return Line(text, chunk.line + index, chunk.byte + begin, chunk.unterminated)
