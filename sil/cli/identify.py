@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Identify, write the model file and a picture, print the values with their intervals."""
+    """Identify; write the model file and a picture; print the values; 1 if the model does not fit."""
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
     from sil.files.atomic import write_atomically
@@ -54,9 +54,11 @@ def run(arguments: argparse.Namespace) -> int:
             "estimates": [asdict(item) for item in found.estimates],
             "beside": [asdict(item) for item in found.beside],
             "notes": list(found.notes),
+            "fits": found.fits,
+            "over_noise": found.over_noise,
         }
         print(json.dumps(finite(table)))
-        return 0
+        return 0 if found.fits else 1
     for title, items in (("", found.estimates), ("the thesis's way:", found.beside)):
         if title and items:
             print(title)
@@ -68,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
                 if item.low is not None and item.high is not None:
                     shown += f"  ({item.low:.5g} to {item.high:.5g})"
             print(f"{item.path:24} {shown} {parameters[item.path].unit}")
-    for line in found.notes:
+    for line in (*found.notes, found.judgement):
         print(line)
     print(f"model file and picture in {folder}")
-    return 0
+    return 0 if found.fits else 1

@@ -28,7 +28,6 @@ from sil.diagnosis.checks import (
 )
 from sil.diagnosis.evidence import Cause, sentence
 from sil.diagnosis.extend import extended_model
-from sil.diagnosis.floor import misfit
 from sil.diagnosis.gain import Gain, gain_between
 from sil.diagnosis.intervals import intervals
 from sil.diagnosis.judge import Judged, judge
@@ -39,6 +38,7 @@ from sil.diagnosis.structure import Structure, structure_of
 from sil.diagnosis.terms import try_terms
 from sil.diagnosis.verdict import Verdict, acceptable, decide
 from sil.fitting.fit import FitResult, Fitter
+from sil.fitting.floor import misfit
 from sil.fitting.hypotheses import Candidate, candidates
 from sil.fitting.model import CampaignModel
 from sil.fitting.nuisance import Spread

@@ -28,6 +28,7 @@ from plant.parameters import read_toml
 from sil.campaign.campaign import ColumnMap, finite, parse_columns, read_record, real, text
 from sil.diagnosis.checks import longest_run
 from sil.diagnosis.verdict import SUREST, UNNAMED
+from sil.fitting.floor import EXPLAINED
 
 Floats = NDArray[np.float64]
 
@@ -39,8 +40,6 @@ LEAST_GAIN = 0.03
 """A cause must take this share of the held-out misfit away ..."""
 SURE = 3.0
 """... by this many standard errors over the held-out blocks."""
-EXPLAINED = 1.25
-"""Residual over noise up to which the noise explains it; the noise is an estimate itself."""
 LEAST_NOISE = 1e-6
 """A noise below this share of the driving force cannot be estimated from the record."""
 STUCK_SHARE = 0.05

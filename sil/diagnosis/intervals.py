@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from plant.integrator.hybrid import IntegrationError
-from sil.diagnosis.floor import Misfit
 from sil.diagnosis.workers import spread_out
 from sil.fitting.fit import FARTHEST_SD, FitResult, Fitter
+from sil.fitting.floor import Misfit
 from sil.fitting.hypotheses import Candidate, scaled_of, value_of
 
 RISE = 1.92

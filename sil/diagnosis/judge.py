@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.integrator.hybrid import IntegrationError
-from sil.diagnosis.floor import Misfit, misfit
 from sil.diagnosis.workers import spread_out
 from sil.fitting.fit import FitResult, Fitter
+from sil.fitting.floor import Misfit, misfit
 
 Floats = NDArray[np.float64]
 

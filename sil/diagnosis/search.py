@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.integrator.hybrid import IntegrationError
-from sil.diagnosis.floor import misfit, strained
 from sil.diagnosis.screening import Score, screen
 from sil.diagnosis.split import stratum
 from sil.diagnosis.workers import spread_out
 from sil.fitting.fit import FitResult, Fitter
+from sil.fitting.floor import misfit, strained
 from sil.fitting.hypotheses import Candidate, compatible, scaled_of
 from sil.fitting.model import Block, CampaignModel
 

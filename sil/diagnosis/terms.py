@@ -15,10 +15,10 @@ from plant.effects import Effect, EffectParameter
 from plant.effects.effect import Starts
 from plant.effects.setup import Setup
 from plant.effects.term import FORMS, TermForm, term
-from sil.diagnosis.floor import strained
 from sil.diagnosis.judge import Judged
 from sil.diagnosis.search import Found, Search, Task
 from sil.diagnosis.verdict import Verdict
+from sil.fitting.floor import strained
 from sil.fitting.hypotheses import Candidate, compatible
 
 ROUGHNESS = 0.5

@@ -109,8 +109,7 @@ def observe(
         runs = run_lengths(measured)
         sd = pot_sd * np.sqrt(np.maximum(1.0, runs / 4.0))
         channels.append(Channel("position_m", "position", 0, measured, sd, np.arange(len(rows))))
-    adc = value("gauge.range_air") / 2 ** value("gauge.adc_bits") / 12**0.5
-    air_sd = float(np.hypot(value("gauge.noise_sd_air"), adc))
+    air_sd = air_noise_pa(parameters)
     for k, name in enumerate(chambers):
         column = f"pressure_{name}_pa"
         if column in record and column not in dead:
@@ -140,6 +139,13 @@ def observe(
     return StrokeObservation(
         entry, setup, Predictor(sample_ns), time_s[rows], tuple(channels), internal
     )
+
+
+def air_noise_pa(parameters: ParameterSet) -> float:
+    """Return the standard deviation of an air gauge's noise, its converter's step included [Pa]."""
+    value = parameters.value
+    step = value("gauge.range_air") / 2 ** value("gauge.adc_bits")
+    return float(np.hypot(value("gauge.noise_sd_air"), step / 12**0.5))
 
 
 def thinned(time_s: Floats, conditions: StrokeConditions, setup: Setup) -> NDArray[np.int64]:

@@ -16,6 +16,7 @@ from plant.effects.setup import Setup
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign, CampaignStroke
 from sil.fitting.fit import Fitter
+from sil.fitting.floor import misfit
 from sil.fitting.hypotheses import Candidate
 from sil.fitting.nuisance import Spread
 from sil.fitting.observations import observe
@@ -25,10 +26,10 @@ from sil.identify.tangent_model import TangentModel
 
 @dataclass(frozen=True)
 class Fitted:
-    """Estimates of the parameters, and the standardised rms of what is left."""
+    """Estimates of the parameters, and the rms of the residual over its expected noise."""
 
     estimates: tuple[Estimate, ...]
-    rms: float
+    over_noise: float
 
 
 def fit_factors(
@@ -41,8 +42,8 @@ def fit_factors(
 ) -> Fitted:
     """Fit factors on packed parameters.
 
-    places: parameter path -> positions in the packed array that it stands at; known: healthy unit
-    tolerances that the parameters themselves express (kept at zero).
+    places: parameter path -> its indices in the packed array; known: healthy unit tolerances that
+    the parameters themselves express (frozen at zero).
     """
     from scipy.stats import t as student
 
@@ -68,7 +69,7 @@ def fit_factors(
     free = [k for k in range(len(layout.names)) if k not in frozen]
     covariance = np.linalg.pinv(found.normal[np.ix_(free, free)])
     reduced = max(1.0, found.chi2 / found.size)
-    # what strokes scatter by is known beforehand about as well as two of them would tell it
+    # the prior of the scatter counts about as much as two strokes
     quantile = float(student.ppf(0.975, len(strokes) + 1))
     estimates = []
     for k, path in enumerate(paths):
@@ -77,4 +78,4 @@ def fit_factors(
         centre = base * found.values[0][path]
         half = quantile * float(np.sqrt(covariance[place, place] * reduced)) * 0.1 * base
         estimates.append(Estimate(path, centre, centre - half, centre + half, source))
-    return Fitted(tuple(estimates), float(np.sqrt(found.chi2 / found.size)))
+    return Fitted(tuple(estimates), misfit(model, found).rms)

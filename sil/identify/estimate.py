@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plant.parameters import ParameterSet
+from sil.fitting.floor import EXPLAINED
 
 Floats = NDArray[np.float64]
 
@@ -46,17 +47,45 @@ class Panel:
 
 @dataclass(frozen=True)
 class Identified:
-    """The outcome of one identification."""
+    """The outcome of one identification.
+
+    over_noise: rms of the residual over the expected noise, 1 = explained; beside: estimates by the
+    thesis's method. Where the model does not fit, no interval is stated: it would hold only if the
+    model were right.
+    """
 
     what: str
     estimates: tuple[Estimate, ...]
     notes: tuple[str, ...]
     panels: tuple[Panel, ...]
-    beside: tuple[Estimate, ...] = field(default=())
+    over_noise: float
+    beside: tuple[Estimate, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.fits:
+            for name in ("estimates", "beside"):
+                withheld = tuple(replace(e, low=None, high=None) for e in getattr(self, name))
+                object.__setattr__(self, name, withheld)
+
+    @property
+    def fits(self) -> bool:
+        """Whether the expected noise explains the residual."""
+        return self.over_noise <= EXPLAINED
+
+    @property
+    def judgement(self) -> str:
+        """One sentence on the residual."""
+        size = f"residual {self.over_noise:.3g} times the expected noise"
+        if self.fits:
+            return f"the model fits: {size}"
+        return (
+            f"the model does not fit: {size} (at most {EXPLAINED:g} if noise explains it); the values "
+            "are its best fit, their intervals are withheld"
+        )
 
 
 def interval(samples: Sequence[float]) -> tuple[float, float, float]:
-    """Mean and 95 % interval of the mean (Student) of independent values."""
+    """Return mean and 95 % interval of the mean (Student) of independent values."""
     from scipy.stats import t as student
 
     values = np.asarray(samples, dtype=np.float64)
@@ -68,7 +97,7 @@ def interval(samples: Sequence[float]) -> tuple[float, float, float]:
 
 
 def model_file(found: Identified, parameters: ParameterSet) -> str:
-    """The identified values as a model file that extends the set they were found with."""
+    """Return the identified values as a model file that extends the set they were found with."""
     import json
 
     sections: dict[str, list[str]] = {}
@@ -88,7 +117,7 @@ def model_file(found: Identified, parameters: ParameterSet) -> str:
             fields += [f"low = {item.low:.10g}", f"high = {item.high:.10g}"]
         fields += [f"unit = {json.dumps(unit)}", f"source = {json.dumps(item.source)}"]
         sections.setdefault(section, []).append(f"{key} = {{ {', '.join(fields)} }}")
-    lines = ["[base]", f"model = {json.dumps(parameters.name)}"]
+    lines = [f"# {found.judgement}", "[base]", f"model = {json.dumps(parameters.name)}"]
     for section, entries in sections.items():
         lines += ["", f"[{section}]", *entries]
     return "\n".join(lines) + "\n"

@@ -10,11 +10,27 @@ from plant.parameters import ParameterSet
 from plant.systems.driven import pressures_along
 from plant.systems.setup import make_setup
 from sil.campaign.campaign import Campaign
+from sil.fitting.observations import air_noise_pa
 from sil.identify.estimate import Curve, Estimate, Floats, Identified, Panel
 from sil.identify.friction import plain_strokes
 
 NAMES = ("alpha_m1", "alpha_1", "alpha_m2", "alpha_2")
 PLACES = (Parameters.alpha_m1, Parameters.alpha_1, Parameters.alpha_m2, Parameters.alpha_2)
+
+
+SMOOTH_SAMPLES = 21
+"""Width of the local cubic that smooths the measured position."""
+
+
+def position_error_m(parameters: ParameterSet, count: int, seed: int) -> Floats:
+    """Return errors [count] of the potentiometer in m: noise and winding step, drawn from a seed.
+
+    The resting position before the stroke, which the others are counted from, is one such step off.
+    """
+    generator = np.random.default_rng(seed)
+    step = parameters.value("potentiometer.resolution")
+    noise = generator.normal(0.0, parameters.value("potentiometer.noise_sd"), count)
+    return np.asarray(noise + generator.uniform(-0.5 * step, 0.5 * step, count) + step / 12**0.5)
 
 
 def identify_alpha(campaign: Campaign, parameters: ParameterSet) -> Identified:
@@ -31,7 +47,7 @@ def identify_alpha(campaign: Campaign, parameters: ParameterSet) -> Identified:
     for entry, record in strokes:
         setup = make_setup(parameters, entry.conditions)
         time_s = record.time_s - record.time_s[0]
-        position = savgol_filter(record["position_m"], 21, 3)
+        position = savgol_filter(record["position_m"], SMOOTH_SAMPLES, 3)
         resting = np.abs(record["position_m"] - record["position_m"][0]) < 1.5e-4
         begun = int(np.argmax(~resting))
         position[:begun] = np.median(record["position_m"][: max(begun, 1)])
@@ -45,7 +61,7 @@ def identify_alpha(campaign: Campaign, parameters: ParameterSet) -> Identified:
         )
         prepared.append((setup, time_s, position, measured))
 
-    def modelled(x: Floats, k: int) -> Floats:
+    def modelled(x: Floats, k: int, error_m: Floats | float = 0.0) -> Floats:
         from dataclasses import replace
 
         from plant.devices.valve import seconds_to_ns
@@ -54,27 +70,29 @@ def identify_alpha(campaign: Campaign, parameters: ParameterSet) -> Identified:
         twin = copied(setup)
         for place, alpha in zip(PLACES, x[:4], strict=True):
             twin.p[place] = alpha
-        later, closes = (seconds_to_ns(ms * 1e-3) for ms in x[4 + 3 * k : 6 + 3 * k])
-        twin.p.p_supply *= 1.0 + supply_sd * x[6 + 3 * k]
+        # counted from one: the relative steps of the differences would vanish at zero
+        opens_ms, closes_ms, supply = x[4 + 3 * k : 7 + 3 * k] - 1.0
+        later, closes = seconds_to_ns(1e-3 * opens_ms), seconds_to_ns(1e-3 * closes_ms)
+        twin.p.p_supply *= 1.0 + supply_sd * supply
         twin.timing = replace(
             twin.timing,
             rise_ns=max(0, twin.timing.rise_ns + later),
             fall_ns=max(0, twin.timing.fall_ns + closes),
         )
-        return pressures_along(twin, time_s, position)
+        return pressures_along(twin, time_s, np.maximum(position + error_m, 0.0))
 
     def residual(x: Floats) -> Floats:
         parts = [
             ((modelled(x, k) - prepared[k][3]) / 500.0)[::5].ravel() for k in range(len(prepared))
         ]
         # delays scatter by a few tenths of a millisecond from stroke to stroke and unit to unit
-        parts.append(x[4::3] / 0.36)
-        parts.append(x[5::3] / 0.92)
-        parts.append(x[6::3])
+        own = x[4:].reshape(-1, 3) - 1.0
+        parts.append((own / np.array([0.36, 0.92, 1.0])).ravel())
         return np.concatenate(parts)
 
-    start = np.concatenate([np.ones(4), np.zeros(3 * len(prepared))])
-    fit = least_squares(residual, start, x_scale="jac", diff_step=1e-4, max_nfev=40)
+    start = np.ones(4 + 3 * len(prepared))
+    steps = np.concatenate([np.full(4, 1e-4), np.full(3 * len(prepared), 1e-2)])
+    fit = least_squares(residual, start, x_scale="jac", diff_step=steps, max_nfev=40)
     freedom = max(1, len(fit.fun) - len(fit.x))
     inflation = max(1.0, 2.0 * fit.cost / freedom)
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * inflation
@@ -109,5 +127,17 @@ def identify_alpha(campaign: Campaign, parameters: ParameterSet) -> Identified:
             )
         ),
     )
-    rms = float(np.sqrt(2.0 * fit.cost / freedom)) * 500.0
-    return Identified("alpha", tuple(estimates), (f"rms of the fit {rms:.0f} Pa",), (panel,))
+    rms_pa = float(
+        np.sqrt(np.mean([(modelled(fit.x, k) - p[3]) ** 2 for k, p in enumerate(prepared)]))
+    )
+    # an error of the position is one of the volume: the potentiometer's noise, and the bias of its
+    # smoothing (what a second pass would change), carried through the model
+    errors = [
+        savgol_filter(x + position_error_m(parameters, len(x), k), SMOOTH_SAMPLES, 3) - x
+        for k, (_setup, _time_s, x, _measured) in enumerate(prepared)
+    ]
+    carried = [modelled(fit.x, k, error) - modelled(fit.x, k) for k, error in enumerate(errors)]
+    noise_pa = np.hypot(air_noise_pa(parameters), np.sqrt(np.mean(np.square(carried))))
+    over_noise = rms_pa / float(noise_pa)
+    notes = (f"rms of the fit {rms_pa:.0f} Pa",)
+    return Identified("alpha", tuple(estimates), notes, (panel,), over_noise)

@@ -8,7 +8,7 @@ The largest volume is kept out of the fit and predicted.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from plant.systems.driven import chamber_along
 from plant.systems.setup import make_setup
 from plant.systems.stroke import valve_moves
 from sil.campaign.campaign import Campaign, Record
+from sil.fitting.observations import air_noise_pa
 from sil.identify.estimate import Curve, Estimate, Floats, Identified, Panel
 
 SMOOTH_S = 0.004
@@ -123,14 +124,36 @@ def slope(record: RestRecord) -> tuple[Floats, Floats]:
     """Pressure and its rate, by a moving parabola; the ends are left out."""
     from scipy.signal import savgol_filter
 
-    step = float(np.median(np.diff(record.time_s)))
-    window = max(7, 2 * round(0.5 * SMOOTH_S / step) + 1)
+    step, window = smoothing(record)
     if len(record.pressure_pa) <= window + 4:
         return np.zeros(0), np.zeros(0)
     smooth = savgol_filter(record.pressure_pa, window, 2)
     rate = savgol_filter(record.pressure_pa, window, 2, deriv=1, delta=step)
     half = window // 2
     return smooth[half:-half], rate[half:-half]
+
+
+def smoothing(record: RestRecord) -> tuple[float, int]:
+    """Return a record's sampling step [s] and the samples of the moving parabola."""
+    step = float(np.median(np.diff(record.time_s)))
+    return step, max(7, 2 * round(0.5 * SMOOTH_S / step) + 1)
+
+
+def rate_misfit(record: RestRecord, parameters: ParameterSet, campaign: Campaign) -> float:
+    """Return the mean square of measured minus predicted rate over the gauge's noise in it.
+
+    Both rates by `slope`, so that its smoothing cancels.
+    """
+    from scipy.signal import savgol_coeffs
+
+    _smooth, measured = slope(record)
+    if not len(measured):
+        return 1.0
+    predicted = replace(record, pressure_pa=predict(record, parameters, campaign))
+    step, window = smoothing(record)
+    weights = savgol_coeffs(window, 2, deriv=1, delta=step)
+    noise_pa_s = air_noise_pa(parameters) * float(np.linalg.norm(weights))
+    return float(np.mean(((measured - slope(predicted)[1]) / noise_pa_s) ** 2))
 
 
 def two_polynomials(
@@ -202,7 +225,8 @@ def identify_flow(campaign: Campaign, parameters: ParameterSet) -> Identified:
             reference = record.supply_pa if charging else campaign.atmosphere_pa
             sign = 1.0 if charging else -1.0
             xs.append(pressure / reference)
-            ys.append(sign * record.volume_m3 * rate / (gas * alpha) / reference)
+            scale = record.volume_m3 / (gas * alpha) / reference
+            ys.append(sign * scale * rate)
         x, y = np.concatenate(xs), np.concatenate(ys)
         if len(x) < 50:
             raise InputError(f"{campaign.folder}: {word} records too short; expected 50 samples")
@@ -244,7 +268,8 @@ def identify_flow(campaign: Campaign, parameters: ParameterSet) -> Identified:
         {path: list(v) for path, v in changes.items() if path[-5:] != "y_min"}
     )
     notes += checks(records, found, campaign)
-    return Identified("flow", tuple(estimates), tuple(notes), tuple(panels))
+    over_noise = float(np.sqrt(np.mean([rate_misfit(r, found, campaign) for r in records])))
+    return Identified("flow", tuple(estimates), tuple(notes), tuple(panels), over_noise)
 
 
 def best_degrees(

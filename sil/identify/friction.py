@@ -148,7 +148,7 @@ def identify_friction(campaign: Campaign, parameters: ParameterSet) -> Identifie
     notes = (
         f"scatter about the line {np.std(f - slope * v - offset):.0f} N: twice-differentiated position",
         f"breakaway of single strokes {min(static):.1f} to {max(static):.1f} N",
-        f"values written are those of the whole-record fit, standardised rms {fitted.rms:.2f}",
+        "values written are those of the whole-record fit",
     )
     panel = Panel(
         "Friction against speed",
@@ -164,7 +164,7 @@ def identify_friction(campaign: Campaign, parameters: ParameterSet) -> Identifie
             ),
         ),
     )
-    return Identified("friction", better, notes, (panel,), beside=thesis)
+    return Identified("friction", better, notes, (panel,), fitted.over_noise, thesis)
 
 
 def whole_record(

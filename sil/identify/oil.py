@@ -55,5 +55,4 @@ def identify_damper(campaign: Campaign, parameters: ParameterSet) -> Identified:
             Curve("fitted", time_s, shown.pressure_pa("oil2")),
         ),
     )
-    notes = (f"standardised rms {fitted.rms:.2f}",)
-    return Identified("damper", fitted.estimates, notes, (panel,))
+    return Identified("damper", fitted.estimates, (), (panel,), fitted.over_noise)

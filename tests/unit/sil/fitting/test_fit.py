@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from plant.parameters import Parameter, ParameterSet, load
-from sil.diagnosis.floor import misfit, strained
 from sil.diagnosis.screening import screen
 from sil.fitting.fit import Fitter
+from sil.fitting.floor import misfit, strained
 from sil.fitting.hypotheses import candidates
 from tests.unit.sil.diagnosis.made_campaign import made, model_of
 

@@ -106,6 +106,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory, truth: ParameterSet) -> Camp
 
 def test_friction_is_recovered_both_ways(plain: Campaign) -> None:
     found = identify_friction(plain, load())
+    assert found.fits, found.judgement
     for item in found.estimates:
         assert item.low <= TRUTH[item.path] <= item.high, item
         assert item.high - item.low < 0.25 * TRUTH[item.path]
@@ -135,6 +136,7 @@ def test_exponents_are_recovered(tmp_path: Path, truth: ParameterSet) -> None:
         tmp_path, [conditions(), conditions(supply_pressure_pa=6e5)] * 2, only, 6
     )
     found = identify_alpha(campaign, load())
+    assert found.fits, found.judgement
     for item in found.estimates:
         assert item.low <= TRUTH[item.path] <= item.high, item
         assert item.high - item.low < 0.15
@@ -145,10 +147,29 @@ def test_damper_is_recovered(tmp_path: Path) -> None:
     strokes = [conditions(load="damper"), conditions(load="damper", supply_pressure_pa=6e5)]
     campaign = write_campaign(tmp_path, strokes, only, 7)
     found = identify_damper(campaign, load())
-    told = {item.path: item for item in found.estimates}
+    assert found.fits, found.judgement
+    estimates = {item.path: item for item in found.estimates}
     for path in ("damper.A_S", "damper.kappa_effective"):
-        assert told[path].low <= TRUTH[path] <= told[path].high, told[path]
-        assert told[path].high - told[path].low < 0.1 * TRUTH[path]
+        item = estimates[path]
+        assert item.low <= TRUTH[path] <= item.high, item
+        assert item.high - item.low < 0.1 * TRUTH[path]
+
+
+def test_a_model_that_does_not_fit_has_no_interval(tmp_path: Path, capsys) -> None:
+    sticky = load().override({"friction_fixed.F_rf": 150.0, "friction_fixed.beta": 120.0})
+    campaign = write_campaign(tmp_path, [conditions(load="damper")], sticky, 7)
+    out = tmp_path / "found"
+    assert main(["identify", "damper", str(campaign.folder), "--out", str(out)]) == 1
+    assert "the model does not fit: residual" in capsys.readouterr().out
+    assert (
+        main(["identify", "damper", str(campaign.folder), "--out", str(out), "--json", "--force"])
+        == 1
+    )
+    found = json.loads(capsys.readouterr().out)
+    assert found["fits"] is False and found["over_noise"] > 3.0
+    assert all(item["low"] is None and item["high"] is None for item in found["estimates"])
+    text = (out / "model.toml").read_text(encoding="utf-8")
+    assert text.startswith("# the model does not fit: residual") and "low =" not in text
 
 
 def resting(volume: str) -> list[StrokeConditions]:
@@ -170,6 +191,8 @@ def test_flow_maps_are_recovered_and_predict_another_volume(tmp_path: Path) -> N
     wide = nominal.override({"fixed.V20": 3.0 * small})
     campaign = write_campaign(tmp_path, resting("small") + resting("large"), wide, 8, until_s=0.7)
     found = identify_flow(campaign, wide)
+    assert found.fits, found.judgement
+    assert not identify_flow(campaign, nominal).fits, "one of its volumes is wrong"
     identified = wide.override({e.path: list(e.value) for e in found.estimates})  # type: ignore[arg-type]
     from plant.kernel.packing import flow_coefficients
     from plant.parts.flow import charge, discharge

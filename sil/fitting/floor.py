@@ -24,6 +24,9 @@ FLOOR_SPREAD = {"position": 0.03, "pressure": 0.004, "oil": 0.008, "internal": 0
 """Its spread between clean campaigns, beside the one that counting gives."""
 
 
+EXPLAINED = 1.25
+"""Residual over expected noise up to which noise explains it: the noise is an estimate itself."""
+
 STRAIN_LEVEL = 1e-6
 """How rarely the scatter of healthy strokes, or a unit's tolerances, may come out so wide."""
 
