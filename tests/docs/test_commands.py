@@ -6,6 +6,7 @@ import contextlib
 import io
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -47,12 +48,15 @@ def test_guides_are_found() -> None:
 @pytest.mark.parametrize("page", GUIDES)
 def test_commands_do_what_the_page_says(page: str, tmp_path: Path) -> None:
     make_measured(tmp_path)
+    background: list[subprocess.Popen[bytes]] = []
     for block in blocks(PAGES[page]):
         if block.file is not None:
             (tmp_path / block.file).write_text(block.text, encoding="utf-8")
         if block.language not in SHELL:
             continue
         for words, stated in commands(block.text):
+            if words[0] == "python" and words[-1] == "&":
+                background.append(subprocess.Popen([sys.executable, *words[1:-1]], cwd=tmp_path))
             if words[0] != "opc4":
                 continue
             done = run_opc4(tmp_path, *words[1:], timeout=1200.0)
@@ -60,6 +64,7 @@ def test_commands_do_what_the_page_says(page: str, tmp_path: Path) -> None:
             allowed = (0, 1) if stated is None else (stated,)
             assert done.returncode in allowed, f"{' '.join(words)}: {done.stdout}{done.stderr}"
             assert "Traceback" not in done.stderr
+    assert [process.wait(60.0) for process in background] == [0] * len(background)
 
 
 def test_the_readme_shows_what_a_run_prints(opc4: Run) -> None:
