@@ -10,6 +10,7 @@ import importlib
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 FOLDER = Path(__file__).parent
 ROOT = FOLDER.parent
@@ -20,6 +21,7 @@ def generated() -> dict[str, str]:
     made = {
         "reference/cli.md": ("Commands", commands()),
         "reference/can.md": ("CAN contract", messages()),
+        "reference/keys.md": ("Keys of scenarios and studies", keys()),
         "reference/firmware.md": ("Firmware states", states()),
     }
     pages = {
@@ -82,6 +84,45 @@ def layers_svg() -> str:
         + "\n".join(parts)
         + "\n</svg>\n"
     )
+
+
+def examples() -> dict[str, dict[str, str]]:
+    """Return an example for each table: file kind -> table -> TOML text."""
+    found: dict[str, dict[str, str]] = tomllib.loads(
+        (FOLDER / "key_examples.toml").read_text(encoding="utf-8")
+    )
+    return found
+
+
+def keys() -> Iterator[str]:
+    """Yield the lines of the page of the keys of scenario, study and replay option files."""
+    from sil.files.key_table import describe
+    from sil.log_replay.signals import Options
+    from sil.simulation.scenario import Scenario
+    from sil.studies.study import Study
+
+    yield "Every key of a file that `opc4 run`, `opc4 whatif` and `opc4 replay --options` take. A key that is not listed"
+    yield "is refused. `--set` takes the same paths, e.g. `--set controller.filter.order=4`. Paths of the plant's"
+    yield "parameters are those of `plant/parameters/nominal.toml`, e.g. `valve.D_fall`."
+    shown = examples()
+    for title, kind, record in (
+        ("Scenario", "scenario", Scenario),
+        ("Study", "study", Study),
+        ("Options of a replay", "", Options),
+    ):
+        yield from ("", f"## {title}", "")
+        tables: dict[str, list[Any]] = {}
+        for row in describe(record):
+            tables.setdefault(row.table, []).append(row)
+        for table, rows in tables.items():
+            yield from (f"### {title}: `{table}`" if table else f"### {title}: top level", "")
+            yield from ("| key | type | unit | default | range | |", "|---|---|---|---|---|---|")
+            for row in rows:
+                values = (f"`{row.key}`", row.type, row.unit, f"`{row.default}`", row.range)
+                yield f"| {' | '.join(map(cell, values))} | {cell(row.description)} |"
+            yield ""
+            if kind:
+                yield from ("```toml", shown[kind][table].strip(), "```", "")
 
 
 STATES = {

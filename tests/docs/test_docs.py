@@ -5,15 +5,19 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
-from docs.generate import FOLDER, generated
+from docs.generate import FOLDER, examples, generated
 from sil import cli
 from sil.claims.claim import all_claims
+from sil.files import typed_toml
+from sil.simulation.scenario import from_table
 from sil.simulation.scenario import shipped as scenarios
 from sil.studies.load_study import shipped as studies
+from sil.studies.study import Study
 from tests.conftest import ROOT
 from tests.docs.pages import DOCS, PAGES, prose
 
@@ -39,6 +43,20 @@ def test_generated_files_are_up_to_date() -> None:
     for name, text in made.items():
         stored = (FOLDER / name).read_text(encoding="utf-8")
         assert stored == text, f"{name}: run `python docs/generate.py`"
+
+
+@pytest.mark.parametrize("table", examples()["scenario"])
+def test_examples_of_scenario_keys_are_accepted(table: str) -> None:
+    start = {"name": "example", "duration_s": 1.0, "request": [{"at_s": 0.1, "gear": "backward"}]}
+    example = tomllib.loads(examples()["scenario"][table])
+    example.pop("firmware", None)  # a file of the reader's
+    from_table({**start, **example}, table)
+
+
+@pytest.mark.parametrize("table", examples()["study"])
+def test_examples_of_study_keys_are_accepted(table: str) -> None:
+    start = {"name": "example", "scenario": "lab_n_b", "reads": ["shift_time_s"]}
+    typed_toml.convert({**start, **tomllib.loads(examples()["study"][table])}, Study, table)
 
 
 def test_the_readme_is_one_page() -> None:
