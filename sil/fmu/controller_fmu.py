@@ -4,24 +4,14 @@ Runs inside the importing tool's Python, where this package must be installed; s
 this file is the scenario it was exported from. The firmware steps at every multiple of its period
 inside a communication step, its end excluded, with the inputs of that step; a new sample_index
 announces a new pulse.
-Checked by: tests/unit/sil/fmu/test_fmu.py
+Checked by: tests/unit/sil/fmu/test_export.py
 """
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
-from pythonfmu3 import (
-    DefaultExperiment,
-    Float64,
-    Fmi3Causality,
-    Fmi3Initial,
-    Fmi3Slave,
-    Fmi3Variability,
-    Int32,
-)
+from pythonfmu3 import DefaultExperiment, Float64, Fmi3Slave, Int32
 
 NS = 1_000_000_000
 NUMBERS_IN = ("pulse_s", "coil_temperature_k", "input_rad_s", "output_rad_s")
@@ -41,61 +31,24 @@ class Opc4Controller(Fmi3Slave):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        settings = json.loads((Path(str(self.resources)) / "settings.json").read_text())
         from controller.firmware import Firmware
+        from sil.fmu.slave import declare, prepare
         from sil.simulation.build import gear_of
-        from sil.simulation.scenario import restore
 
-        scenario = restore(settings["scenario"], "settings.json").scenario
-        self.guid = settings["token"]
+        scenario = prepare(self).scenario
         self.firmware = Firmware(scenario.controller)
         self.period_ns = scenario.controller.period_ns
         self.default_experiment = DefaultExperiment(
             0.0, scenario.duration_s, scenario.controller.period_s
         )
-        self._seen_index = -1
-        self.time = 0.0
-        self.register_variable(
-            Float64(
-                "time",
-                causality=Fmi3Causality.independent,
-                variability=Fmi3Variability.continuous,
-            )
-        )
-        discrete = Fmi3Variability.discrete
-        for name in NUMBERS_IN:
-            setattr(self, name, 293.15 if name == "coil_temperature_k" else 0.0)
-            self.register_variable(
-                Float64(name, causality=Fmi3Causality.input, variability=discrete)
-            )
-        for name, told in CODES_IN.items():
-            setattr(
-                self, name, -1 if name == "sample_index" else int(gear_of(scenario.initial_gear))
-            )
-            self.register_variable(
-                Int32(name, causality=Fmi3Causality.input, variability=discrete, description=told)
-            )
-        for name in NUMBERS_OUT:
-            setattr(self, name, 0.0)
-            self.register_variable(
-                Float64(
-                    name,
-                    causality=Fmi3Causality.output,
-                    variability=discrete,
-                    initial=Fmi3Initial.calculated,
-                )
-            )
-        for name, told in CODES_OUT.items():
-            setattr(self, name, 3 if name in ("blow_chamber", "confirmed") else 0)
-            self.register_variable(
-                Int32(
-                    name,
-                    causality=Fmi3Causality.output,
-                    variability=discrete,
-                    initial=Fmi3Initial.calculated,
-                    description=told,
-                )
-            )
+        self._last_index = -1
+        numbers_in = dict.fromkeys(NUMBERS_IN, 0.0) | {"coil_temperature_k": 293.15}
+        codes_in = {"sample_index": -1, "request": int(gear_of(scenario.initial_gear))}
+        codes_out = dict.fromkeys(CODES_OUT, 0) | {"blow_chamber": 3, "confirmed": 3}
+        declare(self, Float64, numbers_in, output=False)
+        declare(self, Int32, codes_in, output=False, descriptions=CODES_IN)
+        declare(self, Float64, dict.fromkeys(NUMBERS_OUT, 0.0), output=True)
+        declare(self, Int32, codes_out, output=True, descriptions=CODES_OUT)
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Step the firmware at each of its ticks within this communication step."""
@@ -112,8 +65,8 @@ class Opc4Controller(Fmi3Slave):
         from controller.firmware import Inputs
 
         pulses: tuple[PositionPulse, ...] = ()
-        if self.sample_index >= 0 and self.sample_index != self._seen_index:
-            self._seen_index = self.sample_index
+        if self.sample_index >= 0 and self.sample_index != self._last_index:
+            self._last_index = self.sample_index
             pulses = (PositionPulse(self.pulse_s, self.coil_temperature_k, self.sample_index),)
         state = E2eState.VALID
         out = self.firmware.step(
@@ -122,7 +75,7 @@ class Opc4Controller(Fmi3Slave):
                 pulses=pulses,
                 request=ShiftRequest(Gear(self.request)),
                 speeds=DrivelineSpeeds(self.input_rad_s, self.output_rad_s),
-                position_state=state if self._seen_index >= 0 else E2eState.INIT,
+                position_state=state if self._last_index >= 0 else E2eState.INIT,
                 request_state=state,
                 speeds_state=state,
             ),

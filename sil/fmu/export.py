@@ -1,6 +1,6 @@
 """Writes a co-simulation unit (FMI 3.0) of the plant or of the firmware.
 
-Checked by: tests/unit/sil/fmu/test_fmu.py
+Checked by: tests/unit/sil/fmu/test_export.py
 """
 
 from __future__ import annotations

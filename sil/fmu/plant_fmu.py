@@ -2,24 +2,14 @@
 
 Runs inside the importing tool's Python, where this package must be installed; settings.json beside
 this file is the scenario it was exported from. The duties hold from the beginning of each step.
-Checked by: tests/unit/sil/fmu/test_fmu.py
+Checked by: tests/unit/sil/fmu/test_export.py
 """
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
-from pythonfmu3 import (
-    DefaultExperiment,
-    Float64,
-    Fmi3Causality,
-    Fmi3Initial,
-    Fmi3Slave,
-    Fmi3Variability,
-    Unit,
-)
+from pythonfmu3 import DefaultExperiment, Float64, Fmi3Slave, Unit
 
 NS = 1_000_000_000
 DUTIES = ("duty_b", "duty_n", "duty_f")
@@ -45,18 +35,16 @@ class Opc4Plant(Fmi3Slave):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        settings = json.loads((Path(str(self.resources)) / "settings.json").read_text())
         from plant.devices.valve import Valve, ValveTiming
         from plant.systems.length_stroke import LengthStroke
+        from sil.fmu.slave import declare, prepare
         from sil.simulation.build import INITIAL
-        from sil.simulation.scenario import restore
 
-        self.loaded = restore(settings["scenario"], "settings.json")
-        self.guid = settings["token"]
+        self.loaded = prepare(self)
         self.default_experiment = DefaultExperiment(0.0, self.loaded.scenario.duration_s, 0.001)
         table, parameters = self.loaded.scenario.plant, self.loaded.parameters
-        direction = self.loaded.scenario.driveline
-        impulses = (direction.impulse_backward_n_s, direction.impulse_forward_n_s)
+        driveline = self.loaded.scenario.driveline
+        impulses = (driveline.impulse_backward_n_s, driveline.impulse_forward_n_s)
         charged = tuple(table.charged)
         self.stroke = LengthStroke(
             parameters,
@@ -75,43 +63,13 @@ class Opc4Plant(Fmi3Slave):
             Valve(timing, is_open=c in charged, duty=duty if c in charged else 0.0) for c in "BNF"
         ]
         self.register_units([Unit("m", m=1), Unit("m/s", m=1, s=-1), Unit("Pa", kg=1, m=-1, s=-2)])
-        continuous = Fmi3Variability.continuous
-        self.time = 0.0
-        self.register_variable(
-            Float64("time", causality=Fmi3Causality.independent, variability=continuous)
+        about_duty = dict.fromkeys(DUTIES, "duty of the coil, 0 to 1")
+        about_valve = dict.fromkeys(VALVES, "1 open to supply, 0 open to atmosphere")
+        declare(self, Float64, dict.fromkeys(DUTIES, 0.0), output=False, descriptions=about_duty)
+        declare(
+            self, Float64, dict.fromkeys(STATES, 0.0), output=True, continuous=True, units=STATES
         )
-        for name in DUTIES:
-            setattr(self, name, 0.0)
-            self.register_variable(
-                Float64(
-                    name,
-                    causality=Fmi3Causality.input,
-                    variability=Fmi3Variability.discrete,
-                    description="duty of the coil, 0 to 1",
-                )
-            )
-        for name, unit in STATES.items():
-            setattr(self, name, 0.0)
-            self.register_variable(
-                Float64(
-                    name,
-                    causality=Fmi3Causality.output,
-                    variability=continuous,
-                    initial=Fmi3Initial.calculated,
-                    unit=unit,
-                )
-            )
-        for name in VALVES:
-            setattr(self, name, 0.0)
-            self.register_variable(
-                Float64(
-                    name,
-                    causality=Fmi3Causality.output,
-                    variability=Fmi3Variability.discrete,
-                    initial=Fmi3Initial.calculated,
-                    description="1 open to supply, 0 open to atmosphere",
-                )
-            )
+        declare(self, Float64, dict.fromkeys(VALVES, 0.0), output=True, descriptions=about_valve)
         self._read()
 
     def do_step(self, current_time: float, step_size: float) -> bool:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,7 @@ from plant.devices.valve import Valve, ValveTiming
 from plant.parameters import load
 from plant.systems.length_stroke import LengthStroke
 from sil.cli import main
+from sil.fmu.interpreter import release_static_state
 from sil.simulation import scenario
 
 MS = 1_000_000
@@ -41,6 +45,39 @@ def test_the_unit_is_valid(units: dict[str, Path], what: str) -> None:
     assert described.fmiVersion == "3.0" and described.coSimulation is not None
     causalities = [v.causality for v in described.modelVariables]
     assert causalities.count("input") >= 3 and causalities.count("output") >= 8
+
+
+SIMULATE = """
+import sys
+from fmpy import simulate_fmu
+found = simulate_fmu(sys.argv[1], stop_time=0.01, step_size=0.001)
+print(len(found))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["plant", "controller"])
+def test_a_process_that_imported_a_unit_ends_without_a_complaint(
+    units: dict[str, Path], what: str
+) -> None:
+    """pythonfmu3 alone aborts the plant's process at exit: its library frees a counter twice."""
+    for _ in range(50 if what == "plant" else 5):
+        done = subprocess.run(
+            [sys.executable, "-c", SIMULATE, str(units[what])], capture_output=True, text=True
+        )
+        assert (done.returncode, done.stderr) == (0, "") and done.stdout.strip() == "11"
+
+
+def test_the_static_state_is_released_only_in_an_unpacked_unit(
+    units: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    resources = str(tmp_path / "resources")
+    assert not release_static_state(resources, "Opc4Plant")
+    with zipfile.ZipFile(units["plant"]) as packed:
+        packed.extractall(tmp_path)
+    assert release_static_state(resources, "Opc4Plant")
+    monkeypatch.setattr(sys, "orig_argv", [])  # a program that is not Python
+    assert not release_static_state(resources, "Opc4Plant")
 
 
 def native() -> np.ndarray:

@@ -1,0 +1,56 @@
+"""What the scripts inside the exported units share: settings, variables, a safe exit."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pythonfmu3 import Float64, Fmi3Causality, Fmi3Initial, Fmi3Slave, Fmi3Variability
+
+from sil.fmu.interpreter import release_static_state
+from sil.simulation.scenario import Loaded, restore
+
+
+def prepare(slave: Fmi3Slave) -> Loaded:
+    """Return the scenario that a unit was exported from, and declare its token and time.
+
+    Raises InputError if the unit's settings cannot be used by the opc4-sil that is installed.
+    """
+    release_static_state(str(slave.resources), type(slave).__name__)
+    settings = json.loads((Path(str(slave.resources)) / "settings.json").read_text())
+    slave.guid = settings["token"]
+    slave.time = 0.0
+    slave.register_variable(
+        Float64(
+            "time",
+            causality=Fmi3Causality.independent,
+            variability=Fmi3Variability.continuous,
+        )
+    )
+    return restore(settings["scenario"], "settings.json")
+
+
+def declare(
+    slave: Fmi3Slave,
+    kind: type,
+    start: dict[str, Any],
+    *,
+    output: bool,
+    continuous: bool = False,
+    descriptions: dict[str, str] | None = None,
+    units: dict[str, str] | None = None,
+) -> None:
+    """Register inputs or outputs of one kind (Float64, Int32), with their values at the start."""
+    variability = Fmi3Variability.continuous if continuous else Fmi3Variability.discrete
+    options: dict[str, Any] = {"causality": Fmi3Causality.input}
+    if output:
+        options = {"causality": Fmi3Causality.output, "initial": Fmi3Initial.calculated}
+    for name, value in start.items():
+        setattr(slave, name, value)
+        own = dict(options)
+        if descriptions:
+            own["description"] = descriptions[name]
+        if units:
+            own["unit"] = units[name]
+        slave.register_variable(kind(name, variability=variability, **own))
