@@ -133,7 +133,7 @@ def _finish(arguments: argparse.Namespace, order: Order) -> int:
 
 def _write(arguments: argparse.Namespace, outcome: Outcome, values: dict[str, object]) -> Path:
     from sil.files.atomic import write_atomically
-    from sil.files.output_folder import prepare_folder
+    from sil.files.output_folder import close_folders, prepare_folder
     from sil.log_replay.page import replay_page
     from sil.log_replay.summary import text
 
@@ -148,6 +148,7 @@ def _write(arguments: argparse.Namespace, outcome: Outcome, values: dict[str, ob
             figure.unlink()
     write_atomically(folder / "report.html", replay_page(outcome, values, command, folder))
     write_atomically(folder / "diff.json", json.dumps(values, ensure_ascii=False, indent=1) + "\n")
+    close_folders(None)  # complete: the mark INCOMPLETE goes before the files are listed
     return folder
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from can_dbc.errors import InputError
+from can_dbc.user_file import read_user_text
 from sil.files import typed_toml
 from sil.log_replay.tick_grid import Survey
 from sil.nodes.own_firmware import absolute
@@ -16,6 +17,8 @@ from sil.simulation import scenario
 from sil.simulation.scenario import Loaded
 
 RESULT = "result.json"
+LARGEST_RESULT = 64 << 20
+"""Bytes; that of a run of an hour is far smaller."""
 
 
 @dataclass(frozen=True)
@@ -83,9 +86,14 @@ def _is_program(firmware: str) -> bool:
 
 def _holds_scenario(path: Path) -> bool:
     try:
-        return isinstance(json.loads(path.read_text(encoding="utf-8"))["scenario"], dict)
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return isinstance(_read_result(path)["scenario"], dict)
+    except (ValueError, KeyError, TypeError, RecursionError):
         return False
+
+
+def _read_result(path: str | Path) -> Any:
+    """Return the content of a result.json. Raises InputError or ValueError."""
+    return json.loads(read_user_text(path, "a result.json", LARGEST_RESULT))
 
 
 def _defaults(found: Survey) -> dict[str, Any]:
@@ -113,8 +121,10 @@ def _firmware_table(path: str) -> dict[str, Any]:
     """Read the firmware's settings out of any of the files that hold them."""
     if path.endswith(".json"):
         try:
-            table = json.loads(Path(path).read_text(encoding="utf-8"))["scenario"]["controller"]
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            table = _read_result(path)["scenario"]["controller"]
+        except InputError:
+            raise
+        except (ValueError, KeyError, TypeError, RecursionError):
             raise InputError(
                 f"{path}: no firmware settings in it; expected a result.json, or a TOML file"
             ) from None
