@@ -26,6 +26,13 @@ INK = """return window.opc4Plots().flat().map(c => {
 """Pixels inside the axes that are neither paper nor the pale grey of grid and bands."""
 
 
+UNMARKED = """return [...document.querySelectorAll("main *")].filter(e =>
+  ["auto", "scroll"].includes(getComputedStyle(e).overflowX) && e.tagName !== "PRE"
+  && e.scrollWidth > e.clientWidth + 1
+  && !getComputedStyle(e, "::before").content.includes("swipe")).map(e => e.outerHTML.slice(0, 80))"""
+"""Boxes that are wider than the screen without saying so."""
+
+
 def ranges(browser: Any) -> list[list[list[float]]]:
     """Lower and upper end of the common axis (logarithmic: their logarithms), by group and panel."""
     found: list[list[list[float]]] = browser.execute_script(
@@ -117,6 +124,7 @@ def test_it_fits_a_phone_and_fingers_zoom(browser: Any, page: str) -> None:
         )
         assert room == 390 and wide <= room
         assert min(browser.execute_script(INK)) > LEAST_INK / 4
+        assert browser.execute_script(UNMARKED) == []
         over = browser.find_element(By.CSS_SELECTOR, ".u-over")
         browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", over)
         whole = ranges(browser)[0][0]
