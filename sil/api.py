@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from sil.campaign.simulate import SimulatedStroke
     from sil.diagnosis.diagnosis import Diagnosis
-    from sil.log_replay.replay import Outcome
+    from sil.log_replay.replay import ReplayResult
     from sil.recording.run_record import BusFrame
     from sil.simulation.metrics import Shift
     from sil.simulation.results import Check
@@ -148,16 +148,16 @@ def diagnose(campaign: Where, *, model: Where = "nominal", workers: int = 2) -> 
     return diagnosed(load_campaign(campaign), load(str(model)), workers=workers)
 
 
-def replay(log: Where, settings: Settings = (), *, firmware: Where | None = None) -> Outcome:
+def replay(log: Where, settings: Settings = (), *, firmware: Where | None = None) -> ReplayResult:
     """Put the inputs of a recorded log into the firmware alone, as `opc4 replay` does.
 
     Raises InputError for a log that cannot be used or that engaged nothing.
     """
-    from sil.log_replay.replay import Order
+    from sil.log_replay.replay import ReplayRequest
     from sil.log_replay.replay import replay as replayed
 
     return replayed(
-        Order(
+        ReplayRequest(
             log=str(log),
             settings=texts(settings),
             firmware=None if firmware is None else str(firmware),

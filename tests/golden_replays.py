@@ -14,7 +14,7 @@ from pathlib import Path
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
 from sil.log_replay.recorded_frames import INPUTS, OUTPUTS, OWN_IDS
-from sil.log_replay.replay import Order, Outcome, replay
+from sil.log_replay.replay import ReplayRequest, ReplayResult, replay
 from sil.log_replay.summary import summary_lines
 from sil.simulation import scenario
 from sil.simulation.in_memory import run_in_memory
@@ -27,9 +27,9 @@ def golden_path(folder: Path, name: str) -> Path:
     return folder / f"{name}{SUFFIX}"
 
 
-def check(folder: Path, name: str) -> Outcome:
+def check(folder: Path, name: str) -> ReplayResult:
     """Replay a golden log through the firmware with the scenario's settings. Raises InputError."""
-    return replay(Order(str(golden_path(folder, name)), run=name))
+    return replay(ReplayRequest(str(golden_path(folder, name)), run=name))
 
 
 def record(name: str) -> bytes:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from sil.cli.options import add_json, add_out
 
 if TYPE_CHECKING:
-    from sil.log_replay.replay import Order, Outcome
+    from sil.log_replay.replay import ReplayRequest, ReplayResult
 
 EXAMPLE = """\
 example:
@@ -86,22 +86,22 @@ def run(arguments: argparse.Namespace) -> int:
         return _summary(arguments)
     if arguments.against is not None and (arguments.plant or arguments.closed_loop):
         raise InputError("--against: not together with --plant or --closed-loop; expected one")
-    order = _order(arguments)
+    request = _request(arguments)
     if arguments.against is None:
-        return _finish(arguments, order)
+        return _finish(arguments, request)
     import dataclasses
 
     from sil.log_replay.revision import checkout
 
     with checkout(arguments.against) as tree:
-        return _finish(arguments, dataclasses.replace(order, reference=(tree, arguments.against)))
+        return _finish(arguments, dataclasses.replace(request, reference=(tree, arguments.against)))
 
 
-def _order(arguments: argparse.Namespace) -> Order:
-    from sil.log_replay.replay import Order
+def _request(arguments: argparse.Namespace) -> ReplayRequest:
+    from sil.log_replay.replay import ReplayRequest
     from sil.log_replay.signals import Options, load_options
 
-    return Order(
+    return ReplayRequest(
         log=arguments.log,
         firmware=arguments.firmware,
         settings=tuple(arguments.settings),
@@ -115,12 +115,12 @@ def _order(arguments: argparse.Namespace) -> Order:
     )
 
 
-def _finish(arguments: argparse.Namespace, order: Order) -> int:
+def _finish(arguments: argparse.Namespace, request: ReplayRequest) -> int:
     """Replay, then write and tell: a log that is refused leaves no folder behind."""
     from sil.log_replay.replay import replay
     from sil.log_replay.summary import as_dict, summary_lines
 
-    outcome = replay(order)
+    outcome = replay(request)
     values = as_dict(outcome)
     folder = _write(arguments, outcome, values)
     if arguments.json:
@@ -131,7 +131,7 @@ def _finish(arguments: argparse.Namespace, order: Order) -> int:
     return 1 if outcome.differs else 0
 
 
-def _write(arguments: argparse.Namespace, outcome: Outcome, values: dict[str, object]) -> Path:
+def _write(arguments: argparse.Namespace, outcome: ReplayResult, values: dict[str, object]) -> Path:
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import close_folders, prepare_folder
     from sil.log_replay.page import replay_page

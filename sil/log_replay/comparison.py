@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
 from can_dbc.messages import Chamber, ControllerStatus, Etc1, SafetyBlow, ValveCommand
-from sil.log_replay.edges import Lane, LaneResult, judge_lane
-from sil.log_replay.excerpts import Row, Scenes
-from sil.log_replay.signals import NAMES, Judge, Options, told, values
+from sil.log_replay.edges import MatchedEdges, SwitchingSignal, match_edges
+from sil.log_replay.excerpts import ExcerptRecorder, Row
+from sil.log_replay.signals import NAMES, Options, SignalComparer, value_text, values
 
 RECORDED, REPLAYED = 0, 1
 CHAMBERS: Final = (Chamber.B, Chamber.N, Chamber.F)
@@ -18,7 +18,7 @@ COMMANDS: Final = (ValveCommand, SafetyBlow)
 """What the plant hears: where these part, its answer would have been another."""
 
 WARM_UP_NS: Final = 5_000_000_000
-"""A replay that begins in the middle of the unit's work has to agree with it within this time."""
+"""A replay that begins in the middle of the control unit's work has to agree with it within this time."""
 
 MOST_STATES: Final = 200_000
 
@@ -35,7 +35,7 @@ class SignalCount:
     first_ns: int | None = None
 
 
-class Parting(NamedTuple):
+class Difference(NamedTuple):
     """Where the two sides differ first, and the inputs that led there (texts, oldest first)."""
 
     time_ns: int
@@ -84,22 +84,22 @@ class Comparison:
         warming: bool = False,
     ) -> None:
         self._options = options
-        self._judge = Judge(options)
+        self._judge = SignalComparer(options)
         self._duty_closed = duty_closed
         self._inputs = inputs
         self.signals: dict[str, SignalCount] = {}
         self.ticks = 0
         self.differing_ticks = 0
         self.damaged: Counter[type] = Counter()
-        self.first: Parting | None = None
-        self.first_command: Parting | None = None
-        self.lanes = [Lane(f"valve {c.name}", "opens", "closes") for c in CHAMBERS]
-        self.lanes += [
-            Lane("safety blow", "begins", "ends"),
-            Lane("shift in process", "begins", "ends"),
+        self.first: Difference | None = None
+        self.first_command: Difference | None = None
+        self.switches = [SwitchingSignal(f"valve {c.name}", "opens", "closes") for c in CHAMBERS]
+        self.switches += [
+            SwitchingSignal("safety blow", "begins", "ends"),
+            SwitchingSignal("shift in process", "begins", "ends"),
         ]
         self.states = [StateHistory("state"), StateHistory("confirmed gear")]
-        self.scenes = Scenes()
+        self.excerpts = ExcerptRecorder()
         self.warm_up_ticks = 0
         self._warm_since: int | None = None
         self._warming = warming
@@ -143,7 +143,7 @@ class Comparison:
         if self._options.time_ns and self._waiting:
             last_ns = self._waiting[-1][0]
             self._part(last_ns, self._compare_waiting(last_ns))
-        self.scenes.finish()
+        self.excerpts.finish()
 
     def _read(self, side: int, sent: Side, time_ns: int) -> dict[type, tuple[Any, ...]]:
         found: dict[type, tuple[Any, ...]] = {}
@@ -202,7 +202,7 @@ class Comparison:
             a, b = ours[index], theirs[index]
             if isinstance(a, float) and isinstance(b, float):
                 entry.largest = max(entry.largest or 0.0, abs(a - b))
-        return [(name, told(ours[i]), told(theirs[i])) for i, name in found]
+        return [(name, value_text(ours[i]), value_text(theirs[i])) for i, name in found]
 
     def _compare_waiting(self, until_ns: int) -> list[tuple[str, str, str]]:
         """Compare what was recorded up to a time with what the replay had around it."""
@@ -231,9 +231,9 @@ class Comparison:
         self.differing_ticks += 1
         heard = [d for d in differing if d[0].split(".")[0] in ("ValveCommand", "SafetyBlow")]
         if self.first is None:
-            self.first = Parting(time_ns, differing, self._inputs())
+            self.first = Difference(time_ns, differing, self._inputs())
         if heard and self.first_command is None:
-            self.first_command = Parting(time_ns, heard, self._inputs())
+            self.first_command = Difference(time_ns, heard, self._inputs())
         return bool(heard)
 
     # --- edges and states -------------------------------------------------------------------
@@ -259,8 +259,8 @@ class Comparison:
                 etc1 is not None and bool(etc1[2]),
             )
             states.append(on)
-            for lane, is_on in zip(self.lanes, on, strict=True):
-                changed |= lane.take(side, time_ns, is_on)
+            for signal, is_on in zip(self.switches, on, strict=True):
+                changed |= signal.take(side, time_ns, is_on)
             if status is not None:
                 for history, value in zip(self.states, status, strict=False):
                     history.take(side, time_ns, value.name)
@@ -272,16 +272,16 @@ class Comparison:
             (names[0], names[1]),
             (self._estimate[0], self._estimate[1]),
         )
-        self.scenes.take(row, changed, commands_part)
+        self.excerpts.take(row, changed, commands_part)
 
-    def lane_results(self) -> list[LaneResult]:
+    def matched_edges(self) -> list[MatchedEdges]:
         """Match the edges of all lanes."""
-        return [judge_lane(lane, self._options.window_ns) for lane in self.lanes]
+        return [match_edges(signal, self._options.window_ns) for signal in self.switches]
 
     @property
     def engaged(self) -> bool:
         """Whether any valve was energised on either side."""
-        return any(lane.recorded or lane.replayed for lane in self.lanes[:3])
+        return any(signal.recorded or signal.replayed for signal in self.switches[:3])
 
     @property
     def differs(self) -> bool:

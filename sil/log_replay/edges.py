@@ -1,7 +1,7 @@
 """Which edge of one switching signal is which of another: matched, dropped, added.
 
 Two edges can be one when they have the same direction and are no farther apart than a window. Of
-all assignments that keep the order, the one is taken with the least sum of twice the shifts of the
+all assignments that keep the request, the one is taken with the least sum of twice the shifts of the
 matched and the window for each edge left over; so no edge is left over that could be matched
 without unmatching another, and shifts are as small as they can be.
 """
@@ -79,7 +79,7 @@ def match(recorded: Sequence[Edge], replayed: Sequence[Edge], window_ns: int) ->
 
 
 @dataclass
-class Lane:
+class SwitchingSignal:
     """One switching signal on both sides; `up` and `down` name what its edges are."""
 
     name: str
@@ -102,10 +102,10 @@ class Lane:
         return self.up if up else self.down
 
 
-class LaneResult(NamedTuple):
-    """What became of a lane's edges; shift_ns: replayed minus recorded, of each matched one."""
+class MatchedEdges(NamedTuple):
+    """What became of a signal's edges; shift_ns: replayed minus recorded, of each matched one."""
 
-    lane: Lane
+    signal: SwitchingSignal
     matching: Matching
     shift_ns: list[int]
 
@@ -118,66 +118,66 @@ class LaneResult(NamedTuple):
 
     def lines(self, period_ns: int, base_ns: int = 0) -> list[str]:
         """Say what moved, one line per direction and shift; nothing for what did not move."""
-        lane, (pairs, dropped, added) = self.lane, self.matching
-        totals = Counter(edge.up for edge in lane.recorded)
+        signal, (pairs, dropped, added) = self.signal, self.matching
+        totals = Counter(edge.up for edge in signal.recorded)
         shifts = Counter(
-            (lane.recorded[i].up, shift)
+            (signal.recorded[i].up, shift)
             for (i, _), shift in zip(pairs, self.shift_ns, strict=True)
             if shift
         )
         found = [
-            f"{lane.name} {lane.verb(up)} {shift_told(shift, period_ns)}, "
+            f"{signal.name} {signal.verb(up)} {shift_text(shift, period_ns)}, "
             f"{TIMES.get(count, f'{count} times')} out of {totals[up]}"
             for (up, shift), count in sorted(shifts.items(), key=lambda item: (-item[1], item[0]))
         ]
         for what, side, alone in (
-            ("in the recording only", lane.recorded, dropped),
-            ("in the replay only", lane.replayed, added),
+            ("in the recording only", signal.recorded, dropped),
+            ("in the replay only", signal.replayed, added),
         ):
             for up in (True, False):
                 when = [(side[k].time_ns + base_ns) / 1e9 for k in alone if side[k].up is up]
                 if when:
                     places = ", ".join(f"{t:.6f}" for t in when[:5])
                     more = f" and {len(when) - 5} more" if len(when) > 5 else ""
-                    found.append(f"{lane.name} {lane.verb(up)} {what}, at {places} s{more}")
+                    found.append(f"{signal.name} {signal.verb(up)} {what}, at {places} s{more}")
         return found
 
     def as_dict(self, base_ns: int = 0) -> dict[str, Any]:
         """All of it as plain JSON values; times on the log's clock."""
-        lane, (pairs, dropped, added) = self.lane, self.matching
+        signal, (pairs, dropped, added) = self.signal, self.matching
 
         def alone(side: list[Edge], which: list[int]) -> list[dict[str, Any]]:
             return [
-                {"edge": lane.verb(side[k].up), "time_s": (side[k].time_ns + base_ns) / 1e9}
+                {"edge": signal.verb(side[k].up), "time_s": (side[k].time_ns + base_ns) / 1e9}
                 for k in which
             ]
 
         return {
-            "name": lane.name,
-            "recorded": len(lane.recorded),
-            "replayed": len(lane.replayed),
+            "name": signal.name,
+            "recorded": len(signal.recorded),
+            "replayed": len(signal.replayed),
             "matched": [
                 {
-                    "edge": lane.verb(lane.recorded[i].up),
-                    "recorded_s": (lane.recorded[i].time_ns + base_ns) / 1e9,
-                    "replayed_s": (lane.replayed[j].time_ns + base_ns) / 1e9,
+                    "edge": signal.verb(signal.recorded[i].up),
+                    "recorded_s": (signal.recorded[i].time_ns + base_ns) / 1e9,
+                    "replayed_s": (signal.replayed[j].time_ns + base_ns) / 1e9,
                     "shift_ms": shift / 1e6,
                 }
                 for (i, j), shift in zip(pairs, self.shift_ns, strict=True)
             ],
-            "dropped": alone(lane.recorded, dropped),
-            "added": alone(lane.replayed, added),
+            "dropped": alone(signal.recorded, dropped),
+            "added": alone(signal.replayed, added),
         }
 
 
-def judge_lane(lane: Lane, window_ns: int) -> LaneResult:
-    """Match the edges of a lane."""
-    found = match(lane.recorded, lane.replayed, window_ns)
-    shifts = [lane.replayed[j].time_ns - lane.recorded[i].time_ns for i, j in found.pairs]
-    return LaneResult(lane, found, shifts)
+def match_edges(signal: SwitchingSignal, window_ns: int) -> MatchedEdges:
+    """Match the edges of a signal."""
+    found = match(signal.recorded, signal.replayed, window_ns)
+    shifts = [signal.replayed[j].time_ns - signal.recorded[i].time_ns for i, j in found.pairs]
+    return MatchedEdges(signal, found, shifts)
 
 
-def shift_told(shift_ns: int, period_ns: int) -> str:
+def shift_text(shift_ns: int, period_ns: int) -> str:
     """Say a shift in samples, where it is whole ones, and in milliseconds."""
     size_ns = abs(shift_ns)
     text = f"{size_ns / 1e6:g} ms"

@@ -28,30 +28,30 @@ class Row(NamedTuple):
 
 
 @dataclass
-class Scene:
+class Excerpt:
     """Ticks in a row; differs: the commands part in it."""
 
     rows: list[Row] = field(default_factory=list)
     differs: bool = False
 
 
-class Scenes:
+class ExcerptRecorder:
     """Keeps the first scenes with a difference and the first without; memory is bounded.
 
     Checked by: tests/unit/sil/log_replay/test_excerpts.py
     """
 
     def __init__(self) -> None:
-        self.found: list[Scene] = []
+        self.found: list[Excerpt] = []
         self._recent: deque[Row] = deque(maxlen=MOST_ROWS // 4)
-        self._open: Scene | None = None
+        self._open: Excerpt | None = None
         self._begun_ns = self._until_ns = 0
 
     def take(self, row: Row, changed: bool, differs: bool) -> None:
         """Take a tick; `changed`: an edge on either side, `differs`: the commands are not equal."""
         scene = self._open
         if scene is None and (changed or differs):
-            scene = self._open = Scene(
+            scene = self._open = Excerpt(
                 [r for r in self._recent if r.time_ns >= row.time_ns - BEFORE_NS]
             )
             self._begun_ns = row.time_ns
@@ -74,7 +74,7 @@ class Scenes:
             self.found.append(scene)
 
 
-def waveforms(scene: Scene, labels: tuple[str, str], base_ns: int = 0) -> list[str]:
+def waveforms(scene: Excerpt, labels: tuple[str, str], base_ns: int = 0) -> list[str]:
     """Draw a scene in letters: one column per tick, coils and states of both sides.
 
     Checked by: tests/unit/sil/log_replay/test_excerpts.py

@@ -1,7 +1,7 @@
 """A log through the control unit: its inputs at their times, its ticks, both sides' answers.
 
-The log is read some ticks ahead, so that at each tick all of the unit's recorded frames of that
-tick are known, the delayed ones too. Times inside are counted from the unit's first tick.
+The log is read some ticks ahead, so that at each tick all of the control unit's recorded frames of that
+tick are known, the delayed ones too. Times inside are counted from the control unit's first tick.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from typing import Final
 from can_dbc.e2e import COUNTERS
 from can_dbc.frame import Frame
 from sil.log_replay.comparison import Comparison
-from sil.log_replay.firmware_under_test import Unit
+from sil.log_replay.firmware_under_test import FirmwareUnderTest
 from sil.log_replay.plant_side import PlantSide
 from sil.log_replay.recorded_frames import INPUTS, OUTPUTS, OWN_IDS, Arrival, bare, is_intact
-from sil.log_replay.signals import NAMES, told, values
+from sil.log_replay.signals import NAMES, value_text, values
 from sil.log_replay.ticks import Span, TickMap
 
-KEPT_INPUTS: Final = 12
+RECENT_INPUTS: Final = 12
 AHEAD_NS: Final = 10_000_000
 
 Hears = Callable[[int], bool]
@@ -44,10 +44,10 @@ class Account:
         return sum(sum(part.values()) for part in parts) + self.foreign
 
 
-class Engine:
+class ReplayExecutor:
     """Runs a unit over a log and hands both sides of each tick to the comparison.
 
-    period_ns: of the unit under replay; the recorded one's is the map's. hears: whether the unit
+    period_ns: of the control unit under replay; the recorded one's is the map's. hears: whether the control unit
     hears a frame of a time (log's clock, ns). plant: takes part where the plant is replayed too.
     reference: another unit whose answers stand in for the recorded ones.
     Checked by: tests/unit/sil/log_replay/test_executor.py, tests/scenarios/test_replay.py
@@ -56,11 +56,11 @@ class Engine:
     def __init__(
         self,
         ticks: TickMap,
-        unit: Unit,
+        unit: FirmwareUnderTest,
         period_ns: int,
         hears: Hears,
         plant: PlantSide | None = None,
-        reference: Unit | None = None,
+        reference: FirmwareUnderTest | None = None,
     ) -> None:
         self._map = ticks
         self._grid = ticks.grid
@@ -76,7 +76,7 @@ class Engine:
         self._next_recorded = 0
         self._next_ns = 0
         self._restarts = deque(ticks.restarts)
-        self._heard: deque[tuple[int, type, Frame]] = deque(maxlen=KEPT_INPUTS)
+        self._heard: deque[tuple[int, type, Frame]] = deque(maxlen=RECENT_INPUTS)
         self.account = Account()
         self.steps = 0
         self.unanswered: Counter[str] = Counter()
@@ -87,7 +87,7 @@ class Engine:
         """Return the latest inputs as texts, oldest first."""
         base_ns = self._grid.origin_ns
         return [
-            f"{(time_ns + base_ns) / 1e9:.6f} s {_input_told(kind, frame)}"
+            f"{(time_ns + base_ns) / 1e9:.6f} s {_input_text(kind, frame)}"
             for time_ns, kind, frame in self._heard
         ]
 
@@ -186,7 +186,7 @@ class Engine:
     def _step(
         self, now_ns: int, tick: int, recorded: dict[type, bytes]
     ) -> tuple[dict[type, bytes], dict[type, bytes] | None]:
-        """Run a tick; return the unit's answers, and the reference's where there is one."""
+        """Run a tick; return the control unit's answers, and the reference's where there is one."""
         assert self.comparison is not None
         if self._restarts and self._restarts[0] <= tick:
             while self._restarts and self._restarts[0] <= tick:
@@ -221,10 +221,12 @@ def by_kind(released: Iterable[Frame]) -> dict[type, bytes]:
     return found
 
 
-def _input_told(kind: type, frame: Frame) -> str:
+def _input_text(kind: type, frame: Frame) -> str:
     found = values(kind, frame.data) if is_intact(kind, frame) else None
     if found is None:
         return f"{kind.__name__} damaged: {frame.data.hex().upper()}"
     fields = (name.split(".")[1] for name in NAMES[kind])
-    text = ", ".join(f"{name} {told(value)}" for name, value in zip(fields, found, strict=True))
+    text = ", ".join(
+        f"{name} {value_text(value)}" for name, value in zip(fields, found, strict=True)
+    )
     return f"{kind.__name__}: {text}"

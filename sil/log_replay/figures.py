@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sil.log_replay.excerpts import Row, Scene
+from sil.log_replay.excerpts import Excerpt, Row
 from sil.log_replay.plant_side import Position
 from sil.report.figure import MM, Figure, Floats, Panel, Rule, Series, Span, Stack, Zoom, spans_of
 from sil.report.theme import LIGHT
@@ -21,8 +21,8 @@ GAP_MS = 1e-3
 """From the end of a piece to the point that interrupts its lines."""
 
 
-def scenes_figure(
-    scenes: Sequence[Scene],
+def excerpts_figure(
+    scenes: Sequence[Excerpt],
     labels: tuple[str, str],
     base_ns: int,
     positions: Sequence[Position] = (),
@@ -51,7 +51,7 @@ Piece = tuple[list[float], list[Row]]
 """Times in ms, and the rows at them, one after the other without a gap."""
 
 
-def without_repetition(scenes: Sequence[Scene]) -> list[list[Row]]:
+def without_repetition(scenes: Sequence[Excerpt]) -> list[list[Row]]:
     """Return the rows of the scenes in ascending time, each row once, one list per scene."""
     found: list[list[Row]] = []
     last_ns: int | None = None

@@ -24,7 +24,7 @@ _HEAD = struct.Struct("<qH")
 _FRAME = struct.Struct("<qIB")
 
 
-class Unit(Protocol):
+class FirmwareUnderTest(Protocol):
     """A control unit that is given its inputs and ticks; times in ns from its first tick on."""
 
     def step(self, tick_ns: int, deliveries: Sequence[tuple[int, Frame]]) -> list[Frame]:
@@ -37,7 +37,7 @@ class Unit(Protocol):
         """Release what is held."""
 
 
-class OwnUnit:
+class OwnFirmware:
     """The firmware of this code, or the user's own in a Python file (`FILE.py:CLASS`).
 
     Raises InputError for a file that holds none, RunError when its step fails.
@@ -50,7 +50,7 @@ class OwnUnit:
         self.restart()
 
     def restart(self) -> None:
-        """See `Unit`."""
+        """See `FirmwareUnderTest`."""
         self.close()
         if self._program:
             from sil.nodes.own_firmware import OwnController
@@ -63,7 +63,7 @@ class OwnUnit:
         self._base_ns: int | None = None
 
     def step(self, tick_ns: int, deliveries: Sequence[tuple[int, Frame]]) -> list[Frame]:
-        """See `Unit`."""
+        """See `FirmwareUnderTest`."""
         if self._base_ns is None:
             self._base_ns = tick_ns
         base_ns = self._base_ns
@@ -76,13 +76,13 @@ class OwnUnit:
         return [frame for _, frame in released]
 
     def close(self) -> None:
-        """See `Unit`."""
+        """See `FirmwareUnderTest`."""
         if self._node is not None:
             self._node.close()
             self._node = None
 
 
-class ForeignUnit:
+class CheckoutFirmware:
     """The firmware of another checkout, run by a process of this Python over two pipes.
 
     Raises InputError when its controller cannot be started with these settings, RunError when it
@@ -121,11 +121,11 @@ class ForeignUnit:
         self._process.stdin.flush()
 
     def restart(self) -> None:
-        """See `Unit`."""
+        """See `FirmwareUnderTest`."""
         self._send(_HEAD.pack(-1, 0))
 
     def step(self, tick_ns: int, deliveries: Sequence[tuple[int, Frame]]) -> list[Frame]:
-        """See `Unit`. Raises RunError."""
+        """See `FirmwareUnderTest`. Raises RunError."""
         self._send(_HEAD.pack(tick_ns, len(deliveries)) + b"".join(map(_packed, deliveries)))
         _, count = _HEAD.unpack(self._read(_HEAD.size))
         found = []

@@ -22,20 +22,20 @@ LARGEST_RESULT = 64 << 20
 
 
 @dataclass(frozen=True)
-class Setup:
+class ReplaySettings:
     """The settings of a replay.
 
-    told: where the settings are from. own_run: the log is that of the run in `loaded`, whose unit
+    description: where the settings are from. own_run: the log is that of the run in `loaded`, whose unit
     had the period `recorded_ns`.
     """
 
     loaded: Loaded
-    told: str
+    description: str
     own_run: bool
     recorded_ns: int
 
 
-def setup(
+def find_settings(
     log: str,
     found: Survey,
     *,
@@ -43,7 +43,7 @@ def setup(
     settings: Sequence[str] = (),
     run: str | None = None,
     with_plant: bool = False,
-) -> Setup:
+) -> ReplaySettings:
     """Find the settings: result.json beside the log, else the defaults with the log's periods.
 
     `firmware`: a file with the firmware's settings (a table of them, a [controller] table, a
@@ -56,28 +56,28 @@ def setup(
     if own_run:
         source = str(scenario.find(run)) if run is not None else str(beside)
         raw = scenario.expanded(scenario.load(source).scenario)
-        told = f"as in {source}"
+        description = f"as in {source}"
     else:
         source, raw = log, _defaults(found)
-        told = f"defaults, {_periods(raw)} from the log"
+        description = f"defaults, {_periods(raw)} from the log"
     raw = _without_none(raw)
     recorded_ns = round(raw["controller"]["period_s"] * 1e9)
     if firmware is not None and _is_program(firmware):
         raw["firmware"] = absolute(firmware, Path())
-        told = f"of {firmware}, settings {told}"
+        description = f"of {firmware}, settings {description}"
     elif firmware is not None:
         table = _firmware_table(firmware)
         if "period_s" not in table:
             table = {"period_s": raw["controller"]["period_s"], **table}
         raw["controller"] = table
         raw.pop("sensor" if not own_run else "", None)
-        source, told = firmware, f"as in {firmware}"
+        source, description = firmware, f"as in {firmware}"
     if not with_plant:
         _refuse_plant_settings(settings)
     loaded = scenario.from_table(raw, source, settings=settings)
     if settings:
-        told += " with " + ", ".join(settings)
-    return Setup(loaded, told, own_run, recorded_ns)
+        description += " with " + ", ".join(settings)
+    return ReplaySettings(loaded, description, own_run, recorded_ns)
 
 
 def _is_program(firmware: str) -> bool:

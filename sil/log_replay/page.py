@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from sil.log_replay import summary
-from sil.log_replay.figures import positions_figure, scenes_figure
-from sil.log_replay.replay import Outcome
+from sil.log_replay.figures import excerpts_figure, positions_figure
+from sil.log_replay.replay import ReplayResult
 from sil.report.picture import save
 from sil.report.plots import Group, plots
 from sil.report.shell import Head, Picture, render
 
 
-def replay_page(outcome: Outcome, values: dict[str, Any], command: str, folder: Path) -> str:
+def replay_page(outcome: ReplayResult, values: dict[str, Any], command: str, folder: Path) -> str:
     """Return the page, its figures written beside it; `values` is what diff.json holds.
 
     `command` is the call that made it. Checked by: tests/unit/sil/log_replay/test_page.py
@@ -25,11 +25,11 @@ def replay_page(outcome: Outcome, values: dict[str, Any], command: str, folder: 
         {"name": history.name, "side": outcome.labels[side], "row": " ".join(row) or "nothing"}
         for history in found.states
         for side in (0, 1)
-        for row in (history.sequence(side)[: summary.MOST_STATES_TOLD],)
+        for row in (history.sequence(side)[: summary.MOST_STATES_SHOWN],)
     ]
     head = Head(
         command="replay",
-        name=outcome.order.log,
+        name=outcome.request.log,
         verdict="differs" if outcome.differs else "no difference",
         good=not outcome.differs,
         tiles=_tiles(outcome),
@@ -40,7 +40,7 @@ def replay_page(outcome: Outcome, values: dict[str, Any], command: str, folder: 
         "replay.html",
         head,
         groups,
-        told=values,
+        diff=values,
         edges=summary.edge_lines(outcome),
         pictures=pictures,
         states=states,
@@ -49,10 +49,10 @@ def replay_page(outcome: Outcome, values: dict[str, Any], command: str, folder: 
     )
 
 
-def _tiles(outcome: Outcome) -> list[tuple[str, str]]:
+def _tiles(outcome: ReplayResult) -> list[tuple[str, str]]:
     found = outcome.comparison
-    results = found.lane_results()
-    edges = sum(len(result.lane.recorded) for result in results)
+    results = found.matched_edges()
+    edges = sum(len(result.signal.recorded) for result in results)
     moved = sum(sum(1 for s in result.shift_ns if s) for result in results)
     alone = sum(len(r.matching.dropped) + len(r.matching.added) for r in results)
     shifts = [abs(s) for result in results for s in result.shift_ns]
@@ -68,15 +68,15 @@ def _tiles(outcome: Outcome) -> list[tuple[str, str]]:
     return [(value, name) for name, value in tiles]
 
 
-def _pictures(outcome: Outcome, folder: Path) -> tuple[list[Picture], list[Group]]:
+def _pictures(outcome: ReplayResult, folder: Path) -> tuple[list[Picture], list[Group]]:
     """Return the pictures, each written into the folder, and the plots of the same figures."""
-    base_ns, scenes = outcome.grid.origin_ns, outcome.comparison.scenes.found
+    base_ns, scenes = outcome.grid.origin_ns, outcome.comparison.excerpts.found
     positions = outcome.plant.positions if outcome.plant is not None else []
     a, b = outcome.labels
     pictures = [
         Picture(
             save(
-                scenes_figure([scene], outcome.labels, base_ns, positions),
+                excerpts_figure([scene], outcome.labels, base_ns, positions),
                 folder,
                 f"scene_{number}",
             ),
@@ -85,7 +85,7 @@ def _pictures(outcome: Outcome, folder: Path) -> tuple[list[Picture], list[Group
         )
         for number, scene in enumerate(scenes, start=1)
     ]
-    groups = plots(scenes_figure(scenes, outcome.labels, base_ns, positions)) if scenes else []
+    groups = plots(excerpts_figure(scenes, outcome.labels, base_ns, positions)) if scenes else []
     if any(np.isfinite(p.recorded_m) for p in positions):
         figure = positions_figure(positions, base_ns)
         pictures.append(

@@ -20,7 +20,7 @@ from sil.log_replay.recorded_frames import (
     Arrival,
     is_intact,
 )
-from sil.log_replay.signals import Judge, Options, plain, told, values
+from sil.log_replay.signals import Options, SignalComparer, plain, value_text, values
 
 if TYPE_CHECKING:
     from plant.node import PlantNode
@@ -39,10 +39,10 @@ class Position(NamedTuple):
 
 
 class PlantSide:
-    """Runs the plant beside the unit; times in ns from the unit's first tick.
+    """Runs the plant beside the control unit; times in ns from the control unit's first tick.
 
-    As long as the unit commands what was recorded, the plant gets the recorded commands at their
-    recorded times and the unit the recorded inputs. With `closes`, the loop closes at the first
+    As long as the control unit commands what was recorded, the plant gets the recorded commands at their
+    recorded times and the control unit the recorded inputs. With `closes`, the loop closes at the first
     command that differs: from then on a bus model carries the frames of unit, plant and everybody
     else in the log between them, and the plant answers.
     Checked by: tests/scenarios/test_replay.py
@@ -75,7 +75,7 @@ class PlantSide:
         self._recorded: deque[tuple[int, type, bytes]] = deque()
         self._for_plant: list[tuple[int, Frame]] = []
         self._for_unit: list[tuple[int, Frame]] = []
-        self._judge = Judge(options)
+        self._judge = SignalComparer(options)
         self.closed_ns: int | None = None
         self.compared = 0
         self.differing = 0
@@ -88,7 +88,7 @@ class PlantSide:
     def see(self, time_ns: int, arrival: Arrival) -> None:
         """Take a frame of the log, some ticks ahead of the replay."""
         kind, frame = arrival.kind, arrival.frame
-        if time_ns < 0:  # of before the unit's first tick, where the plant is at rest
+        if time_ns < 0:  # of before the control unit's first tick, where the plant is at rest
             return
         if kind in OUTPUTS:
             if kind in COMMANDS and self.closed_ns is None and self._hears(arrival.time_ns):
@@ -103,9 +103,9 @@ class PlantSide:
             begun_ns = time_ns - frame_bits(frame.can_id, frame.data) * self._bit_ns
             self._others.append((begun_ns, frame, "log"))
 
-    # --- the unit's ticks -------------------------------------------------------------------
+    # --- the control unit's ticks -------------------------------------------------------------------
     def deliveries(self, now_ns: int, recorded: list[tuple[int, Frame]]) -> list[tuple[int, Frame]]:
-        """Bring plant and bus to a tick; return what the unit hears: the log's frames, or ours."""
+        """Bring plant and bus to a tick; return what the control unit hears: the log's frames, or ours."""
         self._advance(now_ns)
         ours, self._for_unit = self._for_unit, []
         return recorded if self.closed_ns is None else ours
@@ -117,7 +117,7 @@ class PlantSide:
         replayed: dict[type, bytes],
         recorded: dict[type, bytes],
     ) -> None:
-        """Take what the unit released at a tick, and what was recorded of that tick."""
+        """Take what the control unit released at a tick, and what was recorded of that tick."""
         if not self._closes:
             return
         for frame in released:
@@ -126,7 +126,7 @@ class PlantSide:
             kind in recorded and replayed.get(kind) != recorded[kind] for kind in COMMANDS
         ):
             self.closed_ns = now_ns
-            # Commands of earlier ticks still come from the log, later ones from the unit.
+            # Commands of earlier ticks still come from the log, later ones from the control unit.
             self._commands = deque(c for c in self._commands if c[0] <= now_ns)
 
     def finish(self, end_ns: int) -> None:
@@ -203,7 +203,7 @@ class PlantSide:
             if not found:
                 continue
             self.differing += 1
-            parts = [(name, told(recorded[i]), told(replayed[i])) for i, name in found]
+            parts = [(name, value_text(recorded[i]), value_text(replayed[i])) for i, name in found]
             if self.first is None:
                 self.first = (time_ns, parts)
             for index, name in found:

@@ -47,12 +47,12 @@ class Arrival(NamedTuple):
     frame: Frame
 
 
-class Traffic:
+class RecordedFrames:
     """Sorts the frames of a log and counts every one of them.
 
     `channel`: None for all, else only frames of that channel count as ours. `ids`: identifier to
     message type, where the log has others than the contract. `skew`: from a time on the
-    recorder's clock runs faster by that share, and times are told in the unit's own.
+    recorder's clock runs faster by that share, and times are given in the control unit's own.
     Raises InputError when the clock steps back by more than `REORDERED_NS`.
     Checked by: tests/unit/sil/log_replay/test_recorded_frames.py
     """
@@ -74,6 +74,7 @@ class Traffic:
         self.total = 0
         self.counts: Counter[str] = Counter()
         """Frames that are not passed on, by the reason."""
+        self.kinds: Counter[type] = Counter()
         self.foreign: Counter[int] = Counter()
         self.reordered = 0
         self.last_ns: int | None = None
@@ -110,6 +111,7 @@ class Traffic:
                     self.foreign[entry.can_id] += 1
                 yield Arrival(time_ns, None, Frame(entry.can_id, entry.data))
             else:
+                self.kinds[kind] += 1
                 yield Arrival(time_ns, kind, Frame(ID_OF[kind], entry.data))
 
     def _clamped(self, time_ns: int, last_ns: int) -> int:

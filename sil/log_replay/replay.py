@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path
@@ -14,11 +15,11 @@ import msgspec
 from can_dbc.errors import InputError
 from can_dbc.messages import ShiftRequest, ValveCommand
 from sil.log_replay.comparison import Comparison
-from sil.log_replay.executor import Account, Engine
-from sil.log_replay.firmware_under_test import ForeignUnit, OwnUnit, Unit
-from sil.log_replay.options import Setup, setup
+from sil.log_replay.executor import Account, ReplayExecutor
+from sil.log_replay.firmware_under_test import CheckoutFirmware, FirmwareUnderTest, OwnFirmware
+from sil.log_replay.options import ReplaySettings, find_settings
 from sil.log_replay.plant_side import PlantSide
-from sil.log_replay.recorded_frames import OWN_IDS, Arrival, Traffic, ids_of_database
+from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames, ids_of_database
 from sil.log_replay.signals import Options
 from sil.log_replay.tick_grid import HEAD_FRAMES, NOMINAL, Grid, make_grid, survey
 from sil.log_replay.ticks import TickMap, map_ticks
@@ -33,7 +34,7 @@ BEFORE_FRAMES = 500
 
 
 @dataclass(frozen=True)
-class Order:
+class ReplayRequest:
     """What to replay; see `opc4 replay --help`."""
 
     log: str
@@ -47,15 +48,15 @@ class Order:
     strict: bool = False
     times: str = "auto"
     reference: tuple[Path, str] | None = None
-    """Checkout and name of the unit whose answers stand in for the recorded ones."""
+    """Checkout and name of the control unit whose answers stand in for the recorded ones."""
 
 
 @dataclass
-class Outcome:
+class ReplayResult:
     """Everything that a replay found."""
 
-    order: Order
-    setup: Setup
+    request: ReplayRequest
+    settings: ReplaySettings
     grid: Grid
     ticks: TickMap
     comparison: Comparison
@@ -71,7 +72,7 @@ class Outcome:
     @property
     def differs(self) -> bool:
         """Whether any side differs."""
-        plant_differs = self.plant is not None and self.order.plant and self.plant.differing > 0
+        plant_differs = self.plant is not None and self.request.plant and self.plant.differing > 0
         return self.comparison.differs or plant_differs
 
     @property
@@ -79,31 +80,32 @@ class Outcome:
         """What the two sides are called."""
         return (
             ("recorded", "replayed")
-            if self.order.reference is None
+            if self.request.reference is None
             else (
-                self.order.reference[1],
+                self.request.reference[1],
                 "here",
             )
         )
 
 
-def replay(order: Order) -> Outcome:
+def replay(request: ReplayRequest) -> ReplayResult:
     """Replay a log. Raises InputError for a log that cannot be, or in which nothing was engaged.
 
     Checked by: tests/scenarios/test_replay.py
     """
-    log = _Log(order)
+    log = _Log(request)
     found = survey(log.head)
-    ready = setup(
-        order.log,
+    ready = find_settings(
+        request.log,
         found,
-        firmware=None if _is_folder(order.firmware) else order.firmware,
-        settings=order.settings,
-        run=order.run,
-        with_plant=order.plant or order.closed_loop,
+        firmware=None if _is_folder(request.firmware) else request.firmware,
+        settings=request.settings,
+        run=request.run,
+        with_plant=request.plant or request.closed_loop,
     )
-    if order.firmware is not None and _is_folder(order.firmware):
-        ready = dataclasses.replace(ready, told=f"of {order.firmware}, settings {ready.told}")
+    if request.firmware is not None and _is_folder(request.firmware):
+        description = f"of {request.firmware}, settings {ready.description}"
+        ready = dataclasses.replace(ready, description=description)
     scene = ready.loaded.scenario
     if found.skew and not ready.own_run:
         log.set_clock(found.first_ns, found.skew)
@@ -116,95 +118,102 @@ def replay(order: Order) -> Outcome:
         period_ns = ready.recorded_ns
     if found.release_ns is None:
         raise InputError(
-            f"{order.log}: no step of the recorded unit can be made out; expected its valve commands "
+            f"{request.log}: no step of the recorded unit can be made out; expected its valve commands "
             "and status at regular times"
         )
     grid = make_grid(found, period_ns, config.computation_ns)
-    requests = _Watched(log.traffic())
-    ticks = map_ticks(requests, grid)
-    if not requests.requests:
+    frames = log.recorded_frames()
+    ticks = map_ticks(frames, grid)
+    if not frames.kinds[ShiftRequest]:
         raise InputError(
-            f"{order.log}: no ShiftRequest in it, so nobody asked the control unit for anything; "
+            f"{request.log}: no ShiftRequest in it, so nobody asked the control unit for anything; "
             "expected a log of its bus"
         )
-    if ticks.restarts and (order.plant or order.closed_loop):
+    if ticks.restarts and (request.plant or request.closed_loop):
         raise InputError(
-            f"{order.log}: the recording has {len(ticks.restarts)} holes, over which nobody knows "
+            f"{request.log}: the recording has {len(ticks.restarts)} holes, over which nobody knows "
             "what the plant did; expected a whole one, or neither --plant nor --closed-loop"
         )
     hears = _hearing(ready, grid, ticks, "controller")
-    with _Units() as units:
-        unit = units.add(_unit(order, ready))
+    with ExitStack() as stack:
+        firmware = stack.enter_context(closing(_firmware(request, ready)))
         reference = None
-        if order.reference is not None:
-            reference = units.add(ForeignUnit(order.reference[0], config, order.reference[1]))
-        plant = _plant(order, ready, grid, hears_plant=_hearing(ready, grid, ticks, "plant"))
-        engine = Engine(ticks, unit, config.period_ns, hears, plant, reference)
+        if request.reference is not None:
+            tree, name = request.reference
+            reference = stack.enter_context(closing(CheckoutFirmware(tree, config, name)))
+        plant = _plant(request, ready, grid, hears_plant=_hearing(ready, grid, ticks, "plant"))
+        executor = ReplayExecutor(ticks, firmware, config.period_ns, hears, plant, reference)
         comparison = Comparison(
-            _options(order.options, grid, ticks),
+            _options(request.options, grid, ticks),
             config.duty_closed,
-            engine.inputs,
+            executor.inputs,
             warming=not grid.fresh,
         )
-        traffic = log.traffic()
-        engine.run(traffic, comparison)
-    engine.account.other.update(traffic.counts)
+        frames = log.recorded_frames()
+        executor.run(frames, comparison)
+    executor.account.other.update(frames.counts)
     if not comparison.engaged:
         raise InputError(
-            f"{order.log}: no valve was ever energised, neither then nor now: nothing was engaged, "
+            f"{request.log}: no valve was ever energised, neither then nor now: nothing was engaged, "
             "and agreement would mean nothing; expected a log with a shift"
         )
-    outcome = Outcome(
-        order=order,
-        setup=ready,
+    outcome = ReplayResult(
+        request=request,
+        settings=ready,
         grid=grid,
         ticks=ticks,
         comparison=comparison,
-        account=engine.account,
+        account=executor.account,
         read=log.report,
-        frames=traffic.total,
-        steps=engine.steps,
-        unanswered=engine.unanswered,
+        frames=frames.total,
+        steps=executor.steps,
+        unanswered=executor.unanswered,
         plant=plant,
     )
     outcome.foreign = [
         (log.names.get(can_id, f"{can_id:08X}"), count)
-        for can_id, count in traffic.foreign.most_common(20)
+        for can_id, count in frames.foreign.most_common(20)
     ]
-    outcome.notes = _notes(outcome, log, traffic)
+    outcome.notes = _notes(outcome, log, frames)
     return outcome
 
 
 class _Log:
     """The log under replay: its head for the survey, and fresh readings of the whole."""
 
-    def __init__(self, order: Order) -> None:
-        self._order = order
+    def __init__(self, request: ReplayRequest) -> None:
+        self._request = request
         self.names: Mapping[int, str] = {}
         self._ids: Mapping[int, type] = OWN_IDS
-        if order.dbc is not None:
-            self._ids, self.names = ids_of_database(order.dbc)
-        self._reader = open_log(order.log, strict=order.strict, times=order.times)
+        if request.dbc is not None:
+            self._ids, self.names = ids_of_database(request.dbc)
+        self._reader = open_log(request.log, strict=request.strict, times=request.times)
         self.channel: str | None = None
         self.channels: Counter[str] = Counter()
         self.skew = (0, 0.0)
         self._frames = self._beginning()
-        self.head = list(Traffic(self._frames, channel=self.channel, ids=self._ids))
+        self.head = list(RecordedFrames(self._frames, channel=self.channel, ids=self._ids))
 
     def set_clock(self, begin_ns: int, share: float) -> None:
-        """Tell times by the unit's clock, from which the recorder's drifts away."""
+        """Tell times by the control unit's clock, from which the recorder's drifts away."""
         self.skew = (begin_ns, share)
-        self.head = list(Traffic(self._frames, channel=self.channel, ids=self._ids, skew=self.skew))
+        self.head = list(
+            RecordedFrames(self._frames, channel=self.channel, ids=self._ids, skew=self.skew)
+        )
 
     @property
     def report(self) -> LogReport:
         """What the latest reading found."""
         return self._reader.report
 
-    def traffic(self) -> Traffic:
+    def recorded_frames(self) -> RecordedFrames:
         """Return the frames of a new reading."""
-        return Traffic(
-            self._reader, channel=self.channel, ids=self._ids, path=self._order.log, skew=self.skew
+        return RecordedFrames(
+            self._reader,
+            channel=self.channel,
+            ids=self._ids,
+            path=self._request.log,
+            skew=self.skew,
         )
 
     def _beginning(self) -> list[LogFrame]:
@@ -222,7 +231,7 @@ class _Log:
                 break
         if not frames:
             raise InputError(
-                f"{self._order.log}: no ValveCommand in it, so there is nothing to compare with; "
+                f"{self._request.log}: no ValveCommand in it, so there is nothing to compare with; "
                 "expected a log of the control unit's bus, or --summary for any other truck's"
             )
         if first is not None and first is not frames[0]:
@@ -233,40 +242,8 @@ class _Log:
         return sorted(frames, key=lambda frame: frame.time_ns)
 
 
-class _Watched:
-    """Frames passed on, requests counted."""
-
-    def __init__(self, traffic: Traffic) -> None:
-        self._traffic = traffic
-        self.requests = 0
-
-    def __iter__(self) -> Iterator[Arrival]:
-        for arrival in self._traffic:
-            self.requests += arrival.kind is ShiftRequest
-            yield arrival
-
-
-class _Units:
-    """Closes the units that were made, whatever happens."""
-
-    def __init__(self) -> None:
-        self._units: list[Unit] = []
-
-    def __enter__(self) -> _Units:
-        return self
-
-    def add(self, unit: Unit) -> Unit:
-        """Keep a unit."""
-        self._units.append(unit)
-        return unit
-
-    def __exit__(self, *_: object) -> None:
-        for unit in self._units:
-            unit.close()
-
-
 def _options(options: Options, grid: Grid, ticks: TickMap) -> Options:
-    """Allow for the filter's memory where the replay began while the unit was at work."""
+    """Allow for the filter's memory where the replay began while the control unit was at work."""
     if (grid.fresh and not ticks.restarts) or ESTIMATE in options.tolerance:
         return options
     tolerance = {**options.tolerance, ESTIMATE: FORGOTTEN_M}
@@ -277,16 +254,18 @@ def _is_folder(firmware: str | None) -> bool:
     return firmware is not None and Path(firmware).is_dir()
 
 
-def _unit(order: Order, ready: Setup) -> Unit:
-    if order.firmware is not None and _is_folder(order.firmware):
-        folder = Path(order.firmware).resolve()
+def _firmware(request: ReplayRequest, ready: ReplaySettings) -> FirmwareUnderTest:
+    if request.firmware is not None and _is_folder(request.firmware):
+        folder = Path(request.firmware).resolve()
         if not (folder / "controller" / "node.py").is_file():
-            raise InputError(f"{order.firmware}: no controller/node.py in it; expected a checkout")
-        return ForeignUnit(folder, ready.loaded.scenario.controller, order.firmware)
-    return OwnUnit(ready.loaded.scenario.controller, ready.loaded.scenario.firmware)
+            raise InputError(
+                f"{request.firmware}: no controller/node.py in it; expected a checkout"
+            )
+        return CheckoutFirmware(folder, ready.loaded.scenario.controller, request.firmware)
+    return OwnFirmware(ready.loaded.scenario.controller, ready.loaded.scenario.firmware)
 
 
-def _hearing(ready: Setup, grid: Grid, ticks: TickMap, node: str) -> Callable[[int], bool]:
+def _hearing(ready: ReplaySettings, grid: Grid, ticks: TickMap, node: str) -> Callable[[int], bool]:
     """Return whether a node hears a frame of a time: by the run's faults, else by its silence."""
     from sil.coupling.faults import FaultPlan
 
@@ -300,9 +279,9 @@ def _hearing(ready: Setup, grid: Grid, ticks: TickMap, node: str) -> Callable[[i
 
 
 def _plant(
-    order: Order, ready: Setup, grid: Grid, hears_plant: Callable[[int], bool]
+    request: ReplayRequest, ready: ReplaySettings, grid: Grid, hears_plant: Callable[[int], bool]
 ) -> PlantSide | None:
-    if not (order.plant or order.closed_loop):
+    if not (request.plant or request.closed_loop):
         return None
     from plant.node import PlantNode
     from sil.simulation.build import plant_config, warm_up
@@ -311,8 +290,8 @@ def _plant(
     scene = ready.loaded.scenario
     return PlantSide(
         PlantNode(plant_config(scene), ready.loaded.parameters),
-        order.options,
-        closes=order.closed_loop,
+        request.options,
+        closes=request.closed_loop,
         bitrate=grid.bitrate,
         computation_ns=scene.controller.computation_ns,
         hears=hears_plant,
@@ -320,7 +299,7 @@ def _plant(
     )
 
 
-def _notes(outcome: Outcome, log: _Log, traffic: Traffic) -> list[str]:
+def _notes(outcome: ReplayResult, log: _Log, frames: RecordedFrames) -> list[str]:
     """Say what of the log was special."""
     grid, ticks = outcome.grid, outcome.ticks
     notes = []
@@ -329,25 +308,25 @@ def _notes(outcome: Outcome, log: _Log, traffic: Traffic) -> list[str]:
         return f"{grid.tick_ns(tick) / 1e9:.3f} s"
 
     for name, spans in (("did not run", ticks.idle), ("was off the bus", ticks.off_bus)):
-        notes += [f"the unit {name} from {when(a)} to {when(b)}" for a, b in spans[:5]]
+        notes += [f"the control unit {name} from {when(a)} to {when(b)}" for a, b in spans[:5]]
         if len(spans) > 5:
-            notes.append(f"the unit {name} {len(spans) - 5} times more")
+            notes.append(f"the control unit {name} {len(spans) - 5} times more")
     if ticks.restarts:
         notes.append(f"holes in the recording: {len(ticks.restarts)}; the replay began anew there")
-    if outcome.plant is not None and (not grid.fresh or not outcome.setup.own_run):
-        gear = outcome.setup.loaded.scenario.initial_gear
+    if outcome.plant is not None and (not grid.fresh or not outcome.settings.own_run):
+        gear = outcome.settings.loaded.scenario.initial_gear
         notes.append(f"the plant begins at rest, vented and in {gear}, as far as the log tells")
-    last_ns = traffic.last_ns or 0
+    last_ns = frames.last_ns or 0
     if last_ns - grid.tick_ns(ticks.last) > 2 * grid.period_ns:
         notes.append(
-            f"the unit's last frame is of {when(ticks.last)}; what came later is not compared"
+            f"the control unit's last frame is of {when(ticks.last)}; what came later is not compared"
         )
     if outcome.unanswered:
         missing = ", ".join(f"{n} {name}" for name, n in sorted(outcome.unanswered.items()))
         notes.append(f"replayed but not in the recording, not compared: {missing}")
     if outcome.comparison.warm_up_ticks:
         notes.append(
-            f"{outcome.comparison.warm_up_ticks} ticks left out at the beginning, until the unit "
+            f"{outcome.comparison.warm_up_ticks} ticks left out at the beginning, until the control unit "
             f"that starts now agreed with the one that was at work, its position to {FORGOTTEN_M:g} m"
         )
     for kind, count in outcome.comparison.damaged.items():
@@ -356,11 +335,13 @@ def _notes(outcome: Outcome, log: _Log, traffic: Traffic) -> list[str]:
         notes.append(f"channel {log.channel or '(unnamed)'}")
     if log.skew[1]:
         notes.append(
-            f"the recorder's clock runs {1e6 * log.skew[1]:+.1f} ppm against the unit's; times here "
-            "are by the unit's, from the log's first frame on"
+            f"the recorder's clock runs {1e6 * log.skew[1]:+.1f} ppm against the control unit's; times here "
+            "are by the control unit's, from the log's first frame on"
         )
-    if traffic.reordered:
-        notes.append(f"{traffic.reordered} frames out of order, taken as of the latest time before")
+    if frames.reordered:
+        notes.append(
+            f"{frames.reordered} frames out of request, taken as of the latest time before"
+        )
     report = log.report
     if not report.clean:
         notes += [f"log: {line}" for line in report.lines()[1:]]

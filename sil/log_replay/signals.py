@@ -79,7 +79,7 @@ def load_options(path: str | Path) -> Options:
     return options
 
 
-class Judge:
+class SignalComparer:
     """Tells whether two values of a signal are the same under the options."""
 
     def __init__(self, options: Options) -> None:
@@ -131,7 +131,7 @@ def values(kind: type, data: bytes) -> tuple[Any, ...] | None:
     return _decoded(kind, bare(kind, data))
 
 
-def told(value: Any) -> str:
+def value_text(value: Any) -> str:
     """Return a value as a reader wants it."""
     if value is None:
         return "not available"
@@ -147,5 +147,5 @@ def told(value: Any) -> str:
 def plain(value: Any) -> Any:
     """Return a value for JSON: names for enums, numbers as they are."""
     if isinstance(value, IntEnum | IntFlag):
-        return told(value)
+        return value_text(value)
     return value

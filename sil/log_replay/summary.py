@@ -4,35 +4,37 @@ from __future__ import annotations
 
 from typing import Any
 
-from sil.log_replay.comparison import Parting, StateHistory
-from sil.log_replay.edges import shift_told
+from sil.log_replay.comparison import Difference, StateHistory
+from sil.log_replay.edges import shift_text
 from sil.log_replay.excerpts import waveforms
-from sil.log_replay.replay import Outcome
+from sil.log_replay.replay import ReplayResult
 
-MOST_STATES_TOLD = 60
+MOST_STATES_SHOWN = 60
 
 
-def verdict(outcome: Outcome) -> str:
+def verdict(outcome: ReplayResult) -> str:
     """Return the one line that says it all."""
     found = outcome.comparison
     if not found.differs:
         text = f"no difference in {found.ticks} ticks"
-        if outcome.order.reference is not None:
+        if outcome.request.reference is not None:
             text += f" between the firmware here and that of {outcome.labels[0]}"
     else:
         signals = sum(1 for entry in found.signals.values() if entry.differing)
         text = f"{found.differing_ticks} of {found.ticks} ticks differ, in {signals} signals"
-    if outcome.plant is not None and outcome.order.plant:
+    if outcome.plant is not None and outcome.request.plant:
         text += f"; {attribution(outcome)}"
     return text
 
 
-def attribution(outcome: Outcome) -> str:
+def attribution(outcome: ReplayResult) -> str:
     """Say which side differs from the recording."""
     assert outcome.plant is not None
     unit, plant = outcome.comparison.differs, outcome.plant.differing > 0
     known = (
-        "" if outcome.setup.own_run else " (as set by default: --run tells the run's own settings)"
+        ""
+        if outcome.settings.own_run
+        else " (as set by default: --run tells the run's own settings)"
     )
     if plant and unit:
         return f"both the control unit and the plant{known} differ from the recording"
@@ -42,25 +44,23 @@ def attribution(outcome: Outcome) -> str:
             "the difference is the plant's"
         )
     if unit:
-        return (
-            "the plant answers as recorded, the control unit does not: the difference is the unit's"
-        )
+        return "the plant answers as recorded, the control unit does not: the difference is the control unit's"
     return "the plant answers as recorded, too"
 
 
-def edge_lines(outcome: Outcome) -> list[str]:
+def edge_lines(outcome: ReplayResult) -> list[str]:
     """Say which edges moved, are gone or new."""
     grid = outcome.grid
     lines: list[str] = []
-    for result in outcome.comparison.lane_results():
+    for result in outcome.comparison.matched_edges():
         if result.moved(0):
             lines += result.lines(grid.period_ns, grid.origin_ns)
     return lines
 
 
-def summary_lines(outcome: Outcome) -> list[str]:
+def summary_lines(outcome: ReplayResult) -> list[str]:
     """Return what is printed: verdict, edges, where the sides part, what was special."""
-    lines = [f"{outcome.order.log}: {verdict(outcome)}"]
+    lines = [f"{outcome.request.log}: {verdict(outcome)}"]
     lines += [f"  {line}" for line in edge_lines(outcome)]
     for history in outcome.comparison.states:
         if history.differs:
@@ -72,37 +72,37 @@ def summary_lines(outcome: Outcome) -> list[str]:
         )
     if outcome.plant is not None:
         lines += [f"  {line}" for line in plant_lines(outcome)]
-    lines.append(f"  firmware {outcome.setup.told}; {outcome.grid.told}")
+    lines.append(f"  firmware {outcome.settings.description}; {outcome.grid.description}")
     lines.append(f"  {_account_line(outcome)}")
     lines += [f"  {note}" for note in outcome.notes]
     return lines
 
 
-def text(outcome: Outcome) -> str:
+def text(outcome: ReplayResult) -> str:
     """Return diff.txt."""
     grid, found = outcome.grid, outcome.comparison
     lines = [
-        f"replay of {outcome.order.log}",
-        f"firmware  {outcome.setup.told}",
-        f"grid      {grid.told}",
+        f"replay of {outcome.request.log}",
+        f"firmware  {outcome.settings.description}",
+        f"grid      {grid.description}",
         f"verdict   {verdict(outcome)}",
         "",
         "edges",
     ]
     edges = edge_lines(outcome)
-    total = sum(len(lane.recorded) for lane in found.lanes)
+    total = sum(len(signal.recorded) for signal in found.switches)
     lines += [f"  {line}" for line in edges] or [f"  all {total} where they were"]
     lines += ["", "states"]
     for history in found.states:
         lines.append(f"  {_sequences(history, outcome.labels)}")
         lines += [f"    {line}" for line in _state_times(history, outcome)]
     lines.append("")
-    lines += _parting_lines(outcome, "first difference", found.first)
+    lines += _difference_lines(outcome, "first difference", found.first)
     if found.first_command is not None and found.first_command != found.first:
-        lines += _parting_lines(outcome, "first command that differs", found.first_command)
+        lines += _difference_lines(outcome, "first command that differs", found.first_command)
     if outcome.plant is not None:
         lines += ["plant", *(f"  {line}" for line in plant_lines(outcome)), ""]
-    for scene in found.scenes.found:
+    for scene in found.excerpts.found:
         where = "commands differ" if scene.differs else "commands are equal"
         lines.append(f"waveforms, {where}")
         lines += [f"  {line}".rstrip() for line in waveforms(scene, outcome.labels, grid.origin_ns)]
@@ -113,36 +113,36 @@ def text(outcome: Outcome) -> str:
     return "\n".join(lines) + "\n"
 
 
-def as_dict(outcome: Outcome) -> dict[str, Any]:
+def as_dict(outcome: ReplayResult) -> dict[str, Any]:
     """Return diff.json; times in s on the log's clock."""
     grid, found = outcome.grid, outcome.comparison
     base_ns = grid.origin_ns
     account = outcome.account
     return {
         "format": 1,
-        "log": outcome.order.log,
+        "log": outcome.request.log,
         "differs": outcome.differs,
         "verdict": verdict(outcome),
         "sides": list(outcome.labels),
-        "firmware": outcome.setup.told,
+        "firmware": outcome.settings.description,
         "grid": {
             "origin_s": base_ns / 1e9,
             "period_s": grid.period_ns / 1e9,
             "computation_s": grid.computation_ns / 1e9,
             "bitrate": grid.bitrate,
             "exact": grid.exact,
-            "told": grid.told,
+            "told": grid.description,
         },
         "ticks": found.ticks,
         "differing_ticks": found.differing_ticks,
         "warm_up_ticks": found.warm_up_ticks,
         "edges": [
             result.as_dict(base_ns) | {"told": result.lines(grid.period_ns, base_ns)}
-            for result in found.lane_results()
+            for result in found.matched_edges()
         ],
         "states": [_history(history, base_ns) for history in found.states],
-        "first": _parting(found.first, base_ns),
-        "first_command": _parting(found.first_command, base_ns),
+        "first": _difference_dict(found.first, base_ns),
+        "first_command": _difference_dict(found.first_command, base_ns),
         "signals": {
             name: {
                 "compared": entry.compared,
@@ -155,7 +155,7 @@ def as_dict(outcome: Outcome) -> dict[str, Any]:
         "plant": None
         if outcome.plant is None
         else outcome.plant.as_dict(base_ns)
-        | {"attribution": attribution(outcome) if outcome.order.plant else None},
+        | {"attribution": attribution(outcome) if outcome.request.plant else None},
         "frames": {
             "total": outcome.frames,
             "accounted": account.total,
@@ -173,18 +173,18 @@ def as_dict(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _when(outcome: Outcome, time_ns: int) -> str:
+def _when(outcome: ReplayResult, time_ns: int) -> str:
     return f"{(time_ns + outcome.grid.origin_ns) / 1e9:.6f} s"
 
 
-def _parts(outcome: Outcome, parting: Parting) -> str:
+def _parts(outcome: ReplayResult, parting: Difference) -> str:
     a, b = outcome.labels
     name, recorded, replayed = parting.signals[0]
     more = len(parting.signals) - 1
     return f"{name} {a} {recorded}, {b} {replayed}" + (f", and {more} more" if more else "")
 
 
-def _parting_lines(outcome: Outcome, title: str, parting: Parting | None) -> list[str]:
+def _difference_lines(outcome: ReplayResult, title: str, parting: Difference | None) -> list[str]:
     if parting is None:
         return [f"{title}: none", ""]
     a, b = outcome.labels
@@ -210,28 +210,28 @@ def _sequences(history: StateHistory, labels: tuple[str, str]) -> str:
 
 
 def _row(names: list[str]) -> str:
-    shown = " ".join(names[:MOST_STATES_TOLD]) or "nothing"
-    more = len(names) - MOST_STATES_TOLD
+    shown = " ".join(names[:MOST_STATES_SHOWN]) or "nothing"
+    more = len(names) - MOST_STATES_SHOWN
     return shown + (f" ... and {more} more" if more > 0 else "")
 
 
-def _state_times(history: StateHistory, outcome: Outcome) -> list[str]:
+def _state_times(history: StateHistory, outcome: ReplayResult) -> list[str]:
     """Return the states that begin at another time, of sequences that are the same."""
     if history.differs:
         return []
     lines = []
     for (recorded_ns, name), (replayed_ns, _) in zip(*history.sides, strict=True):
         if recorded_ns != replayed_ns:
-            shift = shift_told(replayed_ns - recorded_ns, outcome.grid.period_ns)
+            shift = shift_text(replayed_ns - recorded_ns, outcome.grid.period_ns)
             lines.append(f"{name} of {_when(outcome, recorded_ns)} begins {shift}")
-    return lines[:MOST_STATES_TOLD]
+    return lines[:MOST_STATES_SHOWN]
 
 
-def plant_lines(outcome: Outcome) -> list[str]:
+def plant_lines(outcome: ReplayResult) -> list[str]:
     plant = outcome.plant
     assert plant is not None
     lines = []
-    if outcome.order.plant:
+    if outcome.request.plant:
         lines.append(
             f"plant alone on the recorded commands: {plant.differing} of {plant.compared} frames differ"
         )
@@ -246,7 +246,7 @@ def plant_lines(outcome: Outcome) -> list[str]:
                 f"first at {_when(outcome, time_ns)}: {name} recorded {recorded}, replayed {replayed}"
             )
         lines.append(attribution(outcome))
-    if outcome.order.closed_loop:
+    if outcome.request.closed_loop:
         if plant.closed_ns is None:
             lines.append("no command differs, so the loop stayed open")
         else:
@@ -256,7 +256,7 @@ def plant_lines(outcome: Outcome) -> list[str]:
     return lines
 
 
-def _signal_lines(outcome: Outcome) -> list[str]:
+def _signal_lines(outcome: ReplayResult) -> list[str]:
     lines = []
     for name, entry in sorted(outcome.comparison.signals.items()):
         if entry.differing:
@@ -270,11 +270,11 @@ def _signal_lines(outcome: Outcome) -> list[str]:
     return [*lines, f"  {equal} signals without a difference"]
 
 
-def _account_line(outcome: Outcome) -> str:
+def _account_line(outcome: ReplayResult) -> str:
     account = outcome.account
     parts = [
         f"{sum(account.inputs.values())} inputs",
-        f"{sum(account.answers.values())} answers of the unit",
+        f"{sum(account.answers.values())} answers of the control unit",
         f"{sum(account.plant.values())} of the plant",
         f"{account.foreign} foreign",
     ]
@@ -285,7 +285,7 @@ def _account_line(outcome: Outcome) -> str:
     return f"{account.total} of {outcome.frames} frames accounted for: {', '.join(parts)}"
 
 
-def account_lines(outcome: Outcome) -> list[str]:
+def account_lines(outcome: ReplayResult) -> list[str]:
     account = outcome.account
     lines = []
     for title, part in (
@@ -296,11 +296,11 @@ def account_lines(outcome: Outcome) -> list[str]:
         ("others", account.other),
     ):
         if part:
-            told = ", ".join(f"{count} {name}" for name, count in sorted(part.items()))
-            lines.append(f"{title}: {told}")
+            counts = ", ".join(f"{count} {name}" for name, count in sorted(part.items()))
+            lines.append(f"{title}: {counts}")
     if outcome.foreign:
-        told = ", ".join(f"{count} {name}" for name, count in outcome.foreign)
-        lines.append(f"foreign: {told}")
+        counts = ", ".join(f"{count} {name}" for name, count in outcome.foreign)
+        lines.append(f"foreign: {counts}")
     return lines
 
 
@@ -319,7 +319,7 @@ def _history(history: StateHistory, base_ns: int) -> dict[str, Any]:
     }
 
 
-def _parting(parting: Parting | None, base_ns: int) -> dict[str, Any] | None:
+def _difference_dict(parting: Difference | None, base_ns: int) -> dict[str, Any] | None:
     if parting is None:
         return None
     return {

@@ -53,8 +53,8 @@ class Survey(NamedTuple):
     bitrate: None where the times do not tell. period_ns, sensor_period_ns: None where there are
     not two frames in a row. release_ns: earliest bound of the release of the tick with
     `first_counter`, moved to the phase that all ticks agree on; None without any tick.
-    awake: the unit was already running (its first status is not INIT).
-    skew: by how much the recorder's clock runs faster than the unit's, as a share; 0 where the
+    awake: the control unit was already running (its first status is not INIT).
+    skew: by how much the recorder's clock runs faster than the control unit's, as a share; 0 where the
     ticks do not show it. gear: the first one that is confirmed. resolution_ns: all times are multiples of it.
     """
 
@@ -74,7 +74,7 @@ class Survey(NamedTuple):
 class Grid(NamedTuple):
     """The recorded unit's ticks: `origin_ns` + k `period_ns`, k from 0, on the log's clock.
 
-    exact: the phase is known to the nanosecond. fresh: tick 0 is the unit's first step after its
+    exact: the phase is known to the nanosecond. fresh: tick 0 is the control unit's first step after its
     start; otherwise the log begins in the middle of its work.
     """
 
@@ -84,7 +84,7 @@ class Grid(NamedTuple):
     bitrate: int
     exact: bool
     fresh: bool
-    told: str
+    description: str
 
     def tick_ns(self, tick: int) -> int:
         """Return the time of a tick on the log's clock, ns."""
@@ -329,10 +329,10 @@ def make_grid(found: Survey, period_ns: int, computation_ns: int) -> Grid:
     fresh = not found.awake and first_tick_ns >= found.first_ns - period_ns
     origin_ns = first_tick_ns if fresh else tick_ns
     speed = f"{bitrate // 1000} kbit/s" + ("" if found.bitrate else " assumed")
-    told = (
+    description = (
         f"ticks every {period_ns / 1e6:g} ms from {origin_ns / 1e9:.9f} s, by {how}; {speed}, "
         f"{computation_ns / 1e6:g} ms computation"
         + ("" if exact else _uncertainty(found))
-        + ("" if fresh else "; the log begins while the unit is at work")
+        + ("" if fresh else "; the log begins while the control unit is at work")
     )
-    return Grid(origin_ns, period_ns, computation_ns, bitrate, exact, fresh, told)
+    return Grid(origin_ns, period_ns, computation_ns, bitrate, exact, fresh, description)

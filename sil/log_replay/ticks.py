@@ -1,9 +1,9 @@
 """Which ticks the recorded unit ran, and which tick each of its frames belongs to.
 
-The end-to-end counters tell. When nothing of the unit was on the bus for a while, counters that
+The end-to-end counters tell. When nothing of the control unit was on the bus for a while, counters that
 went on by the ticks that passed mean that it ran and was off the bus, so that it heard nothing;
 counters that stood still mean that it did not run. A hole in which nobody was on the bus is none
-of the unit's: the recorder was off, and the replay starts anew behind it.
+of the control unit's: the recorder was off, and the replay starts anew behind it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Span(NamedTuple):
 class TickMap:
     """What the recorded unit's ticks were like; made by `map_ticks`.
 
-    idle: ticks that did not run. off_bus: ticks that ran while the unit was off the bus.
+    idle: ticks that did not run. off_bus: ticks that ran while the control unit was off the bus.
     restarts: first ticks behind holes of the recording. last: the last tick with a frame.
     """
 
@@ -53,7 +53,7 @@ class TickMap:
         return (tick - self._shift[bisect_right(self._from, tick) - 1]) % COUNTERS
 
     def runs(self, tick: int) -> bool:
-        """Whether the unit ran a tick."""
+        """Whether the control unit ran a tick."""
         return self.idle_at(tick) is None
 
     def idle_at(self, tick: int) -> Span | None:
@@ -61,7 +61,7 @@ class TickMap:
         return _holding(self.idle, tick)
 
     def hears(self, time_ns: int) -> bool:
-        """Whether the unit could hear a frame that arrived at a time of the log's clock."""
+        """Whether the control unit could hear a frame that arrived at a time of the log's clock."""
         if not self.off_bus:
             return True
         grid = self.grid
@@ -69,7 +69,7 @@ class TickMap:
         return _holding(self.off_bus, tick) is None
 
     def tick_of(self, arrival: Arrival) -> int:
-        """Return the tick that released a frame of the unit.
+        """Return the tick that released a frame of the control unit.
 
         It is the latest possible one, of a protected frame the latest with its counter: a frame
         may have been delayed by up to 15 ticks.
@@ -130,7 +130,7 @@ def map_ticks(arrivals: Iterable[Arrival], grid: Grid) -> TickMap:
 def _judge_silence(
     found: TickMap, active: int, tick: int, counter: int, before: tuple[int, int]
 ) -> None:
-    """Decide what the unit did between `active` and `tick`, of which nothing is in the log."""
+    """Decide what the control unit did between `active` and `tick`, of which nothing is in the log."""
     passed = tick - before[0]
     steps = (counter - before[1]) % COUNTERS
     if steps == passed % COUNTERS:

@@ -67,7 +67,10 @@ def render(template: str, head: Head, groups: Sequence[Group] = (), **values: An
         lstrip_blocks=True,
     )
     environment.filters.update(
-        told=told, number=number, ms=milliseconds, ms3=lambda value: milliseconds(value, 3)
+        value_text=value_text,
+        number=number,
+        ms=milliseconds,
+        ms3=lambda value: milliseconds(value, 3),
     )
     return environment.get_template(template).render(
         head=head, groups=groups, library=_library() if groups else None, **values
@@ -87,7 +90,7 @@ def _library() -> dict[str, str]:
     }
 
 
-def told(value: Any) -> str:
+def value_text(value: Any) -> str:
     """Return a value of an expectation as a reader wants it."""
     if value is None:
         return "none"
@@ -97,9 +100,9 @@ def told(value: Any) -> str:
         return number(value)
     if isinstance(value, dict):
         names = {"min": "at least", "max": "at most"}
-        return ", ".join(f"{names.get(k, k)} {told(v)}" for k, v in value.items()) or "any"
+        return ", ".join(f"{names.get(k, k)} {value_text(v)}" for k, v in value.items()) or "any"
     if isinstance(value, list | tuple):
-        return ", ".join(told(v) for v in value) or "none"
+        return ", ".join(value_text(v) for v in value) or "none"
     return str(value)
 
 

@@ -23,12 +23,12 @@ FORMATS = ("log", "asc", "blf")
 
 MEMORY = r"""
 import re, sys
-from sil.log_replay.replay import Order, replay
+from sil.log_replay.replay import ReplayRequest, replay
 from sil.logs import open_log
 if sys.argv[1] == "read":
     frames = sum(1 for _ in open_log(sys.argv[2]))
 else:
-    frames = replay(Order(sys.argv[2])).frames
+    frames = replay(ReplayRequest(sys.argv[2])).frames
 peak = re.search(r"VmHWM:\s+(\d+) kB", open("/proc/self/status").read())
 print(frames, peak[1])
 """
@@ -141,9 +141,9 @@ def pass_through(log: Path) -> None:
 
 def replay_whole(log: Path) -> None:
     """Replay a log, without report."""
-    from sil.log_replay.replay import Order, replay
+    from sil.log_replay.replay import ReplayRequest, replay
 
-    assert not replay(Order(str(log))).differs
+    assert not replay(ReplayRequest(str(log))).differs
 
 
 def peak_memory(what: str, log: Path) -> tuple[int, int]:

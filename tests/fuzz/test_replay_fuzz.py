@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError
-from sil.log_replay.replay import Order, replay
+from sil.log_replay.replay import ReplayRequest, replay
 from sil.log_replay.summary import as_dict, summary_lines, text
 from tests.unit.sil.log_replay.golden_logs import GOLDEN
 
@@ -66,7 +66,7 @@ def broken(seed: int, folder: Path) -> Path:
 def require_replayed_or_refused(path: Path) -> bool:
     begun = time.perf_counter()
     try:
-        found = replay(Order(str(path)))
+        found = replay(ReplayRequest(str(path)))
     except InputError as error:
         assert "\n" not in str(error) and str(path) in str(error)
         return False

@@ -9,7 +9,7 @@ import pytest
 
 from can_dbc.contract import DBC_PATH
 from can_dbc.messages import ControllerStatus, PlantMotion
-from sil.log_replay.replay import Order, Outcome, replay
+from sil.log_replay.replay import ReplayRequest, ReplayResult, replay
 from sil.logs import open_log
 from sil.simulation import runner, scenario
 from sil.simulation.in_memory import run_in_memory
@@ -25,20 +25,20 @@ def recorded(folder: Path, name: str, *settings: str) -> Path:
     return folder / "bus.log"
 
 
-def require_no_difference(found: Outcome, log: Path) -> None:
+def require_no_difference(found: ReplayResult, log: Path) -> None:
     assert not found.differs, found.comparison.first
     assert found.comparison.first is None
     assert found.frames == found.account.total == log.read_text().count("\n")
     assert found.comparison.engaged and found.comparison.ticks >= 15
     assert not found.account.other
-    for result in found.comparison.lane_results():
+    for result in found.comparison.matched_edges():
         assert not result.moved(0)
 
 
 @pytest.mark.parametrize("name", SOME)
 def test_a_recorded_run_replays_without_a_difference(name: str, shipped_run: ShippedRun) -> None:
     log = shipped_run(name)[1] / "bus.log"
-    require_no_difference(replay(Order(str(log))), log)
+    require_no_difference(replay(ReplayRequest(str(log))), log)
 
 
 @pytest.mark.slow
@@ -47,7 +47,7 @@ def test_every_shipped_scenario_replays_without_a_difference(
     name: str, shipped_run: ShippedRun
 ) -> None:
     log = shipped_run(name)[1] / "bus.log"
-    found = replay(Order(str(log), plant=True))
+    found = replay(ReplayRequest(str(log), plant=True))
     require_no_difference(found, log)
     assert found.plant is not None
     assert found.plant.compared > 200 and not found.plant.differing and not found.plant.unmatched
@@ -84,19 +84,19 @@ def test_the_filter_removed_moves_every_edge_as_two_runs_say(
 ) -> None:
     with_filter = shipped_run(name)[1] / "bus.log"
     without = recorded(tmp_path / "without", name, "controller.filter=false")
-    found = replay(Order(str(with_filter), settings=["controller.filter=false"]))
+    found = replay(ReplayRequest(str(with_filter), settings=["controller.filter=false"]))
     period_ns = found.grid.period_ns
     a, b = coil_edges_ns(with_filter, period_ns), coil_edges_ns(without, period_ns)
     assert a.keys() == b.keys() and len(a) >= 2
     moved = 0
-    for result in found.comparison.lane_results()[:3]:
-        chamber = result.lane.name[-1]
+    for result in found.comparison.matched_edges()[:3]:
+        chamber = result.signal.name[-1]
         assert not result.matching.dropped and not result.matching.added
         for up in (True, False):
             told = [
                 shift
                 for (i, _), shift in zip(result.matching.pairs, result.shift_ns, strict=True)
-                if result.lane.recorded[i].up is up
+                if result.signal.recorded[i].up is up
             ]
             runs = [
                 y - x
@@ -120,7 +120,7 @@ def test_the_loop_closed_gives_what_a_run_of_that_firmware_gives(
 ) -> None:
     """Bit by bit: the position that the plant published, and every state at its tick."""
     log = shipped_run(name)[1] / "bus.log"
-    found = replay(Order(str(log), settings=[setting], closed_loop=True))
+    found = replay(ReplayRequest(str(log), settings=[setting], closed_loop=True))
     assert found.plant is not None and found.plant.closed_ns == closed_ns
     run = run_in_memory(scenario.load(name, settings=[setting])).record
     positions = [motion.position_m for _, motion in run.of(PlantMotion)]
@@ -134,7 +134,7 @@ def test_the_loop_closed_gives_what_a_run_of_that_firmware_gives(
 
 def test_a_loop_that_never_parts_stays_open(shipped_run: ShippedRun) -> None:
     log = shipped_run("lab_n_b")[1] / "bus.log"
-    found = replay(Order(str(log), closed_loop=True))
+    found = replay(ReplayRequest(str(log), closed_loop=True))
     assert not found.differs and found.plant is not None and found.plant.closed_ns is None
 
 
@@ -142,12 +142,12 @@ def test_a_plant_that_is_another_is_told_from_a_unit_that_is_another(
     shipped_run: ShippedRun,
 ) -> None:
     log = shipped_run("lab_n_b")[1] / "bus.log"
-    plant = replay(Order(str(log), settings=["valve.D_fall=0.02"], plant=True))
+    plant = replay(ReplayRequest(str(log), settings=["valve.D_fall=0.02"], plant=True))
     assert plant.plant is not None
     assert not plant.comparison.differs and plant.plant.differing > 0 and plant.differs
-    heavier = replay(Order(str(log), settings=["length.m_s=8.0"], plant=True))
+    heavier = replay(ReplayRequest(str(log), settings=["length.m_s=8.0"], plant=True))
     assert heavier.plant is not None and heavier.plant.first is not None
     assert heavier.plant.first[0] > 110_000_000  # not before the valve opened
     assert heavier.plant.largest["PlantMotion.position_m"] > 1e-4
-    unit = replay(Order(str(log), settings=["controller.filter=false"], plant=True))
+    unit = replay(ReplayRequest(str(log), settings=["controller.filter=false"], plant=True))
     assert unit.plant is not None and unit.comparison.differs and not unit.plant.differing

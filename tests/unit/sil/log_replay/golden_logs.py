@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sil.log_replay.recorded_frames import Arrival, Traffic
+from sil.log_replay.recorded_frames import Arrival, RecordedFrames
 from sil.logs import LogFrame, open_log, open_writer
 from tests.conftest import ROOT
 
@@ -20,7 +20,7 @@ def frames(name: str) -> list[LogFrame]:
 
 
 def arrivals(name: str) -> list[Arrival]:
-    return list(Traffic(open_log(golden(name))))
+    return list(RecordedFrames(open_log(golden(name))))
 
 
 def write(path: Path, log: list[LogFrame]) -> Path:

@@ -68,7 +68,7 @@ def test_the_first_difference_has_time_signals_and_inputs() -> None:
 def test_a_valve_is_open_by_its_duty_or_by_a_blow() -> None:
     on, blow, idle = tick(0.98), tick(blow=Chamber.B), tick()
     found = compared([(idle, idle), (on, on), (blow, idle), (idle, idle)])
-    valve, *_ = found.lane_results()
+    valve, *_ = found.matched_edges()
     assert valve.lines(TICK) == ["valve B closes 1 sample (10 ms) earlier, once out of 1"]
     assert not compared([(tick(0.33), tick(0.33))]).engaged  # the duty that leaves it closed
 
@@ -92,7 +92,7 @@ def test_a_shift_that_begins_while_warming_up_is_compared() -> None:
     push, init, idle = tick(0.98, ShiftState.PUSH), tick(state=ShiftState.INIT), tick()
     found = compared([(idle, init), (idle, init), (push, init), (push, init)], warming=True)
     assert found.differs and found.warm_up_ticks == 2
-    assert found.lane_results()[0].matching.dropped == [0]
+    assert found.matched_edges()[0].matching.dropped == [0]
 
 
 def test_a_tolerance_in_time_allows_for_that_much_and_no_more() -> None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sil.log_replay.edges import Edge, Lane, Matching, judge_lane, match, shift_told
+from sil.log_replay.edges import Edge, Matching, SwitchingSignal, match, match_edges, shift_text
 
 MS = 1_000_000
 WINDOW = 50 * MS
@@ -105,24 +105,24 @@ def test_no_other_matching_costs_less(a: list[Edge], b: list[Edge], window: int)
 
 
 def test_shifts_are_told_in_samples_and_ms_with_how_often() -> None:
-    lane = Lane("valve B", "opens", "closes")
+    signal = SwitchingSignal("valve B", "opens", "closes")
     for k in range(14):
         late = 30 * MS if k in (3, 9) else 0
-        lane.take(0, 1000 * MS * k, True)
-        lane.take(1, 1000 * MS * k + late, True)
-        lane.take(0, 1000 * MS * k + 400 * MS, False)
-        lane.take(1, 1000 * MS * k + 400 * MS, False)
-    result = judge_lane(lane, 200 * MS)
+        signal.take(0, 1000 * MS * k, True)
+        signal.take(1, 1000 * MS * k + late, True)
+        signal.take(0, 1000 * MS * k + 400 * MS, False)
+        signal.take(1, 1000 * MS * k + 400 * MS, False)
+    result = match_edges(signal, 200 * MS)
     assert result.lines(10 * MS) == ["valve B opens 3 samples (30 ms) later, twice out of 14"]
     assert result.moved(0) and not result.moved(30 * MS)
 
 
 def test_a_lane_notes_changes_only_and_tells_what_is_gone_or_new() -> None:
-    lane = Lane("valve N", "opens", "closes")
-    assert not lane.take(0, 0, False)
-    assert lane.take(0, 10 * MS, True) and not lane.take(0, 20 * MS, True)
-    lane.take(0, 30 * MS, False)
-    assert judge_lane(lane, WINDOW).lines(10 * MS, base_ns=1000 * MS) == [
+    signal = SwitchingSignal("valve N", "opens", "closes")
+    assert not signal.take(0, 0, False)
+    assert signal.take(0, 10 * MS, True) and not signal.take(0, 20 * MS, True)
+    signal.take(0, 30 * MS, False)
+    assert match_edges(signal, WINDOW).lines(10 * MS, base_ns=1000 * MS) == [
         "valve N opens in the recording only, at 1.010000 s",
         "valve N closes in the recording only, at 1.030000 s",
     ]
@@ -133,4 +133,4 @@ def test_a_lane_notes_changes_only_and_tells_what_is_gone_or_new() -> None:
     [(30, "3 samples (30 ms) later"), (-10, "1 sample (10 ms) earlier"), (12.5, "12.5 ms later")],
 )
 def test_a_shift_that_is_no_whole_sample_is_told_in_ms(shift_ms: float, told: str) -> None:
-    assert shift_told(round(shift_ms * MS), 10 * MS) == told
+    assert shift_text(round(shift_ms * MS), 10 * MS) == told

@@ -1,4 +1,4 @@
-"""Scenes around edges, few and short, and their waveforms in letters."""
+"""ExcerptRecorder around edges, few and short, and their waveforms in letters."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from sil.log_replay.excerpts import (
     MOST_DIFFERING,
     MOST_EQUAL,
     MOST_ROWS,
+    Excerpt,
+    ExcerptRecorder,
     Row,
-    Scene,
-    Scenes,
     waveforms,
 )
 
@@ -21,7 +21,7 @@ def row(k: int, a: bool, b: bool, states: tuple[str, str] = ("IDLE", "IDLE")) ->
 
 
 def test_a_scene_has_what_came_before_and_after() -> None:
-    scenes = Scenes()
+    scenes = ExcerptRecorder()
     for k in range(200):
         scenes.take(row(k, k >= 100, k >= 100), changed=k == 100, differs=False)
     (scene,) = scenes.found
@@ -30,12 +30,12 @@ def test_a_scene_has_what_came_before_and_after() -> None:
 
 
 def test_only_so_many_and_so_long_scenes_are_kept() -> None:
-    scenes = Scenes()
+    scenes = ExcerptRecorder()
     for k in range(4_000):  # a difference and an edge in turn, every half second
         scenes.take(row(k, False, k % 100 < 5), changed=k % 100 == 50, differs=k % 100 < 5)
     assert sum(s.differs for s in scenes.found) == MOST_DIFFERING
     assert sum(not s.differs for s in scenes.found) == MOST_EQUAL
-    always = Scenes()
+    always = ExcerptRecorder()
     for k in range(50_000):
         always.take(row(k, False, True), changed=False, differs=True)
     assert len(always.found) == MOST_DIFFERING
@@ -50,7 +50,7 @@ def test_waveforms_show_both_sides_and_mark_what_differs() -> None:
         [("IDLE", "IDLE")] + [("PUSH", "PUSH")] + [("PUSH", "HOLD")] * 2 + [("IDLE", "IDLE")] * 2
     )
     rows = [row(k, *x) for k, x in enumerate(zip(on, off, states, strict=True))]
-    assert waveforms(Scene(rows, True), ("recorded", "replayed"), 5 * TICK) == [
+    assert waveforms(Excerpt(rows, True), ("recorded", "replayed"), 5 * TICK) == [
         "from 0.050000 s, 10 ms per column",
         "valve B   recorded _###__",
         "          replayed _#____",

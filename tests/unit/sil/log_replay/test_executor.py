@@ -10,7 +10,7 @@ import pytest
 from can_dbc.errors import InputError, RunError
 from can_dbc.messages import ControllerStatus, SafetyBlow, ShiftRequest, ValveCommand
 from sil.log_replay.recorded_frames import ID_OF
-from sil.log_replay.replay import Order, Outcome, replay
+from sil.log_replay.replay import ReplayRequest, ReplayResult, replay
 from sil.log_replay.signals import Options
 from sil.logs import LogFrame
 from sil.simulation import scenario
@@ -30,9 +30,9 @@ def long_log(seconds: int) -> list[LogFrame]:
     return [LogFrame(f.arrival_ns, *f.frame, channel="can0") for f in run.record.frames]
 
 
-def replayed(tmp_path: Path, log: list[LogFrame], **order: object) -> Outcome:
+def replayed(tmp_path: Path, log: list[LogFrame], **request: object) -> ReplayResult:
     path = write(tmp_path / "made.log", log)
-    found = replay(Order(str(path), **order))  # type: ignore[arg-type]
+    found = replay(ReplayRequest(str(path), **request))  # type: ignore[arg-type]
     assert found.account.total == found.frames == len(log)
     return found
 
@@ -61,7 +61,7 @@ def test_a_log_cut_off_in_the_middle_of_a_shift_agrees_once_that_is_over(tmp_pat
 
 
 def test_a_unit_that_stood_still_is_replayed_as_one_that_did(tmp_path: Path) -> None:
-    """Frames of the pause reach the unit at its next tick; nothing else is lost or invented."""
+    """Frames of the pause reach the control unit at its next tick; nothing else is lost or invented."""
     log = frames("lab_n_b")
     idle = [f for f in log if f.time_ns > 350_050_000]
     ours = {ID_OF[kind] for kind in (ValveCommand, SafetyBlow, ControllerStatus)}
@@ -80,11 +80,11 @@ def test_a_hole_of_an_age_is_stepped_over(tmp_path: Path) -> None:
     assert not found.differs and found.steps == 160
     assert found.comparison.ticks > 130 and found.comparison.warm_up_ticks > 0
     with pytest.raises(InputError, match="the recording has 1 holes"):
-        replay(Order(found.order.log, plant=True))
+        replay(ReplayRequest(found.request.log, plant=True))
 
 
 def test_a_hampered_unit_and_bus_are_replayed_as_they_were(tmp_path: Path) -> None:
-    """Pauses of the unit, frames lost, corrupted and late all at once; the settings unknown."""
+    """Pauses of the control unit, frames lost, corrupted and late all at once; the settings unknown."""
     faults = [
         {"kind": "stalled", "node": "controller", "start_s": 0.305, "end_s": 0.333},
         {"kind": "stalled", "node": "controller", "start_s": 0.6, "end_s": 0.66},
@@ -109,20 +109,20 @@ def test_one_changed_input_is_found_with_its_time(tmp_path: Path) -> None:
     without = [f for f in log if not (f.can_id == request and 95_000_000 < f.time_ns < 125_000_000)]
     found = replayed(tmp_path, without)
     assert found.differs
-    valve = found.comparison.lane_results()[0]
+    valve = found.comparison.matched_edges()[0]
     assert valve.lines(PERIOD)[0].startswith("valve B opens")
     assert all(shift > 0 for shift in valve.shift_ns)
 
 
 def test_ignoring_all_that_differs_leaves_no_difference() -> None:
     names = ["ControllerStatus.*", "Etc?.*", "ValveCommand.*", "SafetyBlow.*"]
-    order = Order(str(golden("lab_n_b")), settings=["controller.filter=false"])
-    assert replay(order).differs
-    ignoring = Order(order.log, settings=order.settings, options=Options(ignore=names))
+    request = ReplayRequest(str(golden("lab_n_b")), settings=["controller.filter=false"])
+    assert replay(request).differs
+    ignoring = ReplayRequest(request.log, settings=request.settings, options=Options(ignore=names))
     assert not replay(ignoring).differs
-    tolerant = Order(
-        order.log,
-        settings=order.settings,
+    tolerant = ReplayRequest(
+        request.log,
+        settings=request.settings,
         options=Options(
             time_s=0.035,
             tolerance={"ControllerStatus.estimate_m": 0.02},
@@ -150,10 +150,10 @@ def test_an_odd_period_of_a_known_run_is_that_of_the_run(tmp_path: Path) -> None
 
 
 def test_another_period_is_compared_in_time(tmp_path: Path) -> None:
-    order = Order(str(golden("lab_n_b")), settings=["controller.period_s=0.005"])
-    found = replay(order)
+    request = ReplayRequest(str(golden("lab_n_b")), settings=["controller.period_s=0.005"])
+    found = replay(request)
     assert found.steps == 2 * 69 + 1
-    edges = found.comparison.lane_results()[0]
+    edges = found.comparison.matched_edges()[0]
     assert len(edges.matching.pairs) == 2
     assert all(shift % 5_000_000 == 0 for shift in edges.shift_ns)
 
@@ -183,13 +183,13 @@ class Broken(Firmware):
 
 def test_a_firmware_of_ones_own_is_replayed_on_what_ours_heard(tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(LATE)
-    found = replay(Order(str(golden("lab_n_b")), firmware=f"{tmp_path / 'own.py'}:Late"))
-    valve = found.comparison.lane_results()[0]
+    found = replay(ReplayRequest(str(golden("lab_n_b")), firmware=f"{tmp_path / 'own.py'}:Late"))
+    valve = found.comparison.matched_edges()[0]
     assert valve.lines(PERIOD) == ["valve B opens 2 samples (20 ms) later, once out of 1"]
     with pytest.raises(RunError, match=r"own\.py:Broken: step: ZeroDivisionError: .+\Z"):
-        replay(Order(str(golden("lab_n_b")), firmware=f"{tmp_path / 'own.py'}:Broken"))
+        replay(ReplayRequest(str(golden("lab_n_b")), firmware=f"{tmp_path / 'own.py'}:Broken"))
     with pytest.raises(InputError, match="no class 'None'"):
-        replay(Order(str(golden("lab_n_b")), firmware=f"{tmp_path / 'own.py'}:None"))
+        replay(ReplayRequest(str(golden("lab_n_b")), firmware=f"{tmp_path / 'own.py'}:None"))
 
 
 def test_damaged_answers_are_counted_not_compared(tmp_path: Path) -> None:
@@ -231,5 +231,5 @@ def test_a_log_in_which_nothing_was_engaged_is_refused(
 ) -> None:
     path = write(tmp_path / "x.log", [f for f in frames("lab_n_b") if keep(f)])  # type: ignore[operator]
     with pytest.raises(InputError) as refused:
-        replay(Order(str(path)))
+        replay(ReplayRequest(str(path)))
     assert complaint in str(refused.value) and str(path) in str(refused.value)

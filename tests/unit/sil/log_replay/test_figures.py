@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from sil.log_replay.excerpts import Row, Scene
-from sil.log_replay.figures import scenes_figure
-from sil.log_replay.replay import Order, replay
+from sil.log_replay.excerpts import Excerpt, Row
+from sil.log_replay.figures import excerpts_figure
+from sil.log_replay.replay import ReplayRequest, replay
 from sil.report.figure import Series
 from tests.unit.sil.log_replay.golden_logs import golden
 
-FOUND = replay(Order(str(golden("full_shift")), settings=["controller.filter=false"]))
+FOUND = replay(ReplayRequest(str(golden("full_shift")), settings=["controller.filter=false"]))
 
 
 def test_both_shifts_are_on_the_axis_once() -> None:
-    scenes = FOUND.comparison.scenes.found
-    (stack,) = scenes_figure(scenes, FOUND.labels, FOUND.grid.origin_ns).stacks
+    scenes = FOUND.comparison.excerpts.found
+    (stack,) = excerpts_figure(scenes, FOUND.labels, FOUND.grid.origin_ns).stacks
     assert len(stack.zooms) == 2 and all(zoom.name.endswith("differs") for zoom in stack.zooms)
     position, coils, states = stack.panels
     recorded, replayed = position.series
@@ -28,10 +28,10 @@ def test_both_shifts_are_on_the_axis_once() -> None:
 
 
 def test_lines_have_a_gap_only_between_scenes_that_are_apart() -> None:
-    rows = FOUND.comparison.scenes.found[0].rows
+    rows = FOUND.comparison.excerpts.found[0].rows
 
     def estimates(*parts: list[Row]) -> list[Series]:
-        (stack,) = scenes_figure([Scene(part) for part in parts], FOUND.labels, 0).stacks
+        (stack,) = excerpts_figure([Excerpt(part) for part in parts], FOUND.labels, 0).stacks
         return list(stack.panels[0].series)
 
     for one, other in zip(estimates(rows[:9], rows[5:]), estimates(rows), strict=True):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError
-from sil.log_replay.options import setup
+from sil.log_replay.options import find_settings
 from sil.log_replay.tick_grid import survey
 from sil.simulation import scenario
 from tests.unit.sil.log_replay.golden_logs import arrivals
@@ -23,20 +23,20 @@ def result(folder: Path, name: str) -> Path:
 
 
 def test_without_a_run_the_periods_are_those_of_the_log(tmp_path: Path) -> None:
-    found = setup(str(tmp_path / "a.log"), FOUND)
+    found = find_settings(str(tmp_path / "a.log"), FOUND)
     config = found.loaded.scenario.controller
     assert (config.period_ns, config.sensor.period_s) == (2_500_000, 0.0025)
     assert config.filter.enabled and not found.own_run
-    assert found.told == "defaults, period 2.5 ms and sensor period 2.5 ms from the log"
+    assert found.description == "defaults, period 2.5 ms and sensor period 2.5 ms from the log"
 
 
 def test_the_run_beside_the_log_gives_its_settings(tmp_path: Path) -> None:
     log = result(tmp_path, "strategy_predictive")
-    found = setup(str(log), FOUND, settings=["controller.period_s=0.005"])
+    found = find_settings(str(log), FOUND, settings=["controller.period_s=0.005"])
     assert found.own_run
     assert found.loaded.scenario.controller.strategy == "predictive"
     assert found.loaded.scenario.controller.period_ns == 5_000_000
-    assert found.told.endswith("result.json with controller.period_s=0.005")
+    assert found.description.endswith("result.json with controller.period_s=0.005")
 
 
 @pytest.mark.parametrize(
@@ -50,13 +50,15 @@ def test_the_run_beside_the_log_gives_its_settings(tmp_path: Path) -> None:
 def test_a_file_gives_the_settings_and_the_log_the_period(tmp_path: Path, text: str) -> None:
     file = tmp_path / "f.toml"
     file.write_text(text)
-    config = setup(str(tmp_path / "a.log"), FOUND, firmware=str(file)).loaded.scenario.controller
+    config = find_settings(
+        str(tmp_path / "a.log"), FOUND, firmware=str(file)
+    ).loaded.scenario.controller
     assert not config.filter.enabled and config.period_ns == 2_500_000
 
 
 def test_another_runs_result_gives_its_firmware(tmp_path: Path) -> None:
     result(tmp_path, "filter_off")
-    found = setup("elsewhere/a.log", FOUND, firmware=str(tmp_path / "result.json"))
+    found = find_settings("elsewhere/a.log", FOUND, firmware=str(tmp_path / "result.json"))
     config = found.loaded.scenario.controller
     assert not config.filter.enabled and config.period_ns == 10_000_000
 
@@ -72,19 +74,19 @@ def test_another_runs_result_gives_its_firmware(tmp_path: Path) -> None:
 )
 def test_settings_that_cannot_be_are_refused(settings: list[str], complaint: str) -> None:
     with pytest.raises(InputError) as refused:
-        setup("a.log", FOUND, settings=settings)
+        find_settings("a.log", FOUND, settings=settings)
     assert complaint in str(refused.value)
 
 
 def test_a_file_without_settings_is_refused(tmp_path: Path) -> None:
     (tmp_path / "f.json").write_text("[]")
     with pytest.raises(InputError, match="no firmware settings"):
-        setup("a.log", FOUND, firmware=str(tmp_path / "f.json"))
+        find_settings("a.log", FOUND, firmware=str(tmp_path / "f.json"))
     (tmp_path / "f.toml").write_text("controller = 1\n")
     with pytest.raises(InputError, match="not a table"):
-        setup("a.log", FOUND, firmware=str(tmp_path / "f.toml"))
+        find_settings("a.log", FOUND, firmware=str(tmp_path / "f.toml"))
     (tmp_path / "g.toml").write_text("periode_s = 1\n")
     with pytest.raises(InputError, match="period_s"):
-        setup("a.log", FOUND, firmware=str(tmp_path / "g.toml"))
+        find_settings("a.log", FOUND, firmware=str(tmp_path / "g.toml"))
     with pytest.raises(InputError, match=r"none\.toml"):
-        setup("a.log", FOUND, firmware=str(tmp_path / "none.toml"))
+        find_settings("a.log", FOUND, firmware=str(tmp_path / "none.toml"))

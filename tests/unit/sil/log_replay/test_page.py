@@ -8,12 +8,12 @@ from base64 import b64decode
 from pathlib import Path
 
 from sil.log_replay.page import replay_page
-from sil.log_replay.replay import Order, replay
+from sil.log_replay.replay import ReplayRequest, replay
 from sil.log_replay.summary import as_dict, summary_lines, text
 from tests.unit.sil.log_replay.golden_logs import golden
 
-FOUND = replay(Order(str(golden("full_shift")), settings=["controller.filter=false"]))
-SAME = replay(Order(str(golden("full_shift"))))
+FOUND = replay(ReplayRequest(str(golden("full_shift")), settings=["controller.filter=false"]))
+SAME = replay(ReplayRequest(str(golden("full_shift"))))
 
 
 def test_the_page_needs_no_network_and_shows_pictures_of_both_shifts(tmp_path: Path) -> None:

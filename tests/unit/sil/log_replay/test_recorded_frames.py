@@ -10,7 +10,7 @@ from can_dbc.contract import DBC_PATH
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
 from can_dbc.messages import PositionPulse, ShiftRequest, ValveCommand
-from sil.log_replay.recorded_frames import ID_OF, Traffic, bare, ids_of_database, is_intact
+from sil.log_replay.recorded_frames import ID_OF, RecordedFrames, bare, ids_of_database, is_intact
 from sil.logs import LogFrame
 from tests.unit.sil.log_replay.golden_logs import arrivals
 
@@ -32,7 +32,7 @@ def test_every_frame_is_passed_on_or_counted() -> None:
         LogFrame(6, 0x18FEF100, bytes(8)),
         request(7, channel="can1"),
     ]
-    traffic = Traffic(log, channel="")
+    traffic = RecordedFrames(log, channel="")
     assert [(a.time_ns, a.kind) for a in traffic] == [(1, ShiftRequest), (6, None)]
     assert traffic.total == 7
     assert dict(traffic.counts) == {
@@ -46,13 +46,13 @@ def test_every_frame_is_passed_on_or_counted() -> None:
 
 
 def test_slightly_reordered_frames_are_taken_and_a_jump_back_is_refused() -> None:
-    traffic = Traffic([request(100_000_000), request(60_000_000), request(101_000_000)])
+    traffic = RecordedFrames([request(100_000_000), request(60_000_000), request(101_000_000)])
     assert [a.time_ns for a in traffic] == [100_000_000, 100_000_000, 101_000_000]
     assert traffic.reordered == 1
     with pytest.raises(
         InputError, match=r"log: frame 2: the clock steps back by 1\.000 s; expected"
     ):
-        list(Traffic([request(2_000_000_000), request(1_000_000_000)]))
+        list(RecordedFrames([request(2_000_000_000), request(1_000_000_000)]))
 
 
 def test_a_damaged_frame_is_not_intact() -> None:

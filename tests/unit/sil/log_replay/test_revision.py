@@ -11,9 +11,9 @@ import pytest
 from can_dbc.errors import InputError, RunError
 from can_dbc.messages import ValveCommand
 from controller.config import FirmwareConfig
-from sil.log_replay.firmware_under_test import ForeignUnit, OwnUnit
+from sil.log_replay.firmware_under_test import CheckoutFirmware, OwnFirmware
 from sil.log_replay.recorded_frames import OWN_IDS
-from sil.log_replay.replay import Order, replay
+from sil.log_replay.replay import ReplayRequest, replay
 from sil.log_replay.revision import checkout
 from tests.conftest import ROOT
 from tests.unit.sil.log_replay.golden_logs import arrivals, golden
@@ -52,10 +52,10 @@ def repository(tmp_path: Path) -> Path:
 def test_two_commits_on_one_log(repository: Path) -> None:
     log = str(golden("lab_n_b"))
     with checkout("HEAD~1", repository) as tree:
-        assert not replay(Order(log, reference=(tree, "HEAD~1"))).differs
+        assert not replay(ReplayRequest(log, reference=(tree, "HEAD~1"))).differs
         assert len(git(repository, "worktree", "list").splitlines()) == 2
     with checkout("HEAD", repository) as tree:
-        found = replay(Order(log, reference=(tree, "HEAD")))
+        found = replay(ReplayRequest(log, reference=(tree, "HEAD")))
     assert found.differs and found.labels == ("HEAD", "here")
     assert found.comparison.first_command is not None
     assert found.comparison.first_command.signals[0][0] == "ValveCommand.duty_b"
@@ -87,7 +87,7 @@ def test_code_outside_of_a_repository_is_refused(tmp_path: Path) -> None:
 
 def test_a_foreign_unit_answers_as_our_own_does() -> None:
     log = [a for a in arrivals("lab_n_b") if a.kind is not None]
-    own, foreign = OwnUnit(FirmwareConfig()), ForeignUnit(ROOT, FirmwareConfig(), "here")
+    own, foreign = OwnFirmware(FirmwareConfig()), CheckoutFirmware(ROOT, FirmwareConfig(), "here")
     try:
         for tick in range(40):
             now = tick * 10_000_000
@@ -107,11 +107,11 @@ def test_a_checkout_without_a_controller_is_refused(tmp_path: Path) -> None:
     package.mkdir()
     (package / "__init__.py").write_text("raise RuntimeError('an older world')\n")
     with pytest.raises(InputError, match=r"cannot be used: .*an older world"):
-        ForeignUnit(tmp_path, FirmwareConfig(), "old")
+        CheckoutFirmware(tmp_path, FirmwareConfig(), "old")
 
 
 def test_a_foreign_unit_that_ends_is_told() -> None:
-    unit = ForeignUnit(ROOT, FirmwareConfig(), "here")
+    unit = CheckoutFirmware(ROOT, FirmwareConfig(), "here")
     with pytest.raises(RunError, match=r"here: its firmware ended: .*skips the tick"):
         for now_ns in (0, 10_000_001):
             unit.step(now_ns, [])

@@ -1,4 +1,4 @@
-"""Tolerances and the ignore list; the file they are in; values as told."""
+"""Tolerances and the ignore list; the file they are in; values as text."""
 
 from __future__ import annotations
 
@@ -9,7 +9,15 @@ import pytest
 from can_dbc.codec import encode
 from can_dbc.errors import InputError
 from can_dbc.messages import ControllerStatus, Fault, Gear, ShiftState
-from sil.log_replay.signals import ALL_NAMES, Judge, Options, load_options, same, told, values
+from sil.log_replay.signals import (
+    ALL_NAMES,
+    Options,
+    SignalComparer,
+    load_options,
+    same,
+    value_text,
+    values,
+)
 
 
 def status(estimate_m: float, state: ShiftState = ShiftState.IDLE) -> tuple[object, ...]:
@@ -27,14 +35,16 @@ def test_numbers_are_the_same_within_their_tolerance_only() -> None:
 
 def test_ignored_and_tolerated_signals_do_not_differ() -> None:
     ours, theirs = status(0.001), status(0.002, ShiftState.PUSH)
-    names = [name for _, name in Judge(Options()).differing(ControllerStatus, ours, theirs)]
+    names = [
+        name for _, name in SignalComparer(Options()).differing(ControllerStatus, ours, theirs)
+    ]
     assert names == ["ControllerStatus.state", "ControllerStatus.estimate_m"]
-    some = Judge(Options(ignore=["*.estimate_m"]))
+    some = SignalComparer(Options(ignore=["*.estimate_m"]))
     assert [n for _, n in some.differing(ControllerStatus, ours, theirs)] == [
         "ControllerStatus.state"
     ]
     lenient = Options(ignore=["*.state"], tolerance={"ControllerStatus.estimate_m": 0.001})
-    assert Judge(lenient).differing(ControllerStatus, ours, theirs) == []
+    assert SignalComparer(lenient).differing(ControllerStatus, ours, theirs) == []
 
 
 def test_values_outside_the_contract_are_none() -> None:
@@ -76,9 +86,9 @@ def test_options_that_are_none_are_refused_by_name(
 
 
 def test_values_as_a_reader_wants_them() -> None:
-    assert told(Fault.NONE) == "NONE"
-    assert told(Fault.POSITION_LOST | Fault.SPEEDS_LOST) == "POSITION_LOST|SPEEDS_LOST"
-    assert (told(None), told(True), told(0.98), told(Gear.FORWARD)) == (
+    assert value_text(Fault.NONE) == "NONE"
+    assert value_text(Fault.POSITION_LOST | Fault.SPEEDS_LOST) == "POSITION_LOST|SPEEDS_LOST"
+    assert (value_text(None), value_text(True), value_text(0.98), value_text(Gear.FORWARD)) == (
         "not available",
         "yes",
         "0.98",

@@ -57,7 +57,7 @@ def test_coarse_times_leave_the_phase_uncertain_and_say_so() -> None:
     found = survey(moved(log, 5_300_000))
     assert found.period_ns == 10_000_000 and found.resolution_ns == 100_000
     grid = make_grid(found, 10_000_000, COMPUTATION)
-    assert not grid.exact and "to 0.1 ms" in grid.told
+    assert not grid.exact and "to 0.1 ms" in grid.description
     assert abs(grid.origin_ns - 5_300_000) <= 400_000
 
 

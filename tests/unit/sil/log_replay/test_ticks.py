@@ -51,9 +51,7 @@ def test_silence_with_running_counters_is_off_the_bus() -> None:
 
 def test_silence_with_standing_counters_is_standstill() -> None:
     log = arrivals("full_shift")
-    stalled_ns = (
-        70_000_000  # the unit stops for seven periods and then goes on as if none had passed
-    )
+    stalled_ns = 70_000_000  # the control unit stops for seven periods and then goes on as if none had passed
     late = [
         a._replace(time_ns=a.time_ns + stalled_ns) if a.time_ns > 500_050_000 else a for a in log
     ]

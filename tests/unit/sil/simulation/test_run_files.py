@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 
 from can_dbc.messages import Gear
 from sil.report.page import run_page
-from sil.report.shell import told
+from sil.report.shell import value_text
 from sil.simulation import metrics
 from tests.unit.sil import made_run
 from tests.unit.sil.simulation.test_results import made as made_result
@@ -48,6 +48,8 @@ def test_page_is_well_formed_and_needs_no_network() -> None:
     )
 
 
-def test_told() -> None:
-    assert told({"min": 1, "max": 2.5}) == "at least 1, at most 2.5"
-    assert told([]) == "none" and told(True) == "yes" and told(["B", "N"]) == "B, N"
+def test_values_as_text() -> None:
+    assert value_text({"min": 1, "max": 2.5}) == "at least 1, at most 2.5"
+    assert (
+        value_text([]) == "none" and value_text(True) == "yes" and value_text(["B", "N"]) == "B, N"
+    )
