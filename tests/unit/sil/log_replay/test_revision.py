@@ -26,7 +26,7 @@ def git(folder: Path, *arguments: str) -> str:
 
 @pytest.fixture
 def repository(tmp_path: Path) -> Path:
-    """Two commits of the firmware: as it is, and one whose windows ask for one sample more."""
+    """Two commits of the firmware: as it is, and one that drives in every other period."""
     folder = tmp_path / "repository"
     folder.mkdir()
     for package in ("controller", "can_dbc"):
@@ -36,15 +36,12 @@ def repository(tmp_path: Path) -> Path:
     git(folder, "init", "--quiet", "--initial-branch=main")
     git(folder, "add", ".")
     git(folder, "commit", "--quiet", "-m", "as it is")
-    config = folder / "controller" / "firmware.py"
-    text = config.read_text()
-    changed = text.replace("OFF, Duties, ShiftContext", "OFF, Duties, ShiftContext  # changed")
-    changed = changed.replace(
-        "machine.driving:\n            b_ns",
-        "machine.driving and now_ns % 20_000_000 < 5_000_000:\n            b_ns",
-    )
+    strategy = folder / "controller" / "strategies" / "open_loop.py"
+    text = strategy.read_text()
+    duty = "self.config.duty if now_ns % 20_000_000 < 5_000_000 else 0.0"
+    changed = text.replace("(shift.charged, self.config.duty)", f"(shift.charged, {duty})")
     assert changed != text
-    config.write_text(changed)
+    strategy.write_text(changed)
     git(folder, "commit", "--quiet", "-a", "-m", "drives in every other period only")
     return folder
 
