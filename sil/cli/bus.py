@@ -29,6 +29,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Print; return 1 if a message may be too late.  Raises InputError for bad input."""
     from can_dbc.errors import InputError
     from sil.coupling import response_times
+    from sil.coupling.clock import to_seconds
 
     if arguments.dbc and arguments.scenario:
         raise InputError("--dbc, --scenario: both given; expected one of them")
@@ -57,11 +58,11 @@ def run(arguments: argparse.Namespace) -> int:
             {
                 "name": r.name,
                 "can_id": f"{r.can_id:08X}",
-                "period_s": r.period_ns / 1e9,
-                "transmission_s": r.transmission_ns / 1e9,
-                "blocking_s": r.blocking_ns / 1e9,
-                "worst_case_s": r.response_ns / 1e9,
-                "deadline_s": r.deadline_ns / 1e9,
+                "period_s": to_seconds(r.period_ns),
+                "transmission_s": to_seconds(r.transmission_ns),
+                "blocking_s": to_seconds(r.blocking_ns),
+                "worst_case_s": to_seconds(r.response_ns),
+                "deadline_s": to_seconds(r.deadline_ns),
                 "in_time": r.in_time,
             }
             for r in responses

@@ -241,7 +241,7 @@ class FaultPlan:
         self._down: list[tuple[str, Window]] = []
         for index, fault in enumerate(faults):
             name = f"fault[{index}]"
-            window = _window(fault, name)
+            window = window_of(fault, name)
             if isinstance(fault, Intrusion):
                 continue
             if isinstance(fault, BusOff):
@@ -326,7 +326,8 @@ class FaultPlan:
         self.events.append(FaultEvent(transmission.start_ns, kind, frame.can_id, sender))
 
 
-def _window(fault: BusFault, name: str) -> Window:
+def window_of(fault: BusFault, name: str = "fault") -> Window:
+    """Return when a fault acts.  Raises InputError, with its name, for an impossible time."""
     start_ns = to_ns(fault.start_s, f"{name}.start_s")
     if fault.end_s is None:
         if isinstance(fault, Stalled):
@@ -340,11 +341,6 @@ def _window(fault: BusFault, name: str) -> Window:
             f"{name}.end_s: {fault.end_s} s; expected later than start_s, {fault.start_s} s"
         )
     return Window(start_ns, end_ns)
-
-
-def window_of(fault: BusFault) -> Window:
-    """Return when a fault of a scenario acts."""
-    return _window(fault, "fault")
 
 
 def _apply(

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from can_dbc.errors import InputError
+from sil.coupling.clock import to_seconds
 
 _LAST_SLEEP_NS = 2_000_000
 """The last stretch is slept, not polled: poll wakes up on whole milliseconds only."""
@@ -112,10 +113,10 @@ class Pacer:
             self._overruns += 1
             self._worst_overrun = max(self._worst_overrun, -left)
         elif left > _LAST_SLEEP_NS:
-            idle((left - _LAST_SLEEP_NS) / 1e9)
+            idle(to_seconds(left - _LAST_SLEEP_NS))
         left = due - self._clock()
         if left > 0:
-            self._sleep(left / 1e9)
+            self._sleep(to_seconds(left))
         self._late.add(self._clock() - due)
 
     def lateness(self) -> Lateness:
@@ -123,9 +124,9 @@ class Pacer:
         return Lateness(
             factor=self.factor,
             instants=self._late.total,
-            p50_s=self._late.quantile(0.5) / 1e9,
-            p99_s=self._late.quantile(0.99) / 1e9,
-            max_s=self._late.maximum / 1e9,
+            p50_s=to_seconds(self._late.quantile(0.5)),
+            p99_s=to_seconds(self._late.quantile(0.99)),
+            max_s=to_seconds(self._late.maximum),
             overruns=self._overruns,
-            worst_overrun_s=self._worst_overrun / 1e9,
+            worst_overrun_s=to_seconds(self._worst_overrun),
         )

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from sil.coupling.clock import NS_PER_S
 from sil.recording.events import EVENTS, event_of
 from sil.recording.frames import BUS_FRAMES, FrameReader
 from sil.recording.recorder import PLANT_TRACE, TraceReader
-from sil.recording.run_record import NS, PlantEvent, RunRecord
+from sil.recording.run_record import PlantEvent, RunRecord
 
 PIECE_S = 60.0
 """A run up to this long is one piece."""
@@ -82,7 +83,7 @@ class RunReader:
         """Return the record from `start_s` to `until_s`, and a second more on either side."""
         if self.pieces == 1:
             return self.piece(0)
-        latest_s = until_s + 1.0 + self._frames.longest_way_ns / NS
+        latest_s = until_s + 1.0 + self._frames.longest_way_ns / NS_PER_S
         return self._record(start_s - 1.0, until_s + 1.0, latest_s)
 
     def _record(self, start_s: float, end_s: float, last_arrival_s: float) -> RunRecord:
@@ -90,10 +91,10 @@ class RunReader:
         first = 0 if start_s <= 0.0 else self._trace.first_from(start_s)
         beyond = self.rows if end_s > self.end_s else self._trace.first_from(end_s)
         rows = self._trace.read(first, beyond)
-        begin = 0 if start_s <= 0.0 else self._frames.first_from(round(start_s * NS))
+        begin = 0 if start_s <= 0.0 else self._frames.first_from(round(start_s * NS_PER_S))
         last = self._frames.frames
         if last_arrival_s < np.inf:
-            last = self._frames.first_from(round(last_arrival_s * NS))
+            last = self._frames.first_from(round(last_arrival_s * NS_PER_S))
         return RunRecord(
             truth={
                 name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(self._trace.columns)

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from can_dbc import codec
 from can_dbc.frame import Frame
 from can_dbc.messages import ControllerStatus
+from sil.coupling.clock import NS_PER_S
 
 Floats = NDArray[np.float64]
 M = TypeVar("M")
 
-NS = 1_000_000_000
 CHAMBERS = ("B", "N", "F")
 
 
@@ -156,7 +156,7 @@ class RunRecord:
     def series(self, kind: type[Any], name: str) -> tuple[Floats, list[Any]]:
         """Return arrival times [n] in s, and the n values, of one field of one message type."""
         entries = self.of(kind)
-        times = np.array([e.arrival_ns for e, _ in entries], dtype=np.float64) / NS
+        times = np.array([e.arrival_ns for e, _ in entries], dtype=np.float64) / NS_PER_S
         return times, [getattr(m, name) for _, m in entries]
 
     @cached_property

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from can_dbc.messages import Chamber, ControllerStatus, SafetyBlow
-from sil.recording.run_record import CHAMBERS, NS, Floats, RunRecord
+from sil.coupling.clock import NS_PER_S
+from sil.recording.run_record import CHAMBERS, Floats, RunRecord
 from sil.report.figure import (
     BAR,
     MM,
@@ -361,7 +362,7 @@ def _bus(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
     for lane, (_, _, entries) in enumerate(lanes):
         role = SENDERS.get(entries[0][0].sender, "B")
         for entry, _ in entries:
-            start, end = entry.released_ns / NS * MS, entry.arrival_ns / NS * MS
+            start, end = entry.released_ns / NS_PER_S * MS, entry.arrival_ns / NS_PER_S * MS
             if any(zoom.low <= end and start <= zoom.high for zoom in zooms):
                 spans.append(Span(start, max(end, start + 0.1), role, "", lane - 0.32, lane + 0.32))
     return Panel(

@@ -17,8 +17,9 @@ from can_dbc.messages import (
     ShiftRequest,
     ValveCommand,
 )
+from sil.coupling.clock import NS_PER_S
 from sil.recording.interpolation import hermite, monotone_slopes
-from sil.recording.run_record import CHAMBERS, NS, Floats, M, PlantEvent, RunRecord
+from sil.recording.run_record import CHAMBERS, Floats, M, PlantEvent, RunRecord
 
 ARRIVED_WITHIN_M = 5e-5
 """The stay counts as arrived this close to its stop: one step of the external potentiometer."""
@@ -119,7 +120,7 @@ def requests(record: RunRecord, initial: Gear) -> list[tuple[float, Gear, Gear]]
     current = initial
     for entry, message in record.each(ShiftRequest):
         if message.target != current:
-            found.append((entry.released_ns / NS, current, message.target))
+            found.append((entry.released_ns / NS_PER_S, current, message.target))
             current = message.target
     return found
 
@@ -145,7 +146,7 @@ def _first(
     record: RunRecord, kind: type[M], start: float, until: float, wanted: Callable[[M], bool]
 ) -> float | None:
     for entry, message in record.of(kind):
-        at = entry.arrival_ns / NS
+        at = entry.arrival_ns / NS_PER_S
         if start <= at <= until and wanted(message):
             return at
     return None
@@ -184,9 +185,9 @@ def shift_figures(
         None,
     )
     blow = [
-        e.arrival_ns / NS
+        e.arrival_ns / NS_PER_S
         for e, m in record.of(SafetyBlow)
-        if m.active and m.chamber == Chamber[letter] and start <= e.arrival_ns / NS <= until
+        if m.active and m.chamber == Chamber[letter] and start <= e.arrival_ns / NS_PER_S <= until
     ]
     lags = (
         _lags(record, origin, goal, start, until) if known and arrived is not None else [None] * 6
@@ -252,9 +253,9 @@ def _truth_on_bus(
     record: RunRecord, start: float, until: float, levels: list[float], rising: bool
 ) -> list[float | None]:
     entries = [
-        (e.released_ns / NS, m.position_m, m.velocity_m_s)
+        (e.released_ns / NS_PER_S, m.position_m, m.velocity_m_s)
         for e, m in record.of(PlantMotion)
-        if start <= e.released_ns / NS <= until
+        if start <= e.released_ns / NS_PER_S <= until
     ]
     if len(entries) < 2:
         return [None for _ in levels]

@@ -24,8 +24,9 @@ import numpy as np
 from can_dbc.codec import can_id_of
 from can_dbc.e2e import E2eConfig, E2eStatus, Receiver
 from can_dbc.messages import ControllerStatus, E2eState, Fault, Gear, ValveCommand
+from sil.coupling.clock import NS_PER_S
 from sil.coupling.faults import BusOff, Dead, Delay, Stalled
-from sil.recording.run_record import NS, BusFrame, RunRecord
+from sil.recording.run_record import BusFrame, RunRecord
 from sil.simulation.metrics import gear_position_m
 from sil.simulation.scenario import Scenario
 
@@ -91,7 +92,7 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     for entry, message in status:
         if message is None:
             continue
-        at = entry.arrival_ns / NS
+        at = entry.arrival_ns / NS_PER_S
         if at < start:
             before |= message.faults
             continue
@@ -135,7 +136,7 @@ def believed_status(record: RunRecord) -> Reports:
 
     None stands where the channel is no longer valid: from that frame on nothing is believed.
     """
-    receiver = Receiver(ControllerStatus, E2eConfig(timeout_ns=round(REPORT_HOLDS_S * NS)))
+    receiver = Receiver(ControllerStatus, E2eConfig(timeout_ns=round(REPORT_HOLDS_S * NS_PER_S)))
     wanted = can_id_of(ControllerStatus)
     found: Reports = []
     for entry in record.frames_of(wanted):
@@ -149,7 +150,11 @@ def believed_status(record: RunRecord) -> Reports:
 
 def _reported_at(status: Reports, at_s: float) -> float:
     """The gear that a receiver believes at an instant [s]; nan when it believes none."""
-    if not status or status[-1][1] is None or at_s - status[-1][0].arrival_ns / NS > REPORT_HOLDS_S:
+    if (
+        not status
+        or status[-1][1] is None
+        or at_s - status[-1][0].arrival_ns / NS_PER_S > REPORT_HOLDS_S
+    ):
         return math.nan
     return float(status[-1][1].confirmed)
 
@@ -165,7 +170,10 @@ def true_gear(position_m: float, stroke_m: float, neutral_m: float, gear_m: floa
 def controller_down_ns(scenario: Scenario) -> list[tuple[int, float]]:
     """Intervals [ns] in which the controller does not live or the plant cannot hear it."""
     return [
-        (round(fault.start_s * NS), math.inf if fault.end_s is None else fault.end_s * NS)
+        (
+            round(fault.start_s * NS_PER_S),
+            math.inf if fault.end_s is None else fault.end_s * NS_PER_S,
+        )
         for fault in scenario.fault
         if (isinstance(fault, Dead | Stalled) and fault.node == "controller")
         or (isinstance(fault, BusOff) and fault.node in ("controller", "plant"))
@@ -183,14 +191,16 @@ def orphan_energised_s(record: RunRecord, scenario: Scenario) -> float:
     duties = np.stack([record.truth[f"cmd_{c}"] for c in "BNF"])
     wanted = can_id_of(ValveCommand)
     heard_s = [-math.inf] + [
-        entry.arrival_ns / NS for entry in record.frames_of(wanted) if entry.sender == "controller"
+        entry.arrival_ns / NS_PER_S
+        for entry in record.frames_of(wanted)
+        if entry.sender == "controller"
     ]
     last_s = np.array(heard_s)[np.searchsorted(heard_s, time_s, side="right") - 1]
     silent = time_s - last_s > scenario.valve_driver.timeout_s + 0.001
     orphaned = silent & (duties > ENERGISED).any(axis=0)
     for start_ns, end_ns in controller_down_ns(scenario):
-        begin = start_ns / NS + scenario.valve_driver.timeout_s + under_way
-        down = (time_s > begin) & (time_s < end_ns / NS)
+        begin = start_ns / NS_PER_S + scenario.valve_driver.timeout_s + under_way
+        down = (time_s > begin) & (time_s < end_ns / NS_PER_S)
         orphaned |= down & (duties > ENERGISED).any(axis=0)
     return float(np.count_nonzero(orphaned)) * float(np.median(np.diff(time_s)))
 
@@ -208,8 +218,8 @@ def false_gear_s(record: RunRecord, scenario: Scenario) -> float:
     for (entry, message), follower in zip_longest(status, status[1:]):
         if message is None or message.confirmed == Gear.UNKNOWN:
             continue
-        begin = entry.arrival_ns / NS
-        end = math.inf if follower is None else follower[0].arrival_ns / NS
+        begin = entry.arrival_ns / NS_PER_S
+        end = math.inf if follower is None else follower[0].arrival_ns / NS_PER_S
         low, high = np.searchsorted(time_s, [begin, min(end, begin + REPORT_HOLDS_S)])
         neutral = message.confirmed == Gear.NEUTRAL
         width = windows.neutral_tolerance_m if neutral else windows.gear_tolerance_m

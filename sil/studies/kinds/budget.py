@@ -20,8 +20,9 @@ from plant.kernel.packing import flow_coefficients
 from plant.parameters import ParameterSet
 from plant.parts.flow import charge
 from plant.systems.stroke import simulate
+from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import frame_bits
-from sil.recording.run_record import NS, BusFrame
+from sil.recording.run_record import BusFrame
 from sil.report.figure import MS, Figure, Note, Panel, Span, Stack
 from sil.simulation.in_memory import MemoryRun, run_in_memory
 from sil.simulation.scenario import Loaded
@@ -174,7 +175,7 @@ def _report_age_s(run: MemoryRun, loaded: Loaded) -> float:
     k = int(np.argmax(steps_m))
     time_s, position_m = record.truth["time_s"], record.truth["position_m"]
     travelled_m = np.maximum.accumulate(np.abs(position_m))
-    released_s = reports[k][0].released_ns / NS
+    released_s = reports[k][0].released_ns / NS_PER_S
     return released_s - float(np.interp(abs(positions_m[k]), travelled_m, time_s))
 
 
@@ -204,9 +205,9 @@ def budget_of(make: Callable[[Sequence[str]], Loaded], settings: Sequence[str] =
     sensor, period_s = loaded.scenario.sensor, loaded.scenario.sensor.period_s
     half_s = 0.5 * loaded.parameters.value("position_sensor.t_mid")
     age_s = _report_age_s(run, loaded)
-    report = _next(run.record.of(PositionPulse), math.ceil((motion_s + age_s) * NS))
-    released_s, arrived_s = report.released_ns / NS, report.arrival_ns / NS
-    waited_s = (sensor.phase_ns / NS + half_s - motion_s) % period_s
+    report = _next(run.record.of(PositionPulse), math.ceil((motion_s + age_s) * NS_PER_S))
+    released_s, arrived_s = report.released_ns / NS_PER_S, report.arrival_ns / NS_PER_S
+    waited_s = (sensor.phase_ns / NS_PER_S + half_s - motion_s) % period_s
     reported_s = sensor.capture_s + sensor.delay_s - half_s
     there_s = motion_s + waited_s + reported_s + _bits_s(report, bitrate)
     step_ns = -(-report.arrival_ns // config.period_ns) * config.period_ns
@@ -225,11 +226,11 @@ def budget_of(make: Callable[[Sequence[str]], Loaded], settings: Sequence[str] =
         (released_s - age_s - motion_s, waited_s),
         (age_s, reported_s),
         (arrived_s - released_s, _bits_s(report, bitrate)),
-        (step_ns / NS - arrived_s, -there_s % config.period_s),
+        (step_ns / NS_PER_S - arrived_s, -there_s % config.period_s),
         (filtered_s, closed_filter_s),
         (_second_sample_s(run, report), period_s),
-        ((command.released_ns - step_ns) / NS, config.computation_s),
-        ((command.arrival_ns - command.released_ns) / NS, _bits_s(command, bitrate)),
+        ((command.released_ns - step_ns) / NS_PER_S, config.computation_s),
+        ((command.arrival_ns - command.released_ns) / NS_PER_S, _bits_s(command, bitrate)),
         (opened_s, loaded.parameters.value("valve.D_rise")),
         (
             filling_simulated_s(loaded.parameters, supply_pa, BRAKE_PA),
@@ -248,7 +249,7 @@ def budget_of(make: Callable[[Sequence[str]], Loaded], settings: Sequence[str] =
 def _second_sample_s(run: MemoryRun, first: BusFrame) -> float:
     return (
         _next(run.record.of(PositionPulse), first.released_ns + 1).released_ns - first.released_ns
-    ) / NS
+    ) / NS_PER_S
 
 
 def _opening_s(run: MemoryRun) -> float:
