@@ -8,7 +8,8 @@ from functools import cache
 import numpy as np
 
 from plant.effects.setup import Setup
-from plant.kernel.layout import FixedState, Parameters
+from plant.kernel.compiled import plain as as_python
+from plant.kernel.layout import FixedState, FlowMap, Parameters
 from plant.kernel.packing import flow_coefficients
 from plant.parts.flow import charge, discharge, orifice
 from plant.systems.stroke import Stroke
@@ -193,7 +194,8 @@ def _theory_poor() -> Outcome:
 
 @shows("F22")
 def _map_consistent() -> Outcome:
-    c = flow_coefficients(nominal())
+    c = FlowMap(flow_coefficients(nominal()))
+    into, out = as_python(charge), as_python(discharge)
     value = nominal().value
     y, z = value("flow_charge.y_split"), value("flow_discharge.z_split")
     eps = 1e-9
@@ -203,10 +205,10 @@ def _map_consistent() -> Outcome:
         high = function((at + eps) * upstream, upstream, c)
         return abs(high - low) / function(0.5 * upstream if at < 1 else 5 * upstream, upstream, c)
 
-    jumps = (jump(charge, SUPPLY_PA, y), jump(discharge, ATMOSPHERE_PA, z))
+    jumps = (jump(into, SUPPLY_PA, y), jump(out, ATMOSPHERE_PA, z))
     roots = (
-        abs(charge(SUPPLY_PA, SUPPLY_PA, c)) / charge(3e5, SUPPLY_PA, c),
-        abs(discharge(ATMOSPHERE_PA, ATMOSPHERE_PA, c)) / discharge(3e5, ATMOSPHERE_PA, c),
+        abs(into(SUPPLY_PA, SUPPLY_PA, c)) / into(3e5, SUPPLY_PA, c),
+        abs(out(ATMOSPHERE_PA, ATMOSPHERE_PA, c)) / out(3e5, ATMOSPHERE_PA, c),
     )
     good = max(jumps) < 1e-5 and max(roots) < 1e-5
     return judged(

@@ -37,7 +37,9 @@ class Progress:
         """`what` is being done; `unit` of the amounts, e.g. "s"."""
         self._what = what
         self._unit = f" {unit}" if unit else ""
-        self._next_s = time.monotonic() + FIRST_AFTER_S
+        self._began_s = time.monotonic()
+        self._next_s = self._began_s + FIRST_AFTER_S
+        self._first: float | None = None
         self._shown = ""
 
     def __enter__(self) -> Progress:
@@ -50,10 +52,15 @@ class Progress:
     def __call__(self, done: float, size: float) -> None:
         """Show that `done` of `size` is done, if it is time to."""
         now_s = time.monotonic()
+        if self._first is None:  # of continued work some is done already
+            self._first, self._began_s = done, now_s
         if now_s < self._next_s or _silent or sys.stderr is None:
             return
         share = min(1.0, done / size) if size > 0 else 1.0
         text = f"{self._what}: {100 * share:.0f} % ({done:.6g} of {size:.6g}{self._unit})"
+        if done > self._first:
+            rate = (done - self._first) / (now_s - self._began_s)
+            text += f", {rate:.3g}{self._unit}/s, {(size - done) / rate:.0f} s left"
         if sys.stderr.isatty():
             self._next_s = now_s + BAR_EVERY_S
             full = round(BAR_WIDTH * share)

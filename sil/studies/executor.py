@@ -107,6 +107,7 @@ def run_study(
     wanted = list(chunks(begin, study.size, CHUNK if study.study.kind == "runs" else 1))
     # the first rows run here: bad settings are reported at once, and kernels are compiled once
     done = begin
+    progress(done, study.size)
     with open(path, "a", encoding="utf-8", newline="") as file:
         for lines in results(study, wanted, workers, cluster):
             file.write("".join(lines))

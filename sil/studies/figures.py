@@ -51,12 +51,14 @@ def swept_figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     """Return the figures of a study of shifts or strokes by name: map, lines or choices."""
     found = {}
     numeric = [sweep for sweep in study.study.sweep if sweep.path in table.numbers]
-    if study.study.design.kind == "grid" and len(numeric) == len(study.study.sweep) == 2:
+    has_values = np.isfinite(table.numbers[read_metrics(study)[0]]).any()
+    is_grid = study.study.design.kind == "grid" and len(numeric) == len(study.study.sweep) == 2
+    if is_grid and has_values:
         found["map"] = map_figure(study, table)
     stacks = [stack for sweep in numeric if (stack := lines_over(study, table, sweep)) is not None]
     if stacks:
         found["lines"] = Figure(stacks, title_of(study), same_scale=True)
-    elif not study.study.safety:
+    elif has_values and not study.study.safety:
         found["choices"] = choices_figure(study, table)
     return found
 

@@ -16,6 +16,8 @@ import numpy as np
 from can_dbc.errors import RunError
 from can_dbc.messages import PositionPulse, ValveCommand
 from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
+from plant.kernel.compiled import plain
+from plant.kernel.layout import FlowMap
 from plant.kernel.packing import flow_coefficients
 from plant.parameters import ParameterSet
 from plant.parts.flow import charge
@@ -133,7 +135,8 @@ def group_delay_s(order: int, fc_hz: float) -> float:
 def filling_closed_s(parameters: ParameterSet, supply_pa: float, rise_pa: float) -> float:
     """Return the time to raise neutral's pressure: V rise / (alpha_m R f_in), f_in at half the rise."""
     atmosphere_pa = parameters.value("gas.P_atm")
-    inflow = float(charge(atmosphere_pa + 0.5 * rise_pa, supply_pa, flow_coefficients(parameters)))
+    flows = FlowMap(flow_coefficients(parameters))
+    inflow = float(plain(charge)(atmosphere_pa + 0.5 * rise_pa, supply_pa, flows))
     stiffness = parameters.value("alpha.alpha_m1") * parameters.value("gas.R_air") * inflow
     return parameters.value("length.V_N0") * rise_pa / stiffness
 

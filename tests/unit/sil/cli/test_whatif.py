@@ -9,10 +9,8 @@ from typing import Any
 
 import pytest
 
-from can_dbc.errors import RunError
 from sil import api
 from sil.cli import main
-from sil.studies.kinds import closed_loop
 
 STUDY = """
 name = "pressures"
@@ -47,22 +45,29 @@ def test_a_failed_row_has_its_reason_and_ends_with_1(tmp_path: Path, capsys: Any
     assert f"1 failed: {failed['reason']} (row 0)" in capsys.readouterr().out
 
 
-def test_a_row_that_cannot_run_ends_with_3_also_beside_failed_ones(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run_in_memory = closed_loop.run_in_memory
+FIRMWARE = """
+import os
+import sys
+class Firmware:
+    def __init__(self, config):
+        pass
+    def step(self, now_ns, inputs):
+        {leave}
+"""
 
-    def die(loaded: Any) -> Any:
-        if loaded.scenario.plant.supply_pressure_pa == 900000.0:
-            raise RunError("controller: firmware.py:3: ended by SystemExit(0)")
-        return run_in_memory(loaded)
 
-    monkeypatch.setattr(closed_loop, "run_in_memory", die)
-    path, out = study(tmp_path, f"{TOO_LOW}, 900000.0"), tmp_path / "out"
+@pytest.mark.parametrize("leave", ["sys.exit(0)", "os._exit(0)"])
+def test_firmware_that_ends_its_process_ends_the_study_with_3(tmp_path: Path, leave: str) -> None:
+    own = tmp_path / "own.py"
+    own.write_text(FIRMWARE.replace("{leave}", leave))
+    path, out = study(tmp_path, TOO_LOW), tmp_path / "out"
+    with open(path, "a", encoding="utf-8") as file:
+        file.write('[[variant]]\nname = "ours"\n[[variant]]\nname = "own"\n')
+        file.write(f'set = {{ firmware = "{own}" }}\n')
     assert main(["whatif", path, "--out", str(out)]) == 3
     swept = api.whatif(path, out=tmp_path / "api")
     assert swept.texts["outcome"] == ["failed", "not run"] and not swept.passed
-    assert swept.texts["reason"][1] == "controller: firmware.py:3: ended by SystemExit(0)"
+    assert f"{own}:8: " in swept.texts["reason"][1]
     assert swept.numbers["failed"].tolist() == [1.0, 1.0]
     assert not (out / "INCOMPLETE").exists() and (out / "summary.json").exists()
 

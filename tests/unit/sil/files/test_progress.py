@@ -36,9 +36,9 @@ def test_a_line_after_two_seconds_and_then_every_ten(
 ) -> None:
     lines = shown(clock, io.StringIO(), monkeypatch).splitlines()
     assert lines == [
-        "rows: 5 % (2 of 40)",
-        "rows: 30 % (12 of 40)",
-        "rows: 55 % (22 of 40)",
+        "rows: 5 % (2 of 40), 1/s, 38 s left",
+        "rows: 30 % (12 of 40), 1/s, 28 s left",
+        "rows: 55 % (22 of 40), 1/s, 18 s left",
     ]
 
 
