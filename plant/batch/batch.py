@@ -14,26 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.batch.lane_control import (
-    KNOWN,
-    MEMORY,
-    RESULTS,
-    SCRATCH,
-    Result,
-)
-from plant.batch.lane_steps import FREE_OF, MODES_FREE_OF, ROWS, WIDTH
-from plant.batch.lanes import run_lanes
+from plant.batch.lane_control import Result
+from plant.batch.lane_steps import FREE_OF, MODES_FREE_OF, WIDTH
+from plant.batch.lanes import MOVING, Batch, Room, room_for_results, run_in_lanes
 from plant.batch.singles import run_singles
 from plant.effects.setup import Setup
 from plant.integrator.filling import NO_CURVES, filling_curves
 from plant.integrator.hybrid import NS
-from plant.integrator.integrate import (
-    EVENT_COLUMNS,
-    FOLLOW_GRID,
-    GRID_COLUMNS,
-    OWN_STEPS,
-    WRITE_GRID,
-)
 from plant.kernel.layout import FIRST_PRESSURE, FIXED, FlowMap, Modes, Parameters
 from plant.kernel.packing import Floats, Ints, fresh_modes, initial_state, scales, state_record
 from plant.systems.stroke import valve_moves
@@ -303,70 +290,58 @@ def simulate_batch(
     wanted = np.arange(states) if columns is None else np.array(columns, dtype=np.int64)
     if not ((wanted >= 0) & (wanted < states)).all():
         raise ValueError(f"columns: expected numbers from 0 to {states - 1}")
-    results = np.zeros((n, RESULTS))
-    final = np.zeros((n, states))
-    out = np.zeros((n, instants.shape[1], len(wanted)))
-    events = np.zeros((n, event_room, EVENT_COLUMNS))
-    p, c, y, m, u, switches, duration = (
-        np.ascontiguousarray(array)
-        for array in (
-            strokes.packed,
-            strokes.flow,
-            strokes.initial,
-            strokes.modes,
-            strokes.valves,
-            strokes.switches,
-            strokes.duration_s,
-        )
+    contiguous = np.ascontiguousarray
+    batch = Batch(
+        packed=contiguous(strokes.packed),
+        flow=contiguous(strokes.flow),
+        initial=contiguous(strokes.initial),
+        modes=contiguous(strokes.modes),
+        valves=contiguous(strokes.valves),
+        switches=contiguous(strokes.switches),
+        duration=contiguous(strokes.duration_s),
+        samples=instants,
+        columns=wanted,
+        scale=scales(strokes.system),
     )
-    scale = scales(strokes.system)
+    found = room_for_results(n, states, instants.shape[1], len(wanted), event_room)
     covered = strokes.in_lanes if lanes else np.zeros(n, dtype=np.bool_)
-    tabulated, curves = filling_curves(c) if len(c) == 1 else (False, NO_CURVES)
-    grid = np.zeros((LONGEST_GRID if follow else 1, GRID_COLUMNS))
-    known = np.zeros((instants.shape[1] if follow else 1, KNOWN))
-    moving = 4 if strokes.system == FIXED else 9
+    curves = filling_curves(batch.flow)
 
-    def run(order: Ints, steps: int = 0, use: int = OWN_STEPS) -> None:
-        inside = order[covered[order]]
-        outside = order[~covered[order]]
+    def run(order: Ints) -> None:
+        room = Room.of(instants.shape[1] if follow else 1, LONGEST_GRID if follow else 1)
+        inside, outside = order[covered[order]], order[~covered[order]]
         if len(inside):
-            run_lanes(
-                strokes.system, moving, p, c, y, m, u, switches, duration,
-                instants, wanted, scale, tolerance, tabulated, curves,
-                inside, results, final, out, events, WIDTH,
-                np.zeros(ROWS * WIDTH), np.zeros(SCRATCH), np.zeros(MEMORY * WIDTH, dtype=np.int64),
-                grid, steps, use, known,
-            )  # fmt: skip
+            leads = follow and bool(covered[0])
+            run_in_lanes(batch, found, room, curves, inside, tolerance, strokes.system, leads)
         if len(outside):
+            leads = follow and not covered[0]
             run_singles(
-                strokes.system, p, c, y, m, u, switches, duration,
-                instants, wanted, scale, tolerance, lanes and tabulated, curves,
-                outside, results, final, out, events, grid, steps, use,
+                batch, found, room, curves if lanes else NO_CURVES, outside, tolerance,
+                strokes.system, leads,
             )  # fmt: skip
 
     everything = np.arange(n)
-    if follow:
-        run(everything[:1], LONGEST_GRID, WRITE_GRID)
-        run(everything[1:], min(int(results[0, Result.steps]), LONGEST_GRID), FOLLOW_GRID)
-    elif workers <= 1 or n < 2 * WIDTH:
+    if follow or workers <= 1 or n < 2 * WIDTH:
         run(everything)
     else:
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(run, np.array_split(everything, workers)))
+    moving = MOVING[strokes.system]
     for place in np.flatnonzero(wanted >= moving):
         # these states do not move in a lane
-        out[covered, :, place] = np.broadcast_to(strokes.initial, (n, states))[covered][
+        found.out[covered, :, place] = np.broadcast_to(strokes.initial, (n, states))[covered][
             :, wanted[place], None
         ]
+    results = Result(found.results)
     return BatchResult(
-        status=results[:, Result.status].astype(np.int64),
-        arrival_s=results[:, Result.arrival],
-        impact_speed_m_s=results[:, Result.speed],
-        impact_energy_j=results[:, Result.energy],
-        final=final,
-        samples=out,
-        events=events,
-        event_count=results[:, Result.events].astype(np.int64),
-        steps=results[:, Result.steps].astype(np.int64),
+        status=results.status.astype(np.int64),
+        arrival_s=results.arrival,
+        impact_speed_m_s=results.speed,
+        impact_energy_j=results.energy,
+        final=found.final,
+        samples=found.out,
+        events=found.events,
+        event_count=results.events.astype(np.int64),
+        steps=results.steps.astype(np.int64),
         in_lanes=covered,
     )

@@ -73,7 +73,6 @@ class Lane(Record):
     modes: Value = block(Modes.size)
     valve: Value = block(3)
     valve_rate: Value = block(3)
-    work: Value = block(6)
     time: Value
     step: Value
     wanted: Value  # step that the error control would take
@@ -144,7 +143,6 @@ def length_rates_of_lane(one, fraction, p):
         one.valve_rate,
         p,
         flow_map(one.flow),
-        one.work,
         False,
     )
 
@@ -200,7 +198,6 @@ def guards_of_lanes(f, fixed, width):
                 length_state(one.stage),
                 m,
                 p,
-                one.work,
                 lane(f, 0, j, WIDTH, "discarded"),
             )
             hides = may_hide(

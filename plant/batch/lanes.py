@@ -8,167 +8,268 @@ Checked by: tests/unit/plant/batch/test_batch.py
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from plant.batch.lane_control import (
+    COPIED,
     IDLE,
-    RESULTS,
-    STEPPING,
+    MODES,
+    Memory,
+    Result,
     begin,
     judge,
     memory_of,
+    motion_of,
     prepare,
     result_of,
 )
-from plant.batch.lane_steps import WIDTH, lane_of, step_of_lanes
-from plant.integrator.integrate import DONE, EVENT_COLUMNS
-from plant.kernel.compiled import kernel
-from plant.kernel.layout import FlowMap, Parameters
+from plant.batch.lane_steps import WIDTH, Lane, lane_of, step_of_lanes
+from plant.integrator.filling import FOLLOW_GRID, KNOWN, OWN_STEPS, WRITE_GRID
+from plant.integrator.loop import DONE, EVENT_COLUMNS, STEPPING, Task
+from plant.integrator.workspace import Scratch, scratch_of
+from plant.kernel.compiled import called, inlined, kernel
+from plant.kernel.layout import (
+    FIXED,
+    EventRow,
+    FixedState,
+    FlowMap,
+    GridRow,
+    LengthState,
+    Parameters,
+)
 from plant.kernel.views import view
 
-ALPHA_V0, FLOW_SIZE = Parameters.fields["alpha_v0"].start, FlowMap.size
+ALPHA_V0, FLOW_SIZE, PARAMETERS = Parameters.fields["alpha_v0"].start, FlowMap.size, Parameters.size
+RESULTS = Result.size
+FLAT = Lane.size * WIDTH
+MOVING = (FixedState.p_2 + 1, LengthState.p_f + 1)
+"""How many leading states of either system move in a lane."""
 
 
-@kernel
-def run_lanes(
-    system, n, packed, c, y0, m0, u0, switches, duration, samples, columns, scale, tolerance,
-    tabulated, table, order, results, final, out, events, width,
-    flat, scratch, memory, grid, steps, use, known,
-):  # fmt: skip
-    """Simulate the strokes `order` of a batch, in lanes.
+class Batch(NamedTuple):
+    """Arrays of a batch; an array with one row is shared by all strokes.
 
-    Parameters
-    ----------
-    system, n : FIXED or LENGTH, and how many leading states move
-    packed : float64 [strokes, Parameters.size]
-    c, y0, m0, u0, switches, duration, samples : one row a stroke, or one row for all; switches
-        [., k, 4] ascending with infinite times behind the last, samples [., s] ascending
-    columns : int64, states to be sampled
-    tabulated : True if `table` holds the filling curves of c, which then has one row
-    order : int64, numbers of the strokes to simulate
-    results : float64 [strokes, RESULTS]; final : [strokes, states]; out : [strokes, s, columns];
-    events : [strokes, room, EVENT_COLUMNS]
-    flat, scratch, memory : float64 [ROWS * WIDTH], [SCRATCH], int64 [MEMORY * WIDTH]
-    width : WIDTH; as a variable it keeps the compiler from unrolling the lanes
-    grid, steps, use : float64 [steps, GRID_COLUMNS], OWN_STEPS to leave it alone, WRITE_GRID to note
-        the steps of the only stroke, FOLLOW_GRID to take those steps whatever the error
-    known : float64 [s, KNOWN], as the grid: noted of the samples at rest, and used next to it
+    packed [strokes, Parameters.size]; flow, initial, modes, valves, switches [., k, 4] with infinite
+    times behind the last, duration: see `plant.batch.batch.Strokes`; samples [., s] in s, ascending;
+    columns: states to be sampled; scale: typical size of each state.
     """
-    fixed = system == 0
-    f = view(flat, 0)
-    scratch = view(scratch, 0)
-    memory = view(memory, 0)
-    states = final.shape[1]
-    n_sample = samples.shape[1]
-    n_switch = switches.shape[1]
-    n_columns = columns.shape[0]
-    room = events.shape[1]
-    p_view = view(packed, 0)
-    c_view = view(c, 0)
-    y_view = view(y0, 0)
-    m_view = view(m0, 0)
-    u_view = view(u0, 0)
-    switch_view = view(switches, 0)
-    sample_view = view(samples, 0)
-    column_view = view(columns, 0)
-    table_view = view(table, 0)
-    result_view = view(results, 0)
-    out_view = view(out, 0)
-    event_view = view(events, 0)
-    grid_view = view(grid, 0)
-    known_view = view(known, 0)
-    one_c = c.shape[0] == 1
-    one_y = y0.shape[0] == 1
-    one_m = m0.shape[0] == 1
-    one_u = u0.shape[0] == 1
-    one_switch = switches.shape[0] == 1
-    one_duration = duration.shape[0] == 1
-    one_sample = samples.shape[0] == 1
+
+    packed: Any
+    flow: Any
+    initial: Any
+    modes: Any
+    valves: Any
+    switches: Any
+    duration: Any
+    samples: Any
+    columns: Any
+    scale: Any
+
+
+class Found(NamedTuple):
+    """Arrays that a batch writes.
+
+    results [strokes, RESULTS]; final [strokes, states]; out [strokes, s, columns];
+    events [strokes, room, EVENT_COLUMNS].
+    """
+
+    results: Any
+    final: Any
+    out: Any
+    events: Any
+
+
+class Room(NamedTuple):
+    """Memory of a batch's kernel.
+
+    flat [FLAT + Scratch.size]; counters int64 [Memory.size * WIDTH]; grid [steps, GridRow.size]; known
+    [s, KNOWN], stored of the grid's samples at rest.
+    """
+
+    flat: Any
+    counters: Any
+    grid: Any
+    known: Any
+
+    @classmethod
+    def of(cls, samples: int, steps: int) -> Room:
+        """Return memory for a grid of so many samples and steps."""
+        return cls(
+            np.zeros(FLAT + Scratch.size),
+            np.zeros(Memory.size * WIDTH, dtype=np.int64),
+            np.zeros((steps, GridRow.size)),
+            np.zeros((samples, KNOWN)),
+        )
+
+
+def room_for_results(strokes: int, states: int, samples: int, columns: int, events: int) -> Found:
+    """Return the arrays that a batch of so many strokes writes."""
+    return Found(
+        np.zeros((strokes, RESULTS)),
+        np.zeros((strokes, states)),
+        np.zeros((strokes, samples, columns)),
+        np.zeros((strokes, events, EventRow.size)),
+    )
+
+
+@inlined
+def task_of(stroke, batch, found, room, table, use, steps):
+    """Return the task of one stroke of a batch."""
+    n_switch = batch.switches.shape[1]
+    n_sample = batch.samples.shape[1]
+    n_columns = batch.columns.shape[0]
+    n_events = found.events.shape[1]
+    row = 0 if batch.switches.shape[0] == 1 else stroke
+    sample_row = 0 if batch.samples.shape[0] == 1 else stroke
+    return Task(
+        view(batch.switches, row * n_switch * 4), n_switch,
+        view(batch.samples, sample_row * n_sample), n_sample,
+        view(batch.columns, 0), n_columns, view(found.out, stroke * n_sample * n_columns),
+        view(found.events, stroke * n_events * EVENT_COLUMNS), n_events,
+        view(table, 0), table.shape[0] > 1,
+        view(room.grid, 0), steps, use, view(room.known, 0), True,
+    )  # fmt: skip
+
+
+@called
+def fill_lane(one, stroke, batch, n, first):
+    """Copy a stroke's inputs into a lane; the flow map only if it is not the one there."""
+    flow = view(batch.flow, 0 if batch.flow.shape[0] == 1 else stroke * FLOW_SIZE)
+    if first or batch.flow.shape[0] != 1:
+        for i in range(FLOW_SIZE):
+            one.flow[i] = flow[i]
+    packed = view(batch.packed, stroke * PARAMETERS)
+    for i in range(COPIED):
+        one.parameters[i] = packed[i]
+    modes = view(batch.modes, 0 if batch.modes.shape[0] == 1 else stroke * batch.modes.shape[1])
+    for i in range(MODES):
+        one.modes[i] = modes[i]
+    states = batch.initial.shape[1]
+    initial = view(batch.initial, 0 if batch.initial.shape[0] == 1 else stroke * states)
+    for i in range(n):
+        one.y[i] = initial[i]
+    valves = view(batch.valves, 0 if batch.valves.shape[0] == 1 else stroke * 3)
+    for i in range(3):
+        one.valve[i] = valves[i]
+
+
+@called
+def finish(one, k, stroke, status, batch, found, n):
+    """Write what became of a stroke."""
+    result = result_of(view(found.results, stroke * RESULTS))
+    result.status = status
+    result.events = k.events
+    result.steps = k.steps
+    result.rejected = k.rejected
+    result.jumps = k.jumps
+    initial = batch.initial[min(stroke, batch.initial.shape[0] - 1)]
+    for i in range(found.final.shape[1]):
+        found.final[stroke, i] = one.y[i] if i < n else initial[i]
+    for i in range(k.next_sample, batch.samples.shape[1]):
+        for c in range(batch.columns.shape[0]):
+            found.out[stroke, i, c] = found.final[stroke, batch.columns[c]]
+
+
+@inlined
+def empty(one, n):
+    """Leave a lane without a stroke: it takes steps of no length."""
+    for i in range(n):
+        one.rate_0[i] = 0.0
+    one.accepted = 0.0
+    one.step = 0.0
+
+
+@called
+def run_order(batch, found, room, table, order, tolerance, system, n, use, steps, width):
+    """Simulate the strokes `order` of a batch, in lanes; arguments as of `run_lanes`."""
+    fixed = system == FIXED
+    f = view(room.flat, 0)
+    counters = view(room.counters, 0)
+    scratch = scratch_of(f[FLAT:])
     curved = False
     for stroke in order:
-        curved = curved or packed[stroke, ALPHA_V0] != 0.0
+        curved = curved or batch.packed[stroke, ALPHA_V0] != 0.0
+    for j in range(WIDTH):
+        memory_of(counters, j).stroke = IDLE
+        for i in range(n):
+            lane_of(f, j).scale[i] = batch.scale[i]
     upcoming = 0
     active = 0
-    for j in range(WIDTH):
-        memory_of(memory, j).stroke = IDLE
-        for k in range(n):
-            lane_of(f, j).scale[k] = scale[k]
-    status = DONE
     starting = True
     while starting or active > 0:
         if not starting:
             step_of_lanes(f, fixed, curved, n, tolerance, width)
         for j in range(WIDTH):
             one = lane_of(f, j)
-            own = memory_of(memory, j)
-            stroke = own.stroke
-            if stroke == IDLE and not starting:
+            k = memory_of(counters, j)
+            if k.stroke == IDLE and not starting:
                 continue
+            o = motion_of(one, scratch)
+            status = DONE
             if not starting:
-                status = judge(
-                    one, n, own,
-                    sample_view[0 if one_sample else stroke * n_sample:], n_sample,
-                    column_view, n_columns,
-                    out_view[stroke * n_sample * n_columns:],
-                    event_view[stroke * room * EVENT_COLUMNS:], room,
-                    result_of(result_view[stroke * RESULTS:]), scratch, grid_view, steps, use,
-                )  # fmt: skip
-            fresh = starting
+                result = result_of(view(found.results, k.stroke * RESULTS))
+                task = task_of(k.stroke, batch, found, room, table, use, steps)
+                status = judge(one, k, o, task, result, n)
             while status != STEPPING:
-                if fresh or status != DONE or one.time >= one.end:
-                    if not fresh:
-                        result = result_of(result_view[stroke * RESULTS :])
-                        result.status = status
-                        result.events = own.events
-                        result.steps = own.taken
-                        result.rejected = own.rejected
-                        result.jumps = own.jumps
-                        for k in range(n):
-                            final[stroke, k] = one.y[k]
-                        for k in range(n, states):
-                            final[stroke, k] = y0[0 if one_y else stroke, k]
-                        for i in range(own.next_sample, n_sample):
-                            for k in range(n_columns):
-                                out[stroke, i, k] = final[stroke, columns[k]]
-                        active -= 1
-                        own.stroke = IDLE
-                    fresh = False
+                ended = k.stroke != IDLE and (status != DONE or one.time >= one.end)
+                if ended:
+                    finish(one, k, k.stroke, status, batch, found, n)
+                    active -= 1
+                    k.stroke = IDLE
+                if k.stroke == IDLE:
                     if upcoming >= order.shape[0]:
-                        for k in range(n):
-                            one.rate_0[k] = 0.0
-                        one.accepted = 0.0
-                        one.step = 0.0
+                        empty(one, n)
                         break
                     stroke = order[upcoming]
+                    fill_lane(one, stroke, batch, n, starting)
+                    duration = batch.duration[min(stroke, batch.duration.shape[0] - 1)]
+                    result = result_of(view(found.results, stroke * RESULTS))
+                    begin(one, k, o, n, duration, result)
+                    k.stroke = stroke
                     upcoming += 1
                     active += 1
-                    own.stroke = stroke
-                    row = 0 if one_c else stroke
-                    if starting or not one_c:
-                        for k in range(FLOW_SIZE):
-                            one.flow[k] = c_view[row * FLOW_SIZE + k]
-                    begin(
-                        one, n, own,
-                        p_view[stroke * packed.shape[1]:],
-                        y_view[0 if one_y else stroke * y0.shape[1]:],
-                        m_view[0 if one_m else stroke * m0.shape[1]:],
-                        u_view[0 if one_u else stroke * 3:],
-                        duration[0 if one_duration else stroke],
-                        scratch,
-                    )  # fmt: skip
-                    result = result_of(result_view[stroke * RESULTS :])
-                    result.arrival = np.nan
-                    result.speed = np.nan
-                    result.energy = np.nan
-                status = prepare(
-                    one, fixed, n, own,
-                    switch_view[0 if one_switch else stroke * n_switch * 4:], n_switch,
-                    sample_view[0 if one_sample else stroke * n_sample:], n_sample,
-                    column_view, n_columns,
-                    out_view[stroke * n_sample * n_columns:],
-                    event_view[stroke * room * EVENT_COLUMNS:], room,
-                    result_of(result_view[stroke * RESULTS:]),
-                    tabulated, table_view, scratch, grid_view, steps, use, known_view,
-                )  # fmt: skip
-            status = DONE
+                result = result_of(view(found.results, k.stroke * RESULTS))
+                task = task_of(k.stroke, batch, found, room, table, use, steps)
+                status = prepare(one, k, o, task, result, n)
         starting = False
+
+
+@kernel
+def run_lanes(batch, found, room, table, order, tolerance, system, n, follow, width):
+    """Simulate the strokes `order` of a batch, in lanes.
+
+    Parameters
+    ----------
+    batch, found, room : `Batch`, `Found`, `Room`
+    table : filling curves of the only flow map, to pass rests in closed form; shorter if there are none
+    order : int64, numbers of the strokes to simulate
+    system, n : FIXED or LENGTH, and how many leading states move
+    follow : True if the first stroke writes the grid and the others take its steps
+    width : WIDTH; as a variable it keeps the compiler from unrolling the lanes
+    """
+    if not follow:
+        run_order(batch, found, room, table, order, tolerance, system, n, OWN_STEPS, 1, width)
+        return
+    longest = room.grid.shape[0]
+    run_order(
+        batch, found, room, table, order[:1], tolerance, system, n, WRITE_GRID, longest, width
+    )
+    steps = min(int(result_of(view(found.results, order[0] * RESULTS)).steps), longest)
+    run_order(batch, found, room, table, order[1:], tolerance, system, n, FOLLOW_GRID, steps, width)
+
+
+def run_in_lanes(
+    batch: Batch,
+    found: Found,
+    room: Room,
+    table: NDArray[np.float64],
+    order: NDArray[np.int64],
+    tolerance: float,
+    system: int,
+    follow: bool,
+) -> None:
+    """Call `run_lanes` with arrays as stated there."""
+    run_lanes(batch, found, room, table, order, tolerance, system, MOVING[system], follow, WIDTH)

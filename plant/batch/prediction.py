@@ -14,14 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.batch.batch import BATCH_TOLERANCE, Strokes, initials, shared
-from plant.batch.singles import FIRST_STEP
+from plant.batch.singles import MOST_EVENTS
 from plant.batch.tangents import Followers
 from plant.effects.setup import Setup
 from plant.integrator.filling import filling_curves
-from plant.integrator.hybrid import NO_GRID, NS, REASONS, WORKSPACE, IntegrationError
-from plant.integrator.integrate import DONE, EVENT_COLUMNS, OWN_STEPS, advance
-from plant.kernel.layout import CHAMBERS, FIRST_PRESSURE, FIXED, Counts, Modes, Parameters
-from plant.kernel.packing import Floats, Ints, active_states, fresh_modes, initial_state, scales
+from plant.integrator.hybrid import NO_GRID, NS, REASONS, IntegrationError
+from plant.integrator.integrate import advance
+from plant.integrator.loop import DONE
+from plant.integrator.workspace import Control, Run
+from plant.kernel.layout import CHAMBERS, FIRST_PRESSURE, FIXED, EventRow, Modes, Parameters
+from plant.kernel.packing import (
+    FIRST_STEP_S,
+    Floats,
+    Ints,
+    active_states,
+    fresh_modes,
+    initial_state,
+    scales,
+)
 from plant.systems.stroke import gauged, valve_moves
 
 FIT_TOLERANCE = 1e-7
@@ -70,7 +80,7 @@ class _Ready(NamedTuple):
             names,
             FIRST_PRESSURE[system],
             active_states(system, m),
-            m.array,
+            m.array[: Modes.size],
             valves,
             np.array(moves, dtype=np.float64).reshape(-1, 4),
             scales(system),
@@ -87,15 +97,11 @@ class Predictor:
         self.sample_ns = sample_ns
         self.tolerance = tolerance
         self._sample_s = sample_ns / NS
-        self._workspace = np.zeros(WORKSPACE)
-        self._events = np.zeros((512, EVENT_COLUMNS))
+        self._run, self._control = Run.zeros(), Control.zeros(np.int64)
+        self._events = np.zeros((MOST_EVENTS, EventRow.size))
         self._happened = 0
         self._like: tuple | None = None
         self._ready: _Ready
-        self._modes = np.zeros(32, dtype=np.int64)
-        self._valves, self._valve_rates = np.zeros(3), np.zeros(3)
-        self._step = np.zeros(1)
-        self._counts = np.zeros(Counts.size, dtype=np.int64)
         self._followers: Followers | None = None
 
     @property
@@ -120,41 +126,32 @@ class Predictor:
         y = initial_state(ready.system, p, position=ready.position, charged=ready.charged)
         for chamber, pressure in setup.residual_pa.items():
             y[ready.first + ready.names.index(chamber)] += pressure
-        m, counts = self._modes, self._counts
-        m[:] = ready.modes
-        self._valves[:] = ready.valves
-        self._valve_rates[:] = 0.0
-        self._step[0] = FIRST_STEP
-        counts[:] = 0
-        tabulated, table = filling_curves(setup.c)
+        run, control = self._run, self._control
+        run.array[: len(y)] = y
+        run.u0[:] = ready.valves
+        run.du[:] = 0.0
+        run.scale[: len(ready.scale)] = ready.scale
+        run.tolerance = self.tolerance
+        run.end = self._sample_s[-1]
+        run.wanted = FIRST_STEP_S
+        control.array[:] = 0
+        control.array[: Modes.size] = ready.modes
+        control.states = ready.states
+        control.starting = 1
         out = np.empty((len(self._sample_s), ready.states))
         code = advance(
-            float(self._sample_s[-1]),
-            y,
-            m,
-            self._valves,
-            self._valve_rates,
-            p.array,
+            run.array,
+            control.array,
+            setup.p.array,
             setup.c,
-            ready.scale,
-            ready.states,
-            0,
-            self.tolerance,
-            self._step,
             ready.moves,
             self._sample_s,
             out,
             self._events,
-            counts,
-            self._workspace,
-            tabulated,
-            table,
+            filling_curves(setup.c),
             NO_GRID,
-            0,
-            OWN_STEPS,
-            True,
         )
-        self._happened = int(counts[0])
+        self._happened = int(control.events)
         if code != DONE:
             raise IntegrationError(f"integration stopped: {REASONS[code]}")
         if not setup.exact_gauges:
@@ -190,7 +187,7 @@ class Predictor:
             flow = shared([one.c for one in setups])
             initial = shared(initials(setups, packed))
             modes_, valves, switches = (
-                ready.modes[None, : Modes.size],
+                ready.modes[None],
                 ready.valves[None],
                 ready.moves[None],
             )

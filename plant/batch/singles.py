@@ -8,106 +8,104 @@ from __future__ import annotations
 
 import numpy as np
 
-from plant.batch.lane_control import result_of
-from plant.integrator.integrate import (
-    EVENT_COLUMNS,
-    ROW,
-    WORKSPACE_ROWS,
-    advance,
-)
+from plant.batch.lane_control import result_of, store_arrival
+from plant.integrator.filling import FOLLOW_GRID, OWN_STEPS, WRITE_GRID
+from plant.integrator.integrate import advance
+from plant.integrator.workspace import Control, Run, control_of, run_of
 from plant.kernel.compiled import called, kernel
-from plant.kernel.layout import Counts
-from plant.kernel.packing import active_states
-from plant.kernel.record_views import counts_of, event_row, modes
+from plant.kernel.layout import EventRow
+from plant.kernel.packing import FIRST_STEP_S, active_states
+from plant.kernel.record_views import event_row, modes
 
-FIRST_STEP = 1e-4
-COUNTS = Counts.size
+RUN, CONTROL, EVENT_COLUMNS = Run.size, Control.size, EventRow.size
+MOST_EVENTS = 512
 active = called(active_states)
 
 
+@called
+def begin_single(run, control, stroke, batch, tolerance, system):
+    """Put a stroke at time 0 into the scalar kernel's memory."""
+    r = run_of(run)
+    k = control_of(control)
+    control[:] = 0
+    y = batch.initial[min(stroke, batch.initial.shape[0] - 1)]
+    m = batch.modes[min(stroke, batch.modes.shape[0] - 1)]
+    u = batch.valves[min(stroke, batch.valves.shape[0] - 1)]
+    for i in range(y.shape[0]):
+        r.y[i] = y[i]
+        r.scale[i] = batch.scale[i]
+    for i in range(m.shape[0]):
+        k.modes[i] = m[i]
+    for i in range(3):
+        r.u0[i] = u[i]
+        r.du[i] = 0.0
+    r.tolerance = tolerance
+    r.end = batch.duration[min(stroke, batch.duration.shape[0] - 1)]
+    r.wanted = FIRST_STEP_S
+    k.states = active(system, modes(k.modes))
+    k.starting = 1
+
+
+@called
+def finish_single(run, control, stroke, status, batch, found, record, sampled):
+    """Write what became of a stroke."""
+    k = control_of(control)
+    result = result_of(found.results[stroke])
+    result.status = status
+    result.arrival = np.nan
+    result.speed = np.nan
+    result.energy = np.nan
+    result.events = k.events
+    result.steps = k.steps
+    result.rejected = k.rejected
+    result.jumps = 0.0
+    for e in range(min(k.events, MOST_EVENTS)):
+        if e < found.events.shape[1]:
+            found.events[stroke, e] = record[e]
+        row = event_row(record[e])
+        store_arrival(row.time, row, result)
+    y = run_of(run).y
+    for i in range(found.final.shape[1]):
+        found.final[stroke, i] = y[i]
+    for i in range(sampled.shape[0]):
+        for c in range(len(batch.columns)):
+            column = batch.columns[c]
+            moves = column < k.states
+            found.out[stroke, i, c] = sampled[i, column] if moves else y[column]
+
+
+@called
+def run_single(stroke, batch, found, room, table, run, control, record):
+    """Simulate one stroke; `control` holds how it takes its steps."""
+    k = control_of(control)
+    switches = batch.switches[min(stroke, batch.switches.shape[0] - 1)]
+    count = 0
+    while count < switches.shape[0] and switches[count, 0] < np.inf:
+        count += 1
+    samples = batch.samples[min(stroke, batch.samples.shape[0] - 1)]
+    sampled = np.zeros((samples.shape[0], k.states))
+    flow = batch.flow[min(stroke, batch.flow.shape[0] - 1)]
+    status = advance(
+        run, control, batch.packed[stroke], flow, switches[:count], samples, sampled, record, table,
+        room.grid,
+    )  # fmt: skip
+    finish_single(run, control, stroke, status, batch, found, record, sampled)
+
+
 @kernel
-def run_singles(
-    system, packed, c, y0, m0, u0, switches, duration, samples, columns, scale, tolerance,
-    tabulated, table, order, results, final, out, events, grid, steps, use,
-):  # fmt: skip
+def run_singles(batch, found, room, table, order, tolerance, system, follow):
     """Simulate the strokes `order` of a batch by the scalar kernel; arguments as of `run_lanes`."""
-    states = final.shape[1]
-    n_sample = samples.shape[1]
-    room = events.shape[1]
-    workspace = np.zeros((WORKSPACE_ROWS, ROW))
-    record = np.zeros((512, EVENT_COLUMNS))
-    sampled = np.zeros((n_sample, states))
-    y = np.zeros(states)
-    m = np.zeros(32, dtype=np.int64)
-    u = np.zeros(3)
-    du = np.zeros(3)
-    step = np.zeros(1)
-    counts = np.zeros(COUNTS, dtype=np.int64)
-    for stroke in order:
-        first_y = y0[min(stroke, y0.shape[0] - 1)]
-        first_m = m0[min(stroke, m0.shape[0] - 1)]
-        first_u = u0[min(stroke, u0.shape[0] - 1)]
-        y[:] = first_y[:states]
-        m[:] = 0
-        m[: len(first_m)] = first_m
-        u[:] = first_u
-        du[:] = 0.0
-        step[0] = FIRST_STEP
-        counts[:] = 0
-        p = packed[stroke]
-        rows = switches[min(stroke, switches.shape[0] - 1)]
-        k = 0
-        while k < rows.shape[0] and rows[k, 0] < np.inf:
-            k += 1
-        n = active(system, modes(m))
-        for s in range(n, states):
-            sampled[:, s] = y[s]
-        status = advance(
-            duration[min(stroke, duration.shape[0] - 1)],
-            y,
-            m,
-            u,
-            du,
-            p,
-            c[min(stroke, c.shape[0] - 1)],
-            scale,
-            n,
-            0,
-            tolerance,
-            step,
-            rows[:k],
-            samples[min(stroke, samples.shape[0] - 1)],
-            sampled,
-            record,
-            counts,
-            workspace,
-            tabulated,
-            table,
-            grid,
-            steps,
-            use,
-            True,
-        )
-        counted = counts_of(counts)
-        result = result_of(results[stroke])
-        result.status = status
-        result.arrival = np.nan
-        result.speed = np.nan
-        result.energy = np.nan
-        result.events = counted.events
-        result.steps = counted.steps
-        result.rejected = counted.rejected
-        result.jumps = 0.0
-        for e in range(min(counted.events, record.shape[0])):
-            if e < room:
-                events[stroke, e] = record[e]
-            row = event_row(record[e])
-            arrived = row.speed > 0.0 and row.at_block == 0.0
-            if arrived and not result.arrival >= 0.0:
-                result.arrival = row.time
-                result.speed = row.speed
-                result.energy = row.lost
-        final[stroke] = y
-        for i in range(n_sample):
-            for s in range(len(columns)):
-                out[stroke, i, s] = sampled[i, columns[s]]
+    run = np.zeros(RUN)
+    control = np.zeros(CONTROL, dtype=np.int64)
+    record = np.zeros((MOST_EVENTS, EVENT_COLUMNS))
+    steps = room.grid.shape[0]
+    for number in range(len(order)):
+        begin_single(run, control, order[number], batch, tolerance, system)
+        k = control_of(control)
+        k.use = OWN_STEPS
+        if follow:
+            k.use = WRITE_GRID if number == 0 else FOLLOW_GRID
+        k.grid_steps = steps
+        run_single(order[number], batch, found, room, table, run, control, record)
+        if follow and number == 0:
+            steps = min(k.steps, steps)

@@ -24,12 +24,11 @@ from plant.batch.batch import (
     covered_by_lanes,
     simulate_batch,
 )
-from plant.batch.lane_control import KNOWN, MEMORY, RESULTS, SCRATCH, Result
-from plant.batch.lane_steps import ROWS, WIDTH
-from plant.batch.lanes import run_lanes
+from plant.batch.lane_control import Result
+from plant.batch.lanes import MOVING, Batch, Room, room_for_results, run_in_lanes
 from plant.batch.singles import run_singles
-from plant.integrator.filling import NO_CURVES, filling_curves
-from plant.integrator.integrate import DONE, EVENT_COLUMNS, FOLLOW_GRID, GRID_COLUMNS, WRITE_GRID
+from plant.integrator.filling import filling_curves
+from plant.integrator.loop import DONE
 from plant.kernel.layout import FIXED, LENGTH
 from plant.kernel.packing import Floats, Ints, scales
 
@@ -70,10 +69,7 @@ class Followers:
 
     def __init__(self, sample_s: Floats) -> None:
         self._instants = np.ascontiguousarray(sample_s)[None]
-        self._grid = np.zeros((LONGEST_GRID, GRID_COLUMNS))
-        self._known = np.zeros((len(sample_s), KNOWN))
-        self._flat, self._scratch = np.zeros(ROWS * WIDTH), np.zeros(SCRATCH)
-        self._memory = np.zeros(MEMORY * WIDTH, dtype=np.int64)
+        self._room = Room.of(len(sample_s), LONGEST_GRID)
         self._scales = {system: scales(system) for system in (FIXED, LENGTH)}
 
     def run(
@@ -91,42 +87,24 @@ class Followers:
         Arrays as those of `Strokes`; driven: its modes, valves, switches and durations.
         """
         n, states = len(packed), initial.shape[1]
-        moving = 4 if system == FIXED else 9
         covered = covered_by_lanes(packed, driven[0])
         lanes = bool(covered[0])
-        known, table = filling_curves(flow) if len(flow) == 1 else (False, NO_CURVES)
-        results, final = np.zeros((n, RESULTS)), np.zeros((n, states))
-        out, events = (
-            np.zeros((n, self._instants.shape[1], len(columns))),
-            np.zeros((n, 0, EVENT_COLUMNS)),
-        )
-        everything = np.arange(n)
-        arrays = (packed, flow, initial, *driven, self._instants, columns, self._scales[system])
-        for order, use in ((everything[:1], WRITE_GRID), (everything[1:], FOLLOW_GRID)):
-            steps = (
-                LONGEST_GRID
-                if use == WRITE_GRID
-                else min(int(results[0, Result.steps]), LONGEST_GRID)
-            )
-            if lanes:
-                run_lanes(
-                    system, moving, *arrays, tolerance, known, table,
-                    order, results, final, out, events, WIDTH,
-                    self._flat, self._scratch, self._memory, self._grid, steps, use, self._known,
-                )  # fmt: skip
-            else:
-                run_singles(
-                    system, *arrays, tolerance, known, table,
-                    order, results, final, out, events, self._grid, steps, use,
-                )  # fmt: skip
+        batch = Batch(packed, flow, initial, *driven, self._instants, columns, self._scales[system])
+        found = room_for_results(n, states, self._instants.shape[1], len(columns), 0)
+        arguments = (batch, found, self._room, filling_curves(flow), np.arange(n), tolerance)
+        if lanes:
+            run_in_lanes(*arguments, system, True)
+        else:
+            run_singles(*arguments, system, True)
+        out, results = found.out, Result(found.results)
         if lanes:
             for place, column in enumerate(columns.tolist()):
-                if column >= moving:  # these states do not move in a lane
+                if column >= MOVING[system]:  # these states do not move in a lane
                     out[:, :, place] = initial[:, column, None]
         alike = (
             (covered == covered[0])
-            & (results[:, Result.status] == DONE)
-            & (results[:, Result.steps] == results[0, Result.steps])
-            & (results[:, Result.events] == results[0, Result.events])
+            & (results.status == DONE)
+            & (results.steps == results.steps[0])
+            & (results.events == results.events[0])
         )
-        return int(results[0, Result.status]), out, alike
+        return int(results.status[0]), out, alike

@@ -16,7 +16,7 @@ from plant.equations.length_stroke import (
     stay_static,
 )
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import COLLAR, FREE, NUT
+from plant.kernel.layout import COLLAR, COMPRESSIBLE, FREE, NUT
 
 EPS_M = 1e-13
 EPS_M_S = 1e-11
@@ -209,25 +209,10 @@ def note_corners(distance, speed, m, p):
     m.lifted = 1 if lifted > 0.0 else 0
 
 
-@called
-def guards(t, y, m, p, work, g):
-    """Guards of the present modes -> g[0:GUARDS]; each is positive until its event.  Returns the lowest.
-
-    Shifted by a rounding-sized amount so that a guard just fired does not fire again.
-    """
-    low = FAR
-    for k in range(GUARDS):
-        g[k] = low
-    force = work[0:3]
-    acc = work[3:6]
-    net_forces(y, m, p, t, force)
+@inlined
+def guard_speeds(y, m, p, g, low):
+    """Guards of bodies in motion: turning, and reaching their stops; returns the lowest so far."""
     d = m.stay
-    d1 = m.piston_1
-    d2 = m.piston_2
-    c1 = m.joined_1
-    c2 = m.joined_2
-    w1 = y.v_1
-    w2 = -y.v_2
     if d != 0:
         low = put(g, G_STAY_SPEED, d * y.v_s + EPS_M_S, low)
         highest, lowest = stay_limits(y, m, p)
@@ -235,35 +220,79 @@ def guards(t, y, m, p, work, g):
             low = put(g, G_STAY_HIGH, highest - y.x_s + EPS_M, low)
         else:
             low = put(g, G_STAY_LOW, y.x_s - lowest + EPS_M, low)
+    d1 = m.piston_1
     if d1 != 0:
-        if c1 == FREE:
-            low = put(g, G_SPEED1, d1 * w1 + EPS_M_S, low)
+        if m.joined_1 == FREE:
+            low = put(g, G_SPEED1, d1 * y.v_1 + EPS_M_S, low)
         if d1 < 0:
             low = put(g, G_OUTER1, y.x_1 + EPS_M, low)
+    d2 = m.piston_2
     if d2 != 0:
-        if c2 == FREE:
-            low = put(g, G_SPEED2, d2 * w2 + EPS_M_S, low)
+        if m.joined_2 == FREE:
+            low = put(g, G_SPEED2, d2 * -y.v_2 + EPS_M_S, low)
         if d2 > 0:
             low = put(g, G_OUTER2, y.x_2 + EPS_M, low)
-    if c1 == FREE and (d1 != 0 or d != 0):
-        gap = y.x_1 - y.x_s
-        if gap < 0.5 * p.x_free:
-            low = put(g, G_NUT1, gap + EPS_M, low)
-        else:
-            low = put(g, G_COLLAR1, p.x_free - gap + EPS_M, low)
-    if c2 == FREE and (d2 != 0 or d != 0):
-        gap = y.x_2 + y.x_s
-        if gap < 0.5 * p.x_free:
-            low = put(g, G_NUT2, gap + EPS_M, low)
-        else:
-            low = put(g, G_COLLAR2, p.x_free - gap + EPS_M, low)
-    if d != 0 and (c1 != FREE or c2 != FREE):
-        accelerations(m, p, force, acc)
-        if c1 != FREE:
-            low = put(g, G_CONTACT1, sign_ahead(1, c1) * (p.m_p * acc[0] - force[1]) + EPS_N, low)
-        if c2 != FREE:
-            low = put(g, G_CONTACT2, sign_ahead(2, c2) * (p.m_p * acc[0] - force[2]) + EPS_N, low)
-    if d == 0 or d1 == 0 or d2 == 0:
+    return low
+
+
+@inlined
+def guard_gap(gap, nut, collar, p, g, low):
+    """Guard of the contact that a free piston is nearer to; returns the lowest so far."""
+    if gap < 0.5 * p.x_free:
+        return put(g, nut, gap + EPS_M, low)
+    return put(g, collar, p.x_free - gap + EPS_M, low)
+
+
+@inlined
+def guard_contacts(y, m, p, force, g, low):
+    """Guards of contacts of stay and pistons, that close or open; returns the lowest so far."""
+    moves = m.stay != 0
+    if m.joined_1 == FREE and (m.piston_1 != 0 or moves):
+        low = guard_gap(y.x_1 - y.x_s, G_NUT1, G_COLLAR1, p, g, low)
+    if m.joined_2 == FREE and (m.piston_2 != 0 or moves):
+        low = guard_gap(y.x_2 + y.x_s, G_NUT2, G_COLLAR2, p, g, low)
+    if moves and (m.joined_1 != FREE or m.joined_2 != FREE):
+        need = p.m_p * accelerations(m, p, force)[0]
+        if m.joined_1 != FREE:
+            pull = sign_ahead(1, m.joined_1) * (need - force[1])
+            low = put(g, G_CONTACT1, pull + EPS_N, low)
+        if m.joined_2 != FREE:
+            pull = sign_ahead(2, m.joined_2) * (need - force[2])
+            low = put(g, G_CONTACT2, pull + EPS_N, low)
+    return low
+
+
+@inlined
+def guard_damper(y, m, p, g, low):
+    """Guards of the oil damper: its side, its law's corners, its oil; returns the lowest so far."""
+    d = m.stay
+    side = float(m.side)
+    if d * side < 0:
+        # crossing neutral: the damper acts on the other side from there
+        low = put(g, G_NEUTRAL, side * y.x_s + EPS_M, low)
+    if d != 0:
+        low = damper_corners(side * y.x_s, side * y.v_s, m, p, g, low)
+    if m.damper == COMPRESSIBLE:
+        if m.oil_rest == 0:
+            low = put(g, G_OIL_EMPTY, y.p_oil - p.p_atm + EPS_PA, low)
+        elif d != 0:
+            low = put(g, G_OIL_FILL, EPS_M_S - side * y.v_s, low)
+    return low
+
+
+@called
+def guards(t, y, m, p, g):
+    """Guards of the present modes -> g[0:GUARDS]; each is positive until its event.  Returns the lowest.
+
+    Shifted by a rounding-sized amount so that a guard just fired does not fire again.
+    """
+    low = FAR
+    for k in range(GUARDS):
+        g[k] = low
+    force = net_forces(y, m, p, t)
+    low = guard_speeds(y, m, p, g, low)
+    low = guard_contacts(y, m, p, force, g, low)
+    if m.stay == 0 or m.piston_1 == 0 or m.piston_2 == 0:
         hold, hold1, hold2 = rest_margins(y, m, p, force)
         low = put(g, G_HOLD_STAY, hold, low)
         low = put(g, G_HOLD1, hold1, low)
@@ -271,15 +300,5 @@ def guards(t, y, m, p, work, g):
     if m.blocked != 0:
         low = put(g, G_SYNC, p.sync_impulse - y.impulse, low)
     if m.damper != 0:
-        side = float(m.side)
-        if d * side < 0:
-            # crossing neutral: the damper acts on the other side from there
-            low = put(g, G_NEUTRAL, side * y.x_s + EPS_M, low)
-        if d != 0:
-            low = damper_corners(side * y.x_s, side * y.v_s, m, p, g, low)
-        if m.damper == 2:
-            if m.oil_rest == 0:
-                low = put(g, G_OIL_EMPTY, y.p_oil - p.p_atm + EPS_PA, low)
-            elif d != 0:
-                low = put(g, G_OIL_FILL, EPS_M_S - side * y.v_s, low)
+        low = guard_damper(y, m, p, g, low)
     return low

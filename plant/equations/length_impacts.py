@@ -112,7 +112,7 @@ def lone_piston(v, drive, pressure, stop_plus, stop_minus, p):
 
 
 @called
-def slow_partings(t, y, m, p, work):
+def slow_partings(t, y, m, p):
     """Speeds below which pistons 1 and 2 do not count as parting from the stay [m/s].
 
     SLOW_M_S where the accelerations, each body alone, would close the contact again; else 0.
@@ -120,8 +120,7 @@ def slow_partings(t, y, m, p, work):
     m.stay = 0
     m.piston_1 = 0
     m.piston_2 = 0
-    force = work[0:3]
-    net_forces(y, m, p, t, force)
+    force = net_forces(y, m, p, t)
     high, low = stay_limits(y, m, p)
     a = group_acceleration(
         y.v_s,
@@ -144,89 +143,109 @@ def slow_partings(t, y, m, p, work):
 
 
 @called
-def impacts(t, y, m, p, impact, work):
+def impacts(t, y, m, p, impact):
     """Resolve all closing contacts and stops at this instant; impact.lost energy lost [J],
     impact.speed speed of the stay into an end stop, impact.at_block 1 if it was the synchronizer.
 
     Leaves the bodies' modes of motion to `settle`.
     """
-    slow1, slow2 = slow_partings(t, y, m, p, work)
+    slow1, slow2 = slow_partings(t, y, m, p)
     impact.lost = 0.0
     impact.speed = 0.0
     impact.at_block = 0.0
     for _ in range(12):
-        high, low = stay_limits(y, m, p)
-        again = False
-        held = 0.0
-        # pistons on their outer stops
-        if y.x_1 <= TOUCH_M and y.v_1 < 0.0:
-            y.x_1 = 0.0
-            after = rebound(y.v_1, p)
-            impact.lost += 0.5 * p.m_p * (y.v_1 * y.v_1 - after * after)
-            y.v_1 = after
-            again = True
-        if y.x_2 <= TOUCH_M and y.v_2 < 0.0:
-            y.x_2 = 0.0
-            after = rebound(y.v_2, p)
-            impact.lost += 0.5 * p.m_p * (y.v_2 * y.v_2 - after * after)
-            y.v_2 = after
-            again = True
-        # the stay on its stops
-        if y.x_s >= high - TOUCH_M and y.v_s > 0.0:
-            held = 1.0
-            y.x_s = high
-        elif y.x_s <= low + TOUCH_M and y.v_s < 0.0:
-            held = -1.0
-            y.x_s = low
-        # neutral: a piston at rest on its outer stop is as fixed as the housing
-        elif y.v_s < 0.0 and y.x_2 + y.x_s <= TOUCH_M and y.x_2 <= TOUCH_M and y.v_2 <= 0.0:
-            held = -2.0
-            y.x_s = 0.0
-            y.x_2 = 0.0
-        elif y.v_s > 0.0 and y.x_1 - y.x_s <= TOUCH_M and y.x_1 <= TOUCH_M and y.v_1 <= 0.0:
-            held = 2.0
-            y.x_s = 0.0
-            y.x_1 = 0.0
-        if held != 0.0:
-            at_block = abs(held) == 1.0 and abs(y.x_s) < end_stop(p) - TOUCH_M
-            after = 0.0 if at_block else rebound(y.v_s, p)
-            impact.lost += 0.5 * p.m_s * (y.v_s * y.v_s - after * after)
-            if abs(y.v_s) > impact.speed:
-                impact.speed = abs(y.v_s)
-                impact.at_block = 1.0 if at_block else 0.0
-            y.v_s = after
-            again = True
-        # contacts of stay and pistons
-        relative = y.v_1 - y.v_s
-        if meets(touching(y.x_1 - y.x_s, p), relative, slow1):
-            stopped = (
-                (y.x_s >= high - TOUCH_M and relative > 0.0)
-                or (y.x_s <= low + TOUCH_M and relative < 0.0)
-                or (relative < 0.0 and y.x_2 + y.x_s <= TOUCH_M and y.x_2 <= TOUCH_M)
-                or abs(relative) < slow1
-            ) and y.v_s == 0.0
-            if stopped:
-                impact.lost += 0.5 * p.m_p * y.v_1 * y.v_1
-                y.v_1 = 0.0
-            else:
-                impact.lost += join_velocity(y, p, 1, slow2)
-            again = True
-        relative = y.v_s + y.v_2
-        if meets(touching(y.x_2 + y.x_s, p), relative, slow2):
-            stopped = (
-                (y.x_s <= low + TOUCH_M and relative > 0.0)
-                or (y.x_s >= high - TOUCH_M and relative < 0.0)
-                or (relative < 0.0 and y.x_1 - y.x_s <= TOUCH_M and y.x_1 <= TOUCH_M)
-                or abs(relative) < slow2
-            ) and y.v_s == 0.0
-            if stopped:
-                impact.lost += 0.5 * p.m_p * y.v_2 * y.v_2
-                y.v_2 = 0.0
-            else:
-                impact.lost += join_velocity(y, p, 2, slow1)
-            again = True
+        again = stop_pistons(y, p, impact)
+        again = stop_stay(y, m, p, impact) or again
+        again = meet_pistons(y, m, p, slow1, slow2, impact) or again
         if not again:
             break
+
+
+@inlined
+def stop_pistons(y, p, impact):
+    """Stop pistons on their outer stops; True if one has met its stop."""
+    hit = False
+    if y.x_1 <= TOUCH_M and y.v_1 < 0.0:
+        y.x_1 = 0.0
+        after = rebound(y.v_1, p)
+        impact.lost += 0.5 * p.m_p * (y.v_1 * y.v_1 - after * after)
+        y.v_1 = after
+        hit = True
+    if y.x_2 <= TOUCH_M and y.v_2 < 0.0:
+        y.x_2 = 0.0
+        after = rebound(y.v_2, p)
+        impact.lost += 0.5 * p.m_p * (y.v_2 * y.v_2 - after * after)
+        y.v_2 = after
+        hit = True
+    return hit
+
+
+@inlined
+def stop_stay(y, m, p, impact):
+    """Stop the stay at an end, at the synchronizer or in neutral; True if it has met one of them."""
+    high, low = stay_limits(y, m, p)
+    held = 0.0
+    if y.x_s >= high - TOUCH_M and y.v_s > 0.0:
+        held = 1.0
+        y.x_s = high
+    elif y.x_s <= low + TOUCH_M and y.v_s < 0.0:
+        held = -1.0
+        y.x_s = low
+    # neutral: a piston at rest on its outer stop is as fixed as the housing
+    elif y.v_s < 0.0 and y.x_2 + y.x_s <= TOUCH_M and y.x_2 <= TOUCH_M and y.v_2 <= 0.0:
+        held = -2.0
+        y.x_s = 0.0
+        y.x_2 = 0.0
+    elif y.v_s > 0.0 and y.x_1 - y.x_s <= TOUCH_M and y.x_1 <= TOUCH_M and y.v_1 <= 0.0:
+        held = 2.0
+        y.x_s = 0.0
+        y.x_1 = 0.0
+    if held == 0.0:
+        return False
+    at_block = abs(held) == 1.0 and abs(y.x_s) < end_stop(p) - TOUCH_M
+    after = 0.0 if at_block else rebound(y.v_s, p)
+    impact.lost += 0.5 * p.m_s * (y.v_s * y.v_s - after * after)
+    if abs(y.v_s) > impact.speed:
+        impact.speed = abs(y.v_s)
+        impact.at_block = 1.0 if at_block else 0.0
+    y.v_s = after
+    return True
+
+
+@inlined
+def meet_pistons(y, m, p, slow1, slow2, impact):
+    """Resolve closing contacts of stay and pistons; True if there was one."""
+    high, low = stay_limits(y, m, p)
+    met = False
+    relative = y.v_1 - y.v_s
+    if meets(touching(y.x_1 - y.x_s, p), relative, slow1):
+        stopped = (
+            (y.x_s >= high - TOUCH_M and relative > 0.0)
+            or (y.x_s <= low + TOUCH_M and relative < 0.0)
+            or (relative < 0.0 and y.x_2 + y.x_s <= TOUCH_M and y.x_2 <= TOUCH_M)
+            or abs(relative) < slow1
+        ) and y.v_s == 0.0
+        if stopped:
+            impact.lost += 0.5 * p.m_p * y.v_1 * y.v_1
+            y.v_1 = 0.0
+        else:
+            impact.lost += join_velocity(y, p, 1, slow2)
+        met = True
+    relative = y.v_s + y.v_2
+    if meets(touching(y.x_2 + y.x_s, p), relative, slow2):
+        stopped = (
+            (y.x_s <= low + TOUCH_M and relative > 0.0)
+            or (y.x_s >= high - TOUCH_M and relative < 0.0)
+            or (relative < 0.0 and y.x_1 - y.x_s <= TOUCH_M and y.x_1 <= TOUCH_M)
+            or abs(relative) < slow2
+        ) and y.v_s == 0.0
+        if stopped:
+            impact.lost += 0.5 * p.m_p * y.v_2 * y.v_2
+            y.v_2 = 0.0
+        else:
+            impact.lost += join_velocity(y, p, 2, slow1)
+        met = True
+    return met
 
 
 @inlined
@@ -268,92 +287,87 @@ def settle_damper(y, m, p):
             m.oil_rest = 0 if m.stay * m.side > 0 else 1
 
 
-@called
-def settle(t, y, m, p, work):
-    """Choose the modes that continue the motion from here: who is joined, who rests, who moves.
+@inlined
+def joined_acceleration(y, p, force, c1, c2, high, low):
+    """Acceleration of the stay with the pistons joined to it [m/s^2].
 
-    Bodies start apart; touching bodies whose accelerations (or pushes at rest) would close the
-    contact are joined, until none closes; then those that would pull are parted (the
-    one-dimensional contact problem, solved as pool-adjacent-violators does).  Friction at rest is
-    set-valued; touching bodies that break away together are all sliding from there on.
+    c1, c2: contacts of pistons 1 and 2; high, low: limits of the stay.
     """
-    force = work[0:3]
-    note_side(y, m, p)
-    if m.damper != 0:
-        side = float(m.side)
-        note_corners(side * y.x_s, side * y.v_s, m, p)
-    m.blocked = 0
-    m.stay = 0
-    m.piston_1 = 0
-    m.piston_2 = 0
-    net_forces(y, m, p, t, force)
-    drive_s = force[0]
-    drive1 = force[1]
-    drive2 = force[2]
-    high, low = stay_limits(y, m, p)
-    gap1 = y.x_1 - y.x_s
-    gap2 = y.x_2 + y.x_s
-    same1 = abs(y.v_1 - y.v_s) <= SAME_M_S
-    same2 = abs(y.v_2 + y.v_s) <= SAME_M_S
-    touch1 = touching(gap1, p) if same1 else FREE
-    touch2 = touching(gap2, p) if same2 else FREE
-    c1 = FREE
-    c2 = FREE
     pressure1 = y.p_b - y.p_n
     pressure2 = y.p_f - y.p_n
+    drive = force[0]
+    mass = p.m_s
+    cap_plus = stay_static(y.x_s, 1.0, p)
+    cap_minus = stay_static(y.x_s, -1.0, p)
+    stop_plus = y.x_s >= high - TOUCH_M
+    stop_minus = y.x_s <= low + TOUCH_M
+    run_plus = stay_sliding(y.x_s, y.v_s, 1.0, p)
+    run_minus = stay_sliding(y.x_s, y.v_s, -1.0, p)
+    if c1 != FREE:
+        drive += force[1]
+        mass += p.m_p
+        cap_plus += piston_static(1.0, pressure1, p)
+        cap_minus += piston_static(-1.0, pressure1, p)
+        run_plus += piston_sliding(y.v_s, 1.0, pressure1, p)
+        run_minus += piston_sliding(y.v_s, -1.0, pressure1, p)
+        stop_minus = stop_minus or y.x_1 <= TOUCH_M
+    if c2 != FREE:
+        drive += force[2]
+        mass += p.m_p
+        cap_plus += piston_static(1.0, pressure2, p)
+        cap_minus += piston_static(-1.0, pressure2, p)
+        run_plus += piston_sliding(y.v_s, 1.0, pressure2, p)
+        run_minus += piston_sliding(y.v_s, -1.0, pressure2, p)
+        stop_plus = stop_plus or y.x_2 <= TOUCH_M
+    return group_acceleration(
+        y.v_s, drive, cap_plus, cap_minus, run_plus, run_minus, mass, stop_plus, stop_minus
+    )
+
+
+@inlined
+def join(y, m, p, force):
+    """Contacts that close, and accelerations: contact of piston 1 and 2, then of stay, piston 1, 2.
+
+    Bodies start apart; touching bodies whose accelerations (or pushes at rest) would close the
+    contact are joined, until none closes.
+    """
+    high, low = stay_limits(y, m, p)
+    same1 = abs(y.v_1 - y.v_s) <= SAME_M_S
+    same2 = abs(y.v_2 + y.v_s) <= SAME_M_S
+    touch1 = touching(y.x_1 - y.x_s, p) if same1 else FREE
+    touch2 = touching(y.x_2 + y.x_s, p) if same2 else FREE
+    c1 = FREE
+    c2 = FREE
     a = 0.0
     a1 = 0.0
     a2 = 0.0
     for _ in range(3):
-        drive = drive_s
-        mass = p.m_s
-        cap_plus = stay_static(y.x_s, 1.0, p)
-        cap_minus = stay_static(y.x_s, -1.0, p)
-        stop_plus = y.x_s >= high - TOUCH_M
-        stop_minus = y.x_s <= low + TOUCH_M
-        run_plus = stay_sliding(y.x_s, y.v_s, 1.0, p)
-        run_minus = stay_sliding(y.x_s, y.v_s, -1.0, p)
-        if c1 != FREE:
-            drive += drive1
-            mass += p.m_p
-            cap_plus += piston_static(1.0, pressure1, p)
-            cap_minus += piston_static(-1.0, pressure1, p)
-            run_plus += piston_sliding(y.v_s, 1.0, pressure1, p)
-            run_minus += piston_sliding(y.v_s, -1.0, pressure1, p)
-            stop_minus = stop_minus or y.x_1 <= TOUCH_M
-        if c2 != FREE:
-            drive += drive2
-            mass += p.m_p
-            cap_plus += piston_static(1.0, pressure2, p)
-            cap_minus += piston_static(-1.0, pressure2, p)
-            run_plus += piston_sliding(y.v_s, 1.0, pressure2, p)
-            run_minus += piston_sliding(y.v_s, -1.0, pressure2, p)
-            stop_plus = stop_plus or y.x_2 <= TOUCH_M
-        a = group_acceleration(
-            y.v_s, drive, cap_plus, cap_minus, run_plus, run_minus, mass, stop_plus, stop_minus
-        )
-        a1 = lone_piston(y.v_1, drive1, pressure1, False, y.x_1 <= TOUCH_M, p)
+        a = joined_acceleration(y, p, force, c1, c2, high, low)
+        a1 = lone_piston(y.v_1, force[1], y.p_b - y.p_n, False, y.x_1 <= TOUCH_M, p)
         if c1 != FREE:
             a1 = a
-        a2 = lone_piston(-y.v_2, drive2, pressure2, y.x_2 <= TOUCH_M, False, p)
+        a2 = lone_piston(-y.v_2, force[2], y.p_f - y.p_n, y.x_2 <= TOUCH_M, False, p)
         if c2 != FREE:
             a2 = a
-        joined = False
         if c1 == FREE and touch1 != FREE and sign_ahead(1, touch1) * (a1 - a) < 0.0:
             c1 = touch1
-            joined = True
         elif c2 == FREE and touch2 != FREE and sign_ahead(2, touch2) * (a2 - a) < 0.0:
             c2 = touch2
-            joined = True
-        if not joined:
+        else:
             break
-    # a contact that would have to pull is none: a piston that slides faster than the group leaves it
+    return c1, c2, a, a1, a2
+
+
+@inlined
+def part(y, p, force, joined):
+    """Part the contacts of `join` that would have to pull: a piston faster than the group leaves it."""
+    c1, c2, a, a1, a2 = joined
     d = direction_of(y.v_s, a)
     for _ in range(2):
         if d == 0 or (c1 == FREE and c2 == FREE):
             break
-        alone1 = (drive1 - d * piston_sliding(y.v_s, d, pressure1, p)) / p.m_p
-        alone2 = (drive2 - d * piston_sliding(y.v_s, d, pressure2, p)) / p.m_p
+        alone1 = (force[1] - d * piston_sliding(y.v_s, d, y.p_b - y.p_n, p)) / p.m_p
+        alone2 = (force[2] - d * piston_sliding(y.v_s, d, y.p_f - y.p_n, p)) / p.m_p
         if c1 != FREE and sign_ahead(1, c1) * (alone1 - a) > 0.0:
             a1 = alone1
             c1 = FREE
@@ -363,7 +377,7 @@ def settle(t, y, m, p, work):
         else:
             break
         mass = p.m_s
-        a = drive_s - d * stay_sliding(y.x_s, y.v_s, d, p)
+        a = force[0] - d * stay_sliding(y.x_s, y.v_s, d, p)
         if c1 != FREE:
             mass += p.m_p
             a += p.m_p * alone1
@@ -373,11 +387,45 @@ def settle(t, y, m, p, work):
         a /= mass
         if y.v_s == 0.0 and d * a < 0.0:
             a = 0.0
+    return c1, c2, a, a1, a2
+
+
+@called
+def settle(t, y, m, p):
+    """Choose the modes that continue the motion from here: who is joined, who rests, who moves.
+
+    The one-dimensional contact problem, solved as pool-adjacent-violators does (`join`, `part`).
+    Friction at rest is set-valued; touching bodies that break away together are all sliding from
+    there on.
+    """
+    note_side(y, m, p)
+    if m.damper != 0:
+        side = float(m.side)
+        note_corners(side * y.x_s, side * y.v_s, m, p)
+    m.blocked = 0
+    m.stay = 0
+    m.piston_1 = 0
+    m.piston_2 = 0
+    force = net_forces(y, m, p, t)
+    c1, c2, a, a1, a2 = part(y, p, force, join(y, m, p, force))
     m.joined_1 = c1
     m.joined_2 = c2
     m.stay = direction_of(y.v_s, a)
     m.piston_1 = m.stay if c1 != FREE else direction_of(y.v_1, a1)
     m.piston_2 = m.stay if c2 != FREE else direction_of(-y.v_2, a2)
+    place_pistons(y, p, c1, c2)
+    if m.stay == 0 and y.impulse < p.sync_impulse:
+        if abs(y.x_s - p.x_block) <= TOUCH_M:
+            m.blocked = 1
+        elif abs(y.x_s + p.x_block) <= TOUCH_M:
+            m.blocked = -1
+    if m.damper != 0:
+        settle_damper(y, m, p)
+
+
+@inlined
+def place_pistons(y, p, c1, c2):
+    """Give joined pistons the place and the velocity of the stay, and none a place inside it."""
     if c1 != FREE:
         y.x_1 = y.x_s + (p.x_free if c1 == COLLAR else 0.0)
         y.v_1 = y.v_s
@@ -387,10 +435,3 @@ def settle(t, y, m, p, work):
     # the stay was put on its stop: a piston that is just leaving it must not stand inside it
     y.x_1 = min(max(y.x_1, y.x_s), y.x_s + p.x_free)
     y.x_2 = min(max(y.x_2, -y.x_s), p.x_free - y.x_s)
-    if m.stay == 0 and y.impulse < p.sync_impulse:
-        if abs(y.x_s - p.x_block) <= TOUCH_M:
-            m.blocked = 1
-        elif abs(y.x_s + p.x_block) <= TOUCH_M:
-            m.blocked = -1
-    if m.damper != 0:
-        settle_damper(y, m, p)

@@ -244,8 +244,8 @@ def term_force(y, p, t):
 
 
 @called
-def net_forces(y, m, p, t, out):
-    """Driving forces minus sliding friction of stay, piston 1, piston 2 -> out[0:3] [N].
+def net_forces(y, m, p, t):
+    """Driving forces minus sliding friction of stay, piston 1, piston 2 [N].
 
     A body at rest gets its driving force alone.
     """
@@ -263,35 +263,27 @@ def net_forces(y, m, p, t, out):
     d2 = m.piston_2
     if d2 != 0:
         two -= d2 * piston_sliding(-y.v_2, d2, dp2, p)
-    out[0] = stay
-    out[1] = one
-    out[2] = two
+    return stay, one, two
 
 
 @inlined
-def accelerations(m, p, force, out):
-    """Accelerations in the direction of x_s of stay, piston 1, piston 2 -> out[0:3] [m/s^2]."""
-    joined1 = m.joined_1 != 0
-    joined2 = m.joined_2 != 0
+def accelerations(m, p, force):
+    """Accelerations in the direction of x_s of stay, piston 1, piston 2 [m/s^2]."""
+    joined_1 = m.joined_1 != 0
+    joined_2 = m.joined_2 != 0
     mass = p.m_s
     total = force[0]
-    if joined1:
+    if joined_1:
         mass += p.m_p
         total += force[1]
-    if joined2:
+    if joined_2:
         mass += p.m_p
         total += force[2]
     a = total / mass if m.stay != 0 else 0.0
     per_mass = 1.0 / p.m_p
-    out[0] = a
-    if joined1:
-        out[1] = a
-    else:
-        out[1] = force[1] * per_mass if m.piston_1 != 0 else 0.0
-    if joined2:
-        out[2] = a
-    else:
-        out[2] = force[2] * per_mass if m.piston_2 != 0 else 0.0
+    one = force[1] * per_mass if m.piston_1 != 0 else 0.0
+    two = force[2] * per_mass if m.piston_2 != 0 else 0.0
+    return a, a if joined_1 else one, a if joined_2 else two
 
 
 @inlined
@@ -333,12 +325,10 @@ def length_volumes(y, p):
 
 
 @called
-def rates(t, y, dy, m, u0, du, p, c, work, quadratures):
+def rates(t, y, dy, m, u0, du, p, c, quadratures):
     """Time derivatives of the length stroke -> dy; with `quadratures`, those behind the states."""
-    force = work[0:3]
-    acc = work[3:6]
-    net_forces(y, m, p, t, force)
-    accelerations(m, p, force, acc)
+    force = net_forces(y, m, p, t)
+    acc = accelerations(m, p, force)
     vs = y.v_s
     v1 = y.v_1
     v2 = y.v_2

@@ -21,7 +21,7 @@ from plant.equations.length_impacts import impacts, settle
 from plant.integrator.steppers import interpolate
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import FIXED, FREE
-from plant.kernel.record_views import fixed_state, length_state
+from plant.kernel.record_views import fixed_state, impact_of, length_state
 
 # A velocity below this after an event is rounding, and ends a Zeno sequence of stops.
 ZERO_M_S = 1e-10
@@ -30,20 +30,20 @@ NEXT_S = 1e-15
 
 
 @called
-def all_guards(t, y, m, p, work, g):
-    """Guards of the stroke's system -> g; returns the lowest, negative if an event is due."""
-    if m.system == FIXED:
-        return fixed_guards(t, fixed_state(y), m, p, g)
-    return length_guards(t, length_state(y), m, p, work, g)
+def all_guards(t, y, o, g):
+    """Guards of the stroke's system at (t, y) -> g; returns the lowest, negative if an event is due."""
+    if o.m.system == FIXED:
+        return fixed_guards(t, fixed_state(y), o.m, o.p, g)
+    return length_guards(t, length_state(y), o.m, o.p, g)
 
 
 @called
-def choose_modes(t, y, m, p, work):
-    """Modes that continue the motion from here (sticking, joined, moving)."""
-    if m.system == FIXED:
-        fixed_settle(t, fixed_state(y), m, p)
+def choose_modes(t, o):
+    """Choose the modes that continue the motion from here (sticking, joined, moving)."""
+    if o.m.system == FIXED:
+        fixed_settle(t, fixed_state(o.y), o.m, o.p)
     else:
-        settle(t, length_state(y), m, p, work)
+        settle(t, length_state(o.y), o.m, o.p)
 
 
 @called
@@ -64,12 +64,12 @@ def smallest(g):
 
 @inlined
 def dips(s0, s1):
-    """True if a quantity with these slopes at both ends may be lower in between: see `lowest_place`."""
+    """True if a quantity with these slopes at both ends may be lower in between: see `lowest_fraction`."""
     return s0 < 0.0 and s1 > 0.0
 
 
 @inlined
-def lowest_place(v0, v1, s0, s1):
+def lowest_fraction(v0, v1, s0, s1):
     """Where in 0..1 a quantity that ends as it began comes below zero, 1 if nowhere.
 
     Asked of the cubic through both ends with the slopes s0, s1 there (per step).
@@ -79,11 +79,11 @@ def lowest_place(v0, v1, s0, s1):
     d = v1 - v0
     b = 3.0 * d - 2.0 * s0 - s1
     a = s0 + s1 - 2.0 * d
-    place = -s0 / (b + sqrt(max(b * b - 3.0 * a * s0, 0.0)))
-    if not 0.0 < place < 1.0:
+    fraction = -s0 / (b + sqrt(max(b * b - 3.0 * a * s0, 0.0)))
+    if not 0.0 < fraction < 1.0:
         return 1.0
-    lowest = v0 + place * (s0 + place * (b + place * a))
-    return place if lowest < 0.0 else 1.0
+    lowest = v0 + fraction * (s0 + fraction * (b + fraction * a))
+    return fraction if lowest < 0.0 else 1.0
 
 
 @inlined
@@ -113,25 +113,26 @@ def fixed_may_hide(rate0, rate1, m):
 
 @inlined
 def turn_fraction(d, h, v, v1, a, a1):
-    """`lowest_place` of the velocity of a body that moves in direction d, 1 for one at rest."""
+    """`lowest_fraction` of the velocity of a body that moves in direction d, 1 for one at rest."""
     if d == 0:
         return 1.0
-    return lowest_place(d * v, d * v1, h * d * a, h * d * a1)
+    return lowest_fraction(d * v, d * v1, h * d * a, h * d * a1)
 
 
 @called
-def hidden_turn(h, y, y1, rate0, rate1, m):
+def hidden_turn(h, y1, rate0, rate1, o):
     """Fraction of a step at which a body has turned although both ends move the same way, or 1.
 
     A body that would rest for a moment turns twice within a long step; the guards at its ends do
     not see it.
     """
+    m = o.m
     if m.system == FIXED:
-        before, after = fixed_state(y), fixed_state(y1)
+        before, after = fixed_state(o.y), fixed_state(y1)
         return turn_fraction(
             m.stay, h, before.v, after.v, fixed_state(rate0).v, fixed_state(rate1).v
         )
-    y = length_state(y)
+    y = length_state(o.y)
     y1 = length_state(y1)
     rate0 = length_state(rate0)
     rate1 = length_state(rate1)
@@ -147,23 +148,25 @@ def hidden_turn(h, y, y1, rate0, rate1, m):
 
 @inlined
 def meeting_fraction(h, gap, gap1, opening, opening1, p):
-    """`lowest_place` of the distance of stay and piston from the contact they are nearer to."""
+    """`lowest_fraction` of the distance of stay and piston from the contact they are nearer to."""
     low = 0.0 if gap < 0.5 * p.x_free else p.x_free
     sign = 1.0 if low == 0.0 else -1.0
-    return lowest_place(
+    return lowest_fraction(
         sign * (gap - low), sign * (gap1 - low), h * sign * opening, h * sign * opening1
     )
 
 
 @called
-def hidden_meeting(h, y, y1, m, p):
+def hidden_meeting(h, y1, o):
     """Fraction of a step at which stay and piston have met although both ends are apart, or 1.
 
     Two bodies that graze each other close and part again within one step.
     """
+    m = o.m
+    p = o.p
     if m.system == FIXED:
         return 1.0
-    y = length_state(y)
+    y = length_state(o.y)
     y1 = length_state(y1)
     one = 1.0
     if m.joined_1 == FREE:
@@ -175,12 +178,12 @@ def hidden_meeting(h, y, y1, m, p):
 
 
 @inlined
-def root_place(low, high, third, a, b, c):
+def root_fraction(low, high, third, a, b, c):
     """Where a quantity that is a >= 0 at low, b < 0 at high, c at third crosses zero.
 
     Inverse quadratic interpolation through all three; the secant where that leaves the bracket.
     """
-    place = high + (low - high) * b / (b - a)
+    fraction = high + (low - high) * b / (b - a)
     if c != a and c != b:
         curved = (
             high
@@ -188,25 +191,26 @@ def root_place(low, high, third, a, b, c):
             + (third - high) * a * b / ((c - a) * (c - b))
         )
         if low < curved < high:
-            place = curved
-    return place
+            fraction = curved
+    return fraction
 
 
 @called
-def locate(t, h, high, dense, y, m, p, work, g, g0, n_all):
+def locate(t, h, high, dense, y, o, n_all):
     """Fraction of the step at which the first guard crosses zero, and that guard; y: the state there.
 
-    g0: guards at the step's start, all positive; g: at its fraction `high`, one negative; both are
-    overwritten.  A bracket whose upper end is replaced by the foreseen crossing of whichever negative
-    guard would cross first, with bisection when it stalls, until it is where it is foreseen.
+    scratch.before: guards at the step's start, all positive; scratch.guards: at its fraction `high`,
+    one negative; both are overwritten.  A bracket whose upper end is replaced by the foreseen crossing
+    of whichever negative guard would cross first, with bisection when it stalls, until it is where it
+    is foreseen.
     """
     low = 0.0
     third = high
     before = 1.0
-    below = g
-    above = g0
-    trial = work[6 : 6 + GUARDS]
-    older = work[6 + GUARDS : 6 + 2 * GUARDS]
+    below = o.scratch.guards
+    above = o.scratch.before
+    trial = o.scratch.trial
+    older = o.scratch.older
     for k in range(GUARDS):
         older[k] = below[k]
     for iteration in range(80):
@@ -215,7 +219,7 @@ def locate(t, h, high, dense, y, m, p, work, g, g0, n_all):
         for k in range(GUARDS):
             if below[k] < 0.0:
                 start = max(above[k], 0.0)
-                theta = min(theta, root_place(low, high, third, start, below[k], older[k]))
+                theta = min(theta, root_fraction(low, high, third, start, below[k], older[k]))
         if (high - theta) * h < NEXT_S or width * h < NEXT_S:
             break
         # just beyond the crossing, so that a good forecast is the last
@@ -226,7 +230,7 @@ def locate(t, h, high, dense, y, m, p, work, g, g0, n_all):
             before = width
         interpolate(theta, dense, y, n_all)
         spare = older
-        if all_guards(t + theta * h, y, m, p, work, trial) < 0.0:
+        if all_guards(t + theta * h, y, o, trial) < 0.0:
             third = high
             older = below
             high = theta
@@ -248,12 +252,13 @@ def settled_speed(v):
 
 
 @called
-def after_event(t, index, y, m, p, impact, work):
+def after_event(t, index, o):
     """Reset at an event and choose the modes that follow."""
-    if m.system == FIXED:
-        fixed_reset(t, index, fixed_state(y), m, p, impact)
+    impact = impact_of(o.scratch.impact)
+    if o.m.system == FIXED:
+        fixed_reset(t, index, fixed_state(o.y), o.m, o.p, impact)
     else:
-        length_reset(t, index, length_state(y), m, p, impact, work)
+        length_reset(t, index, length_state(o.y), o.m, o.p, impact)
 
 
 @called
@@ -269,7 +274,7 @@ def fixed_reset(t, index, y, m, p, impact):
 
 
 @called
-def length_reset(t, index, y, m, p, impact, work):
+def length_reset(t, index, y, m, p, impact):
     """`after_event` of the length stroke."""
     if index == G_STAY_SPEED:
         if m.joined_1 != FREE:
@@ -288,5 +293,5 @@ def length_reset(t, index, y, m, p, impact, work):
     y.v_s = settled_speed(y.v_s)
     y.v_1 = settled_speed(y.v_1)
     y.v_2 = settled_speed(y.v_2)
-    impacts(t, y, m, p, impact, work)
-    settle(t, y, m, p, work)
+    impacts(t, y, m, p, impact)
+    settle(t, y, m, p)

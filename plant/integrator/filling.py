@@ -17,6 +17,7 @@ from functools import lru_cache
 from math import exp
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plant.equations.fixed_piston import fixed_volumes
 from plant.equations.length_stroke import length_volumes
@@ -56,7 +57,8 @@ NEAR_REACH = 20.0
 SUBSTEPS = 8
 # Places on a curve nearer than this share its tangent: an error of 1e-4 of their distance.
 NEXT_TO = 1e-4
-KNOWN_COLUMNS = 4
+# A grid of steps is written by one stroke and followed by others.
+OWN_STEPS, WRITE_GRID, FOLLOW_GRID = range(3)
 
 # How a chamber at rest goes on: constant, on a curve, or a deviation decaying to its reference.
 STILL, ON_CHARGE, ON_DISCHARGE, DECAY, UNKNOWN = range(5)
@@ -71,6 +73,18 @@ class ChamberCurve(Record):
     reference: Value
 
 
+class Stored(Record):
+    """What the grid's stroke stores of one chamber at one sample."""
+
+    kind: Value
+    place: Value
+    value: Value
+    slope: Value
+
+
+KNOWN_COLUMNS = Stored.size
+KNOWN = 3 * KNOWN_COLUMNS
+stored_of = named(Stored)
 CHAMBER_ROW = ChamberCurve.size
 chamber_row = named(ChamberCurve)
 
@@ -191,15 +205,17 @@ NO_CURVES = np.zeros(1)
 
 
 @lru_cache(maxsize=64)
-def _filling_curves(flow: bytes) -> tuple:
+def _filling_curves(flow: bytes) -> NDArray[np.float64]:
     table = np.zeros(TABLE)
-    known = bool(tabulate(np.frombuffer(flow).copy(), table))
-    return known, table if known else NO_CURVES
+    return table if tabulate(np.frombuffer(flow).copy(), table) else NO_CURVES
 
 
-def filling_curves(c) -> tuple:
-    """Whether a flow map has filling curves, and their table; tabulated once per map."""
-    return _filling_curves(c.tobytes())
+def filling_curves(c: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the filling curves [TABLE] of a flow map [FlowMap.size]; NO_CURVES if it has none.
+
+    Tabulated once per map; several maps [strokes, FlowMap.size] have none in common.
+    """
+    return NO_CURVES if c.ndim == 2 and len(c) > 1 else _filling_curves(c.tobytes())
 
 
 @inlined
@@ -346,36 +362,36 @@ def chamber_samples(row, table, t, samples, begin, end, out, stride):
 
 
 @called
-def neighbour_samples(row, table, c, t, samples, begin, end, known, width, first, out, stride):
-    """Pressures of a chamber at the samples from `begin` to `end` -> out[i * stride], from notes.
+def neighbour_samples(row, t, c, known, begin, end, out, task):
+    """Pressures of a chamber at the samples from `begin` to `end` -> out, stored values reused.
 
-    The `first` of several like strokes evaluates its curve and notes kind, place, value and slope in
-    known[i * width : i * width + 4]; the others, next to it, go along that slope.
+    The stroke that writes the grid evaluates its curve and stores kind, place, value and slope in
+    known[i * KNOWN :]; the others, next to it, go along that slope.
     """
     kind = row.kind
     decays = kind == DECAY
     charging = kind == ON_CHARGE
-    curve = curve_for(charging, table)
+    curve = curve_for(charging, task.table)
     reference = row.reference
     start = 0.0 if decays else row.tau
-    rate = row.rate
     scale = reference * row.tau if decays else reference
     offset = reference if decays else 0.0
+    first = task.use == WRITE_GRID
     for i in range(begin, end):
-        place = start + rate * max(samples[i] - t, 0.0)
-        noted = known[i * width :]
-        apart = place - noted[1]
-        if not first and noted[0] == kind and abs(apart) < NEXT_TO:
-            value = noted[2] + apart * noted[3]
+        place = start + row.rate * max(task.samples[i] - t, 0.0)
+        stored = stored_of(known[i * KNOWN :])
+        apart = place - stored.place
+        if not first and stored.kind == kind and abs(apart) < NEXT_TO:
+            value = stored.value + apart * stored.slope
         else:
             value = exp(-place) if decays else curve_value(curve, place)
         if first:
             slope = -value if decays else slope_of(value, charging, c) / curve.rate
-            noted[0] = kind
-            noted[1] = place
-            noted[2] = value
-            noted[3] = slope
-        out[i * stride] = offset + scale * value
+            stored.kind = kind
+            stored.place = place
+            stored.value = value
+            stored.slope = slope
+        out[i * task.n_columns] = offset + scale * value
 
 
 @called

@@ -17,24 +17,23 @@ from plant.equations import length_contacts as guard
 from plant.equations.volumes import emptied, refuse_empty, volumes_m3
 from plant.errors import IntegrationError, NoVolumeError
 from plant.integrator.filling import NO_CURVES
-from plant.integrator.integrate import (
-    DONE,
-    EVENT_COLUMNS,
-    GRID_COLUMNS,
-    NOT_FINITE,
-    OWN_STEPS,
-    STEP_TOO_SMALL,
-    TOO_MANY_EVENTS,
-    advance,
-    start,
+from plant.integrator.integrate import advance, start
+from plant.integrator.loop import DONE, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_EVENTS
+from plant.integrator.workspace import Control, Run
+from plant.kernel.layout import (
+    FIRST_PRESSURE,
+    LENGTH,
+    EventRow,
+    GridRow,
+    Modes,
+    Parameters,
+    Quadratures,
 )
-from plant.kernel.layout import FIRST_PRESSURE, LENGTH, Counts, EventRow, Parameters, Quadratures
-from plant.kernel.packing import Floats, Load, fresh_modes, scales, state_record
+from plant.kernel.packing import FIRST_STEP_S, Floats, Load, damper_mode, scales, state_record
 
 NS = 1_000_000_000
 DEFAULT_TOLERANCE = 1e-8
-WORKSPACE = (80, 64)
-NO_GRID = np.zeros((1, GRID_COLUMNS))
+NO_GRID = np.zeros((1, GridRow.size))
 
 GUARD_NAMES = {
     guard.G_STAY_SPEED: "turn",
@@ -137,27 +136,29 @@ class HybridSystem:
     ) -> None:
         refuse_empty(system, p, [y])
         self._system = system
-        self._state: Any = state_record(system)(y)
+        self._p, self._c = p, c
+        self._run, self._control = Run.zeros(), Control.zeros(np.int64)
+        self._run.array[: len(y)] = y
+        self._y = self._run.array[: len(y)]
+        self._state: Any = state_record(system)(self._y)
         self._n = self._state.size
-        self._p = p
-        self._c = c
-        self._y = y
-        self._m = fresh_modes(system, load)
+        self._m = Modes(self._control.modes)
+        self._m.system = system
+        self._m.damper = damper_mode(load)
         self._m.line = 1 if has_line else 0
-        self._tolerance = tolerance
-        self._scale = scales(system)
-        self._u0 = np.zeros(3)
-        self._du = np.zeros(3)
+        run, control = self._run, self._control
+        run.tolerance = tolerance
+        run.scale[: self._n] = scales(system)
         for index, name in enumerate(self.chambers):
-            self._u0[index] = 1.0 if name in charged else 0.0
-        self._step = np.array([1e-4])
-        self._counts = np.zeros(Counts.size, dtype=np.int64)
-        self._record = np.zeros((MOST_EVENTS, EVENT_COLUMNS))
-        self._workspace = np.zeros(WORKSPACE)
+            run.u0[index] = 1.0 if name in charged else 0.0
+        run.wanted = FIRST_STEP_S
+        control.states = self._n
+        control.quadratures = Quadratures.size
+        self._record = np.zeros((MOST_EVENTS, EventRow.size))
         self._impact_j = 0.0
         self.now_ns = 0
         self.events: list[Event] = []
-        start(y, self._m.array, p.array, self._workspace)
+        self._choose_modes()
         self._pv0 = self._pv()
         self._kinetic0 = self._kinetic()
 
@@ -175,7 +176,7 @@ class HybridSystem:
     @property
     def valve_positions(self) -> tuple[float, ...]:
         """Actual positions of the valves, 1 = supply, 0 = atmosphere, in chamber order."""
-        return tuple(float(u) for u in self._u0[: len(self.chambers)])
+        return tuple(float(u) for u in self._run.u0[: len(self.chambers)])
 
     @property
     def packed(self) -> Parameters:
@@ -185,7 +186,10 @@ class HybridSystem:
     @property
     def steps(self) -> tuple[int, int]:
         """Accepted and rejected integration steps so far."""
-        return int(self._counts[1]), int(self._counts[2])
+        return int(self._control.steps), int(self._control.rejected)
+
+    def _choose_modes(self) -> None:
+        start(self._run.array, self._control.array, self._p.array)
 
     # --- motion -----------------------------------------------------------------------------
     def advance(
@@ -224,32 +228,19 @@ class HybridSystem:
             )
         samples = np.zeros(0) if sample_ns is None else (sample_ns - self.now_ns) / NS
         out = np.zeros((samples.shape[0], self._n))
-        self._counts[0] = 0
+        self._control.events = 0
+        self._run.end = (until_ns - self.now_ns) / NS
         code = advance(
-            (until_ns - self.now_ns) / NS,
-            self._y,
-            self._m.array,
-            self._u0,
-            self._du,
+            self._run.array,
+            self._control.array,
             self._p.array,
             self._c,
-            self._scale,
-            self._n,
-            Quadratures.size,
-            self._tolerance,
-            self._step,
             rows,
             samples,
             out,
             self._record,
-            self._counts,
-            self._workspace,
-            False,
             NO_CURVES,
             NO_GRID,
-            0,
-            OWN_STEPS,
-            False,
         )
         self._note_events()
         if code != DONE:
@@ -262,7 +253,7 @@ class HybridSystem:
         return out
 
     def _note_events(self) -> None:
-        for row in map(EventRow, self._record[: self._counts[0]]):
+        for row in map(EventRow, self._record[: self._control.events]):
             index = int(row.guard)
             name = GUARD_NAMES[index]
             speed = float(row.speed)

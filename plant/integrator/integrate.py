@@ -7,10 +7,11 @@ which the modes are chosen anew.  Nothing is smoothed.
 
 Checked by: tests/physics/
 """
+# mypy: disallow-untyped-defs=False
 
 from __future__ import annotations
 
-from plant.equations.length_contacts import FIRST_CORNER, GUARDS, note_side
+from plant.equations.length_contacts import GUARDS, note_side
 from plant.integrator.events import (
     after_event,
     all_guards,
@@ -21,49 +22,48 @@ from plant.integrator.events import (
     locate,
     smallest,
 )
-from plant.integrator.filling import STILL, chamber_of, chamber_samples
+from plant.integrator.filling import FOLLOW_GRID
+from plant.integrator.loop import (
+    AGAIN,
+    DONE,
+    FIRST_STEP_S,
+    LONGEST_REST_STEP_S,
+    LONGEST_STEP_S,
+    NOT_FINITE,
+    OFF_GRID,
+    STEP_AFTER_REST_S,
+    STEP_TOO_SMALL,
+    STEPPING,
+    SWITCH_STEP_S,
+    TOO_MANY_EVENTS,
+    Task,
+    apply_switches,
+    choose_step,
+    expects_event,
+    follow_or_write,
+    is_corner,
+    sample_rest,
+    sample_step,
+    store_event,
+    valves_stand,
+)
 from plant.integrator.rest import rest_jump
 from plant.integrator.steppers import (
     derivative,
+    differentiate,
     explicit_dense,
     explicit_step,
     interpolate,
-    jacobian,
     stiff_dense,
     stiff_step,
 )
-from plant.kernel.compiled import called, inlined, kernel
-from plant.kernel.layout import CHAMBERS, FIRST_PRESSURE, FIXED, EventRow, GridRow, Slot
-from plant.kernel.record_views import (
-    counts_of,
-    event_row,
-    flow_map,
-    grid_row,
-    impact_of,
-    length_state,
-    modes,
-    parameters,
-)
-from plant.kernel.views import rows, view
+from plant.integrator.workspace import Motion, control_of, run_of, scratch_of
+from plant.kernel.compiled import called, kernel
+from plant.kernel.layout import COMPRESSIBLE, FIXED, Slot
+from plant.kernel.record_views import flow_map, impact_of, length_state, modes, parameters
+from plant.kernel.views import view
 
-EVENT_COLUMNS = EventRow.size
-
-# Why `advance` stopped.
-DONE, TOO_MANY_EVENTS, STEP_TOO_SMALL, NOT_FINITE = 0, 1, 2, 3
-OFF_GRID = 10  # something happened that the stroke of the grid did not meet
-
-# A grid of steps, written by one stroke and followed by others: where each step was to end, whether
-# that was the next switch, and the guard that ended it before (-1: none).
-GRID_COLUMNS = GridRow.size
-OWN_STEPS, WRITE_GRID, FOLLOW_GRID = range(3)
-
-LONGEST_STEP_S = 5e-3
-LONGEST_REST_STEP_S = 1e-2
-SWITCH_STEP_S = 1e-3
-FIRST_STEP_S = 2e-5
-STEP_AFTER_REST_S = 4e-4
-# Shape of the scratch array.
-WORKSPACE_ROWS, ROW = 80, 64
+LIMIT_EVENTS = 4000
 
 
 @called
@@ -80,393 +80,256 @@ def rests_are_plain(p, m):
 
 
 @called
-def sample_rest(t, until, begin, samples, n_sample, out, width, fixed, rest, curves, y, n):
-    """Samples of a rest from t on; y holds all that does not move.  Returns the next sample's number."""
-    end = begin
-    while end < n_sample and samples[end] <= until:
-        end += 1
-    place = FIRST_PRESSURE[0] if fixed else FIRST_PRESSURE[1]
-    count = CHAMBERS[0] if fixed else CHAMBERS[1]
-    for k in range(n):
-        row = chamber_of(rest, max(k - place, 0))
-        if k < place or k >= place + count or row.kind == STILL:
-            value = y[k]
-            for i in range(begin, end):
-                out[i * width + k] = value
-        else:
-            chamber_samples(row, curves, t, samples, begin, end, out[k:], width)
-    return end
+def handle_event(index, r, k, o, task):
+    """Reset at an event and store it; AGAIN, or TOO_MANY_EVENTS.
 
-
-@inlined
-def write_event(t, index, impact, y, row):
-    """Store an event."""
-    row.time = t
-    row.guard = index
-    row.lost = impact.lost
-    row.speed = impact.speed
-    row.at_block = impact.at_block
-    row.x = y[0]
-    row.v = y[1]
+    A corner of a law is no event, but counts towards the limit.
+    """
+    after_event(r.time, index, o)
+    k.fresh = 1
+    if is_corner(index):
+        k.corners += 1
+        return AGAIN if k.events + k.corners < k.most_events else TOO_MANY_EVENTS
+    if k.events >= task.room or k.events + k.corners >= k.most_events:
+        return TOO_MANY_EVENTS
+    store_event(r.time, index, impact_of(o.scratch.impact), o.y, k.events, task)
+    k.events += 1
+    return AGAIN
 
 
 @called
-def note_event(t, index, y, impact, events, counts, limit):
-    """Record an event; False if there are too many.  A corner is none, but counts towards the limit."""
-    count = counts.events
-    if index >= FIRST_CORNER:
-        counts.corners += 1
-        return count + counts.corners < limit
-    if count >= events.shape[0] or count + counts.corners >= limit:
-        return False
-    write_event(t, index, impact, y, event_row(view(events, count * EVENT_COLUMNS)))
-    counts.events += 1
-    return True
+def begin_piece(r, k, o, task, leaping):
+    """Begin after something has changed: act on guards already passed, pass a rest in one step.
+
+    Returns STEPPING, AGAIN after an event or a rest, or the reason to stop.
+    """
+    derivative(r.time, o.y, r.k[6], o, k.quadratures > 0)
+    if all_guards(r.time, o.y, o, o.scratch.before) < 0.0:
+        # a jump of input or parameters has already passed a guard
+        return handle_event(smallest(o.scratch.before), r, k, o, task)
+    k.fresh = 0
+    k.has_jacobian = 0
+    m = o.m
+    if not (leaping and valves_stand(o) and at_rest(m) and m.blocked == 0):
+        return STEPPING
+    if m.damper == COMPRESSIBLE and m.oil_rest == 0:
+        return STEPPING
+    left = r.next - r.time
+    dt, index = rest_jump(r.time, left, r.y1, r.stage, o, task.table, k.states)
+    if not (dt > 0.0 or index >= 0):
+        return STEPPING
+    until = r.next if dt == left and index < 0 else r.time + dt
+    for i in range(k.states):
+        o.y[i] = r.y1[i]
+        if not abs(o.y[i]) < 1e300:
+            return NOT_FINITE
+    sample_rest(r, k, o, r.y1, until, task)
+    r.time = until
+    r.wanted = STEP_AFTER_REST_S
+    k.fresh = 1
+    return handle_event(index, r, k, o, task) if index >= 0 else AGAIN
+
+
+@called
+def try_step(r, k, o):
+    """One step of the method that the damper's model asks for; error norm and its root's power."""
+    n = k.states
+    n_all = n + k.quadratures
+    if o.m.damper == COMPRESSIBLE:
+        if k.has_jacobian == 0:
+            differentiate(o, r, n, n_all, k.quadratures > 0)
+            k.has_jacobian = 1
+        return stiff_step(o, r, n, n_all, k.quadratures > 0), 0.25
+    for i in range(n_all):
+        r.k[0, i] = r.k[6, i]
+    return explicit_step(o, r, n, n_all, k.quadratures > 0), 0.2
+
+
+@called
+def reject(r, k, h, explicit):
+    """Take a step back, the next one shall be h."""
+    r.wanted = h
+    if explicit:
+        for i in range(k.states + k.quadratures):
+            r.k[6, i] = r.k[0, i]
+    k.rejected += 1
+
+
+@called
+def judge_step(r, k, o, norm, power, follow):
+    """Accept a step and choose the size of the next; STEPPING, AGAIN if rejected, or why to stop."""
+    explicit = o.m.damper != COMPRESSIBLE
+    h = r.step
+    if not norm <= 1.0e300:
+        if 0.1 * h < 1e-14 or follow:
+            return NOT_FINITE
+        reject(r, k, 0.1 * h, explicit)
+        return AGAIN
+    factor = 5.0 if norm < 1e-12 else min(5.0, max(0.2, 0.9 * norm ** (-power)))
+    if norm > 1.0 and not follow:
+        shorter = h * min(factor, 0.9)
+        if shorter < 1e-14:
+            return STEP_TOO_SMALL
+        reject(r, k, shorter, explicit)
+        return AGAIN
+    k.steps += 1
+    grown = h * factor
+    cut = h == r.next - r.time and h < r.wanted
+    r.wanted = max(r.wanted, grown) if cut else grown
+    r.wanted = min(r.wanted, LONGEST_REST_STEP_S if at_rest(o.m) else LONGEST_STEP_S)
+    return STEPPING
+
+
+@called
+def find_event(r, k, o, task):
+    """Find the first event within the step just taken: its fraction of the step, and its guard or -1.
+
+    y1: the state there; dense: the interpolant if it is needed.  Guard -2: the grid's stroke had
+    passed no guard where this one has.
+    """
+    t = r.time
+    h = r.step
+    n_all = k.states + k.quadratures
+    g = o.scratch.guards
+    explicit = o.m.damper != COMPRESSIBLE
+    fired = False
+    theta = 1.0
+    if expects_event(task, k.steps - 1):
+        fired = all_guards(t + h, r.y1, o, g) < 0.0
+        if not fired:
+            theta = hidden_meeting(h, r.y1, o)
+            if explicit:
+                theta = min(theta, hidden_turn(h, r.y1, r.k[0], r.k[6], o))
+    sampled = k.next_sample < task.n_sample and task.samples[k.next_sample] <= t + h
+    if fired or theta < 1.0 or sampled:
+        if explicit:
+            explicit_dense(h, o.y, r.y1, r.k, r.dense, n_all)
+        else:
+            stiff_dense(o.y, r.y1, r.k, r.dense, n_all)
+    if theta < 1.0:
+        interpolate(theta, r.dense, r.stage, n_all)
+        fired = all_guards(t + theta * h, r.stage, o, g) < 0.0
+        if not fired:
+            theta = 1.0
+            all_guards(t + h, r.y1, o, g)
+    if not fired:
+        return theta, -1
+    if task.use == FOLLOW_GRID and all_guards(t, o.y, o, o.scratch.before) < 0.0:
+        return theta, -2
+    return locate(t, h, theta, r.dense, r.y1, o, n_all)
+
+
+@called
+def finish_step(r, k, o, task):
+    """Sample the step just accepted, up to the first event in it, and act on that.
+
+    Returns STEPPING, AGAIN after an event, or the reason to stop.
+    """
+    h = r.step
+    last = h == r.next - r.time
+    theta, index = find_event(r, k, o, task)
+    if index == -2 or not follow_or_write(r, task, k.steps - 1, last, float(index)):
+        return OFF_GRID
+    until = r.next if last and index < 0 else r.time + theta * h
+    sample_step(r, k, r.dense, until, theta, task)
+    for i in range(k.states + k.quadratures):
+        o.y[i] = r.y1[i]
+    r.time = until
+    if index >= 0:
+        status = handle_event(index, r, k, o, task)
+        r.wanted = min(r.wanted, max(FIRST_STEP_S, 0.3 * h))
+        return status
+    if o.m.damper == COMPRESSIBLE:
+        derivative(r.time, o.y, r.k[6], o, k.quadratures > 0)
+    k.has_jacobian = 0
+    for i in range(GUARDS):
+        o.scratch.before[i] = o.scratch.guards[i]
+    return STEPPING
+
+
+@called
+def next_event(r, k, o, task, leaping):
+    """One turn of the event loop: a switch, an event, a rest or a step.
+
+    Returns STEPPING or AGAIN to go on, DONE at the end, or the reason to stop.
+    """
+    if apply_switches(r, k, o, task):
+        k.fresh = 1
+        r.wanted = min(r.wanted, SWITCH_STEP_S)
+    if r.time >= r.end:
+        return DONE
+    if k.fresh != 0:
+        status = begin_piece(r, k, o, task, leaping)
+        if status != STEPPING:
+            return status
+    if o.m.system != FIXED:
+        note_side(length_state(o.y), o.m, o.p)
+    status = choose_step(r, k, task)
+    if status != STEPPING:
+        return status
+    norm, power = try_step(r, k, o)
+    status = judge_step(r, k, o, norm, power, task.use == FOLLOW_GRID)
+    if status != STEPPING:
+        return status
+    return finish_step(r, k, o, task)
 
 
 @kernel
-def start(y, m, p, workspace):
+def start(run, control, p):
     """Choose the modes of an initial state."""
-    choose_modes(0.0, view(y, 0), modes(m), parameters(p), view(workspace, 0))
+    r = run_of(run)
+    m = modes(control_of(control).modes)
+    u = r.u0
+    choose_modes(0.0, Motion(r.y, m, u, u, parameters(p), u, scratch_of(r.scratch)))
 
 
 @kernel
-def advance(
-    duration,
-    y,
-    m,
-    u0,
-    du,
-    p,
-    c,
-    scale,
-    n,
-    quad,
-    tolerance,
-    step,
-    switches,
-    samples,
-    out,
-    events,
-    counts,
-    workspace,
-    tabulated,
-    table,
-    grid,
-    steps,
-    use,
-    starting,
-):
-    """Integrate from time 0 to `duration` [s]; returns DONE or the reason to stop.
+def advance(run, control, p, c, switches, samples, out, events, curves, grid):
+    """Integrate from time 0 to run.end [s]; returns DONE or the reason to stop.
 
     Parameters
     ----------
-    y : float64 [n + quadratures], state, updated in place
-    m : int64 [MODES], modes, updated in place
-    u0, du : float64 [3], valve positions u0 + du t, updated in place to the end of the interval
-    p, c : parameters and flow-map coefficients
-    scale : float64 [n], typical size of each state, for the error control
-    quad : 0, or number of quadratures behind the states
-    step : float64 [1], size of the next step, carried over from call to call
-    switches : float64 [k, 4] rows (time, chamber, position, slope), times ascending
-    samples : float64 [s], times at which the state is wanted, ascending -> out [s, n]
-    events : float64 [e, EVENT_COLUMNS], filled in order
-    counts : int64 [Counts.size]: events, steps, rejected steps, samples written, corners of a law; added to
-    workspace : float64 [WORKSPACE_ROWS, ROW] scratch
-    tabulated : True if `table` holds the filling curves of c: rests are then passed in closed form
-        where there is one (without quadratures only)
-    grid, steps, use : float64 [steps, GRID_COLUMNS], OWN_STEPS to leave it alone, WRITE_GRID to note
-        the steps, FOLLOW_GRID to take those steps whatever the error
-    starting : True if m holds no modes of motion yet (as `start`)
+    run, control : float64 [Run.size], int64 [Control.size], updated in place
+    p, c : float64 [Parameters.size], [FlowMap.size], parameters and flow map
+    switches : float64 [k, 4], rows (time s, chamber, position, slope 1/s), times ascending
+    samples : float64 [s], instants at which the state is wanted, ascending
+    out : float64 [s, n], states at the samples
+    events : float64 [e, EventRow.size], filled in order
+    curves : filling curves of c [TABLE], to pass rests in closed form (without quadratures only);
+        shorter if there are none
+    grid : float64 [steps, GridRow.size], to write or to follow (control.use)
     """
-    y = view(y, 0)
-    pivot = view(m, 16)
-    m = modes(m)
-    u0 = view(u0, 0)
-    du = view(du, 0)
+    r = run_of(run)
+    k = control_of(control)
     p = parameters(p)
-    c = flow_map(c)
-    scale = view(scale, 0)
-    n_all = n + quad
-    with_quad = quad > 0
-    work = view(workspace, 0 * ROW)
-    g = view(workspace, 1 * ROW)
-    g0 = view(workspace, 2 * ROW)
-    stage = view(workspace, 3 * ROW)
-    err = view(workspace, 4 * ROW)
-    y1 = view(workspace, 5 * ROW)
-    impact = impact_of(view(workspace, 6 * ROW))
-    counts = counts_of(counts)
-    column = view(workspace, 7 * ROW)
-    ft = view(workspace, 8 * ROW)
-    k = rows(view(workspace, 9 * ROW), ROW)
-    dense = rows(view(workspace, 16 * ROW), ROW)
-    jac = rows(view(workspace, 21 * ROW), ROW)
-    lu = rows(view(workspace, 61 * ROW), ROW)
-    if starting:
-        choose_modes(0.0, y, m, p, work)
-    t = 0.0
-    i_switch = 0
-    i_sample = 0
-    n_switch = switches.shape[0]
+    o = Motion(r.y, modes(k.modes), r.u0, r.du, p, flow_map(c), scratch_of(r.scratch))
     n_sample = samples.shape[0]
-    samples = view(samples, 0)
-    width = out.shape[1]
-    out = view(out, 0)
-    fixed = m.system == FIXED
-    curves = view(table, 0)
-    rest = view(workspace, 79 * ROW)
-    leaping = tabulated and not with_quad and rests_are_plain(p, m)
-    stiff = m.damper == 2
-    h = step[0]
-    fresh = True
-    have_jacobian = False
-    limit_events = counts.events + counts.corners + 4000
-    i_step = -1
-    row = grid_row(grid)
-    expected = True
-    while True:
-        while i_switch < n_switch and switches[i_switch, 0] <= t:
-            chamber = int(switches[i_switch, 1])
-            du[chamber] = switches[i_switch, 3]
-            u0[chamber] = switches[i_switch, 2] - du[chamber] * switches[i_switch, 0]
-            i_switch += 1
-            fresh = True
-            h = min(h, SWITCH_STEP_S)
-        if t >= duration:
-            break
-        t_next = duration
-        if i_switch < n_switch and switches[i_switch, 0] < duration:
-            t_next = switches[i_switch, 0]
-        left = t_next - t
-        if fresh:
-            derivative(t, y, k[6], m, u0, du, p, c, work, with_quad)
-            if all_guards(t, y, m, p, work, g0) < 0.0:
-                worst = smallest(g0)
-                # a jump of input or parameters has already passed a guard: act on it now
-                after_event(t, worst, y, m, p, impact, work)
-                if not note_event(t, worst, y, impact, events, counts, limit_events):
-                    return TOO_MANY_EVENTS
-                continue
-            fresh = False
-            have_jacobian = False
-            still = du[0] == 0.0 and du[1] == 0.0 and du[2] == 0.0
-            if (
-                leaping
-                and still
-                and at_rest(m)
-                and m.blocked == 0
-                and (not stiff or m.oil_rest != 0)
-            ):
-                dt, index = rest_jump(
-                    t, left, fixed, y, y1, stage, m, u0, p, curves, rest, work, g, n
-                )
-                if dt > 0.0 or index >= 0:
-                    t_end = t_next if dt == left and index < 0 else t + dt
-                    for i in range(n):
-                        y[i] = y1[i]
-                        if not abs(y[i]) < 1e300:
-                            return NOT_FINITE
-                    i_sample = sample_rest(
-                        t,
-                        t_end,
-                        i_sample,
-                        samples,
-                        n_sample,
-                        out,
-                        width,
-                        fixed,
-                        rest,
-                        curves,
-                        y1,
-                        n,
-                    )
-                    t = t_end
-                    if index >= 0:
-                        after_event(t, index, y, m, p, impact, work)
-                        if not note_event(t, index, y, impact, events, counts, limit_events):
-                            return TOO_MANY_EVENTS
-                    h = STEP_AFTER_REST_S
-                    fresh = True
-                    continue
-        if m.system != FIXED:
-            note_side(length_state(y), m, p)
-        if use == FOLLOW_GRID:
-            i_step += 1
-            if i_step >= steps:
-                return OFF_GRID
-            row = grid_row(view(grid, i_step * GRID_COLUMNS))
-            end = t_next if row.switch != 0.0 else row.end
-            if not t < end <= t_next:
-                return OFF_GRID
-            last = end == t_next
-            trial = end - t
-            expected = row.guard >= 0.0
-        else:
-            last = h >= left * (1.0 - 1e-12)
-            trial = left if last else min(h, 0.5 * left)
-        if stiff:
-            if not have_jacobian:
-                jacobian(
-                    t,
-                    y,
-                    k[6],
-                    jac,
-                    m,
-                    u0,
-                    du,
-                    p,
-                    c,
-                    work,
-                    stage,
-                    scale,
-                    n,
-                    n_all,
-                    with_quad,
-                    column,
-                )
-                ramp = du[0] != 0.0 or du[1] != 0.0 or du[2] != 0.0
-                for i in range(n_all):
-                    ft[i] = 0.0
-                if ramp:
-                    delta = 1e-9
-                    derivative(t + delta, y, column, m, u0, du, p, c, work, with_quad)
-                    for i in range(n_all):
-                        ft[i] = (column[i] - k[6, i]) / delta
-                have_jacobian = True
-            norm = stiff_step(
-                t,
-                trial,
-                y,
-                y1,
-                k,
-                m,
-                u0,
-                du,
-                p,
-                c,
-                work,
-                stage,
-                err,
-                scale,
-                n,
-                n_all,
-                with_quad,
-                tolerance,
-                jac,
-                lu,
-                pivot,
-                ft,
-            )
-            power = 0.25
-        else:
-            for i in range(n_all):
-                k[0, i] = k[6, i]
-            norm = explicit_step(
-                t,
-                trial,
-                y,
-                y1,
-                k,
-                m,
-                u0,
-                du,
-                p,
-                c,
-                work,
-                stage,
-                err,
-                scale,
-                n,
-                n_all,
-                with_quad,
-                tolerance,
-            )
-            power = 0.2
-        if not norm <= 1.0e300:
-            h = 0.1 * trial
-            if h < 1e-14 or use == FOLLOW_GRID:
-                return NOT_FINITE
-            if not stiff:
-                for i in range(n_all):
-                    k[6, i] = k[0, i]
-            counts.rejected += 1
-            continue
-        factor = 5.0 if norm < 1e-12 else min(5.0, max(0.2, 0.9 * norm ** (-power)))
-        if norm > 1.0 and use != FOLLOW_GRID:
-            h = trial * min(factor, 0.9)
-            if h < 1e-14:
-                return STEP_TOO_SMALL
-            if not stiff:
-                for i in range(n_all):
-                    k[6, i] = k[0, i]
-            counts.rejected += 1
-            continue
-        counts.steps += 1
-        grown = trial * factor
-        h = max(h, grown) if last and trial < h else grown
-        h = min(h, LONGEST_REST_STEP_S if at_rest(m) else LONGEST_STEP_S)
-        fired = False
-        theta = 1.0
-        index = -1
-        if expected:
-            fired = all_guards(t + trial, y1, m, p, work, g) < 0.0
-            if not fired:
-                theta = hidden_meeting(trial, y, y1, m, p)
-                if not stiff:
-                    theta = min(theta, hidden_turn(trial, y, y1, k[0], k[6], m))
-        sampled = i_sample < n_sample and samples[i_sample] <= t + trial
-        if fired or theta < 1.0 or sampled:
-            if stiff:
-                stiff_dense(y, y1, k, dense, n_all)
-            else:
-                explicit_dense(trial, y, y1, k, dense, n_all)
-        if theta < 1.0:
-            interpolate(theta, dense, stage, n_all)
-            fired = all_guards(t + theta * trial, stage, m, p, work, g) < 0.0
-            if not fired:
-                theta = 1.0
-                all_guards(t + trial, y1, m, p, work, g)
-        if use == FOLLOW_GRID and fired and all_guards(t, y, m, p, work, g0) < 0.0:
-            return OFF_GRID
-        if fired:
-            theta, index = locate(t, trial, theta, dense, y1, m, p, work, g, g0, n_all)
-        if use == WRITE_GRID:
-            i_step += 1
-            row = grid_row(view(grid, min(i_step, steps - 1) * GRID_COLUMNS))
-            row.end = t + trial
-            row.switch = 1.0 if last else 0.0
-            row.guard = index
-        elif use == FOLLOW_GRID and row.guard != index:
-            return OFF_GRID
-        t_end = t + theta * trial
-        if last and not fired:
-            t_end = t_next
-        while i_sample < n_sample and samples[i_sample] <= t_end:
-            place = min(max((samples[i_sample] - t) / trial, 0.0), theta)
-            interpolate(place, dense, out[i_sample * width :], n)
-            i_sample += 1
-        for i in range(n_all):
-            y[i] = y1[i]
-        t = t_end
-        if fired:
-            after_event(t, index, y, m, p, impact, work)
-            if not note_event(t, index, y, impact, events, counts, limit_events):
-                return TOO_MANY_EVENTS
-            fresh = True
-            h = min(h, max(FIRST_STEP_S, 0.3 * trial))
-        else:
-            if stiff:
-                derivative(t, y, k[6], m, u0, du, p, c, work, with_quad)
-            have_jacobian = False
-            for i in range(GUARDS):
-                g0[i] = g[i]
-    while i_sample < n_sample:
-        for i in range(n):
-            out[i_sample * width + i] = y[i]
-        i_sample += 1
+    n_columns = out.shape[1]
+    columns = k.columns
+    for i in range(n_columns):
+        columns[i] = i
+    task = Task(
+        view(switches, 0), switches.shape[0], view(samples, 0), n_sample, columns, n_columns,
+        view(out, 0), view(events, 0), events.shape[0], view(curves, 0), curves.shape[0] > 1,
+        view(grid, 0), k.grid_steps, k.use, view(curves, 0), False,
+    )  # fmt: skip
+    leaping = task.tabulated and k.quadratures == 0 and rests_are_plain(p, o.m)
+    if k.starting != 0:
+        choose_modes(0.0, o)
+    r.time = 0.0
+    k.next_switch = 0
+    k.next_sample = 0
+    k.most_events = k.events + k.corners + LIMIT_EVENTS
+    k.fresh = 1
+    status = STEPPING
+    while status < 0:
+        status = next_event(r, k, o, task, leaping)
+    if status != DONE:
+        return status
+    for i in range(k.next_sample, n_sample):
+        for j in range(n_columns):
+            task.out[i * n_columns + j] = r.y[j]
     for j in range(3):
-        u0[j] = u0[j] + du[j] * duration
-    step[0] = max(h, 1e-9)
-    counts.samples += i_sample
+        r.u0[j] = r.u0[j] + r.du[j] * r.end
+    r.wanted = max(r.wanted, 1e-9)
     return DONE

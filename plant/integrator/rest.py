@@ -9,6 +9,7 @@ from __future__ import annotations
 from plant.integrator.events import all_guards, smallest
 from plant.integrator.filling import STILL, chamber_curves, chamber_of, chamber_pressure
 from plant.kernel.compiled import called
+from plant.kernel.layout import FIXED
 from plant.kernel.record_views import pressures
 
 # Within this time a crossing needs no proof that it is the first: the scalar kernel looks at its
@@ -32,14 +33,15 @@ def pressures_after(dt, fixed, w, table, y):
 
 
 @called
-def lowest_corner(t, fixed, y, y1, corner, m, p, w, work, g):
+def lowest_corner(t, fixed, y1, corner, o):
     """Lowest guard over all mixtures of the pressures of y and of y1 but y and y1 themselves.
 
     At rest every guard is a smallest of linear functions of the pressures, so its lowest value on
     the box between the two states is at a corner of it.
     """
+    w = o.scratch.rest
     count = 2 if fixed else 3
-    before = pressures(fixed, y)
+    before = pressures(fixed, o.y)
     after = pressures(fixed, y1)
     mixed = pressures(fixed, corner)
     moving = 0
@@ -51,45 +53,51 @@ def lowest_corner(t, fixed, y, y1, corner, m, p, w, work, g):
         if mixture & ~moving == 0:
             for j in range(count):
                 mixed[j] = after[j] if mixture >> j & 1 else before[j]
-            lowest = min(lowest, all_guards(t, corner, m, p, work, g))
+            lowest = min(lowest, all_guards(t, corner, o, o.scratch.guards))
     return lowest
 
 
 @called
-def rest_jump(t, span, fixed, y, y1, corner, m, u0, p, table, w, work, g, n):
+def rest_jump(t, span, y1, corner, o, table, n):
     """Rest from t on, at most for `span` -> time passed, and the guard that ended it or -1.
 
-    y1 holds the state then, g its guards.  Time 0 without a guard: no closed form here.  All
-    guards must be positive at y.
+    y1 holds the state then, scratch.guards its guards, scratch.rest how the chambers go on.  Time 0
+    without a guard: no closed form here.  All guards must be positive at the start.
     """
-    if not chamber_curves(fixed, y, u0, p, table, w):
+    g = o.scratch.guards
+    w = o.scratch.rest
+    fixed = o.m.system == FIXED
+    if not chamber_curves(fixed, o.y, o.u0, o.p, table, w):
         return 0.0, -1
     for i in range(n):
-        y1[i] = y[i]
-        corner[i] = y[i]
+        y1[i] = o.y[i]
+        corner[i] = o.y[i]
     for _ in range(HALVINGS):
         pressures_after(span, fixed, w, table, y1)
-        last = all_guards(t, y1, m, p, work, g)
+        last = all_guards(t, y1, o, g)
         dt = span
         if last < 0.0:
-            first = all_guards(t, y, m, p, work, g)
-            dt = crossing(t, span, first, last, fixed, y1, m, p, table, w, work, g)
-        if dt <= NEAR_S or lowest_corner(t, fixed, y, y1, corner, m, p, w, work, g) >= 0.0:
+            first = all_guards(t, o.y, o, g)
+            dt = crossing(t, span, first, last, y1, o, table)
+        if dt <= NEAR_S or lowest_corner(t, fixed, y1, corner, o) >= 0.0:
             if last >= 0.0:
                 return dt, -1
-            all_guards(t, y1, m, p, work, g)
+            all_guards(t, y1, o, g)
             return dt, smallest(g)
         span = 0.5 * dt
     return 0.0, -1
 
 
 @called
-def crossing(t, span, low_value, high_value, fixed, y1, m, p, table, w, work, g):
+def crossing(t, span, low_value, high_value, y1, o, table):
     """Time within `span` at which the lowest guard has just become negative; y1 is the state there.
 
     Regula falsi with the Illinois weights, aimed at a margin of AIM below zero and met to a share of
     ACCURACY of it (derivatives need it); bisection every fourth time.
     """
+    g = o.scratch.guards
+    w = o.scratch.rest
+    fixed = o.m.system == FIXED
     low = 0.0
     high = span
     low_value = max(low_value, 0.0) + AIM
@@ -104,7 +112,7 @@ def crossing(t, span, low_value, high_value, fixed, y1, m, p, table, w, work, g)
         if not low < dt < high:
             break
         pressures_after(dt, fixed, w, table, y1)
-        value = all_guards(t, y1, m, p, work, g) + AIM
+        value = all_guards(t, y1, o, g) + AIM
         if value < 0.0:
             high = dt
             high_value = value

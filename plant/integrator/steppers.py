@@ -16,25 +16,29 @@ from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import FIXED
 from plant.kernel.record_views import fixed_state, length_state
 
-STAGES = 7
+GAMMA = 0.25  # of Rodas4
 
 
 @called
-def derivative(t, y, dy, m, u0, du, p, c, work, quadratures):
+def derivative(t, y, dy, o, quadratures):
     """Right-hand side of the stroke's system -> dy."""
-    if m.system == FIXED:
-        fixed_rates(t, fixed_state(y), fixed_state(dy), m, u0, du, p, c, quadratures)
+    if o.m.system == FIXED:
+        fixed_rates(t, fixed_state(y), fixed_state(dy), o.m, o.u0, o.du, o.p, o.c, quadratures)
     else:
-        rates(t, length_state(y), length_state(dy), m, u0, du, p, c, work, quadratures)
+        rates(t, length_state(y), length_state(dy), o.m, o.u0, o.du, o.p, o.c, quadratures)
 
 
 @called
-def error_norm(y, y1, err, scale, n, tolerance):
+def error_norm(y, r, n):
     """Root mean square of the local error over tolerance (scale + |y|)."""
+    y1 = r.y1
+    error = r.error
+    scale = r.scale
+    tolerance = r.tolerance
     total = 0.0
     for i in range(n):
         weight = tolerance * (scale[i] + max(abs(y[i]), abs(y1[i])))
-        total += (err[i] / weight) ** 2
+        total += (error[i] / weight) ** 2
     return (total / n) ** 0.5
 
 
@@ -112,22 +116,27 @@ def local_error(h, k, out, count):
 
 
 @called
-def explicit_step(t, h, y, y1, k, m, u0, du, p, c, work, stage, err, scale, n, n_all, quad, tol):
+def explicit_step(o, r, n, n_all, quadratures):
     """Dormand-Prince 5(4) from y (k[0] = f(t, y)) -> y1, k[6] = f(t + h, y1); error norm."""
+    t = r.time
+    h = r.step
+    y = o.y
+    k = r.k
+    stage = r.stage
     stage_1(h, y, k, stage, n_all)
-    derivative(t + 0.2 * h, stage, k[1], m, u0, du, p, c, work, quad)
+    derivative(t + 0.2 * h, stage, k[1], o, quadratures)
     stage_2(h, y, k, stage, n_all)
-    derivative(t + 0.3 * h, stage, k[2], m, u0, du, p, c, work, quad)
+    derivative(t + 0.3 * h, stage, k[2], o, quadratures)
     stage_3(h, y, k, stage, n_all)
-    derivative(t + 0.8 * h, stage, k[3], m, u0, du, p, c, work, quad)
+    derivative(t + 0.8 * h, stage, k[3], o, quadratures)
     stage_4(h, y, k, stage, n_all)
-    derivative(t + 8.0 / 9.0 * h, stage, k[4], m, u0, du, p, c, work, quad)
+    derivative(t + 8.0 / 9.0 * h, stage, k[4], o, quadratures)
     stage_5(h, y, k, stage, n_all)
-    derivative(t + h, stage, k[5], m, u0, du, p, c, work, quad)
-    stage_6(h, y, k, y1, n_all)
-    derivative(t + h, y1, k[6], m, u0, du, p, c, work, quad)
-    local_error(h, k, err, n)
-    return error_norm(y, y1, err, scale, n, tol)
+    derivative(t + h, stage, k[5], o, quadratures)
+    stage_6(h, y, k, r.y1, n_all)
+    derivative(t + h, r.y1, k[6], o, quadratures)
+    local_error(h, k, r.error, n)
+    return error_norm(y, r, n)
 
 
 @inlined
@@ -179,33 +188,48 @@ def interpolate(theta, dense, out, n_all):
 
 
 @called
-def jacobian(t, y, f, jac, m, u0, du, p, c, work, stage, scale, n, n_all, quad, column):
-    """df/dy by forward differences of the states -> jac[0:n_all, 0:n]."""
+def differentiate(o, r, n, n_all, quadratures):
+    """Derivatives of f = k[6] = f(t, y) by forward differences: by states -> jacobian, by time."""
+    t = r.time
+    y = o.y
+    f = r.k[6]
+    stage = r.stage
+    column = r.column
+    jacobian = r.jacobian
     for i in range(n_all):
         stage[i] = y[i]
     for j in range(n):
-        delta = 1.5e-8 * max(abs(y[j]), scale[j])
+        delta = 1.5e-8 * max(abs(y[j]), r.scale[j])
         stage[j] = y[j] + delta
         delta = stage[j] - y[j]
-        derivative(t, stage, column, m, u0, du, p, c, work, quad)
+        derivative(t, stage, column, o, quadratures)
         for i in range(n_all):
-            jac[i, j] = (column[i] - f[i]) / delta
+            jacobian[i, j] = (column[i] - f[i]) / delta
         stage[j] = y[j]
+    time_rate = r.time_rate
+    for i in range(n_all):
+        time_rate[i] = 0.0
+    if o.du[0] != 0.0 or o.du[1] != 0.0 or o.du[2] != 0.0:
+        delta = 1e-9
+        derivative(t + delta, y, column, o, quadratures)
+        for i in range(n_all):
+            time_rate[i] = (column[i] - f[i]) / delta
 
 
 @called
-def factorise(jac, lu, pivot, n, diagonal):
+def factorise(r, n, diagonal):
     """LU factors with partial pivoting of diagonal I - J -> lu, pivot."""
+    lu = r.lu
     for i in range(n):
         for j in range(n):
-            lu[i, j] = -jac[i, j]
+            lu[i, j] = -r.jacobian[i, j]
         lu[i, i] += diagonal
     for j in range(n):
         best = j
         for i in range(j + 1, n):
             if abs(lu[i, j]) > abs(lu[best, j]):
                 best = i
-        pivot[j] = best
+        r.pivot[j] = best
         if best != j:
             for i in range(n):
                 lu[j, i], lu[best, i] = lu[best, i], lu[j, i]
@@ -216,10 +240,12 @@ def factorise(jac, lu, pivot, n, diagonal):
 
 
 @called
-def solve(jac, lu, pivot, x, n, n_all, diagonal):
+def solve(r, x, n, n_all, diagonal):
     """Solve (diagonal I - J) x = x in place; quadrature rows follow from the states."""
+    lu = r.lu
+    jacobian = r.jacobian
     for j in range(n):
-        best = pivot[j]
+        best = int(r.pivot[j])
         if best != j:
             x[j], x[best] = x[best], x[j]
     for i in range(n):
@@ -231,59 +257,41 @@ def solve(jac, lu, pivot, x, n, n_all, diagonal):
         x[i] /= lu[i, i]
     for i in range(n, n_all):
         for j in range(n):
-            x[i] += jac[i, j] * x[j]
+            x[i] += jacobian[i, j] * x[j]
         x[i] /= diagonal
 
 
 @called
-def stiff_step(
-    t,
-    h,
-    y,
-    y1,
-    k,
-    m,
-    u0,
-    du,
-    p,
-    c,
-    work,
-    stage,
-    err,
-    scale,
-    n,
-    n_all,
-    quad,
-    tol,
-    jac,
-    lu,
-    pivot,
-    ft,
-):
+def stiff_step(o, r, n, n_all, quadratures):
     """Rodas4 from y (k[6] must hold f(t, y)) -> y1, stages in k[0:6]; returns error norm.
 
-    `jac` must hold the Jacobian at (t, y), `ft` the derivative of f in time.
+    `differentiate` must have been called at (t, y).
     """
-    gamma = 0.25
-    diagonal = 1.0 / (h * gamma)
-    factorise(jac, lu, pivot, n, diagonal)
+    t = r.time
+    h = r.step
+    y = o.y
+    k = r.k
+    stage = r.stage
+    ft = r.time_rate
+    diagonal = 1.0 / (h * GAMMA)
+    factorise(r, n, diagonal)
     for i in range(n_all):
         k[0, i] = k[6, i] + h * 0.25 * ft[i]
-    solve(jac, lu, pivot, k[0], n, n_all, diagonal)
+    solve(r, k[0], n, n_all, diagonal)
     for i in range(n_all):
         stage[i] = y[i] + 1.544 * k[0, i]
-    derivative(t + 0.386 * h, stage, k[1], m, u0, du, p, c, work, quad)
+    derivative(t + 0.386 * h, stage, k[1], o, quadratures)
     for i in range(n_all):
         k[1, i] += -5.6688 / h * k[0, i] - h * 0.1043 * ft[i]
-    solve(jac, lu, pivot, k[1], n, n_all, diagonal)
+    solve(r, k[1], n, n_all, diagonal)
     for i in range(n_all):
         stage[i] = y[i] + 0.9466785280815826 * k[0, i] + 0.2557011698983284 * k[1, i]
-    derivative(t + 0.21 * h, stage, k[2], m, u0, du, p, c, work, quad)
+    derivative(t + 0.21 * h, stage, k[2], o, quadratures)
     for i in range(n_all):
         k[2, i] += (
             -2.430093356833875 * k[0, i] - 0.2063599157091915 * k[1, i]
         ) / h + h * 0.1035 * ft[i]
-    solve(jac, lu, pivot, k[2], n, n_all, diagonal)
+    solve(r, k[2], n, n_all, diagonal)
     for i in range(n_all):
         stage[i] = (
             y[i]
@@ -291,14 +299,31 @@ def stiff_step(
             + 2.896124015972201 * k[1, i]
             + 0.9986419139977817 * k[2, i]
         )
-    derivative(t + 0.63 * h, stage, k[3], m, u0, du, p, c, work, quad)
+    derivative(t + 0.63 * h, stage, k[3], o, quadratures)
     for i in range(n_all):
         k[3, i] += (
             -0.1073529058151375 * k[0, i]
             - 9.594562251023355 * k[1, i]
             - 20.47028614809616 * k[2, i]
         ) / h - h * 0.0362 * ft[i]
-    solve(jac, lu, pivot, k[3], n, n_all, diagonal)
+    solve(r, k[3], n, n_all, diagonal)
+    last_stages(o, r, n, n_all, quadratures)
+    for i in range(n_all):
+        r.y1[i] = stage[i] + k[5, i]
+    for i in range(n):
+        r.error[i] = k[5, i]
+    return error_norm(y, r, n)
+
+
+@called
+def last_stages(o, r, n, n_all, quadratures):
+    """Stages 4 and 5 of Rodas4, both at the end of the step -> k[4], k[5]."""
+    t = r.time
+    h = r.step
+    y = o.y
+    k = r.k
+    stage = r.stage
+    diagonal = 1.0 / (h * GAMMA)
     for i in range(n_all):
         stage[i] = (
             y[i]
@@ -307,7 +332,7 @@ def stiff_step(
             + 12.53708332932087 * k[2, i]
             - 0.6878860361058950 * k[3, i]
         )
-    derivative(t + h, stage, k[4], m, u0, du, p, c, work, quad)
+    derivative(t + h, stage, k[4], o, quadratures)
     for i in range(n_all):
         k[4, i] += (
             7.496443313967647 * k[0, i]
@@ -315,10 +340,10 @@ def stiff_step(
             - 33.99990352819905 * k[2, i]
             + 11.70890893206160 * k[3, i]
         ) / h
-    solve(jac, lu, pivot, k[4], n, n_all, diagonal)
+    solve(r, k[4], n, n_all, diagonal)
     for i in range(n_all):
         stage[i] += k[4, i]
-    derivative(t + h, stage, k[5], m, u0, du, p, c, work, quad)
+    derivative(t + h, stage, k[5], o, quadratures)
     for i in range(n_all):
         k[5, i] += (
             8.083246795921522 * k[0, i]
@@ -327,12 +352,7 @@ def stiff_step(
             + 16.31930543123136 * k[3, i]
             - 6.058818238834054 * k[4, i]
         ) / h
-    solve(jac, lu, pivot, k[5], n, n_all, diagonal)
-    for i in range(n_all):
-        y1[i] = stage[i] + k[5, i]
-    for i in range(n):
-        err[i] = k[5, i]
-    return error_norm(y, y1, err, scale, n, tol)
+    solve(r, k[5], n, n_all, diagonal)
 
 
 @called

@@ -275,13 +275,3 @@ class GridRow(Record):
     end: Value  # time at which the step was to end [s]
     switch: Value  # 1 if that was the next switch
     guard: Value  # that ended it before, -1 if none did
-
-
-class Counts(Record):
-    """Counters of one integration (int64)."""
-
-    events: Value
-    steps: Value
-    rejected: Value
-    samples: Value
-    corners: Value  # of a law passed, which are no events

@@ -25,6 +25,9 @@ from plant.parameters import ParameterSet
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+FIRST_STEP_S = 1e-4
+"""First step of an integration."""
+
 FIXED_SCALE = (0.01, 1.0, 1e5, 1e5, 1e5, 1e5)
 CHAMBER_NAMES = (("1", "2"), ("B", "N", "F"))
 # Leading states that are integrated: without oil and supply line, with oil, with the line.
@@ -158,13 +161,16 @@ def scales(system: int) -> Floats:
     return np.array(FIXED_SCALE if system == FIXED else LENGTH_SCALE)
 
 
+def damper_mode(load: Load) -> int:
+    """Return the mode of the damper's model."""
+    return {None: 0, "incompressible": INCOMPRESSIBLE, "compressible": COMPRESSIBLE}[load.damper]
+
+
 def fresh_modes(system: int, load: Load) -> Modes:
     """Return modes with the system and the damper's model set."""
-    m = Modes(np.zeros(32, dtype=np.int64))
+    m = Modes.zeros(np.int64)
     m.system = system
-    m.damper = {None: 0, "incompressible": INCOMPRESSIBLE, "compressible": COMPRESSIBLE}[
-        load.damper
-    ]
+    m.damper = damper_mode(load)
     return m
 
 

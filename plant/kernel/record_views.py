@@ -7,7 +7,6 @@ from __future__ import annotations
 from plant.kernel.compiled import inlined
 from plant.kernel.layout import (
     FIRST_PRESSURE,
-    Counts,
     EventRow,
     FixedState,
     FlowMap,
@@ -29,7 +28,6 @@ quadratures_of = named(Quadratures)
 impact_of = named(Impact)
 event_row = named(EventRow)
 grid_row = named(GridRow)
-counts_of = named(Counts)
 
 FIRST_FIXED, FIRST_LENGTH = FIRST_PRESSURE
 

@@ -17,7 +17,6 @@ import numpy as np
 from plant.effects.setup import Setup
 from plant.equations.length_stroke import TOUCH_M
 from plant.integrator.hybrid import NS
-from plant.integrator.integrate import start
 from plant.kernel.layout import FIRST_PRESSURE, LengthState
 from plant.kernel.packing import Floats
 from plant.systems import driven
@@ -95,7 +94,7 @@ class ImposedSystem(StrokeSystem):
             opening = y[v] + away * speed_m_s
             if (gap <= TOUCH_M and opening < 0.0) or (gap >= far and opening > 0.0):
                 y[v] = -away * speed_m_s
-        start(self._y, self._m.array, self._p.array, self._workspace)
+        self._choose_modes()
 
     def hold_pressures(self) -> None:
         """Take the chambers' equations away."""

@@ -12,7 +12,6 @@ import numpy as np
 from plant.equations.volumes import ends_of_travel, refuse_empty
 from plant.errors import InputError
 from plant.integrator.hybrid import DEFAULT_TOLERANCE, HybridSystem
-from plant.integrator.integrate import start
 from plant.kernel.layout import LENGTH, Quadratures
 from plant.kernel.packing import Load, flow_coefficients, initial_state, pack
 from plant.parameters import ParameterSet
@@ -138,7 +137,7 @@ class LengthStroke(HybridSystem):
             raise ValueError(f"synchronizer impulse {impulse_n_s}: expected 0 or more")
         self._p.sync_impulse = impulse_n_s
         self._state.impulse = 0.0
-        start(self._y, self._m.array, self._p.array, self._workspace)
+        self._choose_modes()
 
     def set_supply_pressure(self, supply_pa: float) -> None:
         """Change the supply pressure from now on (absolute) [Pa]."""

@@ -20,7 +20,7 @@ from plant.devices.valve import NS_PER_S, switch_schedule
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
 from plant.integrator.hybrid import GUARD_NAMES
-from plant.integrator.integrate import DONE
+from plant.integrator.loop import DONE
 from plant.kernel.layout import EventRow
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup

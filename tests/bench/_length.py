@@ -20,7 +20,7 @@ def measure() -> Iterator[str]:
     """Lines of the table; the judge is found when run from the repository's folder."""
     from plant.batch.batch import Strokes, simulate_batch
     from plant.effects.stroke_conditions import StrokeConditions
-    from plant.integrator.integrate import DONE
+    from plant.integrator.loop import DONE
     from plant.kernel.layout import LengthState, Parameters
     from plant.parameters import load
     from plant.systems.setup import make_setup

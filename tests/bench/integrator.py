@@ -43,7 +43,7 @@ def fixed_strokes() -> Iterator[str]:
     """One stroke of the fixed piston by each way, and ten thousand of ours at once."""
     from plant.batch.batch import Strokes, simulate_batch
     from plant.effects.stroke_conditions import StrokeConditions
-    from plant.integrator.integrate import DONE
+    from plant.integrator.loop import DONE
     from plant.kernel.layout import FixedState, Parameters
     from plant.parameters import load
     from plant.systems.setup import make_setup

@@ -105,7 +105,7 @@ def test_bodies_that_break_away_together_part_if_one_slides_more_easily() -> Non
     rig.advance(MS)
     # together 51.9 N stay below 52 N
     assert rig.velocity_m_s == 0.0 and rig.state(LengthState.v_1) == 0.0
-    changes.f_external = 17.1
+    changes[Parameters.f_external] = 17.1
     rig = Bare(LENGTH, changes, {LengthState.p_b: 101325.0 + 1e4})
     rig.advance(MS // 10)
     assert rig.velocity_m_s == pytest.approx((17.1 - 12.0) / STAY * 1e-4, rel=1e-6)

@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from plant.integrator import steppers
+from plant.integrator.workspace import Run
 
 Floats = NDArray[np.float64]
 Rhs = Callable[[float, Floats], Floats]
@@ -20,7 +21,7 @@ Rhs = Callable[[float, Floats], Floats]
 PARTS = (
     "stage_1", "stage_2", "stage_3", "stage_4", "stage_5", "stage_6", "local_error",
     "error_norm", "explicit_step", "explicit_dense", "dense_element", "dense_quartic", "interpolate",
-    "interpolated", "jacobian", "factorise", "solve", "stiff_step", "stiff_dense",
+    "interpolated", "differentiate", "factorise", "solve", "stiff_step", "last_stages", "stiff_dense",
 )  # fmt: skip
 
 
@@ -33,38 +34,32 @@ class Method:
             monkeypatch.setattr(steppers, name, function)
 
         def derivative(t, y, dy, *_rest):  # type: ignore[no-untyped-def]
-            dy[:] = rhs(t, y)
+            dy[:count] = rhs(t, y[:count])
 
         monkeypatch.setattr(steppers, "derivative", derivative)
         self.plain = SimpleNamespace(**plain)
         self.stiff, self.rhs, self.n = stiff, rhs, count
-        self.k = np.zeros((7, count))
-        self.dense = np.zeros((5, count))
+        self.run = Run.zeros()
+        self.run.scale = 1.0
+        self.run.tolerance = 1e-6
 
     def step(self, t: float, y: Floats, h: float) -> tuple[Floats, float]:
         """State after one step, and its error norm."""
-        n = self.n
-        y1, stage, err, column = (np.zeros(n) for _ in range(4))
-        scale = np.ones(n)
-        nothing = [None] * 6
+        n, run, plain = self.n, self.run, self.plain
+        run.y[:n] = y
+        run.time, run.step = t, h
+        one = SimpleNamespace(y=run.y, du=np.ones(3))
         if self.stiff:
-            jac, lu, ft = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
-            pivot = np.zeros(n, dtype=np.int64)
-            self.k[6] = self.rhs(t, y)
-            self.plain.jacobian(t, y, self.k[6], jac, *nothing, stage, scale, n, n, False, column)
-            ft[:] = (self.rhs(t + 1e-6, y) - self.rhs(t - 1e-6, y)) / 2e-6
-            norm = self.plain.stiff_step(
-                t, h, y, y1, self.k, *nothing, stage, err, scale, n, n, False, 1e-6,
-                jac, lu, pivot, ft,
-            )  # fmt: skip
-            self.plain.stiff_dense(y, y1, self.k, self.dense, n)
+            run.k[6, :n] = self.rhs(t, y)
+            plain.differentiate(one, run, n, n, False)
+            run.time_rate[:n] = (self.rhs(t + 1e-6, y) - self.rhs(t - 1e-6, y)) / 2e-6
+            norm = plain.stiff_step(one, run, n, n, False)
+            plain.stiff_dense(run.y, run.y1, run.k, run.dense, n)
         else:
-            self.k[0] = self.rhs(t, y)
-            norm = self.plain.explicit_step(
-                t, h, y, y1, self.k, *nothing, stage, err, scale, n, n, False, 1e-6
-            )
-            self.plain.explicit_dense(h, y, y1, self.k, self.dense, n)
-        return y1, norm
+            run.k[0, :n] = self.rhs(t, y)
+            norm = plain.explicit_step(one, run, n, n, False)
+            plain.explicit_dense(h, run.y, run.y1, run.k, run.dense, n)
+        return run.y1[:n].copy(), norm
 
     def march(self, y: Floats, end: float, count: int) -> Floats:
         """State at `end` after equal steps from 0."""
@@ -76,7 +71,7 @@ class Method:
     def inside(self, theta: float) -> Floats:
         """Dense output at a fraction of the last step."""
         out = np.zeros(self.n)
-        self.plain.interpolate(theta, self.dense, out, self.n)
+        self.plain.interpolate(theta, self.run.dense, out, self.n)
         return out
 
 
@@ -153,9 +148,10 @@ def test_stiff_method_follows_a_slow_solution_beside_a_fast_decay(
 def test_linear_solver_pivots() -> None:
     # diagonal I - J with a zero on its diagonal
     jac = np.array([[1.0, -2.0, 0.5], [-3.0, 0.25, 1.0], [0.0, -1.0, -4.0]])
-    lu, pivot = np.zeros((3, 3)), np.zeros(3, dtype=np.int64)
-    steppers.factorise.py_func(jac, lu, pivot, 3, 1.0)
+    run = Run.zeros()
+    run.jacobian[:3, :3] = jac
+    steppers.factorise.py_func(run, 3, 1.0)
     right = np.array([1.0, -2.0, 3.0])
     x = right.copy()
-    steppers.solve.py_func(jac, lu, pivot, x, 3, 3, 1.0)
+    steppers.solve.py_func(run, x, 3, 3, 1.0)
     assert (np.eye(3) - jac) @ x == pytest.approx(right, abs=1e-13)

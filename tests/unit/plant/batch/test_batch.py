@@ -10,7 +10,7 @@ import pytest
 from plant.batch.batch import BatchResult, Strokes, simulate_batch
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
-from plant.integrator.integrate import DONE
+from plant.integrator.loop import DONE
 from plant.kernel.layout import EventRow, FixedState, LengthState, Parameters
 from plant.parameters import load
 from plant.systems.setup import make_setup

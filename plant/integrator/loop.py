@@ -1,0 +1,203 @@
+"""The event loop's parts that one stroke and the lanes of a batch share.
+
+A loop goes from event to event.  `r` has time, end, next, wanted and step, `k` the counters, of one
+stroke (`plant.integrator.workspace.Run` and `Control`) or of a lane (`plant.batch.lane_steps.Lane` and
+`Memory`).
+"""
+# mypy: disallow-untyped-defs=False
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from plant.equations.length_contacts import FIRST_CORNER
+from plant.integrator.filling import (
+    FOLLOW_GRID,
+    KNOWN_COLUMNS,
+    OWN_STEPS,
+    STILL,
+    chamber_of,
+    chamber_samples,
+    neighbour_samples,
+)
+from plant.integrator.steppers import interpolated
+from plant.kernel.compiled import called, inlined
+from plant.kernel.layout import CHAMBERS, FIRST_PRESSURE, FIXED, EventRow, GridRow
+from plant.kernel.record_views import event_row, grid_row
+
+# Why a loop stopped.
+DONE, TOO_MANY_EVENTS, STEP_TOO_SMALL, NOT_FINITE = 0, 1, 2, 3
+OFF_GRID = 10  # something happened that the stroke of the grid did not meet
+# It goes on: with a step, or because something has happened at this instant.
+STEPPING, AGAIN = -1, -2
+
+GRID_COLUMNS, EVENT_COLUMNS = GridRow.size, EventRow.size
+
+LONGEST_STEP_S = 5e-3
+LONGEST_REST_STEP_S = 1e-2
+SWITCH_STEP_S = 1e-3
+FIRST_STEP_S = 2e-5
+STEP_AFTER_REST_S = 4e-4
+
+
+class Task(NamedTuple):
+    """Views of what a stroke is given and what it writes.
+
+    switches: rows (time, chamber, position, slope), times ascending; samples: instants wanted,
+    ascending -> out, `columns` of the state each; events: room for so many; table: filling curves, if
+    tabulated; grid: steps written or followed (`use`); known: what the grid's stroke stored of each
+    sample at rest, for its neighbours.
+    """
+
+    switches: Any
+    n_switch: Any
+    samples: Any
+    n_sample: Any
+    columns: Any
+    n_columns: Any
+    out: Any
+    events: Any
+    room: Any
+    table: Any
+    tabulated: Any
+    grid: Any
+    steps: Any
+    use: Any
+    known: Any
+    neighbours: Any
+
+
+@called
+def apply_switches(r, k, o, task):
+    """Move the valves that are due, and store the time of the next switch; True if one has moved."""
+    switches = task.switches
+    u0 = o.u0
+    du = o.du
+    before = k.next_switch
+    i = before
+    while i < task.n_switch and switches[4 * i] <= r.time:
+        chamber = int(switches[4 * i + 1])
+        du[chamber] = switches[4 * i + 3]
+        u0[chamber] = switches[4 * i + 2] - du[chamber] * switches[4 * i]
+        i += 1
+    k.next_switch = i
+    r.next = min(switches[4 * i], r.end) if i < task.n_switch else r.end
+    return i > before
+
+
+@inlined
+def valves_stand(o):
+    """True if no valve is moving."""
+    return o.du[0] == 0.0 and o.du[1] == 0.0 and o.du[2] == 0.0
+
+
+@inlined
+def grid_step(task, number):
+    """Step of that number in the grid, the last one if there are not so many."""
+    return grid_row(task.grid[min(number, task.steps - 1) * GRID_COLUMNS :])
+
+
+@called
+def choose_step(r, k, task):
+    """Choose the step: what the error control wants, up to the next switch; or the grid's.
+
+    Returns STEPPING, or OFF_GRID.
+    """
+    if task.use == FOLLOW_GRID:
+        if k.steps >= task.steps:
+            return OFF_GRID
+        row = grid_step(task, k.steps)
+        end = r.next if row.switch != 0.0 else row.end
+        r.step = end - r.time
+        return STEPPING if r.time < end and end <= r.next else OFF_GRID
+    left = r.next - r.time
+    h = r.wanted
+    r.step = left if h >= left * (1.0 - 1e-12) else min(h, 0.5 * left)
+    return STEPPING
+
+
+@inlined
+def expects_event(task, number):
+    """True if an event may end this step: on a grid, only where its own stroke met one."""
+    return task.use != FOLLOW_GRID or grid_step(task, number).guard >= 0.0
+
+
+@called
+def follow_or_write(r, task, number, last, happened):
+    """Write a step to the grid, or compare it; False if something else happened (-1: nothing)."""
+    if task.use == OWN_STEPS:
+        return True
+    row = grid_step(task, number)
+    if task.use == FOLLOW_GRID:
+        return row.guard == happened
+    row.end = r.time + r.step
+    row.switch = 1.0 if last else 0.0
+    row.guard = happened
+    return True
+
+
+@inlined
+def write_event(t, index, impact, y, row):
+    """Store an event."""
+    row.time = t
+    row.guard = index
+    row.lost = impact.lost
+    row.speed = impact.speed
+    row.at_block = impact.at_block
+    row.x = y[0]
+    row.v = y[1]
+
+
+@inlined
+def store_event(t, index, impact, y, count, task):
+    """Store an event as number `count` if there is room for it."""
+    if count < task.room:
+        write_event(t, index, impact, y, event_row(task.events[count * EVENT_COLUMNS :]))
+
+
+@inlined
+def is_corner(index):
+    """True for the corner of a law: nothing happens there but a new step."""
+    return index >= FIRST_CORNER
+
+
+@called
+def sample_rest(r, k, o, y1, until, task):
+    """Samples of a rest from now on, from its curves; y1 holds all that does not move."""
+    t = r.time
+    samples = task.samples
+    n_columns = task.n_columns
+    begin = k.next_sample
+    end = begin
+    while end < task.n_sample and samples[end] <= until:
+        end += 1
+    k.next_sample = end
+    fixed = o.m.system == FIXED
+    first = FIRST_PRESSURE[0] if fixed else FIRST_PRESSURE[1]
+    count = CHAMBERS[0] if fixed else CHAMBERS[1]
+    for i in range(n_columns):
+        chamber = task.columns[i] - first
+        row = chamber_of(o.scratch.rest, max(chamber, 0))
+        out = task.out[i:]
+        if chamber < 0 or chamber >= count or row.kind == STILL:
+            value = y1[task.columns[i]]
+            for s in range(begin, end):
+                out[s * n_columns] = value
+        elif task.use == OWN_STEPS or not task.neighbours:
+            chamber_samples(row, task.table, t, samples, begin, end, out, n_columns)
+        else:
+            known = task.known[KNOWN_COLUMNS * chamber :]
+            neighbour_samples(row, t, o.c, known, begin, end, out, task)
+
+
+@called
+def sample_step(r, k, dense, until, theta, task):
+    """Samples of a step, from its interpolant, up to its fraction theta."""
+    samples = task.samples
+    i = k.next_sample
+    while i < task.n_sample and samples[i] <= until:
+        fraction = min(max((samples[i] - r.time) / r.step, 0.0), theta)
+        for c in range(task.n_columns):
+            task.out[i * task.n_columns + c] = interpolated(fraction, dense, task.columns[c])
+        i += 1
+    k.next_sample = i
