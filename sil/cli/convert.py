@@ -1,7 +1,7 @@
 """Convert logs of frames between candump, ASC, BLF, TRC, MF4 and CSV, and traces to MF4.
 
 The formats follow from the names; .gz packs. What is broken in a log is counted, located and left
-out, or with --strict refused."""
+out, or refused with --strict."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ example:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
     parser.add_argument("source", metavar="IN", help="log, or a run's trace.csv")
     parser.add_argument("target", metavar="OUT", help="file to write")
     parser.add_argument("--from", dest="source_format", metavar="FORMAT", help="format of IN")
@@ -34,11 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    """Convert a log; return the exit code. Raises InputError for bad input."""
     from can_dbc.errors import InputError
     from sil.logs.convert import convert
 
     if Path(arguments.target).exists() and not arguments.force:
-        raise InputError(f"{arguments.target}: stands there; expected a new name, or --force")
+        raise InputError(f"{arguments.target}: exists; expected a new name, or --force")
     report = convert(
         arguments.source,
         arguments.target,

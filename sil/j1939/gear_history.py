@@ -39,10 +39,7 @@ class GearChange(NamedTuple):
 
 @dataclass(slots=True)
 class GearHistory:
-    """Runs of one sender; memory grows with the changes, not with the log.
-
-    Checked by: tests/unit/sil/j1939/test_shifts.py.
-    """
+    """Runs of one sender; memory grows with the changes, not with the log."""
 
     samples: int = 0
     chatter: int = 0
@@ -62,7 +59,7 @@ class GearHistory:
             self.runs.append(Run(current, selected, time_ns, time_ns))
 
     def gear_before(self, time_ns: int) -> int | None:
-        """The last valid current gear reported before a time."""
+        """Return the last valid current gear reported before a time."""
         found = None
         for run in self.runs:
             if run.first_ns > time_ns:
@@ -72,7 +69,7 @@ class GearHistory:
         return found
 
     def gear_after(self, time_ns: int, until_ns: int) -> int | None:
-        """The current gear that a shift ended in.
+        """Return the current gear that a shift ended in.
 
         The first one reported after `time_ns` that is also the selected one; without such a
         one, the last one reported before `until_ns` or the settling time is over.
@@ -117,7 +114,7 @@ class GearHistory:
         return found
 
     def _stays(self) -> Iterator[Run]:
-        """Runs by the current gear alone, without invalid ones and without chatter."""
+        """Yield runs by the current gear alone, without invalid ones and without chatter."""
         joined: list[Run] = []
         for run in self.runs:
             if run.current is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from sil.logs.times import format_ns
@@ -37,20 +37,8 @@ class Shift:
         return (self.end_ns - self.start_ns) / 1e9
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it as plain JSON values."""
-        return {
-            "start_ns": self.start_ns,
-            "end_ns": self.end_ns,
-            "duration_s": self.duration_s,
-            "from_gear": self.from_gear,
-            "to_gear": self.to_gear,
-            "source": self.source,
-            "channel": self.channel,
-            "method": self.method,
-            "chatter": self.chatter,
-            "from_ratio": self.from_ratio,
-            "to_ratio": self.to_ratio,
-        }
+        """Return all of it as plain JSON values."""
+        return asdict(self) | {"duration_s": self.duration_s}
 
     def __str__(self) -> str:
         sender = f"source {self.source:#04x}" + (f" on {self.channel}" if self.channel else "")

@@ -40,7 +40,6 @@ class FlagTracker:
     A change counts from its first sample, once a second sample or `CHATTER_NS` confirms it.
     flagged: whether a valid flag was ever seen; chatter: samples taken out as chatter;
     unfinished: shifts of which the log has no beginning or no end.
-    Checked by: tests/unit/sil/j1939/test_shifts.py.
     """
 
     samples: int = 0
@@ -75,7 +74,7 @@ class FlagTracker:
             self._flag(time_ns, flag)
 
     def _restart(self) -> None:
-        """The clock stepped back: nothing before it can be joined with what comes."""
+        """Begin anew after a step of the clock backwards."""
         self.clock_steps += 1
         self._settle()
         if self._state:
@@ -111,7 +110,7 @@ class FlagTracker:
         self._change(time_ns)
 
     def _change(self, time_ns: int) -> None:
-        """The flag changed at this time."""
+        """Record a change of the flag at this time."""
         self._doubt_ns = None
         if not self._state:
             self._settle()
@@ -148,7 +147,7 @@ class FlagTracker:
         return median(found) if found else None
 
     def finish(self) -> None:
-        """The log ends."""
+        """Close what is open at the end of the log."""
         if self._doubt_ns is not None and self._state:
             self._change(self._doubt_ns)
         self._settle()

@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from can_dbc.frame import J1939Id, join_id, split_id
 from sil.j1939.gear_history import SETTLE_NS, GearHistory
 from sil.j1939.shift import Shift
 from sil.j1939.shift_flag import FlagTracker
-from sil.j1939.transmission import PGN_ETC1, PGN_ETC2, decode_etc1, decode_etc2
+from sil.j1939.transmission import PGN_ETC1, PGN_ETC2
 from sil.logs.frame import LogFrame
 from sil.logs.registry import open_log
 
@@ -23,10 +23,7 @@ __all__ = [
     "J1939Summary",
     "Shift",
     "ShiftFinder",
-    "decode_etc1",
-    "decode_etc2",
     "join_id",
-    "shifts",
     "split_id",
     "summarize",
 ]
@@ -64,7 +61,7 @@ class J1939Summary:
     """Time of the log's first frame."""
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it as plain JSON values."""
+        """Return all of it as plain JSON values."""
         return {
             "frames": self.frames,
             "first_ns": self.first_ns,
@@ -81,7 +78,7 @@ class J1939Summary:
         }
 
     def lines(self) -> list[str]:
-        """The summary for a reader: shifts first."""
+        """Return the summary as text, shifts first."""
         found = [f"{len(self.shifts)} shifts in {self.frames} frames"]
         begin_ns = self.first_ns or 0
         found += [
@@ -104,10 +101,8 @@ class ShiftFinder:
 
     Senders (channel and source address) are followed apart. Error, remote and standard frames
     and all other parameter groups, transport protocol included, are passed over.
-    Checked by: tests/unit/sil/j1939/test_shifts.py.
     """
 
-    gear_ratios: Mapping[int, float] | None = None
     short: int = 0
     _flags: dict[tuple[str, int], FlagTracker] = field(default_factory=dict)
     _gears: dict[tuple[str, int], GearHistory] = field(default_factory=dict)
@@ -219,7 +214,7 @@ class ShiftFinder:
             self.notes.append("neither shift in process nor a current gear is available")
 
     def _history(self, sender: tuple[str, int]) -> GearHistory | None:
-        """The gears of the same sender, or of the only one on its channel."""
+        """Return the gears of the same sender, or of the only one on its channel."""
         own = self._gears.get(sender)
         if own is not None:
             return own
@@ -252,7 +247,7 @@ class ShiftFinder:
 
     def _gears_by_ratio(self, found: list[Shift]) -> list[Shift]:
         """Fill in gears that nothing reported, from speed ratios that are known for gears."""
-        known: dict[int, float] = dict(self.gear_ratios or {})
+        known: dict[int, float] = {}
         for shift in found:
             for gear, ratio in (
                 (shift.from_gear, shift.from_ratio),
@@ -261,17 +256,10 @@ class ShiftFinder:
                 if gear and ratio is not None:
                     known.setdefault(gear, ratio)
         return [
-            Shift(
-                shift.start_ns,
-                shift.end_ns,
-                _by_ratio(shift.from_gear, shift.from_ratio, known),
-                _by_ratio(shift.to_gear, shift.to_ratio, known),
-                shift.source,
-                shift.channel,
-                shift.method,
-                shift.chatter,
-                shift.from_ratio,
-                shift.to_ratio,
+            replace(
+                shift,
+                from_gear=_by_ratio(shift.from_gear, shift.from_ratio, known),
+                to_gear=_by_ratio(shift.to_gear, shift.to_ratio, known),
             )
             for shift in found
         ]
@@ -286,7 +274,7 @@ def _by_ratio(gear: int | None, ratio: float | None, known: Mapping[int, float])
 
 
 def _near_any(shift: Shift, flagged: Iterable[Shift]) -> bool:
-    """Whether a change of gear belongs to one of the flagged shifts, of whichever channel."""
+    """Return whether a change of gear belongs to one of the flagged shifts, of whichever channel."""
     return any(
         other.start_ns - SETTLE_NS <= shift.end_ns and shift.start_ns <= other.end_ns + SETTLE_NS
         for other in flagged
@@ -294,7 +282,7 @@ def _near_any(shift: Shift, flagged: Iterable[Shift]) -> bool:
 
 
 def _repeats(shift: Shift, found: Iterable[Shift]) -> bool:
-    """Whether a change of gear is one that another sender reported, too."""
+    """Return whether a change of gear is one that another sender reported, too."""
     return any(
         (other.source, other.channel) != (shift.source, shift.channel)
         and (other.from_gear, other.to_gear) == (shift.from_gear, shift.to_gear)
@@ -307,36 +295,14 @@ def _frames(log: Iterable[LogFrame] | str | os.PathLike[str]) -> Iterable[LogFra
     return open_log(log) if isinstance(log, (str, os.PathLike)) else log
 
 
-def shifts(
-    log: Iterable[LogFrame] | str | os.PathLike[str],
-    *,
-    gear_ratios: Mapping[int, float] | None = None,
-) -> list[Shift]:
-    """The gear shifts in a truck's log, by their start.
-
-    The shift-in-process flag of ETC1 tells when, the current gear of ETC2 between which gears.
-    On a channel without any flagged shift the changes of the current gear are the shifts.
-    gear_ratios: speed ratio by gear, for logs without ETC2; else gears are then unknown.
-    Raises: InputError when `log` is a file that cannot be read.
-    Checked by: tests/unit/sil/j1939/test_shifts.py.
-    """
-    finder = ShiftFinder(gear_ratios)
-    for frame in _frames(log):
-        finder.take(frame)
-    return finder.finish()
-
-
 def summarize(
     log: Iterable[LogFrame] | str | os.PathLike[str],
-    *,
-    gear_ratios: Mapping[int, float] | None = None,
 ) -> J1939Summary:
     """Parameter groups, senders and shifts of a truck's log, in one pass and bounded memory.
 
-    Raises: InputError when `log` is a file that cannot be read.
-    Checked by: tests/unit/sil/j1939/test_shifts.py.
+    Raises InputError if `log` is a file that cannot be read.
     """
-    finder = ShiftFinder(gear_ratios)
+    finder = ShiftFinder()
     identifiers: Counter[int] = Counter()
     frames = 0
     first_ns: int | None = None

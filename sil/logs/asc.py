@@ -37,9 +37,12 @@ _BASE: Final = re.compile(
 )
 _DATE: Final = re.compile(r"date\s+(.*)\Z", re.IGNORECASE)
 _OTHER_HEADER: Final = re.compile(
-    r"(?:(?:no\s+)?internal\s+events\s+logged|begin\s+triggerblock\b.*|end\s+triggerblock)\s*\Z",
-    re.IGNORECASE,
+    r"(?:(?:no\s+)?internal\s+events\s+logged|end\s+triggerblock)\s*\Z", re.IGNORECASE
 )
+_BLOCK: Final = re.compile(r"begin\s+triggerblock\b(.*)\Z", re.IGNORECASE)
+_START: Final = re.compile(r"start of measurement", re.IGNORECASE)
+"""At time 0 in a trigger block: times count from the date of the block (so in python-can's logs)."""
+
 _PLAIN: Final = re.compile(
     r"^(?: *(\d{1,9})\.(\d{1,9}) +(0|[1-9]\d{0,3}) +([0-9A-F]{1,8}x?) +(Rx|Tx) +d ([0-8])"
     r"((?: [0-9A-F]{2}){0,8})(?: +Length = [^\n]*)?[ \r]*|([^\n]*))$",
@@ -48,6 +51,7 @@ _PLAIN: Final = re.compile(
 """A line as nearly all are, taken apart; of any other line, the whole of it."""
 
 _ORIGIN: Final = re.compile(r"//\s*time origin (\d{1,10}\.\d{1,9}) s\s*\Z")
+_FLAG_REMOTE: Final = 0x10
 _TIMED: Final = re.compile(r"(\d{1,10}\.\d{1,12})\s+(\S.*)\Z")
 
 
@@ -75,7 +79,7 @@ _HEX_BYTE = re.compile(r"[0-9A-Fa-f]{2}\Z")
 _DECIMAL_BYTE = re.compile(r"\d{1,3}\Z")
 _HEX_WORD = re.compile(r"[0-9A-Fa-f]{1,8}\Z")
 _NAMED: Final = (
-    (re.compile(r"start of measurement", re.I), ""),
+    (_START, ""),
     (re.compile(r"CAN\s+\d+\s+Status:|\d+\s+Statistic:|CAN\s+\d+\s+", re.I), "status line"),
     (re.compile(r"\d+\s+J1939TP\b", re.I), "reassembled J1939 message"),
     (re.compile(r"\d+\s+OverloadFrame\b", re.I), "overload frame"),
@@ -118,7 +122,7 @@ def _direction(word: str) -> str | None:
 
 
 def _bytes(words: list[str], decimal: bool) -> bytes:
-    """The bytes at the beginning of a list of words."""
+    """Return the bytes at the beginning of a list of words."""
     pattern, base = (_DECIMAL_BYTE, 10) if decimal else (_HEX_BYTE, 16)
     found = []
     for word in words:
@@ -214,8 +218,9 @@ def _fd(text: str, decimal: bool) -> AscFrame:
         raise ValueError(f"{len(data)} bytes of data where {length} are told")
     flags_text = words[length + 2] if len(words) > length + 2 else ""
     flags = int(flags_text, 16) if _HEX_WORD.match(flags_text) else None
-    remote = length == 0 and (code > 0 or bool(flags and flags & 0x10))
-    fd = remote or flags is None or bool(flags & 0x1000)
+    remote = length == 0 and (code > 0 or bool(flags and flags & _FLAG_REMOTE))
+    # A remote frame of can-utils has no other flag if it is classic.
+    fd = flags != _FLAG_REMOTE if remote else flags is None or bool(flags & 0x1000)
     if not fd and (length > 8 or brs == "1" or esi == "1"):
         fd = True
     raw_dlc = code if remote else 0
@@ -250,6 +255,7 @@ class AscReader(TextReader):
         self._deltas = False
         self._origin_ns = 0
         self._last_ns = 0
+        self._block_ns: int | None = None
 
     def _quick(self, chunk: Chunk) -> Batch | None:
         """Return the frames if the header lies before, with hex numbers and plain times."""
@@ -270,7 +276,14 @@ class AscReader(TextReader):
         if self._deltas:
             time_ns += self._last_ns
         self._last_ns = time_ns
-        event = parse_event(timed[2], self._decimal)
+        try:
+            event = parse_event(timed[2], self._decimal)
+        except NotAFrame as known:
+            if line.unterminated and known.name:
+                raise ValueError("the last line has no end and may be cut short") from None
+            if _START.match(timed[2]) and time_ns == 0 and self._block_ns is not None:
+                self._report.start_ns, self._block_ns = self._block_ns, None
+            raise
         if line.unterminated and not event.surely_whole:
             raise ValueError("the last line has no end and may be cut short")
         if event.remark:
@@ -301,7 +314,10 @@ class AscReader(TextReader):
             if report.start_ns is None:
                 report.note(f"date {date[1][:40]!r} was not understood; the times do not need it")
             return
-        if not _OTHER_HEADER.match(text):
+        block = _BLOCK.match(text)
+        if block:
+            self._block_ns = parse_date(block[1])
+        elif not _OTHER_HEADER.match(text):
             raise ValueError(f"{text[:40]!r} is no ASC line")
 
 
@@ -310,29 +326,23 @@ class AscWriter(RelativeWriter):
 
     format = "asc"
 
-    def __init__(self, path: str, decimals: int | None = None) -> None:
-        """decimals: 6 (times are then rounded) or 9; None for what the first frames need."""
+    def __init__(self, path: str) -> None:
         super().__init__(path)
-        self._decimals = decimals
-        self._exact = decimals is None
+        self._decimals: int | None = None
 
     def _header(self, frames: list[LogFrame]) -> str:
         if self._decimals is None:
             self._decimals = enough_decimals(frames)
+        base = "base hex  timestamps absolute\ninternal events logged\n"
+        start = "   0.000000 Start of measurement\n"
+        if not self._origin_ns:
+            return f"{base}Begin Triggerblock\n{start}"
         date = write_date(self._origin_ns)
-        header = f"date {date}\nbase hex  timestamps absolute\ninternal events logged\n"
-        if self._origin_ns:
-            header += f"// time origin {format_ns(self._origin_ns, 9)} s\n"
-        return header + f"Begin Triggerblock {date}\n   0.000000 Start of measurement\n"
+        origin = f"// time origin {format_ns(self._origin_ns, 9)} s\n"
+        return f"date {date}\n{base}{origin}Begin Triggerblock {date}\n{start}"
 
     def _text(self, frame: LogFrame, time_ns: int) -> str:
-        decimals = self._decimals
-        if time_ns % 1000 and decimals == 6:
-            if self._exact:
-                decimals = 9
-            else:
-                self.losses["times rounded to the microsecond"] += 1
-        stamp = format_ns(time_ns, decimals)
+        stamp = format_ns(time_ns, 9 if time_ns % 1000 else self._decimals)
         number = self.channel_number(frame.channel)
         if not frame.direction and not frame.error:
             self.losses["direction not recorded, written as Rx"] += 1
@@ -341,7 +351,7 @@ class AscWriter(RelativeWriter):
             return self._error(stamp, number, direction, frame)
         identifier = f"{frame.can_id:X}{'x' if frame.extended else ''}"
         if frame.fd:
-            flags = 0x10 if frame.remote else 0
+            flags = _FLAG_REMOTE if frame.remote else 0
             flags |= 0x1000 | frame.brs << 13 | frame.esi << 14
             spaced = frame.data.hex(" ").upper()
             return (

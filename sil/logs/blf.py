@@ -123,7 +123,7 @@ def read_systemtime(fields: SystemTime) -> int:
 
 
 def write_systemtime(time_ns: int) -> SystemTime:
-    """The SYSTEMTIME of a time, all zero for 0; whole milliseconds."""
+    """Return the SYSTEMTIME of a time, all zero for 0; whole milliseconds."""
     if time_ns == 0:
         return (0,) * 8
     moment = utc_calendar(time_ns)
@@ -140,7 +140,7 @@ def write_systemtime(time_ns: int) -> SystemTime:
 
 
 def plausible_header(data: bytes | memoryview, pos: int) -> str | None:
-    """What is wrong with the object header at `pos`, or None."""
+    """Return what is wrong with the object header at `pos`, or None."""
     signature, header_size, version, size, kind = OBJECT.unpack_from(data, pos)
     if signature != b"LOBJ":
         return "no object begins here"
@@ -156,7 +156,7 @@ def plausible_header(data: bytes | memoryview, pos: int) -> str | None:
 
 
 def objects(data: bytes, start_ns: int) -> Iterator[LogFrame | Other | Broken | Unfinished]:
-    """What is in unpacked data, in order; at most one `Unfinished`, as the last."""
+    """Yield what is in unpacked data, in order; at most one `Unfinished`, as the last."""
     pos, end = 0, len(data)
     while True:
         for frame in _run_of_plain(data, pos, start_ns):
@@ -279,12 +279,12 @@ def _way(code: int) -> str:
 
 
 def _extended(word: int) -> bool:
-    """The flag, or an identifier that fits no standard frame (some writers leave the flag out)."""
+    """Return the flag, or whether the identifier fits no standard frame (some writers leave the flag out)."""
     return bool(word & EXTENDED) or word & 0x1FFFFFFF > MAX_STANDARD_ID
 
 
 def _raw_dlc(dlc: int, remote: bool, fd: bool) -> int:
-    """What `LogFrame.raw_dlc` keeps; the field has four bits on the bus."""
+    """Return what `LogFrame.raw_dlc` holds; the field has four bits on the bus."""
     if remote:
         return dlc & 0x0F
     return dlc if not fd and 8 < dlc < 16 else 0
@@ -385,7 +385,7 @@ class _Feed:
         return found - self.pos if found >= 0 else -1
 
     def only_zeros(self) -> bool:
-        """Whether nothing but zero bytes is left in the window."""
+        """Return whether nothing but zero bytes is left in the window."""
         return not self.window[self.pos :].strip(b"\x00")
 
     def drop(self, size: int) -> None:
@@ -394,7 +394,7 @@ class _Feed:
         self.offset += size
 
     def take(self, size: int) -> bytes:
-        """The next bytes, as many as there are up to `size`."""
+        """Return the next bytes, as many as there are up to `size`."""
         taken = self.window[self.pos : self.pos + size]
         self.drop(len(taken))
         return taken
@@ -494,7 +494,7 @@ class BlfReader:
         self._tail = b""
 
     def _unpack(self, body: bytes, header_size: int, offset: int, whole: bool) -> bytes | None:
-        """The content of a container, of a cut-off one as much as there is; None if damaged."""
+        """Return the content of a container, of a cut-off one as much as there is; None if damaged."""
         report = self._report
         if len(body) < header_size + CONTAINER.size:
             report.cut(Location("the log ends inside a container", byte=offset))
@@ -524,7 +524,7 @@ class BlfReader:
         return content
 
     def _batch(self, data: bytes, offset: int) -> Batch:
-        """The frames of unpacked data, after what an earlier container left unfinished."""
+        """Return the frames of unpacked data, which may go on an object of an earlier container."""
         report = self._report
         data = self._tail + data
         self._tail = b""

@@ -74,7 +74,7 @@ class Parsed(NamedTuple):
 def parse_line(text: str) -> Parsed:
     """Parse one line.
 
-    Raises: NotAFrame for a known line that is no frame; ValueError with what is broken.
+    Raises NotAFrame for a known line that is no frame; ValueError with what is broken.
     """
     if "\x1b" in text:
         text = _ANSI.sub("", text)
@@ -253,7 +253,7 @@ def _other(time_ns: int, line: str) -> tuple[LogFrame, bool]:
 
 
 def surely_whole(parsed: Parsed, earlier: list[LogFrame]) -> bool:
-    """Whether a last line without a line end can be taken for whole.
+    """Return whether a last line without a line end can be taken for whole.
 
     A cut can shorten data unseen. It is whole when the line tells its length, has all the bytes
     there can be, or the frame last seen with the same identifier was as long; and it has a
@@ -282,7 +282,7 @@ class PlainChunks:
         self._extended: dict[str, bool] = {}
 
     def frames(self, text: str, count: int) -> list[LogFrame] | None:
-        """The frames of `count` lines of text, None when one of them is not a common line."""
+        """Return the frames of `count` lines of text, None when one of them is not a common line."""
         if "\r" in text:
             text = text.replace("\r\n", "\n")
         first = text[: text.find("\n")]
@@ -352,7 +352,7 @@ class PlainChunks:
 
 
 def _words(text: str, count: int, first: str, step: int) -> list[str] | None:
-    """The words of the lines, `step` of each, or None when the marks stand elsewhere.
+    """Return the words of the lines, `step` of each, None if the marks are not where they belong.
 
     The words are ( seconds . fraction ) channel identifier # data and, of ten, the direction.
     """
@@ -460,7 +460,7 @@ class CandumpReader(TextReader):
 
 
 def look_like_deltas(frames: list[LogFrame]) -> bool:
-    """Whether times are differences (`candump -t d`) and not counted from zero (`-t z`).
+    """Return whether times are differences (`candump -t d`) and not counted from zero (`-t z`).
 
     Both begin at 0.  Differences fall in at least a fifth of the steps, or are all the same;
     a clock does neither.
@@ -475,25 +475,22 @@ def look_like_deltas(frames: list[LogFrame]) -> bool:
 
 
 class CandumpWriter(LogWriter):
-    """Writes `(seconds) channel id#data`, six decimals if the log's times are whole microseconds,
-    else nine; can-utils and python-can read both."""
+    """Writes `(seconds) channel id#data`, which can-utils and python-can read.
+
+    Six decimals if the log's times are whole microseconds, else nine.
+    """
 
     format = "candump"
 
-    def __init__(self, path: str, decimals: int | None = None) -> None:
-        """decimals: 6 (times are then rounded) or 9; None for what the first frames need."""
-        if decimals not in (None, 6, 9):
-            raise InputError(f"{path}: {decimals} decimals; expected 6 or 9")
+    def __init__(self, path: str) -> None:
         super().__init__(path)
-        self._decimals = decimals
-        self._exact = False
+        self._decimals: int | None = None
         self._names: dict[str, str] = {}
         self._prefixes: dict[tuple[int, bool], str] = {}
 
     def _write_batch(self, frames: list[LogFrame]) -> None:
         if self._decimals is None:
             self._decimals = enough_decimals(frames)
-            self._exact = True
         if self._ordinary and self._decimals == 6 and not any(f[0] % 1000 for f in frames):
             text = self._plain(frames)
         else:
@@ -520,17 +517,11 @@ class CandumpWriter(LogWriter):
         return "".join(lines)
 
     def _line(self, frame: LogFrame) -> str:
-        """The line of any frame."""
+        """Return the line of any frame."""
         time_ns = frame.time_ns
         if time_ns < 0:
             raise InputError(f"{self.path}: time {time_ns} ns; candump expected times from 0")
-        decimals = self._decimals
-        if decimals == 6 and time_ns % 1000:
-            if self._exact:
-                decimals = 9
-            else:
-                self.losses["times rounded to the microsecond"] += 1
-                time_ns += 500
+        decimals = 9 if time_ns % 1000 else self._decimals
         seconds, nano = divmod(time_ns, NS_PER_S)
         stamp = (
             f"{seconds:010d}.{nano:09d}" if decimals == 9 else f"{seconds:010d}.{nano // 1000:06d}"
@@ -551,7 +542,7 @@ class CandumpWriter(LogWriter):
         return name
 
     def _interface(self, channel: str) -> str:
-        """The network interface name of a channel; numbered channels count from can0."""
+        """Return the network interface name of a channel; numbered channels count from can0."""
         if not channel:
             self.losses["unnamed channel written as can0"] += 1
             return "can0"

@@ -31,7 +31,7 @@ class ConvertReport:
     signals: TraceReport | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it as plain JSON values."""
+        """Return all of it as plain JSON values."""
         return {
             "source": self.source,
             "target": self.target,
@@ -43,7 +43,7 @@ class ConvertReport:
         }
 
     def lines(self) -> list[str]:
-        """The report for a reader, one fact per line."""
+        """Return the report as text, one fact per line."""
         if self.signals is not None:
             return [
                 f"{self.target}: {self.signals.rows} rows of {len(self.signals.names)} signals "
@@ -69,9 +69,9 @@ def convert(
     """Read a log and write it in another format, frame by frame in constant memory.
 
     A table of signals (a CSV that begins with time_s) goes to MF4 with units, and an MF4 of such
-    signals to CSV.  The target appears only when it is whole.
-    Raises: InputError for what cannot be read (with `strict` also for anything broken) or written.
-    Checked by: tests/unit/sil/logs/test_convert.py, tests/contracts/test_log_formats.py.
+    signals to CSV. Times that count from a date in the log's header become absolute. The target
+    appears only when it is whole.
+    Raises InputError for what cannot be read (with `strict` also for anything broken) or written.
     """
     source, target = os.fspath(src), os.fspath(dst)
     if os.path.exists(target) and os.path.exists(source) and os.path.samefile(source, target):
@@ -82,9 +82,13 @@ def convert(
             return ConvertReport(source, target, signals=signals, written=signals.rows)
     reader = open_log(source, format=source_format, strict=strict, times=times)
     writer = open_writer(target, format=target_format)
+    start_ns: int | None = None
     with writer:
         for frame in reader:
-            writer.write(frame)
+            if start_ns is None:  # of a log whose times count from a date in its header
+                relative = reader.report.time_base != "absolute"
+                start_ns = (reader.report.start_ns or 0) if relative else 0
+            writer.write(frame._replace(time_ns=start_ns + frame.time_ns) if start_ns else frame)
     return ConvertReport(
         source, target, reader.report, writer.format, writer.frames, dict(writer.losses)
     )

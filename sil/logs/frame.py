@@ -63,13 +63,13 @@ class LogFrame(NamedTuple):
 def ordinary_frame(
     time_ns: int, can_id: int, data: bytes, extended: bool, channel: str, direction: str
 ) -> LogFrame:
-    """A classic data frame, faster than by `LogFrame(...)`."""
+    """Return a classic data frame, faster than by `LogFrame(...)`."""
     fields = time_ns, can_id, data, extended, False, False, False, False, False
     return tuple.__new__(LogFrame, (*fields, channel, direction, 0))
 
 
 def all_ordinary(frames: Sequence[LogFrame], channels: Set[str]) -> bool:
-    """Whether all are surely possible classic data frames of known channels; a quick look."""
+    """Return whether all are surely possible classic data frames of known channels; a quick look."""
     times_ns, ids, data, extended, remote, error, fd, *_, names, ways, raw = zip(
         *frames, strict=True
     )
@@ -88,7 +88,7 @@ def all_ordinary(frames: Sequence[LogFrame], channels: Set[str]) -> bool:
 
 
 def frame_problem(frame: LogFrame) -> str | None:
-    """Say what makes a frame impossible on any CAN bus, or None when nothing does."""
+    """Return what makes a frame impossible on any CAN bus, or None when nothing does."""
     length = len(frame.data)
     problem: str | None = None
     if not 0 <= frame.can_id <= MAX_EXTENDED_ID:
@@ -117,7 +117,7 @@ def frame_problem(frame: LogFrame) -> str | None:
 def require_possible(frame: LogFrame, place: str) -> None:
     """Refuse a frame that no CAN bus can carry.
 
-    Raises: InputError naming `place` and what is wrong.
+    Raises InputError naming `place` and what is wrong.
     """
     problem = frame_problem(frame)
     if problem is not None:

@@ -24,8 +24,6 @@ class LogReader:
 
     Raises on iteration: InputError for an unreadable log, and with `strict` for every broken line
     or record, every step of the clock backwards, every duplicate, and a log that is cut off.
-
-    Checked by: tests/unit/sil/logs/test_reader.py, tests/contracts/test_log_formats.py.
     """
 
     def __init__(self, path: str, format: Format, *, strict: bool, times: str) -> None:
@@ -49,7 +47,7 @@ class LogReader:
         self._refuse_silence(report)
 
     def _refuse_silence(self, report: LogReport) -> None:
-        """A log of which nothing could be read is refused; an empty one is noted."""
+        """Refuse a log of which nothing could be read; note an empty one. Raises InputError."""
         if report.frames:
             return
         if report.skipped or report.truncated:

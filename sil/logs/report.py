@@ -88,7 +88,7 @@ class LogReport:
 
     @property
     def clean(self) -> bool:
-        """Whether nothing is skipped, stepping backwards, there twice or cut off."""
+        """Return whether nothing is skipped, stepping backwards, there twice or cut off."""
         return not (self.skipped or self.backwards or self.duplicates or self.truncated)
 
     def as_dict(self) -> dict[str, Any]:

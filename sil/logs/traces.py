@@ -63,23 +63,17 @@ class TraceReport:
     units: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it as plain JSON values."""
+        """Return all of it as plain JSON values."""
         return {"rows": self.rows, "names": list(self.names), "units": list(self.units)}
 
 
 def unit_of(name: str) -> str:
-    """The unit that a signal's name carries at its end, "" for none.
-
-    Checked by: tests/unit/sil/logs/test_traces.py.
-    """
+    """Return the unit that a signal's name ends in, "" for none."""
     return next((unit for suffix, unit in _UNITS if name.endswith(suffix)), "")
 
 
 def comment_of(name: str) -> str:
-    """What a signal of a trace or a campaign is, "" for one of neither.
-
-    Checked by: tests/unit/sil/logs/test_traces.py.
-    """
+    """Return what a signal of a trace or a campaign is, "" for one of neither."""
     if name in _COMMENTS:
         return _COMMENTS[name]
     found = re.fullmatch(r"(pressure|cmd|valve)_([BNF12])(?:_pa)?", name)
@@ -87,7 +81,7 @@ def comment_of(name: str) -> str:
 
 
 def is_trace_csv(path: str) -> bool:
-    """Whether a file is a table of signals: CSV with time_s first that is no log of frames."""
+    """Return whether a file is a table of signals: CSV with time_s first that is no log of frames."""
     if not path.removesuffix(".gz").lower().endswith(".csv"):
         return False
     source = ByteSource(path, LogReport(path, "csv"))
@@ -99,7 +93,7 @@ def is_trace_csv(path: str) -> bool:
 def _rows(path: str) -> Iterator[tuple[int, list[float]]]:
     """Rows of a trace with their line numbers, the header's names checked by the caller.
 
-    Raises: InputError at a row that is not whole: a trace has no spare rows to skip.
+    Raises InputError at a row that is not whole: a trace has no spare rows to skip.
     """
     source = ByteSource(path, LogReport(path, "csv", strict=True))
     try:
@@ -141,8 +135,7 @@ def _names(path: str) -> list[str]:
 def trace_to_mf4(source: str, target: str) -> TraceReport:
     """Write a trace as one MF4 group with time in s and every signal with its unit and comment.
 
-    Raises: InputError for a torn trace, a time that falls, or when asammdf is missing.
-    Checked by: tests/unit/sil/logs/test_traces.py.
+    Raises InputError for a torn trace, a time that falls, or when asammdf is missing.
     """
     asammdf = import_asammdf(target)
     import numpy as np
@@ -210,8 +203,7 @@ def trace_to_mf4(source: str, target: str) -> TraceReport:
 def mf4_to_trace(source: str, target: str) -> TraceReport:
     """Write the signals of an MF4 file as a trace CSV; times from the start of the file.
 
-    Raises: InputError for a file of several tables, and for signals that are no plain numbers.
-    Checked by: tests/unit/sil/logs/test_traces.py.
+    Raises InputError for a file of several tables, and for signals that are no plain numbers.
     """
     table = SignalTable(source)
     try:

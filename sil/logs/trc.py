@@ -190,7 +190,7 @@ class TrcReader(TextReader):
         return self._frame(kind, column)
 
     def _frame(self, kind: str, column: dict[str, str]) -> LogFrame:
-        """The frame of a version 2 line, from its columns by their letters."""
+        """Return the frame of a version 2 line, from its columns by their letters."""
         time_ns = self._time(column["O"])
         bus = column.get("B", "")
         if bus and not (bus.isdecimal() and len(bus) < 4):
@@ -245,7 +245,7 @@ class TrcReader(TextReader):
 def _bytes(words: list[str], length: int) -> bytes:
     """Exactly `length` bytes; after them only place holders may follow.
 
-    Raises: ValueError for fewer or other words.
+    Raises ValueError for fewer or other words.
     """
     told = words[:length]
     if len(told) != length or not all(_HEX_BYTE.match(word) for word in told):

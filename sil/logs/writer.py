@@ -35,7 +35,7 @@ class LogWriter(ABC):
     def __init__(self, path: str) -> None:
         """Open a temporary file beside `path`.
 
-        Raises: InputError when that is not possible.
+        Raises InputError if that is not possible.
         """
         self.path = path
         self._written = 0
@@ -100,7 +100,7 @@ class LogWriter(ABC):
     def close(self) -> None:
         """Finish the log and give it its name; a second call does nothing.
 
-        Raises: InputError when the disk refuses; then nothing is left behind.
+        Raises InputError if the disk refuses; then nothing is left behind.
         """
         if self._closed:
             return
@@ -155,7 +155,7 @@ class LogWriter(ABC):
             self.abort()
 
     def channel_number(self, channel: str, lowest: int = 1) -> int:
-        """The number (`lowest`..255) that stands for a channel name.
+        """Return the number (`lowest`..255) that stands for a channel name.
 
         A number stands for itself; can0, vcan0, ... become 1, as can-utils has it; a name whose
         number is taken gets the next free one. An unnamed channel is 1.
@@ -186,7 +186,7 @@ def open_beside(path: str) -> tuple[BinaryIO, str]:
     """Open a new file for a result that shall be named `path` once it is whole.
 
     Returns: the file and its name for now.
-    Raises: InputError when it cannot be made.
+    Raises InputError if it cannot be made.
     """
     if os.path.exists(path) and not os.path.isfile(path):
         kind = "a folder" if os.path.isdir(path) else "a pipe or device"
@@ -215,11 +215,11 @@ class RelativeWriter(LogWriter):
 
     @abstractmethod
     def _header(self, frames: list[LogFrame]) -> str:
-        """What stands before the first frames, which are given."""
+        """Return what comes before the first frames, which are given."""
 
     @abstractmethod
     def _text(self, frame: LogFrame, time_ns: int) -> str:
-        """The line of a frame; `time_ns` counts from the log's start."""
+        """Return the line of a frame; `time_ns` counts from the log's start."""
 
     def _begin(self, frames: list[LogFrame]) -> None:
         """Write the header, once."""

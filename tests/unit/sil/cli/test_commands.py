@@ -20,7 +20,7 @@ def test_convert_writes_once_and_refuses_the_rest(
     assert cli.main(["convert", str(source), str(target), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["written"] == 1
     assert cli.main(["convert", str(source), str(target)]) == 2
-    assert "stands there" in capsys.readouterr().err
+    assert "exists; expected a new name" in capsys.readouterr().err
     assert cli.main(["convert", str(source), str(target), "--force"]) == 0
     assert cli.main(["convert", str(tmp_path / "no.log"), str(tmp_path / "x.asc")]) == 2
     assert cli.main(["convert", str(source), str(tmp_path / "x.wav")]) == 2

@@ -12,10 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
-from sil.j1939.shifts import Shift, join_id, shifts, split_id, summarize
+from sil.j1939.shifts import Shift, join_id, split_id, summarize
 from sil.logs import LogFrame, open_writer
 
 MS = 1_000_000
+
+
+def shifts(log: Iterable[LogFrame] | Path) -> list[Shift]:
+    return summarize(log).shifts
+
+
 START_NS = 1_700_000_000 * 10**9
 RATIOS = {1: 11.7, 2: 9.2, 3: 7.1, 4: 5.6, 5: 4.4, 6: 3.5, 7: 2.7, 8: 2.1}
 OUTPUT = 4000
@@ -222,16 +228,6 @@ def test_without_etc2_gears_are_unknown() -> None:
     assert plain(found) == [(begin, end, None, None) for begin, end, _, _ in SEVEN]
     assert all(shift.from_ratio is None for shift in found)
     assert "? to ?" in str(found[0])
-
-
-def test_without_etc2_ratios_of_the_shafts_tell_gears() -> None:
-    found = shifts(truck(gears=False, speeds=True), gear_ratios=RATIOS)
-    wanted = [(begin, end, old or None, new) for begin, end, old, new in SEVEN]
-    assert plain(found)[1:] == wanted[1:]
-    for shift, (_, _, old, new) in zip(found, SEVEN, strict=True):
-        if old:
-            assert shift.from_ratio == pytest.approx(RATIOS[old], rel=1e-3)
-        assert shift.to_ratio == pytest.approx(RATIOS[new], rel=1e-3)
 
 
 def test_gears_told_for_a_part_of_the_log_name_the_ratios_of_the_rest() -> None:

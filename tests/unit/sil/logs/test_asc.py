@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
-from sil.logs import LogFrame, open_log, open_writer
-from sil.logs.asc import AscWriter, parse_event
+from sil.logs import LogFrame, convert, open_log, open_writer
+from sil.logs.asc import parse_event
 from sil.logs.format import NotAFrame
 from sil.logs.times import utc_ns
 
@@ -169,6 +169,8 @@ class TestUnterminated:
             ("1.0 1 180 Rx r 8", True),
             ("1.0 1 180 Rx r", False),
             ("1.0 1 ErrorFrame", True),
+            ("1.0 1 18", False),
+            ("1.0 CANFD 1 Rx 30", False),
             ("1.0 CANFD 1 Rx 300 1 0 1 1 00 0 0 3000 0", True),
             ("1.0 CANFD 1 Rx 300 1 0 1 1 00 0 0 3000", False),
         ],
@@ -194,6 +196,41 @@ def test_absolute_times_come_back_through_the_origin(tmp_path: Path) -> None:
     assert [f.time_ns for f in open_log(path)] == times_ns
 
 
+def test_relative_times_get_no_invented_date(tmp_path: Path) -> None:
+    path = tmp_path / "log.asc"
+    with open_writer(path) as writer:
+        writer.write(LogFrame(1_000_000, 1, b"", channel="1", direction="Rx"))
+    assert "1970" not in path.read_text()
+    reader = open_log(path)
+    assert [f.time_ns for f in reader] == [1_000_000]
+    assert reader.report.start_ns is None
+
+
+def test_times_of_python_can_count_from_the_trigger_block(tmp_path: Path) -> None:
+    """python-can dates the header when the logger starts, and the block at the first frame."""
+    path = tmp_path / "log.asc"
+    path.write_text(
+        "date Thu Apr 28 10:44:52.480 AM 2022\nbase hex  timestamps absolute\n"
+        "internal events logged\nBegin Triggerblock Thu Apr 28 10:44:55.000 AM 2022\n"
+        " 0.000000 Start of measurement\n 0.500000 1  123 Rx   d 1 11\nEnd TriggerBlock\n"
+    )
+    reader = open_log(path)
+    assert [f.time_ns for f in reader] == [500_000_000]
+    assert reader.report.start_ns == utc_ns(2022, 4, 28, 10, 44, 55)
+    target = tmp_path / "log.log"
+    convert(path, target)
+    (frame,) = open_log(target)
+    assert frame.time_ns == utc_ns(2022, 4, 28, 10, 44, 55, 500_000_000)
+
+
+def test_remote_frames_of_can_utils_are_classic() -> None:
+    """`log2asc -f` writes classic frames in CANFD lines, without the flag of CAN FD."""
+    text = f"CANFD   1 Rx           123 {'':33} 0 0 4  0  130000  130       10 0 0 0 0 0"
+    frame = parse_event(text, decimal=False).frame
+    assert (frame.remote, frame.fd, frame.raw_dlc) == (True, False, 4)
+    assert parse_event(text.replace("  10 0", "1010 0"), decimal=False).frame.fd
+
+
 def test_a_frame_before_the_start_is_refused(tmp_path: Path) -> None:
     start_ns = 1_700_000_000_000_000_000
     for suffix in ("asc", "blf", "trc"):
@@ -203,14 +240,6 @@ def test_a_frame_before_the_start_is_refused(tmp_path: Path) -> None:
                 writer.write(LogFrame(start_ns + i, 1, b"", channel="1"))
             writer.write(LogFrame(start_ns - 10**9, 1, b"", channel="1"))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_told_decimals(tmp_path: Path) -> None:
-    path = tmp_path / "log.asc"
-    with AscWriter(str(path), decimals=6) as writer:
-        writer.write(LogFrame(1_500, 1, b"", channel="1", direction="Rx"))
-    assert [f.time_ns for f in open_log(path)] == [2_000]
-    assert writer.losses["times rounded to the microsecond"] == 1
 
 
 ASC2LOG = shutil.which("asc2log")

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_log, open_writer
-from sil.logs.candump import CandumpWriter, PlainChunks, look_like_deltas, parse_line
+from sil.logs.candump import PlainChunks, look_like_deltas, parse_line
 from sil.logs.format import NotAFrame
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
@@ -395,16 +395,6 @@ def test_decimals_as_the_log_needs(tmp_path: Path) -> None:
     assert path.read_text() == (
         "(0000000000.000001000) can0 001#\n(0000000000.000001001) can0 001# T\n"
     )
-
-
-def test_told_decimals(tmp_path: Path) -> None:
-    path = tmp_path / "log.log"
-    with CandumpWriter(str(path), decimals=6) as writer:
-        writer.write(LogFrame(1_999_999_500, 1, b"", channel="can0"))
-    assert path.read_text() == "(0000000002.000000) can0 00000001#\n"
-    assert writer.losses == {"times rounded to the microsecond": 1}
-    with pytest.raises(InputError, match="7 decimals; expected 6 or 9"):
-        CandumpWriter(str(path), decimals=7)
 
 
 def test_a_negative_time_is_refused(tmp_path: Path) -> None:

@@ -73,7 +73,9 @@ def test_error_frames_without_a_class_become_bus_errors(tmp_path: Path) -> None:
     report = convert(DATA / "torn.asc", target)
     assert report.losses["error frame without a class written as a bus error"] == 2
     errors = [frame for frame in open_log(target) if frame.error]
-    assert errors[0] == LogFrame(1_100_003_000, 0x80, bytes(8), False, error=True, channel="can1")
+    assert errors[0] == LogFrame(
+        1_651_142_693_580_003_000, 0x80, bytes(8), False, error=True, channel="can1"
+    )
 
 
 @pytest.mark.parametrize("suffix", ["asc", "blf", "trc", "csv", "log.gz"])

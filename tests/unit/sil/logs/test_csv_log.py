@@ -28,6 +28,26 @@ def test_savvycan_table() -> None:
     ]
 
 
+def test_savvycan_stamps_since_1970(tmp_path: Path) -> None:
+    """SavvyCAN writes microseconds; since 1970 these have 16 digits."""
+    path = tmp_path / "log.csv"
+    text = (DATA / "savvycan.csv").read_text().splitlines()
+    path.write_text(f"{text[0]}\n1700000000123456,00000123,false,Rx,0,1,1A,\n")
+    reader = open_log(path)
+    assert [frame.time_ns for frame in reader] == [1_700_000_000_123_456_000]
+    assert reader.report.time_base == "absolute"
+
+
+def test_gvret_table_without_a_direction(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "Time Stamp,ID,Extended,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n166064000,0000021A,false,0,2,FE,36,\n"
+    )
+    assert list(open_log(path)) == [
+        LogFrame(166_064_000_000, 0x21A, b"\xfe\x36", False, channel="0")
+    ]
+
+
 def test_css_electronics_table() -> None:
     assert list(open_log(DATA / "css.csv")) == [
         LogFrame(

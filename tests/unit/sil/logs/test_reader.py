@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 from pathlib import Path
 
@@ -137,6 +138,18 @@ def test_unknown_formats_and_names(tmp_path: Path) -> None:
         open_writer(tmp_path, format="candump")
     with pytest.raises(InputError, match="No such file"):
         open_writer(tmp_path / "missing" / "log.log")
+
+
+def test_devices_and_pipes_are_refused(tmp_path: Path) -> None:
+    """They would be read without an end, or replaced by the log."""
+    fifo = tmp_path / "log.log"
+    os.mkfifo(fifo)
+    for path in (fifo, Path("/dev/zero"), Path("/dev/full")):
+        with pytest.raises(InputError, match=r"is a pipe or device; expected a log file$"):
+            open_log(path, format="candump")
+        with pytest.raises(InputError, match=r"is a pipe or device; expected the name of a file$"):
+            open_writer(path, format="candump")
+    assert fifo.is_fifo()
 
 
 @pytest.mark.parametrize("name", FORMATS)
