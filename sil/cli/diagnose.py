@@ -29,6 +29,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.diagnosis.report import write_report
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import finite
+    from sil.files.progress import Progress
 
     if is_force_rig(arguments.campaign):
         return run_force(arguments)
@@ -36,11 +37,10 @@ def run(arguments: argparse.Namespace) -> int:
     parameters = load(arguments.model)
     folder = free_folder(arguments, campaign.name)
 
-    def told(text: str) -> None:
-        if sys.stderr.isatty():
-            print(text, file=sys.stderr)
-
-    result = diagnose(campaign, parameters, workers=max(1, arguments.workers), progress=told)
+    with Progress(f"diagnosing {campaign.name}", "%") as progress:
+        result = diagnose(
+            campaign, parameters, workers=max(1, arguments.workers), progress=progress
+        )
     if result.extended is not None:
         write_atomically(folder / "extended_model.toml", result.extended)
     beyond = write_report(result, folder, arguments.campaign, arguments.model)

@@ -28,8 +28,9 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.campaign.campaign import load_campaign
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import finite, prepare_folder
+    from sil.files.progress import Progress
     from sil.identify.estimate import Identified, model_file
-    from sil.identify.picture import draw
+    from sil.report.picture import save
 
     parameters = load(arguments.model)
     campaign = load_campaign(arguments.campaign)
@@ -42,11 +43,12 @@ def run(arguments: argparse.Namespace) -> int:
         from sil.identify.exponents import identify_alpha as method
     else:
         from sil.identify.oil import identify_damper as method
-    found = method(campaign, parameters)
     name = f"{campaign.name}-{arguments.what}"
+    with Progress(f"identifying {arguments.what}", "steps") as progress:
+        found = method(campaign, parameters, progress)
     folder = prepare_folder(arguments.out, name, arguments.force)
     write_atomically(folder / "model.toml", model_file(found, parameters))
-    draw(found, folder / f"{arguments.what}.png")
+    save(found.figure, folder, arguments.what)
     if arguments.json:
         table = {
             "what": found.what,

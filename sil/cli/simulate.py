@@ -31,6 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
         from sil.campaign.campaign import load_campaign
         from sil.campaign.simulate import campaign_folder, simulate_campaign, write_campaign
         from sil.files.output_folder import finite, prepare_folder
+        from sil.files.progress import Progress
         from sil.files.settings import model_settings
 
     campaign = load_campaign(arguments.campaign)
@@ -52,6 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
                 "balances_closed": item.stroke.balance.closed,
             }
         )
+        progress(len(rows), len(campaign.strokes))
         if not arguments.json:
             deviations = "  ".join(shown(name, value) for name, value in item.rms.items())
             print(
@@ -60,7 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
                 f"impact {item.impact_speed_m_s:7.4f} m/s  {deviations}"
             )
 
-    write_campaign(campaign, simulate_campaign(campaign, parameters), folder, note)
+    with Progress(f"simulating {campaign.name}", "strokes") as progress:
+        write_campaign(campaign, simulate_campaign(campaign, parameters), folder, note)
     if arguments.json:
         print(json.dumps(finite({"campaign": campaign.name, "out": str(folder), "strokes": rows})))
     else:

@@ -6,7 +6,7 @@ Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -37,6 +37,7 @@ from sil.diagnosis.split import odd_ones_in, split
 from sil.diagnosis.structure import Structure, structure_of
 from sil.diagnosis.terms import try_terms
 from sil.diagnosis.verdict import Verdict, acceptable, decide
+from sil.diagnosis.workers import Show, no_progress
 from sil.fitting.fit import FitResult, Fitter
 from sil.fitting.floor import misfit
 from sil.fitting.hypotheses import Candidate, candidates
@@ -114,25 +115,24 @@ def diagnose(
     parameters: ParameterSet,
     *,
     workers: int = 2,
-    progress: Callable[[str], None] | None = None,
+    progress: Show = no_progress,
 ) -> Diagnosis:
     """Diagnose a campaign of the project's own rigs.
 
-    parameters: the model that is questioned.  Deterministic; the same with any number of workers.
+    parameters: the model that is questioned. progress(done, size): called from time to time.
+    Deterministic; the same with any number of workers.
 
     Raises
     ------
     InputError : a campaign that cannot be read or compared, named in one line
     """
-    told = progress or (lambda _text: None)
     clock = Stopwatch()
     strokes, findings = observed(campaign, parameters)
     model = CampaignModel(strokes, Spread.of(parameters))
     structure = structure_of(strokes)
     clock.lap("read")
     training, held_out = placed(model)
-    told(f"{len(training)} strokes train, {len(held_out)} are held out")
-    search = Search(model, available(strokes), training, workers)
+    search = Search(model, available(strokes), training, workers, progress)
     try:
         found = search.run()
     except IntegrationError as error:
@@ -140,11 +140,12 @@ def diagnose(
             f"{campaign.folder}: the nominal model cannot follow this campaign: {error}"
         ) from None
     clock.lap("search")
-    told(f"{len(found.fits)} hypotheses fitted")
+    search.stages.until(85.0)
     judged = judged_hypotheses(search, found, held_out, workers)
     verdict = decide(judged, len(strokes))
     clock.lap("judge")
-    if try_terms(search, found, verdict, judged, told):
+    search.stages.until(95.0)
+    if try_terms(search, found, verdict, judged):
         judged = judged_hypotheses(search, found, held_out, workers)
         verdict = decide(judged, len(strokes))
     clock.lap("terms")
@@ -152,7 +153,6 @@ def diagnose(
     final = healthy if not verdict.claimed else whole_fit(search.fitter, verdict.leader)
     gain = gain_between(model, verdict, held_out)
     causes = reported(model, search.fitter, verdict, judged, final, gain, workers)
-    told(f"verdict: {verdict.kind}")
     extended = extended_model(parameters, final, causes, campaign) if verdict.claimed else None
     following = next_experiment(model, verdict, judged)
     findings += check_strokes(model, final)

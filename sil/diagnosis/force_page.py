@@ -6,20 +6,16 @@ Checked by: tests/unit/sil/diagnosis/test_force_rig.py, tests/browser/
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sil.diagnosis.force_rig import TERMS, ForceDiagnosis, base, gains
-from sil.diagnosis.pictures import AFTER, BEFORE, MEASURED, new_figure
 from sil.files.atomic import write_atomically
-from sil.report.figures import save
-from sil.report.interactive import Group, Panel, Series, plots
+from sil.report.figure import Figure, Panel, Series, Stack
+from sil.report.picture import save
+from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
 DRAWN = 4000
@@ -27,58 +23,53 @@ PLAIN = "Coulomb, viscous, offset"
 
 
 def forces(found: ForceDiagnosis) -> tuple[Floats, Floats, Floats]:
-    """Force [N] without inertia: measured, of the plain body, with the causes claimed."""
+    """Return force without inertia, each [n] in N: measured, of the plain body, with the causes."""
     motion = found.motion
-    plain, left = base(motion, found.mass_kg)
+    plain, target = base(motion, found.mass_kg)
     added = [
         TERMS[n].feature(motion, s)
         for n, s in zip(found.leader.names, found.leader.shapes, strict=True)
     ]
     whole = np.column_stack([plain, *added])
-    first = np.linalg.lstsq(plain, left, rcond=None)[0]
-    second = np.linalg.lstsq(whole, left, rcond=None)[0]
-    inertia = plain[:, 3] * second[3] if plain.shape[1] > 3 else np.zeros(len(left))
-    return left - inertia, plain @ first - inertia, whole @ second - inertia
+    first = np.linalg.lstsq(plain, target, rcond=None)[0]
+    second = np.linalg.lstsq(whole, target, rcond=None)[0]
+    inertia = plain[:, 3] * second[3] if plain.shape[1] > 3 else np.zeros(len(target))
+    return target - inertia, plain @ first - inertia, whole @ second - inertia
 
 
-def picture(found: ForceDiagnosis) -> Figure:
-    """Force without inertia against speed: measured, plain friction, with the causes claimed."""
+def models(found: ForceDiagnosis) -> list[tuple[str, Floats, str]]:
+    """Return label, force without inertia [n] in N and colour of the measurement and of each model."""
     measured, plain, whole = forces(found)
-    shown = np.linspace(0, len(measured) - 1, min(DRAWN, len(measured))).astype(int)
-    figure = new_figure(8.0, 4.5)
-    axes = figure.add_subplot()
-    speed = found.motion.speed_m_s[shown]
-    for values, colour, label in (
-        (measured, MEASURED, "measured, inertia taken off"),
-        (plain, BEFORE, PLAIN),
-        (whole, AFTER, "with " + " + ".join(found.leader.names)),
-    ):
-        if found.leader.names or colour != AFTER:
-            axes.plot(speed, values[shown], ".", markersize=2, color=colour, label=label)
-    axes.set_xlabel("speed [m/s]")
-    axes.set_ylabel("force [N]")
-    axes.legend(markerscale=5)
-    return figure
-
-
-def force_plots(found: ForceDiagnosis) -> Group:
-    """Force, speed and position over the time in motion."""
-    motion = found.motion
-    measured, plain, whole = forces(found)
-    lines = [Series("measured", measured, "measured"), Series(PLAIN, plain, "before")]
+    rows = [("measured, without inertia", measured, "measured"), (PLAIN, plain, "before")]
     if found.leader.names:
-        name = "with " + " + ".join(found.leader.names)
-        lines.append(Series(name, whole, "after", dashed=True))
-    time_s = np.arange(len(measured)) / motion.rate_hz
-    return plots(
-        "time in motion, s",
-        time_s,
-        [
-            Panel("Force, inertia taken off", "N", lines, 220),
-            Panel("Speed", "m/s", [Series("measured", motion.speed_m_s, "measured")], 120),
-            Panel("Position", "m", [Series("measured", motion.position_m, "measured")], 120),
-        ],
-    )
+        rows.append(("with " + " + ".join(found.leader.names), whole, "after"))
+    return rows
+
+
+def speed_figure(found: ForceDiagnosis) -> Figure:
+    """Return the force without inertia against speed."""
+    order = np.argsort(found.motion.speed_m_s, kind="stable")
+    drawn = order[np.linspace(0, len(order) - 1, min(DRAWN, len(order))).astype(int)]
+    speed = found.motion.speed_m_s[drawn]
+    dots = [Series(label, speed, f[drawn], role, "dots") for label, f, role in models(found)]
+    return Figure([Stack("speed, m/s", [Panel("Force", "N", dots, height=320)])])
+
+
+def time_figure(found: ForceDiagnosis) -> Figure:
+    """Return force, speed and position over the time in motion."""
+    motion = found.motion
+    x = np.arange(len(motion.force_n)) / motion.rate_hz
+    lines = [
+        Series(label, x, force, role, dashed=role == "after")
+        for label, force, role in models(found)
+    ]
+    panels = [Panel("Force, without inertia", "N", lines, height=220)]
+    for title, unit, values in (
+        ("Speed", "m/s", motion.speed_m_s),
+        ("Position", "m", motion.position_m),
+    ):
+        panels.append(Panel(title, unit, [Series("measured", x, values, "measured")], height=120))
+    return Figure([Stack("time in motion, s", panels)])
 
 
 def write_page(found: ForceDiagnosis, folder: Path, campaign: str) -> None:
@@ -104,6 +95,7 @@ def write_page(found: ForceDiagnosis, folder: Path, campaign: str) -> None:
         good=plain["verdict"] == "consistent",
         tiles=[
             (f"{found.error(found.plain):.2%}", "relative force error, plain body"),
+            (f"{found.over_noise(found.leader):.3g}", "residual over noise"),
             *(
                 (f"{c['probability']:.2f}", f"probability of {c['id']}")
                 for c in plain["causes"][:3]
@@ -114,14 +106,19 @@ def write_page(found: ForceDiagnosis, folder: Path, campaign: str) -> None:
     page = render(
         "force.html",
         head,
-        [force_plots(found)],
+        plots(time_figure(found), repeated=False),
         detectability=plain["detectability"],
         causes=plain["causes"],
         picture=Picture(
-            save(picture(found), folder, "force"),
+            save(speed_figure(found), folder, "force"),
             "Force against speed",
             "Driving force without inertia: measured, of the plain body, and with what is claimed.",
         ),
+        findings=plain["findings"] if found.doubts else [],
+        body=[
+            (name, f"{v['value']:.4g} {v['unit']}", f"{v['low']:.4g} to {v['high']:.4g}")
+            for name, v in plain["body"].items()
+        ],
         plain_error=f"{found.error(found.plain):.2%}",
         rows=rows,
     )

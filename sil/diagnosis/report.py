@@ -14,23 +14,23 @@ import numpy as np
 from sil.diagnosis.consequence import Change, consequence
 from sil.diagnosis.diagnosis import FALSE_ALARM_BASIS, FALSE_ALARM_LEVEL, Diagnosis
 from sil.diagnosis.evidence import figure
-from sil.diagnosis.judge import Judged
-from sil.diagnosis.one_equation import Alone, alone
-from sil.diagnosis.pictures import (
-    alone_picture,
-    phases_picture,
-    strokes_picture,
-    term_picture,
+from sil.diagnosis.figures import (
+    equations_figure,
+    phases_figure,
+    strokes_figure,
+    term_figure,
     worst,
 )
-from sil.diagnosis.plots import stroke_plots
+from sil.diagnosis.judge import Judged
+from sil.diagnosis.one_equation import Alone, alone
 from sil.diagnosis.residuals import Shown, show
 from sil.diagnosis.structure import FAULTS
 from sil.diagnosis.terms import form_of
 from sil.diagnosis.verdict import UNNAMED
 from sil.files.atomic import write_atomically
 from sil.fitting.hypotheses import Candidate
-from sil.report.figures import save
+from sil.report.picture import save
+from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 
 STROKES_CAPTION = (
@@ -40,7 +40,7 @@ STROKES_CAPTION = (
 )
 PHASES_CAPTION = (
     "Rms of residuals over their expected scatter (1 = explained), by channel and phase of the "
-    "stroke: the healthy model, and the model that stands."
+    "stroke: the healthy model, and the extended one."
 )
 ALONE_CAPTION = (
     "One equation at a time: measured pressures into the stay's force balance, measured position "
@@ -61,14 +61,15 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
     """
     before, after = show(result.model, result.healthy), show(result.model, result.final)
     where = "held out" if result.held_out else "measured"
+    strokes = strokes_figure(result)
     pictures = {
         "strokes": Picture(
-            save(strokes_picture(result), folder, "strokes"),
+            save(strokes, folder, "strokes"),
             "Measured and simulated strokes",
             STROKES_CAPTION.format(where=where),
         ),
         "phases": Picture(
-            save(phases_picture(before, after), folder, "phases"),
+            save(phases_figure(before, after), folder, "phases"),
             "Standardised residuals by channel and phase",
             PHASES_CAPTION,
         ),
@@ -76,7 +77,7 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
     found = equations(result)
     if found is not None:
         pictures["alone"] = Picture(
-            save(alone_picture(result, found), folder, "equations"),
+            save(equations_figure(result, found), folder, "equations"),
             "Residuals one equation at a time",
             ALONE_CAPTION,
         )
@@ -84,7 +85,7 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
         if candidate is not None:
             pictures["term"] = Picture(
                 save(
-                    term_picture(form_of(candidate), list(cause.parameters.values())),
+                    term_figure(form_of(candidate), list(cause.parameters.values())),
                     folder,
                     "term",
                 ),
@@ -106,7 +107,7 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
     page = render(
         "diagnosis.html",
         head,
-        stroke_plots(result),
+        plots(strokes),
         summary=summary(result),
         causes=[
             {

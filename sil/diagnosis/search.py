@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from plant.integrator.hybrid import IntegrationError
 from sil.diagnosis.screening import Score, screen
 from sil.diagnosis.split import stratum
-from sil.diagnosis.workers import spread_out
+from sil.diagnosis.workers import Show, Stages, no_progress, spread_out
 from sil.fitting.fit import FitResult, Fitter
 from sil.fitting.floor import misfit, strained
 from sil.fitting.hypotheses import Candidate, compatible, scaled_of
@@ -90,6 +90,7 @@ class Search:
         candidates: Sequence[Candidate],
         training: Sequence[int],
         workers: int = 1,
+        progress: Show = no_progress,
     ) -> None:
         self.model = model
         self.fitter = Fitter(model)
@@ -98,6 +99,8 @@ class Search:
         self.sample = sample_of(model, self.training)
         self.sample_size = sum(len(model.measured(k)) for k in self.sample)
         self.workers = workers
+        self.stages = Stages(progress)
+        self.stages.until(5.0)
         self.first: list[FitResult] = []
         self.known: dict[str, dict[int, Block]] = {}
 
@@ -105,7 +108,9 @@ class Search:
         """Healthy fit, singles, pairs."""
         healthy = self.fitter.fit(use=self.training, iterations=8, fine=True)
         found = Found(healthy)
+        self.stages.until(45.0)
         self.singles(found)
+        self.stages.until(75.0)
         self.pairs(found)
         self.variants(found)
         return found
@@ -178,7 +183,7 @@ class Search:
     def run_tasks(self, tasks: Sequence[Task]) -> list[FitResult]:
         """First fits, side by side, on the sample of the training strokes; best first."""
         done: dict[str, FitResult] = {}
-        for fit in spread_out(self.attempt, tasks, self.workers):
+        for fit in spread_out(self.attempt, tasks, self.workers, self.stages):
             if fit is not None and (fit.name not in done or fit.cost < done[fit.name].cost):
                 done[fit.name] = fit
         return sorted(done.values(), key=lambda fit: fit.evidence())

@@ -7,7 +7,7 @@ Checked by: tests/unit/sil/diagnosis/test_terms.py
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -87,7 +87,6 @@ def try_terms(
     found: Found,
     verdict: Verdict,
     judged: Sequence[Judged],
-    progress: Callable[[str], None],
 ) -> bool:
     """Fit non-parametric terms alone and beside the best single; True if any was tried.
 
@@ -96,16 +95,7 @@ def try_terms(
     """
     best = min(judged, key=lambda item: item.score)
     detail = SMALL * max(1.0, verdict.healthy.whole.excess) + 0.02 * best.whole.count
-    if best.whole.beyond > detail:
-        progress(
-            f"the best named hypothesis, {best.name}, leaves {best.whole.rms:.3g} of the expected "
-            "scatter: terms"
-        )
-    elif strained(best.training):
-        progress(
-            f"the best named hypothesis, {best.name}, takes strokes that differ too much: terms"
-        )
-    else:
+    if best.whole.beyond <= detail and not strained(best.training):
         return False
     tasks = []
     singles = found.of_size(1)

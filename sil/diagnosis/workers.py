@@ -6,12 +6,40 @@ Checked by: tests/unit/sil/diagnosis/test_workers.py
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any, TypeVar
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
+
+Show = Callable[[float, float], None]
+"""Shows that so much of so much is done."""
+
+
+def no_progress(done: float, size: float) -> None:
+    """Show nothing."""
+
+
+class Stages:
+    """Progress over stages of unlike length, each with a share of the whole."""
+
+    def __init__(self, show: Show) -> None:
+        """`show(done, size)` is called with a size of 100."""
+        self._show = show
+        self._begin = self._end = 0.0
+
+    def until(self, percent: float) -> Show:
+        """Begin the stage that ends at a percentage of the whole, and return its progress."""
+        self._begin, self._end = self._end, percent
+        self(0.0, 1.0)
+        return self
+
+    def __call__(self, done: float, size: float) -> None:
+        """Show that `done` of `size` of the stage is done."""
+        share = done / size if size > 0.0 else 1.0
+        self._show(round(self._begin + (self._end - self._begin) * share), 100)
+
 
 _WORK: list[Callable[[Any], Any]] = []
 
@@ -20,17 +48,31 @@ def _call(item: Any) -> Any:
     return _WORK[-1](item)
 
 
-def spread_out(work: Callable[[Item], Answer], items: Sequence[Item], workers: int) -> list[Answer]:
-    """work(item) of every item; in `workers` forked processes if that is more than one.
+def spread_out(
+    work: Callable[[Item], Answer],
+    items: Sequence[Item],
+    workers: int,
+    progress: Show = no_progress,
+) -> list[Answer]:
+    """Return work(item) of every item; in `workers` forked processes if that is more than one.
 
     The work may hold anything (it is inherited by the fork); items and answers are pickled.
+    progress(done, size) is called after every item.
     """
+    found: list[Answer] = []
+
+    def collect(answers: Iterable[Answer]) -> list[Answer]:
+        for answer in answers:
+            found.append(answer)
+            progress(len(found), len(items))
+        return found
+
     if workers <= 1 or len(items) <= 1:
-        return [work(item) for item in items]
+        return collect(map(work, items))
     _WORK.append(work)
     try:
         context = multiprocessing.get_context("fork")
         with ProcessPoolExecutor(min(workers, len(items)), mp_context=context) as pool:
-            return list(pool.map(_call, items))
+            return collect(pool.map(_call, items))
     finally:
         _WORK.pop()

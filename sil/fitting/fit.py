@@ -12,7 +12,7 @@ Checked by: tests/unit/sil/fitting/test_fit.py
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,8 +106,14 @@ class FitResult:
 class Fitter:
     """Fits hypotheses to the strokes of a campaign."""
 
-    def __init__(self, model: CampaignModel) -> None:
+    def __init__(
+        self,
+        model: CampaignModel,
+        progress: Callable[[float, float], None] = lambda done, size: None,
+    ) -> None:
+        """progress(done, size) is called at every iteration."""
         self.model = model
+        self.progress = progress
 
     def cost(
         self,
@@ -183,6 +189,7 @@ class Fitter:
         central = False
         kept = dict(reuse or {})
         while True:
+            self.progress(done, iterations)
             own_only = done < min(effects_first, iterations)
             stale = bool(kept) and not own_only
             blocks = {

@@ -20,7 +20,7 @@ from sil.fitting.floor import misfit
 from sil.fitting.hypotheses import Candidate
 from sil.fitting.nuisance import Spread
 from sil.fitting.observations import observe
-from sil.identify.estimate import Estimate
+from sil.identify.estimate import Estimate, Show, no_progress
 from sil.identify.tangent_model import TangentModel
 
 
@@ -39,6 +39,7 @@ def fit_factors(
     places: dict[str, tuple[int, ...]],
     known: Sequence[str],
     source: str,
+    progress: Show = no_progress,
 ) -> Fitted:
     """Fit factors on packed parameters.
 
@@ -65,7 +66,7 @@ def fit_factors(
     layout = model.layout((candidate,))
     frozen = [layout.names.index(name) for name in known]
     start = np.zeros(len(layout.names))
-    found = Fitter(model).fit((candidate,), start=start, freeze=frozen, iterations=20)
+    found = Fitter(model, progress).fit((candidate,), start=start, freeze=frozen, iterations=20)
     free = [k for k in range(len(layout.names)) if k not in frozen]
     covariance = np.linalg.pinv(found.normal[np.ix_(free, free)])
     reduced = max(1.0, found.chi2 / found.size)

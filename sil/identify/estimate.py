@@ -1,8 +1,8 @@
-"""What an identification returns: values with intervals, checks in words, curves to draw."""
+"""What an identification returns: values with intervals, checks in words, a figure."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,8 +10,15 @@ from numpy.typing import NDArray
 
 from plant.parameters import ParameterSet
 from sil.fitting.floor import EXPLAINED
+from sil.report.figure import Figure
 
 Floats = NDArray[np.float64]
+Show = Callable[[float, float], None]
+"""Shows that so much of so much is done."""
+
+
+def no_progress(done: float, size: float) -> None:
+    """Show nothing."""
 
 
 @dataclass(frozen=True)
@@ -26,26 +33,6 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Curve:
-    """One line or cloud of a picture."""
-
-    label: str
-    x: Floats
-    y: Floats
-    kind: str = "line"
-
-
-@dataclass(frozen=True)
-class Panel:
-    """One picture: axis labels and curves."""
-
-    title: str
-    x_label: str
-    y_label: str
-    curves: Sequence[Curve]
-
-
-@dataclass(frozen=True)
 class Identified:
     """The outcome of one identification.
 
@@ -57,7 +44,7 @@ class Identified:
     what: str
     estimates: tuple[Estimate, ...]
     notes: tuple[str, ...]
-    panels: tuple[Panel, ...]
+    figure: Figure
     over_noise: float
     beside: tuple[Estimate, ...] = ()
 

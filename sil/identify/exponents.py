@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from plant.batch.prediction import copied
@@ -11,8 +13,9 @@ from plant.systems.driven import pressures_along
 from plant.systems.setup import make_setup
 from sil.campaign.campaign import Campaign
 from sil.fitting.observations import air_noise_pa
-from sil.identify.estimate import Curve, Estimate, Floats, Identified, Panel
+from sil.identify.estimate import Estimate, Floats, Identified, Show, no_progress
 from sil.identify.friction import plain_strokes
+from sil.report.figure import BAR, Figure, Panel, Series, Stack
 
 NAMES = ("alpha_m1", "alpha_1", "alpha_m2", "alpha_2")
 PLACES = (Parameters.alpha_m1, Parameters.alpha_1, Parameters.alpha_m2, Parameters.alpha_2)
@@ -33,7 +36,9 @@ def position_error_m(parameters: ParameterSet, count: int, seed: int) -> Floats:
     return np.asarray(noise + generator.uniform(-0.5 * step, 0.5 * step, count) + step / 12**0.5)
 
 
-def identify_alpha(campaign: Campaign, parameters: ParameterSet) -> Identified:
+def identify_alpha(
+    campaign: Campaign, parameters: ParameterSet, progress: Show = no_progress
+) -> Identified:
     """alpha_m and alpha of charging and discharging from a campaign's fixed-piston strokes.
 
     Position-driven: friction plays no part.  Each stroke's delays and supply are fitted with them.
@@ -81,7 +86,10 @@ def identify_alpha(campaign: Campaign, parameters: ParameterSet) -> Identified:
         )
         return pressures_along(twin, time_s, np.maximum(position + error_m, 0.0))
 
+    calls = itertools.count()
+
     def residual(x: Floats) -> Floats:
+        progress(next(calls), 40 * len(x))
         parts = [
             ((modelled(x, k) - prepared[k][3]) / 500.0)[::5].ravel() for k in range(len(prepared))
         ]
@@ -114,19 +122,12 @@ def identify_alpha(campaign: Campaign, parameters: ParameterSet) -> Identified:
         )
     _setup, time_s, _position, measured = prepared[0]
     shown = modelled(fit.x, 0)
-    panel = Panel(
-        "Pressures with imposed position",
-        "time, s",
-        "pressure, Pa",
-        tuple(
-            Curve(label, time_s[::10], values[::10, k], kind)
-            for k in (0, 1)
-            for label, values, kind in (
-                (f"P{k + 1} measured", measured, "points"),
-                (f"P{k + 1} fitted", shown, "line"),
-            )
-        ),
-    )
+    lines = []
+    for k, role in enumerate(("series0", "series1")):
+        x, points, fitted = (a[::10] for a in (time_s, BAR * measured[:, k], BAR * shown[:, k]))
+        lines.append(Series(f"P{k + 1} measured", x, points, role, "dots"))
+        lines.append(Series(f"P{k + 1} fitted", x, fitted, role))
+    panel = Panel("Pressures with imposed position", "bar", lines, height=320)
     rms_pa = float(
         np.sqrt(np.mean([(modelled(fit.x, k) - p[3]) ** 2 for k, p in enumerate(prepared)]))
     )
@@ -140,4 +141,6 @@ def identify_alpha(campaign: Campaign, parameters: ParameterSet) -> Identified:
     noise_pa = np.hypot(air_noise_pa(parameters), np.sqrt(np.mean(np.square(carried))))
     over_noise = rms_pa / float(noise_pa)
     notes = (f"rms of the fit {rms_pa:.0f} Pa",)
-    return Identified("alpha", tuple(estimates), notes, (panel,), over_noise)
+    return Identified(
+        "alpha", tuple(estimates), notes, Figure([Stack("time, s", [panel])]), over_noise
+    )

@@ -22,7 +22,8 @@ from plant.systems.setup import make_setup
 from plant.systems.stroke import valve_moves
 from sil.campaign.campaign import Campaign, Record
 from sil.fitting.observations import air_noise_pa
-from sil.identify.estimate import Curve, Estimate, Floats, Identified, Panel
+from sil.identify.estimate import Estimate, Floats, Identified, Show, no_progress
+from sil.report.figure import Figure, Panel, Series, Stack
 
 SMOOTH_S = 0.004
 HELD_PA = 0.5e5
@@ -196,7 +197,9 @@ def two_polynomials(
     return full[: near + 1], full[near + 1 :]
 
 
-def identify_flow(campaign: Campaign, parameters: ParameterSet) -> Identified:
+def identify_flow(
+    campaign: Campaign, parameters: ParameterSet, progress: Show = no_progress
+) -> Identified:
     """Both flow maps of a campaign with fill and empty records at rest.
 
     Raises InputError when a direction is missing, or no second volume is there to check on.
@@ -206,9 +209,10 @@ def identify_flow(campaign: Campaign, parameters: ParameterSet) -> Identified:
     gas = value("gas.R_air")
     estimates: list[Estimate] = []
     notes: list[str] = []
-    panels: list[Panel] = []
+    stacks: list[Stack] = []
     changes: dict[str, tuple[float, ...]] = {}
-    for charging in (True, False):
+    for number, charging in enumerate((True, False)):
+        progress(number, 2)
         word = "filling" if charging else "emptying"
         chosen = [r for r in records if r.charging == charging]
         if not chosen:
@@ -253,23 +257,20 @@ def identify_flow(campaign: Campaign, parameters: ParameterSet) -> Identified:
             changes["flow_charge.y_min"] = (float(np.min(x)),)
         notes.append(f"{word}: {len(x)} points from {len(fitted)} records, scatter {scatter:.2e}")
         order = np.argsort(x)
-        panels.append(
-            Panel(
-                f"Flow, {word}",
-                "P / P_s" if charging else "P / P_atm",
-                "epsilon / reference pressure, K kg/(s Pa)",
-                (
-                    Curve("measured", x[order][::7], y[order][::7], "points"),
-                    Curve("two polynomials", x[order][::7], fit[order][::7]),
-                ),
-            )
-        )
+        points, line = y[order][::7], fit[order][::7]
+        lines = [
+            Series("measured", x[order][::7], points, "measured", "dots"),
+            Series("two polynomials", x[order][::7], line, "after"),
+        ]
+        panel = Panel("flow / reference pressure", "K kg/(s Pa)", lines, height=320)
+        axis = "P / P_s" if charging else "P / P_atm"
+        stacks.append(Stack(axis, [panel], f"Flow, {word}", width=6.4))
     found = parameters.override(
         {path: list(v) for path, v in changes.items() if path[-5:] != "y_min"}
     )
     notes += checks(records, found, campaign)
     over_noise = float(np.sqrt(np.mean([rate_misfit(r, found, campaign) for r in records])))
-    return Identified("flow", tuple(estimates), tuple(notes), tuple(panels), over_noise)
+    return Identified("flow", tuple(estimates), tuple(notes), Figure(stacks), over_noise)
 
 
 def best_degrees(

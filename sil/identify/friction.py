@@ -1,4 +1,4 @@
-"""Friction of the fixed piston: breakaway, F - m a against v, and a whole-record fit beside it.
+"""Friction of the fixed piston: breakaway, F - m a against v, and a whole-record fit.
 
 The thesis's way differentiates a potentiometer twice, and its scatter is wide; the interval says
 so, counting strokes, not samples.  The whole-record fit simulates each stroke and fits breakaway,
@@ -15,7 +15,8 @@ from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
 from sil.campaign.campaign import Campaign, CampaignStroke, Record
 from sil.identify.campaign_fit import Fitted, fit_factors
-from sil.identify.estimate import Curve, Estimate, Floats, Identified, Panel, interval
+from sil.identify.estimate import Estimate, Floats, Identified, Show, interval, no_progress
+from sil.report.figure import Figure, Panel, Series, Stack
 
 
 def plain_strokes(campaign: Campaign) -> list[tuple[CampaignStroke, Record]]:
@@ -86,7 +87,9 @@ def beginning(time_s: Floats, position_m: Floats, share: float) -> tuple[float, 
     return float(fit.x[0]), float(np.sqrt(covariance[0, 0]))
 
 
-def identify_friction(campaign: Campaign, parameters: ParameterSet) -> Identified:
+def identify_friction(
+    campaign: Campaign, parameters: ParameterSet, progress: Show = no_progress
+) -> Identified:
     """Static and dynamic friction of the fixed piston from a campaign's unloaded strokes."""
     from scipy.signal import savgol_filter
 
@@ -142,7 +145,7 @@ def identify_friction(campaign: Campaign, parameters: ParameterSet) -> Identifie
             "friction_fixed.beta", slope, beta_low, beta_high, f"F - m a against v, {n} strokes"
         ),
     )
-    fitted = whole_record(campaign, strokes, parameters)
+    fitted = whole_record(campaign, strokes, parameters, progress)
     better = fitted.estimates
     line = np.array([float(np.min(v)), float(np.max(v))])
     notes = (
@@ -150,27 +153,23 @@ def identify_friction(campaign: Campaign, parameters: ParameterSet) -> Identifie
         f"breakaway of single strokes {min(static):.1f} to {max(static):.1f} N",
         "values written are those of the whole-record fit",
     )
-    panel = Panel(
-        "Friction against speed",
-        "speed, m/s",
-        "F - m a, N",
-        (
-            Curve("measured", v, f, "points"),
-            Curve("F - m a against v", line, slope * line + offset),
-            Curve(
-                "whole-record fit",
-                line,
-                float(better[2].value) * line + float(better[1].value),  # type: ignore[arg-type]
-            ),
-        ),
-    )
-    return Identified("friction", better, notes, (panel,), fitted.over_noise, thesis)
+    fit = float(better[2].value) * line + float(better[1].value)  # type: ignore[arg-type]
+    order = np.argsort(v, kind="stable")
+    series = [
+        Series("measured", v[order], f[order], "measured", "dots"),
+        Series("F - m a against v", line, slope * line + offset, "before"),
+        Series("whole-record fit", line, fit, "after"),
+    ]
+    panel = Panel("F - m a", "N", series, height=320)
+    figure = Figure([Stack("speed, m/s", [panel], "Friction against speed")])
+    return Identified("friction", better, notes, figure, fitted.over_noise, thesis)
 
 
 def whole_record(
     campaign: Campaign,
     strokes: list[tuple[CampaignStroke, Record]],
     parameters: ParameterSet,
+    progress: Show,
 ) -> Fitted:
     """Breakaway, Coulomb level and slope fitted to whole records, healthy scatter included."""
     return fit_factors(
@@ -184,4 +183,5 @@ def whole_record(
         },
         ("friction",),
         f"whole-record fit of {len(strokes)} strokes with their scatter",
+        progress,
     )

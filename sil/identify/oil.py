@@ -12,10 +12,13 @@ from plant.parameters import ParameterSet
 from plant.systems.stroke import simulate
 from sil.campaign.campaign import Campaign
 from sil.identify.campaign_fit import fit_factors
-from sil.identify.estimate import Curve, Identified, Panel
+from sil.identify.estimate import Identified, Show, no_progress
+from sil.report.figure import BAR, Figure, Panel, Series, Stack
 
 
-def identify_damper(campaign: Campaign, parameters: ParameterSet) -> Identified:
+def identify_damper(
+    campaign: Campaign, parameters: ParameterSet, progress: Show = no_progress
+) -> Identified:
     """Outlets and bulk modulus from a campaign's strokes with the compressible damper."""
     strokes = []
     for entry in campaign.strokes:
@@ -41,18 +44,15 @@ def identify_damper(campaign: Campaign, parameters: ParameterSet) -> Identified:
         },
         (),
         f"whole-record fit of {len(strokes)} damper strokes with their scatter",
+        progress,
     )
     found = parameters.override({e.path: float(e.value) for e in fitted.estimates})  # type: ignore[arg-type]
     entry, record = strokes[0]
     time_s = record.time_s - record.time_s[0]
     shown = simulate(found, entry.conditions, time_s, internal=False)
-    panel = Panel(
-        "Oil pressure",
-        "time, s",
-        "pressure, Pa",
-        (
-            Curve("measured", time_s, record["pressure_oil2_pa"], "points"),
-            Curve("fitted", time_s, shown.pressure_pa("oil2")),
-        ),
-    )
-    return Identified("damper", fitted.estimates, (), (panel,), fitted.over_noise)
+    lines = [
+        Series("measured", time_s, BAR * record["pressure_oil2_pa"], "measured", "dots"),
+        Series("fitted", time_s, BAR * shown.pressure_pa("oil2"), "after"),
+    ]
+    figure = Figure([Stack("time, s", [Panel("Oil pressure", "bar", lines, height=320)])])
+    return Identified("damper", fitted.estimates, (), figure, fitted.over_noise)
