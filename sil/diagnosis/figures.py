@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 STROKES_DRAWN = 3
-BEFORE, AFTER = "healthy model, tolerances fitted", "extended model"
+BEFORE, AFTER = "healthy model", "extended model"
 UNITS = {"position": ("mm", MM), "pressure": ("bar", BAR), "oil": ("bar", BAR)}
 REDS = ("#fff7ec", "#fdd49e", "#fc8d59", "#d7301f", "#7f0000")
 RMS = ColourScale("log10 of the rms", -0.05, 1.5, REDS)
