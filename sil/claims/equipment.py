@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from sil.claims.claim import MET, NOT_MET, OPEN, PARTLY, Outcome, judged, shows
-from sil.claims.strokes import nominal, plain, run
+from sil.claims.strokes import nominal, plain, run, value
 from sil.simulation.in_memory import MemoryRun, run_in_memory
 
 
@@ -22,7 +22,7 @@ def loop(name: str, *settings: str) -> MemoryRun:
 @shows("F01")
 def _three_positions() -> Outcome:
     ends = {kind: plain(kind).position_m[-1] for kind in ("N-B", "B-N", "N-F", "F-N")}
-    stroke = nominal().value("length.stroke")
+    stroke = value("length.stroke")
     goal = {"N-B": stroke, "B-N": 0.0, "N-F": -stroke, "F-N": 0.0}
     good = all(abs(ends[kind] - goal[kind]) < 1e-6 for kind in goal)
     positions = ", ".join(f"{kind} ends at {1e3 * x:.2f} mm" for kind, x in ends.items())
@@ -47,7 +47,7 @@ def _sampling() -> Outcome:
 
 @shows("F03")
 def _processor() -> Outcome:
-    clock = nominal().value("opc4.clock")
+    clock = value("opc4.clock")
     return Outcome(
         OPEN,
         f"the clock ({clock / 1e6:.0f} MHz) is carried as a budget only",
@@ -57,7 +57,6 @@ def _processor() -> Outcome:
 
 @shows("F04")
 def _gauges() -> Outcome:
-    value = nominal().value
     highest = max(
         float(np.max(plain(kind).pressure_pa(name)))
         for kind in ("fixed", "N-B", "B-N")
@@ -77,7 +76,6 @@ def _gauges() -> Outcome:
 
 @shows("F05")
 def _potentiometer() -> Outcome:
-    value = nominal().value
     share = value("potentiometer.start_force_max") / value("friction_fixed.F_sf")
     good = value("potentiometer.resolution") == 5e-5 and share <= 0.03
     return judged(good, f"steps of 0.05 mm; start force is {100 * share:.1f} % of breakaway")
@@ -88,7 +86,7 @@ def _pulse() -> Outcome:
     from plant.devices.sensors import InductiveSensor
 
     sensor = InductiveSensor.from_parameters(nominal())
-    stroke = nominal().value("length.stroke")
+    stroke = value("length.stroke")
     ends = [float(sensor.duration_s(x, 293.15)) for x in (-stroke, 0.0, stroke)]
     warm = sensor.pulse_s(0.006, 353.15)
     back = float(sensor.position_m(warm, 353.15))
@@ -174,7 +172,7 @@ def _fast_sampling() -> Outcome:
 
 @shows("F11")
 def _scope() -> Outcome:
-    rate = nominal().value("scope.rate")
+    rate = value("scope.rate")
     step = float(np.median(np.diff(plain("fixed").time_s)))
     return Outcome(
         MET if rate == 10000.0 and abs(step - 1e-4) < 1e-12 else PARTLY,

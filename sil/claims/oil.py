@@ -11,7 +11,7 @@ from plant.kernel.layout import Parameters
 from plant.parts.damper import bulk_modulus, discharge_coefficient, large_area
 from plant.systems.stroke import Stroke
 from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged, shows
-from sil.claims.strokes import ATMOSPHERE_PA, arrival, nominal, run, speed
+from sil.claims.strokes import ATMOSPHERE_PA, arrival, run, speed, value
 
 FINE: dict[str, Any] = {"until_s": 0.12, "step_s": 1e-5}
 """End and output step of the strokes with the damper."""
@@ -20,9 +20,9 @@ FINE: dict[str, Any] = {"until_s": 0.12, "step_s": 1e-5}
 @cache
 def damped(variant: str) -> Stroke:
     """Return the fixed stroke with the damper: kappa/10, kappa, or kappa with free air."""
-    put = {} if variant == "kappa/10" else {Parameters.kappa: nominal().value("damper.kappa")}
+    put = {} if variant == "kappa/10" else {Parameters.kappa: value("damper.kappa")}
     if variant == "air":
-        put[Parameters.air_fraction] = nominal().value("damper.air_fraction")
+        put[Parameters.air_fraction] = value("damper.air_fraction")
     return run("fixed", load="damper", put=put, **FINE)
 
 
@@ -34,7 +34,6 @@ def steady() -> Stroke:
 
 @shows("F30")
 def _outlet() -> Outcome:
-    value = nominal().value
     cap, r, hole = value("damper.A_B0"), value("damper.r_hole"), value("damper.x_B")
     x = np.linspace(0.0, value("fixed.stroke"), 400)
     area = np.array([large_area(a, cap, r, hole) for a in x])
@@ -77,7 +76,6 @@ def _decay() -> Outcome:
 
 @shows("F32")
 def _chamber_one() -> Outcome:
-    value = nominal().value
     share = (ATMOSPHERE_PA - value("damper.P_oil1_min")) / float(
         np.max(damped("kappa/10").pressure_pa("oil2")) - ATMOSPHERE_PA
     )
@@ -91,7 +89,6 @@ def _chamber_one() -> Outcome:
 
 @shows("F33")
 def _coefficient() -> Outcome:
-    value = nominal().value
     cap = value("damper.A_B0")
     early = discharge_coefficient(cap, cap, 0.5, 0.65, 0.65)
     late = discharge_coefficient(0.0, cap, 0.2, 0.65, 0.65)
@@ -130,7 +127,7 @@ def _mount_friction() -> Outcome:
         4.0 < drop < 6.0,
         f"with {force:.0f} N in the mount, and outlets opened until the arrival fits again, the "
         f"oil pressure is {drop:.1f} bar lower where the damper acts: {force:.0f} N / A_oil = "
-        f"{force / nominal().value('damper.A_oil') / 1e5:.0f} bar",
+        f"{force / value('damper.A_oil') / 1e5:.0f} bar",
         "another pressure difference",
     )
 

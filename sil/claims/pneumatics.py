@@ -14,12 +14,11 @@ from plant.kernel.packing import flow_coefficients
 from plant.parts.flow import charge, discharge, orifice
 from plant.systems.stroke import Stroke
 from sil.claims.claim import MET, NOT_MET, PARTLY, Outcome, judged, shows
-from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, Floats, nominal, plain, run
+from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, Floats, nominal, plain, run, value
 
 
 @shows("F12")
 def _alpha_range() -> Outcome:
-    value = nominal().value
     names = ("alpha_m1", "alpha_1", "alpha_m2", "alpha_2")
     outside = [n for n in names if not 1.0 <= value(f"alpha.{n}") <= value("gas.gamma")]
     values = ", ".join(f"{n} {value(f'alpha.{n}')}" for n in names)
@@ -88,7 +87,6 @@ def _delays() -> Outcome:
 
 @shows("F17")
 def _delay_scatter() -> Outcome:
-    value = nominal().value
     return Outcome(
         PARTLY,
         f"delays are parameters, scattered by {1e3 * value('repeatability.valve_delay_sd'):.1f} ms a "
@@ -114,14 +112,13 @@ def _duty_closing() -> Outcome:
 
 def flow(ratio: float) -> float:
     """Return the theoretical charge flow at a pressure ratio [K kg/s]."""
-    value = nominal().value
     cda = value("orifice.A_valve") * value("orifice.C_d_in")
     return float(orifice(SUPPLY_PA, ratio * SUPPLY_PA, cda, value("gas.T"), 1.4, 287.05))
 
 
 @shows("F19")
 def _critical() -> Outcome:
-    gamma = nominal().value("gas.gamma")
+    gamma = value("gas.gamma")
     ratio = (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
     below, above = flow(ratio * 0.9), flow(ratio * 1.05)
     good = abs(ratio - 0.5283) < 5e-5 and abs(below / flow(ratio) - 1) < 1e-12 and above < below
@@ -130,7 +127,7 @@ def _critical() -> Outcome:
 
 @shows("F20")
 def _choking() -> Outcome:
-    gamma = nominal().value("gas.gamma")
+    gamma = value("gas.gamma")
     edge = (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
     constant = abs(flow(0.1) / flow(0.5) - 1.0)
     jump = abs(flow(edge + 1e-12) / flow(edge - 1e-12) - 1.0)
@@ -196,7 +193,6 @@ def _theory_poor() -> Outcome:
 def _map_consistent() -> Outcome:
     c = FlowMap(flow_coefficients(nominal()))
     into, out = as_python(charge), as_python(discharge)
-    value = nominal().value
     y, z = value("flow_charge.y_split"), value("flow_discharge.z_split")
     eps = 1e-9
 
@@ -241,7 +237,6 @@ def _three_volumes() -> Outcome:
 
 @shows("F25")
 def _alpha_after() -> Outcome:
-    value = nominal().value
     return Outcome(
         NOT_MET,
         f"Table 3.2's constants stay in force: {value('alpha.alpha_m1')}, {value('alpha.alpha_m2')}",
@@ -253,7 +248,6 @@ def _alpha_after() -> Outcome:
 def _breakaway() -> Outcome:
     stroke = run("fixed", step_s=1e-5, until_s=0.05)
     event = next(e for e in stroke.events if e.name == "breakaway")
-    value = nominal().value
     p1, p2 = (
         float(np.interp(event.time_s, stroke.time_s, stroke.pressure_pa(name))) for name in "12"
     )
@@ -298,7 +292,6 @@ def _dynamic_friction() -> Outcome:
 def _friction_scatter() -> Outcome:
     from plant.devices.sensors import Potentiometer
 
-    value = nominal().value
     pot = Potentiometer(value("potentiometer.resolution"), value("potentiometer.noise_sd"))
     generator = np.random.default_rng(29)
     stroke = plain("fixed")

@@ -58,6 +58,11 @@ def run(
     return run_setup(setup, time_s, internal=False)
 
 
+def value(path: str) -> float:
+    """Return a value of the calibrated parameter set by its path, in the unit of the set."""
+    return nominal().value(path)
+
+
 @cache
 def plain(kind: str) -> Stroke:
     """Return the nominal lab stroke of a kind."""

@@ -11,7 +11,7 @@ from plant.effects.setup import Setup
 from plant.kernel.layout import Parameters
 from plant.systems.stroke import Stroke
 from sil.claims.claim import PARTLY, Outcome, judged, shows
-from sil.claims.strokes import Change, arrival, first_motion_s, nominal, plain, run, speed
+from sil.claims.strokes import Change, arrival, first_motion_s, plain, run, speed, value
 
 N_CHARGED: dict[str, Any] = {
     "commands": ((0.01, "B", 0.98), (0.01, "N", 0.0)),
@@ -180,7 +180,7 @@ def _residual_pressure() -> Outcome:
     }
     vented, charged = run("N-B", **easy), run("N-B", **easy, **N_CHARGED)
     lost = 1e3 * (arrival(charged) - arrival(vented))
-    blow = nominal().value("truck.safety_blow")
+    blow = value("truck.safety_blow")
     return judged(
         45.0 <= lost <= 105.0,
         f"{1e3 * blow:.0f} ms blow; {lost:.0f} ms lost with N at supply pressure",
@@ -198,7 +198,6 @@ def _cushion() -> Outcome:
 
 @shows("F61")
 def _closed_chamber() -> Outcome:
-    value = nominal().value
     volume = value("fixed.V20")
     final = volume - value("fixed.A2") * value("fixed.stroke")
     alpha = value("alpha.alpha_2")

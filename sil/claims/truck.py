@@ -8,7 +8,7 @@ import numpy as np
 
 from plant.systems.stroke import Stroke
 from sil.claims.claim import MET, NOT_MET, PARTLY, Outcome, judged, shows
-from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, arrival, nominal, run, speed
+from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, arrival, nominal, run, speed, value
 
 
 @cache
@@ -38,7 +38,6 @@ def together_s(stroke: Stroke) -> float:
 
 @shows("F44")
 def _plateau() -> Outcome:
-    value = nominal().value
     stroke = into_gear(800.0, 40.0)
     held = np.abs(stroke.position_m - value("synchronizer.x_block")) < 1e-6
     span = float(np.count_nonzero(held)) * 2e-4
@@ -74,7 +73,7 @@ def _intervals() -> Outcome:
 
 @shows("F46")
 def _samples() -> Outcome:
-    count = 0.070 / nominal().value("opc4.period")
+    count = 0.070 / value("opc4.period")
     return judged(abs(count - 7) < 1e-9, f"{count:.0f} samples")
 
 
@@ -82,7 +81,6 @@ def _samples() -> Outcome:
 def _budget() -> Outcome:
     from sil.claims.equipment import lags
 
-    value = nominal().value
     lasts = []
     for mesh, impulse in ((500.0, 18.0), (1300.0, 18.0)):
         stroke = into_gear(mesh, impulse)

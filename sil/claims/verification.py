@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from plant.kernel.layout import LengthState, Parameters
 from plant.systems.stroke import Stroke
 from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged, shows
-from sil.claims.strokes import arrival, first_motion_s, nominal, plain, relative_errors, run
+from sil.claims.strokes import arrival, first_motion_s, nominal, plain, relative_errors, run, value
 
 WINDOW_S = 0.2
 DISTURBED = "against a disturbed plant; the thesis's own record is not at hand"
@@ -94,7 +94,6 @@ def _imposed_position() -> Outcome:
 
 @shows("F39")
 def _spring_volumes() -> Outcome:
-    value = nominal().value
     x0 = value("spring_test.x0")
     one = value("fixed.A1") * x0 / value("fixed.V10")
     two = value("fixed.A2") * x0 / value("fixed.V20")
@@ -106,7 +105,6 @@ def _spring_volumes() -> Outcome:
 
 def spring(scale: Mapping[int, float]) -> Stroke:
     """Return the verification stroke with the spring, its parameters scaled."""
-    value = nominal().value
     return run(
         "fixed",
         load="spring",
@@ -145,7 +143,7 @@ def _friction_matters() -> Outcome:
     return judged(
         good,
         f"largest change of position, each at the size of its known uncertainty: {changes}; "
-        f"scatter of {100 * nominal().value('repeatability.friction_sd'):.0f} % a stroke is a "
+        f"scatter of {100 * value('repeatability.friction_sd'):.0f} % a stroke is a "
         "parameter",
         "another parameter matters more",
     )

@@ -8,6 +8,10 @@ import shlex
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sil.claims.claim import Finding
 
 EXAMPLE = "example: opc4 claims F07 F16 F36"
 
@@ -24,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Check and print; 0 also when a claim is not met: that is an answer."""
-    from sil.claims.claim import Finding, check, chosen
+    from sil.claims.claim import check, chosen
     from sil.claims.page import write_page
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import prepare_folder
@@ -58,8 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def markdown(found: list) -> str:
-    """The findings as one Markdown table."""
+def markdown(found: list[Finding]) -> str:
+    """Return the findings as one Markdown table."""
     lines = [
         "| claim | section | the thesis | here | verdict | shown by |",
         "|---|---|---|---|---|---|",

@@ -41,15 +41,21 @@ def read_table(study: LoadedStudy, folder: Path) -> Table:
         names, *cells = csv.reader(file)
     texts: dict[str, list[str]] = {}
     numbers = {}
-    for k, name in enumerate(names):
-        column = [row[k] for row in cells]
-        try:
-            if name in choices:
-                raise ValueError
-            numbers[name] = np.array([float(cell) if cell else math.nan for cell in column])
-        except ValueError:
+    for name, column in zip(names, map(list, zip(*cells, strict=True)), strict=True):
+        found = None if name in choices else numbers_of(column)
+        if found is None:
             texts[name] = column
+        else:
+            numbers[name] = found
     return Table(texts, numbers, len(cells))
+
+
+def numbers_of(cells: list[str]) -> NDArray[np.float64] | None:
+    """Return cells as numbers [rows] in their column's unit, NaN for empty; None if one is a text."""
+    try:
+        return np.array([float(cell) if cell else math.nan for cell in cells])
+    except ValueError:
+        return None
 
 
 def row_groups(study: LoadedStudy, table: Table) -> dict[str, NDArray[np.int64]]:

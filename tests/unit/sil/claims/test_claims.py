@@ -65,6 +65,6 @@ def test_the_closed_loop_rows() -> None:
 
 def test_command_writes_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["claims", "F16", "F26", "--json", "--out", str(tmp_path / "c")]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert [row["verdict"] for row in told["claims"]] == ["met", "met"]
+    printed = json.loads(capsys.readouterr().out)
+    assert [row["verdict"] for row in printed["claims"]] == ["met", "met"]
     assert (tmp_path / "c" / "claims.md").read_text().count("\n") == 4

@@ -46,10 +46,10 @@ def test_a_shot_is_the_stroke_that_the_plant_makes() -> None:
         internal=False,
     )
     assert stroke.impact is not None
-    told = next(event.time_s for event in stroke.events if event.name == "unblock")
+    revealed = next(event.time_s for event in stroke.events if event.name == "unblock")
     assert found.speed_m_s[1] == pytest.approx(stroke.impact.speed_m_s, rel=1e-3)
     assert found.time_s[1] == pytest.approx(stroke.impact.time_s, abs=1e-6)
-    assert found.revealed_s[1] == pytest.approx(told, abs=1e-6)
+    assert found.revealed_s[1] == pytest.approx(revealed, abs=1e-6)
     assert found.speed_m_s[0] != pytest.approx(found.speed_m_s[1], rel=1e-2)
 
 
@@ -63,12 +63,12 @@ def test_an_arrival_beyond_the_limit_is_none() -> None:
 @pytest.mark.parametrize("family", FAMILIES.values(), ids=list(FAMILIES))
 def test_before_a_load_tells_it_moves_like_the_others(family: Family) -> None:
     """Up to the first telling instant of the family the stay is at the same place."""
-    told = [
+    revealed = [
         float(Shooter(PARAMETERS, case, 0.4, family.revealed_by).shoot([Commands()]).revealed_s[0])
         for case in family.cases
     ]
-    assert told == sorted(told, reverse=family is LABORATORY)
-    first_s = min(told)
+    assert revealed == sorted(revealed, reverse=family is LABORATORY)
+    first_s = min(revealed)
     times = np.linspace(0.0, first_s - 1e-4, 50)
     positions = [
         simulate(

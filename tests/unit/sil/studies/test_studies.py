@@ -138,7 +138,7 @@ def test_space_filling_designs_repeat_and_fill(kind: str, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("name = 1", "name"),
         (GRID.replace('kind = "fixed"', 'kind = "bent"'), "bent"),
@@ -162,9 +162,9 @@ def test_space_filling_designs_repeat_and_fill(kind: str, tmp_path: Path) -> Non
         ('reads = ["speed"]\n' + GRID, r"reads\[0\]"),
     ],
 )
-def test_bad_studies_are_one_line(text: str, told: str, tmp_path: Path) -> None:
+def test_bad_studies_are_one_line(text: str, message: str, tmp_path: Path) -> None:
     path = study_file(tmp_path, text)
-    with pytest.raises(InputError, match=told) as raised:
+    with pytest.raises(InputError, match=message) as raised:
         load_study(str(path))
     assert "\n" not in str(raised.value)
     assert str(path) in str(raised.value)

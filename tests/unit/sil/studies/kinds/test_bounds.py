@@ -61,8 +61,8 @@ def test_a_study_of_budgets(tmp_path: Path) -> None:
         assert spent_s == pytest.approx(float(row["spent_s"]))
         assert float(row["slack_s"]) == pytest.approx(float(row["window_s"]) - spent_s)
         for bar in BARS:
-            told, exact = float(row[simulated(bar)]), float(row[closed(bar)])
-            assert told == pytest.approx(exact, rel=0.03, abs=3e-4)
+            measured, exact = float(row[simulated(bar)]), float(row[closed(bar)])
+            assert measured == pytest.approx(exact, rel=0.03, abs=3e-4)
     assert float(plain[simulated("filter")]) == 0.0 < float(today[simulated("filter")])
     assert (tmp_path / "out" / "budget.png").read_bytes()[:4] == b"\x89PNG"
 
@@ -83,7 +83,7 @@ def test_a_study_of_bounds_and_the_same_bytes_by_two_workers(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         (BOUNDS.replace('"laboratory" }', '"gear box" }'), "laboratory"),
         (BOUNDS.replace("bound.delay_s", "bound.delay"), "delay_s"),
@@ -95,10 +95,10 @@ def test_a_study_of_bounds_and_the_same_bytes_by_two_workers(tmp_path: Path) -> 
         (BUDGET.replace("lab_n_b", "lab_n_c"), "lab_n_b"),
     ],
 )
-def test_wrong_studies_are_refused_in_one_line(text: str, told: str, tmp_path: Path) -> None:
+def test_wrong_studies_are_refused_in_one_line(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "wrong.toml"
     path.write_text(text)
-    with pytest.raises(InputError, match=told) as refused:
+    with pytest.raises(InputError, match=message) as refused:
         study = load_study(str(path))
         executor.run_chunk(study, (0, 1))
     assert "\n" not in str(refused.value)
@@ -147,8 +147,8 @@ def test_what_the_shipped_results_say() -> None:
     for row in rows_of(TUNED):  # what waits for the motion gains no more than the bound allows
         waits = row["strategy"] not in ("oil damper", "synchro brake")
         assert not waits or float(row[truck]) >= float(late["bound_m_s"])
-    told = tuned["today", "synchro brake"]
-    assert worst_over(told, "gearbox") < float(late["bound_m_s"])  # and what is told ahead, more
+    known = tuned["today", "synchro brake"]
+    assert worst_over(known, "gearbox") < float(late["bound_m_s"])  # and what is known ahead, more
 
 
 @pytest.mark.slow
@@ -158,9 +158,9 @@ def test_shipped_rows_come_out_again() -> None:
         study = load_study(name)
         text = executor.header(study) + "".join(executor.run_chunk(study, (number, number + 1)))
         (found,) = csv.DictReader(text.splitlines())
-        kept = rows_of(path)[number]
-        assert list(found) == list(kept)
-        for column, value in kept.items():
+        shipped = rows_of(path)[number]
+        assert list(found) == list(shipped)
+        for column, value in shipped.items():
             try:
                 expected = float(value)
             except ValueError:
