@@ -13,7 +13,7 @@ __all__ = ["diagnose", "replay", "run", "simulate", "whatif"]
 
 
 def __getattr__(name: str) -> Any:
-    """The functions of `sil.api`, found when asked for: importing the package stays cheap."""
+    """Return a function of `sil.api`, imported on first use. Raises AttributeError for other names."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from sil import api

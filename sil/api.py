@@ -1,7 +1,8 @@
 """The simulator from Python: `from sil import run, simulate, whatif, diagnose, replay`.
 
-Each does what the command of its name does, and returns what it found as typed values; it writes
-nothing unless it is given a folder. Bad input raises InputError, a run that cannot finish RunError.
+Each function does what the command of its name does and returns the result as typed values; it
+writes nothing unless it is given a folder. Bad input raises InputError; a run that cannot finish
+raises RunError.
 Checked by: tests/unit/sil/test_api.py
 """
 
@@ -11,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from sil.files.quantity import quantity
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,8 +36,26 @@ Settings = Mapping[str, Value] | Sequence[str]
 class Run:
     """A finished run.
 
-    signals: the plant's true states and valves [n] by name, over signals["time_s"]. believed: times
-    [s] and positions [m] as the controller reported them. frames: all frames in order of arrival.
+    Attributes
+    ----------
+    passed : bool
+        Whether all expectations of the scenario were met.
+    checks : list of Check
+        The expectations with their values and limits.
+    metrics : dict
+        The metrics of result.json.
+    shifts : list of Shift
+        The instants and figures of each shift.
+    signals : dict of arrays [n]
+        The plant's true states and valves by name, over signals["time_s"]; units as in the names.
+    estimate : two arrays [m]
+        Times in s and positions in m that the controller reported.
+    frames : sequence of BusFrame
+        All frames in order of arrival.
+    trace_sha256 : str
+        The hash of all frames and of the plant's trace.
+    warnings : list of str
+        What is likely to be a mistake in the scenario.
     """
 
     passed: bool
@@ -42,26 +63,42 @@ class Run:
     metrics: dict[str, Any]
     shifts: list[Shift]
     signals: dict[str, NDArray[np.float64]]
-    believed: tuple[NDArray[np.float64], NDArray[np.float64]]
+    estimate: tuple[NDArray[np.float64], NDArray[np.float64]]
     frames: Sequence[BusFrame]
     trace_sha256: str
+    warnings: list[str]
+
+    def __repr__(self) -> str:
+        met = sum(check.passed for check in self.checks)
+        time = quantity(self.metrics["shift_time_s"], "s")
+        return (
+            f"Run({'passed' if self.passed else 'failed'}, {met} of {len(self.checks)} checks met, "
+            f"{len(self.shifts)} shifts in {time}, {len(self.frames)} frames, "
+            f"trace {self.trace_sha256[:12]})"
+        )
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """A finished study: its columns by name, numbers [rows] (nan for none) and texts [rows].
+    """A finished study.
 
-    texts["outcome"] is passed, failed or not run; texts["reason"] says why a row did not pass.
+    Attributes
+    ----------
+    numbers : dict of arrays [rows]
+        The columns of results.csv that hold numbers, by name; NaN for none.
+    texts : dict of lists [rows]
+        The other columns.
+    summary : dict
+        The content of summary.json.
     """
 
     numbers: dict[str, NDArray[np.float64]]
     texts: dict[str, list[str]]
     summary: dict[str, Any]
 
-    @property
-    def passed(self) -> bool:
-        """Return whether every row ran and met its expectation."""
-        return all(outcome == "passed" for outcome in self.texts["outcome"])
+    def __repr__(self) -> str:
+        rows = max((len(column) for column in self.numbers.values()), default=0)
+        return f"Sweep({rows} rows: {', '.join([*self.texts, *self.numbers])})"
 
 
 def run(
@@ -71,9 +108,30 @@ def run(
     model: Where | None = None,
     seed: int | None = None,
 ) -> Run:
-    """Run a scenario (file, shipped name, or table of its values) in memory, as `opc4 run` does.
+    """Run a scenario in memory, as `opc4 run` does.
 
-    Raises InputError for what the scenario cannot be, RunError when a participant fails.
+    Parameters
+    ----------
+    scenario
+        A scenario file, a shipped name, or a table of a scenario's values.
+    settings
+        Values of the scenario or model to change, by path.
+    model
+        Parameter set or model file of the plant.
+    seed
+        Seed of all random numbers.
+
+    Returns
+    -------
+    Run
+        The checks, metrics, signals and frames of the run.
+
+    Raises
+    ------
+    InputError
+        If the scenario, a setting or the model is not valid.
+    RunError
+        If a participant fails.
     """
     from sil.simulation import scenario as scenarios
     from sil.simulation.expectations import evaluate
@@ -96,9 +154,10 @@ def run(
         metrics=done.figures,
         shifts=done.shifts,
         signals=dict(done.record.truth),
-        believed=done.record.estimate,
+        estimate=done.record.estimate,
         frames=done.record.frames,
         trace_sha256=done.trace_sha256,
+        warnings=scenarios.contradictions(loaded.scenario),
     )
 
 
@@ -107,21 +166,59 @@ def simulate(
 ) -> list[SimulatedStroke]:
     """Simulate each stroke of a campaign, as `opc4 simulate` does.
 
-    Raises InputError for a campaign, model or setting that cannot be.
+    Parameters
+    ----------
+    campaign
+        Campaign folder.
+    settings
+        Model values to change, by path.
+    model
+        Parameter set or model file of the plant.
+
+    Returns
+    -------
+    list of SimulatedStroke
+        One for each stroke, in the order of the campaign.
+
+    Raises
+    ------
+    InputError
+        If the campaign, the model or a setting is not valid.
     """
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
     from sil.campaign.simulate import simulate_campaign
-    from sil.files.settings import model_settings
+    from sil.files.typed_toml import model_settings
 
     parameters = load(str(model)).override(model_settings(texts(settings)))
     return list(simulate_campaign(load_campaign(campaign), parameters))
 
 
 def whatif(study: Where, *, out: Where, workers: int = 1, resume: bool = False) -> Sweep:
-    """Run the rows of a study (file or shipped name) into out/results.csv, as `opc4 whatif` does.
+    """Run the rows of a study, as `opc4 whatif` does.
 
-    Raises InputError for a study or folder that cannot be.
+    Parameters
+    ----------
+    study
+        A study file or a shipped name.
+    out
+        Folder for results.csv, made if missing.
+    workers
+        Number of processes.
+    resume
+        Continue the rows that the folder holds.
+
+    Returns
+    -------
+    Sweep
+        The table and its summary.
+
+    Raises
+    ------
+    InputError
+        If the study or the folder is not valid.
+    RunError
+        If a worker dies.
     """
     from sil.files.output_folder import locked_folder
     from sil.studies.executor import run_study
@@ -139,7 +236,24 @@ def whatif(study: Where, *, out: Where, workers: int = 1, resume: bool = False) 
 def diagnose(campaign: Where, *, model: Where = "nominal", workers: int = 2) -> Diagnosis:
     """Diagnose a campaign, as `opc4 diagnose` does.
 
-    Raises InputError for a campaign or model that cannot be.
+    Parameters
+    ----------
+    campaign
+        Campaign folder.
+    model
+        Parameter set or model file of the plant.
+    workers
+        Number of processes.
+
+    Returns
+    -------
+    Diagnosis
+        The verdict with its causes and the extended model.
+
+    Raises
+    ------
+    InputError
+        If the campaign or the model is not valid.
     """
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
@@ -149,9 +263,28 @@ def diagnose(campaign: Where, *, model: Where = "nominal", workers: int = 2) -> 
 
 
 def replay(log: Where, settings: Settings = (), *, firmware: Where | None = None) -> ReplayResult:
-    """Put the inputs of a recorded log into the firmware alone, as `opc4 replay` does.
+    """Feed the recorded inputs of a log to the firmware alone, as `opc4 replay` does.
 
-    Raises InputError for a log that cannot be used or that engaged nothing.
+    Parameters
+    ----------
+    log
+        A CAN log of any format.
+    settings
+        Firmware values to change, by path.
+    firmware
+        Settings (TOML, or a run's result.json), or FILE.py:CLASS of a user's own firmware.
+
+    Returns
+    -------
+    ReplayResult
+        The differences between recorded and replayed commands.
+
+    Raises
+    ------
+    InputError
+        If the log cannot be used, or no shift was requested in it.
+    RunError
+        If the firmware fails.
     """
     from sil.log_replay.replay import ReplayRequest
     from sil.log_replay.replay import replay as replayed
@@ -166,7 +299,7 @@ def replay(log: Where, settings: Settings = (), *, firmware: Where | None = None
 
 
 def texts(settings: Settings) -> tuple[str, ...]:
-    """Settings as PATH=VALUE."""
+    """Return settings as PATH=VALUE."""
     from sil.studies.study import toml_value
 
     if isinstance(settings, Mapping):

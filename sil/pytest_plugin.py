@@ -39,8 +39,8 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFi
     wanted = parent.config.getini(PATTERNS)
     if not wanted or not file_path.is_relative_to(root):
         return None
-    place = file_path.relative_to(root)
-    if not any(place.match(pattern) for pattern in wanted):
+    relative = file_path.relative_to(root)
+    if not any(relative.match(pattern) for pattern in wanted):
         return None
     found: ScenarioFile = ScenarioFile.from_parent(parent, path=file_path)
     return found
@@ -50,7 +50,7 @@ class ScenarioFile(pytest.File):
     """A scenario file: one test."""
 
     def collect(self) -> Iterable[ScenarioItem]:
-        """The one test of the file."""
+        """Yield the one test of the file."""
         yield ScenarioItem.from_parent(self, name=self.path.stem)
 
 
@@ -62,18 +62,20 @@ class ScenarioItem(pytest.Item):
     """One scenario, run and judged."""
 
     def runtest(self) -> None:
-        """Run it; Unmet lists what was not met."""
+        """Run the scenario. Raises Unmet with the expectations that were not met."""
         from sil.simulation import scenario
 
         loaded = scenario.load(str(self.path))
         out = self.config.getoption(OUT)
-        checks = _in_memory(loaded).checks if out is None else _kept(loaded, Path(out) / self.name)
+        checks = (
+            _in_memory(loaded).checks if out is None else _recorded(loaded, Path(out) / self.name)
+        )
         failed = [c for c in checks if not c.passed]
         if failed:
-            raise Unmet("\n".join(f"{c.name}: {c.value}; expected {c.limit}" for c in failed))
+            raise Unmet("\n".join(map(str, failed)))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """What was not met, or the one line of bad input; a traceback only for the unexpected."""
+        """Return the expectations not met, or the line of the error; else a traceback."""
         from can_dbc.errors import InputError, RunError
 
         if isinstance(excinfo.value, Unmet | InputError | RunError):
@@ -81,7 +83,7 @@ class ScenarioItem(pytest.Item):
         return super().repr_failure(excinfo, style)
 
     def reportinfo(self) -> tuple[Path, int | None, str]:
-        """Where the test is."""
+        """Return the file of the test."""
         return self.path, None, f"scenario {self.name}"
 
 
@@ -95,7 +97,7 @@ class ScenarioRun:
 
     @property
     def passed(self) -> bool:
-        """Whether every expectation was met."""
+        """Return whether every expectation was met."""
         return all(check.passed for check in self.checks)
 
 
@@ -108,7 +110,7 @@ def _in_memory(loaded: Loaded) -> ScenarioRun:
     return ScenarioRun(loaded, run, checks)
 
 
-def _kept(loaded: Loaded, folder: Path) -> list[Check]:
+def _recorded(loaded: Loaded, folder: Path) -> list[Check]:
     from can_dbc.errors import RunError
     from sil.files.output_folder import close_folders, prepare_folder
     from sil.report.run_report import write_report

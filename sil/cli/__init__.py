@@ -1,4 +1,4 @@
-"""The command `opc4`: a table of commands, each in a file of its own, imported when asked for."""
+"""The command `opc4`: a table of commands, each a module that is imported on use."""
 
 from __future__ import annotations
 
@@ -251,7 +251,7 @@ def _guarded(name: str, command: Any, parsed: argparse.Namespace) -> int:
 
 
 def _settle(name: str, why: str | None) -> None:
-    """End what the command has begun to write: complete, or why not."""
+    """Mark what the command has written as complete, or with the reason why it is not."""
     results = sys.modules.get("sil.files.output_folder")  # not loaded: nothing was begun
     if results is None:
         return

@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def add_out(parser: argparse.ArgumentParser, default: str) -> None:
-    """Add --out and --force; `default` says where output goes without."""
+    """Add --out and --force; `default` is the folder without them."""
     parser.add_argument(
         "--out",
         type=Path,
@@ -43,5 +43,5 @@ def add_model(parser: argparse.ArgumentParser) -> None:
 
 
 def say(message: str) -> None:
-    """Tell the user something while a command runs, on standard error."""
+    """Print a message for the user on standard error."""
     print(message, file=sys.stderr, flush=True)

@@ -1,7 +1,8 @@
 """Run one scenario: plant and controller over CAN.
 
 SCENARIO is a file, the name of a shipped scenario (see --list), or the result.json of an earlier
-run, which then runs again as it was."""
+run, which then runs again as it was.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +14,6 @@ from sil.cli.options import add_json, add_model, add_out, say
 
 if TYPE_CHECKING:
     from sil.simulation.runner import Finished
-    from sil.simulation.scenario import Loaded
 
 EXAMPLE = """\
 example:
@@ -21,10 +21,11 @@ example:
   opc4 run lab_n_b --set controller.filter=false --set valve.D_fall=0.01
 """
 
-SHIFTS_TOLD = 12
+SHIFTS_PRINTED = 12
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="file or shipped name")
     parser.add_argument("--list", action="store_true", help="list the shipped scenarios")
     parser.add_argument(
@@ -56,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    """Run the scenario and print its result. Raises InputError and RunError as the runner does."""
     from can_dbc.errors import InputError
 
     if arguments.list:
@@ -96,7 +98,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(as_json(finished.result))
     else:
-        _tell(loaded, finished, folder)
+        was_changed = bool(arguments.settings or arguments.model or arguments.seed is not None)
+        is_shipped = loaded.source == str(scenario.shipped().get(arguments.scenario))
+        _print_summary(finished, folder, is_shipped and was_changed)
     if not finished.result.complete:
         say(f"opc4 run: {finished.result.why}; what was recorded is in {folder}")
         return 3
@@ -113,17 +117,21 @@ def _list() -> int:
     return 0
 
 
-def _tell(loaded: Loaded, finished: Finished, folder: Path) -> None:
-    """Print what a user wants to know at once."""
+def _print_summary(finished: Finished, folder: Path, was_changed: bool) -> None:
+    """Print the checks, shifts and files; `was_changed`: a shipped scenario with other values."""
     result = finished.result
-    met = sum(check.passed for check in result.expectations)
-    print(
-        f"{result.scenario_name}: {result.status}, {met} of {len(result.expectations)} checks met"
-    )
-    for check in result.expectations:
-        if not check.passed:
-            print(f"  not met: {check.name}: {check.value}; expected {check.limit}")
-    for shift in finished.shifts[:SHIFTS_TOLD]:
+    failed = [check for check in result.expectations if not check.passed]
+    checks = len(result.expectations)
+    if was_changed and failed and result.complete:
+        count = f"{len(failed)} of {checks} checks"
+        print(f"{result.scenario_name}: differs from the shipped expectations in {count}")
+    else:
+        print(
+            f"{result.scenario_name}: {result.status}, {checks - len(failed)} of {checks} checks met"
+        )
+    for check in failed:
+        print(f"  {'differs' if was_changed else 'not met'}: {check}")
+    for shift in finished.shifts[:SHIFTS_PRINTED]:
         line = f"  {shift.from_gear} to {shift.to_gear}: "
         if shift.shift_time_s is None:
             line += "never arrived"
@@ -137,8 +145,8 @@ def _tell(loaded: Loaded, finished: Finished, folder: Path) -> None:
                 f"{1e3 * shift.position_lag_90_s:.0f} ms at 90 % of travel"
             )
         print(line)
-    if len(finished.shifts) > SHIFTS_TOLD:
-        print(f"  and {len(finished.shifts) - SHIFTS_TOLD} shifts more, in result.json")
+    if len(finished.shifts) > SHIFTS_PRINTED:
+        print(f"  and {len(finished.shifts) - SHIFTS_PRINTED} shifts more, in result.json")
     if result.bus:
         print(f"  bus {100 * result.bus['load']:.0f} % loaded, {result.bus['frames']} frames")
     if "late_p50_s" in result.speed:

@@ -24,15 +24,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate, write the campaign folder, print one line a stroke."""
-    from sil.cli.quick_start import quick_start
-
-    with quick_start():
-        from plant.parameters import load
-        from sil.campaign.campaign import load_campaign
-        from sil.campaign.simulate import campaign_folder, simulate_campaign, write_campaign
-        from sil.files.output_folder import finite, prepare_folder
-        from sil.files.progress import Progress
-        from sil.files.settings import model_settings
+    from plant.parameters import load
+    from sil.campaign.campaign import load_campaign
+    from sil.campaign.simulate import campaign_folder, simulate_campaign, write_campaign
+    from sil.files.output_folder import finite, prepare_folder
+    from sil.files.progress import Progress
+    from sil.files.typed_toml import model_settings
 
     campaign = load_campaign(arguments.campaign)
     parameters = load(arguments.model)

@@ -34,7 +34,7 @@ class Progress:
     """
 
     def __init__(self, what: str, unit: str = "") -> None:
-        """`what` is being done; `unit` of the amounts, e.g. "s"."""
+        """Name the work, and the unit of its amounts, e.g. "s"."""
         self._what = what
         self._unit = f" {unit}" if unit else ""
         self._began_s = time.monotonic()

@@ -77,9 +77,8 @@ def limits(limit: Any, unit: str = "", digits: int = 4) -> str:
     return f"{quantity(low, unit, digits)} to {quantity(high, unit, digits)}"
 
 
-def comparison(name: str, value: Any, limit: Any) -> str:
-    """Return "NAME is VALUE, expected LIMIT", with as many digits as show that they differ."""
-    unit = unit_of(name)
+def comparison(name: str, value: Any, limit: Any, unit: str = "") -> str:
+    """Return "NAME: VALUE, expected LIMIT", with as many digits as show that they differ."""
     bounds = [b for b in limit.values() if b != value] if isinstance(limit, Mapping) else []
     digits = 4
     if isinstance(value, float) and math.isfinite(value):
@@ -87,4 +86,4 @@ def comparison(name: str, value: Any, limit: Any) -> str:
             quantity(b, unit, digits) for b in bounds
         ]:
             digits += 1
-    return f"{name} is {quantity(value, unit, digits)}, expected {limits(limit, unit, digits)}"
+    return f"{name}: {quantity(value, unit, digits)}, expected {limits(limit, unit, digits)}"

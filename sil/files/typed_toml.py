@@ -1,8 +1,7 @@
-"""TOML files as typed records: strict, and every complaint names file, place, what was expected."""
+"""TOML files as typed records: strict, and every error names file, key and what was expected."""
 
 from __future__ import annotations
 
-import difflib
 import functools
 import math
 import re
@@ -15,26 +14,26 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from can_dbc.errors import InputError
+from can_dbc.errors import InputError, unknown_name
 from can_dbc.user_file import read_user_file
 from plant.parameters import parsed
 
 T = TypeVar("T")
 
-_PLACE = re.compile(r"^(?P<what>.*?)(?: - at `(?P<path>.*)`)?$", re.DOTALL)
+_WHAT_AND_PATH = re.compile(r"^(?P<what>.*?)(?: - at `(?P<path>.*)`)?$", re.DOTALL)
 _NAMED = re.compile(r"`(?P<name>[^`]*)`$")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file into a dictionary; numbers must be finite.
 
-    Raises InputError naming file, line or place. Checked by test_scenario.
+    Raises InputError naming file and line or key.
     """
     return parse_toml(read_user_file(path, "a TOML file"), str(path))
 
 
 def parse_toml(raw: bytes, source: str) -> dict[str, Any]:
-    """Parse TOML bytes; `source` stands for the file in messages. Raises InputError."""
+    """Return parsed TOML bytes; `source` names the file in messages. Raises InputError."""
     try:
         table = parsed(raw.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
@@ -56,38 +55,23 @@ def one_line(text: str, width: int = 200) -> str:
     return clean if len(clean) <= width else clean[: width - 3] + "..."
 
 
-def nearest(name: str, known: Iterable[str], count: int = 3) -> list[str]:
-    """Return up to `count` known names that look most like `name`, best first."""
-    return difflib.get_close_matches(name, list(known), n=count, cutoff=0.4)
+def convert(raw: Any, kind: type[T], source: str, key: str = "") -> T:
+    """Turn parsed TOML into a typed record; unknown keys, wrong types and ranges are refused.
 
-
-def unknown_name(name: str, known: Iterable[str]) -> str:
-    """Return 'unknown; expected one of ...' for a name; of many names, the nearest."""
-    names = sorted(known)
-    near = nearest(name, names)
-    if len(names) > 12 and near:
-        return f"unknown; nearest: {', '.join(near)}"
-    best = f" (nearest: {near[0]})" if near else ""
-    return f"unknown; expected one of {', '.join(names[:40])}{best}"
-
-
-def convert(raw: Any, kind: type[T], source: str, place: str = "") -> T:
-    """Turn parsed TOML into a typed record, refusing unknown fields, wrong types and wrong ranges.
-
-    Raises InputError 'SOURCE: PLACE: what; expected ...'. Checked by test_scenario.
+    `key`: the table that `raw` is, in messages. Raises InputError 'SOURCE: KEY: what; expected ...'.
     """
     try:
         return msgspec.convert(raw, kind)
     except msgspec.ValidationError as error:
-        found = _PLACE.match(str(error))
+        found = _WHAT_AND_PATH.match(str(error))
         assert found is not None  # the pattern matches any text
         steps = _named(raw, kind, tuple(_steps(found["path"] or "$")))
         if isinstance(error.__cause__, ValueError):  # a record that checks itself says it all
-            inside = dotted((place, *steps) if place else steps)
+            inside = dotted((key, *steps) if key else steps)
             joint = "." if isinstance(error.__cause__, InputError) else ": "
-            told = f"{inside}{joint}{found['what']}" if inside else found["what"]
-            raise InputError(f"{source}: {one_line(told, 400)}") from None
-        raise InputError(_complaint(raw, kind, source, place, found["what"], steps)) from None
+            message = f"{inside}{joint}{found['what']}" if inside else found["what"]
+            raise InputError(f"{source}: {one_line(message, 400)}") from None
+        raise InputError(_message(raw, kind, source, key, found["what"], steps)) from None
 
 
 def _named(raw: Any, kind: Any, steps: tuple[str | int, ...]) -> tuple[str | int, ...]:
@@ -105,31 +89,49 @@ def _named(raw: Any, kind: Any, steps: tuple[str | int, ...]) -> tuple[str | int
     return steps
 
 
-def _complaint(
+def _message(
     raw: Any, kind: Any, source: str, prefix: str, what: str, steps: tuple[str | int, ...]
 ) -> str:
     value, at = _descend(raw, kind, steps)
-    place = dotted((prefix, *steps) if prefix else steps) or "top level"
+    location = dotted((prefix, *steps) if prefix else steps) or "top level"
     shown = one_line(repr(value), 60)
     name = _NAMED.search(what)
     if what.startswith("Object contains unknown field") and name:
         key = name["name"]
-        inside = f"{place}.{key}" if steps or prefix else key
+        inside = f"{location}.{key}" if steps or prefix else key
         known = field_types(at, value)
         return f"{source}: {one_line(inside)}: {unknown_name(key, known)}"
     if what.startswith("Object missing required field") and name:
         key = name["name"]
-        inside = f"{place}.{key}" if steps or prefix else key
+        inside = f"{location}.{key}" if steps or prefix else key
         choices = _choices(at, value, key)
         expected = f"one of {', '.join(choices)}" if choices else "a value"
         return f"{source}: {inside}: missing; expected {expected}"
     choices = _choices(at, value, None) or (_choices_of_tag(raw, kind, steps) if steps else [])
     if choices and what.startswith("Invalid"):
-        return f"{source}: {one_line(place)}: {shown} is {unknown_name(str(value), choices)}"
-    told = what.removeprefix("Expected ").split(", got ")[0].replace("`", "")
+        return f"{source}: {one_line(location)}: {shown} is {unknown_name(str(value), choices)}"
+    if what.startswith("Invalid enum value"):  # a key of a table whose keys are a choice
+        names = typing.get_args(_plain(typing.get_args(_plain(at))[0]))
+        key = next(key for key in value if key not in names)
+        return f"{source}: {one_line(location)}.{one_line(key)}: {unknown_name(key, names)}"
+    expected = what.removeprefix("Expected ").split(", got ")[0].replace("`", "")
     if what == "Number out of range":
-        told = "a smaller number"
-    return f"{source}: {one_line(place)}: {shown} is wrong; expected {one_line(told)}"
+        expected = "a smaller number"
+    for word, in_toml in _IN_TOML.items():
+        expected = re.sub(rf"\b{word}\b", in_toml, expected)
+    return f"{source}: {one_line(location)}: {shown} is wrong; expected {one_line(expected)}"
+
+
+_IN_TOML = {
+    "object": "table",
+    "array": "list",
+    "bool": "true or false",
+    "str": "text",
+    "int": "whole number",
+    "float": "number",
+    r" \| null": "",
+}
+"""Words of msgspec's messages, and what TOML calls them."""
 
 
 def _choices_of_tag(raw: Any, kind: Any, steps: tuple[str | int, ...]) -> list[str]:
@@ -146,7 +148,7 @@ def _steps(path: str) -> Iterator[str | int]:
 
 
 def dotted(steps: Iterable[str | int]) -> str:
-    """Return the steps of a place as text, e.g. request[0].gear."""
+    """Return the steps to a value as text, e.g. request[0].gear."""
     text = ""
     for step in steps:
         if isinstance(step, int) or step == "...":
@@ -243,7 +245,7 @@ def _choices(kind: Any, value: Any, key: str | None) -> list[str]:
 
 
 def refuse_not_finite(value: Any, source: str) -> None:
-    """Refuse a number that is not finite anywhere in a parsed table, naming its place."""
+    """Check that all numbers of a parsed table are finite. Raises InputError naming the key."""
     pending: list[tuple[tuple[str | int, ...], Any]] = [((), value)]
     while pending:
         steps, item = pending.pop()
@@ -252,8 +254,8 @@ def refuse_not_finite(value: Any, source: str) -> None:
         elif isinstance(item, list):
             pending += [((*steps, i), v) for i, v in enumerate(item)]
         elif isinstance(item, float) and not math.isfinite(item):
-            place = one_line(dotted(steps))
-            raise InputError(f"{source}: {place}: {item} is wrong; expected a finite number")
+            location = one_line(dotted(steps))
+            raise InputError(f"{source}: {location}: {item} is wrong; expected a finite number")
 
 
 def parse_value(text: str) -> Any:
@@ -265,8 +267,21 @@ def parse_value(text: str) -> Any:
     return value["v"] if set(value) == {"v"} else text
 
 
+def model_settings(settings: Iterable[str]) -> dict[str, float | list[float]]:
+    """Return texts PATH=VALUE as path -> value. Raises InputError unless VALUE is TOML numbers."""
+    changes: dict[str, float | list[float]] = {}
+    for text in settings:
+        path, equals, value = text.partition("=")
+        if not equals or not path.strip():
+            raise InputError(f"--set {text!r}: expected PATH=VALUE")
+        changes[path.strip()] = parse_value(value)
+        if isinstance(changes[path.strip()], str):
+            raise InputError(f"--set {path}: {value!r}; expected a number")
+    return changes
+
+
 def leaf_paths(kind: Any, value: Any, prefix: tuple[str | int, ...] = ()) -> Iterator[str]:
-    """Yield the dotted path of every value that a record of this type may have beside `value`."""
+    """Yield the dotted path of every value that a record of this type may have."""
     if not field_types(kind, value):
         yield dotted(prefix)
         return

@@ -13,7 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from can_dbc.codec import CodecError, decode
-from can_dbc.errors import InputError
+from can_dbc.errors import InputError, unknown_name
 from can_dbc.frame import Frame
 from sil.files import typed_toml
 from sil.log_replay.recorded_frames import ID_OF, KINDS, bare
@@ -68,13 +68,13 @@ def load_options(path: str | Path) -> Options:
         if not any(fnmatchcase(name, pattern) for name in ALL_NAMES):
             raise InputError(
                 f"{source}: ignore: {typed_toml.one_line(pattern, 60)}: "
-                f"{typed_toml.unknown_name(pattern, ALL_NAMES)}"
+                f"{unknown_name(pattern, ALL_NAMES)}"
             )
     for name in options.tolerance:
         if name not in ALL_NAMES:
             raise InputError(
                 f"{source}: tolerance: {typed_toml.one_line(name, 60)}: "
-                f"{typed_toml.unknown_name(name, ALL_NAMES)}"
+                f"{unknown_name(name, ALL_NAMES)}"
             )
     return options
 

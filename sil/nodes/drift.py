@@ -1,4 +1,4 @@
-"""A participant whose clock runs fast or slow: its ticks wander through everybody else's."""
+"""A participant whose clock runs fast or slow, so that its ticks drift against all others."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ _PER_PPM = 1000
 
 
 class Drifting:
-    """A participant that takes `1 + ppm / 10^6` seconds of its own for each of simulated time.
+    """A participant whose own clock advances by `1 + ppm / 10^6` s per simulated second.
 
-    It is granted time at its own ticks, converted, and never learns of the difference. Whole
-    numbers throughout, so that a run repeats bit by bit.  Checked by test_intruder.
+    Times are converted between the two clocks in whole numbers, so that a run repeats bit by bit.
     """
 
     def __init__(self, participant: Participant, ppm: float) -> None:
@@ -41,7 +40,7 @@ class Drifting:
         own_ns = self._next_own_ns
         if until_ns < due_ns:
             own_ns = min(self._own_ns(until_ns), own_ns - 1)
-        elif until_ns > due_ns:  # it stood still: it wakes up at a tick of its own
+        elif until_ns > due_ns:  # it was stalled: it wakes up at a tick of its own
             period_ns = max(1, self._next_own_ns - self._before_own_ns)
             own_ns += round((self._own_ns(until_ns) - own_ns) / period_ns) * period_ns
         heard = [(min(self._own_ns(at), own_ns), frame) for at, frame in deliveries]
@@ -58,5 +57,5 @@ class Drifting:
         return simulated_ns * self._own // _MILLION
 
     def _simulated(self, own_ns: int) -> int:
-        """The first simulated ns at which the participant's clock shows `own_ns` or later."""
+        """Return the first simulated ns at which the participant's clock shows `own_ns` or later."""
         return -(-own_ns * _MILLION // self._own)

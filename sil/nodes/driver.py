@@ -1,4 +1,4 @@
-"""The driver, or the vehicle unit that stands for one: asks for gears on a schedule."""
+"""The driver, or the control unit that acts for one: requests gears on a schedule."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from sil.coupling.clock import next_tick
 class DriverNode:
     """Sends a protected ShiftRequest every period; the gear it carries follows a schedule.
 
-    A request of an instant goes out with the first frame from that instant on.
-    Checked by test_driver.
+    A request is sent with the first frame at or after its instant.
     """
 
     name = "driver"
@@ -22,7 +21,7 @@ class DriverNode:
     def __init__(
         self, initial: Gear, schedule: Sequence[tuple[int, Gear]], period_ns: int, phase_ns: int = 0
     ) -> None:
-        """`schedule`: instants in ns, ascending, and the gear asked for from then on."""
+        """`schedule`: instants in ns, ascending, and the gear requested from then on."""
         self._gear = initial
         self._schedule = list(schedule)
         self._period_ns = period_ns
@@ -36,7 +35,7 @@ class DriverNode:
     def advance(
         self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
     ) -> tuple[list[tuple[int, Frame]], int]:
-        """Send the frame that is due at `until_ns`; what others sent is not looked at."""
+        """Send the frame that is due at `until_ns`; frames of others are ignored."""
         while self._schedule and self._schedule[0][0] <= until_ns:
             self._gear = self._schedule.pop(0)[1]
         following = next_tick(until_ns, self._period_ns, self._phase_ns)
@@ -45,4 +44,4 @@ class DriverNode:
         return ([(until_ns, frame)] if frame is not None else []), following
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: the node holds no resources."""

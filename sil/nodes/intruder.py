@@ -1,4 +1,4 @@
-"""A node that should not be there: babbles, repeats what it heard, forges frames."""
+"""A node that does not belong on the bus: it babbles, repeats frames, forges frames."""
 
 from __future__ import annotations
 
@@ -19,10 +19,7 @@ SOURCE = 0xFB
 
 
 class IntruderNode:
-    """Sends what the faults of a scenario say, seeded by it; wakes up every millisecond.
-
-    Checked by test_intruder.
-    """
+    """Sends the frames of a scenario's intrusion faults; wakes up every millisecond."""
 
     name = INTRUDER
 
@@ -50,11 +47,11 @@ class IntruderNode:
         return sorted(released), self._next_ns
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: the node holds no resources."""
 
 
 class _Act:
-    """One fault, and what it remembers."""
+    """One fault with its state."""
 
     def __init__(self, fault: Intrusion, bit_ns: int, generator: random.Random) -> None:
         self._fault = fault

@@ -1,4 +1,4 @@
-"""Other nodes' frames: traffic that takes a stated share of the bus."""
+"""Frames of other nodes that take a stated share of the bus."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class TrafficNode:
     """Sends 8-byte frames of J1939 broadcast groups at random instants, seeded by the scenario.
 
     Every 10 ms it releases as many frames as make up `load` (0..1) of the bus so far, spread over
-    the next 10 ms in whole microseconds, from 16 source addresses. Checked by test_other_traffic.
+    the next 10 ms in whole microseconds, from 16 source addresses.
     """
 
     name = "traffic"
@@ -56,4 +56,4 @@ class TrafficNode:
         return sorted(released), self._next_ns
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: the node holds no resources."""

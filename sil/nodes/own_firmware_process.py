@@ -50,7 +50,7 @@ class _Checked:
 
 
 def serve(connection: Connection, stacks: int) -> None:
-    """Fork a process for each firmware, wait until it ends and report how; until told no more."""
+    """Fork a process for each firmware, wait until it ends, and report how it ended."""
     while True:
         try:
             message = connection.recv_bytes()

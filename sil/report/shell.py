@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sil.files.quantity import limits, quantity
 from sil.report.plots import Group
 from sil.report.theme import DARK, LIGHT
 
@@ -68,6 +69,8 @@ def render(template: str, head: Head, groups: Sequence[Group] = (), **values: An
     )
     environment.filters.update(
         value_text=value_text,
+        quantity=quantity,
+        limits=limits,
         number=number,
         ms=milliseconds,
         ms3=lambda value: milliseconds(value, 3),

@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[2]
 SCENARIO = "scenario.json"
 REMOTE = ("controller", "plant")
-"""Who runs in a process of its own on every transport but inproc; the others never do."""
+"""Participants that have a process of their own on every transport but inproc."""
 
 SENDERS = (*TURN_ORDER, "traffic", "intruder", GUEST)
-"""Everybody who may be on the bus, in the order of their turns."""
+"""All who may be on the bus, in the order of their turns."""
 
 TIMEOUTS = Timeouts(start_s=300.0, answer_s=2.0, close_s=5.0)
 INITIAL = {"neutral": "N", "backward": "B", "forward": "F"}
@@ -48,12 +48,12 @@ Say = Callable[[str], None]
 
 
 def gear_of(name: str) -> Gear:
-    """Return the gear of a scenario's word for it."""
+    """Return the gear of its name in a scenario."""
     return Gear[name.upper()]
 
 
 def scenario_number(scenario: Scenario) -> int:
-    """Return 32 bits that tell scenarios apart when a participant joins; never 0."""
+    """Return 32 bits that identify a scenario when a participant joins; never 0."""
     return crc32(json.dumps(expanded(scenario), sort_keys=True).encode()) or 1
 
 
@@ -110,7 +110,7 @@ class RecordedPlant:
             raise ParticipantLost("plant", f"could not go on: {error}") from None
 
     def close(self) -> None:
-        """Close the node, which tells its balances, then the files."""
+        """Close the node, which records its balances, then the files."""
         self.node.close()
         for file in self._files:
             file.close()
@@ -119,7 +119,8 @@ class RecordedPlant:
 def make_participant(name: str, loaded: Loaded, folder: Path) -> Participant:
     """Return one participant of a scenario, its clock as the scenario says.
 
-    The plant records into `folder`, and its clock is simulated time. Raises InputError.
+    The plant records into `folder`, and its clock is simulated time. Raises InputError for an
+    unknown name, or if the participant refuses its settings.
     """
     participant = _on_time(name, loaded, folder)
     clock = loaded.scenario.clock

@@ -1,4 +1,4 @@
-"""What the bus did in a run, message by message, beside the worst case."""
+"""Load and response times of the bus in a run, with the worst case of each message."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from sil.coupling.bus import BusModel
 from sil.coupling.clock import NS_PER_S, to_ns
 from sil.coupling.faults import FaultPlan
 from sil.coupling.response_times import PeriodicMessage, contract_messages, response_times
+from sil.files.quantity import quantity
 from sil.simulation.results import Check
 from sil.simulation.scenario import Scenario
 
@@ -87,7 +88,23 @@ def bus_figures(scenario: Scenario, bus: BusModel, plan: FaultPlan) -> dict[str,
     }
 
 
-def response_check(scenario: Scenario, told: dict[str, Any]) -> list[Check]:
+FULL_LOAD = 0.97
+
+
+def overload(figures: dict[str, Any]) -> list[str]:
+    """Return a line with the cause when the bus of a run was practically always busy."""
+    if figures["load"] < FULL_LOAD:
+        return []
+    fastest_s = min(m["period_s"] for m in figures["messages"])
+    names = ", ".join(m["name"] for m in figures["messages"] if m["period_s"] == fastest_s)
+    return [
+        f"the bus is {100 * figures['load']:.0f} % loaded at {figures['bitrate'] // 1000} kbit/s, so "
+        f"frames wait and newer ones overwrite them: {names} are sent every "
+        f"{quantity(fastest_s, 's')}; raise bus.bitrate, or the periods of sensor and controller"
+    ]
+
+
+def response_check(scenario: Scenario, figures: dict[str, Any]) -> list[Check]:
     """Return the check that no frame was later than its worst case, where the analysis holds.
 
     It does not where faults repeat frames or other nodes' traffic is on the bus.
@@ -96,7 +113,7 @@ def response_check(scenario: Scenario, told: dict[str, Any]) -> list[Check]:
         return []
     late = [
         m["name"]
-        for m in told["messages"]
+        for m in figures["messages"]
         if m["longest_response_s"] is not None
         and (m["worst_case_s"] is None or m["longest_response_s"] > m["worst_case_s"])
     ]

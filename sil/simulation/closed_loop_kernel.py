@@ -38,7 +38,7 @@ HEARD: Mapping[str, frozenset[int]] = {
     "plant": frozenset(map(can_id_of, (ValveCommand, SafetyBlow))),
     "traffic": frozenset(),
 }
-"""Identifiers that each participant does not pass over."""
+"""Identifiers of the messages that each participant uses."""
 
 _bits = lru_cache(maxsize=1 << 15)(frame_bits)
 
@@ -49,7 +49,7 @@ def run_quickly(
     end_ns: int,
     mailboxes: Container[int] = (),
 ) -> list[BusFrame]:
-    """Run participants to `end_ns`; returns what arrived on the bus, in order.
+    """Run participants to `end_ns`; return the frames that arrived on the bus, in order.
 
     Of an identifier in `mailboxes` only a sender's newest content waits.
     Raises ParticipantLost when one of them fails.

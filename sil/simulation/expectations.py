@@ -1,4 +1,4 @@
-"""What a scenario expects of its run, and the checks that turn a run into passed or failed."""
+"""The [expect] table of a scenario, and the checks that decide whether a run passed."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from can_dbc.messages import (
     ShiftRequest,
     ValveCommand,
 )
+from sil.files.quantity import unit_of
 from sil.recording.run_record import CHAMBERS, RunRecord
 from sil.simulation.metrics import Shift, gear_at
 from sil.simulation.results import Check
@@ -49,7 +50,7 @@ MetricName = Literal[
 ]
 
 _NEVER_NONE = (ShiftRequest, ValveCommand, ControllerStatus, PlantMotion)
-"""Messages without which nothing was shown."""
+"""Messages that every run must have on the bus, or nothing was tested."""
 
 
 class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -61,14 +62,15 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Largest value allowed."""
 
     def holds(self, value: float | None) -> bool:
-        """Return whether a value exists and lies within."""
+        """Return whether a value exists and is within the limits."""
         if value is None:
             return False
         return (self.min is None or value >= self.min) and (self.max is None or value <= self.max)
 
-    def told(self) -> dict[str, float]:
-        """Return the sides that are given."""
-        return {k: v for k, v in (("min", self.min), ("max", self.max)) if v is not None}
+    def check(self, name: str, value: float | None, unit: str) -> Check:
+        """Return the check of a named value against these limits."""
+        given = {k: v for k, v in (("min", self.min), ("max", self.max)) if v is not None}
+        return Check(name=name, passed=self.holds(value), value=value, limit=given, unit=unit)
 
 
 class Timing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"start": "from"}):
@@ -112,7 +114,7 @@ class Expectations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class Observed:
-    """What the expectations ask of a run, gathered piece by piece, in order of time."""
+    """What the expectations need of a run, collected piece by piece in order of time."""
 
     def __init__(self, stroke_m: float) -> None:
         self.stroke_m = stroke_m
@@ -125,7 +127,7 @@ class Observed:
         self.visited: list[str] = []
 
     def add(self, record: RunRecord) -> None:
-        """Take in the next piece of the run."""
+        """Add the next piece of the run."""
         for kind in self.counts:
             self.counts[kind] += sum(1 for _ in record.each(kind))
         if len(record.truth["time_s"]):
@@ -143,10 +145,7 @@ class Observed:
 def evaluate(
     wanted: Expectations, record: RunRecord, found: Sequence[Shift], metrics: dict[str, Any]
 ) -> list[Check]:
-    """Return one Check per expectation, the ones against an empty success first.
-
-    Checked by test_expectations.
-    """
+    """Return one Check per expectation, after those that the run did anything at all."""
     observed = Observed(record.stroke_m)
     observed.add(record)
     return evaluate_observed(wanted, observed, found, metrics)
@@ -155,7 +154,7 @@ def evaluate(
 def evaluate_observed(
     wanted: Expectations, observed: Observed, found: Sequence[Shift], metrics: dict[str, Any]
 ) -> list[Check]:
-    """Return what `evaluate` does, of a run that was looked at piece by piece."""
+    """Return what `evaluate` does, of a run that was observed piece by piece."""
     checks = _not_vacuous(wanted, observed, found)
     checks += _ends(wanted, observed)
     checks += _states(wanted, observed)
@@ -164,9 +163,7 @@ def evaluate_observed(
         checks.append(_equal("valves opened", opened, sorted(wanted.valves_opened, key=_order)))
     for name, limits in wanted.metrics.items():
         value = metrics[name]
-        checks.append(
-            Check(name=name, passed=limits.holds(value), value=value, limit=limits.told())
-        )
+        checks.append(limits.check(name, value, unit_of(name)))
     checks += [_timing(t, found) for t in wanted.timing]
     return checks
 
@@ -243,4 +240,4 @@ def _timing(wanted: Timing, found: Sequence[Shift]) -> Check:
         start, end = getattr(shift, f"{wanted.start}_s"), getattr(shift, f"{wanted.to}_s")
         if start is not None and end is not None:
             value = end - start
-    return Check(name=name, passed=limits.holds(value), value=value, limit=limits.told())
+    return limits.check(name, value, "s")

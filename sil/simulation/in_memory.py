@@ -7,7 +7,7 @@ Checked by: tests/unit/sil/simulation/test_in_memory.py
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -27,7 +27,7 @@ from sil.simulation.closed_loop_kernel import run_quickly
 from sil.simulation.scenario import Loaded, Scenario
 
 ROWS_AT_ONCE = 1 << 14
-"""Trace rows that are made together: nobody reads them before the run is over."""
+"""Trace rows that are made together: they are read only after the run."""
 
 
 @dataclass
@@ -52,41 +52,30 @@ class MemoryRun:
         return run_sha256(digest.digest(), pieces)
 
 
-class TraceRows:
-    """Keeps the plant's trace rows, and their hash."""
+class _TraceRows(list[np.ndarray]):
+    """The blocks of trace rows that the plant writes, each new."""
 
-    def __init__(self) -> None:
-        self.rows: list[np.ndarray] = []
-
-    def write(self, rows: np.ndarray) -> None:
-        """Keep some rows; the plant makes new ones each time."""
-        self.rows.append(rows)
-
-
-class EventList:
-    """Keeps the plant's events."""
-
-    def __init__(self) -> None:
-        self.events: list[PlantEvent] = []
-
-    def __call__(self, time_s: float, name: str, values: Any) -> None:
-        self.events.append(PlantEvent(time_s, name, dict(values)))
+    write = list.append
 
 
 def run_in_memory(loaded: Loaded) -> MemoryRun:
     """Run a scenario as `opc4 run --transport inproc` does; nothing is written.
 
-    Raises InputError for what the scenario cannot be, RunError when a participant fails.
+    Raises InputError if the scenario is not valid, RunError if a participant fails.
     """
     from plant.node import TRACE_COLUMNS, PlantNode
 
     scenario = loaded.scenario
-    trace, events = TraceRows(), EventList()
+    trace, events = _TraceRows(), list[PlantEvent]()
+
+    def note(time_s: float, name: str, values: Mapping[str, Any]) -> None:
+        events.append(PlantEvent(time_s, name, dict(values)))
+
     node = PlantNode(
         build.plant_config(scenario),
         loaded.parameters,
         trace,
-        events,
+        note,
         trace_rows_at_once=ROWS_AT_ONCE,
     )
     participants = [
@@ -99,23 +88,23 @@ def run_in_memory(loaded: Loaded) -> MemoryRun:
     else:
         boxes = build.mailboxes(scenario)
         frames = run_quickly(participants, scenario.bus.bitrate, end_ns, boxes)
-    rows = np.concatenate(trace.rows)
+    rows = np.concatenate(trace)
     parameters, table = loaded.parameters, loaded.scenario.plant
     supply = table.supply_pressure_pa
-    kept = RunRecord(
+    record = RunRecord(
         truth={name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(TRACE_COLUMNS)},
-        events=events.events,
+        events=events,
         frames=frames,
         stroke_m=parameters.value("length.stroke"),
         free_travel_m=parameters.value("length.x_free_total"),
         supply_pressure_pa=parameters.value("supply.P_s") if supply is None else supply,
     )
-    found = metrics.shifts(kept, build.gear_of(scenario.initial_gear))
-    balances = next((dict(e.values) for e in events.events if e.name == "balance"), {})
+    found = metrics.shifts(record, build.gear_of(scenario.initial_gear))
+    balances = next((dict(e.values) for e in events if e.name == "balance"), {})
     return MemoryRun(
-        record=kept,
+        record=record,
         shifts=found,
-        figures=metrics.summary(kept, found, balances.get("air_in_kg")),
+        figures=metrics.summary(record, found, balances.get("air_in_kg")),
         balances=balances,
         rows=rows,
     )

@@ -1,4 +1,4 @@
-"""Figures of merit of a run, from the plant's truth, and the lag once more from the bus alone."""
+"""Metrics of a run from the plant's true motion; the lag also from the bus alone."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def crossing(times: Floats, values: Floats, level: float, rising: bool) -> float | None:
-    """Return when a sampled line first reaches a level, linearly between samples; None if never.
+    """Return when sampled values [n] over times [n] in s first reach a level; None if never.
 
-    Checked by test_metrics.
+    The unit of values is that of the level; between samples the line is straight.
     """
     beyond = values >= level if rising else values <= level
     if not beyond.any():
@@ -72,7 +72,7 @@ def crossing(times: Floats, values: Floats, level: float, rising: bool) -> float
 
 
 def held_crossing(times: Floats, values: Floats, level: float, rising: bool) -> float | None:
-    """Return when a held (staircase) line first reaches a level: the instant of that sample."""
+    """Return the time of the first sample, of values [n] at times [n] in s, at or past a level."""
     beyond = values >= level if rising else values <= level
     return float(times[int(np.argmax(beyond))]) if beyond.any() else None
 
@@ -80,11 +80,11 @@ def held_crossing(times: Floats, values: Floats, level: float, rising: bool) -> 
 def phase_averaged_crossing(
     times: Floats, values: Floats, level: float, rising: bool
 ) -> float | None:
-    """Return when a held line reaches a level, on average over the phase of its sampling.
+    """Return when held values [n], sampled at times [n] in s, reach a level, averaged over the phase.
 
-    The line behind the samples (monotone cubic) crosses at t; its held image follows between 0 and
-    one sampling period later, half a period on average: t + (t[i] - t[i-1]) / 2.
-    Assumes the line is monotone near the crossing. Checked by test_metrics.
+    The line through the samples (monotone cubic) crosses at t. The held value follows between zero
+    and one sampling period later, half a period on average: t + (t[i] - t[i-1]) / 2.
+    Assumes that the line is monotone near the crossing.
     """
     beyond = values >= level if rising else values <= level
     if not beyond.any():
@@ -102,7 +102,7 @@ def phase_averaged_crossing(
 
 
 def gear_position_m(gear: Gear, stroke_m: float) -> float:
-    """Return where the stay stands in a gear: 0 neutral, +stroke backward, -stroke forward."""
+    """Return the position of a gear in m: 0 neutral, +stroke backward, -stroke forward."""
     return {Gear.NEUTRAL: 0.0, Gear.BACKWARD: stroke_m, Gear.FORWARD: -stroke_m}[gear]
 
 
@@ -229,18 +229,21 @@ def _stop_event(
 def _lags(
     record: RunRecord, origin: float, goal: float, start: float, until: float
 ) -> list[float | None]:
-    """Return the lag at 10 % and 90 % of travel: phase-averaged, as held in this run, and as the
-    bus log alone gives it (the plant's truth frames against the controller's status frames)."""
+    """Return three pairs of lags in s at 10 % and 90 % of travel; None where there is none.
+
+    Averaged over the phase of the sampling, as held in this run, and from the bus log alone (the
+    plant's truth frames against the controller's status frames).
+    """
     rising = goal > origin
     levels = [origin + share * (goal - origin) for share in (0.1, 0.9)]
     time, position = record.truth["time_s"], record.truth["position_m"]
     inside = (time >= start - 1e-9) & (time <= until + 1e-9)
     true = [crossing(time[inside], position[inside], level, rising) for level in levels]
-    when, believed = record.estimate
-    seen = (when >= start) & (when <= until)
-    when, believed = when[seen], believed[seen]
-    mean = [phase_averaged_crossing(when, believed, level, rising) for level in levels]
-    held = [held_crossing(when, believed, level, rising) for level in levels]
+    when, estimate = record.estimate
+    inside = (when >= start) & (when <= until)
+    when, estimate = when[inside], estimate[inside]
+    mean = [phase_averaged_crossing(when, estimate, level, rising) for level in levels]
+    held = [held_crossing(when, estimate, level, rising) for level in levels]
     bus = _truth_on_bus(record, start, until, levels, rising)
     return [
         *(_minus(a, b) for a, b in zip(mean, true, strict=True)),
@@ -279,7 +282,7 @@ def summary(record: RunRecord, found: Sequence[Shift], air_used_kg: float | None
 
     `shift_time_s` is the time spent shifting: the sum over the shifts of request to arrival at the
     stop, None when one of them never arrived. Impact speed and energy are the worst of all shifts;
-    lags are those of the last shift that completed. Checked by test_metrics.
+    lags are those of the last shift that completed.
     """
     return whole_run(found, air_used_kg, valve_switchings(record), len(record.frames))
 

@@ -15,17 +15,22 @@ import msgspec
 
 from sil.files.atomic import write_atomically
 from sil.files.output_folder import RESULT, finite
+from sil.files.quantity import comparison
 
 LIBRARIES = ("opc4-sil", "numpy", "numba", "scipy", "python-can", "cantools", "msgspec")
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
-    """One expectation after the run: what was found beside what was asked."""
+    """One expectation after the run: its value in the run, and the limit."""
 
     name: str
     passed: bool
     value: Any
     limit: Any
+    unit: str = ""
+
+    def __str__(self) -> str:
+        return comparison(self.name, self.value, self.limit, self.unit)
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
@@ -49,6 +54,8 @@ class Result(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     model: Any
 
     status: Literal["passed", "failed", "incomplete"]
+    warnings: list[str] = []
+    """What is likely to be a mistake in the scenario, with the cause."""
 
 
 def versions() -> dict[str, str]:
@@ -66,14 +73,14 @@ def as_json(result: Result) -> str:
 
 
 def write_result(result: Result, folder: Path) -> None:
-    """Write result.json whole or not at all."""
+    """Write result.json atomically."""
     write_atomically(folder / RESULT, as_json(result) + "\n")
 
 
 def junit_xml(result: Result) -> str:
     """Return the result as a JUnit test suite: one case per expectation.
 
-    A run that did not finish is one case more, an error. Checked by test_results.
+    A run that did not finish is one case more, an error.
     """
     failed = [c for c in result.expectations if not c.passed]
     cases: Sequence[Check] = result.expectations
@@ -91,8 +98,7 @@ def junit_xml(result: Result) -> str:
             suite, "testcase", classname=result.scenario_name, name=check.name
         )
         if not check.passed:
-            told = f"{check.name}: {check.value!r}; expected {check.limit!r}"
-            ElementTree.SubElement(case, "failure", message=_xml_text(told))
+            ElementTree.SubElement(case, "failure", message=_xml_text(str(check)))
     if not result.complete:
         case = ElementTree.SubElement(
             suite, "testcase", classname=result.scenario_name, name="run finished"

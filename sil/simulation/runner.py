@@ -13,7 +13,7 @@ from typing import Any
 
 from can_dbc.errors import InputError, RunError, os_error_text
 from can_dbc.messages import Gear
-from sil.coupling.bus import BusModel, Delivery
+from sil.coupling.bus import Delivery
 from sil.coupling.clock import to_ns, to_seconds
 from sil.coupling.faults import FaultPlan
 from sil.coupling.lockstep import Lockstep, RunSummary
@@ -29,9 +29,9 @@ from sil.recording.run_record import RunRecord
 from sil.recording.trace_csv import TraceCsv
 from sil.simulation import build, expectations, metrics
 from sil.simulation.build import SCENARIO, SENDERS, Say
-from sil.simulation.bus_figures import bus_figures, response_check
+from sil.simulation.bus_figures import bus_figures, overload, response_check
 from sil.simulation.results import Check, Result, versions, write_result
-from sil.simulation.scenario import Loaded, Scenario, expanded
+from sil.simulation.scenario import Loaded, Scenario, contradictions, expanded
 
 _SAID_BY_A_PARTICIPANT = re.compile(r"\w+ ended with exit status (?P<code>[23]): opc4 node: ")
 """What precedes a participant's own words; with 2 its settings were refused, as bad input here."""
@@ -41,9 +41,10 @@ CUT_OFF = "the run was cut off before it could say why"
 
 @dataclass(frozen=True)
 class Finished:
-    """A run that has ended, well or not: its result, and what it left, if that is enough.
+    """A run that has ended, complete or not.
 
-    `record` is all of it, or of a run longer than `sil.recording.run_reader.PIECE_S` the first piece.
+    `record`: the recorded run, or the first piece of one longer than
+    `sil.recording.run_reader.PIECE_S`; None if the plant recorded nothing.
     """
 
     result: Result
@@ -62,11 +63,11 @@ def run(
 ) -> Finished:
     """Run a scenario into an empty folder and write everything but pictures there.
 
-    `speed`: simulated seconds per wall second in real-time mode, None as fast as it goes. A run
-    that a participant ends early is written too, marked incomplete with the reason; result.json
-    stands from the start, so even a killed run says that it is not complete.
-    Raises InputError for what the scenario or the transport cannot be; the folder is then empty.
-    Checked by test_end_to_end, test_crash.
+    `speed`: simulated seconds per wall second in real-time mode; None: as fast as possible. A run
+    that a participant ends early is written too, marked incomplete with the reason; result.json is
+    written before the run begins, so that even a killed run is marked as incomplete.
+    Raises InputError if the scenario or the transport is not valid (the folder is then empty), and
+    RunError if a participant cannot be started.
     """
     scenario = loaded.scenario
     begun = time.perf_counter()
@@ -128,7 +129,11 @@ def run(
     if summary is not None:
         for warning in lockstep.warnings:
             say(warning)
-    return _judge(loaded, folder, base, why, log, bus, plan, summary, begun)
+    bus_result = bus_figures(scenario, bus, plan)
+    base = _with(base, warnings=[*contradictions(scenario), *overload(bus_result)])
+    for warning in base.warnings:
+        say(f"warning: {warning}")
+    return _judge(loaded, folder, base, why, log, bus_result, summary, begun)
 
 
 def _blank(loaded: Loaded, transport: str) -> Result:
@@ -173,36 +178,34 @@ def _judge(
     base: Result,
     why: str | None,
     log: BusLog,
-    bus: BusModel,
-    plan: FaultPlan,
+    bus: dict[str, Any],
     summary: RunSummary | None,
     begun: float,
 ) -> Finished:
-    """Turn what was recorded into metrics and checks, and write result.json and trace.csv."""
+    """Compute metrics and checks from the recorded run; write result.json and trace.csv."""
     scenario = loaded.scenario
     record: RunRecord | None = None
     found: list[metrics.Shift] = []
     figures: dict[str, Any] = {}
     checks: list[Check] = []
     balances: dict[str, Any] = {}
-    bus_told = bus_figures(scenario, bus, plan)
     with contextlib.ExitStack() as closing:
-        kept = _kept(loaded, folder, closing)
-        if kept is not None:
+        recorded = _reader(loaded, folder, closing)
+        if recorded is not None:
             try:
                 observed, found, switchings, checked = _figures(
-                    scenario, kept, folder / "trace.csv"
+                    scenario, recorded, folder / "trace.csv"
                 )
             except OSError as error:  # no room for trace.csv: plant.trace stays instead
-                kept, why = None, why or os_error_text(error)
-        if kept is not None:
-            bus_told["end_to_end"] = checked.counts()
-            record, balances = kept.piece(0), dict(kept.balances)
+                recorded, why = None, why or os_error_text(error)
+        if recorded is not None:
+            bus["end_to_end"] = checked.counts()
+            record, balances = recorded.piece(0), dict(recorded.balances)
             figures = metrics.whole_run(found, balances.get("air_in_kg"), switchings, log.frames)
             if why is None:
                 checks = expectations.evaluate_observed(scenario.expect, observed, found, figures)
                 checks += _balance_checks(balances)
-                checks += response_check(scenario, bus_told)
+                checks += response_check(scenario, bus)
     if why is None and record is None:
         why = f"the plant recorded nothing in {folder}; expected opc4 node plant --out {folder}"
     complete = why is None and summary is not None
@@ -225,7 +228,7 @@ def _judge(
         expectations=checks,
         metrics=figures,
         trace_sha256=trace_sha256(log.digest(), folder / PLANT_TRACE) if complete else None,
-        bus=bus_told,
+        bus=bus,
         balances=balances,
         speed=speed,
         status="passed" if passed else "failed" if complete else "incomplete",
@@ -238,13 +241,13 @@ def _judge(
     return Finished(result, record, found)
 
 
-def _kept(loaded: Loaded, folder: Path, closing: contextlib.ExitStack) -> RunReader | None:
-    """Return what was recorded, or None when the plant never got as far as two rows."""
+def _reader(loaded: Loaded, folder: Path, closing: contextlib.ExitStack) -> RunReader | None:
+    """Return the recorded run, or None if the plant recorded fewer than two rows."""
     if not (folder / PLANT_TRACE).exists():
         return None
     parameters = loaded.parameters
     supply_pa = loaded.scenario.plant.supply_pressure_pa
-    kept = closing.enter_context(
+    recorded = closing.enter_context(
         RunReader(
             folder,
             SENDERS,
@@ -254,28 +257,28 @@ def _kept(loaded: Loaded, folder: Path, closing: contextlib.ExitStack) -> RunRea
             trace_period_s=loaded.scenario.trace_period_s,
         )
     )
-    return kept if kept.rows > 1 else None
+    return recorded if recorded.rows > 1 else None
 
 
 def _figures(
-    scenario: Scenario, kept: RunReader, path: Path
+    scenario: Scenario, recorded: RunReader, path: Path
 ) -> tuple[expectations.Observed, list[metrics.Shift], int, EndToEnd]:
-    """Go through the run piece by piece: write the trace, observe, find the shifts."""
-    observed = expectations.Observed(kept.stroke_m)
+    """Write the trace of a run, and collect observations and shifts, piece by piece."""
+    observed = expectations.Observed(recorded.stroke_m)
     gear = build.gear_of(scenario.initial_gear)
     changes: list[tuple[float, Gear, Gear]] = []
     switchings = 0
     checked = EndToEnd()
     with TraceCsv(path) as csv:
-        for piece in kept:
+        for piece in recorded:
             csv.add(piece)
             observed.add(piece)
             checked.add(piece)
             switchings += metrics.valve_switchings(piece)
             changes += metrics.requests(piece, changes[-1][2] if changes else gear)
-    spans = metrics.spans(changes, kept.end_s)
+    spans = metrics.spans(changes, recorded.end_s)
     found = [
-        metrics.shift_figures(kept.span(start, until), start, source, target, until)
+        metrics.shift_figures(recorded.span(start, until), start, source, target, until)
         for start, source, target, until in spans
     ]
     return observed, found, switchings, checked

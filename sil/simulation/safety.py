@@ -1,15 +1,15 @@
-"""What a fault did: when it was seen, how the run ended, what was at risk.
+"""Safety figures of a run with faults: detection, end state, and how long it was unsafe.
 
-Safe states that the firmware and the plant's valve driver are to keep, whatever up to two things
-fail: no coil stays energised by a controller that no longer lives (longer than the driver's
-timeout), and no gear is reported that the stay is not in (longer than a motion takes to be seen).
+Safe states that the firmware and the plant's valve driver must hold, whatever up to two faults do:
+no coil stays energised by a dead controller (longer than the driver's timeout), and no gear is
+reported that the stay is not in (longer than a motion takes to be observed).
 
-Two limits. A single position sensor that lies like a motion (it or its thermometer stuck, or wrong by
-a constant) cannot be told from one. And end-to-end protection knows no time and no secret: frames repeated a whole
-round of the counter later (15 to 16 periods), or repeated of a sender that has gone silent, pass
-for new. A report is then as old as the repetition; a coil is not held so by one repeated message,
-because the driver wants both commands and blows to be good. ETC2 tells the gear of the status frame
-without any protection, as J1939 has it: reports are judged by the status frames.
+Two limits. A single position sensor whose error looks like a motion (it or its thermometer stuck,
+or wrong by a constant) cannot be told from one. End-to-end protection carries no time and no secret:
+frames repeated a whole round of the counter later (15 to 16 periods), or repeated of a sender that
+is silent, pass as new. A report is then as old as the repetition; a coil is not held on by one
+repeated message, because the driver needs both commands and blows to be good. ETC2 carries the gear
+without protection, as in J1939, so reports are judged by the status frames.
 
 Checked by: tests/unit/sil/simulation/test_safety.py, tests/faults/
 """
@@ -37,7 +37,7 @@ ENERGISED = 0.34
 """Duty above which a coil is meant to be energised."""
 
 REPORT_HOLDS_S = 0.05
-"""After this long without a new one, nobody believes a status frame any more."""
+"""A status frame is valid for this long."""
 
 COLUMNS = (
     "detected_after_s",
@@ -57,9 +57,9 @@ COLUMNS = (
 
 
 def fault_start_s(scenario: Scenario) -> float:
-    """Instant [s] at which the first stated fault begins; inf without one.
+    """Return the instant in s at which the first fault begins; infinity without one.
 
-    Other nodes' load and clocks that drift are there from the start.
+    Load of other nodes and drifting clocks act from the start.
     """
     clock = scenario.clock
     if scenario.bus.extra_load or clock.controller_ppm or clock.driver_ppm:
@@ -75,18 +75,18 @@ def fault_start_s(scenario: Scenario) -> float:
 
 
 def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
-    """The safety figures of a finished run, by `COLUMNS`; nan where there is none.
+    """Return the safety figures of a finished run, by `COLUMNS`; NaN where there is none.
 
-    detected_after_s: from the first fault's start to the first status frame that reports one not
-    reported before. coils_off_after_s: until the last coil was switched off. reported_gear: what a
-    receiver believes at the end, nan when it believes no report. both_filled_s: for how long the
-    chambers B and F were both filled. half_engaged: the stay ended between its gears.
+    detected_after_s: from the first fault's start to the first status frame that reports a new
+    fault. coils_off_after_s: until the last coil was switched off. reported_gear: the valid report
+    at the end. both_filled_s: how long the chambers B and F were both filled. half_engaged: 1 if
+    the stay ended between its gears.
     """
     start = fault_start_s(scenario)
     truth = record.truth
     time_s, position = truth["time_s"], truth["position_m"]
     windows = scenario.controller.windows
-    status = believed_status(record)
+    status = accepted_status(record)
     before = Fault.NONE
     bits, detected = 0, math.nan
     for entry, message in status:
@@ -131,11 +131,8 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
 Reports = list[tuple[BusFrame, ControllerStatus | None]]
 
 
-def believed_status(record: RunRecord) -> Reports:
-    """Status frames as a receiver takes them that checks their end-to-end protection.
-
-    None stands where the channel is no longer valid: from that frame on nothing is believed.
-    """
+def accepted_status(record: RunRecord) -> Reports:
+    """Return the status frames that pass end-to-end protection; None where it turns invalid."""
     receiver = Receiver(ControllerStatus, E2eConfig(timeout_ns=round(REPORT_HOLDS_S * NS_PER_S)))
     wanted = can_id_of(ControllerStatus)
     found: Reports = []
@@ -149,7 +146,7 @@ def believed_status(record: RunRecord) -> Reports:
 
 
 def _reported_at(status: Reports, at_s: float) -> float:
-    """The gear that a receiver believes at an instant [s]; nan when it believes none."""
+    """Return the gear reported by a valid status frame at an instant in s; NaN without one."""
     if (
         not status
         or status[-1][1] is None
@@ -160,7 +157,7 @@ def _reported_at(status: Reports, at_s: float) -> float:
 
 
 def true_gear(position_m: float, stroke_m: float, neutral_m: float, gear_m: float) -> Gear:
-    """The gear in whose window [m] the stay truly is, UNKNOWN between the windows."""
+    """Return the gear in whose window the true position is, UNKNOWN between the windows."""
     for gear, width in ((Gear.NEUTRAL, neutral_m), (Gear.BACKWARD, gear_m), (Gear.FORWARD, gear_m)):
         if abs(position_m - gear_position_m(gear, stroke_m)) <= width:
             return gear
@@ -168,7 +165,7 @@ def true_gear(position_m: float, stroke_m: float, neutral_m: float, gear_m: floa
 
 
 def controller_down_ns(scenario: Scenario) -> list[tuple[int, float]]:
-    """Intervals [ns] in which the controller does not live or the plant cannot hear it."""
+    """Return the intervals in ns in which the controller is dead or cut off from the plant."""
     return [
         (
             round(fault.start_s * NS_PER_S),
@@ -181,10 +178,10 @@ def controller_down_ns(scenario: Scenario) -> list[tuple[int, float]]:
 
 
 def orphan_energised_s(record: RunRecord, scenario: Scenario) -> float:
-    """For how long [s] the driver energised a coil without a living controller.
+    """Return for how long in s the valve driver energised a coil without a living controller.
 
-    Counted from its timeout, and the longest time a frame can still have been under way, on; and
-    wherever no command of the controller itself has arrived for longer than that timeout.
+    Counted from its timeout, plus the longest time that a frame can still take to arrive; and
+    while no command of the controller has arrived for longer than that timeout.
     """
     time_s = record.truth["time_s"]
     under_way = 0.005 + _stated_delays_s(scenario)
@@ -206,12 +203,12 @@ def orphan_energised_s(record: RunRecord, scenario: Scenario) -> float:
 
 
 def false_gear_s(record: RunRecord, scenario: Scenario) -> float:
-    """The longest spell [s] in which a gear was reported that the stay was not in.
+    """Return the longest time in s for which a gear was reported that the stay was not in.
 
-    A report counts from its arrival to the next one's, at most REPORT_HOLDS_S. The border lies at
-    twice the window's width: the sensor's tick, noise and temperature move the firmware's own.
+    A report counts from its arrival to the next one's, at most REPORT_HOLDS_S. The limit is twice
+    the window's width, because the sensor's tick, noise and temperature shift the firmware's window.
     """
-    status = believed_status(record)
+    status = accepted_status(record)
     time_s, position = record.truth["time_s"], record.truth["position_m"]
     windows = scenario.controller.windows
     wrong = np.zeros(len(time_s), dtype=bool)
@@ -229,24 +226,24 @@ def false_gear_s(record: RunRecord, scenario: Scenario) -> float:
 
 
 def longest_run(flags: np.ndarray) -> int:
-    """Length of the longest unbroken run of True."""
+    """Return the length of the longest unbroken run of True in flags [n], in samples."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
 def sight_s(scenario: Scenario) -> float:
-    """The longest time [s] before a motion can have reached the status frames.
+    """Return the longest time in s until a motion shows in the status frames.
 
-    A pulse period, the report's way, a step of the firmware, and the frames' way on the bus, with
-    what stated faults delay of them.
+    The sum of a pulse period, the sensor's delays, two steps of the firmware, the bus, and the
+    delays of stated faults.
     """
     sensor, controller = scenario.sensor, scenario.controller
-    seen = sensor.period_s + sensor.capture_s + sensor.delay_s
+    total_s = sensor.period_s + sensor.capture_s + sensor.delay_s
     late = max((f.late for f in scenario.sensor_fault if f.kind == "delayed"), default=0)
-    seen += late * sensor.period_s
-    return seen + 2.0 * controller.period_s + 0.005 + _stated_delays_s(scenario)
+    total_s += late * sensor.period_s
+    return total_s + 2.0 * controller.period_s + 0.005 + _stated_delays_s(scenario)
 
 
 def _stated_delays_s(scenario: Scenario) -> float:
-    """How much later [s] than usual faults of the bus may let a frame arrive."""
+    """Return the longest delay in s that faults of the bus add to a frame."""
     return sum(f.delay_s + f.jitter_s for f in scenario.fault if isinstance(f, Delay))

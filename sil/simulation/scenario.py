@@ -1,4 +1,4 @@
-"""Scenarios: what is run, as typed TOML with every value named, bounded and overridable."""
+"""Scenarios as typed TOML: every value has a name, bounds and a default, and can be overridden."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from can_dbc.errors import InputError
+from can_dbc.errors import InputError, nearest, unknown_name
 from controller.config import FirmwareConfig
 from plant.devices.driveline import DrivelineConfig
 from plant.devices.position_circuit import SensorConfig, SensorFault
@@ -22,6 +22,7 @@ from plant.devices.valve_driver import ValveDriverConfig
 from plant.devices.valve_faults import ValveFault
 from sil.coupling.faults import BusFault, FaultPlan
 from sil.files import typed_toml
+from sil.files.quantity import quantity
 from sil.nodes.own_firmware import absolute
 from sil.simulation.expectations import ChamberName, Expectations, GearName
 
@@ -175,10 +176,9 @@ def load(
 ) -> Loaded:
     """Load a scenario file, or a shipped scenario by name, and apply overrides.
 
-    `settings` are texts PATH=VALUE; PATH names a value of the scenario, the firmware
-    (controller...), sensor, bus, or model (valve.D_fall). A result.json runs again as it was.
-    Raises InputError naming file, place, what is wrong and what was expected.
-    Checked by test_scenario.
+    `settings`: texts PATH=VALUE; PATH names a value of the scenario, the firmware (controller...),
+    sensor, bus, or model (valve.D_fall). A result.json is loaded as the scenario that it holds.
+    Raises InputError naming file and key, what is wrong and what was expected.
     """
     table, path = read(where)
     return from_table(
@@ -187,7 +187,7 @@ def load(
 
 
 def read(where: str) -> tuple[dict[str, Any], Path]:
-    """Return a scenario file, or a shipped scenario by name, as parsed, and where it is."""
+    """Return a scenario file, or a shipped scenario by name, as parsed, and its path."""
     path = find(where)
     return _read(path), path
 
@@ -201,7 +201,10 @@ def from_table(
     seed: int | None = None,
     folder: Path = Path(),
 ) -> Loaded:
-    """Build a scenario from a parsed file; `source` names it, model files are beside `folder`."""
+    """Build a scenario from a parsed file; `source` names it, `folder` holds its model files.
+
+    Raises InputError as `load` does.
+    """
     raw = copy.deepcopy(dict(table))
     _normalise(raw, source)
     scenario = _build(raw, source)
@@ -230,7 +233,7 @@ def from_table(
 
 
 def restore(raw: Mapping[str, Any], source: str) -> Loaded:
-    """Rebuild a scenario from its expanded form (as in result.json)."""
+    """Return a scenario rebuilt from its expanded form (as in result.json). Raises InputError."""
     scenario = _build(copy.deepcopy(dict(raw)), source)
     parameters = _parameters(scenario.model_set, source)
     return Loaded(scenario, _overridden(parameters, scenario.model, source), source)
@@ -240,6 +243,18 @@ def expanded(scenario: Scenario) -> dict[str, Any]:
     """Return every value of a scenario, defaults included, as plain tables."""
     found: dict[str, Any] = msgspec.to_builtins(scenario)
     return found
+
+
+def contradictions(scenario: Scenario) -> list[str]:
+    """Return a line for each pair of values that each are allowed and together are likely wrong."""
+    sent_s, assumed_s = scenario.sensor.period_s, scenario.controller.sensor.period_s
+    if sent_s == assumed_s:
+        return []
+    return [
+        f"controller.sensor.period_s is {quantity(assumed_s, 's')}, but the sensor sends every "
+        f"{quantity(sent_s, 's')} (sensor.period_s): the firmware's filter and limits are designed "
+        f"for the wrong rate; set sensor.period_s alone, which sets both"
+    ]
 
 
 def find(where: str) -> Path:
@@ -256,9 +271,7 @@ def find(where: str) -> Path:
         return known[where]
     if "/" in where or where.endswith((".toml", ".json")):
         raise InputError(f"{typed_toml.one_line(where)}: file: not found; expected a scenario")
-    raise InputError(
-        f"{typed_toml.one_line(where)}: scenario: {typed_toml.unknown_name(where, known)}"
-    )
+    raise InputError(f"{typed_toml.one_line(where)}: scenario: {unknown_name(where, known)}")
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -275,7 +288,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _without_none(table: dict[str, Any]) -> dict[str, Any]:
-    """Drop the nulls of an expanded scenario: TOML has none, a default stands for each."""
+    """Drop the nulls of an expanded scenario: TOML has none, and each means the default."""
     return {
         k: _without_none(v) if isinstance(v, dict) else v for k, v in table.items() if v is not None
     }
@@ -302,8 +315,8 @@ def _flat(table: Mapping[str, Any], source: str, prefix: str) -> Iterable[tuple[
     for key, value in table.items():
         if isinstance(value, dict):
             if prefix.count(".") > 3:
-                place = typed_toml.one_line(f"model.{prefix}{key}")
-                raise InputError(f"{source}: {place}: nested too deeply; expected section.key")
+                inside = typed_toml.one_line(f"model.{prefix}{key}")
+                raise InputError(f"{source}: {inside}: nested too deeply; expected section.key")
             yield from _flat(value, source, f"{prefix}{key}.")
         else:
             yield prefix + key, value
@@ -341,11 +354,13 @@ def _overridden(
 
 def _apply(raw: dict[str, Any], text: str, parameters: ParameterSet) -> None:
     """Apply one PATH=VALUE to the raw scenario."""
-    path, sign, told = text.partition("=")
+    path, sign, written = text.partition("=")
     path = path.strip()
     if not sign or not path:
         raise InputError(f"--set {typed_toml.one_line(text)}: no value; expected PATH=VALUE")
-    value = typed_toml.parse_value(told.strip())
+    if written.strip() in ("True", "False"):
+        raise InputError(f"--set {path}: {written.strip()}; expected true or false, as TOML has it")
+    value = typed_toml.parse_value(written.strip())
     if path in parameters:
         raw.setdefault("model", {})[path] = value
         return
@@ -355,7 +370,7 @@ def _apply(raw: dict[str, Any], text: str, parameters: ParameterSet) -> None:
         return
     if not typed_toml.set_value(raw, Scenario, path, value):
         known = [*typed_toml.leaf_paths(Scenario, raw), *parameters]
-        near = typed_toml.nearest(path, known, 5) or ["valve.D_fall", "controller.period_s"]
+        near = nearest(path, known, 5, 0.4) or ["valve.D_fall", "controller.period_s"]
         raise InputError(
             f"--set {typed_toml.one_line(path)}: no such value; nearest: {', '.join(near)}"
         )
@@ -379,18 +394,18 @@ def _set_strategy(raw: dict[str, Any], path: str, value: Any) -> bool:
 
 
 def _check_consistent(scenario: Scenario, source: str) -> None:
-    """Refuse what each value allows and the whole does not: order of requests, empty faults."""
+    """Check what involves several values. Raises InputError for requests out of order and the like."""
     if not scenario.name.isprintable():  # pictures, pages and JUnit files hold the name
         name = typed_toml.one_line(scenario.name)
         raise InputError(f"{source}: name: {name!r}; expected printable characters only")
     last = -1.0
     for index, request in enumerate(scenario.request):
-        place = f"{source}: request[{index}].at_s"
+        key = f"{source}: request[{index}].at_s"
         if request.at_s <= last:
-            raise InputError(f"{place}: {request.at_s}; expected later than the one before, {last}")
+            raise InputError(f"{key}: {request.at_s}; expected later than the one before, {last}")
         if request.at_s >= scenario.duration_s:
             raise InputError(
-                f"{place}: {request.at_s}; expected before the end, {scenario.duration_s} s"
+                f"{key}: {request.at_s}; expected before the end, {scenario.duration_s} s"
             )
         last = request.at_s
     if scenario.trace_period_s > 0.1 * scenario.duration_s:

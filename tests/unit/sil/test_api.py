@@ -54,8 +54,10 @@ def test_run_is_the_command(tmp_path: Path) -> None:
     assert found.passed is told["passed"] is False
     assert found.metrics["impact_speed_m_s"] == told["metrics"]["impact_speed_m_s"]
     assert found.signals["position_m"].max() == pytest.approx(0.01285)
-    assert len(found.believed[0]) == len(found.believed[1]) > 10
+    assert len(found.estimate[0]) == len(found.estimate[1]) > 10
     assert len(found.frames) == told["metrics"]["frames"]
+    assert repr(found).startswith("Run(failed, 17 of 21 checks met, 1 shifts in 51.1")
+    assert len(repr(found)) < 120 and found.warnings == []
 
 
 def test_run_takes_a_table() -> None:
@@ -64,7 +66,7 @@ def test_run_takes_a_table() -> None:
 
 
 def test_bad_input_is_raised() -> None:
-    with pytest.raises(InputError, match="nearest"):
+    with pytest.raises(InputError, match="expected one of lab_n_f, lab_n_b"):
         api.run("lab_n_x")
     with pytest.raises(InputError, match="no such value"):
         api.run("lab_n_b", {"valve.D_fell": 1.0})

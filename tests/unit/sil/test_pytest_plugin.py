@@ -66,7 +66,7 @@ PLUGIN = _plugin()
 def test_scenarios_and_the_fixture_are_tests(project: Path) -> None:
     code, told = run(project)
     assert code == 1 and "2 failed, 2 passed" in told
-    assert "final gear: backward; expected forward" in told
+    assert "final gear: backward, expected forward" in told
     assert "broken.toml: name: 3 is wrong" in told or "broken.toml: name" in told
     assert "Traceback" not in told
 

@@ -13,20 +13,20 @@ from sil.files.quantity import comparison, quantity, unit_of
     ("name", "value", "limit", "text"),
     [
         ("position_lag_90_s", 0.012760103618673246, {"min": 0.038, "max": 0.046},
-         "position_lag_90_s is 12.76 ms, expected 38 ms to 46 ms"),
-        ("air_used_kg", 0.00081234, {"max": 0.0007}, "air_used_kg is 0.8123 g, expected at most 0.7 g"),
-        ("frames", 1, {"min": 400}, "frames is 1, expected at least 400"),
+         "position_lag_90_s: 12.76 ms, expected 38 ms to 46 ms"),
+        ("air_used_kg", 0.00081234, {"max": 0.0007}, "air_used_kg: 0.8123 g, expected at most 0.7 g"),
+        ("frames", 1, {"min": 400}, "frames: 1, expected at least 400"),
         ("shift 1: requested to arrived", None, {"max": 0.2},
-         "shift 1: requested to arrived is none, expected at most 0.2"),
-        ("faults reported", ["A"], [], "faults reported is A, expected none"),
-        ("valves off at the end", False, True, "valves off at the end is no, expected yes"),
+         "shift 1: requested to arrived: none, expected at most 0.2"),
+        ("faults reported", ["A"], [], "faults reported: A, expected none"),
+        ("valves off at the end", False, True, "valves off at the end: no, expected yes"),
         ("shift_time_s", 0.05000001, {"max": 0.05},
-         "shift_time_s is 50.00001 ms, expected at most 50 ms"),
-        ("valve_switchings", 3, {"min": 2, "max": 2}, "valve_switchings is 3, expected 2"),
+         "shift_time_s: 50.00001 ms, expected at most 50 ms"),
+        ("valve_switchings", 3, {"min": 2, "max": 2}, "valve_switchings: 3, expected 2"),
     ],
 )  # fmt: skip
 def test_a_check_in_words(name: str, value: Any, limit: Any, text: str) -> None:
-    assert comparison(name, value, limit) == text
+    assert comparison(name, value, limit, unit_of(name)) == text
 
 
 def test_units_follow_from_names() -> None:

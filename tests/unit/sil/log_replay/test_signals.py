@@ -67,7 +67,10 @@ def test_options_from_a_file(tmp_path: Path) -> None:
     [
         ('ignore = ["Etc9.*"]', "ignore: Etc9"),
         ('ignored = ["Etc1.*"]', "ignored: unknown"),
-        ('[tolerance]\n"ControllerStatus.estimat_m" = 1.0', "nearest: ControllerStatus.estimate_m"),
+        (
+            '[tolerance]\n"ControllerStatus.estimat_m" = 1.0',
+            "expected one of ControllerStatus.estimate_m",
+        ),
         ('[tolerance]\n"ControllerStatus.estimate_m" = -1.0', "tolerance"),
         ('[tolerance]\n"ControllerStatus.estimate_m" = nan', "finite"),
         ("time_s = 'x'", "time_s"),

@@ -104,7 +104,7 @@ def test_what_the_checks_of_the_frames_found_is_counted() -> None:
     checked = EndToEnd()
     checked.add(RunRecord({}, [], frames[:3], 0.0, 0.0, 0.0))
     checked.add(RunRecord({}, [], frames[3:], 0.0, 0.0, 0.0))
-    assert checked.told()["ShiftRequest"] == {
+    assert checked.counts()["ShiftRequest"] == {
         "ok": 2,
         "ok, some lost": 1,
         "repeated": 1,

@@ -123,13 +123,14 @@ def test_what_fails_in_a_step_ends_the_run_with_file_line_and_time(
     [
         ("sys.exit(0)", "own.py:6: SystemExit"),
         ("os._exit(0)", "own.py:6: ProcessExit"),
-        ("while True: pass", "own.py:6: no answer within 0.5 s"),
+        ("while True: pass", "own.py:6: no answer within 2 s"),
     ],
 )
 def test_an_init_that_does_not_return_ends_the_run(
     statement: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(own_firmware, "LOAD_S", 0.5)
+    run_in_memory(load(str(broken(tmp_path, OURS))))  # now a process is there
+    monkeypatch.setattr(own_firmware, "LOAD_S", 2.0)
     loaded = load(str(broken(tmp_path, INIT.format(statement))))
     with pytest.raises(RunError, match=rf"failed: .*{reason}.* \(at 0.000000 s simulated\)"):
         run_in_memory(loaded)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
 
 from can_dbc.messages import Gear
+from sil.cli import main
 from sil.report.page import run_page
 from sil.report.shell import value_text
 from sil.simulation import metrics
@@ -53,3 +58,25 @@ def test_values_as_text() -> None:
     assert (
         value_text([]) == "none" and value_text(True) == "yes" and value_text(["B", "N"]) == "B, N"
     )
+
+
+def test_an_overloaded_bus_is_a_warning_with_its_cause_in_result_and_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = [
+        "--set",
+        "bus.bitrate=250000",
+        "--set",
+        "duration_s=0.3",
+        "--set",
+        "expect.min_frames=1",
+    ]
+    assert main(["run", "firmware_2500us", *settings, "--out", str(tmp_path / "out")]) == 1
+    shown = capsys.readouterr()
+    (warning,) = json.loads((tmp_path / "out" / "result.json").read_text())["warnings"]
+    assert "the bus is 100 % loaded at 250 kbit/s" in warning
+    assert "ControllerStatus are sent every 2.5 ms" in warning
+    assert f"warning: {warning}\n" in shown.err
+    assert "differs from the shipped expectations in " in shown.out
+    assert "  differs: PlantMotion frames on the bus: 0, expected at least 1\n" in shown.out
+    assert "the bus is 100 % loaded" in (tmp_path / "out" / "report.html").read_text()

@@ -52,18 +52,23 @@ def test_defaults_are_those_of_the_parts(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("nam = 1\n" + GOOD, "s.toml: nam: unknown; nearest: name"),
+        (GOOD + "[expect.metrics]\nlag={}", "expect.metrics.lag: unknown; expected one of"),
+        (GOOD + "[plant]\nmounted=1", "plant.mounted: 1 is wrong; expected true or false"),
+        ("nam = 1\n" + GOOD, "s.toml: nam: unknown; expected one of name"),
         (GOOD.replace('"backward"', '"backwards"'), "request[0].gear: 'backwards' is unknown; "),
         (GOOD.replace("example", "a\\u0001b"), "name: 'a\\\\x01b'; expected printable characters"),
-        (GOOD.replace("0.5", "-1"), "s.toml: duration_s: -1 is wrong; expected float > 0.0"),
+        (GOOD.replace("0.5", "-1"), "s.toml: duration_s: -1 is wrong; expected number > 0.0"),
         (GOOD.replace("0.5", "nan"), "s.toml: duration_s: nan is wrong; expected a finite number"),
         (GOOD.replace("0.5", "inf"), "s.toml: duration_s: inf is wrong; expected a finite number"),
-        (GOOD.replace("0.5", "'x'"), "s.toml: duration_s: 'x' is wrong; expected float"),
+        (GOOD.replace("0.5", "'x'"), "s.toml: duration_s: 'x' is wrong; expected number"),
         (GOOD.replace("0.5", "0.1"), "request[0].at_s: 0.1; expected before the end, 0.1 s"),
         (GOOD.replace("at_s = 0.1\n", ""), "request[0].at_s: missing; expected a value"),
         (GOOD.replace('gear = "backward"', ""), "gear: missing; expected one of neutral, backward"),
         (GOOD + GOOD[GOOD.index("[[") :], "request[1].at_s: 0.1; expected later than"),
-        (GOOD + "[controller]\nperiod = 1\n", "controller.period: unknown; expected one of blow, "),
+        (
+            GOOD + "[controller]\nperiod = 1\n",
+            "controller.period: unknown; expected one of period_s",
+        ),
         (GOOD + "[controller]\nperiod_s = 9.0\n", "controller.period_s: 9.0 is wrong; expected"),
         (GOOD + "[controller.filter]\nfc_hz = 60.0\n", "controller.filter.fc_hz: 60.0 is wrong"),
         (GOOD + "[driveline]\nengine_ramp_rad_s2 = 0\n", "driveline: engine_ramp_rad_s2 must"),
@@ -101,7 +106,7 @@ def test_places_of_files(tmp_path: Path) -> None:
     for where in ("no/such.toml", "lab_n_x", "x" * 5000, "a\0b"):
         with pytest.raises(InputError):
             scenario.load(where)
-    with pytest.raises(InputError, match=r"nearest: lab_n_[bf]"):
+    with pytest.raises(InputError, match=r"expected one of lab_n_[bf]"):
         scenario.load("lab_n_x")
     (tmp_path / "latin.toml").write_bytes(b'name = "\xe9"')
     with pytest.raises(InputError, match="byte 8: not UTF-8"):
@@ -154,7 +159,12 @@ def test_sensor_period_sets_the_firmwares_too(tmp_path: Path) -> None:
         ("valve.D_fall", "no value; expected PATH=VALUE"),
         ("=1", "no value; expected PATH=VALUE"),
         ("valve.D_fall=abc", "--set: model.valve.D_fall: 'abc' is wrong; expected"),
-        ("controller.period_s=abc", "--set: controller.period_s: 'abc' is wrong; expected float"),
+        ("controller.period_s=abc", "--set: controller.period_s: 'abc' is wrong; expected number"),
+        (
+            "controller.filter=False",
+            "--set controller.filter: False; expected true or false, as TOML",
+        ),
+        ("controller.filter=3", "--set: controller.filter: 3 is wrong; expected table"),
         ("controller.period_s=nan", "--set: controller.period_s: nan is wrong"),
         ("request[3].gear=neutral", "no such value"),
         ("name.x=1", "no such value"),
@@ -163,6 +173,14 @@ def test_sensor_period_sets_the_firmwares_too(tmp_path: Path) -> None:
 )
 def test_set_is_refused(tmp_path: Path, setting: str, told: str) -> None:
     assert told in refused(tmp_path, GOOD, settings=[setting])
+
+
+def test_periods_that_contradict_each_other_are_named_with_the_cause(tmp_path: Path) -> None:
+    both = load(tmp_path, GOOD, settings=["sensor.period_s=0.0025"])
+    assert scenario.contradictions(both.scenario) == []
+    apart = load(tmp_path, GOOD, settings=["controller.sensor.period_s=0.0025"])
+    (line,) = scenario.contradictions(apart.scenario)
+    assert "controller.sensor.period_s is 2.5 ms, but the sensor sends every 10 ms" in line
 
 
 def test_model_file_and_seed(tmp_path: Path) -> None:
