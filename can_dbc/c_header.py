@@ -1,7 +1,6 @@
-"""The contract for programs in C: identifiers and end-to-end data ids of every message.
+"""Make a C header of the contract: identifiers and end-to-end data ids of every message.
 
 python -m can_dbc.c_header > contract.h
-Checked by: tests/unit/can_dbc/test_c_header.py, tests/vcan/test_foreign_controller.py
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from can_dbc.codec import SIGNALS, spec_of
 
 
 def header() -> str:
-    """The header's text: of each message its identifier, and its data ids where it has any."""
+    """Return the header: the identifier of each message, and its data ids if it is protected."""
     lines = ["/* made by python -m can_dbc.c_header from opc4.dbc */", "#include <stdint.h>"]
     for kind in SIGNALS:
         spec = spec_of(kind)

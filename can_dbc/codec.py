@@ -4,8 +4,7 @@ raw = round((physical - offset) / factor), half to even, where physical is the S
 dataclass in the unit of the DBC. Unused bits are 1; a receiver refuses other values except in the
 two public J1939 groups, whose unused bits later editions may assign. What a message needs is
 looked up in the DBC when it is first used. The counter and CRC of protected messages are left 0
-by `encode` and not looked at by `decode`: can_dbc.e2e does both.
-Checked by: tests/contracts/test_codec.py (property tests against cantools)
+by `encode` and ignored by `decode`: can_dbc.e2e does both.
 """
 
 from __future__ import annotations
@@ -161,7 +160,7 @@ class _Optional:
 
 
 def _conversion(hint: Any, signal: SignalSpec) -> _Conversion | _Optional:
-    """The conversion between a field of that type and its signal."""
+    """Return the conversion between a field of that type and its signal."""
     if type(None) in get_args(hint):
         inner = _conversion(get_args(hint)[0], signal)
         assert not isinstance(inner, _Optional)
@@ -261,12 +260,12 @@ class _MessageCodec:
 
 
 def spec_of(message_type: type) -> MessageSpec:
-    """What opc4.dbc says about a message type: identifier, timing, signals, comments."""
+    """Return the entry of opc4.dbc for a message type: identifier, timing, signals, comments."""
     return contract().message(message_type.__name__)
 
 
 def can_id_of(message_type: type) -> int:
-    """29-bit identifier of a message type."""
+    """Return the 29-bit identifier of a message type."""
     return spec_of(message_type).can_id
 
 
@@ -283,7 +282,7 @@ def _lockstep_types() -> dict[int, type]:
 
 
 def message_type_of(can_id: int) -> type | None:
-    """Message type that an identifier carries; None outside the contract."""
+    """Return the message type that an identifier carries; None outside the contract."""
     return (_lockstep_types() if is_lockstep(can_id) else _types()).get(can_id)
 
 
@@ -328,19 +327,43 @@ _decoders = _Decoders()
 
 
 def encode(message: Message | ControlMessage) -> Frame:
-    """The frame of a message, rounded half to even to the resolution of the DBC.
+    """Return the frame of a message, rounded half to even to the resolution of the DBC.
 
-    Raises CodecError for a value out of range, NaN or of another type, naming the field.
-    Source: opc4.dbc. Checked by: tests/contracts/test_codec.py
+    Parameters
+    ----------
+    message
+        One of the classes in `can_dbc.messages` or `can_dbc.lockstep`, in SI units.
+
+    Returns
+    -------
+    Frame
+        29-bit identifier and data; counter and CRC of protected messages are 0.
+
+    Raises
+    ------
+    CodecError
+        If a value is out of range, NaN or of another type; the message names the field.
     """
     return _encoders[message.__class__](message)
 
 
 def decode(frame: Frame) -> Message | ControlMessage:
-    """The message in a frame, in SI units; the inverse of `encode` on the grid of the DBC.
+    """Return the message in a frame; the inverse of `encode` on the grid of the DBC.
 
-    Raises CodecError for an unknown identifier, a wrong length, a value without meaning or unused
-    bits that are not 1. Checked by: tests/contracts/test_codec.py
+    Parameters
+    ----------
+    frame
+        Frame as it arrived; counter and CRC are not checked here.
+
+    Returns
+    -------
+    Message or ControlMessage
+        The message in SI units.
+
+    Raises
+    ------
+    CodecError
+        If the identifier is unknown, the length wrong, a value without meaning, or an unused bit 0.
     """
     message: Message | ControlMessage = _decoders[frame[0]](frame[1])
     return message

@@ -1,13 +1,12 @@
 """End-to-end protection of the safety-relevant messages: AUTOSAR E2E profile 2.
 
 Byte 0 is CRC-8 0x2F over bytes 1 to 7 and the data id that belongs to the counter, the low nibble
-of byte 1 the counter. The 16 data ids of each message stand in opc4.dbc. No two messages share one,
-so that a masqueraded frame never passes, and they are chosen such that every error of one or two
-bits is found, also where it hits the counter. The CRC is the autosar-e2e library's; the check and
+of byte 1 the counter. The 16 data ids of each message are in opc4.dbc. No two messages share one,
+so that a masqueraded frame never passes; they are chosen such that every error of one or two bits
+is detected, also in the counter. The CRC is the autosar-e2e library's; the check and
 the state machine of the receiver follow AUTOSAR PRS E2E Protocol (profile 2 check, E2E_SM), with
 two additions on the safe side: a timeout in simulated time, and a SYNC frame, whose sequence is not
-confirmed yet, counts as little as one of wrong sequence.
-Checked by: tests/contracts/test_e2e.py, tests/unit/can_dbc/test_e2e.py
+confirmed yet, is not accepted.
 """
 
 from __future__ import annotations
@@ -52,15 +51,15 @@ class E2eStatus(Enum):
 
 
 _ACCEPTED = frozenset((E2eStatus.OK, E2eStatus.OK_SOME_LOST))
-"""Frames whose content is taken over."""
+"""Frames whose content is accepted."""
 
 _ALIVE = _ACCEPTED | {E2eStatus.INITIAL}
-"""Frames that start the timeout anew."""
+"""Frames that restart the timeout."""
 
 
 @dataclass(frozen=True, slots=True)
 class E2eConfig:
-    """What a receiver tolerates; names as in AUTOSAR.
+    """Tolerance of a receiver; names as in AUTOSAR.
 
     `timeout_ns`: time without a valid frame after which the channel is INVALID.
     `max_delta_counter_init`: one less than the largest counter step accepted directly after a
@@ -105,7 +104,7 @@ class E2eConfig:
 
 
 def default_config(message_type: type) -> E2eConfig:
-    """The usual tolerance of a receiver: `TIMEOUT_CYCLES` cycles of the DBC without a frame."""
+    """Return the usual tolerance of a receiver: a timeout of `TIMEOUT_CYCLES` cycles of the DBC."""
     return E2eConfig(timeout_ns=TIMEOUT_CYCLES * spec_of(message_type).cycle_ns)
 
 
@@ -117,7 +116,7 @@ def _data_ids(message_type: type) -> bytes:
 
 
 def with_counter(message_type: type, frame: Frame, counter: int) -> Frame:
-    """The frame with that counter and the CRC that belongs to it.
+    """Return the frame with that counter and the CRC that belongs to it.
 
     Senders use `Protector`; this is for test doubles and injected faults.
     """
@@ -129,7 +128,7 @@ def with_counter(message_type: type, frame: Frame, counter: int) -> Frame:
 
 @lru_cache(maxsize=8192)
 def _sealed(encoded: Frame, counter: int, data_ids: bytes) -> Frame:
-    """The frame with counter and CRC; kept, because messages at rest come again and again."""
+    """Return the frame with counter and CRC; cached, because messages at rest repeat."""
     data = bytearray(encoded.data)
     data[1] |= counter
     e2e_p02_protect(data, data_ids, increment_counter=False)
@@ -143,11 +142,11 @@ def _crc_matches(data: bytes, data_ids: bytes) -> bool:
 
 @cache
 def _opener(message_type: type[M]) -> Callable[[Frame], M | None]:
-    """What gives the message of a frame without fault, None for any other; kept as `_sealed` is."""
+    """Return a cached function from a frame to its message; None for a frame with an error."""
     spec, data_ids = spec_of(message_type), _data_ids(message_type)
 
     @lru_cache(maxsize=8192)
-    def opened(frame: Frame) -> M | None:
+    def open_frame(frame: Frame) -> M | None:
         if frame.can_id != spec.can_id or len(frame.data) != spec.length:
             return None
         if not _crc_matches(frame.data, data_ids):
@@ -157,13 +156,13 @@ def _opener(message_type: type[M]) -> Callable[[Frame], M | None]:
         except CodecError:
             return None
 
-    return opened
+    return open_frame
 
 
 class Protector(Generic[M]):
     """The sending end of one channel: numbers its frames and adds their CRC.
 
-    Source: AUTOSAR PRS E2E Protocol, profile 2. Checked by: tests/contracts/test_e2e.py
+    Source: AUTOSAR PRS E2E Protocol, profile 2.
     """
 
     def __init__(self, message_type: type[M]) -> None:
@@ -175,7 +174,10 @@ class Protector(Generic[M]):
         self._encoded = Frame(0, b"")
 
     def protect(self, message: M) -> Frame:
-        """The next frame of the channel. Raises CodecError as `can_dbc.codec.encode` does."""
+        """Return the next frame of the channel.
+
+        Raises TypeError for a message of another type, and CodecError as `can_dbc.codec.encode` does.
+        """
         if message.__class__ is not self.message_type:
             raise TypeError(f"{message!r} does not belong to the {self.message_type.__name__}s")
         if message is not self._latest:
@@ -194,7 +196,6 @@ class Receiver(Generic[M]):
     the timeout. `counts` counts each status, `reason` says what was wrong with the latest frame of
     status ERROR.
     Assumes non-decreasing times. Source: AUTOSAR PRS E2E Protocol, profile 2 and E2E_SM.
-    Checked by: tests/contracts/test_e2e.py, tests/unit/can_dbc/test_e2e.py
     """
 
     def __init__(
@@ -221,7 +222,7 @@ class Receiver(Generic[M]):
         self._is_smooth = False  # VALID, and nothing but OK in the window and of late
 
     def receive(self, now_ns: int, frame: Frame | None) -> E2eStatus:
-        """Check the frame that arrived now, or None where one was due and none came.
+        """Check the frame that arrived now, or None if one was due and none came.
 
         Raises ValueError for a frame of another identifier and for time running backwards.
         """
@@ -251,7 +252,7 @@ class Receiver(Generic[M]):
         return status
 
     def state(self, now_ns: int) -> E2eState:
-        """Whether the channel may be trusted now."""
+        """Return whether the channel may be trusted now."""
         self._advance_to(now_ns)
         return self._state
 

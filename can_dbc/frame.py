@@ -37,7 +37,7 @@ def split_id(can_id: int) -> J1939Id:
     """Split a 29-bit identifier into priority, parameter group, source and destination.
 
     A PDU format below 240 carries a destination, which is not part of the group number.
-    Source: SAE J1939-21. Checked by: tests/unit/can_dbc/test_frame.py
+    Raises ValueError for a number of more than 29 bits. Source: SAE J1939-21.
     """
     if not 0 <= can_id <= MAX_ID:
         raise ValueError(f"not a 29-bit identifier: {can_id:#x}")
@@ -66,20 +66,20 @@ def join_id(priority: int, pgn: int, source: int, destination: int = 0xFF) -> in
 
 
 def is_lockstep(can_id: int) -> bool:
-    """Whether an identifier lies in the lockstep space: offers and control frames."""
+    """Return whether an identifier lies in the lockstep space: offers and control frames."""
     return bool(can_id & EDP_BIT)
 
 
 def is_offer(can_id: int) -> bool:
-    """Whether an identifier marks a participant's frame that still waits for arbitration."""
+    """Return whether an identifier marks a frame that still waits for arbitration."""
     return can_id & (EDP_BIT | DP_BIT) == EDP_BIT
 
 
 def to_offer(frame: Frame) -> Frame:
-    """The frame as its sender hands it to the bus authority: the same with EDP set."""
+    """Return the frame as its sender offers it to the bus coordinator: with EDP set."""
     return Frame(frame.can_id | EDP_BIT, frame.data)
 
 
 def from_offer(frame: Frame) -> Frame:
-    """The frame of an offer as it travels on the simulated bus: the same with EDP cleared."""
+    """Return the frame of an offer as it travels on the simulated bus: with EDP cleared."""
     return Frame(frame.can_id & ~EDP_BIT, frame.data)

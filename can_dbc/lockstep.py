@@ -2,7 +2,6 @@
 
 All have both data page bits set, byte 0 for a participant's number, byte 1 for an additional number
 and bytes 2 to 7 for a value. `sil.coupling.transports.wire` says who sends what when.
-Checked by: tests/contracts/test_wire_dbc.py
 """
 
 from __future__ import annotations

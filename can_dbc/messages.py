@@ -2,7 +2,6 @@
 
 Values lie on the grid of the DBC after a round trip through the codec. The counter and CRC of the
 end-to-end protection are not fields: `can_dbc.e2e` owns them.
-Checked by: tests/contracts/test_codec.py
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ class ShiftState(IntEnum):
 
 
 class Fault(IntFlag):
-    """Faults that the firmware sees, one bit each."""
+    """Faults that the firmware detects, one bit each."""
 
     NONE = 0
     POSITION_LOST = 1
@@ -95,7 +94,7 @@ class E2eState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ShiftRequest:
-    """The driver's or vehicle unit's wish for a gear; shift console to OPC4, every 20 ms."""
+    """The driver's or vehicle's request for a gear; shift console to OPC4, every 20 ms."""
 
     target: Gear
 
@@ -138,7 +137,7 @@ class DrivelineSpeeds:
 
 @dataclass(frozen=True, slots=True)
 class ControllerStatus:
-    """What the firmware believes: state, confirmed gear, position, faults; OPC4, every tick."""
+    """The firmware's state, confirmed gear, position estimate and faults; OPC4, every tick."""
 
     state: ShiftState
     confirmed: Gear

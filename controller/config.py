@@ -37,7 +37,7 @@ def create_strategy(config: FirmwareConfig) -> strategies.Strategy:
 def load_config(table: Mapping[str, Any], source: str) -> FirmwareConfig:
     """Make the settings from a parsed TOML table; `filter = false` switches the filter off.
 
-    Raises InputError 'SOURCE: PLACE: what; expected ...'. Checked by test_config.
+    Raises InputError 'SOURCE: FIELD: what; expected ...'.
     """
     raw = dict(table)
     if isinstance(raw.get("filter"), bool):

@@ -1,4 +1,4 @@
-"""Speed and pressures of an engagement from the late position and the commands given so far."""
+"""Estimate speed and pressures of an engagement from the late position and past commands."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TOUCH_M = 1e-9
 
 
 class ObserverSettings(Settings, frozen=True):
-    """How strongly the model follows what is measured."""
+    """How strongly the model follows the measurements."""
 
     sensor_age_s: Annotated[float, bounded(0.0, 0.05, "s")] = 0.00455
     """Age of the newest sample at a step, without the filter (pulse, capture, bus, waiting)."""
@@ -30,12 +30,11 @@ class ObserverSettings(Settings, frozen=True):
 
 
 class Observer:
-    """The light model run along with the real thing, and corrected by what comes back late.
+    """The light model run in parallel with the actuator and corrected by late measurements.
 
     The model's own past position goes through the same filter as the sensor's, so that the two
     differ only by what the model does not know; the difference moves position, speed and load.
     Bounded work: period/0.5 ms model steps and one filter step a sample.
-    Checked by test_light_model.
     """
 
     def __init__(
@@ -69,7 +68,7 @@ class Observer:
 
     @property
     def travelled_m(self) -> float:
-        """Where the stay is believed to be now, from neutral."""
+        """Estimated position of the stay now, m from neutral."""
         return self.motion.stay_m
 
     def advance(self, until_s: float, measured_m: float, new_samples: int) -> None:

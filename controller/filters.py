@@ -25,7 +25,7 @@ def butterworth(order: int, fc_hz: float, rate_hz: float) -> tuple[Section, ...]
     an odd order adds K (1 + z^-1)/((1 + K) + (K - 1) z^-1).
 
     Raises ValueError for an order below 1 or a cut-off outside (0, rate/2).
-    Source: textbook bilinear design. Checked by test_filters against scipy.signal.butter.
+    Source: textbook bilinear design.
     """
     if order < 1 or not 0.0 < fc_hz < 0.5 * rate_hz:
         raise ValueError(f"no Butterworth low-pass of order {order}, {fc_hz} Hz at {rate_hz} Hz")
@@ -51,10 +51,7 @@ def butterworth(order: int, fc_hz: float, rate_hz: float) -> tuple[Section, ...]
 
 
 class SectionFilter:
-    """A cascade of sections in transposed direct form II; 5 multiplications a section and step.
-
-    Checked by test_filters against scipy.signal.sosfilt.
-    """
+    """A cascade of sections in transposed direct form II; 5 multiplications a section and step."""
 
     __slots__ = ("_sections", "_state")
 

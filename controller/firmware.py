@@ -51,7 +51,7 @@ _NO_FAULT = Fault.NONE
 
 
 class Inputs(NamedTuple):
-    """What has arrived since the last step: new pulses, and of the others the latest good one."""
+    """Messages since the last step: all new pulses, and the latest good one of the others."""
 
     pulses: tuple[PositionPulse, ...] = ()
     request: ShiftRequest | None = None
@@ -72,13 +72,12 @@ class Outputs(NamedTuple):
 
 
 class Firmware:
-    """Today's control unit, or another strategy in its place.
+    """Today's control unit, with the strategy of the settings.
 
     No input or output, no clock, bounded work per step, and no knowledge of being simulated: the
     same calls give the same results. It never energises backward and forward together, never
-    energises a valve in FAULT, and reports a gear as confirmed only while the position it believes
-    is in that gear's window. Checked by
-    test_firmware and test_invariants.
+    energises a valve in FAULT, and reports a gear as confirmed only while the position estimate is in
+    that gear's window.
     """
 
     def __init__(self, config: FirmwareConfig) -> None:
@@ -95,7 +94,7 @@ class Firmware:
         self._broadcast_ns = 0
         self._latched = Fault.NONE
         self._energised_ns: list[int | None] = [None, None, None]
-        self._heard = dict.fromkeys(("position", "request", "speeds"), False)
+        self._valid_before = dict.fromkeys(("position", "request", "speeds"), False)
         self._position_timeout_ns = nanoseconds(config.e2e.position_timeout_s)
         self._sampled_ns = 0
         self._passive = Chamber.NONE
@@ -140,9 +139,9 @@ class Firmware:
     def _lost(self, channel: str, state: E2eState, waking: bool) -> bool:
         """Whether a channel is lost: no longer valid, or never valid when it should be by now."""
         if state is E2eState.VALID:
-            self._heard[channel] = True
+            self._valid_before[channel] = True
             return False
-        return state is E2eState.INVALID or self._heard[channel] or not waking
+        return state is E2eState.INVALID or self._valid_before[channel] or not waking
 
     def _sense(self, now_ns: int, inputs: Inputs, waking: bool) -> tuple[Estimate, Fault]:
         """Return the estimate and the faults of the position.
@@ -165,7 +164,7 @@ class Firmware:
         return estimate, faults
 
     def _judge_inputs(self, inputs: Inputs, waking: bool) -> tuple[Fault, Gear | None]:
-        """Return the faults of request and speeds, and the driver's wish if it is valid."""
+        """Return the faults of request and speeds, and the driver's request if it is valid."""
         lost = self._lost("speeds", inputs.speeds_state, waking)
         live = Fault.SPEEDS_LOST if lost else Fault.NONE
         if self._lost("request", inputs.request_state, waking):
@@ -282,7 +281,7 @@ class Firmware:
         blown = self._blown()
         target = machine.leg if machine.driving else machine.confirmed
         position_m = estimate.position_m
-        # a message is made anew only when it tells something new
+        # a new message is only made when its content changes
         valves, status = self._valves, self._status
         if valves is None or duties is not self._duties or valves.target is not target:
             self._duties = duties

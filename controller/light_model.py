@@ -3,7 +3,6 @@
 One driving piston, the stay that it pushes, the neutral chamber that it compresses. Ellipses
 stand for the measured flows, the far chamber is at the atmosphere, no synchronizer: its force is
 what an estimator must find. Positions in m from neutral towards the gear.
-Checked by test_light_model.
 """
 
 from __future__ import annotations
@@ -122,7 +121,7 @@ class LightModel:
     r = max(P_down/P_up, b);
     m_p u' = A_p (P_d - P_n) - friction for the piston, m_s v' = A_s (P_d - P_atm) - friction - load
     for the stay, and equal speeds where the one pushes the other. Some 80 arithmetic operations
-    and 2 square roots a step. Checked by test_light_model.
+    and 2 square roots a step.
     """
 
     def __init__(self, settings: ModelSettings, stroke_m: float) -> None:

@@ -33,16 +33,16 @@ class Steps(Protocol):
 class ControllerNode:
     """The firmware with its end-to-end protected channels; ticks at k times the period.
 
-    A frame that arrives at the instant of a tick is seen by that tick. All frames of a step are
+    A frame that arrives at the instant of a tick counts for that tick. All frames of a step are
     released together, the computation time after the tick. A frame that is corrupt, of a wrong
     length or out of range is counted by its receiver and otherwise ignored; frames of other
-    identifiers are ignored. Checked by test_node and test_firmware_contract.
+    identifiers are ignored.
     """
 
     name = "controller"
 
     def __init__(self, config: FirmwareConfig, firmware: Steps | None = None) -> None:
-        """`firmware`: another program in place of ours."""
+        """Use `firmware` as the program; by default our own."""
         self.config = config
         self.firmware: Steps = Firmware(config) if firmware is None else firmware
         self.outputs: Outputs | None = None
@@ -71,8 +71,8 @@ class ControllerNode:
         """Take the frames that arrived up to `until_ns`, and step if that is a tick.
 
         Returns the frames to send with their release times, and the time of the next tick, ns.
-        A later time than the next tick means that the unit stalled and missed the ticks between;
-        only before its first tick may it come back to life at a time that is no tick itself.
+        A later time than the next tick means that the control unit stalled and missed the ticks between;
+        before its first tick it may start at any time.
         Raises ValueError for another time beyond the next tick that is none itself.
         """
         if until_ns > self._tick_ns:
@@ -83,7 +83,9 @@ class ControllerNode:
             self._tick_ns = tick_ns
         for arrival_ns, frame in deliveries:
             self._receive(arrival_ns, frame)
-        if until_ns < self._tick_ns:  # between two ticks: the run ends, or the unit has just woken
+        if (
+            until_ns < self._tick_ns
+        ):  # between two ticks: the run ends, or the control unit has just started
             return [], self._tick_ns
         self._tick_ns += self.config.period_ns
         released_ns = until_ns + self.config.computation_ns

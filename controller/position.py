@@ -19,10 +19,10 @@ class Sample(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What the firmware believes of the stay; positions in m from neutral, backward positive.
+    """Estimate of the motion of the stay; positions in m from neutral, backward positive.
 
     `samples` holds those accepted in this step, oldest first; the other fields repeat the newest.
-    While `valid` is false they stand still and mean nothing.
+    While `valid` is false they do not change and are not valid.
     """
 
     valid: bool
@@ -35,7 +35,7 @@ class Estimate(NamedTuple):
 class Calibration:
     """Inverse of t8V = (t_mid + slope x)(1 + temp_coeff (T - T_ref)).
 
-    Source: thesis 2.2.4. Checked by test_position.
+    Source: thesis 2.2.4.
     """
 
     __slots__ = ("_slope_s_per_m", "_t_mid_s", "_t_ref_k", "_temp_coeff_per_k", "still_m")
@@ -54,12 +54,12 @@ class Calibration:
 
 
 class Plausibility:
-    """Tells samples that the stay can have produced from those that it cannot.
+    """Separate samples that the stay can have produced from those that it cannot.
 
     A sample is bad when temperature or position is out of range, when it is further from the one
     before than the stay can move, or when the travel of the last moments exceeds what a shift
     can need. A bad sample raises the level by 2, a good one lowers it by 1; at the limit the
-    position is implausible until the level is back at zero. Checked by test_position.
+    position is implausible until the level is back at zero.
     """
 
     __slots__ = (
@@ -103,7 +103,7 @@ class Plausibility:
         )
 
     def follows(self, distance_m: float, samples: int) -> bool:
-        """Return whether the stay can have come so far in so many sample periods; note the way."""
+        """Return whether the stay can move that far in so many sample periods, and add to the travel."""
         way_m = abs(distance_m)
         travel_m = max(0.0, self._travel_m - self._leak_m * samples) + way_m
         self._travel_m = min(travel_m, self._travel_top_m)
@@ -127,7 +127,7 @@ class PositionEstimator:
 
     The filter starts at rest at the first valid sample. Samples that are missing in between (their
     index is skipped, or they were bad) are interpolated, so that the filter keeps its time base;
-    after a longer gap it starts afresh. Checked by test_estimator.
+    after a longer gap it starts afresh.
     """
 
     def __init__(self, config: ControlConfig) -> None:
@@ -145,9 +145,9 @@ class PositionEstimator:
         self._longest_gap = min(64, int(config.e2e.position_timeout_s / sensor.period_s))
         self._settled = False
         self._index = 0  # of the last good sample
-        self._seen = False
-        self._seen_index = 0  # of the last sample in range
-        self._seen_m = 0.0
+        self._has_plausible = False
+        self._plausible_index = 0  # of the last sample in range
+        self._plausible_m = 0.0
         self._last = Sample(0.0, 0.0, 0.0)
         self._lowest_m = 0.0
         self._highest_m = 0.0
@@ -155,7 +155,7 @@ class PositionEstimator:
 
     @property
     def implausible(self) -> bool:
-        """Whether the sensor has sent too much that cannot be true."""
+        """Whether too many samples were implausible."""
         return self._plausibility.implausible
 
     @property
@@ -183,7 +183,7 @@ class PositionEstimator:
         """
         accepted: list[Sample] = []
         if lost:
-            self._settled = self._seen = False
+            self._settled = self._has_plausible = False
             self._plausibility.restart()
         else:
             for pulse in pulses[-self._most_pulses :]:
@@ -198,12 +198,12 @@ class PositionEstimator:
             self._judge(False)
             return
         good = True
-        if self._seen:
-            steps = (index - self._seen_index) % 256
-            if steps == 0:  # the same sample again tells nothing
+        if self._has_plausible:
+            steps = (index - self._plausible_index) % 256
+            if steps == 0:  # a repeated sample holds no information
                 return
-            good = self._plausibility.follows(raw_m - self._seen_m, steps)
-        self._seen, self._seen_m, self._seen_index = True, raw_m, index
+            good = self._plausibility.follows(raw_m - self._plausible_m, steps)
+        self._has_plausible, self._plausible_m, self._plausible_index = True, raw_m, index
         self._judge(good)
         if not good or self._plausibility.implausible:
             return
@@ -247,11 +247,10 @@ class PositionEstimator:
 
 
 class GearWindows:
-    """Tells in which gear the stay is believed to be, and for how many samples in a row.
+    """Find the gear whose window the estimate is in, and for how many samples in a row.
 
     A sample is in a window only if it is so both as measured and filtered: the filter overshoots,
-    so that it alone would see a stay held short of its end position as arrived.
-    Checked by test_position.
+    and alone would report a stay held short of its end position as arrived.
     """
 
     __slots__ = ("_engaged_m", "_neutral_m", "gear", "run")

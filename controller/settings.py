@@ -29,7 +29,6 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """A settings record whose bounds hold however it was made.
 
     Raises InputError 'NAME: VALUE is wrong; expected LOW to HIGH UNIT'.
-    Checked by test_config.
     """
 
     def __post_init__(self) -> None:
@@ -167,7 +166,7 @@ class ShiftConfig(Settings, frozen=True):
     sync_wait_s: Annotated[float, bounded(0.0, 30.0, "s")] = 1.0
     """Longest such wait; the push starts then all the same."""
     init_settle_s: Annotated[float, bounded(0.0, 5.0, "s")] = 0.04
-    """After start or fault: a gear is believed once seen this long without a break."""
+    """After start or fault: a gear counts once its window holds the position this long without a break."""
     init_timeout_s: Annotated[float, bounded(0.0, 30.0, "s")] = 0.3
     """After start or fault: ready with an unknown gear when none was found by then."""
 
@@ -248,11 +247,11 @@ def nanoseconds(seconds: float) -> int:
 def convert(raw: object, kind: type[T], place: str = "") -> T:
     """Turn a parsed table into a settings record.
 
-    Raises InputError 'PLACE: what; expected ...', naming the nearest known names of an unknown
-    one. Checked by test_config.
+    Raises InputError 'FIELD: what; expected ...', naming the nearest known names of an unknown
+    one.
     """
-    for complaint in _strangers(raw, kind, place):
-        raise InputError(complaint)
+    for line in _unknown(raw, kind, place):
+        raise InputError(line)
     try:
         return msgspec.convert(raw, kind)
     except msgspec.ValidationError as error:
@@ -267,7 +266,7 @@ def convert(raw: object, kind: type[T], place: str = "") -> T:
 _fields = functools.cache(msgspec.structs.fields)
 
 
-def _strangers(raw: object, kind: Any, place: str) -> Iterator[str]:
+def _unknown(raw: object, kind: Any, place: str) -> Iterator[str]:
     """Yield a line for every name and every choice that a settings record does not know."""
     if typing.get_origin(kind) is Literal and isinstance(raw, str):
         if raw not in typing.get_args(kind):
@@ -277,11 +276,11 @@ def _strangers(raw: object, kind: Any, place: str) -> Iterator[str]:
         for name, value in raw.items():
             inside = dotted(place, str(name))
             if name in fields:
-                yield from _strangers(value, fields[name], inside)
+                yield from _unknown(value, fields[name], inside)
             else:
                 yield f"{inside}: {unknown_name(str(name), sorted(fields))}"
 
 
 def dotted(place: str, name: str) -> str:
-    """Join two parts of a place, either of which may be empty."""
+    """Join two parts of a field path, either of which may be empty."""
     return f"{place}.{name}" if place and name else place or name

@@ -1,4 +1,4 @@
-"""The plant's errors; the project's input error is defined beside the CAN contract."""
+"""The plant's errors; the project's input error is defined with the CAN contract."""
 
 from can_dbc.errors import InputError
 

@@ -1,7 +1,4 @@
-"""The plant as a participant on the bus: valve commands in, sensor frames and truth out.
-
-Checked by: tests/unit/plant/test_node.py
-"""
+"""The plant as a participant on the bus: valve commands in, sensor frames and truth out."""
 
 from __future__ import annotations
 
@@ -37,7 +34,9 @@ Switch = tuple[int, int, float]  # instant in ns, chamber, 1 on or open, 0 off o
 __all__ = ["TRACE_COLUMNS", "EventSink", "PlantConfig", "PlantNode", "TraceSink"]
 
 CHAMBERS: tuple[ChamberName, ...] = ("B", "N", "F")
-OVERTRAVEL_M = 0.001  # beyond the stroke, for worn stops and bounce, that a pulse must still tell
+OVERTRAVEL_M = (
+    0.001  # beyond the stroke, for worn stops and bounce, that a pulse must still measure
+)
 PRESSURE_LIMIT_PA = 3_276_750.0  # ends of the truth frames' ranges, where these saturate
 TRAVEL_LIMIT_M = 0.032767
 SPEED_LIMIT_M_S = 16.0
@@ -54,7 +53,7 @@ EventSink = Callable[[float, str, Mapping[str, float]], None]
 class PlantConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The actuator's conditions and the schedule of its frames; the numbers are in the model set.
 
-    initial: gear at time 0. charged: chambers that stand at supply pressure then, valves open but
+    initial: gear at time 0. charged: chambers at supply pressure then, valves open but
     no longer energised. supply_pressure_pa: absolute, left out the set's supply.P_s. mounted: on
     the gearbox. mesh_force_n, pull_force_n: peaks of the barriers into and out of gear.
     closing_follows_duty: closing delay of the valves by their duty instead of D_fall.
@@ -229,7 +228,7 @@ class PlantNode:
             at = here + 1
         row_states.append(states[at:] if measured else states)
         frames = self._publish(until_ns, updates)
-        self._tell_events(coils, switches)
+        self._report_events(coils, switches)
         self._rows.write(rows, row_states, updates)
         return [(until_ns, frame) for frame in frames], self._next_event_ns()
 
@@ -296,9 +295,9 @@ class PlantNode:
         if self._speeds.take(now_ns):
             self._arm_synchronizer(now_ns)
             line = self.driveline
-            told = self._speed_sensors.report(now_ns, line.input_rad_s, line.output_rad_s)
-            if told is not None:
-                frames.append(self._protect_speeds.protect(DrivelineSpeeds(*told)))
+            speeds = self._speed_sensors.report(now_ns, line.input_rad_s, line.output_rad_s)
+            if speeds is not None:
+                frames.append(self._protect_speeds.protect(DrivelineSpeeds(*speeds)))
             updates.append((now_ns, SPEEDS, line.input_rad_s))
             updates.append((now_ns, SPEEDS + 1, line.output_rad_s))
         if self._truth.take(now_ns):
@@ -319,18 +318,18 @@ class PlantNode:
         if impulse is not None:
             stroke.set_sync_impulse(impulse)
 
-    def _tell_events(self, coils: Sequence[Switch], switches: Sequence[Switch]) -> None:
+    def _report_events(self, coils: Sequence[Switch], switches: Sequence[Switch]) -> None:
         if not (coils or switches or self.stroke.events):
             return
         events = self.stroke.events.copy()
-        self.stroke.events.clear()  # told once, and gone: a long run must not gather them
+        self.stroke.events.clear()  # a long run must not collect them
         if self._on_event is None:
             return
-        told: list[tuple[float, str, dict[str, float]]] = [
+        found: list[tuple[float, str, dict[str, float]]] = [
             (instant / NS_PER_S, f"coil_{CHAMBERS[chamber]}_{'on' if on else 'off'}", {})
             for instant, chamber, on in coils
         ]
-        told += [
+        found += [
             (
                 event.time_s,
                 EVENT_NAMES.get(event.name, event.name.replace(" ", "_")),
@@ -344,9 +343,9 @@ class PlantNode:
         ]
         for instant, chamber, u in switches:
             name = f"valve_{CHAMBERS[chamber]}_{'open' if u else 'close'}"
-            told.append((instant / NS_PER_S, name, {}))
-        told.sort(key=lambda event: event[0])
-        for time_s, name, values in told:
+            found.append((instant / NS_PER_S, name, {}))
+        found.sort(key=lambda event: event[0])
+        for time_s, name, values in found:
             self._on_event(time_s, name, values)
 
 

@@ -1,7 +1,4 @@
-"""Trace rows: true states at regular instants, and signals that hold between their changes.
-
-Checked by: tests/unit/plant/test_node.py
-"""
+"""Trace rows: true states at regular instants, and signals that hold between their changes."""
 
 from __future__ import annotations
 
@@ -51,14 +48,14 @@ _HELD_FROM = 1 + len(STATES)
 
 
 class TraceSink(Protocol):
-    """Where trace rows go while the run goes on; belongs to the caller."""
+    """Receiver of the trace rows during the run."""
 
     def write(self, rows: Floats) -> None:
-        """Keep rows [any number, len(TRACE_COLUMNS)]."""
+        """Take rows [n, len(TRACE_COLUMNS)] in the units of the columns' names."""
 
 
 class TraceRows:
-    """Makes the rows at 0, period_ns, 2 period_ns, ... and hands them to a sink."""
+    """Make the rows at 0, period_ns, 2 period_ns, ... and pass them to a sink."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""How a push is carried out: the interface of a strategy and the registry of those there are."""
+"""The interface of a strategy, which carries out a push, and the registry of all strategies."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ OFF = Duties(0.0, 0.0, 0.0)
 
 
 class ShiftContext(NamedTuple):
-    """What a strategy may know of the push it carries out.
+    """The push that a strategy carries out.
 
     `charged` is the chamber that drives the stay to `leg`, `passive` the one it compresses.
     `start_ns` is the start of this push, `attempt` counts the earlier ones of the same leg.
-    `energised_ns` tells, in the order B, N, F, the last step whose output opened each valve (None
-    before the first), so that an estimator knows which chambers may still hold air. `apart_rad_s`
+    `energised_ns` is, in the order B, N, F, the last step whose output opened each valve (None before
+    the first), so that an estimator knows which chambers may still hold air. `apart_rad_s`
     is input minus output speed as last reported, None without a valid report, and `apart_ns` the
-    step that saw it first.
+    step that received it first.
     """
 
     leg: Gear
@@ -75,7 +75,6 @@ class Strategy(abc.ABC):
     The firmware around it decides when to push, when the position is confirmed, and what happens
     after that; it refuses duties that would fill backward and forward together (an internal fault).
     A strategy keeps a bounded state, does bounded work per call, and reads no clock.
-    Checked by test_strategies.
     """
 
     class Parameters(Struct, frozen=True, forbid_unknown_fields=True):
@@ -98,7 +97,7 @@ class Strategy(abc.ABC):
     def blow_s(self, configured_s: float, leg: Gear, follows: bool) -> float:
         """Return how long the safety blow lasts after `leg` is confirmed, at most as configured.
 
-        `follows` tells that a gear is to be engaged next.
+        `follows`: a gear is to be engaged next.
         """
         return configured_s
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import Annotated, ClassVar
 
 from controller.settings import bounded
-from controller.strategies.into_gear import IntoGear, IntoGearParameters, Seen, Wish, within
+from controller.strategies.into_gear import Command, IntoGear, IntoGearParameters, Progress, within
 
 
 class AirCushion(IntoGear):
     """Fill the neutral chamber for a moment just before the end (thesis 6.3).
 
-    The burst begins when x + v lead >= trigger; the lead stands for the delays of sensor and
+    The burst begins when x + v lead >= trigger; the lead covers the delays of sensor and
     valve. Some 4 additions, multiplications and comparisons a step.
-    Checked by test_strategies_feedback.
     """
 
     class Parameters(IntoGearParameters, frozen=True):
@@ -37,13 +36,13 @@ class AirCushion(IntoGear):
         """Forget the burst."""
         self._begun_s = None
 
-    def decide(self, seen: Seen) -> Wish:
+    def decide(self, progress: Progress) -> Command:
         """Push until the burst, brake during it, push again."""
         own = self.parameters
         if (
             self._begun_s is None
-            and seen.travelled_m + own.lead_s * seen.speed_m_s >= own.trigger_m
+            and progress.travelled_m + own.lead_s * progress.speed_m_s >= own.trigger_m
         ):
-            self._begun_s = seen.spent_s
-        burst = within(self._begun_s, seen.spent_s, own.burst_s)
-        return Wish(own.keep_charging or not burst, burst)
+            self._begun_s = progress.spent_s
+        burst = within(self._begun_s, progress.spent_s, own.burst_s)
+        return Command(own.keep_charging or not burst, burst)

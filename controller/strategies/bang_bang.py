@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 from can_dbc.errors import InputError
 from controller.settings import bounded
 from controller.strategies.foresight import Foresight, ForesightParameters
-from controller.strategies.into_gear import Seen, Wish, within
+from controller.strategies.into_gear import Command, Progress, within
 
 BISECTIONS = 6
 
@@ -37,7 +37,7 @@ class BangBang(Foresight):
     Pontryagin's principle makes the quickest soft arrival a matter of switching times. Until motion
     has been measured the stored time counts; from then on it is solved anew in every step, by
     bisection on the impact speed. At most 8 trials of horizon/0.5 ms model steps of some 60
-    operations: 60,000 a step at a horizon of 60 ms. Checked by test_strategies_foresight.
+    operations: 60,000 a step at a horizon of 60 ms.
     """
 
     class Parameters(ForesightParameters, frozen=True):
@@ -69,12 +69,12 @@ class BangBang(Foresight):
         self._moved = False
         self._begun_s = None
 
-    def decide(self, seen: Seen) -> Wish:
+    def decide(self, progress: Progress) -> Command:
         """Note whether motion has been measured, then plan."""
-        self._moved = self._moved or seen.travelled_m >= self.parameters.seen_m
-        return super().decide(seen)
+        self._moved = self._moved or progress.travelled_m >= self.parameters.seen_m
+        return super().decide(progress)
 
-    def plan(self, spent_s: float) -> Wish:
+    def plan(self, spent_s: float) -> Command:
         """Push until the switching time is nearer than half a period, then brake for its time."""
         own = self.parameters
         if self._begun_s is None:
@@ -83,7 +83,7 @@ class BangBang(Foresight):
             if ahead_s < 0.5 * self.config.period_s:
                 self._begun_s = spent_s
         braking = within(self._begun_s, spent_s, own.brake_s)
-        return Wish(not braking, braking)
+        return Command(not braking, braking)
 
     def _solved_s(self) -> float:
         """Return how long from now the brake may wait for the wanted impact speed."""

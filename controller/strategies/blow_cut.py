@@ -15,7 +15,6 @@ class BlowCut(Strategy):
 
     The pressure left in the neutral chamber must be overcome by the next engagement, which costs
     50-100 ms; it also cushions that engagement. No arithmetic but a choice of duty.
-    Checked by test_strategies_feedback.
     """
 
     class Parameters(Settings, frozen=True):
@@ -39,5 +38,5 @@ class BlowCut(Strategy):
     def blow_s(self, configured_s: float, leg: Gear, follows: bool) -> float:
         """Return the shorter of the configured blow and this strategy's."""
         own = self.parameters
-        wished_s = own.neutral_s if leg is Gear.NEUTRAL and follows else own.otherwise_s
-        return min(configured_s, wished_s)
+        own_s = own.neutral_s if leg is Gear.NEUTRAL and follows else own.otherwise_s
+        return min(configured_s, own_s)

@@ -1,4 +1,4 @@
-"""What the strategies with a model have in common: an observer, and trials of what may come."""
+"""Base of the strategies with a model: an observer, and trials of the next commands."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from msgspec import Struct
 from controller.estimator import STEP_S, Observer, ObserverSettings
 from controller.light_model import ModelSettings
 from controller.settings import ControlConfig, bounded
-from controller.strategies.into_gear import IntoGear, IntoGearParameters, Seen, Wish
+from controller.strategies.into_gear import Command, IntoGear, IntoGearParameters, Progress
 
 
 class ForesightParameters(IntoGearParameters, frozen=True):
@@ -31,10 +31,7 @@ class Outcome(NamedTuple):
 
 
 class Foresight(IntoGear):
-    """A push into gear planned with the light model.
-
-    Checked by test_strategies_foresight.
-    """
+    """A push into gear planned with the light model."""
 
     parameters: ForesightParameters
 
@@ -47,16 +44,16 @@ class Foresight(IntoGear):
         """Start the observer afresh."""
         self.observer.reset()
 
-    def decide(self, seen: Seen) -> Wish:
-        """Bring the observer up to now, plan, and tell the observer what was chosen."""
+    def decide(self, progress: Progress) -> Command:
+        """Bring the observer up to now, plan, and pass the choice to the observer."""
         observer = self.observer
-        observer.advance(seen.spent_s, seen.travelled_m, seen.new_samples)
-        wish = self.plan(seen.spent_s)
-        observer.command(wish.charge, wish.brake)
-        return wish
+        observer.advance(progress.spent_s, progress.travelled_m, progress.new_samples)
+        command = self.plan(progress.spent_s)
+        observer.command(command.charge, command.brake)
+        return command
 
     @abc.abstractmethod
-    def plan(self, spent_s: float) -> Wish:
+    def plan(self, spent_s: float) -> Command:
         """Choose the valves for the coming period from the observer's state."""
 
     def trial(

@@ -1,4 +1,4 @@
-"""What the strategies that brake the stay have in common: they act on the way into a gear only."""
+"""Base of the strategies that brake the stay: they act on the way into a gear only."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from controller.settings import Settings, bounded, nanoseconds
 from controller.strategies import Duties, ShiftContext, Strategy, one_chamber
 
 
-class Wish(NamedTuple):
+class Command(NamedTuple):
     """Whether to fill the charged chamber, and the neutral one that brakes."""
 
     charge: bool
     brake: bool
 
 
-class Seen(NamedTuple):
-    """What there is to decide on, late as it is; from neutral towards the gear.
+class Progress(NamedTuple):
+    """Late measurements of a push, from neutral towards the gear.
 
     spent_s: since the push began. new_samples: of the sensor, since the last step. apart_rad_s:
     distance of the shafts' speeds as last reported, None without a valid report; apart_s: when the
-    step that saw it first was, since the push began (negative: before).
+    step that received it first was, since the push began (negative: before).
     """
 
     spent_s: float
@@ -34,9 +34,9 @@ class Seen(NamedTuple):
     apart_s: float = 0.0
 
 
-PUSH = Wish(True, False)
-BRAKE = Wish(False, True)
-REST = Wish(False, False)
+PUSH = Command(True, False)
+BRAKE = Command(False, True)
+REST = Command(False, False)
 
 
 class IntoGearParameters(Settings, frozen=True):
@@ -51,7 +51,7 @@ def within(begun_s: float | None, now_s: float, length_s: float) -> bool:
     """Whether something that began at a step, if it did, goes on at this one.
 
     A length of N periods is N steps long whenever it begins: no instant is nearer than a nanosecond
-    to another, and what times lose by rounding is far less. Checked by test_strategies_feedback.
+    to another, and what times lose by rounding is far less.
     """
     return begun_s is not None and now_s - begun_s < length_s - 0.5e-9
 
@@ -61,20 +61,20 @@ class IntoGear(Strategy):
 
     To neutral, in a repeated attempt and after `patience_s` the push is today's open loop (thesis
     4.2.1: only the engagement needs the damper). Only the charged chamber and the neutral one are
-    ever filled, so backward and forward never meet. Checked by test_strategies_feedback.
+    ever filled, so backward and forward never meet.
     """
 
     parameters: IntoGearParameters
 
     def command(self, now_ns: int, estimate: Estimate, shift: ShiftContext) -> Duties:
-        """Return the duties that `decide` wishes, or the open loop's."""
+        """Return the duties that `decide` chooses, or the open loop's."""
         spent_ns = now_ns - shift.start_ns
         impatient = spent_ns >= nanoseconds(self.parameters.patience_s)
         if shift.leg is Gear.NEUTRAL or shift.attempt > 0 or impatient:
             return one_chamber(shift.charged, self.config.duty)
         towards = 1.0 if shift.leg is Gear.BACKWARD else -1.0
-        wish = self.decide(
-            Seen(
+        command = self.decide(
+            Progress(
                 spent_s=spent_ns * 1e-9,
                 travelled_m=towards * estimate.position_m,
                 speed_m_s=towards * estimate.velocity_m_s,
@@ -83,13 +83,13 @@ class IntoGear(Strategy):
                 apart_s=(shift.apart_ns - shift.start_ns) * 1e-9,
             )
         )
-        charged = self.config.duty if wish.charge else 0.0
+        charged = self.config.duty if command.charge else 0.0
         return Duties(
             charged if shift.charged is Chamber.B else 0.0,
-            self.config.duty if wish.brake else 0.0,
+            self.config.duty if command.brake else 0.0,
             charged if shift.charged is Chamber.F else 0.0,
         )
 
     @abc.abstractmethod
-    def decide(self, seen: Seen) -> Wish:
+    def decide(self, progress: Progress) -> Command:
         """Choose the valves for the coming period."""

@@ -9,10 +9,7 @@ from controller.strategies import Duties, ShiftContext, Strategy, one_chamber
 
 
 class OpenLoop(Strategy):
-    """Full duty on the charged chamber, whatever the position does (thesis 3.1.3, 6.1).
-
-    Checked by test_strategies.
-    """
+    """Full duty on the charged chamber, whatever the position does (thesis 3.1.3, 6.1)."""
 
     name: ClassVar[str] = "open_loop"
 

@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from controller.settings import ControlConfig, bounded
 from controller.strategies.foresight import Foresight, ForesightParameters, Outcome
-from controller.strategies.into_gear import Wish
+from controller.strategies.into_gear import Command
 
 NEVER_S = 1e9
 
@@ -39,7 +39,6 @@ class Predictive(Foresight):
 
     Cost = impact speed + time_weight * time + way_weight * way left at the horizon. At most
     27 * horizon/0.5 ms model steps of some 75 operations: 250,000 a step at a horizon of 60 ms.
-    Checked by test_strategies_foresight.
     """
 
     class Parameters(ForesightParameters, frozen=True):
@@ -55,14 +54,14 @@ class Predictive(Foresight):
         super().__init__(config, parameters)
         self._sequences = sequences(config.period_s)
 
-    def plan(self, spent_s: float) -> Wish:
+    def plan(self, spent_s: float) -> Command:
         """Try every sequence; of equals the first, which does least, wins."""
         best, least = self._sequences[0], float("inf")
         for sequence in self._sequences:
             cost = self._cost(self.trial(*sequence))
             if cost < least:
                 best, least = sequence, cost
-        return Wish(best.charge_off_s > 0.0, best.brake_on_s <= 0.0)
+        return Command(best.charge_off_s > 0.0, best.brake_on_s <= 0.0)
 
     def _cost(self, outcome: Outcome) -> float:
         own = self.parameters

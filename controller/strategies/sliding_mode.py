@@ -9,10 +9,10 @@ from controller.strategies.into_gear import (
     BRAKE,
     PUSH,
     REST,
+    Command,
     IntoGear,
     IntoGearParameters,
-    Seen,
-    Wish,
+    Progress,
 )
 
 
@@ -23,7 +23,7 @@ class SlidingMode(IntoGear):
     nobody measures, are left out of the surface (the reduction of order). Within the band both
     chambers vent, which spares the valves. Source: Paul, Mishra and Radke, Reduced order sliding
     mode control for pneumatic actuator, IEEE Trans. Control Systems Technology 2 (1994).
-    Some 5 additions, multiplications and comparisons a step. Checked by test_strategies_feedback.
+    Some 5 additions, multiplications and comparisons a step.
     """
 
     class Parameters(IntoGearParameters, frozen=True):
@@ -40,11 +40,11 @@ class SlidingMode(IntoGear):
     def reset(self) -> None:
         """Nothing to forget: the surface has no memory."""
 
-    def decide(self, seen: Seen) -> Wish:
+    def decide(self, progress: Progress) -> Command:
         """Choose by the side of the surface."""
         own = self.parameters
         goal_m = self.config.windows.stroke_m + own.beyond_m
-        side_m_s = own.slope_per_s * (goal_m - seen.travelled_m) - seen.speed_m_s
+        side_m_s = own.slope_per_s * (goal_m - progress.travelled_m) - progress.speed_m_s
         if side_m_s > own.band_m_s:
             return PUSH
         return BRAKE if side_m_s < -own.band_m_s else REST

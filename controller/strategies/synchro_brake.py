@@ -1,11 +1,18 @@
-"""A brake timed by the shaft speeds: they tell when the synchronizer will let go, before it does."""
+"""A brake timed by the shaft speeds, which predict when the synchronizer will release the stay."""
 
 from __future__ import annotations
 
 from typing import Annotated, ClassVar
 
 from controller.settings import bounded
-from controller.strategies.into_gear import PUSH, IntoGear, IntoGearParameters, Seen, Wish, within
+from controller.strategies.into_gear import (
+    PUSH,
+    Command,
+    IntoGear,
+    IntoGearParameters,
+    Progress,
+    within,
+)
 
 REPORTS = 3
 """Reports of the speeds that the forecast rests on."""
@@ -18,10 +25,10 @@ class SynchroBrake(IntoGear):
     last three reports says when it will be zero, which is when the stay is let go. The neutral
     chamber is filled from `brake_lead_s` before that instant for `burst_s`, the driving one is left
     from `rest_lead_s` before it for `rest_s`. The forecast is made anew with every report until
-    the first of the two begins; no brake where it comes too late or tells of too little force.
+    the first of the two begins; no brake if the release is too near or the force too small.
     Some 50 additions, multiplications and comparisons a step, and a square root.
     Assumes that the engine gives no torque meanwhile. Without a synchronizer, or without speeds,
-    it is the open loop. Checked by test_strategies_feedback.
+    it is the open loop.
     """
 
     class Parameters(IntoGearParameters, frozen=True):
@@ -52,12 +59,14 @@ class SynchroBrake(IntoGear):
         self._reports = ()
         self._release_s = self._brake_s = self._rest_s = None
 
-    def decide(self, seen: Seen) -> Wish:
+    def decide(self, progress: Progress) -> Command:
         """Push but for the two intervals before and after the forecast release."""
         own = self.parameters
-        now_s = seen.spent_s + 0.5 * self.config.period_s  # an instant's nearest step acts for it
+        now_s = (
+            progress.spent_s + 0.5 * self.config.period_s
+        )  # an instant's nearest step acts for it
         if self._brake_s is None and self._rest_s is None:
-            self._note(seen)
+            self._note(progress)
             if self._release_s is None or self._release_s - now_s < own.least_lead_s:
                 return PUSH
         assert self._release_s is not None
@@ -67,17 +76,17 @@ class SynchroBrake(IntoGear):
             self._rest_s = now_s
         brake = within(self._brake_s, now_s, own.burst_s)
         rest = within(self._rest_s, now_s, own.rest_s)
-        return Wish(not rest, brake)
+        return Command(not rest, brake)
 
-    def _note(self, seen: Seen) -> None:
+    def _note(self, progress: Progress) -> None:
         """Take a new report, and forecast when the speeds will be equal."""
-        if seen.apart_rad_s is None:
+        if progress.apart_rad_s is None:
             self._reports = ()
             self._release_s = None
             return
-        if self._reports and seen.apart_s <= self._reports[-1][0]:
+        if self._reports and progress.apart_s <= self._reports[-1][0]:
             return
-        self._reports = (*self._reports, (seen.apart_s, seen.apart_rad_s))[-REPORTS:]
+        self._reports = (*self._reports, (progress.apart_s, progress.apart_rad_s))[-REPORTS:]
         if len(self._reports) == REPORTS:
             self._release_s = self._forecast_s()
 

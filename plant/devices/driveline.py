@@ -1,7 +1,4 @@
-"""Shafts on both sides of the synchronizer: engine synchronisation in neutral, cone, agreement.
-
-Checked by: tests/unit/plant/devices/test_driveline.py
-"""
+"""Shafts on both sides of the synchronizer: engine synchronisation in neutral, cone, agreement."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Circuit of the inductive sensor: when it pulses, what it reports, and how it may fail.
-
-Checked by: tests/unit/plant/devices/test_position_circuit.py
-"""
+"""Circuit of the inductive sensor: when it pulses, what it reports, and how it may fail."""
 
 from __future__ import annotations
 
@@ -92,7 +89,7 @@ class Reading(NamedTuple):
 
 
 class PositionCircuit:
-    """Pulses at fixed instants; the state of the stay changes what they tell, never when.
+    """Pulses at fixed instants; the stay changes their duration, never their time.
 
     Raises InputError for a capture time shorter than the longest pulse, or a period shorter.
     """
@@ -106,7 +103,7 @@ class PositionCircuit:
         seed: int = 0,
         thermometer: Thermometer | None = None,
     ) -> None:
-        """`reach_m` is the farthest position [m] on either side that a pulse must tell."""
+        """`reach_m` is the farthest position [m] on either side that a pulse must measure."""
         longest_s = max(
             sensor.pulse_s(side * reach_m, config.coil_temperature_k) for side in (-1, 1)
         )
@@ -167,7 +164,7 @@ class PositionCircuit:
 
 
 class _ActiveFault:
-    """One fault and what it remembers."""
+    """One fault with its memory."""
 
     def __init__(self, fault: SensorFault, tick_s: float, generator: Generator) -> None:
         self._fault = fault
@@ -175,7 +172,7 @@ class _ActiveFault:
         self._generator = generator
         self._start_ns = seconds_to_ns(fault.start_s)
         self._end_ns = None if fault.end_s is None else seconds_to_ns(fault.end_s)
-        self._seen = 0
+        self._count = 0
         self._stuck_s: float | None = None
         self._past_s: deque[float] = deque(maxlen=fault.late + 1)
 
@@ -184,7 +181,7 @@ class _ActiveFault:
         if start_ns < self._start_ns or (self._end_ns is not None and start_ns >= self._end_ns):
             return pulse_s
         fault = self._fault
-        seen, self._seen = self._seen, self._seen + 1
+        number, self._count = self._count, self._count + 1
         match fault.kind:
             case "stuck":
                 if self._stuck_s is None:
@@ -202,6 +199,6 @@ class _ActiveFault:
             case "off":
                 return None
             case "slow":
-                return pulse_s if seen % fault.every == 0 else None
+                return pulse_s if number % fault.every == 0 else None
             case "intermittent":
                 return None if self._generator.random() < fault.probability else pulse_s

@@ -1,7 +1,4 @@
-"""Sensors of the position: inductive sensor, its filtered chain, potentiometer.
-
-Checked by: tests/unit/plant/devices/test_sensors.py
-"""
+"""Sensors of the position: inductive sensor, its filtered chain, potentiometer."""
 
 from __future__ import annotations
 
@@ -27,7 +24,7 @@ def named_generator(seed: int, *names: object) -> np.random.Generator:
 
 @dataclass(frozen=True)
 class InductiveSensor:
-    """Coil with a movable core: the time its voltage takes to reach 8 V tells the position.
+    """Coil with a movable core: the time its voltage takes to reach 8 V depends on the position.
 
     t8V(x, T) = (t_mid + slope x) (1 + temp_coeff (T - T_ref)), x in m from neutral.
 
@@ -79,13 +76,13 @@ class InductiveSensor:
         return max(0, round(duration_s / self.tick_s)) * self.tick_s
 
     def position_m(self, pulse_s: ArrayLike, temperature_k: float) -> Floats:
-        """Position [m] that a pulse [s] stands for if the coil is at `temperature_k` [K]."""
+        """Position [m] of a pulse [s] if the coil is at `temperature_k` [K]."""
         cold = np.asarray(pulse_s, dtype=np.float64) / self._warmth(temperature_k)
         return np.asarray((cold - self.t_mid_s) / self.slope_s_m)
 
     @property
     def measurement_offset_ns(self) -> int:
-        """Time [ns] from the start of a pulse to the instant whose position it tells."""
+        """Time [ns] from the start of a pulse to the instant whose position it measures."""
         return seconds_to_ns(0.5 * self.t_mid_s)
 
     def _warmth(self, temperature_k: float) -> float:
@@ -122,7 +119,7 @@ def butterworth_sections(order: int, cutoff_hz: float, rate_hz: float) -> Floats
 
 
 def filter_from_rest(sections: Floats, samples: Floats) -> Floats:
-    """Samples [..., n] through second-order sections [m, 5] that were settled at the first one."""
+    """Filter samples [..., n] through second-order sections [m, 5] that were settled at the first one."""
     signal = samples.astype(np.float64, copy=True)
     for b0, b1, b2, a1, a2 in sections:
         rest = signal[..., 0].copy()
@@ -141,9 +138,9 @@ def filter_from_rest(sections: Floats, samples: Floats) -> Floats:
 class InternalChain:
     """The position as the control unit reports it: pulse, timer, conversion, filter, hold.
 
-    A pulse starts at every tick, tells the position at tick + t_mid/2, is counted in timer ticks,
+    A pulse starts at every tick, measures the position at tick + t_mid/2, is counted in timer ticks,
     converted back with `calibration` and the measured temperature, filtered once per period, and
-    stands from tick + latency + t8V until the next one.
+    holds from tick + latency + t8V until the next one.
 
     Parameters: period_s, latency_s [s]; filter_order 0 means no filter; cutoff_hz [Hz];
     coil_temperature_k is the coil's own, measured_temperature_k [K] the one compensated for.
@@ -182,7 +179,7 @@ class InternalChain:
         )
 
     def ticks_s(self, end_s: float, phase_s: float = 0.0) -> Floats:
-        """Starts of the pulses [s] of a record 0 <= t <= end_s, one of them at `phase_s`.
+        """Return the starts of the pulses [s] of a record 0 <= t <= end_s, one of them at `phase_s`.
 
         The first is the last one before time 0; the last is measured within the record.
         """
@@ -192,7 +189,7 @@ class InternalChain:
         return np.asarray(first_s + np.arange(-1, count) * self.period_s, dtype=np.float64)
 
     def measurement_instants_ns(self, end_s: float, phase_s: float = 0.0) -> Instants:
-        """Instants [ns] whose position the pulses of `ticks_s` tell; rest before time 0."""
+        """Instants [ns] whose position the pulses of `ticks_s` measure; rest before time 0."""
         started = np.rint(self.ticks_s(end_s, phase_s) * NS_PER_S).astype(np.int64)
         return np.maximum(started + self.sensor.measurement_offset_ns, 0)
 
@@ -216,9 +213,9 @@ class InternalChain:
     def held_m(
         self, time_s: Floats, tick_s: Floats, measured_m: Floats, quantise: bool = True
     ) -> Floats:
-        """Reported position [..., n] at `time_s` [n] of positions measured [..., k] at ticks [k].
+        """Return the reported position [..., n] in m at `time_s` [n] of positions measured [..., k] at ticks [k].
 
-        Before the first publication stands the rest value, that of the first measurement. A value
+        Before the first publication the value is that of the first measurement. A value
         published at the very instant of a record is in it, within the rounding of seconds.
         """
         instants, values = self.published(tick_s, measured_m, quantise)
@@ -231,7 +228,7 @@ class InternalChain:
         return out.reshape((*instants.shape[:-1], len(time_s)))
 
     def reported_m(self, time_s: Floats, position_m: Floats, phase_s: float = 0.0) -> Floats:
-        """Reported position [..., n] from the true one [..., n] recorded at `time_s` [n].
+        """Return the reported position [..., n] in m from the true one [..., n] recorded at `time_s` [n].
 
         The measured positions are interpolated linearly between records; where the integrator can
         give them exactly, pass those to `held_m`.

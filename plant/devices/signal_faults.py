@@ -1,7 +1,4 @@
-"""Faults of the slow sensors: the coil's thermometer and the two shaft speeds.
-
-Checked by: tests/unit/plant/devices/test_signal_faults.py
-"""
+"""Faults of the slow sensors: the coil's thermometer and the two shaft speeds."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from plant.devices.sensors import named_generator
 from plant.devices.valve import seconds_to_ns
 
 OPEN_LINE_K = 200.0
-"""What the thermometer's circuit reads on a broken line: the cold end of its range."""
+"""Reading of the thermometer's circuit on a broken line: the cold end of its range."""
 
 RANGE_RAD_S = 1000.0
 """Where the measurement saturates, to either side."""
@@ -127,17 +124,17 @@ def _in_range(speed_rad_s: float) -> float:
 
 
 class _SpeedMemory:
-    """One fault and what it remembers."""
+    """One fault with its memory."""
 
     def __init__(self, fault: SpeedFault, seed: int, index: int) -> None:
         self.fault = fault
         self._generator = named_generator(seed, "shaft speeds", index)
-        self._seen = 0
+        self._count = 0
         self._past: deque[Speeds] = deque(maxlen=fault.late + 1)
 
     def apply(self, speeds: Speeds) -> Speeds | None:
         fault = self.fault
-        seen, self._seen = self._seen, self._seen + 1
+        number, self._count = self._count, self._count + 1
         match fault.kind:
             case "off":
                 return None
@@ -151,7 +148,7 @@ class _SpeedMemory:
                 drawn = self._generator.uniform(0.0, fault.garbage_rad_s, 2)
                 return float(drawn[0]), float(drawn[1])
             case "slow":
-                return speeds if seen % fault.every == 0 else None
+                return speeds if number % fault.every == 0 else None
             case "delayed":
                 self._past.append(speeds)
                 return self._past[0]

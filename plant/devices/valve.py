@@ -1,7 +1,4 @@
-"""On/off solenoid valves as time delays (thesis 3.1.3).
-
-Checked by: tests/unit/plant/devices/test_valve.py
-"""
+"""On/off solenoid valves as time delays (thesis 3.1.3)."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ LONGEST_S = 1e9
 
 
 def seconds_to_ns(seconds: float) -> int:
-    """Whole nanoseconds nearest to a time in seconds.
+    """Return the whole nanoseconds nearest to a time in seconds.
 
     Raises InputError beyond LONGEST_S, thirty years.
     """
@@ -28,10 +25,10 @@ def seconds_to_ns(seconds: float) -> int:
 
 
 class ParameterValues(Protocol):
-    """What this package needs of a parameter set: the value behind a path."""
+    """A parameter set, as far as this package uses it."""
 
     def value(self, path: str) -> float:
-        """Value of the parameter at `path`, in SI units."""
+        """Return the value of the parameter at `path`, in SI units."""
         ...
 
 
@@ -40,7 +37,7 @@ class ValveTiming:
     """Thresholds and delays of a solenoid valve.
 
     The coil counts as energised at `duty_open` and above, as not energised at `duty_closed` and
-    below; between the two it keeps its state. The plunger follows `rise_ns` after the coil is
+    below; between the two its state does not change. The plunger follows `rise_ns` after the coil is
     energised and `fall_delay_ns` after it is not.
 
     Parameters: duties 0..1, delays in ns; `fall_base_s` and `fall_tau_s` in s, used only when
@@ -77,7 +74,7 @@ class ValveTiming:
     def from_parameters(
         cls, parameters: ParameterValues, closing_follows_duty: bool = False
     ) -> ValveTiming:
-        """Timing from the section `valve` of a parameter set."""
+        """Return the timing from the section `valve` of a parameter set."""
         value = parameters.value
         return cls(
             rise_ns=seconds_to_ns(value("valve.D_rise")),
@@ -90,7 +87,7 @@ class ValveTiming:
         )
 
     def slowed(self, factor: float) -> ValveTiming:
-        """The same valve with every delay `factor` times as long.
+        """Return the same valve with every delay `factor` times as long.
 
         Raises InputError when a delay becomes longer than any that a plunger could have.
         """
@@ -103,7 +100,10 @@ class ValveTiming:
         )
 
     def is_energised(self, duty: float, before: bool) -> bool:
-        """Whether a coil at `duty` (0..1) is energised, given whether it was before."""
+        """Return whether a coil at `duty` (0..1) is energised, given whether it was before.
+
+        Raises ValueError for a duty outside 0..1.
+        """
         if not 0.0 <= duty <= 1.0:
             raise ValueError(f"duty {duty!r} is not within 0..1")
         if duty >= self.duty_open:
@@ -113,7 +113,7 @@ class ValveTiming:
         return before
 
     def fall_delay_ns(self, duty: float) -> int:
-        """Closing delay [ns] after the coil was held at `duty` (0..1).
+        """Return the closing delay [ns] after the coil was held at `duty` (0..1).
 
         Constant, or with `closing_follows_duty` D_fall = fall_base + fall_tau ln(d / d_hold), the
         time that the coil current needs to decay through the freewheel diode to the holding level,
@@ -152,7 +152,10 @@ class Valve:
         self._moved: list[tuple[int, float]] = []
 
     def command(self, t_ns: int, duty: float) -> None:
-        """Apply `duty` (0..1) to the coil from `t_ns` on; instants must not decrease."""
+        """Apply `duty` (0..1) to the coil from `t_ns` on.
+
+        Raises ValueError for an instant before that of the last command.
+        """
         if self._command_ns is not None and t_ns < self._command_ns:
             raise ValueError(f"command at {t_ns} ns after one at {self._command_ns} ns")
         self._settle(t_ns)
@@ -187,7 +190,7 @@ class Valve:
             self._move_ns = t_ns + self.timing.fall_delay_ns(self.duty)
 
     def moves(self, until_ns: int) -> list[tuple[int, float]]:
-        """Moves (instant in ns, u = 1 open or 0 closed) up to and including `until_ns`, once each.
+        """Return the moves (instant in ns, u = 1 open or 0 closed) up to and including `until_ns`, once each.
 
         Call it only when every command up to `until_ns` has been given.
         """
@@ -209,7 +212,7 @@ def switch_schedule(
     charged: Sequence[int] = (),
     charged_duty: float = 0.98,
 ) -> list[tuple[int, int, float]]:
-    """Switches (ns, chamber, u) that a list of commands (s, chamber, duty) leads to.
+    """Return the switches (ns, chamber, u) that a list of commands (s, chamber, duty) leads to.
 
     Chambers are numbered from 0 to `valves` - 1; those in `charged` start open under
     `charged_duty`. The result is ordered by instant, then chamber.

@@ -1,7 +1,4 @@
-"""Output stage of the three valves: protected commands in, coil duties out.
-
-Checked by: tests/unit/plant/devices/test_valve_driver.py
-"""
+"""Output stage of the three valves: protected commands in, coil duties out."""
 
 from __future__ import annotations
 
@@ -25,7 +22,7 @@ Input = TypeVar("Input", ValveCommand, SafetyBlow)
 
 
 class ValveDriverConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How long the output stage keeps the valves energised without a good frame.
+    """How long the output stage holds the valves energised without a good frame.
 
     timeout_s: after this long without a good ValveCommand, or without a good SafetyBlow, every
     valve is de-energised; D_fall later it is closed.
@@ -39,8 +36,8 @@ class ValveDriverConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 class _Channel(Generic[Input]):
     """A receiver whose latest message also has to be younger than the timeout.
 
-    The age counts from the last frame whose content was taken over: a stream of frames that only
-    resynchronise the counter keeps the receiver alive, but must not keep an old command in force.
+    The age counts from the last accepted frame: a stream of frames that only
+    resynchronise the counter holds the receiver valid, but must not hold an old command in force.
     """
 
     def __init__(self, message_type: type[Input], timeout_ns: int) -> None:
@@ -61,12 +58,12 @@ class _Channel(Generic[Input]):
         return self._receiver.message_ns + self._timeout_ns
 
     def receive(self, now_ns: int, frame: Frame) -> Input | None:
-        """The message of a frame that passed every check, otherwise None."""
+        """Return the message of a frame that passed every check, otherwise None."""
         accepted = self._receiver.receive(now_ns, frame) in ACCEPTED
         return self._receiver.message if accepted else None
 
     def message(self, now_ns: int) -> Input | None:
-        """The message in force at `now_ns`; None while the channel is not valid."""
+        """Return the message in force at `now_ns`; None while the channel is not valid."""
         receiver = self._receiver
         message = receiver.message
         if message is None or now_ns >= receiver.message_ns + self._timeout_ns:
@@ -147,7 +144,7 @@ class ValveDriver:
             self._settle(self._timer_ns, changes)
 
     def _next_timer_ns(self) -> int:
-        """The first instant after now at which a timer ends."""
+        """Return the first instant after now at which a timer ends."""
         now_ns, first_ns = self._now_ns, NEVER_NS
         for end_ns in (self._commands.end_ns, self._blows.end_ns, self._blow_end_ns):
             if end_ns is not None and now_ns < end_ns < first_ns:

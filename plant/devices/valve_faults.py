@@ -1,7 +1,4 @@
-"""Faults of the three valves: of the coil and its line, and of the plunger.
-
-Checked by: tests/unit/plant/devices/test_valve_faults.py
-"""
+"""Faults of the three valves: of the coil and its line, and of the plunger."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ from plant.errors import InputError
 Command = tuple[int, float]  # instant in ns, duty 0..1
 
 SLOT_NS = 10_000_000
-"""What comes and goes (garbage, intermittent) is drawn anew every 10 ms."""
+"""Period of the draws of garbage and intermittent faults."""
 
 LATEST_NS = 1 << 62
 
@@ -29,7 +26,7 @@ class ValveFault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     off: the coil gets no current. wrong: it gets full current, whatever is commanded (short to
     supply). garbage: its duty is drawn anew every 10 ms, uniform in 0..1. intermittent: its contact
     is open with `probability`, drawn anew every 10 ms. delayed: commands reach it delay_s late.
-    stuck: the plunger stays where it is. slow: it takes `factor` times as long to open and close.
+    stuck: the plunger does not move. slow: it takes `factor` times as long to open and close.
     """
 
     valve: Literal["B", "N", "F"]
@@ -48,7 +45,7 @@ class ValveFault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class FaultyValve:
-    """One valve behind its faults: takes the driver's duties, tells what arrives at the coil.
+    """One valve behind its faults: takes the driver's duties and returns those at the coil.
 
     Several faults of one valve act in the order in which they are stated. Where faults change a
     duty at the instant of a command, the command is taken first.
@@ -81,11 +78,11 @@ class FaultyValve:
         self._late: list[Command] = []
 
     def hand_over(self, t_ns: int, duty: float) -> None:
-        """A duty that the driver commands from `t_ns` on; instants must not decrease."""
+        """Take a duty that the driver commands from `t_ns` on; instants must not decrease."""
         self._coming.append((t_ns, duty))
 
     def until(self, until_ns: int) -> Iterator[Command]:
-        """What the coil gets, change by change, up to and including `until_ns`.
+        """Return the changes of the duty at the coil up to and including `until_ns`.
 
         The caller gives each to the valve before it asks for the next.
         """
@@ -134,7 +131,7 @@ class FaultyValve:
             self.valve.free(now_ns)
 
     def _delayed(self, now_ns: int, duty: float, window: _Window) -> float:
-        """The duty of `delay_s` ago; until then the one at the fault's start."""
+        """Return the duty of `delay_s` ago; until then the one at the fault's start."""
         if window.held is None:
             window.held = self.valve.duty
         if (self._late[-1][1] if self._late else window.held) != duty:
@@ -145,7 +142,7 @@ class FaultyValve:
 
 
 class _Window:
-    """One fault, when it acts, and what it draws."""
+    """One fault with its times and its draws."""
 
     def __init__(self, fault: ValveFault, seed: int, index: int) -> None:
         self.fault = fault
@@ -167,7 +164,7 @@ class _Window:
         return self.start_ns <= now_ns < self.end_ns
 
     def next_ns(self, after_ns: int) -> int:
-        """The first instant later than `after_ns` at which this fault changes something."""
+        """Return the first instant later than `after_ns` at which this fault changes something."""
         if after_ns < self.start_ns:
             return self.start_ns
         if after_ns >= self.end_ns:
@@ -178,7 +175,7 @@ class _Window:
         return min(self.end_ns, self.start_ns + slots * SLOT_NS)
 
     def drawn(self, now_ns: int) -> float:
-        """The number of the present slot, uniform in 0..1."""
+        """Return the number of the present slot, uniform in 0..1."""
         slot = (now_ns - self.start_ns) // SLOT_NS
         while self._slot < slot:
             self._slot += 1
@@ -189,7 +186,7 @@ class _Window:
 def faulty_valves(
     valves: Sequence[Valve], names: Sequence[str], faults: Sequence[ValveFault], seed: int
 ) -> dict[int, FaultyValve]:
-    """The valves that have faults, by their number."""
+    """Return the valves that have faults, by their number."""
     found = {}
     for number, (valve, name) in enumerate(zip(valves, names, strict=True)):
         own = [fault for fault in faults if fault.valve == name]

@@ -6,7 +6,6 @@ A set is a TOML file of sections with entries `key = { value, unit, source }`.  
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 import tomllib
@@ -15,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from can_dbc.errors import nearest
 from can_dbc.user_file import read_user_text
 from plant.errors import InputError
 from plant.parameters.bounds import outside
@@ -45,7 +45,7 @@ class ParameterSet:
     effects: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
 
     def __getitem__(self, path: str) -> Parameter:
-        """The parameter at `section.key`; InputError with the nearest names if there is none."""
+        """Return the parameter at `section.key`. Raises InputError with the nearest names if there is none."""
         try:
             return self.entries[path]
         except KeyError:
@@ -58,21 +58,21 @@ class ParameterSet:
         return iter(self.entries)
 
     def value(self, path: str) -> float:
-        """The single number at `section.key`, in the unit of the set."""
+        """Return the single number at `section.key`, in its unit. Raises InputError for a list."""
         value = self[path].value
         if isinstance(value, tuple):
             raise InputError(f"{self.name}: {path}: is a list; expected one number")
         return value
 
     def values(self, path: str) -> tuple[float, ...]:
-        """The list of numbers at `section.key`."""
+        """Return the list of numbers at `section.key`."""
         value = self[path].value
         return value if isinstance(value, tuple) else (value,)
 
     def override(
         self, changes: Mapping[str, float | int | list[float] | tuple[float, ...]]
     ) -> ParameterSet:
-        """A new set with some values replaced; unknown paths and wrong kinds raise InputError."""
+        """Return a new set with some values rewhered. Raises InputError for unknown paths and wrong kinds."""
         entries = dict(self.entries)
         for path, raw in changes.items():
             old = self[path]
@@ -86,8 +86,8 @@ class ParameterSet:
 
 
 def unknown_path(path: str, known: Mapping[str, Any], name: str) -> str:
-    """One line that says which path does not exist and which come nearest."""
-    near = difflib.get_close_matches(path, list(known), n=3, cutoff=0.4)
+    """Return one line that names an unknown path and the nearest known ones."""
+    near = nearest(path, known, cutoff=0.4)
     if not near:
         tail = path.rsplit(".", 1)[-1]
         near = [k for k in known if k.rsplit(".", 1)[-1].lower() == tail.lower()][:3]
@@ -95,23 +95,23 @@ def unknown_path(path: str, known: Mapping[str, Any], name: str) -> str:
     return f"{name}: {path}: no such parameter; nearest: {hint}"
 
 
-def number(raw: object, place: str) -> Number:
-    """A finite number or list of finite numbers, or InputError naming the place."""
+def number(raw: object, where: str) -> Number:
+    """Return a finite number or list of numbers; InputError starts with `where`."""
     if isinstance(raw, (list, tuple)):
-        return tuple(scalar(item, place) for item in raw)
-    return scalar(raw, place)
+        return tuple(scalar(item, where) for item in raw)
+    return scalar(raw, where)
 
 
-def scalar(raw: object, place: str) -> float:
-    """A finite number, or InputError naming the place."""
+def scalar(raw: object, where: str) -> float:
+    """Return a finite number. Raises InputError that starts with `where` for anything else."""
     if isinstance(raw, bool) or not isinstance(raw, (int, float)):
-        raise InputError(f"{place}: expected a number, got {raw!r}")
+        raise InputError(f"{where}: expected a number, got {raw!r}")
     try:
         value = float(raw)
     except OverflowError:
-        raise InputError(f"{place}: number too large") from None
+        raise InputError(f"{where}: number too large") from None
     if not math.isfinite(value):
-        raise InputError(f"{place}: expected a finite number, got {raw!r}")
+        raise InputError(f"{where}: expected a finite number, got {raw!r}")
     return value
 
 
@@ -120,7 +120,7 @@ _DEEP_KEY = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){100}")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Parse a TOML file; unreadable or malformed files raise InputError naming file and place."""
+    """Parse a TOML file; unreadable or malformed files raise InputError naming file and where."""
     text = read_user_text(path, "a TOML file")
     try:
         return parsed(text)
@@ -142,29 +142,29 @@ def parsed(text: str) -> dict[str, Any]:
     return tomllib.loads(text)
 
 
-def parameter(raw: object, place: str) -> Parameter:
-    """One `{ value, unit, source }` table as a Parameter; anything else raises InputError."""
+def parameter(raw: object, where: str) -> Parameter:
+    """Return a `{ value, unit, source }` table as a Parameter. Raises InputError for anything else."""
     if not isinstance(raw, dict):
-        raise InputError(f"{place}: expected {{ value, unit, source }}, got {raw!r}")
+        raise InputError(f"{where}: expected {{ value, unit, source }}, got {raw!r}")
     unknown = set(raw) - {"value", "unit", "source", "low", "high"}
     if unknown:
         raise InputError(
-            f"{place}: unknown key {sorted(unknown)[0]!r}; expected value, unit, source"
+            f"{where}: unknown key {sorted(unknown)[0]!r}; expected value, unit, source"
         )
     for key in ("value", "unit", "source"):
         if key not in raw:
-            raise InputError(f"{place}: no {key}; expected value, unit, source")
+            raise InputError(f"{where}: no {key}; expected value, unit, source")
     for key in ("unit", "source"):
         if not isinstance(raw[key], str) or not raw[key].strip():
-            raise InputError(f"{place}: {key}: expected a non-empty text, got {raw[key]!r}")
-    bounds = [scalar(raw[key], f"{place}.{key}") if key in raw else None for key in ("low", "high")]
+            raise InputError(f"{where}: {key}: expected a non-empty text, got {raw[key]!r}")
+    bounds = [scalar(raw[key], f"{where}.{key}") if key in raw else None for key in ("low", "high")]
     return Parameter(
-        number(raw["value"], f"{place}.value"), raw["unit"], raw["source"], bounds[0], bounds[1]
+        number(raw["value"], f"{where}.value"), raw["unit"], raw["source"], bounds[0], bounds[1]
     )
 
 
 def shipped() -> list[str]:
-    """Names of the parameter sets that come with the package."""
+    """Return the names of the parameter sets that come with the package."""
     return sorted(path.stem for path in Path(__file__).parent.glob("*.toml"))
 
 
@@ -173,14 +173,14 @@ def load(model: str | Path = "nominal") -> ParameterSet:
 
     A file may be a full set, or start with `[base] model = "nominal"` and change or add to it;
     every key it sets must exist in the base, with the same unit.  `[effect.<id>]` tables become
-    `effects`.
+    `effects`. Raises InputError for an unknown name and for whatever is wrong in the file.
     """
     text = str(model)
     path = Path(text)
     if not text.endswith(".toml"):
         path = Path(__file__).parent / f"{text}.toml"
         if text not in shipped():
-            near = difflib.get_close_matches(text, shipped(), n=3, cutoff=0.3) or shipped()
+            near = nearest(text, shipped(), cutoff=0.3) or shipped()
             raise InputError(
                 f"model {text!r}: no such parameter set; shipped: {', '.join(near)}, "
                 "or give the path of a .toml file"
@@ -189,7 +189,7 @@ def load(model: str | Path = "nominal") -> ParameterSet:
 
 
 def parse(raw: Mapping[str, Any], name: str) -> ParameterSet:
-    """A parsed model file as a ParameterSet (see `load`)."""
+    """Return a parsed model file as a ParameterSet (see `load`). Raises InputError as `load` does."""
     entries: dict[str, Parameter] = {}
     effects: dict[str, dict[str, Parameter]] = {}
     base: ParameterSet | None = None
@@ -209,41 +209,41 @@ def parse(raw: Mapping[str, Any], name: str) -> ParameterSet:
             raise InputError(f"{name}: {section}: expected a section, got {table!r}")
         if section == "effect":
             for effect, body in table.items():
-                place = f"{name}: [effect.{effect}]"
+                where = f"{name}: [effect.{effect}]"
                 if not isinstance(body, dict):
-                    raise InputError(f"{place}: expected a table of parameters")
+                    raise InputError(f"{where}: expected a table of parameters")
                 effects[effect] = {
-                    key: parameter(value, f"{place} {key}") for key, value in body.items()
+                    key: parameter(value, f"{where} {key}") for key, value in body.items()
                 }
             continue
         for key, value in table.items():
-            place = f"{name}: [{section}] {key}"
-            item = parameter(value, place)
+            where = f"{name}: [{section}] {key}"
+            item = parameter(value, where)
             full = f"{section}.{key}"
             if base is not None:
                 if full not in entries:
                     raise InputError(unknown_path(full, entries, name))
                 if entries[full].unit != item.unit:
                     raise InputError(
-                        f"{place}: unit {item.unit!r}; expected {entries[full].unit!r}"
+                        f"{where}: unit {item.unit!r}; expected {entries[full].unit!r}"
                     )
-            check_range(full, item, f"{place}.value")
+            check_range(full, item, f"{where}.value")
             entries[full] = item
     if base is None:
         check_complete(entries, name)
     return ParameterSet(name, entries, effects)
 
 
-def check_range(path: str, item: Parameter, place: str) -> None:
-    """Refuse values that the parameter at `section.key` cannot have."""
+def check_range(path: str, item: Parameter, where: str) -> None:
+    """Raise InputError for values that the parameter at `section.key` cannot have."""
     values = item.value if isinstance(item.value, tuple) else (item.value,)
     wrong = outside(path, item.unit, values)
     if wrong:
-        raise InputError(f"{place}: {wrong}")
+        raise InputError(f"{where}: {wrong}")
 
 
 def check_complete(entries: Mapping[str, Parameter], name: str) -> None:
-    """Refuse a full set that lacks or adds keys, or changes units, against the nominal one."""
+    """Raise InputError if a full set lacks or adds keys, or changes units, against the nominal one."""
     reference = Path(__file__).parent / "nominal.toml"
     wanted = {
         f"{section}.{key}": value["unit"]

@@ -1,8 +1,7 @@
 """Between which values a parameter means something: what lies outside is refused by name.
 
-Wide: they keep out signs and magnitudes that no actuator has, not unusual actuators. Tighter ones that
-depend on other parameters stand with the parts they belong to.
-Checked by: tests/unit/plant/test_parameter_bounds.py
+The bounds are wide: they exclude signs and magnitudes that no actuator has, not unusual actuators.
+Tighter ones that depend on other parameters are checked by the parts they belong to.
 """
 
 from __future__ import annotations
@@ -60,12 +59,12 @@ BY_PATH = {
 
 
 def bounds(path: str, unit: str) -> tuple[float, float]:
-    """Least and largest value of the parameter at `section.key`; infinite where nothing is known."""
+    """Return the least and largest value of the parameter at `section.key`; infinite where nothing is known."""
     return BY_PATH.get(path) or BY_UNIT.get(unit, (-inf, inf))
 
 
 def outside(path: str, unit: str, values: tuple[float, ...]) -> str:
-    """What is wrong with a parameter's values and what was expected; "" if nothing is."""
+    """Return what is wrong with a parameter's values and what was expected; "" if nothing is."""
     low, high = bounds(path, unit)
     for value in values:
         if not low <= value <= high:

@@ -26,7 +26,7 @@ from controller.settings import (
 )
 from controller.strategies import NAMES, OFF, ShiftContext, Strategy, parameters
 from controller.strategies.foresight import ForesightParameters
-from controller.strategies.into_gear import BRAKE, PUSH, REST, IntoGearParameters, Seen
+from controller.strategies.into_gear import BRAKE, PUSH, REST, IntoGearParameters, Progress
 
 FIRMWARE: dict[str, Any] = {
     "period_s": 0.01,
@@ -213,7 +213,7 @@ def test_what_is_out_of_bounds_is_told_with_its_unit(make: Any, told: str) -> No
 
 def test_the_plain_wishes_and_what_is_not_known() -> None:
     assert (PUSH, BRAKE, REST) == ((True, False), (False, True), (False, False))
-    assert Seen(0.0, 0.0, 0.0, 0) == (0.0, 0.0, 0.0, 0, None, 0.0)
+    assert Progress(0.0, 0.0, 0.0, 0) == (0.0, 0.0, 0.0, 0, None, 0.0)
     nobody = ShiftContext(
         Gear.NEUTRAL, Gear.NEUTRAL, Chamber.N, Chamber.B, 0, 0, (None, None, None)
     )

@@ -12,7 +12,7 @@ from controller import strategies
 from controller.config import FirmwareConfig, create_strategy
 from controller.position import Estimate, Sample
 from controller.strategies import Duties, ShiftContext, Strategy
-from controller.strategies.into_gear import IntoGear, Seen, Wish
+from controller.strategies.into_gear import Command, IntoGear, Progress
 from controller.strategies.synchro_brake import SynchroBrake
 
 MS = 1_000_000
@@ -203,11 +203,11 @@ def test_what_a_braking_strategy_is_told_to_decide_on(
 ) -> None:
     strategy = made("air_cushion", patience_s=0.25)
     assert isinstance(strategy, IntoGear)
-    told: list[Seen] = []
+    told: list[Progress] = []
 
-    def decide(seen: Seen) -> Wish:
+    def decide(seen: Progress) -> Command:
         told.append(seen)
-        return Wish(True, True)
+        return Command(True, True)
 
     monkeypatch.setattr(strategy, "decide", decide)
     samples = (Sample(0.0, 0.0, 0.0),) * 2
@@ -215,7 +215,7 @@ def test_what_a_braking_strategy_is_told_to_decide_on(
     into = push(leg)._replace(start_ns=100 * MS, apart_rad_s=-7.5, apart_ns=70 * MS)
     both = Duties(0.98, 0.98, 0.0) if sign > 0 else Duties(0.0, 0.98, 0.98)
     assert strategy.command(130 * MS, late, into) == both
-    assert told == [Seen(pytest.approx(0.03), 0.003, 0.75, 2, 7.5, pytest.approx(-0.03))]
+    assert told == [Progress(pytest.approx(0.03), 0.003, 0.75, 2, 7.5, pytest.approx(-0.03))]
     assert strategy.command(350 * MS - 1, late, into) == both
     alone = Duties(0.98, 0.0, 0.0) if sign > 0 else Duties(0.0, 0.0, 0.98)
     assert strategy.command(350 * MS, late, into) == alone
@@ -283,14 +283,14 @@ def test_the_synchro_brake_s_times_are_exact_in_steps(late: int) -> None:
     assert isinstance(strategy, SynchroBrake)
     strategy.reset()
     strategy._release_s = 8.5 * step_s  # steps act for the half period after and before them
-    wishes = {}
+    commands = {}
     for k in range(4 + late, 12):
-        now = Seen(k * step_s, 0.0, 0.0, 1, 100.0, 0.0)
+        now = Progress(k * step_s, 0.0, 0.0, 1, 100.0, 0.0)
         strategy._reports = ((0.0, 100.0),)  # nothing new
-        wishes[k] = strategy.decide(now)
+        commands[k] = strategy.decide(now)
     resting, braking = ([4, 5, 6], [6, 7]) if not late else ([], [])
-    assert [k for k, wish in wishes.items() if not wish.charge] == resting
-    assert [k for k, wish in wishes.items() if wish.brake] == braking
+    assert [k for k, command in commands.items() if not command.charge] == resting
+    assert [k for k, command in commands.items() if command.brake] == braking
 
 
 def forecast(v: float, g: float, end_s: float, **parameters: Any) -> float | None:
@@ -336,7 +336,7 @@ def test_reports_that_stop_are_forgotten_and_begin_anew() -> None:
     strategy = made("synchro_brake")
     assert isinstance(strategy, SynchroBrake)
     for k, apart_rad_s in enumerate((100.0, 90.0, None, 70.0, 60.0)):
-        strategy.decide(Seen(0.01 * k, 0.0, 0.0, 1, apart_rad_s, 0.01 * k))
+        strategy.decide(Progress(0.01 * k, 0.0, 0.0, 1, apart_rad_s, 0.01 * k))
         assert (apart_rad_s is None) == (strategy._reports == ())
     assert strategy._reports == ((0.03, 70.0), (0.04, 60.0))
 

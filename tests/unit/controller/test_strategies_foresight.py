@@ -17,7 +17,7 @@ from controller.settings import FilterConfig, SensorConfig
 from controller.strategies import ShiftContext, Strategy
 from controller.strategies.bang_bang import STORED, BangBang, stored_s
 from controller.strategies.foresight import Foresight, Outcome
-from controller.strategies.into_gear import Seen, Wish
+from controller.strategies.into_gear import Command, Progress
 from controller.strategies.predictive import sequences
 
 QUICK = FirmwareConfig(
@@ -159,12 +159,12 @@ def test_bang_bang_s_times_are_exact_in_steps() -> None:
     strategy = create_strategy(config)
     assert isinstance(strategy, BangBang)
     strategy.reset()
-    wishes = [strategy.decide(Seen(k * step_s, 0.0, 0.0, 0)) for k in range(8)]
-    assert [k for k, wish in enumerate(wishes) if wish.brake] == [3, 4, 5]
-    assert all(wish.charge is not wish.brake for wish in wishes)
+    commands = [strategy.decide(Progress(k * step_s, 0.0, 0.0, 0)) for k in range(8)]
+    assert [k for k, command in enumerate(commands) if command.brake] == [3, 4, 5]
+    assert all(command.charge is not command.brake for command in commands)
     strategy.reset()
     for travelled_m, moved in ((2.0**-11 - 2.0**-20, False), (2.0**-11, True), (0.0, True)):
-        strategy.decide(Seen(0.0, travelled_m, 0.0, 0))
+        strategy.decide(Progress(0.0, travelled_m, 0.0, 0))
         assert strategy._moved is moved
 
 
@@ -216,12 +216,12 @@ def test_the_observer_is_brought_up_to_now_and_told_what_was_chosen(
     monkeypatch.setattr(strategy.observer, "advance", lambda *told: calls.append(told))
     monkeypatch.setattr(strategy.observer, "command", lambda *told: calls.append(told))
 
-    def plan(spent_s: float) -> Wish:
+    def plan(spent_s: float) -> Command:
         calls.append((spent_s,))
-        return Wish(charge, brake)
+        return Command(charge, brake)
 
     monkeypatch.setattr(strategy, "plan", plan)
-    assert strategy.decide(Seen(0.02, 0.003, 0.4, 2)) == Wish(charge, brake)
+    assert strategy.decide(Progress(0.02, 0.003, 0.4, 2)) == Command(charge, brake)
     assert calls == [(0.02, 0.003, 2), (0.02,), (charge, brake)]
 
 
@@ -304,18 +304,18 @@ def test_the_sequences_that_are_tried_in_periods() -> None:
 
 
 @pytest.mark.parametrize(
-    ("best", "wish"),
+    ("best", "command"),
     [
-        ((1e9, 1e9, 1e9, 1e9), Wish(True, False)),
-        ((0.0, 0.02, 1e9, 1e9), Wish(True, True)),
-        ((0.0, 0.02, 0.0, 0.02), Wish(False, True)),
-        ((0.01, 0.02, 1e9, 1e9), Wish(True, False)),
-        ((1e9, 1e9, 0.0, 0.01), Wish(False, False)),
+        ((1e9, 1e9, 1e9, 1e9), Command(True, False)),
+        ((0.0, 0.02, 1e9, 1e9), Command(True, True)),
+        ((0.0, 0.02, 0.0, 0.02), Command(False, True)),
+        ((0.01, 0.02, 1e9, 1e9), Command(True, False)),
+        ((1e9, 1e9, 0.0, 0.01), Command(False, False)),
     ],
 )
 @pytest.mark.parametrize("by", ["speed", "time", "way"])
 def test_the_first_step_of_the_cheapest_sequence_is_taken(
-    best: tuple[float, ...], wish: Wish, by: str, monkeypatch: pytest.MonkeyPatch
+    best: tuple[float, ...], command: Command, by: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Cost = speed + 10 time + 300 way: each in turn is 0.1 less for one sequence."""
     strategy = create_strategy(FirmwareConfig(strategy="predictive"))
@@ -328,7 +328,7 @@ def test_the_first_step_of_the_cheapest_sequence_is_taken(
         return Outcome(*(saved if sequence == pytest.approx(best) else (1.0, 0.05, 0.001)))
 
     monkeypatch.setattr(strategy, "trial", trial)
-    assert strategy.plan(0.0) == wish
+    assert strategy.plan(0.0) == command
 
 
 def test_of_equal_sequences_the_one_that_does_least_is_taken(
@@ -337,4 +337,4 @@ def test_of_equal_sequences_the_one_that_does_least_is_taken(
     strategy = create_strategy(FirmwareConfig(strategy="predictive"))
     assert isinstance(strategy, Foresight)
     monkeypatch.setattr(strategy, "trial", lambda *sequence: Outcome(1.0, 0.05, 0.001))
-    assert strategy.plan(0.0) == Wish(True, False)
+    assert strategy.plan(0.0) == Command(True, False)
