@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from enum import IntEnum, IntFlag
 from functools import cache, lru_cache
 from operator import attrgetter, index
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, NoReturn, get_args, get_type_hints
 
 from can_dbc.contract import MessageSpec, SignalSpec, contract
 from can_dbc.errors import CodecError
@@ -92,11 +91,12 @@ class _Whole:
 
 
 class _Choice:
-    """A member of an enum."""
+    """A bool or a member of an enum."""
 
-    def __init__(self, kind: type[IntEnum] | type[IntFlag], signal: SignalSpec) -> None:
+    def __init__(self, kind: type[int], signal: SignalSpec) -> None:
         self.kind = kind
-        self.members = tuple(kind(raw) for raw in range(int(signal.maximum) + 1))
+        last = 1 if kind is bool else int(signal.maximum)  # J1939 has more states of two bits
+        self.members = tuple(kind(raw) for raw in range(last + 1))
         self.expected = f"a {kind.__name__}"
 
     def to_raw(self, value: Any) -> int:
@@ -106,20 +106,6 @@ class _Choice:
 
     def from_raw(self, raw: int) -> int:
         return self.members[raw]
-
-
-class _Truth:
-    """A bool."""
-
-    values = (False, True)
-    raws: ClassVar = {False: 0, True: 1}
-    expected = "a bool"
-
-    def to_raw(self, value: Any) -> int:
-        return self.raws[value]
-
-    def from_raw(self, raw: int) -> bool:
-        return self.values[raw]
 
 
 class _Text:
@@ -139,7 +125,7 @@ class _Text:
         return chr(raw & 0xFF) + chr(raw >> 8)
 
 
-_Conversion = _Number | _Whole | _Choice | _Truth | _Text
+_Conversion = _Number | _Whole | _Choice | _Text
 
 
 class _Optional:
@@ -165,8 +151,6 @@ def _conversion(hint: Any, signal: SignalSpec) -> _Conversion | _Optional:
         inner = _conversion(get_args(hint)[0], signal)
         assert not isinstance(inner, _Optional)
         return _Optional(inner, signal)
-    if hint is bool:
-        return _Truth()
     if hint is str:
         return _Text()
     if hint is int:

@@ -38,19 +38,15 @@ class Calibration:
     Source: thesis 2.2.4.
     """
 
-    __slots__ = ("_slope_s_per_m", "_t_mid_s", "_t_ref_k", "_temp_coeff_per_k", "still_m")
-
     def __init__(self, sensor: SensorConfig) -> None:
-        self._t_mid_s = sensor.t_mid_s
-        self._slope_s_per_m = sensor.slope_s_per_m
-        self._temp_coeff_per_k = sensor.temp_coeff_per_k
-        self._t_ref_k = sensor.t_ref_k
+        self._sensor = sensor
         self.still_m = sensor.still_ticks * sensor.timer_resolution_s / sensor.slope_s_per_m
 
     def position_m(self, pulse_s: float, coil_temperature_k: float) -> float:
         """Return the position, m from neutral, of a pulse at a coil temperature."""
-        warmth = 1.0 + self._temp_coeff_per_k * (coil_temperature_k - self._t_ref_k)
-        return (pulse_s / warmth - self._t_mid_s) / self._slope_s_per_m
+        own = self._sensor
+        warmth = 1.0 + own.temp_coeff_per_k * (coil_temperature_k - own.t_ref_k)
+        return (pulse_s / warmth - own.t_mid_s) / own.slope_s_per_m
 
 
 class Plausibility:
@@ -62,32 +58,14 @@ class Plausibility:
     position is implausible until the level is back at zero.
     """
 
-    __slots__ = (
-        "_bad_limit",
-        "_coldest_k",
-        "_hottest_k",
-        "_leak_m",
-        "_level",
-        "_range_m",
-        "_reach_m",
-        "_slack_m",
-        "_travel_limit_m",
-        "_travel_m",
-        "_travel_top_m",
-        "implausible",
-    )
-
     def __init__(self, sensor: SensorConfig, stroke_m: float, slack_m: float) -> None:
-        self._coldest_k = sensor.temperature_min_k
-        self._hottest_k = sensor.temperature_max_k
+        self._sensor = sensor
         self._range_m = stroke_m + sensor.overtravel_m
         self._reach_m = sensor.max_speed_m_s * sensor.period_s
         self._slack_m = slack_m
         self._leak_m = sensor.travel_leak_m_s * sensor.period_s
-        self._travel_limit_m = sensor.travel_limit_m
         self._travel_top_m = sensor.travel_limit_m + stroke_m
         self._travel_m = 0.0
-        self._bad_limit = sensor.bad_limit
         self._level = 0
         self.implausible = False
 
@@ -97,8 +75,9 @@ class Plausibility:
 
     def in_range(self, raw_m: float, coil_temperature_k: float) -> bool:
         """Return whether a sample on its own is possible."""
+        own = self._sensor
         return (
-            self._coldest_k <= coil_temperature_k <= self._hottest_k
+            own.temperature_min_k <= coil_temperature_k <= own.temperature_max_k
             and -self._range_m <= raw_m <= self._range_m
         )
 
@@ -108,7 +87,7 @@ class Plausibility:
         travel_m = max(0.0, self._travel_m - self._leak_m * samples) + way_m
         self._travel_m = min(travel_m, self._travel_top_m)
         reach_m = self._reach_m * samples + self._slack_m
-        return way_m <= reach_m and travel_m <= self._travel_limit_m
+        return way_m <= reach_m and travel_m <= self._sensor.travel_limit_m
 
     def count(self, good: bool) -> None:
         """Move the level by one verdict."""
@@ -117,8 +96,8 @@ class Plausibility:
             if self._level == 0:
                 self.implausible = False
         else:
-            self._level = min(self._bad_limit, self._level + 2)
-            if self._level == self._bad_limit:
+            self._level = min(self._sensor.bad_limit, self._level + 2)
+            if self._level == self._sensor.bad_limit:
                 self.implausible = True
 
 
@@ -252,8 +231,6 @@ class GearWindows:
     A sample is in a window only if it is so both as measured and filtered: the filter overshoots,
     and alone would report a stay held short of its end position as arrived.
     """
-
-    __slots__ = ("_engaged_m", "_neutral_m", "gear", "run")
 
     def __init__(self, windows: WindowConfig) -> None:
         self._neutral_m = windows.neutral_tolerance_m

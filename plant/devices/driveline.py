@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import msgspec
+from msgspec import Meta
 
 from plant.devices.valve import NS_PER_S, seconds_to_ns
 from plant.errors import InputError
@@ -10,6 +13,9 @@ from plant.errors import InputError
 BACKWARD, NO_GEAR, FORWARD = 1, 0, -1  # direction of a gear, as the sign of the stay's position
 
 LARGEST = 1e6  # of any value below, in its unit: far beyond every drivetrain
+Limited = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+NotNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
+Positive = Annotated[float, Meta(gt=0.0, le=LARGEST)]
 
 
 class DrivelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -27,30 +33,15 @@ class DrivelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Source: thesis 4.1 in words; numbers inferred (with them 5 to 28 rad/s need 14 to 78 N s).
     """
 
-    output_rad_s: float = 80.0
-    gear_step_rad_s: float = 30.0
-    engine_delay_s: float = 0.02
-    engine_ramp_rad_s2: float = 150.0
-    residual_rad_s: float = 0.0
-    inertia_kg_m2: float = 0.25
-    cone_gain_m: float = 0.09
-    impulse_backward_n_s: float | None = None
-    impulse_forward_n_s: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            value = getattr(self, name)
-            if value is not None and not abs(value) <= LARGEST:
-                raise ValueError(f"{name} must lie within -{LARGEST:g}..{LARGEST:g}")
-        for name in ("engine_ramp_rad_s2", "inertia_kg_m2", "cone_gain_m"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive")
-        if not self.engine_delay_s >= 0.0:
-            raise ValueError("engine_delay_s must not be negative")
-        for name in ("impulse_backward_n_s", "impulse_forward_n_s"):
-            impulse = getattr(self, name)
-            if impulse is not None and not impulse >= 0.0:
-                raise ValueError(f"{name} must not be negative")
+    output_rad_s: Limited = 80.0
+    gear_step_rad_s: Limited = 30.0
+    engine_delay_s: NotNegative = 0.02
+    engine_ramp_rad_s2: Positive = 150.0
+    residual_rad_s: Limited = 0.0
+    inertia_kg_m2: Positive = 0.25
+    cone_gain_m: Positive = 0.09
+    impulse_backward_n_s: NotNegative | None = None
+    impulse_forward_n_s: NotNegative | None = None
 
 
 class Driveline:

@@ -10,7 +10,7 @@ from msgspec import Meta
 from numpy.random import Generator
 
 from plant.devices.sensors import InductiveSensor, named_generator
-from plant.devices.signal_faults import Thermometer
+from plant.devices.signal_faults import FaultMemory, FaultWindow, Thermometer
 from plant.devices.valve import seconds_to_ns
 from plant.errors import InputError
 
@@ -51,7 +51,7 @@ class SensorConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         return seconds_to_ns(self.phase_s) % period
 
 
-class SensorFault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class SensorFault(FaultWindow, frozen=True, kw_only=True):
     """A failure of the circuit, for pulses that start at start_s or later and before end_s.
 
     stuck: the duration stays at the last reported one, or at pulse_s. garbage: durations are
@@ -62,10 +62,6 @@ class SensorFault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """
 
     kind: Literal["stuck", "garbage", "wrong", "off", "slow", "delayed", "intermittent"]
-    start_s: Annotated[float, Meta(ge=0.0, le=86400.0)] = 0.0
-    """Time from which the fault acts."""
-    end_s: Annotated[float, Meta(ge=0.0, le=86400.0)] | None = None
-    """Time at which the fault ends; if left out, never."""
     pulse_s: Annotated[float, Meta(ge=0.0, le=0.004)] | None = None
     """Duration reported by a stuck sensor; if left out, the last one."""
     garbage_s: Annotated[float, Meta(gt=0.0, le=0.004)] = 0.002
@@ -163,25 +159,19 @@ class PositionCircuit:
         return self._waiting.popleft()
 
 
-class _ActiveFault:
-    """One fault with its memory."""
+class _ActiveFault(FaultMemory[float]):
+    """A fault of the circuit with its memory."""
 
     def __init__(self, fault: SensorFault, tick_s: float, generator: Generator) -> None:
-        self._fault = fault
+        super().__init__(fault, generator)
         self._tick_s = tick_s
-        self._generator = generator
-        self._start_ns = seconds_to_ns(fault.start_s)
-        self._end_ns = None if fault.end_s is None else seconds_to_ns(fault.end_s)
-        self._count = 0
         self._stuck_s: float | None = None
-        self._past_s: deque[float] = deque(maxlen=fault.late + 1)
 
     def apply(self, start_ns: int, pulse_s: float, last_s: float | None) -> float | None:
-        """Duration that a pulse begun at `start_ns` is reported with; None: not reported."""
-        if start_ns < self._start_ns or (self._end_ns is not None and start_ns >= self._end_ns):
+        """Return the reported duration of a pulse begun at `start_ns`; None: not reported."""
+        fault = self.fault
+        if not fault.holds(start_ns):
             return pulse_s
-        fault = self._fault
-        number, self._count = self._count, self._count + 1
         match fault.kind:
             case "stuck":
                 if self._stuck_s is None:
@@ -189,16 +179,8 @@ class _ActiveFault:
                     self._stuck_s = held if fault.pulse_s is None else fault.pulse_s
                 return self._stuck_s
             case "garbage":
-                duration_s = float(self._generator.uniform(0.0, fault.garbage_s))
+                duration_s = float(self.generator.uniform(0.0, fault.garbage_s))
                 return round(duration_s / self._tick_s) * self._tick_s
             case "wrong":
                 return max(0, round((pulse_s + fault.offset_s) / self._tick_s)) * self._tick_s
-            case "delayed":
-                self._past_s.append(pulse_s)
-                return self._past_s[0]
-            case "off":
-                return None
-            case "slow":
-                return pulse_s if number % fault.every == 0 else None
-            case "intermittent":
-                return None if self._generator.random() < fault.probability else pulse_s
+        return self.pass_on(pulse_s)

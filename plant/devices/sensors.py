@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from plant.devices.valve import NS_PER_S, ParameterValues, seconds_to_ns
+from plant.devices.valve import NS_PER_S, seconds_to_ns
 from plant.errors import InputError
+from plant.parameters import ParameterSet
 
 Floats = NDArray[np.float64]
 Instants = NDArray[np.int64]
@@ -49,7 +50,7 @@ class InductiveSensor:
                 raise InputError(f"position_sensor.{name}: {size:g}; expected other than 0")
 
     @classmethod
-    def from_parameters(cls, parameters: ParameterValues) -> InductiveSensor:
+    def from_parameters(cls, parameters: ParameterSet) -> InductiveSensor:
         """Sensor from the section `position_sensor` of a parameter set."""
         value = parameters.value
         return cls(
@@ -163,7 +164,7 @@ class InternalChain:
             raise InputError(f"position_sensor.latency: {self.latency_s:g}; expected 0 to 10 s")
 
     @classmethod
-    def from_parameters(cls, parameters: ParameterValues) -> InternalChain:
+    def from_parameters(cls, parameters: ParameterSet) -> InternalChain:
         """Chain from the section `position_sensor` of a parameter set, coil at T_ref."""
         sensor = InductiveSensor.from_parameters(parameters)
         value = parameters.value

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import msgspec
 from msgspec import Meta
+from numpy.random import Generator
 
 from plant.devices.sensors import named_generator
 from plant.devices.valve import seconds_to_ns
@@ -19,10 +20,11 @@ RANGE_RAD_S = 1000.0
 """Where the measurement saturates, to either side."""
 
 Speeds = tuple[float, float]
+Report = TypeVar("Report")
 
 
-class _Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Acts on reports from start_s on and before end_s (left out: for good)."""
+class FaultWindow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A fault that acts from start_s on and before end_s (left out: for good)."""
 
     start_s: Annotated[float, Meta(ge=0.0, le=86400.0)] = 0.0
     """Time from which the fault acts."""
@@ -36,7 +38,7 @@ class _Window(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         return self.end_s is None or now_ns < seconds_to_ns(self.end_s)
 
 
-class TemperatureFault(_Window, frozen=True, kw_only=True):
+class TemperatureFault(FaultWindow, frozen=True, kw_only=True):
     """A failure of the thermometer in the position sensor's coil.
 
     off: broken line, the cold end of the range. stuck: reads value_k. wrong: reads offset_k too
@@ -52,7 +54,7 @@ class TemperatureFault(_Window, frozen=True, kw_only=True):
     """Probability that the line is broken."""
 
 
-class SpeedFault(_Window, frozen=True, kw_only=True):
+class SpeedFault(FaultWindow, frozen=True, kw_only=True):
     """A failure of the shaft speed measurement.
 
     off: no speeds are sent. stuck: they stay as they were. wrong: the input speed reads
@@ -106,7 +108,7 @@ class SpeedSensors:
     """The reported shaft speeds behind their faults."""
 
     def __init__(self, faults: Sequence[SpeedFault], seed: int) -> None:
-        self._faults = [_SpeedMemory(fault, seed, i) for i, fault in enumerate(faults)]
+        self._faults = [_ActiveSpeedFault(fault, seed, i) for i, fault in enumerate(faults)]
 
     def report(self, now_ns: int, input_rad_s: float, output_rad_s: float) -> Speeds | None:
         """Speeds [rad/s] to send at `now_ns`, None when none are."""
@@ -123,34 +125,48 @@ def _in_range(speed_rad_s: float) -> float:
     return min(max(speed_rad_s, -RANGE_RAD_S), RANGE_RAD_S)
 
 
-class _SpeedMemory:
-    """One fault with its memory."""
+class FaultMemory(Generic[Report]):
+    """A fault of reports that are passed on late, at times, or not at all."""
 
-    def __init__(self, fault: SpeedFault, seed: int, index: int) -> None:
+    def __init__(self, fault: Any, generator: Generator) -> None:
+        """`fault`: its kind, `every`, `late` and `probability` as in `SpeedFault`."""
         self.fault = fault
-        self._generator = named_generator(seed, "shaft speeds", index)
+        self.generator = generator
         self._count = 0
-        self._past: deque[Speeds] = deque(maxlen=fault.late + 1)
+        self._past: deque[Report] = deque(maxlen=fault.late + 1)
 
-    def apply(self, speeds: Speeds) -> Speeds | None:
+    def pass_on(self, report: Report) -> Report | None:
+        """Return what is sent in place of a report; None for nothing."""
         fault = self.fault
         number, self._count = self._count, self._count + 1
         match fault.kind:
-            case "off":
-                return None
-            case "stuck":
-                if not self._past:
-                    self._past.append(speeds)
+            case "slow":
+                return report if number % fault.every == 0 else None
+            case "delayed":
+                self._past.append(report)
                 return self._past[0]
+            case "intermittent":
+                return None if self.generator.random() < fault.probability else report
+        return None  # off
+
+
+class _ActiveSpeedFault(FaultMemory[Speeds]):
+    """A fault of the shaft speeds with its memory."""
+
+    def __init__(self, fault: SpeedFault, seed: int, index: int) -> None:
+        super().__init__(fault, named_generator(seed, "shaft speeds", index))
+        self._stuck: Speeds | None = None
+
+    def apply(self, speeds: Speeds) -> Speeds | None:
+        """Return the speeds to send; None for none."""
+        fault = self.fault
+        match fault.kind:
+            case "stuck":
+                self._stuck = self._stuck or speeds
+                return self._stuck
             case "wrong":
                 return speeds[0] + fault.offset_rad_s, speeds[1]
             case "garbage":
-                drawn = self._generator.uniform(0.0, fault.garbage_rad_s, 2)
+                drawn = self.generator.uniform(0.0, fault.garbage_rad_s, 2)
                 return float(drawn[0]), float(drawn[1])
-            case "slow":
-                return speeds if number % fault.every == 0 else None
-            case "delayed":
-                self._past.append(speeds)
-                return self._past[0]
-            case "intermittent":
-                return None if self._generator.random() < fault.probability else speeds
+        return self.pass_on(speeds)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import log
-from typing import Protocol
 
 from plant.errors import InputError
+from plant.parameters import ParameterSet
 from plant.parameters.bounds import outside
 
 NS_PER_S = 1_000_000_000
@@ -22,14 +22,6 @@ def seconds_to_ns(seconds: float) -> int:
     if abs(seconds) > LONGEST_S:
         raise InputError(f"a time of {seconds:g} s; expected at most {LONGEST_S:g} s")
     return round(seconds * NS_PER_S)
-
-
-class ParameterValues(Protocol):
-    """A parameter set, as far as this package uses it."""
-
-    def value(self, path: str) -> float:
-        """Return the value of the parameter at `path`, in SI units."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -72,7 +64,7 @@ class ValveTiming:
 
     @classmethod
     def from_parameters(
-        cls, parameters: ParameterValues, closing_follows_duty: bool = False
+        cls, parameters: ParameterSet, closing_follows_duty: bool = False
     ) -> ValveTiming:
         """Return the timing from the section `valve` of a parameter set."""
         value = parameters.value

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Literal
 
-import msgspec
 from msgspec import Meta
 
 from plant.devices.sensors import named_generator
+from plant.devices.signal_faults import FaultWindow
 from plant.devices.valve import Valve, seconds_to_ns
 from plant.errors import InputError
 
@@ -20,7 +20,7 @@ SLOT_NS = 10_000_000
 LATEST_NS = 1 << 62
 
 
-class ValveFault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ValveFault(FaultWindow, frozen=True, kw_only=True):
     """A failure of one valve from start_s on and before end_s (left out: for good).
 
     off: the coil gets no current. wrong: it gets full current, whatever is commanded (short to
@@ -32,10 +32,6 @@ class ValveFault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     valve: Literal["B", "N", "F"]
     """Valve that fails."""
     kind: Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
-    start_s: Annotated[float, Meta(ge=0.0, le=86400.0)] = 0.0
-    """Time from which the fault acts."""
-    end_s: Annotated[float, Meta(ge=0.0, le=86400.0)] | None = None
-    """Time at which the fault ends; if left out, never."""
     factor: Annotated[float, Meta(ge=1.0, le=100.0)] = 3.0
     """How many times longer a slow valve takes."""
     delay_s: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.02

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+import runpy
 
 import cantools
+import pytest
 
+from can_dbc import c_header
 from can_dbc.c_header import header
 from can_dbc.contract import DBC_PATH
 
@@ -24,3 +27,8 @@ def test_protected_messages_have_sixteen_data_ids() -> None:
     tables = re.findall(r"static const uint8_t (\w+)_IDS\[16\] .* = \{ ([\d, ]+) \};", header())
     assert {"SHIFT_REQUEST", "VALVE_COMMAND"} <= {name for name, _ in tables}
     assert all(len(ids.split(", ")) == 16 for _, ids in tables)
+
+
+def test_run_as_a_program_it_prints_the_header(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(c_header.__file__, run_name="__main__")
+    assert capsys.readouterr().out == header()

@@ -304,6 +304,10 @@ def test_where_no_statement_is_found_no_line_is_named() -> None:
     assert line.startswith("x.dbc: message Speeds: cycle time '-5'")
 
 
+def test_an_error_that_names_nothing_has_no_line() -> None:
+    assert dbc._offset_of(ValueError("something else"), GOOD) is None
+
+
 def test_cut_reasons_have_their_length() -> None:
     names = [f"S{'x' * 120}{number}" for number in range(2)]
     text = "BO_ 5 M: 8 A\n" + "".join(f' SG_ {n} : 0|8@1+ (1,0) [0|0] "" B\n' for n in names)

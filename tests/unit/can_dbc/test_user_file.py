@@ -24,6 +24,12 @@ def test_what_is_no_regular_file_is_refused(tmp_path: Path) -> None:
             read_user_file(path, "a DBC file")
 
 
+def test_what_the_system_refuses_is_said(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="Not a directory; expected a TOML file"):
+        read_user_file(tmp_path / "file" / "inside", "a TOML file")
+
+
 def test_size_and_encoding_are_bounded(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"\xef\xbb\xbfa = 1\nb = 2")
