@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from can_dbc.messages import Fault, Gear
 from sil.report.figure import Figure, Panel, Span, Stack
-from sil.studies.figures import numbered
+from sil.studies.figures import numbered, title_of
 from sil.studies.study import LoadedStudy
 from sil.studies.table import Table
 
@@ -174,4 +174,4 @@ def outcomes_figure(study: LoadedStudy, table: Table) -> Figure:
             height=max(120, 40 + 14 * half),
         )
         stacks.append(Stack("shift", [panel], ticks=numbered(shifts), width=6.5))
-    return Figure(stacks, study.study.name.replace("_", " "))
+    return Figure(stacks, title_of(study))

@@ -1,4 +1,4 @@
-"""Measurements side by side: python -m tests.bench [NAME...]; no name: all that take minutes."""
+"""Measurements compared with other tools: python -m tests.bench [NAME...]; no name: all that take minutes."""
 
 from __future__ import annotations
 

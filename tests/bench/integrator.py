@@ -1,4 +1,4 @@
-"""One stroke, many strokes, gradients, two cores and the first start, beside what others need.
+"""One stroke, many strokes, gradients, two cores and the first start, compared with what others need.
 
 Every contender solves the same strokes at its cheapest setting that is accurate enough: impact time
 within 1 us, impact speed within 1 mm/s, pressures within 200 Pa, all checked here against scipy at a

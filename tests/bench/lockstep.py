@@ -1,4 +1,4 @@
-"""Lockstep turns a second over each transport, beside the floor under it.
+"""Lockstep turns a second over each transport, compared with the floor under it.
 
 Floor of one process: the plant alone, advanced over the same grants.  Floor of the local bus: a
 sleeping ping-pong of two processes over a Unix seqpacket socket, as many turns, as many bytes.

@@ -1,4 +1,4 @@
-"""Frames a second read and replayed, beside python-can's reader and a pass-through like canplayer's.
+"""Frames a second read and replayed, compared with python-can's reader and a pass-through like canplayer's.
 
 The log is that of a made run, shifting twice a second.  Pass-through: python-can reads the log and
 sends each frame over its virtual bus to a receiver, as fast as it goes.  Memory is the peak of a

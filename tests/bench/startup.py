@@ -1,4 +1,4 @@
-"""Cold starts: whole processes, beside a bare interpreter."""
+"""Cold starts: whole processes, compared with a bare interpreter."""
 
 from __future__ import annotations
 
