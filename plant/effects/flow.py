@@ -96,7 +96,7 @@ def follow_pressure(setup: Setup, slot: float, pressures: Floats, flows: Floats)
     look_alikes=("inlet_clog", "hose_droop"),
 )
 def supply_low(setup: Setup, values: dict[str, float]) -> None:
-    """True supply pressure below the stated one by a share."""
+    """Return true supply pressure below the stated one by a share."""
     setup.p.p_supply *= 1.0 - values["deficit"]
 
 
@@ -219,7 +219,7 @@ def dead_passive(setup: Setup, values: dict[str, float]) -> None:
 def residual(setup: Setup, values: dict[str, float]) -> None:
     """Overpressure at time 0.
 
-    where 0: in the chamber that the stroke compresses, whatever stands in it; 1: in the one that
+    where 0: in the chamber that the stroke compresses, whatever its pressure; 1: in the one that
     drives the stroke; 2: in chamber N or 2; 3: in every chamber; 4: as 0, only if it was vented.
     """
     where = values["where"]

@@ -43,7 +43,10 @@ def scale_static(setup: Setup, values: dict[str, float]) -> None:
 
 
 def stribeck_feature(motion: Motion, shape: float) -> Floats:
-    """Return sgn(v) exp(-|v| / v_s)."""
+    """Return sgn(v) exp(-|v| / v_s).
+
+    [n], no unit.
+    """
     return np.asarray(np.sign(motion.speed_m_s) * np.exp(-np.abs(motion.speed_m_s) / shape))
 
 
@@ -97,7 +100,10 @@ SPOTS_M = (0.003, 0.0065, 0.010)
 
 
 def bump_feature(motion: Motion, shape: float) -> Floats:
-    """Return sgn(v) exp(-(x - x0)^2 / (2 w^2)), w a twelfth of the travel."""
+    """Return sgn(v) exp(-(x - x0)^2 / (2 w^2)), w a twelfth of the travel.
+
+    [n], no unit.
+    """
     low, high = np.quantile(motion.position_m, (0.05, 0.95))
     return np.asarray(
         np.sign(motion.speed_m_s)
@@ -145,7 +151,10 @@ def bump(setup: Setup, values: dict[str, float]) -> None:
 
 
 def seal_feature(motion: Motion, shape: float) -> Floats:
-    """Return sgn(v) |P|."""
+    """Return sgn(v) |P|.
+
+    [n] in Pa. Raises ValueError without a pressure.
+    """
     if motion.pressure_pa is None:
         raise ValueError("no pressure; expected a motion with a pressure")
     return np.asarray(np.sign(motion.speed_m_s) * np.abs(motion.pressure_pa))

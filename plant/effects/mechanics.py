@@ -29,7 +29,7 @@ def free_play(setup: Setup, values: dict[str, float]) -> None:
     look_alikes=("end_stop_bounce", "sensor_gain"),
 )
 def stop_wear(setup: Setup, values: dict[str, float]) -> None:
-    """The engaged end stop has moved outward."""
+    """Return the engaged end stop has moved outward."""
     setup.p.stop_offset += values["offset_m"]
 
 
@@ -81,7 +81,7 @@ def detent(setup: Setup, values: dict[str, float]) -> None:
     EffectParameter("restitution", "-", 0.0, 0.0, 0.95, 0.3, 1),
 )
 def bounce(setup: Setup, values: dict[str, float]) -> None:
-    """Stops rebound with this coefficient of restitution."""
+    """Return stops rebound with this coefficient of restitution."""
     setup.p.restitution = values["restitution"]
 
 

@@ -19,7 +19,7 @@ from plant.effects.setup import Setup
     look_alikes=("sensor_gain",),
 )
 def temperature(setup: Setup, values: dict[str, float]) -> None:
-    """The coil is warmer than the temperature compensated for."""
+    """Return the coil is warmer than the temperature compensated for."""
     chain = setup.chain
     warmer = chain.measured_temperature_k + values["difference_k"]
     setup.chain = replace(chain, coil_temperature_k=warmer)
@@ -35,7 +35,7 @@ def temperature(setup: Setup, values: dict[str, float]) -> None:
     needs=("internal position",),
 )
 def gain(setup: Setup, values: dict[str, float]) -> None:
-    """Reported position times 1 + gain."""
+    """Return reported position times 1 + gain."""
     setup.internal_gain *= 1.0 + values["gain"]
 
 
@@ -50,7 +50,7 @@ def gain(setup: Setup, values: dict[str, float]) -> None:
     look_alikes=("clock_skew",),
 )
 def delay(setup: Setup, values: dict[str, float]) -> None:
-    """The reported position is published later."""
+    """Return the reported position is published later."""
     setup.chain = replace(setup.chain, latency_s=setup.chain.latency_s + values["delay_s"])
 
 
@@ -69,7 +69,7 @@ def delay(setup: Setup, values: dict[str, float]) -> None:
     sized_by="any",  # a clock may drift without being off at the start
 )
 def skew(setup: Setup, values: dict[str, float]) -> None:
-    """The control unit's time runs late against the recorder: offset + drift t."""
+    """Return the control unit's time runs late against the recorder: offset + drift t."""
     setup.clock_offset_s += values["offset_s"]
     setup.clock_drift += values["drift"]
 

@@ -25,7 +25,10 @@ class Curve:
     nodes: Floats
 
     def at(self, where: Floats) -> Floats:
-        """Its values."""
+        """Its values.
+
+        where, result: [n], in the units of its axes.
+        """
         grid = self.low + self.step * np.arange(len(self.nodes))
         return np.asarray(np.interp(where, grid, self.nodes))
 
@@ -61,15 +64,18 @@ class Setup:
 
     @property
     def exact_gauges(self) -> bool:
-        """Whether the gauges tell the chambers' pressures as they are."""
+        """Whether the gauges report the chambers' true pressures."""
         return self.gauge_lag_s <= 0.0 and self.gauge_error_pa is None
 
     def reported_m(self, position_m: Floats) -> Floats:
-        """What the control unit believes where a right sensor would have it believe `position_m`."""
-        believed = self.internal_gain * position_m
+        """Return the position that the control unit reports where a right sensor would report `position_m`.
+
+        position_m, result: [n] in m.
+        """
+        reported = self.internal_gain * position_m
         if self.internal_error_m is not None:
-            believed = believed + self.internal_error_m.at(position_m)
-        return believed
+            reported = reported + self.internal_error_m.at(position_m)
+        return reported
 
     @property
     def passive_chambers(self) -> tuple[str, ...]:

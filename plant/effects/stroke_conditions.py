@@ -20,7 +20,7 @@ class StrokeConditions:
     (time s, valve, duty); charged_before names the chambers at supply pressure at time 0;
     mesh_force_n is the force barrier into gear, or out of gear for a shift to neutral;
     theoretical_flow replaces the mapped flows by 3.13/3.20; progress is where in its campaign the
-    stroke stands, 0 first, 1 last.
+    stroke is, 0 first, 1 last.
     """
 
     kind: str
@@ -56,7 +56,7 @@ class StrokeConditions:
         return self.kind in ("N-B", "N-F")
 
     def loads(self) -> Load:
-        """The loads on the stay, as the equations take them."""
+        """Return the loads on the stay, as the equations take them."""
         return Load(
             damper=self.damper_model if self.load == "damper" else None,
             spring_n_per_m=self.spring_n_per_m if self.load == "spring" else 0.0,

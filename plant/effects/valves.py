@@ -20,7 +20,7 @@ FULL_SUPPLY_PA = 900000.0
     look_alikes=("valve_delay_pressure", "valve_creep"),
 )
 def open_later(setup: Setup, values: dict[str, float]) -> None:
-    """Opening delay longer by a time."""
+    """Return opening delay longer by a time."""
     shift_rise(setup, values["delay_s"])
 
 
@@ -39,7 +39,7 @@ def open_later(setup: Setup, values: dict[str, float]) -> None:
     switching="rise",
 )
 def open_by_pressure(setup: Setup, values: dict[str, float]) -> None:
-    """Opening delay plus slope (P_s - reference): the plunger opens against the supply."""
+    """Return opening delay plus slope (P_s - reference): the plunger opens against the supply."""
     shift_rise(setup, values["slope_s_pa"] * (setup.p.p_supply - values["reference_pa"]))
 
 
@@ -54,7 +54,7 @@ def open_by_pressure(setup: Setup, values: dict[str, float]) -> None:
     look_alikes=("valve_creep",),
 )
 def close_later(setup: Setup, values: dict[str, float]) -> None:
-    """Closing delay longer by a time."""
+    """Return closing delay longer by a time."""
     shift_fall(setup, values["delay_s"])
 
 
@@ -67,7 +67,7 @@ def close_later(setup: Setup, values: dict[str, float]) -> None:
     scope="stroke",
 )
 def creep(setup: Setup, values: dict[str, float]) -> None:
-    """The plunger crosses in a straight ramp of this duration, both ways."""
+    """Return the plunger crosses in a straight ramp of this duration, both ways."""
     setup.creep_s = values["travel_s"]
 
 

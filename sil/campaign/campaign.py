@@ -113,7 +113,7 @@ def load_campaign(path: str | Path) -> Campaign:
     Raises
     ------
     InputError : missing folder or file, unknown or missing key, wrong type or value: one line with
-        the file, the place, what is wrong and what was expected
+        the file, where in it, what is wrong and what was expected
     """
     folder = Path(path)
     file = folder if folder.suffix == ".toml" else folder / "campaign.toml"
@@ -135,10 +135,10 @@ def load_campaign(path: str | Path) -> Campaign:
     rate = real(raw, "sample_rate_hz", name, low=1.0, high=1e8)
     parsed = []
     for number, entry in enumerate(strokes, start=1):
-        place = f"{name}: stroke {number}"
+        where = f"{name}: stroke {number}"
         if not isinstance(entry, dict):
-            raise InputError(f"{place}: expected a table")
-        stroke = parse_stroke(entry, place, atmosphere, temperature)
+            raise InputError(f"{where}: expected a table")
+        stroke = parse_stroke(entry, where, atmosphere, temperature)
         progress = (number - 1) / (len(strokes) - 1) if len(strokes) > 1 else 1.0
         conditions = replace(stroke.conditions, progress=progress)
         parsed.append(replace(stroke, conditions=conditions))
@@ -155,50 +155,57 @@ def load_campaign(path: str | Path) -> Campaign:
 
 
 def parse_stroke(
-    entry: Mapping[str, Any], place: str, atmosphere_pa: float, temperature_k: float
+    entry: Mapping[str, Any], where: str, atmosphere_pa: float, temperature_k: float
 ) -> CampaignStroke:
-    """One [[stroke]] table as conditions; InputError names the key."""
+    """One [[stroke]] table as conditions; InputError names the key.
+
+    Raises InputError naming the key.
+    """
     unknown = sorted(set(entry) - STROKE_KEYS)
     if unknown:
         raise InputError(
-            f"{place}: {unknown[0]}: unknown key; expected {', '.join(sorted(STROKE_KEYS))}"
+            f"{where}: {unknown[0]}: unknown key; expected {', '.join(sorted(STROKE_KEYS))}"
         )
-    kind = text(entry, "kind", place, KINDS)
+    kind = text(entry, "kind", where, KINDS)
     valves = ("1", "2") if kind == "fixed" else ("B", "N", "F")
     commands = []
     raw_commands = entry.get("commands")
     if not isinstance(raw_commands, list):
-        raise InputError(f"{place}: commands: expected a list of [time_s, valve, duty]")
+        raise InputError(f"{where}: commands: expected a list of [time_s, valve, duty]")
     for index, command in enumerate(raw_commands, start=1):
-        where = f"{place}: command {index}"
+        command_at = f"{where}: command {index}"
         if not isinstance(command, list) or len(command) != 3:
-            raise InputError(f"{where}: expected [time_s, valve, duty], got {command!r}")
-        when = finite(command[0], f"{where}: time", 0.0, 1e5)
+            raise InputError(f"{command_at}: expected [time_s, valve, duty], got {command!r}")
+        when = finite(command[0], f"{command_at}: time", 0.0, 1e5)
         if command[1] not in valves:
-            raise InputError(f"{where}: valve {command[1]!r}; expected {', '.join(valves)}")
-        commands.append((when, str(command[1]), finite(command[2], f"{where}: duty", 0.0, 1.0)))
+            raise InputError(f"{command_at}: valve {command[1]!r}; expected {', '.join(valves)}")
+        commands.append(
+            (when, str(command[1]), finite(command[2], f"{command_at}: duty", 0.0, 1.0))
+        )
     if any(late[0] < early[0] for early, late in pairwise(commands)):
         commands.sort(key=lambda command: command[0])
     charged = entry.get("charged_before", [])
     if not isinstance(charged, list) or any(name not in valves for name in charged):
-        raise InputError(f"{place}: charged_before: {charged!r}; expected of {', '.join(valves)}")
-    load = text(entry, "load", place, LOADS) if "load" in entry else "none"
+        raise InputError(f"{where}: charged_before: {charged!r}; expected of {', '.join(valves)}")
+    load = text(entry, "load", where, LOADS) if "load" in entry else "none"
     mounted = entry.get("mounted", False)
     if not isinstance(mounted, bool):
-        raise InputError(f"{place}: mounted: expected true or false, got {mounted!r}")
-    file = text(entry, "file", place)
+        raise InputError(f"{where}: mounted: expected true or false, got {mounted!r}")
+    file = text(entry, "file", where)
     if Path(file).name != file or not file.isprintable():
-        raise InputError(f"{place}: file {file!r}; expected a name beside campaign.toml")
+        raise InputError(
+            f"{where}: file {file!r}; expected the name of a file next to campaign.toml"
+        )
 
     def optional(key: str, default: float, low: float, high: float) -> float:
-        return real(entry, key, place, low=low, high=high) if key in entry else default
+        return real(entry, key, where, low=low, high=high) if key in entry else default
 
     return CampaignStroke(
         file=file,
-        label=text(entry, "label", place) if "label" in entry else kind,
+        label=text(entry, "label", where) if "label" in entry else kind,
         conditions=StrokeConditions(
             kind=kind,
-            supply_pressure_pa=real(entry, "supply_pressure_pa", place, low=1e4, high=5e6),
+            supply_pressure_pa=real(entry, "supply_pressure_pa", where, low=1e4, high=5e6),
             commands=tuple(commands),
             atmosphere_pa=atmosphere_pa,
             temperature_k=temperature_k,
@@ -207,13 +214,13 @@ def parse_stroke(
             start_offset_m=optional("start_offset_m", 0.0, -1.0, 1.0),
             charged_before=tuple(charged),
             damper_model=(
-                text(entry, "damper_model", place, DAMPER_MODELS)
+                text(entry, "damper_model", where, DAMPER_MODELS)
                 if "damper_model" in entry
                 else "compressible"
             ),
             theoretical_flow=(
                 "flow_model" in entry
-                and text(entry, "flow_model", place, FLOW_MODELS) == "theoretical"
+                and text(entry, "flow_model", where, FLOW_MODELS) == "theoretical"
             ),
             mounted=mounted,
             mesh_force_n=optional("mesh_force_n", 0.0, 0.0, 1e6),
@@ -224,57 +231,69 @@ def parse_stroke(
 
 
 def parse_columns(raw: object, name: str) -> dict[str, ColumnMap]:
-    """The [columns] table: ours = "theirs", or a table with column, scale, offset."""
+    """Return the [columns] table: ours = "theirs", or a table with column, scale, offset.
+
+    Raises InputError naming the column.
+    """
     if not isinstance(raw, dict):
         raise InputError(f"{name}: [columns]: expected a table")
     columns = {}
     for ours, value in raw.items():
-        place = f"{name}: [columns] {ours}"
+        where = f"{name}: [columns] {ours}"
         if isinstance(value, str):
             columns[ours] = ColumnMap(value)
             continue
         if not isinstance(value, dict) or not isinstance(value.get("column"), str):
             raise InputError(
-                f'{place}: expected "theirs" or {{ column = "theirs", scale = , offset = }}'
+                f'{where}: expected "theirs" or {{ column = "theirs", scale = , offset = }}'
             )
         unknown = sorted(set(value) - {"column", "scale", "offset"})
         if unknown:
-            raise InputError(f"{place}: {unknown[0]}: unknown key; expected column, scale, offset")
+            raise InputError(f"{where}: {unknown[0]}: unknown key; expected column, scale, offset")
         columns[ours] = ColumnMap(
             value["column"],
-            finite(value.get("scale", 1.0), f"{place}.scale"),
-            finite(value.get("offset", 0.0), f"{place}.offset"),
+            finite(value.get("scale", 1.0), f"{where}.scale"),
+            finite(value.get("offset", 0.0), f"{where}.offset"),
         )
     return columns
 
 
 def text(
-    table: Mapping[str, Any], key: str, place: str, allowed: Sequence[str] | None = None
+    table: Mapping[str, Any], key: str, where: str, allowed: Sequence[str] | None = None
 ) -> str:
-    """A non-empty text of a table, one of `allowed` if given."""
+    """Return a non-empty text of a table, one of `allowed` if given.
+
+    Raises InputError naming the key.
+    """
     if key not in table:
-        raise InputError(f"{place}: no {key}")
+        raise InputError(f"{where}: no {key}")
     value = table[key]
     if not isinstance(value, str) or not value:
-        raise InputError(f"{place}: {key}: expected a text, got {value!r}")
+        raise InputError(f"{where}: {key}: expected a text, got {value!r}")
     if allowed is not None and value not in allowed:
-        raise InputError(f"{place}: {key}: {value!r}; expected {', '.join(allowed)}")
+        raise InputError(f"{where}: {key}: {value!r}; expected {', '.join(allowed)}")
     return value
 
 
-def real(table: Mapping[str, Any], key: str, place: str, *, low: float, high: float) -> float:
-    """A number of a table within [low, high]."""
+def real(table: Mapping[str, Any], key: str, where: str, *, low: float, high: float) -> float:
+    """Return a number of a table within [low, high].
+
+    Raises InputError naming the key.
+    """
     if key not in table:
-        raise InputError(f"{place}: no {key}")
-    return finite(table[key], f"{place}: {key}", low, high)
+        raise InputError(f"{where}: no {key}")
+    return finite(table[key], f"{where}: {key}", low, high)
 
 
-def finite(value: object, place: str, low: float = -1e300, high: float = 1e300) -> float:
-    """A finite number within [low, high], or InputError naming the place."""
+def finite(value: object, where: str, low: float = -1e300, high: float = 1e300) -> float:
+    """Return a finite number within [low, high], or InputError naming where.
+
+    Raises InputError naming where it was read.
+    """
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f"{place}: expected a number, got {value!r}")
+        raise InputError(f"{where}: expected a number, got {value!r}")
     if not low <= value <= high:  # nor not-a-number, nor what is too large for a float
-        raise InputError(f"{place}: {value!r}; expected {low:g} to {high:g}")
+        raise InputError(f"{where}: {value!r}; expected {low:g} to {high:g}")
     return float(value)
 
 
@@ -297,7 +316,7 @@ def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> R
         raise InputError(f"{path}: line 1: empty; expected a header row")
     header = [name.strip() for name in lines[0].split(",")]
     if len(set(header)) != len(header):
-        raise InputError(f"{path}: line 1: a column name stands twice")
+        raise InputError(f"{path}: line 1: a column name occurs twice")
     body = lines[1:]
     if not raw.endswith(b"\n") and body and len(body[-1].split(",")) != len(header):
         raise InputError(
@@ -325,7 +344,10 @@ def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> R
 
 
 def parse_cells(path: Path, body: Sequence[str], width: int) -> Floats:
-    """Rows of numbers as an array; the slow path runs only to name the line that is wrong."""
+    """Rows of numbers as an array; the slow path runs only to name the line that is wrong.
+
+    Result [rows, width], in the units of the file. Raises InputError naming the line.
+    """
     try:
         table = np.loadtxt(body, delimiter=",", ndmin=2) if body else np.zeros((0, width))
         if table.shape[1] == width and np.all(np.isfinite(table)):
@@ -349,7 +371,10 @@ def parse_cells(path: Path, body: Sequence[str], width: int) -> Floats:
 
 
 def stroke_columns(stroke: Stroke) -> dict[str, Floats]:
-    """A simulated stroke as the columns of the campaign format, in their order."""
+    """Return a simulated stroke as the columns of the campaign format, in their order.
+
+    Columns [n] in SI units.
+    """
     chambers = stroke.conditions.chambers
     columns = {"time_s": stroke.time_s, "position_m": stroke.position_m}
     for name in chambers:
@@ -363,7 +388,10 @@ def stroke_columns(stroke: Stroke) -> dict[str, Floats]:
 
 
 def write_record(path: Path, columns: Mapping[str, Floats]) -> None:
-    """Write one stroke's CSV with the decimals that the format's instruments resolve."""
+    """Write one stroke's CSV with the decimals that the format's instruments resolve.
+
+    columns: [n] each, in SI units.
+    """
     formats = []
     for name in columns:
         decimals = DECIMALS.get(name, 3 if name.startswith("cmd_") else 1)
@@ -377,7 +405,7 @@ def write_record(path: Path, columns: Mapping[str, Floats]) -> None:
 
 
 def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
-    """The text of campaign.toml for a campaign."""
+    """Return the text of campaign.toml for a campaign."""
     lines = [
         f"name = {quoted(campaign.name)}",
         f'rig = "{campaign.rig}"',
@@ -417,7 +445,7 @@ def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
 
 
 def quoted(value: str) -> str:
-    """A TOML basic string."""
+    """Return a TOML basic string."""
     import json
 
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

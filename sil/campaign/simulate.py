@@ -27,7 +27,7 @@ TAIL_S = 0.1
 
 @dataclass(frozen=True)
 class SimulatedStroke:
-    """A simulated stroke beside the entry it came from, and its deviation from the record.
+    """A simulated stroke, the entry it came from, and its deviation from the record.
 
     rms: per column of the record, the root mean square of simulated minus recorded, in the
     column's unit; empty where the campaign holds conditions only.
@@ -95,7 +95,10 @@ def write_campaign(
 
 
 def campaign_folder(out: Path, force: bool) -> Path:
-    """The folder for a simulated campaign: made if missing, refused if it holds another one."""
+    """Return the folder for a simulated campaign: made if missing, refused if it holds another one.
+
+    Raises InputError if it holds another campaign and `force` is not set.
+    """
     held = out / "campaign.toml"
     if held.exists():
         if not force:

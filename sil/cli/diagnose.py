@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def free_folder(arguments: argparse.Namespace, name: str) -> Path:
-    """The folder to write; InputError if it holds another diagnosis and --force is missing."""
+    """Return the folder to write; InputError if it holds another diagnosis and --force is missing."""
     from sil.files.output_folder import prepare_folder
 
     return prepare_folder(arguments.out, f"{name}-diagnosis", arguments.force)

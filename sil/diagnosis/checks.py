@@ -18,7 +18,7 @@ from plant.integrator.hybrid import IntegrationError
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import CampaignStroke, Record
 from sil.fitting.fit import FitResult
-from sil.fitting.model import CampaignModel
+from sil.fitting.model import CampaignModel, channel_parts
 from sil.fitting.observations import StrokeObservation
 
 LEAST_DURATION_S = 0.02
@@ -26,6 +26,10 @@ FEWEST_SAMPLES = 50
 SATURATED_SHARE = 0.005
 SHIFT_S = 0.002
 SATURATED = "saturated"
+
+
+Signals = dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]
+"""Measured and predicted values [n], and their instants [n] in s, by channel."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ def check_record(entry: CampaignStroke, record: Record, parameters: ParameterSet
     """Refuse a stroke that cannot be compared; report what is odd about it.
 
     Raises InputError naming file and column: too short, uneven sampling, wrong unit or scale,
-    a channel that stands still while the stroke moves.
+    a channel that does not move while the stroke moves.
     """
     path = record.path
     time_s = record.time_s
@@ -79,7 +83,10 @@ def check_record(entry: CampaignStroke, record: Record, parameters: ParameterSet
 def check_position(
     entry: CampaignStroke, record: Record, parameters: ParameterSet
 ) -> list[Finding]:
-    """The potentiometer: metres, within the rig's travel, and moving."""
+    """Return the potentiometer: metres, within the rig's travel, and moving.
+
+    Raises InputError naming file and column.
+    """
     if "position_m" not in record:
         return []
     path, values = record.path, record["position_m"]
@@ -99,7 +106,7 @@ def check_position(
         )
         if charging:
             raise InputError(
-                f"{path}: position_m: stands still at {values[0]:.5g} m while pressures move; "
+                f"{path}: position_m: does not move from {values[0]:.5g} m while pressures move; "
                 "expected the stroke"
             )
     if moved < 0.05 * stroke and moved > 0.0 and "position_internal_m" in record:
@@ -115,7 +122,10 @@ def check_position(
 def check_pressures(
     entry: CampaignStroke, record: Record, parameters: ParameterSet
 ) -> list[Finding]:
-    """The gauges: absolute pascals within their range, not stuck, not clipped."""
+    """Return the gauges: absolute pascals within their range, not stuck, not clipped.
+
+    Raises InputError naming file and column.
+    """
     findings = []
     atmosphere = entry.conditions.atmosphere_pa
     supply = entry.conditions.supply_pressure_pa
@@ -166,7 +176,10 @@ def check_pressures(
 
 
 def longest_run(flags: np.ndarray) -> int:
-    """Length of the longest run of true values."""
+    """Return length of the longest run of true values.
+
+    flags: [n].
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
     return int((edges[1::2] - edges[::2]).max(initial=0))
 
@@ -193,7 +206,7 @@ SWAPPED, SHIFTED = "swapped", "against its commands"
 
 
 def check_signals(strokes: Sequence[StrokeObservation]) -> tuple[list[Finding], dict[int, float]]:
-    """Swapped gauges and shifted records, seen beside the unfitted model.
+    """Return swapped gauges and shifted records, found by the unfitted model.
 
     Returns the findings and the shift [s] of each stroke that has one.  A late valve is no shift:
     what comes after its closing would not fit then; nor is a plunger that crosses slowly.
@@ -211,17 +224,10 @@ def check_signals(strokes: Sequence[StrokeObservation]) -> tuple[list[Finding], 
             for c in stroke.channels
             if c.kind == "pressure"
         }
-        names = sorted(pressures)
-        for one, two in itertools.combinations(names, 2):
-            (a, b, t), (c, d, s) = pressures[one], pressures[two]
-            if len(t) != len(s):
-                continue
-            straight = misfit_of((a, b)) + misfit_of((c, d))
-            crossed = misfit_of((a, d)) + misfit_of((c, b))
-            if straight > 1e9 and crossed < 0.1 * straight:
-                findings.append(
-                    Finding(stroke.entry.file, f"{one}, {two}", f"channels are {SWAPPED}; left out")
-                )
+        findings += [
+            Finding(stroke.entry.file, pair, f"channels are {SWAPPED}; left out")
+            for pair in swapped(pressures, 1e9, 0.1)
+        ]
         shift = time_shift(pressures)
         motion = {
             c.name: (c.measured, states[c.rows, c.state], stroke.time_s[c.rows])
@@ -250,12 +256,14 @@ def check_signals(strokes: Sequence[StrokeObservation]) -> tuple[list[Finding], 
 
 def creeps(
     stroke: StrokeObservation,
-    pressures: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]],
+    pressures: Signals,
     shift: float,
 ) -> bool:
-    """Whether plungers that cross slowly explain a stroke better than a shift of its record.
+    """Return whether plungers that cross slowly explain a stroke better than a shift of its record.
 
     Both ways slow, a plunger is half its travel late at opening and at closing alike.
+
+    pressures: measured and predicted [n] in Pa and instants [n] in s, by channel.
     """
     if shift <= 0.0:
         return False
@@ -275,34 +283,25 @@ def creeps(
 
 
 def check_strokes(model: CampaignModel, fit: FitResult) -> list[Finding]:
-    """What the fit itself shows of single strokes: swapped channels, a shifted time base."""
+    """Return what the fit itself shows of single strokes: swapped channels, a shifted time base."""
     findings = []
     for k, stroke in enumerate(model.strokes):
         block = fit.blocks.get(k)
         if block is None:
             continue
-        begin = 0
-        pressures = {}
-        for channel in stroke.channels:
-            end = begin + len(channel.measured)
-            if channel.kind == "pressure":
-                residual = block.residual[begin:end]
-                predicted = channel.measured - residual * channel.sd
-                pressures[channel.name] = (channel.measured, predicted, stroke.time_s[channel.rows])
-            begin = end
-        names = sorted(pressures)
-        for i, one in enumerate(names):
-            for two in names[i + 1 :]:
-                if len(pressures[one][0]) != len(pressures[two][0]):
-                    continue
-                straight = misfit_of(pressures[one][:2]) + misfit_of(pressures[two][:2])
-                crossed = misfit_of((pressures[one][0], pressures[two][1])) + misfit_of(
-                    (pressures[two][0], pressures[one][1])
-                )
-                if straight > 1e8 and crossed < 0.25 * straight:
-                    findings.append(
-                        Finding(stroke.entry.file, f"{one}, {two}", "channels are swapped")
-                    )
+        pressures = {
+            channel.name: (
+                channel.measured,
+                channel.measured - part * channel.sd,
+                stroke.time_s[channel.rows],
+            )
+            for channel, part in channel_parts(stroke, block.residual)
+            if channel.kind == "pressure"
+        }
+        findings += [
+            Finding(stroke.entry.file, pair, "channels are swapped")
+            for pair in swapped(pressures, 1e8, 0.25)
+        ]
         shift = time_shift(pressures)
         if abs(shift) >= SHIFT_S:
             findings.append(
@@ -315,13 +314,26 @@ def check_strokes(model: CampaignModel, fit: FitResult) -> list[Finding]:
     return findings
 
 
+def swapped(pressures: Signals, least: float, share: float) -> list[str]:
+    """Return pairs of gauges whose misfit is at least this [Pa^2] and less than a share if exchanged."""
+    found = []
+    for one, two in itertools.combinations(sorted(pressures), 2):
+        (a, b, _t), (c, d, _s) = pressures[one], pressures[two]
+        if len(a) != len(c):
+            continue
+        straight = misfit_of((a, b)) + misfit_of((c, d))
+        if straight > least and misfit_of((a, d)) + misfit_of((c, b)) < share * straight:
+            found.append(f"{one}, {two}")
+    return found
+
+
 def misfit_of(pair: tuple[np.ndarray, np.ndarray]) -> float:
-    """Mean squared difference of two signals [Pa^2]."""
+    """Return mean squared difference of two signals [Pa^2]."""
     return float(np.mean((pair[0] - pair[1]) ** 2))
 
 
-def time_shift(pressures: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> float:
-    """Shift of the measured pressures against the predicted ones that explains them best [s].
+def time_shift(pressures: Signals) -> float:
+    """Return shift of the measured pressures against the predicted ones that explains them best [s].
 
     pressures: measured, predicted, instants.
 
@@ -339,10 +351,8 @@ def time_shift(pressures: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]) 
     return float(fine[int(np.argmin(shift_costs(pressures, fine)))])
 
 
-def shift_costs(
-    pressures: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]], shifts: np.ndarray
-) -> np.ndarray:
-    """Sum of the mean squared misfits of all pressures at each shift [Pa^2]."""
+def shift_costs(pressures: Signals, shifts: np.ndarray) -> np.ndarray:
+    """Return sum of the mean squared misfits of all pressures at each shift [Pa^2]."""
     costs = np.zeros(len(shifts))
     for measured, predicted, time_s in pressures.values():
         for j, shift in enumerate(shifts):

@@ -35,7 +35,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Consequence:
-    """Shifts before and after; or why the extension has no place in a run."""
+    """Shifts before and after; or why a run cannot apply the extension."""
 
     changes: tuple[Change, ...]
     refused: str = ""
@@ -48,7 +48,7 @@ class Consequence:
 def consequence(questioned: str, extended: Path) -> Consequence:
     """Run the shipped shifts with the questioned model and with the extended one.
 
-    What belongs to instruments or to single strokes has no place in a run; its reason is told.
+    What belongs to instruments or to single strokes cannot be applied to a run; the reason is reported.
     """
     found: list[Change] = []
     try:
@@ -66,7 +66,7 @@ def consequence(questioned: str, extended: Path) -> Consequence:
 
 
 def change(scenario: str, before: Shift, after: Shift) -> Change:
-    """One shift's figures beside each other."""
+    """Return one shift's figures before and after."""
     return Change(
         scenario,
         f"{before.from_gear} to {before.to_gear}",

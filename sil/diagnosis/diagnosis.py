@@ -30,7 +30,7 @@ from sil.diagnosis.evidence import Cause, sentence
 from sil.diagnosis.extend import extended_model
 from sil.diagnosis.gain import Gain, gain_between
 from sil.diagnosis.intervals import intervals
-from sil.diagnosis.judge import Judged, judge
+from sil.diagnosis.judge import Judged, judge, weigh
 from sil.diagnosis.next_experiment import NextExperiment, next_experiment
 from sil.diagnosis.search import Found, Search
 from sil.diagnosis.split import odd_ones_in, split
@@ -75,7 +75,7 @@ class Diagnosis:
     seconds: dict[str, float] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
-        """The object written to diagnosis.json."""
+        """Return the object written to diagnosis.json."""
         return {
             "format": 1,
             "campaign": self.campaign.name,
@@ -194,7 +194,10 @@ class Stopwatch:
 def observed(
     campaign: Campaign, parameters: ParameterSet
 ) -> tuple[list[StrokeObservation], list[Finding]]:
-    """Strokes read and checked; what was odd about them but usable."""
+    """Strokes read and checked; what was odd about them but usable.
+
+    Raises InputError if no stroke has a position or a pressure.
+    """
     strokes = []
     findings: list[Finding] = []
     clipped: dict[str, set[str]] = {}
@@ -222,7 +225,7 @@ def observed(
 
 
 def placed(model: CampaignModel) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Training and held-out strokes, some of those that look odd among the training ones."""
+    """Return training and held-out strokes, some that look odd among the training ones."""
     training, held_out = split(model.strokes)
     if not held_out:
         return training, held_out
@@ -233,16 +236,16 @@ def placed(model: CampaignModel) -> tuple[tuple[int, ...], tuple[int, ...]]:
         return training, held_out
     if misfit(model, healthy).beyond > 0.0:
         return training, held_out
-    seen = next(iter(judge(fitter, [healthy], held_out)), None)
-    if seen is None or seen.held is None or seen.misfit.beyond == 0.0:
+    judged = next(iter(judge(fitter, [healthy], held_out)), None)
+    if judged is None or judged.held is None or judged.misfit.beyond == 0.0:
         return training, held_out
-    blocks = {**healthy.blocks, **seen.held.blocks}
+    blocks = {**healthy.blocks, **judged.held.blocks}
     squares = {k: float(np.mean(block.residual**2)) for k, block in blocks.items()}
     return odd_ones_in(training, held_out, squares, model.strokes)
 
 
 def moved(record: Record, shift_s: float) -> Record:
-    """A record with a shift of its time base taken off; at rest before it begins."""
+    """Return a record with a shift of its time base taken off; at rest before it begins."""
     time_s = record.time_s
     k = round(shift_s / float(np.median(np.diff(time_s))))
     columns = dict(record.columns)
@@ -272,19 +275,17 @@ def judged_hypotheses(
     """Held-out judgement of the healthy fit and of the best acceptable ones."""
     chosen = [found.healthy, *found.of_size(1)[:8], *found.of_size(2)[:8], *found.of_size(3)[:2]]
     judged = judge(search.fitter, chosen, held_out, workers)
-    kept = [item for item in judged if acceptable(item)]
-    from sil.diagnosis.judge import weigh
-
-    weigh(kept)
-    return kept
+    accepted = [item for item in judged if acceptable(item)]
+    weigh(accepted)
+    return accepted
 
 
 def whole_fit(fitter: Fitter, item: Judged) -> FitResult:
-    """The hypothesis fitted to all strokes, from where the training left it."""
+    """Return the hypothesis fitted to all strokes, from where the training left it."""
     stroke = item.training.stroke.copy()
     if item.held is not None:
-        places = list(item.held.use)
-        stroke[places] = item.held.stroke[places]
+        indices = list(item.held.use)
+        stroke[indices] = item.held.stroke[indices]
     return fitter.fit(
         item.training.candidates,
         start=item.training.shared,
@@ -323,8 +324,8 @@ def reported(
         if name in verdict.claimed:
             continue
         item = next(i for i in judged if name in i.ids)
-        place = item.ids.index(name)
-        candidate = item.training.candidates[place]
+        index = item.ids.index(name)
+        candidate = item.training.candidates[index]
         theirs = intervals(fitter, item.training, item.whole, 1, profile=False)[candidate.name]
         behind = item.score - verdict.leader.score
         causes.append(
@@ -339,10 +340,3 @@ def reported(
         )
     gains = verdict.gains
     return sorted(causes, key=lambda cause: (-cause.probability, -gains.get(cause.id, 0.0)))
-
-
-def as_plain(value: Any) -> Any:
-    """Numpy numbers as Python's own."""
-    if isinstance(value, np.generic):
-        return value.item()
-    return value

@@ -29,7 +29,7 @@ class Cause:
 
 
 def figure(item: Interval) -> str:
-    """A parameter with its interval."""
+    """Return a parameter with its interval."""
     unit = "" if item.unit == "-" else f" {item.unit}"
     return f"{item.value:.4g}{unit} [{item.low:.4g}, {item.high:.4g}]"
 
@@ -41,7 +41,7 @@ def sentence(
     gain: Gain,
     parameters: Mapping[str, Interval],
 ) -> str:
-    """What speaks for the cause, and against the next best."""
+    """Return what speaks for the cause, and against the next best."""
     gained = verdict.gains[candidate.id]
     if candidate.is_term:
         form = form_of(candidate)
@@ -67,7 +67,7 @@ def sentence(
 def next_best(
     candidate: Candidate, verdict: Verdict, judged: Sequence[Judged]
 ) -> tuple[str, float] | None:
-    """The best hypothesis without this cause, and how far it is behind."""
+    """Return the best hypothesis without this cause, and how far it is behind."""
     others = [item for item in judged if candidate.id not in item.ids and item.ids]
     if not others:
         return None

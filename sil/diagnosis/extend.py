@@ -67,7 +67,7 @@ def entry(name: str, item: Parameter) -> str:
 
 
 def term_lines(candidate: Candidate, parameters: dict[str, Interval], source: str) -> list[str]:
-    """A non-parametric term as an extended model holds it."""
+    """Return a non-parametric term as an extended model holds it."""
     form = form_of(candidate)
     origin = json.dumps(
         f"{source}: {form.what} of {form.on} [{form.unit}], class {form.cause_class}"

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sil.diagnosis.phases import PHASES
-from sil.diagnosis.residuals import Shown, channel_parts
+from sil.diagnosis.residuals import Shown
+from sil.fitting.model import channel_parts
 from sil.report.figure import (
     BAR,
     MM,
@@ -64,12 +65,13 @@ def _stroke(result: Diagnosis, k: int) -> Stack:
 
 
 def _channels(result: Diagnosis, k: int) -> Iterator[Panel]:
-    ms = MS * result.model.strokes[k].time_s
+    stroke = result.model.strokes[k]
+    ms = MS * stroke.time_s
     models = [(BEFORE, result.healthy, "before", False)]
     if result.final is not result.healthy:
         models.append((AFTER, result.final, "after", True))
-    parts = [list(channel_parts(result.model, fit, k)) for _name, fit, _role, _dashed in models]
-    for n, channel in enumerate(result.model.strokes[k].channels):
+    parts = [list(channel_parts(stroke, fit.blocks[k].residual)) for _n, fit, _r, _d in models]
+    for n, channel in enumerate(stroke.channels):
         unit, scale = UNITS[channel.kind]
         x = ms[channel.rows]
         lines = [Series("measured", x, scale * channel.measured, "measured", width=2.2)]

@@ -1,4 +1,4 @@
-"""What the extended model gains on strokes it has not seen.
+"""What the extended model gains on strokes that were not used to fit it.
 
 Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 """
@@ -13,7 +13,7 @@ import numpy as np
 from sil.diagnosis.verdict import Verdict
 from sil.fitting.fit import FitResult
 from sil.fitting.internal import INTERNAL_SD_M
-from sil.fitting.model import CampaignModel
+from sil.fitting.model import CampaignModel, Floats, channel_parts
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Gain:
     after: float
 
     def as_json(self) -> dict[str, Any]:
-        """The object `gain` of diagnosis.json."""
+        """Return the object `gain` of diagnosis.json."""
         return {
             "heldout_strokes": list(self.files),
             "channels": {
@@ -38,24 +38,19 @@ class Gain:
 
 
 def channel_rms(model: CampaignModel, fit: FitResult) -> dict[str, float]:
-    """Rms of residuals in each channel's own unit, over the strokes of a fit."""
-    sums: dict[str, list[float]] = {}
+    """Return rms of residuals in each channel's own unit, over the strokes of a fit."""
+    squares: dict[str, list[Floats]] = {}
     for k, block in fit.blocks.items():
-        begin = 0
         stroke = model.strokes[k]
-        for channel in stroke.channels:
-            end = begin + len(channel.measured)
-            raw = block.residual[begin:end] * channel.sd
-            item = sums.setdefault(channel.name, [0.0, 0.0])
-            item[0] += float(raw @ raw)
-            item[1] += len(raw)
-            begin = end
+        for channel, part in channel_parts(stroke, block.residual):
+            squares.setdefault(channel.name, []).append(part * channel.sd)
         if stroke.internal is not None:
-            raw = block.residual[begin:] * INTERNAL_SD_M
-            item = sums.setdefault("position_internal_m", [0.0, 0.0])
-            item[0] += float(raw @ raw)
-            item[1] += len(raw)
-    return {name: float(np.sqrt(total / max(1.0, n))) for name, (total, n) in sums.items()}
+            part = block.residual[stroke.size :] * INTERNAL_SD_M
+            squares.setdefault("position_internal_m", []).append(part)
+    return {
+        name: float(np.sqrt(sum(float(p @ p) for p in parts) / max(1, sum(map(len, parts)))))
+        for name, parts in squares.items()
+    }
 
 
 def gain_between(model: CampaignModel, verdict: Verdict, held_out: tuple[int, ...]) -> Gain:

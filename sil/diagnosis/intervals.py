@@ -50,8 +50,8 @@ def intervals(
         for j, parameter in enumerate(candidate.parameters):
             half = 1.96 * float(deviation[k])
             value = own[parameter.name]
-            place = scaled_of(parameter, value)
-            low, high = value_of(parameter, place - half), value_of(parameter, place + half)
+            index = scaled_of(parameter, value)
+            low, high = value_of(parameter, index - half), value_of(parameter, index + half)
             table[parameter.name] = Interval(value, low, high, parameter.unit)
             if j == 0 and not candidate.is_term:
                 mains.append((candidate, k, float(deviation[k])))
@@ -59,7 +59,7 @@ def intervals(
         found[candidate.name] = table
     if not profile or not mains:
         return found
-    jobs = [(c, place, sd, side) for c, place, sd in mains for side in (-1.0, 1.0)]
+    jobs = [(c, index, sd, side) for c, index, sd in mains for side in (-1.0, 1.0)]
 
     def work(job: tuple[Candidate, int, float, float]) -> tuple[float, str]:
         return one_side(fitter, fit, job[1], job[2], job[3], inflation)
@@ -80,7 +80,7 @@ def intervals(
 
 
 def one_side(
-    fitter: Fitter, fit: FitResult, place: int, sd: float, side: float, inflation: float
+    fitter: Fitter, fit: FitResult, index: int, sd: float, side: float, inflation: float
 ) -> tuple[float, str]:
     """Distance (signed, in typical sizes) at which the profiled cost has risen by the threshold."""
     strokes = fit.use[:: max(1, len(fit.use) // 12)]
@@ -91,7 +91,7 @@ def one_side(
         scatter=fit.stroke,
         use=strokes,
         iterations=3,
-        freeze=[place],
+        freeze=[index],
     )
     wide = sd / share**0.5
     target = RISE * inflation * 1.0
@@ -100,8 +100,8 @@ def one_side(
     begin = base
     for step in PROFILE_STEPS:
         there = base.shared.copy()
-        there[place] = base.shared[place] + side * step * wide
-        there = np.where(np.arange(len(there)) == place, there, begin.shared)
+        there[index] = base.shared[index] + side * step * wide
+        there = np.where(np.arange(len(there)) == index, there, begin.shared)
         try:
             moved = fitter.fit(
                 fit.candidates,
@@ -109,7 +109,7 @@ def one_side(
                 scatter=begin.stroke,
                 use=strokes,
                 iterations=2,
-                freeze=[place],
+                freeze=[index],
             )
         except IntegrationError:
             return side * step * sd, "beyond, the motion cannot be continued"

@@ -35,7 +35,7 @@ PAIR_PRIOR = 0.1
 
 @dataclass
 class Judged:
-    """A hypothesis seen by all strokes.
+    """A hypothesis judged by all strokes.
 
     training, held: fits; score: evidence/2 on the training plus cost on the held-out strokes;
     misfit: over the held-out strokes (over the training ones if none are held out).
@@ -116,12 +116,12 @@ def judge(
 
 
 def unseen_offsets(fitter: Fitter, held_out: Sequence[int]) -> set[int]:
-    """Places of the offsets of gauges that no training stroke has: the held-out ones tell them."""
+    """Return the indices of offsets of gauges that no training stroke has: held-out ones determine them."""
     model = fitter.model
     strokes = set(range(len(model.strokes))) - set(held_out)
-    seen = {channel.name for k in strokes for channel in model.strokes[k].channels}
+    trained = {channel.name for k in strokes for channel in model.strokes[k].channels}
     first = len(model.unit)
-    return {first + j for j, name in enumerate(model.offsets) if name not in seen}
+    return {first + j for j, name in enumerate(model.offsets) if name not in trained}
 
 
 def weigh(judged: Sequence[Judged]) -> None:

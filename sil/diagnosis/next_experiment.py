@@ -33,7 +33,7 @@ class NextExperiment:
     why: str
 
     def as_json(self) -> dict[str, Any]:
-        """The object `next_experiment` of diagnosis.json."""
+        """Return the object `next_experiment` of diagnosis.json."""
         return {
             "conditions": self.conditions,
             "separates": list(self.separates),

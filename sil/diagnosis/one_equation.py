@@ -22,7 +22,7 @@ from sil.fitting.observations import Channel
 Floats = NDArray[np.float64]
 
 SMOOTH_SAMPLES = 4.0
-"""Width of the smoothing of the measured position, which a chamber sees as a volume."""
+"""Width of the smoothing of the measured position, which is a volume of a chamber."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Alone:
     pressures_pa: dict[str, Floats]
 
     def rms(self) -> dict[str, float]:
-        """Rms by equation [m], [Pa]."""
+        """Return rms by equation [m], [Pa]."""
         found = {}
         if self.position_m is not None:
             found["force balance of the stay"] = float(np.sqrt(np.mean(self.position_m**2)))
@@ -59,10 +59,10 @@ def alone(model: CampaignModel, fit: FitResult, k: int) -> Alone:
     position = None
     pressures: dict[str, Floats] = {}
     if all(column in whole for column in names.values()):
-        told = np.column_stack([cleared(model, fit, whole[c]) for c in names.values()])
+        measured = np.column_stack([cleared(model, fit, whole[c]) for c in names.values()])
         try:
             if "position_m" in whole:
-                moved = motion_along(setup, time_s, told)
+                moved = motion_along(setup, time_s, measured)
                 position = cleared(model, fit, whole["position_m"]) - moved
         except IntegrationError:
             position = None
@@ -79,11 +79,14 @@ def alone(model: CampaignModel, fit: FitResult, k: int) -> Alone:
 
 
 def cleared(model: CampaignModel, fit: FitResult, channel: Channel) -> Floats:
-    """A measured channel with its fitted offset taken off."""
-    place = len(model.unit) + model.offsets.index(channel.name)
+    """Return a measured channel with its fitted offset taken off.
+
+    [n] in the unit of the channel.
+    """
+    index = len(model.unit) + model.offsets.index(channel.name)
     size = (
         model.spread.position_offset_m
         if channel.kind == "position"
         else model.spread.gauge_offset_pa
     )
-    return np.asarray(channel.measured - fit.shared[place] * size)
+    return np.asarray(channel.measured - fit.shared[index] * size)

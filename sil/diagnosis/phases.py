@@ -32,10 +32,12 @@ EDGE_S = 0.003
 
 
 def phases(time_s: Floats, states: Floats, setup: Setup) -> NDArray[np.int64]:
-    """Phase of every instant, as places in PHASES, from the simulated motion.
+    """Phase of every instant, as indices of PHASES, from the simulated motion.
 
     Breakaway is the start of a motion from rest, contact one that a walking piston brought about,
     return a motion after the driving chamber's valve has closed.
+
+    time_s: [n] in s; states: [n, states] in SI units; result [n].
     """
     conditions = setup.conditions
     fixed = conditions.system == FIXED
@@ -74,7 +76,10 @@ def phases(time_s: Floats, states: Floats, setup: Setup) -> NDArray[np.int64]:
 
 
 def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last place of every run of true values."""
+    """First and last index of every run of true values.
+
+    flags: [n].
+    """
     edges = np.diff(np.concatenate([[0], flags.astype(np.int8), [0]]))
     begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
     return [(int(a), int(b)) for a, b in zip(begins, ends, strict=True)]

@@ -44,7 +44,7 @@ PHASES_CAPTION = (
 )
 ALONE_CAPTION = (
     "One equation at a time: measured pressures into the stay's force balance, measured position "
-    "into each chamber's mass balance. What goes wrong in one of them alone lies in that equation. "
+    "into each chamber's mass balance. What goes wrong in one of them alone is in that equation. "
     "Orange: the questioned model without tolerances. The fixed rig's chambers begin vented here."
 )
 TERM_CAPTION = (
@@ -56,7 +56,7 @@ TERM_CAPTION = (
 def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> dict[str, Any]:
     """Write report.html and its figures for a diagnosis of the campaign at `campaign`.
 
-    An extended model that was claimed lies in the folder already. Returns the page's numbers beyond
+    An extended model that was claimed is in the folder already. Returns the page's numbers beyond
     those of `Diagnosis.as_json`.
     """
     before, after = show(result.model, result.healthy), show(result.model, result.final)
@@ -169,9 +169,9 @@ def plain_residuals(shown: Shown) -> dict[str, Any]:
 
 
 def equations(result: Diagnosis) -> tuple[int, Alone, Alone] | None:
-    """The stroke fitted worst, one equation at a time, before and after; None without channels.
+    """Return the stroke fitted worst, one equation at a time, before and after; None without channels.
 
-    Before is the questioned model as it stands, without tolerances: fitted, those would spread what
+    Before is the questioned model itself, without tolerances: fitted, those would spread what
     is wrong over all equations.
     """
     final = result.final
@@ -187,7 +187,7 @@ def equations(result: Diagnosis) -> tuple[int, Alone, Alone] | None:
 
 
 def alone_rows(found: tuple[int, Alone, Alone]) -> list[dict[str, str]]:
-    """Rms by equation, before and after."""
+    """Return rms by equation, before and after."""
     _k, before, after = found
     return [
         {
@@ -200,7 +200,7 @@ def alone_rows(found: tuple[int, Alone, Alone]) -> list[dict[str, str]]:
 
 
 def causes_candidates(result: Diagnosis) -> list[Candidate | None]:
-    """The non-parametric term behind each reported cause, None where it is a named one."""
+    """Return the non-parametric term behind each reported cause, None where it is a named one."""
     terms = {c.name: c for c in result.final.candidates if c.is_term}
     return [terms.get(f"{cause.id}:{cause.variant}") for cause in result.causes]
 
@@ -217,7 +217,7 @@ def figures(parameters: dict[str, Any]) -> list[str]:
 
 
 def summary(result: Diagnosis) -> str:
-    """The verdict in words."""
+    """Return the verdict in words."""
     gain = result.gain
     kind = result.verdict.kind
     if kind == "consistent":
@@ -235,7 +235,7 @@ def summary(result: Diagnosis) -> str:
         ),
     }[kind]
     return (
-        f"{text} On strokes that the fit has not seen, the residuals fall from {gain.before:.3g} "
+        f"{text} On strokes that the fit did not use, the residuals fall from {gain.before:.3g} "
         f"to {gain.after:.3g} times their expected scatter."
     )
 
@@ -258,24 +258,24 @@ def tiles(result: Diagnosis) -> list[tuple[str, str]]:
 def row_of(item: Judged, result: Diagnosis) -> dict[str, Any]:
     """One explanation of the comparison."""
     best = result.judged[0].score
-    told = []
+    texts = []
     for candidate, own in zip(item.training.candidates, item.training.values, strict=True):
         if candidate.is_term:
-            told.append(f"{len(own)} nodes")
+            texts.append(f"{len(own)} nodes")
         else:
-            told += [f"{name} {value:.4g}" for name, value in own.items()]
+            texts += [f"{name} {value:.4g}" for name, value in own.items()]
     return {
         "name": "nothing (healthy)" if item.name == "healthy" else item.name,
         "behind": f"{item.score - best:,.0f}",
         "probability": f"{item.probability:.3f}",
         "left": f"{item.misfit.rms:.3g}",
         "hot": item.misfit.rms > 1.1,
-        "parameters": ", ".join(told),
+        "parameters": ", ".join(texts),
     }
 
 
 def unit_text(name: str, value: float) -> str:
-    """An rms in the unit an engineer reads."""
+    """Return an rms in the unit an engineer reads."""
     if name.endswith("_pa"):
         return f"{value / 1e5:.4f} bar"
     return f"{value * 1e3:.4f} mm"
@@ -285,38 +285,38 @@ def gain_rows(result: Diagnosis, before: Shown, after: Shown) -> list[dict[str, 
     """Before and after by channel."""
     rows = []
     for name, (first, second) in result.gain.channels.items():
-        told = []
+        errors = []
         for shown in (before, after):
             item = shown.relative.get(name)
-            told.append("" if item is None else f"{item.mean:.2%} / {item.largest:.1%}")
+            errors.append("" if item is None else f"{item.mean:.2%} / {item.largest:.1%}")
         rows.append(
             {
                 "name": name,
                 "before": unit_text(name, first),
                 "after": unit_text(name, second),
-                "relative_before": told[0],
-                "relative_after": told[1],
+                "relative_before": errors[0],
+                "relative_after": errors[1],
             }
         )
     return rows
 
 
 def loop_row(item: Change) -> dict[str, str]:
-    """A shift's figures as an engineer reads them."""
+    """Return a shift's figures as an engineer reads them."""
 
-    def told(value: float | None, scale: float, unit: str) -> str:
+    def quantity(value: float | None, scale: float, unit: str) -> str:
         return "not reached" if value is None else f"{scale * value:.3g} {unit}"
 
     return {
         "scenario": item.scenario,
         "shift": item.shift,
-        **{f"time_{k}": told(v, 1e3, "ms") for k, v in enumerate(item.shift_time_s)},
-        **{f"impact_{k}": told(v, 1.0, "m/s") for k, v in enumerate(item.impact_speed_m_s)},
+        **{f"time_{k}": quantity(v, 1e3, "ms") for k, v in enumerate(item.shift_time_s)},
+        **{f"impact_{k}": quantity(v, 1.0, "m/s") for k, v in enumerate(item.impact_speed_m_s)},
     }
 
 
 def dependence_rows(before: Shown, after: Shown) -> list[dict[str, str]]:
-    """Rms by condition, drift, whiteness and correlation, before and after."""
+    """Return rms by condition, drift, whiteness and correlation, before and after."""
 
     def table(values: dict[str, float]) -> str:
         return ", ".join(f"{name} {value:.2f}" for name, value in values.items())
@@ -357,7 +357,7 @@ def dependence_rows(before: Shown, after: Shown) -> list[dict[str, str]]:
 
 
 def isolability(result: Diagnosis) -> dict[str, Any] | None:
-    """The isolability matrix: which fault can be told from which, from structure alone."""
+    """Return the isolability matrix: which fault can be distinguished from which, from structure alone."""
     structure = result.structure
     if not structure.detectable:
         return None

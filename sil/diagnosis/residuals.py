@@ -7,7 +7,7 @@ Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from sil.diagnosis.phases import PHASES, phases
 from sil.fitting.fit import FitResult
-from sil.fitting.model import CampaignModel
-from sil.fitting.observations import Channel
+from sil.fitting.model import CampaignModel, channel_parts
 
 Floats = NDArray[np.float64]
 
@@ -47,17 +46,11 @@ class Shown:
     strokes: dict[str, float] = field(default_factory=dict)
 
 
-def channel_parts(model: CampaignModel, fit: FitResult, k: int) -> Iterator[tuple[Channel, Floats]]:
-    """Channels of stroke k with their standardised residuals."""
-    begin = 0
-    for channel in model.strokes[k].channels:
-        end = begin + len(channel.measured)
-        yield channel, fit.blocks[k].residual[begin:end]
-        begin = end
-
-
 def rms(values: Floats) -> float:
-    """Root mean square; 0 of nothing."""
+    """Root mean square; 0 of nothing.
+
+    values: [n] in any unit.
+    """
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
@@ -84,24 +77,24 @@ def show(model: CampaignModel, fit: FitResult) -> Shown:
         setup = model.setup(k, model.amounts(fit.shared, fit.stroke[k]), fit.candidates, fit.values)
         phase = phases(stroke.time_s, stroke.predictor.states(setup), setup)
         whole = []
-        seen: dict[str, Floats] = {}
-        for channel, r in channel_parts(model, fit, k):
+        observed: dict[str, Floats] = {}
+        for channel, r in channel_parts(stroke, fit.blocks[k].residual):
             table = phase_parts.setdefault(channel.name, {})
-            for place in np.unique(phase[channel.rows]):
-                table.setdefault(PHASES[place], []).append(r[phase[channel.rows] == place])
+            for index in np.unique(phase[channel.rows]):
+                table.setdefault(PHASES[index], []).append(r[phase[channel.rows] == index])
             raw = np.abs(r * channel.sd)
             top = float(np.abs(channel.measured).max())
             errors.setdefault(channel.name, []).append((raw.mean() / top, raw.max() / top))
             if len(r) > 10 and np.std(r) > 0.0:
                 white.setdefault(channel.name, []).append(float(np.corrcoef(r[1:], r[:-1])[0, 1]))
-            seen[channel.name] = r
+            observed[channel.name] = r
             whole.append(r)
-        names = list(seen)
+        names = list(observed)
         for i, one in enumerate(names):
             for two in names[i + 1 :]:
-                if len(seen[one]) == len(seen[two]) > 10 and np.std(seen[one]) > 0.0:
+                if len(observed[one]) == len(observed[two]) > 10 and np.std(observed[one]) > 0.0:
                     pairs.setdefault((one, two), []).append(
-                        (float(np.corrcoef(seen[one], seen[two])[0, 1]), len(seen[one]))
+                        (float(np.corrcoef(observed[one], observed[two])[0, 1]), len(observed[one]))
                     )
         joined = np.concatenate(whole) if whole else np.zeros(0)
         shown.strokes[stroke.entry.file] = rms(joined)

@@ -44,7 +44,10 @@ def change_of(
     start: tuple[float, ...],
     strokes: Sequence[int],
 ) -> dict[int, Floats]:
-    """What the candidate at `start` changes in the standardised prediction of each stroke."""
+    """Return what the candidate at `start` changes in the standardised prediction of each stroke.
+
+    [n] for each stroke, in standard deviations.
+    """
     changes = {}
     own = {p.name: v for p, v in zip(candidate.parameters, start, strict=True)}
     for k in strokes:
@@ -67,7 +70,7 @@ def screen(
     use = list(fit.blocks) if strokes is None else list(strokes)
     blocks = {k: fit.blocks[k] for k in use}
     normal, gradient, inner = arrow(blocks, fit.stroke, fit.shared, fit.layout)
-    # what stands at its bound and presses outward imitates nothing
+    # what is at its bound and presses outward imitates nothing
     outward = gradient * fit.shared > 0.0
     healthy = np.arange(len(normal)) < fit.layout.healthy
     moving = ~(healthy & outward & (np.abs(fit.shared) >= FARTHEST_SD - 1e-9))

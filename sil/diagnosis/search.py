@@ -1,6 +1,6 @@
 """Search over hypotheses: the healthy plant, every single cause, pairs of the promising ones.
 
-Everything here sees the training strokes alone; the held-out strokes judge afterwards.
+Everything here uses the training strokes alone; the held-out strokes judge afterwards.
 Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 """
 
@@ -105,7 +105,7 @@ class Search:
         self.known: dict[str, dict[int, Block]] = {}
 
     def run(self) -> Found:
-        """Healthy fit, singles, pairs."""
+        """Fit the healthy model, singles and pairs, and return them."""
         healthy = self.fitter.fit(use=self.training, iterations=8, fine=True)
         found = Found(healthy)
         self.stages.until(45.0)
@@ -117,7 +117,10 @@ class Search:
 
     # --- fits ---------------------------------------------------------------------------------
     def begin_scaled(self, candidates: Sequence[Candidate], starts) -> Floats:  # type: ignore[no-untyped-def]
-        """Starts in typical sizes from neutral."""
+        """Return starts in typical sizes from neutral.
+
+        Result [parameters], no unit.
+        """
         return np.array(
             [
                 scaled_of(p, value)
@@ -159,7 +162,7 @@ class Search:
         return fit.light()
 
     def refine(self, fit: FitResult, iterations: int = LAST_ITERATIONS) -> FitResult:
-        """Continue a fit from where it stands; strokes it has not seen find their scatter first."""
+        """Continue a fit from its optimum; strokes it did not use get their scatter first."""
         scatter = fit.stroke.copy()
         unseen = tuple(sorted(set(self.training) - set(fit.use)))
         if unseen:
@@ -189,7 +192,7 @@ class Search:
         return sorted(done.values(), key=lambda fit: fit.evidence())
 
     def polish(self, found: Found, fits: Sequence[FitResult], again: bool = True) -> None:
-        """Fit all training strokes from where first fits stand; keep the better ones by name."""
+        """Fit all training strokes from the first fits; store the better ones by name."""
         most = LAST_ITERATIONS if again else MOST_ITERATIONS
 
         def work(fit: FitResult) -> FitResult | None:
@@ -210,7 +213,7 @@ class Search:
 
     # --- stages -------------------------------------------------------------------------------
     def singles(self, found: Found) -> None:
-        """Every cause alone: all of them if the healthy fit is far off, else those that score.
+        """Fit every cause alone: all of them if the healthy fit is far off, else those that score.
 
         Linear scores say nothing either of what wide scatter imitates by moving edges in time.
         """
@@ -235,7 +238,7 @@ class Search:
         self.polish(found, promising(self.first, SINGLES_KEPT))
 
     def pairs(self, found: Found) -> None:
-        """A second cause on top of the best singles, by score; then the best pairs to the end."""
+        """Try a second cause on top of the best singles, by score; then finish the best pairs."""
         tasks: dict[str, Task] = {}
         for parent, scores in spread_out(self.scored, self.parents(found), self.workers):
             self.known[parent.name] = parent.blocks
@@ -281,18 +284,18 @@ class Search:
         return tasks
 
     def variants(self, found: Found) -> None:
-        """The best hypothesis with each of its causes in its other variants."""
+        """Try the best hypothesis with each of its causes in its other variants."""
         fits = found.ordered()
         if not fits or misfit(self.model, fits[0]).beyond == 0.0:
             return
         best = fits[0]
         tasks = []
-        for place, member in enumerate(best.candidates):
+        for index, member in enumerate(best.candidates):
             for other in self.candidates:
                 if other.id != member.id or other.name == member.name:
                     continue
                 members = list(best.candidates)
-                members[place] = other
+                members[index] = other
                 own = tuple(
                     tuple(table[p.name] for p in item.parameters)
                     for item, table in zip(members, best.values, strict=True)
@@ -302,14 +305,14 @@ class Search:
         self.polish(found, self.run_tasks(tasks)[:1])
 
     def parents(self, found: Found) -> list[FitResult]:
-        """Singles that a second cause may stand beside: the best ones, one an identifier."""
-        kept: list[FitResult] = []
-        seen: set[str] = set()
+        """Singles that a second cause may be added to: the best ones, one for each identifier."""
+        chosen: list[FitResult] = []
+        counts: set[str] = set()
         for fit in found.of_size(1):
-            if fit.candidates[0].id not in seen and len(kept) < PARENTS:
-                kept.append(fit)
-                seen.add(fit.candidates[0].id)
-        return kept
+            if fit.candidates[0].id not in counts and len(chosen) < PARENTS:
+                chosen.append(fit)
+                counts.add(fit.candidates[0].id)
+        return chosen
 
     def scored(self, parent: FitResult) -> tuple[FitResult, list[Score]]:
         """Scores of every compatible candidate on top of a single."""
@@ -318,7 +321,7 @@ class Search:
         return full, [s for s in screen(self.model, full, others) if s.gain > WORTH]
 
     def pair_task(self, parent: FitResult, score: Score) -> Task:
-        """The fit of a pair, beginning at the single's optimum and the score's amount."""
+        """Return the fit of a pair, beginning at the single's optimum and the score's amount."""
         own = tuple(parent.values[0][p.name] for p in parent.candidates[0].parameters)
         starts = [(own, score.start)]
         first = score.candidate.parameters[0]
@@ -343,11 +346,11 @@ def promising(fits: Sequence[FitResult], most: int) -> list[FitResult]:
 
 
 def sample_of(model: CampaignModel, training: Sequence[int]) -> tuple[int, ...]:
-    """A few training strokes for first fits: each stratum in turn, at most SAMPLE."""
-    seen: dict[tuple[str, str, bool], int] = {}
+    """Return a few training strokes for first fits: each stratum in turn, at most SAMPLE."""
+    counts: dict[tuple[str, str, bool], int] = {}
     ranked = []
     for k in training:
         key = stratum(model.strokes[k])
-        seen[key] = seen.get(key, -1) + 1
-        ranked.append((seen[key], k))
+        counts[key] = counts.get(key, -1) + 1
+        ranked.append((counts[key], k))
     return tuple(sorted(k for _rank, k in sorted(ranked)[:SAMPLE]))

@@ -18,13 +18,13 @@ ODD = 1.3
 
 
 def stratum(stroke: StrokeObservation) -> tuple[str, str, bool]:
-    """What makes strokes alike: kind, load, and whether a chamber still stands charged."""
+    """Return what makes strokes alike: kind, load, and whether a chamber is still charged."""
     conditions = stroke.conditions
     return conditions.kind, conditions.load, bool(conditions.charged_before)
 
 
 def split(strokes: Sequence[StrokeObservation]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Places of training and held-out strokes.
+    """Return places of training and held-out strokes.
 
     A third is held out, strata in turn, the first stroke of each stratum trains; one or two strokes
     all train.  No more than MOST_TRAINING train: more would cost time and add nothing.  Every rest
@@ -38,8 +38,8 @@ def split(strokes: Sequence[StrokeObservation]) -> tuple[tuple[int, ...], tuple[
         groups.setdefault(stratum(stroke), []).append(k)
     ordered: list[tuple[float, int, int]] = []
     for rank, members in enumerate(sorted(groups.values(), key=len, reverse=True)):
-        for place, k in enumerate(members):
-            ordered.append((place / len(members), rank, k))
+        for position, k in enumerate(members):
+            ordered.append((position / len(members), rank, k))
     queue = [k for _place, _rank, k in sorted(ordered)]
     training = min(MOST_TRAINING, n - max(1, round(HELD_OUT_SHARE * n)))
     chosen = with_every_rest(queue[:training], queue[training:], strokes)
@@ -79,17 +79,17 @@ def odd_ones_in(
     """Places anew where only held-out strokes show that something is wrong: half of those train.
 
     squares: mean squared residual of every stroke under the healthy fit to the training ones.  As
-    many training strokes that have another of their kind beside them are held out instead.
+    many training strokes that have another of their kind are held out instead.
     """
     usual = float(np.median([squares[k] for k in training]))
     odd = sorted((k for k in held_out if squares[k] > ODD * usual), key=lambda k: -squares[k])
     moved = odd[: (len(odd) + 1) // 2]
-    kept = list(training)
+    remaining = list(training)
     freed: list[int] = []
     for k in reversed(training):
-        alike = sum(stratum(strokes[i]) == stratum(strokes[k]) for i in kept)
+        alike = sum(stratum(strokes[i]) == stratum(strokes[k]) for i in remaining)
         if len(freed) < len(moved) and alike > 1:
-            kept.remove(k)
+            remaining.remove(k)
             freed.append(k)
     held = sorted((set(held_out) - set(moved)) | set(freed))
-    return tuple(sorted([*kept, *moved])), tuple(held)
+    return tuple(sorted([*remaining, *moved])), tuple(held)

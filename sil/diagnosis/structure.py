@@ -1,7 +1,7 @@
-"""What the channels at hand can tell at all: detectability and isolability from structure.
+"""What the channels at hand can decide: detectability and isolability from structure.
 
 The model's equations and the unknowns they hold form a bipartite graph.  The Dulmage-Mendelsohn
-decomposition marks its overdetermined part: a fault is detectable if its equation lies there, and
+decomposition marks its overdetermined part: a fault is detectable if its equation is in it, and
 isolable from another if its equation still does once the other's is taken out.  No numbers enter.
 
 Source: Krysander and Frisk 2008, Sensor placement for fault diagnosis.
@@ -39,7 +39,7 @@ FAULTS = {
 def equations(channels: Iterable[str], has_damper: bool) -> dict[str, frozenset[str]]:
     """Equations of one stroke and the unknowns in each; a channel adds its own.
 
-    Derivatives are taken as known functions of their signal: both stand as one unknown.
+    Derivatives are taken as known functions of their signal: both count as one unknown.
     """
     system = {
         "force": frozenset({"x", "p_driving", "p_passive"} | ({"p_oil"} if has_damper else set())),
@@ -99,7 +99,7 @@ class Structure:
     isolable: frozenset[tuple[str, str]]
 
     def groups(self) -> list[tuple[str, ...]]:
-        """Detectable faults that cannot be told from each other either way."""
+        """Return detectable faults that cannot be distinguished either way."""
         left = [fault for fault in self.faults if fault in self.detectable]
         found = []
         while left:
@@ -114,7 +114,7 @@ class Structure:
         return found
 
     def sentence(self) -> str:
-        """What can be decided, in one sentence, before anything is fitted."""
+        """Return what can be decided, in one sentence, before anything is fitted."""
         if not self.detectable:
             return (
                 f"with {', '.join(self.channels) or 'no channel'} alone nothing can be detected "
@@ -127,21 +127,21 @@ class Structure:
         if len(groups) == 1 and len(groups[0]) == len(self.detectable):
             return text + ", but nothing can be told apart"
         if groups:
-            told = "; ".join(" / ".join(FAULTS[f] for f in group) for group in groups)
-            return text + f"; not told apart by structure: {told}"
+            pairs = "; ".join(" / ".join(FAULTS[f] for f in group) for group in groups)
+            return text + f"; not told apart by structure: {pairs}"
         return text + " and told apart"
 
 
 def analyse(channels: Sequence[str], has_damper: bool) -> Structure:
-    """Detectability and isolability of every fault class with these channels."""
+    """Return detectability and isolability of every fault class with these channels."""
     graph = equations(channels, has_damper)
     faults = tuple(name for name in FAULTS if name in graph)
     plus = overdetermined(graph)
     isolable = set()
     for other in faults:
         rest = {name: held for name, held in graph.items() if name != other}
-        kept = overdetermined(rest)
-        isolable |= {(fault, other) for fault in faults if fault in kept and fault != other}
+        remaining = overdetermined(rest)
+        isolable |= {(fault, other) for fault in faults if fault in remaining and fault != other}
     return Structure(
         tuple(channels), faults, frozenset(f for f in faults if f in plus), frozenset(isolable)
     )

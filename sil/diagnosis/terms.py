@@ -26,7 +26,7 @@ ROUGHNESS = 0.5
 follows that line."""
 
 SIZES = (0.5, 2.0, 6.0)
-"""Where a search begins, in typical sizes, beside nothing: of either sign and every shape."""
+"""Where a search begins, in typical sizes, in addition to zero: of either sign and every shape."""
 
 CATEGORIES = 4
 """A grid of so few nodes is one of things, not of a quantity: each alone is a shape too."""
@@ -88,7 +88,7 @@ def try_terms(
     verdict: Verdict,
     judged: Sequence[Judged],
 ) -> bool:
-    """Fit non-parametric terms alone and beside the best single; True if any was tried.
+    """Fit non-parametric terms alone and with the best single; True if any was tried.
 
     Only if the leading hypothesis leaves more than the band of a clean campaign and a detail, or
     owes its agreement to scatter that healthy strokes do not have.

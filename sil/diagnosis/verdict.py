@@ -26,7 +26,7 @@ CLAIM_PER_STROKE = 1.5
 """... and least gain per stroke: an effect that changes next to nothing is not claimed."""
 
 RIVAL_SHARE = 0.05
-"""A cause at least this probable beside the leading one is a rival."""
+"""A cause at least this probable is, with the leading one, is a rival."""
 
 CLEAR = 0.7
 """Below this probability of the leading cause the verdict is ambiguous."""
@@ -42,7 +42,7 @@ SLIGHT = 0.1
 
 SLIGHT_SHARE = 0.02
 """... and not claimed at all if it gains less than this share of what the healthy model leaves: it
-mends the form that the other one's extension has here."""
+corrects the form of the other one's extension."""
 
 LEFT = (0.005, 0.05)
 """Misfit left, as a share of the healthy model's: from the first on a named cause is doubted, from
@@ -56,7 +56,7 @@ DOUBTED = 0.45
 class Verdict:
     """What is concluded, before figures are put to it.
 
-    leader: the hypothesis that stands; claimed: its causes that are claimed; probabilities: of
+    leader: the accepted hypothesis; claimed: its causes that are claimed; probabilities: of
     every cause at least RIVAL_SHARE probable; gains: score lost by leaving a claimed cause out.
     """
 
@@ -70,7 +70,7 @@ class Verdict:
 
 
 def acceptable(item: Judged) -> bool:
-    """Whether a hypothesis' main parameters have physical signs and exclude neutral."""
+    """Return whether a hypothesis' main parameters have physical signs and exclude neutral."""
     fit = item.training
     covariance = fit.covariance
     k = fit.layout.healthy
@@ -103,11 +103,11 @@ def held_gain(leader: Judged, judged: Sequence[Judged], name: str) -> float:
 
 
 def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
-    """The verdict on judged hypotheses (the healthy one among them; weighed already)."""
+    """Return the verdict on judged hypotheses (the healthy one among them; weighed already)."""
     healthy = next(item for item in judged if not item.ids)
     least = max(CLAIM, CLAIM_PER_STROKE * strokes)
 
-    def stands(item: Judged) -> bool:
+    def is_accepted(item: Judged) -> bool:
         needed = least
         if len(item.ids) > 1:
             needed = max(least, 0.5 * SECOND_SHARE * item.whole.beyond)
@@ -119,38 +119,38 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
                 return False
         return True
 
-    standing = [item for item in sorted(judged, key=lambda i: i.score) if stands(item)]
-    leader = standing[0] if standing else healthy
+    accepted = [item for item in sorted(judged, key=lambda i: i.score) if is_accepted(item)]
+    leader = accepted[0] if accepted else healthy
     if not leader.ids:
         return Verdict("consistent", healthy, healthy)
     probabilities = by_cause(judged)
     gains = {name: gain_of(name, leader, judged) for name in leader.ids}
     groups = rivals_of(leader, judged, probabilities)
     most = surest_of(leader, healthy)
-    told = {
+    stated = {
         name: p if name == UNNAMED else min(p, most)
         for name, p in probabilities.items()
         if name in leader.ids or (p >= RIVAL_SHARE and any(name in group for group in groups))
     }
     if leader.whole.beyond > 0.0:
         for name in slight(leader):
-            told[name] = min(told[name], DOUBTED)
+            stated[name] = min(stated[name], DOUBTED)
     if UNNAMED in leader.ids:
-        told[UNNAMED] = min(max(told[UNNAMED], 1.0 - most), SUREST)
-    surest = max(told.values())
-    if UNNAMED in leader.ids and told[UNNAMED] >= max(0.5, surest - 1e-9):
+        stated[UNNAMED] = min(max(stated[UNNAMED], 1.0 - most), SUREST)
+    surest = max(stated.values())
+    if UNNAMED in leader.ids and stated[UNNAMED] >= max(0.5, surest - 1e-9):
         kind = UNNAMED
-    elif any(told[name] < CLEAR for name in leader.ids):
+    elif any(stated[name] < CLEAR for name in leader.ids):
         kind = "ambiguous"
     else:
         kind = "named"
-    return Verdict(kind, leader, healthy, leader.ids, told, gains, groups)
+    return Verdict(kind, leader, healthy, leader.ids, stated, gains, groups)
 
 
 def surest_of(leader: Judged, healthy: Judged) -> float:
     """Most that a named cause of the leader can be given, by what the leader leaves unexplained.
 
-    A right cause of a slightly other form leaves a small share; beside a non-parametric term a
+    A right cause of a slightly other form leaves a small share; next to a non-parametric term a
     named cause may be no more than a stepping stone.
     """
     if UNNAMED in leader.ids:
@@ -163,7 +163,7 @@ def surest_of(leader: Judged, healthy: Judged) -> float:
 
 
 def slight(item: Judged) -> tuple[str, ...]:
-    """Causes beside another that are tiny."""
+    """Return the causes that are tiny and not alone."""
     if len(item.ids) < 2:
         return ()
     fit = item.training
@@ -182,7 +182,7 @@ def slight(item: Judged) -> tuple[str, ...]:
 def rivals_of(
     leader: Judged, judged: Sequence[Judged], probabilities: dict[str, float]
 ) -> tuple[tuple[str, ...], ...]:
-    """Groups that the data cannot tell apart: each claimed cause with what may replace it."""
+    """Return groups that the data cannot tell apart: each claimed cause with what may replace it."""
     groups = []
     for name in leader.ids:
         rest = set(leader.ids) - {name}

@@ -71,12 +71,18 @@ class FitResult:
 
     @property
     def covariance(self) -> Floats:
-        """Covariance of the shared parameters by the curvature at the optimum."""
+        """Covariance of the shared parameters by the curvature at the optimum.
+
+        [shared, shared], in prior standard deviations and typical sizes.
+        """
         return np.asarray(np.linalg.pinv(self.normal))
 
     @property
     def scaled(self) -> Floats:
-        """The hypothesis' own parameters in typical sizes from neutral."""
+        """The hypothesis' own parameters in typical sizes from neutral.
+
+        [parameters], no unit.
+        """
         return self.shared[self.layout.effect_slice]
 
     def evidence(self) -> float:
@@ -86,7 +92,7 @@ class FitResult:
         return float(2.0 * self.cost + logdet - prior)
 
     def light(self) -> FitResult:
-        """The same without the derivatives, small enough to travel between processes."""
+        """Return the same without the derivatives, small enough to travel between processes."""
         empty = np.zeros((0, 0))
         blocks = {k: Block(b.residual, empty, empty, empty) for k, b in self.blocks.items()}
         return FitResult(
@@ -127,6 +133,8 @@ class Fitter:
         """Half the squared residuals plus the priors; infinite where motion cannot be continued.
 
         Stops adding up once `limit` is passed; weight: of the residuals against the priors.
+
+        shared: [shared], scatter: [strokes, scatter], in prior standard deviations.
         """
         model = self.model
         healthy = len(model.unit) + len(model.offsets)
@@ -158,15 +166,19 @@ class Fitter:
     ) -> FitResult:
         """Fit a hypothesis to the strokes in `use` (all by default).
 
-        start: shared parameters to begin with; freeze: places of shared parameters that stay where
-        they start (all of them: only the scatter of the strokes is fitted, as for held-out strokes);
+        start: shared parameters to begin with; freeze: indices of shared parameters that stay where
+        they start (all of them: only the scatter of the strokes is fitted, as for held-out
+        strokes);
         effects_first: so many iterations move the hypothesis' own parameters alone: far from the
-        optimum, tolerances and scatter would run to their bounds in its place; fine: end with central
+        optimum, tolerances and scatter would run to their bounds instead; fine: end with central
         differences, which a valley between an effect and a tolerance needs; reuse: derivatives by
-        tolerances and scatter that serve (strokes absent here: those of the first full step) until a
+        tolerances and scatter that serve (strokes absent here: those of the first full step) until
+        a
         step with them gains nothing; they change little, and cost most.
 
         Raises IntegrationError if the start itself cannot be simulated.
+
+        start: [shared], scatter: [strokes, scatter], in prior standard deviations.
         """
         model = self.model
         candidates = tuple(candidates)
@@ -187,11 +199,11 @@ class Fitter:
         done = 0
         blocks: dict[int, Block] = {}
         central = False
-        kept = dict(reuse or {})
+        reused = dict(reuse or {})
         while True:
             self.progress(done, iterations)
             own_only = done < min(effects_first, iterations)
-            stale = bool(kept) and not own_only
+            stale = bool(reused) and not own_only
             blocks = {
                 k: model.linearise(
                     k,
@@ -200,12 +212,12 @@ class Fitter:
                     candidates,
                     central,
                     own_only,
-                    kept.get(k) if stale else None,
+                    reused.get(k) if stale else None,
                 )
                 for k in chosen
             }
             if reuse is not None and not own_only:
-                kept = blocks
+                reused = blocks
             weight = 1.0 if done >= iterations else tempering(blocks)
             if done >= iterations:
                 normal, gradient, inner = arrow(blocks, spread, shared, layout, weight)
@@ -251,7 +263,7 @@ class Fitter:
                 damping = 1e-5
                 continue
             if not improved and stale:
-                kept = {}
+                reused = {}
                 damping = 1e-5
                 continue
             if not improved:
@@ -299,7 +311,10 @@ def tempering(blocks: dict[int, Block]) -> float:
 def own_normal(
     blocks: dict[int, Block], shared: Floats, layout: Shared, weight: float
 ) -> tuple[Floats, Floats]:
-    """Normal matrix and gradient with the strokes' scatter held where it is."""
+    """Return normal matrix and gradient with the strokes' scatter held where it is.
+
+    shared: [shared]; result [shared, shared] and [shared], no unit.
+    """
     normal: Floats = layout.prior
     gradient: Floats = -normal @ shared
     for block in blocks.values():
@@ -316,7 +331,10 @@ def stepped(
     candidates: Sequence[Candidate],
     layout: Shared,
 ) -> Floats:
-    """Newton's step within the bounds: what runs into one stays there, the rest is solved again."""
+    """Newton's step within the bounds: what runs into one stays there, the rest is solved again.
+
+    shared, gradient, moving: [shared]; normal: [shared, shared]; no unit.
+    """
     moving = moving.copy()
     trial = shared.copy()
     for _ in range(len(shared)):
@@ -345,10 +363,13 @@ def arrow(
     weight: float = 1.0,
     on: Mapping[int, tuple[NDArray[np.bool_], Floats]] | None = None,
 ) -> tuple[Floats, Floats, dict[int, tuple[Floats, Floats, Floats]]]:
-    """Normal matrix and gradient of the shared parameters, the strokes' scatter eliminated.
+    """Return normal matrix and gradient of the shared parameters, the strokes' scatter eliminated.
 
     weight: of the residuals against the priors; on: which scatter of a stroke is set on its bounds,
-    and how far it moves for that (by default: what stands there and presses outward).
+    and how far it moves for that (by default: what is there and presses outward).
+
+    shared: [shared], spread: [strokes, scatter]; result [shared, shared], [shared], and by stroke
+    what its scatter needs; no unit.
     """
     root = weight**0.5
     n = len(layout.names)
@@ -388,7 +409,10 @@ def bounds_met(
     moving: NDArray[np.bool_],
     candidates: Sequence[Candidate],
 ) -> dict[int, tuple[NDArray[np.bool_], Floats]]:
-    """Scatter that a full step of everything would carry out of its bounds, and its way to them."""
+    """Scatter that a full step of everything would carry out of its bounds, and its way to them.
+
+    spread: [strokes, scatter], shared, moving: [shared]; no unit.
+    """
     on: dict[int, tuple[NDArray[np.bool_], Floats]] = {}
     which = np.zeros(spread.shape, dtype=bool)
     begin = spread
@@ -408,7 +432,10 @@ def bounds_met(
 def scattered(
     spread: Floats, inner: dict[int, tuple[Floats, Floats, Floats]], moved: Floats
 ) -> Floats:
-    """The strokes' scatter that goes with a step of the shared parameters."""
+    """Return the strokes' scatter that goes with a step of the shared parameters.
+
+    spread: [strokes, scatter], moved: [shared]; no unit.
+    """
     there = spread.copy()
     for k, (inverse, hus, gs) in inner.items():
         there[k] += inverse @ (gs - hus.T @ moved)
@@ -416,7 +443,10 @@ def scattered(
 
 
 def bounded(shared: Floats, candidates: Sequence[Candidate], layout: Shared) -> Floats:
-    """Shared parameters with the healthy ones near and the effects' own within their bounds."""
+    """Shared parameters with the healthy ones near and the effects' own within their bounds.
+
+    shared: [shared], no unit.
+    """
     out = shared.copy()
     out[: layout.healthy] = np.clip(out[: layout.healthy], -FARTHEST_SD, FARTHEST_SD)
     k = layout.healthy

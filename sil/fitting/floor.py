@@ -15,13 +15,13 @@ import numpy as np
 from scipy.special import chdtri
 
 from sil.fitting.fit import FitResult
-from sil.fitting.model import CampaignModel
+from sil.fitting.model import CampaignModel, channel_parts
 
 FLOOR_RMS = {"position": 0.385, "pressure": 1.0, "oil": 1.0, "internal": 0.17}
 """Root mean square of standardised residuals of a clean campaign, by kind of channel."""
 
 FLOOR_SPREAD = {"position": 0.03, "pressure": 0.004, "oil": 0.008, "internal": 0.05}
-"""Its spread between clean campaigns, beside the one that counting gives."""
+"""Its spread between clean campaigns, in addition to the one that counting gives."""
 
 
 EXPLAINED = 1.25
@@ -71,7 +71,7 @@ class Misfit:
 
 
 def channel_squares(model: CampaignModel, fit: FitResult) -> dict[str, tuple[str, float, int]]:
-    """Sum of squared standardised residuals and count of every channel: (kind, sum, count)."""
+    """Return sum of squared standardised residuals and count of every channel: (kind, sum, count)."""
     sums: dict[str, tuple[str, float, int]] = {}
 
     def add(name: str, kind: str, part: np.ndarray) -> None:
@@ -79,14 +79,11 @@ def channel_squares(model: CampaignModel, fit: FitResult) -> dict[str, tuple[str
         sums[name] = (kind, total + float(part @ part), count + len(part))
 
     for k, block in fit.blocks.items():
-        begin = 0
         stroke = model.strokes[k]
-        for channel in stroke.channels:
-            end = begin + len(channel.measured)
-            add(channel.name, channel.kind, block.residual[begin:end])
-            begin = end
+        for channel, part in channel_parts(stroke, block.residual):
+            add(channel.name, channel.kind, part)
         if stroke.internal is not None:
-            add("position_internal_m", "internal", block.residual[begin:])
+            add("position_internal_m", "internal", block.residual[stroke.size :])
     return sums
 
 
@@ -109,7 +106,7 @@ def misfit(model: CampaignModel, fit: FitResult) -> Misfit:
 
 
 def strained(fit: FitResult) -> bool:
-    """Whether a fit agrees with the data only because tolerances or scatter are implausibly wide.
+    """Return whether a fit agrees with the data only because tolerances or scatter are implausibly wide.
 
     Their sums of squares are held against chi squared (they have standard normal priors, and what
     is estimated is drawn towards zero); each kind of scatter by itself.

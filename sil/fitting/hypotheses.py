@@ -1,7 +1,7 @@
 """Hypotheses: which effects act, as parameters that a fit can move.
 
 A hypothesis is a tuple of effects.  Where the vocabulary leaves open what exactly an effect does
-(on which chamber, say), it stands in variants that share its identifier.
+(on which chamber, say), it has variants that share its identifier.
 Checked by: tests/unit/sil/fitting/test_hypotheses.py
 """
 
@@ -72,13 +72,13 @@ class Candidate:
         self.effect.apply(setup, {**self.fixed, **values})
 
     def physical(self, values: Mapping[str, float]) -> bool:
-        """Whether the main parameter lies on the side that the cause's description means."""
+        """Return whether the main parameter is on the side that the cause's description means."""
         main = self.parameters[0]
         return main.sign * (values[main.name] - main.neutral) >= 0.0
 
 
 def scaled_of(parameter: EffectParameter, value: float) -> float:
-    """A parameter's value in typical sizes from neutral; factors and scales count in logarithms.
+    """Return a parameter's value in typical sizes from neutral; factors and scales count in logarithms.
 
     A factor on what a tolerance scales too is known through the product alone: in logarithms that
     valley is straight, and a fit walks along it in one step.
@@ -89,7 +89,7 @@ def scaled_of(parameter: EffectParameter, value: float) -> float:
 
 
 def value_of(parameter: EffectParameter, scaled: float) -> float:
-    """The value at so many typical sizes from neutral, kept within the physical bounds."""
+    """Return the value at so many typical sizes from neutral, limited to the physical bounds."""
     if is_scale(parameter):
         low, high = scaled_of(parameter, parameter.low), scaled_of(parameter, parameter.high)
         scaled = min(max(scaled, low), high)
@@ -100,17 +100,20 @@ def value_of(parameter: EffectParameter, scaled: float) -> float:
 
 
 def is_scale(parameter: EffectParameter) -> bool:
-    """Whether a parameter is a factor, a width, a volume, a speed: positive wherever it goes."""
+    """Return whether a parameter is a factor, a width, a volume, a speed: positive wherever it goes."""
     return parameter.neutral > 0.0 and parameter.low > 0.0
 
 
 def log_size(parameter: EffectParameter) -> float:
-    """The typical size of a scale in logarithms."""
+    """Return the typical size of a scale in logarithms."""
     return math.log1p(parameter.typical / parameter.neutral)
 
 
 def precision(candidates: Sequence[Candidate]) -> NDArray[np.float64]:
-    """Inverse covariance of the prior of all candidates' parameters, in typical sizes."""
+    """Inverse covariance of the prior of all candidates' parameters, in typical sizes.
+
+    [parameters, parameters].
+    """
     count = sum(len(item.parameters) for item in candidates)
     out = np.eye(count) / EFFECT_PRIOR**2
     k = 0
@@ -128,7 +131,7 @@ KNOWN: dict[str, Candidate] = {}
 
 
 def known(name: str) -> Candidate:
-    """The candidate of that name."""
+    """Return the candidate of that name."""
     return KNOWN[name]
 
 

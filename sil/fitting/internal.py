@@ -1,6 +1,6 @@
 """The control unit's position as observed: one value a publication, and what it says about when.
 
-Where the record stands within the sensor's period is not known beforehand; it follows from the
+Where the record is within the sensor's period is not known beforehand; it follows from the
 instants of publication under the assumed latency and clock.
 Checked by: tests/unit/sil/fitting/test_internal.py
 """
@@ -36,7 +36,10 @@ class InternalSamples:
 
 
 def internal_samples(time_s: Floats, values: Floats) -> InternalSamples | None:
-    """Publications of the control unit's position, found by its steps; None if it hardly moves."""
+    """Publications of the control unit's position, found by its steps; None if it hardly moves.
+
+    time_s: [n] in s; values: [n] in m.
+    """
     edges = np.flatnonzero(np.abs(np.diff(values)) > 1e-9) + 1
     if len(edges) < FEWEST_PUBLICATIONS:
         return None
@@ -51,7 +54,7 @@ def internal_prediction(
     setup: Setup,
     rounded: bool = True,
 ) -> Floats:
-    """The published positions of a stroke under a setup, at the publications observed [m].
+    """Return the published positions of a stroke under a setup, at the publications observed [m].
 
     position_m: the true one at time_s; rounded: pulses at rest are counted in timer ticks, as they
     are (at rest the rounding is the same error every time); without, the result is smooth.
@@ -76,16 +79,19 @@ def internal_prediction(
     if rounded:
         resting = np.abs(np.diff(true_m, prepend=true_m[0])) < RESTING_M
         warm = np.where(resting, chain.sensor.ticks(warm) * chain.sensor.tick_s, warm)
-    seen = chain.calibration.position_m(warm, chain.measured_temperature_k)
+    observed = chain.calibration.position_m(warm, chain.measured_temperature_k)
     response = impulse_response(replace(chain, latency_s=0.0), count)
-    values = seen[0] + np.convolve(seen - seen[0], response)[:count]
+    values = observed[0] + np.convolve(observed - observed[0], response)[:count]
     index = np.clip(pulses - first, 0, count - 1)
     return setup.reported_m(values[index])
 
 
 @lru_cache(maxsize=64)
 def impulse_response(chain: InternalChain, count: int) -> Floats:
-    """Response of the chain's filter to one unit value, `count` periods long."""
+    """Response of the chain's filter to one unit value, `count` periods long.
+
+    Result [count], no unit.
+    """
     if not chain.filter_order:
         response = np.zeros(count)
         response[0] = 1.0

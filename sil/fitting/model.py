@@ -6,7 +6,7 @@ Checked by: tests/unit/sil/fitting/test_fit.py
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from plant.integrator.hybrid import IntegrationError
 from sil.fitting.hypotheses import Candidate, is_scale, log_size, precision, scaled_of, value_of
 from sil.fitting.internal import INTERNAL_SD_M, internal_prediction
 from sil.fitting.nuisance import SIMULATED, Spread
-from sil.fitting.observations import StrokeObservation
+from sil.fitting.observations import Channel, StrokeObservation
 
 Floats = NDArray[np.float64]
 NS = 1e9
@@ -51,19 +51,22 @@ class Shared:
 
     @property
     def healthy(self) -> int:
-        """How many of them are healthy tolerances and offsets; they stand first."""
+        """How many of them are healthy tolerances and offsets; they come first."""
         return len(self.unit) + len(self.offsets)
 
     @property
     def prior(self) -> Floats:
-        """Inverse covariance of the prior of all of them."""
+        """Inverse covariance of the prior of all of them.
+
+        [shared, shared], no unit.
+        """
         out = np.eye(len(self.names))
         out[self.effect_slice, self.effect_slice] = self.precision
         return out
 
     @property
     def effect_slice(self) -> slice:
-        """Where the hypothesis' own parameters stand."""
+        """Where the hypothesis' own parameters are."""
         return slice(self.healthy, self.healthy + len(self.effects))
 
 
@@ -133,11 +136,16 @@ class CampaignModel:
         rounded: with the timer's rounding at rest, which has no derivative.
 
         Raises IntegrationError where the motion cannot be continued.
+
+        [n], no unit.
         """
         return self.numbers_of(k, setup, self.strokes[k].predictor.states(setup), rounded)
 
     def numbers_of(self, k: int, setup: Setup, states: Floats, rounded: bool) -> Floats:
-        """The compared numbers of stroke k in these states."""
+        """Return the compared numbers of stroke k in these states.
+
+        states: [instants, states] in SI units; result [n], no unit.
+        """
         stroke = self.strokes[k]
         parts = []
         for channel in stroke.channels:
@@ -160,7 +168,10 @@ class CampaignModel:
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def measured(self, k: int) -> Floats:
-        """All compared numbers of stroke k as measured, standardised."""
+        """All compared numbers of stroke k as measured, standardised.
+
+        [n], no unit.
+        """
         return self._measured[k]
 
     def _offsets_of(self, stroke: StrokeObservation) -> Floats:
@@ -173,17 +184,23 @@ class CampaignModel:
         }
         for channel in stroke.channels:
             n = len(channel.measured)
-            place = self.offsets.index(channel.name)
-            columns[begin : begin + n, place] = sizes[channel.kind] / channel.sd
+            index = self.offsets.index(channel.name)
+            columns[begin : begin + n, index] = sizes[channel.kind] / channel.sd
             begin += n
         return columns
 
     def offset_part(self, k: int, offsets: Floats) -> Floats:
-        """Contribution of the sensors' offsets, in their standard deviations, to stroke k."""
+        """Contribution of the sensors' offsets, in their standard deviations, to stroke k.
+
+        offsets: [offsets]; result [n], no unit.
+        """
         return np.asarray(self._offset_columns[k] @ offsets)
 
     def amounts(self, shared: Floats, scatter: Floats) -> dict[str, float]:
-        """Healthy amounts of one stroke from unit tolerances and its own scatter."""
+        """Healthy amounts of one stroke from unit tolerances and its own scatter.
+
+        shared: [shared], scatter: [scatter], in prior standard deviations.
+        """
         total = dict.fromkeys(SIMULATED, 0.0)
         for k, name in enumerate(self.unit):
             total[name] += shared[k] * self.spread.unit[name]
@@ -194,7 +211,10 @@ class CampaignModel:
     def effect_values(
         self, candidates: Sequence[Candidate], scaled: Floats
     ) -> tuple[dict[str, float], ...]:
-        """Effect parameters from their scaled form, kept within the physical bounds."""
+        """Effect parameters from their scaled form, limited to the physical bounds.
+
+        scaled: [parameters] in typical sizes.
+        """
         values = []
         k = 0
         for item in candidates:
@@ -209,7 +229,7 @@ class CampaignModel:
         """Step of an effect parameter's difference, in typical sizes.
 
         Where a tolerance does the same to the plant, the same step: at stops and breakaways the
-        prediction has kinks, and unlike steps would feign that the two can be told apart.
+        prediction has kinks, and unlike steps would make the two look distinguishable.
         """
         if not tolerance:
             return EFFECT_STEP
@@ -220,7 +240,10 @@ class CampaignModel:
     def residual(
         self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
     ) -> Floats:
-        """Standardised residual (measured - predicted) of stroke k."""
+        """Standardised residual (measured - predicted) of stroke k.
+
+        shared: [shared], scatter: [scatter], in prior standard deviations; result [n], no unit.
+        """
         setup, states = self.here(k, shared, scatter, candidates)
         offsets = shared[len(self.unit) : len(self.unit) + len(self.offsets)]
         return (
@@ -232,7 +255,11 @@ class CampaignModel:
     def here(
         self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
     ) -> tuple[Setup, Floats]:
-        """Setup and states of stroke k; simulated once as long as nothing else is asked for it."""
+        """Return setup and states of stroke k; simulated once as long as nothing else is asked for it.
+
+        shared: [shared], scatter: [scatter], in prior standard deviations; states [instants,
+        states] in SI units.
+        """
         spot = (shared.tobytes(), scatter.tobytes(), tuple(item.name for item in candidates))
         last = self._last.get(k)
         if last is None or last[0] != spot:
@@ -250,12 +277,14 @@ class CampaignModel:
         candidates: Sequence[Candidate],
         central: bool = False,
         own_only: bool = False,
-        kept: Block | None = None,
+        reuse: Block | None = None,
     ) -> Block:
         """Residual of stroke k, its derivatives by the shared and by the stroke's own parameters.
 
-        own_only: by the hypothesis' own alone, the others are left at zero; kept: a block whose
+        own_only: by the hypothesis' own alone, the others are left at zero; reuse: a block whose
         derivatives by tolerances and scatter are taken over.
+
+        shared: [shared], scatter: [scatter], in prior standard deviations.
         """
         layout = self.layout(candidates)
         healthy = layout.healthy
@@ -265,7 +294,7 @@ class CampaignModel:
         setup, states = self.here(k, shared, scatter, candidates)
         base = self.numbers_of(k, setup, states, False)
         columns: dict[str, Floats] = {}
-        for name in () if own_only or kept is not None else SIMULATED:
+        for name in () if own_only or reuse is not None else SIMULATED:
             step = DIFFERENCE * self.spread.stroke.get(name, self.spread.unit.get(name, 0.0))
 
             def changed(h: float, name: str = name) -> Floats:
@@ -278,8 +307,8 @@ class CampaignModel:
         for j, name in enumerate(self.unit):
             if name in columns:
                 shared_columns[:, j] = columns[name] * self.spread.unit[name]
-        if kept is not None:
-            shared_columns[:, : len(self.unit)] = kept.shared[:, : len(self.unit)]
+        if reuse is not None:
+            shared_columns[:, : len(self.unit)] = reuse.shared[:, : len(self.unit)]
         shared_columns[:, len(self.unit) : healthy] = self._offset_columns[k]
         scaled = shared[healthy:]
         parameters = [p for item in candidates for p in item.parameters]
@@ -301,22 +330,34 @@ class CampaignModel:
             instant = effects[j].switching
             if instant and not own_only:
                 later_s = delay_s(moved_setup(step), instant) - delay_s(setup, instant)
-                place = self.scatter.index(instant)
+                index = self.scatter.index(instant)
                 by_second = (
                     columns[instant]
-                    if kept is None
-                    else kept.scatter[:, place] / self.spread.stroke[instant]
+                    if reuse is None
+                    else reuse.scatter[:, index] / self.spread.stroke[instant]
                 )
                 shared_columns[:, healthy + j] = by_second * (later_s / step)
                 continue
             shared_columns[:, healthy + j] = difference(moved_effect, base, step, central)
-        if kept is not None:
-            return Block(residual, shared_columns, kept.scatter, base)
+        if reuse is not None:
+            return Block(residual, shared_columns, reuse.scatter, base)
         scatter_columns = np.zeros((len(base), len(self.scatter)))
         for j, name in enumerate(self.scatter):
             if name in columns:
                 scatter_columns[:, j] = columns[name] * self.spread.stroke[name]
         return Block(residual, shared_columns, scatter_columns, base)
+
+
+def channel_parts(stroke: StrokeObservation, residual: Floats) -> Iterator[tuple[Channel, Floats]]:
+    """Yield the channels of a stroke with their part [n] of its residual, in standard deviations.
+
+    The control unit's position, which is after them, is left out.
+    """
+    begin = 0
+    for channel in stroke.channels:
+        end = begin + len(channel.measured)
+        yield channel, residual[begin:end]
+        begin = end
 
 
 def delay_s(setup: Setup, instant: str) -> float:
@@ -328,7 +369,10 @@ def delay_s(setup: Setup, instant: str) -> float:
 def difference(  # type: ignore[no-untyped-def]
     changed, base: Floats, step: float, central: bool
 ) -> Floats:
-    """Difference quotient; one-sided, or with a smaller step, where the motion breaks off."""
+    """Difference quotient; one-sided, or with a smaller step, where the motion breaks off.
+
+    base: [n], no unit. Raises IntegrationError if no step can be simulated.
+    """
     if central:
         try:
             # wider, against the rounding of the integration: the error is of second order here

@@ -26,7 +26,7 @@ class Spread:
 
     @classmethod
     def of(cls, parameters: ParameterSet) -> Spread:
-        """The spread of a parameter set's section `repeatability`."""
+        """Return the spread of a parameter set's section `repeatability`."""
         value = parameters.value
         delay = value("repeatability.unit_valve_delay_sd")
         return cls(

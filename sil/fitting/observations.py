@@ -31,7 +31,7 @@ DENSE_UNTIL_S = 0.06
 
 @dataclass(frozen=True)
 class Channel:
-    """One measured quantity of a stroke: where it lies in the record and in the prediction."""
+    """One measured quantity of a stroke: where it is in the record and in the prediction."""
 
     name: str
     kind: str  # "position", "pressure", "oil", "internal"
@@ -149,7 +149,10 @@ def air_noise_pa(parameters: ParameterSet) -> float:
 
 
 def thinned(time_s: Floats, conditions: StrokeConditions, setup: Setup) -> NDArray[np.int64]:
-    """Rows of the record to compare: every second while things happen, every tenth otherwise."""
+    """Rows of the record to compare: every second while things happen, every tenth otherwise.
+
+    time_s: [n] in s; result [rows].
+    """
     keep = np.zeros(len(time_s), dtype=bool)
     keep[::10] = True
     for when, _valve, duty in conditions.commands:
@@ -163,7 +166,10 @@ def thinned(time_s: Floats, conditions: StrokeConditions, setup: Setup) -> NDArr
 
 
 def run_lengths(values: Floats) -> Floats:
-    """Length of the run of near-equal neighbours that each sample belongs to."""
+    """Return length of the run of near-equal neighbours that each sample belongs to.
+
+    values: [n] in m; result [n] in samples.
+    """
     close = np.abs(np.diff(values)) < 0.7e-4
     same = np.concatenate([[False], close])
     start = np.flatnonzero(~same)

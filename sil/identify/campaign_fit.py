@@ -36,14 +36,14 @@ def fit_factors(
     campaign: Campaign,
     strokes: Sequence[CampaignStroke],
     parameters: ParameterSet,
-    places: dict[str, tuple[int, ...]],
+    indices: dict[str, tuple[int, ...]],
     known: Sequence[str],
     source: str,
     progress: Show = no_progress,
 ) -> Fitted:
     """Fit factors on packed parameters.
 
-    places: parameter path -> its indices in the packed array; known: healthy unit tolerances that
+    indices: parameter path -> its indices in the packed array; known: healthy unit tolerances that
     the parameters themselves express (frozen at zero).
     """
     from scipy.stats import t as student
@@ -53,12 +53,12 @@ def fit_factors(
         for entry in strokes
     ]
     model = TangentModel(observed, Spread.of(parameters))
-    paths = tuple(places)
+    paths = tuple(indices)
 
     def change(setup: Setup, values: dict[str, float]) -> None:
         for path in paths:
-            for place in places[path]:
-                setup.p[place] *= values[path]
+            for index in indices[path]:
+                setup.p[index] *= values[path]
 
     own = tuple(EffectParameter(path, "-", 1.0, 0.05, 20.0, 0.1) for path in paths)
     effect = Effect("identified", "identified", "force", source, own, change)
@@ -74,9 +74,9 @@ def fit_factors(
     quantile = float(student.ppf(0.975, len(strokes) + 1))
     estimates = []
     for k, path in enumerate(paths):
-        place = free.index(layout.effect_slice.start + k)
+        row = free.index(layout.effect_slice.start + k)
         base = parameters.value(path)
         centre = base * found.values[0][path]
-        half = quantile * float(np.sqrt(covariance[place, place] * reduced)) * 0.1 * base
+        half = quantile * float(np.sqrt(covariance[row, row] * reduced)) * 0.1 * base
         estimates.append(Estimate(path, centre, centre - half, centre + half, source))
     return Fitted(tuple(estimates), misfit(model, found).rms)

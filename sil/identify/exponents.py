@@ -18,7 +18,7 @@ from sil.identify.friction import plain_strokes
 from sil.report.figure import BAR, Figure, Panel, Series, Stack
 
 NAMES = ("alpha_m1", "alpha_1", "alpha_m2", "alpha_2")
-PLACES = (Parameters.alpha_m1, Parameters.alpha_1, Parameters.alpha_m2, Parameters.alpha_2)
+FIELDS = (Parameters.alpha_m1, Parameters.alpha_1, Parameters.alpha_m2, Parameters.alpha_2)
 
 
 SMOOTH_SAMPLES = 21
@@ -73,8 +73,8 @@ def identify_alpha(
 
         setup, time_s, position, _measured = prepared[k]
         twin = copied(setup)
-        for place, alpha in zip(PLACES, x[:4], strict=True):
-            twin.p[place] = alpha
+        for index, alpha in zip(FIELDS, x[:4], strict=True):
+            twin.p[index] = alpha
         # counted from one: the relative steps of the differences would vanish at zero
         opens_ms, closes_ms, supply = x[4 + 3 * k : 7 + 3 * k] - 1.0
         later, closes = seconds_to_ns(1e-3 * opens_ms), seconds_to_ns(1e-3 * closes_ms)

@@ -2,8 +2,8 @@
 
 The pressure is differentiated, epsilon = V P' / (R alpha_m), and two polynomials a direction are
 fitted, joined smoothly, with their root at the supply and at the atmosphere.  What pressures alone
-can tell is the product alpha_m epsilon: alpha_m is taken from the parameter set, and said so.
-The largest volume is kept out of the fit and predicted.
+can determine is the product alpha_m epsilon: alpha_m is taken from the parameter set, which the output says.
+The largest volume is left out of the fit and predicted.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SETTLE_S = 0.0015
 
 @dataclass(frozen=True)
 class RestRecord:
-    """One chamber at rest while its valve stands: instants, pressure, volume, direction."""
+    """One chamber at rest while its valve does not move: instants, pressure, volume, direction."""
 
     name: str
     time_s: Floats
@@ -48,7 +48,7 @@ class RestRecord:
 
 
 def rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestRecord]:
-    """All stretches of the campaign in which a chamber's volume stands still and its valve too."""
+    """All stretches of the campaign in which a chamber's volume and valve do not move."""
     found = []
     for entry in campaign.strokes:
         record = campaign.record(entry)
@@ -101,8 +101,8 @@ def loose_until(record: Record, time_s: Floats, driving: str, inside: NDArray[np
         column = f"pressure_{name}_pa"
         if column in record:
             free |= record[f"pressure_{driving}_pa"] - record[column] < HELD_PA
-    places = np.flatnonzero(free & inside)
-    return float(time_s[places[-1]]) if len(places) else -1.0
+    rows = np.flatnonzero(free & inside)
+    return float(time_s[rows[-1]]) if len(rows) else -1.0
 
 
 def resting_volume(kind: str, chamber: str, position: float, p: Parameters) -> float | None:
@@ -122,7 +122,10 @@ def resting_volume(kind: str, chamber: str, position: float, p: Parameters) -> f
 
 
 def slope(record: RestRecord) -> tuple[Floats, Floats]:
-    """Pressure and its rate, by a moving parabola; the ends are left out."""
+    """Pressure and its rate, by a moving parabola; the ends are left out.
+
+    [n] in Pa and in Pa/s.
+    """
     from scipy.signal import savgol_filter
 
     step, window = smoothing(record)
@@ -164,15 +167,17 @@ def two_polynomials(
 
     near, far: degrees of the one that ends at the root and of the other.  Least squares with the
     three conditions exact.  Returns ascending coefficients (near, far).
+
+    x: [n] pressure ratios, y: [n] in K kg/(s Pa).
     """
-    beside = (x >= split) if root > split else (x <= split)
-    rows_near = np.vander(x[beside], near + 1, increasing=True)
-    rows_far = np.vander(x[~beside], far + 1, increasing=True)
+    is_near = (x >= split) if root > split else (x <= split)
+    rows_near = np.vander(x[is_near], near + 1, increasing=True)
+    rows_far = np.vander(x[~is_near], far + 1, increasing=True)
     n = near + far + 2
     design = np.zeros((len(x), n))
     design[: len(rows_near), : near + 1] = rows_near
     design[len(rows_near) :, near + 1 :] = rows_far
-    target = np.concatenate([y[beside], y[~beside]])
+    target = np.concatenate([y[is_near], y[~is_near]])
 
     def powers(at: float, degree: int, derivative: bool) -> Floats:
         k = np.arange(degree + 1)
@@ -276,14 +281,17 @@ def identify_flow(
 def best_degrees(
     x: Floats, y: Floats, split: float, root: float, near_most: int, far_most: int
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """The degrees with the least mean square error on every third point left out, padded to the map."""
+    """Return the degrees with the least mean square error on every third point left out, padded to the map.
+
+    x: [n] pressure ratios, y: [n] in K kg/(s Pa). Raises ValueError for no degrees.
+    """
     held = np.arange(len(x)) % 3 == 0
     best: tuple[float, int, int] | None = None
     for near in range(2, near_most + 1):
         for far in range(1, far_most + 1):
             a, b = two_polynomials(x[~held], y[~held], split, root, near, far)
-            beside = (x[held] >= split) if root > split else (x[held] <= split)
-            error = np.where(beside, np.polyval(a[::-1], x[held]), np.polyval(b[::-1], x[held]))
+            is_near = (x[held] >= split) if root > split else (x[held] <= split)
+            error = np.where(is_near, np.polyval(a[::-1], x[held]), np.polyval(b[::-1], x[held]))
             mse = float(np.mean((error - y[held]) ** 2))
             if best is None or mse < 0.995 * best[0]:
                 best = (mse, near, far)
@@ -315,7 +323,10 @@ def checks(records: list[RestRecord], found: ParameterSet, campaign: Campaign) -
 
 
 def predict(record: RestRecord, parameters: ParameterSet, campaign: Campaign) -> Floats:
-    """Pressure of a resting record by a parameter set's maps, from its first (smoothed) value."""
+    """Pressure of a resting record by a parameter set's maps, from its first (smoothed) value.
+
+    Result [n] in Pa.
+    """
     from plant.kernel.packing import Load, pack
 
     p = pack(

@@ -20,7 +20,10 @@ from sil.report.figure import Figure, Panel, Series, Stack
 
 
 def plain_strokes(campaign: Campaign) -> list[tuple[CampaignStroke, Record]]:
-    """Unloaded strokes of the fixed piston that start at rest at its beginning."""
+    """Unloaded strokes of the fixed piston that start at rest at its beginning.
+
+    Raises InputError for fewer than two.
+    """
     found = []
     for entry in campaign.strokes:
         c = entry.conditions
@@ -59,7 +62,10 @@ def breakaway_s(time_s: Floats, position_m: Floats) -> tuple[float, float]:
 
 
 def beginning(time_s: Floats, position_m: Floats, share: float) -> tuple[float, float]:
-    """Instant and its standard error of a/2 t^2 + j/6 t^3 fitted to the first share of the travel."""
+    """Instant and its standard error of a/2 t^2 + j/6 t^3 fitted to the first share of the travel.
+
+    time_s: [n] in s; position_m: [n] in m. Raises InputError for too few samples.
+    """
     from scipy.optimize import least_squares
 
     start = float(np.median(position_m[: max(5, len(position_m) // 100)]))
@@ -90,7 +96,10 @@ def beginning(time_s: Floats, position_m: Floats, share: float) -> tuple[float, 
 def identify_friction(
     campaign: Campaign, parameters: ParameterSet, progress: Show = no_progress
 ) -> Identified:
-    """Static and dynamic friction of the fixed piston from a campaign's unloaded strokes."""
+    """Return static and dynamic friction of the fixed piston from a campaign's unloaded strokes.
+
+    Raises InputError for too few strokes or samples.
+    """
     from scipy.signal import savgol_filter
 
     strokes = plain_strokes(campaign)

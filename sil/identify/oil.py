@@ -19,7 +19,10 @@ from sil.report.figure import BAR, Figure, Panel, Series, Stack
 def identify_damper(
     campaign: Campaign, parameters: ParameterSet, progress: Show = no_progress
 ) -> Identified:
-    """Outlets and bulk modulus from a campaign's strokes with the compressible damper."""
+    """Outlets and bulk modulus from a campaign's strokes with the compressible damper.
+
+    Raises InputError if there is no such stroke.
+    """
     strokes = []
     for entry in campaign.strokes:
         c = entry.conditions

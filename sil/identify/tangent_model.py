@@ -32,16 +32,19 @@ class TangentModel(CampaignModel):
         candidates: Sequence[Candidate],
         central: bool = False,
         own_only: bool = False,
-        kept: Block | None = None,
+        reuse: Block | None = None,
     ) -> Block:
-        """As the base class's; differences only where the events do not move along."""
+        """As the base class's; differences only where the events do not move along.
+
+        shared: [shared], scatter: [scatter], in prior standard deviations.
+        """
         layout = self.layout(candidates)
         healthy = layout.healthy
         scaled = shared[healthy:]
         amounts = self.amounts(shared, scatter)
 
         def made(name: str, h: float) -> Setup:
-            """The stroke with one quantity moved: a healthy one, or "0", "1", ... of the effects."""
+            """Return the stroke with one quantity moved: a healthy one, or "0", "1", ... of the effects."""
             moved, trial = dict(amounts), scaled.copy()
             if name in moved:
                 moved[name] += h
@@ -50,7 +53,7 @@ class TangentModel(CampaignModel):
             return self.setup(k, moved, candidates, self.effect_values(candidates, trial))
 
         parameters = [p for item in candidates for p in item.parameters]
-        names = [] if own_only or kept is not None else list(SIMULATED)
+        names = [] if own_only or reuse is not None else list(SIMULATED)
         names += [str(j) for j in range(len(parameters))]
         base_setup = made("", 0.0)
         setups, steps = [], []
@@ -91,9 +94,9 @@ class TangentModel(CampaignModel):
         for j, name in enumerate(self.scatter):
             if name in columns:
                 by_scatter[:, j] = columns[name] * self.spread.stroke[name]
-        if kept is not None:
-            by_shared[:, : len(self.unit)] = kept.shared[:, : len(self.unit)]
-            by_scatter = kept.scatter
+        if reuse is not None:
+            by_shared[:, : len(self.unit)] = reuse.shared[:, : len(self.unit)]
+            by_scatter = reuse.scatter
         by_shared[:, len(self.unit) : healthy] = self._offset_columns[k]
         for j in range(len(parameters)):
             by_shared[:, healthy + j] = columns[str(j)]
