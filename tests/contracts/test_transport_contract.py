@@ -367,7 +367,7 @@ def test_garbage_from_a_stranger_closes_its_connection_only(
 
 
 @pytest.mark.vcan
-def test_frames_of_strangers_on_a_can_channel_are_counted_and_change_nothing(
+def test_foreign_frames_on_a_can_channel_are_counted_and_change_nothing(
     tmp_path: Path, reference: str
 ) -> None:
     from can_dbc.frame import Frame

@@ -11,7 +11,7 @@ import pytest
 from sil import cli
 
 
-def test_bus_tells_transports_load_and_worst_cases(capsys: pytest.CaptureFixture[str]) -> None:
+def test_bus_prints_transports_load_and_worst_cases(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["bus", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["transports"]["inproc"] and told["transports"]["local"]

@@ -22,7 +22,7 @@ def test_seconds_become_the_nearest_nanosecond(seconds: float, nanoseconds: int)
 
 
 @pytest.mark.parametrize("seconds", [-1e-9, math.nan, math.inf, -math.inf, 3e5, 1e300])
-def test_times_outside_the_lockstep_are_refused_with_their_place(seconds: float) -> None:
+def test_times_outside_the_lockstep_are_refused_by_name(seconds: float) -> None:
     with pytest.raises(InputError, match=r"^request\[0\].at_s: .*expected "):
         to_ns(seconds, "request[0].at_s")
 

@@ -149,7 +149,7 @@ def test_a_frozen_counter_is_a_repetition_with_a_right_checksum() -> None:
     assert all(decode(d.frame) == ShiftRequest(Gear.FORWARD) for d in of(frozen, ShiftRequest))
 
 
-def test_bus_off_silences_and_deafens_one_node() -> None:
+def test_a_node_that_is_bus_off_neither_sends_nor_receives() -> None:
     start_ns, end_ns = 200 * MS + 400_000, 300 * MS
     off, plan, bus = run([BusOff(node="driver", start_s=0.2004, end_s=0.3)])
     assert of(off, Etc1)[:20] == of(CLEAN, Etc1)[:20]
@@ -229,7 +229,7 @@ def test_what_is_not_implemented_is_refused(table: dict[str, object], complaint:
         (FrozenCounter(message="Etc1"), r"fault\[1\].message: Etc1 carries no counter; expected"),
     ],
 )
-def test_faults_that_make_no_sense_are_refused_by_place(fault: BusFault, complaint: str) -> None:
+def test_impossible_faults_are_refused_by_name(fault: BusFault, complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
         FaultPlan([Loss(message="Etc1"), fault], 1)
 

@@ -100,7 +100,7 @@ def test_a_frame_that_arrives_at_an_instant_is_delivered_at_it_and_one_after_is_
         assert heard[1] == ("plant", event_ns, expected)
 
 
-def test_nobody_hears_itself_and_everybody_else_hears_all_in_order() -> None:
+def test_everyone_but_the_sender_receives_all_frames_in_order() -> None:
     heard: Heard = []
     nodes = [
         Node("driver", heard, every(1000 * US, frame(0x300), frame(0x100))),

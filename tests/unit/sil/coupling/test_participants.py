@@ -59,7 +59,7 @@ def is_gone(pid: int, within_s: float) -> bool:
         ("import os; os.abort()", "was killed by SIGABRT"),
     ],
 )
-def test_how_a_child_ended_is_told(code: str, how: str) -> None:
+def test_how_a_child_ended_is_reported(code: str, how: str) -> None:
     child = ChildProcess("plant", python(code))
     assert child.how_it_ended(10.0) == how
     child.end(0.0)

@@ -83,7 +83,7 @@ def test_hello_is_repeated_until_welcomed_and_names_version_and_scenario() -> No
 
 
 @pytest.mark.parametrize("refusal", list(Refusal))
-def test_a_refusal_is_told(refusal: Refusal) -> None:
+def test_a_refusal_is_reported(refusal: Refusal) -> None:
     joining, link = session()
 
     def read(timeout_s: float | None) -> list[tuple[int, bytes]]:
@@ -97,7 +97,7 @@ def test_a_refusal_is_told(refusal: Refusal) -> None:
         joining.join(0, 5.0)
 
 
-def test_nobody_there_is_told_after_the_timeout() -> None:
+def test_an_unanswered_hello_is_reported_after_the_timeout() -> None:
     joining, link = session()
     with pytest.raises(RunError, match=r"no run answered within 0.2 s"):
         joining.join(0, 0.2)
@@ -168,7 +168,7 @@ def test_skipped_frames_are_not_received_and_not_counted() -> None:
 
 
 @pytest.mark.parametrize("place", [0, 1, 2, 3, 4])
-def test_strangers_frames_between_any_two_records_change_nothing(place: int) -> None:
+def test_foreign_frames_between_any_two_records_change_nothing(place: int) -> None:
     stranger = wire.real(Frame(0x18FEF100, b"\x11" * 8))
     time_1, frame_1 = wire.announced(PLANT, 1, PULSE)[:16], wire.real(PULSE)
     time_2, frame_2 = wire.announced(PLANT, 2, VALVES)[:16], wire.real(VALVES)

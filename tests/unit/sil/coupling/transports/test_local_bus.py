@@ -172,7 +172,7 @@ def test_sending_is_refused_and_a_foreign_frame_is_ignored() -> None:
         hub.close(aborted=True)
 
 
-def test_a_monitor_that_does_not_read_is_let_go_and_holds_nobody_up(
+def test_a_monitor_that_does_not_read_is_disconnected_and_delays_no_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(hub_module, "MONITOR_BACKLOG_BYTES", 100_000)
