@@ -22,8 +22,8 @@ from can_dbc.frame import Frame
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import EOF_BITS, INTERMISSION_BITS, frame_bits
 
-SHORTEST_ERROR_BITS = 17
-LONGEST_ERROR_BITS = 23
+ERROR_FRAME_BITS = 23
+"""The longest error frame: superposed flags of 12 bits, delimiter 8, intermission 3."""
 
 
 class Delivery(NamedTuple):
@@ -54,16 +54,11 @@ class Transmission(NamedTuple):
 
 
 class ErrorFrame(NamedTuple):
-    """The verdict that all nodes rejected a transmission.
+    """The verdict that all nodes rejected a transmission for its CRC, after the ACK delimiter.
 
-    `bits` is the length of the error frame with its intermission, 17 (one flag of 6, delimiter 8,
-    intermission 3) to 23 (superposed flags of 12). `at_bit` counts the bits sent before the error
-    flag starts; None: a CRC error, flagged after the ACK delimiter. With `retransmit` the frame
-    competes again at once, otherwise it is lost (a sender that goes bus-off).
+    With `retransmit` the frame competes again at once, otherwise it is lost (its sender is bus-off).
     """
 
-    bits: int = LONGEST_ERROR_BITS
-    at_bit: int | None = None
     retransmit: bool = True
 
 
@@ -291,14 +286,7 @@ class BusModel:
         heappush(self._arriving, (delivery.arrival_ns, self._serial, delivery))
 
     def _reject(self, start_ns: int, bits: int, entry: _Ready, error: ErrorFrame) -> None:
-        at_bit = bits - EOF_BITS if error.at_bit is None else error.at_bit
-        if not 1 <= at_bit <= bits:
-            raise ValueError(f"{error} in a frame of {bits} bits")
-        if not SHORTEST_ERROR_BITS <= error.bits <= LONGEST_ERROR_BITS:
-            raise ValueError(
-                f"{error}; expected {SHORTEST_ERROR_BITS} to {LONGEST_ERROR_BITS} bits"
-            )
-        self._free_ns = start_ns + (at_bit + error.bits) * self.bit_ns
+        self._free_ns = start_ns + (bits - EOF_BITS + ERROR_FRAME_BITS) * self.bit_ns
         self.statistics.frames += 1
         self.statistics.error_frames += 1
         self.statistics.busy_ns += self._free_ns - start_ns

@@ -7,7 +7,6 @@ repeats to the bit on every transport.
 from __future__ import annotations
 
 import random
-from collections import deque
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -41,7 +40,6 @@ INTRUDER = "intruder"
 
 Instant = Annotated[float, Meta(ge=0.0, le=86400.0)]
 
-MOST_EVENTS = 10_000
 MOST_DELAY_S = 10.0
 _NS_PER_US = 1000
 
@@ -178,15 +176,6 @@ Intrusion = Babbling | Replayed | Spoofed
 """Faults that put frames on the bus; `sil.nodes.intruder` is the node that sends them."""
 
 
-class FaultEvent(NamedTuple):
-    """One frame hit: when its transmission started, by which fault, and whose frame it was."""
-
-    start_ns: int
-    kind: str
-    can_id: int
-    sender: str
-
-
 class Window(NamedTuple):
     """From one instant to before another, ns."""
 
@@ -230,12 +219,11 @@ class _Selection:
 class FaultPlan:
     """All faults of one run, for the bus model and the coordinator.
 
-    `events`: the latest frames hit; `hits`: how often each fault hit (frame faults only).
+    `hits`: how often each fault hit (frame faults only).
     """
 
     def __init__(self, faults: Sequence[BusFault], seed: int) -> None:
         """Take the faults.  Raises InputError naming one that is impossible."""
-        self.events: deque[FaultEvent] = deque(maxlen=MOST_EVENTS)
         self._by_fault: dict[int, _Selection] = {}
         self._off: list[tuple[str, Window]] = []
         self._down: list[tuple[str, Window]] = []
@@ -278,7 +266,6 @@ class FaultPlan:
                 node == transmission.sender
                 and transmission.start_ns < window.start_ns <= transmission.end_ns
             ):
-                self._note(transmission, "bus_off")
                 return ErrorFrame(retransmit=False)
         deliveries: Sequence[Delivery] = transmission.delivered()
         for selection in self._selections:
@@ -288,7 +275,6 @@ class FaultPlan:
             if verdict is None:
                 continue
             selection.hits += 1
-            self._note(transmission, type(selection.fault).__struct_config__.tag)
             if isinstance(verdict, ErrorFrame):
                 return verdict
             deliveries = verdict
@@ -320,10 +306,6 @@ class FaultPlan:
                 event_ns += -(-(window.end_ns - event_ns) // period_ns) * period_ns
                 moved = True
         return event_ns
-
-    def _note(self, transmission: Transmission, kind: str) -> None:
-        frame, sender = transmission.frame, transmission.sender
-        self.events.append(FaultEvent(transmission.start_ns, kind, frame.can_id, sender))
 
 
 def window_of(fault: BusFault, name: str = "fault") -> Window:

@@ -17,9 +17,8 @@ _LAST_SLEEP_NS = 2_000_000
 class Lateness:
     """How late the simulated instants were, in seconds of the wall clock.
 
-    `instants`: number awaited; `overruns`: number already late when their turn came, because the
-    work before took too long, the worst by `worst_overrun_s`.  The quantiles are
-    over all instants, each rounded up to two significant digits.
+    `instants`: number awaited; `overruns`: number already late when their turn came.  The quantiles
+    are over all instants, rounded up to two significant digits.
     """
 
     factor: float
@@ -28,20 +27,6 @@ class Lateness:
     p99_s: float
     max_s: float
     overruns: int
-    worst_overrun_s: float
-
-    def __str__(self) -> str:
-        text = (
-            f"real time x{self.factor:g}: {self.instants} instants, late by "
-            f"p50 {self.p50_s * 1e3:.3f} ms, p99 {self.p99_s * 1e3:.3f} ms, "
-            f"max {self.max_s * 1e3:.3f} ms"
-        )
-        if self.overruns:
-            text += (
-                f"; {self.overruns} overruns, the worst {self.worst_overrun_s * 1e3:.3f} ms: "
-                "this machine did not keep up"
-            )
-        return text
 
 
 class Histogram:
@@ -96,7 +81,6 @@ class Pacer:
         self._origin_simulated: int | None = None
         self._late = Histogram()
         self._overruns = 0
-        self._worst_overrun = 0
 
     def wait(self, simulated_ns: int, idle: Callable[[float], None]) -> None:
         """Return when the wall clock has reached the instant; `idle(seconds)` passes long waits.
@@ -111,7 +95,6 @@ class Pacer:
         left = due - self._clock()
         if left < 0:
             self._overruns += 1
-            self._worst_overrun = max(self._worst_overrun, -left)
         elif left > _LAST_SLEEP_NS:
             idle(to_seconds(left - _LAST_SLEEP_NS))
         left = due - self._clock()
@@ -128,5 +111,4 @@ class Pacer:
             p99_s=to_seconds(self._late.quantile(0.99)),
             max_s=to_seconds(self._late.maximum),
             overruns=self._overruns,
-            worst_overrun_s=to_seconds(self._worst_overrun),
         )

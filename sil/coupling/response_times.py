@@ -64,19 +64,16 @@ class ResponseTime:
     """Result for one message; C, B and R of the analysis, times in ns.
 
     `response_ns` counts from the start of the period (jitter included) to the end of the
-    intermission; `instances` frames of the message were looked at. `load`: share of the bus, 0..1.
+    intermission.
     """
 
     name: str
     can_id: int
     period_ns: int
-    jitter_ns: int
     transmission_ns: int
     blocking_ns: int
     response_ns: int
     deadline_ns: int
-    load: float
-    instances: int
 
     @property
     def in_time(self) -> bool:
@@ -223,11 +220,8 @@ def _response_time(
         name=message.name,
         can_id=message.can_id,
         period_ns=message.period_ns,
-        jitter_ns=message.jitter_ns,
         transmission_ns=cost,
         blocking_ns=blocking,
         response_ns=response,
         deadline_ns=message.period_ns if message.deadline_ns is None else message.deadline_ns,
-        load=cost / message.period_ns,
-        instances=instances,
     )

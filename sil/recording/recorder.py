@@ -10,8 +10,9 @@ from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -178,17 +179,18 @@ def trace_header(columns: Sequence[str]) -> bytes:
     return json.dumps({"format": _TRACE_FORMAT, "columns": list(columns)}).encode() + b"\n"
 
 
+class _Header(msgspec.Struct):
+    format: Literal["opc4-trace-1"]
+    columns: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
+
+
 def _columns(path: Path, line: bytes) -> tuple[str, ...]:
-    expected = f'expected one line of JSON with "format": "{_TRACE_FORMAT}" and "columns"'
     try:
-        header = json.loads(line)
-        columns = tuple(header["columns"])
-        if header["format"] != _TRACE_FORMAT or not columns or not line.endswith(b"\n"):
-            raise InputError(f"{path}: line 1: another format; {expected}")
-        if not all(isinstance(column, str) for column in columns):
-            raise InputError(f"{path}: line 1: a column without a name; {expected}")
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path}: line 1: not the head of a trace; {expected}") from None
-    return columns
+        if line.endswith(b"\n"):
+            return msgspec.json.decode(line, type=_Header).columns
+    except (msgspec.MsgspecError, RecursionError):
+        pass
+    raise InputError(
+        f"{path}: line 1: not the header of a trace; expected one line of JSON with "
+        f'"format": "{_TRACE_FORMAT}" and "columns"'
+    )

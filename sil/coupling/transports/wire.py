@@ -184,7 +184,7 @@ def announced(sender: int, arrival_ns: int, frame: Frame) -> bytes:
     The checksum in BusTime, the low byte of the CRC-32 of the frame's record, lets a participant
     distinguish the announced frame from one that another program sends at that moment.
     """
-    record = RECORD.pack(frame.can_id | EXTENDED, len(frame.data), frame.data)
+    record = real(frame)
     word = arrival_ns << 16 | (crc32(record) & 0xFF) << 8 | sender
     return _CONTROL.pack(EXTENDED | Kind.BUS_TIME, 8, word) + record
 

@@ -73,8 +73,6 @@ def test_loss_takes_bus_time_and_nothing_else_is_touched() -> None:
     assert [d.queued_ns // PERIOD_NS for d in gone] == list(range(10, 40, 3))
     assert plan.hits == {0: 10} and bus.statistics.lost == 10
     assert statuses(lost).count(E2eStatus.OK_SOME_LOST) == 10
-    assert [event.kind for event in plan.events] == ["loss"] * 10
-    assert all(event.sender == "driver" for event in plan.events)
 
 
 def test_how_often_is_bounded_by_count_and_probability() -> None:
@@ -158,7 +156,6 @@ def test_a_node_that_is_bus_off_neither_sends_nor_receives() -> None:
     }
     assert gone == set(range(200 * MS, end_ns, PERIOD_NS)), "the one in transmission is cut off"
     assert bus.statistics.error_frames == 1 and bus.statistics.dropped_bus_off == 9
-    assert [event.kind for event in plan.events] == ["bus_off"]
     assert plan.bus_off(start_ns) == plan.bus_off(end_ns - 1) == {"driver"}
     assert plan.bus_off(start_ns - 1) == plan.bus_off(end_ns) == frozenset()
 
@@ -238,11 +235,6 @@ def test_every_message_of_the_bus_can_be_hit() -> None:
     named = set(typing.get_args(MessageName))
     on_the_bus = {spec.name for spec in contract().messages if not spec.can_id & 1 << 25}
     assert named == on_the_bus
-
-
-def test_events_do_not_grow_without_end() -> None:
-    _, plan, _ = run([Loss(message="Etc1")], count=10_500)
-    assert plan.hits == {0: 10_500} and len(plan.events) == 10_000
 
 
 def test_every_kind_is_typed_and_documented() -> None:

@@ -71,10 +71,8 @@ def test_work_that_takes_too_long_is_an_overrun_and_is_caught_up() -> None:
             wall.now += 25 * MS
     found = pacer.lateness()
     assert found.overruns == 2  # due 10 and 20 ms after the one that took 25
-    assert found.worst_overrun_s == found.max_s == pytest.approx(0.015)
+    assert found.max_s == pytest.approx(0.015)
     assert found.p50_s == 0.0
-    assert "2 overruns, the worst 15.000 ms" in str(found)
-    assert "did not keep up" in str(found)
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf"), 1e9])

@@ -50,7 +50,6 @@ def test_the_case_that_refuted_the_older_analysis() -> None:
     assert (a.response_ns, b.response_ns, c.response_ns) == (2 * MS, 3 * MS, 3_500 * US)
     assert (a.in_time, b.in_time, c.in_time) == (True, True, False)
     assert (a.blocking_ns, b.blocking_ns, c.blocking_ns) == (MS, MS, 0)
-    assert c.instances == 2
     assert utilisation(messages, 125_000) == Fraction(2, 5) + Fraction(4, 7)
 
 
@@ -71,10 +70,7 @@ def test_a_case_worked_by_hand() -> None:
     assert [r.transmission_ns for r in results] == [600 * US, 1_000 * US, 1_080 * US]
     assert [r.blocking_ns for r in results] == [1_080 * US, 1_080 * US, 0]
     assert [r.response_ns for r in results] == [1_880 * US, 2_680 * US, 2_680 * US]
-    assert [r.instances for r in results] == [1, 1, 1]
-    assert [r.load for r in results] == [0.3, 0.2, pytest.approx(0.108)]
     assert [r.deadline_ns for r in results] == [2 * MS, 5 * MS, 10 * MS]
-    assert [r.jitter_ns for r in results] == [200 * US, 0, 0]
     assert all(r.in_time for r in results)
 
 
@@ -104,7 +100,6 @@ def test_own_jitter_counts_from_the_period() -> None:
     (alone,) = response_times([standard("m", 1, 10 * MS, jitter_ns=3 * MS)], 125_000)
     assert alone.response_ns == 4 * MS
     (crowded,) = response_times([standard("m", 1, 2 * MS, jitter_ns=5 * MS)], 125_000)
-    assert crowded.instances > 1
     assert crowded.response_ns == 6 * MS
 
 
@@ -144,7 +139,6 @@ def test_a_faster_firmware_raises_the_load() -> None:
         ("ValveCommand", "SafetyBlow", "ControllerStatus", "PositionPulse"), 2_500 * US
     )
     results = {r.name: r for r in response_times(contract_messages(fast), 500_000)}
-    assert results["ValveCommand"].load == pytest.approx(0.128)
     assert results["PlantPressures"].response_ns > 3_200 * US
     assert results["PlantPressures"].in_time
     with pytest.raises(InputError, match="expected at most 100 %"):
