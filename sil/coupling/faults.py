@@ -213,7 +213,7 @@ class _Selection:
         self._candidates += 1
         if (self._candidates - 1) % self.fault.every:
             return False
-        return self.fault.probability >= 1.0 or self.random.random() < self.fault.probability
+        return bool(self.fault.probability >= 1.0 or self.random.random() < self.fault.probability)
 
 
 class FaultPlan:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc import codec
+from can_dbc.errors import CodecError
 from can_dbc.frame import Frame
 from can_dbc.messages import ControllerStatus
 from sil.coupling.clock import NS_PER_S
@@ -143,7 +144,7 @@ class RunRecord:
         for entry in self.frames_of(codec.can_id_of(kind)):
             try:
                 message: Any = codec.decode(entry.frame)
-            except codec.CodecError:
+            except CodecError:
                 continue
             yield entry, message
 

@@ -43,7 +43,8 @@ from typing import NamedTuple
 from zlib import crc32
 
 from can_dbc.frame import DP_BIT, EDP_BIT, MAX_ID, MAX_LENGTH, Frame
-from can_dbc.lockstep import NEVER_NS, NOBODY
+from can_dbc.lockstep import NEVER_NS
+from can_dbc.lockstep import NOBODY as NOBODY
 from can_dbc.messages import ParticipantId
 
 if sys.byteorder != "little":
