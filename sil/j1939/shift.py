@@ -14,7 +14,7 @@ _GEAR_NAMES: Final = {0: "N", 126: "P"}
 class Shift:
     """A gear shift in a log.
 
-    from_gear, to_gear: None where nothing tells them; negative is reverse, 0 neutral, 126 park.
+    from_gear, to_gear: None if unknown; negative is reverse, 0 neutral, 126 park.
     from_ratio, to_ratio: input by output shaft speed before and after, None where not known.
     method: "flag" (SPN 574, shift in process) or "gear" (SPN 523, current gear changed).
     chatter: one-sample changes of the flag left out inside.

@@ -17,7 +17,7 @@ RATIO_WINDOW_NS: Final = 500_000_000
 
 RATIO_SETTLE_NS: Final = 100_000_000
 _LEAST_OUTPUT: Final = 160
-"""Output shaft speed (0.125 rpm) below which the ratio of two speeds tells nothing: 20 rpm."""
+"""Output shaft speed (0.125 rpm) below which the ratio of two speeds is not used: 20 rpm."""
 
 _MOST_SAMPLES: Final = 1024
 
@@ -38,7 +38,7 @@ class FlagTracker:
     """Follows the flag of one sender.
 
     A change counts from its first sample, once a second sample or `CHATTER_NS` confirms it.
-    flagged: whether a valid flag was ever seen; chatter: samples taken out as chatter;
+    flagged: whether there was a valid flag; chatter: samples taken out as chatter;
     unfinished: shifts of which the log has no beginning or no end.
     """
 

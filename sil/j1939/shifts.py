@@ -183,13 +183,13 @@ class ShiftFinder:
     def _once(self, found: list[Shift]) -> list[Shift]:
         """One of each shift that a gateway or another unit repeats: a truck shifts one at a time.
 
-        The one kept is of the transmission's own address, and of the channel seen first.
+        The one of the transmission's own address, and of the first channel, is returned.
         """
-        kept: list[Shift] = []
+        found_once: list[Shift] = []
         for shift in sorted(found, key=lambda shift: shift.source != _TRANSMISSION):
             twins = [
                 other
-                for other in kept
+                for other in found_once
                 if (other.source, other.channel) != (shift.source, shift.channel)
                 and abs(other.start_ns - shift.start_ns) < _GATEWAY_NS
                 and abs(other.end_ns - shift.end_ns) < _GATEWAY_NS
@@ -201,8 +201,8 @@ class ShiftFinder:
                 if note not in self.notes:
                     self.notes.append(note)
             else:
-                kept.append(shift)
-        return kept
+                found_once.append(shift)
+        return found_once
 
     def _explain(self) -> None:
         """Say why there are no shifts."""

@@ -48,7 +48,7 @@ _PLAIN: Final = re.compile(
     r"((?: [0-9A-F]{2}){0,8})(?: +Length = [^\n]*)?[ \r]*|([^\n]*))$",
     re.MULTILINE,
 )
-"""A line as nearly all are, taken apart; of any other line, the whole of it."""
+"""A common line by its parts; any other line in one piece."""
 
 _ORIGIN: Final = re.compile(r"//\s*time origin (\d{1,10}\.\d{1,9}) s\s*\Z")
 _FLAG_REMOTE: Final = 0x10
@@ -106,9 +106,9 @@ def parse_event(text: str, decimal: bool) -> AscFrame:
         if pattern.match(text):
             raise NotAFrame(name)
     if _SYMBOLIC.match(text):
-        raise NotAFrame("frame with a symbolic name in place of its identifier")
+        raise NotAFrame("frame with a symbolic name instead of its identifier")
     if _CLASSIC_LOOK.match(text):
-        raise ValueError(f"{text[:40]!r} is no whole frame")
+        raise ValueError(f"{text[:40]!r} is not a whole frame")
     raise NotAFrame("event of another kind")
 
 
@@ -143,7 +143,7 @@ def _classic(match: re.Match[str], decimal: bool) -> AscFrame:
     channel, digits, extended, way, kind, rest = match.groups()
     base = 10 if decimal else 16
     if decimal and not digits.isdecimal():
-        raise ValueError(f"identifier {digits} is not decimal as the header tells")
+        raise ValueError(f"identifier {digits} ; expected a decimal number as the header states")
     direction = _direction(way)
     words = (rest or "").split()
     if direction is None:
@@ -167,7 +167,7 @@ def _classic(match: re.Match[str], decimal: bool) -> AscFrame:
     if not _HEX_WORD.match(code_text) or len(code_text) > 2:
         raise ValueError("no length after d")
     if decimal and not code_text.isdecimal():
-        raise ValueError(f"length {code_text} is not decimal as the header tells")
+        raise ValueError(f"length {code_text} ; expected a decimal number as the header states")
     code = int(code_text, base)
     data = _bytes(words[1:], decimal)
     length, raw_dlc, fd, remark = code, 0, False, ""
@@ -176,7 +176,7 @@ def _classic(match: re.Match[str], decimal: bool) -> AscFrame:
     elif code > 8:
         fd, remark = True, "classic lines with more than 8 bytes were read as CAN FD"
     if len(data) != length or code > 64:
-        raise ValueError(f"{len(data)} bytes of data where {code_text} is told")
+        raise ValueError(f"{len(data)} bytes of data; expected {code_text}")
     frame = LogFrame(
         0,
         can_id,
@@ -215,7 +215,7 @@ def _fd(text: str, decimal: bool) -> AscFrame:
     words = (rest or "").split()
     data = _bytes(words[:length], False)
     if len(data) != length:
-        raise ValueError(f"{len(data)} bytes of data where {length} are told")
+        raise ValueError(f"{len(data)} bytes of data; expected {length}")
     flags_text = words[length + 2] if len(words) > length + 2 else ""
     flags = int(flags_text, 16) if _HEX_WORD.match(flags_text) else None
     remote = length == 0 and (code > 0 or bool(flags and flags & _FLAG_REMOTE))
@@ -226,7 +226,7 @@ def _fd(text: str, decimal: bool) -> AscFrame:
     raw_dlc = code if remote else 0
     if not remote:
         if length != (DLC_LENGTHS[code] if fd else min(code, 8)):
-            raise ValueError(f"length code {code_text} beside {length} bytes")
+            raise ValueError(f"length code {code_text} does not match {length} bytes")
         raw_dlc = code if not fd and code > 8 else 0
     frame = LogFrame(
         0,
@@ -258,7 +258,7 @@ class AscReader(TextReader):
         self._block_ns: int | None = None
 
     def _quick(self, chunk: Chunk) -> Batch | None:
-        """Return the frames if the header lies before, with hex numbers and plain times."""
+        """Return the frames if the header came before and has hex numbers and plain times."""
         odd = chunk.line == 1 or self._deltas or self._decimal
         if odd or self._origin_ns > MAX_TIME_NS // 2 or "base" in chunk.text.lower():
             return None

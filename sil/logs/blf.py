@@ -356,7 +356,7 @@ def _fd_64(body: bytes, time_ns: int, header_size: int) -> LogFrame:
 
 
 class _Feed:
-    """The file as a window that slides on; `pos` is the place in it, `offset` that in the file."""
+    """The file as a sliding window; `pos` is the index in it, `offset` that in the file."""
 
     def __init__(self, source: ByteSource) -> None:
         self._source = source
@@ -365,7 +365,7 @@ class _Feed:
         self.offset = 0
 
     def left(self) -> int:
-        """Bytes of the window from the place on."""
+        """Return the number of bytes of the window from `pos` on."""
         return len(self.window) - self.pos
 
     def fill(self, size: int) -> bool:
@@ -411,17 +411,17 @@ class BlfReader:
     def read(self, source: ByteSource) -> Iterator[Batch]:
         """Frames container by container."""
         feed = _Feed(source)
-        told_size = self._header(feed)
+        stated_size = self._header(feed)
         while True:
             if not feed.fill(OBJECT.size + 8) and feed.only_zeros():
                 break
             yield from self._object(feed)
         if self._tail.strip(b"\x00"):
             self._report.cut(Location("the log ends inside an object", byte=feed.offset))
-        if told_size > feed.offset + feed.left():
+        if stated_size > feed.offset + feed.left():
             self._report.cut(
                 Location(
-                    f"the header tells {told_size} bytes, more than there are", byte=feed.offset
+                    f"the header states {stated_size} bytes, more than there are", byte=feed.offset
                 )
             )
 
@@ -430,7 +430,7 @@ class BlfReader:
         if not feed.fill(FILE_HEADER.size) or feed.window[:4] != b"LOGG":
             raise InputError(f"{path}: byte 0: no BLF header; expected a BLF log")
         fields = FILE_HEADER.unpack_from(feed.window)
-        size, told_size = fields[1], fields[10]
+        size, stated_size = fields[1], fields[10]
         if not FILE_HEADER.size <= size <= 4096:
             self._report.skip(Location(f"a file header of {size} bytes", byte=4))
             size = FILE_HEADER_SIZE
@@ -440,7 +440,7 @@ class BlfReader:
         self._report.time_base = time_base(start_ns)
         feed.fill(size)
         feed.drop(size)
-        return int(told_size)
+        return int(stated_size)
 
     def _object(self, feed: _Feed) -> Iterator[Batch]:
         """Take the object (or the rubbish) at the window's start."""
@@ -476,7 +476,7 @@ class BlfReader:
             yield self._batch(unpacked, offset)
 
     def _to_next_object(self, feed: _Feed) -> None:
-        """Slide on to the next place where an object may begin."""
+        """Go on to where the next object may begin."""
         feed.drop(1)
         while True:
             found = feed.find(b"LOBJ")
@@ -567,7 +567,7 @@ class BlfWriter(LogWriter):
         time_ns = frame.time_ns - start_ns
         if time_ns < 0:
             raise InputError(
-                f"{self.path}: a frame at {format_ns(frame.time_ns)} s lies before the start of "
+                f"{self.path}: a frame at {format_ns(frame.time_ns)} s is before the start of "
                 f"the log at {format_ns(start_ns)} s; expected candump, csv or mf4 for it"
             )
         self._stop_ns = max(self._stop_ns, frame.time_ns)

@@ -27,7 +27,7 @@ _ERROR_FLAG: Final = 0x20000000
 _DROPPED_NAME: Final = "frame dropped by the recorder"
 _LETTER: Final = {"": "", "Rx": " R", "Tx": " T"}
 _DECIDED_BY: Final = 256
-"""Frames that are looked at (if there are so many) to tell differences of time from times."""
+"""Frames from which (if there are so many) times and differences of time are distinguished."""
 
 _BUS_ERROR: Final = 0x80
 """SocketCAN's class of an error seen on the bus (CAN_ERR_BUSERROR)."""
@@ -60,15 +60,14 @@ _LETTERS: Final = {"R": "Rx", "T": "Tx"}
 
 
 class Parsed(NamedTuple):
-    """A line's frame (its time 0 when it has none) and what else the line told.
+    """The frame of a line (at time 0 if the line has no time), and what else the line states.
 
-    length_told: the line itself says how many bytes of data there are.
-    ended: the line's last word is whole, whatever may have followed it.
+    has_length: the line itself states how many bytes of data there are.
     """
 
     frame: LogFrame
     timed: bool
-    length_told: bool
+    has_length: bool
 
 
 def parse_line(text: str) -> Parsed:
@@ -93,17 +92,17 @@ def parse_line(text: str) -> Parsed:
         line = line[timed.end() :]
     compact = _COMPACT.match(line)
     if compact:
-        frame, told = _compact(time_ns, compact)
+        frame, has_length = _compact(time_ns, compact)
     else:
         screen = _SCREEN.match(line)
         if screen:
-            frame, told = _screen(time_ns, screen)
+            frame, has_length = _screen(time_ns, screen)
         else:
-            frame, told = _other(time_ns, line)
+            frame, has_length = _other(time_ns, line)
     problem = frame_problem(frame)
     if problem:
         raise ValueError(problem)
-    return Parsed(frame, timed is not None, told)
+    return Parsed(frame, timed is not None, has_length)
 
 
 def _time(text: str) -> int:
@@ -166,7 +165,7 @@ def _compact(time_ns: int, match: re.Match[str]) -> tuple[LogFrame, bool]:
         raise ValueError(f"data {body[:24]!r} is not pairs of hex digits")
     payload = bytes.fromhex(data[1].replace(".", ""))
     if data[2] and (fd or len(payload) != 8):
-        raise ValueError(f"raw length code _{data[2]} beside {len(payload)} bytes")
+        raise ValueError(f"raw length code _{data[2]} with {len(payload)} bytes; expected 8")
     frame = LogFrame(
         time_ns,
         can_id,
@@ -210,7 +209,7 @@ def _screen(time_ns: int, match: re.Match[str]) -> tuple[LogFrame, bool]:
         raise ValueError(f"data {rest.strip()[:24]!r} is not bytes")
     words = re.split("[ `]", body[1]) if body[1] else []
     if len(words) != length:
-        raise ValueError(f"{len(words)} bytes of data where [{length}] is told")
+        raise ValueError(f"{len(words)} bytes of data; expected [{length}]")
     base = 2 if words and len(words[0]) == 8 else 16
     if any(len(word) != len(words[0]) for word in words):
         raise ValueError("bytes in two notations")
@@ -241,11 +240,11 @@ def _other(time_ns: int, line: str) -> tuple[LogFrame, bool]:
     if truck:
         can_id = int(truck[1], 16)
         if len(truck[7]) != 2 * int(truck[6]):
-            raise ValueError(f"{len(truck[7])} hex digits where [{truck[6]}] bytes are told")
+            raise ValueError(f"{len(truck[7])} hex digits; expected [{truck[6]}] bytes")
         if int(truck[6]) > 8:
             raise NotAFrame("reassembled J1939 message")
         if (can_id >> 26 & 7, can_id & 0xFF) != (int(truck[2], 16), int(truck[4], 16)):
-            raise ValueError("priority and source beside the identifier are other ones")
+            raise ValueError("priority and source do not match the identifier")
         return LogFrame(time_ns, can_id, bytes.fromhex(truck[7])), True
     if _SCREEN_XL.match(line):
         raise NotAFrame("CAN XL frame")
@@ -255,14 +254,14 @@ def _other(time_ns: int, line: str) -> tuple[LogFrame, bool]:
 def surely_whole(parsed: Parsed, earlier: list[LogFrame]) -> bool:
     """Return whether a last line without a line end can be taken for whole.
 
-    A cut can shorten data unseen. It is whole when the line tells its length, has all the bytes
-    there can be, or the frame last seen with the same identifier was as long; and it has a
-    direction if the others have one.
+    A cut can shorten data without a trace. A line is whole if it states its length, has as many
+    bytes as there can be, or the last frame of the same identifier was as long; and if it has a
+    direction where the others have one.
     """
     frame = parsed.frame
     if earlier and earlier[-1].direction and not frame.direction:
         return False
-    if parsed.length_told or (len(frame.data) == 8 and not frame.fd):
+    if parsed.has_length or (len(frame.data) == 8 and not frame.fd):
         return True
     for before in reversed(earlier):
         if before.can_id == frame.can_id and before.extended == frame.extended:
@@ -275,7 +274,7 @@ def surely_whole(parsed: Parsed, earlier: list[LogFrame]) -> bool:
 
 
 class PlainChunks:
-    """Reads such chunks; keeps identifiers that were met before."""
+    """Reads such chunks; remembers the identifiers in them."""
 
     def __init__(self) -> None:
         self._ids: dict[str, int] = {}
@@ -498,7 +497,7 @@ class CandumpWriter(LogWriter):
         self._out.write(text.encode("ascii"))
 
     def _plain(self, frames: list[LogFrame]) -> str:
-        """Lines of classic data frames at whole microseconds."""
+        """Return the lines of classic data frames at whole microseconds."""
         names = {frame[9]: self._name(frame[9]) for frame in frames}
         hexes = "\n".join([frame[2].hex() for frame in frames]).upper().split("\n")
         prefixes = self._prefixes

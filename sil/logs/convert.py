@@ -50,7 +50,7 @@ class ConvertReport:
                 f"({', '.join(self.signals.names)})"
             ]
         found = [f"{self.target}: {self.written} frames ({self.format})"]
-        found += [f"not kept: {name}: {count}" for name, count in sorted(self.losses.items())]
+        found += [f"lost: {name}: {count}" for name, count in sorted(self.losses.items())]
         if self.read is not None:
             found.append(f"{self.source}:")
             found += [f"  {line}" for line in self.read.lines()]
@@ -70,7 +70,7 @@ def convert(
 
     A table of signals (a CSV that begins with time_s) goes to MF4 with units, and an MF4 of such
     signals to CSV. Times that count from a date in the log's header become absolute. The target
-    appears only when it is whole.
+    appears only when it is complete.
     Raises InputError for what cannot be read (with `strict` also for anything broken) or written.
     """
     source, target = os.fspath(src), os.fspath(dst)

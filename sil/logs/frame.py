@@ -32,7 +32,7 @@ class LogFrame(NamedTuple):
 
     time_ns: absolute (since 1970, UTC) or relative, as the log has it.
     data: empty for a remote frame.
-    raw_dlc: the length code where `data` does not tell it: 0..15 of a remote frame, 9..15 of a
+    raw_dlc: the length code if it does not follow from `data`: 0..15 of a remote frame, 9..15 of a
     classic frame of eight bytes; else 0.
     error: an error frame; `can_id` is then the recorder's error class, `data` its details, if any.
     channel: the recorder's name or number of the bus, "" where it has none.
@@ -110,15 +110,15 @@ def frame_problem(frame: LogFrame) -> str | None:
     elif not _CHANNEL.match(frame.channel):
         problem = f"channel name {frame.channel[:70]!r} is not 0 to 64 visible ASCII characters"
     elif frame.raw_dlc and not frame.remote and (frame.fd or length != 8 or frame.raw_dlc < 9):
-        problem = f"raw length code {frame.raw_dlc} beside {length} bytes"
+        problem = f"raw length code {frame.raw_dlc} with {length} bytes"
     return problem
 
 
-def require_possible(frame: LogFrame, place: str) -> None:
+def require_possible(frame: LogFrame, location: str) -> None:
     """Refuse a frame that no CAN bus can carry.
 
-    Raises InputError naming `place` and what is wrong.
+    Raises InputError that names `location` and what is wrong.
     """
     problem = frame_problem(frame)
     if problem is not None:
-        raise InputError(f"{place}: {problem}; expected a CAN frame")
+        raise InputError(f"{location}: {problem}; expected a CAN frame")

@@ -78,7 +78,7 @@ def import_asammdf(path: str) -> Any:
 
 
 def _close_quietly(measurement: Any) -> None:
-    """Close a collected measurement; asammdf's own way fails on one that was never whole."""
+    """Close a collected measurement; asammdf's own way fails on one that could not be opened."""
     with contextlib.suppress(AttributeError):
         measurement.close()
 
@@ -159,7 +159,7 @@ class _Structure:
         return printable(mark[2:].decode("latin-1")), length, links
 
     def _claim(self, address: int, kind: str) -> None:
-        """Note that a block was reached; each one has one place in the tree."""
+        """Note that a block was reached; each one belongs to one other."""
         if address in self._blocks:
             raise _Broken(address, f"the {kind} block is linked twice")
         self._blocks.add(address)
@@ -193,7 +193,7 @@ class _Structure:
             kind, _, _, bit, byte, bits = channel.unpack("<BBBBII")
             outside = byte + (bit + bits + 7) // 8 > record_size
             if outside and kind not in (3, 6):  # virtual channels have no bytes
-                raise _Broken(channel.address, "a channel lies outside of its record")
+                raise _Broken(channel.address, "a channel is outside of its record")
             if channel.link(1) and self._head(channel.link(1))[0] == "CN" and depth < 4:
                 self._channels(channel.link(1), record_size, depth + 1)
             if kind == 1 and channel.link(5) and self._head(channel.link(5))[0] != "CG":
@@ -320,23 +320,21 @@ class Mf4File:
             ) from None
 
     def tables(self, stream: _Stream) -> Iterator[tuple[dict[str, NDArray[Any]], NDArray[Any]]]:
-        """Yield the columns of a group by part of a frame, and the times in s, `_ROWS` rows each."""
-        parts = self.fragments(stream.group, stream.whole) if stream.whole is not None else None
-        for signal in parts or ():
-            names = {part: f"{stream.kind}.{part}" for part in stream.parts}
-            for begin in range(0, len(signal.timestamps), _ROWS):
-                rows = slice(begin, begin + _ROWS)
-                samples = signal.samples[rows]
-                yield {p: samples[name] for p, name in names.items()}, signal.timestamps[rows]
-        if parts:
-            return
-        fragments = [self.fragments(stream.group, index) for index in stream.parts.values()]
-        for signals in zip(*fragments, strict=True):
+        """Yield the columns of a group by part of a frame, and the times; `_ROWS` rows at a time.
+
+        Columns are [n] or [n, bytes], times [n] in s from the start of the file.
+        """
+        indices = list(stream.parts.values()) if stream.whole is None else [stream.whole]
+        for signals in zip(*(self.fragments(stream.group, i) for i in indices), strict=True):
             times_s = signals[0].timestamps
             for begin in range(0, len(times_s), _ROWS):
                 rows = slice(begin, begin + _ROWS)
-                samples = [signal.samples[rows] for signal in signals]
-                yield dict(zip(stream.parts, samples, strict=True)), times_s[rows]
+                if stream.whole is None:
+                    columns = [signal.samples[rows] for signal in signals]
+                else:
+                    samples = signals[0].samples[rows]
+                    columns = [samples[f"{stream.kind}.{part}"] for part in stream.parts]
+                yield dict(zip(stream.parts, columns, strict=True)), times_s[rows]
 
     def fragments(self, group: int, channel: int) -> Iterator[Any]:
         """Yield a channel as asammdf's signals, some thousand samples at a time."""
@@ -419,7 +417,10 @@ class Mf4Reader:
         self._start_ns = 0
 
     def read(self, source: ByteSource) -> Iterator[Batch]:
-        """Yield the frames in batches, those of all groups merged by time."""
+        """Yield the frames in batches, those of all groups merged by time.
+
+        Raises InputError if the file cannot be read or holds decoded signals only.
+        """
         report = self._report
         file = Mf4File(source, report)
         try:
@@ -656,9 +657,7 @@ class SignalTable:
                     f"{self._path}: signal {printable(name[:60])}: a comma, quote or control "
                     "character in its name; expected a name that a CSV can hold"
                 )
-        for rows in self._pieces():
-            del rows
-            break
+        next(self._pieces(), None)  # refuses signals that are no numbers
         self._expected = group.channel_group.cycles_nr
 
     def _pieces(self) -> Iterator[list[NDArray[Any]]]:

@@ -13,11 +13,11 @@ from sil.logs.source import ByteSource
 from sil.logs.times import format_ns
 
 _WATCHED_INSTANT = 64
-"""Frames of one instant that are kept to find duplicates among."""
+"""Frames of one instant among which duplicates are searched."""
 
 
 class LogReader:
-    """Frames of a log, in its order, in bounded memory; `report` tells what was found.
+    """Frames of a log, in its order, in bounded memory; `report` states what was found.
 
     Each iteration reads the file anew and begins a new report; frames are read and counted some
     thousands ahead, and the report is complete when the iteration has ended.
@@ -109,25 +109,19 @@ class _Watch:
         self._instant = instant
 
     def _backwards(self, before_ns: int, after_ns: int, location: int) -> None:
-        report = self._report
-        report.backwards += 1
-        where = (
-            f"{self._location_word} {location}: the clock steps back from {format_ns(before_ns)} s "
-            f"to {format_ns(after_ns)} s"
-        )
-        if report.strict:
-            raise InputError(f"{report.path}: {where}; expected times that do not fall")
-        if len(report.backwards_locations) < MOST_LOCATIONS:
-            report.backwards_locations.append(where)
+        self._report.backwards += 1
+        text = f"the clock steps back from {format_ns(before_ns)} s to {format_ns(after_ns)} s"
+        self._found(self._report.backwards_locations, location, text, "times that do not fall")
 
     def _duplicate(self, frame: LogFrame, location: int) -> None:
-        report = self._report
-        report.duplicates += 1
-        where = (
-            f"{self._location_word} {location}: the frame {frame.can_id:X} at "
-            f"{format_ns(frame.time_ns)} s is there twice"
-        )
-        if report.strict:
-            raise InputError(f"{report.path}: {where}; expected every frame once")
-        if len(report.duplicate_locations) < MOST_LOCATIONS:
-            report.duplicate_locations.append(where)
+        self._report.duplicates += 1
+        text = f"the frame {frame.can_id:X} at {format_ns(frame.time_ns)} s is in the log twice"
+        self._found(self._report.duplicate_locations, location, text, "every frame once")
+
+    def _found(self, locations: list[str], location: int, text: str, expected: str) -> None:
+        """Add a location to a list of the report. Raises InputError if reading is strict."""
+        where = f"{self._location_word} {location}: {text}"
+        if self._report.strict:
+            raise InputError(f"{self._report.path}: {where}; expected {expected}")
+        if len(locations) < MOST_LOCATIONS:
+            locations.append(where)

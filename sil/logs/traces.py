@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, Final
 
 from can_dbc.errors import InputError
@@ -13,7 +13,7 @@ from can_dbc.messages import Fault, ShiftState
 from sil.logs.mf4 import SignalTable, import_asammdf, new_measurement
 from sil.logs.report import LogReport
 from sil.logs.source import ByteSource, lines
-from sil.logs.writer import open_beside
+from sil.logs.writer import replacing
 
 _ROWS: Final = 1 << 14
 _UNITS: Final = (
@@ -56,7 +56,7 @@ _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_.\[\]]*\Z")
 
 @dataclass(frozen=True, slots=True)
 class TraceReport:
-    """A converted table: its rows, and its signals' names and units beside the time."""
+    """A converted table: its rows, and the names and units of its signals without the time."""
 
     rows: int
     names: tuple[str, ...]
@@ -93,7 +93,7 @@ def is_trace_csv(path: str) -> bool:
 def _rows(path: str) -> Iterator[tuple[int, list[float]]]:
     """Rows of a trace with their line numbers, the header's names checked by the caller.
 
-    Raises InputError at a row that is not whole: a trace has no spare rows to skip.
+    Raises InputError at a broken row: no row of a trace can be left out.
     """
     source = ByteSource(path, LogReport(path, "csv", strict=True))
     try:
@@ -120,6 +120,13 @@ def _rows(path: str) -> Iterator[tuple[int, list[float]]]:
         source.close()
 
 
+def _batches(path: str) -> Iterator[list[tuple[int, list[float]]]]:
+    """Yield the rows of a trace, some thousand at a time."""
+    rows = _rows(path)
+    while batch := list(islice(rows, _ROWS)):
+        yield batch
+
+
 def _names(path: str) -> list[str]:
     source = ByteSource(path, LogReport(path, "csv"))
     source.close()
@@ -144,59 +151,34 @@ def trace_to_mf4(source: str, target: str) -> TraceReport:
     signals = tuple(names[1:])
     units = tuple(unit_of(name) for name in signals)
     measurement = new_measurement(target, 0)
-    file, partial = open_beside(target)
     written = 0
+    last_s = float("-inf")
     try:
-        held: list[list[float]] = []
-        last_s = float("-inf")
-
-        def flush() -> None:
-            nonlocal written
-            table = np.array(held, dtype=np.float64).reshape(len(held), len(names))
-            times = np.ascontiguousarray(table[:, 0])
-            columns = [np.ascontiguousarray(table[:, i + 1]) for i in range(len(signals))]
-            if not written:
-                measurement.append(
-                    [
-                        asammdf.Signal(
-                            samples=column,
-                            timestamps=times,
-                            name=name,
-                            unit=unit,
-                            comment=comment_of(name),
-                        )
-                        for name, unit, column in zip(signals, units, columns, strict=True)
-                    ],
-                    acq_name="trace",
-                    common_timebase=True,
-                )
-            else:
+        for rows in _batches(source):
+            table = np.array([values for _, values in rows], dtype=np.float64)
+            for (number, values), before_s in zip(rows, [last_s, *table[:-1, 0]], strict=True):
+                if not values[0] >= before_s:
+                    raise InputError(
+                        f"{source}: line {number}: time {values[0]} s after {before_s} s; expected "
+                        "times that do not fall"
+                    )
+            last_s = table[-1, 0]
+            times, *columns = (np.ascontiguousarray(column) for column in table.T)
+            if written:
                 measurement.extend(0, [(times, None), *((column, None) for column in columns)])
-            written += len(held)
-            held.clear()
-
-        for number, values in _rows(source):
-            if not values[0] >= last_s:
-                raise InputError(
-                    f"{source}: line {number}: time {values[0]} s after {last_s} s; expected "
-                    "times that do not fall"
-                )
-            last_s = values[0]
-            held.append(values)
-            if len(held) >= _ROWS:
-                flush()
-        if held:
-            flush()
+            else:
+                table_signals = [
+                    asammdf.Signal(column, times, name=name, unit=unit, comment=comment_of(name))
+                    for name, unit, column in zip(signals, units, columns, strict=True)
+                ]
+                measurement.append(table_signals, acq_name="trace", common_timebase=True)
+            written += len(rows)
         if not written:
             raise InputError(f"{source}: no rows under the header; expected a trace")
-        measurement.save(file, compression=1, add_history_block=False)
-        file.close()
-        os.replace(partial, target)
+        with replacing(target) as file:
+            measurement.save(file, compression=1, add_history_block=False)
     finally:
         measurement.close()
-        file.close()
-        if os.path.exists(partial):
-            os.unlink(partial)
     return TraceReport(written, signals, units)
 
 
@@ -206,20 +188,13 @@ def mf4_to_trace(source: str, target: str) -> TraceReport:
     Raises InputError for a file of several tables, and for signals that are no plain numbers.
     """
     table = SignalTable(source)
+    count = 0
     try:
-        file, partial = open_beside(target)
-        count = 0
-        try:
+        with replacing(target) as file:
             file.write(",".join(["time_s", *table.names]).encode("utf-8") + b"\n")
             for row in table.rows():
                 file.write((",".join(map(repr, row)) + "\n").encode("ascii"))
                 count += 1
-            file.close()
-            os.replace(partial, target)
-        finally:
-            file.close()
-            if os.path.exists(partial):
-                os.unlink(partial)
     finally:
         table.close()
     return TraceReport(count, table.names, table.units)

@@ -185,7 +185,7 @@ class TrcReader(TextReader):
             words = text.split(maxsplit=len(columns) - 2)
             words.insert(identifier_at, "-")
         if len(words) < len(columns) - 1:
-            raise ValueError(f"{len(words)} columns where {len(columns)} are told")
+            raise ValueError(f"{len(words)} columns; expected {len(columns)}")
         column = dict(zip(columns, [*words, ""], strict=False))
         return self._frame(kind, column)
 
@@ -243,16 +243,16 @@ class TrcReader(TextReader):
 
 
 def _bytes(words: list[str], length: int) -> bytes:
-    """Exactly `length` bytes; after them only place holders may follow.
+    """Return exactly `length` bytes; only `--` may follow.
 
     Raises ValueError for fewer or other words.
     """
-    told = words[:length]
-    if len(told) != length or not all(_HEX_BYTE.match(word) for word in told):
-        raise ValueError(f"no {length} bytes of data as told")
+    found = words[:length]
+    if len(found) != length or not all(_HEX_BYTE.match(word) for word in found):
+        raise ValueError(f"no {length} bytes of data as stated")
     if any(word != "--" for word in words[length:]):
-        raise ValueError(f"more than the {length} bytes of data told")
-    return bytes(int(word, 16) for word in told)
+        raise ValueError(f"more than the {length} bytes of data stated")
+    return bytes(int(word, 16) for word in found)
 
 
 class TrcWriter(RelativeWriter):

@@ -1,4 +1,4 @@
-"""Writing a log: under another name until it is whole."""
+"""Writing a log: under a temporary name until it is complete."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import os
 import shutil
 from abc import ABC, abstractmethod
 from collections import Counter
+from collections.abc import Iterator
 from types import TracebackType
 from typing import BinaryIO, Final, Self
 
@@ -19,21 +20,21 @@ WRITE_BATCH: Final = 2048
 
 
 class LogWriter(ABC):
-    """Writes a log beside its final name and puts it there only when it is whole.
+    """Writes a log under a temporary name; it gets its own name when it is complete.
 
     losses: what the format could not hold, by name, counted; nothing is dropped without it.
-    channel_numbers: for formats that number their channels, which number stands for which name.
+    channel_numbers: for formats that number their channels, the number of each name.
     """
 
     format: str = ""
     batch = WRITE_BATCH
-    """Frames that are handed over at once."""
+    """Frames that are written at once."""
 
     patched = False
     """The beginning of the file is written last, so that packing has to wait for it."""
 
     def __init__(self, path: str) -> None:
-        """Open a temporary file beside `path`.
+        """Open a temporary file in the folder of `path`.
 
         Raises InputError if that is not possible.
         """
@@ -52,21 +53,21 @@ class LogWriter(ABC):
 
     @property
     def frames(self) -> int:
-        """Frames taken so far."""
+        """Number of frames written so far."""
         return self._written + len(self._held)
 
     def write(self, frame: LogFrame) -> None:
         """Append one frame.
 
-        Raises: InputError, now or when the batch it is in is written, for a frame that no bus
-        or this format can carry.
+        Raises InputError, now or when its batch is written, for a frame that no bus or this format
+        can carry.
         """
         self._held.append(frame)
         if len(self._held) >= self.batch:
             self.flush()
 
     def flush(self) -> None:
-        """Hand the frames held back to the file."""
+        """Write the frames that are held back."""
         if self._held:
             held = self._held
             self._check(held)
@@ -75,7 +76,7 @@ class LogWriter(ABC):
             self._written += len(held)
 
     def _check(self, frames: list[LogFrame]) -> None:
-        """Refuse frames that no bus can carry."""
+        """Check that a bus can carry the frames. Raises InputError."""
         self._ordinary = all_ordinary(frames, self._channels_seen)
         if self._ordinary:
             return
@@ -157,8 +158,9 @@ class LogWriter(ABC):
     def channel_number(self, channel: str, lowest: int = 1) -> int:
         """Return the number (`lowest`..255) that stands for a channel name.
 
-        A number stands for itself; can0, vcan0, ... become 1, as can-utils has it; a name whose
-        number is taken gets the next free one. An unnamed channel is 1.
+        A number is its own; can0, vcan0, ... become 1, as can-utils has it; a name whose
+        number is taken has the next free one. An unnamed channel is 1. Raises InputError if there
+        is none left.
         """
         known = self.channel_numbers.get(channel)
         if known is not None:
@@ -199,14 +201,28 @@ def open_beside(path: str) -> tuple[BinaryIO, str]:
         except FileExistsError:
             continue
         except OSError as error:
-            raise InputError(
-                f"{path}: {error.strerror}; expected a place where a file can be written"
-            ) from None
-    raise InputError(f"{path}: a thousand unfinished files beside it; expected room for one more")
+            raise InputError(f"{path}: {error.strerror}; expected a folder to write in") from None
+    raise InputError(f"{path}: its folder has a thousand unfinished copies; expected them deleted")
+
+
+@contextlib.contextmanager
+def replacing(path: str) -> Iterator[BinaryIO]:
+    """Open a new file that gets the name `path` if the block ends without an error.
+
+    Raises InputError if it cannot be made.
+    """
+    file, partial = open_beside(path)
+    try:
+        with file:
+            yield file
+        os.replace(partial, path)
+    finally:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(partial)
 
 
 class RelativeWriter(LogWriter):
-    """Writes lines of text; the first frames tell from which instant times count."""
+    """Writes lines of text whose times count from the first frames of the log."""
 
     def __init__(self, path: str) -> None:
         super().__init__(path)
@@ -236,7 +252,7 @@ class RelativeWriter(LogWriter):
         first_ns = min(frame.time_ns for frame in frames)
         if first_ns < self._origin_ns:
             raise InputError(
-                f"{self.path}: a frame at {format_ns(first_ns)} s lies before the start of "
+                f"{self.path}: a frame at {format_ns(first_ns)} s is before the start of "
                 f"the log at {format_ns(self._origin_ns)} s; expected candump, csv or mf4 for it"
             )
         lines = [self._text(frame, frame.time_ns - self._origin_ns) for frame in frames]

@@ -288,7 +288,7 @@ def test_duplicates_are_kept_and_counted(fmt: Format, tmp_path: Path) -> None:
     reader = open_log(path)
     assert len(list(reader)) == 3
     assert reader.report.duplicates == 1
-    with pytest.raises(InputError, match="there twice"):
+    with pytest.raises(InputError, match="in the log twice"):
         list(open_log(path, strict=True))
 
 

@@ -53,7 +53,7 @@ def test_a_torn_log_of_all_kinds() -> None:
     assert report.other == {
         "status line": 2,
         "request to send": 1,
-        "frame with a symbolic name in place of its identifier": 1,
+        "frame with a symbolic name instead of its identifier": 1,
         "reassembled J1939 message": 1,
     }
     assert [place.line for place in report.skipped_locations] == [15, 20, 21]
@@ -235,7 +235,7 @@ def test_a_frame_before_the_start_is_refused(tmp_path: Path) -> None:
     start_ns = 1_700_000_000_000_000_000
     for suffix in ("asc", "blf", "trc"):
         writer = open_writer(tmp_path / f"log.{suffix}")
-        with pytest.raises(InputError, match=r"lies before the start .*; expected candump"), writer:
+        with pytest.raises(InputError, match=r"is before the start .*; expected candump"), writer:
             for i in range(writer.batch):
                 writer.write(LogFrame(start_ns + i, 1, b"", channel="1"))
             writer.write(LogFrame(start_ns - 10**9, 1, b"", channel="1"))

@@ -34,7 +34,9 @@ def test_everything_wrong_is_counted_and_located() -> None:
     assert text[48:].startswith(b"garbage\n")
     assert text[56:].startswith(b"(10.100000) can0 123#1\n")
     assert report.duplicates == 1
-    assert report.duplicate_locations == ["line 2: the frame 123 at 10.000000 s is there twice"]
+    assert report.duplicate_locations == [
+        "line 2: the frame 123 at 10.000000 s is in the log twice"
+    ]
     assert report.backwards == 1
     assert report.backwards_locations[0].startswith("line 5: the clock steps back from 10.000000 s")
     assert report.truncated
