@@ -68,7 +68,6 @@ def render(template: str, head: Head, groups: Sequence[Group] = (), **values: An
         lstrip_blocks=True,
     )
     environment.filters.update(
-        value_text=value_text,
         quantity=quantity,
         limits=limits,
         number=number,
@@ -91,22 +90,6 @@ def _library() -> dict[str, str]:
         "script": (HERE / "plots.js").read_text(encoding="utf-8"),
         "themes": json.dumps(themes, separators=(",", ":")),
     }
-
-
-def value_text(value: Any) -> str:
-    """Return a value of an expectation as a reader wants it."""
-    if value is None:
-        return "none"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return number(value)
-    if isinstance(value, dict):
-        names = {"min": "at least", "max": "at most"}
-        return ", ".join(f"{names.get(k, k)} {value_text(v)}" for k, v in value.items()) or "any"
-    if isinstance(value, list | tuple):
-        return ", ".join(value_text(v) for v in value) or "none"
-    return str(value)
 
 
 def number(value: float | None) -> str:

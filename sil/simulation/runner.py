@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from can_dbc.errors import InputError, RunError, os_error_text
 from can_dbc.messages import Gear
 from sil.coupling.bus import Delivery
@@ -80,7 +82,7 @@ def run(
     log: BusLog | None = None
     try:
         with contextlib.ExitStack() as closing:
-            write_result(_with(base, why=CUT_OFF), folder)
+            write_result(msgspec.structs.replace(base, why=CUT_OFF), folder)
             write_atomically(
                 folder / SCENARIO, json.dumps({"scenario": expanded(scenario)}, indent=1)
             )
@@ -130,7 +132,9 @@ def run(
         for warning in lockstep.warnings:
             say(warning)
     bus_result = bus_figures(scenario, bus, plan)
-    base = _with(base, warnings=[*contradictions(scenario), *overload(bus_result)])
+    base = msgspec.structs.replace(
+        base, warnings=[*contradictions(scenario), *overload(bus_result)]
+    )
     for warning in base.warnings:
         say(f"warning: {warning}")
     return _judge(loaded, folder, base, why, log, bus_result, summary, begun)
@@ -156,12 +160,6 @@ def _blank(loaded: Loaded, transport: str) -> Result:
         model={path: loaded.parameters[path].value for path in loaded.parameters},
         status="incomplete",
     )
-
-
-def _with(result: Result, **changes: Any) -> Result:
-    import msgspec
-
-    return msgspec.structs.replace(result, **changes)
 
 
 def _discard(folder: Path) -> None:
@@ -220,7 +218,7 @@ def _judge(
             late = summary.lateness
             speed |= {f"late_{q}_s": getattr(late, f"{q}_s") for q in ("p50", "p99", "max")}
             speed["overruns"] = late.overruns
-    result = _with(
+    result = msgspec.structs.replace(
         base,
         passed=passed,
         complete=complete,

@@ -11,7 +11,6 @@ import pytest
 from can_dbc.messages import Gear
 from sil.cli import main
 from sil.report.page import run_page
-from sil.report.shell import value_text
 from sil.simulation import metrics
 from tests.unit.sil import made_run
 from tests.unit.sil.simulation.test_results import made as made_result
@@ -50,13 +49,6 @@ def test_page_is_well_formed_and_needs_no_network() -> None:
     assert "50 ms" in page and "prefers-color-scheme: dark" in page
     assert run_page(
         made_result(complete=False, why="plant died", scenario={"description": ""}), None
-    )
-
-
-def test_values_as_text() -> None:
-    assert value_text({"min": 1, "max": 2.5}) == "at least 1, at most 2.5"
-    assert (
-        value_text([]) == "none" and value_text(True) == "yes" and value_text(["B", "N"]) == "B, N"
     )
 
 
