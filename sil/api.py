@@ -96,6 +96,11 @@ class Sweep:
     texts: dict[str, list[str]]
     summary: dict[str, Any]
 
+    @property
+    def passed(self) -> bool:
+        """Return whether every row ran and met its expectation."""
+        return all(outcome == "passed" for outcome in self.texts["outcome"])
+
     def __repr__(self) -> str:
         rows = max((len(column) for column in self.numbers.values()), default=0)
         return f"Sweep({rows} rows: {', '.join([*self.texts, *self.numbers])})"
