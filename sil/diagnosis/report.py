@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from plant.effects import look_alikes
 from sil.diagnosis.consequence import Change, consequence
 from sil.diagnosis.diagnosis import FALSE_ALARM_BASIS, FALSE_ALARM_LEVEL, Diagnosis
-from sil.diagnosis.evidence import figure
+from sil.diagnosis.evidence import Cause, figure
 from sil.diagnosis.figures import (
     equations_figure,
     phases_figure,
@@ -117,6 +118,7 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
                 "probability": cause.probability,
                 "figures": figures(cause.parameters),
                 "evidence": cause.evidence,
+                "look_alikes": look_alikes_of(cause, result),
             }
             for cause in result.causes
         ],
@@ -197,6 +199,16 @@ def alone_rows(found: tuple[int, Alone, Alone]) -> list[dict[str, str]]:
         }
         for name, value in before.rms().items()
     ]
+
+
+def look_alikes_of(cause: Cause, result: Diagnosis) -> str:
+    """Return the cause's look-alikes that were fitted to the end, and how far each is behind."""
+    found = []
+    for other in look_alikes(cause.id):
+        scores = [i.score for i in result.judged if other in i.ids and cause.id not in i.ids]
+        if scores:
+            found.append(f"{other} {min(scores) - result.verdict.leader.score:,.0f}")
+    return ", ".join(found)
 
 
 def causes_candidates(result: Diagnosis) -> list[Candidate | None]:

@@ -25,9 +25,6 @@ from sil.fitting.internal import InternalSamples, internal_samples
 Floats = NDArray[np.float64]
 NS = 1_000_000_000
 
-DENSE_UNTIL_S = 0.06
-"""Behind the last valve event, the record is read densely for this long."""
-
 
 @dataclass(frozen=True)
 class Channel:
