@@ -39,7 +39,7 @@ def test_a_good_stroke_has_nothing_odd(clean) -> None:
         ("pressure_2_pa", lambda x: x * 1e3, "expected at most the supply"),
         ("pressure_2_pa", lambda x: x - 101325.0, "absolute"),
         ("pressure_1_pa", lambda x: 0.0 * x + 101325.0, "constant"),
-        ("position_m", lambda x: 0.0 * x, "stands still"),
+        ("position_m", lambda x: 0.0 * x, "does not move"),
     ],
 )
 def test_wrong_units_and_dead_channels_are_named(clean, column, change, hint) -> None:
