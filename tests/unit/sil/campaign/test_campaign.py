@@ -53,10 +53,10 @@ def test_an_unknown_flow_model_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../stroke.csv", "a/b.csv", "stroke\\u0000.csv", "stroke\\n.csv"])
-def test_a_file_that_is_no_name_beside_it_is_refused(tmp_path: Path, name: str) -> None:
+def test_a_file_that_is_no_plain_name_is_refused(tmp_path: Path, name: str) -> None:
     folder = tmp_path / "wrong"
     folder.mkdir()
     text = TEXT.replace("stroke_001.csv", name)
     (folder / "campaign.toml").write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match="expected a name beside"):
+    with pytest.raises(InputError, match="expected the name of a file next to"):
         load_campaign(str(folder))
