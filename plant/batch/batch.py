@@ -156,12 +156,12 @@ class Strokes:
 
     @property
     def in_lanes(self) -> Bools:
-        """Which strokes the lanes cover."""
+        """Return which strokes [n] the lanes cover (True or False, no unit)."""
         return covered_by_lanes(self.packed, self.modes)
 
 
 def covered_by_lanes(packed: Floats, modes: Ints) -> Bools:
-    """Which strokes the lanes cover; arrays as those of `Strokes`."""
+    """Return which strokes [n] the lanes cover; arrays and units as those of `Strokes`."""
     used = packed.take(FREE_PLACES, axis=1).any(axis=1) | modes.take(FREE_MODES, axis=1).any(axis=1)
     return np.logical_not(used)
 
@@ -183,7 +183,10 @@ def _initial(setup: Setup) -> Floats:
 
 
 def initials(setups: Sequence[Setup], packed: Floats) -> list[Floats]:
-    """States at time 0; the first one's again for those that begin as it does."""
+    """Return the states [states] at time 0 in SI units, the same array for strokes that begin alike.
+
+    packed: [n, Parameters.size] in SI units.
+    """
     first = setups[0]
     begin = _initial(first)
     places = packed.take(BEGIN, axis=1)
@@ -212,7 +215,7 @@ def _driven(setup: Setup, duration_s: float) -> tuple[Ints, Floats, Floats]:
 
 
 def _padded(switches: Floats, rows: int) -> Floats:
-    """The same switches, filled up to `rows` with rows of infinite time."""
+    """Return the same switches, filled up to `rows` with rows of infinite time."""
     filled = np.zeros((rows, 4))
     filled[:, 0] = np.inf
     filled[: len(switches)] = switches
@@ -220,7 +223,7 @@ def _padded(switches: Floats, rows: int) -> Floats:
 
 
 def shared(arrays: Sequence[NDArray]) -> NDArray:
-    """One row if all are equal, else all rows."""
+    """Return arrays [k] as one [n, k], with one row if all are equal; units are those of the arrays."""
     if all(item is arrays[0] for item in arrays):
         return arrays[0][None].copy()
     whole = np.array(arrays)
@@ -276,6 +279,7 @@ def simulate_batch(
     lanes : False sends every stroke through the scalar kernel, rests included
     follow : the strokes are neighbours of the first one and take its steps: see `plant.batch.tangents`
 
+    Raises ValueError for instants that do not ascend and for unknown columns.
     A stroke that cannot be continued does not stop the others: see `BatchResult.status`.
     Checked by: tests/unit/plant/batch/test_batch.py
     """

@@ -183,8 +183,12 @@ def empty(one, n):
 
 
 @called
-def run_order(batch, found, room, table, order, tolerance, system, n, use, steps, width):
-    """Simulate the strokes `order` of a batch, in lanes; arguments as of `run_lanes`."""
+def run_order(batch, found, room, table, order, tolerance, system, n, pace, width):
+    """Simulate the strokes `order` of a batch, in lanes; arguments as of `run_lanes`.
+
+    pace: OWN_STEPS, WRITE_GRID or FOLLOW_GRID, and how many steps the grid holds.
+    """
+    use, steps = pace
     fixed = system == FIXED
     f = view(room.flat, 0)
     counters = view(room.counters, 0)
@@ -251,14 +255,16 @@ def run_lanes(batch, found, room, table, order, tolerance, system, n, follow, wi
     width : WIDTH; as a variable it keeps the compiler from unrolling the lanes
     """
     if not follow:
-        run_order(batch, found, room, table, order, tolerance, system, n, OWN_STEPS, 1, width)
+        run_order(batch, found, room, table, order, tolerance, system, n, (OWN_STEPS, 1), width)
         return
     longest = room.grid.shape[0]
     run_order(
-        batch, found, room, table, order[:1], tolerance, system, n, WRITE_GRID, longest, width
+        batch, found, room, table, order[:1], tolerance, system, n, (WRITE_GRID, longest), width
     )
     steps = min(int(result_of(view(found.results, order[0] * RESULTS)).steps), longest)
-    run_order(batch, found, room, table, order[1:], tolerance, system, n, FOLLOW_GRID, steps, width)
+    run_order(
+        batch, found, room, table, order[1:], tolerance, system, n, (FOLLOW_GRID, steps), width
+    )
 
 
 def run_in_lanes(
@@ -271,5 +277,5 @@ def run_in_lanes(
     system: int,
     follow: bool,
 ) -> None:
-    """Call `run_lanes` with arrays as stated there."""
+    """Call `run_lanes`; table [TABLE] without unit, order [strokes] numbers of strokes."""
     run_lanes(batch, found, room, table, order, tolerance, system, MOVING[system], follow, WIDTH)

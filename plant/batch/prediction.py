@@ -22,7 +22,7 @@ from plant.integrator.hybrid import NO_GRID, NS, REASONS, IntegrationError
 from plant.integrator.integrate import advance
 from plant.integrator.loop import DONE
 from plant.integrator.workspace import Control, Run
-from plant.kernel.layout import CHAMBERS, FIRST_PRESSURE, FIXED, EventRow, Modes, Parameters
+from plant.kernel.layout import CHAMBERS, FIRST_PRESSURE, FIXED, EventRow, Parameters
 from plant.kernel.packing import (
     FIRST_STEP_S,
     Floats,
@@ -31,21 +31,23 @@ from plant.kernel.packing import (
     fresh_modes,
     initial_state,
     scales,
+    state_record,
 )
 from plant.systems.stroke import gauged, valve_moves
 
 FIT_TOLERANCE = 1e-7
+EVENTS: int = Control.events
 
 
 def _driven_alike(one: Setup, other: Setup) -> bool:
-    """True if modes and valves of two strokes are the same."""
+    """Return True if modes and valves of two strokes are the same."""
     if one.conditions is other.conditions and one.timing is other.timing:
         return one.creep_s == other.creep_s and one.has_line == other.has_line
     return _like(one) == _like(other)
 
 
 def _like(setup: Setup) -> tuple:
-    """What decides modes and valves of a stroke."""
+    """Return what decides modes and valves of a stroke."""
     return setup.conditions, setup.timing, setup.creep_s, setup.has_line
 
 
@@ -61,10 +63,11 @@ class _Ready(NamedTuple):
     modes: Ints
     valves: Floats
     moves: Floats
-    scale: Floats
+    run: Floats
+    control: Ints
 
     @classmethod
-    def of(cls, setup: Setup, end_ns: int) -> _Ready:
+    def of(cls, setup: Setup, end_ns: int, tolerance: float) -> _Ready:
         conditions = setup.conditions
         system, names = conditions.system, conditions.chambers
         m = fresh_modes(system, conditions.loads())
@@ -73,17 +76,25 @@ class _Ready(NamedTuple):
         for index, name in enumerate(names):
             valves[index] = 1.0 if name in conditions.charged_before else 0.0
         moves = [(at / NS, *move) for at, *move in valve_moves(setup, end_ns)]
+        run, control = Run.zeros(), Control.zeros(np.int64)
+        run.u0 = valves
+        run.scale[: state_record(system).size] = scales(system)
+        run.tolerance, run.end, run.wanted = tolerance, end_ns / NS, FIRST_STEP_S
+        control.modes = m.array
+        control.states = active_states(system, m)
+        control.starting = 1
         return cls(
             system,
             conditions.start_offset_m if system == FIXED else conditions.kind[0],
             conditions.charged_before,
             names,
             FIRST_PRESSURE[system],
-            active_states(system, m),
-            m.array[: Modes.size],
+            int(control.states),
+            m.array,
             valves,
             np.array(moves, dtype=np.float64).reshape(-1, 4),
-            scales(system),
+            run.array,
+            control.array,
         )
 
 
@@ -97,7 +108,7 @@ class Predictor:
         self.sample_ns = sample_ns
         self.tolerance = tolerance
         self._sample_s = sample_ns / NS
-        self._run, self._control = Run.zeros(), Control.zeros(np.int64)
+        self._run, self._control = np.zeros(Run.size), np.zeros(Control.size, dtype=np.int64)
         self._events = np.zeros((MOST_EVENTS, EventRow.size))
         self._happened = 0
         self._like: tuple | None = None
@@ -106,13 +117,13 @@ class Predictor:
 
     @property
     def happened(self) -> Floats:
-        """Events of the last call of `states`, rows of `plant.integrator.integrate.EVENT_COLUMNS`."""
+        """Events of the last call of `states` [events, EventRow.size], SI units."""
         return self._events[: self._happened]
 
     def _prepared(self, setup: Setup) -> _Ready:
         like = _like(setup)
         if self._like != like:
-            self._ready = _Ready.of(setup, int(self.sample_ns[-1]))
+            self._ready = _Ready.of(setup, int(self.sample_ns[-1]), self.tolerance)
             self._like = like
         return self._ready
 
@@ -127,21 +138,13 @@ class Predictor:
         for chamber, pressure in setup.residual_pa.items():
             y[ready.first + ready.names.index(chamber)] += pressure
         run, control = self._run, self._control
-        run.array[: len(y)] = y
-        run.u0[:] = ready.valves
-        run.du[:] = 0.0
-        run.scale[: len(ready.scale)] = ready.scale
-        run.tolerance = self.tolerance
-        run.end = self._sample_s[-1]
-        run.wanted = FIRST_STEP_S
-        control.array[:] = 0
-        control.array[: Modes.size] = ready.modes
-        control.states = ready.states
-        control.starting = 1
+        run[:] = ready.run
+        run[: len(y)] = y
+        control[:] = ready.control
         out = np.empty((len(self._sample_s), ready.states))
         code = advance(
-            run.array,
-            control.array,
+            run,
+            control,
             setup.p.array,
             setup.c,
             ready.moves,
@@ -151,7 +154,7 @@ class Predictor:
             filling_curves(setup.c),
             NO_GRID,
         )
-        self._happened = int(control.events)
+        self._happened = int(control[EVENTS])
         if code != DONE:
             raise IntegrationError(f"integration stopped: {REASONS[code]}")
         if not setup.exact_gauges:
@@ -217,7 +220,7 @@ class Predictor:
 
 
 def copied(setup: Setup) -> Setup:
-    """A setup that can be changed without changing the original."""
+    """Return a setup that can be changed without changing the original."""
     twin = copy.copy(setup)
     twin.p = setup.p.copy()
     twin.residual_pa = dict(setup.residual_pa)

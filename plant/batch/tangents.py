@@ -44,7 +44,7 @@ def neighbours(
 ) -> tuple[BatchResult, NDArray[np.bool_]]:
     """Simulate a stroke and others next to it along its own steps; arguments as `simulate_batch`.
 
-    The first stroke is the one; the others differ from it by a share of about `MOVE`.  Returns the
+    sample_s: [s] in s, ascending.  The first stroke is the one; the others differ from it by a share of about `MOVE`.  Returns the
     results, and for each stroke whether it went through the same steps and events as the first: then
     the difference of their samples, divided by the parameter's, is a derivative.  The results of
     those that did not mean nothing, nor does any if the lanes do not cover the first.

@@ -5,10 +5,9 @@ Checked by: tests/physics/test_one_equation.py
 
 from __future__ import annotations
 
-from plant.equations.length_stroke import damper_outlet
 from plant.kernel.compiled import kernel
 from plant.kernel.record_views import parameters
-from plant.parts.damper import steady_difference
+from plant.parts.damper import damper_outlet, steady_difference
 
 
 @kernel

@@ -24,23 +24,21 @@ from plant.equations.length_contacts import (
     put,
 )
 from plant.equations.length_impacts import direction_of, group_acceleration, rebound
-from plant.equations.length_stroke import (
-    conservative_force,
-    damper_difference,
-    exponent_speed,
-    leak_flow,
-    oil_rate,
-    stay_sliding,
-    stay_static,
-    term_value,
-    valve_flow_in,
-    valve_flow_out,
-)
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import FixedState, Over, Slot
+from plant.kernel.layout import COMPRESSIBLE, FixedState, Slot
 from plant.kernel.record_views import quadratures_of
-from plant.parts.chamber import pressure_rate
-from plant.parts.flow import orifice
+from plant.parts.chamber import (
+    all_leaks,
+    chamber,
+    exponents,
+    line_feed,
+    piston_leak,
+    store_chamber,
+)
+from plant.parts.damper import damper_difference, oil_rate
+from plant.parts.friction import seal_drag, stay_sliding, stay_static
+from plant.parts.loads import conservative_force
+from plant.parts.term import term_force
 
 STATES = FixedState.size
 
@@ -53,32 +51,20 @@ def fixed_drive(y, m, p, t):
     if m.damper != 0:
         force -= p.a_oil * damper_difference(y.x, y.v, y.p_oil, m, p)
     if p.term_slot == Slot.FORCE:
-        force += fixed_term(y, p, t)
+        force += term_force(t, y.x, y.v, p)
     return force
-
-
-@inlined
-def fixed_term(y, p, t):
-    """The non-parametric force: of time, position, or (as a resistance) of speed [N]."""
-    kind = p.term_variable
-    if kind == Over.TIME:
-        return term_value(p, t)
-    if kind == Over.POSITION:
-        return term_value(p, y.x)
-    value = term_value(p, abs(y.v))
-    return -value if y.v > 0.0 else (value if y.v < 0.0 else 0.0)
-
-
-@inlined
-def seal(y, p):
-    """Seal friction from the pressure difference across the piston [N]."""
-    return p.seal_mu * abs(y.p_1 - y.p_2) * p.area_p
 
 
 @inlined
 def fixed_volumes(y, p):
     """Volumes of chambers 1 and 2 [m^3]: V10 + A1 x, V20 - A2 x."""
     return p.vol_b + p.area_p * y.x, p.vol_n - p.area_p2 * y.x
+
+
+@inlined
+def fixed_friction(y, d, p):
+    """Return the sliding friction in the direction of motion d, with the seal's [N]."""
+    return stay_sliding(y.x, y.v, d, p) + seal_drag(y.p_1 - y.p_2, p)
 
 
 @called
@@ -88,86 +74,45 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
     d = m.stay
     a = 0.0
     if d != 0:
-        friction = stay_sliding(y.x, v, d, p) + seal(y, p)
-        a = (fixed_drive(y, m, p, t) - d * friction) / p.m_s
+        a = (fixed_drive(y, m, p, t) - d * fixed_friction(y, d, p)) / p.m_s
+    u_1 = u0[0] + du[0] * t
+    u_2 = u0[1] + du[1] * t
+    supply = y.p_line if m.line != 0 else p.p_supply
+    across = piston_leak(y.p_1, y.p_2, p)
+    own_1 = p.term_slot == Slot.FLOW_1
+    own_2 = p.term_slot == Slot.FLOW_2 or p.term_slot == Slot.FLOW_3
+    leak_1 = all_leaks(0.0 - across, t, y.x, y.p_1, u_1, own_1, p)
+    leak_2 = all_leaks(across, t, y.x, y.p_2, u_2, own_2, p)
+    alphas = exponents(abs(v), p)
+    v_1, v_2 = fixed_volumes(y, p)
+    dv_1 = p.area_p * v
+    dv_2 = -p.area_p2 * v
+    one = chamber(y.p_1, u_1, leak_1, v_1, dv_1, supply, alphas, p, c)
+    two = chamber(y.p_2, u_2, leak_2, v_2, dv_2, supply, alphas, p, c)
     dy.x = v
     dy.v = a
-    u1 = u0[0] + du[0] * t
-    u2 = u0[1] + du[1] * t
-    supply = y.p_line if m.line != 0 else p.p_supply
-    in1 = valve_flow_in(y.p_1, supply, p, c) if u1 > 0.0 else 0.0
-    in2 = valve_flow_in(y.p_2, supply, p, c) if u2 > 0.0 else 0.0
-    out1 = valve_flow_out(y.p_1, p, c) if u1 < 1.0 else 0.0
-    out2 = valve_flow_out(y.p_2, p, c) if u2 < 1.0 else 0.0
-    leak1 = 0.0
-    leak2 = 0.0
-    if p.leak_piston != 0.0:
-        across = leak_flow(y.p_1, y.p_2, p.leak_piston, p)
-        leak1 -= across
-        leak2 += across
-    if p.leak_atm != 0.0:
-        leak1 -= u1 * leak_flow(y.p_1, p.p_atm, p.leak_atm, p)
-        leak2 -= u2 * leak_flow(y.p_2, p.p_atm, p.leak_atm, p)
-    if p.term_slot == Slot.LEAK:
-        leak1 -= term_value(p, y.p_1)
-        leak2 -= term_value(p, y.p_2)
-    elif Slot.FLOW_1 <= p.term_slot <= Slot.FLOW_3:
-        kind = p.term_variable
-        first = p.term_slot == Slot.FLOW_1
-        own = y.p_1 if first else y.p_2
-        flow = term_value(p, t if kind == Over.TIME else (y.x if kind == Over.POSITION else own))
-        if first:
-            leak1 += flow
-        else:
-            leak2 += flow
-    r = p.r_air
-    effective = exponent_speed(abs(v), p)
-    am1 = p.alpha_m1 + p.alpha_speed_m1 * effective
-    am2 = p.alpha_m2 + p.alpha_speed_m2 * effective
-    a1 = p.alpha_1 + p.alpha_speed * effective
-    a2 = p.alpha_2 + p.alpha_speed_2 * effective
-    if p.term_slot == Slot.EXPONENT:
-        shift = term_value(p, abs(v))
-        a1 += shift
-        a2 += shift
-    vol1, vol2 = fixed_volumes(y, p)
-    rate1 = p.area_p * v
-    rate2 = -p.area_p2 * v
-    dy.p_1 = pressure_rate(y.p_1, u1, in1, out1, leak1, vol1, rate1, r, am1, a1, am2, a2)
-    dy.p_2 = pressure_rate(y.p_2, u2, in2, out2, leak2, vol2, rate2, r, am1, a1, am2, a2)
-    if m.damper == 2 and m.oil_rest == 0:
+    dy.p_1 = one[0]
+    dy.p_2 = two[0]
+    dy.p_oil = 0.0
+    if m.damper == COMPRESSIBLE and m.oil_rest == 0:
         dy.p_oil = oil_rate(y.x, v, y.p_oil, m, p)
-    else:
-        dy.p_oil = 0.0
+    dy.p_line = 0.0
     if m.line != 0:
-        feed = orifice(p.p_supply, y.p_line, p.line_cda, p.t_gas, p.gamma, r)
-        dy.p_line = r / p.line_volume * (feed - u1 * in1 - u2 * in2)
-    else:
-        dy.p_line = 0.0
+        left = line_feed(y.p_line, p) - u_1 * one[1] - u_2 * two[1]
+        dy.p_line = p.r_air / p.line_volume * left
     if quadratures:
         q = quadratures_of(dy[STATES:])
-        q.gas[0] = r * (am1 * u1 * in1 - am2 * (1.0 - u1) * out1 + leak1)
-        q.gas[1] = r * (am1 * u2 * in2 - am2 * (1.0 - u2) * out2 + leak2)
-        q.gas[2] = 0.0
-        q.heat[0] = (1.0 - (u1 * a1 + (1.0 - u1) * a2)) * y.p_1 * rate1
-        q.heat[1] = (1.0 - (u2 * a1 + (1.0 - u2) * a2)) * y.p_2 * rate2
-        q.heat[2] = 0.0
-        q.work[0] = y.p_1 * rate1
-        q.work[1] = y.p_2 * rate2
-        q.work[2] = 0.0
-        q.mass_in[0] = u1 * in1 / p.t_gas
-        q.mass_in[1] = u2 * in2 / p.t_gas
-        q.mass_in[2] = 0.0
-        q.mass_out[0] = (1.0 - u1) * out1 / p.t_gas
-        q.mass_out[1] = (1.0 - u2) * out2 / p.t_gas
-        q.mass_out[2] = 0.0
-        q.friction = (stay_sliding(y.x, v, d, p) + seal(y, p)) * d * v if d != 0 else 0.0
+        for j in range(3):
+            q.gas[j] = q.heat[j] = q.work[j] = q.mass_in[j] = q.mass_out[j] = 0.0
+        store_chamber(q, 0, one, y.p_1, u_1, dv_1, p)
+        store_chamber(q, 1, two, y.p_2, u_2, dv_2, p)
+        q.friction = fixed_friction(y, d, p) * d * v if d != 0 else 0.0
         q.damper = 0.0
         if m.damper != 0:
             q.damper = v * p.a_oil * damper_difference(y.x, v, y.p_oil, m, p)
         q.external = conservative_force(y.x, p) * v
         if p.term_slot == Slot.FORCE:
-            q.external += fixed_term(y, p, t) * v
+            q.external += term_force(t, y.x, v, p) * v
         q.atmosphere = -p.p_atm * p.area_s * v
 
 
@@ -189,13 +134,13 @@ def fixed_guards(t, y, m, p, g):
         drive = fixed_drive(y, m, p, t)
         hold = FAR
         if y.x < high - TOUCH_M:
-            hold = stay_static(y.x, 1.0, p) + seal(y, p) - drive
+            hold = stay_static(y.x, 1.0, p) + seal_drag(y.p_1 - y.p_2, p) - drive
         if y.x > TOUCH_M:
-            hold = min(hold, stay_static(y.x, -1.0, p) + seal(y, p) + drive)
+            hold = min(hold, stay_static(y.x, -1.0, p) + seal_drag(y.p_1 - y.p_2, p) + drive)
         low = put(g, G_HOLD_STAY, hold + EPS_N, low)
     if m.damper != 0 and d != 0:
         low = damper_corners(y.x, y.v, m, p, g, low)
-    if m.damper == 2:
+    if m.damper == COMPRESSIBLE:
         if m.oil_rest != 0:
             if d != 0:
                 low = put(g, G_OIL_FILL, EPS_M_S - y.v, low)
@@ -232,7 +177,7 @@ def fixed_settle(t, y, m, p):
     if m.damper != 0:
         note_corners(y.x, y.v, m, p)
     drive = fixed_drive(y, m, p, t)
-    drag = seal(y, p)
+    drag = seal_drag(y.p_1 - y.p_2, p)
     high = p.stroke + p.stop_offset
     a = group_acceleration(
         y.v,
@@ -246,7 +191,7 @@ def fixed_settle(t, y, m, p):
         y.x <= TOUCH_M,
     )
     m.stay = direction_of(y.v, a)
-    if m.damper == 2:
+    if m.damper == COMPRESSIBLE:
         m.oil_rest = 0
         if y.p_oil <= p.p_atm + EPS_PA:
             y.p_oil = p.p_atm

@@ -7,16 +7,11 @@ nut 2: piston 2 behind, stay ahead; collar 2: stay behind, piston 2 ahead.
 
 from __future__ import annotations
 
-from plant.equations.length_stroke import (
-    TOUCH_M,
-    accelerations,
-    damper_borders,
-    net_forces,
-    piston_static,
-    stay_static,
-)
+from plant.equations.length_stroke import TOUCH_M, accelerations, net_forces
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import COLLAR, COMPRESSIBLE, FREE, NUT
+from plant.parts.damper import damper_borders
+from plant.parts.friction import piston_static, stay_static
 
 EPS_M = 1e-13
 EPS_M_S = 1e-11
@@ -86,7 +81,7 @@ def sign_ahead(which, contact):
 
 @inlined
 def piston_holds(direction, which, y):
-    """True if a piston cannot move in `direction` (of x_s): it stands on its outer stop."""
+    """Return True if a piston cannot move in `direction` (of x_s): it stands on its outer stop."""
     if which == 1:
         return direction < 0 and y.x_1 <= TOUCH_M
     return direction > 0 and y.x_2 <= TOUCH_M

@@ -10,17 +10,15 @@ from plant.equations.length_contacts import (
     sign_ahead,
     stay_limits,
 )
-from plant.equations.length_stroke import (
-    TOUCH_M,
-    net_forces,
+from plant.equations.length_stroke import TOUCH_M, net_forces, touching
+from plant.kernel.compiled import called, inlined
+from plant.kernel.layout import COLLAR, COMPRESSIBLE, FREE, NUT
+from plant.parts.friction import (
     piston_sliding,
     piston_static,
     stay_sliding,
     stay_static,
-    touching,
 )
-from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import COLLAR, FREE, NUT
 
 # A rebound slower than this is a stop: the end of a Zeno sequence.
 REST_M_S = 1e-4
@@ -33,7 +31,7 @@ SLOW_M_S = 1e-5
 
 @inlined
 def meets(contact, relative, slow):
-    """True if touching bodies change their velocities: they close, or part too slowly to count.
+    """Return True if touching bodies change their velocities: they close, or part too slowly to count.
 
     relative: rate at which their gap grows [m/s]; slow: see `slow_partings`.
     """
@@ -144,8 +142,7 @@ def slow_partings(t, y, m, p):
 
 @called
 def impacts(t, y, m, p, impact):
-    """Resolve all closing contacts and stops at this instant; impact.lost energy lost [J],
-    impact.speed speed of the stay into an end stop, impact.at_block 1 if it was the synchronizer.
+    """Resolve all closing contacts and stops at this instant -> impact.
 
     Leaves the bodies' modes of motion to `settle`.
     """
@@ -278,7 +275,7 @@ def settle_damper(y, m, p):
         m.side = 1
     side = float(m.side)
     note_corners(side * y.x_s, side * y.v_s, m, p)
-    if m.damper == 2:
+    if m.damper == COMPRESSIBLE:
         if before != 0 and m.side != before:
             y.p_oil = p.p_atm
         m.oil_rest = 0

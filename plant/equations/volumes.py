@@ -33,7 +33,7 @@ def volumes_m3(system: int, p: Parameters, y: Floats) -> list[float]:
 def ends_of_travel(
     system: int, p: Parameters, gears: Iterable[str] = ("N", "B", "F")
 ) -> list[Floats]:
-    """States of the fixed piston at both its stops, of the length stroke in the gears."""
+    """Return states [states], SI units: the fixed piston at both stops, the length stroke in the gears."""
     if system == FIXED:
         end = float(p.stroke + p.stop_offset)
         return [initial_state(system, p, position=x, charged=()) for x in (0.0, end)]
@@ -43,7 +43,7 @@ def ends_of_travel(
 def refuse_empty(
     system: int, p: Parameters, states: Iterable[Floats], chambers: Iterable[str] = "12BNF"
 ) -> None:
-    """Raise NoVolumeError if a chamber has no volume left in one of the states."""
+    """Raise NoVolumeError if a chamber has no volume left in one of the states [states], SI units."""
     message = emptied(system, p, states, chambers)
     if message:
         raise NoVolumeError(message)
@@ -56,7 +56,10 @@ def emptied(
     chambers: Iterable[str] = "12BNF",
     share: float = 0.0,
 ) -> str:
-    """Which chamber keeps no more than a share of its parameter's volume, and what it needs; or ""."""
+    """Return which chamber keeps no more than a share of its volume, and what it needs; or "".
+
+    states: arrays [states] in SI units.
+    """
     listed = list(states)
     held = [volumes_m3(system, p, y) for y in listed]
     for k, (chamber, path, place) in enumerate(HELD[system]):

@@ -48,7 +48,7 @@ def choose_modes(t, o):
 
 @called
 def at_rest(m):
-    """True if neither the stay nor a piston moves or is about to."""
+    """Return True if neither the stay nor a piston moves or is about to."""
     return m.stay == 0 and m.piston_1 == 0 and m.piston_2 == 0
 
 
@@ -64,7 +64,7 @@ def smallest(g):
 
 @inlined
 def dips(s0, s1):
-    """True if a quantity with these slopes at both ends may be lower in between: see `lowest_fraction`."""
+    """Return True if a quantity with these slopes at both ends may be lower in between: see `lowest_fraction`."""
     return s0 < 0.0 and s1 > 0.0
 
 
@@ -88,7 +88,7 @@ def lowest_fraction(v0, v1, s0, s1):
 
 @inlined
 def may_hide(y, y1, rate0, rate1, m, p):
-    """True if `hidden_turn` or `hidden_meeting` may find something in a step of the length stroke."""
+    """Return True if `hidden_turn` or `hidden_meeting` may find something in a step of the length stroke."""
     d = m.stay
     found = d != 0 and dips(d * rate0.v_s, d * rate1.v_s)
     if m.joined_1 == FREE:
@@ -106,7 +106,7 @@ def may_hide(y, y1, rate0, rate1, m, p):
 
 @inlined
 def fixed_may_hide(rate0, rate1, m):
-    """True if `hidden_turn` may find something in a step of the fixed piston."""
+    """Return True if `hidden_turn` may find something in a step of the fixed piston."""
     d = m.stay
     return d != 0 and dips(d * rate0.v, d * rate1.v)
 
@@ -247,7 +247,7 @@ def locate(t, h, high, dense, y, o, n_all):
 
 @inlined
 def settled_speed(v):
-    """A velocity after an event: 0 below ZERO_M_S."""
+    """Return a velocity after an event: 0 below ZERO_M_S."""
     return 0.0 if abs(v) < ZERO_M_S else v
 
 

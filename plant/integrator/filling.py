@@ -97,7 +97,7 @@ def chamber_of(w, j):
 
 @inlined
 def curve_for(charging, table):
-    """The charge or the discharge curve of a table."""
+    """Return the charge or the discharge curve of a table."""
     return curve_of(table[0:] if charging else table[CURVE:])
 
 
@@ -252,7 +252,7 @@ def faded(x):
 
 @called
 def curve_place(curve, r):
-    """tau at which the curve passes the ratio r: the inverse of curve_value.
+    """Return tau at which the curve passes the ratio r: the inverse of curve_value.
 
     r must lie between the start of the curve (any lower for charging) and the end of its table.
     """

@@ -68,7 +68,7 @@ LIMIT_EVENTS = 4000
 
 @called
 def rests_are_plain(p, m):
-    """True if chambers at rest follow the flow map alone and all guards are linear in pressures."""
+    """Return True if chambers at rest follow the flow map alone and all guards are linear in pressures."""
     return (
         p.flow_model == 0.0
         and p.leak_piston == 0.0

@@ -87,7 +87,7 @@ def apply_switches(r, k, o, task):
 
 @inlined
 def valves_stand(o):
-    """True if no valve is moving."""
+    """Return True if no valve is moving."""
     return o.du[0] == 0.0 and o.du[1] == 0.0 and o.du[2] == 0.0
 
 
@@ -118,7 +118,7 @@ def choose_step(r, k, task):
 
 @inlined
 def expects_event(task, number):
-    """True if an event may end this step: on a grid, only where its own stroke met one."""
+    """Return True if an event may end this step: on a grid, only where its own stroke met one."""
     return task.use != FOLLOW_GRID or grid_step(task, number).guard >= 0.0
 
 
@@ -157,13 +157,13 @@ def store_event(t, index, impact, y, count, task):
 
 @inlined
 def is_corner(index):
-    """True for the corner of a law: nothing happens there but a new step."""
+    """Return True for the corner of a law: nothing happens there but a new step."""
     return index >= FIRST_CORNER
 
 
 @called
 def sample_rest(r, k, o, y1, until, task):
-    """Samples of a rest from now on, from its curves; y1 holds all that does not move."""
+    """Write the samples of a rest from now on, from its curves; y1 holds all that does not move."""
     t = r.time
     samples = task.samples
     n_columns = task.n_columns
@@ -192,7 +192,7 @@ def sample_rest(r, k, o, y1, until, task):
 
 @called
 def sample_step(r, k, dense, until, theta, task):
-    """Samples of a step, from its interpolant, up to its fraction theta."""
+    """Write the samples of a step, from its interpolant, up to its fraction theta."""
     samples = task.samples
     i = k.next_sample
     while i < task.n_sample and samples[i] <= until:

@@ -90,7 +90,7 @@ def stage_5(h, y, k, out, count):
 
 @inlined
 def stage_6(h, y, k, out, count):
-    """The solution of order 5, which is also the last stage."""
+    """Return the solution of order 5, which is also the last stage."""
     for i in range(count):
         out[i] = y[i] + h * (
             35.0 / 384.0 * k[0, i]
@@ -189,7 +189,7 @@ def interpolate(theta, dense, out, n_all):
 
 @called
 def differentiate(o, r, n, n_all, quadratures):
-    """Derivatives of f = k[6] = f(t, y) by forward differences: by states -> jacobian, by time."""
+    """Compute the derivatives of f = k[6] = f(t, y) by forward differences: by states -> jacobian, by time."""
     t = r.time
     y = o.y
     f = r.k[6]

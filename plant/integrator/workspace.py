@@ -11,7 +11,9 @@ from plant.kernel.records import Record, Value, block
 from plant.kernel.views import named
 
 STAGES = 7
-WIDEST = MAX_STATES + Quadratures.size
+# Rows of vectors and matrices: whole cache lines, which the vector instructions need.
+WIDEST, ROW = 32, 16
+assert WIDEST - Quadratures.size - MAX_STATES >= 0 and ROW - MAX_STATES >= 0
 
 
 class Motion(NamedTuple):
@@ -41,15 +43,6 @@ class Run(Record):
     """One integration by the scalar kernel: state, valves, step control, memory."""
 
     y: Value = block(WIDEST)  # state and quadratures behind it
-    u0: Value = block(3)  # valve positions u0 + du t
-    du: Value = block(3)
-    scale: Value = block(MAX_STATES)  # typical size of each state, for the error control
-    tolerance: Value
-    time: Value
-    end: Value
-    next: Value  # time of the next switch, or of the end
-    wanted: Value  # step that the error control would take; carried over from call to call
-    step: Value
     # memory of a step
     y1: Value = block(WIDEST)
     stage: Value = block(WIDEST)
@@ -58,9 +51,18 @@ class Run(Record):
     time_rate: Value = block(WIDEST)  # derivative of the rates in time
     k: Value = block(STAGES, WIDEST)
     dense: Value = block(5, WIDEST)
-    jacobian: Value = block(WIDEST, MAX_STATES)
-    lu: Value = block(MAX_STATES, MAX_STATES)
-    pivot: Value = block(MAX_STATES)
+    jacobian: Value = block(WIDEST, ROW)
+    lu: Value = block(MAX_STATES, ROW)
+    pivot: Value = block(ROW)
+    scale: Value = block(ROW)  # typical size of each state, for the error control
+    u0: Value = block(3)  # valve positions u0 + du t
+    du: Value = block(3)
+    tolerance: Value
+    time: Value
+    end: Value
+    next: Value  # time of the next switch, or of the end
+    wanted: Value  # step that the error control would take; carried over from call to call
+    step: Value
     scratch: Value = block(Scratch.size)
 
 

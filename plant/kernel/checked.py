@@ -1,4 +1,4 @@
-"""Views in plain Python that check their bounds: for tests and debuggers (NUMBA_DISABLE_JIT=1).
+"""Views in plain Python that check their bounds: for tests and debuggers (OPC4_CHECKED_KERNELS=1).
 
 The same interface as the compiled views of `plant.kernel.views`.
 """
@@ -21,49 +21,51 @@ class CheckedView:
     absent and record: see `plant.kernel.views.View`.
     """
 
-    __slots__ = ("absent", "array", "end", "length", "record", "start", "width")
+    __slots__ = ("_absent", "_array", "_end", "_length", "_record", "_start", "_width")
 
     def __init__(self, array, start, end, width=1, length=0, absent="", record="") -> None:
         for name, value in zip(
-            ("array", "start", "end", "width", "length", "absent", "record"),
+            ("_array", "_start", "_end", "_width", "_length", "_absent", "_record"),
             (array, start, end, width, length, absent, record),
             strict=True,
         ):
             object.__setattr__(self, name, value)
 
     def _at(self, index: int) -> int:
-        position = self.start + index * self.width
-        if index < 0 or not position < self.end:
-            raise IndexError(f"element {index} of a view of {self.record or 'an array'}")
+        position = self._start + index * self._width
+        if index < 0 or not position < self._end:
+            raise IndexError(f"element {index} of a view of {self._record or 'an array'}")
         return position
 
     def _reads_zero(self, index: int) -> bool:
-        return bool(ABSENT[self.absent] >> index & 1)
+        return bool(ABSENT[self._absent] >> index & 1)
 
     def _from(self, index: int, end: int | None = None, length: int = 0) -> CheckedView:
-        start = self.start + index * self.width
-        if index < 0 or start > self.end:
-            raise IndexError(f"view from element {index} of {self.record or 'an array'}")
-        return CheckedView(self.array, start, self.end if end is None else end, self.width, length)
+        start = self._start + index * self._width
+        if index < 0:
+            raise IndexError(f"view from element {index} of {self._record or 'an array'}")
+        return CheckedView(
+            self._array, start, self._end if end is None else end, self._width, length
+        )
 
     def __getitem__(self, i):
         if isinstance(i, slice):
             return self._from(i.start)
         if isinstance(i, tuple):
-            return self.array[self._at(i[0] * self.length + i[1])]
-        if self.length:
-            return self._from(i * self.length)
-        value = self.array[self._at(int(i))]
+            return self._array[self._at(i[0] * self._length + i[1])]
+        if self._length:
+            return self._from(i * self._length)
+        value = self._array[self._at(int(i))]
         return value * 0 if self._reads_zero(int(i)) else value
 
     def __setitem__(self, i, value) -> None:
-        if self.absent != "discarded":
-            k = i[0] * self.length + i[1] if isinstance(i, tuple) else i
-            self.array[self._at(int(k))] = value
+        if self._absent != "discarded":
+            k = i[0] * self._length + i[1] if isinstance(i, tuple) else i
+            self._array[self._at(int(k))] = value
 
     def __getattr__(self, name):
         try:
-            field = RECORDS[self.record].fields[name]
+            field = RECORDS[self._record].fields[name]
         except KeyError:
             raise AttributeError(name) from None
         if field.length:
@@ -72,11 +74,14 @@ class CheckedView:
         return self[field.start]
 
     def __setattr__(self, name: str, value) -> None:
-        self[RECORDS[self.record].fields[name].start] = value
+        self[RECORDS[self._record].fields[name].start] = value
 
 
 def view(array, offset):
-    """Return the view of an array from element `offset` on."""
+    """Return the view of an array from element `offset` on.
+
+    Raises TypeError if it is not C-contiguous.
+    """
     flat = array.reshape(-1)
     if not np.shares_memory(flat, array) and array.size:
         raise TypeError("a view needs a C-contiguous array")
@@ -85,19 +90,19 @@ def view(array, offset):
 
 def rows(v, length):
     """Return the same view, read as rows of `length` elements."""
-    return CheckedView(v.array, v.start, v.end, v.width, length)
+    return CheckedView(v._array, v._start, v._end, v._width, length)
 
 
 def lane(v, block, index, width, absent):
     """Return lane `index` of `width` interleaved copies, from row `block` on."""
-    return CheckedView(v.array, v.start + block * width + index, v.end, width, 0, absent)
+    return CheckedView(v._array, v._start + block * width + index, v._end, width, 0, absent)
 
 
 def copy_row(v, source, target, width) -> None:
     """Copy `width` neighbours from element `source` on to `target` on."""
     v._at(source + width - 1), v._at(target + width - 1)
-    from_, to = v.start + source, v.start + target
-    v.array[to : to + width] = v.array[from_ : from_ + width]
+    from_, to = v._start + source, v._start + target
+    v._array[to : to + width] = v._array[from_ : from_ + width]
 
 
 def named(record: type[Record], absent: str = ""):
@@ -106,6 +111,8 @@ def named(record: type[Record], absent: str = ""):
     def of(v):
         if not isinstance(v, CheckedView):
             v = view(v, 0)
-        return CheckedView(v.array, v.start, v.end, v.width, 0, absent or v.absent, record.__name__)
+        return CheckedView(
+            v._array, v._start, v._end, v._width, 0, absent or v._absent, record.__name__
+        )
 
     return of

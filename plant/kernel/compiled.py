@@ -34,6 +34,9 @@ def kernel_sources(folder: Path | None = None) -> list[Path]:
     return [path for name in KERNEL_FOLDERS for path in sorted((root / name).glob("*.py"))]
 
 
+CHECKED = os.environ.get("OPC4_CHECKED_KERNELS") == "1"
+"""True if the kernels run as plain Python on views that check their bounds: slow, for tests and debuggers."""
+
 if numba.config.DISABLE_JIT:
     raise InputError(
         "NUMBA_DISABLE_JIT is set; expected it unset: the plant's equations run compiled only"
@@ -89,6 +92,8 @@ event.register("numba:compile", _Announcement())
 
 def kernel(function: F) -> F:
     """Compile `function` with numba (no Python objects, IEEE arithmetic, cached on disk)."""
+    if CHECKED:
+        return function
     previous = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = _FOLDER
     try:
@@ -100,12 +105,16 @@ def kernel(function: F) -> F:
 
 def inlined(function: F) -> F:
     """Compile `function` as part of the kernels that call it; always inlined by LLVM."""
+    if CHECKED:
+        return function
     compiled: F = numba.njit(error_model="numpy", forceinline=True)(function)
     return compiled
 
 
 def called(function: F) -> F:
     """Compile `function` as part of the kernels that call it, as a function of its own."""
+    if CHECKED:
+        return function
     compiled: F = numba.njit(error_model="numpy")(function)
     return compiled
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +54,7 @@ class Load:
 
 
 def flow_coefficients(parameters: ParameterSet) -> Floats:
-    """Coefficients of both flow maps in the kernels' order, with the end slopes derived."""
+    """Return both flow maps as a `FlowMap` array [FlowMap.size], their slopes at equal pressures derived [-]."""
     c = FlowMap.zeros()
     c.y_min = parameters.value("flow_charge.y_min")
     c.y_split = parameters.value("flow_charge.y_split")
@@ -157,7 +156,7 @@ def pack(
 
 
 def scales(system: int) -> Floats:
-    """Typical size of each state, for the error control."""
+    """Return the typical size of each state [states], in its SI unit, for the error control."""
     return np.array(FIXED_SCALE if system == FIXED else LENGTH_SCALE)
 
 
@@ -194,23 +193,20 @@ def initial_state(
 
     Chambers named in `charged` are at the supply pressure, the others at the atmosphere's.
     """
-    array = np.zeros(state_record(system).size + quadratures)
-    y: Any = state_record(system)(array)
+    state = state_record(system)
+    y = np.zeros(state.size + quadratures)
+    atmosphere, supply = p.p_atm, p.p_supply
     if system == FIXED:
-        y.x = float(position)
+        y[FixedState.x] = float(position)
     elif position in ("B", "F"):
         stroke = min(p.stroke + p.stop_offset, p.x_free)
-        y.x_s = stroke if position == "B" else -stroke
-        if position == "B":
-            y.x_1 = stroke + p.x_free
-        else:
-            y.x_2 = stroke + p.x_free
-    first = FIRST_PRESSURE[system]
-    for index, name in enumerate(CHAMBER_NAMES[system], first):
-        array[index] = p.p_supply if name in charged else p.p_atm
-    y.p_oil = p.p_atm
-    y.p_line = p.p_supply
-    return array
+        y[LengthState.x_s] = stroke if position == "B" else -stroke
+        y[LengthState.x_1 if position == "B" else LengthState.x_2] = stroke + p.x_free
+    for index, name in enumerate(CHAMBER_NAMES[system], FIRST_PRESSURE[system]):
+        y[index] = supply if name in charged else atmosphere
+    y[state.p_oil] = atmosphere
+    y[state.p_line] = supply
+    return y
 
 
 def state_record(system: int) -> type[FixedState | LengthState]:

@@ -54,11 +54,13 @@ class Access:
     def __get__(self, record: Record | None, owner: type) -> Value:
         if record is None:
             return self.index
-        found = record.array.T[self.index]
+        array = record.array
+        found = (array if array.ndim == 1 else array.T)[self.index]
         return found.reshape(-1, self.field.row) if self.field.row else found
 
     def __set__(self, record: Record, value: Value) -> None:
-        record.array.T[self.index] = value
+        array = record.array
+        (array if array.ndim == 1 else array.T)[self.index] = value
 
 
 RECORDS: dict[str, type[Record]] = {}

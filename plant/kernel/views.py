@@ -5,7 +5,7 @@ pointer, and the kernels run in half the time.  `v[i]` is element i, `v[a:]` the
 on; a view with rows takes `v[i, j]`, and `v[i]` is row i.  A view of a record (`plant.kernel.records`)
 has its fields as attributes: `p.leak_atm`.  A lane view is one of `width` interleaved copies
 (structure of arrays), so that the same equations run on many strokes at the same time.  Compiled
-views check no bounds; with NUMBA_DISABLE_JIT=1 the kernels run as plain Python on
+views check no bounds; with OPC4_CHECKED_KERNELS=1 the kernels run as plain Python on
 `plant.kernel.checked`, which does.
 
 Checked by: tests/unit/plant/kernel/test_views.py
@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import operator
 
-import numba
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.core.errors import TypingError
@@ -33,6 +32,7 @@ from numba.extending import (
 )
 
 from plant.kernel import checked
+from plant.kernel.compiled import CHECKED
 from plant.kernel.records import RECORDS, Record
 
 # Name of a set of elements -> bit mask of those known to be 0 (see `lane`).
@@ -272,7 +272,7 @@ def _enumerated(context, builder, member, number, value):
     return context.cast(builder, value, member.dtype, number)
 
 
-if numba.config.DISABLE_JIT:
+if CHECKED:
     from plant.kernel.checked import copy_row, lane, named, rows, view
 else:
     view, rows, lane, copy_row, named = _view, _rows, _lane, _copy_row, _named

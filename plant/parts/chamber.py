@@ -1,18 +1,117 @@
-"""Pressure of a chamber with one 3/2 valve (thesis 3.11, 3.23)."""
+"""A chamber with one 3/2 valve: flows, leaks, process exponents and pressure (thesis 3.11, 3.23).
+
+Every chamber of both actuators, moving or at rest, computed in steps or in closed form.
+"""
 
 from __future__ import annotations
 
+from math import exp
+
 from plant.kernel.compiled import inlined
+from plant.kernel.layout import Slot
+from plant.parts.flow import charge, discharge, orifice
+from plant.parts.term import term_flow, term_value
 
 
 @inlined
-def pressure_rate(p, u, flow_in, flow_out, leak, volume, volume_rate, r_air, am1, a1, am2, a2):
-    """dP/dt = (R (am1 u f_in - am2 (1-u) f_out + leak) - alpha P dV/dt) / V   [Pa/s].
+def valve_flow_in(pressure, supply, p, c):
+    """Return the charge flow at u = 1 by the selected flow model, with the factor of this unit [K kg/s]."""
+    factor = p.k_in
+    if p.term_slot == Slot.CHARGE:
+        factor *= max(0.0, 1.0 + term_value(p, pressure / supply))
+    if p.flow_model == 0.0:
+        return factor * charge(pressure, supply, c)
+    return factor * orifice(supply, pressure, p.cda_in, p.t_gas, p.gamma, p.r_air)
 
+
+@inlined
+def valve_flow_out(pressure, p, c):
+    """Return the discharge flow at u = 0 by the selected flow model [K kg/s]."""
+    factor = p.k_out
+    if p.term_slot == Slot.DISCHARGE:
+        factor *= max(0.0, 1.0 + term_value(p, pressure / p.p_atm))
+    if p.flow_model == 0.0:
+        return factor * discharge(pressure, p.p_atm, c)
+    return factor * orifice(pressure, p.p_atm, p.cda_out, p.t_gas, p.gamma, p.r_air)
+
+
+@inlined
+def piston_leak(pressure, other, p):
+    """Return the flow past a piston from a chamber to its neighbour [K kg/s]."""
+    if p.leak_piston == 0.0:
+        return 0.0
+    return orifice(pressure, other, p.leak_piston, p.t_gas, p.gamma, p.r_air)
+
+
+@inlined
+def all_leaks(leak, t, x, pressure, u, own, p):
+    """Return the flow into a chamber that passes no valve [K kg/s].
+
+    leak: that past the pistons; own: True if a non-parametric flow enters this chamber.
+    """
+    if p.leak_atm != 0.0:
+        leak -= u * orifice(pressure, p.p_atm, p.leak_atm, p.t_gas, p.gamma, p.r_air)
+    if p.term_slot == Slot.LEAK:
+        leak -= term_value(p, pressure)
+    elif own:
+        leak += term_flow(t, x, pressure, p)
+    return leak
+
+
+@inlined
+def exponents(speed, p):
+    """Return the process exponents alpha_m1, alpha_1, alpha_m2, alpha_2 at a speed of the piston.
+
+    They follow |v|, or v0 (1 - exp(-|v| / v0)).
+    """
+    v0 = p.alpha_v0
+    effective = speed if v0 == 0.0 else v0 * (1.0 - exp(-speed / v0))
+    am1 = p.alpha_m1 + p.alpha_speed_m1 * effective
+    a1 = p.alpha_1 + p.alpha_speed * effective
+    am2 = p.alpha_m2 + p.alpha_speed_m2 * effective
+    a2 = p.alpha_2 + p.alpha_speed_2 * effective
+    if p.term_slot == Slot.EXPONENT:
+        shift = term_value(p, speed)
+        a1 += shift
+        a2 += shift
+    return am1, a1, am2, a2
+
+
+@inlined
+def pressure_rate(pressure, gas, alpha, volume, volume_rate):
+    """Return dP/dt = (gas - alpha P dV/dt) / V   [Pa/s]; gas: R times the sum of flows [W]."""
+    return (gas - alpha * pressure * volume_rate) / volume
+
+
+@inlined
+def chamber(pressure, u, leak, volume, volume_rate, supply, alphas, p, c):
+    """Return dP/dt = (R (am1 u f_in - am2 (1-u) f_out + leak) - alpha P dV/dt) / V   [Pa/s].
+
+    Also f_in and f_out [K kg/s], R times the sum of flows [W], and alpha = u a1 + (1-u) a2.
     `u` is the actual valve position, 1 = supply, 0 = atmosphere; the exponents follow it.
-    `leak` is a flow T m_dot into the chamber that passes no valve.
     Source: thesis 3.23, 3.57-3.60.  Checked by: tests/physics/test_chamber.py
     """
-    gas = am1 * u * flow_in - am2 * (1.0 - u) * flow_out + leak
+    am1, a1, am2, a2 = alphas
+    flow_in = valve_flow_in(pressure, supply, p, c) if u > 0.0 else 0.0
+    flow_out = valve_flow_out(pressure, p, c) if u < 1.0 else 0.0
+    gas = p.r_air * (am1 * u * flow_in - am2 * (1.0 - u) * flow_out + leak)
     alpha = u * a1 + (1.0 - u) * a2
-    return (r_air * gas - alpha * p * volume_rate) / volume
+    rate = pressure_rate(pressure, gas, alpha, volume, volume_rate)
+    return rate, flow_in, flow_out, gas, alpha
+
+
+@inlined
+def store_chamber(q, j, found, pressure, u, volume_rate, p):
+    """Store the rates of chamber j's quadratures, from what `chamber` found."""
+    _, flow_in, flow_out, gas, alpha = found
+    q.gas[j] = gas
+    q.heat[j] = (1.0 - alpha) * pressure * volume_rate
+    q.work[j] = pressure * volume_rate
+    q.mass_in[j] = u * flow_in / p.t_gas
+    q.mass_out[j] = (1.0 - u) * flow_out / p.t_gas
+
+
+@inlined
+def line_feed(pressure, p):
+    """Return the flow into the supply line through its restriction [K kg/s]."""
+    return orifice(p.p_supply, pressure, p.line_cda, p.t_gas, p.gamma, p.r_air)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from math import acos, sqrt
 
 from plant.kernel.compiled import inlined
+from plant.kernel.layout import INCOMPRESSIBLE
 
 # Below this pressure difference the orifice is laminar; the root's infinite slope ends there.
 LAMINAR_PA = 10.0
@@ -33,8 +34,11 @@ def large_area(x_m, area_cap, r_hole, x_hole):
 
 @inlined
 def borders(x_m, speed_m_s, area_cap, r_hole, x_hole, floor, slope):
-    """Where the damper's law has corners: zero where the holes' area leaves its cap [m^2], where they
-    are covered [m], and where C_D reaches its floor [-]; positive before."""
+    """Return where the damper's law has corners; each is positive before its corner.
+
+    Zero where the holes' area leaves its cap [m^2], where they are covered [m], and where C_D reaches
+    its floor [-].
+    """
     c = min(max(x_m - x_hole, 0.0), 2.0 * r_hole) - r_hole
     large = large_area(x_m, area_cap, r_hole, x_hole)
     return (
@@ -73,3 +77,47 @@ def outflow(difference_pa, area, c_d, rho):
 def bulk_modulus(pressure_pa, kappa, air_fraction, atmosphere_pa):
     """Effective bulk modulus 1/(1/kappa + air P_atm / P^2) [Pa]: oil with free air."""
     return 1.0 / (1.0 / kappa + air_fraction * atmosphere_pa / (pressure_pa * pressure_pa))
+
+
+@inlined
+def damper_outlet(distance, speed, p):
+    """Outlet area times discharge coefficient of the oil damper [m^2] at a distance and speed."""
+    large = large_area(distance, p.a_large, p.r_hole, p.x_hole)
+    c_d = discharge_coefficient(large, p.a_large, speed, p.cd_floor, p.cd_slope)
+    return (p.a_small + large) * c_d
+
+
+@inlined
+def mode_outlet(distance, speed, m, p):
+    """Return the same on the sides of the law's corners where the modes stand, goes on smoothly beyond them."""
+    r = p.r_hole
+    c = min(max(distance - p.x_hole, 0.0), 2.0 * r) - r
+    large = p.a_large
+    if m.capped == 0:
+        large = holes_area(c, r) if m.opened != 0 else 0.0
+    c_d = large / p.a_large + p.cd_slope * speed if m.lifted != 0 else p.cd_floor
+    return (p.a_small + large) * c_d
+
+
+@inlined
+def damper_difference(distance, speed, oil_pa, m, p):
+    """Pressure difference of the oil damper [Pa] by the model in force."""
+    if m.damper == INCOMPRESSIBLE:
+        outlet = mode_outlet(distance, speed, m, p)
+        return steady_difference(speed, p.a_oil, outlet, 1.0, p.rho_oil)
+    return oil_pa - p.p_atm
+
+
+@inlined
+def damper_borders(distance, speed, p):
+    """`plant.parts.damper.borders` of this stroke's damper."""
+    return borders(distance, speed, p.a_large, p.r_hole, p.x_hole, p.cd_floor, p.cd_slope)
+
+
+@inlined
+def oil_rate(distance, speed, oil_pa, m, p):
+    """dP_oil2/dt of the compressible damper [Pa/s] (3.31)."""
+    kappa = bulk_modulus(oil_pa, p.kappa, p.air_fraction, p.p_atm)
+    outlet = mode_outlet(distance, speed, m, p)
+    out = outflow(oil_pa - p.p_atm, outlet, 1.0, p.rho_oil)
+    return kappa / (p.v_oil - p.a_oil * distance) * (p.a_oil * speed - out)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from math import exp
 
 from plant.kernel.compiled import inlined
+from plant.kernel.layout import Slot
+from plant.parts.synchronizer import barrier
+from plant.parts.term import term_drag
 
 
 @inlined
@@ -24,5 +27,68 @@ def sliding(speed_m_s, static_n, run_n, beta, stribeck_m_s):
 
 @inlined
 def breakaway(static_n, run_n):
-    """Static friction in effect: never below the kinetic friction at 0+ [N] (erratum 3.24)."""
+    """Return the static friction in effect: never below the kinetic friction at 0+ [N] (erratum 3.24)."""
     return max(static_n, run_n)
+
+
+@inlined
+def direction_factor(direction, p):
+    """Return the friction's asymmetry: 1 + a towards +, 1 - a towards -."""
+    return 1.0 + p.asymmetry * direction
+
+
+@inlined
+def extra_drag(x, direction, p):
+    """Return the resistance of the stay that depends on position [N].
+
+    Gearbox barrier, bump, linkage, damper mount.
+    """
+    extra = p.f_linkage + p.damper_drag
+    if p.mesh_force != 0.0 or p.pull_force != 0.0:
+        extra += barrier(
+            x, direction, p.stroke, p.mesh_force, p.x_mesh, p.w_mesh, p.pull_force, p.w_pull
+        )
+    if p.bump_force != 0.0:
+        d = (x - p.bump_x) / p.bump_width
+        extra += p.bump_force * exp(-0.5 * d * d)
+    return extra
+
+
+@inlined
+def stay_sliding(x, v, direction, p):
+    """Return the sliding friction of the stay in its direction of motion [N], >= 0."""
+    level = sliding(direction * v, p.f_static_s, p.f_run_s, p.beta_s, p.stribeck_v)
+    level = level * direction_factor(direction, p) + extra_drag(x, direction, p)
+    if p.term_slot == Slot.RESISTANCE:
+        level = max(0.0, level + term_drag(x, abs(v), p))
+    return level
+
+
+@inlined
+def stay_static(x, direction, p):
+    """Return the breakaway friction of the stay towards a direction [N]."""
+    level = breakaway(p.f_static_s, p.f_run_s) * direction_factor(direction, p)
+    level += extra_drag(x, direction, p)
+    if p.term_slot == Slot.RESISTANCE:
+        level = max(0.0, level + term_drag(x, 0.0, p))
+    return level
+
+
+@inlined
+def seal_drag(difference_pa, p):
+    """Return the friction of a piston seal grown by the pressure difference across it [N]."""
+    return p.seal_mu * abs(difference_pa) * p.area_p
+
+
+@inlined
+def piston_sliding(v, direction, difference_pa, p):
+    """Return the sliding friction of one piston [N]; v and direction are those of x_s."""
+    level = sliding(direction * v, p.f_static_p, p.f_run_p, p.beta_p, p.stribeck_v)
+    return level * direction_factor(direction, p) + seal_drag(difference_pa, p)
+
+
+@inlined
+def piston_static(direction, difference_pa, p):
+    """Return the breakaway friction of one piston [N]."""
+    level = breakaway(p.f_static_p, p.f_run_p) * direction_factor(direction, p)
+    return level + seal_drag(difference_pa, p)

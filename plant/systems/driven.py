@@ -10,11 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from plant.effects.setup import Setup
-from plant.equations.length_stroke import valve_flow_in, valve_flow_out
 from plant.kernel.compiled import kernel
 from plant.kernel.packing import Floats
 from plant.kernel.record_views import flow_map, parameters
-from plant.parts.chamber import pressure_rate
+from plant.parts.chamber import chamber
 from plant.systems.stroke import valve_moves
 
 SUBSTEPS = 4
@@ -29,6 +28,7 @@ def chamber_along(time, volume, start, moves, p, c, out):
     """
     p = parameters(p)
     c = flow_map(c)
+    alphas = (p.alpha_m1, p.alpha_1, p.alpha_m2, p.alpha_2)
     pressure = start
     out[0] = pressure
     u = moves[0, 1]
@@ -56,22 +56,10 @@ def chamber_along(time, volume, start, moves, p, c, out):
                     at = t + part * h
                     value = pressure + part * h * slope_before
                     position = u + slope * (at - since)
-                    flow_in = valve_flow_in(value, p.p_supply, p, c)
-                    flow_out = valve_flow_out(value, p, c)
-                    slope_before = pressure_rate(
-                        value,
-                        position,
-                        flow_in,
-                        flow_out,
-                        0.0,
-                        volume[i - 1] + rate * (at - time[i - 1]),
-                        rate,
-                        p.r_air,
-                        p.alpha_m1,
-                        p.alpha_1,
-                        p.alpha_m2,
-                        p.alpha_2,
-                    )
+                    at_volume = volume[i - 1] + rate * (at - time[i - 1])
+                    slope_before = chamber(
+                        value, position, 0.0, at_volume, rate, p.p_supply, alphas, p, c
+                    )[0]
                     total += slope_before if part == 0.0 or part == 1.0 else 2.0 * slope_before
                 pressure += h * total / 6.0
                 t += h
@@ -94,10 +82,10 @@ def pressures_along(setup: Setup, time_s: Floats, position_m: Floats) -> Floats:
         p.vol_b + p.area_p * position_m,
         p.vol_n - p.area_p2 * position_m,
     )
-    for chamber, volume in enumerate(volumes):
-        charged = conditions.chambers[chamber] in conditions.charged_before
+    for index, volume in enumerate(volumes):
+        charged = conditions.chambers[index] in conditions.charged_before
         rows = [(0.0, 1.0 if charged else 0.0, 0.0)]
-        rows += [(t * 1e-9, u, slope) for t, which, u, slope in moves if which == chamber]
+        rows += [(t * 1e-9, u, slope) for t, which, u, slope in moves if which == index]
         begin = p.p_supply if charged else p.p_atm
         column = np.zeros(len(time_s))
         chamber_along(
@@ -109,5 +97,5 @@ def pressures_along(setup: Setup, time_s: Floats, position_m: Floats) -> Floats:
             setup.c,
             column,
         )
-        out[:, chamber] = column
+        out[:, index] = column
     return out

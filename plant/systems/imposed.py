@@ -53,7 +53,7 @@ def pressures_along(setup: Setup, time_s: Floats, position_m: Floats) -> Floats:
 def motion_along(setup: Setup, time_s: Floats, pressures_pa: Floats) -> Floats:
     """Position of the stay [n] driven by measured pressures [n, chambers], from rest at time 0 [m].
 
-    Between two samples the chambers stand at the mean of both.
+    Raises ValueError if the shapes differ.  Between two samples the chambers stand at the mean of both.
     """
     if pressures_pa.shape != (len(time_s), len(setup.conditions.chambers)):
         raise ValueError(f"pressures: shape {pressures_pa.shape}; expected samples x chambers")
@@ -101,13 +101,13 @@ class ImposedSystem(StrokeSystem):
         self._p.vol_b = self._p.vol_n = self._p.vol_f = VAST_M3
 
     def impose_pressures(self, pressures_pa: Floats) -> None:
-        """Give the chambers their pressures, in their order."""
+        """Give the chambers their pressures [chambers], in their order [Pa]."""
         first = FIRST_PRESSURE[self._system]
         self._y[first : first + len(self.chambers)] = pressures_pa
 
     @property
     def pressures_pa(self) -> Floats:
-        """Pressures of the chambers, in their order."""
+        """Pressures of the chambers [chambers], in their order [Pa]."""
         return np.array(self._pressures())
 
 

@@ -144,5 +144,5 @@ class LengthStroke(HybridSystem):
         self._p.p_supply = supply_pa
 
     def row(self) -> np.ndarray:
-        """Present state, in the order of `columns`."""
+        """Return the present state [states] in SI units, in the order of `columns`."""
         return self._y[: self._n].copy()

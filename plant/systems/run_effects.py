@@ -26,9 +26,9 @@ REFUSED = {
 def applied(
     parameters: ParameterSet, p: Parameters, c: Floats, supply_pa: float, damped: bool
 ) -> Setup:
-    """The packed parameters `p` of a run changed by the set's effects, as part of a setup.
+    """Return the packed parameters `p` of a run changed by the set's effects, as part of a setup.
 
-    Raises InputError for unknown effects, bad values, and effects that a run has no place for.
+    c: flow map [FlowMap.size], no unit.  Raises InputError for unknown effects, bad values, and effects that a run has no place for.
     """
     check_effects(parameters.effects, parameters.name)
     given = {

@@ -12,7 +12,7 @@ from plant.parameters import ParameterSet
 
 
 def make_setup(parameters: ParameterSet, conditions: StrokeConditions) -> Setup:
-    """The setup of a stroke, with the effects of an extended model applied."""
+    """Return the setup of a stroke, with the effects of an extended model applied."""
     timing = ValveTiming.from_parameters(parameters)
     setup = Setup(
         conditions=conditions,

@@ -113,7 +113,7 @@ class StrokeSystem(HybridSystem):
 
 
 def valve_moves(setup: Setup, until_ns: int) -> list[tuple[int, int, float, float]]:
-    """Moves of the valves: (instant ns, chamber index, position, slope 1/s), ascending.
+    """Return the moves of the valves: (instant ns, chamber index, position, slope 1/s), ascending.
 
     A valve moves at once (slope 0), or over the plunger's travel time.
     """
@@ -187,7 +187,7 @@ def simulate(
 ) -> Stroke:
     """Simulate one stroke and sample it at `time_s` (ascending, from 0).
 
-    Returns the noise-free states, the position as the control unit would report it, the located
+    time_s: [n] in s.  Returns the noise-free states, the position as the control unit would report it, the located
     events and the balances.
 
     Raises
@@ -203,7 +203,7 @@ def simulate(
 def run_setup(
     setup: Setup, time_s: Floats, tolerance: float = DEFAULT_TOLERANCE, internal: bool = True
 ) -> Stroke:
-    """Simulate a stroke that is ready to run (see `simulate`)."""
+    """Simulate a stroke that is ready to run; time_s: [n] in s (see `simulate`)."""
     conditions = setup.conditions
     time_s = np.asarray(time_s, dtype=np.float64)
     sample_ns = np.rint(time_s * NS).astype(np.int64)

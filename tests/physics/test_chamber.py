@@ -53,10 +53,7 @@ def test_shut_length_stroke_keeps_p_v_to_the_exponent(exponent: float) -> None:
 
 
 def test_isothermal_and_adiabatic_rates_differ_by_gamma_alone() -> None:
-    rates = [
-        pressure_rate.py_func(3e5, 0.0, 0.0, 0.0, 0.0, 1e-4, 2e-4, 287.05, 1.0, 1.0, 1.0, a)
-        for a in (1.0, 1.4)
-    ]
+    rates = [pressure_rate.py_func(3e5, 0.0, a, 1e-4, 2e-4) for a in (1.0, 1.4)]
     assert rates[0] == pytest.approx(-3e5 * 2e-4 / 1e-4)
     assert rates[1] == pytest.approx(1.4 * rates[0])
 

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plant.kernel.layout import FIXED, FixedState, Parameters
+from plant.kernel.layout import FIXED, FixedState, FlowMap, Parameters
 from plant.kernel.packing import flow_coefficients
 from plant.parts.flow import charge, discharge, orifice
 from tests.physics.bare import NOMINAL, STUCK, Bare
 from tests.reference.parts import Flow, nominal, theoretical_flow
 
-C = flow_coefficients(NOMINAL)
+C = FlowMap(flow_coefficients(NOMINAL))
 MAPS = Flow(nominal())
 P_ATM = 101325.0
 SUPPLIES = (6e5, 9e5)

@@ -1,0 +1,53 @@
+"""The kernels as plain Python on views that check every bound give the strokes of the compiled ones."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from plant.batch.batch import Strokes, simulate_batch
+from plant.batch.prediction import Predictor
+from plant.parameters import load
+from plant.systems.setup import make_setup
+from tests.physics.strokes import ALL, conditions_of
+
+STROKES = ("fixed", "fixed compressible", "N-B charged")
+IN_LANES = ("fixed", "N-B")
+
+
+def states_of_short_strokes() -> dict[str, list[float]]:
+    """Last states of strokes of 25 ms by the scalar kernel, and of two by the lanes."""
+    found = {}
+    for name in STROKES:
+        setup = make_setup(load(), conditions_of(ALL[name]))
+        predictor = Predictor(np.array([0, 25_000_000]), tolerance=1e-5)
+        found[name] = predictor.states(setup)[-1].tolist()
+    for name in IN_LANES:
+        setup = make_setup(load(), conditions_of(ALL[name]))
+        result = simulate_batch(Strokes.from_setups([setup], 0.022), tolerance=1e-4)
+        assert result.in_lanes.all() and not result.status.any()
+        found[f"{name} in a lane"] = result.final[0].tolist()
+    return found
+
+
+@pytest.mark.slow
+def test_checked_kernels_give_the_same_strokes() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.unit.plant.kernel.test_checked"],
+        env={**os.environ, "OPC4_CHECKED_KERNELS": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    checked = json.loads(done.stdout)
+    for name, states in states_of_short_strokes().items():
+        assert checked[name] == pytest.approx(states, rel=1e-9, abs=1e-12), name
+
+
+if __name__ == "__main__":
+    print(json.dumps(states_of_short_strokes()))
