@@ -40,7 +40,7 @@ def repeated_taken(record: RunRecord, message: str = "ControllerStatus") -> int:
     """How many repeated frames passed for new, because their counter had come round."""
     checked = EndToEnd()
     checked.add(record)
-    return checked.told()[message]["intruder's taken"]
+    return checked.counts()[message]["intruder's taken"]
 
 
 def repeated_after_s(scenario: Scenario) -> float:
