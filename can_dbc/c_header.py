@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import re
 
-from can_dbc.codec import SIGNALS, spec_of
+from can_dbc.codec import spec_of
+from can_dbc.messages import SIGNALS
 
 
 def header() -> str:

@@ -56,7 +56,7 @@ class _Number:
         self.expected = "{:g} to {:g}".format(*limits)
 
     def to_raw(self, value: Any) -> int:
-        raw = round((value * self.by / self.to_si - self.offset) / self.factor)
+        raw: int = round((value * self.by / self.to_si - self.offset) / self.factor)
         if not self.low <= raw <= self.high:
             raise ValueError
         return raw & self.mask
@@ -90,6 +90,9 @@ class _Whole:
         return raw + self.offset
 
 
+_TRUTH = {False: 0, True: 1}  # also of numpy
+
+
 class _Choice:
     """A bool or a member of an enum."""
 
@@ -100,6 +103,8 @@ class _Choice:
         self.expected = f"a {kind.__name__}"
 
     def to_raw(self, value: Any) -> int:
+        if self.kind is bool:
+            return _TRUTH[value]
         if value.__class__ is not self.kind:
             raise TypeError
         return int(value)

@@ -99,7 +99,7 @@ class SynchroBrake(IntoGear):
         first, second = (d0 - d1) / (t1_s - t0_s), (d1 - d2) / (t2_s - t1_s)
         growth = max(0.0, 2.0 * (second - first) / (t2_s - t0_s))
         now = second + 0.5 * growth * (t2_s - t1_s)
-        last = (now * now + 2.0 * growth * d2) ** 0.5
+        last: float = (now * now + 2.0 * growth * d2) ** 0.5
         if last < own.least_fall_rad_s2 or now < 0.5 * own.least_fall_rad_s2:
             return None
         return t2_s + 2.0 * d2 / (now + last)

@@ -169,7 +169,7 @@ class _ActiveFault(FaultMemory[float]):
 
     def apply(self, start_ns: int, pulse_s: float, last_s: float | None) -> float | None:
         """Return the reported duration of a pulse begun at `start_ns`; None: not reported."""
-        fault = self.fault
+        fault: SensorFault = self.fault
         if not fault.holds(start_ns):
             return pulse_s
         match fault.kind:
