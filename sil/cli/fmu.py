@@ -1,6 +1,7 @@
 """Export the plant or the firmware of a scenario as an FMI 3.0 co-simulation unit.
 
-The unit runs in the Python of the importing tool, with opc4-sil installed there."""
+The unit runs in the Python of the importing tool, with opc4-sil installed there.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the unit."""
+    """Write the unit. Raises InputError for a file that cannot be written or a missing library."""
     from can_dbc.errors import InputError
+    from sil.files.extras import import_extra
     from sil.fmu.export import export
     from sil.simulation import scenario
 
@@ -36,9 +38,10 @@ def run(arguments: argparse.Namespace) -> int:
     if not out.parent.is_dir():
         raise InputError(f"{out}: no such folder; expected one that exists")
     if not os.access(out.parent, os.W_OK):
-        raise InputError(f"{out}: not a place to write; expected a folder that takes files")
+        raise InputError(f"{out}: not writable; expected a folder that takes files")
     if out.exists() and not arguments.force:
         raise InputError(f"{out}: exists; expected a new file, or --force")
+    import_extra("pythonfmu3", "fmu", "opc4 fmu")
     loaded = scenario.load(arguments.scenario, model=arguments.model, settings=arguments.settings)
     export(arguments.what, loaded, out)
     say(f"{out}: {arguments.what} of {loaded.scenario.name}, FMI 3.0 co-simulation")

@@ -1,8 +1,9 @@
 """Put the inputs of a recorded log into the firmware alone, and compare its answers.
 
 LOG is a candump, ASC, BLF, TRC, MF4 or CSV log, packed or not. The firmware has the settings of the
-run whose result.json lies beside LOG, else its defaults with the periods that the log shows.
-Exit 1: something differs. Exit 2: nothing was engaged in the log, or it cannot be used."""
+run whose result.json is in the folder of LOG, else its defaults with the periods that the log shows.
+Exit 1: something differs. Exit 2: nothing was engaged in the log, or it cannot be used.
+"""
 
 from __future__ import annotations
 
@@ -34,6 +35,7 @@ options of --options FILE, all optional:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
     parser.add_argument("log", metavar="LOG", help="recorded log of the bus")
     parser.add_argument(
         "--firmware",
@@ -52,7 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--options", metavar="FILE", help="tolerances and ignore list (TOML)")
     parser.add_argument("--dbc", metavar="FILE", help="where the log's identifiers are others")
     parser.add_argument(
-        "--run", metavar="SCENARIO", help="scenario or result.json that the log is of [beside LOG]"
+        "--run",
+        metavar="SCENARIO",
+        help="scenario or result.json that the log is of [in the folder of LOG]",
     )
     parser.add_argument(
         "--plant", action="store_true", help="put the recorded commands into the plant as well"
@@ -80,6 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    """Replay a log, or list its gear shifts. Raises InputError for options that exclude each other."""
     from can_dbc.errors import InputError
 
     if arguments.summary:
@@ -116,7 +121,7 @@ def _request(arguments: argparse.Namespace) -> ReplayRequest:
 
 
 def _finish(arguments: argparse.Namespace, request: ReplayRequest) -> int:
-    """Replay, then write and tell: a log that is refused leaves no folder behind."""
+    """Replay, then write the files and report: a log that is refused leaves no folder behind."""
     from sil.log_replay.replay import replay
     from sil.log_replay.summary import as_dict, summary_lines
 

@@ -32,7 +32,7 @@ def export(what: str, loaded: Loaded, out: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         script = Path(folder) / SCRIPTS[what]
         shutil.copy2(Path(__file__).parent / SCRIPTS[what], script)
-        beside = Path(folder) / "settings.json"
-        beside.write_text(json.dumps(settings, sort_keys=True))
-        built = FmuBuilder.build_FMU(script, Path(folder) / "built", [beside])
+        resource = Path(folder) / "settings.json"
+        resource.write_text(json.dumps(settings, sort_keys=True))
+        built = FmuBuilder.build_FMU(script, Path(folder) / "built", [resource])
         write_atomically(out, Path(built).read_bytes())

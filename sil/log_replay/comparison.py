@@ -139,7 +139,7 @@ class Comparison:
         self._switch(time_ns, commands_part)
 
     def finish(self) -> None:
-        """The log ends."""
+        """Compare what is still waiting: the log ends."""
         if self._options.time_ns and self._waiting:
             last_ns = self._waiting[-1][0]
             self._part(last_ns, self._compare_waiting(last_ns))

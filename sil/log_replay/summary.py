@@ -228,6 +228,7 @@ def _state_times(history: StateHistory, outcome: ReplayResult) -> list[str]:
 
 
 def plant_lines(outcome: ReplayResult) -> list[str]:
+    """Return how the plant compared, and when the loop was closed."""
     plant = outcome.plant
     assert plant is not None
     lines = []
@@ -286,6 +287,7 @@ def _account_line(outcome: ReplayResult) -> str:
 
 
 def account_lines(outcome: ReplayResult) -> list[str]:
+    """Return how many frames of each message were read, by what they were used for."""
     account = outcome.account
     lines = []
     for title, part in (

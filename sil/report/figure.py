@@ -42,7 +42,7 @@ class Series:
     width: float = 1.5
 
     def __post_init__(self) -> None:
-        """Raises ValueError if x and y differ in length."""
+        """Refuse x and y of different length. Raises ValueError."""
         if len(self.x) != len(self.y):
             raise ValueError(f"{self.label}: {len(self.y)} values for {len(self.x)} points")
 
@@ -234,7 +234,10 @@ def _ends(values: Iterable[float]) -> list[float]:
 def spans_of(
     times: Sequence[float] | Floats, on: Sequence[Any], end: float
 ) -> list[tuple[float, float]]:
-    """Return (start, end) of each time in which a held switch is on; times ascending, in any unit."""
+    """Return (start, end) of each time in which a held switch is on.
+
+    times: [n] ascending, in any unit; on: [n], whether it is on from then.
+    """
     found: list[tuple[float, float]] = []
     begun: float | None = None
     for at, is_on in zip([*times, end], [*on, False], strict=True):

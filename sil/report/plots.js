@@ -10,7 +10,7 @@
 
   function line(series, colours, dot) {
     const colour = colours(series.role);
-    const hasDots = ["dots", "marked", "sampled"].includes(series.style);
+    const hasDots = ["dots", "marked"].includes(series.style);
     const made = {
       label: series.label,
       stroke: colour,
@@ -25,11 +25,10 @@
     return made;
   }
 
-  function upright(panel, axis) {
+  function upright(panel, axis, size) {
     const space = panel.height < 150 ? 16 : 30; // or a low panel has a single number on its axis
-    const letters = Math.max(0, ...panel.ticks.map((tick) => tick[1].length));
-    const label = panel.unit || undefined;
-    const made = { ...axis, size: Math.max(56, 7 * letters + 24), label, labelSize: 18, space };
+    const made = { ...axis, size, label: panel.unit || undefined, labelSize: 18, space };
+    if (!panel.unit) made.size += made.labelSize; // so that all panels begin at the same x
     if (panel.ticks.length) {
       made.splits = () => panel.ticks.map((tick) => tick[0]);
       made.values = () => panel.ticks.map((tick) => tick[1]);
@@ -163,7 +162,11 @@
     }
 
     return {
-      below: (panel) => inside(() => { panel.spans.forEach(span); panel.bands.forEach(band); }),
+      background: (panel) => inside(() => panel.spans.filter((s) => s[2] == null).forEach(span)),
+      below: (panel) => inside(() => {
+        panel.spans.filter((s) => s[2] != null).forEach(span);
+        panel.bands.forEach(band);
+      }),
       above: (panel) => inside(() => {
         const { min, max } = chart.scales.x;
         const shown = ([x]) => x >= min && x <= max;
@@ -197,6 +200,8 @@
 
   function group(place, number) {
     const content = JSON.parse(place.querySelector("script").textContent);
+    const names = content.panels.flatMap((panel) => panel.ticks.map((tick) => tick[1].length));
+    const size = Math.max(56, 7 * Math.max(0, ...names) + 6);
     const holder = place.querySelector(".panels");
     const whole = content.ends;
     // texts of a longer part would cover each other
@@ -279,11 +284,12 @@
           x: { time: false, distr: content.log ? 3 : 1, range: () => range },
           y: { range: tall(panel) },
         },
-        axes: [across, upright(panel, axis)],
+        axes: [across, upright(panel, axis, size)],
         series: [{ label: content.axis, value: named }]
           .concat(panel.series.map((series) => line(series, colours, content.ticks.length ? 10 : 4))),
         hooks: {
-          drawClear: [(chart) => drawing(chart, colours, widest).below(panel)],
+          drawClear: [(chart) => drawing(chart, colours, widest).background(panel)],
+          drawAxes: [(chart) => drawing(chart, colours, widest).below(panel)],
           draw: [(chart) => drawing(chart, colours, widest).above(panel)],
           setSelect: [
             (chart) => {

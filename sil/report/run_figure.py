@@ -312,7 +312,7 @@ def _letters(zoom: Zoom, time: Floats, lines: dict[str, Floats], scale: float) -
 
 
 def _states(record: RunRecord) -> Panel:
-    """What state the controller reported, and where it reported nothing."""
+    """Return the states that the controller reported, and where it reported nothing."""
     times, states = record.series(ControllerStatus, "state")
     names = [state.name for state in states]
     spans = [
@@ -325,7 +325,7 @@ def _states(record: RunRecord) -> Panel:
         "",
         spans=spans,
         ticks=[(0.5, "firmware state")],
-        height=38,
+        height=46,
         limits=(0.0, 1.0),
     )
 

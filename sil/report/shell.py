@@ -80,7 +80,7 @@ def render(template: str, head: Head, groups: Sequence[Group] = (), **values: An
 
 
 def _library() -> dict[str, str]:
-    """What plots need in the page, once."""
+    """Return what plots need in the page, once."""
     uplot = (HERE / "uplot" / "uPlot.min.js").read_text(encoding="utf-8")
     themes = {theme.name: theme.roles() for theme in (LIGHT, DARK)}
     return {

@@ -178,6 +178,16 @@ def test_bad_input_is_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_without_the_library_the_install_command_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pythonfmu3", None)
+    assert main(["fmu", "plant", str(tmp_path / "x.fmu")]) == 2
+    complaint = capsys.readouterr().err
+    assert "pip install -e" in complaint and "[fmu]'" in complaint and complaint.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_existing_file_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "x.fmu"
     path.write_text("mine")
