@@ -113,7 +113,7 @@ def _in_memory(loaded: Loaded) -> ScenarioRun:
 def _recorded(loaded: Loaded, folder: Path) -> list[Check]:
     from can_dbc.errors import RunError
     from sil.files.output_folder import close_folders, prepare_folder
-    from sil.report.run_report import write_report
+    from sil.report.run_page import write_report
     from sil.simulation import runner
 
     why: str | None = "the run did not finish"

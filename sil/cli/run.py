@@ -90,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
         say=say,
     )
     if not arguments.no_report and finished.result.complete:
-        from sil.report.run_report import write_report
+        from sil.report.run_page import write_report
 
         write_report(finished, folder)
     if arguments.junit is not None:

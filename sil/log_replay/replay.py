@@ -89,7 +89,7 @@ class ReplayResult:
 
 
 def replay(request: ReplayRequest) -> ReplayResult:
-    """Replay a log. Raises InputError for a log that cannot be, or in which nothing was engaged.
+    """Replay a log. Raises InputError for a log that cannot be replayed, or without a shift.
 
     Checked by: tests/scenarios/test_replay.py
     """
@@ -118,7 +118,7 @@ def replay(request: ReplayRequest) -> ReplayResult:
         period_ns = ready.recorded_ns
     if found.release_ns is None:
         raise InputError(
-            f"{request.log}: no step of the recorded unit can be made out; expected its valve commands "
+            f"{request.log}: the steps of the recorded control unit cannot be found; expected its valve commands "
             "and status at regular times"
         )
     grid = make_grid(found, period_ns, config.computation_ns)
@@ -131,8 +131,8 @@ def replay(request: ReplayRequest) -> ReplayResult:
         )
     if ticks.restarts and (request.plant or request.closed_loop):
         raise InputError(
-            f"{request.log}: the recording has {len(ticks.restarts)} holes, over which nobody knows "
-            "what the plant did; expected a whole one, or neither --plant nor --closed-loop"
+            f"{request.log}: the recording has gaps ({len(ticks.restarts)}) in which the plant is unknown; "
+            "expected a recording without gaps, or neither --plant nor --closed-loop"
         )
     hears = _hearing(ready, grid, ticks, "controller")
     with ExitStack() as stack:
@@ -154,8 +154,8 @@ def replay(request: ReplayRequest) -> ReplayResult:
     executor.account.other.update(frames.counts)
     if not comparison.engaged:
         raise InputError(
-            f"{request.log}: no valve was ever energised, neither then nor now: nothing was engaged, "
-            "and agreement would mean nothing; expected a log with a shift"
+            f"{request.log}: no valve was ever energised, in the recording or in the replay, so that "
+            "agreement would mean nothing; expected a log with a shift"
         )
     outcome = ReplayResult(
         request=request,
@@ -312,14 +312,18 @@ def _notes(outcome: ReplayResult, log: _Log, frames: RecordedFrames) -> list[str
         if len(spans) > 5:
             notes.append(f"the control unit {name} {len(spans) - 5} times more")
     if ticks.restarts:
-        notes.append(f"holes in the recording: {len(ticks.restarts)}; the replay began anew there")
+        notes.append(
+            f"gaps in the recording: {len(ticks.restarts)}; the replay restarted after each"
+        )
     if outcome.plant is not None and (not grid.fresh or not outcome.settings.own_run):
         gear = outcome.settings.loaded.scenario.initial_gear
-        notes.append(f"the plant begins at rest, vented and in {gear}, as far as the log tells")
+        notes.append(
+            f"the plant starts at rest, vented and in {gear}: the log holds no other state"
+        )
     last_ns = frames.last_ns or 0
     if last_ns - grid.tick_ns(ticks.last) > 2 * grid.period_ns:
         notes.append(
-            f"the control unit's last frame is of {when(ticks.last)}; what came later is not compared"
+            f"the control unit's last frame is at {when(ticks.last)}; later frames are not compared"
         )
     if outcome.unanswered:
         missing = ", ".join(f"{n} {name}" for name, n in sorted(outcome.unanswered.items()))

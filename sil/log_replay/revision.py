@@ -1,16 +1,12 @@
-"""The source of another commit in a temporary git worktree, gone again whatever happens."""
+"""The source of another commit in a temporary git worktree, which is always removed again."""
 
 from __future__ import annotations
 
 import contextlib
-import signal
 import subprocess
 import tempfile
-import threading
 from collections.abc import Iterator
 from pathlib import Path
-from types import FrameType
-from typing import Any
 
 from can_dbc.errors import InputError
 from sil.files.typed_toml import one_line
@@ -19,17 +15,13 @@ from sil.simulation.build import ROOT
 
 @contextlib.contextmanager
 def checkout(revision: str, repository: Path = ROOT) -> Iterator[Path]:
-    """Check a commit out beside the repository's own files, and remove it on leaving.
+    """Check a commit out into a temporary folder, and remove it at the end of the block.
 
-    A termination signal is turned into KeyboardInterrupt meanwhile, so that it cleans up, too.
-    Raises InputError for a commit that is not there, or code that is in no git repository.
+    Raises InputError for a commit that does not exist, or code outside a git repository.
     Checked by: tests/unit/sil/log_replay/test_revision.py
     """
     commit = _commit(revision, repository)
-    with (
-        _interrupted_by_termination(),
-        tempfile.TemporaryDirectory(prefix="opc4-against-") as folder,
-    ):
+    with tempfile.TemporaryDirectory(prefix="opc4-against-") as folder:
         tree = Path(folder) / "tree"
         try:
             added = _git(repository, "worktree", "add", "--detach", "--quiet", str(tree), commit)
@@ -43,7 +35,9 @@ def checkout(revision: str, repository: Path = ROOT) -> Iterator[Path]:
 
 def _commit(revision: str, repository: Path) -> str:
     if revision.startswith("-"):
-        raise InputError(f"--against {one_line(revision, 60)}: no name of a commit")
+        raise InputError(
+            f"--against {one_line(revision, 60)}: not a commit; expected a commit, tag or branch"
+        )
     try:
         found = _git(repository, "rev-parse", "--verify", "--quiet", f"{revision}^{{commit}}")
     except (OSError, ValueError) as error:
@@ -70,23 +64,3 @@ def _git(repository: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 def _reason(finished: subprocess.CompletedProcess[str]) -> str:
     lines = finished.stderr.strip().splitlines()
     return one_line(lines[-1]) if lines else f"git ended with {finished.returncode}"
-
-
-@contextlib.contextmanager
-def _interrupted_by_termination() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP raise KeyboardInterrupt, where signals can be handled."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before: dict[signal.Signals, Any] = {}
-    try:
-        for number in (signal.SIGTERM, signal.SIGHUP):
-            before[number] = signal.signal(number, interrupt)
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -91,7 +91,7 @@ def text(outcome: ReplayResult) -> str:
     ]
     edges = edge_lines(outcome)
     total = sum(len(signal.recorded) for signal in found.switches)
-    lines += [f"  {line}" for line in edges] or [f"  all {total} where they were"]
+    lines += [f"  {line}" for line in edges] or [f"  none of {total} moved"]
     lines += ["", "states"]
     for history in found.states:
         lines.append(f"  {_sequences(history, outcome.labels)}")

@@ -31,7 +31,7 @@ class TickMap:
     """What the recorded unit's ticks were like; made by `map_ticks`.
 
     idle: ticks that did not run. off_bus: ticks that ran while the control unit was off the bus.
-    restarts: first ticks behind holes of the recording. last: the last tick with a frame.
+    restarts: first ticks after gaps in the recording. last: the last tick with a frame.
     """
 
     def __init__(self, grid: Grid) -> None:

@@ -79,7 +79,7 @@ def test_a_hole_of_an_age_is_stepped_over(tmp_path: Path) -> None:
     found = replayed(tmp_path, late)
     assert not found.differs and found.steps == 160
     assert found.comparison.ticks > 130 and found.comparison.warm_up_ticks > 0
-    with pytest.raises(InputError, match="the recording has 1 holes"):
+    with pytest.raises(InputError, match="the recording has gaps"):
         replay(ReplayRequest(found.request.log, plant=True))
 
 

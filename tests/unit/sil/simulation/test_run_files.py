@@ -10,7 +10,7 @@ import pytest
 
 from can_dbc.messages import Gear
 from sil.cli import main
-from sil.report.page import run_page
+from sil.report.run_page import run_page
 from sil.simulation import metrics
 from tests.unit.sil import made_run
 from tests.unit.sil.simulation.test_results import made as made_result

@@ -1,17 +1,24 @@
-"""report.html of a run: one self-contained page that needs no network."""
+"""shift.png, shift.svg and report.html of a finished run: a page that needs no network."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from sil.files.atomic import write_atomically
 from sil.files.output_folder import finite
-from sil.report.plots import Group
+from sil.report.picture import save
+from sil.report.plots import Group, plots
+from sil.report.run_figure import run_figure
 from sil.report.shell import Head, Picture, render
 from sil.simulation.results import Result
+
+if TYPE_CHECKING:
+    from sil.simulation.runner import Finished
 
 ALT = "Position, valves, pressures, firmware states and CAN frames over simulated time"
 CAPTION = (
@@ -61,3 +68,22 @@ def run_page(result: Result, picture: bytes | None, groups: Sequence[Group] = ()
         picture=None if picture is None else Picture(picture, ALT, CAPTION),
         details=json.dumps(finite(details), indent=1, ensure_ascii=False),
     )
+
+
+def write_report(finished: Finished, folder: Path) -> None:
+    """Write the picture, and the page with it. Needs a record.
+
+    Of a run longer than the record's piece they show that piece, and say so.
+    """
+    result, record = finished.result, finished.record
+    assert record is not None
+    end_s, duration_s = float(record.truth["time_s"][-1]), result.scenario["duration_s"]
+    shifts = finished.shifts
+    title = f"{result.scenario_name}: {result.status}"
+    subtitle = result.scenario["description"].strip().split("\n")[0]
+    if end_s < duration_s - result.scenario["trace_period_s"]:
+        subtitle = f"the first {end_s:.0f} s of {duration_s:g} s. {subtitle}"
+        shifts = [s for s in shifts if (s.confirmed_s or s.requested_s + 1.0) < end_s]
+    figure = run_figure(record, shifts, title, subtitle)
+    picture = save(figure, folder, "shift", dots_per_inch=140)
+    write_atomically(folder / "report.html", run_page(result, picture, plots(figure)))
