@@ -31,7 +31,7 @@ def test_names_are_escaped_and_nothing_is_asked_of_the_network() -> None:
     groups = plots(everything())
     head = Head("diagnose", "<b>x", "named", good=False, tiles=[("1", "</div>")], again="a && b")
     page = render(
-        "force.html", head, groups, detectability="d", causes=[], plain_error="1 %", rows=[],
+        "claims.html", head, groups, findings=[],
         picture=Picture(b"png", "what", "caption"),
     )  # fmt: skip
     assert "<title>&lt;b&gt;x: named</title>" in page and "<b>x" not in page
