@@ -2,6 +2,7 @@
 # make test   install into .venv and run the tests (needs no root, no CAN hardware)
 # make lint   ruff (rules and format), mypy and the import rules
 # make docs   build the documentation site in build/site
+# make gallery  make the pictures of the documentation again (minutes)
 # make bench  measurements side by side (minutes): python -m tests.bench
 # make coverage lines and branches of controller/ and can_dbc/ that no test reaches: none may be left
 # make mutants  mutation testing of both: some 5,300 mutants, 23 min of processor time; mutmut is installed for it
@@ -12,7 +13,7 @@ PY     := $(VENV)/bin/python
 MARK   ?= not slow and not vcan and not browser
 DEMO   ?= runs/demo
 
-.PHONY: demo test slow lint docs bench coverage mutants golden clean
+.PHONY: demo test slow lint docs gallery bench coverage mutants golden clean
 .DELETE_ON_ERROR:
 
 # One stamp per set of extras; an edited requirement installs again, edited source does not.
@@ -55,6 +56,9 @@ docs: $(VENV)/.dev
 	$(PY) docs/generate.py
 	$(PY) -m sphinx -q -W --keep-going -d build/doctrees docs build/site
 	@echo "site: build/site/index.html"
+
+gallery: $(VENV)/.run
+	PYTHONPATH=. $(PY) docs/make_gallery.py
 
 bench: $(VENV)/.dev
 	$(PY) -m tests.bench
