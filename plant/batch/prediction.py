@@ -17,8 +17,9 @@ from plant.batch.batch import BATCH_TOLERANCE, Strokes, initials, shared
 from plant.batch.singles import MOST_EVENTS
 from plant.batch.tangents import Followers
 from plant.effects.setup import Setup
+from plant.errors import IntegrationError
 from plant.integrator.filling import filling_curves
-from plant.integrator.hybrid import NO_GRID, NS, REASONS, IntegrationError
+from plant.integrator.hybrid import NO_GRID, NS, REASONS
 from plant.integrator.integrate import advance
 from plant.integrator.loop import DONE
 from plant.integrator.workspace import Control, Run

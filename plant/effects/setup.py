@@ -90,11 +90,12 @@ class Setup:
         return {"fixed": "1", "N-B": "B", "N-F": "F", "B-N": "N", "F-N": "N"}[self.conditions.kind]
 
     def volume_index(self, chamber: str) -> int:
-        """Place of a chamber's dead volume in `p`."""
-        return {
+        """Return the index of a chamber's dead volume in `p`."""
+        index: dict[str, int] = {
             "1": Parameters.vol_b,
             "2": Parameters.vol_n,
             "B": Parameters.vol_b,
             "N": Parameters.vol_n,
             "F": Parameters.vol_f,
-        }[chamber]
+        }
+        return index[chamber]

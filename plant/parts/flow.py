@@ -13,7 +13,7 @@ from plant.kernel.compiled import inlined
 
 @inlined
 def charge(pressure_pa, supply_pa, c):
-    """Mapped charge flow f_in(P) = P_s phi(P/P_s) [K kg/s]; negative above the supply.
+    """Return the mapped charge flow f_in(P) = P_s phi(P/P_s) [K kg/s]; negative above the supply.
 
     Source: thesis 3.1.4, 3.39; scaled with the supply pressure (errata 3.21, 3.39).
     Checked by: tests/physics/test_flow.py
@@ -32,7 +32,7 @@ def charge(pressure_pa, supply_pa, c):
 
 @inlined
 def discharge(pressure_pa, atmosphere_pa, c):
-    """Mapped discharge flow f_out(P) = P_atm phi(P/P_atm) [K kg/s]; negative in suction.
+    """Return the mapped discharge flow f_out(P) = P_atm phi(P/P_atm) [K kg/s]; negative in suction.
 
     Source: thesis 3.1.4, 3.40.  Checked by: tests/physics/test_flow.py
     """

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -111,7 +112,7 @@ class ImposedSystem(StrokeSystem):
         return np.array(self._pressures())
 
 
-def intervals(setup: Setup, time_s: Floats) -> list[tuple[int, list]]:
+def intervals(setup: Setup, time_s: Floats) -> list[tuple[int, list[Any]]]:
     """For every interval between samples: its end [ns] and the valves' moves within it."""
     ends = np.rint(np.asarray(time_s) * NS).astype(np.int64)
     moves = valve_moves(setup, int(ends[-1]))

@@ -57,7 +57,7 @@ class LengthStroke(HybridSystem):
         "line_pressure_pa",
     )
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - the conditions of a run, all by name
         self,
         parameters: ParameterSet,
         *,

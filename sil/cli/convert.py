@@ -1,7 +1,8 @@
 """Convert logs of frames between candump, ASC, BLF, TRC, MF4 and CSV, and traces to MF4.
 
 The formats follow from the names; .gz packs. What is broken in a log is counted, located and left
-out, or refused with --strict."""
+out, or refused with --strict.
+"""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from can_dbc.errors import InputError
 from plant.batch.prediction import copied
-from plant.integrator.hybrid import IntegrationError
+from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import CampaignStroke, Record
 from sil.fitting.fit import FitResult

@@ -14,7 +14,7 @@ import numpy as np
 
 from can_dbc.errors import InputError
 from plant.effects.effect import Need
-from plant.integrator.hybrid import IntegrationError
+from plant.errors import IntegrationError
 from plant.kernel.layout import LENGTH
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign, Record

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plant.integrator.hybrid import IntegrationError
+from plant.errors import IntegrationError
 from sil.diagnosis.workers import spread_out
 from sil.fitting.fit import FARTHEST_SD, FitResult, Fitter
 from sil.fitting.floor import Misfit

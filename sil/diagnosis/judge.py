@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.integrator.hybrid import IntegrationError
+from plant.errors import IntegrationError
 from sil.diagnosis.workers import spread_out
 from sil.fitting.fit import FitResult, Fitter
 from sil.fitting.floor import Misfit, misfit

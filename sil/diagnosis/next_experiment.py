@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.integrator.hybrid import IntegrationError
+from plant.errors import IntegrationError
 from sil.diagnosis.judge import Judged
 from sil.diagnosis.verdict import Verdict
 from sil.fitting.fit import FitResult

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.integrator.hybrid import IntegrationError
+from plant.errors import IntegrationError
 from plant.systems.imposed import motion_along, pressures_along
 from sil.fitting.fit import FitResult
 from sil.fitting.model import CampaignModel

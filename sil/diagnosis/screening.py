@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.integrator.hybrid import IntegrationError
+from plant.errors import IntegrationError
 from sil.fitting.fit import FARTHEST_SD, FitResult, arrow
 from sil.fitting.hypotheses import Candidate
 from sil.fitting.model import CampaignModel

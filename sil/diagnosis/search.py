@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.integrator.hybrid import IntegrationError
+from plant.errors import IntegrationError
 from sil.diagnosis.screening import Score, screen
 from sil.diagnosis.split import stratum
 from sil.diagnosis.workers import Show, Stages, no_progress, spread_out

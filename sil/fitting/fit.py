@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.integrator.hybrid import IntegrationError
+from plant.errors import IntegrationError
 from sil.fitting.hypotheses import Candidate, precision, scaled_of
 from sil.fitting.model import Block, CampaignModel, Shared
 
@@ -151,7 +151,7 @@ class Fitter:
                 return float("inf") if np.isnan(total) else total
         return total
 
-    def fit(
+    def fit(  # noqa: C901 - one damped least-squares loop, with its exits in order
         self,
         candidates: Sequence[Candidate] = (),
         *,

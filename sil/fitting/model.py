@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from plant.batch.prediction import copied
 from plant.effects import EffectParameter
 from plant.effects.setup import Setup
 from plant.effects.tolerances import shift
-from plant.integrator.hybrid import IntegrationError
+from plant.errors import IntegrationError
 from sil.fitting.hypotheses import Candidate, is_scale, log_size, precision, scaled_of, value_of
 from sil.fitting.internal import INTERNAL_SD_M, internal_prediction
 from sil.fitting.nuisance import SIMULATED, Spread
@@ -104,7 +105,7 @@ class CampaignModel:
         self._measured = [self._standardised(stroke) for stroke in self.strokes]
         self._offset_columns = [self._offsets_of(stroke) for stroke in self.strokes]
         # where each stroke was simulated last: a step that is accepted is linearised there
-        self._last: dict[int, tuple[tuple, Setup, Floats]] = {}
+        self._last: dict[int, tuple[tuple[Any, ...], Setup, Floats]] = {}
 
     def layout(self, candidates: Sequence[Candidate]) -> Shared:
         """Layout of the shared parameters under a hypothesis."""

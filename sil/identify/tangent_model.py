@@ -24,7 +24,7 @@ DELAY_STEP_S = 20e-9
 class TangentModel(CampaignModel):
     """The campaign's model for strokes that are compared by external records alone."""
 
-    def linearise(
+    def linearise(  # noqa: C901 - one case for each kind of parameter
         self,
         k: int,
         shared: Floats,

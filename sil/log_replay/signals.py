@@ -12,8 +12,8 @@ from typing import Annotated, Any, Final
 import msgspec
 from msgspec import Meta
 
-from can_dbc.codec import CodecError, decode
-from can_dbc.errors import InputError, unknown_name
+from can_dbc.codec import decode
+from can_dbc.errors import CodecError, InputError, unknown_name
 from can_dbc.frame import Frame
 from sil.files import typed_toml
 from sil.log_replay.recorded_frames import ID_OF, KINDS, bare

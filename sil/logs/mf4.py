@@ -545,7 +545,7 @@ def _numbers(column: NDArray[Any] | None) -> list[int] | None:
         return [_TEXT_FLAGS.get(word.strip("\x00 ").lower(), 0) for word in words]
     if column.dtype.kind == "f":
         column = np.where(np.abs(column) < 2.0**62, column, -1.0)  # also what is not a number
-    return column.astype(np.int64).tolist()
+    return list(column.astype(np.int64).tolist())
 
 
 def _rows(

@@ -51,7 +51,7 @@ def parse_decimal_ns(text: str, unit_ns: int = NS_PER_S) -> int:
         scaled *= 10**-places
     if scaled >= 2**63:
         raise ValueError(f"time {text[:40]} is out of range")
-    return -scaled if sign == "-" else scaled
+    return int(-scaled if sign == "-" else scaled)
 
 
 def format_ns(time_ns: int, decimals: int | None = None) -> str:

@@ -102,7 +102,7 @@ class RecordedPlant:
         self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
     ) -> tuple[list[tuple[int, Frame]], int]:
         """Advance the plant. Raises ParticipantLost when its motion cannot be continued."""
-        from plant.integrator.hybrid import IntegrationError
+        from plant.errors import IntegrationError
 
         try:
             return self.node.advance(until_ns, deliveries)
@@ -161,7 +161,7 @@ def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
         )
     if name != "plant":
         raise InputError(f"participant {name!r}: expected driver, controller or plant")
-    from plant.integrator.hybrid import IntegrationError
+    from plant.errors import IntegrationError
     from plant.node import TRACE_COLUMNS, PlantNode
     from sil.recording.events import EVENTS, EventLog
     from sil.recording.recorder import PLANT_TRACE, TraceWriter
