@@ -71,7 +71,10 @@ def test_defaults_are_those_of_the_parts(tmp_path: Path) -> None:
         ),
         (GOOD + "[controller]\nperiod_s = 9.0\n", "controller.period_s: 9.0 is wrong; expected"),
         (GOOD + "[controller.filter]\nfc_hz = 60.0\n", "controller.filter.fc_hz: 60.0 is wrong"),
-        (GOOD + "[driveline]\nengine_ramp_rad_s2 = 0\n", "driveline: engine_ramp_rad_s2 must"),
+        (
+            GOOD + "[driveline]\nengine_ramp_rad_s2 = 0\n",
+            "driveline.engine_ramp_rad_s2: 0 is wrong; expected",
+        ),
         (GOOD + "[[fault]]\nkind = 'los'\n", "fault[0].kind: 'los' is unknown; "),
         (
             GOOD + "[[fault]]\nkind = 'gremlin'\n",
