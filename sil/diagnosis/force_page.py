@@ -68,7 +68,7 @@ def time_figure(found: ForceDiagnosis) -> Figure:
         ("Speed", "m/s", motion.speed_m_s),
         ("Position", "m", motion.position_m),
     ):
-        panels.append(Panel(title, unit, [Series("measured", x, values, "measured")], height=120))
+        panels.append(Panel(title, unit, [Series("measured", x, values, "truth")], height=120))
     return Figure([Stack("time in motion, s", panels)])
 
 

@@ -130,7 +130,9 @@ def draw(figure: Figure, theme: Theme = LIGHT) -> Drawing:
             _draw_panel(axes, theme, panel, column, limits, is_lowest)
             names = {s.label for s in panel.series if s.label}
             if panel.legend and column.is_first and not (names and names <= shown):
-                _legend(axes, theme, panel, column.width)
+                legend_rows = _legend(axes, theme, panel, column.width)
+            else:
+                legend_rows = 0
             shown |= names
             repeats = number > 0 and (
                 figure.same_scale or (not column.is_first and panel.limits is not None)
@@ -147,7 +149,7 @@ def draw(figure: Figure, theme: Theme = LIGHT) -> Drawing:
                     fontsize=10,
                     loc="left",
                     color=theme.ink,
-                    pad=22 if axes.get_legend() else 6,
+                    pad=6 + 14 * legend_rows,
                 )
     return made
 
@@ -357,8 +359,8 @@ def _note(axes: Axes, theme: Theme, note: Note) -> None:
     )  # fmt: skip
 
 
-def _legend(axes: Axes, theme: Theme, panel: Panel, width: float) -> None:
-    """Put a legend above the panel, if there is more than one thing to tell apart."""
+def _legend(axes: Axes, theme: Theme, panel: Panel, width: float) -> int:
+    """Put a legend above the panel if it has several things to name; return its rows."""
     from matplotlib.patches import Patch
 
     lines, _ = axes.get_legend_handles_labels()
@@ -367,13 +369,14 @@ def _legend(axes: Axes, theme: Theme, panel: Panel, width: float) -> None:
         *(Patch(color=theme.colour(role), label=text) for text, role in panel.keys),
     ]
     if len(handles) < 2 and not panel.keys:
-        return
+        return 0
     longest = max(len(h.get_label()) for h in handles)
     fits = max(1, int(72 * width / (LETTER * 8 * longest + 40)))
     axes.legend(
         handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(fits, len(handles)),
         fontsize=8, frameon=False, labelcolor=theme.ink, borderaxespad=0.1, handlelength=1.6, borderpad=0.2,
     )  # fmt: skip
+    return -(-len(handles) // fits)
 
 
 def _name(axes: Axes, theme: Theme, panel: Panel) -> None:

@@ -270,8 +270,9 @@
       const across = level(content, axis, last, width() - 60);
       const named = (chart, v) => {
         if (v == null) return "–";
-        const tick = content.ticks.find((one) => one[0] === v);
-        return content.ticks.length ? (tick ? tick[1] : "–") : String(Number(v.toPrecision(7)));
+        if (!content.ticks.length) return String(Number(v.toPrecision(7)));
+        // points of one choice stand next to each other, around its tick
+        return content.ticks.reduce((a, b) => (Math.abs(b[0] - v) < Math.abs(a[0] - v) ? b : a))[1];
       };
       return {
         width: width(),

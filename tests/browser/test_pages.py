@@ -213,12 +213,12 @@ def test_figures_lie_beside_the_page_as_png_and_svg(page: str) -> None:
 
 def test_choices_stand_by_name_on_their_axis(browser: Any, page_of: Callable[[str], str]) -> None:
     opened(browser, page_of("choices"))
-    over = browser.find_elements(By.CSS_SELECTOR, ".plots:last-of-type .u-over")[-1]
+    over = browser.find_elements(By.CSS_SELECTOR, ".plots:first-of-type .u-over")[-1]
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", over)
     for share, name in ((-0.33, "9 bar"), (0.0, "7 bar"), (0.33, "6 bar")):
         place = int(share * over.size["width"])
         ActionChains(browser).move_to_element_with_offset(over, place, 0).perform()
-        legend = browser.find_elements(By.CSS_SELECTOR, ".plots:last-of-type .u-legend")[-1]
+        legend = browser.find_elements(By.CSS_SELECTOR, ".plots:first-of-type .u-legend")[-1]
         assert legend.find_element(By.CSS_SELECTOR, ".u-value").text == name
-    shown = "return window.opc4Plots().at(-1).map(c => c.axes[0]._values)"
+    shown = "return window.opc4Plots().at(0).map(c => c.axes[0]._values)"
     assert browser.execute_script(shown) == [["", "", ""], ["9 bar", "7 bar", "6 bar"]]
