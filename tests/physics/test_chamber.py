@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from plant.kernel.layout import FIXED, LENGTH, FixedState, LengthState, Parameters
+from plant.parts import chamber
 from plant.parts.chamber import pressure_rate
 from tests.physics.bare import SMOOTH, Bare
 
@@ -58,11 +61,15 @@ def test_isothermal_and_adiabatic_rates_differ_by_gamma_alone() -> None:
     assert rates[1] == pytest.approx(1.4 * rates[0])
 
 
-def test_exponents_follow_the_valves_actual_position() -> None:
+def test_exponents_follow_the_valves_actual_position(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(chamber, "valve_flow_in", lambda *_: 0.5)
+    monkeypatch.setattr(chamber, "valve_flow_out", lambda *_: 0.7)
+    monkeypatch.setattr(chamber, "pressure_rate", pressure_rate.py_func)
+    gas = SimpleNamespace(r_air=287.05)
+
     def rate(u: float) -> float:
-        return float(
-            pressure_rate.py_func(3e5, u, 0.5, 0.7, 0.0, 1e-4, 2e-4, 287.05, 0.94, 0.87, 1.5, 1.05)
-        )
+        exponents = (0.94, 0.87, 1.5, 1.05)
+        return float(chamber.chamber.py_func(3e5, u, 0.0, 1e-4, 2e-4, 9e5, exponents, gas, None)[0])
 
     assert rate(1.0) == pytest.approx((287.05 * 0.94 * 0.5 - 0.87 * 3e5 * 2e-4) / 1e-4)
     assert rate(0.0) == pytest.approx((-287.05 * 1.5 * 0.7 - 1.05 * 3e5 * 2e-4) / 1e-4)

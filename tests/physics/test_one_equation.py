@@ -20,7 +20,7 @@ def test_oil_pressure_of_a_known_motion_is_3_34_along_it(system: int) -> None:
     position = np.linspace(0.0, 0.01285, 60)
     velocity = 0.5 * np.cos(300.0 * position)
     out = np.zeros(60)
-    steady_oil_pressure(position, velocity, p, out)
+    steady_oil_pressure(position, velocity, p.array, out)
     expected = [
         99000.0 + parts.oil_pressure(x, v, VALUES) for x, v in zip(position, velocity, strict=True)
     ]
@@ -33,7 +33,7 @@ def test_the_damper_acts_away_from_neutral_on_either_side() -> None:
     position = np.array([0.005, 0.005, -0.005, -0.005, 0.0, 0.0])
     velocity = np.array([0.4, -0.4, 0.4, -0.4, 0.4, -0.4])
     out = np.zeros(6)
-    steady_oil_pressure(position, velocity, p, out)
+    steady_oil_pressure(position, velocity, p.array, out)
     acting = out > 101326.0
     assert acting.tolist() == [True, False, False, True, True, True]
     assert out[0] == out[3] and out[4] == out[5]
