@@ -55,20 +55,14 @@ ENTRIES = (
     Entry(
         "replay",
         "opc4 replay full_shift/bus.log --set controller.filter=false --out replay",
-        "replay/replay.png",
+        "replay/scene_1.png",
         "A recorded log into a firmware without the position filter: recorded and replayed commands.",
     ),
     Entry(
         "sensor_delay",
         "opc4 whatif sensor_delay --workers 2 --out sensor_delay",
-        "sensor_delay/lines.png",
+        "sensor_delay/choices.png",
         "A study: what the order of the position filter costs the air cushion.",
-    ),
-    Entry(
-        "improvements",
-        "opc4 whatif improvements --workers 2 --out improvements",
-        "improvements/choices.png",
-        "Which improvements of filter, sampling and valves make a soft stop possible in the laboratory.",
     ),
     Entry(
         "budget",
@@ -79,14 +73,8 @@ ENTRIES = (
     Entry(
         "piston_radius",
         "opc4 whatif piston_radius --out piston_radius",
-        "piston_radius/lines.png",
+        "piston_radius/curves.png",
         "Hardware: the radius of the piston (thesis 5.1).",
-    ),
-    Entry(
-        "faults",
-        "opc4 whatif faults --workers 2 --out faults",
-        "faults/faults.png",
-        "Every fault in every shift: when it is noticed and how the run ends.",
     ),
     Entry(
         "diagnosis",
