@@ -66,6 +66,5 @@ def test_a_hidden_effect_is_named_with_its_gain_and_model(tmp_path) -> None:
     assert {"strokes.png", "strokes.svg", "phases.png", "phases.svg"} <= set(os.listdir(tmp_path))
     assert "exhaust_clog" in text and "http://" not in text and "https://" not in text
     assert "opc4 diagnose measured/ --model nominal" in text
-    assert "Look-alikes, behind in log evidence" in text
     again = diagnose(campaign, extended, workers=1)
     assert again.verdict.kind == "consistent"
