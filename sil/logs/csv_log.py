@@ -216,7 +216,7 @@ class CsvReader(TextReader):
                 "...), no CAN frames; expected a log of frames (convert turns this into MF4)"
             )
         raise InputError(
-            f"{self._report.path}: line 1: header {text.strip()[:60]!r} is unknown; expected "
+            f"{self._report.path}: line 1: header {printable(repr(text.strip()[:60]))} is unknown; expected "
             f"{OUR_HEADER}, or python-can's, SavvyCAN's or CSS Electronics' columns"
         )
 

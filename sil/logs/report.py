@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -12,9 +13,24 @@ MOST_LOCATIONS: Final = 10
 """Locations of each kind that a report holds; all of them are counted."""
 
 
+_NOT_ASCII: Final = re.compile(r"(?:[\x80-\xff]|\\x[89a-f][0-9a-f])+")
+
+
 def printable(text: str) -> str:
-    """Return text out of a file, fit for a message of one line."""
+    """Return text out of a file, fit for a message of one line.
+
+    Logs are read as Latin-1, so that every byte is a character; UTF-8 in them is shown as such.
+    """
+    text = _NOT_ASCII.sub(_as_utf8, text)
     return "".join(character if character.isprintable() else "?" for character in text)
+
+
+def _as_utf8(match: re.Match[str]) -> str:
+    raw = re.sub(r"\\x(..)", lambda escape: chr(int(escape[1], 16)), match[0]).encode("latin-1")
+    try:
+        return raw.decode()
+    except UnicodeDecodeError:
+        return match[0]
 
 
 @dataclass(frozen=True, slots=True)
