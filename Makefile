@@ -67,8 +67,7 @@ COVERING := tests/unit/can_dbc tests/unit/controller tests/contracts/test_codec.
             tests/contracts/test_firmware_contract.py
 
 coverage: $(VENV)/.dev
-	$(PY) -m coverage run -m pytest -q -m "not slow" --hypothesis-profile=few $(COVERING) \
-	    --deselect=tests/contracts/test_codec.py::test_import_is_quick
+	$(PY) -m coverage run -m pytest -q -m "not slow" --hypothesis-profile=few $(COVERING)
 	$(PY) -m coverage report
 
 mutants: $(VENV)/.dev

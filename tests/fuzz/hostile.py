@@ -28,7 +28,7 @@ from unittest import mock
 from can_dbc.errors import InputError
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-LONGEST_S = 10.0
+LONGEST_S = 60.0
 LONGEST_RUN_S = 0.02
 FORGET_EVERY = 250
 

@@ -20,8 +20,6 @@ TESTS = (
     *("tests/contracts/test_e2e.py", "tests/contracts/test_wire_dbc.py"),
     "tests/contracts/test_firmware_contract.py",
 )
-LEFT_OUT = ("test_import_is_quick",)
-"""Tests of durations, which a busy machine would fail."""
 
 
 class Reach(NamedTuple):
@@ -101,5 +99,4 @@ def measured(session: pytest.Session, file: Path, kept: Path, content: str) -> t
 
 def counts(item: pytest.Item) -> bool:
     """Whether a test is one for mutants."""
-    slow = any(item.get_closest_marker(name) for name in ("slow", "vcan", "browser"))
-    return not slow and getattr(item, "originalname", item.name) not in LEFT_OUT
+    return not any(item.get_closest_marker(name) for name in ("slow", "vcan", "browser"))

@@ -231,7 +231,7 @@ def test_real_time_follows_the_wall_clock() -> None:
         started = time.monotonic()
         summary = coordinator.run()
         took = time.monotonic() - started
-    assert 0.1 <= took < 2.0
+    assert took >= 0.1
     assert summary.lateness is not None
     assert summary.lateness.instants == 20  # 10 ticks after the first, 10 frames; none twice
     assert len(recorded) == 10

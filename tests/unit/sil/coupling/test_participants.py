@@ -71,7 +71,7 @@ def test_a_child_that_goes_on_is_killed_after_the_grace() -> None:
     while "up" not in child.output():
         assert child.how_it_ended(0.01) is None
     child.end(0.05)
-    assert is_gone(child.pid, 1.0)
+    assert is_gone(child.pid, 60.0)
 
 
 def test_what_cannot_be_started_is_named() -> None:
@@ -109,7 +109,7 @@ def test_a_child_ends_when_its_parent_is_killed() -> None:
     parent.kill()
     parent.wait()
     parent.stdout.close()
-    assert is_gone(child_pid, 2.0)
+    assert is_gone(child_pid, 60.0)
 
 
 def test_a_child_whose_parent_is_gone_already_does_not_begin() -> None:

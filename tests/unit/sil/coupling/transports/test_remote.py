@@ -127,7 +127,7 @@ def test_who_falls_silent_has_stalled(joined: tuple[Hub, socket.socket]) -> None
     started = time.monotonic()
     with pytest.raises(ParticipantLost, match=r"plant did not answer within 0.25 s: it stalled"):
         hub.end_turn()
-    assert 0.25 <= time.monotonic() - started < 2.0
+    assert time.monotonic() - started >= 0.25
 
 
 @pytest.mark.parametrize("garbage", [b"x", b"\xff" * 16, bytes(40_000)], ids=len)
