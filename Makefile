@@ -11,6 +11,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 PY     := $(VENV)/bin/python
 MARK   ?= not slow and not vcan and not browser
+JOBS   ?= auto
 DEMO   ?= runs/demo
 
 .PHONY: demo test slow lint docs gallery bench coverage mutants golden clean
@@ -41,7 +42,7 @@ demo: $(VENV)/.run
 	@echo "picture: $(DEMO)/shift.png   page: $(DEMO)/report.html"
 
 test: $(VENV)/.dev
-	$(PY) -m pytest -m "$(MARK)" tests
+	$(PY) -m pytest -m "$(MARK)" -n $(JOBS) --maxprocesses 4 --dist worksteal tests
 
 slow: $(VENV)/.dev
 	$(PY) -m pytest -m "slow and not vcan and not browser" tests
