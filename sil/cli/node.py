@@ -50,8 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     from can_dbc.errors import InputError
     from sil.coupling.participants import open_link, take_part
     from sil.files.output_folder import without_parent_steps
-    from sil.recording.events import EVENTS
-    from sil.recording.recorder import PLANT_TRACE
+    from sil.recording.recorder import EVENTS, PLANT_TRACE
     from sil.simulation import build, scenario
 
     wait_s: float = arguments.timeout

@@ -2,25 +2,88 @@
 
 from __future__ import annotations
 
+import json
 import os
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
-from types import TracebackType
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
+from can_dbc.errors import InputError
 from sil.coupling.clock import NS_PER_S
-from sil.recording.events import EVENTS, event_of
-from sil.recording.frames import BUS_FRAMES, FrameReader
-from sil.recording.recorder import PLANT_TRACE, TraceReader
-from sil.recording.run_record import PlantEvent, RunRecord
+from sil.recording.recorder import BUS_FRAMES, EVENTS, PLANT_TRACE, TRACE_FORMAT
+from sil.recording.run_record import STORED_FRAME, PlantEvent, RunRecord, StoredFrames
 
 PIECE_S = 60.0
 """A run up to this long is one piece."""
 
 MOST_ROWS = 1_000_000
 """A piece has at most about this many rows of the trace."""
+
+_HEADER_BYTES_AT_MOST = 65536
+_FRAMES_AT_ONCE = 1 << 18
+
+
+class RowReader:
+    """Rows of fixed size in a file, by their index, also while it is written.
+
+    A torn last row is ignored.
+    """
+
+    def __init__(self, path: Path, kind: np.dtype[Any], ordered_by: str, begin: int = 0) -> None:
+        """Take a file with rows of a structured type, ascending in one field, from a byte on."""
+        self.kind = kind
+        self._path = path
+        self._ordered_by = ordered_by
+        self._begin = begin
+        self.rows = (path.stat().st_size - begin) // kind.itemsize
+
+    def read(self, begin: int, end: int) -> NDArray[Any]:
+        """Return rows begin to end - 1 as a structured array: [rows]."""
+        offset = self._begin + begin * self.kind.itemsize
+        return np.fromfile(self._path, self.kind, end - begin, offset=offset)
+
+    def first_from(self, value: float) -> int:
+        """Return the index of the first row that is at `value` or more in the order of the file."""
+        return bisect_left(
+            range(self.rows), value, key=lambda k: self.read(k, k + 1)[self._ordered_by][0]
+        )
+
+
+class _Header(msgspec.Struct):
+    format: Literal["opc4-trace-1"]
+    columns: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
+
+
+def open_trace(path: Path) -> RowReader:
+    """Return the reader of a trace.  Raises InputError for a file that is not a trace."""
+    with open(path, "rb") as file:
+        line = file.readline(_HEADER_BYTES_AT_MOST)
+    try:
+        if line.endswith(b"\n"):
+            columns = msgspec.json.decode(line, type=_Header).columns
+            kind = np.dtype([(name, "<f8") for name in columns])
+            return RowReader(path, kind, columns[0], len(line))
+    except (msgspec.MsgspecError, RecursionError, ValueError):
+        pass
+    raise InputError(
+        f"{path}: line 1: not the header of a trace; expected one line of JSON with "
+        f'"format": "{TRACE_FORMAT}" and "columns"'
+    )
+
+
+def event_of(line: bytes, location: str) -> PlantEvent:
+    """Return the event of one line.  Raises InputError naming `location` for something else."""
+    try:
+        values = json.loads(line)
+        return PlantEvent(float(values.pop("time_s")), str(values.pop("name")), values)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(f"{location}: not an event; expected time_s, name and values") from None
 
 
 class RunReader:
@@ -37,14 +100,17 @@ class RunReader:
         trace_period_s: float,
     ) -> None:
         """Open the files.  Raises OSError without recordings, InputError for other files."""
-        self._supply_pa = supply_pressure_pa
-        self.stroke_m = stroke_m
-        self._free_travel_m = free_travel_m
-        self._trace = TraceReader(folder / PLANT_TRACE)
-        self._frames = FrameReader(folder / BUS_FRAMES, senders)
+        self._constants = {
+            "supply_pressure_pa": supply_pressure_pa,
+            "stroke_m": stroke_m,
+            "free_travel_m": free_travel_m,
+        }
+        self._senders = senders
+        self._trace = open_trace(folder / PLANT_TRACE)
+        self._frames = RowReader(folder / BUS_FRAMES, STORED_FRAME, "arrival")
         self.piece_s = min(PIECE_S, MOST_ROWS * trace_period_s)
         self.rows = self._trace.rows
-        self.end_s = float(self._trace.read(self.rows - 1, self.rows)[0, 0]) if self.rows else 0.0
+        self.end_s = float(self._trace.read(self.rows - 1, self.rows)[0][0]) if self.rows else 0.0
         self.pieces = int(self.end_s // self.piece_s) + 1 if self.end_s > self.piece_s else 1
         self._events = open(folder / EVENTS, "rb")  # noqa: SIM115 - closed by __exit__
         self.balances: Mapping[str, Any] = {}
@@ -54,13 +120,7 @@ class RunReader:
     def __enter__(self) -> RunReader:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._frames.close()
+    def __exit__(self, *error: object) -> None:
         self._events.close()
 
     def __iter__(self) -> Iterator[RunRecord]:
@@ -83,7 +143,7 @@ class RunReader:
         """Return the record from `start_s` to `until_s`, and a second more on either side."""
         if self.pieces == 1:
             return self.piece(0)
-        latest_s = until_s + 1.0 + self._frames.longest_way_ns / NS_PER_S
+        latest_s = until_s + 1.0 + self._longest_way_ns / NS_PER_S
         return self._record(start_s - 1.0, until_s + 1.0, latest_s)
 
     def _record(self, start_s: float, end_s: float, last_arrival_s: float) -> RunRecord:
@@ -92,19 +152,26 @@ class RunReader:
         beyond = self.rows if end_s > self.end_s else self._trace.first_from(end_s)
         rows = self._trace.read(first, beyond)
         begin = 0 if start_s <= 0.0 else self._frames.first_from(round(start_s * NS_PER_S))
-        last = self._frames.frames
+        last = self._frames.rows
         if last_arrival_s < np.inf:
             last = self._frames.first_from(round(last_arrival_s * NS_PER_S))
         return RunRecord(
             truth={
-                name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(self._trace.columns)
+                name: np.ascontiguousarray(rows[name]) for name in self._trace.kind.fields or ()
             },
             events=self._events_between(start_s, end_s),
-            frames=self._frames.read(begin, last),
-            stroke_m=self.stroke_m,
-            free_travel_m=self._free_travel_m,
-            supply_pressure_pa=self._supply_pa,
+            frames=StoredFrames(self._frames.read(begin, last), self._senders),
+            **self._constants,
         )
+
+    @cached_property
+    def _longest_way_ns(self) -> int:
+        """The longest time from the release of a frame to its arrival, ns."""
+        longest = 0
+        for begin in range(0, self._frames.rows, _FRAMES_AT_ONCE):
+            frames = self._frames.read(begin, min(begin + _FRAMES_AT_ONCE, self._frames.rows))
+            longest = max(longest, int((frames["arrival"] - frames["released"]).max()))
+        return longest
 
     def _read_events(self) -> dict[int, tuple[int, int]]:
         """Return the byte range of each piece's events in the file, and store the balances."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar, overload
@@ -34,9 +34,15 @@ class BusFrame(NamedTuple):
 
 STORED = struct.Struct("<QQIBB8s")
 """A frame on disk: released and arrival [ns], identifier, length, number of its sender, data."""
-
-_IDENTIFIER = np.dtype(
-    {"names": ["can_id"], "formats": ["<u4"], "offsets": [16], "itemsize": STORED.size}
+STORED_FRAME = np.dtype(
+    [
+        ("released", "<u8"),
+        ("arrival", "<u8"),
+        ("can_id", "<u4"),
+        ("length", "u1"),
+        ("sender", "u1"),
+        ("data", "V8"),
+    ]
 )
 
 
@@ -47,43 +53,34 @@ class StoredFrames(Sequence[BusFrame]):
     time than everything that is done with them.
     """
 
-    def __init__(self, content: bytes, senders: Sequence[str]) -> None:
-        """Take the content of a file of frames; `senders`: names by number."""
-        self._content = content
+    def __init__(self, stored: NDArray[np.void], senders: Sequence[str]) -> None:
+        """Take frames [n] of `STORED_FRAME`; `senders`: names by number."""
+        self._stored = stored
         self._senders = senders
-        self._ids = np.frombuffer(content, _IDENTIFIER)["can_id"]
 
     def __len__(self) -> int:
-        return len(self._ids)
+        return len(self._stored)
 
     def __iter__(self) -> Iterator[BusFrame]:
-        return self._frames(self._content)
+        senders = self._senders
+        for released, arrival, can_id, length, sender, data in STORED.iter_unpack(
+            self._stored.tobytes()
+        ):
+            yield BusFrame(released, arrival, senders[sender], Frame(can_id, data[:length]))
 
     @overload
     def __getitem__(self, index: int) -> BusFrame: ...
     @overload
-    def __getitem__(self, index: slice) -> Sequence[BusFrame]: ...
-    def __getitem__(self, index: int | slice) -> BusFrame | Sequence[BusFrame]:
+    def __getitem__(self, index: slice) -> StoredFrames: ...
+    def __getitem__(self, index: int | slice) -> BusFrame | StoredFrames:
         if isinstance(index, slice):
-            return [self[k] for k in range(*index.indices(len(self)))]
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"frame {index} of {len(self)}")
-        begin = index % len(self) * STORED.size
-        return next(self._frames(self._content[begin : begin + STORED.size]))
+            return StoredFrames(self._stored[index], self._senders)
+        return next(iter(StoredFrames(self._stored[[index]], self._senders)))
 
-    def identifiers(self) -> list[int]:
-        """Return the distinct identifiers, sorted."""
-        return [int(can_id) for can_id in np.unique(self._ids)]
-
-    def of_id(self, can_id: int) -> Iterator[BusFrame]:
-        """Return the frames of one identifier, in order."""
-        entries = np.frombuffer(self._content, f"V{STORED.size}")
-        return self._frames(entries[self._ids == can_id].tobytes())
-
-    def _frames(self, content: bytes) -> Iterator[BusFrame]:
-        senders = self._senders
-        for released, arrival, can_id, length, sender, data in STORED.iter_unpack(content):
-            yield BusFrame(released, arrival, senders[sender], Frame(can_id, data[:length]))
+    def by_id(self) -> dict[int, StoredFrames]:
+        """Return the frames by identifier, in order."""
+        ids = self._stored["can_id"]
+        return {int(i): StoredFrames(self._stored[ids == i], self._senders) for i in np.unique(ids)}
 
 
 @dataclass(frozen=True)
@@ -112,15 +109,15 @@ class RunRecord:
 
         Frames of other identifiers and damaged ones are only in `frames`.
         """
-        frames = self.frames
-        ids = frames.identifiers() if isinstance(frames, StoredFrames) else self._by_id
-        kinds = [codec.message_type_of(can_id) for can_id in ids]
+        kinds = [codec.message_type_of(can_id) for can_id in sorted(self._by_id)]
         found: dict[type, list[tuple[BusFrame, Any]]]
         found = {kind: self.of(kind) for kind in kinds if kind is not None}
         return {kind: entries for kind, entries in found.items() if entries}
 
     @cached_property
-    def _by_id(self) -> dict[int, list[BusFrame]]:
+    def _by_id(self) -> Mapping[int, Sequence[BusFrame]]:
+        if isinstance(self.frames, StoredFrames):
+            return self.frames.by_id()
         found: dict[int, list[BusFrame]] = {}
         for entry in self.frames:
             found.setdefault(entry.frame.can_id, []).append(entry)
@@ -130,10 +127,8 @@ class RunRecord:
     def _decoded(self) -> dict[type, list[tuple[BusFrame, Any]]]:
         return {}
 
-    def frames_of(self, can_id: int) -> Iterable[BusFrame]:
+    def frames_of(self, can_id: int) -> Sequence[BusFrame]:
         """Return the frames of one identifier, in order of arrival."""
-        if isinstance(self.frames, StoredFrames):
-            return self.frames.of_id(can_id)
         return self._by_id.get(can_id, ())
 
     def each(self, kind: type[M]) -> Iterator[tuple[BusFrame, M]]:

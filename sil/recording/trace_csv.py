@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
-from types import TracebackType
+from typing import BinaryIO
 
 import numpy as np
 
 from can_dbc.messages import ControllerStatus
-from sil.files.atomic import open_atomically
 from sil.recording.run_record import Floats, RunRecord
 
 FIRST = (
@@ -69,15 +67,13 @@ def trace_columns(
 class TraceCsv:
     """Writes the trace piece by piece: every number reads back to the same bits.
 
-    An unknown number is an empty field.  Use as a context manager: the file has its name on leaving.
+    An unknown number is an empty field.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Open the file under another name."""
-        self._opening = open_atomically(path)
-        self._file = self._opening.__enter__()
+    def __init__(self, file: BinaryIO) -> None:
+        """Write into an empty file."""
+        self._file = file
         self._held: dict[str, float] = {}
-        self._begun = False
 
     def add(self, record: RunRecord) -> None:
         """Append the rows of the next piece of the run."""
@@ -87,9 +83,8 @@ class TraceCsv:
             if values:
                 self._held[name] = float(values[-1])
         at = record.truth["time_s"]
-        if not self._begun:
+        if self._file.tell() == 0:
             self._file.write((",".join(columns) + "\n").encode())
-            self._begun = True
         for begin in range(0, len(at), ROWS):
             texts = [
                 ["" if v != v else str(int(v)) for v in column[begin : begin + ROWS].tolist()]
@@ -99,15 +94,3 @@ class TraceCsv:
             ]
             lines = "".join(",".join(row) + "\n" for row in zip(*texts, strict=True))
             self._file.write(lines.encode())
-
-    def __enter__(self) -> TraceCsv:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Give the file its name; after an error, remove it."""
-        self._opening.__exit__(kind, error, trace)

@@ -30,8 +30,7 @@ from sil.simulation.scenario import Loaded, Scenario, expanded
 
 if TYPE_CHECKING:
     from plant.node import PlantConfig, PlantNode
-    from sil.recording.events import EventLog
-    from sil.recording.recorder import TraceWriter
+    from sil.recording.recorder import EventLog, TraceWriter
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENARIO = "scenario.json"
@@ -163,8 +162,7 @@ def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
         raise InputError(f"participant {name!r}: expected driver, controller or plant")
     from plant.errors import IntegrationError
     from plant.node import TRACE_COLUMNS, PlantNode
-    from sil.recording.events import EVENTS, EventLog
-    from sil.recording.recorder import PLANT_TRACE, TraceWriter
+    from sil.recording.recorder import EVENTS, PLANT_TRACE, EventLog, TraceWriter
 
     with contextlib.ExitStack() as on_error:
         trace = TraceWriter(folder / PLANT_TRACE, TRACE_COLUMNS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
@@ -116,8 +117,8 @@ class Expectations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 class Observed:
     """What the expectations need of a run, collected piece by piece in order of time."""
 
-    def __init__(self, stroke_m: float) -> None:
-        self.stroke_m = stroke_m
+    def __init__(self) -> None:
+        self.stroke_m = math.nan
         self.counts: dict[type, int] = dict.fromkeys(_NEVER_NONE, 0)
         self.opened: set[str] = set()
         self.valves_off = True
@@ -128,6 +129,7 @@ class Observed:
 
     def add(self, record: RunRecord) -> None:
         """Add the next piece of the run."""
+        self.stroke_m = record.stroke_m
         for kind in self.counts:
             self.counts[kind] += sum(1 for _ in record.each(kind))
         if len(record.truth["time_s"]):
@@ -146,7 +148,7 @@ def evaluate(
     wanted: Expectations, record: RunRecord, found: Sequence[Shift], metrics: dict[str, Any]
 ) -> list[Check]:
     """Return one Check per expectation, after those that the run did anything at all."""
-    observed = Observed(record.stroke_m)
+    observed = Observed()
     observed.add(record)
     return evaluate_observed(wanted, observed, found, metrics)
 

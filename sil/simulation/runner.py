@@ -20,12 +20,18 @@ from sil.coupling.clock import to_ns, to_seconds
 from sil.coupling.faults import FaultPlan
 from sil.coupling.lockstep import Lockstep, RunSummary
 from sil.coupling.real_time import Pacer
-from sil.files.atomic import write_atomically
+from sil.files.atomic import open_atomically, write_atomically
 from sil.files.progress import Progress
 from sil.recording.end_to_end import EndToEnd
-from sil.recording.events import EVENTS
-from sil.recording.frames import BUS_FRAMES, FrameWriter
-from sil.recording.recorder import BUS_LOG, PLANT_TRACE, BusLog, trace_sha256
+from sil.recording.recorder import (
+    BUS_FRAMES,
+    BUS_LOG,
+    EVENTS,
+    PLANT_TRACE,
+    BusLog,
+    FrameWriter,
+    trace_sha256,
+)
 from sil.recording.run_reader import RunReader
 from sil.recording.run_record import RunRecord
 from sil.recording.trace_csv import TraceCsv
@@ -262,12 +268,13 @@ def _figures(
     scenario: Scenario, recorded: RunReader, path: Path
 ) -> tuple[expectations.Observed, list[metrics.Shift], int, EndToEnd]:
     """Write the trace of a run, and collect observations and shifts, piece by piece."""
-    observed = expectations.Observed(recorded.stroke_m)
+    observed = expectations.Observed()
     gear = build.gear_of(scenario.initial_gear)
     changes: list[tuple[float, Gear, Gear]] = []
     switchings = 0
     checked = EndToEnd()
-    with TraceCsv(path) as csv:
+    with open_atomically(path) as file:
+        csv = TraceCsv(file)
         for piece in recorded:
             csv.add(piece)
             observed.add(piece)

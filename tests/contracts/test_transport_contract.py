@@ -29,7 +29,8 @@ from sil.coupling.transports import address
 from sil.coupling.transports.channel import ParticipantLost, Timeouts
 from sil.coupling.transports.hub import Hub
 from sil.coupling.transports.socketcan import CanSocket
-from sil.recording.recorder import BUS_LOG, PLANT_TRACE, TraceReader
+from sil.recording.recorder import BUS_LOG, PLANT_TRACE
+from sil.recording.run_reader import open_trace
 from tests.contracts.toy_nodes import COLUMNS, IDS, MS, PERIODS_NS, PHASES_NS
 from tests.contracts.toy_run import channel_name, command, toy_run
 
@@ -81,9 +82,10 @@ def test_same_hash_as_in_one_process(transport: str, tmp_path: Path, reference: 
     assert run.remote is None or run.remote.core in {None, *cores}
     frames = len((run.folder / BUS_LOG).read_text().splitlines())
     assert summary.frames == frames > 200
-    trace = TraceReader(run.folder / PLANT_TRACE)
-    assert trace.columns == COLUMNS
-    assert trace.rows == 1 + 60 == len(set(trace.read()[:, 0])), "once per event and at the end"
+    trace = open_trace(run.folder / PLANT_TRACE)
+    assert trace.kind.names == COLUMNS
+    instants = trace.read(0, trace.rows)[COLUMNS[0]]
+    assert trace.rows == 1 + 60 == len(set(instants)), "once per event and at the end"
 
 
 @every_transport
@@ -189,8 +191,10 @@ def test_kill_9_ends_the_run_at_once(transport: str, name: str, tmp_path: Path) 
     lines = (run.folder / BUS_LOG).read_text().splitlines()
     assert len(lines) == run.log.frames
     assert float(lines[-1][1:18]) * 1e9 > run.lockstep.now_ns - 10 * MS
-    rows = TraceReader(run.folder / PLANT_TRACE).read()
-    assert rows[-1, 0] * 1e9 > run.lockstep.now_ns - 10 * MS
+    trace = open_trace(run.folder / PLANT_TRACE)
+    assert (
+        trace.read(trace.rows - 1, trace.rows)[COLUMNS[0]][0] * 1e9 > run.lockstep.now_ns - 10 * MS
+    )
     for child in run.children.values():
         with pytest.raises(ProcessLookupError):
             os.kill(child.pid, 0)

@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from can_dbc.errors import InputError
 from can_dbc.frame import Frame
 from sil.coupling.bus import Delivery
 from sil.recording import run_reader
-from sil.recording.frames import FrameReader, FrameWriter
-from sil.recording.recorder import TraceReader, TraceWriter
-from sil.recording.run_record import BusFrame
+from sil.recording.recorder import EventLog, FrameWriter, TraceWriter
+from sil.recording.run_reader import RowReader, event_of, open_trace
+from sil.recording.run_record import STORED_FRAME, BusFrame, PlantEvent, StoredFrames
 from sil.simulation import metrics, runner, scenario
 
 SENDERS = ("driver", "controller")
@@ -34,18 +35,18 @@ def test_frames_come_back_and_a_torn_last_one_is_left_out(tmp_path: Path) -> Non
     frames = written(tmp_path / "bus.frames")
     content = (tmp_path / "bus.frames").read_bytes()
     (tmp_path / "bus.frames").write_bytes(content[:-1])
-    reader = FrameReader(tmp_path / "bus.frames", SENDERS)
-    assert reader.frames == 19
-    stored = reader.read(0, 19)
-    assert list(stored) == frames[:19] and list(reader.read(5, 7)) == frames[5:7]
-    assert stored[3] == frames[3] and stored[-1] == frames[18] and stored[2:9:3] == frames[2:9:3]
+    reader = RowReader(tmp_path / "bus.frames", STORED_FRAME, "arrival")
+    assert reader.rows == 19
+    stored = StoredFrames(reader.read(0, 19), SENDERS)
+    assert list(stored) == frames[:19] and list(stored[5:7]) == frames[5:7]
+    assert stored[3] == frames[3] and stored[-1] == frames[18]
+    assert list(stored[2:9:3]) == frames[2:9:3]
     with pytest.raises(IndexError):
         stored[19]
-    assert stored.identifiers() == [0x0CFF2503, 0x18FF2690]
-    assert list(stored.of_id(0x18FF2690)) == frames[4:19:5] and not list(stored.of_id(1))
-    assert reader.longest_way_ns == 7
+    by_id = {can_id: list(found) for can_id, found in stored.by_id().items()}
+    others = [f for f in frames[:19] if f.frame.can_id == IDS[0]]
+    assert by_id == {IDS[0]: others, IDS[1]: frames[4:19:5]}
     assert [reader.first_from(at) for at in (0, 7, 8, 17, 187, 188)] == [0, 0, 1, 1, 18, 19]
-    reader.close()
 
 
 def test_rows_come_back_by_number(tmp_path: Path) -> None:
@@ -54,8 +55,8 @@ def test_rows_come_back_by_number(tmp_path: Path) -> None:
         writer.write(rows)
     with open(tmp_path / "trace", "ab") as file:
         file.write(b"torn")
-    reader = TraceReader(tmp_path / "trace")
-    assert reader.rows == 10 and np.array_equal(reader.read(2, 5), rows[2:5])
+    reader = open_trace(tmp_path / "trace")
+    assert reader.rows == 10 and reader.read(2, 5).tobytes() == rows[2:5].tobytes()
     assert [reader.first_from(value) for value in (-1.0, 0.0, 0.5, 3.0, 27.0, 28.0)] == [
         *(0, 0, 1, 1, 9, 10)
     ]
@@ -89,3 +90,19 @@ def test_a_shift_is_followed_for_two_minutes_at_most() -> None:
         *((1.0, 2.0), (2.0, 122.0), (500.0, 501.0))
     ]
     assert metrics.spans([], 3.0) == []
+
+
+def test_events_read_back(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    log = EventLog(path)
+    log(0.5, "stay_stop", {"speed_m_s": 0.1 + 0.2})
+    log(0.6, "valve_B_open", {})
+    log.close()
+    wanted = [
+        PlantEvent(0.5, "stay_stop", {"speed_m_s": 0.1 + 0.2}),
+        PlantEvent(0.6, "valve_B_open"),
+    ]
+    lines = path.read_bytes().splitlines()
+    assert [event_of(line, "line") for line in lines] == wanted
+    with pytest.raises(InputError, match="line 1: not an event"):
+        event_of(b'{"time_s": 0.7}', "line 1")

@@ -22,10 +22,9 @@ def test_held_values() -> None:
 def test_trace_csv_begins_like_a_measured_stroke_and_keeps_every_bit(tmp_path: Path) -> None:
     record = made_run.made()
     truth = record.truth
-    with TraceCsv(tmp_path / "trace.csv") as file:
-        file.add(record)
-    with (tmp_path / "trace.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    with (tmp_path / "trace.csv").open("wb") as file:
+        TraceCsv(file).add(record)
+    rows = list(csv.DictReader((tmp_path / "trace.csv").read_text().splitlines()))
     assert list(rows[0])[:9] == [
         "time_s",
         "position_m",
