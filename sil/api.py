@@ -193,7 +193,7 @@ def simulate(
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
     from sil.campaign.simulate import simulate_campaign
-    from sil.files.typed_toml import model_settings
+    from sil.files.overrides import model_settings
 
     parameters = load(str(model)).override(model_settings(texts(settings)))
     return list(simulate_campaign(load_campaign(campaign), parameters))

@@ -28,8 +28,8 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.campaign.campaign import load_campaign
     from sil.campaign.simulate import campaign_folder, simulate_campaign, write_campaign
     from sil.files.output_folder import finite, prepare_folder
+    from sil.files.overrides import model_settings
     from sil.files.progress import Progress
-    from sil.files.typed_toml import model_settings
 
     campaign = load_campaign(arguments.campaign)
     parameters = load(arguments.model)

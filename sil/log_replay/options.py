@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from can_dbc import typed_toml
 from can_dbc.errors import InputError
 from can_dbc.user_file import read_user_text
-from sil.files import typed_toml
 from sil.log_replay.tick_grid import Survey
 from sil.nodes.own_firmware import absolute
 from sil.simulation import scenario

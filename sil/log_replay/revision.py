@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from can_dbc.errors import InputError
-from sil.files.typed_toml import one_line
+from can_dbc.typed_toml import one_line
 from sil.simulation.build import ROOT
 
 

@@ -12,10 +12,10 @@ from typing import Annotated, Any, Final
 import msgspec
 from msgspec import Meta
 
+from can_dbc import typed_toml
 from can_dbc.codec import decode
 from can_dbc.errors import CodecError, InputError, unknown_name
 from can_dbc.frame import Frame
-from sil.files import typed_toml
 from sil.log_replay.recorded_frames import ID_OF, KINDS, bare
 
 NAMES: Final[dict[type, tuple[str, ...]]] = {

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
 from controller.config import FirmwareConfig
 from plant.devices.driveline import DrivelineConfig
@@ -21,7 +22,7 @@ from plant.devices.signal_faults import SpeedFault, TemperatureFault
 from plant.devices.valve_driver import ValveDriverConfig
 from plant.devices.valve_faults import ValveFault
 from sil.coupling.faults import BusFault, FaultPlan
-from sil.files import typed_toml
+from sil.files import overrides
 from sil.files.quantity import quantity
 from sil.nodes.own_firmware import absolute
 from sil.simulation.expectations import ChamberName, Expectations, GearName
@@ -360,7 +361,7 @@ def _apply(raw: dict[str, Any], text: str, parameters: ParameterSet) -> None:
         raise InputError(f"--set {typed_toml.one_line(text)}: no value; expected PATH=VALUE")
     if written.strip() in ("True", "False"):
         raise InputError(f"--set {path}: {written.strip()}; expected true or false, as TOML has it")
-    value = typed_toml.parse_value(written.strip())
+    value = overrides.parse_value(written.strip())
     if path in parameters:
         raw.setdefault("model", {})[path] = value
         return
@@ -368,8 +369,8 @@ def _apply(raw: dict[str, Any], text: str, parameters: ParameterSet) -> None:
         path = "controller.filter.enabled"
     if path.startswith(_STRATEGY) and _set_strategy(raw, path.removeprefix(_STRATEGY), value):
         return
-    if not typed_toml.set_value(raw, Scenario, path, value):
-        known = [*typed_toml.leaf_paths(Scenario, raw), *parameters]
+    if not overrides.set_value(raw, Scenario, path, value):
+        known = [*overrides.leaf_paths(Scenario, raw), *parameters]
         near = nearest(path, known, 5, 0.4) or ["valve.D_fall", "controller.period_s"]
         raise InputError(
             f"--set {typed_toml.one_line(path)}: no such value; nearest: {', '.join(near)}"

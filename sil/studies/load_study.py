@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
-from sil.files import typed_toml
 from sil.simulation import scenario
 from sil.studies.rows import columns
 from sil.studies.study import MOST_ROWS, Base, LoadedStudy, Study, Sweep, groups_of

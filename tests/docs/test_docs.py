@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from can_dbc import typed_toml
 from docs.generate import FOLDER, examples, generated
 from sil import cli
 from sil.claims.claim import all_claims
-from sil.files import typed_toml
 from sil.simulation.scenario import from_table
 from sil.simulation.scenario import shipped as scenarios
 from sil.studies.load_study import shipped as studies

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from can_dbc import typed_toml
 from can_dbc.errors import InputError
-from sil.files import typed_toml
+from sil.files import overrides
 from sil.simulation import scenario
 from sil.simulation.scenario import Scenario
 
@@ -203,14 +204,14 @@ def test_model_file_and_seed(tmp_path: Path) -> None:
 def test_every_settable_path_of_a_scenario_can_be_set_to_what_it_is() -> None:
     loaded = scenario.load("lost_frames")
     raw = scenario.expanded(loaded.scenario)
-    paths = list(typed_toml.leaf_paths(Scenario, raw))
+    paths = list(overrides.leaf_paths(Scenario, raw))
     assert len(paths) > 80
     for path in paths:
         before = copy.deepcopy(raw)
         at: Any = raw
         for step in path.replace("]", "").replace("[", ".").split("."):
             at = at[int(step)] if isinstance(at, list) else at.get(step)
-        assert typed_toml.set_value(raw, Scenario, path, at), path
+        assert overrides.set_value(raw, Scenario, path, at), path
         assert raw == before, path
 
 
