@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
         return _finish(arguments, request)
     import dataclasses
 
-    from sil.log_replay.revision import checkout
+    from sil.log_replay.checkout import checkout
 
     with checkout(arguments.against) as tree:
         return _finish(arguments, dataclasses.replace(request, reference=(tree, arguments.against)))

@@ -13,8 +13,10 @@ from typing import Final
 
 from can_dbc.e2e import COUNTERS
 from can_dbc.frame import Frame
+from sil.coupling.clock import to_seconds
+from sil.coupling.transports.channel import ParticipantLost
+from sil.coupling.transports.inproc import Participant
 from sil.log_replay.comparison import Comparison
-from sil.log_replay.firmware_under_test import FirmwareUnderTest
 from sil.log_replay.plant_side import PlantSide
 from sil.log_replay.recorded_frames import INPUTS, OUTPUTS, OWN_IDS, Arrival, bare, is_intact
 from sil.log_replay.signals import NAMES, value_text, values
@@ -22,8 +24,6 @@ from sil.log_replay.ticks import Span, TickMap
 
 RECENT_INPUTS: Final = 12
 AHEAD_NS: Final = 10_000_000
-
-Hears = Callable[[int], bool]
 
 
 @dataclass
@@ -44,23 +44,58 @@ class Account:
         return sum(sum(part.values()) for part in parts) + self.foreign
 
 
-class ReplayExecutor:
-    """Runs a unit over a log and hands both sides of each tick to the comparison.
+class Unit:
+    """A control unit under replay, which restarts after gaps in the recording.
 
-    period_ns: of the control unit under replay; the recorded one's is the map's. hears: whether the control unit
-    hears a frame of a time (log's clock, ns). plant: takes part where the plant is replayed too.
-    reference: another unit whose answers stand in for the recorded ones.
+    make: starts it anew; its times count from the tick of its latest start.
+    """
+
+    def __init__(self, make: Callable[[], Participant]) -> None:
+        self._make = make
+        self._node = make()
+        self._start_ns = 0
+
+    def restart(self, tick_ns: int) -> None:
+        """Start anew with the tick at this time."""
+        self.close()
+        self._node, self._start_ns = self._make(), tick_ns
+
+    def step(self, tick_ns: int, deliveries: Iterable[tuple[int, Frame]]) -> list[Frame]:
+        """Run a tick with the frames that arrived since the one before; return the frames released.
+
+        Raises RunError when the firmware fails.
+        """
+        start_ns = self._start_ns
+        since = [(max(time_ns - start_ns, 0), frame) for time_ns, frame in deliveries]
+        try:
+            released, _ = self._node.advance(tick_ns - start_ns, since)
+        except ParticipantLost as lost:
+            raise lost.at(to_seconds(tick_ns)) from None
+        return [frame for _, frame in released]
+
+    def close(self) -> None:
+        """End the control unit."""
+        self._node.close()
+
+
+class ReplayExecutor:
+    """Runs a control unit over a log and hands both sides of each tick to the comparison.
+
+    period_ns: of the control unit under replay; the map has that of the recorded one.
+    hears: whether the control unit hears a frame of a time (log's clock, ns).
+    plant: takes part where the plant is replayed too.
+    reference: another control unit whose answers replace the recorded ones.
     Checked by: tests/unit/sil/log_replay/test_executor.py, tests/scenarios/test_replay.py
     """
 
     def __init__(
         self,
         ticks: TickMap,
-        unit: FirmwareUnderTest,
+        unit: Unit,
         period_ns: int,
-        hears: Hears,
+        hears: Callable[[int], bool],
         plant: PlantSide | None = None,
-        reference: FirmwareUnderTest | None = None,
+        reference: Unit | None = None,
     ) -> None:
         self._map = ticks
         self._grid = ticks.grid
@@ -191,9 +226,9 @@ class ReplayExecutor:
         if self._restarts and self._restarts[0] <= tick:
             while self._restarts and self._restarts[0] <= tick:
                 self._restarts.popleft()
-            self._unit.restart()
+            self._unit.restart(now_ns)
             if self._reference is not None:
-                self._reference.restart()
+                self._reference.restart(now_ns)
             self.comparison.begin_warm_up()
         deliveries: list[tuple[int, Frame]] = []
         while self._pending and self._pending[0][0] <= now_ns:

@@ -7,16 +7,18 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
-from itertools import chain, islice
+from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import msgspec
 
 from can_dbc.errors import InputError
 from can_dbc.messages import ShiftRequest, ValveCommand
+from sil.coupling.transports.inproc import Participant
+from sil.log_replay.checkout import CheckoutController
 from sil.log_replay.comparison import Comparison
-from sil.log_replay.executor import Account, ReplayExecutor
-from sil.log_replay.firmware_under_test import CheckoutFirmware, FirmwareUnderTest, OwnFirmware
+from sil.log_replay.executor import Account, ReplayExecutor, Unit
 from sil.log_replay.options import ReplaySettings, find_settings
 from sil.log_replay.plant_side import PlantSide
 from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames, ids_of_database
@@ -78,14 +80,8 @@ class ReplayResult:
     @property
     def labels(self) -> tuple[str, str]:
         """What the two sides are called."""
-        return (
-            ("recorded", "replayed")
-            if self.request.reference is None
-            else (
-                self.request.reference[1],
-                "here",
-            )
-        )
+        reference = self.request.reference
+        return ("recorded", "replayed") if reference is None else (reference[1], "here")
 
 
 def replay(request: ReplayRequest) -> ReplayResult:
@@ -136,11 +132,11 @@ def replay(request: ReplayRequest) -> ReplayResult:
         )
     hears = _hearing(ready, grid, ticks, "controller")
     with ExitStack() as stack:
-        firmware = stack.enter_context(closing(_firmware(request, ready)))
+        firmware = stack.enter_context(closing(Unit(_firmware(request, ready))))
         reference = None
         if request.reference is not None:
-            tree, name = request.reference
-            reference = stack.enter_context(closing(CheckoutFirmware(tree, config, name)))
+            make = partial(CheckoutController, request.reference[0], config, request.reference[1])
+            reference = stack.enter_context(closing(Unit(make)))
         plant = _plant(request, ready, grid, hears_plant=_hearing(ready, grid, ticks, "plant"))
         executor = ReplayExecutor(ticks, firmware, config.period_ns, hears, plant, reference)
         comparison = Comparison(
@@ -254,15 +250,23 @@ def _is_folder(firmware: str | None) -> bool:
     return firmware is not None and Path(firmware).is_dir()
 
 
-def _firmware(request: ReplayRequest, ready: ReplaySettings) -> FirmwareUnderTest:
+def _firmware(request: ReplayRequest, ready: ReplaySettings) -> Callable[[], Participant]:
+    """Return what starts the control unit under replay."""
+    config, program = ready.loaded.scenario.controller, ready.loaded.scenario.firmware
     if request.firmware is not None and _is_folder(request.firmware):
         folder = Path(request.firmware).resolve()
         if not (folder / "controller" / "node.py").is_file():
             raise InputError(
                 f"{request.firmware}: no controller/node.py in it; expected a checkout"
             )
-        return CheckoutFirmware(folder, ready.loaded.scenario.controller, request.firmware)
-    return OwnFirmware(ready.loaded.scenario.controller, ready.loaded.scenario.firmware)
+        return partial(CheckoutController, folder, config, request.firmware)
+    if program:
+        from sil.nodes.own_firmware import OwnController
+
+        return partial(OwnController, program, config)
+    from controller.node import ControllerNode
+
+    return partial(ControllerNode, config)
 
 
 def _hearing(ready: ReplaySettings, grid: Grid, ticks: TickMap, node: str) -> Callable[[int], bool]:
@@ -343,10 +347,8 @@ def _notes(outcome: ReplayResult, log: _Log, frames: RecordedFrames) -> list[str
             "are by the control unit's, from the log's first frame on"
         )
     if frames.reordered:
-        notes.append(
-            f"{frames.reordered} frames out of request, taken as of the latest time before"
-        )
+        notes.append(f"{frames.reordered} frames out of order, taken as of the latest time before")
     report = log.report
     if not report.clean:
         notes += [f"log: {line}" for line in report.lines()[1:]]
-    return list(chain(notes))
+    return notes

@@ -1,9 +1,10 @@
-"""Another commit's firmware: compared in a worktree that is gone afterwards, whatever happens."""
+"""Another commit's firmware: compared from a folder that is gone afterwards."""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -11,10 +12,11 @@ import pytest
 from can_dbc.errors import InputError, RunError
 from can_dbc.messages import ValveCommand
 from controller.config import FirmwareConfig
-from sil.log_replay.firmware_under_test import CheckoutFirmware, OwnFirmware
+from controller.node import ControllerNode
+from sil.log_replay.checkout import CheckoutController, checkout
+from sil.log_replay.executor import Unit
 from sil.log_replay.recorded_frames import OWN_IDS
 from sil.log_replay.replay import ReplayRequest, replay
-from sil.log_replay.revision import checkout
 from tests.conftest import ROOT
 from tests.unit.sil.log_replay.golden_logs import arrivals, golden
 
@@ -50,31 +52,18 @@ def test_two_commits_on_one_log(repository: Path) -> None:
     log = str(golden("lab_n_b"))
     with checkout("HEAD~1", repository) as tree:
         assert not replay(ReplayRequest(log, reference=(tree, "HEAD~1"))).differs
-        assert len(git(repository, "worktree", "list").splitlines()) == 2
     with checkout("HEAD", repository) as tree:
         found = replay(ReplayRequest(log, reference=(tree, "HEAD")))
     assert found.differs and found.labels == ("HEAD", "here")
     assert found.comparison.first_command is not None
     assert found.comparison.first_command.signals[0][0] == "ValveCommand.duty_b"
-    assert not tree.exists() and len(git(repository, "worktree", "list").splitlines()) == 1
-
-
-@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_the_worktree_is_gone_whatever_happens(
-    repository: Path, error: type[BaseException]
-) -> None:
-    with pytest.raises(error), checkout("HEAD", repository) as tree:
-        assert (tree / "controller" / "node.py").is_file()
-        raise error
     assert not tree.exists()
-    assert len(git(repository, "worktree", "list").splitlines()) == 1
 
 
 @pytest.mark.parametrize("name", ["no-such-commit", "--help", "", "HEAD~99"])
 def test_a_commit_that_is_not_there_is_refused(repository: Path, name: str) -> None:
     with pytest.raises(InputError, match="--against"), checkout(name, repository):
         pass
-    assert len(git(repository, "worktree", "list").splitlines()) == 1
 
 
 def test_code_outside_of_a_repository_is_refused(tmp_path: Path) -> None:
@@ -82,21 +71,27 @@ def test_code_outside_of_a_repository_is_refused(tmp_path: Path) -> None:
         pass
 
 
-def test_a_foreign_unit_answers_as_our_own_does() -> None:
+def test_a_commit_without_a_firmware_is_refused(repository: Path) -> None:
+    git(repository, "rm", "-r", "--quiet", "controller")
+    git(repository, "commit", "--quiet", "-m", "no firmware")
+    expected = r"--against HEAD: .*controller.*; expected a commit, tag or branch with a firmware"
+    with pytest.raises(InputError, match=expected), checkout("HEAD", repository):
+        pass
+
+
+def test_the_controller_of_a_checkout_answers_as_our_own_does() -> None:
     log = [a for a in arrivals("lab_n_b") if a.kind is not None]
-    own, foreign = OwnFirmware(FirmwareConfig()), CheckoutFirmware(ROOT, FirmwareConfig(), "here")
-    try:
+    own = Unit(lambda: ControllerNode(FirmwareConfig()))
+    with closing(Unit(lambda: CheckoutController(ROOT, FirmwareConfig(), "here"))) as foreign:
         for tick in range(40):
             now = tick * 10_000_000
             heard = [(a.time_ns, a.frame) for a in log if now - 10_000_000 < a.time_ns <= now]
             if tick == 25:
-                own.restart()
-                foreign.restart()
+                own.restart(now)
+                foreign.restart(now)
             ours = own.step(now, heard)
             assert foreign.step(now, heard) == ours
             assert OWN_IDS[ours[0].can_id] is ValveCommand
-    finally:
-        foreign.close()
 
 
 def test_a_checkout_without_a_controller_is_refused(tmp_path: Path) -> None:
@@ -104,11 +99,11 @@ def test_a_checkout_without_a_controller_is_refused(tmp_path: Path) -> None:
     package.mkdir()
     (package / "__init__.py").write_text("raise RuntimeError('an older world')\n")
     with pytest.raises(InputError, match=r"cannot be used: .*an older world"):
-        CheckoutFirmware(tmp_path, FirmwareConfig(), "old")
+        CheckoutController(tmp_path, FirmwareConfig(), "old")
 
 
-def test_a_foreign_unit_that_ends_is_told() -> None:
-    unit = CheckoutFirmware(ROOT, FirmwareConfig(), "here")
-    with pytest.raises(RunError, match=r"here: its firmware ended: .*skips the tick"):
-        for now_ns in (0, 10_000_001):
-            unit.step(now_ns, [])
+def test_the_error_that_ends_a_checkouts_controller_is_named() -> None:
+    with closing(CheckoutController(ROOT, FirmwareConfig(), "here")) as node:
+        node.advance(0, [])
+        with pytest.raises(RunError, match=r"here: its firmware ended: .*skips the tick"):
+            node.advance(10_000_001, [])
