@@ -13,15 +13,12 @@ import math
 from collections.abc import Callable
 from functools import cache, lru_cache
 from operator import attrgetter, index
-from typing import TYPE_CHECKING, Any, NoReturn, get_args, get_type_hints
+from typing import Any, NoReturn, get_args, get_type_hints
 
 from can_dbc.contract import MessageSpec, SignalSpec, contract
 from can_dbc.errors import CodecError
-from can_dbc.frame import Frame, is_lockstep, split_id
+from can_dbc.frame import Frame, split_id
 from can_dbc.messages import SIGNALS, Message
-
-if TYPE_CHECKING:
-    from can_dbc.lockstep import ControlMessage
 
 _SI = {
     "": (1.0, 1.0),
@@ -171,7 +168,7 @@ class _MessageCodec:
     def __init__(self, message_type: type) -> None:
         spec = spec_of(message_type)
         hints = get_type_hints(message_type)
-        names = _signals(message_type)
+        names = SIGNALS[message_type]
         signals = {field: spec.signal(name) for field, name in zip(hints, names, strict=True)}
         self.message_type = message_type
         self.can_id = spec.can_id
@@ -250,7 +247,7 @@ class _MessageCodec:
 
 def spec_of(message_type: type) -> MessageSpec:
     """Return the entry of opc4.dbc for a message type: identifier, timing, signals, comments."""
-    return contract().message(message_type.__name__)
+    return contract()[message_type.__name__]
 
 
 def can_id_of(message_type: type) -> int:
@@ -263,37 +260,20 @@ def _types() -> dict[int, type]:
     return {can_id_of(message_type): message_type for message_type in SIGNALS}
 
 
-@cache
-def _lockstep_types() -> dict[int, type]:
-    from can_dbc import lockstep  # most programs never look at control frames
-
-    return {can_id_of(message_type): message_type for message_type in lockstep.SIGNALS}
-
-
 def message_type_of(can_id: int) -> type | None:
     """Return the message type that an identifier carries; None outside the contract."""
-    return (_lockstep_types() if is_lockstep(can_id) else _types()).get(can_id)
-
-
-def _signals(message_type: type) -> tuple[str, ...]:
-    if message_type.__module__ == "can_dbc.lockstep":
-        from can_dbc import lockstep
-
-        return lockstep.SIGNALS[message_type]
-    return SIGNALS[message_type]
+    return _types().get(can_id)
 
 
 class _Encoders(dict[type, Callable[[Any], Frame]]):
     """Encoder per message type, made when first asked for."""
 
     def __missing__(self, message_type: type) -> Callable[[Any], Frame]:
-        try:
-            _signals(message_type)
-        except KeyError:
+        if message_type not in SIGNALS:
             raise CodecError(
                 f"opc4.dbc: {message_type.__name__} is not a message; expected one of "
                 + ", ".join(known.__name__ for known in SIGNALS)
-            ) from None
+            )
         self[message_type] = encoder = _codec(message_type).encode
         return encoder
 
@@ -315,13 +295,13 @@ _encoders = _Encoders()
 _decoders = _Decoders()
 
 
-def encode(message: Message | ControlMessage) -> Frame:
+def encode(message: Message) -> Frame:
     """Return the frame of a message, rounded half to even to the resolution of the DBC.
 
     Parameters
     ----------
     message
-        One of the classes in `can_dbc.messages` or `can_dbc.lockstep`, in SI units.
+        One of the classes in `can_dbc.messages`, in SI units.
 
     Returns
     -------
@@ -336,7 +316,7 @@ def encode(message: Message | ControlMessage) -> Frame:
     return _encoders[message.__class__](message)
 
 
-def decode(frame: Frame) -> Message | ControlMessage:
+def decode(frame: Frame) -> Message:
     """Return the message in a frame; the inverse of `encode` on the grid of the DBC.
 
     Parameters
@@ -346,7 +326,7 @@ def decode(frame: Frame) -> Message | ControlMessage:
 
     Returns
     -------
-    Message or ControlMessage
+    Message
         The message in SI units.
 
     Raises
@@ -354,5 +334,5 @@ def decode(frame: Frame) -> Message | ControlMessage:
     CodecError
         If the identifier is unknown, the length wrong, a value without meaning, or an unused bit 0.
     """
-    message: Message | ControlMessage = _decoders[frame[0]](frame[1])
+    message: Message = _decoders[frame[0]](frame[1])
     return message

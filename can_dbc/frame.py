@@ -11,7 +11,7 @@ from typing import NamedTuple
 MAX_ID = 0x1FFF_FFFF
 MAX_LENGTH = 8
 EDP_BIT = 1 << 25
-"""Extended data page: reserved by J1939 together with data page 0, so free to mark lockstep."""
+"""Extended data page: reserved by J1939 together with data page 0, so free to mark the lockstep."""
 
 DP_BIT = 1 << 24
 """Data page; set together with EDP in lockstep control frames, clear in offers."""
@@ -63,23 +63,3 @@ def join_id(priority: int, pgn: int, source: int, destination: int = 0xFF) -> in
             raise ValueError(f"PGN {pgn:#x} is destination specific: its low byte must be 0")
         pgn |= destination
     return priority << 26 | pgn << 8 | source
-
-
-def is_lockstep(can_id: int) -> bool:
-    """Return whether an identifier lies in the lockstep space: offers and control frames."""
-    return bool(can_id & EDP_BIT)
-
-
-def is_offer(can_id: int) -> bool:
-    """Return whether an identifier marks a frame that still waits for arbitration."""
-    return can_id & (EDP_BIT | DP_BIT) == EDP_BIT
-
-
-def to_offer(frame: Frame) -> Frame:
-    """Return the frame as its sender offers it to the bus coordinator: with EDP set."""
-    return Frame(frame.can_id | EDP_BIT, frame.data)
-
-
-def from_offer(frame: Frame) -> Frame:
-    """Return the frame of an offer as it travels on the simulated bus: with EDP cleared."""
-    return Frame(frame.can_id & ~EDP_BIT, frame.data)

@@ -216,7 +216,7 @@ Message = (
     | PlantMotion
     | PlantPressures
 )
-"""Any message of the simulated bus; those of the lockstep are in `can_dbc.lockstep`."""
+"""Any message of the simulated bus."""
 
 SIGNALS: dict[type, tuple[str, ...]] = {
     ShiftRequest: ("TargetGear",),
@@ -242,4 +242,4 @@ SIGNALS: dict[type, tuple[str, ...]] = {
     PlantMotion: ("Position", "Velocity", "Piston1", "Piston2"),
     PlantPressures: ("PressureB", "PressureN", "PressureF", "PressureSupply"),
 }
-"""Signals of each message in the order of its fields; those of the lockstep are in `can_dbc.lockstep`."""
+"""Signals of each message in the order of its fields."""

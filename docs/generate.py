@@ -253,17 +253,18 @@ def spelled(action: argparse.Action) -> str:
 
 def messages() -> Iterator[str]:
     """Yield the lines of the page of the CAN contract."""
-    from can_dbc.contract import contract
+    from can_dbc.contract import DBC_PATH
+    from can_dbc.dbc import load_dbc
 
-    found = contract()
-    yield f"`can_dbc/opc4.dbc`; {found.bitrate} bit/s, 29-bit identifiers."
+    found = load_dbc(DBC_PATH)
+    yield f"`can_dbc/opc4.dbc`; {found.dbc.attributes['Baudrate'].value} bit/s, 29-bit identifiers."
     yield ""
     for message in found.messages:
-        period = f"every {message.cycle_ns / 1e6:g} ms" if message.cycle_ns else "without a period"
-        safe = ", end-to-end protected" if message.e2e_data_ids else ""
+        period = f"every {message.cycle_time:g} ms" if message.cycle_time else "without a period"
+        safe = ", end-to-end protected" if "E2EDataIdList" in message.dbc.attributes else ""
         yield f"## {message.name}"
         yield ""
-        yield f"`0x{message.can_id:08X}`, {message.length} bytes, from {', '.join(message.senders)}, {period}{safe}."
+        yield f"`0x{message.frame_id:08X}`, {message.length} bytes, from {', '.join(message.senders)}, {period}{safe}."
         yield ""
         if message.comment:
             yield message.comment
@@ -271,11 +272,11 @@ def messages() -> Iterator[str]:
         yield "| signal | bits | factor, offset | range | unit | |"
         yield "|---|---|---|---|---|---|"
         for s in message.signals:
-            choices = "; ".join(f"{code} {name}" for code, name in s.choices.items())
+            choices = "; ".join(f"{code} {name}" for code, name in (s.choices or {}).items())
             comment = cell(" ".join(part for part in (s.comment, choices) if part))
             yield (
-                f"| {s.name} | {s.start}, {s.length}{' signed' if s.signed else ''} | "
-                f"{s.factor:g}, {s.offset:g} | {s.minimum:g} to {s.maximum:g} | {s.unit} | {comment} |"
+                f"| {s.name} | {s.start}, {s.length}{' signed' if s.is_signed else ''} | "
+                f"{s.scale:g}, {s.offset:g} | {s.minimum:g} to {s.maximum:g} | {s.unit or ''} | {comment} |"
             )
         yield ""
 

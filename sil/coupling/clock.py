@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 from can_dbc.errors import InputError
-from can_dbc.lockstep import NEVER_NS as NEVER_NS  # the largest instant of the lockstep, 78 h
 
 NS_PER_S = 1_000_000_000
+NEVER_NS = (1 << 48) - 1
+"""The largest instant of the lockstep, 78 h."""
 
 
 def to_ns(seconds: float, name: str = "time") -> int:

@@ -88,7 +88,7 @@ def contract_messages(
 
     Raises InputError for a name that is not a periodic message of the contract.
     """
-    periodic = {spec.name: spec for spec in contract().messages if spec.cycle_ns}
+    periodic = {spec.name: spec for spec in contract().values() if spec.cycle_ns}
     for what, given in (("period", period_ns), ("jitter", jitter_ns)):
         for name in given or {}:
             if name not in periodic:

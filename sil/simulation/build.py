@@ -206,7 +206,7 @@ def mailboxes(scenario: Scenario) -> frozenset[int]:
     """Return the identifiers whose newer content overwrites what still waits: all of the contract."""
     if not scenario.bus.mailboxes:
         return frozenset()
-    return frozenset(spec.can_id for spec in contract().messages)
+    return frozenset(spec.can_id for spec in contract().values())
 
 
 def make_bus(scenario: Scenario, plan: FaultPlan) -> BusModel:

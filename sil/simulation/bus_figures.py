@@ -58,7 +58,7 @@ def bus_figures(scenario: Scenario, bus: BusModel, plan: FaultPlan) -> dict[str,
     statistics = bus.statistics
     periods, worst = periods_ns(scenario), worst_cases_ns(scenario)
     messages = []
-    for spec in contract().messages:
+    for spec in contract().values():
         if spec.name not in periods:
             continue
         longest = statistics.longest_wait_ns.get(spec.can_id)

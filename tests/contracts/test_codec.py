@@ -17,7 +17,7 @@ from cantools.database.can import Message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from can_dbc import codec, lockstep
+from can_dbc import codec
 from can_dbc import messages as m
 from can_dbc.codec import can_id_of, decode, encode, message_type_of
 from can_dbc.contract import DBC_PATH
@@ -25,10 +25,10 @@ from can_dbc.dbc import load_dbc
 from can_dbc.errors import CodecError, InputError
 from can_dbc.frame import Frame
 
-TYPES = get_args(m.Message) + get_args(lockstep.ControlMessage)
+TYPES = get_args(m.Message)
 SIGNALS = {
     kind: dict(zip(get_type_hints(kind), names, strict=True))
-    for kind, names in (codec.SIGNALS | lockstep.SIGNALS).items()
+    for kind, names in codec.SIGNALS.items()
 }
 NAMES = [message_type.__name__ for message_type in TYPES]
 every_message = pytest.mark.parametrize("message_type", TYPES, ids=NAMES)
@@ -213,7 +213,6 @@ def test_lengths_other_than_8_are_refused(message_type: type) -> None:
 
 def test_every_message_is_in_the_union_of_its_kind() -> None:
     assert set(get_args(m.Message)) == set(codec.SIGNALS)
-    assert set(get_args(lockstep.ControlMessage)) == set(lockstep.SIGNALS)
 
 
 def test_unknown_identifiers_are_refused() -> None:
@@ -234,7 +233,6 @@ COMMAND = m.ValveCommand(0.98, 0.33, 0.35, m.Gear.FORWARD)
 BLOW = m.SafetyBlow(m.Chamber.N, True, 0.15)
 PULSE = m.PositionPulse(0.9e-3, 293.15, 255)
 SPEEDS = m.DrivelineSpeeds(-12.5, 100.0)
-GRANT = lockstep.Grant(1, 0, 0)
 STATUS = m.ControllerStatus(m.ShiftState.BLOW, m.Gear.NEUTRAL, -0.01285, m.Fault.INTERNAL)
 
 
@@ -277,10 +275,6 @@ STATUS = m.ControllerStatus(m.ShiftState.BLOW, m.Gear.NEUTRAL, -0.01285, m.Fault
         (m.Etc2(), "requested_range", "\xff1"),
         (m.Etc2(), "requested_range", "1\xff"),
         (m.Etc2(), "requested_range", "€1"),
-        (GRANT, "time_ns", 1 << 48),
-        (GRANT, "time_ns", -1),
-        (GRANT, "participant", 255),
-        (GRANT, "frames", 256),
     ],
 )
 def test_what_cannot_be_sent_is_refused_by_field(message: Any, field: str, value: object) -> None:
@@ -346,8 +340,6 @@ def with_bits(frame: Frame, start: int, length: int, raw: int) -> Frame:
         (SPEEDS, 40, 24, (1 << 24) - 1_024_001, "output_rad_s"),
         (STATUS, 12, 4, 8, "state: raw value 0x8 has no meaning; expected a ShiftState"),
         (STATUS, 32, 24, 8_000_001, "estimate_m"),
-        (lockstep.Stop(m.StopReason.END, 0), 0, 8, 2, "reason"),
-        (GRANT, 0, 8, 255, "participant"),
         (m.Etc1(), 8, 16, 0xFB00, "output_shaft_rad_s: raw value 0xfb00 has no meaning"),
         (m.Etc1(), 24, 8, 0xFB, "clutch_slip"),
         (m.Etc2(), 0, 8, 0xFC, "selected_gear"),
@@ -511,9 +503,6 @@ def test_every_unused_bit_of_our_own_messages_is_looked_at() -> None:
 
 def test_unused_bits_are_sent_as_1() -> None:
     assert encode(m.ShiftRequest(m.Gear.FORWARD)).data == bytes.fromhex("00 E0 FF FF FF FF FF FF")
-    assert encode(lockstep.BusTime(2, 0xAB, 0x0102030405)).data == bytes.fromhex(
-        "02 AB 05 04 03 02 01 00"
-    )
 
 
 def test_truth_values_of_numpy_and_flags() -> None:

@@ -13,7 +13,6 @@ import pytest
 from cantools.database.can import Message
 from e2e.p02 import e2e_p02_check
 
-from can_dbc import lockstep
 from can_dbc import messages as m
 from can_dbc.codec import can_id_of, decode, encode, spec_of
 from can_dbc.contract import DBC_PATH
@@ -22,7 +21,7 @@ from can_dbc.e2e import PROTECTED, E2eStatus, Protector, Receiver, with_counter
 from can_dbc.errors import CodecError
 from can_dbc.frame import Frame
 
-TYPES = get_args(m.Message) + get_args(lockstep.ControlMessage)
+TYPES = get_args(m.Message)
 FEW, MANY = 1_500, 20_000
 
 

@@ -43,9 +43,8 @@ from typing import NamedTuple
 from zlib import crc32
 
 from can_dbc.frame import DP_BIT, EDP_BIT, MAX_ID, MAX_LENGTH, Frame
-from can_dbc.lockstep import NEVER_NS
-from can_dbc.lockstep import NOBODY as NOBODY
 from can_dbc.messages import ParticipantId
+from sil.coupling.clock import NEVER_NS
 
 if sys.byteorder != "little":
     raise ImportError("the lockstep records are those of a little-endian machine")
@@ -53,6 +52,8 @@ if sys.byteorder != "little":
 VERSION = 1
 """Version of the protocol; Hello and Welcome carry it, and another one is refused."""
 
+NOBODY = 255
+"""Number in control frames that are about no participant in particular."""
 COORDINATOR = int(ParticipantId.COORDINATOR)
 GUEST = "guest"
 """The participant that a program of the user may be, announced in the scenario."""

@@ -1,4 +1,4 @@
-"""Identifiers: hand-worked J1939 splits, the inverse, lockstep bits."""
+"""Identifiers: hand-worked J1939 splits, the inverse."""
 
 from __future__ import annotations
 
@@ -6,18 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from can_dbc.frame import (
-    MAX_ID,
-    MAX_LENGTH,
-    Frame,
-    J1939Id,
-    from_offer,
-    is_lockstep,
-    is_offer,
-    join_id,
-    split_id,
-    to_offer,
-)
+from can_dbc.frame import MAX_ID, MAX_LENGTH, J1939Id, join_id, split_id
 
 
 @pytest.mark.parametrize(
@@ -76,19 +65,3 @@ def test_split_refuses_what_is_not_29_bits(can_id: int) -> None:
 def test_join_refuses_parts_that_do_not_fit(parts: tuple[int, int, int, int]) -> None:
     with pytest.raises(ValueError, match=r"J1939|destination"):
         join_id(*parts)
-
-
-def test_offers_and_control_frames() -> None:
-    frame = Frame(0x08FF1003, b"12345678")
-    offer = to_offer(frame)
-    assert offer == Frame(0x0AFF1003, b"12345678")
-    assert from_offer(offer) == frame
-    assert (is_lockstep(offer.can_id), is_offer(offer.can_id)) == (True, True)
-    assert (is_lockstep(frame.can_id), is_offer(frame.can_id)) == (False, False)
-    grant = 0x1FFF02F9
-    assert (is_lockstep(grant), is_offer(grant)) == (True, False)
-    ordinary_with_data_page = 0x0DFF1003
-    assert (is_lockstep(ordinary_with_data_page), is_offer(ordinary_with_data_page)) == (
-        False,
-        False,
-    )
