@@ -17,8 +17,7 @@ from tests.mutation.running import KILLED, SURVIVED, clear_caches, fails, in_for
 KEPT = ROOT / "mutants"
 TESTS = (
     *("tests/unit/can_dbc", "tests/unit/controller", "tests/contracts/test_codec.py"),
-    *("tests/contracts/test_e2e.py", "tests/contracts/test_wire_dbc.py"),
-    "tests/contracts/test_firmware_contract.py",
+    *("tests/contracts/test_e2e.py", "tests/contracts/test_firmware_contract.py"),
 )
 
 
