@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Take part in the run.  Raises InputError for bad input, RunError when the run ends early."""
     from can_dbc.errors import InputError
-    from sil.coupling.participants import open_link, take_part
+    from sil.coupling.transports.link import open_link, take_part
     from sil.files.output_folder import without_parent_steps
     from sil.recording.recorder import EVENTS, PLANT_TRACE
     from sil.simulation import build, scenario

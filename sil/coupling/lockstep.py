@@ -5,14 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from can_dbc.errors import RunError
 from sil.coupling.clock import NEVER_NS, to_seconds
 from sil.coupling.real_time import Lateness, Pacer
-from sil.coupling.transports.channel import NOBODY, Channel, ParticipantLost, Turn
-from sil.coupling.transports.inproc import InProcess
+from sil.coupling.transports.channel import NOBODY, Channel, InProcess, ParticipantLost, Turn
 from sil.coupling.transports.wire import can_be_offered
 
 if TYPE_CHECKING:
@@ -86,12 +84,7 @@ class Lockstep:
     def __enter__(self) -> Lockstep:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -111,7 +104,7 @@ class Lockstep:
     @property
     def warnings(self) -> list[str]:
         """Lines for the user about foreign frames, slow monitors and the like."""
-        return [line for channel in self._channels for line in channel.counts.warnings]
+        return [line for channel in self._channels for line in channel.warnings]
 
     def start(self) -> None:
         """Wait for all participants.  Raises ParticipantLost when one does not come in time."""

@@ -14,8 +14,7 @@ from typing import Final
 from can_dbc.e2e import COUNTERS
 from can_dbc.frame import Frame
 from sil.coupling.clock import to_seconds
-from sil.coupling.transports.channel import ParticipantLost
-from sil.coupling.transports.inproc import Participant
+from sil.coupling.transports.channel import Participant, ParticipantLost
 from sil.log_replay.comparison import Comparison
 from sil.log_replay.plant_side import PlantSide
 from sil.log_replay.recorded_frames import INPUTS, OUTPUTS, OWN_IDS, Arrival, bare, is_intact

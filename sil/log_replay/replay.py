@@ -15,7 +15,7 @@ import msgspec
 
 from can_dbc.errors import InputError
 from can_dbc.messages import ShiftRequest, ValveCommand
-from sil.coupling.transports.inproc import Participant
+from sil.coupling.transports.channel import Participant
 from sil.log_replay.checkout import CheckoutController
 from sil.log_replay.comparison import Comparison
 from sil.log_replay.executor import Account, ReplayExecutor, Unit

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from can_dbc.frame import Frame
-from sil.coupling.transports.inproc import Participant
+from sil.coupling.transports.channel import Participant
 
 _MILLION = 1_000_000_000
 _PER_PPM = 1000

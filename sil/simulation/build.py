@@ -21,8 +21,13 @@ from sil.coupling.bus import BusModel
 from sil.coupling.clock import to_ns
 from sil.coupling.faults import FaultPlan, Intrusion
 from sil.coupling.lockstep import TURN_ORDER
-from sil.coupling.transports.channel import Channel, ParticipantLost, Timeouts
-from sil.coupling.transports.inproc import InProcess, Participant
+from sil.coupling.transports.channel import (
+    Channel,
+    InProcess,
+    Participant,
+    ParticipantLost,
+    Timeouts,
+)
 from sil.coupling.transports.wire import GUEST
 from sil.nodes.drift import Drifting
 from sil.nodes.intruder import IntruderNode
@@ -30,6 +35,7 @@ from sil.simulation.scenario import Loaded, Scenario, expanded
 
 if TYPE_CHECKING:
     from plant.node import PlantConfig, PlantNode
+    from sil.coupling.transports.remote import RemoteChannel
     from sil.recording.recorder import EventLog, TraceWriter
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -253,18 +259,17 @@ def open_channels(
 
         timeouts = dataclasses.replace(TIMEOUTS, answer_s=STEP_S + TIMEOUTS.answer_s)
     kind, colon, name = transport.partition(":")
+    opened: type[RemoteChannel]
     if kind == "local":
-        from sil.coupling.transports.hub import Hub
+        from sil.coupling.transports.hub import Hub as opened
 
         name = name if colon else f"run-{os.getpid()}"
-        remote: Hub | SocketCan
-        remote = Hub(name, remote_names, scenario=number, timeouts=timeouts, say=say)
         channel = f"local:{name}"
     else:
-        from sil.coupling.transports.socketcan import SocketCan
+        from sil.coupling.transports.socketcan import SocketCan as opened
 
-        channel = transport
-        remote = SocketCan(transport, remote_names, scenario=number, timeouts=timeouts, say=say)
+        channel = name = transport
+    remote = opened(name, remote_names, scenario=number, timeouts=timeouts, say=say)
     closing.callback(remote.close, aborted=True)  # until the coordinator has it
     for name in remote_names:
         if name == GUEST:

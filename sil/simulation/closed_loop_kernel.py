@@ -28,8 +28,7 @@ from sil.coupling.bus import overwritten
 from sil.coupling.clock import NS_PER_S, to_seconds
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.coupling.lockstep import TURN_ORDER
-from sil.coupling.transports.channel import ParticipantLost
-from sil.coupling.transports.inproc import Participant
+from sil.coupling.transports.channel import Participant, ParticipantLost
 from sil.recording.run_record import BusFrame
 
 HEARD: Mapping[str, frozenset[int]] = {

@@ -19,7 +19,7 @@ from sil.coupling.bus import Delivery
 from sil.coupling.clock import to_ns
 from sil.coupling.faults import FaultPlan
 from sil.coupling.lockstep import Lockstep
-from sil.coupling.transports.inproc import InProcess, Participant
+from sil.coupling.transports.channel import InProcess, Participant
 from sil.recording.recorder import hashed_frame, run_sha256, trace_header
 from sil.recording.run_record import BusFrame, PlantEvent, RunRecord
 from sil.simulation import build, metrics

@@ -364,12 +364,12 @@ def test_garbage_from_a_stranger_closes_its_connection_only(
             pass
         stranger.close()
     assert run.sha256() == reference
-    assert run.remote is not None and run.remote.counts.garbage == 1
-    assert "garbage" in run.lockstep.warnings[0]
+    (line,) = run.lockstep.warnings
+    assert "garbage" in line
 
 
 @pytest.mark.vcan
-def test_foreign_frames_on_a_can_channel_are_counted_and_change_nothing(
+def test_foreign_frames_on_a_can_channel_are_reported_and_change_nothing(
     tmp_path: Path, reference: str
 ) -> None:
     from can_dbc.frame import Frame
@@ -378,17 +378,15 @@ def test_foreign_frames_on_a_can_channel_are_counted_and_change_nothing(
     with toy_run("vcan0", tmp_path / "run", END_NS) as run:
         run.lockstep.start()
         stranger = CanSocket("vcan0", ())
-        sent = 0
         for now_ns in range(0, 300 * MS, 10 * MS):
             run.lockstep.advance(now_ns)
             for frame in (Frame(0x0CFF0105, b"\x00" * 8), Frame(0x18FEF100, os.urandom(8))):
                 stranger.send(wire.real(frame))
-                sent += 1
         stranger.close()
         run.lockstep.run()
     assert run.sha256() == reference
-    assert run.remote is not None and run.remote.counts.foreign_frames == sent
-    assert "take no part" in run.lockstep.warnings[0]
+    (line,) = run.lockstep.warnings
+    assert "take no part" in line
 
 
 @every_transport

@@ -20,7 +20,7 @@ import numpy as np
 from can_dbc.codec import can_id_of
 from can_dbc.frame import Frame
 from can_dbc.messages import PositionPulse, ShiftRequest, ValveCommand
-from sil.coupling.participants import open_link, take_part
+from sil.coupling.transports.link import open_link, take_part
 from sil.recording.recorder import TraceWriter
 
 MS = 1_000_000

@@ -14,9 +14,8 @@ from sil.coupling.faults import BusFault, FaultPlan
 from sil.coupling.lockstep import Lockstep
 from sil.coupling.processes import ChildProcess
 from sil.coupling.real_time import Pacer
-from sil.coupling.transports.channel import Channel, Timeouts
+from sil.coupling.transports.channel import Channel, InProcess, Timeouts
 from sil.coupling.transports.hub import Hub
-from sil.coupling.transports.inproc import InProcess
 from sil.coupling.transports.remote import RemoteChannel
 from sil.coupling.transports.socketcan import SocketCan
 from sil.recording.recorder import BUS_LOG, PLANT_TRACE, BusLog, TraceWriter, trace_sha256
@@ -85,22 +84,9 @@ def toy_run(
         nodes = [ToyNode("driver")]
         channel = channel_name(transport)
         given["plant"] = [*given.get("plant", ()), "--trace", str(trace)]
-        if transport == "local":
-            remote = Hub(
-                channel.removeprefix("local:"),
-                REMOTE,
-                scenario=scenario,
-                timeouts=timeouts,
-                say=say,
-            )
-        else:
-            remote = SocketCan(
-                transport,
-                REMOTE,
-                scenario=scenario,
-                timeouts=timeouts,
-                say=say,
-            )
+        kind = Hub if transport == "local" else SocketCan
+        name = channel.removeprefix("local:")
+        remote = kind(name, REMOTE, scenario=scenario, timeouts=timeouts, say=say)
         channels = [remote, InProcess(nodes)]
         for name in REMOTE:
             if name not in external:

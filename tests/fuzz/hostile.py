@@ -376,7 +376,7 @@ def harmless() -> Iterator[None]:
         stack.enter_context(mock.patch("sil.simulation.runner.run", short))
         stack.enter_context(mock.patch("sil.studies.executor.run_row", refuse))
         stack.enter_context(mock.patch("sil.diagnosis.diagnosis.diagnose", read_only))
-        stack.enter_context(mock.patch("sil.coupling.participants.open_link", refuse))
+        stack.enter_context(mock.patch("sil.coupling.transports.link.open_link", refuse))
         stack.enter_context(mock.patch("sil.fmu.export.export", refuse))
         stack.enter_context(mock.patch("sil.claims.claim.check", refuse))
         yield

@@ -15,7 +15,7 @@ import pytest
 
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
-from sil.coupling.participants import open_link, take_part
+from sil.coupling.transports.link import open_link, take_part
 from sil.simulation import runner, scenario
 from tests.conftest import ROOT
 from tests.scenarios.conftest import ShippedRun

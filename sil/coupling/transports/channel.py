@@ -1,12 +1,14 @@
-"""The interface of a transport: `Channel`, and the `Turn` that a participant answers with."""
+"""The interface of a transport, and the transport inside one process, where a grant is a call."""
 
 from __future__ import annotations
 
+import time
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from can_dbc.errors import RunError
+from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
 
 if TYPE_CHECKING:
@@ -14,6 +16,10 @@ if TYPE_CHECKING:
 
 
 NOBODY: frozenset[str] = frozenset()
+
+
+def silent(message: str) -> None:
+    """Discard a message for the user."""
 
 
 class Turn(NamedTuple):
@@ -53,49 +59,133 @@ class Timeouts:
     close_s: float = 1.0
 
 
-@dataclass
-class ChannelCounts:
-    """What a channel noticed besides the run itself."""
+class Participant(Protocol):
+    """A node of the co-simulation: plant, controller, driver and others.
 
-    foreign_frames: int = 0
-    garbage: int = 0
-    warnings: list[str] = field(default_factory=list)
+    It is granted time at its events, which its configuration determines, and at the end of the run.
+    """
+
+    @property
+    def name(self) -> str:
+        """Return its name, a key of `sil.coupling.transports.wire.PARTICIPANTS`."""
+
+    def start(self) -> int:
+        """Return the simulated instant of the first event, in ns."""
+
+    def advance(
+        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
+    ) -> tuple[list[tuple[int, Frame]], int]:
+        """Advance to `until_ns`, given the frames that arrived since the last grant.
+
+        `deliveries` holds arrival instant and frame of what others sent, in order of arrival; one
+        that arrives exactly at `until_ns` is among them.  Returns frames with their release
+        instants (not before `until_ns`) and the instant of the next event (after `until_ns`).
+        """
+
+    def close(self) -> None:
+        """Release files and the like; called once, also after a run that failed."""
+
+
+class Channel(ABC):
+    """Carries frames and grants to some of the participants, whose names are `names`.
+
+    A turn is begun and ended by two calls, so that participants in other processes work in parallel.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = tuple(names)
+        self.warnings: list[str] = []
+        """Lines for the user about foreign frames, slow monitors and the like."""
 
     def warn(self, message: str) -> None:
         """Record a line for the user, once."""
         if message not in self.warnings:
             self.warnings.append(message)
 
-
-class Channel(Protocol):
-    """Carries frames and grants to some of the participants.
-
-    A turn is begun and ended by two calls, so that participants in other processes work in parallel.
-    """
-
-    names: tuple[str, ...]
-    counts: ChannelCounts
-
+    @abstractmethod
     def start(self, end_ns: int) -> dict[str, int]:
         """Wait for the participants; return the instant of each one's first event, ns.
 
         Raises ParticipantLost when one does not join in time.
         """
 
+    @abstractmethod
     def deliver(self, deliveries: Sequence[Delivery], bus_off: frozenset[str] = NOBODY) -> None:
         """Pass on frames, in order of arrival, to all but their senders and those in `bus_off`."""
 
+    @abstractmethod
     def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
         """Grant `now_ns` to those of the named participants that are on this channel."""
 
+    @abstractmethod
     def end_turn(self) -> dict[str, Turn]:
         """Return the answers to the grants of begin_turn.  Raises ParticipantLost without one."""
 
+    @abstractmethod
     def retire(self, name: str) -> None:
         """Grant a participant no more time and send it no more frames."""
 
+    @abstractmethod
     def idle(self, seconds: float) -> None:
         """Let wall time pass, still noticing who dies and who connects."""
 
+    @abstractmethod
     def close(self, aborted: bool) -> None:
         """End the participants and release all resources; may be called more than once."""
+
+
+class InProcess(Channel):
+    """A `Channel` to participants in this process."""
+
+    def __init__(self, participants: Sequence[Participant]) -> None:
+        """Take the participants."""
+        super().__init__([participant.name for participant in participants])
+        self._participants = {participant.name: participant for participant in participants}
+        self._inboxes: dict[str, list[tuple[int, Frame]]] = {name: [] for name in self.names}
+        self._turns: dict[str, Turn] = {}
+        self._closed = False
+
+    def start(self, end_ns: int) -> dict[str, int]:
+        """Start the participants."""
+        return {name: participant.start() for name, participant in self._participants.items()}
+
+    def deliver(self, deliveries: Sequence[Delivery], bus_off: frozenset[str] = NOBODY) -> None:
+        """Queue frames for the participants."""
+        for name, inbox in self._inboxes.items():
+            if name not in bus_off:
+                inbox.extend((d.arrival_ns, d.frame) for d in deliveries if d.sender != name)
+
+    def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
+        """Run the turns.  Raises ParticipantLost for one that fails; InputError and RunError pass."""
+        for name in names:
+            inbox = self._inboxes.get(name)
+            if inbox is not None:
+                self._inboxes[name] = []
+                try:
+                    self._turns[name] = Turn(*self._participants[name].advance(now_ns, inbox))
+                except (InputError, RunError):
+                    raise
+                except Exception as error:  # as when its process dies of it: the run is over
+                    what = f"failed: {type(error).__name__}: {error}"
+                    raise ParticipantLost(name, what) from error
+
+    def end_turn(self) -> dict[str, Turn]:
+        """Return the finished turns."""
+        turns, self._turns = self._turns, {}
+        return turns
+
+    def retire(self, name: str) -> None:
+        """Drop a participant."""
+        self._inboxes.pop(name, None)
+
+    def idle(self, seconds: float) -> None:
+        """Sleep."""
+        if seconds > 0.0:
+            time.sleep(seconds)
+
+    def close(self, aborted: bool) -> None:
+        """Close the participants."""
+        if not self._closed:
+            self._closed = True
+            for participant in self._participants.values():
+                participant.close()

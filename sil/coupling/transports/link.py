@@ -1,13 +1,13 @@
-"""A participant's end of a channel: the local socket or a CAN interface."""
+"""A participant in its own process: its end of the channel, and its main loop."""
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import select
 import socket
 import time
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -16,10 +16,11 @@ from can_dbc.errors import InputError, RunError
 from can_dbc.frame import EDP_BIT, Frame
 from can_dbc.messages import StopReason
 from sil.coupling.transports import address, wire
-from sil.coupling.transports.remote import silent
+from sil.coupling.transports.channel import Participant, silent
 from sil.coupling.transports.socketcan import PARTICIPANT_VIEW, CanSocket, lifeline_address
 from sil.coupling.transports.wire import Kind
 
+START_TIMEOUT_S = 60.0
 _ANSWER_EXPECTED_S = 0.3
 
 
@@ -30,36 +31,32 @@ class Grant(NamedTuple):
     deliveries: list[tuple[int, Frame]]
 
 
-class Link(ABC):
+class Link:
     """Moves records between a participant and its coordinator."""
 
-    hello_again_s: float
+    hello_again_s = math.inf
     """Time after which an unanswered Hello is repeated."""
 
-    @abstractmethod
     def read(self, timeout_s: float | None) -> list[tuple[int, bytes]]:
         """Return the next records (identifier, data), none when the time is up.
 
         Raises RunError when the coordinator is gone or the channel lost frames.
         """
+        raise NotImplementedError
 
-    @abstractmethod
     def write(self, records: Sequence[bytes]) -> None:
         """Send records.  Raises RunError when the coordinator is gone."""
+        raise NotImplementedError
 
-    @abstractmethod
     def welcomed(self, number: int) -> None:
         """Note that the coordinator has accepted this participant."""
 
-    @abstractmethod
     def close(self) -> None:
         """Leave the channel."""
 
 
 class LocalLink(Link):
-    """The link to a `Hub`."""
-
-    hello_again_s = math.inf
+    """The link to a `Hub`; the connection itself shows who is alive."""
 
     def __init__(
         self, channel: str, start_timeout_s: float, say: Callable[[str], None] = silent
@@ -91,7 +88,9 @@ class LocalLink(Link):
                     ) from None
                 if not waiting:
                     waiting = True
-                    say(_waiting(channel, start_timeout_s))
+                    others = ", ".join(f"local:{name}" for name in address.running_channels())
+                    found = f"; runs found: {others}" if others else ""
+                    say(f"waiting up to {start_timeout_s:g} s for a run on local:{channel}{found}")
                 time.sleep(0.02)
             except OSError as error:
                 self._socket.close()
@@ -123,18 +122,9 @@ class LocalLink(Link):
         except OSError as error:
             raise RunError(f"{self._path}: {error.strerror}: the coordinator is gone") from None
 
-    def welcomed(self, number: int) -> None:
-        """Do nothing: the connection itself shows who is alive."""
-
     def close(self) -> None:
         """Close the connection."""
         self._socket.close()
-
-
-def _waiting(channel: str, timeout_s: float) -> str:
-    others = [f"local:{name}" for name in address.running_channels()]
-    found = f"; runs found: {', '.join(others)}" if others else ""
-    return f"waiting up to {timeout_s:g} s for a run on local:{channel}{found}"
 
 
 class CanLink(Link):
@@ -201,7 +191,6 @@ class Session:
         if name not in wire.PARTICIPANTS:
             raise InputError(f"participant {name!r}: expected {', '.join(wire.PARTICIPANTS)}")
         self.name = name
-        self.foreign_frames = 0
         self.ending: StopReason | None = None
         self._number = wire.PARTICIPANTS[name]
         self._link = link
@@ -317,14 +306,12 @@ class Session:
         try:
             return wire.parse_control(can_id, payload)
         except wire.WireError:
-            self.foreign_frames += 1
             return None
 
     def _receive(self, can_id: int, payload: bytes) -> None:
         """Accept the frame if it is the announced one and was sent by another participant."""
         announced = self._announced
         if announced is None or announced.extra != wire.checksum(can_id, payload):
-            self.foreign_frames += 1
             return
         self._announced = None
         skip, self._skip = self._skip, False
@@ -334,3 +321,48 @@ class Session:
 
     def _lost_frames(self) -> RunError:
         return RunError(f"{self.name}: frames were lost between the coordinator and this process")
+
+
+def open_link(
+    channel: str, start_timeout_s: float = START_TIMEOUT_S, say: Callable[[str], None] = silent
+) -> Link:
+    """Return the link to a run: `local:NAME` (waits for its hub), or a CAN interface's name.
+
+    `say` takes the message that the hub is waited for.
+    Raises InputError for a channel that cannot exist, RunError when no hub comes in time.
+    """
+    kind, _, name = channel.partition(":")
+    return LocalLink(name, start_timeout_s, say) if kind == "local" else CanLink(channel)
+
+
+def take_part(
+    participant: Participant,
+    link: Link,
+    *,
+    scenario: int = 0,
+    start_timeout_s: float = START_TIMEOUT_S,
+    say: Callable[[str], None] = silent,
+) -> None:
+    """Run one participant from Hello to Stop; the main loop of `opc4 node`.
+
+    `scenario`: the number of the scenario, or 0 for any.  `say` takes the message that no run has
+    answered yet.  The participant and the link are closed at the end in any case.
+    Raises InputError when the coordinator refuses the participant, RunError when the coordinator
+    dies or ends the run early, and what the participant raises.
+    """
+    with contextlib.ExitStack() as closing:
+        closing.callback(link.close)
+        closing.callback(participant.close)
+        session = Session(participant.name, link, scenario)
+        first_ns = participant.start()
+        session.join(first_ns, start_timeout_s, say)
+        while (grant := session.next_grant()) is not None:
+            try:
+                frames, next_ns = participant.advance(grant.now_ns, grant.deliveries)
+                session.answer(frames, next_ns)
+            except Exception:
+                with contextlib.suppress(RunError):  # the first error is the one to report
+                    session.fail()
+                raise
+        if session.ending == StopReason.ABORTED:
+            raise RunError(f"{participant.name}: the coordinator ended the run early")

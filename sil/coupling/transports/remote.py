@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import select
+import socket
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
+from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -13,25 +15,53 @@ from can_dbc.frame import EDP_BIT, Frame
 from can_dbc.messages import StopReason
 from sil.coupling.processes import ChildProcess, sharing_one_core
 from sil.coupling.transports import wire
-from sil.coupling.transports.channel import (
-    Channel,
-    ChannelCounts,
-    ParticipantLost,
-    Timeouts,
-    Turn,
-)
+from sil.coupling.transports.channel import Channel, ParticipantLost, Timeouts, Turn, silent
 from sil.coupling.transports.wire import Kind, Refusal
-
-
-def silent(message: str) -> None:
-    """Discard a message for the user."""
-
 
 MOST_OFFERS = 100_000
 """Frames that a participant may offer in one turn."""
 
+MOST_CONNECTIONS = 250
+
 FAILED_ENDS_S = 2.0
 """How long a process that reported a failure may take to end with its reason."""
+
+BUFFER_BYTES = wire.LONGEST_BATCH * wire.RECORD_BYTES
+
+
+class Connection:
+    """An accepted connection, its participant, and the records that could not be sent on it yet."""
+
+    def __init__(self, accepted: socket.socket) -> None:
+        accepted.setblocking(False)
+        self.socket = accepted
+        self.fileno = accepted.fileno()
+        self.peer: Peer | None = None
+        self.backlog: deque[bytes] = deque()
+        self.backlog_bytes = 0
+
+    def send(self, records: bytes) -> bool:
+        """Send or queue records; return whether everything is sent.  Raises OSError."""
+        if not self.backlog:
+            try:
+                self.socket.send(records)
+            except BlockingIOError:
+                pass
+            else:
+                return True
+        self.backlog.append(records)
+        self.backlog_bytes += len(records)
+        return False
+
+    def drain(self) -> bool:
+        """Send queued records; return whether everything is sent.  Raises OSError."""
+        while self.backlog:
+            try:
+                self.socket.send(self.backlog[0])
+            except BlockingIOError:
+                return False
+            self.backlog_bytes -= len(self.backlog.popleft())
+        return True
 
 
 class Peer:
@@ -42,19 +72,21 @@ class Peer:
         self.number = number
         self.child: ChildProcess | None = None
         """Its process, if the coordinator started it."""
+        self.connection: Connection | None = None
         self.nonce: int | None = None
+        """That of its Hello; None until it has joined."""
         self.granted_ns: int | None = None
         self.done: int | None = None
         self.retired = False
         self.delivered = 0
         """Frames of others passed on since the last grant."""
-        self._frames: list[tuple[int, Frame]] = []
+        self.waiting: list[bytes] = []
+        """Records that are sent with the next grant."""
+        self.unread = 0
+        """Records broadcast since it was last known to have read all."""
+        self.frames: list[tuple[int, Frame]] = []
+        """Frames offered so far in this turn, with their release instants, ns."""
         self._release_ns = 0
-
-    @property
-    def joined(self) -> bool:
-        """Whether it has been welcomed."""
-        return self.nonce is not None
 
     def grant(self, now_ns: int) -> bytes:
         """Begin a turn; return the Grant's record."""
@@ -62,10 +94,6 @@ class Peer:
         self.done = None
         delivered, self.delivered = self.delivered, 0
         return wire.control(Kind.GRANT, self.number, delivered, now_ns)
-
-    def expect_first_event(self) -> None:
-        """Begin the turn that ends with the Done of the handshake."""
-        self.granted_ns = self._release_ns = 0
 
     def take(self, can_id: int, payload: bytes) -> None:
         """Take one record of this participant.  Raises ParticipantLost for a protocol error."""
@@ -77,8 +105,8 @@ class Peer:
                 raise self._against_rules(
                     f"sent 0x{can_id:08X} past the arbitration; expected an offer (EDP set)"
                 )
-            self._frames.append((self._release_ns, Frame(can_id & ~EDP_BIT, payload)))
-            if len(self._frames) > MOST_OFFERS:
+            self.frames.append((self._release_ns, Frame(can_id & ~EDP_BIT, payload)))
+            if len(self.frames) > MOST_OFFERS:
                 raise self._against_rules(f"offered more than {MOST_OFFERS} frames in one turn")
         elif control.participant != self.number:
             raise self._against_rules(f"sent as participant number {control.participant}")
@@ -89,9 +117,9 @@ class Peer:
                 )
             self._release_ns = control.value
         elif control.kind == Kind.DONE:
-            if control.extra != len(self._frames) & 0xFF:
+            if control.extra != len(self.frames) & 0xFF:
                 raise self._against_rules(
-                    f"offered {control.extra} frames (modulo 256), {len(self._frames)} arrived: "
+                    f"offered {control.extra} frames (modulo 256), {len(self.frames)} arrived: "
                     "the channel lost frames, or another program sent some"
                 )
             self.done = control.value
@@ -102,81 +130,74 @@ class Peer:
         else:
             raise self._against_rules(f"sent {control.kind.name}, which only the coordinator sends")
 
-    @property
-    def offered(self) -> int:
-        """Frames offered so far in this turn."""
-        return len(self._frames)
-
-    def turn(self) -> Turn:
-        """Return the finished turn.  Raises ValueError when it is not finished."""
-        if self.done is None:
-            raise ValueError(f"{self.name}: the turn is not finished")
-        frames, self._frames = self._frames, []
-        return Turn(frames, self.done)
-
     def _against_rules(self, what: str) -> ParticipantLost:
         return ParticipantLost(self.name, f"broke the lockstep protocol: it {what}")
 
 
-class RemoteChannel(Channel, ABC):
+class RemoteChannel(Channel):
     """A `Channel` to other processes: handshake, turns, timeouts; subclasses move the records."""
+
+    _listener: socket.socket
+    where: str
+    """How a program joins this channel, for messages."""
 
     def __init__(
         self,
+        channel: str,
         names: Sequence[str],
-        scenario: int,
-        timeouts: Timeouts,
-        say: Callable[[str], None],
-        share_core: bool,
+        *,
+        scenario: int = 0,
+        timeouts: Timeouts | None = None,
+        say: Callable[[str], None] = silent,
+        share_core: bool = True,
     ) -> None:
-        """Prepare the handshake.
+        """Open the channel: the name of a local bus, or of a CAN interface.
 
         `scenario`: 32 bits that distinguish scenarios; 0 joins with any.  `say` takes messages for
         the user while the run waits.  `share_core`: keep this thread and the processes spawned here
         on one core once all have joined (`core` is its number, None without).
+        Raises RunError when another run uses it, InputError when there can be no such channel.
         """
-        self.names = tuple(names)
-        self.counts = ChannelCounts()
+        super().__init__(names)
         self._by_name = {name: Peer(name, wire.PARTICIPANTS[name]) for name in names}
         self._peers = {peer.number: peer for peer in self._by_name.values()}
-        self._children: dict[str, ChildProcess] = {}
+        self._connections: dict[int, Connection] = {}
+        self._buffer = bytearray(BUFFER_BYTES + 1)
         self._scenario = scenario
-        self._timeouts = timeouts
+        self._timeouts = timeouts or Timeouts()
         self._share_core = share_core
-        self._sharing = contextlib.ExitStack()
         self.core: int | None = None
         self._say = say
         self._now_ns = 0
+        self._granted: list[Peer] = []
         self._closed = False
+        self._closing = contextlib.ExitStack()
         self._poll = select.epoll()
         self._handlers: dict[int, Callable[[int], None]] = {}
-        self._served_first = -1
+        self._open(channel)
+        self._attend(self._listener.fileno(), self._accept)
+        self._served_first = self._listener.fileno()
 
     @abstractmethod
-    def _send(self, peer: Peer, records: bytes) -> None:
-        """Send records to one participant (a CAN channel: to everybody)."""
+    def _open(self, channel: str) -> None:
+        """Open the channel and the listening socket."""
 
     @abstractmethod
-    def _send_all(self, records: bytes) -> None:
-        """Send records to all participants."""
+    def _send(self, records: bytes, *peers: Peer) -> None:
+        """Send records to these participants (a CAN channel: to everybody)."""
 
     @abstractmethod
-    def _where(self) -> str:
-        """Return how a program joins this channel, for messages."""
+    def _receive(self, connection: Connection, length: int) -> None:
+        """Take a datagram, which the buffer holds."""
 
     @abstractmethod
-    def _release(self, peer: Peer) -> None:
-        """Drop what is stored for a retired participant."""
-
-    @abstractmethod
-    def _close_channel(self, stop: bytes, aborted: bool) -> None:
-        """Send the Stop record to everybody, and close what the subclass opened."""
+    def _send_stop(self, stop: bytes) -> None:
+        """Send the Stop record to everybody."""
 
     def spawn(self, name: str, command: Sequence[str]) -> ChildProcess:
         """Start `command` as the process of participant `name`, to be watched and ended here."""
         child = ChildProcess(name, command)
         self._by_name[name].child = child
-        self._children[name] = child
         self._attend(child.fileno(), partial(self._child_ended, child))
         return child
 
@@ -184,34 +205,38 @@ class RemoteChannel(Channel, ABC):
         """Wait for the participants.  Raises ParticipantLost when one does not come in time."""
         deadline = time.monotonic() + self._timeouts.start_s
         say_at = time.monotonic() + 2.0
-        while missing := [p.name for p in self._peers.values() if not p.joined]:
+        peers = self._by_name.values()
+        while missing := [p.name for p in peers if p.nonce is None]:
             now = time.monotonic()
             if now >= deadline:
                 raise ParticipantLost(
-                    missing[0],
-                    f"did not join within {self._timeouts.start_s:g} s ({self._where()})",
+                    missing[0], f"did not join within {self._timeouts.start_s:g} s ({self.where})"
                 )
             if now >= say_at:
                 say_at = deadline
-                self._say(f"waiting for {' and '.join(missing)} to join ({self._where()})")
+                self._say(f"waiting for {' and '.join(missing)} to join ({self.where})")
             self._pump(min(deadline, say_at) - now)
-        for peer in self._peers.values():
-            peer.expect_first_event()
-        if self._share_core and self._children:
-            pids = [child.pid for child in self._children.values()]
-            self.core = self._sharing.enter_context(sharing_one_core(pids))
-        self._send_all(wire.control(Kind.START, value=end_ns))
+        for peer in peers:
+            peer.grant(0)  # the turn that ends with the Done of the handshake
+        pids = [child.pid for child in self._children()]
+        if self._share_core and pids:
+            self.core = self._closing.enter_context(sharing_one_core(pids))
+        self._send(wire.control(Kind.START, value=end_ns), *peers)
         answered = time.monotonic() + self._timeouts.answer_s
-        return {p.name: self._await_answer(p, answered).next_ns for p in self._peers.values()}
+        return {p.name: self._await_answer(p, answered).next_ns for p in peers}
+
+    def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
+        """Note who is granted time."""
+        self._pump(0.0)
+        self._now_ns = now_ns
+        self._granted = [self._by_name[name] for name in names if name in self._by_name]
 
     def retire(self, name: str) -> None:
         """Grant a participant no more time."""
         peer = self._by_name.get(name)
-        if peer is None or peer.retired:
-            return
-        peer.retired = True
-        self._send(peer, wire.control(Kind.RETIRE, peer.number))
-        self._release(peer)
+        if peer is not None and not peer.retired:
+            peer.retired = True
+            self._send(wire.control(Kind.RETIRE, peer.number), peer)
 
     def idle(self, seconds: float) -> None:
         """Let wall time pass, still serving connections."""
@@ -227,16 +252,29 @@ class RemoteChannel(Channel, ABC):
         self._closed = True
         try:
             stop = StopReason.ABORTED if aborted else StopReason.END
-            self._close_channel(wire.control(Kind.STOP, stop, value=self._now_ns), aborted)
+            self._send_stop(wire.control(Kind.STOP, stop, value=self._now_ns))
+            deadline = time.monotonic() + (0.0 if aborted else self._timeouts.close_s)
+            # A participant closes its connection once its files are complete.
+            while any(c.backlog or c.peer for c in self._connections.values()):
+                left = deadline - time.monotonic()
+                if left <= 0.0:
+                    break
+                self._pump(left)
         finally:
-            grace = 0.1 if aborted else self._timeouts.close_s
-            deadline = time.monotonic() + grace
-            for child in self._children.values():
+            self._listener.close()
+            for connection in self._connections.values():
+                connection.socket.close()
+            self._connections.clear()
+            deadline = time.monotonic() + (0.1 if aborted else self._timeouts.close_s)
+            for child in self._children():
                 child.end(max(0.0, deadline - time.monotonic()))
                 for line in child.printed:
                     self._say(line)
             self._poll.close()
-            self._sharing.close()
+            self._closing.close()
+
+    def _children(self) -> list[ChildProcess]:
+        return [peer.child for peer in self._by_name.values() if peer.child is not None]
 
     def _attend(self, fileno: int, handler: Callable[[int], None]) -> None:
         self._handlers[fileno] = handler
@@ -266,14 +304,15 @@ class RemoteChannel(Channel, ABC):
             left = deadline - time.monotonic()
             self._pump(max(0.0, left))
             if left <= 0.0 and peer.done is None:
-                if peer.offered > offered:
-                    offered = peer.offered
-                    deadline = time.monotonic() + self._timeouts.answer_s
-                    continue
-                raise ParticipantLost(
-                    peer.name, f"did not answer within {self._timeouts.answer_s:g} s: it stalled"
-                )
-        return peer.turn()
+                if len(peer.frames) <= offered:
+                    raise ParticipantLost(
+                        peer.name,
+                        f"did not answer within {self._timeouts.answer_s:g} s: it stalled",
+                    )
+                offered = len(peer.frames)
+                deadline = time.monotonic() + self._timeouts.answer_s
+        frames, peer.frames = peer.frames, []
+        return Turn(frames, peer.done)
 
     def _answer_hello(self, control: wire.Control) -> tuple[Peer | None, bytes]:
         """Return the participant that joins, or None, and the record to answer with."""
@@ -284,35 +323,68 @@ class RemoteChannel(Channel, ABC):
             refusal = Refusal.VERSION
         elif peer is None or peer.retired:
             refusal = Refusal.UNEXPECTED
-        elif peer.joined and peer.nonce != nonce:
+        elif peer.nonce not in (None, nonce):
             refusal = Refusal.DUPLICATE
         elif scenario and self._scenario and scenario != self._scenario:
             refusal = Refusal.SCENARIO
-        if refusal is not None or peer is None:
-            name = wire.NAMES.get(control.participant, f"participant number {control.participant}")
-            reason = refusal or Refusal.UNEXPECTED
-            self.counts.warn(f"a {name} was refused: {wire.reason(reason)}")
-            return None, wire.control(Kind.REFUSED, control.participant, reason, nonce)
-        peer.nonce = nonce
-        return peer, wire.control(Kind.WELCOME, peer.number, wire.VERSION, nonce)
+        else:
+            peer.nonce = nonce
+            return peer, wire.control(Kind.WELCOME, peer.number, wire.VERSION, nonce)
+        name = wire.NAMES.get(control.participant, f"participant number {control.participant}")
+        self.warn(f"a {name} was refused: {wire.reason(refusal)}")
+        return None, wire.control(Kind.REFUSED, control.participant, refusal, nonce)
+
+    def _accept(self, events: int) -> None:
+        while True:
+            try:
+                accepted, _ = self._listener.accept()
+            except BlockingIOError:
+                return
+            if len(self._connections) >= MOST_CONNECTIONS:
+                self.warn(f"more than {MOST_CONNECTIONS} connections: further ones were closed")
+                accepted.close()
+                continue
+            connection = Connection(accepted)
+            self._connections[connection.fileno] = connection
+            self._attend(connection.fileno, partial(self._serve, connection))
+
+    def _serve(self, connection: Connection, events: int) -> None:
+        length = 0
+        try:
+            if events & select.EPOLLOUT and connection.drain():
+                self._poll.modify(connection.fileno, select.EPOLLIN)
+            if events == select.EPOLLOUT:
+                return
+            length = connection.socket.recv_into(self._buffer)
+        except BlockingIOError:
+            return
+        except OSError:
+            pass
+        if length == 0:
+            self._disconnect(connection)
+        else:
+            self._receive(connection, length)
+
+    def _disconnect(self, connection: Connection) -> None:
+        if self._connections.pop(connection.fileno, None) is None:
+            return
+        self._ignore(connection.fileno)
+        connection.socket.close()
+        if connection.peer is not None:
+            self._lost(connection.peer, "closed its connection: it ended or was killed")
 
     def _child_ended(self, child: ChildProcess, events: int) -> None:
         self._ignore(child.fileno())
-        peer = self._by_name.get(child.name)
-        if not self._closed and peer is not None and not peer.retired:
-            raise ParticipantLost(child.name, child.how_it_ended() or "died")
+        self._lost(self._by_name[child.name], "died")
 
-    def _connection_lost(self, peer: Peer) -> None:
-        """Raise ParticipantLost for a connection that ended, unless the run or its part is over."""
-        if self._closed or peer.retired:
-            return
-        child = self._children.get(peer.name)
-        how = child.how_it_ended() if child is not None else None
-        raise ParticipantLost(peer.name, how or "closed its connection: it ended or was killed")
+    def _lost(self, peer: Peer, what: str) -> None:
+        """Raise ParticipantLost with how its process ended, or `what`, unless its part is over."""
+        if not (self._closed or peer.retired):
+            how = peer.child.how_it_ended() if peer.child is not None else None
+            raise ParticipantLost(peer.name, how or what)
 
     def _warn_foreign(self) -> None:
-        self.counts.foreign_frames += 1
-        self.counts.warn(
+        self.warn(
             "frames of programs that take no part in the run were ignored: their instants depend on "
             "the wall clock, so the run could not be repeated"
         )

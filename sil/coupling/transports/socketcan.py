@@ -6,14 +6,14 @@ import errno
 import socket
 import struct
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import DP_BIT, EDP_BIT, MAX_ID
 from sil.coupling.transports import wire
-from sil.coupling.transports.channel import NOBODY, ParticipantLost, Timeouts, Turn
-from sil.coupling.transports.remote import Peer, RemoteChannel, silent
+from sil.coupling.transports.channel import NOBODY, ParticipantLost, Turn
+from sil.coupling.transports.remote import Connection, Peer, RemoteChannel
 from sil.coupling.transports.wire import Kind
 
 if TYPE_CHECKING:
@@ -54,7 +54,10 @@ class CanSocket:
             packed = b"".join(struct.pack("=II", *entry) for entry in filters)
             self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed)
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
-            self._enlarge_receive_buffer()
+            try:
+                self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER_BYTES)
+            except PermissionError:  # the system's limit holds for others than root
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
             self._socket.bind((interface,))
             self._socket.setblocking(False)
         except OSError as error:
@@ -63,13 +66,6 @@ class CanSocket:
                 f"channel {interface!r}: {error.strerror}; expected inproc, local, local:NAME, "
                 "or the name of a CAN interface that is up"
             ) from None
-
-    def _enlarge_receive_buffer(self) -> None:
-        size = _RECEIVE_BUFFER_BYTES
-        try:
-            self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, size)
-        except PermissionError:  # the system's limit holds for others than root
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size)
 
     def fileno(self) -> int:
         """Return the socket's descriptor."""
@@ -135,42 +131,26 @@ class SocketCan(RemoteChannel):
     """A `Channel` over a SocketCAN interface.
 
     Everything is broadcast, so participants of one instant take their turns one after the other.
-    Frames of programs outside the run are ignored, and counted.  An abstract Unix socket refuses a
-    second coordinator, and shows at once when a participant connected to it (its lifeline) dies; the
-    death of one without such a connection is noticed after `Timeouts.answer_s`.
+    Frames of programs outside the run are ignored.  An abstract Unix socket refuses a second
+    coordinator, and shows at once when a participant connected to it (its lifeline) dies; the death
+    of one without such a connection is noticed after `Timeouts.answer_s`.
     """
 
-    def __init__(
-        self,
-        interface: str,
-        names: Sequence[str],
-        *,
-        scenario: int = 0,
-        timeouts: Timeouts | None = None,
-        say: Callable[[str], None] = silent,
-        share_core: bool = True,
-    ) -> None:
-        """Open the channel; parameters as for `RemoteChannel`.
-
-        Raises InputError when there is none, RunError when another run uses it.
-        """
-        self._can = CanSocket(interface, ANY_FRAME)
+    def _open(self, channel: str) -> None:
+        self._can = CanSocket(channel, ANY_FRAME)
+        self._closing.callback(self._can.close)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
-            self._listener.bind(lifeline_address(interface))
+            self._listener.bind(lifeline_address(channel))
         except OSError:
-            self._can.close()
             self._listener.close()
-            raise RunError(f"channel {interface!r}: another run uses it") from None
+            self._closing.close()
+            raise RunError(f"channel {channel!r}: another run uses it") from None
         self._listener.listen(16)
         self._listener.setblocking(False)
-        super().__init__(names, scenario, timeouts or Timeouts(), say, share_core)
+        self.where = f"--channel {channel}"
         self._speaker: Peer | None = None
-        self._granted: list[Peer] = []
-        self._unread = dict.fromkeys(self._peers, 0)
-        self._lifelines: dict[int, socket.socket] = {}
         self._attend(self._can.fileno(), self._read)
-        self._attend(self._listener.fileno(), self._accept)
 
     def deliver(self, deliveries: Sequence[Delivery], bus_off: frozenset[str] = NOBODY) -> None:
         """Send frames, each after its BusTime."""
@@ -179,16 +159,10 @@ class SocketCan(RemoteChannel):
                 self._can.send(wire.control(Kind.SKIP, self._by_name[name].number))
             sender = wire.PARTICIPANTS.get(delivery.sender, wire.NOBODY)
             self._can.send(wire.announced(sender, delivery.arrival_ns, delivery.frame))
-            for number, peer in self._peers.items():
-                peer.delivered += number != sender and peer.name not in bus_off
-                self._unread[number] += 2 + len(bus_off)
+            for peer in self._peers.values():
+                peer.delivered += peer.number != sender and peer.name not in bus_off
+                peer.unread += 2 + len(bus_off)
             self._let_them_read()
-
-    def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
-        """Note who is granted time."""
-        self._pump(0.0)
-        self._now_ns = now_ns
-        self._granted = [self._by_name[name] for name in names if name in self._by_name]
 
     def end_turn(self) -> dict[str, Turn]:
         """Grant the turns one after the other, and wait for each."""
@@ -197,17 +171,17 @@ class SocketCan(RemoteChannel):
             self._speaker = peer
             self._can.send(peer.grant(self._now_ns))
             turns[peer.name] = self._await_answer(peer, time.monotonic() + self._timeouts.answer_s)
-            self._unread[peer.number] = 0
+            peer.unread = 0
             self._speaker = None
         return turns
 
     def _let_them_read(self) -> None:
         """Wait for participants with so much unread that a small buffer might soon overflow."""
-        for number, peer in self._peers.items():
-            if self._unread[number] > UNREAD_WINDOW and not peer.retired:
-                self._can.send(wire.control(Kind.SYNC, number))
+        for peer in self._peers.values():
+            if peer.unread > UNREAD_WINDOW and not peer.retired:
+                self._can.send(wire.control(Kind.SYNC, peer.number))
                 deadline = time.monotonic() + self._timeouts.answer_s
-                while self._unread[number]:
+                while peer.unread:
                     left = deadline - time.monotonic()
                     if left <= 0.0:
                         raise ParticipantLost(
@@ -216,17 +190,11 @@ class SocketCan(RemoteChannel):
                         )
                     self._pump(left)
 
-    def _send(self, peer: Peer, records: bytes) -> None:
+    def _send(self, records: bytes, *peers: Peer) -> None:
         self._can.send(records)
 
-    def _send_all(self, records: bytes) -> None:
-        self._can.send(records)
-
-    def _where(self) -> str:
-        return f"--channel {self._can.interface}"
-
-    def _release(self, peer: Peer) -> None:
-        self._unread[peer.number] = 0
+    def _send_stop(self, stop: bytes) -> None:
+        self._can.send(stop)
 
     def _read(self, events: int) -> None:
         for _ in range(64):  # then others have their turn
@@ -236,69 +204,33 @@ class SocketCan(RemoteChannel):
             self._take(*received)
 
     def _take(self, can_id: int, payload: bytes) -> None:
-        if not can_id & EDP_BIT:
-            self._warn_foreign()
-            return
         try:
             control = wire.parse_control(can_id, payload)
         except wire.WireError:
-            self.counts.garbage += 1
             self._warn_foreign()
             return
-        if control is None:
-            for number in self._unread:
-                self._unread[number] += 1
-            if self._speaker is None:
-                self._warn_foreign()
-            else:
+        if control is None and can_id & EDP_BIT:
+            for peer in self._peers.values():
+                peer.unread += 1
+            if self._speaker is not None:
                 self._speaker.take(can_id, payload)
+                return
+        if control is None:
+            self._warn_foreign()
             return
-        peer = self._peers.get(control.participant)
+        sender = self._peers.get(control.participant)
         if control.kind == Kind.HELLO:
             self._can.send(self._answer_hello(control)[1])
-        elif control.kind in (Kind.RELEASE, Kind.DONE, Kind.FAILED) and peer is not None:
-            peer.take(can_id, payload)
-        elif control.kind == Kind.ACK and peer is not None:
-            self._unread[peer.number] = 0
+        elif control.kind in (Kind.RELEASE, Kind.DONE, Kind.FAILED) and sender is not None:
+            sender.take(can_id, payload)
+        elif control.kind == Kind.ACK and sender is not None:
+            sender.unread = 0
         elif control.kind in (Kind.START, Kind.STOP, Kind.GRANT, Kind.BUS_TIME, Kind.WELCOME):
             raise RunError(f"channel {self._can.interface!r}: another coordinator sends on it")
         else:
             self._warn_foreign()
 
-    def _accept(self, events: int) -> None:
-        try:
-            connection, _ = self._listener.accept()
-        except BlockingIOError:
-            return
-        connection.setblocking(False)
-        self._lifelines[connection.fileno()] = connection
-        owner: list[Peer] = []
-        self._attend(connection.fileno(), lambda _: self._lifeline(connection, owner))
-
-    def _lifeline(self, connection: socket.socket, owner: list[Peer]) -> None:
-        try:
-            record = connection.recv(wire.RECORD_BYTES)
-        except BlockingIOError:
-            return
-        except OSError:
-            record = b""
-        if not record:
-            self._ignore(connection.fileno())
-            del self._lifelines[connection.fileno()]
-            connection.close()
-            if owner:
-                self._connection_lost(owner[0])
-        elif not owner and len(record) == 1 and record[0] in self._peers:
-            owner.append(self._peers[record[0]])
-
-    def _close_channel(self, stop: bytes, aborted: bool) -> None:
-        try:
-            self._can.send(stop)
-            deadline = time.monotonic() + (0.0 if aborted else self._timeouts.close_s)
-            while self._lifelines and (left := deadline - time.monotonic()) > 0.0:
-                self._pump(left)  # a participant closes its lifeline once its files are complete
-        finally:
-            self._can.close()
-            self._listener.close()
-            for connection in self._lifelines.values():
-                connection.close()
+    def _receive(self, connection: Connection, length: int) -> None:
+        """Take the number of the participant whose lifeline this is."""
+        if connection.peer is None and length == 1:
+            connection.peer = self._peers.get(self._buffer[0])

@@ -17,10 +17,9 @@ import pytest
 
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
-from sil.coupling.participants import open_link, take_part
 from sil.coupling.processes import ChildProcess, sharing_one_core
 from sil.coupling.transports.hub import Hub
-from sil.coupling.transports.link import LocalLink
+from sil.coupling.transports.link import LocalLink, open_link, take_part
 
 ROOT = Path(__file__).resolve().parents[4]
 
@@ -223,8 +222,8 @@ def test_an_early_end_and_a_lost_coordinator_are_errors_of_the_run() -> None:
         if aborted:
             hub.close(aborted=True)
         else:  # as if the coordinator had been killed: no farewell
-            for client in hub._clients.values():
-                client.connection.shutdown(socket.SHUT_RDWR)
+            for connection in hub._connections.values():
+                connection.socket.shutdown(socket.SHUT_RDWR)
         error = running.outcome()
         assert isinstance(error, RunError) and message in str(error)
         assert counter.closed == 1

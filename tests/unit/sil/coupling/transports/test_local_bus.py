@@ -101,7 +101,7 @@ def test_a_closed_bus_says_so(hub: Hub) -> None:
         bus.recv(0.0)
     with pytest.raises(can.CanOperationError, match="shut down"):
         bus.send(message(1))
-    assert hub.counts.warnings == []
+    assert hub.warnings == []
 
 
 def test_without_a_run_there_is_no_bus() -> None:
@@ -166,8 +166,8 @@ def test_sending_is_refused_and_a_foreign_frame_is_ignored() -> None:
             monitor._connection.send(wire.real(Frame(0x0CFF0001, b"")))
             hub.idle(0.05)
             assert other.recv(0.05) is None
-        assert hub.counts.foreign_frames == 1
-        assert "take no part" in hub.counts.warnings[0]
+        (line,) = hub.warnings
+        assert "take no part" in line
     finally:
         hub.close(aborted=True)
 
@@ -183,7 +183,7 @@ def test_a_monitor_that_does_not_read_is_disconnected_and_delays_no_one(
             for number in range(10_000):
                 hub.deliver([frame(number)])
                 assert content(busy.recv(1.0))[1] == number.to_bytes(8, "big")
-            assert "did not read" in hub.counts.warnings[0]
+            assert "did not read" in hub.warnings[0]
             got = []
             with pytest.raises(can.CanOperationError, match="did not read"):
                 while True:
@@ -225,7 +225,8 @@ def test_garbage_never_ends_a_hub(tmp_path: Path) -> None:
             hub.idle(0.0)
             stranger.close()
         hub.idle(0.05)
-        assert hub.counts.garbage > 250
+        assert len([line for line in hub.warnings if "sent garbage" in line]) > 100
+        assert not hub._connections
         with LocalBus("run") as monitor:
             hub.idle(0.0)
             hub.deliver([frame(1)])
