@@ -29,7 +29,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import finite, prepare_folder
     from sil.files.progress import Progress
-    from sil.identify.estimate import Identified, model_file
+    from sil.identify.estimate import Identified, model_of
     from sil.report.picture import save
 
     parameters = load(arguments.model)
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(f"identifying {arguments.what}", "steps") as progress:
         found = method(campaign, parameters, progress)
     folder = prepare_folder(arguments.out, name, arguments.force)
-    write_atomically(folder / "model.toml", model_file(found, parameters))
+    write_atomically(folder / "model.toml", model_of(found, parameters))
     save(found.figure, folder, arguments.what)
     if arguments.json:
         table = {

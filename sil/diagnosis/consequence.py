@@ -5,16 +5,12 @@ Checked by: tests/unit/sil/diagnosis/test_consequence.py
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from can_dbc.errors import InputError, RunError
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.scenario import load
-
-if TYPE_CHECKING:
-    from sil.simulation.metrics import Shift
 
 SCENARIOS = ("lab_n_b", "lab_b_n", "lab_n_f", "lab_f_n", "oil_damper", "full_shift")
 
@@ -37,12 +33,8 @@ class Change:
 class Consequence:
     """Shifts before and after; or why a run cannot apply the extension."""
 
-    changes: tuple[Change, ...]
+    shifts: tuple[Change, ...]
     refused: str = ""
-
-    def as_json(self) -> dict[str, Any]:
-        """Plain numbers."""
-        return {"shifts": [asdict(item) for item in self.changes], "refused": self.refused}
 
 
 def consequence(questioned: str, extended: Path) -> Consequence:
@@ -57,19 +49,17 @@ def consequence(questioned: str, extended: Path) -> Consequence:
                 run_in_memory(load(name, model=str(model))).shifts
                 for model in (questioned, extended)
             )
-            found += [change(name, *pair) for pair in zip(before, after, strict=True)]
+            found += [
+                Change(
+                    name,
+                    f"{one.from_gear} to {one.to_gear}",
+                    (one.shift_time_s, two.shift_time_s),
+                    (one.impact_speed_m_s, two.impact_speed_m_s),
+                )
+                for one, two in zip(before, after, strict=True)
+            ]
     except InputError as error:
         return Consequence((), str(error).removeprefix(f"{extended}: "))
     except RunError as error:
         return Consequence(tuple(found), f"{name} could not be run: {error}")
     return Consequence(tuple(found))
-
-
-def change(scenario: str, before: Shift, after: Shift) -> Change:
-    """Return one shift's figures before and after."""
-    return Change(
-        scenario,
-        f"{before.from_gear} to {before.to_gear}",
-        (before.shift_time_s, after.shift_time_s),
-        (before.impact_speed_m_s, after.impact_speed_m_s),
-    )

@@ -110,9 +110,8 @@ def phases_figure(before: Shown, after: Shown) -> Figure:
     return Figure(stacks)
 
 
-def equations_figure(result: Diagnosis, found: tuple[int, Alone, Alone]) -> Figure:
+def equations_figure(result: Diagnosis, k: int, before: Alone, after: Alone) -> Figure:
     """Return the residuals of the force balance and of each chamber alone, before and after."""
-    k, before, after = found
     rows: list[tuple[str, str, Floats, Floats]] = []
     if before.position_m is not None and after.position_m is not None:
         rows.append(

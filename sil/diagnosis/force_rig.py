@@ -26,7 +26,10 @@ from plant.effects import CATALOGUE
 from plant.effects.force_term import ForceTerm, Motion
 from plant.parameters import read_toml
 from sil.campaign.campaign import ColumnMap, finite, parse_columns, read_record, real, text
+from sil.diagnosis.causes import Cause, diagnosis_json
 from sil.diagnosis.checks import longest_run
+from sil.diagnosis.intervals import Interval
+from sil.diagnosis.residuals import Gain
 from sil.diagnosis.verdict import SUREST, UNNAMED
 from sil.fitting.floor import EXPLAINED
 
@@ -44,6 +47,11 @@ LEAST_NOISE = 1e-6
 """A noise below this share of the driving force cannot be estimated from the record."""
 STUCK_SHARE = 0.05
 """A driving force that repeats one value over this share of a record's motion is stuck."""
+
+DETECTABILITY = (
+    "with driving force and position alone: causes in the force balance; an offset may be a constant "
+    "force or Coulomb friction that differs with direction"
+)
 
 TERMS: dict[str, ForceTerm] = {
     name: item.force for name, item in CATALOGUE.items() if item.force is not None
@@ -131,7 +139,7 @@ def read_motion(path: str | Path) -> tuple[str, Motion, float | None]:
         0.0,
     )
     variances = np.average([v for _samples, v in parts], axis=0, weights=lengths)
-    plain, target = base(motion, mass)
+    plain, target = balance(motion, mass)
     found = np.linalg.lstsq(plain, target, rcond=None)[0]
     scales = np.array([1.0, found[1], found[3] if mass is None else mass])
     noise = float(np.sqrt(np.sum(scales**2 * variances)))
@@ -215,22 +223,31 @@ def local_polynomial(values: Floats, half: int, order: int) -> Floats:
 
 
 # --- hypotheses -------------------------------------------------------------------------------
-def base(motion: Motion, mass_kg: float | None) -> tuple[Floats, Floats]:
-    """Return columns [n, 3 or 4] of the plain body in the order of BODY, and their target [n] in N."""
-    v = motion.speed_m_s
+def balance(
+    motion: Motion,
+    mass_kg: float | None,
+    names: tuple[str, ...] = (),
+    shapes: tuple[float, ...] = (),
+) -> tuple[Floats, Floats]:
+    """Return the columns [n, k] of a force balance and its target [n] in N.
+
+    First the 3 or 4 columns of the plain body in the order of BODY, then those of the causes.
+    """
+    v, target = motion.speed_m_s, motion.force_n
     columns = [np.sign(v), v, np.ones(len(v))]
     if mass_kg is None:
-        return np.column_stack([*columns, motion.acceleration_m_s2]), motion.force_n
-    return np.column_stack(columns), motion.force_n - mass_kg * motion.acceleration_m_s2
+        columns.append(motion.acceleration_m_s2)
+    else:
+        target = target - mass_kg * motion.acceleration_m_s2
+    columns += [TERMS[n].feature(motion, s) for n, s in zip(names, shapes, strict=True)]
+    return np.column_stack(columns), target
 
 
-def attempt(
+def _attempt(
     names: tuple[str, ...], shapes: tuple[float, ...], motion: Motion, mass_kg: float | None
 ) -> Tried:
     """Fit a hypothesis with every block held out in turn; deviations from the blocks."""
-    plain, target = base(motion, mass_kg)
-    added = [TERMS[n].feature(motion, s) for n, s in zip(names, shapes, strict=True)]
-    columns = np.column_stack([plain, *added])
+    columns, target = balance(motion, mass_kg, names, shapes)
     scale = np.sqrt(np.mean(columns**2, axis=0)) + 1e-300
     columns = columns / scale
     rows = [motion.block == number for number in np.unique(motion.block)]
@@ -251,20 +268,20 @@ def attempt(
     spread = np.sqrt((count - 1) / count * np.sum((np.array(solutions) - values) ** 2, axis=0))
     residual = target - columns @ values
     values, spread = values / scale, spread / scale
-    k = plain.shape[1]
+    k = len(values) - len(names)
     return Tried(
         names, shapes, values[k:], spread[k:], values[:k], spread[:k], np.array(squares), residual
     )
 
 
-def best_of(names: tuple[str, ...], motion: Motion, mass_kg: float | None) -> Tried:
+def _best_of(names: tuple[str, ...], motion: Motion, mass_kg: float | None) -> Tried:
     """Return a hypothesis with its best shape by its held-out squares."""
     grids = [TERMS[name].shapes(motion) for name in names]
-    tried = [attempt(names, shapes, motion, mass_kg) for shapes in itertools.product(*grids)]
+    tried = [_attempt(names, shapes, motion, mass_kg) for shapes in itertools.product(*grids)]
     return min(tried, key=lambda item: item.total)
 
 
-def physical(item: Tried) -> bool:
+def _physical(item: Tried) -> bool:
     """Return whether every coefficient has a physical sign and an interval without zero."""
     return all(
         (TERMS[name].sign == 0 or value > 0.0) and abs(value) >= 2.0 * deviation
@@ -279,12 +296,12 @@ def gains(item: Tried, other: Tried) -> tuple[float, float]:
     return float(differences.sum() / other.total), float(differences.sum() / error)
 
 
-def dependence(residual_n: Floats, motion: Motion) -> tuple[str, float]:
-    """Return what a residual [n] in N depends on most, and the share of its squares that this explains.
+def _dependence(residual_n: Floats, motion: Motion) -> tuple[str, float]:
+    """Return what a residual depends on most, and the share of its squares that this explains.
 
     By the means over 24 bins of speed, position and time.
     """
-    found = []
+    found: dict[str, float] = {}
     axes = {
         "speed": motion.speed_m_s,
         "position": motion.position_m,
@@ -295,8 +312,8 @@ def dependence(residual_n: Floats, motion: Motion) -> tuple[str, float]:
         which = np.searchsorted(edges, values)
         counts = np.maximum(np.bincount(which, minlength=BLOCKS), 1)
         means = np.bincount(which, residual_n, BLOCKS) / counts
-        found.append((name, float(np.sum(means[which] ** 2) / np.sum(residual_n**2))))
-    return max(found, key=lambda item: item[1])
+        found[name] = float(np.sum(means[which] ** 2) / np.sum(residual_n**2))
+    return max(found.items(), key=lambda item: item[1])
 
 
 @dataclass(frozen=True)
@@ -340,97 +357,82 @@ class ForceDiagnosis:
             return UNNAMED
         return "named" if self.leader.names else "consistent"
 
-    def body(self) -> dict[str, dict[str, Any]]:
-        """Return the body's fitted parameters with 95 % intervals."""
-        item = self.leader
+    def body(self) -> dict[str, Interval]:
+        """Return the body's fitted parameters."""
+        pairs = zip(self.leader.body.tolist(), self.leader.body_deviations.tolist(), strict=True)
         return {
-            name: interval(value, deviation, unit)
-            for (name, unit), value, deviation in zip(
-                BODY, item.body.tolist(), item.body_deviations.tolist(), strict=False
-            )
+            name: Interval.normal(value, deviation, unit)
+            for (name, unit), (value, deviation) in zip(BODY, pairs, strict=False)
         }
 
-    def causes(self) -> list[dict[str, Any]]:
+    def causes(self) -> list[Cause]:
         """Return the causes claimed, most probable first; last one that no named cause explains."""
-        found: list[dict[str, Any]] = []
-        for name, value, deviation in zip(
-            self.leader.names, self.leader.values, self.leader.deviations, strict=True
-        ):
-            rest = tuple(n for n in self.leader.names if n != name)
+        found: list[Cause] = []
+        before, after = self.error(self.plain), self.error(self.leader)
+        pairs = zip(self.leader.values, self.leader.deviations, strict=True)
+        for name, (value, deviation) in zip(self.leader.names, pairs, strict=True):
+            rest = [n for n in self.leader.names if n != name]
             taken, sure = gains(self.leader, self.singles[rest[0]] if rest else self.plain)
             form = TERMS[name]
-            probability = min(SUREST, 1.0 - 0.5 * float(np.exp(-0.5 * (sure - 2.0))))
             found.append(
-                {
-                    "id": name,
-                    "class": CATALOGUE[name].cause_class,
-                    "probability": round(probability, 4),
-                    "parameters": {form.parameter: interval(value, deviation, form.unit)},
-                    "evidence": f"{form.what}: {value:.3g} {form.unit}; removes {taken:.1%} of the "
-                    f"squared force error of held-out blocks, {sure:.1f} standard errors; relative "
-                    f"force error {self.error(self.plain):.2%} before, "
-                    f"{self.error(self.leader):.2%} after",
-                }
+                Cause(
+                    name,
+                    CATALOGUE[name].cause_class,
+                    min(SUREST, 1.0 - 0.5 * float(np.exp(-0.5 * (sure - 2.0)))),
+                    {form.parameter: Interval.normal(value, deviation, form.unit)},
+                    f"{form.what}: {value:.3g} {form.unit}; removes {taken:.1%} of the squared force "
+                    f"error of held-out blocks, {sure:.1f} standard errors; relative force error "
+                    f"{before:.2%} before, {after:.2%} after",
+                )
             )
-        found.sort(key=lambda cause: -float(cause["probability"]))
+        found.sort(key=lambda cause: -cause.probability)
         if self.verdict == UNNAMED:
-            found.append(self.unexplained())
+            found.append(self._unexplained())
         return found
 
-    def unexplained(self) -> dict[str, Any]:
+    def _unexplained(self) -> Cause:
         """Return the cause of a residual that neither noise nor a named cause explains."""
         noise = self.motion.noise_n
         blocks = self.leader.squares / np.unique(self.motion.block, return_counts=True)[1]
         error = 1.96 * float(np.std(blocks, ddof=1) / np.sqrt(len(blocks)))
         mean = self.rms_n(self.leader) ** 2 - noise**2
         low, value, high = (max(0.0, mean + e) ** 0.5 for e in (-error, 0.0, error))
-        on, share = dependence(self.leader.residual_n, self.motion)
-        return {
-            "id": UNNAMED,
-            "class": "friction" if on == "speed" else "mechanics",
-            "probability": SUREST,
-            "parameters": {"force_rms_n": {"value": value, "low": low, "high": high, "unit": "N"}},
-            "evidence": f"a force of {value:.3g} N rms that no named cause explains: the held-out "
-            f"residual is {self.over_noise(self.leader):.3g} times the noise of {noise:.3g} N; {on} "
-            f"explains {share:.0%} of it",
-        }
+        on, share = _dependence(self.leader.residual_n, self.motion)
+        return Cause(
+            UNNAMED,
+            "friction" if on == "speed" else "mechanics",
+            SUREST,
+            {"force_rms_n": Interval(value, low, high, "N")},
+            f"a force of {value:.3g} N rms that no named cause explains: the held-out residual is "
+            f"{self.over_noise(self.leader):.3g} times the noise of {noise:.3g} N; {on} explains "
+            f"{share:.0%} of it",
+        )
+
+    def findings(self) -> list[str]:
+        """Return why nothing can be concluded, and why causes are not claimed."""
+        return [*self.doubts, *(f"{name}: {why}" for name, why in self.refused.items())]
 
     def as_json(self) -> dict[str, Any]:
         """Return the object that diagnosis.json holds."""
         before, after = self.rms_n(self.plain), self.rms_n(self.leader)
-        return {
-            "format": 1,
-            "campaign": self.name,
-            "verdict": self.verdict,
-            "causes": [] if self.doubts else self.causes(),
-            "rivals": [],
-            "next_experiment": None,
-            "gain": {
-                "heldout_strokes": ["every block of time in turn"],
-                "channels": {"force_n": {"before": before, "after": after, "unit": "rms"}},
-                "standardised": {
-                    "before": self.over_noise(self.plain),
-                    "after": self.over_noise(self.leader),
-                },
-            },
-            "false_alarm": {
-                "level": 0.01,
-                "basis": f"at least {LEAST_GAIN:.0%} of the held-out squares and {SURE:g} standard "
-                f"errors over blocks; explained: a residual of at most {EXPLAINED:g} times the noise",
-            },
-            "extended_model": None,
-            "body": self.body(),
-            "noise_n": self.motion.noise_n,
-            "findings": [*self.doubts, *(f"{name}: {why}" for name, why in self.refused.items())],
-            "detectability": "with driving force and position alone: causes in the force balance; an "
-            "offset may be a constant force or Coulomb friction that differs with direction",
-        }
-
-
-def interval(value: float, deviation: float, unit: str) -> dict[str, Any]:
-    """Return a value with its 95 % interval."""
-    half = 1.96 * deviation
-    return {"value": value, "low": value - half, "high": value + half, "unit": unit}
+        gain = Gain(
+            ("every block of time in turn",),
+            {"force_n": (before, after)},
+            self.over_noise(self.plain),
+            self.over_noise(self.leader),
+        )
+        return diagnosis_json(
+            self.name,
+            self.verdict,
+            [] if self.doubts else self.causes(),
+            self.findings(),
+            f"at least {LEAST_GAIN:.0%} of the held-out squares and {SURE:g} standard errors over "
+            f"blocks; explained: a residual of at most {EXPLAINED:g} times the noise",
+            gain=gain.as_json(),
+            body={name: item.as_json() for name, item in self.body().items()},
+            noise_n=self.motion.noise_n,
+            detectability=DETECTABILITY,
+        )
 
 
 def diagnose_force(path: str | Path) -> ForceDiagnosis:
@@ -439,14 +441,14 @@ def diagnose_force(path: str | Path) -> ForceDiagnosis:
     Raises InputError as `read_motion` does.
     """
     name, motion, mass = read_motion(path)
-    plain = attempt((), (), motion, mass)
+    plain = _attempt((), (), motion, mass)
     known = [n for n, t in TERMS.items() if motion.pressure_pa is not None or not t.needs_pressure]
-    singles = {n: best_of((n,), motion, mass) for n in known}
+    singles = {n: _best_of((n,), motion, mass) for n in known}
     refused: dict[str, str] = {}
     accepted: list[Tried] = []
     for cause, item in singles.items():
         taken, sure = gains(item, plain)
-        if not physical(item):
+        if not _physical(item):
             refused[cause] = f"refused: {item.values[0]:.3g} {TERMS[cause].unit} is not physical"
         elif taken < LEAST_GAIN or sure < SURE:
             refused[cause] = (
@@ -456,37 +458,33 @@ def diagnose_force(path: str | Path) -> ForceDiagnosis:
             accepted.append(item)
     leader = min(accepted, key=lambda item: item.total, default=plain)
     if leader.names:
-        leader = min(
-            [leader, *pairs_with(leader, known, singles, motion, mass)], key=lambda item: item.total
-        )
+        pairs = _pairs_with(leader, known, singles, motion, mass)
+        leader = min([leader, *pairs], key=lambda item: item.total)
         for item in accepted:
             if not set(item.names) <= set(leader.names):
                 refused[item.names[0]] = f"explained by {' + '.join(leader.names)}"
-    doubts = tuple(doubts_of(plain, motion))
+    doubts = tuple(_doubts(plain, motion))
     return ForceDiagnosis(name, motion, plain, leader, singles, refused, mass, doubts)
 
 
-def doubts_of(plain: Tried, motion: Motion) -> list[str]:
+def _doubts(plain: Tried, motion: Motion) -> list[str]:
     """Return why nothing can be concluded from this record, none usually."""
     found = []
+    reversed_sign = (
+        "the sign of the driving force or of position_m is reversed, or other forces act"
+    )
     speed = np.abs(motion.speed_m_s)
     power_w = plain.body[0] * float(np.mean(speed)) + plain.body[1] * float(np.mean(speed**2))
     if power_w < 0.0:
-        found.append(
-            f"friction would drive the body ({-power_w:.3g} W): the sign of the driving force or of "
-            "position_m is reversed, or other forces act"
-        )
+        found.append(f"friction would drive the body ({-power_w:.3g} W): {reversed_sign}")
     if len(plain.body) == len(BODY) and plain.body[3] + 1.96 * plain.body_deviations[3] < 0.0:
-        found.append(
-            f"the mass comes out as {plain.body[3]:.3g} kg: the sign of the driving force or of "
-            "position_m is reversed, or other forces act"
-        )
+        found.append(f"the mass comes out as {plain.body[3]:.3g} kg: {reversed_sign}")
     if motion.noise_n < LEAST_NOISE * float(np.sqrt(np.mean(motion.force_n**2))):
         found.append("the record has no noise to compare a residual with: filtered or simulated")
     return found
 
 
-def pairs_with(
+def _pairs_with(
     leader: Tried,
     known: Sequence[str],
     singles: Mapping[str, Tried],
@@ -498,8 +496,8 @@ def pairs_with(
     for other in known:
         if other in leader.names:
             continue
-        pair = best_of((*leader.names, other), motion, mass)
+        pair = _best_of((*leader.names, other), motion, mass)
         both = [gains(pair, single) for single in (leader, singles[other])]
-        if physical(pair) and all(taken >= LEAST_GAIN and sure >= SURE for taken, sure in both):
+        if _physical(pair) and all(taken >= LEAST_GAIN and sure >= SURE for taken, sure in both):
             found.append(pair)
     return found

@@ -14,7 +14,7 @@ Checked by: tests/unit/sil/diagnosis/test_judge.py
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,17 +72,13 @@ def judge(
     unseen = unseen_offsets(fitter, held_out)
 
     def work(fit: FitResult) -> FitResult | None:
+        frozen = [k for k in range(len(fit.shared)) if k not in unseen]
         try:
-            held = fitter.fit(
-                fit.candidates,
-                start=fit.shared,
-                use=held_out,
-                iterations=4,
-                freeze=[k for k in range(len(fit.shared)) if k not in unseen],
-            )
+            return fitter.fit(
+                fit.candidates, start=fit.shared, use=held_out, iterations=4, freeze=frozen
+            ).light()
         except IntegrationError:
             return None
-        return held.light()
 
     found = []
     answers = spread_out(work, fits, workers) if held_out else [None] * len(fits)
@@ -97,18 +93,7 @@ def judge(
             blocks = {**fit.blocks, **held.blocks}
             stroke = fit.stroke.copy()
             stroke[list(held_out)] = held.stroke[list(held_out)]
-            whole = FitResult(
-                fit.candidates,
-                fit.layout,
-                tuple(sorted(blocks)),
-                fit.cost,
-                fit.shared,
-                stroke,
-                fit.normal,
-                fit.values,
-                fit.iterations,
-                blocks,
-            )
+            whole = replace(fit, use=tuple(sorted(blocks)), stroke=stroke, blocks=blocks)
         found.append(Judged(fit, held, cost, misfit(model, held or fit), misfit(model, whole)))
     found.sort(key=lambda item: item.score)
     weigh(found)
@@ -128,17 +113,16 @@ def weigh(judged: Sequence[Judged]) -> None:
     """Fill in the probabilities of competing hypotheses."""
     if not judged:
         return
-    best = min(item.score for item in judged)
     leader = min(judged, key=lambda item: item.score)
     error = 0.5 * leader.whole.beyond
     nu = EFFECTIVE
-    weights = np.array(
+    logs = np.array(
         [
-            np.log(item.prior) - 0.5 * nu * np.log1p(2.0 * (item.score - best + error) / nu)
+            np.log(item.prior) - 0.5 * nu * np.log1p(2.0 * (item.score - leader.score + error) / nu)
             for item in judged
         ]
     )
-    weights = np.exp(weights - weights.max())
+    weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     for item, weight in zip(judged, weights, strict=True):
         item.probability = float(weight)

@@ -5,19 +5,17 @@ Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plant.errors import IntegrationError
 from sil.diagnosis.judge import Judged
 from sil.diagnosis.verdict import Verdict
 from sil.fitting.fit import FitResult
 from sil.fitting.model import CampaignModel
-
-Floats = NDArray[np.float64]
 
 ENOUGH = 15.0
 """Distance in log evidence at which two rivals count as separated."""
@@ -32,15 +30,6 @@ class NextExperiment:
     expected_distance: float
     why: str
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the object `next_experiment` of diagnosis.json."""
-        return {
-            "conditions": self.conditions,
-            "separates": list(self.separates),
-            "expected_distance": self.expected_distance,
-            "why": self.why,
-        }
-
 
 def next_experiment(
     model: CampaignModel, verdict: Verdict, judged: list[Judged]
@@ -52,25 +41,21 @@ def next_experiment(
     """
     if not verdict.rivals:
         return None
-    group = verdict.rivals[0]
+    one, two = verdict.rivals[0][:2]
     first = verdict.leader
-    others = [item for item in judged if group[1] in item.ids or group[0] not in item.ids]
-    others = [item for item in others if item.ids and item is not first]
+    others = [i for i in judged if i.ids and i is not first and (two in i.ids or one not in i.ids)]
     if not others:
         return None
     second = others[0]
-    best: tuple[float, int] | None = None
+    distances: dict[int, float] = {}
     for k in range(len(model.strokes)):
-        try:
-            distance = separation(model, first.training, second.training, k)
-        except IntegrationError:
-            continue
-        if best is None or distance > best[0]:
-            best = (distance, k)
-    if best is None:
+        with suppress(IntegrationError):
+            distances[k] = separation(model, first.training, second.training, k)
+    if not distances:
         return None
-    distance, k = best
-    conditions = model.strokes[k].conditions
+    best = max(distances, key=lambda k: distances[k])
+    distance = distances[best]
+    conditions = model.strokes[best].conditions
     repeats = max(1, int(np.ceil(ENOUGH / max(distance, 0.05))))
     return NextExperiment(
         {
@@ -84,7 +69,7 @@ def next_experiment(
         },
         (first.name, second.name),
         distance,
-        f"like {model.strokes[k].entry.file}: the two explanations differ there by {distance:.2g} "
+        f"like {model.strokes[best].entry.file}: the two explanations differ there by {distance:.2g} "
         f"in log evidence a stroke, more than in any other; {repeats} repeats decide",
     )
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from plant.effects import look_alikes
-from sil.diagnosis.consequence import Change, consequence
-from sil.diagnosis.diagnosis import FALSE_ALARM_BASIS, FALSE_ALARM_LEVEL, Diagnosis
-from sil.diagnosis.evidence import Cause, figure
+from sil.diagnosis.causes import FALSE_ALARM_LEVEL, Cause
+from sil.diagnosis.consequence import consequence
+from sil.diagnosis.diagnosis import FALSE_ALARM_BASIS, Diagnosis
 from sil.diagnosis.figures import (
     equations_figure,
     phases_figure,
@@ -29,7 +29,7 @@ from sil.diagnosis.structure import FAULTS
 from sil.diagnosis.terms import form_of
 from sil.diagnosis.verdict import UNNAMED
 from sil.files.atomic import write_atomically
-from sil.fitting.hypotheses import Candidate
+from sil.report.figure import Figure
 from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
@@ -61,38 +61,26 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
     those of `Diagnosis.as_json`.
     """
     before, after = show(result.model, result.healthy), show(result.model, result.final)
-    where = "held out" if result.held_out else "measured"
     strokes = strokes_figure(result)
-    pictures = {
-        "strokes": Picture(
-            save(strokes, folder, "strokes"),
-            "Measured and simulated strokes",
-            STROKES_CAPTION.format(where=where),
-        ),
-        "phases": Picture(
-            save(phases_figure(before, after), folder, "phases"),
-            "Standardised residuals by channel and phase",
-            PHASES_CAPTION,
-        ),
-    }
-    found = equations(result)
+    pictures = {}
+
+    def draw(key: str, figure: Figure, name: str, alt: str, caption: str) -> None:
+        pictures[key] = Picture(save(figure, folder, name), alt, caption)
+
+    caption = STROKES_CAPTION.format(where="held out" if result.held_out else "measured")
+    draw("strokes", strokes, "strokes", "Measured and simulated strokes", caption)
+    alt = "Standardised residuals by channel and phase"
+    draw("phases", phases_figure(before, after), "phases", alt, PHASES_CAPTION)
+    found = _equations(result)
     if found is not None:
-        pictures["alone"] = Picture(
-            save(equations_figure(result, found), folder, "equations"),
-            "Residuals one equation at a time",
-            ALONE_CAPTION,
-        )
-    for cause, candidate in zip(result.causes, causes_candidates(result), strict=True):
+        alt = "Residuals one equation at a time"
+        draw("alone", equations_figure(result, *found), "equations", alt, ALONE_CAPTION)
+    terms = {c.name: c for c in result.final.candidates if c.is_term}
+    for cause in result.causes:
+        candidate = terms.get(f"{cause.id}:{cause.variant}")
         if candidate is not None:
-            pictures["term"] = Picture(
-                save(
-                    term_figure(form_of(candidate), list(cause.parameters.values())),
-                    folder,
-                    "term",
-                ),
-                "What is missing",
-                TERM_CAPTION,
-            )
+            figure = term_figure(form_of(candidate), list(cause.parameters.values()))
+            draw("term", figure, "term", "What is missing", TERM_CAPTION)
     loop = None
     if result.extended is not None:
         loop = consequence(model, folder / "extended_model.toml")
@@ -102,75 +90,53 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
         name=result.campaign.name,
         verdict=kind,
         good=kind == "consistent",
-        tiles=tiles(result),
+        tiles=_tiles(result),
         again=f"opc4 diagnose {campaign} --model {model}",
     )
     page = render(
         "diagnosis.html",
         head,
         plots(strokes),
-        summary=summary(result),
-        causes=[
-            {
-                "id": cause.id,
-                "cause_class": cause.cause_class,
-                "variant": cause.variant,
-                "probability": cause.probability,
-                "figures": figures(cause.parameters),
-                "evidence": cause.evidence,
-                "look_alikes": look_alikes_of(cause, result),
-            }
-            for cause in result.causes
-        ],
-        rivals=result.verdict.rivals,
-        experiment=None if result.next_experiment is None else result.next_experiment.as_json(),
+        result=result,
+        summary=_summary(result),
+        causes=[(c, _parameter_lines(c), _look_alikes(c, result)) for c in result.causes],
         pictures=pictures,
-        alone=[] if found is None else alone_rows(found),
-        judged=[row_of(item, result) for item in result.judged[:12]],
-        gain=gain_rows(result, before, after),
-        standard={
-            "before": f"{result.gain.before:.3g}",
-            "after": f"{result.gain.after:.3g}",
-        },
-        heldout=result.gain.files,
-        loop=loop,
-        loop_rows=[] if loop is None else [loop_row(item) for item in loop.changes],
-        dependence=dependence_rows(before, after),
-        structure=result.structure.sentence(),
-        isolability=isolability(result),
-        findings=[str(item) for item in result.findings],
+        alone=[] if found is None else _rms_rows(*found[1:]),
+        judged=[(item, _fitted_values(item)) for item in result.judged[:12]],
+        before=before,
+        after=after,
+        changed=loop,
+        faults=FAULTS,
+        in_unit=_in_unit,
         false_alarm=f"False alarms, level aimed at: {FALSE_ALARM_LEVEL:.0%}; {FALSE_ALARM_BASIS}",
-        time_text=", ".join(f"{name} {value:.1f} s" for name, value in result.seconds.items()),
-        extended=result.extended,
     )
     write_atomically(folder / "report.html", page)
     return {
-        "explanations": [explanation(item, result) for item in result.judged],
-        "residuals": {"before": plain_residuals(before), "after": plain_residuals(after)},
-        "loop": None if loop is None else loop.as_json(),
+        "explanations": [_explanation(item, result.judged[0]) for item in result.judged],
+        "residuals": {"before": _plain(before), "after": _plain(after)},
+        "loop": None if loop is None else asdict(loop),
     }
 
 
-def explanation(item: Judged, result: Diagnosis) -> dict[str, Any]:
-    """One explanation in plain numbers: behind is in log evidence, left_over an rms."""
+def _explanation(item: Judged, best: Judged) -> dict[str, Any]:
+    """Return one explanation in plain numbers: behind is in log evidence, left_over an rms."""
     pairs = zip(item.training.candidates, item.training.values, strict=True)
     return {
         "name": item.name,
-        "behind": item.score - result.judged[0].score,
+        "behind": item.score - best.score,
         "probability": item.probability,
         "left_over": item.misfit.rms,
         "parameters": {candidate.name: dict(own) for candidate, own in pairs},
     }
 
 
-def plain_residuals(shown: Shown) -> dict[str, Any]:
-    """Residuals in plain numbers: standardised rms, and what they depend on."""
-    plain = asdict(shown)
-    plain["cross"] = [{"channels": list(pair), "value": v} for pair, v in shown.cross.items()]
-    return plain
+def _plain(shown: Shown) -> dict[str, Any]:
+    """Return residuals in plain numbers: standardised rms, and what they depend on."""
+    cross = [{"channels": list(pair), "value": v} for pair, v in shown.cross.items()]
+    return {**asdict(shown), "cross": cross}
 
 
-def equations(result: Diagnosis) -> tuple[int, Alone, Alone] | None:
+def _equations(result: Diagnosis) -> tuple[int, Alone, Alone] | None:
     """Return the stroke fitted worst, one equation at a time, before and after; None without channels.
 
     Before is the questioned model itself, without tolerances: fitted, those would spread what
@@ -188,20 +154,16 @@ def equations(result: Diagnosis) -> tuple[int, Alone, Alone] | None:
     return None
 
 
-def alone_rows(found: tuple[int, Alone, Alone]) -> list[dict[str, str]]:
+def _rms_rows(before: Alone, after: Alone) -> list[tuple[str, str, str]]:
     """Return rms by equation, before and after."""
-    _k, before, after = found
+    units = {name: "_pa" if name.startswith("mass") else "_m" for name in before.rms()}
     return [
-        {
-            "name": name,
-            "before": unit_text("_pa" if name.startswith("mass") else "_m", value),
-            "after": unit_text("_pa" if name.startswith("mass") else "_m", after.rms()[name]),
-        }
+        (name, _in_unit(units[name], value), _in_unit(units[name], after.rms()[name]))
         for name, value in before.rms().items()
     ]
 
 
-def look_alikes_of(cause: Cause, result: Diagnosis) -> str:
+def _look_alikes(cause: Cause, result: Diagnosis) -> str:
     """Return the cause's look-alikes that were fitted to the end, and how far each is behind."""
     found = []
     for other in look_alikes(cause.id):
@@ -211,24 +173,17 @@ def look_alikes_of(cause: Cause, result: Diagnosis) -> str:
     return ", ".join(found)
 
 
-def causes_candidates(result: Diagnosis) -> list[Candidate | None]:
-    """Return the non-parametric term behind each reported cause, None where it is a named one."""
-    terms = {c.name: c for c in result.final.candidates if c.is_term}
-    return [terms.get(f"{cause.id}:{cause.variant}") for cause in result.causes]
-
-
-def figures(parameters: dict[str, Any]) -> list[str]:
-    """Parameters as lines; a term's nodes as one."""
-    if "node_00" in parameters:
-        values = ", ".join(f"{item.value:.3g}" for item in parameters.values())
-        return [f"nodes: {values}"]
+def _parameter_lines(cause: Cause) -> list[str]:
+    """Return the parameters as lines; a term's nodes as one."""
+    if "node_00" in cause.parameters:
+        return ["nodes: " + ", ".join(f"{item.value:.3g}" for item in cause.parameters.values())]
     return [
-        f"{name} {figure(item)}" + (f" ({item.note})" if item.note else "")
-        for name, item in parameters.items()
+        f"{name} {item}" + (f" ({item.note})" if item.note else "")
+        for name, item in cause.parameters.items()
     ]
 
 
-def summary(result: Diagnosis) -> str:
+def _summary(result: Diagnosis) -> str:
     """Return the verdict in words."""
     gain = result.gain
     kind = result.verdict.kind
@@ -252,133 +207,31 @@ def summary(result: Diagnosis) -> str:
     )
 
 
-def tiles(result: Diagnosis) -> list[tuple[str, str]]:
-    """Figures at the top."""
-    rows = [
-        ("strokes", str(len(result.model.strokes))),
-        ("of them held out", str(len(result.held_out))),
-        ("residual over expected, before", f"{result.gain.before:.3g}"),
+def _tiles(result: Diagnosis) -> list[tuple[str, str]]:
+    """Return the figures at the top as (value, name)."""
+    tiles = [
+        (str(len(result.model.strokes)), "strokes"),
+        (str(len(result.held_out)), "of them held out"),
+        (f"{result.gain.before:.3g}", "residual over expected, before"),
     ]
     if result.causes:
-        rows.append(("after", f"{result.gain.after:.3g}"))
-        rows.append(
-            (f"probability of {result.causes[0].id}", f"{result.causes[0].probability:.2f}")
-        )
-    return [(value, name) for name, value in rows]
+        first = result.causes[0]
+        tiles.append((f"{result.gain.after:.3g}", "after"))
+        tiles.append((f"{first.probability:.2f}", f"probability of {first.id}"))
+    return tiles
 
 
-def row_of(item: Judged, result: Diagnosis) -> dict[str, Any]:
-    """One explanation of the comparison."""
-    best = result.judged[0].score
+def _fitted_values(item: Judged) -> str:
+    """Return the fitted parameters of an explanation."""
     texts = []
     for candidate, own in zip(item.training.candidates, item.training.values, strict=True):
         if candidate.is_term:
             texts.append(f"{len(own)} nodes")
         else:
             texts += [f"{name} {value:.4g}" for name, value in own.items()]
-    return {
-        "name": "nothing (healthy)" if item.name == "healthy" else item.name,
-        "behind": f"{item.score - best:,.0f}",
-        "probability": f"{item.probability:.3f}",
-        "left": f"{item.misfit.rms:.3g}",
-        "hot": item.misfit.rms > 1.1,
-        "parameters": ", ".join(texts),
-    }
+    return ", ".join(texts)
 
 
-def unit_text(name: str, value: float) -> str:
-    """Return an rms in the unit an engineer reads."""
-    if name.endswith("_pa"):
-        return f"{value / 1e5:.4f} bar"
-    return f"{value * 1e3:.4f} mm"
-
-
-def gain_rows(result: Diagnosis, before: Shown, after: Shown) -> list[dict[str, str]]:
-    """Before and after by channel."""
-    rows = []
-    for name, (first, second) in result.gain.channels.items():
-        errors = []
-        for shown in (before, after):
-            item = shown.relative.get(name)
-            errors.append("" if item is None else f"{item.mean:.2%} / {item.largest:.1%}")
-        rows.append(
-            {
-                "name": name,
-                "before": unit_text(name, first),
-                "after": unit_text(name, second),
-                "relative_before": errors[0],
-                "relative_after": errors[1],
-            }
-        )
-    return rows
-
-
-def loop_row(item: Change) -> dict[str, str]:
-    """Return a shift's figures as an engineer reads them."""
-
-    def quantity(value: float | None, scale: float, unit: str) -> str:
-        return "not reached" if value is None else f"{scale * value:.3g} {unit}"
-
-    return {
-        "scenario": item.scenario,
-        "shift": item.shift,
-        **{f"time_{k}": quantity(v, 1e3, "ms") for k, v in enumerate(item.shift_time_s)},
-        **{f"impact_{k}": quantity(v, 1.0, "m/s") for k, v in enumerate(item.impact_speed_m_s)},
-    }
-
-
-def dependence_rows(before: Shown, after: Shown) -> list[dict[str, str]]:
-    """Return rms by condition, drift, whiteness and correlation, before and after."""
-
-    def table(values: dict[str, float]) -> str:
-        return ", ".join(f"{name} {value:.2f}" for name, value in values.items())
-
-    rows = [
-        {"name": name, "before": table(before.dependence[name]), "after": table(table_after)}
-        for name, table_after in after.dependence.items()
-    ]
-    rows.append(
-        {
-            "name": "drift over the campaign, a stroke",
-            "before": f"{before.drift:+.4f}",
-            "after": f"{after.drift:+.4f}",
-        }
-    )
-    rows.append(
-        {
-            "name": "correlation of neighbouring samples (0 = white)",
-            "before": table(before.whiteness),
-            "after": table(after.whiteness),
-        }
-    )
-
-    def largest(shown: Shown) -> str:
-        if not shown.cross:
-            return ""
-        pair = max(shown.cross, key=lambda item: abs(shown.cross[item]))
-        return f"{pair[0]} with {pair[1]} {shown.cross[pair]:+.2f}"
-
-    rows.append(
-        {
-            "name": "largest correlation between channels",
-            "before": largest(before),
-            "after": largest(after),
-        }
-    )
-    return rows
-
-
-def isolability(result: Diagnosis) -> dict[str, Any] | None:
-    """Return the isolability matrix: which fault can be distinguished from which, from structure alone."""
-    structure = result.structure
-    if not structure.detectable:
-        return None
-    names = [FAULTS[fault] for fault in structure.faults]
-    rows = []
-    for fault in structure.faults:
-        cells = [
-            "-" if fault == other else ("yes" if (fault, other) in structure.isolable else "no")
-            for other in structure.faults
-        ]
-        rows.append({"name": FAULTS[fault], "cells": cells})
-    return {"names": names, "rows": rows}
+def _in_unit(name: str, value: float) -> str:
+    """Return an rms in the unit that an engineer reads."""
+    return f"{value / 1e5:.4f} bar" if name.endswith("_pa") else f"{value * 1e3:.4f} mm"

@@ -1,4 +1,4 @@
-"""Residuals shown: by channel and phase, the thesis's relative errors, whiteness, dependence.
+"""Figures of residuals: by channel and phase, relative errors, dependence, gain on held-out strokes.
 
 Relative errors after thesis 3.69/3.70: mean and maximum of |measured - simulated| over the largest
 measured value; the window is the whole record.
@@ -9,12 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from plant.effects.stroke_conditions import StrokeConditions
 from sil.diagnosis.phases import PHASES, phases
+from sil.diagnosis.verdict import Verdict
 from sil.fitting.fit import FitResult
+from sil.fitting.internal import INTERNAL_SD_M
 from sil.fitting.model import CampaignModel, channel_parts
 
 Floats = NDArray[np.float64]
@@ -45,6 +49,13 @@ class Shown:
     dependence: dict[str, dict[str, float]] = field(default_factory=dict)
     strokes: dict[str, float] = field(default_factory=dict)
 
+    def largest_correlation(self) -> str:
+        """Return the pair of channels with the largest correlation, in words."""
+        if not self.cross:
+            return ""
+        one, two = max(self.cross, key=lambda pair: abs(self.cross[pair]))
+        return f"{one} with {two} {self.cross[one, two]:+.2f}"
+
 
 def rms(values: Floats) -> float:
     """Root mean square; 0 of nothing.
@@ -54,12 +65,12 @@ def rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
-CONDITIONS: dict[str, Callable[[object], str]] = {
-    "supply": lambda c: f"{c.supply_pressure_pa / 1e5:.3g} bar",  # type: ignore[attr-defined]
-    "stroke": lambda c: str(c.kind),  # type: ignore[attr-defined]
-    "load": lambda c: str(c.load),  # type: ignore[attr-defined]
-    "rest": lambda c: f"{c.rest_s:g} s",  # type: ignore[attr-defined]
-    "charged": lambda c: "yes" if c.charged_before else "no",  # type: ignore[attr-defined]
+CONDITIONS: dict[str, Callable[[StrokeConditions], str]] = {
+    "supply": lambda c: f"{c.supply_pressure_pa / 1e5:.3g} bar",
+    "stroke": lambda c: c.kind,
+    "load": lambda c: c.load,
+    "rest": lambda c: f"{c.rest_s:g} s",
+    "charged": lambda c: "yes" if c.charged_before else "no",
 }
 
 
@@ -122,3 +133,53 @@ def show(model: CampaignModel, fit: FitResult) -> Shown:
         if len(table) > 1
     }
     return shown
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Rms of residuals before and after by channel (in the channel's unit) and standardised."""
+
+    files: tuple[str, ...]
+    channels: dict[str, tuple[float, float]]
+    before: float
+    after: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the object `gain` of diagnosis.json."""
+        return {
+            "heldout_strokes": list(self.files),
+            "channels": {
+                name: {"before": before, "after": after, "unit": "rms"}
+                for name, (before, after) in self.channels.items()
+            },
+            "standardised": {"before": self.before, "after": self.after},
+        }
+
+
+def channel_rms(model: CampaignModel, fit: FitResult) -> dict[str, float]:
+    """Return rms of residuals in each channel's own unit, over the strokes of a fit."""
+    parts: dict[str, list[Floats]] = {}
+    for k, block in fit.blocks.items():
+        stroke = model.strokes[k]
+        for channel, part in channel_parts(stroke, block.residual):
+            parts.setdefault(channel.name, []).append(part * channel.sd)
+        if stroke.internal is not None:
+            part = block.residual[stroke.size :] * INTERNAL_SD_M
+            parts.setdefault("position_internal_m", []).append(part)
+    return {
+        name: float(np.sqrt(sum(float(p @ p) for p in own) / max(1, sum(map(len, own)))))
+        for name, own in parts.items()
+    }
+
+
+def gain_between(model: CampaignModel, verdict: Verdict, held_out: tuple[int, ...]) -> Gain:
+    """Gain of the verdict's leader over the healthy model, each fitted to the training strokes."""
+    before = verdict.healthy.held or verdict.healthy.training
+    after = verdict.leader.held or verdict.leader.training
+    first, second = channel_rms(model, before), channel_rms(model, after)
+    return Gain(
+        tuple(model.strokes[k].entry.file for k in held_out),
+        {name: (first[name], second[name]) for name in first},
+        verdict.healthy.misfit.rms,
+        verdict.leader.misfit.rms,
+    )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from plant.errors import IntegrationError
 from sil.diagnosis.screening import Score, screen
 from sil.diagnosis.split import stratum
-from sil.diagnosis.workers import Show, Stages, no_progress, spread_out
-from sil.fitting.fit import FitResult, Fitter
+from sil.diagnosis.workers import Stages, spread_out
+from sil.fitting.fit import FitResult, Fitter, Show, no_progress
 from sil.fitting.floor import misfit, strained
 from sil.fitting.hypotheses import Candidate, compatible, scaled_of
 from sil.fitting.model import Block, CampaignModel
@@ -65,16 +65,17 @@ class Task:
     parent: str = ""
 
 
-@dataclass
-class Found:
-    """Result of a search: fits by name (on the training strokes), the healthy one among them."""
+class Fits(dict[str, FitResult]):
+    """Fits by name."""
 
-    healthy: FitResult
-    fits: dict[str, FitResult] = field(default_factory=dict)
+    def add(self, fit: FitResult) -> None:
+        """Store a fit unless a better one of the same hypothesis is there."""
+        if fit.name not in self or fit.cost < self[fit.name].cost:
+            self[fit.name] = fit
 
     def ordered(self) -> list[FitResult]:
         """All fits, best evidence first."""
-        return sorted(self.fits.values(), key=lambda fit: fit.evidence())
+        return sorted(self.values(), key=lambda fit: fit.evidence())
 
     def of_size(self, count: int) -> list[FitResult]:
         """Fits of that many causes, best first."""
@@ -101,43 +102,32 @@ class Search:
         self.workers = workers
         self.stages = Stages(progress)
         self.stages.until(5.0)
+        self.healthy: FitResult
+        self.fits = Fits()
         self.first: list[FitResult] = []
         self.known: dict[str, dict[int, Block]] = {}
 
-    def run(self) -> Found:
-        """Fit the healthy model, singles and pairs, and return them."""
-        healthy = self.fitter.fit(use=self.training, iterations=8, fine=True)
-        found = Found(healthy)
+    def run(self) -> None:
+        """Fit the healthy model, singles and pairs."""
+        self.healthy = self.fitter.fit(use=self.training, iterations=8, fine=True)
         self.stages.until(45.0)
-        self.singles(found)
+        self.singles()
         self.stages.until(75.0)
-        self.pairs(found)
-        self.variants(found)
-        return found
+        self.pairs()
+        self.variants()
 
     # --- fits ---------------------------------------------------------------------------------
-    def begin_scaled(self, candidates: Sequence[Candidate], starts) -> Floats:  # type: ignore[no-untyped-def]
-        """Return starts in typical sizes from neutral.
-
-        Result [parameters], no unit.
-        """
-        return np.array(
-            [
-                scaled_of(p, value)
-                for item, start in zip(candidates, starts, strict=True)
-                for p, value in zip(item.parameters, start, strict=True)
-            ]
-        )
-
     def attempt(self, task: Task) -> FitResult | None:
         """Run one fit from the best of its starts; None if none of them can be simulated."""
         model = self.model
         healthy = len(model.unit) + len(model.offsets)
         none = (np.zeros(healthy), np.zeros((len(model.strokes), len(model.scatter))))
         begins = [none] if task.begin is None else [task.begin, none]
+        parameters = [p for item in task.candidates for p in item.parameters]
         best: tuple[float, Floats, Floats] | None = None
-        for starts in task.starts:
-            scaled = self.begin_scaled(task.candidates, starts)
+        for start in task.starts:
+            values = itertools.chain.from_iterable(start)
+            scaled = [scaled_of(p, value) for p, value in zip(parameters, values, strict=True)]
             for shared, scatter in begins:
                 trial = np.concatenate([shared[:healthy], scaled])
                 limit = np.inf if best is None else best[0]
@@ -148,7 +138,7 @@ class Search:
             return None
         first = EFFECTS_FIRST if best[0] > FAR * self.sample_size else 0
         try:
-            fit = self.fitter.fit(
+            return self.fitter.fit(
                 task.candidates,
                 start=best[1],
                 scatter=best[2],
@@ -156,10 +146,9 @@ class Search:
                 iterations=task.iterations + first,
                 effects_first=first,
                 reuse=self.known.get(task.parent, {}),
-            )
+            ).light()
         except IntegrationError:
             return None
-        return fit.light()
 
     def refine(self, fit: FitResult, iterations: int = LAST_ITERATIONS) -> FitResult:
         """Continue a fit from its optimum; strokes it did not use get their scatter first."""
@@ -185,14 +174,14 @@ class Search:
 
     def run_tasks(self, tasks: Sequence[Task]) -> list[FitResult]:
         """First fits, side by side, on the sample of the training strokes; best first."""
-        done: dict[str, FitResult] = {}
+        done = Fits()
         for fit in spread_out(self.attempt, tasks, self.workers, self.stages):
-            if fit is not None and (fit.name not in done or fit.cost < done[fit.name].cost):
-                done[fit.name] = fit
-        return sorted(done.values(), key=lambda fit: fit.evidence())
+            if fit is not None:
+                done.add(fit)
+        return done.ordered()
 
-    def polish(self, found: Found, fits: Sequence[FitResult], again: bool = True) -> None:
-        """Fit all training strokes from the first fits; store the better ones by name."""
+    def polish(self, fits: Sequence[FitResult], again: bool = True) -> None:
+        """Fit all training strokes from the first fits; store the better ones."""
         most = LAST_ITERATIONS if again else MOST_ITERATIONS
 
         def work(fit: FitResult) -> FitResult | None:
@@ -202,22 +191,19 @@ class Search:
                 return None
 
         for fit in spread_out(work, fits, self.workers):
-            if fit is None:
-                continue
-            held = found.fits.get(fit.name)
-            if held is None or fit.cost < held.cost:
-                found.fits[fit.name] = fit
-        best = found.ordered()[:1]
+            if fit is not None:
+                self.fits.add(fit)
+        best = self.fits.ordered()[:1]
         if again and best and best[0].iterations >= LAST_ITERATIONS:
-            self.polish(found, best, False)  # a long valley
+            self.polish(best, False)  # a long valley
 
     # --- stages -------------------------------------------------------------------------------
-    def singles(self, found: Found) -> None:
+    def singles(self) -> None:
         """Fit every cause alone: all of them if the healthy fit is far off, else those that score.
 
         Linear scores say nothing either of what wide scatter imitates by moving edges in time.
         """
-        healthy = found.healthy
+        healthy = self.healthy
         chosen: list[Candidate] = self.candidates
         if misfit(self.model, healthy).per_number < NEAR and not strained(healthy):
             self.known[healthy.name] = healthy.blocks
@@ -235,84 +221,55 @@ class Search:
             for start in item.starts
         ]
         self.first = self.run_tasks(tasks)
-        self.polish(found, promising(self.first, SINGLES_KEPT))
+        self.polish(promising(self.first, SINGLES_KEPT))
 
-    def pairs(self, found: Found) -> None:
+    def pairs(self) -> None:
         """Try a second cause on top of the best singles, by score; then finish the best pairs."""
-        tasks: dict[str, Task] = {}
-        for parent, scores in spread_out(self.scored, self.parents(found), self.workers):
+        tasks: list[Task] = []
+        for parent, scores in spread_out(self.scored, self.parents(), self.workers):
             self.known[parent.name] = parent.blocks
-            for score in scores[:CHILDREN]:
-                task = self.pair_task(parent, score)
-                key = "+".join(sorted(item.name for item in task.candidates))
-                tasks.setdefault(key, task)
-        for task in self.crossed(found):
-            key = "+".join(sorted(item.name for item in task.candidates))
-            tasks.setdefault(key, task)
-        self.polish(found, promising(self.run_tasks(list(tasks.values())), PAIRS_KEPT))
+            tasks += [self.pair_task(parent, score) for score in scores[:CHILDREN]]
+        unique: dict[frozenset[str], Task] = {}
+        for task in tasks + self.crossed():
+            unique.setdefault(frozenset(item.name for item in task.candidates), task)
+        self.polish(promising(self.run_tasks(list(unique.values())), PAIRS_KEPT))
 
-    def crossed(self, found: Found) -> list[Task]:
+    def crossed(self) -> list[Task]:
         """Pairs of the best singles: while much is unexplained, linear scores mislead."""
-        best = found.of_size(1)
+        best = self.fits.of_size(1)
         if not best or misfit(self.model, best[0]).beyond == 0.0:
             return []
-        singles: list[FitResult] = []
-        for fit in self.first:
-            if all(fit.candidates[0].id != other.candidates[0].id for other in singles):
-                singles.append(fit)
-        tasks = []
+        singles = one_of_each(self.first)
         outstanding = len(singles) > 1 and OUTSTANDING * singles[0].cost < singles[1].cost
+        tasks = []
         for one, two in itertools.combinations(singles[:CROSSED], 2):
-            if outstanding and one is not singles[0]:
+            other = two.candidates[0]
+            if (outstanding and one is not singles[0]) or not compatible(other, one.candidates):
                 continue
-            if not compatible(two.candidates[0], one.candidates):
-                continue
-            mine, theirs = (
-                tuple(fit.values[0][p.name] for p in fit.candidates[0].parameters)
-                for fit in (one, two)
-            )
-            starts = [(mine, theirs)]
-            starts += [(mine, start) for start in two.candidates[0].starts[:4]]
-            tasks.append(
-                Task(
-                    (*one.candidates, *two.candidates),
-                    tuple(starts),
-                    (one.shared, one.stroke),
-                    FIRST_ITERATIONS,
-                )
-            )
+            starts = [(*one.point, *two.point)]
+            starts += [(*one.point, start) for start in other.starts[:4]]
+            both = (*one.candidates, other)
+            tasks.append(Task(both, tuple(starts), (one.shared, one.stroke), FIRST_ITERATIONS))
         return tasks
 
-    def variants(self, found: Found) -> None:
+    def variants(self) -> None:
         """Try the best hypothesis with each of its causes in its other variants."""
-        fits = found.ordered()
+        fits = self.fits.ordered()
         if not fits or misfit(self.model, fits[0]).beyond == 0.0:
             return
         best = fits[0]
         tasks = []
         for index, member in enumerate(best.candidates):
             for other in self.candidates:
-                if other.id != member.id or other.name == member.name:
-                    continue
-                members = list(best.candidates)
-                members[index] = other
-                own = tuple(
-                    tuple(table[p.name] for p in item.parameters)
-                    for item, table in zip(members, best.values, strict=True)
-                )
-                begin = (best.shared, best.stroke)
-                tasks.append(Task(tuple(members), (own,), begin, FIRST_ITERATIONS))
-        self.polish(found, self.run_tasks(tasks)[:1])
+                if other.id == member.id and other.name != member.name:
+                    members = (*best.candidates[:index], other, *best.candidates[index + 1 :])
+                    begin = (best.shared, best.stroke)
+                    tasks.append(Task(members, (best.point,), begin, FIRST_ITERATIONS))
+        self.polish(self.run_tasks(tasks)[:1])
 
-    def parents(self, found: Found) -> list[FitResult]:
+    def parents(self) -> list[FitResult]:
         """Singles that a second cause may be added to: the best ones, one for each identifier."""
-        chosen: list[FitResult] = []
-        counts: set[str] = set()
-        for fit in found.of_size(1):
-            if fit.candidates[0].id not in counts and len(chosen) < PARENTS:
-                chosen.append(fit)
-                counts.add(fit.candidates[0].id)
-        return chosen
+        return one_of_each(self.fits.of_size(1))[:PARENTS]
 
     def scored(self, parent: FitResult) -> tuple[FitResult, list[Score]]:
         """Scores of every compatible candidate on top of a single."""
@@ -322,19 +279,26 @@ class Search:
 
     def pair_task(self, parent: FitResult, score: Score) -> Task:
         """Return the fit of a pair, beginning at the single's optimum and the score's amount."""
-        own = tuple(parent.values[0][p.name] for p in parent.candidates[0].parameters)
-        starts = [(own, score.start)]
+        starts = [(*parent.point, score.start)]
         first = score.candidate.parameters[0]
         value = first.neutral + score.amount * (score.start[0] - first.neutral)
         if first.low <= value <= first.high:
-            starts.append((own, (value, *score.start[1:])))
+            starts.append((*parent.point, (value, *score.start[1:])))
         return Task(
-            (parent.candidates[0], score.candidate),
+            (*parent.candidates, score.candidate),
             tuple(starts),
             (parent.shared, parent.stroke),
             FIRST_ITERATIONS + 1,
             parent.name,
         )
+
+
+def one_of_each(singles: Sequence[FitResult]) -> list[FitResult]:
+    """Return the first fit of each identifier."""
+    found: dict[str, FitResult] = {}
+    for fit in singles:
+        found.setdefault(fit.candidates[0].id, fit)
+    return list(found.values())
 
 
 def promising(fits: Sequence[FitResult], most: int) -> list[FitResult]:

@@ -16,7 +16,7 @@ from plant.effects.effect import Starts
 from plant.effects.setup import Setup
 from plant.effects.term import FORMS, TermForm, term
 from sil.diagnosis.judge import Judged
-from sil.diagnosis.search import Found, Search, Task
+from sil.diagnosis.search import Search, Task
 from sil.diagnosis.verdict import Verdict
 from sil.fitting.floor import strained
 from sil.fitting.hypotheses import Candidate, compatible
@@ -82,12 +82,7 @@ SMALL = 1e-3
 """A misfit beyond noise of this share of the healthy model's is a detail of the cause's form."""
 
 
-def try_terms(
-    search: Search,
-    found: Found,
-    verdict: Verdict,
-    judged: Sequence[Judged],
-) -> bool:
+def try_terms(search: Search, verdict: Verdict, judged: Sequence[Judged]) -> bool:
     """Fit non-parametric terms alone and with the best single; True if any was tried.
 
     Only if the leading hypothesis leaves more than the band of a clean campaign and a detail, or
@@ -98,26 +93,18 @@ def try_terms(
     if best.whole.beyond <= detail and not strained(best.training):
         return False
     tasks = []
-    singles = found.of_size(1)
-    parents = [found.healthy]
-    if singles and singles[0].cost < 0.5 * found.healthy.cost:
+    singles = search.fits.of_size(1)
+    parents = [search.healthy]
+    if singles and singles[0].cost < 0.5 * search.healthy.cost:
         parents.append(singles[0])
     for candidate in map(term_candidate, FORMS):
         for parent in parents:
             if not compatible(candidate, parent.candidates):
                 continue
-            own = tuple(
-                tuple(table[p.name] for p in item.parameters)
-                for item, table in zip(parent.candidates, parent.values, strict=True)
-            )
-            tasks.append(
-                Task(
-                    (*parent.candidates, candidate),
-                    tuple((*own, start) for start in candidate.starts),
-                    (parent.shared, parent.stroke),
-                    TERM_ITERATIONS,
-                )
-            )
+            starts = tuple((*parent.point, start) for start in candidate.starts)
+            begin = (parent.shared, parent.stroke)
+            both = (*parent.candidates, candidate)
+            tasks.append(Task(both, starts, begin, TERM_ITERATIONS))
     done = search.run_tasks(tasks)
-    search.polish(found, done[:TERMS_KEPT])
+    search.polish(done[:TERMS_KEPT])
     return bool(done)

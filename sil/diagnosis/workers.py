@@ -10,15 +10,10 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any, TypeVar
 
+from sil.fitting.fit import Show, no_progress
+
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
-
-Show = Callable[[float, float], None]
-"""Shows that so much of so much is done."""
-
-
-def no_progress(done: float, size: float) -> None:
-    """Show nothing."""
 
 
 class Stages:

@@ -12,8 +12,9 @@ Checked by: tests/unit/sil/fitting/test_fit.py
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +25,24 @@ from sil.fitting.model import Block, CampaignModel, Shared
 
 Floats = NDArray[np.float64]
 
+Show = Callable[[float, float], None]
+"""Shows that so much of so much is done."""
+
 FARTHEST_SD = 4.5
 """No healthy quantity is tried farther out than this: friction and flows stay positive."""
 
 BOUNDS_PASSES = 6
+FIRST_DAMPING = 1e-5
+
+Inner = dict[int, tuple[Floats, Floats, Floats]]
+"""By stroke: inverse of its scatter's information, coupling with the shared parameters, gradient."""
+
+Bounds = dict[int, tuple[NDArray[np.bool_], Floats]]
+"""By stroke: which of its scatter is set on its bounds, and how far it moves for that."""
+
+
+def no_progress(done: float, size: float) -> None:
+    """Show nothing."""
 
 
 @dataclass
@@ -85,6 +100,12 @@ class FitResult:
         """
         return self.shared[self.layout.effect_slice]
 
+    @property
+    def point(self) -> tuple[tuple[float, ...], ...]:
+        """Values of the hypothesis' own parameters, cause by cause: where another fit may begin."""
+        pairs = zip(self.candidates, self.values, strict=True)
+        return tuple(tuple(own[p.name] for p in item.parameters) for item, own in pairs)
+
     def evidence(self) -> float:
         """Laplace's approximation of -2 log evidence, common constants left out."""
         _sign, logdet = np.linalg.slogdet(self.normal)
@@ -95,28 +116,13 @@ class FitResult:
         """Return the same without the derivatives, small enough to travel between processes."""
         empty = np.zeros((0, 0))
         blocks = {k: Block(b.residual, empty, empty, empty) for k, b in self.blocks.items()}
-        return FitResult(
-            self.candidates,
-            self.layout,
-            self.use,
-            self.cost,
-            self.shared,
-            self.stroke,
-            self.normal,
-            self.values,
-            self.iterations,
-            blocks,
-        )
+        return replace(self, blocks=blocks)
 
 
 class Fitter:
     """Fits hypotheses to the strokes of a campaign."""
 
-    def __init__(
-        self,
-        model: CampaignModel,
-        progress: Callable[[float, float], None] = lambda done, size: None,
-    ) -> None:
+    def __init__(self, model: CampaignModel, progress: Show = no_progress) -> None:
         """progress(done, size) is called at every iteration."""
         self.model = model
         self.progress = progress
@@ -132,9 +138,8 @@ class Fitter:
     ) -> float:
         """Half the squared residuals plus the priors; infinite where motion cannot be continued.
 
-        Stops adding up once `limit` is passed; weight: of the residuals against the priors.
-
-        shared: [shared], scatter: [strokes, scatter], in prior standard deviations.
+        shared: [shared], scatter: [strokes, scatter], in prior standard deviations; the sum ends
+        once `limit` is passed; weight: of the residuals against the priors.
         """
         model = self.model
         healthy = len(model.unit) + len(model.offsets)
@@ -151,7 +156,7 @@ class Fitter:
                 return float("inf") if np.isnan(total) else total
         return total
 
-    def fit(  # noqa: C901 - one damped least-squares loop, with its exits in order
+    def fit(
         self,
         candidates: Sequence[Candidate] = (),
         *,
@@ -159,200 +164,224 @@ class Fitter:
         scatter: Floats | None = None,
         use: Sequence[int] | None = None,
         iterations: int = 12,
-        freeze: Sequence[int] | None = None,
+        freeze: Sequence[int] = (),
         effects_first: int = 0,
         fine: bool = False,
         reuse: Mapping[int, Block] | None = None,
     ) -> FitResult:
         """Fit a hypothesis to the strokes in `use` (all by default).
 
-        start: shared parameters to begin with; freeze: indices of shared parameters that stay where
-        they start (all of them: only the scatter of the strokes is fitted, as for held-out
-        strokes);
-        effects_first: so many iterations move the hypothesis' own parameters alone: far from the
-        optimum, tolerances and scatter would run to their bounds instead; fine: end with central
-        differences, which a valley between an effect and a tolerance needs; reuse: derivatives by
-        tolerances and scatter that serve (strokes absent here: those of the first full step) until
-        a
-        step with them gains nothing; they change little, and cost most.
+        Parameters
+        ----------
+        start, scatter
+            Where to begin: [shared] and [strokes, scatter], in prior standard deviations.
+        freeze
+            Indices of shared parameters that stay where they start. With all of them, only the
+            scatter of the strokes is fitted, as for held-out strokes.
+        effects_first
+            So many iterations move the hypothesis' own parameters alone: far from the optimum,
+            tolerances and scatter would run to their bounds instead.
+        fine
+            End with central differences, which a valley between an effect and a tolerance needs.
+        reuse
+            Derivatives by tolerances and scatter to use (strokes absent here: those of the first
+            full step) until a step with them gains nothing; they change little, and cost most.
 
-        Raises IntegrationError if the start itself cannot be simulated.
-
-        start: [shared], scatter: [strokes, scatter], in prior standard deviations.
+        Raises
+        ------
+        IntegrationError
+            The start itself cannot be simulated.
         """
-        model = self.model
-        candidates = tuple(candidates)
-        layout = model.layout(candidates)
-        n = len(layout.names)
-        shared = np.zeros(n) if start is None else start.copy()
-        chosen = tuple(range(len(model.strokes))) if use is None else tuple(use)
-        spread = np.zeros((len(model.strokes), len(model.scatter)))
-        if scatter is not None:
-            spread[:] = scatter
-        free = np.ones(n, dtype=bool)
-        if freeze is not None:
-            free[list(freeze)] = False
-        cost = self.cost(shared, spread, candidates, chosen)
-        if not np.isfinite(cost):
-            raise IntegrationError("the start of the fit cannot be simulated")
-        damping = 1e-5
+        descent = _Descent(self, tuple(candidates), use, freeze, start, scatter)
         done = 0
-        blocks: dict[int, Block] = {}
         central = False
         reused = dict(reuse or {})
         while True:
             self.progress(done, iterations)
             own_only = done < min(effects_first, iterations)
             stale = bool(reused) and not own_only
-            blocks = {
-                k: model.linearise(
-                    k,
-                    shared,
-                    spread[k],
-                    candidates,
-                    central,
-                    own_only,
-                    reused.get(k) if stale else None,
-                )
-                for k in chosen
-            }
+            descent.linearise(central, own_only, reused if stale else {})
             if reuse is not None and not own_only:
-                reused = blocks
-            weight = 1.0 if done >= iterations else tempering(blocks)
+                reused = descent.blocks
             if done >= iterations:
-                normal, gradient, inner = arrow(blocks, spread, shared, layout, weight)
-                break
-            misfit = 0.5 * sum(float(b.residual @ b.residual) for b in blocks.values())
-            here = cost - (1.0 - weight) * misfit
-            moving = free & (np.arange(n) >= layout.healthy) if own_only else free
-            improved = False
+                descent.weight = 1.0
+                descent.normal = descent.arrow()[0]
+                return descent.result(done)
             done += 1
-            # bounds met on the way first; then what presses against its bound stays there
-            for joint in (False,) if own_only else (True, False):
-                begin = spread
-                if own_only:
-                    normal, gradient = own_normal(blocks, shared, layout, weight)
-                elif joint:
-                    on = bounds_met(blocks, spread, shared, layout, weight, moving, candidates)
-                    if not on:
-                        continue
-                    normal, gradient, inner = arrow(blocks, spread, shared, layout, weight, on)
-                    begin = spread.copy()
-                    for k, (_which, by) in on.items():
-                        begin[k] += by
-                else:
-                    normal, gradient, inner = arrow(blocks, spread, shared, layout, weight)
-                own_damping = damping
-                for _ in range(3 if joint else 7):
-                    damped = normal + own_damping * np.diag(np.diag(normal))
-                    trial = stepped(shared, damped, gradient, moving, candidates, layout)
-                    trial_spread = spread
-                    if not own_only:
-                        there = scattered(begin, inner, trial - shared)
-                        trial_spread = np.clip(there, -FARTHEST_SD, FARTHEST_SD)
-                    trial_cost = self.cost(trial, trial_spread, candidates, chosen, here, weight)
-                    if trial_cost < here:
-                        improved = True
-                        break
-                    own_damping = max(own_damping * 30.0, 1e-5)
-                if improved:
-                    break
-            damping = own_damping
-            if not improved and own_only:
+            gain = descent.step(own_only)
+            if gain == "large":
+                continue
+            if own_only:
                 effects_first = 0
-                damping = 1e-5
-                continue
-            if not improved and stale:
+            elif gain == "none" and stale:
                 reused = {}
-                damping = 1e-5
-                continue
-            if not improved:
-                if not fine or central:
-                    break
+            elif fine and not central:
                 central = True
-                damping = 1e-5
-                continue
-            gain = here - trial_cost
-            shared, spread = trial, trial_spread
-            cost = self.cost(shared, spread, candidates, chosen)
-            damping = max(damping * 0.05, 1e-13)
-            if gain < 0.05 + 1e-6 * here:
-                if own_only:
-                    effects_first = 0
-                elif fine and not central:
-                    central = True
-                else:
-                    iterations = done  # one last linearisation at the optimum
+            elif gain == "none":
+                return descent.result(done)
+            else:
+                iterations = done  # one last linearisation at the optimum
+
+
+class _Descent:
+    """One fit in progress: its parameters, cost, damping and last linearisation."""
+
+    def __init__(
+        self,
+        fitter: Fitter,
+        candidates: tuple[Candidate, ...],
+        use: Sequence[int] | None,
+        freeze: Sequence[int],
+        start: Floats | None,
+        scatter: Floats | None,
+    ) -> None:
+        model = fitter.model
+        self.fitter, self.model, self.candidates = fitter, model, candidates
+        self.layout = model.layout(candidates)
+        n = len(self.layout.names)
+        parameters = [p for item in candidates for p in item.parameters]
+        far = np.full(self.layout.healthy, FARTHEST_SD)
+        self.low = np.array([*-far, *(scaled_of(p, p.low) for p in parameters)])
+        self.high = np.array([*far, *(scaled_of(p, p.high) for p in parameters)])
+        self.use = tuple(range(len(model.strokes))) if use is None else tuple(use)
+        self.free = np.ones(n, dtype=bool)
+        self.free[list(freeze)] = False
+        self.shared = np.zeros(n) if start is None else start.copy()
+        self.spread = np.zeros((len(model.strokes), len(model.scatter)))
+        if scatter is not None:
+            self.spread[:] = scatter
+        self.cost = fitter.cost(self.shared, self.spread, candidates, self.use)
+        if not np.isfinite(self.cost):
+            raise IntegrationError("the start of the fit cannot be simulated")
+        self.damping = FIRST_DAMPING
+        self.weight = 1.0
+        self.blocks: dict[int, Block] = {}
+        self.normal: Floats = np.zeros((n, n))
+
+    def linearise(self, central: bool, own_only: bool, reused: Mapping[int, Block]) -> None:
+        """Linearise every stroke here, and weigh the residuals against the priors.
+
+        Far from the optimum small errors of the derivatives, times large residuals, would outweigh
+        the priors and send tolerances along valleys in which effects can replace them. So the
+        weighted mean square of the residuals is at most one.
+        """
+        self.blocks = {
+            k: self.model.linearise(
+                k, self.shared, self.spread[k], self.candidates, central, own_only, reused.get(k)
+            )
+            for k in self.use
+        }
+        count = sum(len(block.residual) for block in self.blocks.values())
+        self.weight = min(1.0, count / max(2.0 * self.misfit(), 1e-12))
+
+    def misfit(self) -> float:
+        """Return half the sum of squared residuals."""
+        return 0.5 * sum(float(b.residual @ b.residual) for b in self.blocks.values())
+
+    def step(self, own_only: bool) -> Literal["none", "small", "large"]:
+        """Take the first damped step that lowers the weighted cost; return how large the gain is."""
+        here = self.cost - (1.0 - self.weight) * self.misfit()
+        moving = self.free
+        if own_only:
+            moving = moving & (np.arange(len(moving)) >= self.layout.healthy)
+        for normal, gradient, inner, begin, tries in self.systems(moving, own_only):
+            self.normal = normal
+            damping = self.damping
+            for _ in range(tries):
+                damped = normal + damping * np.diag(np.diag(normal))
+                trial = self.stepped(damped, gradient, moving)
+                spread = scattered(begin, inner, trial - self.shared)
+                spread = np.clip(spread, -FARTHEST_SD, FARTHEST_SD)
+                cost = self.fitter.cost(trial, spread, self.candidates, self.use, here, self.weight)
+                if cost < here:
+                    self.shared, self.spread = trial, spread
+                    self.cost = self.fitter.cost(trial, spread, self.candidates, self.use)
+                    self.damping = max(damping * 0.05, 1e-13)
+                    return "small" if here - cost < 0.05 + 1e-6 * here else "large"
+                damping = max(damping * 30.0, FIRST_DAMPING)
+        self.damping = FIRST_DAMPING
+        return "none"
+
+    def systems(
+        self, moving: NDArray[np.bool_], own_only: bool
+    ) -> Iterator[tuple[Floats, Floats, Inner, Floats, int]]:
+        """Yield the systems to solve: normal, gradient, inner, scatter to begin from, tries.
+
+        First with the scatter that meets its bounds set on them, then with only what presses against
+        its bound held there; with the scatter as it is if the hypothesis' own parameters move alone.
+        """
+        if own_only:
+            normal: Floats = self.layout.prior
+            gradient: Floats = -normal @ self.shared
+            for block in self.blocks.values():
+                normal = normal + self.weight * block.shared.T @ block.shared
+                gradient = gradient + self.weight * block.shared.T @ block.residual
+            yield normal, gradient, {}, self.spread, 7
+            return
+        on = self.bounds_met(moving)
+        if on:
+            begin = self.spread.copy()
+            for k, (_which, by) in on.items():
+                begin[k] += by
+            yield *self.arrow(on), begin, 3
+        yield *self.arrow(), self.spread, 7
+
+    def arrow(self, on: Bounds | None = None) -> tuple[Floats, Floats, Inner]:
+        return arrow(self.blocks, self.spread, self.shared, self.layout, self.weight, on)
+
+    def stepped(self, normal: Floats, gradient: Floats, moving: NDArray[np.bool_]) -> Floats:
+        """Newton's step within the bounds: what runs into one stays there, the rest is solved again."""
+        moving = moving.copy()
+        shared = self.shared
+        trial = shared.copy()
+        for _ in range(len(shared)):
+            if not moving.any():
+                break
+            held = trial - shared
+            held[moving] = 0.0
+            pull = gradient - normal @ held
+            wanted = trial.copy()
+            wanted[moving] = shared[moving] + np.linalg.solve(
+                normal[np.ix_(moving, moving)], pull[moving]
+            )
+            trial = np.clip(wanted, self.low, self.high)
+            stuck = moving & (np.abs(trial - wanted) > 1e-12)
+            if not stuck.any():
+                break
+            moving &= ~stuck
+        return trial
+
+    def bounds_met(self, moving: NDArray[np.bool_]) -> Bounds:
+        """Return the scatter that a full step of everything would carry out of its bounds."""
+        on: Bounds = {}
+        which = np.zeros(self.spread.shape, dtype=bool)
+        begin = self.spread
+        for _ in range(BOUNDS_PASSES):
+            normal, gradient, inner = self.arrow(on)
+            trial = self.stepped(normal, gradient, moving)
+            there = scattered(begin, inner, trial - self.shared)
+            outside = (np.abs(there) > FARTHEST_SD) & ~which
+            if not outside.any():
+                break
+            which |= outside
+            begin = np.where(outside, np.clip(there, -FARTHEST_SD, FARTHEST_SD), begin)
+            on = {k: (which[k], begin[k] - self.spread[k]) for k in self.blocks if which[k].any()}
+        return on
+
+    def result(self, iterations: int) -> FitResult:
+        values = self.model.effect_values(self.candidates, self.shared[self.layout.effect_slice])
         return FitResult(
-            candidates=candidates,
-            layout=layout,
-            use=chosen,
-            cost=cost,
-            shared=shared,
-            stroke=spread,
-            normal=normal,
-            values=model.effect_values(candidates, shared[layout.effect_slice]),
-            iterations=done,
-            blocks=blocks,
+            self.candidates,
+            self.layout,
+            self.use,
+            self.cost,
+            self.shared,
+            self.spread,
+            self.normal,
+            values,
+            iterations,
+            self.blocks,
         )
-
-
-def tempering(blocks: dict[int, Block]) -> float:
-    """Weight of the residuals while a fit is far off: their mean square is at most one.
-
-    Far from the optimum small errors of the derivatives, times large residuals, would outweigh the
-    priors and send tolerances along valleys in which effects can replace them.
-    """
-    total = sum(float(block.residual @ block.residual) for block in blocks.values())
-    count = sum(len(block.residual) for block in blocks.values())
-    return min(1.0, count / max(total, 1e-12))
-
-
-def own_normal(
-    blocks: dict[int, Block], shared: Floats, layout: Shared, weight: float
-) -> tuple[Floats, Floats]:
-    """Return normal matrix and gradient with the strokes' scatter held where it is.
-
-    shared: [shared]; result [shared, shared] and [shared], no unit.
-    """
-    normal: Floats = layout.prior
-    gradient: Floats = -normal @ shared
-    for block in blocks.values():
-        normal = normal + weight * block.shared.T @ block.shared
-        gradient = gradient + weight * block.shared.T @ block.residual
-    return normal, gradient
-
-
-def stepped(
-    shared: Floats,
-    normal: Floats,
-    gradient: Floats,
-    moving: NDArray[np.bool_],
-    candidates: Sequence[Candidate],
-    layout: Shared,
-) -> Floats:
-    """Newton's step within the bounds: what runs into one stays there, the rest is solved again.
-
-    shared, gradient, moving: [shared]; normal: [shared, shared]; no unit.
-    """
-    moving = moving.copy()
-    trial = shared.copy()
-    for _ in range(len(shared)):
-        if not moving.any():
-            break
-        held = trial - shared
-        held[moving] = 0.0
-        pull = gradient - normal @ held
-        wanted = trial.copy()
-        wanted[moving] = shared[moving] + np.linalg.solve(
-            normal[np.ix_(moving, moving)], pull[moving]
-        )
-        trial = bounded(wanted, candidates, layout)
-        stuck = moving & (np.abs(trial - wanted) > 1e-12)
-        if not stuck.any():
-            break
-        moving &= ~stuck
-    return trial
 
 
 def arrow(
@@ -361,21 +390,19 @@ def arrow(
     shared: Floats,
     layout: Shared,
     weight: float = 1.0,
-    on: Mapping[int, tuple[NDArray[np.bool_], Floats]] | None = None,
-) -> tuple[Floats, Floats, dict[int, tuple[Floats, Floats, Floats]]]:
+    on: Bounds | None = None,
+) -> tuple[Floats, Floats, Inner]:
     """Return normal matrix and gradient of the shared parameters, the strokes' scatter eliminated.
 
-    weight: of the residuals against the priors; on: which scatter of a stroke is set on its bounds,
-    and how far it moves for that (by default: what is there and presses outward).
-
-    shared: [shared], spread: [strokes, scatter]; result [shared, shared], [shared], and by stroke
-    what its scatter needs; no unit.
+    spread: [strokes, scatter]; shared: [shared]; no unit. weight: of the residuals against the
+    priors; on: by default what is on its bound and presses outward. Result [shared, shared],
+    [shared] and what each stroke's scatter needs.
     """
     root = weight**0.5
     n = len(layout.names)
     normal: Floats = np.zeros((n, n))
     gradient: Floats = np.zeros(n)
-    inner: dict[int, tuple[Floats, Floats, Floats]] = {}
+    inner: Inner = {}
     for k, block in blocks.items():
         r, a, b = root * block.residual, root * block.shared, root * block.scatter
         if on is None:
@@ -400,38 +427,7 @@ def arrow(
     return normal, gradient, inner
 
 
-def bounds_met(
-    blocks: dict[int, Block],
-    spread: Floats,
-    shared: Floats,
-    layout: Shared,
-    weight: float,
-    moving: NDArray[np.bool_],
-    candidates: Sequence[Candidate],
-) -> dict[int, tuple[NDArray[np.bool_], Floats]]:
-    """Scatter that a full step of everything would carry out of its bounds, and its way to them.
-
-    spread: [strokes, scatter], shared, moving: [shared]; no unit.
-    """
-    on: dict[int, tuple[NDArray[np.bool_], Floats]] = {}
-    which = np.zeros(spread.shape, dtype=bool)
-    begin = spread
-    for _ in range(BOUNDS_PASSES):
-        normal, gradient, inner = arrow(blocks, spread, shared, layout, weight, on)
-        trial = stepped(shared, normal, gradient, moving, candidates, layout)
-        there = scattered(begin, inner, trial - shared)
-        outside = (np.abs(there) > FARTHEST_SD) & ~which
-        if not outside.any():
-            break
-        which |= outside
-        begin = np.where(outside, np.clip(there, -FARTHEST_SD, FARTHEST_SD), begin)
-        on = {k: (which[k], begin[k] - spread[k]) for k in blocks if which[k].any()}
-    return on
-
-
-def scattered(
-    spread: Floats, inner: dict[int, tuple[Floats, Floats, Floats]], moved: Floats
-) -> Floats:
+def scattered(spread: Floats, inner: Inner, moved: Floats) -> Floats:
     """Return the strokes' scatter that goes with a step of the shared parameters.
 
     spread: [strokes, scatter], moved: [shared]; no unit.
@@ -440,19 +436,3 @@ def scattered(
     for k, (inverse, hus, gs) in inner.items():
         there[k] += inverse @ (gs - hus.T @ moved)
     return there
-
-
-def bounded(shared: Floats, candidates: Sequence[Candidate], layout: Shared) -> Floats:
-    """Shared parameters with the healthy ones near and the effects' own within their bounds.
-
-    shared: [shared], no unit.
-    """
-    out = shared.copy()
-    out[: layout.healthy] = np.clip(out[: layout.healthy], -FARTHEST_SD, FARTHEST_SD)
-    k = layout.healthy
-    for item in candidates:
-        for parameter in item.parameters:
-            low, high = scaled_of(parameter, parameter.low), scaled_of(parameter, parameter.high)
-            out[k] = min(max(out[k], low), high)
-            k += 1
-    return out

@@ -6,8 +6,10 @@ Checked by: tests/unit/sil/fitting/test_fit.py
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,9 +20,9 @@ from plant.effects import EffectParameter
 from plant.effects.setup import Setup
 from plant.effects.tolerances import shift
 from plant.errors import IntegrationError
+from plant.parameters import ParameterSet
 from sil.fitting.hypotheses import Candidate, is_scale, log_size, precision, scaled_of, value_of
 from sil.fitting.internal import INTERNAL_SD_M, internal_prediction
-from sil.fitting.nuisance import SIMULATED, Spread
 from sil.fitting.observations import Channel, StrokeObservation
 
 Floats = NDArray[np.float64]
@@ -31,6 +33,56 @@ DIFFERENCE = 0.05
 
 EFFECT_STEP = 0.005
 """Step of the differences of effect parameters, in typical sizes."""
+
+
+Moved = Callable[[str, float], Setup]
+
+SIMULATED = ("friction", "rise", "fall", "supply", "flow_in", "flow_out", "volume_a", "volume_b")
+"""Healthy quantities that a stroke must be simulated again for."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Standard deviations of healthy tolerances (of the unit, whole campaigns) and scatter (of strokes).
+
+    Every quantity is counted in these, so that each has a standard normal prior.
+    """
+
+    unit: dict[str, float]
+    stroke: dict[str, float]
+    position_offset_m: float
+    gauge_offset_pa: float
+    oil_gauge_offset_pa: float
+
+    @classmethod
+    def of(cls, parameters: ParameterSet) -> Spread:
+        """Return the spread of a parameter set's section `repeatability`."""
+        value = parameters.value
+        delay = value("repeatability.unit_valve_delay_sd")
+        return cls(
+            unit={
+                "friction": value("repeatability.unit_friction_sd"),
+                "rise": delay,
+                "fall": 3.0 * delay,
+                "flow_in": value("repeatability.unit_flow_sd"),
+                "flow_out": value("repeatability.unit_flow_sd"),
+                "volume_a": value("repeatability.unit_volume_sd"),
+                "volume_b": value("repeatability.unit_volume_sd"),
+            },
+            stroke={
+                "friction": value("repeatability.friction_sd"),
+                "rise": value("repeatability.valve_delay_sd"),
+                "fall": value("repeatability.valve_delay_sd"),
+                "supply": value("repeatability.supply_sd"),
+            },
+            position_offset_m=value("repeatability.unit_pot_offset_sd"),
+            gauge_offset_pa=value("repeatability.unit_gauge_offset_sd"),
+            oil_gauge_offset_pa=5.0 * value("repeatability.unit_gauge_offset_sd"),
+        )
+
+    def size(self, name: str) -> float:
+        """Return the standard deviation of a simulated quantity: of strokes, else of units."""
+        return self.stroke.get(name, self.unit.get(name, 0.0))
 
 
 @dataclass(frozen=True)
@@ -90,16 +142,10 @@ class CampaignModel:
     def __init__(self, strokes: Sequence[StrokeObservation], spread: Spread) -> None:
         self.strokes = list(strokes)
         self.spread = spread
-        gauges = sorted(
-            {
-                channel.name
-                for stroke in self.strokes
-                for channel in stroke.channels
-                if channel.kind in ("pressure", "oil")
-            }
+        channels = {c.name: c.kind for stroke in self.strokes for c in stroke.channels}
+        self.offsets = tuple(
+            sorted(channels, key=lambda name: (channels[name] != "position", name))
         )
-        positions = any(c.kind == "position" for s in self.strokes for c in s.channels)
-        self.offsets = (("position_m",) if positions else ()) + tuple(gauges)
         self.unit = tuple(spread.unit)
         self.scatter = tuple(spread.stroke)
         self._measured = [self._standardised(stroke) for stroke in self.strokes]
@@ -234,7 +280,7 @@ class CampaignModel:
         """
         if not tolerance:
             return EFFECT_STEP
-        step = DIFFERENCE * self.spread.stroke.get(tolerance, self.spread.unit.get(tolerance, 0.0))
+        step = DIFFERENCE * self.spread.size(tolerance)
         return float(step / (log_size(parameter) if is_scale(parameter) else parameter.typical))
 
     # --- one stroke ---------------------------------------------------------------------------
@@ -288,65 +334,95 @@ class CampaignModel:
         shared: [shared], scatter: [scatter], in prior standard deviations.
         """
         layout = self.layout(candidates)
-        healthy = layout.healthy
-        values = self.effect_values(candidates, shared[healthy:])
+        healthy, tolerances = layout.healthy, len(self.unit)
+        scaled = shared[healthy:]
         amounts = self.amounts(shared, scatter)
         residual = self.residual(k, shared, scatter, candidates)
-        setup, states = self.here(k, shared, scatter, candidates)
-        base = self.numbers_of(k, setup, states, False)
-        columns: dict[str, Floats] = {}
-        for name in () if own_only or reuse is not None else SIMULATED:
-            step = DIFFERENCE * self.spread.stroke.get(name, self.spread.unit.get(name, 0.0))
+        here = self.here(k, shared, scatter, candidates)
 
-            def changed(h: float, name: str = name) -> Floats:
-                moved = dict(amounts)
-                moved[name] += h
-                return self.predict(k, self.setup(k, moved, candidates, values))
+        def moved(name: str, h: float) -> Setup:
+            near, trial = dict(amounts), scaled.copy()
+            if name in near:
+                near[name] += h
+            else:
+                trial[layout.effects.index(name)] += h
+            return self.setup(k, near, candidates, self.effect_values(candidates, trial))
 
-            columns[name] = difference(changed, base, step, central)
-        shared_columns = np.zeros((len(base), len(layout.names)))
-        for j, name in enumerate(self.unit):
-            if name in columns:
-                shared_columns[:, j] = columns[name] * self.spread.unit[name]
-        if reuse is not None:
-            shared_columns[:, : len(self.unit)] = reuse.shared[:, : len(self.unit)]
-        shared_columns[:, len(self.unit) : healthy] = self._offset_columns[k]
-        scaled = shared[healthy:]
-        parameters = [p for item in candidates for p in item.parameters]
-        effects = [item.effect for item in candidates for _ in item.parameters]
-        for j, parameter in enumerate(parameters):
-            step = self.effect_step(effects[j].tolerance, parameter)
-            if scaled_of(parameter, parameter.high) - scaled[j] < step:
+        steps: dict[str, float] = {}
+        if not own_only and reuse is None:
+            steps = {name: DIFFERENCE * self.spread.size(name) for name in SIMULATED}
+        own = [(item.effect, p) for item in candidates for p in item.parameters]
+        delays: dict[str, tuple[str, float]] = {}
+        for name, (effect, parameter), value in zip(layout.effects, own, scaled, strict=True):
+            step = self.effect_step(effect.tolerance, parameter)
+            if scaled_of(parameter, parameter.high) - value < step:
                 step = -step
-
-            def moved_setup(h: float, j: int = j) -> Setup:
-                trial = scaled.copy()
-                trial[j] += h
-                own = self.effect_values(candidates, trial)
-                return self.setup(k, amounts, candidates, own)
-
-            def moved_effect(h: float, j: int = j) -> Floats:
-                return self.predict(k, moved_setup(h, j))
-
-            instant = effects[j].switching
-            if instant and not own_only:
-                later_s = delay_s(moved_setup(step), instant) - delay_s(setup, instant)
-                index = self.scatter.index(instant)
-                by_second = (
-                    columns[instant]
-                    if reuse is None
-                    else reuse.scatter[:, index] / self.spread.stroke[instant]
-                )
-                shared_columns[:, healthy + j] = by_second * (later_s / step)
-                continue
-            shared_columns[:, healthy + j] = difference(moved_effect, base, step, central)
+            if effect.switching and not own_only:
+                later_s = delay_s(moved(name, step), effect.switching)
+                by_step = (later_s - delay_s(here[0], effect.switching)) / step
+                delays[name] = effect.switching, by_step
+            else:
+                steps[name] = step
+        base, columns = self.derivatives(k, here, moved, steps, central)
+        by_shared = np.zeros((len(base), len(layout.names)))
         if reuse is not None:
-            return Block(residual, shared_columns, reuse.scatter, base)
-        scatter_columns = np.zeros((len(base), len(self.scatter)))
-        for j, name in enumerate(self.scatter):
-            if name in columns:
-                scatter_columns[:, j] = columns[name] * self.spread.stroke[name]
-        return Block(residual, shared_columns, scatter_columns, base)
+            by_shared[:, :tolerances] = reuse.shared[:, :tolerances]
+            by_scatter = reuse.scatter
+        else:
+            by_scatter = np.zeros((len(base), len(self.scatter)))
+            if not own_only:
+                for j, name in enumerate(self.unit):
+                    by_shared[:, j] = columns[name] * self.spread.unit[name]
+                for j, name in enumerate(self.scatter):
+                    by_scatter[:, j] = columns[name] * self.spread.stroke[name]
+        by_shared[:, tolerances:healthy] = self._offset_columns[k]
+        for name, (instant, by_step) in delays.items():
+            if reuse is None:
+                by_second = columns[instant]
+            else:
+                size = self.spread.stroke[instant]
+                by_second = by_scatter[:, self.scatter.index(instant)] / size
+            columns[name] = by_second * by_step
+        for j, name in enumerate(layout.effects):
+            by_shared[:, healthy + j] = columns[name]
+        return Block(residual, by_shared, by_scatter, base)
+
+    def derivatives(
+        self,
+        k: int,
+        here: tuple[Setup, Floats],
+        moved: Moved,
+        steps: Mapping[str, float],
+        central: bool,
+    ) -> tuple[Floats, dict[str, Floats]]:
+        """Return the smooth prediction [n] of stroke k and its derivatives [n] by the names in `steps`.
+
+        here: setup and states; moved(name, h): the setup with one quantity moved by h; steps: how
+        far for a difference. No units.
+        """
+        base = self.numbers_of(k, *here, rounded=False)
+        return base, {
+            name: self.difference(k, base, partial(moved, name), step, central)
+            for name, step in steps.items()
+        }
+
+    def difference(
+        self, k: int, base: Floats, moved: Callable[[float], Setup], step: float, central: bool
+    ) -> Floats:
+        """Difference quotient [n]; one-sided, or with a smaller step, where the motion breaks off.
+
+        base: [n], no unit. Raises IntegrationError if no step can be simulated.
+        """
+        if central:
+            # wider, against the rounding of the integration: the error is of second order here
+            wide = 4.0 * step
+            with suppress(IntegrationError):
+                difference = self.predict(k, moved(wide)) - self.predict(k, moved(-wide))
+                return difference / (2.0 * wide)
+        for h in (step, -step, 0.1 * step, -0.1 * step):
+            with suppress(IntegrationError):
+                return (self.predict(k, moved(h)) - base) / h
+        raise IntegrationError("no direction in which the motion can be continued")
 
 
 def channel_parts(stroke: StrokeObservation, residual: Floats) -> Iterator[tuple[Channel, Floats]]:
@@ -365,26 +441,3 @@ def delay_s(setup: Setup, instant: str) -> float:
     """Delay of a valve's opening ("rise") or closing ("fall") [s]."""
     timing = setup.timing
     return (timing.rise_ns if instant == "rise" else timing.fall_ns) / NS
-
-
-def difference(  # type: ignore[no-untyped-def]
-    changed, base: Floats, step: float, central: bool
-) -> Floats:
-    """Difference quotient; one-sided, or with a smaller step, where the motion breaks off.
-
-    base: [n], no unit. Raises IntegrationError if no step can be simulated.
-    """
-    if central:
-        try:
-            # wider, against the rounding of the integration: the error is of second order here
-            wide = 4.0 * step
-            return np.asarray((changed(wide) - changed(-wide)) / (2.0 * wide))
-        except IntegrationError:
-            pass
-    for h in (step, -step, 0.1 * step, -0.1 * step):
-        try:
-            moved: Floats = changed(h)
-        except IntegrationError:
-            continue
-        return (moved - base) / h
-    raise IntegrationError("no direction in which the motion can be continued")

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.parameters import ParameterSet
+from plant.parameters import Parameter, ParameterSet
 from sil.fitting.floor import EXPLAINED
+from sil.fitting.model_file import model_file
 from sil.report.figure import Figure
 
 Floats = NDArray[np.float64]
-Show = Callable[[float, float], None]
-"""Shows that so much of so much is done."""
-
-
-def no_progress(done: float, size: float) -> None:
-    """Show nothing."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +25,11 @@ class Estimate:
     low: float | None
     high: float | None
     source: str
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """The value, or the values."""
+        return self.value if isinstance(self.value, tuple) else (self.value,)
 
 
 @dataclass(frozen=True)
@@ -83,28 +83,24 @@ def interval(samples: Sequence[float]) -> tuple[float, float, float]:
     return mean, mean - half, mean + half
 
 
-def model_file(found: Identified, parameters: ParameterSet) -> str:
+def model_of(found: Identified, parameters: ParameterSet) -> str:
     """Return the identified values as a model file that extends the set they were found with."""
-    import json
-
-    sections: dict[str, list[str]] = {}
+    sections: dict[str, dict[str, Parameter]] = {}
     for item in found.estimates:
         section, key = item.path.split(".", 1)
-        unit = parameters[item.path].unit
-        if isinstance(item.value, tuple):
-            value = "[" + ", ".join(f"{v:.10g}" for v in item.value) + "]"
-        else:
-            value = f"{item.value:.10g}"
-        fields = [f"value = {value}"]
-        if (
-            item.low is not None
-            and item.high is not None
-            and np.isfinite([item.low, item.high]).all()
-        ):
-            fields += [f"low = {item.low:.10g}", f"high = {item.high:.10g}"]
-        fields += [f"unit = {json.dumps(unit)}", f"source = {json.dumps(item.source)}"]
-        sections.setdefault(section, []).append(f"{key} = {{ {', '.join(fields)} }}")
-    lines = [f"# {found.judgement}", "[base]", f"model = {json.dumps(parameters.name)}"]
-    for section, entries in sections.items():
-        lines += ["", f"[{section}]", *entries]
-    return "\n".join(lines) + "\n"
+        numbers = tuple(map(_rounded, item.numbers))
+        low = high = None
+        if item.low is not None and item.high is not None and np.isfinite(item.high - item.low):
+            low, high = _rounded(item.low), _rounded(item.high)
+        sections.setdefault(section, {})[key] = Parameter(
+            numbers if isinstance(item.value, tuple) else numbers[0],
+            parameters[item.path].unit,
+            item.source,
+            low,
+            high,
+        )
+    return model_file(found.judgement, parameters.name, sections)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.10g}")

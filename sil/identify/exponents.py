@@ -12,8 +12,9 @@ from plant.parameters import ParameterSet
 from plant.systems.driven import pressures_along
 from plant.systems.setup import make_setup
 from sil.campaign.campaign import Campaign
+from sil.fitting.fit import Show, no_progress
 from sil.fitting.observations import air_noise_pa
-from sil.identify.estimate import Estimate, Floats, Identified, Show, no_progress
+from sil.identify.estimate import Estimate, Floats, Identified
 from sil.identify.friction import plain_strokes
 from sil.report.figure import BAR, Figure, Panel, Series, Stack
 

@@ -8,6 +8,7 @@ The largest volume is left out of the fit and predicted.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,15 +16,19 @@ from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
 from plant.kernel.layout import FIXED, Parameters
-from plant.kernel.packing import flow_coefficients
+from plant.kernel.packing import Load, flow_coefficients, pack
 from plant.parameters import ParameterSet
 from plant.systems.driven import chamber_along
 from plant.systems.setup import make_setup
 from plant.systems.stroke import valve_moves
 from sil.campaign.campaign import Campaign, Record
+from sil.fitting.fit import Show, no_progress
 from sil.fitting.observations import air_noise_pa
-from sil.identify.estimate import Estimate, Floats, Identified, Show, no_progress
+from sil.identify.estimate import Estimate, Floats, Identified
 from sil.report.figure import Figure, Panel, Series, Stack
+
+Polynomial = tuple[float, ...]
+"""Ascending coefficients."""
 
 SMOOTH_S = 0.004
 HELD_PA = 0.5e5
@@ -48,7 +53,7 @@ class RestRecord:
 
 
 def rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestRecord]:
-    """All stretches of the campaign in which a chamber's volume and valve do not move."""
+    """Return all stretches of the campaign in which a chamber's volume and valve do not move."""
     found = []
     for entry in campaign.strokes:
         record = campaign.record(entry)
@@ -62,39 +67,30 @@ def rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestRecor
         away = np.flatnonzero(np.abs(position - tail) > 1.5e-4)
         begin = time_s[away[-1]] + SETTLE_S if len(away) else time_s[0]
         moves = valve_moves(setup, int(time_s[-1] * 1e9))
-        p = setup.p
         for index, chamber in enumerate(conditions.chambers):
             column = f"pressure_{chamber}_pa"
-            if column not in record:
+            volume = _resting_volume(conditions.kind, chamber, float(tail), setup.p)
+            if column not in record or volume is None:
                 continue
-            volume = resting_volume(conditions.kind, chamber, float(tail), p)
-            if volume is None:
-                continue
-            edges = [0.0] + [t * 1e-9 for t, which, _u, _s in moves if which == index]
-            edges.append(float(time_s[-1]))
-            open_now = chamber in conditions.charged_before
-            states = [open_now] + [bool(u) for _t, which, u, _s in moves if which == index]
+            own = [(t * 1e-9, bool(u)) for t, which, u, _s in moves if which == index]
+            edges = [0.0, *(t for t, _u in own), float(time_s[-1])]
+            states = [chamber in conditions.charged_before, *(u for _t, u in own)]
             for start, end, charging in zip(edges, edges[1:], states, strict=False):
                 inside = (time_s >= max(start + SETTLE_S, begin)) & (time_s <= end - 1e-4)
                 if charging and conditions.kind != "fixed":
-                    inside &= time_s > loose_until(record, time_s, chamber, inside) + WALK_S
+                    inside &= time_s > _loose_until(record, time_s, chamber, inside) + WALK_S
                 pressure = record[column][inside]
                 if len(pressure) < 60 or np.ptp(pressure) < 0.3e5:
                     continue
+                name = f"{entry.file} {chamber} {'filling' if charging else 'emptying'}"
+                supply_pa = conditions.supply_pressure_pa
                 found.append(
-                    RestRecord(
-                        f"{entry.file} {chamber} {'filling' if charging else 'emptying'}",
-                        time_s[inside],
-                        pressure,
-                        volume,
-                        charging,
-                        conditions.supply_pressure_pa,
-                    )
+                    RestRecord(name, time_s[inside], pressure, volume, charging, supply_pa)
                 )
     return found
 
 
-def loose_until(record: Record, time_s: Floats, driving: str, inside: NDArray[np.bool_]) -> float:
+def _loose_until(record: Record, time_s: Floats, driving: str, inside: NDArray[np.bool_]) -> float:
     """Last instant inside at which a neighbour's pressure may move the driving piston [s], or -1."""
     free = np.zeros(len(time_s), dtype=bool)
     for name in ("B", "F") if driving == "N" else ("N",):
@@ -105,7 +101,7 @@ def loose_until(record: Record, time_s: Floats, driving: str, inside: NDArray[np
     return float(time_s[rows[-1]]) if len(rows) else -1.0
 
 
-def resting_volume(kind: str, chamber: str, position: float, p: Parameters) -> float | None:
+def _resting_volume(kind: str, chamber: str, position: float, p: Parameters) -> float | None:
     """Volume of a chamber while everything rests after the motion; None where it is not known."""
     if kind == "fixed":
         if chamber == "1":
@@ -121,14 +117,17 @@ def resting_volume(kind: str, chamber: str, position: float, p: Parameters) -> f
     return float(outer + p.area_p * walked + p.area_s * abs(position))
 
 
-def slope(record: RestRecord) -> tuple[Floats, Floats]:
-    """Pressure and its rate, by a moving parabola; the ends are left out.
+def _smoothing(record: RestRecord) -> tuple[float, int]:
+    """Return a record's sampling step [s] and the samples of the moving parabola."""
+    step = float(np.median(np.diff(record.time_s)))
+    return step, max(7, 2 * round(0.5 * SMOOTH_S / step) + 1)
 
-    [n] in Pa and in Pa/s.
-    """
+
+def _slope(record: RestRecord) -> tuple[Floats, Floats]:
+    """Return pressure [Pa] and its rate [Pa/s], by a moving parabola; the ends are left out."""
     from scipy.signal import savgol_filter
 
-    step, window = smoothing(record)
+    step, window = _smoothing(record)
     if len(record.pressure_pa) <= window + 4:
         return np.zeros(0), np.zeros(0)
     smooth = savgol_filter(record.pressure_pa, window, 2)
@@ -137,198 +136,197 @@ def slope(record: RestRecord) -> tuple[Floats, Floats]:
     return smooth[half:-half], rate[half:-half]
 
 
-def smoothing(record: RestRecord) -> tuple[float, int]:
-    """Return a record's sampling step [s] and the samples of the moving parabola."""
-    step = float(np.median(np.diff(record.time_s)))
-    return step, max(7, 2 * round(0.5 * SMOOTH_S / step) + 1)
-
-
-def rate_misfit(record: RestRecord, parameters: ParameterSet, campaign: Campaign) -> float:
+def _rate_misfit(record: RestRecord, parameters: ParameterSet, campaign: Campaign) -> float:
     """Return the mean square of measured minus predicted rate over the gauge's noise in it.
 
-    Both rates by `slope`, so that its smoothing cancels.
+    Both rates by `_slope`, so that its smoothing cancels.
     """
     from scipy.signal import savgol_coeffs
 
-    _smooth, measured = slope(record)
+    _smooth, measured = _slope(record)
     if not len(measured):
         return 1.0
-    predicted = replace(record, pressure_pa=predict(record, parameters, campaign))
-    step, window = smoothing(record)
+    predicted = replace(record, pressure_pa=_predict(record, parameters, campaign))
+    step, window = _smoothing(record)
     weights = savgol_coeffs(window, 2, deriv=1, delta=step)
     noise_pa_s = air_noise_pa(parameters) * float(np.linalg.norm(weights))
-    return float(np.mean(((measured - slope(predicted)[1]) / noise_pa_s) ** 2))
+    return float(np.mean(((measured - _slope(predicted)[1]) / noise_pa_s) ** 2))
+
+
+def _near_root(x: Floats, split: float) -> NDArray[np.bool_]:
+    """Return which pressure ratios are on the root's side (at 1) of the joint."""
+    return np.asarray(x >= split if split < 1.0 else x <= split)
+
+
+def _evaluate(x: Floats, split: float, near: Polynomial, far: Polynomial) -> Floats:
+    return np.where(_near_root(x, split), np.polyval(near[::-1], x), np.polyval(far[::-1], x))
 
 
 def two_polynomials(
-    x: Floats, y: Floats, split: float, root: float, near: int, far: int
-) -> tuple[Floats, Floats]:
-    """Two polynomials joined with value and slope at `split`; the one next to `root` vanishes there.
+    x: Floats, y: Floats, split: float, near: int, far: int
+) -> tuple[Polynomial, Polynomial]:
+    """Fit two polynomials joined with value and slope at `split`; the near one vanishes at 1.
 
-    near, far: degrees of the one that ends at the root and of the other.  Least squares with the
-    three conditions exact.  Returns ascending coefficients (near, far).
+    near, far: their degrees.  Least squares with the three conditions exact.  Returns ascending
+    coefficients (near, far).
 
     x: [n] pressure ratios, y: [n] in K kg/(s Pa).
     """
-    is_near = (x >= split) if root > split else (x <= split)
+    is_near = _near_root(x, split)
     rows_near = np.vander(x[is_near], near + 1, increasing=True)
     rows_far = np.vander(x[~is_near], far + 1, increasing=True)
-    n = near + far + 2
-    design = np.zeros((len(x), n))
+    design = np.zeros((len(x), near + far + 2))
     design[: len(rows_near), : near + 1] = rows_near
     design[len(rows_near) :, near + 1 :] = rows_far
     target = np.concatenate([y[is_near], y[~is_near]])
 
-    def powers(at: float, degree: int, derivative: bool) -> Floats:
+    def powers(at: float, degree: int, derivative: bool = False) -> Floats:
         k = np.arange(degree + 1)
         if derivative:
             return np.where(k > 0, k * at ** np.maximum(k - 1, 0), 0.0)
         return at ** k.astype(float)
 
-    zero = np.zeros
-    conditions = np.array(
-        [
-            np.concatenate([powers(root, near, False), zero(far + 1)]),
-            np.concatenate([powers(split, near, False), -powers(split, far, False)]),
-            np.concatenate([powers(split, near, True), -powers(split, far, True)]),
-        ]
-    )
+    conditions = [np.concatenate([powers(1.0, near), np.zeros(far + 1)])]
+    for derivative in (False, True):
+        one, two = (powers(split, degree, derivative) for degree in (near, far))
+        conditions.append(np.concatenate([one, -two]))
     # solve in the null space of the conditions (their right-hand sides are zero)
-    _u, _s, vt = np.linalg.svd(conditions)
+    _u, _s, vt = np.linalg.svd(np.array(conditions))
     basis = vt[3:].T
     scale = np.max(np.abs(y)) or 1.0
     reduced, *_ = np.linalg.lstsq(design @ basis, target / scale, rcond=None)
-    full = basis @ reduced * scale
-    return full[: near + 1], full[near + 1 :]
+    full = (basis @ reduced * scale).tolist()
+    return tuple(full[: near + 1]), tuple(full[near + 1 :])
+
+
+def _best_degrees(
+    x: Floats, y: Floats, split: float, near_most: int, far_most: int
+) -> tuple[Polynomial, Polynomial]:
+    """Return the polynomials with the least error on every third point, padded to the most degrees."""
+    held = np.arange(len(x)) % 3 == 0
+    best, degrees = np.inf, (2, 1)
+    for near, far in itertools.product(range(2, near_most + 1), range(1, far_most + 1)):
+        pair = two_polynomials(x[~held], y[~held], split, near, far)
+        mse = float(np.mean((_evaluate(x[held], split, *pair) - y[held]) ** 2))
+        if mse < 0.995 * best:
+            best, degrees = mse, (near, far)
+    a, b = two_polynomials(x, y, split, *degrees)
+    return a + (0.0,) * (near_most + 1 - len(a)), b + (0.0,) * (far_most + 1 - len(b))
+
+
+@dataclass(frozen=True)
+class _Direction:
+    """One direction of flow: its words and parameters."""
+
+    charging: bool
+    word: str
+    axis: str
+    alpha: str
+    section: str
+    split: str
+    degrees: tuple[int, int]
+
+
+DIRECTIONS = (
+    _Direction(True, "filling", "P / P_s", "alpha.alpha_m1", "flow_charge", "y_split", (4, 3)),
+    _Direction(
+        False, "emptying", "P / P_atm", "alpha.alpha_m2", "flow_discharge", "z_split", (4, 2)
+    ),
+)
 
 
 def identify_flow(
     campaign: Campaign, parameters: ParameterSet, progress: Show = no_progress
 ) -> Identified:
-    """Both flow maps of a campaign with fill and empty records at rest.
+    """Identify both flow maps from a campaign with fill and empty records at rest.
 
     Raises InputError when a direction is missing, or no second volume is there to check on.
     """
     records = rest_records(campaign, parameters)
-    value = parameters.value
-    gas = value("gas.R_air")
     estimates: list[Estimate] = []
     notes: list[str] = []
     stacks: list[Stack] = []
-    changes: dict[str, tuple[float, ...]] = {}
-    for number, charging in enumerate((True, False)):
+    for number, direction in enumerate(DIRECTIONS):
         progress(number, 2)
-        word = "filling" if charging else "emptying"
-        chosen = [r for r in records if r.charging == charging]
-        if not chosen:
-            raise InputError(
-                f"{campaign.folder}: no record of {word} at rest; expected a resting volume filled "
-                "and emptied"
-            )
-        largest = max(r.volume_m3 for r in chosen)
-        fitted = [r for r in chosen if r.volume_m3 < 0.8 * largest] or chosen
-        alpha = value("alpha.alpha_m1" if charging else "alpha.alpha_m2")
-        xs, ys = [], []
-        for record in fitted:
-            pressure, rate = slope(record)
-            reference = record.supply_pa if charging else campaign.atmosphere_pa
-            sign = 1.0 if charging else -1.0
-            xs.append(pressure / reference)
-            scale = record.volume_m3 / (gas * alpha) / reference
-            ys.append(sign * scale * rate)
-        x, y = np.concatenate(xs), np.concatenate(ys)
-        if len(x) < 50:
-            raise InputError(f"{campaign.folder}: {word} records too short; expected 50 samples")
-        if charging:
-            split, section = value("flow_charge.y_split"), "flow_charge"
-            low, high = best_degrees(x, y, split, 1.0, 4, 3)
-        else:
-            split, section = value("flow_discharge.z_split"), "flow_discharge"
-            low, high = best_degrees(x, y, split, 1.0, 4, 2)
-        fit = np.where(
-            (x >= split) == charging, np.polyval(low[::-1], x), np.polyval(high[::-1], x)
-        )
-        scatter = float(np.std(y - fit))
-        band = 100.0 * scatter / float(np.mean(np.abs(y))) / max(1.0, (len(x) / 40) ** 0.5) * 1.96
-        source = (
-            f"identified from {len(fitted)} records of {word}, alpha_m {alpha:g} assumed; "
-            f"95 % band of the mean flow +-{band:.2f} %"
-        )
-        for key, coefficients in (("c_low", low), ("c_high", high)):
-            path = f"{section}.{key}"
-            estimates.append(Estimate(path, tuple(coefficients), None, None, source))
-            changes[path] = tuple(coefficients)
-        if charging:
-            changes["flow_charge.y_min"] = (float(np.min(x)),)
-        notes.append(f"{word}: {len(x)} points from {len(fitted)} records, scatter {scatter:.2e}")
-        order = np.argsort(x)
-        points, line = y[order][::7], fit[order][::7]
-        lines = [
-            Series("measured", x[order][::7], points, "measured", "dots"),
-            Series("two polynomials", x[order][::7], line, "after"),
-        ]
-        panel = Panel("flow / reference pressure", "K kg/(s Pa)", lines, height=320)
-        axis = "P / P_s" if charging else "P / P_atm"
-        stacks.append(Stack(axis, [panel], f"Flow, {word}", width=6.4))
-    found = parameters.override(
-        {path: list(v) for path, v in changes.items() if path[-5:] != "y_min"}
-    )
-    notes += checks(records, found, campaign)
-    over_noise = float(np.sqrt(np.mean([rate_misfit(r, found, campaign) for r in records])))
+        own, note, stack = _identify_direction(direction, records, campaign, parameters)
+        estimates += own
+        notes.append(note)
+        stacks.append(stack)
+    found = parameters.override({item.path: list(item.numbers) for item in estimates})
+    notes += _checks(records, found, campaign)
+    over_noise = float(np.sqrt(np.mean([_rate_misfit(r, found, campaign) for r in records])))
     return Identified("flow", tuple(estimates), tuple(notes), Figure(stacks), over_noise)
 
 
-def best_degrees(
-    x: Floats, y: Floats, split: float, root: float, near_most: int, far_most: int
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the degrees with the least mean square error on every third point left out, padded to the map.
+def _identify_direction(
+    direction: _Direction,
+    records: list[RestRecord],
+    campaign: Campaign,
+    parameters: ParameterSet,
+) -> tuple[list[Estimate], str, Stack]:
+    """Return the estimates of one direction, a note on them and their figure."""
+    charging, word = direction.charging, direction.word
+    chosen = [r for r in records if r.charging == charging]
+    if not chosen:
+        raise InputError(
+            f"{campaign.folder}: no record of {word} at rest; expected a resting volume filled "
+            "and emptied"
+        )
+    largest = max(r.volume_m3 for r in chosen)
+    fitted = [r for r in chosen if r.volume_m3 < 0.8 * largest] or chosen
+    alpha = parameters.value(direction.alpha)
+    xs, ys = [], []
+    for record in fitted:
+        pressure, rate = _slope(record)
+        reference = record.supply_pa if charging else campaign.atmosphere_pa
+        scale = record.volume_m3 / (parameters.value("gas.R_air") * alpha) / reference
+        xs.append(pressure / reference)
+        ys.append((1.0 if charging else -1.0) * scale * rate)
+    x, y = np.concatenate(xs), np.concatenate(ys)
+    if len(x) < 50:
+        raise InputError(f"{campaign.folder}: {word} records too short; expected 50 samples")
+    section = direction.section
+    split = parameters.value(f"{section}.{direction.split}")
+    near, far = _best_degrees(x, y, split, *direction.degrees)
+    fit = _evaluate(x, split, near, far)
+    scatter = float(np.std(y - fit))
+    band = 100.0 * scatter / float(np.mean(np.abs(y))) / max(1.0, (len(x) / 40) ** 0.5) * 1.96
+    source = (
+        f"identified from {len(fitted)} records of {word}, alpha_m {alpha:g} assumed; "
+        f"95 % band of the mean flow +-{band:.2f} %"
+    )
+    estimates = [
+        Estimate(f"{section}.{key}", coefficients, None, None, source)
+        for key, coefficients in (("c_low", near), ("c_high", far))
+    ]
+    note = f"{word}: {len(x)} points from {len(fitted)} records, scatter {scatter:.2e}"
+    shown = np.argsort(x)[::7]
+    lines = [
+        Series("measured", x[shown], y[shown], "measured", "dots"),
+        Series("two polynomials", x[shown], fit[shown], "after"),
+    ]
+    panel = Panel("flow / reference pressure", "K kg/(s Pa)", lines, height=320)
+    return estimates, note, Stack(direction.axis, [panel], f"Flow, {word}", width=6.4)
 
-    x: [n] pressure ratios, y: [n] in K kg/(s Pa). Raises ValueError for no degrees.
-    """
-    held = np.arange(len(x)) % 3 == 0
-    best: tuple[float, int, int] | None = None
-    for near in range(2, near_most + 1):
-        for far in range(1, far_most + 1):
-            a, b = two_polynomials(x[~held], y[~held], split, root, near, far)
-            is_near = (x[held] >= split) if root > split else (x[held] <= split)
-            error = np.where(is_near, np.polyval(a[::-1], x[held]), np.polyval(b[::-1], x[held]))
-            mse = float(np.mean((error - y[held]) ** 2))
-            if best is None or mse < 0.995 * best[0]:
-                best = (mse, near, far)
-    if best is None:
-        raise ValueError("no degrees to choose from")
-    a, b = two_polynomials(x, y, split, root, best[1], best[2])
-    near_full = tuple(a) + (0.0,) * (near_most + 1 - len(a))
-    far_full = tuple(b) + (0.0,) * (far_most + 1 - len(b))
-    return near_full, far_full
 
-
-def checks(records: list[RestRecord], found: ParameterSet, campaign: Campaign) -> list[str]:
-    """Every record predicted with the identified map; the volumes that were not fitted named."""
+def _checks(records: list[RestRecord], found: ParameterSet, campaign: Campaign) -> list[str]:
+    """Predict the records of the largest volumes, which were not fitted, with the identified map."""
     lines = []
-    for charging in (True, False):
-        chosen = [r for r in records if r.charging == charging]
-        largest = max(r.volume_m3 for r in chosen)
-        smallest = min(r.volume_m3 for r in chosen)
+    for direction in DIRECTIONS:
+        chosen = [r for r in records if r.charging == direction.charging]
+        volumes = [r.volume_m3 for r in chosen]
         for record in chosen:
-            if record.volume_m3 < 0.8 * largest:
-                continue
-            predicted = predict(record, found, campaign)
-            error = float(np.sqrt(np.mean((predicted - record.pressure_pa) ** 2)))
-            ratio = record.volume_m3 / smallest
-            lines.append(
-                f"check {record.name}: {ratio:.1f} times the smallest volume, rms {error:.0f} Pa"
-            )
+            if record.volume_m3 >= 0.8 * max(volumes):
+                error = _predict(record, found, campaign) - record.pressure_pa
+                lines.append(
+                    f"check {record.name}: {record.volume_m3 / min(volumes):.1f} times the smallest "
+                    f"volume, rms {np.sqrt(np.mean(error**2)):.0f} Pa"
+                )
     return lines
 
 
-def predict(record: RestRecord, parameters: ParameterSet, campaign: Campaign) -> Floats:
-    """Pressure of a resting record by a parameter set's maps, from its first (smoothed) value.
-
-    Result [n] in Pa.
-    """
-    from plant.kernel.packing import Load, pack
-
+def _predict(record: RestRecord, parameters: ParameterSet, campaign: Campaign) -> Floats:
+    """Return the pressure of a resting record by a set's maps, from its first (smoothed) value."""
     p = pack(
         parameters,
         FIXED,

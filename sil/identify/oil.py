@@ -11,8 +11,9 @@ from plant.kernel.layout import Parameters
 from plant.parameters import ParameterSet
 from plant.systems.stroke import simulate
 from sil.campaign.campaign import Campaign
+from sil.fitting.fit import Show, no_progress
 from sil.identify.campaign_fit import fit_factors
-from sil.identify.estimate import Identified, Show, no_progress
+from sil.identify.estimate import Identified
 from sil.report.figure import BAR, Figure, Panel, Series, Stack
 
 

@@ -22,10 +22,10 @@ def measure() -> Iterator[str]:
 
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
-    from sil.diagnosis.diagnosis import available, observed
+    from sil.diagnosis.checks import observed
+    from sil.diagnosis.diagnosis import available
     from sil.fitting.fit import Fitter
-    from sil.fitting.model import CampaignModel
-    from sil.fitting.nuisance import Spread
+    from sil.fitting.model import CampaignModel, Spread
     from tests.hidden_effects.campaign import hide, write_campaign
     from tests.reference.actuator import Case, actuator
 

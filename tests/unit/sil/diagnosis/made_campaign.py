@@ -22,8 +22,7 @@ from sil.campaign.campaign import (
     load_campaign,
     write_record,
 )
-from sil.fitting.model import CampaignModel
-from sil.fitting.nuisance import Spread
+from sil.fitting.model import CampaignModel, Spread
 from sil.fitting.observations import observe
 
 KINDS = (
