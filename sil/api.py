@@ -139,7 +139,6 @@ def run(
         If a participant fails.
     """
     from sil.simulation import scenario as scenarios
-    from sil.simulation.expectations import evaluate
     from sil.simulation.in_memory import run_in_memory
 
     options: dict[str, Any] = {
@@ -152,10 +151,9 @@ def run(
     else:
         loaded = scenarios.load(str(scenario), **options)
     done = run_in_memory(loaded)
-    checks = evaluate(loaded.scenario.expect, done.record, done.shifts, done.figures)
     return Run(
-        passed=all(check.passed for check in checks),
-        checks=checks,
+        passed=all(check.passed for check in done.checks),
+        checks=done.checks,
         metrics=done.figures,
         shifts=done.shifts,
         signals=dict(done.record.truth),

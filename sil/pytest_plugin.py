@@ -102,12 +102,10 @@ class ScenarioRun:
 
 
 def _in_memory(loaded: Loaded) -> ScenarioRun:
-    from sil.simulation.expectations import evaluate
     from sil.simulation.in_memory import run_in_memory
 
     run = run_in_memory(loaded)
-    checks = evaluate(loaded.scenario.expect, run.record, run.shifts, run.figures)
-    return ScenarioRun(loaded, run, checks)
+    return ScenarioRun(loaded, run, run.checks)
 
 
 def _recorded(loaded: Loaded, folder: Path) -> list[Check]:

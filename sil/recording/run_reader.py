@@ -94,17 +94,14 @@ class RunReader:
         folder: Path,
         senders: tuple[str, ...],
         *,
-        supply_pressure_pa: float,
-        stroke_m: float,
-        free_travel_m: float,
+        constants: Mapping[str, float],
         trace_period_s: float,
     ) -> None:
-        """Open the files.  Raises OSError without recordings, InputError for other files."""
-        self._constants = {
-            "supply_pressure_pa": supply_pressure_pa,
-            "stroke_m": stroke_m,
-            "free_travel_m": free_travel_m,
-        }
+        """Open the files; `constants`: the fields of `RunRecord` that are not recorded.
+
+        Raises OSError without recordings, InputError for other files.
+        """
+        self._constants = constants
         self._senders = senders
         self._trace = open_trace(folder / PLANT_TRACE)
         self._frames = RowReader(folder / BUS_FRAMES, STORED_FRAME, "arrival")

@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from zlib import crc32
 
+import msgspec
+
 from can_dbc.contract import contract
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
@@ -66,16 +68,9 @@ def plant_config(scenario: Scenario) -> PlantConfig:
     """Return the plant's settings of a scenario."""
     from plant.node import PlantConfig
 
-    table = scenario.plant
     return PlantConfig(
+        **msgspec.structs.asdict(scenario.plant) | {"charged": tuple(scenario.plant.charged)},
         initial=INITIAL[scenario.initial_gear],  # type: ignore[arg-type]
-        charged=tuple(table.charged),
-        supply_pressure_pa=table.supply_pressure_pa,
-        mounted=table.mounted,
-        damper=table.damper,
-        mesh_force_n=table.mesh_force_n,
-        pull_force_n=table.pull_force_n,
-        closing_follows_duty=table.closing_follows_duty,
         driveline=scenario.driveline,
         valve_driver=scenario.valve_driver,
         sensor=scenario.sensor,
@@ -83,11 +78,19 @@ def plant_config(scenario: Scenario) -> PlantConfig:
         temperature_faults=tuple(scenario.temperature_fault),
         speed_faults=tuple(scenario.speed_fault),
         valve_faults=tuple(scenario.valve_fault),
-        speeds_period_s=table.speeds_period_s,
-        truth_period_s=table.truth_period_s,
         trace_period_s=scenario.trace_period_s,
         seed=scenario.seed,
     )
+
+
+def constants(loaded: Loaded) -> dict[str, float]:
+    """Return what a record of a run holds besides what was recorded."""
+    supply_pa, parameters = loaded.scenario.plant.supply_pressure_pa, loaded.parameters
+    return {
+        "supply_pressure_pa": parameters.value("supply.P_s") if supply_pa is None else supply_pa,
+        "stroke_m": parameters.value("length.stroke"),
+        "free_travel_m": parameters.value("length.x_free_total"),
+    }
 
 
 class RecordedPlant:

@@ -117,7 +117,7 @@ class Expectations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 class Observed:
     """What the expectations need of a run, collected piece by piece in order of time."""
 
-    def __init__(self) -> None:
+    def __init__(self, *records: RunRecord) -> None:
         self.stroke_m = math.nan
         self.counts: dict[type, int] = dict.fromkeys(_NEVER_NONE, 0)
         self.opened: set[str] = set()
@@ -126,6 +126,8 @@ class Observed:
         self.confirmed: Gear | None = None
         self.faults = Fault.NONE
         self.visited: list[str] = []
+        for record in records:
+            self.add(record)
 
     def add(self, record: RunRecord) -> None:
         """Add the next piece of the run."""
@@ -145,92 +147,50 @@ class Observed:
 
 
 def evaluate(
-    wanted: Expectations, record: RunRecord, found: Sequence[Shift], metrics: dict[str, Any]
-) -> list[Check]:
-    """Return one Check per expectation, after those that the run did anything at all."""
-    observed = Observed()
-    observed.add(record)
-    return evaluate_observed(wanted, observed, found, metrics)
-
-
-def evaluate_observed(
     wanted: Expectations, observed: Observed, found: Sequence[Shift], metrics: dict[str, Any]
 ) -> list[Check]:
-    """Return what `evaluate` does, of a run that was observed piece by piece."""
-    checks = _not_vacuous(wanted, observed, found)
-    checks += _ends(wanted, observed)
-    checks += _states(wanted, observed)
-    if wanted.valves_opened is not None:
-        opened = [c for c in CHAMBERS if c in observed.opened]
-        checks.append(_equal("valves opened", opened, sorted(wanted.valves_opened, key=_order)))
-    for name, limits in wanted.metrics.items():
-        value = metrics[name]
-        checks.append(limits.check(name, value, unit_of(name)))
-    checks += [_timing(t, found) for t in wanted.timing]
-    return checks
-
-
-def _order(chamber: str) -> int:
-    return CHAMBERS.index(chamber)
-
-
-def _equal(name: str, value: Any, limit: Any) -> Check:
-    return Check(name=name, passed=value == limit, value=value, limit=limit)
-
-
-def _not_vacuous(wanted: Expectations, observed: Observed, found: Sequence[Shift]) -> list[Check]:
-    checks = []
-    for kind, count in observed.counts.items():
-        name = f"{kind.__name__} frames on the bus"
-        least = wanted.min_frames
-        checks.append(Check(name=name, passed=count >= least, value=count, limit={"min": least}))
+    """Return one Check per expectation, after those that the run did anything at all."""
+    least, visited = wanted.min_frames, observed.visited
+    checks = [
+        _check(f"{kind.__name__} frames on the bus", count, {"min": least}, count >= least)
+        for kind, count in observed.counts.items()
+    ]
     if wanted.valves_opened is None and found:
         opened = len(observed.opened)
-        checks.append(
-            Check(name="a valve opened", passed=opened > 0, value=opened, limit={"min": 1})
-        )
-    return checks
-
-
-def _ends(wanted: Expectations, observed: Observed) -> list[Check]:
-    checks = []
+        checks.append(_check("a valve opened", opened, {"min": 1}, opened > 0))
     if wanted.final_gear is not None:
         gear = gear_at(observed.position_m, observed.stroke_m).name.lower()
-        checks.append(_equal("final gear", gear, wanted.final_gear))
+        checks.append(_check("final gear", gear, wanted.final_gear))
     if wanted.confirmed_gear is not None:
         confirmed = None if observed.confirmed is None else observed.confirmed.name.lower()
-        checks.append(_equal("confirmed gear", confirmed, wanted.confirmed_gear))
+        checks.append(_check("confirmed gear", confirmed, wanted.confirmed_gear))
     if wanted.faults is not None:
         names = sorted(f.name or "" for f in Fault if f and f in observed.faults)
-        checks.append(_equal("faults reported", names, sorted(wanted.faults)))
+        checks.append(_check("faults reported", names, sorted(wanted.faults)))
     if wanted.valves_off_at_end is not None:
         checks.append(
-            _equal("valves off at the end", observed.valves_off, wanted.valves_off_at_end)
+            _check("valves off at the end", observed.valves_off, wanted.valves_off_at_end)
         )
-    return checks
-
-
-def _states(wanted: Expectations, observed: Observed) -> list[Check]:
-    visited = observed.visited
-    checks = []
     if wanted.states:
-        missing = [s for s in wanted.states if s not in visited]
-        checks.append(
-            Check(
-                name="states visited", passed=not missing, value=visited, limit=list(wanted.states)
-            )
-        )
+        complete = set(wanted.states) <= set(visited)
+        checks.append(_check("states visited", visited, list(wanted.states), complete))
     if wanted.never_states:
-        entered = [s for s in wanted.never_states if s in visited]
+        avoided = not set(wanted.never_states) & set(visited)
+        checks.append(_check("states never entered", visited, list(wanted.never_states), avoided))
+    if wanted.valves_opened is not None:
+        expected = sorted(wanted.valves_opened, key=CHAMBERS.index)
         checks.append(
-            Check(
-                name="states never entered",
-                passed=not entered,
-                value=visited,
-                limit=list(wanted.never_states),
-            )
+            _check("valves opened", [c for c in CHAMBERS if c in observed.opened], expected)
         )
-    return checks
+    for name, limits in wanted.metrics.items():
+        checks.append(limits.check(name, metrics[name], unit_of(name)))
+    return checks + [_timing(t, found) for t in wanted.timing]
+
+
+def _check(name: str, value: Any, limit: Any, passed: bool | None = None) -> Check:
+    """Return a check of a value; without `passed`, it must be equal to the limit."""
+    passed = value == limit if passed is None else passed
+    return Check(name=name, passed=passed, value=value, limit=limit)
 
 
 def _timing(wanted: Timing, found: Sequence[Shift]) -> Check:

@@ -24,6 +24,8 @@ from sil.recording.recorder import hashed_frame, run_sha256, trace_header
 from sil.recording.run_record import BusFrame, PlantEvent, RunRecord
 from sil.simulation import build, metrics
 from sil.simulation.closed_loop_kernel import run_quickly
+from sil.simulation.expectations import Expectations, Observed, evaluate
+from sil.simulation.results import Check
 from sil.simulation.scenario import Loaded, Scenario
 
 ROWS_AT_ONCE = 1 << 14
@@ -34,11 +36,17 @@ ROWS_AT_ONCE = 1 << 14
 class MemoryRun:
     """A finished run: record, shifts, metrics, balances."""
 
+    expected: Expectations
     record: RunRecord
     shifts: list[metrics.Shift]
     figures: dict[str, Any]
     balances: dict[str, Any]
     rows: np.ndarray
+
+    @cached_property
+    def checks(self) -> list[Check]:
+        """The expectations of the scenario with their values."""
+        return evaluate(self.expected, Observed(self.record), self.shifts, self.figures)
 
     @cached_property
     def trace_sha256(self) -> str:
@@ -89,22 +97,20 @@ def run_in_memory(loaded: Loaded) -> MemoryRun:
         boxes = build.mailboxes(scenario)
         frames = run_quickly(participants, scenario.bus.bitrate, end_ns, boxes)
     rows = np.concatenate(trace)
-    parameters, table = loaded.parameters, loaded.scenario.plant
-    supply = table.supply_pressure_pa
     record = RunRecord(
         truth={name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(TRACE_COLUMNS)},
         events=events,
         frames=frames,
-        stroke_m=parameters.value("length.stroke"),
-        free_travel_m=parameters.value("length.x_free_total"),
-        supply_pressure_pa=parameters.value("supply.P_s") if supply is None else supply,
+        **build.constants(loaded),
     )
     found = metrics.shifts(record, build.gear_of(scenario.initial_gear))
     balances = next((dict(e.values) for e in events if e.name == "balance"), {})
+    switchings = metrics.valve_switchings(record)
     return MemoryRun(
+        expected=scenario.expect,
         record=record,
         shifts=found,
-        figures=metrics.summary(record, found, balances.get("air_in_kg")),
+        figures=metrics.summary(found, balances.get("air_in_kg"), switchings, len(frames)),
         balances=balances,
         rows=rows,
     )
@@ -121,13 +127,9 @@ def _coordinated(
     def record(deliveries: list[Delivery]) -> None:
         frames.extend(BusFrame(d.queued_ns, d.arrival_ns, d.sender, d.frame) for d in deliveries)
 
+    channels = [InProcess(participants)]
     with Lockstep(
-        bus,
-        [InProcess(participants)],
-        end_ns,
-        record=record,
-        outages=plan,
-        order=build.SENDERS,
+        bus, channels, end_ns, record=record, outages=plan, order=build.SENDERS
     ) as lockstep:
         lockstep.run()
     return frames

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from can_dbc.messages import (
     Chamber,
@@ -29,6 +30,15 @@ OPEN_ABOVE = 0.34
 
 LONGEST_SHIFT_S = 120.0
 """A shift's figures are taken from its request to the next one, at most this long."""
+
+LAGS = (
+    "position_lag_10_s",
+    "position_lag_90_s",
+    "position_lag_10_held_s",
+    "position_lag_90_held_s",
+    "bus_lag_10_s",
+    "bus_lag_90_s",
+)
 
 GEAR_CHAMBER = {Gear.BACKWARD: "B", Gear.NEUTRAL: "N", Gear.FORWARD: "F"}
 
@@ -56,25 +66,28 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     bus_lag_90_s: float | None
 
 
+def _first_past(values: Floats, level: float, rising: bool) -> int | None:
+    """Return the index of the first value at or past a level, None without one."""
+    beyond = values >= level if rising else values <= level
+    return int(np.argmax(beyond)) if beyond.any() else None
+
+
 def crossing(times: Floats, values: Floats, level: float, rising: bool) -> float | None:
     """Return when sampled values [n] over times [n] in s first reach a level; None if never.
 
     The unit of values is that of the level; between samples the line is straight.
     """
-    beyond = values >= level if rising else values <= level
-    if not beyond.any():
-        return None
-    i = int(np.argmax(beyond))
-    if i == 0:
-        return float(times[0])
+    i = _first_past(values, level, rising)
+    if not i:
+        return None if i is None else float(times[0])
     share = (level - values[i - 1]) / (values[i] - values[i - 1])
     return float(times[i - 1] + share * (times[i] - times[i - 1]))
 
 
 def held_crossing(times: Floats, values: Floats, level: float, rising: bool) -> float | None:
     """Return the time of the first sample, of values [n] at times [n] in s, at or past a level."""
-    beyond = values >= level if rising else values <= level
-    return float(times[int(np.argmax(beyond))]) if beyond.any() else None
+    i = _first_past(values, level, rising)
+    return None if i is None else float(times[i])
 
 
 def phase_averaged_crossing(
@@ -86,12 +99,9 @@ def phase_averaged_crossing(
     and one sampling period later, half a period on average: t + (t[i] - t[i-1]) / 2.
     Assumes that the line is monotone near the crossing.
     """
-    beyond = values >= level if rising else values <= level
-    if not beyond.any():
-        return None
-    i = int(np.argmax(beyond))
-    if i == 0:
-        return float(times[0])
+    i = _first_past(values, level, rising)
+    if not i:
+        return None if i is None else float(times[0])
     near = slice(max(i - 4, 0), i + 4)
     t, y = times[near], values[near]
     fine = np.linspace(times[i - 1], times[i], 201)
@@ -106,10 +116,16 @@ def gear_position_m(gear: Gear, stroke_m: float) -> float:
     return {Gear.NEUTRAL: 0.0, Gear.BACKWARD: stroke_m, Gear.FORWARD: -stroke_m}[gear]
 
 
-def gear_at(position_m: float, stroke_m: float, within_m: float = ARRIVED_WITHIN_M) -> Gear:
-    """Return the gear whose stop the position is at, UNKNOWN between them."""
+def gear_at(
+    position_m: float,
+    stroke_m: float,
+    within_m: float = ARRIVED_WITHIN_M,
+    neutral_within_m: float = ARRIVED_WITHIN_M,
+) -> Gear:
+    """Return the gear whose stop the position is at, within a tolerance; UNKNOWN between them."""
     for gear in (Gear.NEUTRAL, Gear.BACKWARD, Gear.FORWARD):
-        if abs(position_m - gear_position_m(gear, stroke_m)) <= within_m:
+        width_m = neutral_within_m if gear == Gear.NEUTRAL else within_m
+        if abs(position_m - gear_position_m(gear, stroke_m)) <= width_m:
             return gear
     return Gear.UNKNOWN
 
@@ -156,48 +172,42 @@ def shift_figures(
     record: RunRecord, start: float, source: Gear, target: Gear, until: float
 ) -> Shift:
     """Return the figures of one shift; `record` holds at least the time from start to until, s."""
-    chamber = GEAR_CHAMBER.get(target)
     truth = record.truth
-    time = truth["time_s"]
-    window = (time >= start - 1e-9) & (time <= until + 1e-9)
-    t, x = time[window], truth["position_m"][window]
-    known = chamber is not None and len(t) > 0
+    window = _within(truth["time_s"], start, until)
+    t, x = truth["time_s"][window], truth["position_m"][window]
+    known = target in GEAR_CHAMBER and len(t) > 0
+    letter = GEAR_CHAMBER.get(target, "N")
     goal = gear_position_m(target, record.stroke_m) if known else 0.0
     origin = float(x[0]) if len(x) else 0.0
-    arrived = first_motion = None
+    arrived = first_motion = stop = None
     if known:
-        there = np.abs(x - goal) <= ARRIVED_WITHIN_M
-        arrived = float(t[int(np.argmax(there))]) if there.any() else None
-        moved = np.abs(x - origin) > ARRIVED_WITHIN_M
-        first_motion = float(t[int(np.argmax(moved))]) if moved.any() else None
-    stop = _stop_event(record.events, start, until, goal) if known else None
+        arrived = _first_time(t, np.abs(x - goal) <= ARRIVED_WITHIN_M)
+        first_motion = _first_time(t, np.abs(x - origin) > ARRIVED_WITHIN_M)
+        stop = _stop_event(record.events, start, until, goal)
     if stop is not None:
         arrived = stop.time_s
-    letter = chamber or "N"
     duty = f"duty_{letter.lower()}"
-    commanded = _first(record, ValveCommand, start, until, lambda m: getattr(m, duty) > OPEN_ABOVE)
-    opened = next(
-        (
-            e.time_s
-            for e in record.events
-            if e.name == f"valve_{letter}_open" and e.time_s >= start and e.time_s <= until
-        ),
-        None,
-    )
+    opened = [
+        e.time_s
+        for e in record.events
+        if e.name == f"valve_{letter}_open" and start <= e.time_s <= until
+    ]
     blow = [
         e.arrival_ns / NS_PER_S
         for e, m in record.of(SafetyBlow)
         if m.active and m.chamber == Chamber[letter] and start <= e.arrival_ns / NS_PER_S <= until
     ]
-    lags = (
-        _lags(record, origin, goal, start, until) if known and arrived is not None else [None] * 6
-    )
+    lags: dict[str, Any] = dict.fromkeys(LAGS)
+    if known and arrived is not None:
+        lags = dict(zip(LAGS, _lags(record, origin, goal, start, until), strict=True))
     return Shift(
         from_gear=source.name.lower(),
         to_gear=target.name.lower(),
         requested_s=start,
-        commanded_s=commanded,
-        valve_open_s=opened,
+        commanded_s=_first(
+            record, ValveCommand, start, until, lambda m: getattr(m, duty) > OPEN_ABOVE
+        ),
+        valve_open_s=opened[0] if opened else None,
         first_motion_s=first_motion,
         arrived_s=arrived,
         confirmed_s=_first(record, ControllerStatus, start, until, lambda m: m.confirmed == target),
@@ -205,19 +215,23 @@ def shift_figures(
         shift_time_s=None if arrived is None else arrived - start,
         impact_speed_m_s=None if stop is None else abs(float(stop.values["speed_m_s"])),
         impact_energy_j=None if stop is None else float(stop.values["energy_j"]),
-        position_lag_10_s=lags[0],
-        position_lag_90_s=lags[1],
-        position_lag_10_held_s=lags[2],
-        position_lag_90_held_s=lags[3],
-        bus_lag_10_s=lags[4],
-        bus_lag_90_s=lags[5],
+        **lags,
     )
+
+
+def _first_time(times: Floats, where: NDArray[np.bool_]) -> float | None:
+    found = times[where]
+    return float(found[0]) if len(found) else None
+
+
+def _within(times: Floats, start: float, until: float) -> NDArray[np.bool_]:
+    return (times >= start - 1e-9) & (times <= until + 1e-9)
 
 
 def _stop_event(
     events: Sequence[PlantEvent], start: float, until: float, goal_m: float
 ) -> PlantEvent | None:
-    """Return the stay's first impact on the stop of the wanted gear."""
+    """Return the stay's first impact on the stop of the requested gear."""
     for event in events:
         if event.name != "stay_stop" or not start <= event.time_s <= until:
             continue
@@ -236,20 +250,17 @@ def _lags(
     """
     rising = goal > origin
     levels = [origin + share * (goal - origin) for share in (0.1, 0.9)]
-    time, position = record.truth["time_s"], record.truth["position_m"]
-    inside = (time >= start - 1e-9) & (time <= until + 1e-9)
-    true = [crossing(time[inside], position[inside], level, rising) for level in levels]
+    inside = _within(record.truth["time_s"], start, until)
+    time, position = record.truth["time_s"][inside], record.truth["position_m"][inside]
+    true = [crossing(time, position, level, rising) for level in levels]
     when, estimate = record.estimate
     inside = (when >= start) & (when <= until)
     when, estimate = when[inside], estimate[inside]
     mean = [phase_averaged_crossing(when, estimate, level, rising) for level in levels]
     held = [held_crossing(when, estimate, level, rising) for level in levels]
     bus = _truth_on_bus(record, start, until, levels, rising)
-    return [
-        *(_minus(a, b) for a, b in zip(mean, true, strict=True)),
-        *(_minus(a, b) for a, b in zip(held, true, strict=True)),
-        *(_minus(a, b) for a, b in zip(mean, bus, strict=True)),
-    ]
+    pairs = zip([*mean, *held, *mean], [*true, *true, *bus], strict=True)
+    return [None if later is None or early is None else later - early for later, early in pairs]
 
 
 def _truth_on_bus(
@@ -268,43 +279,29 @@ def _truth_on_bus(
     return [crossing(fine, line, level, rising) for level in levels]
 
 
-def _minus(later: float | None, earlier: float | None) -> float | None:
-    return None if later is None or earlier is None else later - earlier
-
-
 def valve_switchings(record: RunRecord) -> int:
     """Return how often any valve actually moved (either way)."""
     return sum(1 for e in record.events if e.name.startswith("valve_") and e.name[6:7] in CHAMBERS)
 
 
-def summary(record: RunRecord, found: Sequence[Shift], air_used_kg: float | None) -> dict[str, Any]:
+def summary(
+    found: Sequence[Shift], air_used_kg: float | None, switchings: int, frames: int
+) -> dict[str, Any]:
     """Return the metrics of result.json.
 
     `shift_time_s` is the time spent shifting: the sum over the shifts of request to arrival at the
     stop, None when one of them never arrived. Impact speed and energy are the worst of all shifts;
     lags are those of the last shift that completed.
     """
-    return whole_run(found, air_used_kg, valve_switchings(record), len(record.frames))
-
-
-def whole_run(
-    found: Sequence[Shift], air_used_kg: float | None, switchings: int, frames: int
-) -> dict[str, Any]:
-    """Return what `summary` does, of a run whose valve switchings and frames are counted already."""
     times = [s.shift_time_s for s in found]
     speeds = [s.impact_speed_m_s for s in found if s.impact_speed_m_s is not None]
     energies = [s.impact_energy_j for s in found if s.impact_energy_j is not None]
-    complete = [s for s in found if s.position_lag_10_s is not None]
-    last = complete[-1] if complete else None
-    total = None if not times or None in times else sum(t for t in times if t is not None)
+    last = next((s for s in reversed(found) if s.position_lag_10_s is not None), None)
     return {
-        "shift_time_s": total,
+        "shift_time_s": None if not times or None in times else sum(t for t in times if t),
         "impact_speed_m_s": max(speeds, default=None),
         "impact_energy_j": max(energies, default=None),
-        "position_lag_10_s": last.position_lag_10_s if last else None,
-        "position_lag_90_s": last.position_lag_90_s if last else None,
-        "bus_lag_10_s": last.bus_lag_10_s if last else None,
-        "bus_lag_90_s": last.bus_lag_90_s if last else None,
+        **{name: last and getattr(last, name) for name in LAGS if "held" not in name},
         "air_used_kg": air_used_kg,
         "valve_switchings": switchings,
         "frames": frames,

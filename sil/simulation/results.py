@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import platform
-from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
@@ -38,22 +37,22 @@ class Result(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
 
     format: int = 1
     scenario_name: str
-    passed: bool
-    complete: bool
-    why: str | None
-    expectations: list[Check]
-    metrics: dict[str, Any]
-    trace_sha256: str | None
+    passed: bool = False
+    complete: bool = False
+    why: str | None = None
+    expectations: list[Check] = []
+    metrics: dict[str, Any] = {}
+    trace_sha256: str | None = None
     seed: int
     transport: str
     versions: dict[str, str]
-    bus: dict[str, Any]
-    balances: dict[str, Any]
-    speed: dict[str, float]
+    bus: dict[str, Any] = {}
+    balances: dict[str, Any] = {}
+    speed: dict[str, float] = {}
     scenario: Any
     model: Any
 
-    status: Literal["passed", "failed", "incomplete"]
+    status: Literal["passed", "failed", "incomplete"] = "incomplete"
     warnings: list[str] = []
     """What is likely to be a mistake in the scenario, with the cause."""
 
@@ -83,27 +82,25 @@ def junit_xml(result: Result) -> str:
     A run that did not finish is one case more, an error.
     """
     failed = [c for c in result.expectations if not c.passed]
-    cases: Sequence[Check] = result.expectations
     suite = ElementTree.Element(
         "testsuite",
         name=result.scenario_name,
-        tests=str(len(cases) + (not result.complete)),
+        tests=str(len(result.expectations) + (not result.complete)),
         failures=str(len(failed)),
         errors=str(int(not result.complete)),
         skipped="0",
         time=f"{result.speed.get('wall_s', 0.0):.3f}",
     )
-    for check in cases:
-        case = ElementTree.SubElement(
-            suite, "testcase", classname=result.scenario_name, name=check.name
-        )
-        if not check.passed:
-            ElementTree.SubElement(case, "failure", message=_xml_text(str(check)))
+
+    def add(name: str, problem: str, message: str | None) -> None:
+        case = ElementTree.SubElement(suite, "testcase", classname=result.scenario_name, name=name)
+        if message is not None:
+            ElementTree.SubElement(case, problem, message=_xml_text(message))
+
+    for check in result.expectations:
+        add(check.name, "failure", None if check.passed else str(check))
     if not result.complete:
-        case = ElementTree.SubElement(
-            suite, "testcase", classname=result.scenario_name, name="run finished"
-        )
-        ElementTree.SubElement(case, "error", message=_xml_text(result.why or "not finished"))
+        add("run finished", "error", result.why or "not finished")
     root = ElementTree.Element("testsuites")
     root.append(suite)
     ElementTree.indent(root)

@@ -82,7 +82,14 @@ def run(
     pacer = None if speed is None else Pacer(speed)
     plan = FaultPlan(scenario.fault, scenario.seed)
     bus = build.make_bus(scenario, plan)
-    base = _blank(loaded, transport)
+    base = Result(
+        scenario_name=scenario.name,
+        seed=scenario.seed,
+        transport=transport,
+        versions=versions(),
+        scenario=expanded(scenario),
+        model={path: loaded.parameters[path].value for path in loaded.parameters},
+    )
     summary: RunSummary | None = None
     why: str | None = None
     log: BusLog | None = None
@@ -146,28 +153,6 @@ def run(
     return _judge(loaded, folder, base, why, log, bus_result, summary, begun)
 
 
-def _blank(loaded: Loaded, transport: str) -> Result:
-    scenario = loaded.scenario
-    return Result(
-        scenario_name=scenario.name,
-        passed=False,
-        complete=False,
-        why=None,
-        expectations=[],
-        metrics={},
-        trace_sha256=None,
-        seed=scenario.seed,
-        transport=transport,
-        versions=versions(),
-        bus={},
-        balances={},
-        speed={},
-        scenario=expanded(scenario),
-        model={path: loaded.parameters[path].value for path in loaded.parameters},
-        status="incomplete",
-    )
-
-
 def _discard(folder: Path) -> None:
     """Remove what a run that could not begin has put into its folder."""
     for name in (SCENARIO, BUS_LOG, BUS_FRAMES, PLANT_TRACE, EVENTS, "result.json"):
@@ -205,9 +190,9 @@ def _judge(
         if recorded is not None:
             bus["end_to_end"] = checked.counts()
             record, balances = recorded.piece(0), dict(recorded.balances)
-            figures = metrics.whole_run(found, balances.get("air_in_kg"), switchings, log.frames)
+            figures = metrics.summary(found, balances.get("air_in_kg"), switchings, log.frames)
             if why is None:
-                checks = expectations.evaluate_observed(scenario.expect, observed, found, figures)
+                checks = expectations.evaluate(scenario.expect, observed, found, figures)
                 checks += _balance_checks(balances)
                 checks += response_check(scenario, bus)
     if why is None and record is None:
@@ -249,17 +234,9 @@ def _reader(loaded: Loaded, folder: Path, closing: contextlib.ExitStack) -> RunR
     """Return the recorded run, or None if the plant recorded fewer than two rows."""
     if not (folder / PLANT_TRACE).exists():
         return None
-    parameters = loaded.parameters
-    supply_pa = loaded.scenario.plant.supply_pressure_pa
+    constants, period_s = build.constants(loaded), loaded.scenario.trace_period_s
     recorded = closing.enter_context(
-        RunReader(
-            folder,
-            SENDERS,
-            supply_pressure_pa=parameters.value("supply.P_s") if supply_pa is None else supply_pa,
-            stroke_m=parameters.value("length.stroke"),
-            free_travel_m=parameters.value("length.x_free_total"),
-            trace_period_s=loaded.scenario.trace_period_s,
-        )
+        RunReader(folder, SENDERS, constants=constants, trace_period_s=period_s)
     )
     return recorded if recorded.rows > 1 else None
 
@@ -290,8 +267,6 @@ def _figures(
 
 
 def _balance_checks(balances: dict[str, Any]) -> list[Check]:
-    if not balances:
-        return [Check(name="mass and energy balances", passed=False, value=None, limit="closed")]
-    closed = balances["closed"] == 1.0
-    state = "closed" if closed else "open"
+    closed = balances.get("closed") == 1.0
+    state = ("closed" if closed else "open") if balances else None
     return [Check(name="mass and energy balances", passed=closed, value=state, limit="closed")]

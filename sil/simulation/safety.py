@@ -27,7 +27,7 @@ from can_dbc.messages import ControllerStatus, E2eState, Fault, Gear, ValveComma
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.faults import BusOff, Dead, Delay, Stalled
 from sil.recording.run_record import BusFrame, RunRecord
-from sil.simulation.metrics import gear_position_m
+from sil.simulation.metrics import gear_at, gear_position_m
 from sil.simulation.scenario import Scenario
 
 FILLED_PA = 3e5
@@ -64,14 +64,11 @@ def fault_start_s(scenario: Scenario) -> float:
     clock = scenario.clock
     if scenario.bus.extra_load or clock.controller_ppm or clock.driver_ppm:
         return 0.0
-    lists = (
-        scenario.fault,
-        scenario.sensor_fault,
-        scenario.temperature_fault,
-        scenario.speed_fault,
-        scenario.valve_fault,
-    )
-    return min((fault.start_s for faults in lists for fault in faults), default=math.inf)
+    faults = [
+        *(*scenario.fault, *scenario.sensor_fault, *scenario.temperature_fault),
+        *(*scenario.speed_fault, *scenario.valve_fault),
+    ]
+    return min((fault.start_s for fault in faults), default=math.inf)
 
 
 def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
@@ -106,9 +103,7 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     if len(late) and late[-1] + 1 < len(time_s):
         off = float(time_s[late[-1] + 1]) - start
     end = float(position[-1])
-    end_gear = true_gear(
-        end, record.stroke_m, windows.neutral_tolerance_m, windows.gear_tolerance_m
-    )
+    end_gear = gear_at(end, record.stroke_m, windows.gear_tolerance_m, windows.neutral_tolerance_m)
     impacts = [abs(float(e.values["speed_m_s"])) for e in record.events if e.name == "stay_stop"]
     both = (truth["pressure_B_pa"] > FILLED_PA) & (truth["pressure_F_pa"] > FILLED_PA)
     step = float(np.median(np.diff(time_s)))
@@ -134,9 +129,8 @@ Reports = list[tuple[BusFrame, ControllerStatus | None]]
 def accepted_status(record: RunRecord) -> Reports:
     """Return the status frames that pass end-to-end protection; None where it turns invalid."""
     receiver = Receiver(ControllerStatus, E2eConfig(timeout_ns=round(REPORT_HOLDS_S * NS_PER_S)))
-    wanted = can_id_of(ControllerStatus)
     found: Reports = []
-    for entry in record.frames_of(wanted):
+    for entry in record.frames_of(can_id_of(ControllerStatus)):
         status = receiver.receive(entry.arrival_ns, entry.frame)
         if receiver.state(entry.arrival_ns) is not E2eState.VALID:
             found.append((entry, None))
@@ -147,30 +141,16 @@ def accepted_status(record: RunRecord) -> Reports:
 
 def _reported_at(status: Reports, at_s: float) -> float:
     """Return the gear reported by a valid status frame at an instant in s; NaN without one."""
-    if (
-        not status
-        or status[-1][1] is None
-        or at_s - status[-1][0].arrival_ns / NS_PER_S > REPORT_HOLDS_S
-    ):
+    entry, message = status[-1] if status else (None, None)
+    if entry is None or message is None or at_s - entry.arrival_ns / NS_PER_S > REPORT_HOLDS_S:
         return math.nan
-    return float(status[-1][1].confirmed)
+    return float(message.confirmed)
 
 
-def true_gear(position_m: float, stroke_m: float, neutral_m: float, gear_m: float) -> Gear:
-    """Return the gear in whose window the true position is, UNKNOWN between the windows."""
-    for gear, width in ((Gear.NEUTRAL, neutral_m), (Gear.BACKWARD, gear_m), (Gear.FORWARD, gear_m)):
-        if abs(position_m - gear_position_m(gear, stroke_m)) <= width:
-            return gear
-    return Gear.UNKNOWN
-
-
-def controller_down_ns(scenario: Scenario) -> list[tuple[int, float]]:
-    """Return the intervals in ns in which the controller is dead or cut off from the plant."""
+def controller_down_s(scenario: Scenario) -> list[tuple[float, float]]:
+    """Return the intervals in s in which the controller is dead or cut off from the plant."""
     return [
-        (
-            round(fault.start_s * NS_PER_S),
-            math.inf if fault.end_s is None else fault.end_s * NS_PER_S,
-        )
+        (fault.start_s, math.inf if fault.end_s is None else fault.end_s)
         for fault in scenario.fault
         if (isinstance(fault, Dead | Stalled) and fault.node == "controller")
         or (isinstance(fault, BusOff) and fault.node in ("controller", "plant"))
@@ -186,19 +166,18 @@ def orphan_energised_s(record: RunRecord, scenario: Scenario) -> float:
     time_s = record.truth["time_s"]
     under_way = 0.005 + _stated_delays_s(scenario)
     duties = np.stack([record.truth[f"cmd_{c}"] for c in "BNF"])
-    wanted = can_id_of(ValveCommand)
-    heard_s = [-math.inf] + [
+    energised = (duties > ENERGISED).any(axis=0)
+    commanded_s = [-math.inf] + [
         entry.arrival_ns / NS_PER_S
-        for entry in record.frames_of(wanted)
+        for entry in record.frames_of(can_id_of(ValveCommand))
         if entry.sender == "controller"
     ]
-    last_s = np.array(heard_s)[np.searchsorted(heard_s, time_s, side="right") - 1]
-    silent = time_s - last_s > scenario.valve_driver.timeout_s + 0.001
-    orphaned = silent & (duties > ENERGISED).any(axis=0)
-    for start_ns, end_ns in controller_down_ns(scenario):
-        begin = start_ns / NS_PER_S + scenario.valve_driver.timeout_s + under_way
-        down = (time_s > begin) & (time_s < end_ns / NS_PER_S)
-        orphaned |= down & (duties > ENERGISED).any(axis=0)
+    last_s = np.array(commanded_s)[np.searchsorted(commanded_s, time_s, side="right") - 1]
+    orphaned = energised & (time_s - last_s > scenario.valve_driver.timeout_s + 0.001)
+    for start_s, end_s in controller_down_s(scenario):
+        begin_s = start_s + scenario.valve_driver.timeout_s + under_way
+        down = (time_s > begin_s) & (time_s < end_s)
+        orphaned |= down & energised
     return float(np.count_nonzero(orphaned)) * float(np.median(np.diff(time_s)))
 
 

@@ -8,15 +8,16 @@ import pytest
 
 from can_dbc.messages import Gear
 from sil.simulation import metrics
-from sil.simulation.expectations import Expectations, Limits, Timing, evaluate
+from sil.simulation.expectations import Expectations, Limits, Observed, Timing, evaluate
 from tests.unit.sil import made_run
 
 
 def judged(**wanted: Any) -> dict[str, bool]:
     record = made_run.made()
     found = metrics.shifts(record, Gear.NEUTRAL)
-    figures = metrics.summary(record, found, 0.0)
-    return {c.name: c.passed for c in evaluate(Expectations(**wanted), record, found, figures)}
+    figures = metrics.summary(found, 0.0, 2, 200)
+    checks = evaluate(Expectations(**wanted), Observed(record), found, figures)
+    return {c.name: c.passed for c in checks}
 
 
 def test_an_empty_table_still_refuses_an_empty_success() -> None:

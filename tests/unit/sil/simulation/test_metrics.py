@@ -103,12 +103,13 @@ def test_a_request_that_leads_nowhere_has_no_times() -> None:
     found = metrics.shifts(stuck, Gear.NEUTRAL)
     assert found[0].arrived_s is None and found[0].shift_time_s is None
     assert found[0].position_lag_10_s is None
-    assert metrics.summary(stuck, found, 0.0)["shift_time_s"] is None
+    assert metrics.summary(found, 0.0, 0, 0)["shift_time_s"] is None
 
 
 def test_summary_of_the_run() -> None:
     record = made_run.made()
-    figures = metrics.summary(record, metrics.shifts(record, Gear.NEUTRAL), 0.004)
+    found, switchings = metrics.shifts(record, Gear.NEUTRAL), metrics.valve_switchings(record)
+    figures = metrics.summary(found, 0.004, switchings, len(record.frames))
     assert figures["shift_time_s"] == pytest.approx(0.050)
     assert figures["impact_energy_j"] == 0.2
     assert figures["valve_switchings"] == 2
@@ -134,7 +135,7 @@ def test_a_run_that_ended_early_has_the_figures_it_got_to(end_s: float) -> None:
         assert len(found) == (frames_end_s >= 0.1003)
         if found and end_s < 0.15:
             assert found[0].arrived_s is None
-        metrics.summary(cut, found, None)
+        metrics.summary(found, None, 0, 0)
         assert trace_columns(cut)["time_s"][-1] <= end_s + 1e-4
         assert shift_zooms(cut, found)
 

@@ -34,7 +34,7 @@ class _Tags(HTMLParser):
 def test_page_is_well_formed_and_needs_no_network() -> None:
     record = made_run.made()
     shifts = metrics.shifts(record, Gear.NEUTRAL)
-    figures = metrics.summary(record, shifts, None)
+    figures = metrics.summary(shifts, None, 2, 200)
     result = made_result(
         metrics=figures,
         scenario={"description": "<script>alert(1)</script>"},
