@@ -5,54 +5,114 @@ The same format holds measured strokes and simulated ones.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
-from plant.parameters import read_toml
-from plant.systems.stroke import KINDS, Stroke, StrokeConditions
+from can_dbc.typed_toml import convert, read_toml
+from plant.systems.stroke import Stroke, StrokeConditions
 
 Floats = NDArray[np.float64]
 
-TOP_KEYS = {"name", "rig", "atmosphere_pa", "temperature_k", "sample_rate_hz", "stroke", "columns"}
-STROKE_KEYS = {
-    "file",
-    "label",
-    "kind",
-    "supply_pressure_pa",
-    "load",
-    "spring_n_per_m",
-    "start_offset_m",
-    "rest_s",
-    "commands",
-    "charged_before",
-    "damper_model",
-    "flow_model",
-    "mounted",
-    "mesh_force_n",
-    "sync_impulse_n_s",
-}
-RIGS = ("fixed", "length", "both")
-LOADS = ("none", "damper", "spring")
-DAMPER_MODELS = ("compressible", "incompressible")
-FLOW_MODELS = ("mapped", "theoretical")
 DECIMALS = {"time_s": 4, "position_m": 7, "position_internal_m": 7}
 
+Text = Annotated[str, Meta(min_length=1)]
+Rate = Annotated[float, Meta(ge=1.0, le=1e8)]
 
-@dataclass(frozen=True)
-class ColumnMap:
-    """Where one of our columns comes from in another rig's file: theirs * scale + offset."""
 
-    theirs: str
+class ColumnMap(Struct, frozen=True, forbid_unknown_fields=True):
+    """Where one of our columns comes from in another rig's file: column * scale + offset."""
+
+    column: Text
     scale: float = 1.0
     offset: float = 0.0
+
+
+class StrokeTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """One [[stroke]] of campaign.toml."""
+
+    file: Text
+    kind: Literal["fixed", "N-B", "B-N", "N-F", "F-N"]
+    supply_pressure_pa: Annotated[float, Meta(ge=1e4, le=5e6)]
+    commands: list[
+        tuple[Annotated[float, Meta(ge=0.0, le=1e5)], str, Annotated[float, Meta(ge=0.0, le=1.0)]]
+    ]
+    label: Text | None = None
+    load: Literal["none", "damper", "spring"] = "none"
+    spring_n_per_m: Annotated[float, Meta(ge=0.0, le=1e8)] = 0.0
+    start_offset_m: Annotated[float, Meta(ge=-1.0, le=1.0)] = 0.0
+    rest_s: Annotated[float, Meta(ge=0.0, le=1e9)] = 60.0
+    charged_before: tuple[str, ...] = ()
+    damper_model: Literal["compressible", "incompressible"] = "compressible"
+    flow_model: Literal["mapped", "theoretical"] = "mapped"
+    mounted: bool = False
+    mesh_force_n: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
+    sync_impulse_n_s: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
+
+    def __post_init__(self) -> None:
+        valves = ("1", "2") if self.kind == "fixed" else ("B", "N", "F")
+        for index, (_, valve, _) in enumerate(self.commands):
+            if valve not in valves:
+                raise InputError(
+                    f"commands[{index}]: valve {valve!r}; expected {', '.join(valves)}"
+                )
+        if not set(self.charged_before) <= set(valves):
+            raise InputError(f"charged_before: {self.charged_before}; expected of {valves}")
+        if Path(self.file).name != self.file or not self.file.isprintable():
+            raise InputError(
+                f"file: {self.file!r}; expected the name of a file next to campaign.toml"
+            )
+
+    def conditions(
+        self, atmosphere_pa: float, temperature_k: float, progress: float
+    ) -> StrokeConditions:
+        """Return what the plant has to know; `progress` as in `StrokeConditions`."""
+        return StrokeConditions(
+            kind=self.kind,
+            supply_pressure_pa=self.supply_pressure_pa,
+            commands=tuple(sorted(self.commands, key=lambda command: command[0])),
+            atmosphere_pa=atmosphere_pa,
+            temperature_k=temperature_k,
+            load=self.load,
+            spring_n_per_m=self.spring_n_per_m,
+            start_offset_m=self.start_offset_m,
+            charged_before=self.charged_before,
+            damper_model=self.damper_model,
+            theoretical_flow=self.flow_model == "theoretical",
+            mounted=self.mounted,
+            mesh_force_n=self.mesh_force_n,
+            sync_impulse_n_s=self.sync_impulse_n_s,
+            rest_s=self.rest_s,
+            progress=progress,
+        )
+
+
+class CampaignTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """The keys of campaign.toml."""
+
+    name: Text
+    rig: Literal["fixed", "length", "both"]
+    atmosphere_pa: Annotated[float, Meta(ge=1e3, le=2e5)]
+    temperature_k: Annotated[float, Meta(ge=150.0, le=500.0)]
+    sample_rate_hz: Rate
+    stroke: Annotated[list[StrokeTable], Meta(min_length=1)]
+    columns: dict[str, Text | ColumnMap] = {}
+
+
+def column_maps(columns: Mapping[str, str | ColumnMap]) -> dict[str, ColumnMap]:
+    """Return [columns] with `ours = "theirs"` as the map that it is short for."""
+    return {
+        ours: ColumnMap(theirs) if isinstance(theirs, str) else theirs
+        for ours, theirs in columns.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -119,182 +179,28 @@ def load_campaign(path: str | Path) -> Campaign:
     file = folder if folder.suffix == ".toml" else folder / "campaign.toml"
     if not file.is_file():
         raise InputError(f"{path}: no campaign.toml; expected a campaign folder")
-    raw = read_toml(file)
-    name = str(file)
-    unknown = sorted(set(raw) - TOP_KEYS)
-    if unknown:
-        raise InputError(
-            f"{name}: {unknown[0]}: unknown key; expected {', '.join(sorted(TOP_KEYS))}"
-        )
-    strokes = raw.get("stroke")
-    if not isinstance(strokes, list) or not strokes:
-        raise InputError(f"{name}: no [[stroke]]; expected at least one")
-    rig = text(raw, "rig", name, RIGS)
-    atmosphere = real(raw, "atmosphere_pa", name, low=1e3, high=2e5)
-    temperature = real(raw, "temperature_k", name, low=150.0, high=500.0)
-    rate = real(raw, "sample_rate_hz", name, low=1.0, high=1e8)
-    parsed = []
-    for number, entry in enumerate(strokes, start=1):
-        where = f"{name}: stroke {number}"
-        if not isinstance(entry, dict):
-            raise InputError(f"{where}: expected a table")
-        stroke = parse_stroke(entry, where, atmosphere, temperature)
-        progress = (number - 1) / (len(strokes) - 1) if len(strokes) > 1 else 1.0
-        conditions = replace(stroke.conditions, progress=progress)
-        parsed.append(replace(stroke, conditions=conditions))
+    table = convert(read_toml(file), CampaignTable, str(file))
+    last = max(len(table.stroke) - 1, 1)
+    single = len(table.stroke) == 1
     return Campaign(
         folder=file.parent,
-        name=text(raw, "name", name),
-        rig=rig,
-        atmosphere_pa=atmosphere,
-        temperature_k=temperature,
-        sample_rate_hz=rate,
-        strokes=tuple(parsed),
-        columns=parse_columns(raw.get("columns", {}), name),
-    )
-
-
-def parse_stroke(
-    entry: Mapping[str, Any], where: str, atmosphere_pa: float, temperature_k: float
-) -> CampaignStroke:
-    """One [[stroke]] table as conditions; InputError names the key.
-
-    Raises InputError naming the key.
-    """
-    unknown = sorted(set(entry) - STROKE_KEYS)
-    if unknown:
-        raise InputError(
-            f"{where}: {unknown[0]}: unknown key; expected {', '.join(sorted(STROKE_KEYS))}"
-        )
-    kind = text(entry, "kind", where, KINDS)
-    valves = ("1", "2") if kind == "fixed" else ("B", "N", "F")
-    commands = []
-    raw_commands = entry.get("commands")
-    if not isinstance(raw_commands, list):
-        raise InputError(f"{where}: commands: expected a list of [time_s, valve, duty]")
-    for index, command in enumerate(raw_commands, start=1):
-        command_at = f"{where}: command {index}"
-        if not isinstance(command, list) or len(command) != 3:
-            raise InputError(f"{command_at}: expected [time_s, valve, duty], got {command!r}")
-        when = finite(command[0], f"{command_at}: time", 0.0, 1e5)
-        if command[1] not in valves:
-            raise InputError(f"{command_at}: valve {command[1]!r}; expected {', '.join(valves)}")
-        commands.append(
-            (when, str(command[1]), finite(command[2], f"{command_at}: duty", 0.0, 1.0))
-        )
-    if any(late[0] < early[0] for early, late in pairwise(commands)):
-        commands.sort(key=lambda command: command[0])
-    charged = entry.get("charged_before", [])
-    if not isinstance(charged, list) or any(name not in valves for name in charged):
-        raise InputError(f"{where}: charged_before: {charged!r}; expected of {', '.join(valves)}")
-    load = text(entry, "load", where, LOADS) if "load" in entry else "none"
-    mounted = entry.get("mounted", False)
-    if not isinstance(mounted, bool):
-        raise InputError(f"{where}: mounted: expected true or false, got {mounted!r}")
-    file = text(entry, "file", where)
-    if Path(file).name != file or not file.isprintable():
-        raise InputError(
-            f"{where}: file {file!r}; expected the name of a file next to campaign.toml"
-        )
-
-    def optional(key: str, default: float, low: float, high: float) -> float:
-        return real(entry, key, where, low=low, high=high) if key in entry else default
-
-    return CampaignStroke(
-        file=file,
-        label=text(entry, "label", where) if "label" in entry else kind,
-        conditions=StrokeConditions(
-            kind=kind,
-            supply_pressure_pa=real(entry, "supply_pressure_pa", where, low=1e4, high=5e6),
-            commands=tuple(commands),
-            atmosphere_pa=atmosphere_pa,
-            temperature_k=temperature_k,
-            load=load,
-            spring_n_per_m=optional("spring_n_per_m", 0.0, 0.0, 1e8),
-            start_offset_m=optional("start_offset_m", 0.0, -1.0, 1.0),
-            charged_before=tuple(charged),
-            damper_model=(
-                text(entry, "damper_model", where, DAMPER_MODELS)
-                if "damper_model" in entry
-                else "compressible"
-            ),
-            theoretical_flow=(
-                "flow_model" in entry
-                and text(entry, "flow_model", where, FLOW_MODELS) == "theoretical"
-            ),
-            mounted=mounted,
-            mesh_force_n=optional("mesh_force_n", 0.0, 0.0, 1e6),
-            sync_impulse_n_s=optional("sync_impulse_n_s", 0.0, 0.0, 1e6),
-            rest_s=optional("rest_s", 60.0, 0.0, 1e9),
-        ),
-    )
-
-
-def parse_columns(raw: object, name: str) -> dict[str, ColumnMap]:
-    """Return the [columns] table: ours = "theirs", or a table with column, scale, offset.
-
-    Raises InputError naming the column.
-    """
-    if not isinstance(raw, dict):
-        raise InputError(f"{name}: [columns]: expected a table")
-    columns = {}
-    for ours, value in raw.items():
-        where = f"{name}: [columns] {ours}"
-        if isinstance(value, str):
-            columns[ours] = ColumnMap(value)
-            continue
-        if not isinstance(value, dict) or not isinstance(value.get("column"), str):
-            raise InputError(
-                f'{where}: expected "theirs" or {{ column = "theirs", scale = , offset = }}'
+        name=table.name,
+        rig=table.rig,
+        atmosphere_pa=table.atmosphere_pa,
+        temperature_k=table.temperature_k,
+        sample_rate_hz=table.sample_rate_hz,
+        strokes=tuple(
+            CampaignStroke(
+                entry.file,
+                entry.label or entry.kind,
+                entry.conditions(
+                    table.atmosphere_pa, table.temperature_k, 1.0 if single else number / last
+                ),
             )
-        unknown = sorted(set(value) - {"column", "scale", "offset"})
-        if unknown:
-            raise InputError(f"{where}: {unknown[0]}: unknown key; expected column, scale, offset")
-        columns[ours] = ColumnMap(
-            value["column"],
-            finite(value.get("scale", 1.0), f"{where}.scale"),
-            finite(value.get("offset", 0.0), f"{where}.offset"),
-        )
-    return columns
-
-
-def text(
-    table: Mapping[str, Any], key: str, where: str, allowed: Sequence[str] | None = None
-) -> str:
-    """Return a non-empty text of a table, one of `allowed` if given.
-
-    Raises InputError naming the key.
-    """
-    if key not in table:
-        raise InputError(f"{where}: no {key}")
-    value = table[key]
-    if not isinstance(value, str) or not value:
-        raise InputError(f"{where}: {key}: expected a text, got {value!r}")
-    if allowed is not None and value not in allowed:
-        raise InputError(f"{where}: {key}: {value!r}; expected {', '.join(allowed)}")
-    return value
-
-
-def real(table: Mapping[str, Any], key: str, where: str, *, low: float, high: float) -> float:
-    """Return a number of a table within [low, high].
-
-    Raises InputError naming the key.
-    """
-    if key not in table:
-        raise InputError(f"{where}: no {key}")
-    return finite(table[key], f"{where}: {key}", low, high)
-
-
-def finite(value: object, where: str, low: float = -1e300, high: float = 1e300) -> float:
-    """Return a finite number within [low, high], or InputError naming where.
-
-    Raises InputError naming where it was read.
-    """
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f"{where}: expected a number, got {value!r}")
-    if not low <= value <= high:  # nor not-a-number, nor what is too large for a float
-        raise InputError(f"{where}: {value!r}; expected {low:g} to {high:g}")
-    return float(value)
+            for number, entry in enumerate(table.stroke)
+        ),
+        columns=column_maps(table.columns),
+    )
 
 
 def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> Record:
@@ -328,12 +234,12 @@ def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> R
         raise InputError(f"{path}: {len(table)} samples; expected at least 2")
     found = {name: table[:, k] for k, name in enumerate(header)}
     for ours, source in (columns or {}).items():
-        if source.theirs not in header:
+        if source.column not in header:
             raise InputError(
-                f"{path}: line 1: no column {source.theirs!r} (mapped to {ours}); "
+                f"{path}: line 1: no column {source.column!r} (mapped to {ours}); "
                 f"there are {', '.join(header)}"
             )
-        found[ours] = table[:, header.index(source.theirs)] * source.scale + source.offset
+        found[ours] = table[:, header.index(source.column)] * source.scale + source.offset
     if "time_s" not in found:
         raise InputError(f"{path}: line 1: no column time_s; there are {', '.join(header)}")
     steps = np.diff(found["time_s"])
@@ -407,7 +313,7 @@ def write_record(path: Path, columns: Mapping[str, Floats]) -> None:
 def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
     """Return the text of campaign.toml for a campaign."""
     lines = [
-        f"name = {quoted(campaign.name)}",
+        f"name = {_quoted(campaign.name)}",
         f'rig = "{campaign.rig}"',
         f"atmosphere_pa = {campaign.atmosphere_pa!r}",
         f"temperature_k = {campaign.temperature_k!r}",
@@ -420,8 +326,8 @@ def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
         lines += [
             "",
             "[[stroke]]",
-            f"file = {quoted(stroke.file)}",
-            f"label = {quoted(stroke.label)}",
+            f"file = {_quoted(stroke.file)}",
+            f"label = {_quoted(stroke.label)}",
             f'kind = "{c.kind}"',
             f"supply_pressure_pa = {c.supply_pressure_pa!r}",
             f'load = "{c.load}"',
@@ -444,8 +350,6 @@ def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def quoted(value: str) -> str:
+def _quoted(value: str) -> str:
     """Return a TOML basic string."""
-    import json
-
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

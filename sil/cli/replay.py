@@ -159,7 +159,9 @@ def _write(arguments: argparse.Namespace, outcome: ReplayResult, values: dict[st
 
 def _summary(arguments: argparse.Namespace) -> int:
     from can_dbc.errors import InputError
-    from sil.j1939.shifts import PGN_ETC1, PGN_ETC2, summarize
+    from sil.j1939.gear_history import PGN_ETC2
+    from sil.j1939.shift_flag import PGN_ETC1
+    from sil.j1939.shifts import summarize
     from sil.logs import open_log
 
     if arguments.out is not None:

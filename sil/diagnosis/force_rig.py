@@ -16,16 +16,17 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
+from can_dbc.typed_toml import convert, read_toml
 from plant.effects import CATALOGUE
 from plant.effects.force_term import ForceTerm, Motion
-from plant.parameters import read_toml
-from sil.campaign.campaign import ColumnMap, finite, parse_columns, read_record, real, text
+from sil.campaign.campaign import ColumnMap, Rate, Text, column_maps, read_record
 from sil.diagnosis.causes import Cause, diagnosis_json
 from sil.diagnosis.checks import longest_run
 from sil.diagnosis.intervals import Interval
@@ -35,8 +36,6 @@ from sil.fitting.floor import EXPLAINED
 
 Floats = NDArray[np.float64]
 
-KEYS = {"name", "rig", "sample_rate_hz", "columns", "body", "stroke"}
-BODY_KEYS = {"mass_kg", "piston_area_m2", "slow_m_s", "smooth_s"}
 BODY = (("coulomb_n", "N"), ("viscous_n_s_m", "N s/m"), ("offset_n", "N"), ("mass_kg", "kg"))
 BLOCKS = 24
 LEAST_GAIN = 0.03
@@ -57,6 +56,34 @@ TERMS: dict[str, ForceTerm] = {
     name: item.force for name, item in CATALOGUE.items() if item.force is not None
 }
 """Effects that a force balance alone can show."""
+
+
+class Body(Struct, frozen=True, forbid_unknown_fields=True):
+    """The [body] of campaign.toml."""
+
+    mass_kg: Annotated[float, Meta(ge=0.0, le=1e6)] | None = None
+    piston_area_m2: Annotated[float, Meta(ge=-10.0, le=10.0)] = 0.0
+    slow_m_s: Annotated[float, Meta(ge=0.0, le=1e3)] | None = None
+    """Slower samples are left out; without it, 5 % of the highest speeds."""
+    smooth_s: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.02
+
+
+class RecordedMotion(Struct, frozen=True, forbid_unknown_fields=True):
+    """One [[stroke]] of campaign.toml."""
+
+    file: Text
+    label: str = ""
+
+
+class ForceRig(Struct, frozen=True, forbid_unknown_fields=True):
+    """The keys of campaign.toml with rig = "force"."""
+
+    name: Text
+    rig: Literal["force"]
+    sample_rate_hz: Rate
+    stroke: Annotated[list[RecordedMotion], Meta(min_length=1)]
+    columns: dict[str, Text | ColumnMap] = {}
+    body: Body = Body()
 
 
 @dataclass(frozen=True)
@@ -103,31 +130,17 @@ def read_motion(path: str | Path) -> tuple[str, Motion, float | None]:
     number, a force that is stuck, a body that never moves.
     """
     file = description(path)
-    raw = read_toml(file)
-    name = str(file)
-    unknown = sorted(set(raw) - KEYS)
-    if unknown:
-        raise InputError(f"{name}: {unknown[0]}: unknown key; expected {', '.join(sorted(KEYS))}")
-    body = raw.get("body", {})
-    if not isinstance(body, dict) or set(body) - BODY_KEYS:
-        raise InputError(f"{name}: [body]: expected a table of {', '.join(sorted(BODY_KEYS))}")
-    columns = parse_columns(raw.get("columns", {}), name)
-    rate = real(raw, "sample_rate_hz", name, low=1.0, high=1e8)
-    strokes = raw.get("stroke")
-    if not isinstance(strokes, list) or not strokes:
-        raise InputError(f"{name}: no [[stroke]]; expected at least one")
-    parts = []
-    for number, entry in enumerate(strokes, start=1):
-        where = f"{name}: stroke {number}"
-        if not isinstance(entry, dict) or set(entry) - {"file", "label"}:
-            raise InputError(f"{where}: expected file and label")
-        parts.append(moving(file.parent / text(entry, "file", where), columns, body, rate, name))
+    rig = convert(read_toml(file), ForceRig, str(file))
+    columns, mass = column_maps(rig.columns), rig.body.mass_kg
+    parts = [
+        moving(file.parent / entry.file, columns, rig.body, rig.sample_rate_hz)
+        for entry in rig.stroke
+    ]
     table = np.concatenate([samples for samples, _variances in parts])
     first = np.cumsum([0, *(samples[-1, 5] + 1 for samples, _variances in parts)])
     lengths = [len(samples) for samples, _variances in parts]
     block = (table[:, 5] + np.repeat(first[:-1], lengths)).astype(np.int64)
     force, speed, acceleration, position, pressure = table[:, :5].T
-    mass = finite(body["mass_kg"], f"{name}: mass_kg", 0.0, 1e6) if "mass_kg" in body else None
     motion = Motion(
         force,
         speed,
@@ -135,7 +148,7 @@ def read_motion(path: str | Path) -> tuple[str, Motion, float | None]:
         position,
         None if np.isnan(pressure).any() else pressure,
         block,
-        rate,
+        rig.sample_rate_hz,
         0.0,
     )
     variances = np.average([v for _samples, v in parts], axis=0, weights=lengths)
@@ -143,11 +156,11 @@ def read_motion(path: str | Path) -> tuple[str, Motion, float | None]:
     found = np.linalg.lstsq(plain, target, rcond=None)[0]
     scales = np.array([1.0, found[1], found[3] if mass is None else mass])
     noise = float(np.sqrt(np.sum(scales**2 * variances)))
-    return text(raw, "name", name), replace(motion, noise_n=noise), mass
+    return rig.name, replace(motion, noise_n=noise), mass
 
 
 def moving(
-    path: Path, columns: Mapping[str, ColumnMap], body: Mapping[str, Any], rate: float, name: str
+    path: Path, columns: Mapping[str, ColumnMap], body: Body, rate: float
 ) -> tuple[Floats, Floats]:
     """Return one file's moving samples and the noise variances of force, speed and acceleration.
 
@@ -155,7 +168,7 @@ def moving(
     without], block of time. Raises InputError as `read_motion` does.
     """
     record = read_record(path, columns)
-    area = finite(body.get("piston_area_m2", 0.0), f"{name}: piston_area_m2", -10.0, 10.0)
+    area = body.piston_area_m2
     if "position_m" not in record:
         raise InputError(f"{path}: no position_m; expected position and a driving force")
     if "force_n" not in record and not (area and "pressure_pa" in record):
@@ -175,8 +188,7 @@ def moving(
     if area:
         force = force + area * pressure
     step = float(grid[1] - grid[0])
-    smooth_s = finite(body.get("smooth_s", 0.02), f"{name}: smooth_s", 0.0, 10.0)
-    half = max(2, round(0.5 * smooth_s / step))
+    half = max(2, round(0.5 * body.smooth_s / step))
     position = even("position_m")
     x, v, a = (
         scale * local_polynomial(position, half, order) / step**order
@@ -184,7 +196,7 @@ def moving(
     )
     d = local_polynomial(force, half, 0)
     fast = float(np.quantile(np.abs(v), 0.99))
-    slow = finite(body.get("slow_m_s", 0.05 * fast), f"{name}: slow_m_s", 0.0, 1e3)
+    slow = 0.05 * fast if body.slow_m_s is None else body.slow_m_s
     keep = np.abs(v) > slow
     keep[: 2 * half] = keep[-2 * half :] = False
     if np.count_nonzero(keep) < 100:

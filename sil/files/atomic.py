@@ -5,27 +5,57 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 from typing import BinaryIO
+
+
+class NewFile:
+    """A new file that takes the name `path` by `keep`, and vanishes by `discard`.
+
+    Until then it is `.NAME.PID.NUMBER.part` in the same folder, so that two writers never write
+    into one file. A link called `path` is replaced, not followed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open the new file. Raises OSError naming `path`."""
+        self._path = path
+        for number in count():
+            self._part = path.with_name(f".{path.name}.{os.getpid()}.{number}.part")
+            try:
+                self.file: BinaryIO = open(self._part, "x+b")  # noqa: SIM115 closed below
+                return
+            except FileExistsError:
+                continue
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(path)) from None
+
+    def keep(self) -> None:
+        """Close the file and give it its name. Raises OSError."""
+        self.file.close()
+        os.replace(self._part, self._path)
+
+    def discard(self) -> None:
+        """Close and remove the file."""
+        with contextlib.suppress(OSError):  # what is buffered may find no room
+            self.file.close()
+        with contextlib.suppress(OSError):
+            self._part.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
 def open_atomically(path: Path) -> Iterator[BinaryIO]:
     """Open a new file that takes the name `path` when the block ends, and vanishes if it fails.
 
-    Until then it is `.NAME.PID.part` in the same folder, so that two processes never write into one
-    file.  A link called `path` is replaced, not followed.  Raises OSError naming `path`.
+    Raises OSError naming `path`.
     """
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    new = NewFile(path)
     try:
-        part.unlink(missing_ok=True)
-        with open(part, "xb") as file:
-            yield file
-        os.replace(part, path)
+        yield new.file
+        new.keep()
     except BaseException as error:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.filename in (None, str(part)):
+        new.discard()
+        if isinstance(error, OSError) and error.filename in (None, str(new._part)):
             raise OSError(error.errno, error.strerror, str(path)) from None
         raise
 

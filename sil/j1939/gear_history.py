@@ -1,13 +1,16 @@
-"""The gears that one ETC2 sender reports, as runs of equal samples, and shifts out of them."""
+"""The gears that one ETC2 sender reports, as runs of equal samples, and shifts out of them.
+
+Layout: SAE J1939-71, PGN 61445.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from sil.j1939.transmission import gear_at
-
+PGN_ETC2: Final = 61445
+_GEAR_OFFSET: Final = 125
+_PARK_BYTE: Final = 0xFB
 SETTLE_NS: Final = 1_000_000_000
 """After a shift the reported gear may lag so long behind (ETC2 comes every 100 ms)."""
 
@@ -15,6 +18,12 @@ NEUTRAL_PASS_NS: Final = 2_000_000_000
 """Neutral for less than this between two gears is part of one shift."""
 
 MOST_RUNS: Final = 1_000_000
+
+
+def gear_at(data: bytes, byte: int) -> int | None:
+    """Return a gear, -125..125, 126 for park, None if not available (SPN 523, 524)."""
+    value = data[byte]
+    return value - _GEAR_OFFSET if value <= _PARK_BYTE else None
 
 
 @dataclass(slots=True)
@@ -26,6 +35,16 @@ class Run:
     first_ns: int
     last_ns: int
     samples: int = 1
+
+
+@dataclass(slots=True)
+class Stay:
+    """Samples in a row with the same valid current gear."""
+
+    current: int
+    first_ns: int
+    last_ns: int
+    samples: int
 
 
 class GearChange(NamedTuple):
@@ -93,8 +112,7 @@ class GearHistory:
 
         A single sample of another gear between samples of the same gear is chatter.
         """
-        self.chatter = 0
-        stays = list(self._stays())
+        stays = self._stays()
         found: list[GearChange] = []
         index = 0
         while index + 1 < len(stays):
@@ -104,18 +122,15 @@ class GearHistory:
                 beyond = stays[index + 2]
                 if beyond.first_ns - there.first_ns < NEUTRAL_PASS_NS:
                     there, step = beyond, 2
-            if (
-                here.current is not None
-                and there.current is not None
-                and here.current != there.current
-            ):
+            if here.current != there.current:
                 found.append(GearChange(here.last_ns, there.first_ns, here.current, there.current))
             index += step
         return found
 
-    def _stays(self) -> Iterator[Run]:
-        """Yield runs by the current gear alone, without invalid ones and without chatter."""
-        joined: list[Run] = []
+    def _stays(self) -> list[Stay]:
+        """Return the runs by the current gear alone, without invalid ones and without chatter."""
+        self.chatter = 0
+        joined: list[Stay] = []
         for run in self.runs:
             if run.current is None:
                 continue
@@ -123,17 +138,13 @@ class GearHistory:
                 joined[-1].last_ns = run.last_ns
                 joined[-1].samples += run.samples
                 continue
-            joined.append(Run(run.current, None, run.first_ns, run.last_ns, run.samples))
-            self._drop_chatter(joined)
-        yield from joined
-
-    def _drop_chatter(self, joined: list[Run]) -> None:
-        """Take a single odd sample out from between two runs of the same gear."""
-        if len(joined) < 3:
-            return
-        before, odd, after = joined[-3:]
-        if odd.samples == 1 and odd.current != 0 and before.current == after.current:
-            self.chatter += 1
-            del joined[-2:]
-            before.last_ns = after.last_ns
-            before.samples += after.samples
+            joined.append(Stay(run.current, run.first_ns, run.last_ns, run.samples))
+            if len(joined) < 3:
+                continue
+            before, odd, after = joined[-3:]
+            if odd.samples == 1 and odd.current != 0 and before.current == after.current:
+                self.chatter += 1
+                del joined[-2:]
+                before.last_ns = after.last_ns
+                before.samples += after.samples
+        return joined

@@ -1,4 +1,8 @@
-"""Shifts out of the shift-in-process flag of one ETC1 sender, one-sample chatter taken out."""
+"""Shifts out of the shift-in-process flag of one ETC1 sender, one-sample chatter taken out.
+
+Values out of range are None and nothing is refused: the codec of `can_dbc` is strict and knows the
+project's own source address only. Layout: SAE J1939-71, PGN 61442.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +11,8 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Final
 
-from sil.j1939.transmission import flag_at, word_at
-
+PGN_ETC1: Final = 61442
+_LAST_VALID_WORD: Final = 0xFAFF
 CHATTER_NS: Final = 50_000_000
 """A single sample that differs from those around it for less than this is chatter."""
 
@@ -20,6 +24,17 @@ _LEAST_OUTPUT: Final = 160
 """Output shaft speed (0.125 rpm) below which the ratio of two speeds is not used: 20 rpm."""
 
 _MOST_SAMPLES: Final = 1024
+
+
+def flag_at(data: bytes, byte: int, bit: int) -> bool | None:
+    """Return a two-bit state, bytes and bits from 0; None for error and not available."""
+    return (False, True, None, None)[data[byte] >> bit & 3]
+
+
+def word_at(data: bytes, byte: int) -> int | None:
+    """Return a two-byte number, None above the valid range."""
+    value = data[byte] | data[byte + 1] << 8
+    return value if value <= _LAST_VALID_WORD else None
 
 
 @dataclass(slots=True)
@@ -83,31 +98,22 @@ class FlagTracker:
         self._ratios.clear()
 
     def _flag(self, time_ns: int, flag: bool) -> None:
+        doubt_ns = self._doubt_ns
         if self._state is None:
             self._state = flag
-            self._begun_ns = None
-            return
-        if flag is self._state:
-            if self._doubt_ns is not None:
-                self._revert(time_ns)
-            return
-        if self._doubt_ns is None:
-            self._doubt_ns = time_ns
-        else:
-            self._change(self._doubt_ns)
-
-    def _revert(self, time_ns: int) -> None:
-        """One differing sample, then the old state again."""
-        doubt_ns = self._doubt_ns
-        self._doubt_ns = None
-        if doubt_ns is None:
-            return
-        if time_ns - doubt_ns < CHATTER_NS:
-            self.chatter += 1
-            self._shift_chatter += 1
-            return
-        self._change(doubt_ns)
-        self._change(time_ns)
+        elif flag is not self._state:
+            if doubt_ns is None:
+                self._doubt_ns = time_ns
+            else:
+                self._change(doubt_ns)
+        elif doubt_ns is not None:  # one sample differed, then the old state came again
+            self._doubt_ns = None
+            if time_ns - doubt_ns < CHATTER_NS:
+                self.chatter += 1
+                self._shift_chatter += 1
+            else:
+                self._change(doubt_ns)
+                self._change(time_ns)
 
     def _change(self, time_ns: int) -> None:
         """Record a change of the flag at this time."""

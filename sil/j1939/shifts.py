@@ -3,31 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final
 
-from can_dbc.frame import J1939Id, join_id, split_id
-from sil.j1939.gear_history import SETTLE_NS, GearHistory
-from sil.j1939.shift import Shift
-from sil.j1939.shift_flag import FlagTracker
-from sil.j1939.transmission import PGN_ETC1, PGN_ETC2
+from can_dbc.frame import split_id
+from sil.j1939.gear_history import PGN_ETC2, SETTLE_NS, GearHistory
+from sil.j1939.shift_flag import PGN_ETC1, FlagTracker
 from sil.logs.frame import LogFrame
 from sil.logs.registry import open_log
+from sil.logs.times import format_ns
 
-__all__ = [
-    "PGN_ETC1",
-    "PGN_ETC2",
-    "J1939Id",
-    "J1939Summary",
-    "Shift",
-    "ShiftFinder",
-    "join_id",
-    "split_id",
-    "summarize",
-]
-
+_GEAR_NAMES: Final = {0: "N", 126: "P"}
 RATIO_TOLERANCE: Final = 0.05
 _PGN_MASK: Final = 0x3FFFF00
 _ETC1_BITS: Final = PGN_ETC1 << 8
@@ -38,6 +26,54 @@ _GATEWAY_NS: Final = 100_000_000
 
 _TRANSMISSION: Final = 3
 """Source address of transmission #1 (SAE J1939-81)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """A gear shift in a log.
+
+    from_gear, to_gear: None if unknown; negative is reverse, 0 neutral, 126 park.
+    from_ratio, to_ratio: input by output shaft speed before and after, None where not known.
+    method: "flag" (SPN 574, shift in process) or "gear" (SPN 523, current gear changed).
+    chatter: one-sample changes of the flag left out inside.
+    """
+
+    start_ns: int
+    end_ns: int
+    from_gear: int | None
+    to_gear: int | None
+    source: int
+    channel: str
+    method: str
+    chatter: int = 0
+    from_ratio: float | None = None
+    to_ratio: float | None = None
+
+    @property
+    def duration_s(self) -> float:
+        """From its first to its last instant."""
+        return (self.end_ns - self.start_ns) / 1e9
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all of it as plain JSON values."""
+        return asdict(self) | {"duration_s": self.duration_s}
+
+    def __str__(self) -> str:
+        sender = f"source {self.source:#04x}" + (f" on {self.channel}" if self.channel else "")
+        when = f"{format_ns(self.start_ns)} s to {format_ns(self.end_ns)} s"
+        ratio = ""
+        if None in (self.from_gear, self.to_gear) and None not in (self.from_ratio, self.to_ratio):
+            ratio = f", ratio {self.from_ratio:.2f} to {self.to_ratio:.2f}"
+        return (
+            f"{when} ({self.duration_s:.3f} s): {_gear(self.from_gear)} to "
+            f"{_gear(self.to_gear)}{ratio}, {sender}, by {self.method}"
+        )
+
+
+def _gear(gear: int | None) -> str:
+    if gear is None:
+        return "?"
+    return _GEAR_NAMES.get(gear, f"{gear}" if gear > 0 else f"R{-gear}")
 
 
 @dataclass(slots=True)
@@ -104,8 +140,12 @@ class ShiftFinder:
     """
 
     short: int = 0
-    _flags: dict[tuple[str, int], FlagTracker] = field(default_factory=dict)
-    _gears: dict[tuple[str, int], GearHistory] = field(default_factory=dict)
+    _flags: dict[tuple[str, int], FlagTracker] = field(
+        default_factory=lambda: defaultdict(FlagTracker)
+    )
+    _gears: dict[tuple[str, int], GearHistory] = field(
+        default_factory=lambda: defaultdict(GearHistory)
+    )
     unflagged: list[Shift] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -121,15 +161,9 @@ class ShiftFinder:
             return
         sender = frame.channel, frame.can_id & 0xFF
         if group == _ETC1_BITS:
-            tracker = self._flags.get(sender)
-            if tracker is None:
-                tracker = self._flags[sender] = FlagTracker()
-            tracker.take(frame.time_ns, frame.data)
+            self._flags[sender].take(frame.time_ns, frame.data)
         else:
-            history = self._gears.get(sender)
-            if history is None:
-                history = self._gears[sender] = GearHistory()
-            history.take(frame.time_ns, frame.data)
+            self._gears[sender].take(frame.time_ns, frame.data)
 
     @property
     def chatter(self) -> int:
@@ -157,18 +191,7 @@ class ShiftFinder:
         found = self._once(found)
         flagged_channels = {key[0] for key, tracker in self._flags.items() if tracker.shifts}
         for sender, history in self._gears.items():
-            by_gear = [
-                Shift(
-                    change.start_ns,
-                    change.end_ns,
-                    change.from_gear,
-                    change.to_gear,
-                    sender[1],
-                    sender[0],
-                    "gear",
-                )
-                for change in history.changes()
-            ]
+            by_gear = [Shift(*change, sender[1], sender[0], "gear") for change in history.changes()]
             alone = [s for s in by_gear if not _near_any(s, flagged)]
             if sender[0] in flagged_channels:
                 self.unflagged += alone
@@ -229,15 +252,19 @@ class ShiftFinder:
             until_ns = following[0].start_ns if following else flagged.end_ns + SETTLE_NS
             if until_ns < flagged.end_ns:
                 until_ns = flagged.end_ns + SETTLE_NS
+            before = history.gear_before(flagged.start_ns) if history else None
+            after = history.gear_after(flagged.end_ns, until_ns) if history else None
             found.append(
                 Shift(
-                    flagged.start_ns,
-                    flagged.end_ns,
-                    history.gear_before(flagged.start_ns) if history else None,
-                    history.gear_after(flagged.end_ns, until_ns) if history else None,
-                    sender[1],
-                    sender[0],
-                    "flag",
+                    *(
+                        flagged.start_ns,
+                        flagged.end_ns,
+                        before,
+                        after,
+                        sender[1],
+                        sender[0],
+                        "flag",
+                    ),
                     flagged.chatter,
                     flagged.from_ratio,
                     flagged.to_ratio,
@@ -291,13 +318,7 @@ def _repeats(shift: Shift, found: Iterable[Shift]) -> bool:
     )
 
 
-def _frames(log: Iterable[LogFrame] | str | os.PathLike[str]) -> Iterable[LogFrame]:
-    return open_log(log) if isinstance(log, (str, os.PathLike)) else log
-
-
-def summarize(
-    log: Iterable[LogFrame] | str | os.PathLike[str],
-) -> J1939Summary:
+def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
     """Parameter groups, senders and shifts of a truck's log, in one pass and bounded memory.
 
     Raises InputError if `log` is a file that cannot be read.
@@ -306,7 +327,7 @@ def summarize(
     identifiers: Counter[int] = Counter()
     frames = 0
     first_ns: int | None = None
-    for frame in _frames(log):
+    for frame in open_log(log) if isinstance(log, (str, os.PathLike)) else log:
         frames += 1
         if first_ns is None:
             first_ns = frame.time_ns

@@ -7,11 +7,10 @@ Times are those recorded, counted from the start of the measurement; a comment o
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from sil.logs.format import Batch, Format, NotAFrame, TextReader
-from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame, frame_problem
+from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame
 from sil.logs.report import LogReport
 from sil.logs.source import ByteSource, Chunk, Line
 from sil.logs.times import (
@@ -55,26 +54,18 @@ _FLAG_REMOTE: Final = 0x10
 _TIMED: Final = re.compile(r"(\d{1,10}\.\d{1,12})\s+(\S.*)\Z")
 
 
-class AscFrame(NamedTuple):
-    """A frame without its time, and whether the line cannot go on behind its last character."""
-
-    frame: LogFrame
-    surely_whole: bool
-    remark: str = ""
-
-
 _CLASSIC = re.compile(
     r"(\d{1,5})\s+([0-9A-Fa-f]{1,10})(x?)\s+(Rx|TxRq|Tx)\s+([dr])(?:\s+(.*))?\Z", re.IGNORECASE
 )
 _CLASSIC_LOOK = re.compile(r"\d+\s+\S+\s+(?:Rx|Tx|TxRq)\b|\d+\s+[0-9A-F]+x?\s+\S+\s+[dr]\b", re.I)
-_SYMBOLIC = re.compile(r"\d+\s+[A-Za-z_]\w*x?\s+(?:Rx|Tx|TxRq)\s", re.IGNORECASE)
-_ERROR = re.compile(r"(\d{1,5})\s+ErrorFrame\b", re.IGNORECASE)
+_ERROR = re.compile(
+    r"(\d{1,5})\s+ErrorFrame\b|CANFD\s+(\d{1,5})\s+(Rx|TxRq|Tx)\s+ErrorFrame\b", re.IGNORECASE
+)
 _FD = re.compile(
     r"CANFD\s+(\d{1,5})\s+(Rx|TxRq|Tx)\s+([0-9A-F]{1,8})(x?)\s+(?:(?![01]\s+[01]\s+[0-9A-F]\s+\d)"
     r"([A-Za-z_]\S*)\s+)?([01])\s+([01])\s+([0-9A-F])\s+(\d{1,2})(?:\s+(.*))?\Z",
     re.IGNORECASE,
 )
-_FD_ERROR = re.compile(r"CANFD\s+(\d{1,5})\s+(Rx|TxRq|Tx)\s+ErrorFrame\b", re.IGNORECASE)
 _HEX_BYTE = re.compile(r"[0-9A-Fa-f]{2}\Z")
 _DECIMAL_BYTE = re.compile(r"\d{1,3}\Z")
 _HEX_WORD = re.compile(r"[0-9A-Fa-f]{1,8}\Z")
@@ -84,10 +75,22 @@ _NAMED: Final = (
     (re.compile(r"\d+\s+J1939TP\b", re.I), "reassembled J1939 message"),
     (re.compile(r"\d+\s+OverloadFrame\b", re.I), "overload frame"),
     (re.compile(r"CANXL\b", re.I), "CAN XL frame"),
+    (
+        re.compile(r"\d+\s+[A-Za-z_]\w*x?\s+(?:Rx|Tx|TxRq)\s", re.I),
+        "frame with a symbolic name instead of its identifier",
+    ),
 )
 
 
-def parse_event(text: str, decimal: bool) -> AscFrame:
+class _Event(NamedTuple):
+    """A frame without its time, whether its line is surely whole, and a remark for the report."""
+
+    frame: LogFrame
+    whole: bool = True
+    remark: str = ""
+
+
+def parse_event(text: str, decimal: bool) -> _Event:
     """Parse the line after its time.
 
     decimal: the numbers are decimal, not hex. Raises NotAFrame for an event of another kind,
@@ -96,29 +99,27 @@ def parse_event(text: str, decimal: bool) -> AscFrame:
     classic = _CLASSIC.match(text)
     if classic:
         return _classic(classic, decimal)
-    if text[:5].upper() == "CANFD":
-        return _fd(text, decimal)
     error = _ERROR.match(text)
     if error:
-        frame = LogFrame(0, 0, b"", False, error=True, channel=_channel(error[1]))
-        return AscFrame(frame, True)
+        channel, fd = error[1] or error[2], error[1] is None
+        direction = error[3].capitalize() if (error[3] or "").lower() in ("rx", "tx") else ""
+        frame = LogFrame(0, 0, b"", False, error=True, fd=fd, channel=str(int(channel)))
+        return _Event(frame._replace(direction=direction))
+    if text[:5].upper() == "CANFD":
+        return _fd(text)
     for pattern, name in _NAMED:
         if pattern.match(text):
             raise NotAFrame(name)
-    if _SYMBOLIC.match(text):
-        raise NotAFrame("frame with a symbolic name instead of its identifier")
     if _CLASSIC_LOOK.match(text):
         raise ValueError(f"{text[:40]!r} is not a whole frame")
     raise NotAFrame("event of another kind")
 
 
-def _channel(digits: str) -> str:
-    return str(int(digits))
-
-
-def _direction(word: str) -> str | None:
-    """Rx or Tx; None for a request to send, which is no frame on the bus."""
-    return {"rx": "Rx", "tx": "Tx"}.get(word.lower())
+def _direction(word: str) -> str:
+    """Return Rx or Tx. Raises NotAFrame for a request to send, which is no frame on the bus."""
+    if word.lower() == "txrq":
+        raise NotAFrame("request to send")
+    return word.capitalize()
 
 
 def _bytes(words: list[str], decimal: bool) -> bytes:
@@ -132,39 +133,20 @@ def _bytes(words: list[str], decimal: bool) -> bytes:
     return bytes(found)
 
 
-def _checked(frame: LogFrame, surely_whole: bool, remark: str = "") -> AscFrame:
-    problem = frame_problem(frame)
-    if problem:
-        raise ValueError(problem)
-    return AscFrame(frame, surely_whole, remark)
-
-
-def _classic(match: re.Match[str], decimal: bool) -> AscFrame:
+def _classic(match: re.Match[str], decimal: bool) -> _Event:
     channel, digits, extended, way, kind, rest = match.groups()
     base = 10 if decimal else 16
     if decimal and not digits.isdecimal():
         raise ValueError(f"identifier {digits} ; expected a decimal number as the header states")
-    direction = _direction(way)
+    frame = LogFrame(0, int(digits, base), b"", bool(extended), channel=str(int(channel)))
+    frame = frame._replace(direction=_direction(way))
     words = (rest or "").split()
-    if direction is None:
-        raise NotAFrame("request to send")
-    can_id = int(digits, base)
     code_text = words[0] if words else ""
+    coded = bool(_HEX_WORD.match(code_text)) and len(code_text) <= 2
     if kind.lower() == "r":
-        coded = bool(_HEX_WORD.match(code_text)) and len(code_text) <= 2
         raw_dlc = int(code_text, base) if coded and (base == 16 or code_text.isdecimal()) else 0
-        frame = LogFrame(
-            0,
-            can_id,
-            b"",
-            bool(extended),
-            remote=True,
-            channel=_channel(channel),
-            direction=direction,
-            raw_dlc=raw_dlc,
-        )
-        return _checked(frame, coded or len(words) > 1)
-    if not _HEX_WORD.match(code_text) or len(code_text) > 2:
+        return _Event(frame._replace(remote=True, raw_dlc=raw_dlc), coded or len(words) > 1)
+    if not coded:
         raise ValueError("no length after d")
     if decimal and not code_text.isdecimal():
         raise ValueError(f"length {code_text} ; expected a decimal number as the header states")
@@ -177,40 +159,16 @@ def _classic(match: re.Match[str], decimal: bool) -> AscFrame:
         fd, remark = True, "classic lines with more than 8 bytes were read as CAN FD"
     if len(data) != length or code > 64:
         raise ValueError(f"{len(data)} bytes of data; expected {code_text}")
-    frame = LogFrame(
-        0,
-        can_id,
-        data,
-        bool(extended),
-        fd=fd,
-        channel=_channel(channel),
-        direction=direction,
-        raw_dlc=raw_dlc,
-    )
-    return _checked(frame, not decimal or len(words) > 1 + length, remark)
+    whole = not decimal or len(words) > 1 + length
+    return _Event(frame._replace(data=data, fd=fd, raw_dlc=raw_dlc), whole, remark)
 
 
-def _fd(text: str, decimal: bool) -> AscFrame:
-    error = _FD_ERROR.match(text)
-    if error:
-        frame = LogFrame(
-            0,
-            0,
-            b"",
-            False,
-            error=True,
-            fd=True,
-            channel=_channel(error[1]),
-            direction=_direction(error[2]) or "",
-        )
-        return AscFrame(frame, True)
+def _fd(text: str) -> _Event:
     match = _FD.match(text)
     if match is None:
         raise ValueError(f"{text[:40]!r} is no whole CANFD line")
     channel, way, digits, extended, _name, brs, esi, code_text, length_text, rest = match.groups()
     direction = _direction(way)
-    if direction is None:
-        raise NotAFrame("request to send")
     code, length = int(code_text, 16), int(length_text)
     words = (rest or "").split()
     data = _bytes(words[:length], False)
@@ -221,35 +179,23 @@ def _fd(text: str, decimal: bool) -> AscFrame:
     remote = length == 0 and (code > 0 or bool(flags and flags & _FLAG_REMOTE))
     # A remote frame of can-utils has no other flag if it is classic.
     fd = flags != _FLAG_REMOTE if remote else flags is None or bool(flags & 0x1000)
-    if not fd and (length > 8 or brs == "1" or esi == "1"):
-        fd = True
-    raw_dlc = code if remote else 0
-    if not remote:
-        if length != (DLC_LENGTHS[code] if fd else min(code, 8)):
-            raise ValueError(f"length code {code_text} does not match {length} bytes")
-        raw_dlc = code if not fd and code > 8 else 0
+    fd = fd or length > 8 or brs == "1" or esi == "1"
+    if not remote and length != (DLC_LENGTHS[code] if fd else min(code, 8)):
+        raise ValueError(f"length code {code_text} does not match {length} bytes")
     frame = LogFrame(
-        0,
-        int(digits, 16),
-        data,
-        bool(extended),
-        remote,
-        False,
-        fd,
-        brs == "1",
-        esi == "1",
-        _channel(channel),
-        direction,
-        raw_dlc,
+        *(0, int(digits, 16), data, bool(extended), remote, False, fd, brs == "1", esi == "1"),
+        channel=str(int(channel)),
+        direction=direction,
+        raw_dlc=code if remote or (not fd and code > 8) else 0,
     )
-    return _checked(frame, len(words) > length + 3)
+    return _Event(frame, len(words) > length + 3)
 
 
 class AscReader(TextReader):
     """State of one reading: number base, kind of times, and where they count from."""
 
-    def __init__(self, report: LogReport) -> None:
-        super().__init__(report)
+    def __init__(self, source: ByteSource, report: LogReport, times: str) -> None:
+        super().__init__(source, report, times)
         report.time_base = "relative"
         self._decimal = False
         self._deltas = False
@@ -284,12 +230,10 @@ class AscReader(TextReader):
             if _START.match(timed[2]) and time_ns == 0 and self._block_ns is not None:
                 self._report.start_ns, self._block_ns = self._block_ns, None
             raise
-        if line.unterminated and not event.surely_whole:
+        if line.unterminated and not event.whole:
             raise ValueError("the last line has no end and may be cut short")
         if event.remark:
             self._report.note(event.remark)
-        if self._origin_ns + time_ns > MAX_TIME_NS:
-            raise ValueError("a time out of range")
         return event.frame._replace(time_ns=self._origin_ns + time_ns)
 
     def _header(self, text: str) -> None:
@@ -326,19 +270,14 @@ class AscWriter(RelativeWriter):
 
     format = "asc"
 
-    def __init__(self, path: str) -> None:
-        super().__init__(path)
-        self._decimals: int | None = None
-
     def _header(self, frames: list[LogFrame]) -> str:
-        if self._decimals is None:
-            self._decimals = enough_decimals(frames)
+        self._decimals = enough_decimals(frames)
         base = "base hex  timestamps absolute\ninternal events logged\n"
         start = "   0.000000 Start of measurement\n"
-        if not self._origin_ns:
+        if not self.start_ns:
             return f"{base}Begin Triggerblock\n{start}"
-        date = write_date(self._origin_ns)
-        origin = f"// time origin {format_ns(self._origin_ns, 9)} s\n"
+        date = write_date(self.start_ns)
+        origin = f"// time origin {format_ns(self.start_ns, 9)} s\n"
         return f"date {date}\n{base}{origin}Begin Triggerblock {date}\n{start}"
 
     def _text(self, frame: LogFrame, time_ns: int) -> str:
@@ -375,7 +314,6 @@ class AscWriter(RelativeWriter):
         return f"{stamp:>11} {number:<2} ErrorFrame\n"
 
     def _finish(self) -> None:
-        super()._finish()
         self._out.write(b"End TriggerBlock\n")
 
 
@@ -385,8 +323,4 @@ def _recognise(head: bytes) -> bool:
     return any(_HEADER.match(text) or _EVENT.match(text) for text in first)
 
 
-def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
-    return AscReader(report).read(source)
-
-
-FORMAT: Final = Format("asc", (".asc",), _recognise, _read, AscWriter)
+FORMAT: Final = Format("asc", (".asc",), _recognise, AscReader, AscWriter)

@@ -24,7 +24,7 @@ from sil.logs.frame import (
 )
 from sil.logs.report import Location, LogReport
 from sil.logs.source import ByteSource
-from sil.logs.times import NS_PER_MS, RELATIVE_BELOW_NS, format_ns, utc_calendar, utc_ns
+from sil.logs.times import NS_PER_MS, utc_calendar, utc_ns
 from sil.logs.writer import LogWriter
 
 _LARGEST_CONTAINER: Final = 1 << 26
@@ -107,10 +107,22 @@ class Other(NamedTuple):
     name: str
 
 
+class Container(NamedTuple):
+    """A container as a whole (of one that is cut off, what there is) and the size of its header."""
+
+    data: bytes
+    header_size: int
+    whole: bool = True
+
+
 class Unfinished(NamedTuple):
-    """The data ends inside an object that begins here."""
+    """The data ends inside an object that begins here and needs so many bytes."""
 
     start: int
+    size: int
+
+
+Item = LogFrame | Other | Container | Broken | Unfinished
 
 
 def read_systemtime(fields: SystemTime) -> int:
@@ -144,6 +156,8 @@ def plausible_header(data: bytes | memoryview, pos: int) -> str | None:
     signature, header_size, version, size, kind = OBJECT.unpack_from(data, pos)
     if signature != b"LOBJ":
         return "no object begins here"
+    if kind == TYPE_CONTAINER and not 32 <= size <= _LARGEST_CONTAINER:
+        return f"container of {size} bytes"
     least = OBJECT.size if kind == TYPE_CONTAINER else OBJECT.size + TIMES_V1.size
     if version not in (1, 2) or header_size < least or size < header_size:
         return f"object header of version {version} with sizes {header_size} and {size}"
@@ -155,56 +169,56 @@ def plausible_header(data: bytes | memoryview, pos: int) -> str | None:
     return None
 
 
-def objects(data: bytes, start_ns: int) -> Iterator[LogFrame | Other | Broken | Unfinished]:
-    """Yield what is in unpacked data, in order; at most one `Unfinished`, as the last."""
+def objects(data: bytes, start_ns: int) -> Iterator[Item]:
+    """Yield what is in data, in order; at most one `Unfinished`, as the last."""
+    return (item for _, item in _located(data, start_ns))
+
+
+def _located(data: bytes, start_ns: int) -> Iterator[tuple[int, Item]]:
+    """Yield what is in data, in order, and where it begins."""
     pos, end = 0, len(data)
     while True:
         for frame in _run_of_plain(data, pos, start_ns):
-            yield frame
+            yield pos, frame
             pos += PLAIN.size
-        found = data.find(b"LOBJ", pos, pos + 8)
-        if found < 0:
-            if end - pos < 8:
-                if data[pos:].strip(b"\x00"):
-                    yield Unfinished(pos)
-                return
-            found = _next_object(data, pos)
-            if found < 0:
-                yield Broken("no object begins here", end - pos)
-                return
-            yield Broken("no object begins here", found - pos)
-        pos = found
-        if end - pos < OBJECT.size:
-            yield Unfinished(pos)
+        begin, found = pos, data.find(b"LOBJ", pos, pos + 8)
+        if found < 0 and end - pos < 8:
+            if data[pos:].strip(b"\x00"):
+                yield pos, Unfinished(pos, OBJECT.size)
             return
-        problem = plausible_header(data, pos)
-        if problem is not None:
-            found = _next_object(data, pos + 4)
-            yield Broken(problem, (end if found < 0 else found) - pos)
-            if found < 0:
-                return
+        problem: str | None = "no object begins here"
+        if found >= 0:
             pos = found
+            if end - pos < OBJECT.size:
+                yield pos, Unfinished(pos, OBJECT.size)
+                return
+            problem = plausible_header(data, pos)
+        if problem is not None:
+            pos = _next_object(data, pos + (4 if found >= 0 else 0))
+            yield begin, Broken(problem, pos - begin)
             continue
         _, header_size, version, size, kind = OBJECT.unpack_from(data, pos)
         if pos + size > end:
-            yield Unfinished(pos)
+            yield pos, Unfinished(pos, size)
             return
-        if kind not in _FRAME_TYPES:
-            yield _other(kind)
+        if kind == TYPE_CONTAINER:
+            yield pos, Container(data[pos : pos + size], header_size)
+        elif kind not in _FRAME_TYPES:
+            yield pos, _other(kind)
         else:
             times = TIMES_V1 if version == 1 else TIMES_V2
             flags, _, _, ticks = times.unpack_from(data, pos + OBJECT.size)
             tick_ns = TICK_NS.get(flags & 3)
             if tick_ns is None:
-                yield Broken(f"time flag {flags}", size)
+                yield pos, Broken(f"time flag {flags}", size)
             else:
                 body = data[pos + header_size : pos + size]
-                yield _frame(kind, body, start_ns + ticks * tick_ns, header_size)
+                yield pos, _frame(kind, body, start_ns + ticks * tick_ns, header_size)
         pos += size
 
 
 def _run_of_plain(data: bytes, pos: int, start_ns: int) -> Iterator[LogFrame]:
-    """Classic data frames, one after the other, as long as there is nothing else."""
+    """Yield classic data frames, one after the other, as long as there is nothing else."""
     end = pos + (len(data) - pos) // PLAIN.size * PLAIN.size
     for fields in PLAIN.iter_unpack(memoryview(data)[pos:end]):
         if fields[:5] not in _PLAIN_HEADERS or fields[5] != 2:
@@ -213,30 +227,19 @@ def _run_of_plain(data: bytes, pos: int, start_ns: int) -> Iterator[LogFrame]:
         extended = word > MAX_EXTENDED_ID
         if flags > 1 or dlc > 8 or (not extended and word > MAX_STANDARD_ID):
             return
-        if extended and word >> 29 != 4:
+        if (extended and word >> 29 != 4) or start_ns + ticks > MAX_TIME_NS:
             return
-        time_ns = start_ns + ticks
-        if time_ns > MAX_TIME_NS:
-            return
-        yield ordinary_frame(
-            time_ns,
-            word & MAX_EXTENDED_ID,
-            payload[:dlc],
-            extended,
-            str(channel),
-            "Tx" if flags else "Rx",
-        )
+        way, can_id = "Tx" if flags else "Rx", word & MAX_EXTENDED_ID
+        yield ordinary_frame(start_ns + ticks, can_id, payload[:dlc], extended, str(channel), way)
 
 
 def _next_object(data: bytes, pos: int) -> int:
-    """Where the next believable object header begins, or -1."""
-    while True:
-        pos = data.find(b"LOBJ", pos)
-        if pos < 0 or len(data) - pos < OBJECT.size:
-            return pos
-        if plausible_header(data, pos) is None:
+    """Return where the next plausible object header begins, or may begin in the last bytes."""
+    while (pos := data.find(b"LOBJ", pos)) >= 0:
+        if len(data) - pos < OBJECT.size or plausible_header(data, pos) is None:
             return pos
         pos += 4
+    return len(data) - next((n for n in (3, 2, 1) if data.endswith(b"LOBJ"[:n])), 0)
 
 
 def _other(kind: int) -> Other:
@@ -246,299 +249,197 @@ def _other(kind: int) -> Other:
 
 
 def _frame(kind: int, body: bytes, time_ns: int, header_size: int) -> LogFrame | Broken:
-    """One frame object."""
+    """Return the frame of an object."""
     if kind in (TYPE_CAN, TYPE_CAN_2):
-        frame = _classic(body, time_ns)
+        channel, flags, dlc, word, data = CAN.unpack_from(body)
+        frame = _built(time_ns, word, data[:dlc], channel, flags & 0x0F, dlc, bool(flags & REMOTE))
     elif kind == TYPE_CAN_FD:
-        frame = _fd(body, time_ns)
+        channel, flags, dlc, word, _, _, fd, length, data = CAN_FD.unpack_from(body)
+        remote = bool(flags & REMOTE)
+        frame = _built(time_ns, word, data[:length], channel, flags & 0x0F, dlc, remote, fd)
     elif kind == TYPE_CAN_FD_64:
-        frame = _fd_64(body, time_ns, header_size)
+        fields = CAN_FD_64.unpack_from(body)
+        channel, dlc, length, _, word, _, flags = fields[:7]
+        extra = fields[13]
+        stored = (extra - header_size if extra > header_size else len(body)) - CAN_FD_64.size
+        # Vector's own writer leaves out trailing zero bytes that `length` still counts.
+        data = body[CAN_FD_64.size :][: max(min(stored, length), 0)].ljust(length, b"\x00")
+        remote = bool(flags & 0x10)
+        frame = _built(time_ns, word, data, channel, fields[12], dlc, remote, flags >> 12)
     elif kind == TYPE_CAN_ERROR_EXT:
         fields = CAN_ERROR_EXT.unpack_from(body)
-        frame = LogFrame(
-            time_ns,
-            fields[7] & 0x1FFFFFFF,
-            fields[9][: min(fields[5], 8)],
-            _extended(fields[7]),
-            error=True,
-            channel=str(fields[0]),
-        )
-    elif kind == TYPE_CAN_ERROR:
-        channel = CAN_ERROR_OLD.unpack_from(body)[0]
-        frame = LogFrame(time_ns, 0, b"", False, error=True, channel=str(channel))
+        data = fields[9][: min(fields[5], 8)]
+        frame = _built(time_ns, fields[7], data, fields[0], 2, 0, False)._replace(error=True)
     else:
-        channel = CAN_FD_ERROR_64.unpack_from(body)[0]
-        frame = LogFrame(time_ns, 0, b"", False, error=True, fd=True, channel=str(channel))
+        fd = kind == TYPE_CAN_FD_ERROR_64
+        channel = (CAN_FD_ERROR_64 if fd else CAN_ERROR_OLD).unpack_from(body)[0]
+        frame = LogFrame(time_ns, 0, b"", False, error=True, fd=fd, channel=str(channel))
     problem = frame_problem(frame)
     return frame if problem is None else Broken(problem, len(body))
 
 
-def _way(code: int) -> str:
-    """Rx or Tx; "" for other codes (2 is a request to send, 3 and more are converters' noise)."""
-    return ("Rx", "Tx")[code] if code < 2 else ""
-
-
-def _extended(word: int) -> bool:
-    """Return the flag, or whether the identifier fits no standard frame (some writers leave the flag out)."""
-    return bool(word & EXTENDED) or word & 0x1FFFFFFF > MAX_STANDARD_ID
-
-
-def _raw_dlc(dlc: int, remote: bool, fd: bool) -> int:
-    """Return what `LogFrame.raw_dlc` holds; the field has four bits on the bus."""
-    if remote:
-        return dlc & 0x0F
-    return dlc if not fd and 8 < dlc < 16 else 0
-
-
-def _classic(body: bytes, time_ns: int) -> LogFrame:
-    channel, flags, dlc, word, data = CAN.unpack_from(body)
-    direction = _way(flags & 0x0F)
-    remote = bool(flags & REMOTE)
+def _built(
+    time_ns: int,
+    word: int,
+    data: bytes,
+    channel: int,
+    way: int,
+    dlc: int,
+    remote: bool,
+    fd_flags: int = 0,
+) -> LogFrame:
+    """Return a frame; fd_flags: 1 CAN FD, 2 bit rate switch, 4 error state."""
+    fd, can_id = bool(fd_flags & 1), word & MAX_EXTENDED_ID
     return LogFrame(
         time_ns,
-        word & 0x1FFFFFFF,
-        b"" if remote else data[:dlc],
-        _extended(word),
-        remote,
-        False,
-        False,
-        False,
-        False,
-        str(channel),
-        direction,
-        _raw_dlc(dlc, remote, False),
-    )
-
-
-def _fd(body: bytes, time_ns: int) -> LogFrame:
-    channel, flags, dlc, word, _, _, fd_flags, length, data = CAN_FD.unpack_from(body)
-    direction = _way(flags & 0x0F)
-    fd, remote = bool(fd_flags & 1), bool(flags & REMOTE)
-    return LogFrame(
-        time_ns,
-        word & 0x1FFFFFFF,
-        b"" if remote else data[:length],
-        _extended(word),
+        can_id,
+        b"" if remote else data,
+        bool(word & EXTENDED) or can_id > MAX_STANDARD_ID,  # some writers leave the flag out
         remote,
         False,
         fd,
         fd and bool(fd_flags & 2),
         fd and bool(fd_flags & 4),
         str(channel),
-        direction,
-        _raw_dlc(dlc, remote, fd),
+        # 2 is a request to send, 3 and more are converters' noise.
+        ("Rx", "Tx")[way] if way < 2 else "",
+        # The field has four bits on the bus.
+        dlc & 0x0F if remote else dlc if not fd and 8 < dlc < 16 else 0,
     )
-
-
-def _fd_64(body: bytes, time_ns: int, header_size: int) -> LogFrame:
-    fields = CAN_FD_64.unpack_from(body)
-    channel, dlc, length, _, word, _, flags = fields[:7]
-    direction = _way(fields[12])
-    fd, remote = bool(flags & 0x1000), bool(flags & 0x10)
-    extra = fields[13]
-    stored = (extra - header_size if extra > header_size else len(body)) - CAN_FD_64.size
-    # Vector's own writer leaves out trailing zero bytes that `length` still counts.
-    data = body[CAN_FD_64.size :][: max(min(stored, length), 0)].ljust(length, b"\x00")
-    return LogFrame(
-        time_ns,
-        word & 0x1FFFFFFF,
-        b"" if remote else data,
-        _extended(word),
-        remote,
-        False,
-        fd,
-        fd and bool(flags & 0x2000),
-        fd and bool(flags & 0x4000),
-        str(channel),
-        direction,
-        _raw_dlc(dlc, remote, fd),
-    )
-
-
-class _Feed:
-    """The file as a sliding window; `pos` is the index in it, `offset` that in the file."""
-
-    def __init__(self, source: ByteSource) -> None:
-        self._source = source
-        self.window = b""
-        self.pos = 0
-        self.offset = 0
-
-    def left(self) -> int:
-        """Return the number of bytes of the window from `pos` on."""
-        return len(self.window) - self.pos
-
-    def fill(self, size: int) -> bool:
-        """Have `size` bytes in the window if the file has them."""
-        while self.left() < size:
-            block = self._source.read(max(_BLOCK, size - self.left()))
-            if not block:
-                return False
-            self.window = self.window[self.pos :] + block
-            self.pos = 0
-        return True
-
-    def find(self, mark: bytes, within: int | None = None) -> int:
-        """How far on a mark is in the window (in the next `within` bytes), -1 for nowhere."""
-        end = len(self.window) if within is None else self.pos + within
-        found = self.window.find(mark, self.pos, end)
-        return found - self.pos if found >= 0 else -1
-
-    def only_zeros(self) -> bool:
-        """Return whether nothing but zero bytes is left in the window."""
-        return not self.window[self.pos :].strip(b"\x00")
-
-    def drop(self, size: int) -> None:
-        """Go on by `size` bytes."""
-        self.pos += size
-        self.offset += size
-
-    def take(self, size: int) -> bytes:
-        """Return the next bytes, as many as there are up to `size`."""
-        taken = self.window[self.pos : self.pos + size]
-        self.drop(len(taken))
-        return taken
 
 
 class BlfReader:
-    """State of one reading."""
+    """State of one reading; `tail`: an object that begins in a container and goes on in the next."""
 
-    def __init__(self, report: LogReport) -> None:
+    def __init__(self, source: ByteSource, report: LogReport, times: str) -> None:
+        self._source = source
         self._report = report
         self._tail = b""
         self._start_ns = 0
 
-    def read(self, source: ByteSource) -> Iterator[Batch]:
-        """Frames container by container."""
-        feed = _Feed(source)
-        stated_size = self._header(feed)
-        while True:
-            if not feed.fill(OBJECT.size + 8) and feed.only_zeros():
-                break
-            yield from self._object(feed)
+    def __iter__(self) -> Iterator[Batch]:
+        report = self._report
+        offset, stated_size = self._header()
+        data, wanted = b"", _BLOCK
+        while block := self._source.read(max(wanted, _BLOCK)):
+            data += block
+            rest, wanted = len(data), _BLOCK
+            frames: list[LogFrame] = []
+            locations: list[int] = []
+            for pos, item in _located(data, self._start_ns):
+                if isinstance(item, LogFrame):
+                    frames.append(item)
+                    locations.append(offset + pos)
+                elif isinstance(item, Container):
+                    yield Batch(frames, locations)
+                    frames, locations = [], []
+                    yield self._inside(item, offset + pos)
+                elif isinstance(item, Unfinished):
+                    rest, wanted = pos, item.size - (len(data) - pos)
+                else:
+                    self._count(item, offset + pos)
+                    if isinstance(item, Broken):
+                        self._drop_tail()
+            yield Batch(frames, locations)
+            data, offset = data[rest:], offset + rest
+        if data:
+            yield self._cut_off(data, offset)
+            offset += len(data)
         if self._tail.strip(b"\x00"):
-            self._report.cut(Location("the log ends inside an object", byte=feed.offset))
-        if stated_size > feed.offset + feed.left():
-            self._report.cut(
-                Location(
-                    f"the header states {stated_size} bytes, more than there are", byte=feed.offset
-                )
-            )
+            report.cut(Location("the log ends inside an object", byte=offset))
+        if stated_size > offset:
+            reason = f"the header states {stated_size} bytes, more than there are"
+            report.cut(Location(reason, byte=offset))
 
-    def _header(self, feed: _Feed) -> int:
-        path = self._report.path
-        if not feed.fill(FILE_HEADER.size) or feed.window[:4] != b"LOGG":
-            raise InputError(f"{path}: byte 0: no BLF header; expected a BLF log")
-        fields = FILE_HEADER.unpack_from(feed.window)
+    def _header(self) -> tuple[int, int]:
+        """Read the file header; return its size, and the stated size of the file."""
+        header = self._exactly(FILE_HEADER.size)
+        if len(header) < FILE_HEADER.size or header[:4] != b"LOGG":
+            raise InputError(f"{self._report.path}: byte 0: no BLF header; expected a BLF log")
+        fields = FILE_HEADER.unpack_from(header)
         size, stated_size = fields[1], fields[10]
         if not FILE_HEADER.size <= size <= 4096:
             self._report.skip(Location(f"a file header of {size} bytes", byte=4))
             size = FILE_HEADER_SIZE
-        start_ns = read_systemtime(fields[14:22])
-        self._start_ns = start_ns
-        self._report.start_ns = start_ns or None
-        self._report.time_base = time_base(start_ns)
-        feed.fill(size)
-        feed.drop(size)
-        return int(stated_size)
+        self._exactly(size - FILE_HEADER.size)
+        self._start_ns = read_systemtime(fields[14:22])
+        self._report.start_ns = self._start_ns or None
+        self._report.time_base = time_base(self._start_ns)
+        return size, stated_size
 
-    def _object(self, feed: _Feed) -> Iterator[Batch]:
-        """Take the object (or the rubbish) at the window's start."""
-        report = self._report
-        skip = feed.find(b"LOBJ", 8)
-        if feed.left() < max(skip, 0) + OBJECT.size:
-            report.cut(Location("the log ends inside an object", byte=feed.offset))
-            feed.drop(feed.left())
-            return
-        problem: str | None = "no object begins here"
-        if skip >= 0:
-            problem = plausible_header(feed.window, feed.pos + skip)
-        if problem is None:
-            feed.drop(skip)
-            _, header_size, _, size, kind = OBJECT.unpack_from(feed.window, feed.pos)
-            if kind == TYPE_CONTAINER and not 32 <= size <= _LARGEST_CONTAINER:
-                problem = f"container of {size} bytes"
-        if problem is not None:
-            report.skip(Location(problem, byte=feed.offset))
-            self._drop_tail()
-            self._to_next_object(feed)
-            return
-        whole = feed.fill(size)
-        offset = feed.offset
-        body = feed.take(size)
-        if kind != TYPE_CONTAINER:
-            yield self._batch(body, offset)
-            return
-        unpacked = self._unpack(body, header_size, offset, whole)
-        if unpacked is None:
-            self._drop_tail()
+    def _exactly(self, size: int) -> bytes:
+        """Return the next bytes, fewer at the end of the file."""
+        found = b""
+        while len(found) < size and (block := self._source.read(size - len(found))):
+            found += block
+        return found
+
+    def _count(self, item: Other | Broken, offset: int) -> None:
+        if isinstance(item, Other):
+            self._report.other[item.name] += 1
         else:
-            yield self._batch(unpacked, offset)
+            reason = f"{item.reason}, {item.passed} bytes left out"
+            self._report.skip(Location(reason, byte=offset))
 
-    def _to_next_object(self, feed: _Feed) -> None:
-        """Go on to where the next object may begin."""
-        feed.drop(1)
-        while True:
-            found = feed.find(b"LOBJ")
-            if found >= 0:
-                feed.drop(found)
-                return
-            feed.drop(max(feed.left() - 3, 0))
-            if not feed.fill(feed.left() + 1):
-                feed.drop(feed.left())
-                return
+    def _cut_off(self, data: bytes, offset: int) -> Batch:
+        """Return the frames of the last object, which is cut off."""
+        if len(data) >= OBJECT.size and data[:4] == b"LOBJ":
+            _, header_size, _, _, kind = OBJECT.unpack_from(data)
+            if kind == TYPE_CONTAINER:
+                return self._inside(Container(data, header_size, whole=False), offset)
+        self._report.cut(Location("the log ends inside an object", byte=offset))
+        return Batch([], [])
 
     def _drop_tail(self) -> None:
         if self._tail.strip(b"\x00"):
             self._report.note("an object that went on in a damaged container is lost")
         self._tail = b""
 
-    def _unpack(self, body: bytes, header_size: int, offset: int, whole: bool) -> bytes | None:
-        """Return the content of a container, of a cut-off one as much as there is; None if damaged."""
-        report = self._report
-        if len(body) < header_size + CONTAINER.size:
-            report.cut(Location("the log ends inside a container", byte=offset))
-            return None
-        method, size = CONTAINER.unpack_from(body, header_size)
-        packed = body[header_size + CONTAINER.size :]
-        if method == 0:
-            content = packed
-        elif method == 2:
-            if size > _LARGEST_CONTAINER:
-                report.skip(Location(f"container of {size} unpacked bytes", byte=offset))
-                return None
-            inflate = zlib.decompressobj()
-            try:
-                content = inflate.decompress(packed, size + 1)
-            except zlib.error as error:
-                report.skip(Location(f"damaged container ({error})", byte=offset))
-                return None
-            if whole and (not inflate.eof or len(content) != size):
-                report.skip(Location("damaged container (its size is another)", byte=offset))
-                return None
-        else:
-            report.skip(Location(f"container packed by method {method}", byte=offset))
-            return None
-        if not whole:
-            report.cut(Location("the log ends inside a container", byte=offset))
-        return content
-
-    def _batch(self, data: bytes, offset: int) -> Batch:
-        """Return the frames of unpacked data, which may go on an object of an earlier container."""
-        report = self._report
-        data = self._tail + data
-        self._tail = b""
+    def _inside(self, container: Container, offset: int) -> Batch:
+        """Return the frames of a container, which may go on an object of an earlier one."""
+        content = self._unpack(container, offset)
+        if content is None:
+            self._drop_tail()
+            return Batch([], [])
+        data, self._tail = self._tail + content, b""
         frames: list[LogFrame] = []
         for item in objects(data, self._start_ns):
             if isinstance(item, LogFrame):
                 frames.append(item)
-            elif isinstance(item, Other):
-                report.other[item.name] += 1
-            elif isinstance(item, Broken):
-                report.skip(Location(f"{item.reason}, {item.passed} bytes left out", byte=offset))
-            else:
+            elif isinstance(item, Unfinished):
                 self._tail = data[item.start :]
+            else:
+                found = _other(TYPE_CONTAINER) if isinstance(item, Container) else item
+                self._count(found, offset)
         return Batch(frames, [offset] * len(frames))
+
+    def _unpack(self, container: Container, offset: int) -> bytes | None:
+        """Return the content of a container, of a cut-off one as much as there is; None if damaged."""
+        report, begin = self._report, container.header_size + CONTAINER.size
+        if len(container.data) < begin:
+            report.cut(Location("the log ends inside a container", byte=offset))
+            return None
+        method, size = CONTAINER.unpack_from(container.data, container.header_size)
+        content, damage = container.data[begin:], ""
+        if method == 2 and size <= _LARGEST_CONTAINER:
+            inflate = zlib.decompressobj()
+            try:
+                content = inflate.decompress(content, size + 1)
+            except zlib.error as error:
+                damage = f"damaged container ({error})"
+            else:
+                if container.whole and (not inflate.eof or len(content) != size):
+                    damage = "damaged container (its size is another)"
+        elif method == 2:
+            damage = f"container of {size} unpacked bytes"
+        elif method != 0:
+            damage = f"container packed by method {method}"
+        if damage:
+            report.skip(Location(damage, byte=offset))
+            return None
+        if not container.whole:
+            report.cut(Location("the log ends inside a container", byte=offset))
+        return content
 
 
 class BlfWriter(LogWriter):
@@ -549,27 +450,19 @@ class BlfWriter(LogWriter):
 
     def __init__(self, path: str) -> None:
         super().__init__(path)
-        self._start_ns: int | None = None
         self._stop_ns = 0
         self._buffer = bytearray()
         self._unpacked_size = FILE_HEADER_SIZE
+
+    def _begin(self, frames: list[LogFrame]) -> None:
         self._out.write(bytes(FILE_HEADER_SIZE))
 
     def _write_batch(self, frames: list[LogFrame]) -> None:
-        if self._start_ns is None:
-            first_ns = min(frame.time_ns for frame in frames)
-            absolute = first_ns >= RELATIVE_BELOW_NS
-            self._start_ns = first_ns // NS_PER_MS * NS_PER_MS if absolute else 0
         for frame in frames:
-            self._add(frame, self._start_ns)
+            self._add(frame)
 
-    def _add(self, frame: LogFrame, start_ns: int) -> None:
-        time_ns = frame.time_ns - start_ns
-        if time_ns < 0:
-            raise InputError(
-                f"{self.path}: a frame at {format_ns(frame.time_ns)} s is before the start of "
-                f"the log at {format_ns(start_ns)} s; expected candump, csv or mf4 for it"
-            )
+    def _add(self, frame: LogFrame) -> None:
+        time_ns = self._since_start(frame)
         self._stop_ns = max(self._stop_ns, frame.time_ns)
         channel = self.channel_number(frame.channel)
         word = frame.can_id | (EXTENDED if frame.extended else 0)
@@ -615,8 +508,7 @@ class BlfWriter(LogWriter):
     def _finish(self) -> None:
         if self._buffer:
             self._container(self._buffer)
-        start_ns = self._start_ns or 0
-        size = self._out.tell()
+        size, start_ns = self._out.tell(), self.start_ns
         header = FILE_HEADER.pack(
             b"LOGG",
             FILE_HEADER_SIZE,
@@ -636,8 +528,4 @@ def _recognise(head: bytes) -> bool:
     return head.startswith(b"LOGG")
 
 
-def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
-    return BlfReader(report).read(source)
-
-
-FORMAT: Final = Format("blf", (".blf",), _recognise, _read, BlfWriter, "byte")
+FORMAT: Final = Format("blf", (".blf",), _recognise, BlfReader, BlfWriter, "byte")

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
 from sil.logs.format import Batch, Format, NotAFrame, TextReader, time_base
-from sil.logs.frame import MAX_TIME_NS, LogFrame, frame_problem
+from sil.logs.frame import MAX_TIME_NS, LogFrame
 from sil.logs.report import LogReport
 from sil.logs.source import ByteSource, Chunk, Line
 from sil.logs.times import NS_PER_S, enough_decimals, parse_decimal_ns, utc_ns
@@ -99,9 +99,6 @@ def parse_line(text: str) -> Parsed:
             frame, has_length = _screen(time_ns, screen)
         else:
             frame, has_length = _other(time_ns, line)
-    problem = frame_problem(frame)
-    if problem:
-        raise ValueError(problem)
     return Parsed(frame, timed is not None, has_length)
 
 
@@ -134,26 +131,17 @@ def _identifier(digits: str) -> tuple[int, bool, bool]:
 
 
 def _compact(time_ns: int, match: re.Match[str]) -> tuple[LogFrame, bool]:
-    channel, digits, body, direction_letter = match.groups()
-    direction = {"R": "Rx", "T": "Tx", None: ""}[direction_letter]
+    channel, digits, body, letter = match.groups()
+    direction = _LETTERS.get(letter, "")
     if _XL.match(body):
         raise NotAFrame("CAN XL frame")
     can_id, extended, error = _identifier(digits)
+    frame = LogFrame(time_ns, can_id, b"", extended, error=error, channel=channel)
+    frame = frame._replace(direction=direction)
     remote = _REMOTE.match(body)
     if remote:
         raw_dlc = int(remote[2] or remote[1] or "0", 16)
-        frame = LogFrame(
-            time_ns,
-            can_id,
-            b"",
-            extended,
-            remote=True,
-            channel=channel,
-            direction=direction,
-            raw_dlc=raw_dlc,
-            error=error,
-        )
-        return frame, bool(direction or remote[2])
+        return frame._replace(remote=True, raw_dlc=raw_dlc), bool(direction or remote[2])
     fd = body.startswith("#")
     flags = 0
     if fd:
@@ -166,44 +154,21 @@ def _compact(time_ns: int, match: re.Match[str]) -> tuple[LogFrame, bool]:
     payload = bytes.fromhex(data[1].replace(".", ""))
     if data[2] and (fd or len(payload) != 8):
         raise ValueError(f"raw length code _{data[2]} with {len(payload)} bytes; expected 8")
-    frame = LogFrame(
-        time_ns,
-        can_id,
-        payload,
-        extended,
-        False,
-        error,
-        fd,
-        bool(flags & 1),
-        bool(flags & 2),
-        channel,
-        direction,
-        int(data[2] or "0", 16),
-    )
+    brs, esi, raw_dlc = bool(flags & 1), bool(flags & 2), int(data[2] or "0", 16)
+    frame = frame._replace(data=payload, fd=fd, brs=brs, esi=esi, raw_dlc=raw_dlc)
     return frame, bool(direction or data[2]) or len(payload) == 64
 
 
 def _screen(time_ns: int, match: re.Match[str]) -> tuple[LogFrame, bool]:
-    channel, direction, brs, esi, digits, length_text, code_text, rest = match.groups()
+    channel, way, brs, esi, digits, length_text, code_text, rest = match.groups()
     can_id, extended, error = _identifier(digits)
     fd = length_text is not None and len(length_text) == 2
     raw_dlc = int(code_text, 16) if code_text else 0
     length = int(length_text) if length_text else min(raw_dlc, 8)
-    direction = (direction or "").capitalize()
+    frame = LogFrame(time_ns, can_id, b"", extended, error=error, channel=channel)
+    frame = frame._replace(direction=(way or "").capitalize())
     if rest.strip() == "remote request":
-        return (
-            LogFrame(
-                time_ns,
-                can_id,
-                b"",
-                extended,
-                remote=True,
-                channel=channel,
-                direction=direction,
-                raw_dlc=raw_dlc or length,
-            ),
-            True,
-        )
+        return frame._replace(remote=True, error=False, raw_dlc=raw_dlc or length), True
     body = _SCREEN_DATA.match(rest)
     if body is None:
         raise ValueError(f"data {rest.strip()[:24]!r} is not bytes")
@@ -218,21 +183,9 @@ def _screen(time_ns: int, match: re.Match[str]) -> tuple[LogFrame, bool]:
         payload = payload[::-1]
     if not fd and length > 8:
         raise ValueError(f"length [{length}] of a classic frame")
-    frame = LogFrame(
-        time_ns,
-        can_id,
-        payload,
-        extended,
-        False,
-        error,
-        fd,
-        fd and brs == "B",
-        fd and esi == "E",
-        channel,
-        direction,
-        raw_dlc if raw_dlc > 8 else 0,
-    )
-    return frame, True
+    brs, esi = fd and brs == "B", fd and esi == "E"
+    raw_dlc = raw_dlc if raw_dlc > 8 else 0
+    return frame._replace(data=payload, fd=fd, brs=brs, esi=esi, raw_dlc=raw_dlc), True
 
 
 def _other(time_ns: int, line: str) -> tuple[LogFrame, bool]:
@@ -380,19 +333,17 @@ def _words(text: str, count: int, first: str, step: int) -> list[str] | None:
 class CandumpReader(TextReader):
     """State of one reading: what the times of the log are."""
 
-    def __init__(self, report: LogReport, times: str) -> None:
-        super().__init__(report)
-        self._times = times
+    def __init__(self, source: ByteSource, report: LogReport, times: str) -> None:
+        super().__init__(source, report, times)
         self._decided = False
         self._timed: bool | None = None
         self._sum_ns = 0
         self._columns = PlainChunks()
         self._earlier: list[LogFrame] = []
 
-    def read(self, source: ByteSource) -> Iterator[Batch]:
-        """Yield the frames chunk by chunk."""
+    def __iter__(self) -> Iterator[Batch]:
         held = Batch([], [])
-        for batch in super().read(source):
+        for batch in super().__iter__():
             self._earlier = batch.frames
             if not self._decided:
                 held = Batch(held.frames + batch.frames, [*held.locations, *batch.locations])
@@ -483,13 +434,13 @@ class CandumpWriter(LogWriter):
 
     def __init__(self, path: str) -> None:
         super().__init__(path)
-        self._decimals: int | None = None
         self._names: dict[str, str] = {}
         self._prefixes: dict[tuple[int, bool], str] = {}
 
+    def _begin(self, frames: list[LogFrame]) -> None:
+        self._decimals = enough_decimals(frames)
+
     def _write_batch(self, frames: list[LogFrame]) -> None:
-        if self._decimals is None:
-            self._decimals = enough_decimals(frames)
         if self._ordinary and self._decimals == 6 and not any(f[0] % 1000 for f in frames):
             text = self._plain(frames)
         else:
@@ -530,9 +481,6 @@ class CandumpWriter(LogWriter):
         else:
             body = f"{_id_text(frame)}#{frame.data.hex().upper()}"
         return f"({stamp}) {self._name(frame.channel)} {body}{_LETTER[frame.direction]}\n"
-
-    def _finish(self) -> None:
-        """There is nothing after the last line."""
 
     def _name(self, channel: str) -> str:
         name = self._names.get(channel)
@@ -591,8 +539,6 @@ def _recognise(head: bytes) -> bool:
     return False
 
 
-def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
-    return CandumpReader(report, times).read(source)
-
-
-FORMAT: Final = Format("candump", (".log", ".candump", ".txt"), _recognise, _read, CandumpWriter)
+FORMAT: Final = Format(
+    "candump", (".log", ".candump", ".txt"), _recognise, CandumpReader, CandumpWriter
+)

@@ -96,8 +96,7 @@ def convert(
 
 def _signals(source: str, target: str) -> TraceReport | None:
     """Convert a table of signals if the source is one."""
-    from sil.logs.mf4 import holds_signals_only
-    from sil.logs.traces import is_trace_csv, mf4_to_trace, trace_to_mf4
+    from sil.logs.traces import holds_signals_only, is_trace_csv, mf4_to_trace, trace_to_mf4
 
     plain = target.removesuffix(".gz").lower()
     if is_trace_csv(source):

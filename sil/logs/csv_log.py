@@ -9,13 +9,14 @@ from __future__ import annotations
 import base64
 import re
 from collections.abc import Callable, Iterator
+from functools import lru_cache, partial
 from typing import Any, Final, NamedTuple
 
 from can_dbc.errors import InputError
 from sil.logs.format import Batch, Format, TextReader, time_base
-from sil.logs.frame import DLC_LENGTHS, LogFrame, frame_problem
-from sil.logs.report import LogReport, printable
-from sil.logs.source import ByteSource, Line
+from sil.logs.frame import DLC_LENGTHS, LogFrame
+from sil.logs.report import printable
+from sil.logs.source import Line
 from sil.logs.times import format_ns, parse_decimal_ns
 from sil.logs.writer import LogWriter
 
@@ -26,11 +27,12 @@ _FLAGS: Final = {"0": False, "1": True, "false": False, "true": True}
 
 
 def _flag(text: str) -> bool:
-    if text.lower() not in _FLAGS:
+    if text not in _FLAGS and text.lower() not in _FLAGS:
         raise ValueError(f"{text[:10]!r} is neither 0 nor 1")
     return _FLAGS[text.lower()]
 
 
+@lru_cache(1 << 12)
 def _identifier(text: str) -> int:
     match = _HEX.match(text)
     if match is None:
@@ -38,15 +40,10 @@ def _identifier(text: str) -> int:
     return int(match[1], 16)
 
 
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdecimal() and len(text) < 4 and int(text) <= 64):
-        raise ValueError(f"{text[:10]!r} is no count up to 64")
-    return int(text)
-
-
-def _code(text: str) -> int:
-    if _count(text) > 15:
-        raise ValueError(f"{text[:10]!r} is no length code up to 15")
+@lru_cache(1 << 8)
+def _number(most: int, what: str, text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and len(text) < 4 and int(text) <= most):
+        raise ValueError(f"{text[:10]!r} is no {what} up to {most}")
     return int(text)
 
 
@@ -61,14 +58,6 @@ def _base64(text: str) -> bytes:
         return base64.b64decode(text, validate=True)
     except ValueError as broken:
         raise ValueError(f"data {text[:24]!r} is not base64 ({broken})") from None
-
-
-def _microseconds(text: str) -> int:
-    return parse_decimal_ns(text, 1000)
-
-
-def _numbered_direction(text: str) -> str:
-    return "Tx" if _flag(text) else "Rx"
 
 
 Column = tuple[str, Callable[[str], Any]]
@@ -88,53 +77,54 @@ class Dialect(NamedTuple):
     spread: bool = False
 
 
-_ID: Final[Column] = ("can_id", _identifier)
-_EXTENDED: Final[Column] = ("extended", _flag)
-_SECONDS: Final[Column] = ("time_ns", parse_decimal_ns)
-_CHANNEL: Final[Column] = ("channel", str)
-_LENGTH: Final[Column] = ("length", _count)
-_DATA: Final[Column] = ("data", _hex_bytes)
-_ERROR: Final[Column] = ("error", _flag)
-_REMOTE: Final[Column] = ("remote", _flag)
-_FD_FLAGS: Final[tuple[Column, ...]] = (("fd", _flag), ("brs", _flag), ("esi", _flag))
-_GVRET: Final[tuple[Column, ...]] = (("time_ns", _microseconds), _ID, _EXTENDED)
-_CSS: Final[tuple[Column, ...]] = (
-    *(_SECONDS, _CHANNEL, _ID, _EXTENDED, ("dlc", _code), _LENGTH),
-    *(("direction", _numbered_direction), *_FD_FLAGS),
-)
-_DIRECTION: Final[Column] = ("direction", str)
-_OUR_FIRST: Final[tuple[Column, ...]] = (
-    *(_SECONDS, _CHANNEL, _DIRECTION, _ID, _EXTENDED, _REMOTE),
-)
+_COLUMNS: Final[dict[str, Column]] = {
+    "seconds": ("time_ns", parse_decimal_ns),
+    "microseconds": ("time_ns", partial(parse_decimal_ns, unit_ns=1000)),
+    "id": ("can_id", _identifier),
+    "length": ("length", partial(_number, 64, "count")),
+    "dlc": ("dlc", partial(_number, 15, "length code")),
+    "data": ("data", _hex_bytes),
+    "base64": ("data", _base64),
+    "channel": ("channel", str),
+    "direction": ("direction", str),
+    "way": ("direction", str.capitalize),
+    "is_tx": ("direction", lambda text: "Tx" if _flag(text) else "Rx"),
+    **{name: (name, _flag) for name in ("extended", "remote", "error", "fd", "brs", "esi")},
+}
+"""The field of a frame that each kind of column holds, and how its text is read."""
 
+
+def _table(header: str, separator: str, columns: str, spread: bool = False) -> Dialect:
+    return Dialect(header, separator, tuple(_COLUMNS[name] for name in columns.split()), spread)
+
+
+_CSS_HEADER: Final = "timestampepoch;buschannel;id;ide;dlc;datalength;dir;edl;brs"
+_CSS: Final = "seconds channel id extended dlc length is_tx fd brs"
 DIALECTS: Final = (
-    Dialect(
+    _table(
         OUR_HEADER,
         ",",
-        (*_OUR_FIRST, _ERROR, *_FD_FLAGS, ("dlc", _code), _DATA),
+        "seconds channel direction id extended remote error fd brs esi dlc data",
     ),
-    Dialect(
+    _table(
         "timestamp,arbitration_id,extended,remote,error,dlc,data",
         ",",
-        (_SECONDS, _ID, _EXTENDED, _REMOTE, _ERROR, _LENGTH, ("data", _base64)),
+        "seconds id extended remote error length base64",
     ),
-    Dialect(
+    _table(
         "time stamp,id,extended,dir,bus,len,d1",
         ",",
-        (*_GVRET, ("direction", str.capitalize), _CHANNEL, _LENGTH, _DATA),
+        "microseconds id extended way channel length data",
         spread=True,
     ),
-    Dialect("time stamp,id,extended,bus,len,d1", ",", (*_GVRET, _CHANNEL, _LENGTH, _DATA), True),
-    Dialect(
-        "timestampepoch;buschannel;id;ide;dlc;datalength;dir;edl;brs;esi;databytes",
-        ";",
-        (*_CSS, _DATA),
+    _table(
+        "time stamp,id,extended,bus,len,d1",
+        ",",
+        "microseconds id extended channel length data",
+        spread=True,
     ),
-    Dialect(
-        "timestampepoch;buschannel;id;ide;dlc;datalength;dir;edl;brs;databytes",
-        ";",
-        (*_CSS[:-1], _DATA),
-    ),
+    _table(f"{_CSS_HEADER};esi;databytes", ";", f"{_CSS} esi data"),
+    _table(f"{_CSS_HEADER};databytes", ";", f"{_CSS} data"),
 )
 
 
@@ -169,27 +159,18 @@ def _frame(dialect: Dialect, text: str) -> LogFrame:
         raise ValueError(f"{len(data)} bytes of data; expected {length}")
     elif dlc is not None and dlc > 8 and not fd:
         row["raw_dlc"] = dlc
-    frame = LogFrame(**row)
-    problem = frame_problem(frame)
-    if problem is not None:
-        raise ValueError(problem)
-    return frame
+    return LogFrame(**row)
 
 
 class CsvReader(TextReader):
     """State of one reading: the dialect, once the header is read."""
 
-    def __init__(self, report: LogReport) -> None:
-        super().__init__(report)
-        self._dialect: Dialect | None = None
+    _dialect: Dialect | None = None
 
-    def read(self, source: ByteSource) -> Iterator[Batch]:
-        """Yield the frames chunk by chunk."""
-        first = True
-        for batch in super().read(source):
-            if first:
+    def __iter__(self) -> Iterator[Batch]:
+        for number, batch in enumerate(super().__iter__()):
+            if number == 0:
                 self._report.time_base = time_base(batch.frames[0].time_ns)
-                first = False
             yield batch
         if self._dialect is None:
             self._report.note("an empty file")
@@ -226,8 +207,7 @@ class CsvWriter(LogWriter):
 
     format = "csv"
 
-    def __init__(self, path: str) -> None:
-        super().__init__(path)
+    def _begin(self, frames: list[LogFrame]) -> None:
         self._out.write((OUR_HEADER + "\n").encode("ascii"))
 
     def _write_batch(self, frames: list[LogFrame]) -> None:
@@ -245,9 +225,6 @@ class CsvWriter(LogWriter):
             )
         self._out.write("".join(rows).encode("ascii"))
 
-    def _finish(self) -> None:
-        """Write nothing more after the last row."""
-
 
 def _recognise(head: bytes) -> bool:
     """Return whether the first line is a header we know, of frames or of signals."""
@@ -255,8 +232,4 @@ def _recognise(head: bytes) -> bool:
     return _dialect(first) is not None or first.startswith("time_s,")
 
 
-def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
-    return CsvReader(report).read(source)
-
-
-FORMAT: Final = Format("csv", (".csv",), _recognise, _read, CsvWriter)
+FORMAT: Final = Format("csv", (".csv",), _recognise, CsvReader, CsvWriter)

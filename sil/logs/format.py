@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
-from sil.logs.frame import LogFrame, ordinary_frame
+from sil.logs.frame import LogFrame, frame_problem, ordinary_frame
 from sil.logs.report import Location, LogReport
 from sil.logs.source import ByteSource, Chunk, Line, chunk_lines, chunks, line_at
 from sil.logs.times import RELATIVE_BELOW_NS
@@ -29,7 +29,7 @@ class Format(NamedTuple):
 
     suffixes: of file names, the usual one first.
     recognise: whether a file that begins with these bytes is of this format.
-    read: the frames of a source; what is broken goes to the report. `times` is "auto", or "delta"
+    read: the batches of a source; what is broken goes to the report. `times` is "auto", or "delta"
     or "recorded" to say what the times of a candump log are.
     writer: open a writer for a new log.
     location: what the numbers in a batch count: "line", "byte" or "frame".
@@ -38,7 +38,7 @@ class Format(NamedTuple):
     name: str
     suffixes: tuple[str, ...]
     recognise: Callable[[bytes], bool]
-    read: Callable[[ByteSource, LogReport, str], Iterator[Batch]]
+    read: Callable[[ByteSource, LogReport, str], Iterable[Batch]]
     writer: Callable[[str], LogWriter]
     location: str = "line"
 
@@ -58,13 +58,14 @@ class NotAFrame(Exception):
 class TextReader(ABC):
     """Reads a log of lines; a format says how a line becomes a frame."""
 
-    def __init__(self, report: LogReport) -> None:
+    def __init__(self, source: ByteSource, report: LogReport, times: str) -> None:
+        self._source = source
         self._report = report
+        self._times = times
         self._ids: dict[str, tuple[int, bool]] = {}
 
-    def read(self, source: ByteSource) -> Iterator[Batch]:
-        """Yield the frames chunk by chunk."""
-        for chunk in chunks(source):
+    def __iter__(self) -> Iterator[Batch]:
+        for chunk in chunks(self._source):
             batch = None if chunk.unterminated else self._quick(chunk)
             batch = batch or self._each_line(chunk)
             if batch.frames:
@@ -78,8 +79,8 @@ class TextReader(ABC):
     def _line(self, line: Line) -> LogFrame | None:
         """Return the frame of a line, None for one that counts for nothing.
 
-        Raises NotAFrame for what is known and no frame, ValueError for a broken line, InputError
-        where nothing after it can be read.
+        A frame that no bus can carry is refused by the caller. Raises NotAFrame for what is known
+        and no frame, ValueError for a broken line, InputError where nothing after it can be read.
         """
 
     def _each_line(self, chunk: Chunk) -> Batch:
@@ -95,7 +96,10 @@ class TextReader(ABC):
     def _guarded(self, line: Line) -> LogFrame | None:
         """Return the frame of a line; other lines and broken ones go to the report."""
         try:
-            return self._line(line)
+            frame = self._line(line)
+            if frame is not None and (problem := frame_problem(frame)):
+                raise ValueError(problem)
+            return frame
         except InputError:
             raise
         except NotAFrame as known:

@@ -3,33 +3,24 @@
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import islice
-from typing import Any, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 from can_dbc.errors import InputError
 from can_dbc.messages import Fault, ShiftState
-from sil.logs.mf4 import SignalTable, import_asammdf, new_measurement
-from sil.logs.report import LogReport
+from sil.files.atomic import open_atomically
+from sil.files.quantity import unit_of
+from sil.logs.mf4 import Mf4File, import_asammdf, is_mf4, new_measurement, save
+from sil.logs.report import LogReport, printable
 from sil.logs.source import ByteSource, lines
-from sil.logs.writer import replacing
 
-_ROWS: Final = 1 << 14
-_UNITS: Final = (
-    ("_rad_s", "rad/s"),
-    ("_m_s", "m/s"),
-    ("_n_s", "N·s"),
-    ("_pa", "Pa"),
-    ("_kg", "kg"),
-    ("_rad", "rad"),
-    ("_ns", "ns"),
-    ("_m", "m"),
-    ("_n", "N"),
-    ("_s", "s"),
-    ("_k", "K"),
-    ("_j", "J"),
-)
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
 _COMMENTS: Final = {
     "position_m": "true position of the stay, 0 = neutral, + = backward (fixed rig: from its start)",
     "velocity_m_s": "true speed of the stay",
@@ -67,9 +58,9 @@ class TraceReport:
         return {"rows": self.rows, "names": list(self.names), "units": list(self.units)}
 
 
-def unit_of(name: str) -> str:
-    """Return the unit that a signal's name ends in, "" for none."""
-    return next((unit for suffix, unit in _UNITS if name.endswith(suffix)), "")
+def _unit(name: str) -> str:
+    """Return the unit that a name ends in, as MDF tools write it, e.g. N·s; "" for none."""
+    return unit_of(name).replace(" ", "·")
 
 
 def comment_of(name: str) -> str:
@@ -81,62 +72,67 @@ def comment_of(name: str) -> str:
 
 
 def is_trace_csv(path: str) -> bool:
-    """Return whether a file is a table of signals: CSV with time_s first that is no log of frames."""
+    """Return whether a file is a table of signals: CSV with time_s first that is no log of frames.
+
+    Raises InputError if it cannot be read.
+    """
     if not path.removesuffix(".gz").lower().endswith(".csv"):
         return False
-    source = ByteSource(path, LogReport(path, "csv"))
-    source.close()
-    names = source.head.split(b"\n", 1)[0].decode("latin-1").strip().split(",")
+    names = _header(path)
     return names[0] == "time_s" and len(names) > 1 and "data" not in names
 
 
-def _rows(path: str) -> Iterator[tuple[int, list[float]]]:
-    """Rows of a trace with their line numbers, the header's names checked by the caller.
+def _header(path: str) -> list[str]:
+    source = ByteSource(path, LogReport(path, "csv"))
+    source.close()
+    return source.head.split(b"\n", 1)[0].decode("latin-1").strip().split(",")
+
+
+def _table(path: str, names: list[str]) -> NDArray[Any]:
+    """Return the rows of a trace, [rows, columns], the time first in s.
 
     Raises InputError at a broken row: no row of a trace can be left out.
     """
+    import numpy as np
+
+    count, last_s = len(names), float("-inf")
+    cells = array("d")
     source = ByteSource(path, LogReport(path, "csv", strict=True))
     try:
-        count = 0
         for line in lines(source):
             text = line.text.strip()
-            if line.number == 1:
-                count = len(text.split(","))
+            if line.number == 1 or not text:
                 continue
-            if not text:
-                continue
+            where = f"{path}: line {line.number}"
             try:
                 values = [float(word) if word else float("nan") for word in text.split(",")]
             except ValueError:
                 raise InputError(
-                    f"{path}: line {line.number}: {text[:40]!r} is not numbers; expected {count}"
+                    f"{where}: {text[:40]!r} is not numbers; expected {count}"
                 ) from None
             if len(values) != count:
+                raise InputError(f"{where}: {len(values)} columns; expected {count}")
+            if not values[0] >= last_s:
                 raise InputError(
-                    f"{path}: line {line.number}: {len(values)} columns; expected {count}"
+                    f"{where}: time {values[0]} s after {last_s} s; expected times that do not fall"
                 )
-            yield line.number, values
+            last_s = values[0]
+            cells.extend(values)
     finally:
         source.close()
+    if not cells:
+        raise InputError(f"{path}: no rows under the header; expected a trace")
+    return np.frombuffer(cells).reshape(-1, count)
 
 
-def _batches(path: str) -> Iterator[list[tuple[int, list[float]]]]:
-    """Yield the rows of a trace, some thousand at a time."""
-    rows = _rows(path)
-    while batch := list(islice(rows, _ROWS)):
-        yield batch
-
-
-def _names(path: str) -> list[str]:
-    source = ByteSource(path, LogReport(path, "csv"))
-    source.close()
-    names = source.head.split(b"\n", 1)[0].decode("latin-1").strip().split(",")
-    for name in names:
-        if not _NAME.match(name) or names.count(name) > 1:
-            raise InputError(
-                f"{path}: line 1: column {name[:40]!r}; expected distinct names of signals"
-            )
-    return names
+@contextmanager
+def _written(path: str) -> Iterator[BinaryIO]:
+    """Open the new file. Raises InputError if the disk refuses."""
+    try:
+        with open_atomically(Path(path)) as file:
+            yield file
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; expected a file to write") from None
 
 
 def trace_to_mf4(source: str, target: str) -> TraceReport:
@@ -147,39 +143,42 @@ def trace_to_mf4(source: str, target: str) -> TraceReport:
     asammdf = import_asammdf(target)
     import numpy as np
 
-    names = _names(source)
-    signals = tuple(names[1:])
-    units = tuple(unit_of(name) for name in signals)
+    names = _header(source)
+    for name in names:
+        if not _NAME.match(name) or names.count(name) > 1:
+            raise InputError(
+                f"{source}: line 1: column {name[:40]!r}; expected distinct names of signals"
+            )
+    times_s, *columns = (np.ascontiguousarray(column) for column in _table(source, names).T)
+    signals = [
+        asammdf.Signal(column, times_s, name=name, unit=_unit(name), comment=comment_of(name))
+        for name, column in zip(names[1:], columns, strict=True)
+    ]
     measurement = new_measurement(target, 0)
-    written = 0
-    last_s = float("-inf")
     try:
-        for rows in _batches(source):
-            table = np.array([values for _, values in rows], dtype=np.float64)
-            for (number, values), before_s in zip(rows, [last_s, *table[:-1, 0]], strict=True):
-                if not values[0] >= before_s:
-                    raise InputError(
-                        f"{source}: line {number}: time {values[0]} s after {before_s} s; expected "
-                        "times that do not fall"
-                    )
-            last_s = table[-1, 0]
-            times, *columns = (np.ascontiguousarray(column) for column in table.T)
-            if written:
-                measurement.extend(0, [(times, None), *((column, None) for column in columns)])
-            else:
-                table_signals = [
-                    asammdf.Signal(column, times, name=name, unit=unit, comment=comment_of(name))
-                    for name, unit, column in zip(signals, units, columns, strict=True)
-                ]
-                measurement.append(table_signals, acq_name="trace", common_timebase=True)
-            written += len(rows)
-        if not written:
-            raise InputError(f"{source}: no rows under the header; expected a trace")
-        with replacing(target) as file:
-            measurement.save(file, compression=1, add_history_block=False)
+        measurement.append(signals, acq_name="trace", common_timebase=True)
+        with _written(target) as file:
+            save(measurement, file)
     finally:
         measurement.close()
-    return TraceReport(written, signals, units)
+    return TraceReport(len(times_s), tuple(names[1:]), tuple(map(_unit, names[1:])))
+
+
+def holds_signals_only(path: str) -> bool:
+    """Return whether a file is an MF4 with decoded signals and without CAN frames.
+
+    A broken file is none: whoever reads it names what is wrong.
+    """
+    source = ByteSource(path, LogReport(path, "mf4"))
+    try:
+        if source.packed or not is_mf4(source.head):
+            return False
+        with Mf4File(source, LogReport(path, "mf4")) as file:
+            return bool(file.signal_groups())
+    except InputError:
+        return False
+    finally:
+        source.close()
 
 
 def mf4_to_trace(source: str, target: str) -> TraceReport:
@@ -187,14 +186,50 @@ def mf4_to_trace(source: str, target: str) -> TraceReport:
 
     Raises InputError for a file of several tables, and for signals that are no plain numbers.
     """
-    table = SignalTable(source)
-    count = 0
+    opened = ByteSource(source, LogReport(source, "mf4", strict=True))
     try:
-        with replacing(target) as file:
-            file.write(",".join(["time_s", *table.names]).encode("utf-8") + b"\n")
-            for row in table.rows():
-                file.write((",".join(map(repr, row)) + "\n").encode("ascii"))
-                count += 1
+        with Mf4File(opened, LogReport(source, "mf4", strict=True)) as file:
+            signals = _signals(source, file)
     finally:
-        table.close()
-    return TraceReport(count, table.names, table.units)
+        opened.close()
+    names = tuple(signal.name for signal in signals)
+    columns = [signals[0].timestamps, *(signal.samples for signal in signals)]
+    with _written(target) as csv:
+        csv.write(",".join(["time_s", *names]).encode("utf-8") + b"\n")
+        for row in zip(*(column.tolist() for column in columns), strict=True):
+            csv.write((",".join(map(repr, row)) + "\n").encode("ascii"))
+    return TraceReport(len(columns[0]), names, tuple(signal.unit for signal in signals))
+
+
+def _signals(path: str, file: Mf4File) -> list[Any]:
+    """Return the signals of the one table in a file, as asammdf has them."""
+    groups = file.signal_groups()
+    if len(groups) != 1:
+        raise InputError(
+            f"{path}: signals in {len(groups)} groups with times of their own; expected "
+            "one group, which is one table"
+        )
+    group = file.mdf.groups[groups[0]]
+    master = file.mdf.masters_db.get(groups[0])
+    if master is None or group.channel_group.invalidation_bytes_nr:
+        raise InputError(
+            f"{path}: samples without a time, or that can be marked invalid; expected "
+            "a table of numbers over time"
+        )
+    indices = [i for i in range(len(group.channels)) if i != master]
+    with file.guard():
+        signals = [file.mdf.get(group=groups[0], index=i) for i in indices]
+    for signal in signals:
+        shown = printable(signal.name[:60])
+        if "," in signal.name or '"' in signal.name or not signal.name.isprintable():
+            raise InputError(
+                f"{path}: signal {shown}: a comma, quote or control character in its name; "
+                "expected a name that a CSV can hold"
+            )
+        if signal.samples.ndim != 1 or signal.samples.dtype.kind not in "iufb":
+            raise InputError(f"{path}: signal {shown}: no plain numbers; expected a table of them")
+        if len(signal) < group.channel_group.cycles_nr:
+            raise InputError(f"{path}: sample {len(signal) + 1} is missing; expected a whole MF4")
+    if not signals:
+        raise InputError(f"{path}: a time without signals; expected a table of numbers over time")
+    return signals

@@ -6,12 +6,11 @@ Source: PEAK CAN TRC file format, as the files of PCAN-View and PEAK-Converter s
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from typing import Final
 
 from can_dbc.errors import InputError
 from sil.logs.format import Batch, Format, NotAFrame, TextReader, time_base
-from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame, frame_problem
+from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame
 from sil.logs.report import LogReport
 from sil.logs.source import ByteSource, Chunk, Line
 from sil.logs.times import NS_PER_MS, NS_PER_S, parse_decimal_ns, utc_calendar, utc_ns
@@ -60,8 +59,8 @@ _IDENTIFIER: Final = re.compile(r"[0-9A-F]{1,8}\Z", re.IGNORECASE)
 class TrcReader(TextReader):
     """State of one reading: version, columns, and the instant the offsets count from."""
 
-    def __init__(self, report: LogReport) -> None:
-        super().__init__(report)
+    def __init__(self, source: ByteSource, report: LogReport, times: str) -> None:
+        super().__init__(source, report, times)
         self._version = ""
         self._columns: list[str] = []
         report.time_base = "relative"
@@ -85,15 +84,10 @@ class TrcReader(TextReader):
             return None
         first = _VERSION_1.match(text)
         if first:
-            frame = self._version_1(first)
-        elif self._version.startswith("2"):
-            frame = self._version_2(text)
-        else:
-            raise ValueError(f"{text[:40]!r} is no TRC line")
-        problem = frame_problem(frame)
-        if problem is not None:
-            raise ValueError(problem)
-        return frame
+            return self._version_1(first)
+        if self._version.startswith("2"):
+            return self._version_2(text)
+        raise ValueError(f"{text[:40]!r} is no TRC line")
 
     def _header(self, text: str) -> None:
         report = self._report
@@ -135,38 +129,15 @@ class TrcReader(TextReader):
 
     def _version_1(self, match: re.Match[str]) -> LogFrame:
         _, offset, bus, kind, digits, length_text, rest = match.groups()
-        length = int(length_text)
         words = (rest or "").split()
         if kind == "Warng" or (kind is None and digits == "FFFFFFFF"):
             raise NotAFrame("status line")
-        can_id = int(digits, 16)
-        channel = str(int(bus)) if bus else ""
-        direction = kind if kind in ("Rx", "Tx") else ""
-        time_ns = self._time(offset)
-        if kind == "Error":
-            data = _bytes(words, min(length, 8))
-            return LogFrame(time_ns, can_id, data, False, error=True, channel=channel)
-        extended = len(digits) > 4
-        if words[:1] == ["RTR"]:
-            return LogFrame(
-                time_ns,
-                can_id,
-                b"",
-                extended,
-                remote=True,
-                channel=channel,
-                direction=direction,
-                raw_dlc=length,
-            )
-        data = _bytes(words, min(length, 8))
-        return LogFrame(
-            time_ns,
-            can_id,
-            data,
-            extended,
-            channel=channel,
-            direction=direction,
-            raw_dlc=length if length > 8 else 0,
+        remote = words[:1] == ["RTR"] and kind != "Error"
+        return self._built(
+            {"Error": "ER"}.get(kind, "RR" if remote else "DT"),
+            (offset, bus or "", digits, kind if kind in ("Rx", "Tx") else ""),
+            int(length_text),
+            [] if remote else words,
         )
 
     def _version_2(self, text: str) -> LogFrame:
@@ -191,54 +162,38 @@ class TrcReader(TextReader):
 
     def _frame(self, kind: str, column: dict[str, str]) -> LogFrame:
         """Return the frame of a version 2 line, from its columns by their letters."""
-        time_ns = self._time(column["O"])
-        bus = column.get("B", "")
+        bus, digits = column.get("B", ""), column["I"]
         if bus and not (bus.isdecimal() and len(bus) < 4):
             raise ValueError(f"bus {bus[:10]!r} is no number")
-        channel = str(int(bus)) if bus else ""
-        direction = column.get("d", "")
         coded = "L" in column
         length_text = column["L"] if coded else column["l"]
         if not (length_text.isdecimal() and int(length_text) <= (15 if coded else 64)):
             raise ValueError(f"length {length_text[:10]!r}")
-        number = int(length_text)
-        fd = kind in _FD_TYPES
-        words = column["D"].split()
-        if kind == "ER":
-            data = _bytes(words, min(number, 8))
-            return LogFrame(
-                time_ns, 0, data, False, error=True, channel=channel, direction=direction
-            )
-        digits = column["I"]
-        if not _IDENTIFIER.match(digits):
+        if kind != "ER" and not _IDENTIFIER.match(digits):
             raise ValueError(f"identifier {digits[:10]!r}")
-        extended = len(digits) > 4
-        if kind == "RR":
-            return LogFrame(
-                time_ns,
-                int(digits, 16),
-                b"",
-                extended,
-                remote=True,
-                channel=channel,
-                direction=direction,
-                raw_dlc=number,
-            )
-        length = DLC_LENGTHS[number] if coded and fd else number if fd else min(number, 8)
+        length = int(length_text)
+        if coded and kind in _FD_TYPES:
+            length = DLC_LENGTHS[length]
+        texts = column["O"], bus, digits, column.get("d", "")
+        return self._built(kind, texts, length, [] if kind == "RR" else column["D"].split())
+
+    def _built(
+        self, kind: str, texts: tuple[str, str, str, str], length: int, words: list[str]
+    ) -> LogFrame:
+        """Return a frame of a type of version 2; texts: offset, bus, identifier, direction."""
+        offset, bus, digits, direction = texts
+        fd, remote, error = kind in _FD_TYPES, kind == "RR", kind == "ER"
         brs, esi = _FD_TYPES.get(kind, (False, False))
+        data = b"" if remote else _bytes(words, length if fd else min(length, 8))
         return LogFrame(
-            time_ns,
-            int(digits, 16),
-            _bytes(words, length),
-            extended,
-            False,
-            False,
-            fd,
-            brs,
-            esi,
-            channel,
-            direction,
-            number if not fd and number > 8 else 0,
+            self._time(offset),
+            0 if error and not _IDENTIFIER.match(digits) else int(digits, 16),
+            data,
+            len(digits) > 4 and not error,
+            *(remote, error, fd, brs, esi),
+            channel=str(int(bus)) if bus else "",
+            direction=direction,
+            raw_dlc=length if remote or (not fd and not error and length > 8) else 0,
         )
 
 
@@ -265,10 +220,10 @@ class TrcWriter(RelativeWriter):
         self._number = 0
 
     def _header(self, frames: list[LogFrame]) -> str:
-        days, part_ns = divmod(self._origin_ns, _DAY_NS)
+        days, part_ns = divmod(self.start_ns, _DAY_NS)
         fraction = (part_ns * 10**15 + _DAY_NS // 2) // _DAY_NS
-        moment = utc_calendar(self._origin_ns)
-        milliseconds = self._origin_ns // NS_PER_MS % 1000
+        moment = utc_calendar(self.start_ns)
+        milliseconds = self.start_ns // NS_PER_MS % 1000
         return (
             ";$FILEVERSION=2.1\n"
             f";$STARTTIME={days + _EPOCH_DAYS}.{fraction:015d}\n"
@@ -319,8 +274,4 @@ def _recognise(head: bytes) -> bool:
     return bool(lines) and bool(_VERSION_1_LOOK.match(lines[0]))
 
 
-def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
-    return TrcReader(report).read(source)
-
-
-FORMAT: Final = Format("trc", (".trc",), _recognise, _read, TrcWriter)
+FORMAT: Final = Format("trc", (".trc",), _recognise, TrcReader, TrcWriter)

@@ -6,13 +6,15 @@ import contextlib
 import gzip
 import os
 import shutil
+import tempfile
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterator
+from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Final, Self
 
 from can_dbc.errors import InputError
+from sil.files.atomic import NewFile
 from sil.logs.frame import LogFrame, all_ordinary, require_possible
 from sil.logs.times import NS_PER_MS, RELATIVE_BELOW_NS, format_ns
 
@@ -24,6 +26,8 @@ class LogWriter(ABC):
 
     losses: what the format could not hold, by name, counted; nothing is dropped without it.
     channel_numbers: for formats that number their channels, the number of each name.
+    start_ns: where times in the log may count from: a whole millisecond at or before the first
+    frames, 0 if their times are relative.
     """
 
     format: str = ""
@@ -42,14 +46,24 @@ class LogWriter(ABC):
         self._written = 0
         self.losses: Counter[str] = Counter()
         self.channel_numbers: dict[str, int] = {}
+        self.start_ns = 0
         self._held: list[LogFrame] = []
-        self._closed = False
+        self._begun = self._closed = False
         self._channels_seen: set[str] = set()
         self._ordinary = False
-        self._file, self._partial = open_beside(path)
-        self._out: BinaryIO = self._file
-        if path.endswith(".gz") and not self.patched:
-            self._out = gzip.GzipFile(filename="", mode="wb", fileobj=self._file, mtime=0)  # type: ignore[assignment]
+        if os.path.exists(path) and not os.path.isfile(path):
+            kind = "a folder" if os.path.isdir(path) else "a pipe or device"
+            raise InputError(f"{path}: is {kind}; expected the name of a file")
+        try:
+            self._new = NewFile(Path(path))
+        except OSError as error:
+            raise InputError(f"{path}: {error.strerror}; expected a folder to write in") from None
+        self._out: BinaryIO = self._new.file
+        if path.endswith(".gz"):
+            if self.patched:
+                self._out = tempfile.NamedTemporaryFile()  # type: ignore[assignment]  # noqa: SIM115
+            else:
+                self._out = _packer(self._new.file)
 
     @property
     def frames(self) -> int:
@@ -67,36 +81,53 @@ class LogWriter(ABC):
             self.flush()
 
     def flush(self) -> None:
-        """Write the frames that are held back."""
-        if self._held:
-            held = self._held
-            self._check(held)
-            self._held = []
-            self._guarded(held)
-            self._written += len(held)
-
-    def _check(self, frames: list[LogFrame]) -> None:
-        """Check that a bus can carry the frames. Raises InputError."""
-        self._ordinary = all_ordinary(frames, self._channels_seen)
-        if self._ordinary:
+        """Write the frames that are held back. Raises InputError as `write` does."""
+        if not self._held:
             return
-        for number, frame in enumerate(frames, self._written + 1):
-            require_possible(frame, f"{self.path}: frame {number}")
-            self._channels_seen.add(frame.channel)
-
-    def _guarded(self, held: list[LogFrame]) -> None:
+        held = self._held
+        self._ordinary = all_ordinary(held, self._channels_seen)
+        if not self._ordinary:
+            for number, frame in enumerate(held, self._written + 1):
+                require_possible(frame, f"{self.path}: frame {number}")
+                self._channels_seen.add(frame.channel)
+        self._held = []
         try:
+            self._begin_with(held)
             self._write_batch(held)
         except OSError as error:
-            raise InputError(f"{self.path}: {error.strerror}; expected room to write") from None
+            raise self._no_room(error) from None
+        self._written += len(held)
+
+    def _begin_with(self, frames: list[LogFrame]) -> None:
+        """Find where times count from, and write the beginning, once."""
+        if not self._begun:
+            self._begun = True
+            first_ns = min((frame.time_ns for frame in frames), default=0)
+            if first_ns >= RELATIVE_BELOW_NS:
+                self.start_ns = first_ns // NS_PER_MS * NS_PER_MS
+            self._begin(frames)
+
+    def _begin(self, frames: list[LogFrame]) -> None:  # noqa: B027 optional
+        """Write what comes before the first frames, which are given (none for an empty log)."""
 
     @abstractmethod
     def _write_batch(self, frames: list[LogFrame]) -> None:
-        """Write frames, in order; the first call of all comes with the first frames."""
+        """Write frames, in order."""
 
-    @abstractmethod
-    def _finish(self) -> None:
-        """Write what comes after the last frame (and, for no frames at all, the beginning)."""
+    def _finish(self) -> None:  # noqa: B027 optional
+        """Write what comes after the last frame."""
+
+    def _since_start(self, frame: LogFrame) -> int:
+        """Return the time of a frame from the log's start in ns. Raises InputError before it."""
+        if frame.time_ns < self.start_ns:
+            raise InputError(
+                f"{self.path}: a frame at {format_ns(frame.time_ns)} s is before the start of "
+                f"the log at {format_ns(self.start_ns)} s; expected candump, csv or mf4 for it"
+            )
+        return frame.time_ns - self.start_ns
+
+    def _no_room(self, error: OSError) -> InputError:
+        return InputError(f"{self.path}: {error.strerror}; expected room to write")
 
     def close(self) -> None:
         """Finish the log and give it its name; a second call does nothing.
@@ -107,39 +138,28 @@ class LogWriter(ABC):
             return
         try:
             self.flush()
+            self._begin_with([])
             self._finish()
-            if self._out is not self._file:
+            if self._out is not self._new.file:
+                if self.patched:
+                    self._out.seek(0)
+                    with _packer(self._new.file) as packed:
+                        shutil.copyfileobj(self._out, packed, 1 << 20)
                 self._out.close()
-            elif self.path.endswith(".gz"):
-                self._pack()
-            self._file.close()
-            os.replace(self._partial, self.path)
-        except OSError as error:
+            self._new.keep()
+        except BaseException as error:
             self.abort()
-            raise InputError(f"{self.path}: {error.strerror}; expected room to write") from None
-        except BaseException:
-            self.abort()
-            raise
+            raise self._no_room(error) if isinstance(error, OSError) else error from None
         self._closed = True
-
-    def _pack(self) -> None:
-        """Replace the finished temporary file by a gzipped one."""
-        self._file.seek(0)
-        plain, plain_name = self._file, self._partial
-        self._file, self._partial = open_beside(self.path)
-        with plain, gzip.GzipFile(filename="", mode="wb", fileobj=self._file, mtime=0) as packed:
-            shutil.copyfileobj(plain, packed, 1 << 20)
-        os.unlink(plain_name)
 
     def abort(self) -> None:
         """Throw away what was written; the final name stays as it was."""
         if self._closed:
             return
         self._closed = True
-        with contextlib.suppress(OSError):  # what is held back may find no room
-            self._file.close()
-        if os.path.exists(self._partial):
-            os.unlink(self._partial)
+        self._new.discard()
+        with contextlib.suppress(OSError, ValueError):  # what is held back has no file any more
+            self._out.close()
 
     def __enter__(self) -> Self:
         return self
@@ -184,50 +204,13 @@ class LogWriter(ABC):
         return wanted
 
 
-def open_beside(path: str) -> tuple[BinaryIO, str]:
-    """Open a new file for a result that shall be named `path` once it is whole.
-
-    Returns: the file and its name for now.
-    Raises InputError if it cannot be made.
-    """
-    if os.path.exists(path) and not os.path.isfile(path):
-        kind = "a folder" if os.path.isdir(path) else "a pipe or device"
-        raise InputError(f"{path}: is {kind}; expected the name of a file")
-    folder, name = os.path.split(os.path.abspath(path))
-    for attempt in range(1000):
-        partial = os.path.join(folder, f".{name}.{os.getpid()}.{attempt}.part")
-        try:
-            return open(partial, "x+b"), partial
-        except FileExistsError:
-            continue
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror}; expected a folder to write in") from None
-    raise InputError(f"{path}: its folder has a thousand unfinished copies; expected them deleted")
-
-
-@contextlib.contextmanager
-def replacing(path: str) -> Iterator[BinaryIO]:
-    """Open a new file that gets the name `path` if the block ends without an error.
-
-    Raises InputError if it cannot be made.
-    """
-    file, partial = open_beside(path)
-    try:
-        with file:
-            yield file
-        os.replace(partial, path)
-    finally:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(partial)
+def _packer(file: BinaryIO) -> BinaryIO:
+    """Return a stream that packs into a file, the same bytes at any time of day."""
+    return gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0)  # type: ignore[return-value]
 
 
 class RelativeWriter(LogWriter):
     """Writes lines of text whose times count from the first frames of the log."""
-
-    def __init__(self, path: str) -> None:
-        super().__init__(path)
-        self._begun = False
-        self._origin_ns = 0
 
     @abstractmethod
     def _header(self, frames: list[LogFrame]) -> str:
@@ -238,25 +221,8 @@ class RelativeWriter(LogWriter):
         """Return the line of a frame; `time_ns` counts from the log's start."""
 
     def _begin(self, frames: list[LogFrame]) -> None:
-        """Write the header, once."""
-        if self._begun:
-            return
-        self._begun = True
-        first_ns = min((frame.time_ns for frame in frames), default=0)
-        if first_ns >= RELATIVE_BELOW_NS:
-            self._origin_ns = first_ns // NS_PER_MS * NS_PER_MS
         self._out.write(self._header(frames).encode("ascii"))
 
     def _write_batch(self, frames: list[LogFrame]) -> None:
-        self._begin(frames)
-        first_ns = min(frame.time_ns for frame in frames)
-        if first_ns < self._origin_ns:
-            raise InputError(
-                f"{self.path}: a frame at {format_ns(first_ns)} s is before the start of "
-                f"the log at {format_ns(self._origin_ns)} s; expected candump, csv or mf4 for it"
-            )
-        lines = [self._text(frame, frame.time_ns - self._origin_ns) for frame in frames]
+        lines = [self._text(frame, self._since_start(frame)) for frame in frames]
         self._out.write("".join(lines).encode("ascii"))
-
-    def _finish(self) -> None:
-        self._begin([])

@@ -48,7 +48,9 @@ def test_the_theoretical_flow_can_be_chosen_and_is_kept(tmp_path: Path) -> None:
 
 def test_an_unknown_flow_model_is_refused(tmp_path: Path) -> None:
     folder = written(tmp_path / "wrong", 'flow_model = "guessed"\n')
-    with pytest.raises(InputError, match=r"flow_model: 'guessed'; expected mapped, theoretical"):
+    with pytest.raises(
+        InputError, match=r"stroke\[0\].flow_model: 'guessed' is unknown; expected one of"
+    ):
         load_campaign(str(folder))
 
 

@@ -157,8 +157,8 @@ def test_the_command_writes_page_and_json(tmp_path, capsys) -> None:
     [
         ('"f"', '"g"', "no column 'g'"),
         ('force_n = "f"', 'other = "f"', "expected a driving force"),
-        ("[columns]", "bore = 3\n[columns]", "bore: unknown key"),
-        ("[columns]", "[body]\nweight = 3\n[columns]", "[body]"),
+        ("[columns]", "bore = 3\n[columns]", "bore: unknown; expected one of"),
+        ("[columns]", "[body]\nweight = 3\n[columns]", "body.weight: unknown; expected one of"),
     ],
 )
 def test_bad_descriptions_are_named(tmp_path, old, new, told) -> None:

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
-from sil.j1939.shifts import Shift, join_id, split_id, summarize
+from can_dbc.frame import join_id, split_id
+from sil.j1939.shifts import Shift, summarize
 from sil.logs import LogFrame, open_writer
 
 MS = 1_000_000

@@ -230,7 +230,7 @@ def test_a_bomb_is_no_memory(tmp_path: Path) -> None:
 def test_unfinished_is_told() -> None:
     found = list(objects(can(0) + can(1)[:20], 0))
     assert isinstance(found[0], LogFrame)
-    assert found[1:] == [Unfinished(48)]
+    assert found[1:] == [Unfinished(48, 48)]
 
 
 @given(time_ns=st.integers(10**18, 4 * 10**18))

@@ -14,6 +14,7 @@ from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_log, open_writer
 from sil.logs.candump import PlainChunks, look_like_deltas, parse_line
 from sil.logs.format import NotAFrame
+from sil.logs.frame import require_possible
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
 START_S = 1_436_509_052
@@ -225,7 +226,7 @@ BROKEN = [
 @pytest.mark.parametrize("line", BROKEN)
 def test_broken_lines_are_no_frames(line: str) -> None:
     with pytest.raises(ValueError, match=r"\w"):
-        parse_line(line)
+        require_possible(parse_line(line).frame, "line")
 
 
 @pytest.mark.parametrize("line", ["", "   ", "# remark", "; remark"])

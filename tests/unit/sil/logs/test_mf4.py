@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_log, open_writer
-from sil.logs.mf4 import holds_signals_only
+from sil.logs.traces import holds_signals_only
 from tests.unit.sil.logs.mf4_builder import (
     DATA_FRAME,
     TIME,

@@ -11,29 +11,11 @@ import pytest
 from can_dbc.errors import InputError
 from plant.trace import TRACE_COLUMNS
 from sil.logs import convert
-from sil.logs.traces import comment_of, is_trace_csv, unit_of
+from sil.logs.traces import comment_of, is_trace_csv
 from sil.recording.trace_csv import FIRST, FROM_STATUS
 from tests.unit.sil.logs.mf4_builder import Field, Mf4Builder, signal_file
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
-
-
-@pytest.mark.parametrize(
-    ("name", "unit"),
-    [
-        ("position_m", "m"),
-        ("velocity_m_s", "m/s"),
-        ("pressure_B_pa", "Pa"),
-        ("sync_impulse_n_s", "N·s"),
-        ("input_rad_s", "rad/s"),
-        ("coil_temperature_k", "K"),
-        ("mesh_force_n", "N"),
-        ("pulse_s", "s"),
-        ("cmd_B", ""),
-    ],
-)
-def test_units_by_name(name: str, unit: str) -> None:
-    assert unit_of(name) == unit
 
 
 def test_a_trace_becomes_mf4_with_units(tmp_path: Path) -> None:
@@ -63,7 +45,7 @@ def test_every_signal_of_a_run_has_a_comment() -> None:
 def test_a_long_trace_comes_back_bit_by_bit(tmp_path: Path) -> None:
     source, middle, target = (tmp_path / f"{n}" for n in ("a.csv", "b.mf4", "c.csv"))
     rows = [(i * 1e-4, i / 3.0, -(i**0.5)) for i in range(40_000)]
-    text = "time_s,position_m,force_n\n" + "".join(
+    text = "time_s,position_m,impulse_n_s\n" + "".join(
         ",".join(repr(float(value)) for value in row) + "\n" for row in rows
     )
     source.write_text(text)
@@ -71,7 +53,7 @@ def test_a_long_trace_comes_back_bit_by_bit(tmp_path: Path) -> None:
     report = convert(middle, target)
     assert target.read_text() == text
     assert report.signals is not None
-    assert report.signals.units == ("m", "N")
+    assert report.signals.units == ("m", "N·s")
 
 
 def test_signals_of_others_become_a_table(tmp_path: Path) -> None:
