@@ -7,9 +7,9 @@ from typing import Any
 
 from msgspec import field
 
-from can_dbc.errors import InputError
+from can_dbc.typed_toml import convert
 from controller import strategies
-from controller.settings import ControlConfig, convert
+from controller.settings import ControlConfig
 
 
 class FirmwareConfig(ControlConfig, frozen=True):
@@ -42,7 +42,4 @@ def load_config(table: Mapping[str, Any], source: str) -> FirmwareConfig:
     raw = dict(table)
     if isinstance(raw.get("filter"), bool):
         raw["filter"] = {"enabled": raw["filter"]}
-    try:
-        return convert(raw, FirmwareConfig)
-    except InputError as error:
-        raise InputError(f"{source}: {error}") from None
+    return convert(raw, FirmwareConfig, source)

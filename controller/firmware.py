@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 from can_dbc.messages import (
@@ -47,7 +48,10 @@ J1939_SPEED_RAD_S = 841.0
 
 
 NO_BLOW = SafetyBlow(chamber=Chamber.NONE, active=False, remaining_s=0.0)
-_NO_FAULT = Fault.NONE
+
+_valve_command = lru_cache(ValveCommand)
+_status = lru_cache(ControllerStatus)
+"""Most messages repeat the one before, which is then encoded once."""
 
 
 class Inputs(NamedTuple):
@@ -100,9 +104,7 @@ class Firmware:
         self._passive = Chamber.NONE
         self._speeds: DrivelineSpeeds | None = None
         self._speeds_ns = 0  # the step that saw them first
-        self._duties = OFF
-        self._valves: ValveCommand | None = None
-        self._status: ControllerStatus | None = None
+        self._duties = OFF  # of the latest step
 
     def step(self, now_ns: int, inputs: Inputs) -> Outputs:
         """Take the inputs of one period and return the messages to send.
@@ -118,7 +120,8 @@ class Firmware:
 
         estimate, position_faults = self._sense(now_ns, inputs, waking)
         live, requested = self._judge_inputs(inputs, waking)
-        live = _either(live, position_faults)
+        if position_faults:  # a union of flags takes longer than most of a step
+            live |= position_faults
         speeds = inputs.speeds if inputs.speeds_state is E2eState.VALID else None
         self._run_machine(now_ns, estimate, requested, speeds)
         if speeds is not self._speeds:
@@ -126,7 +129,7 @@ class Firmware:
         duties = self._drive(now_ns, estimate)
 
         machine = self._machine
-        if machine.raised is not _NO_FAULT and machine.raised & Fault.SENSOR_STUCK:
+        if machine.raised == Fault.SENSOR_STUCK:
             self._estimator.distrust()
         if machine.state is ShiftState.FAULT and not self._latched:
             self._latched = machine.raised | position_faults
@@ -134,7 +137,10 @@ class Firmware:
             self._latched = Fault.NONE
         if self._estimator.stuck:
             live |= Fault.SENSOR_STUCK
-        return self._report(now_ns, estimate, duties, _either(live, self._latched), speeds)
+        if self._latched:
+            live |= self._latched
+        self._duties = duties
+        return self._report(now_ns, estimate, duties, live, speeds)
 
     def _lost(self, channel: str, state: E2eState, waking: bool) -> bool:
         """Whether a channel is lost: no longer valid, or never valid when it should be by now."""
@@ -201,7 +207,7 @@ class Firmware:
                 synchronized=agree,
                 clear_b=self._clear(now_ns, Chamber.F),
                 clear_f=self._clear(now_ns, Chamber.B),
-                recoverable=self._latched is _NO_FAULT or not self._latched & Fault.INTERNAL,
+                recoverable=not (self._latched and self._latched & Fault.INTERNAL),
             ),
         )
         if machine.event is Event.LEG_STARTED:
@@ -246,9 +252,7 @@ class Firmware:
                 machine.fail(Fault.INTERNAL)
                 duties = OFF
         blown = self._blown()
-        if (
-            machine.event is Event.CONFIRMED
-        ):  # SafetyBlow arrives after ValveCommand: hold the coil until then
+        if machine.event is Event.CONFIRMED:  # SafetyBlow arrives later: hold the coil until then
             duties = one_chamber(blown, self._duties[blown])
         for chamber, duty in zip((Chamber.B, Chamber.N, Chamber.F), duties, strict=True):
             if duty > self.config.duty_closed or chamber is blown:
@@ -280,22 +284,8 @@ class Firmware:
         machine = self._machine
         blown = self._blown()
         target = machine.leg if machine.driving else machine.confirmed
-        position_m = estimate.position_m
-        # a new message is only made when its content changes
-        valves, status = self._valves, self._status
-        if valves is None or duties is not self._duties or valves.target is not target:
-            self._duties = duties
-            self._valves = valves = ValveCommand(duties.b, duties.n, duties.f, target)
-        if (
-            status is None
-            or status.estimate_m != position_m
-            or status.state is not machine.state
-            or status.confirmed is not machine.confirmed
-            or status.faults is not faults
-        ):
-            self._status = status = ControllerStatus(
-                machine.state, machine.confirmed, position_m, faults
-            )
+        valves = _valve_command(*duties, target)
+        status = _status(machine.state, machine.confirmed, estimate.position_m, faults)
         blow = NO_BLOW
         if blown is not Chamber.NONE:
             blow = SafetyBlow(blown, True, machine.blow_remaining_ns(now_ns) / 1e9)
@@ -323,13 +313,6 @@ class Firmware:
             current_range=J1939_RANGE[current],
         )
         return etc1, etc2
-
-
-def _either(one: Fault, other: Fault) -> Fault:
-    """`one | other`, which is slow, where there is anything to unite."""
-    if other is _NO_FAULT:
-        return one
-    return other if one is _NO_FAULT else one | other
 
 
 def _j1939_speed(speed_rad_s: float) -> float | None:

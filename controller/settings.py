@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import functools
-import typing
-from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Literal, TypeVar
+from functools import cache
+from typing import Annotated, Any, Literal, get_type_hints
 
-import msgspec
 from msgspec import Meta, Struct
 
-from can_dbc.errors import InputError, unknown_name
-
-T = TypeVar("T")
+from can_dbc.errors import InputError
 
 
-@functools.cache
-def _bounds(kind: type[Struct]) -> tuple[tuple[str, float, float, str], ...]:
-    """Return (name, lowest, highest, unit) of every bounded field of a settings record."""
-    found = []
-    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
-        for meta in getattr(hint, "__metadata__", ()):
-            found.append((name, float(meta.ge), float(meta.le), str(meta.description)))
-    return tuple(found)
+@cache
+def _bounds(kind: type[Struct]) -> tuple[tuple[str, Any], ...]:
+    """Return the name and the bounds of every bounded field of a settings record."""
+    hints = get_type_hints(kind, include_extras=True)
+    return tuple((k, m) for k, hint in hints.items() for m in getattr(hint, "__metadata__", ()))
+
+
+def _wrong(name: str, value: object, expected: str) -> InputError:
+    return InputError(f"{name}: {value!r} is wrong; expected {expected}")
 
 
 class Settings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -32,12 +28,11 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     def __post_init__(self) -> None:
-        for name, low, high, unit in _bounds(type(self)):
+        for name, meta in _bounds(type(self)):
             value = getattr(self, name)
-            if not low <= value <= high:
-                raise InputError(
-                    f"{name}: {value!r} is wrong; expected {low:g} to {high:g} {unit}".rstrip()
-                )
+            if not meta.ge <= value <= meta.le:
+                expected = f"{meta.ge:g} to {meta.le:g} {meta.description}"
+                raise _wrong(name, value, expected.rstrip())
 
 
 def bounded(low: float, high: float, unit: str) -> Any:
@@ -84,16 +79,12 @@ class SensorConfig(Settings, frozen=True):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.temperature_min_k >= self.temperature_max_k:
-            raise InputError(
-                f"temperature_min_k: {self.temperature_min_k!r} is wrong; expected below "
-                f"temperature_max_k, {self.temperature_max_k!r} K"
-            )
+            expected = f"below temperature_max_k, {self.temperature_max_k!r} K"
+            raise _wrong("temperature_min_k", self.temperature_min_k, expected)
         for limit in (self.temperature_min_k, self.temperature_max_k):
             if 1.0 + self.temp_coeff_per_k * (limit - self.t_ref_k) <= 0.0:
-                raise InputError(
-                    f"temp_coeff_per_k: {self.temp_coeff_per_k!r} is wrong; expected a pulse "
-                    f"longer than zero at {limit!r} K"
-                )
+                expected = f"a pulse longer than zero at {limit!r} K"
+                raise _wrong("temp_coeff_per_k", self.temp_coeff_per_k, expected)
 
 
 class FilterConfig(Settings, frozen=True):
@@ -122,11 +113,11 @@ class WindowConfig(Settings, frozen=True):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.neutral_tolerance_m + self.gear_tolerance_m >= self.stroke_m:
-            raise InputError(
-                f"neutral_tolerance_m: {self.neutral_tolerance_m!r} is wrong; expected windows "
-                f"that do not overlap: below stroke_m - gear_tolerance_m, "
-                f"{self.stroke_m - self.gear_tolerance_m:g} m"
+            limit_m = self.stroke_m - self.gear_tolerance_m
+            expected = (
+                f"windows that do not overlap: below stroke_m - gear_tolerance_m, {limit_m:g} m"
             )
+            raise _wrong("neutral_tolerance_m", self.neutral_tolerance_m, expected)
 
 
 class BlowConfig(Settings, frozen=True):
@@ -208,25 +199,18 @@ class ControlConfig(Settings, frozen=True):
     def __post_init__(self) -> None:
         super().__post_init__()
         if abs(self.period_s * 1e9 - self.period_ns) > 1e-3:
-            raise InputError(
-                f"period_s: {self.period_s!r} is wrong; expected a whole number of nanoseconds"
-            )
+            raise _wrong("period_s", self.period_s, "a whole number of nanoseconds")
         if self.computation_s >= self.period_s:
-            raise InputError(
-                f"computation_s: {self.computation_s!r} is wrong; expected below period_s, "
-                f"{self.period_s!r} s"
-            )
+            expected = f"below period_s, {self.period_s!r} s"
+            raise _wrong("computation_s", self.computation_s, expected)
         nyquist_hz = 0.5 / self.sensor.period_s
         if self.filter.fc_hz >= nyquist_hz:
-            raise InputError(
-                f"filter.fc_hz: {self.filter.fc_hz!r} is wrong; expected below {nyquist_hz:g} Hz, "
-                f"half the rate of the sensor"
-            )
-        if self.e2e.position_timeout_s <= self.sensor.period_s:
-            raise InputError(
-                f"e2e.position_timeout_s: {self.e2e.position_timeout_s!r} is wrong; expected above "
-                f"sensor.period_s, {self.sensor.period_s!r} s"
-            )
+            expected = f"below {nyquist_hz:g} Hz, half the rate of the sensor"
+            raise _wrong("filter.fc_hz", self.filter.fc_hz, expected)
+        timeout_s = self.e2e.position_timeout_s
+        if timeout_s <= self.sensor.period_s:
+            expected = f"above sensor.period_s, {self.sensor.period_s!r} s"
+            raise _wrong("e2e.position_timeout_s", timeout_s, expected)
 
     @property
     def period_ns(self) -> int:
@@ -242,45 +226,3 @@ class ControlConfig(Settings, frozen=True):
 def nanoseconds(seconds: float) -> int:
     """Return seconds as whole nanoseconds, ties to even."""
     return round(seconds * 1e9)
-
-
-def convert(raw: object, kind: type[T], place: str = "") -> T:
-    """Turn a parsed table into a settings record.
-
-    Raises InputError 'FIELD: what; expected ...', naming the nearest known names of an unknown
-    one.
-    """
-    for line in _unknown(raw, kind, place):
-        raise InputError(line)
-    try:
-        return msgspec.convert(raw, kind)
-    except msgspec.ValidationError as error:
-        what, _, path = str(error).partition(" - at `$")
-        inside = dotted(place, path.rstrip("`").lstrip("."))
-        if isinstance(error.__cause__, InputError):  # it names its field already
-            raise InputError(dotted(inside, what)) from None
-        expected = what.removeprefix("Expected ").replace("`", "")
-        raise InputError(f"{inside or 'settings'}: wrong value; expected {expected}") from None
-
-
-_fields = functools.cache(msgspec.structs.fields)
-
-
-def _unknown(raw: object, kind: Any, place: str) -> Iterator[str]:
-    """Yield a line for every name and every choice that a settings record does not know."""
-    if typing.get_origin(kind) is Literal and isinstance(raw, str):
-        if raw not in typing.get_args(kind):
-            yield f"{place}: {raw!r} is {unknown_name(raw, typing.get_args(kind))}"
-    elif isinstance(raw, Mapping) and isinstance(kind, type) and issubclass(kind, Struct):
-        fields = {field.name: field.type for field in _fields(kind)}
-        for name, value in raw.items():
-            inside = dotted(place, str(name))
-            if name in fields:
-                yield from _unknown(value, fields[name], inside)
-            else:
-                yield f"{inside}: {unknown_name(str(name), sorted(fields))}"
-
-
-def dotted(place: str, name: str) -> str:
-    """Join two parts of a field path, either of which may be empty."""
-    return f"{place}.{name}" if place and name else place or name

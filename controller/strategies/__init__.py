@@ -11,8 +11,9 @@ from msgspec import Struct
 
 from can_dbc.errors import InputError, unknown_name
 from can_dbc.messages import Chamber, Gear
+from can_dbc.typed_toml import convert
 from controller.position import Estimate
-from controller.settings import ControlConfig, convert
+from controller.settings import ControlConfig
 
 NAMES: Mapping[str, str] = {
     "open_loop": "controller.strategies.open_loop:OpenLoop",
@@ -117,4 +118,4 @@ def parameters(name: str, table: Mapping[str, Any]) -> Struct:
     Raises InputError for an unknown strategy (naming the nearest) and for a wrong table.
     """
     kind = strategy_class(name).Parameters
-    return convert(dict(table), kind, "strategy_parameters")
+    return convert(dict(table), kind, key="strategy_parameters")

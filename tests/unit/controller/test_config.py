@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
+from can_dbc.typed_toml import convert
 from controller.config import FirmwareConfig, load_config
 from controller.settings import (
     BlowConfig,
@@ -21,8 +22,6 @@ from controller.settings import (
     SensorConfig,
     ShiftConfig,
     WindowConfig,
-    convert,
-    dotted,
     nanoseconds,
 )
 
@@ -101,8 +100,8 @@ def test_every_bound_holds_however_the_record_is_made(kind: type[msgspec.Struct]
             with pytest.raises(InputError) as caught:
                 kind(**{name: wrong})
             assert str(caught.value) == said
-            with pytest.raises(InputError, match=f"^x[.]{name}: wrong value; expected "):
-                convert({name: wrong}, kind, "x")
+            with pytest.raises(InputError, match=f"^x[.]{name}: .* is wrong; expected "):
+                convert({name: wrong}, kind, key="x")
 
 
 @pytest.mark.parametrize("kind", RECORDS)
@@ -118,12 +117,12 @@ LINES = [
     ({"filter": {"ordr": 2}}, "s.toml: filter.ordr: unknown; expected one of order"),
     (
         {"blow": {"x": 1}},
-        "s.toml: blow.x: unknown; expected one of cut, duration_s",
+        "s.toml: blow.x: unknown; expected one of duration_s, cut",
     ),
-    ({"period_s": 0.03}, "s.toml: period_s: wrong value; expected float <= 0.02"),
-    ({"period_s": "fast"}, "s.toml: period_s: wrong value; expected float, got str"),
-    ({"blow": {"cut": 1}}, "s.toml: blow.cut: wrong value; expected str, got int"),
-    ({"filter": 3}, "s.toml: filter: wrong value; expected object, got int"),
+    ({"period_s": 0.03}, "s.toml: period_s: 0.03 is wrong; expected number <= 0.02"),
+    ({"period_s": "fast"}, "s.toml: period_s: 'fast' is wrong; expected number"),
+    ({"blow": {"cut": 1}}, "s.toml: blow.cut: 1 is wrong; expected text"),
+    ({"filter": 3}, "s.toml: filter: 3 is wrong; expected table"),
     (
         {"blow": {"cut": "early"}},
         "s.toml: blow.cut: 'early' is unknown; expected one of none, sync, confirmation",
@@ -193,11 +192,6 @@ def test_lines(table: dict[str, Any], line: str) -> None:
     assert str(caught.value) == line
 
 
-def test_the_table_itself_may_be_wrong() -> None:
-    with pytest.raises(InputError, match=r"^settings: wrong value; expected object, got int$"):
-        convert(3, BlowConfig)
-
-
 def test_limits_themselves_are_allowed() -> None:
     FirmwareConfig(period_s=0.002)
     FirmwareConfig(period_s=0.02)
@@ -233,14 +227,9 @@ def test_any_table_is_settings_or_one_clear_line(table: dict[str, Any]) -> None:
         assert isinstance(config, FirmwareConfig)
 
 
-def test_small_parts() -> None:
+def test_nanoseconds_are_rounded() -> None:
     assert nanoseconds(0.0025) == 2_500_000
     assert nanoseconds(0.3e-9) == 0
-    assert (dotted("", "a"), dotted("a", ""), dotted("a", "b")) == (
-        "a",
-        "a",
-        "a.b",
-    )
 
 
 def test_import_is_light() -> None:
