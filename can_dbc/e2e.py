@@ -12,11 +12,10 @@ confirmed yet, is not accepted.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from functools import cache, lru_cache
-from typing import Generic, TypeVar
+from functools import lru_cache
+from typing import Any, Generic, TypeVar
 
 from e2e.p02 import e2e_p02_check, e2e_p02_protect
 
@@ -135,28 +134,20 @@ def _sealed(encoded: Frame, counter: int, data_ids: bytes) -> Frame:
     return Frame(encoded.can_id, bytes(data))
 
 
-@lru_cache(maxsize=8192)
-def _crc_matches(data: bytes, data_ids: bytes) -> bool:
-    return bool(e2e_p02_check(data, data_ids, length=len(data)))
-
-
-@cache
-def _opener(message_type: type[M]) -> Callable[[Frame], M | None]:
-    """Return a cached function from a frame to its message; None for a frame with an error."""
-    spec, data_ids = spec_of(message_type), _data_ids(message_type)
-
-    @lru_cache(maxsize=8192)
-    def open_frame(frame: Frame) -> M | None:
-        if frame.can_id != spec.can_id or len(frame.data) != spec.length:
-            return None
-        if not _crc_matches(frame.data, data_ids):
-            return None
-        try:
-            return decode(frame)  # type: ignore[return-value]  # the identifier is M's
-        except CodecError:
-            return None
-
-    return open_frame
+@lru_cache(maxsize=32768)
+def _opened(message_type: type, frame: Frame) -> Any:
+    """Return the message of a frame, or a text that says what is wrong with it."""
+    spec, data = spec_of(message_type), frame.data
+    if frame.can_id != spec.can_id:
+        raise ValueError(f"identifier {frame.can_id:#010x} is not a {message_type.__name__}")
+    if len(data) != spec.length:
+        return f"{len(data)} bytes instead of {spec.length}"
+    if not e2e_p02_check(data, spec.e2e_data_ids, length=len(data)):
+        return "CRC does not match"
+    try:
+        return decode(frame)
+    except CodecError as error:
+        return str(error)
 
 
 class Protector(Generic[M]):
@@ -170,8 +161,6 @@ class Protector(Generic[M]):
         self.counter = 0
         """Counter of the next frame."""
         self._data_ids = _data_ids(message_type)
-        self._latest: M | None = None
-        self._encoded = Frame(0, b"")
 
     def protect(self, message: M) -> Frame:
         """Return the next frame of the channel.
@@ -180,10 +169,8 @@ class Protector(Generic[M]):
         """
         if message.__class__ is not self.message_type:
             raise TypeError(f"{message!r} does not belong to the {self.message_type.__name__}s")
-        if message is not self._latest:
-            self._encoded = encode(message)  # type: ignore[arg-type]  # M is protected, so a message
-            self._latest = message
-        frame = _sealed(self._encoded, self.counter, self._data_ids)
+        encoded = encode(message)  # type: ignore[arg-type]  # M is protected, so a message
+        frame = _sealed(encoded, self.counter, self._data_ids)
         self.counter = (self.counter + 1) % COUNTERS
         return frame
 
@@ -208,8 +195,7 @@ class Receiver(Generic[M]):
         self.message_ns = -1
         self.counts: Counter[E2eStatus] = Counter()
         self.reason = ""
-        self._data_ids = _data_ids(message_type)
-        self._spec = spec_of(message_type)
+        _data_ids(message_type)  # refuses a message without protection
         self._state = E2eState.INIT
         self._window: deque[E2eStatus] = deque(maxlen=self.config.window_size)
         self._alive_ns = self._now_ns = start_ns
@@ -218,8 +204,6 @@ class Receiver(Generic[M]):
         self._max_delta = 0
         self._no_new_or_repeated = 0
         self._sync = 0
-        self._open: Callable[[Frame], M | None] = _opener(message_type)  # type: ignore[arg-type]  # cached
-        self._is_smooth = False  # VALID, and nothing but OK in the window and of late
 
     def receive(self, now_ns: int, frame: Frame | None) -> E2eStatus:
         """Check the frame that arrived now, or None if one was due and none came.
@@ -227,16 +211,6 @@ class Receiver(Generic[M]):
         Raises ValueError for a frame of another identifier and for time running backwards.
         """
         self._advance_to(now_ns)
-        if self._is_smooth and frame is not None:  # then one more OK changes nothing else
-            message = self._open(frame)
-            counter = (self._last_counter + 1) & LARGEST_COUNTER
-            if message is not None and frame.data[1] & LARGEST_COUNTER == counter:
-                self.message = message
-                self.message_ns = self._alive_ns = now_ns
-                self._last_counter = counter
-                self.status = E2eStatus.OK
-                self.counts[E2eStatus.OK] += 1
-                return E2eStatus.OK
         if self._max_delta < LARGEST_COUNTER:
             self._max_delta += 1
         status = self.status = self._check(now_ns, frame)
@@ -244,11 +218,6 @@ class Receiver(Generic[M]):
         if status in _ALIVE:
             self._alive_ns = now_ns
         self._decide(status)
-        self._is_smooth = (
-            status is E2eStatus.OK
-            and self._state is E2eState.VALID
-            and self._window.count(E2eStatus.OK) == self.config.window_size
-        )
         return status
 
     def state(self, now_ns: int) -> E2eState:
@@ -263,30 +232,19 @@ class Receiver(Generic[M]):
         if now_ns - self._alive_ns > self.config.timeout_ns:
             self._state = E2eState.INVALID
             self._window.clear()
-            self._is_smooth = False
 
     def _check(self, now_ns: int, frame: Frame | None) -> E2eStatus:
         """E2E_P02Check; a frame with a right CRC that the codec refuses is an ERROR too."""
         if frame is None:
             self._count_no_new_or_repeated()
             return E2eStatus.NO_NEW_DATA
-        can_id, data = frame
-        if can_id != self._spec.can_id:
-            raise ValueError(f"identifier {can_id:#010x} is not a {self.message_type.__name__}")
-        if len(data) != self._spec.length:
-            self.reason = f"{len(data)} bytes instead of {self._spec.length}"
+        message = _opened(self.message_type, frame)  # type: ignore[arg-type]  # a class has a hash
+        if isinstance(message, str):
+            self.reason = message
             return E2eStatus.ERROR
-        if not _crc_matches(data, self._data_ids):
-            self.reason = "CRC does not match"
-            return E2eStatus.ERROR
-        try:
-            message = decode(frame)
-        except CodecError as error:
-            self.reason = str(error)
-            return E2eStatus.ERROR
-        status = self._check_counter(data[1] & LARGEST_COUNTER)
+        status = self._check_counter(frame.data[1] & LARGEST_COUNTER)
         if status in _ACCEPTED:
-            self.message = message  # type: ignore[assignment]  # the identifier is M's
+            self.message = message
             self.message_ns = now_ns
         return status
 

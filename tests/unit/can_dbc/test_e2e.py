@@ -363,22 +363,3 @@ def test_statuses_and_states_have_the_words_that_reports_use() -> None:
         "VALID": "valid",
         "INVALID": "invalid",
     }
-
-
-@pytest.mark.parametrize("last", range(16))
-def test_the_short_way_of_a_good_channel_decides_as_the_long_one(last: int) -> None:
-    """After many good frames, any counter and any damage: as of a receiver that goes the long way."""
-    good = {counter: frame(counter) for counter in range(16)}
-    arrivals = [*good.values(), corrupted(last), None, Frame(good[0].can_id, good[0].data[:7])]
-    for arrived in arrivals:
-        quick, slow = Receiver(m.ShiftRequest, LENIENT), Receiver(m.ShiftRequest, LENIENT)
-        for number in range(5):
-            for receiver in (quick, slow):
-                receiver.receive(number, good[(last - 4 + number) % 16])
-        assert quick._is_smooth
-        for number, then in enumerate((arrived, good[(last + 2) % 16], good[(last + 3) % 16])):
-            slow._is_smooth = False
-            assert quick.receive(5 + number, then) is slow.receive(5 + number, then)
-            assert quick.state(5 + number) is slow.state(5 + number)
-            assert (quick.message, quick.message_ns) == (slow.message, slow.message_ns)
-            assert quick.counts == slow.counts
