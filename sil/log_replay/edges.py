@@ -1,8 +1,8 @@
 """Which edge of one switching signal is which of another: matched, dropped, added.
 
 Two edges can be one when they have the same direction and are no farther apart than a window. Of
-all assignments that keep the request, the one is taken with the least sum of twice the shifts of the
-matched and the window for each edge left over; so no edge is left over that could be matched
+all assignments in order of time, the one is taken with the least sum of twice the shifts of the
+matched edges and the window for each unmatched one: no edge is unmatched that could be matched
 without unmatching another, and shifts are as small as they can be.
 """
 

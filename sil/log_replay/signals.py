@@ -62,20 +62,15 @@ def load_options(path: str | Path) -> Options:
     Raises InputError for what is no option, and for signals that do not exist.
     Checked by: tests/unit/sil/log_replay/test_signals.py
     """
-    source = str(path)
-    options = typed_toml.convert(typed_toml.read_toml(Path(path)), Options, source)
-    for pattern in options.ignore:
-        if not any(fnmatchcase(name, pattern) for name in ALL_NAMES):
-            raise InputError(
-                f"{source}: ignore: {typed_toml.one_line(pattern, 60)}: "
-                f"{unknown_name(pattern, ALL_NAMES)}"
-            )
-    for name in options.tolerance:
-        if name not in ALL_NAMES:
-            raise InputError(
-                f"{source}: tolerance: {typed_toml.one_line(name, 60)}: "
-                f"{unknown_name(name, ALL_NAMES)}"
-            )
+    options = typed_toml.convert(typed_toml.read_toml(path), Options, str(path))
+    for key, names in (("ignore", options.ignore), ("tolerance", options.tolerance)):
+        for name in names:
+            patterns = key == "ignore"
+            if not (
+                name in ALL_NAMES or (patterns and any(fnmatchcase(n, name) for n in ALL_NAMES))
+            ):
+                shown = typed_toml.one_line(name, 60)
+                raise InputError(f"{path}: {key}: {shown}: {unknown_name(name, ALL_NAMES)}")
     return options
 
 
@@ -91,10 +86,6 @@ class SignalComparer:
             )
             for kind, names in NAMES.items()
         }
-
-    def compared(self, kind: type) -> int:
-        """Return how many signals of a message are compared."""
-        return len(self._compared[kind])
 
     def differing(
         self, kind: type, ours: tuple[Any, ...], theirs: tuple[Any, ...]

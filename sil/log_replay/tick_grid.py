@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
 from typing import Final, NamedTuple
@@ -107,34 +106,28 @@ class Grid(NamedTuple):
         return changed_ns if self.exact else min(self.period_ns // 8, 200_000 + changed_ns)
 
 
-@dataclass
-class _Bounds:
-    """Earliest releases of ticks, from pairs of valve command and blow with one counter."""
-
-    bit_ns: int
-
-    def collect(self, arrivals: Iterable[Arrival]) -> list[tuple[int, int]]:
-        """Return (counter, bound in ns) of each tick of which both frames are there."""
-        found: list[tuple[int, int]] = []
-        valves: dict[int, tuple[int, int]] = {}
-        blows: dict[int, tuple[int, int]] = {}
-        for time_ns, kind, frame in arrivals:
-            if kind is not ValveCommand and kind is not SafetyBlow:
-                continue
-            if not is_intact(kind, frame):
-                continue
-            counter = counter_of(frame)
-            bits = frame_bits(frame.can_id, frame.data)
-            (valves if kind is ValveCommand else blows)[counter] = (time_ns, bits)
-            for forgotten in (valves, blows):  # half a round old: its partner was lost
-                forgotten.pop((counter + COUNTERS // 2) % COUNTERS, None)
-            if counter not in valves or counter not in blows:
-                continue
-            (valve_ns, valve_bits), (blow_ns, blow_bits) = valves.pop(counter), blows.pop(counter)
-            bound = valve_ns - valve_bits * self.bit_ns
-            both = valve_bits + INTERMISSION_BITS + blow_bits
-            found.append((counter, min(bound, blow_ns - both * self.bit_ns)))
-        return found
+def _bounds(arrivals: Iterable[Arrival], bit_ns: int) -> list[tuple[int, int]]:
+    """Return (counter, bound in ns) of each tick; without any blow, from the valve commands alone."""
+    pairs: list[tuple[int, int]] = []
+    singles: list[tuple[int, int]] = []
+    valves: dict[int, tuple[int, int]] = {}
+    blows: dict[int, tuple[int, int]] = {}
+    for time_ns, kind, frame in arrivals:
+        if kind not in (ValveCommand, SafetyBlow) or not is_intact(kind, frame):
+            continue
+        counter = counter_of(frame)
+        bits = frame_bits(frame.can_id, frame.data)
+        (valves if kind is ValveCommand else blows)[counter] = (time_ns, bits)
+        if kind is ValveCommand:
+            singles.append((counter, time_ns - bits * bit_ns))
+        for forgotten in (valves, blows):  # half a round old: its partner was lost
+            forgotten.pop((counter + COUNTERS // 2) % COUNTERS, None)
+        if counter not in valves or counter not in blows:
+            continue
+        (valve_ns, valve_bits), (blow_ns, blow_bits) = valves.pop(counter), blows.pop(counter)
+        both = valve_bits + INTERMISSION_BITS + blow_bits
+        pairs.append((counter, min(valve_ns - valve_bits * bit_ns, blow_ns - both * bit_ns)))
+    return pairs or singles
 
 
 def survey(arrivals: Sequence[Arrival], bitrate: int | None = None) -> Survey:
@@ -144,9 +137,7 @@ def survey(arrivals: Sequence[Arrival], bitrate: int | None = None) -> Survey:
     """
     found_bitrate = bitrate or _bitrate(arrivals)
     bit_ns = NS_PER_S // (found_bitrate or DEFAULT_BITRATE)
-    bounds = _Bounds(bit_ns).collect(arrivals)
-    if not bounds:  # one of the two is missing throughout
-        bounds = _single_bounds(arrivals, bit_ns)
+    bounds = _bounds(arrivals, bit_ns)
     period_ns = _period(bounds)
     release_ns = None
     if bounds:
@@ -155,38 +146,31 @@ def survey(arrivals: Sequence[Arrival], bitrate: int | None = None) -> Survey:
         if period_ns is not None:
             half = period_ns // 2
             release_ns += min((b - first_ns + half) % period_ns - half for _, b in bounds)
-    status = next((a for a in arrivals if a.kind is ControllerStatus), None)
-    awake = status is not None and status.frame.data[1] >> 4 & 7 != ShiftState.INIT
+    reports = [a.frame for a in arrivals if a.kind is ControllerStatus]
+    gears = (Gear(f.data[2] & 3) for f in reports if is_intact(ControllerStatus, f))
     return Survey(
         first_ns=arrivals[0].time_ns if arrivals else 0,
         bitrate=found_bitrate,
         period_ns=period_ns,
-        sensor_period_ns=_sensor_period(arrivals),
+        sensor_period_ns=_period(
+            [
+                (counter_of(a.frame), a.time_ns)
+                for a in arrivals
+                if a.kind is PositionPulse and is_intact(PositionPulse, a.frame)
+            ]
+        ),
         release_ns=release_ns,
         first_counter=bounds[0][0] if bounds else 0,
-        awake=awake,
+        awake=bool(reports) and reports[0].data[1] >> 4 & 7 != ShiftState.INIT,
         skew=_skew(bounds, period_ns) if period_ns is not None else 0.0,
-        gear=_first_gear(arrivals),
-        resolution_ns=_resolution(arrivals),
+        gear=next((gear for gear in gears if gear is not Gear.UNKNOWN), None),
+        resolution_ns=next(
+            step_ns
+            for step_ns in (1_000_000, 100_000, 10_000, 1000, 1)
+            if all(a.time_ns % step_ns == 0 for a in arrivals)
+        ),
         bounds=len(bounds),
     )
-
-
-def _first_gear(arrivals: Sequence[Arrival]) -> Gear | None:
-    for arrival in arrivals:
-        if arrival.kind is ControllerStatus and is_intact(ControllerStatus, arrival.frame):
-            gear = Gear(arrival.frame.data[2] & 3)
-            if gear is not Gear.UNKNOWN:
-                return gear
-    return None
-
-
-def _single_bounds(arrivals: Sequence[Arrival], bit_ns: int) -> list[tuple[int, int]]:
-    return [
-        (counter_of(a.frame), a.time_ns - frame_bits(a.frame.can_id, a.frame.data) * bit_ns)
-        for a in arrivals
-        if a.kind is ValveCommand and is_intact(ValveCommand, a.frame)
-    ]
 
 
 def _bitrate(arrivals: Sequence[Arrival]) -> int | None:
@@ -280,29 +264,6 @@ def _skew(bounds: Sequence[tuple[int, int]], period_ns: int) -> float:
     return found
 
 
-def _sensor_period(arrivals: Sequence[Arrival]) -> int | None:
-    return _period(
-        [
-            (counter_of(a.frame), a.time_ns)
-            for a in arrivals
-            if a.kind is PositionPulse and is_intact(PositionPulse, a.frame)
-        ]
-    )
-
-
-def _resolution(arrivals: Sequence[Arrival]) -> int:
-    for step_ns in (1_000_000, 100_000, 10_000, 1000):
-        if all(a.time_ns % step_ns == 0 for a in arrivals):
-            return step_ns
-    return 1
-
-
-def _uncertainty(found: Survey) -> str:
-    if found.resolution_ns > 1000:
-        return f"; to {found.resolution_ns / 1e6:g} ms"
-    return "; as well as its scattered times allow"
-
-
 def make_grid(found: Survey, period_ns: int, computation_ns: int) -> Grid:
     """Return the ticks of the recorded unit. `computation_ns`: from a tick to its release.
 
@@ -329,10 +290,16 @@ def make_grid(found: Survey, period_ns: int, computation_ns: int) -> Grid:
     fresh = not found.awake and first_tick_ns >= found.first_ns - period_ns
     origin_ns = first_tick_ns if fresh else tick_ns
     speed = f"{bitrate // 1000} kbit/s" + ("" if found.bitrate else " assumed")
+    rounded = found.resolution_ns > 1000
+    error = (
+        f"to {found.resolution_ns / 1e6:g} ms"
+        if rounded
+        else "as well as its scattered times allow"
+    )
     description = (
         f"ticks every {period_ns / 1e6:g} ms from {origin_ns / 1e9:.9f} s, by {how}; {speed}, "
         f"{computation_ns / 1e6:g} ms computation"
-        + ("" if exact else _uncertainty(found))
+        + ("" if exact else f"; {error}")
         + ("" if fresh else "; the log begins while the control unit is at work")
     )
     return Grid(origin_ns, period_ns, computation_ns, bitrate, exact, fresh, description)

@@ -52,10 +52,6 @@ class TickMap:
         """Return the counter of a tick's frames."""
         return (tick - self._shift[bisect_right(self._from, tick) - 1]) % COUNTERS
 
-    def runs(self, tick: int) -> bool:
-        """Whether the control unit ran a tick."""
-        return self.idle_at(tick) is None
-
     def idle_at(self, tick: int) -> Span | None:
         """Return the ticks that did not run of which this is one."""
         return _holding(self.idle, tick)
@@ -79,7 +75,7 @@ class TickMap:
             return latest
         back = (self.counter_at(latest) - counter_of(arrival.frame)) % COUNTERS
         tick = latest - back
-        return tick if tick >= 0 and self.runs(tick) else latest
+        return tick if tick >= 0 and self.idle_at(tick) is None else latest
 
 
 def _holding(spans: list[Span], tick: int) -> Span | None:
