@@ -49,7 +49,7 @@ class Observer:
     def reset(self) -> None:
         """Start in neutral, at rest, both chambers vented, valves closed."""
         own = self.model.settings
-        self.motion = Motion(own.atmosphere_pa)
+        self.motion = Motion(own.atmosphere_pa, own.atmosphere_pa)
         self.driving = Valve(own.valve_open_s, own.valve_close_s)
         self.braking = Valve(own.valve_open_s, own.valve_close_s)
         self.steps = 0  # of the model, since the push began

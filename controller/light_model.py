@@ -7,6 +7,7 @@ what an estimator must find. Positions in m from neutral towards the gear.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import sqrt
 from typing import Annotated
 
@@ -48,31 +49,17 @@ class ModelSettings(Settings, frozen=True):
     flow_out_critical: Annotated[float, bounded(-2.0, 0.9, "")] = 0.281
 
 
+@dataclass(slots=True)
 class Motion:
     """State of the light model: piston from its stop, stay from neutral, pressures, load on it."""
 
-    __slots__ = (
-        "braking_pa",
-        "driving_pa",
-        "load_n",
-        "piston_m",
-        "piston_m_s",
-        "stay_m",
-        "stay_m_s",
-    )
-
-    def __init__(self, atmosphere_pa: float) -> None:
-        self.piston_m = self.piston_m_s = 0.0
-        self.stay_m = self.stay_m_s = 0.0
-        self.driving_pa = self.braking_pa = atmosphere_pa
-        self.load_n = 0.0
-
-    def copy(self) -> Motion:
-        """Return a state that can be changed without changing this one."""
-        twin = Motion.__new__(Motion)
-        for name in self.__slots__:
-            setattr(twin, name, getattr(self, name))
-        return twin
+    driving_pa: float
+    braking_pa: float
+    piston_m: float = 0.0
+    piston_m_s: float = 0.0
+    stay_m: float = 0.0
+    stay_m_s: float = 0.0
+    load_n: float = 0.0
 
 
 def slid(speed_m_s: float, force_n: float, resist_n: float, step_s: float, mass_kg: float) -> float:
@@ -84,16 +71,15 @@ def slid(speed_m_s: float, force_n: float, resist_n: float, step_s: float, mass_
     return driven_m_s + stopped_m_s if driven_m_s < -stopped_m_s else 0.0
 
 
+@dataclass(slots=True)
 class Valve:
     """An on/off valve with delays; a command taken back before it has acted never acts."""
 
-    __slots__ = ("close_s", "due_s", "is_open", "open_s", "wanted")
-
-    def __init__(self, open_s: float, close_s: float) -> None:
-        self.open_s = open_s
-        self.close_s = close_s
-        self.is_open = self.wanted = False
-        self.due_s = 0.0
+    open_s: float
+    close_s: float
+    is_open: bool = False
+    wanted: bool = False
+    due_s: float = 0.0
 
     def command(self, at_s: float, on: bool) -> None:
         """Take a command that arrives at a time."""
@@ -107,12 +93,6 @@ class Valve:
             self.is_open = self.wanted
         return self.is_open
 
-    def copy(self) -> Valve:
-        """Return a valve that can be moved without moving this one."""
-        twin = Valve(self.open_s, self.close_s)
-        twin.is_open, twin.wanted, twin.due_s = self.is_open, self.wanted, self.due_s
-        return twin
-
 
 class LightModel:
     """Equations of the engagement, one semi-implicit Euler step at a time.
@@ -125,49 +105,22 @@ class LightModel:
     """
 
     def __init__(self, settings: ModelSettings, stroke_m: float) -> None:
-        self.settings = own = settings
+        self.settings = settings
         self.stroke_m = stroke_m
-        # what a step needs, in one tuple: it is taken some thousand times a period
-        self._numbers = (
-            own.atmosphere_pa,
-            own.piston_m2,
-            own.stay_m2,
-            own.piston_friction_n,
-            own.piston_damping_n_s_m,
-            own.piston_kg,
-            own.stay_friction_n,
-            own.stay_damping_n_s_m,
-            own.stay_kg,
-            own.gap_m,
-            own.driving_m3,
-            own.braking_m3,
-            own.filling_alpha_volume,
-            own.venting_alpha_volume,
-        )
-        self._filling = (
-            own.supply_pa,
-            own.flow_in_critical,
-            1.0 - own.flow_in_critical,
-            own.filling_alpha_flow * own.flow_in,
-        )
-        self._venting = (
-            own.atmosphere_pa,
-            own.flow_out_critical,
-            1.0 - own.flow_out_critical,
-            -own.venting_alpha_flow * own.flow_out,
-        )
 
     def _flow(self, pressure_pa: float, is_open: bool) -> float:
         """Return the flow into a chamber times its exponent, kg K/s; negative when it vents."""
+        own = self.settings
         if is_open:
-            supply_pa, critical, rest, size = self._filling
-            ratio, upstream_pa = pressure_pa / supply_pa, supply_pa
+            upstream_pa, downstream_pa, critical = own.supply_pa, pressure_pa, own.flow_in_critical
+            size = own.filling_alpha_flow * own.flow_in
         else:
-            atmosphere_pa, critical, rest, size = self._venting
-            ratio, upstream_pa = atmosphere_pa / pressure_pa, pressure_pa
+            upstream_pa, downstream_pa = pressure_pa, own.atmosphere_pa
+            critical, size = own.flow_out_critical, -own.venting_alpha_flow * own.flow_out
+        ratio = downstream_pa / upstream_pa
         if ratio >= 1.0:
             return 0.0
-        share = (ratio - critical) / rest if ratio > critical else 0.0
+        share = (ratio - critical) / (1.0 - critical) if ratio > critical else 0.0
         return size * upstream_pa * sqrt(1.0 - share * share)
 
     def step(self, motion: Motion, driving: bool, braking: bool, step_s: float) -> None:
@@ -175,66 +128,57 @@ class LightModel:
 
         The piston pushes the stay and cannot pull it: what brakes the piston lets the stay coast.
         """
-        (
-            atmosphere_pa,
-            piston_m2,
-            stay_m2,
-            piston_friction_n,
-            piston_damping_n_s_m,
-            piston_kg,
-            stay_friction_n,
-            stay_damping_n_s_m,
-            stay_kg,
-            gap_m,
-            driving_m3_0,
-            braking_m3_0,
-            filling,
-            venting,
-        ) = self._numbers
+        own = self.settings
+        piston_kg, stay_kg, piston_m2, stay_m2 = (
+            own.piston_kg,
+            own.stay_kg,
+            own.piston_m2,
+            own.stay_m2,
+        )
         z_m, x_m = motion.piston_m, motion.stay_m
         u_m_s, v_m_s = motion.piston_m_s, motion.stay_m_s
         u_m_s = slid(
             u_m_s,
             piston_m2 * (motion.driving_pa - motion.braking_pa),
-            piston_friction_n + piston_damping_n_s_m * abs(u_m_s),
+            own.piston_friction_n + own.piston_damping_n_s_m * abs(u_m_s),
             step_s,
             piston_kg,
         )
         v_m_s = slid(
             v_m_s,
-            stay_m2 * (motion.driving_pa - atmosphere_pa),
-            stay_friction_n + motion.load_n + stay_damping_n_s_m * abs(v_m_s),
+            stay_m2 * (motion.driving_pa - own.atmosphere_pa),
+            own.stay_friction_n + motion.load_n + own.stay_damping_n_s_m * abs(v_m_s),
             step_s,
             stay_kg,
         )
-        if u_m_s > v_m_s and z_m + step_s * u_m_s > gap_m + x_m + step_s * v_m_s:
+        if u_m_s > v_m_s and z_m + step_s * u_m_s > own.gap_m + x_m + step_s * v_m_s:
             total_kg = piston_kg + stay_kg
             common_m_s = (piston_kg * u_m_s + stay_kg * v_m_s) / total_kg
             if v_m_s <= 0.0:  # the piston's push has the stay's resistance to overcome first
-                resist_n = stay_friction_n + motion.load_n
-                drive_n = stay_m2 * (motion.driving_pa - atmosphere_pa)
+                resist_n = own.stay_friction_n + motion.load_n
+                drive_n = stay_m2 * (motion.driving_pa - own.atmosphere_pa)
                 held_m_s = step_s * max(0.0, resist_n - drive_n) / total_kg
                 common_m_s = max(0.0, common_m_s - held_m_s)
             u_m_s = v_m_s = common_m_s
         new_x_m = min(max(x_m + step_s * v_m_s, 0.0), self.stroke_m)
-        new_z_m = min(max(z_m + step_s * u_m_s, 0.0), gap_m + new_x_m)
+        new_z_m = min(max(z_m + step_s * u_m_s, 0.0), own.gap_m + new_x_m)
         way_m = new_z_m - z_m
-        driving_m3 = driving_m3_0 + piston_m2 * z_m + stay_m2 * x_m
-        braking_m3 = braking_m3_0 - piston_m2 * z_m
+        driving_m3 = own.driving_m3 + piston_m2 * z_m + stay_m2 * x_m
+        braking_m3 = own.braking_m3 - piston_m2 * z_m
         swept_m3 = piston_m2 * way_m + stay_m2 * (new_x_m - x_m)
         gain = R_AIR_J_KG_K * step_s
-        volume = filling if driving else venting
+        volume = own.filling_alpha_volume if driving else own.venting_alpha_volume
         motion.driving_pa += (
             gain * self._flow(motion.driving_pa, driving) - volume * motion.driving_pa * swept_m3
         ) / driving_m3
-        volume = filling if braking else venting
+        volume = own.filling_alpha_volume if braking else own.venting_alpha_volume
         motion.braking_pa += (
             gain * self._flow(motion.braking_pa, braking)
             + volume * motion.braking_pa * piston_m2 * way_m
         ) / braking_m3
         if new_x_m >= self.stroke_m or new_x_m <= 0.0:
             v_m_s = 0.0
-        if new_z_m <= 0.0 or new_z_m >= gap_m + self.stroke_m:
+        if new_z_m <= 0.0 or new_z_m >= own.gap_m + self.stroke_m:
             u_m_s = 0.0
         motion.piston_m, motion.stay_m = new_z_m, new_x_m
         motion.piston_m_s, motion.stay_m_s = u_m_s, v_m_s

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Annotated, ClassVar
 
 from can_dbc.messages import Gear
-from controller.position import Estimate
 from controller.settings import Settings, bounded
-from controller.strategies import Duties, ShiftContext, Strategy, one_chamber
+from controller.strategies.open_loop import OpenLoop
 
 
-class BlowCut(Strategy):
+class BlowCut(OpenLoop):
     """Open loop whose blow on neutral ends early when a gear is to follow (thesis 6.1).
 
     The pressure left in the neutral chamber must be overcome by the next engagement, which costs
@@ -27,13 +26,6 @@ class BlowCut(Strategy):
 
     name: ClassVar[str] = "blow_cut"
     parameters: BlowCut.Parameters
-
-    def reset(self) -> None:
-        """Nothing to forget."""
-
-    def command(self, now_ns: int, estimate: Estimate, shift: ShiftContext) -> Duties:
-        """Return the configured duty on the charged chamber and zero on the others."""
-        return one_chamber(shift.charged, self.config.duty)
 
     def blow_s(self, configured_s: float, leg: Gear, follows: bool) -> float:
         """Return the shorter of the configured blow and this strategy's."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from copy import copy
 from typing import Annotated, NamedTuple
 
 from msgspec import Struct
@@ -64,8 +65,8 @@ class Foresight(IntoGear):
         A delay beyond the horizon means never. At most horizon/0.5 ms model steps.
         """
         observer = self.observer
-        motion = observer.motion.copy()
-        driving, braking = observer.driving.copy(), observer.braking.copy()
+        motion = copy(observer.motion)
+        driving, braking = copy(observer.driving), copy(observer.braking)
         model, start_s = observer.model, observer.time_s
         transport_s, stroke_m, advance = model.settings.transport_s, model.stroke_m, model.step
         for step in range(self._steps):
@@ -73,18 +74,10 @@ class Foresight(IntoGear):
             now_s = start_s + ahead_s
             given_s = ahead_s - transport_s
             if given_s >= 0.0:
-                charge = not charge_off_s <= given_s < charge_on_s
-                if charge is not driving.wanted:
-                    driving.command(now_s, charge)
-                brake = brake_on_s <= given_s < brake_off_s
-                if brake is not braking.wanted:
-                    braking.command(now_s, brake)
-            if driving.wanted is not driving.is_open:
-                driving.at(now_s)
-            if braking.wanted is not braking.is_open:
-                braking.at(now_s)
+                driving.command(now_s, not charge_off_s <= given_s < charge_on_s)
+                braking.command(now_s, brake_on_s <= given_s < brake_off_s)
             speed_m_s = motion.stay_m_s
-            advance(motion, driving.is_open, braking.is_open, STEP_S)
+            advance(motion, driving.at(now_s), braking.at(now_s), STEP_S)
             if motion.stay_m >= stroke_m:
                 return Outcome(max(speed_m_s, 0.0), ahead_s, 0.0)
         return Outcome(0.0, self.parameters.horizon_s, model.stroke_m - motion.stay_m)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 import pytest
@@ -249,7 +250,7 @@ def test_a_trial_is_the_model_with_the_commands_at_their_steps(
     strategy.reset()
     assert isinstance(strategy, Foresight)
     brake_on_s, brake_off_s, charge_off_s, charge_on_s = sequence
-    model, motion = strategy.observer.model, strategy.observer.motion.copy()
+    model, motion = strategy.observer.model, copy(strategy.observer.motion)
     for step in range(round(horizon_s / STEP_S)):
         given_s = (step - late_steps) * STEP_S
         charge = given_s >= 0.0 and not charge_off_s <= given_s < charge_on_s
