@@ -18,7 +18,7 @@ from heapq import heapify, heappop, heappush
 from typing import Any, NamedTuple, TypeVar
 
 from can_dbc.errors import InputError
-from can_dbc.frame import Frame
+from can_dbc.frame import DP_BIT, EDP_BIT, MAX_ID, MAX_LENGTH, Frame
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import EOF_BITS, INTERMISSION_BITS, frame_bits
 
@@ -67,7 +67,7 @@ FrameFilter = Callable[[Transmission], Iterable[Delivery] | ErrorFrame]
 
 Returns what arrives and when: `transmission.delivered()`; nothing, for a frame that is lost without
 anybody noticing; a Delivery with other bytes, for corruption that passes the CRC; a later
-`arrival_ns`, for a delay; further Deliveries, for insertion. Arrivals before `end_ns` are refused.
+`arrival_ns`, for a delay; further Deliveries, for insertion. No arrival is before `end_ns`.
 Or an ErrorFrame, for corruption that is detected. The time that the frame took on the bus does not
 depend on the answer except by an ErrorFrame."""
 
@@ -123,6 +123,17 @@ def overwritten(ready: list[_Entry], entry: _Entry) -> bool:
             heapify(ready)
             return True
     return False
+
+
+def can_be_offered(frame: Frame) -> bool:
+    """Return whether a node may send the frame: classic, 29-bit, both data page bits clear.
+
+    Set, these bits mark the frames of the lockstep protocol.
+    """
+    can_id = frame.can_id
+    return (
+        0 <= can_id <= MAX_ID and not can_id & (EDP_BIT | DP_BIT) and len(frame.data) <= MAX_LENGTH
+    )
 
 
 class BusModel:
@@ -185,13 +196,11 @@ class BusModel:
 
         Raises ValueError for a release in the past and for frames that are not classic CAN.
         """
-        if release_ns < self._now_ns:
+        if release_ns < self._now_ns or not can_be_offered(frame):
             raise ValueError(
-                f"frame {frame.can_id:#010x} of {sender} is released at {release_ns} ns; "
-                f"the bus is at {self._now_ns} ns"
+                f"released {frame} at {release_ns} ns, granted {self._now_ns} ns; expected a classic "
+                "29-bit frame with EDP clear, not released before the grant"
             )
-        if not (0 <= frame.can_id < 1 << 29 and len(frame.data) <= 8):
-            raise ValueError(f"{frame} of {sender} is not a classic CAN frame with 29-bit id")
         if self._capacity is not None and self._waiting[sender] >= self._capacity:
             self.statistics.dropped_full += 1
             return
@@ -232,25 +241,23 @@ class BusModel:
             self._drop(sender)
             return
         entry = _Ready(frame.can_id, release_ns, serial, frame, sender, 1)
-        boxes, ready = self._mailboxes, self._ready
-        if ready and frame.can_id in boxes and overwritten(ready, entry):
+        ready = self._ready
+        if ready and frame.can_id in self._mailboxes and overwritten(ready, entry):
             self.statistics.overwritten += 1
             self._waiting[sender] -= 1
-            return
-        heappush(self._ready, entry)
+        else:
+            heappush(ready, entry)
 
     def _drop(self, sender: str) -> None:
         self.statistics.dropped_bus_off += 1
         self._waiting[sender] -= 1
 
     def _drop_senders_off(self, now_ns: int, is_off: IsOff) -> None:
-        off = {
-            sender for sender in {entry.sender for entry in self._ready} if is_off(sender, now_ns)
-        }
+        off = {sender for sender in {e.sender for e in self._ready} if is_off(sender, now_ns)}
+        for entry in self._ready:
+            if entry.sender in off:
+                self._drop(entry.sender)
         if off:
-            for entry in self._ready:
-                if entry.sender in off:
-                    self._drop(entry.sender)
             self._ready[:] = sorted(entry for entry in self._ready if entry.sender not in off)
 
     def _send(self, start_ns: int, entry: _Ready) -> None:
@@ -259,7 +266,7 @@ class BusModel:
         end_ns = start_ns + bits * self.bit_ns
         self._free_ns = end_ns + INTERMISSION_BITS * self.bit_ns
         if self._filter is None:
-            self._arrive(end_ns, Delivery(end_ns, frame, sender, queued_ns))
+            self._arrive(Delivery(end_ns, frame, sender, queued_ns))
         else:
             sent = Transmission(start_ns, end_ns, frame, sender, queued_ns, attempt)
             verdict = self._filter(sent)
@@ -268,7 +275,7 @@ class BusModel:
                 return
             deliveries = tuple(verdict)
             for delivery in deliveries:
-                self._arrive(end_ns, delivery)
+                self._arrive(delivery)
             self.statistics.lost += not deliveries
         self._waiting[sender] -= 1
         statistics = self.statistics
@@ -279,9 +286,7 @@ class BusModel:
         if wait_ns > statistics.longest_wait_ns.get(can_id, 0):
             statistics.longest_wait_ns[can_id] = wait_ns
 
-    def _arrive(self, end_ns: int, delivery: Delivery) -> None:
-        if delivery.arrival_ns < end_ns:
-            raise ValueError(f"{delivery} arrives before its frame ends at {end_ns} ns")
+    def _arrive(self, delivery: Delivery) -> None:
         self._serial += 1
         heappush(self._arriving, (delivery.arrival_ns, self._serial, delivery))
 

@@ -173,7 +173,7 @@ BusFault = (
 
 
 Intrusion = Babbling | Replayed | Spoofed
-"""Faults that put frames on the bus; `sil.nodes.intruder` is the node that sends them."""
+"""Faults that put frames on the bus; `sil.nodes.simulated` has the node that sends them."""
 
 
 class Window(NamedTuple):

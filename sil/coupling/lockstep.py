@@ -11,7 +11,6 @@ from can_dbc.errors import RunError
 from sil.coupling.clock import NEVER_NS, to_seconds
 from sil.coupling.real_time import Lateness, Pacer
 from sil.coupling.transports.channel import NOBODY, Channel, InProcess, ParticipantLost, Turn
-from sil.coupling.transports.wire import can_be_offered
 
 if TYPE_CHECKING:
     from sil.coupling.bus import BusModel, Delivery
@@ -112,8 +111,7 @@ class Lockstep:
         for channel in self._channels:
             self._next.update(channel.start(self.end_ns))
         for name, event_ns in self._next.items():
-            self._check_next(name, event_ns, -1)
-            self._next[name] = self._running_event(name, event_ns, 0)
+            self._next[name] = self._running_event(name, event_ns, -1, 0)
 
     def run(self) -> RunSummary:
         """Run from the present instant to the end.  Raises ParticipantLost, and RunError of the bus."""
@@ -165,34 +163,27 @@ class Lockstep:
         for delivery in deliveries:
             if self._pacer is not None:
                 self._pacer.wait(delivery.arrival_ns, self._idle)
-            bus_off = (
-                NOBODY if self._outages is None else self._outages.bus_off(delivery.arrival_ns)
-            )
+            bus_off = self._outages.bus_off(delivery.arrival_ns) if self._outages else NOBODY
             for channel in self._channels:
                 channel.deliver((delivery,), bus_off)
 
     def _take(self, name: str, now_ns: int, turn: Turn) -> None:
         for release_ns, frame in turn.frames:
-            if release_ns < now_ns or not can_be_offered(frame):
-                raise ParticipantLost(
-                    name,
-                    f"released {frame} at {release_ns} ns, granted {now_ns} ns; expected a "
-                    "classic 29-bit frame with EDP clear, not released before the grant",
-                )
-            self._bus.queue(release_ns, frame, name)
-        self._check_next(name, turn.next_ns, now_ns)
-        self._next[name] = self._running_event(name, turn.next_ns, turn.next_ns - now_ns)
+            try:
+                self._bus.queue(release_ns, frame, name)
+            except ValueError as error:
+                raise ParticipantLost(name, str(error)) from None
+        self._next[name] = self._running_event(name, turn.next_ns, now_ns, turn.next_ns - now_ns)
         if self._next[name] >= NEVER_NS and turn.next_ns < NEVER_NS:
             del self._next[name]
             self._channel_of[name].retire(name)
 
-    def _check_next(self, name: str, event_ns: int, now_ns: int) -> None:
+    def _running_event(self, name: str, event_ns: int, now_ns: int, period_ns: int) -> int:
+        """Return the participant's next event from `event_ns` on at which it runs."""
         if event_ns <= now_ns:
             raise ParticipantLost(
                 name, f"named {event_ns} ns as its next event at {now_ns} ns; expected a later one"
             )
-
-    def _running_event(self, name: str, event_ns: int, period_ns: int) -> int:
         if self._outages is None:
             return event_ns
         return self._outages.next_event(name, event_ns, period_ns)
@@ -200,11 +191,8 @@ class Lockstep:
     def _idle(self, seconds: float) -> None:
         """Pass wall time, serving all channels."""
         deadline = time.monotonic() + seconds
-        while True:
-            remote = [c for c in self._channels if not isinstance(c, InProcess)]
-            left = deadline - time.monotonic()
-            if left <= 0.0:
-                return
-            share = left if len(remote) < 2 else min(left, _LONGEST_WAIT_S) / len(remote)
-            for channel in remote or self._channels:
+        served = [c for c in self._channels if not isinstance(c, InProcess)] or self._channels
+        while (left := deadline - time.monotonic()) > 0.0:
+            share = left if len(served) < 2 else min(left, _LONGEST_WAIT_S) / len(served)
+            for channel in served:
                 channel.idle(share)

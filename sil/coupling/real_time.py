@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from can_dbc.errors import InputError
@@ -29,33 +30,22 @@ class Lateness:
     overruns: int
 
 
-class Histogram:
-    """Counts of nanosecond values, rounded up to two significant digits: memory stays flat."""
+def rounded_up(value: int) -> int:
+    """Return a value of 0 or more, rounded up to two significant digits."""
+    step = 1
+    while value > 99 * step:
+        step *= 10
+    return -(-value // step) * step
 
-    def __init__(self) -> None:
-        self._counts: dict[int, int] = {}
-        self.total = 0
-        self.maximum = 0
 
-    def add(self, value: int) -> None:
-        """Count one value; negative ones count as 0."""
-        value = max(0, value)
-        self.total += 1
-        self.maximum = max(self.maximum, value)
-        step = 1
-        while value > 99 * step:
-            step *= 10
-        rounded = -(-value // step) * step
-        self._counts[rounded] = self._counts.get(rounded, 0) + 1
-
-    def quantile(self, share: float) -> int:
-        """Return the value that `share` (0 to 1) of those counted do not exceed; 0 if none."""
-        passed = 0
-        for value in sorted(self._counts):
-            passed += self._counts[value]
-            if passed >= share * self.total:
-                return min(value, self.maximum)
-        return 0
+def quantile(counts: Mapping[int, int], share: float) -> int:
+    """Return the value that `share` (0 to 1) of those counted do not exceed; 0 if none."""
+    passed, total = 0, sum(counts.values())
+    for value in sorted(counts):
+        passed += counts[value]
+        if passed >= share * total:
+            return value
+    return 0
 
 
 class Pacer:
@@ -79,7 +69,8 @@ class Pacer:
         self._sleep = sleep
         self._origin_wall = 0
         self._origin_simulated: int | None = None
-        self._late = Histogram()
+        self._late_ns: Counter[int] = Counter()  # rounded, so that memory stays flat
+        self._latest_ns = 0
         self._overruns = 0
 
     def wait(self, simulated_ns: int, idle: Callable[[float], None]) -> None:
@@ -100,15 +91,20 @@ class Pacer:
         left = due - self._clock()
         if left > 0:
             self._sleep(to_seconds(left))
-        self._late.add(self._clock() - due)
+        late_ns = max(0, self._clock() - due)
+        self._late_ns[rounded_up(late_ns)] += 1
+        self._latest_ns = max(self._latest_ns, late_ns)
 
     def lateness(self) -> Lateness:
         """Return what was measured so far."""
+        p50_ns, p99_ns = (
+            min(quantile(self._late_ns, share), self._latest_ns) for share in (0.5, 0.99)
+        )
         return Lateness(
             factor=self.factor,
-            instants=self._late.total,
-            p50_s=to_seconds(self._late.quantile(0.5)),
-            p99_s=to_seconds(self._late.quantile(0.99)),
-            max_s=to_seconds(self._late.maximum),
+            instants=self._late_ns.total(),
+            p50_s=to_seconds(p50_ns),
+            p99_s=to_seconds(p99_ns),
+            max_s=to_seconds(self._latest_ns),
             overruns=self._overruns,
         )

@@ -31,8 +31,7 @@ from sil.coupling.transports.channel import (
     Timeouts,
 )
 from sil.coupling.transports.wire import GUEST
-from sil.nodes.drift import Drifting
-from sil.nodes.intruder import IntruderNode
+from sil.nodes.simulated import Drifting, DriverNode, IntruderNode, TrafficNode
 from sil.simulation.scenario import Loaded, Scenario, expanded
 
 if TYPE_CHECKING:
@@ -139,8 +138,6 @@ def make_participant(name: str, loaded: Loaded, folder: Path) -> Participant:
 def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
     scenario = loaded.scenario
     if name == "driver":
-        from sil.nodes.driver import DriverNode
-
         schedule = [(to_ns(r.at_s), gear_of(r.gear)) for r in scenario.request]
         driver = scenario.driver
         return DriverNode(
@@ -155,8 +152,6 @@ def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
 
         return ControllerNode(scenario.controller)
     if name == "traffic":
-        from sil.nodes.other_traffic import TrafficNode
-
         bus = scenario.bus
         return TrafficNode(bus.extra_load, bus.extra_priority, bus.bitrate, scenario.seed)
     if name == "intruder":

@@ -10,11 +10,11 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import EDP_BIT, Frame
 from can_dbc.messages import StopReason
+from sil.coupling.bus import can_be_offered
 from sil.coupling.transports import address, wire
 from sil.coupling.transports.channel import Participant, silent
 from sil.coupling.transports.socketcan import PARTICIPANT_VIEW, CanSocket, lifeline_address
@@ -22,13 +22,6 @@ from sil.coupling.transports.wire import Kind
 
 START_TIMEOUT_S = 60.0
 _ANSWER_EXPECTED_S = 0.3
-
-
-class Grant(NamedTuple):
-    """Time granted up to `now_ns`, and the frames that arrived since the last grant."""
-
-    now_ns: int
-    deliveries: list[tuple[int, Frame]]
 
 
 class Link:
@@ -239,8 +232,10 @@ class Session:
                     self._first_event_ns = first_event_ns
                     return
 
-    def next_grant(self) -> Grant | None:
-        """Wait for a grant; return None when the run is over: then `ending` says how.
+    def next_grant(self) -> tuple[int, list[tuple[int, Frame]]] | None:
+        """Wait for a grant; return its instant (ns) and the frames since the last one, or None.
+
+        None is the end of the run: `ending` says how it ended.
 
         Raises RunError when the coordinator is gone or frames were lost on the way.
         """
@@ -277,7 +272,7 @@ class Session:
                     self._received = 0
                     self._now_ns = control.value
                     inbox, self._inbox = self._inbox, []
-                    return Grant(control.value, inbox)
+                    return control.value, inbox
             self._records.extend(self._link.read(None))
 
     def answer(self, frames: Sequence[tuple[int, Frame]], next_ns: int) -> None:
@@ -288,7 +283,7 @@ class Session:
         records = []
         release_ns = self._now_ns
         for instant_ns, frame in frames:
-            if instant_ns < self._now_ns or not wire.can_be_offered(frame):
+            if instant_ns < self._now_ns or not can_be_offered(frame):
                 raise ValueError(f"{self.name} at {self._now_ns} ns: {frame} at {instant_ns} ns")
             if instant_ns != release_ns:
                 release_ns = instant_ns
@@ -358,8 +353,7 @@ def take_part(
         session.join(first_ns, start_timeout_s, say)
         while (grant := session.next_grant()) is not None:
             try:
-                frames, next_ns = participant.advance(grant.now_ns, grant.deliveries)
-                session.answer(frames, next_ns)
+                session.answer(*participant.advance(*grant))
             except Exception:
                 with contextlib.suppress(RunError):  # the first error is the one to report
                     session.fail()

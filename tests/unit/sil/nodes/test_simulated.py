@@ -1,4 +1,4 @@
-"""Nodes that should not be there, clocks that drift, and what end-to-end protection counts."""
+"""Driver, other traffic and intruder, clocks that drift, and the counts of end-to-end protection."""
 
 from __future__ import annotations
 
@@ -7,15 +7,13 @@ from typing import Any
 import pytest
 
 from can_dbc.codec import can_id_of
-from can_dbc.e2e import Protector
+from can_dbc.e2e import E2eConfig, Protector, Receiver
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame, split_id
-from can_dbc.messages import Gear, ShiftRequest
+from can_dbc.messages import E2eState, Gear, ShiftRequest
 from sil.coupling.bus import BusModel
 from sil.coupling.faults import Babbling, Replayed, Spoofed
-from sil.nodes.drift import Drifting
-from sil.nodes.driver import DriverNode
-from sil.nodes.intruder import IntruderNode
+from sil.nodes.simulated import Drifting, DriverNode, IntruderNode, TrafficNode
 from sil.recording.end_to_end import EndToEnd
 from sil.recording.run_record import BusFrame, RunRecord
 from sil.simulation import scenario
@@ -120,3 +118,60 @@ def test_an_overloaded_bus_needs_a_limit_of_what_waits() -> None:
     with pytest.raises(InputError, match=r"bus\.send_buffer: missing"):
         scenario.load("lab_n_b", settings=["bus.extra_load=1.2"])
     assert scenario.load("lab_n_b", settings=["bus.extra_load=1.2", "bus.send_buffer=8"])
+
+
+def sent_by(driver: DriverNode, end_ms: int) -> list[tuple[int, Frame]]:
+    at, frames = driver.start(), []
+    while at <= end_ms * MS:
+        released, at = driver.advance(at, [])
+        frames += released
+    return frames
+
+
+def test_frames_go_out_on_schedule_and_carry_the_gear_asked_for() -> None:
+    schedule = [(35 * MS, Gear.BACKWARD), (60 * MS, Gear.FORWARD)]
+    frames = sent_by(DriverNode(Gear.NEUTRAL, schedule, 20 * MS, 5 * MS), 90)
+    assert [at // MS for at, _ in frames] == [5, 25, 45, 65, 85]
+    receiver = Receiver(ShiftRequest, E2eConfig(timeout_ns=100 * MS))
+    gears = []
+    for at, frame in frames:
+        receiver.receive(at, frame)
+        gears.append(receiver.message.target if receiver.message else None)
+    assert receiver.state(85 * MS) is E2eState.VALID
+    assert gears[-3:] == [Gear.BACKWARD, Gear.FORWARD, Gear.FORWARD]
+
+
+def test_the_end_of_the_run_sends_nothing_between_two_frames() -> None:
+    driver = DriverNode(Gear.NEUTRAL, [], 20 * MS)
+    assert driver.start() == 0
+    assert len(driver.advance(0, [])[0]) == 1
+    assert driver.advance(7 * MS, []) == ([], 20 * MS)
+
+
+def carried(load: float, seed: int) -> tuple[BusModel, list[tuple[int, int, bytes]]]:
+    node, bus = TrafficNode(load, 6, 500_000, seed), BusModel(500_000)
+    at, log = node.start(), []
+    while at < 2_000 * MS:
+        log += [(d.arrival_ns, d.frame.can_id, d.frame.data) for d in bus.advance(at)]
+        frames, at = node.advance(at, [])
+        for release, frame in frames:
+            bus.queue(release, frame, node.name)
+    return bus, log
+
+
+@pytest.mark.parametrize("load", [0.05, 0.4, 0.9])
+def test_load_is_what_was_asked_for(load: float) -> None:
+    bus, log = carried(load, 1)
+    assert bus.load == pytest.approx(load, rel=0.03)
+    assert {split_id(can_id).priority for _, can_id, _ in log} == {6}
+
+
+def test_seeded() -> None:
+    assert carried(0.3, 1)[1] == carried(0.3, 1)[1]
+    assert carried(0.3, 1)[1] != carried(0.3, 2)[1]
+
+
+def test_nothing_between_two_windows() -> None:
+    node = TrafficNode(0.5, 3, 500_000, 1)
+    assert node.advance(0, [])[1] == 10 * MS
+    assert node.advance(4 * MS, []) == ([], 10 * MS)

@@ -1,0 +1,243 @@
+"""The nodes of a scenario besides plant and controller: driver, other traffic, intruder.
+
+Also a participant whose clock drifts.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+
+from can_dbc import messages
+from can_dbc.codec import can_id_of, spec_of
+from can_dbc.e2e import Protector
+from can_dbc.frame import Frame, join_id
+from can_dbc.messages import Gear, ShiftRequest
+from sil.coupling.clock import NS_PER_S, next_tick, to_ns
+from sil.coupling.faults import INTRUDER, Intrusion, Replayed, Spoofed, window_of
+from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
+from sil.coupling.transports.channel import Participant
+
+Released = list[tuple[int, Frame]]
+"""Frames with their release instants, ns."""
+
+TRAFFIC_WINDOW_NS = 10_000_000
+TRAFFIC_PGN = 0xFE00
+TRAFFIC_NODES = 16
+INTRUDER_STEP_NS = 1_000_000
+BABBLED_PGN, INTRUDER_SOURCE = 0xFE20, 0xFB
+_NS_PER_US = 1000
+_BILLION = 1_000_000_000
+_BILLIONTHS_PER_PPM = 1000
+
+
+class _Node:
+    """A node that holds no resources and has its first event at the start of the run."""
+
+    def start(self) -> int:
+        """Return the instant of the first event, ns."""
+        return 0
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class DriverNode(_Node):
+    """Sends a protected ShiftRequest every period; the gear it carries follows a schedule.
+
+    A request is sent with the first frame at or after its instant.
+    """
+
+    name = "driver"
+
+    def __init__(
+        self, initial: Gear, schedule: Sequence[tuple[int, Gear]], period_ns: int, phase_ns: int = 0
+    ) -> None:
+        """`schedule`: instants in ns, ascending, and the gear requested from then on."""
+        self._gear = initial
+        self._schedule = list(schedule)
+        self._period_ns = period_ns
+        self._phase_ns = phase_ns
+        self._protector = Protector(ShiftRequest)
+
+    def start(self) -> int:
+        """Return the instant of the first frame, ns."""
+        return self._phase_ns
+
+    def advance(
+        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
+    ) -> tuple[Released, int]:
+        """Send the frame that is due at `until_ns`; frames of others are ignored."""
+        while self._schedule and self._schedule[0][0] <= until_ns:
+            self._gear = self._schedule.pop(0)[1]
+        following = next_tick(until_ns, self._period_ns, self._phase_ns)
+        if until_ns < self._phase_ns or following - until_ns != self._period_ns:
+            return [], following
+        return [(until_ns, self._protector.protect(ShiftRequest(self._gear)))], following
+
+
+class _Load:
+    """8-byte frames at random instants, in whole microseconds, that take a share of the bus."""
+
+    def __init__(
+        self,
+        share: float,
+        window_ns: int,
+        bitrate: int,
+        draw: random.Random,
+        can_id: Callable[[], int],
+    ) -> None:
+        self._owed_per_window_ns = share * window_ns
+        self._instants = window_ns // _NS_PER_US
+        self._bit_ns = NS_PER_S // bitrate
+        self._random = draw
+        self._can_id = can_id
+        self._owed_ns = 0.0
+
+    def released(self, begin_ns: int) -> Released:
+        """Return the frames of the window that begins at `begin_ns`."""
+        found = []
+        self._owed_ns += self._owed_per_window_ns
+        while self._owed_ns > 0.0:
+            frame = Frame(self._can_id(), self._random.randbytes(8))
+            bits = frame_bits(frame.can_id, frame.data) + INTERMISSION_BITS
+            self._owed_ns -= bits * self._bit_ns
+            at_ns = begin_ns + self._random.randrange(self._instants) * _NS_PER_US
+            found.append((at_ns, frame))
+        return found
+
+
+class TrafficNode(_Node):
+    """Sends frames of J1939 broadcast groups at random instants, seeded by the scenario.
+
+    Every 10 ms it releases as many frames as make up `load` (0..1) of the bus so far, spread over
+    the next 10 ms, from 16 source addresses.
+    """
+
+    name = "traffic"
+
+    def __init__(self, load: float, priority: int, bitrate: int, seed: int) -> None:
+        draw = random.Random(f"{seed}:traffic")
+
+        def can_id() -> int:
+            source = 0x80 + draw.randrange(TRAFFIC_NODES)
+            return join_id(priority, TRAFFIC_PGN + draw.randrange(TRAFFIC_NODES), source)
+
+        self._load = _Load(load, TRAFFIC_WINDOW_NS, bitrate, draw, can_id)
+        self._next_ns = 0
+
+    def advance(
+        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
+    ) -> tuple[Released, int]:
+        """Release the frames of the window that begins at `until_ns`."""
+        if until_ns < self._next_ns:  # the run ends between two windows
+            return [], self._next_ns
+        self._next_ns = until_ns + TRAFFIC_WINDOW_NS
+        return sorted(self._load.released(until_ns)), self._next_ns
+
+
+class IntruderNode(_Node):
+    """Sends the frames of a scenario's intrusion faults; wakes up every millisecond."""
+
+    name = INTRUDER
+
+    def __init__(self, faults: Sequence[Intrusion], bitrate: int, seed: int) -> None:
+        self._acts = [
+            _Intrusion(fault, bitrate, random.Random(f"{seed}:intruder:{index}"))
+            for index, fault in enumerate(faults)
+        ]
+        self._next_ns = 0
+
+    def advance(
+        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
+    ) -> tuple[Released, int]:
+        """Release the frames of the millisecond that begins at `until_ns`."""
+        if until_ns < self._next_ns:  # the run ends within a millisecond
+            return [], self._next_ns
+        self._next_ns = until_ns + INTRUDER_STEP_NS
+        return sorted(
+            pair for act in self._acts for pair in act.released(until_ns, deliveries)
+        ), self._next_ns
+
+
+class _Intrusion:
+    """One fault of the intruder with its state."""
+
+    def __init__(self, fault: Intrusion, bitrate: int, draw: random.Random) -> None:
+        self._fault = fault
+        self._window = window_of(fault)
+        self._random = draw
+        self._sent = 0
+        if not isinstance(fault, Replayed | Spoofed):
+            can_id = join_id(fault.priority, BABBLED_PGN, INTRUDER_SOURCE)
+            self._load = _Load(fault.load, INTRUDER_STEP_NS, bitrate, draw, lambda: can_id)
+
+    def released(self, begin_ns: int, deliveries: Sequence[tuple[int, Frame]]) -> Released:
+        """Return the frames released in the step that begins at `begin_ns`."""
+        fault = self._fault
+        if isinstance(fault, Replayed):
+            late_ns = to_ns(fault.delay_s)
+            can_id = can_id_of(getattr(messages, fault.message))
+            return [
+                (at + late_ns, frame)
+                for at, frame in deliveries
+                if frame.can_id == can_id and self._window.holds(at)
+            ]
+        if isinstance(fault, Spoofed):
+            return self._forged(fault, begin_ns)
+        return self._load.released(begin_ns) if self._window.holds(begin_ns) else []
+
+    def _forged(self, fault: Spoofed, begin_ns: int) -> Released:
+        kind = getattr(messages, fault.message)
+        period_ns, end_ns = to_ns(fault.period_s), begin_ns + INTRUDER_STEP_NS
+        found = []
+        while (at := self._window.start_ns + self._sent * period_ns) < end_ns:
+            self._sent += 1
+            if at >= begin_ns and self._window.holds(at):
+                found.append(
+                    (at, Frame(can_id_of(kind), self._random.randbytes(spec_of(kind).length)))
+                )
+        return found
+
+
+class Drifting:
+    """A participant whose own clock advances by `1 + ppm / 10^6` s per simulated second.
+
+    Times are converted between the two clocks in whole numbers, so that a run repeats bit by bit.
+    """
+
+    def __init__(self, participant: Participant, ppm: float) -> None:
+        self.name = participant.name
+        self.close = participant.close
+        self._inner = participant
+        self._own = _BILLION + round(ppm * _BILLIONTHS_PER_PPM)
+        self._before_own_ns = self._next_own_ns = 0
+
+    def start(self) -> int:
+        """Return the simulated instant of its first event, ns."""
+        self._before_own_ns = self._next_own_ns = self._inner.start()
+        return self._simulated(self._next_own_ns)
+
+    def advance(
+        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
+    ) -> tuple[Released, int]:
+        """Advance the participant to what its own clock shows at `until_ns`."""
+        due_ns = self._simulated(self._next_own_ns)
+        own_ns = self._next_own_ns
+        if until_ns < due_ns:
+            own_ns = min(self._own_ns(until_ns), own_ns - 1)
+        elif until_ns > due_ns:  # it was stalled: it wakes up at a tick of its own
+            period_ns = max(1, self._next_own_ns - self._before_own_ns)
+            own_ns += round((self._own_ns(until_ns) - own_ns) / period_ns) * period_ns
+        received = [(min(self._own_ns(at), own_ns), frame) for at, frame in deliveries]
+        released, next_own_ns = self._inner.advance(own_ns, received)
+        self._before_own_ns, self._next_own_ns = own_ns, next_own_ns
+        frames = [(max(until_ns, self._simulated(at)), frame) for at, frame in released]
+        return frames, max(until_ns + 1, self._simulated(next_own_ns))
+
+    def _own_ns(self, simulated_ns: int) -> int:
+        return simulated_ns * self._own // _BILLION
+
+    def _simulated(self, own_ns: int) -> int:
+        """Return the first simulated ns at which the participant's clock shows `own_ns` or later."""
+        return -(-own_ns * _BILLION // self._own)
