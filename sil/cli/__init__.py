@@ -33,7 +33,7 @@ COMMANDS = {
     "bus": "transports found here; load and worst-case response times",
 }
 """Command name to one line of help; the command itself is the module of that name in this package,
-with `add_arguments(parser)` and `run(arguments) -> exit code`."""
+with a table `ARGUMENTS` and `run(arguments) -> exit code`."""
 
 _HELP = """\
 usage: opc4 COMMAND ...
@@ -210,6 +210,8 @@ def _main(arguments: list[str]) -> int:
 
 def parser(name: str, command: Any) -> argparse.ArgumentParser:
     """Return the argument parser of a command, given its module."""
+    from sil.cli.options import argument
+
     made = _Parser(
         prog=f"opc4 {name}",
         description=command.__doc__,
@@ -217,8 +219,8 @@ def parser(name: str, command: Any) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    command.add_arguments(made)
-    made.add_argument("--quiet", action="store_true", help="no progress on standard error")
+    for name, how in (*command.ARGUMENTS, argument("--quiet", "no progress on standard error")):
+        made.add_argument(name, **how)
     return made
 
 

@@ -9,7 +9,7 @@ import argparse
 import json
 from typing import Any
 
-from sil.cli.options import add_json
+from sil.cli.options import JSON, argument
 
 EXAMPLE = """\
 example:
@@ -17,12 +17,12 @@ example:
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument("--dbc", metavar="FILE", help="another database [the project's]")
-    parser.add_argument("--scenario", metavar="SCENARIO", help="take periods and bit rate from it")
-    parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="[500000]")
-    add_json(parser)
+ARGUMENTS = (
+    argument("--dbc", "another database [the project's]", "FILE"),
+    argument("--scenario", "take periods and bit rate from it", "SCENARIO"),
+    argument("--bitrate", "[500000]", "BIT/S", type=int),
+    JSON,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -10,20 +10,20 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sil.cli.options import JSON, argument
+
 if TYPE_CHECKING:
     from sil.claims.claim import Finding
 
 EXAMPLE = "example: opc4 claims F07 F16 F36"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument("id", nargs="*", metavar="ID", help="claims to check (default: all)")
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder for claims.json, claims.md, report.html"
-    )
-    parser.add_argument("--force", action="store_true", help="replace claims in DIR")
-    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+ARGUMENTS = (
+    argument("id", "claims to check (default: all)", "ID", nargs="*"),
+    argument("--out", "folder for claims.json, claims.md, report.html", "DIR", type=Path),
+    argument("--force", "replace claims in DIR"),
+    JSON,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ import argparse
 import json
 from pathlib import Path
 
-from sil.cli.options import add_json
+from sil.cli.options import JSON, STRICT, TIMES, argument
 
 EXAMPLE = """\
 example:
@@ -18,21 +18,15 @@ example:
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the command."""
-    parser.add_argument("source", metavar="IN", help="log, or a run's trace.csv")
-    parser.add_argument("target", metavar="OUT", help="file to write")
-    parser.add_argument("--from", dest="source_format", metavar="FORMAT", help="format of IN")
-    parser.add_argument("--to", dest="target_format", metavar="FORMAT", help="format of OUT")
-    parser.add_argument("--strict", action="store_true", help="refuse a log with anything broken")
-    parser.add_argument(
-        "--times",
-        default="auto",
-        choices=("auto", "delta", "recorded"),
-        help="how the times of a candump screen log are meant [auto]",
-    )
-    parser.add_argument("--force", action="store_true", help="replace OUT")
-    add_json(parser)
+ARGUMENTS = (
+    argument("source", "log, or a run's trace.csv", "IN"),
+    argument("target", "file to write", "OUT"),
+    argument("--from", "format of IN", "FORMAT", dest="source_format"),
+    argument("--to", "format of OUT", "FORMAT", dest="target_format"),
+    *(STRICT, TIMES),
+    argument("--force", "replace OUT"),
+    JSON,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -7,17 +7,20 @@ import json
 import sys
 from pathlib import Path
 
+from sil.cli.options import JSON, argument, out
+
 EXAMPLE = "example: opc4 diagnose measured/ --out diagnosis/"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument("campaign", metavar="CAMPAIGN", help="campaign folder")
-    parser.add_argument("--model", default="nominal", help="parameter set or model file questioned")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write")
-    parser.add_argument("--force", action="store_true", help="replace a diagnosis in DIR")
-    parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes (default 2)")
-    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+ARGUMENTS = (
+    argument("campaign", "campaign folder", "CAMPAIGN"),
+    argument(
+        "--model", "parameter set or model file questioned", default="nominal", metavar="MODEL"
+    ),
+    *out("runs/CAMPAIGN-diagnosis-N"),
+    argument("--workers", "processes (default 2)", "N", type=int, default=2),
+    JSON,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -9,20 +9,18 @@ import argparse
 import os
 from pathlib import Path
 
-from sil.cli.options import add_model, say
+from sil.cli.options import MODEL, SETTINGS, argument, say
 
 EXAMPLE = "example: opc4 fmu plant actuator.fmu --scenario lab_n_b --set valve.D_fall=0.02"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument("what", choices=("plant", "controller"), help="side to export")
-    parser.add_argument("out", type=Path, metavar="OUT.fmu", help="file to write")
-    parser.add_argument(
-        "--scenario", default="lab_n_b", metavar="SCENARIO", help="whose values it takes [lab_n_b]"
-    )
-    parser.add_argument("--force", action="store_true", help="replace OUT.fmu")
-    add_model(parser)
+ARGUMENTS = (
+    argument("what", "side to export", choices=("plant", "controller")),
+    argument("out", "file to write", "OUT.fmu", type=Path),
+    argument("--scenario", "whose values it takes [lab_n_b]", "SCENARIO", default="lab_n_b"),
+    argument("--force", "replace OUT.fmu"),
+    *(MODEL, SETTINGS),
+)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -5,21 +5,21 @@ from __future__ import annotations
 import argparse
 import json
 from dataclasses import asdict
-from pathlib import Path
+
+from sil.cli.options import JSON, argument, out
 
 EXAMPLE = "example: opc4 identify friction measured/ --out friction/"
 
 WHAT = ("flow", "friction", "alpha", "damper")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument("what", metavar="WHAT", choices=WHAT, help=", ".join(WHAT))
-    parser.add_argument("campaign", metavar="CAMPAIGN", help="campaign folder")
-    parser.add_argument("--model", default="nominal", help="parameter set or model file")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write")
-    parser.add_argument("--force", action="store_true", help="replace what DIR holds")
-    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+ARGUMENTS = (
+    argument("what", ", ".join(WHAT), "WHAT", choices=WHAT),
+    argument("campaign", "campaign folder", "CAMPAIGN"),
+    argument("--model", "parameter set or model file", "MODEL", default="nominal"),
+    *out("runs/CAMPAIGN-WHAT-N"),
+    JSON,
+)
 
 
 def run(arguments: argparse.Namespace) -> int:

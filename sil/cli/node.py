@@ -10,7 +10,7 @@ import argparse
 import contextlib
 from pathlib import Path
 
-from sil.cli.options import add_model, say
+from sil.cli.options import MODEL, SEED, SETTINGS, argument, say
 
 EXAMPLE = """\
 example:
@@ -21,28 +21,22 @@ WAIT_S = 300.0
 """The first start on a machine compiles the plant's equations."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument("participant", choices=("plant", "controller"))
-    parser.add_argument(
-        "--channel", required=True, metavar="local:NAME|INTERFACE", help="where the run is"
-    )
-    parser.add_argument(
-        "--scenario", default="full_shift", metavar="SCENARIO", help="file or shipped name"
-    )
-    parser.add_argument("--seed", type=int, metavar="N", help="seed of everything random")
-    parser.add_argument(
+ARGUMENTS = (
+    argument("participant", "who takes part", choices=("plant", "controller")),
+    argument("--channel", "where the run is", "local:NAME|INTERFACE", required=True),
+    argument("--scenario", "file or shipped name", "SCENARIO", default="full_shift"),
+    SEED,
+    argument(
         "--timeout",
+        f"how long to wait for the run [{WAIT_S:g}]",
+        "SECONDS",
         type=float,
         default=WAIT_S,
-        metavar="SECONDS",
-        help=f"how long to wait for the run [{WAIT_S:g}]",
-    )
-    parser.add_argument(
-        "--out", type=Path, default=Path(), metavar="DIR", help="where the plant records [.]"
-    )
-    parser.add_argument("--force", action="store_true", help="replace the records in DIR")
-    add_model(parser)
+    ),
+    argument("--out", "where the plant records [.]", "DIR", type=Path, default=Path()),
+    argument("--force", "replace the records in DIR"),
+    *(MODEL, SETTINGS),
+)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,45 +1,50 @@
-"""Options that several commands share."""
+"""The arguments of the commands as tables, and those that several commands share."""
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
+from typing import Any
+
+Argument = tuple[str, dict[str, Any]]
+"""Name, and how argparse takes it."""
 
 
-def add_out(parser: argparse.ArgumentParser, default: str) -> None:
-    """Add --out and --force; `default` is the folder without them."""
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help=f"folder for the output, made if missing [{default}]",
+def argument(name: str, text: str, metavar: str | None = None, **how: Any) -> Argument:
+    """Return an argument with its help; an option without a metavar is a switch."""
+    if name.startswith("--") and metavar is None and "choices" not in how:
+        how["action"] = "store_true"
+    elif metavar is not None:
+        how["metavar"] = metavar
+    return name, {"help": text, **how}
+
+
+def out(default: str) -> tuple[Argument, Argument]:
+    """Return --out and --force; `default` is the folder without them."""
+    text = f"folder for the output, made if missing [{default}]"
+    return argument("--out", text, "DIR", type=Path), argument(
+        "--force", "replace what the folder holds"
     )
-    parser.add_argument(
-        "--force", action="store_true", help="replace the run that the folder holds"
-    )
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add --json."""
-    parser.add_argument(
-        "--json", action="store_true", help="print one JSON object on standard output, nothing else"
-    )
-
-
-def add_model(parser: argparse.ArgumentParser) -> None:
-    """Add --model and --set."""
-    parser.add_argument(
-        "--model", metavar="FILE", help="model file, or name of a parameter set [nominal]"
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="PATH=VALUE",
-        dest="settings",
-        help="change one value, e.g. valve.D_fall=0.02 or controller.filter=false; repeatable",
-    )
+JSON = argument("--json", "print one JSON object on standard output, nothing else")
+SEED = argument("--seed", "seed of everything random", "N", type=int)
+MODEL = argument("--model", "model file, or name of a parameter set [nominal]", "FILE")
+SETTINGS = argument(
+    "--set",
+    "change one value, e.g. valve.D_fall=0.02 or controller.filter=false; repeatable",
+    "PATH=VALUE",
+    action="append",
+    default=[],
+    dest="settings",
+)
+STRICT = argument("--strict", "refuse a log with anything broken")
+TIMES = argument(
+    "--times",
+    "how the times of a candump screen log are meant [auto]",
+    default="auto",
+    choices=("auto", "delta", "recorded"),
+)
 
 
 def say(message: str) -> None:

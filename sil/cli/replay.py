@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sil.cli.options import add_json, add_out
+from sil.cli.options import JSON, SETTINGS, STRICT, TIMES, argument, out
 
 if TYPE_CHECKING:
     from sil.log_replay.replay import ReplayRequest, ReplayResult
@@ -34,53 +34,26 @@ options of --options FILE, all optional:
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument("log", metavar="LOG", help="recorded log of the bus")
-    parser.add_argument(
+ARGUMENTS = (
+    argument("log", "recorded log of the bus", "LOG"),
+    argument(
         "--firmware",
-        metavar="FILE",
-        help="settings of the firmware (TOML, a scenario, a result.json), a firmware of your own "
+        "settings of the firmware (TOML, a scenario, a result.json), a firmware of your own "
         "(FILE.py or FILE.py:CLASS), or the folder of another checkout with its firmware",
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="PATH=VALUE",
-        dest="settings",
-        help="change one value, e.g. controller.filter=false; repeatable",
-    )
-    parser.add_argument("--options", metavar="FILE", help="tolerances and ignore list (TOML)")
-    parser.add_argument("--dbc", metavar="FILE", help="where the log's identifiers are others")
-    parser.add_argument(
-        "--run",
-        metavar="SCENARIO",
-        help="scenario or result.json that the log is of [in the folder of LOG]",
-    )
-    parser.add_argument(
-        "--plant", action="store_true", help="put the recorded commands into the plant as well"
-    )
-    parser.add_argument(
-        "--closed-loop",
-        action="store_true",
-        help="let the plant answer from the first command that differs",
-    )
-    parser.add_argument(
-        "--against", metavar="REV", help="compare with the firmware of another commit instead"
-    )
-    parser.add_argument(
-        "--summary", action="store_true", help="list the gear shifts of any truck's log (J1939)"
-    )
-    parser.add_argument("--strict", action="store_true", help="refuse a log with anything broken")
-    parser.add_argument(
-        "--times",
-        default="auto",
-        choices=("auto", "delta", "recorded"),
-        help="how the times of a candump screen log are meant [auto]",
-    )
-    add_out(parser, "runs/replay-LOG-N")
-    add_json(parser)
+        "FILE",
+    ),
+    SETTINGS,
+    argument("--options", "tolerances and ignore list (TOML)", "FILE"),
+    argument("--dbc", "where the log's identifiers are others", "FILE"),
+    argument(
+        "--run", "scenario or result.json that the log is of [in the folder of LOG]", "SCENARIO"
+    ),
+    argument("--plant", "put the recorded commands into the plant as well"),
+    argument("--closed-loop", "let the plant answer from the first command that differs"),
+    argument("--against", "compare with the firmware of another commit instead", "REV"),
+    argument("--summary", "list the gear shifts of any truck's log (J1939)"),
+    *(STRICT, TIMES, *out("runs/replay-LOG-N"), JSON),
+)
 
 
 def run(arguments: argparse.Namespace) -> int:

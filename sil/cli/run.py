@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sil.cli.options import add_json, add_model, add_out, say
+from sil.cli.options import JSON, MODEL, SEED, SETTINGS, argument, out, say
 
 if TYPE_CHECKING:
     from sil.simulation.runner import Finished
@@ -24,36 +24,34 @@ example:
 SHIFTS_PRINTED = 12
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="file or shipped name")
-    parser.add_argument("--list", action="store_true", help="list the shipped scenarios")
-    parser.add_argument(
+ARGUMENTS = (
+    argument("scenario", "file or shipped name", "SCENARIO", nargs="?"),
+    argument("--list", "list the shipped scenarios"),
+    argument(
         "--transport",
+        "one process; processes on a local bus; processes on a CAN interface [inproc]",
+        "inproc|local[:NAME]|CHANNEL",
         default="inproc",
-        metavar="inproc|local[:NAME]|CHANNEL",
-        help="one process; processes on a local bus; processes on a CAN interface [inproc]",
-    )
-    parser.add_argument(
+    ),
+    argument(
         "--external",
+        "do not start this participant: it joins from elsewhere",
         action="append",
         default=[],
         choices=("controller", "plant"),
-        help="do not start this participant: it joins from elsewhere",
-    )
-    parser.add_argument("--realtime", action="store_true", help="pace by the wall clock")
-    parser.add_argument(
+    ),
+    argument("--realtime", "pace by the wall clock"),
+    argument(
         "--speed",
+        "simulated seconds per wall second in real time [1]; implies --realtime",
+        "FACTOR",
         type=float,
-        metavar="FACTOR",
-        help="simulated seconds per wall second in real time [1]; implies --realtime",
-    )
-    add_model(parser)
-    parser.add_argument("--seed", type=int, metavar="N", help="seed of everything random")
-    parser.add_argument("--junit", type=Path, metavar="FILE", help="write the checks as JUnit XML")
-    parser.add_argument("--no-report", action="store_true", help="no picture and no page")
-    add_out(parser, "runs/SCENARIO-N")
-    add_json(parser)
+    ),
+    *(MODEL, SETTINGS, SEED),
+    argument("--junit", "write the checks as JUnit XML", "FILE", type=Path),
+    argument("--no-report", "no picture and no page"),
+    *(*out("runs/SCENARIO-N"), JSON),
+)
 
 
 def run(arguments: argparse.Namespace) -> int:

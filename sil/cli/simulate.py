@@ -5,21 +5,21 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sil.cli.options import JSON, SETTINGS, argument, out
+
+if TYPE_CHECKING:
+    from sil.campaign.simulate import SimulatedStroke
 
 EXAMPLE = "example: opc4 simulate measured/ --out simulated/ --set friction_length.F_rf_p=60"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument("campaign", metavar="CAMPAIGN", help="campaign folder")
-    parser.add_argument("--model", default="nominal", help="parameter set or model file")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="PATH=VALUE", help="change a model value"
-    )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write")
-    parser.add_argument("--force", action="store_true", help="replace a campaign in DIR")
-    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+ARGUMENTS = (
+    argument("campaign", "campaign folder", "CAMPAIGN"),
+    argument("--model", "parameter set or model file", "MODEL", default="nominal"),
+    *(SETTINGS, *out("runs/CAMPAIGN-simulated-N"), JSON),
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -33,12 +33,12 @@ def run(arguments: argparse.Namespace) -> int:
 
     campaign = load_campaign(arguments.campaign)
     parameters = load(arguments.model)
-    parameters = parameters.override(model_settings(arguments.set))
+    parameters = parameters.override(model_settings(arguments.settings))
     folder = prepare_folder(arguments.out, f"{campaign.name}-simulated", arguments.force)
     campaign_folder(folder, arguments.force)
-    rows = []
+    rows: list[dict[str, Any]] = []
 
-    def note(item) -> None:  # type: ignore[no-untyped-def]
+    def note(item: SimulatedStroke) -> None:
         rows.append(
             {
                 "file": item.entry.file,

@@ -11,6 +11,8 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sil.cli.options import JSON, argument, out
+
 if TYPE_CHECKING:
     from sil.studies.study import LoadedStudy
     from sil.studies.table import Table
@@ -19,16 +21,14 @@ EXAMPLE = "example: opc4 whatif sensor_delay --workers 2 --out sweep/"
 REASONS_PRINTED = 10
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument("study", metavar="STUDY", nargs="?", help="study file, or a shipped study")
-    parser.add_argument("--list", action="store_true", help="list the shipped studies")
-    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default 1)")
-    parser.add_argument("--cluster", metavar="ADDRESS", help="dask.distributed scheduler")
-    parser.add_argument("--resume", action="store_true", help="continue the sweep in DIR")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write")
-    parser.add_argument("--force", action="store_true", help="replace a sweep in DIR")
-    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+ARGUMENTS = (
+    argument("study", "study file, or a shipped study", "STUDY", nargs="?"),
+    argument("--list", "list the shipped studies"),
+    argument("--workers", "processes (default 1)", "N", type=int, default=1),
+    argument("--cluster", "dask.distributed scheduler", "ADDRESS"),
+    argument("--resume", "continue the sweep in DIR"),
+    *(*out("runs/STUDY-N"), JSON),
+)
 
 
 def run(arguments: argparse.Namespace) -> int:
