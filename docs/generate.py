@@ -226,7 +226,8 @@ def commands() -> Iterator[str]:
     for name, summary in COMMANDS.items():
         command = importlib.import_module(f"sil.cli.{name}")
         parser = argparse.ArgumentParser(prog=f"opc4 {name}", add_help=False)
-        command.add_arguments(parser)
+        for argument, how in command.ARGUMENTS:
+            parser.add_argument(argument, **how)
         yield f"## `opc4 {name}`"
         yield ""
         yield f"{summary[0].upper()}{summary[1:]}."
