@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import re
 from collections.abc import Callable, Iterator
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 from can_dbc.errors import InputError
@@ -23,16 +23,16 @@ from sil.logs.writer import LogWriter
 OUR_HEADER: Final = "time_s,channel,direction,id,extended,remote,error,fd,brs,esi,dlc,data"
 _HEX: Final = re.compile(r"(?:0x)?([0-9A-Fa-f]{1,8})\Z")
 _HEX_BYTES: Final = re.compile(r"(?:[0-9A-Fa-f]{2})*\Z")
+_MOST_KNOWN_ROWS: Final = 1 << 14
 _FLAGS: Final = {"0": False, "1": True, "false": False, "true": True}
 
 
 def _flag(text: str) -> bool:
-    if text not in _FLAGS and text.lower() not in _FLAGS:
+    if text.lower() not in _FLAGS:
         raise ValueError(f"{text[:10]!r} is neither 0 nor 1")
     return _FLAGS[text.lower()]
 
 
-@lru_cache(1 << 12)
 def _identifier(text: str) -> int:
     match = _HEX.match(text)
     if match is None:
@@ -40,7 +40,6 @@ def _identifier(text: str) -> int:
     return int(match[1], 16)
 
 
-@lru_cache(1 << 8)
 def _number(most: int, what: str, text: str) -> int:
     if not (text.isascii() and text.isdecimal() and len(text) < 4 and int(text) <= most):
         raise ValueError(f"{text[:10]!r} is no {what} up to {most}")
@@ -66,8 +65,8 @@ Column = tuple[str, Callable[[str], Any]]
 class Dialect(NamedTuple):
     """The table of one tool: how its header begins, and what its columns are.
 
-    columns: the field of a frame that each column holds, and how its text is read. `length` is the
-    number of data bytes, `dlc` the code on the wire, `data` comes last.
+    columns: the field of a frame that each column holds, and how its text is read. The time comes
+    first, `data` last; `length` is the number of data bytes, `dlc` the code on the wire.
     spread: each byte of the data has a column of its own.
     """
 
@@ -137,37 +136,38 @@ def _dialect(header: str) -> Dialect | None:
     return None
 
 
-def _frame(dialect: Dialect, text: str) -> LogFrame:
-    """Return the frame of a row. Raises ValueError for a broken one."""
-    words = [word.strip() for word in text.split(dialect.separator)]
-    last = len(dialect.columns) - 1
-    if dialect.spread:
-        words[last:] = ["".join(word.rjust(2, "0") for word in words[last:] if word)]
-    if len(words) != len(dialect.columns):
-        raise ValueError(f"{len(words)} columns; expected {len(dialect.columns)} as in the header")
+class _Known(NamedTuple):
+    """What the words of a row between time and data say: a frame without both, its data length."""
+
+    frame: LogFrame
+    length: int
+
+
+def _known(columns: tuple[Column, ...], words: list[str]) -> _Known:
+    """Return what words say. Raises ValueError for a broken one."""
     row: dict[str, Any] = {
-        name: read(word) for (name, read), word in zip(dialect.columns, words, strict=True)
+        name: read(word.strip()) for (name, read), word in zip(columns, words, strict=True)
     }
-    length, dlc, data = row.pop("length", None), row.pop("dlc", None), row["data"]
+    length, dlc = row.pop("length", None), row.pop("dlc", None)
     remote = row.get("remote", False)
     fd = row.setdefault("fd", not remote and (length or 0) > 8)
-    if dlc is not None and length is None:
-        length = DLC_LENGTHS[dlc] if fd or len(data) > 8 else min(dlc, 8)
+    if length is None:
+        length = DLC_LENGTHS[dlc] if fd else min(dlc, 8)
     if remote:
-        row["raw_dlc"], row["data"] = (length if dlc is None else dlc), b""
-    elif len(data) != length:
-        raise ValueError(f"{len(data)} bytes of data; expected {length}")
+        row["raw_dlc"] = length if dlc is None else dlc
     elif dlc is not None and dlc > 8 and not fd:
         row["raw_dlc"] = dlc
-    return LogFrame(**row)
+    return _Known(LogFrame(0, **row), length)
 
 
 class CsvReader(TextReader):
     """State of one reading: the dialect, once the header is read."""
 
     _dialect: Dialect | None = None
+    _rows: dict[tuple[str, ...], _Known]
 
     def __iter__(self) -> Iterator[Batch]:
+        self._rows = {}
         for number, batch in enumerate(super().__iter__()):
             if number == 0:
                 self._report.time_base = time_base(batch.frames[0].time_ns)
@@ -183,7 +183,32 @@ class CsvReader(TextReader):
             return None
         if line.unterminated and self._dialect.spread and line.text[-2:-1] == ",":
             raise ValueError("the last line has no end and may be cut short")
-        return _frame(self._dialect, line.text)
+        return self._frame(self._dialect, line.text)
+
+    def _frame(self, dialect: Dialect, text: str) -> LogFrame:
+        """Return the frame of a row. Raises ValueError for a broken one."""
+        last = len(dialect.columns) - 1
+        words = text.split(dialect.separator, last)
+        if dialect.spread:
+            after = [word.strip() for word in "".join(words[last:]).split(dialect.separator)]
+            words[last:] = ["".join(word.rjust(2, "0") for word in after if word)]
+        if len(words) <= last or dialect.separator in words[last]:
+            count = text.count(dialect.separator) + 1
+            raise ValueError(f"{count} columns; expected {last + 1} as in the header")
+        key = tuple(words[1:last])
+        known = self._rows.get(key)
+        if known is None:
+            known = _known(dialect.columns[1:last], words[1:last])
+            if len(self._rows) < _MOST_KNOWN_ROWS:
+                self._rows[key] = known
+        time_ns: int = dialect.columns[0][1](words[0].strip())
+        data: bytes = dialect.columns[last][1](words[last].strip())
+        frame, length = known
+        if frame.remote:
+            data = b""
+        elif len(data) != length:
+            raise ValueError(f"{len(data)} bytes of data; expected {length}")
+        return tuple.__new__(LogFrame, (time_ns, frame[1], data, *frame[3:]))
 
     def _header(self, text: str) -> Dialect:
         """Return the dialect of the log. Raises InputError if the header is unknown."""
