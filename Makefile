@@ -54,7 +54,7 @@ lint: $(VENV)/.dev
 	$(VENV)/bin/lint-imports
 
 docs: $(VENV)/.dev
-	$(PY) docs/generate.py
+	$(PY) -m docs.generate
 	$(PY) -m sphinx -q -W --keep-going -d build/doctrees docs build/site
 	@echo "site: build/site/index.html"
 

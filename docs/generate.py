@@ -1,6 +1,6 @@
 """Generate reference pages and diagrams from the code; a test checks that they are up to date.
 
-`python docs/generate.py` writes them: commands, CAN contract, the diagram of the layers.
+`python -m docs.generate` writes them: commands, CAN contract, the diagram of the layers.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def examples() -> dict[str, dict[str, str]]:
 
 def keys() -> Iterator[str]:
     """Yield the lines of the page of the keys of scenario, study and replay option files."""
-    from sil.files.key_table import describe
+    from docs.key_table import describe
     from sil.log_replay.signals import Options
     from sil.simulation.scenario import Scenario
     from sil.studies.study import Study

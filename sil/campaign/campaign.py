@@ -65,7 +65,8 @@ class StrokeTable(Struct, frozen=True, forbid_unknown_fields=True):
                     f"commands[{index}]: valve {valve!r}; expected {', '.join(valves)}"
                 )
         if not set(self.charged_before) <= set(valves):
-            raise InputError(f"charged_before: {self.charged_before}; expected of {valves}")
+            held = ", ".join(self.charged_before)
+            raise InputError(f"charged_before: {held}; expected of {', '.join(valves)}")
         if Path(self.file).name != self.file or not self.file.isprintable():
             raise InputError(
                 f"file: {self.file!r}; expected the name of a file next to campaign.toml"
@@ -312,44 +313,26 @@ def write_record(path: Path, columns: Mapping[str, Floats]) -> None:
 
 def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
     """Return the text of campaign.toml for a campaign."""
-    lines = [
-        f"name = {_quoted(campaign.name)}",
-        f'rig = "{campaign.rig}"',
-        f"atmosphere_pa = {campaign.atmosphere_pa!r}",
-        f"temperature_k = {campaign.temperature_k!r}",
-        f"sample_rate_hz = {campaign.sample_rate_hz!r}",
-    ]
+    top = ("name", "rig", "atmosphere_pa", "temperature_k", "sample_rate_hz")
+    keys = ("kind", "supply_pressure_pa", "load", "spring_n_per_m", "start_offset_m", "rest_s")
+    lines = [f"{key} = {_toml(getattr(campaign, key))}" for key in top]
     for stroke in strokes:
         c = stroke.conditions
-        commands = ", ".join(f'[{t!r}, "{valve}", {duty!r}]' for t, valve, duty in c.commands)
-        charged = ", ".join(f'"{name}"' for name in c.charged_before)
-        lines += [
-            "",
-            "[[stroke]]",
-            f"file = {_quoted(stroke.file)}",
-            f"label = {_quoted(stroke.label)}",
-            f'kind = "{c.kind}"',
-            f"supply_pressure_pa = {c.supply_pressure_pa!r}",
-            f'load = "{c.load}"',
-            f"spring_n_per_m = {c.spring_n_per_m!r}",
-            f"start_offset_m = {c.start_offset_m!r}",
-            f"rest_s = {c.rest_s!r}",
-            f"commands = [{commands}]",
-            f"charged_before = [{charged}]",
-        ]
+        values = {
+            "file": stroke.file,
+            "label": stroke.label,
+            **{key: getattr(c, key) for key in (*keys, "commands", "charged_before")},
+        }
         if c.load == "damper":
-            lines.append(f'damper_model = "{c.damper_model}"')
+            values["damper_model"] = c.damper_model
         if c.theoretical_flow:
-            lines.append('flow_model = "theoretical"')
-        if c.mounted:
-            lines.append("mounted = true")
-        if c.mesh_force_n:
-            lines.append(f"mesh_force_n = {c.mesh_force_n!r}")
-        if c.sync_impulse_n_s:
-            lines.append(f"sync_impulse_n_s = {c.sync_impulse_n_s!r}")
+            values["flow_model"] = "theoretical"
+        optional = ("mounted", "mesh_force_n", "sync_impulse_n_s")
+        values |= {key: getattr(c, key) for key in optional if getattr(c, key)}
+        lines += ["", "[[stroke]]", *(f"{key} = {_toml(value)}" for key, value in values.items())]
     return "\n".join(lines) + "\n"
 
 
-def _quoted(value: str) -> str:
-    """Return a TOML basic string."""
+def _toml(value: object) -> str:
+    """Return a value as TOML: but for one character, JSON is written alike."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -43,7 +43,7 @@ def test_generated_files_are_up_to_date() -> None:
     assert len(made) >= 3
     for name, text in made.items():
         stored = (FOLDER / name).read_text(encoding="utf-8")
-        assert stored == text, f"{name}: run `python docs/generate.py`"
+        assert stored == text, f"{name}: run `python -m docs.generate`"
 
 
 @pytest.mark.parametrize("table", examples()["scenario"])

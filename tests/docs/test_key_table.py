@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import msgspec
 import pytest
 
-from sil.files.key_table import Key, describe
+from docs.key_table import Key, describe
 from sil.log_replay.signals import Options
 from sil.simulation.scenario import Scenario
 from sil.studies.study import Study

@@ -2,7 +2,7 @@
 
 Everything is read from the record types that check the files. A description is the string below
 the field, or follows "key: " in the docstring of the record.
-Checked by: tests/unit/sil/files/test_key_table.py
+Checked by: tests/docs/test_key_table.py
 """
 
 from __future__ import annotations
