@@ -172,6 +172,7 @@ def _own_problem(value: Any, kind: Any, steps: Steps) -> str | None:
             expected = "a smaller number"
         for word, in_toml in _IN_TOML.items():
             expected = re.sub(rf"\b{word}\b", in_toml, expected)
+        expected = expected.replace(" | ", " or ")
         return (
             f"{_location(steps)}: {_shown(value)} is wrong; expected {one_line(expected.strip())}"
         )

@@ -7,30 +7,34 @@ A set is a TOML file of sections with entries `key = { value, unit, source }`.  
 from __future__ import annotations
 
 import math
-import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from can_dbc.errors import nearest
-from can_dbc.user_file import read_user_text
+from can_dbc.typed_toml import convert, read_toml
 from plant.errors import InputError
 from plant.parameters.bounds import outside
 
 Number = float | tuple[float, ...]
+Text = Annotated[str, msgspec.Meta(min_length=1)]
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
+class Parameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One number (or list of numbers) with its unit and where it comes from."""
 
     value: Number
-    unit: str
-    source: str
+    unit: Text
+    source: Text
     low: float | None = None
     high: float | None = None
+
+
+class _Base(msgspec.Struct, forbid_unknown_fields=True):
+    model: str
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,7 @@ class ParameterSet:
     def override(
         self, changes: Mapping[str, float | int | list[float] | tuple[float, ...]]
     ) -> ParameterSet:
-        """Return a new set with some values rewhered. Raises InputError for unknown paths and wrong kinds."""
+        """Return a new set with some values replaced. Raises InputError for unknown paths and wrong kinds."""
         entries = dict(self.entries)
         for path, raw in changes.items():
             old = self[path]
@@ -115,54 +119,6 @@ def scalar(raw: object, where: str) -> float:
     return value
 
 
-_DEEP_KEY = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){100}")
-"""A key of more than a hundred parts; nothing else has that many words between dots."""
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Parse a TOML file; unreadable or malformed files raise InputError naming file and where."""
-    text = read_user_text(path, "a TOML file")
-    try:
-        return parsed(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
-    except RecursionError:
-        raise InputError(f"{path}: not valid TOML: nested too deeply") from None
-    except ValueError as error:  # an impossible date, an integer of too many digits
-        raise InputError(f"{path}: not valid TOML: {error}") from None
-
-
-def parsed(text: str) -> dict[str, Any]:
-    """Parse TOML as tomllib does, whose time grows with the square of a dotted key's parts.
-
-    Raises RecursionError for keys of very many parts, and what tomllib raises.
-    """
-    if _DEEP_KEY.search(text):
-        raise RecursionError
-    return tomllib.loads(text)
-
-
-def parameter(raw: object, where: str) -> Parameter:
-    """Return a `{ value, unit, source }` table as a Parameter. Raises InputError for anything else."""
-    if not isinstance(raw, dict):
-        raise InputError(f"{where}: expected {{ value, unit, source }}, got {raw!r}")
-    unknown = set(raw) - {"value", "unit", "source", "low", "high"}
-    if unknown:
-        raise InputError(
-            f"{where}: unknown key {sorted(unknown)[0]!r}; expected value, unit, source"
-        )
-    for key in ("value", "unit", "source"):
-        if key not in raw:
-            raise InputError(f"{where}: no {key}; expected value, unit, source")
-    for key in ("unit", "source"):
-        if not isinstance(raw[key], str) or not raw[key].strip():
-            raise InputError(f"{where}: {key}: expected a non-empty text, got {raw[key]!r}")
-    bounds = [scalar(raw[key], f"{where}.{key}") if key in raw else None for key in ("low", "high")]
-    return Parameter(
-        number(raw["value"], f"{where}.value"), raw["unit"], raw["source"], bounds[0], bounds[1]
-    )
-
-
 def shipped() -> list[str]:
     """Return the names of the parameter sets that come with the package."""
     return sorted(path.stem for path in Path(__file__).parent.glob("*.toml"))
@@ -190,48 +146,30 @@ def load(model: str | Path = "nominal") -> ParameterSet:
 
 def parse(raw: Mapping[str, Any], name: str) -> ParameterSet:
     """Return a parsed model file as a ParameterSet (see `load`). Raises InputError as `load` does."""
-    entries: dict[str, Parameter] = {}
-    effects: dict[str, dict[str, Parameter]] = {}
-    base: ParameterSet | None = None
-    if "base" in raw:
-        table = raw["base"]
-        if not isinstance(table, dict) or set(table) != {"model"}:
-            raise InputError(f'{name}: [base]: expected model = "<name>"')
-        if not isinstance(table["model"], str):
-            raise InputError(f"{name}: base.model: expected a name, got {table['model']!r}")
-        base = load(table["model"])
-        entries.update(base.entries)
-        effects.update({k: dict(v) for k, v in base.effects.items()})
-    for section, table in raw.items():
-        if section == "base":
-            continue
-        if not isinstance(table, dict):
-            raise InputError(f"{name}: {section}: expected a section, got {table!r}")
-        if section == "effect":
-            for effect, body in table.items():
-                where = f"{name}: [effect.{effect}]"
-                if not isinstance(body, dict):
-                    raise InputError(f"{where}: expected a table of parameters")
-                effects[effect] = {
-                    key: parameter(value, f"{where} {key}") for key, value in body.items()
-                }
-            continue
-        for key, value in table.items():
-            where = f"{name}: [{section}] {key}"
-            item = parameter(value, where)
-            full = f"{section}.{key}"
-            if base is not None:
-                if full not in entries:
-                    raise InputError(unknown_path(full, entries, name))
-                if entries[full].unit != item.unit:
-                    raise InputError(
-                        f"{where}: unit {item.unit!r}; expected {entries[full].unit!r}"
-                    )
-            check_range(full, item, f"{where}.value")
-            entries[full] = item
-    if base is None:
-        check_complete(entries, name)
-    return ParameterSet(name, entries, effects)
+    sections = dict(raw)
+    base = None
+    if "base" in sections:
+        base = load(convert(sections.pop("base"), _Base, name, "base").model)
+    tables = dict[str, dict[str, Parameter]]
+    effects = convert(sections.pop("effect", {}), tables, name, "effect")
+    given = {
+        f"{section}.{key}": item
+        for section, table in convert(sections, tables, name).items()
+        for key, item in table.items()
+    }
+    known = base.entries if base else given if name == "nominal" else load().entries
+    for path, item in given.items():
+        if path not in known:
+            raise InputError(unknown_path(path, known, name))
+        if item.unit != known[path].unit:
+            raise InputError(f"{name}: {path}: unit {item.unit!r}; expected {known[path].unit!r}")
+        check_range(path, item, f"{name}: {path}.value")
+    if base is not None:
+        return ParameterSet(name, {**base.entries, **given}, {**base.effects, **effects})
+    for path in known:
+        if path not in given:
+            raise InputError(f'{name}: no {path}; expected a full set, or [base] model = "nominal"')
+    return ParameterSet(name, given, effects)
 
 
 def check_range(path: str, item: Parameter, where: str) -> None:
@@ -240,21 +178,3 @@ def check_range(path: str, item: Parameter, where: str) -> None:
     wrong = outside(path, item.unit, values)
     if wrong:
         raise InputError(f"{where}: {wrong}")
-
-
-def check_complete(entries: Mapping[str, Parameter], name: str) -> None:
-    """Raise InputError if a full set lacks or adds keys, or changes units, against the nominal one."""
-    reference = Path(__file__).parent / "nominal.toml"
-    wanted = {
-        f"{section}.{key}": value["unit"]
-        for section, table in read_toml(reference).items()
-        for key, value in table.items()
-    }
-    for path, unit in wanted.items():
-        if path not in entries:
-            raise InputError(f'{name}: no {path}; expected a full set, or [base] model = "nominal"')
-        if entries[path].unit != unit:
-            raise InputError(f"{name}: {path}: unit {entries[path].unit!r}; expected {unit!r}")
-    for path in entries:
-        if path not in wanted:
-            raise InputError(unknown_path(path, wanted, name))
