@@ -1,7 +1,8 @@
 """The list of claims, and the check of each.
 
-claims.toml holds the wording; the modules named in `CHAPTERS` hold a function for each claim, marked
-with `shows`. To add a claim: its table in claims.toml, and a function in the module of its chapter.
+claims.toml holds all words; the modules named in `CHAPTERS` hold a function for each claim, marked with
+`shows`, which measures. To add a claim: its table in claims.toml, and a function in the module of its
+chapter.
 """
 
 from __future__ import annotations
@@ -24,23 +25,26 @@ MET, PARTLY, NOT_MET, OPEN = "met", "partly", "not met", "cannot be shown"
 
 
 class Outcome(NamedTuple):
-    """What the simulation gave: verdict, the figures in words, and the reason if it is not met."""
+    """What the simulation gave: verdict, figures, and a reason other than the usual one."""
 
     verdict: str
-    achieved: str
+    figures: tuple[object, ...]
     reason: str = ""
 
 
 class Claim(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One claim: number in the list of facts, section, wording, and the command that shows it.
+    """One claim: section, wording, the command that shows it, and its number in the list of facts.
 
-    outcome: given where no simulation can decide the claim.
+    achieved, reason: what a simulation gives, as format strings of its figures; the reason is given
+    unless the claim is met. verdict: given where no simulation can decide the claim.
     """
 
     section: str
     text: str
+    achieved: str
+    reason: str = ""
+    verdict: str = ""
     command: str = ""
-    outcome: Outcome | None = None
     id: str = ""
 
 
@@ -105,10 +109,19 @@ def check(item: Claim) -> Finding:
     """Run the simulation that shows a claim."""
     for chapter in CHAPTERS:
         importlib.import_module(f"sil.claims.{chapter}")
-    verdict, achieved, reason = item.outcome or _SHOWN[item.id]()
-    return Finding(item.id, item.section, item.text, achieved, verdict, reason, item.command)
+    outcome = Outcome(item.verdict, ()) if item.verdict else _SHOWN[item.id]()
+    reason = "" if outcome.verdict == MET else outcome.reason or item.reason
+    return Finding(
+        item.id,
+        item.section,
+        item.text,
+        item.achieved.format(*outcome.figures),
+        outcome.verdict,
+        reason.format(*outcome.figures),
+        item.command,
+    )
 
 
-def judged(good: bool, achieved: str, reason: str = "") -> Outcome:
-    """Return met, or not met with the reason."""
-    return Outcome(MET if good else NOT_MET, achieved, "" if good else reason)
+def judged(good: bool, *figures: object, otherwise: str = NOT_MET) -> Outcome:
+    """Return met, or the other verdict, with its figures."""
+    return Outcome(MET if good else otherwise, figures)

@@ -39,14 +39,13 @@ def write_page(found: Sequence[Finding], folder: Path, again: str) -> None:
         tiles=[(str(number), verdict) for verdict, number in counts.most_common()],
         again=again,
     )
-    figure = shift_figure()
+    figure = _shift_figure()
     picture = Picture(save(figure, folder, "shift"), "A shift over time", CAPTION)
     page = render("claims.html", head, plots(figure), findings=found, picture=picture)
     write_atomically(folder / "report.html", page)
 
 
-def shift_figure() -> Figure:
-    """Return the figure of the shift: true and estimated positions above the pressures."""
+def _shift_figure() -> Figure:
     filtered, unfiltered = (
         run_in_memory(load(SCENARIO, settings=settings)).record
         for settings in ((), ("controller.filter=false",))

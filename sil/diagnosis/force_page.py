@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 DRAWN = 4000
 
 
-def models(found: ForceDiagnosis) -> list[tuple[str, Floats, str]]:
+def _models(found: ForceDiagnosis) -> list[tuple[str, Floats, str]]:
     """Return label, force without inertia [n] in N and colour of the measurement and of each model."""
     leader = found.leader
     plain, _target = balance(found.motion, found.mass_kg)
@@ -38,22 +38,20 @@ def models(found: ForceDiagnosis) -> list[tuple[str, Floats, str]]:
     return rows
 
 
-def speed_figure(found: ForceDiagnosis) -> Figure:
-    """Return the force without inertia against speed."""
+def _speed_figure(found: ForceDiagnosis) -> Figure:
     order = np.argsort(found.motion.speed_m_s, kind="stable")
     drawn = order[np.linspace(0, len(order) - 1, min(DRAWN, len(order))).astype(int)]
     speed = found.motion.speed_m_s[drawn]
-    dots = [Series(label, speed, f[drawn], role, "dots") for label, f, role in models(found)]
+    dots = [Series(label, speed, f[drawn], role, "dots") for label, f, role in _models(found)]
     return Figure([Stack("speed, m/s", [Panel("Force", "N", dots, height=320)])])
 
 
-def time_figure(found: ForceDiagnosis) -> Figure:
-    """Return force, speed and position over the time in motion."""
+def _time_figure(found: ForceDiagnosis) -> Figure:
     motion = found.motion
     x = np.arange(len(motion.force_n)) / motion.rate_hz
     lines = [
         Series(label, x, force, role, dashed=role == "after")
-        for label, force, role in models(found)
+        for label, force, role in _models(found)
     ]
     panels = [Panel("Force, without inertia", "N", lines, height=220)]
     for title, unit, values in (
@@ -83,12 +81,12 @@ def write_page(found: ForceDiagnosis, folder: Path, campaign: str) -> None:
     page = render(
         "force.html",
         head,
-        plots(time_figure(found), repeated=False),
+        plots(_time_figure(found), repeated=False),
         found=found,
         detectability=DETECTABILITY,
         causes=causes,
         picture=Picture(
-            save(speed_figure(found), folder, "force"),
+            save(_speed_figure(found), folder, "force"),
             "Force against speed",
             "Driving force without inertia: measured, of the plain body, and with what is claimed.",
         ),

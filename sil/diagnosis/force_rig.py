@@ -111,7 +111,7 @@ class Tried:
         return float(self.squares.sum())
 
 
-def description(path: str | Path) -> Path:
+def _description(path: str | Path) -> Path:
     """Return the campaign.toml of a folder, or the file itself."""
     folder = Path(path)
     return folder if folder.suffix == ".toml" else folder / "campaign.toml"
@@ -119,21 +119,21 @@ def description(path: str | Path) -> Path:
 
 def is_force_rig(path: str | Path) -> bool:
     """Return whether a campaign describes a rig known by force and position alone."""
-    file = description(path)
+    file = _description(path)
     return file.is_file() and read_toml(file).get("rig") == "force"
 
 
-def read_motion(path: str | Path) -> tuple[str, Motion, float | None]:
+def _read_motion(path: str | Path) -> tuple[str, Motion, float | None]:
     """Return name, moving samples and stated mass of a campaign with rig = "force".
 
     Raises InputError naming file and key or column: one that is missing, a value that is not a
     number, a force that is stuck, a body that never moves.
     """
-    file = description(path)
+    file = _description(path)
     rig = convert(read_toml(file), ForceRig, str(file))
     columns, mass = column_maps(rig.columns), rig.body.mass_kg
     parts = [
-        moving(file.parent / entry.file, columns, rig.body, rig.sample_rate_hz)
+        _moving(file.parent / entry.file, columns, rig.body, rig.sample_rate_hz)
         for entry in rig.stroke
     ]
     table = np.concatenate([samples for samples, _variances in parts])
@@ -159,13 +159,13 @@ def read_motion(path: str | Path) -> tuple[str, Motion, float | None]:
     return rig.name, replace(motion, noise_n=noise), mass
 
 
-def moving(
+def _moving(
     path: Path, columns: Mapping[str, ColumnMap], body: Body, rate: float
 ) -> tuple[Floats, Floats]:
     """Return one file's moving samples and the noise variances of force, speed and acceleration.
 
     Samples [n, 6]: force [N], speed [m/s], acceleration [m/s^2], position [m], pressure [Pa, NaN
-    without], block of time. Raises InputError as `read_motion` does.
+    without], block of time. Raises InputError as `_read_motion` does.
     """
     record = read_record(path, columns)
     area = body.piston_area_m2
@@ -208,21 +208,21 @@ def moving(
             "expected a sensor that is not stuck"
         )
     block = np.floor(np.arange(len(grid)) * BLOCKS / len(grid))
-    w = [np.linalg.norm(weights(half, order)) for order in range(3)]
+    w = [np.linalg.norm(_weights(half, order)) for order in range(3)]
     force_sd, position_sd = (
-        spread_of((raw - smooth)[keep]) / np.sqrt(1.0 - weights(half, 0)[half])
+        _spread_of((raw - smooth)[keep]) / np.sqrt(1.0 - _weights(half, 0)[half])
         for raw, smooth in ((force, d), (position, x))
     )
     deviations = (w[0] * force_sd, w[1] * position_sd / step, 2.0 * w[2] * position_sd / step**2)
     return np.column_stack([d, v, a, x, pressure, block])[keep], np.array(deviations) ** 2
 
 
-def spread_of(values: Floats) -> float:
+def _spread_of(values: Floats) -> float:
     """Return the standard deviation of values [n] by their median deviation: jumps count little."""
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
-def weights(half: int, order: int) -> Floats:
+def _weights(half: int, order: int) -> Floats:
     """Return the weights [2 half + 1] of a local cubic's coefficient of t^order."""
     t = np.arange(-half, half + 1, dtype=np.float64)
     return np.asarray(np.linalg.pinv(np.vander(t, 4, increasing=True))[order])
@@ -231,7 +231,7 @@ def weights(half: int, order: int) -> Floats:
 def local_polynomial(values: Floats, half: int, order: int) -> Floats:
     """Return the coefficient of t^order [n, per step^order] of a cubic around each of values [n]."""
     padded = np.pad(values, half, mode="edge")
-    return np.asarray(np.convolve(padded, weights(half, order)[::-1], mode="valid"))
+    return np.asarray(np.convolve(padded, _weights(half, order)[::-1], mode="valid"))
 
 
 # --- hypotheses -------------------------------------------------------------------------------
@@ -450,9 +450,9 @@ class ForceDiagnosis:
 def diagnose_force(path: str | Path) -> ForceDiagnosis:
     """Diagnose a campaign with rig = "force": named friction causes, single and in pairs.
 
-    Raises InputError as `read_motion` does.
+    Raises InputError as `_read_motion` does.
     """
-    name, motion, mass = read_motion(path)
+    name, motion, mass = _read_motion(path)
     plain = _attempt((), (), motion, mass)
     known = [n for n, t in TERMS.items() if motion.pressure_pa is not None or not t.needs_pressure]
     singles = {n: _best_of((n,), motion, mass) for n in known}

@@ -69,7 +69,7 @@ def judge(
 ) -> list[Judged]:
     """Held-out evaluation of fits, best score first."""
     model = fitter.model
-    unseen = unseen_offsets(fitter, held_out)
+    unseen = _unseen_offsets(fitter, held_out)
 
     def work(fit: FitResult) -> FitResult | None:
         frozen = [k for k in range(len(fit.shared)) if k not in unseen]
@@ -100,7 +100,7 @@ def judge(
     return found
 
 
-def unseen_offsets(fitter: Fitter, held_out: Sequence[int]) -> set[int]:
+def _unseen_offsets(fitter: Fitter, held_out: Sequence[int]) -> set[int]:
     """Return the indices of offsets of gauges that no training stroke has: held-out ones determine them."""
     model = fitter.model
     strokes = set(range(len(model.strokes))) - set(held_out)

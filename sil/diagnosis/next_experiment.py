@@ -50,7 +50,7 @@ def next_experiment(
     distances: dict[int, float] = {}
     for k in range(len(model.strokes)):
         with suppress(IntegrationError):
-            distances[k] = separation(model, first.training, second.training, k)
+            distances[k] = _separation(model, first.training, second.training, k)
     if not distances:
         return None
     best = max(distances, key=lambda k: distances[k])
@@ -74,14 +74,14 @@ def next_experiment(
     )
 
 
-def separation(model: CampaignModel, first: FitResult, second: FitResult, k: int) -> float:
+def _separation(model: CampaignModel, first: FitResult, second: FitResult, k: int) -> float:
     """Half the squared standardised distance of two predictions, the stroke's scatter fitted away."""
     zero = np.zeros(len(model.scatter))
     one = model.linearise(k, first.shared, zero, first.candidates)
     healthy = first.layout.healthy
     setup = model.setup(k, model.amounts(second.shared, zero), second.candidates, second.values)
     offsets = second.shared[len(model.unit) : healthy] - first.shared[len(model.unit) : healthy]
-    change = model.predict(k, setup) - one.base + model.offset_part(k, offsets)
+    change = model.predict(k, setup) - one.base + model.offset_columns[k] @ offsets
     b = one.scatter
     inner = b.T @ change
     inverse = np.linalg.inv(b.T @ b + np.eye(b.shape[1]))

@@ -59,30 +59,27 @@ def alone(model: CampaignModel, fit: FitResult, k: int) -> Alone:
     position = None
     pressures: dict[str, Floats] = {}
     if all(column in whole for column in names.values()):
-        measured = np.column_stack([cleared(model, fit, whole[c]) for c in names.values()])
+        measured = np.column_stack([_cleared(model, fit, whole[c]) for c in names.values()])
         try:
             if "position_m" in whole:
                 moved = motion_along(setup, time_s, measured)
-                position = cleared(model, fit, whole["position_m"]) - moved
+                position = _cleared(model, fit, whole["position_m"]) - moved
         except IntegrationError:
             position = None
     if "position_m" in whole:
-        smooth = gaussian_filter1d(cleared(model, fit, whole["position_m"]), SMOOTH_SAMPLES)
+        smooth = gaussian_filter1d(_cleared(model, fit, whole["position_m"]), SMOOTH_SAMPLES)
         try:
             predicted = pressures_along(setup, time_s, smooth)
         except IntegrationError:
             return Alone(time_s, position, {})
         for j, (name, column) in enumerate(names.items()):
             if column in whole:
-                pressures[name] = cleared(model, fit, whole[column]) - predicted[:, j]
+                pressures[name] = _cleared(model, fit, whole[column]) - predicted[:, j]
     return Alone(time_s, position, pressures)
 
 
-def cleared(model: CampaignModel, fit: FitResult, channel: Channel) -> Floats:
-    """Return a measured channel with its fitted offset taken off.
-
-    [n] in the unit of the channel.
-    """
+def _cleared(model: CampaignModel, fit: FitResult, channel: Channel) -> Floats:
+    """Return a measured channel with its fitted offset taken off."""
     index = len(model.unit) + model.offsets.index(channel.name)
     size = (
         model.spread.position_offset_m

@@ -156,8 +156,7 @@ class Gain:
         }
 
 
-def channel_rms(model: CampaignModel, fit: FitResult) -> dict[str, float]:
-    """Return rms of residuals in each channel's own unit, over the strokes of a fit."""
+def _channel_rms(model: CampaignModel, fit: FitResult) -> dict[str, float]:
     parts: dict[str, list[Floats]] = {}
     for k, block in fit.blocks.items():
         stroke = model.strokes[k]
@@ -176,7 +175,7 @@ def gain_between(model: CampaignModel, verdict: Verdict, held_out: tuple[int, ..
     """Gain of the verdict's leader over the healthy model, each fitted to the training strokes."""
     before = verdict.healthy.held or verdict.healthy.training
     after = verdict.leader.held or verdict.leader.training
-    first, second = channel_rms(model, before), channel_rms(model, after)
+    first, second = _channel_rms(model, before), _channel_rms(model, after)
     return Gain(
         tuple(model.strokes[k].entry.file for k in held_out),
         {name: (first[name], second[name]) for name in first},

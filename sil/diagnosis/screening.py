@@ -37,17 +37,14 @@ class Score:
     amount: float
 
 
-def change_of(
+def _change_of(
     model: CampaignModel,
     fit: FitResult,
     candidate: Candidate,
     start: tuple[float, ...],
     strokes: Sequence[int],
 ) -> dict[int, Floats]:
-    """Return what the candidate at `start` changes in the standardised prediction of each stroke.
-
-    [n] for each stroke, in standard deviations.
-    """
+    """Return what the candidate at `start` changes in the standardised prediction of each stroke."""
     changes = {}
     own = {p.name: v for p, v in zip(candidate.parameters, start, strict=True)}
     for k in strokes:
@@ -81,7 +78,7 @@ def screen(
         best: Score | None = None
         for start in candidate.starts[::2]:
             try:
-                changes = change_of(model, fit, candidate, start, use)
+                changes = _change_of(model, fit, candidate, start, use)
             except IntegrationError:
                 continue
             slope = 0.0

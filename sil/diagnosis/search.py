@@ -97,8 +97,8 @@ class Search:
         self.fitter = Fitter(model)
         self.candidates = list(candidates)
         self.training = tuple(training)
-        self.sample = sample_of(model, self.training)
-        self.sample_size = sum(len(model.measured(k)) for k in self.sample)
+        self.sample = _sample_of(model, self.training)
+        self.sample_size = sum(len(model.measured[k]) for k in self.sample)
         self.workers = workers
         self.stages = Stages(progress)
         self.stages.until(5.0)
@@ -221,7 +221,7 @@ class Search:
             for start in item.starts
         ]
         self.first = self.run_tasks(tasks)
-        self.polish(promising(self.first, SINGLES_KEPT))
+        self.polish(_promising(self.first, SINGLES_KEPT))
 
     def pairs(self) -> None:
         """Try a second cause on top of the best singles, by score; then finish the best pairs."""
@@ -232,14 +232,14 @@ class Search:
         unique: dict[frozenset[str], Task] = {}
         for task in tasks + self.crossed():
             unique.setdefault(frozenset(item.name for item in task.candidates), task)
-        self.polish(promising(self.run_tasks(list(unique.values())), PAIRS_KEPT))
+        self.polish(_promising(self.run_tasks(list(unique.values())), PAIRS_KEPT))
 
     def crossed(self) -> list[Task]:
         """Pairs of the best singles: while much is unexplained, linear scores mislead."""
         best = self.fits.of_size(1)
         if not best or misfit(self.model, best[0]).beyond == 0.0:
             return []
-        singles = one_of_each(self.first)
+        singles = _one_of_each(self.first)
         outstanding = len(singles) > 1 and OUTSTANDING * singles[0].cost < singles[1].cost
         tasks = []
         for one, two in itertools.combinations(singles[:CROSSED], 2):
@@ -269,7 +269,7 @@ class Search:
 
     def parents(self) -> list[FitResult]:
         """Singles that a second cause may be added to: the best ones, one for each identifier."""
-        return one_of_each(self.fits.of_size(1))[:PARENTS]
+        return _one_of_each(self.fits.of_size(1))[:PARENTS]
 
     def scored(self, parent: FitResult) -> tuple[FitResult, list[Score]]:
         """Scores of every compatible candidate on top of a single."""
@@ -293,7 +293,7 @@ class Search:
         )
 
 
-def one_of_each(singles: Sequence[FitResult]) -> list[FitResult]:
+def _one_of_each(singles: Sequence[FitResult]) -> list[FitResult]:
     """Return the first fit of each identifier."""
     found: dict[str, FitResult] = {}
     for fit in singles:
@@ -301,7 +301,7 @@ def one_of_each(singles: Sequence[FitResult]) -> list[FitResult]:
     return list(found.values())
 
 
-def promising(fits: Sequence[FitResult], most: int) -> list[FitResult]:
+def _promising(fits: Sequence[FitResult], most: int) -> list[FitResult]:
     """Fits worth finishing: the FEWEST best, and others whose cost is not hopelessly larger."""
     if not fits:
         return []
@@ -309,7 +309,7 @@ def promising(fits: Sequence[FitResult], most: int) -> list[FitResult]:
     return [fit for k, fit in enumerate(fits[:most]) if k < FEWEST or fit.cost < limit]
 
 
-def sample_of(model: CampaignModel, training: Sequence[int]) -> tuple[int, ...]:
+def _sample_of(model: CampaignModel, training: Sequence[int]) -> tuple[int, ...]:
     """Return a few training strokes for first fits: each stratum in turn, at most SAMPLE."""
     counts: dict[tuple[str, str, bool], int] = {}
     ranked = []

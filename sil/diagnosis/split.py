@@ -42,11 +42,11 @@ def split(strokes: Sequence[StrokeObservation]) -> tuple[tuple[int, ...], tuple[
             ordered.append((position / len(members), rank, k))
     queue = [k for _place, _rank, k in sorted(ordered)]
     training = min(MOST_TRAINING, n - max(1, round(HELD_OUT_SHARE * n)))
-    chosen = with_every_rest(queue[:training], queue[training:], strokes)
+    chosen = _with_every_rest(queue[:training], queue[training:], strokes)
     return tuple(sorted(chosen)), tuple(sorted(set(range(n)) - set(chosen)))
 
 
-def with_every_rest(
+def _with_every_rest(
     training: list[int], held_out: Sequence[int], strokes: Sequence[StrokeObservation]
 ) -> list[int]:
     """Training strokes, some changed for held-out ones that rested as long as none of them did."""

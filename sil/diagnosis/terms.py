@@ -32,7 +32,7 @@ CATEGORIES = 4
 """A grid of so few nodes is one of things, not of a quantity: each alone is a shape too."""
 
 
-def starts_of(form: TermForm) -> Starts:
+def _starts_of(form: TermForm) -> Starts:
     """Return points to begin a search from: zero; level, rising and falling curves of several sizes."""
     rising = np.linspace(0.0, 1.0, form.count)
     shapes = [np.ones(form.count), rising, rising[::-1]]
@@ -66,7 +66,7 @@ def term_candidate(form: TermForm) -> Candidate:
     )
     roughness = 0.0 if form.count <= CATEGORIES else ROUGHNESS
     return Candidate(
-        effect, form.name, parameters, starts_of(form), roughness=roughness, fills_table=True
+        effect, form.name, parameters, _starts_of(form), roughness=roughness, fills_table=True
     )
 
 

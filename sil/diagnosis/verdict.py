@@ -86,19 +86,18 @@ def acceptable(item: Judged) -> bool:
     return True
 
 
-def gain_of(name: str, leader: Judged, judged: Sequence[Judged]) -> float:
+def _gain_of(name: str, leader: Judged, judged: Sequence[Judged]) -> float:
     """Score lost by leaving a cause out: against the best hypothesis of the remaining causes."""
     rest = set(leader.ids) - {name}
     without = [item for item in judged if set(item.ids) <= rest]
     return min(item.score for item in without) - leader.score
 
 
-def held_gain(leader: Judged, judged: Sequence[Judged], name: str) -> float:
-    """Gain on the held-out strokes alone."""
+def _held_gain(leader: Judged, judged: Sequence[Judged], name: str) -> float:
     rest = set(leader.ids) - {name}
     without = min((i for i in judged if set(i.ids) <= rest), key=lambda item: item.score)
     if leader.held is None or without.held is None:
-        return gain_of(name, leader, judged)
+        return _gain_of(name, leader, judged)
     return 0.5 * (without.held.chi2 - leader.held.chi2)
 
 
@@ -112,10 +111,10 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
         if len(item.ids) > 1:
             needed = max(least, 0.5 * SECOND_SHARE * item.whole.beyond)
         for name in item.ids:
-            gain = gain_of(name, item, judged)
-            if gain < needed or held_gain(item, judged, name) <= 0.0:
+            gain = _gain_of(name, item, judged)
+            if gain < needed or _held_gain(item, judged, name) <= 0.0:
                 return False
-            if gain < 0.5 * SLIGHT_SHARE * healthy.whole.excess and name in slight(item):
+            if gain < 0.5 * SLIGHT_SHARE * healthy.whole.excess and name in _slight(item):
                 return False
         return True
 
@@ -124,16 +123,16 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
     if not leader.ids:
         return Verdict("consistent", healthy, healthy)
     probabilities = by_cause(judged)
-    gains = {name: gain_of(name, leader, judged) for name in leader.ids}
-    groups = rivals_of(leader, judged, probabilities)
-    most = surest_of(leader, healthy)
+    gains = {name: _gain_of(name, leader, judged) for name in leader.ids}
+    groups = _rivals_of(leader, judged, probabilities)
+    most = _surest_of(leader, healthy)
     stated = {
         name: p if name == UNNAMED else min(p, most)
         for name, p in probabilities.items()
         if name in leader.ids or (p >= RIVAL_SHARE and any(name in group for group in groups))
     }
     if leader.whole.beyond > 0.0:
-        for name in slight(leader):
+        for name in _slight(leader):
             stated[name] = min(stated[name], DOUBTED)
     if UNNAMED in leader.ids:
         stated[UNNAMED] = min(max(stated[UNNAMED], 1.0 - most), SUREST)
@@ -147,7 +146,7 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
     return Verdict(kind, leader, healthy, leader.ids, stated, gains, groups)
 
 
-def surest_of(leader: Judged, healthy: Judged) -> float:
+def _surest_of(leader: Judged, healthy: Judged) -> float:
     """Most that a named cause of the leader can be given, by what the leader leaves unexplained.
 
     A right cause of a slightly other form leaves a small share; next to a non-parametric term a
@@ -162,7 +161,7 @@ def surest_of(leader: Judged, healthy: Judged) -> float:
     return float(SUREST - (SUREST - DOUBTED) * doubt)
 
 
-def slight(item: Judged) -> tuple[str, ...]:
+def _slight(item: Judged) -> tuple[str, ...]:
     """Return the causes that are tiny and not alone."""
     if len(item.ids) < 2:
         return ()
@@ -179,7 +178,7 @@ def slight(item: Judged) -> tuple[str, ...]:
     return tuple(found)
 
 
-def rivals_of(
+def _rivals_of(
     leader: Judged, judged: Sequence[Judged], probabilities: dict[str, float]
 ) -> tuple[tuple[str, ...], ...]:
     """Return groups that the data cannot tell apart: each claimed cause with what may replace it."""

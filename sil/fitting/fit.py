@@ -290,7 +290,7 @@ class _Descent:
             for _ in range(tries):
                 damped = normal + damping * np.diag(np.diag(normal))
                 trial = self.stepped(damped, gradient, moving)
-                spread = scattered(begin, inner, trial - self.shared)
+                spread = _scattered(begin, inner, trial - self.shared)
                 spread = np.clip(spread, -FARTHEST_SD, FARTHEST_SD)
                 cost = self.fitter.cost(trial, spread, self.candidates, self.use, here, self.weight)
                 if cost < here:
@@ -359,7 +359,7 @@ class _Descent:
         for _ in range(BOUNDS_PASSES):
             normal, gradient, inner = self.arrow(on)
             trial = self.stepped(normal, gradient, moving)
-            there = scattered(begin, inner, trial - self.shared)
+            there = _scattered(begin, inner, trial - self.shared)
             outside = (np.abs(there) > FARTHEST_SD) & ~which
             if not outside.any():
                 break
@@ -427,11 +427,8 @@ def arrow(
     return normal, gradient, inner
 
 
-def scattered(spread: Floats, inner: Inner, moved: Floats) -> Floats:
-    """Return the strokes' scatter that goes with a step of the shared parameters.
-
-    spread: [strokes, scatter], moved: [shared]; no unit.
-    """
+def _scattered(spread: Floats, inner: Inner, moved: Floats) -> Floats:
+    """Return the strokes' scatter that goes with a step of the shared parameters."""
     there = spread.copy()
     for k, (inverse, hus, gs) in inner.items():
         there[k] += inverse @ (gs - hus.T @ moved)

@@ -70,8 +70,8 @@ class Misfit:
         return float(np.sqrt(total / max(1, self.count)))
 
 
-def channel_squares(model: CampaignModel, fit: FitResult) -> dict[str, tuple[str, float, int]]:
-    """Return sum of squared standardised residuals and count of every channel: (kind, sum, count)."""
+def _channel_squares(model: CampaignModel, fit: FitResult) -> dict[str, tuple[str, float, int]]:
+    """Return kind, sum of squared standardised residuals and count of every channel."""
     sums: dict[str, tuple[str, float, int]] = {}
 
     def add(name: str, kind: str, part: np.ndarray) -> None:
@@ -93,7 +93,7 @@ def misfit(model: CampaignModel, fit: FitResult) -> Misfit:
     excess = 0.0
     variance = 0.0
     count = 0
-    for name, (kind, total, n) in channel_squares(model, fit).items():
+    for name, (kind, total, n) in _channel_squares(model, fit).items():
         floor = FLOOR_RMS[kind] ** 2
         share = float(np.hypot(FLOOR_SPREAD[kind] / FLOOR_RMS[kind], np.sqrt(0.5 / max(1, n))))
         channels[name] = ChannelMisfit(

@@ -80,18 +80,15 @@ def internal_prediction(
         resting = np.abs(np.diff(true_m, prepend=true_m[0])) < RESTING_M
         warm = np.where(resting, chain.sensor.ticks(warm) * chain.sensor.tick_s, warm)
     observed = chain.calibration.position_m(warm, chain.measured_temperature_k)
-    response = impulse_response(replace(chain, latency_s=0.0), count)
+    response = _impulse_response(replace(chain, latency_s=0.0), count)
     values = observed[0] + np.convolve(observed - observed[0], response)[:count]
     index = np.clip(pulses - first, 0, count - 1)
     return setup.reported_m(values[index])
 
 
 @lru_cache(maxsize=64)
-def impulse_response(chain: InternalChain, count: int) -> Floats:
-    """Response of the chain's filter to one unit value, `count` periods long.
-
-    Result [count], no unit.
-    """
+def _impulse_response(chain: InternalChain, count: int) -> Floats:
+    """Response of the chain's filter to one unit value, `count` periods long."""
     if not chain.filter_order:
         response = np.zeros(count)
         response[0] = 1.0

@@ -137,7 +137,11 @@ class Block:
 
 
 class CampaignModel:
-    """The strokes of a campaign and the healthy spread: what any hypothesis is compared with."""
+    """The strokes of a campaign and the healthy spread: what any hypothesis is compared with.
+
+    measured: by stroke, all compared numbers [n] as measured, standardised; offset_columns: by
+    stroke, what one standard deviation of each sensor's offset adds to them [n, offsets].
+    """
 
     def __init__(self, strokes: Sequence[StrokeObservation], spread: Spread) -> None:
         self.strokes = list(strokes)
@@ -148,8 +152,8 @@ class CampaignModel:
         )
         self.unit = tuple(spread.unit)
         self.scatter = tuple(spread.stroke)
-        self._measured = [self._standardised(stroke) for stroke in self.strokes]
-        self._offset_columns = [self._offsets_of(stroke) for stroke in self.strokes]
+        self.measured = [_standardised(stroke) for stroke in self.strokes]
+        self.offset_columns = [self._offsets_of(stroke) for stroke in self.strokes]
         # where each stroke was simulated last: a step that is accepted is linearised there
         self._last: dict[int, tuple[tuple[Any, ...], Setup, Floats]] = {}
 
@@ -208,19 +212,6 @@ class CampaignModel:
             parts.append(reported / INTERNAL_SD_M)
         return np.concatenate(parts)
 
-    def _standardised(self, stroke: StrokeObservation) -> Floats:
-        parts = [channel.measured / channel.sd for channel in stroke.channels]
-        if stroke.internal is not None:
-            parts.append(stroke.internal.values_m / INTERNAL_SD_M)
-        return np.concatenate(parts) if parts else np.zeros(0)
-
-    def measured(self, k: int) -> Floats:
-        """All compared numbers of stroke k as measured, standardised.
-
-        [n], no unit.
-        """
-        return self._measured[k]
-
     def _offsets_of(self, stroke: StrokeObservation) -> Floats:
         columns = np.zeros((stroke.total, len(self.offsets)))
         begin = 0
@@ -235,13 +226,6 @@ class CampaignModel:
             columns[begin : begin + n, index] = sizes[channel.kind] / channel.sd
             begin += n
         return columns
-
-    def offset_part(self, k: int, offsets: Floats) -> Floats:
-        """Contribution of the sensors' offsets, in their standard deviations, to stroke k.
-
-        offsets: [offsets]; result [n], no unit.
-        """
-        return np.asarray(self._offset_columns[k] @ offsets)
 
     def amounts(self, shared: Floats, scatter: Floats) -> dict[str, float]:
         """Healthy amounts of one stroke from unit tolerances and its own scatter.
@@ -262,15 +246,10 @@ class CampaignModel:
 
         scaled: [parameters] in typical sizes.
         """
-        values = []
-        k = 0
-        for item in candidates:
-            own = {}
-            for parameter in item.parameters:
-                own[parameter.name] = value_of(parameter, float(scaled[k]))
-                k += 1
-            values.append(own)
-        return tuple(values)
+        left = iter(scaled.tolist())
+        return tuple(
+            {p.name: value_of(p, next(left)) for p in item.parameters} for item in candidates
+        )
 
     def effect_step(self, tolerance: str, parameter: EffectParameter) -> float:
         """Step of an effect parameter's difference, in typical sizes.
@@ -293,11 +272,8 @@ class CampaignModel:
         """
         setup, states = self.here(k, shared, scatter, candidates)
         offsets = shared[len(self.unit) : len(self.unit) + len(self.offsets)]
-        return (
-            self.measured(k)
-            - self.numbers_of(k, setup, states, True)
-            - self.offset_part(k, offsets)
-        )
+        predicted = self.numbers_of(k, setup, states, True)
+        return self.measured[k] - predicted - self.offset_columns[k] @ offsets
 
     def here(
         self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
@@ -358,8 +334,8 @@ class CampaignModel:
             if scaled_of(parameter, parameter.high) - value < step:
                 step = -step
             if effect.switching and not own_only:
-                later_s = delay_s(moved(name, step), effect.switching)
-                by_step = (later_s - delay_s(here[0], effect.switching)) / step
+                later_s = _delay_s(moved(name, step), effect.switching)
+                by_step = (later_s - _delay_s(here[0], effect.switching)) / step
                 delays[name] = effect.switching, by_step
             else:
                 steps[name] = step
@@ -375,7 +351,7 @@ class CampaignModel:
                     by_shared[:, j] = columns[name] * self.spread.unit[name]
                 for j, name in enumerate(self.scatter):
                     by_scatter[:, j] = columns[name] * self.spread.stroke[name]
-        by_shared[:, tolerances:healthy] = self._offset_columns[k]
+        by_shared[:, tolerances:healthy] = self.offset_columns[k]
         for name, (instant, by_step) in delays.items():
             if reuse is None:
                 by_second = columns[instant]
@@ -425,6 +401,13 @@ class CampaignModel:
         raise IntegrationError("no direction in which the motion can be continued")
 
 
+def _standardised(stroke: StrokeObservation) -> Floats:
+    parts = [channel.measured / channel.sd for channel in stroke.channels]
+    if stroke.internal is not None:
+        parts.append(stroke.internal.values_m / INTERNAL_SD_M)
+    return np.concatenate(parts) if parts else np.zeros(0)
+
+
 def channel_parts(stroke: StrokeObservation, residual: Floats) -> Iterator[tuple[Channel, Floats]]:
     """Yield the channels of a stroke with their part [n] of its residual, in standard deviations.
 
@@ -437,7 +420,6 @@ def channel_parts(stroke: StrokeObservation, residual: Floats) -> Iterator[tuple
         begin = end
 
 
-def delay_s(setup: Setup, instant: str) -> float:
-    """Delay of a valve's opening ("rise") or closing ("fall") [s]."""
+def _delay_s(setup: Setup, instant: str) -> float:
     timing = setup.timing
     return (timing.rise_ns if instant == "rise" else timing.fall_ns) / NS

@@ -86,70 +86,55 @@ def observe(
 
     clipped: columns whose largest value is no measurement; dead: columns to leave out.
     """
-    setup = make_setup(parameters, entry.conditions)
+    conditions = entry.conditions
+    setup = make_setup(parameters, conditions)
     time_s = record.time_s - record.time_s[0]
-    rows = thinned(time_s, entry.conditions, setup)
+    rows = _thinned(time_s, conditions, setup)
     internal = None
     if "position_internal_m" in record:
         internal = internal_samples(time_s, record["position_internal_m"])
-    sample_ns = np.rint(time_s[rows] * NS).astype(np.int64)
+    fixed = conditions.system == FIXED
+    channels: list[Channel] = []
+
+    def add(column: str, kind: str, state: int, sd: float | Floats) -> None:
+        measured, use = record[column][rows], np.arange(len(rows))
+        if column in clipped and kind == "pressure":
+            use = use[measured < record[column].max() - 1e-9]
+        sds = np.full(len(use), sd)
+        channels.append(Channel(column, kind, state, measured[use], sds, use))
+
     value = parameters.value
-    channels = []
-    chambers = entry.conditions.chambers
-    first = FixedState.p_1 if entry.conditions.system == FIXED else LengthState.p_b
-    pot_sd = float(
-        np.hypot(value("potentiometer.noise_sd"), value("potentiometer.resolution") / 12**0.5)
-    )
     if "position_m" in record:
-        measured = record["position_m"][rows]
+        step = value("potentiometer.resolution") / 12**0.5
+        pot_sd = float(np.hypot(value("potentiometer.noise_sd"), step))
         # a resting wiper stays on one wire: its samples are one observation, not hundreds
-        runs = run_lengths(measured)
-        sd = pot_sd * np.sqrt(np.maximum(1.0, runs / 4.0))
-        channels.append(Channel("position_m", "position", 0, measured, sd, np.arange(len(rows))))
-    air_sd = air_noise_pa(parameters)
-    for k, name in enumerate(chambers):
+        runs = _run_lengths(record["position_m"][rows])
+        add("position_m", "position", 0, pot_sd * np.sqrt(np.maximum(1.0, runs / 4.0)))
+    first = FixedState.p_1 if fixed else LengthState.p_b
+    for k, name in enumerate(conditions.chambers):
         column = f"pressure_{name}_pa"
         if column in record and column not in dead:
-            measured = record[column][rows]
-            use = np.arange(len(rows))
-            if column in clipped:
-                use = use[measured < record[column].max() - 1e-9]
-            channels.append(
-                Channel(
-                    column, "pressure", first + k, measured[use], np.full(len(use), air_sd), use
-                )
-            )
-    if "pressure_oil2_pa" in record and entry.conditions.load == "damper":
-        adc = value("gauge.range_oil") / 2 ** value("gauge.adc_bits") / 12**0.5
-        oil_sd = float(np.hypot(value("gauge.noise_sd_oil"), adc))
-        state = FixedState.p_oil if entry.conditions.system == FIXED else LengthState.p_oil
-        channels.append(
-            Channel(
-                "pressure_oil2_pa",
-                "oil",
-                state,
-                record["pressure_oil2_pa"][rows],
-                np.full(len(rows), oil_sd),
-                np.arange(len(rows)),
-            )
-        )
-    return StrokeObservation(
-        entry, setup, Predictor(sample_ns), time_s[rows], tuple(channels), internal
-    )
+            add(column, "pressure", first + k, air_noise_pa(parameters))
+    if "pressure_oil2_pa" in record and conditions.load == "damper":
+        state = FixedState.p_oil if fixed else LengthState.p_oil
+        add("pressure_oil2_pa", "oil", state, _gauge_noise_pa(parameters, "oil"))
+    predictor = Predictor(np.rint(time_s[rows] * NS).astype(np.int64))
+    return StrokeObservation(entry, setup, predictor, time_s[rows], tuple(channels), internal)
 
 
 def air_noise_pa(parameters: ParameterSet) -> float:
     """Return the standard deviation of an air gauge's noise, its converter's step included [Pa]."""
+    return _gauge_noise_pa(parameters, "air")
+
+
+def _gauge_noise_pa(parameters: ParameterSet, medium: str) -> float:
     value = parameters.value
-    step = value("gauge.range_air") / 2 ** value("gauge.adc_bits")
-    return float(np.hypot(value("gauge.noise_sd_air"), step / 12**0.5))
+    step = value(f"gauge.range_{medium}") / 2 ** value("gauge.adc_bits") / 12**0.5
+    return float(np.hypot(value(f"gauge.noise_sd_{medium}"), step))
 
 
-def thinned(time_s: Floats, conditions: StrokeConditions, setup: Setup) -> NDArray[np.int64]:
-    """Rows of the record to compare: every second while things happen, every tenth otherwise.
-
-    time_s: [n] in s; result [rows].
-    """
+def _thinned(time_s: Floats, conditions: StrokeConditions, setup: Setup) -> NDArray[np.int64]:
+    """Rows of the record to compare: every second while things happen, every tenth otherwise."""
     keep = np.zeros(len(time_s), dtype=bool)
     keep[::10] = True
     for when, _valve, duty in conditions.commands:
@@ -162,11 +147,8 @@ def thinned(time_s: Floats, conditions: StrokeConditions, setup: Setup) -> NDArr
     return np.flatnonzero(keep)
 
 
-def run_lengths(values: Floats) -> Floats:
-    """Return length of the run of near-equal neighbours that each sample belongs to.
-
-    values: [n] in m; result [n] in samples.
-    """
+def _run_lengths(values: Floats) -> Floats:
+    """Return the length of the run of near-equal neighbours that each sample belongs to."""
     close = np.abs(np.diff(values)) < 0.7e-4
     same = np.concatenate([[False], close])
     start = np.flatnonzero(~same)

@@ -26,7 +26,7 @@ SMOOTH_SAMPLES = 21
 """Width of the local cubic that smooths the measured position."""
 
 
-def position_error_m(parameters: ParameterSet, count: int, seed: int) -> Floats:
+def _position_error_m(parameters: ParameterSet, count: int, seed: int) -> Floats:
     """Return errors [count] of the potentiometer in m: noise and winding step, drawn from a seed.
 
     The resting position before the stroke, which the others are counted from, is one such step off.
@@ -135,7 +135,7 @@ def identify_alpha(
     # an error of the position is one of the volume: the potentiometer's noise, and the bias of its
     # smoothing (what a second pass would change), carried through the model
     errors = [
-        savgol_filter(x + position_error_m(parameters, len(x), k), SMOOTH_SAMPLES, 3) - x
+        savgol_filter(x + _position_error_m(parameters, len(x), k), SMOOTH_SAMPLES, 3) - x
         for k, (_setup, _time_s, x, _measured) in enumerate(prepared)
     ]
     carried = [modelled(fit.x, k, error) - modelled(fit.x, k) for k, error in enumerate(errors)]

@@ -52,7 +52,7 @@ class RestRecord:
     supply_pa: float
 
 
-def rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestRecord]:
+def _rest_records(campaign: Campaign, parameters: ParameterSet) -> list[RestRecord]:
     """Return all stretches of the campaign in which a chamber's volume and valve do not move."""
     found = []
     for entry in campaign.strokes:
@@ -242,7 +242,7 @@ def identify_flow(
 
     Raises InputError when a direction is missing, or no second volume is there to check on.
     """
-    records = rest_records(campaign, parameters)
+    records = _rest_records(campaign, parameters)
     estimates: list[Estimate] = []
     notes: list[str] = []
     stacks: list[Stack] = []

@@ -42,7 +42,7 @@ def plain_strokes(campaign: Campaign) -> list[tuple[CampaignStroke, Record]]:
     return found
 
 
-def net_force(record: Record, p: Parameters, atmosphere_pa: float) -> Floats:
+def _net_force(record: Record, p: Parameters, atmosphere_pa: float) -> Floats:
     """Pressure force on the piston P1 A1 - P2 A2 - P_atm A_s [N]; gauge offsets taken at rest."""
     quiet = slice(0, max(5, len(record) // 100))
     one = record["pressure_1_pa"] - np.mean(record["pressure_1_pa"][quiet]) + atmosphere_pa
@@ -57,16 +57,13 @@ def breakaway_s(time_s: Floats, position_m: Floats) -> tuple[float, float]:
     the travel begins as a/2 t^2 + j/6 t^3 after that instant.  How much of the travel is looked at
     moves the instant; that belongs to the error as much as the potentiometer's steps.
     """
-    found = [beginning(time_s, position_m, share) for share in (0.08, 0.12, 0.18)]
+    found = [_beginning(time_s, position_m, share) for share in (0.08, 0.12, 0.18)]
     instants = [instant for instant, _error in found]
     return instants[1], float(np.hypot(found[1][1], np.ptp(instants)))
 
 
-def beginning(time_s: Floats, position_m: Floats, share: float) -> tuple[float, float]:
-    """Instant and its standard error of a/2 t^2 + j/6 t^3 fitted to the first share of the travel.
-
-    time_s: [n] in s; position_m: [n] in m. Raises InputError for too few samples.
-    """
+def _beginning(time_s: Floats, position_m: Floats, share: float) -> tuple[float, float]:
+    """Instant and its standard error of a/2 t^2 + j/6 t^3 fitted to the first share of the travel."""
     from scipy.optimize import least_squares
 
     start = float(np.median(position_m[: max(5, len(position_m) // 100)]))
@@ -109,7 +106,7 @@ def identify_friction(
     for entry, record in strokes:
         p = make_setup(parameters, entry.conditions).p
         time_s = record.time_s - record.time_s[0]
-        force = net_force(record, p, campaign.atmosphere_pa)
+        force = _net_force(record, p, campaign.atmosphere_pa)
         begin, doubt = breakaway_s(time_s, record["position_m"])
         step = float(np.median(np.diff(time_s)))
         static.append(float(np.interp(begin, time_s, savgol_filter(force, 15, 2))))
@@ -155,7 +152,7 @@ def identify_friction(
             "friction_fixed.beta", slope, beta_low, beta_high, f"F - m a against v, {n} strokes"
         ),
     )
-    fitted = whole_record(campaign, strokes, parameters, progress)
+    fitted = _whole_record(campaign, strokes, parameters, progress)
     better = fitted.estimates
     line = np.array([float(np.min(v)), float(np.max(v))])
     notes = (
@@ -175,13 +172,12 @@ def identify_friction(
     return Identified("friction", better, notes, figure, fitted.over_noise, thesis)
 
 
-def whole_record(
+def _whole_record(
     campaign: Campaign,
     strokes: list[tuple[CampaignStroke, Record]],
     parameters: ParameterSet,
     progress: Show,
 ) -> Fitted:
-    """Breakaway, Coulomb level and slope fitted to whole records, healthy scatter included."""
     return fit_factors(
         campaign,
         [entry for entry, _record in strokes],
