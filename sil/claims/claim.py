@@ -1,7 +1,7 @@
 """The list of claims, and the check of each.
 
-claims.toml holds all words; the modules named in `CHAPTERS` hold a function for each claim, marked with
-`shows`, which measures. To add a claim: its table in claims.toml, and a function in the module of its
+claims.toml holds all words; a function `_f07_...` in one of the modules named in `CHAPTERS` measures what
+claim F07 is about. To add a claim: its table in claims.toml, and a function in the module of its
 chapter.
 """
 
@@ -12,6 +12,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,34 +62,14 @@ class Finding:
     command: str
 
 
-Show = Callable[[], Outcome]
-_SHOWN: dict[str, Show] = {}
-
-
-def shows(number: str) -> Callable[[Show], Show]:
-    """Register a function as the check of claim `number`."""
-
-    def register(show: Show) -> Show:
-        _SHOWN[number] = show
-        return show
-
-    return register
-
-
 def all_claims() -> list[Claim]:
     """Return every claim, in the order of its number."""
     text = Path(__file__).with_name("claims.toml").read_text(encoding="utf-8")
     tables = msgspec.convert(tomllib.loads(text), dict[str, Claim])
     return [
         msgspec.structs.replace(item, id=number, command=item.command or f"opc4 claims {number}")
-        for number, item in sorted(tables.items(), key=lambda pair: order(pair[0]))
+        for number, item in sorted(tables.items())
     ]
-
-
-def order(number: str) -> tuple[int, str]:
-    """Return the sort key of a claim's number: F09 < F34 < F34b."""
-    found = re.fullmatch(r"F(\d+)(\w*)", number)
-    return (int(found[1]), found[2]) if found else (10_000, number)
 
 
 def chosen(names: Iterable[str]) -> list[Claim]:
@@ -107,9 +88,7 @@ def chosen(names: Iterable[str]) -> list[Claim]:
 
 def check(item: Claim) -> Finding:
     """Run the simulation that shows a claim."""
-    for chapter in CHAPTERS:
-        importlib.import_module(f"sil.claims.{chapter}")
-    outcome = Outcome(item.verdict, ()) if item.verdict else _SHOWN[item.id]()
+    outcome = Outcome(item.verdict, ()) if item.verdict else _measurements()[item.id]()
     reason = "" if outcome.verdict == MET else outcome.reason or item.reason
     return Finding(
         item.id,
@@ -120,6 +99,15 @@ def check(item: Claim) -> Finding:
         reason.format(*outcome.figures),
         item.command,
     )
+
+
+@cache
+def _measurements() -> dict[str, Callable[[], Outcome]]:
+    """Return the function that measures each claim, by its number."""
+    modules = [importlib.import_module(f"sil.claims.{chapter}") for chapter in CHAPTERS]
+    functions = [pair for module in modules for pair in vars(module).items()]
+    named = re.compile(r"_f(\d\d\w*?)_")
+    return {f"F{found[1]}": f for name, f in functions if (found := named.match(name))}
 
 
 def judged(good: bool, *figures: object, otherwise: str = NOT_MET) -> Outcome:

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from sil.claims.claim import NOT_MET, OPEN, PARTLY, Outcome, judged, shows
+from sil.claims.claim import NOT_MET, OPEN, PARTLY, Outcome, judged
 from sil.claims.strokes import nominal, plain, run, value
 from sil.simulation.in_memory import MemoryRun, run_in_memory
 
@@ -19,8 +19,7 @@ def loop(name: str, *settings: str) -> MemoryRun:
     return run_in_memory(load(name, settings=list(settings)))
 
 
-@shows("F01")
-def _three_positions() -> Outcome:
+def _f01_three_positions() -> Outcome:
     ends = {kind: plain(kind).position_m[-1] for kind in ("N-B", "B-N", "N-F", "F-N")}
     stroke = value("length.stroke")
     goal = {"N-B": stroke, "B-N": 0.0, "N-F": -stroke, "F-N": 0.0}
@@ -28,8 +27,7 @@ def _three_positions() -> Outcome:
     return judged(good, *(1e3 * ends[kind] for kind in goal))
 
 
-@shows("F02")
-def _sampling() -> Outcome:
+def _f02_sampling() -> Outcome:
     from can_dbc.messages import ControllerStatus
 
     periods = []
@@ -40,14 +38,12 @@ def _sampling() -> Outcome:
     return judged(good, *(1e3 * period for period in periods))
 
 
-@shows("F03")
-def _processor() -> Outcome:
+def _f03_processor() -> Outcome:
     clock = value("opc4.clock")
     return Outcome(OPEN, (clock / 1e6,))
 
 
-@shows("F04")
-def _gauges() -> Outcome:
+def _f04_gauges() -> Outcome:
     highest = max(
         float(np.max(plain(kind).pressure_pa(name)))
         for kind in ("fixed", "N-B", "B-N")
@@ -61,15 +57,13 @@ def _gauges() -> Outcome:
     return judged(good, highest / 1e5, oil / 1e5, *errors)
 
 
-@shows("F05")
-def _potentiometer() -> Outcome:
+def _f05_potentiometer() -> Outcome:
     share = value("potentiometer.start_force_max") / value("friction_fixed.F_sf")
     good = value("potentiometer.resolution") == 5e-5 and share <= 0.03
     return judged(good, 100 * share)
 
 
-@shows("F06")
-def _pulse() -> Outcome:
+def _f06_pulse() -> Outcome:
     from plant.devices.sensors import InductiveSensor
 
     sensor = InductiveSensor.from_parameters(nominal())
@@ -99,15 +93,13 @@ def lags(*settings: str) -> tuple[float, float]:
     return float(mean[0]), float(mean[1])
 
 
-@shows("F07")
-def _sensor_lag() -> Outcome:
+def _f07_sensor_lag() -> Outcome:
     early, late = lags()
     good = abs(early - 0.030) < 0.003 and abs(late - 0.040) < 0.003
     return judged(good, 1e3 * early, 1e3 * late, len(PHASES))
 
 
-@shows("F08")
-def _unfiltered_lag() -> Outcome:
+def _f08_unfiltered_lag() -> Outcome:
     early, late = lags("controller.filter.enabled=false")
     slow = lags()
     ratio = sum(slow) / (early + late)
@@ -115,16 +107,14 @@ def _unfiltered_lag() -> Outcome:
     return judged(good, 1e3 * early, 1e3 * late, ratio)
 
 
-@shows("F09")
-def _slower_in_truck() -> Outcome:
+def _f09_slower_in_truck() -> Outcome:
     shift = loop("truck_into_gear_2200n").shifts[-1]
     late = shift.position_lag_90_s
     lab = loop("lab_n_b").shifts[0].position_lag_90_s
     return Outcome(NOT_MET, (1e3 * (late or 0), 1e3 * (lab or 0)))
 
 
-@shows("F10")
-def _fast_sampling() -> Outcome:
+def _f10_fast_sampling() -> Outcome:
     from can_dbc.messages import PositionPulse
 
     times, _ = loop("firmware_2500us").record.series(PositionPulse, "pulse_s")
@@ -134,8 +124,7 @@ def _fast_sampling() -> Outcome:
     return judged(good, 1e3 * period, 1e3 * longest)
 
 
-@shows("F11")
-def _scope() -> Outcome:
+def _f11_scope() -> Outcome:
     rate = value("scope.rate")
     step = float(np.median(np.diff(plain("fixed").time_s)))
     return judged(rate == 10000.0 and abs(step - 0.0001) < 1e-12, 1 / step, otherwise=PARTLY)

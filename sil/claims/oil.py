@@ -10,7 +10,7 @@ import numpy as np
 from plant.kernel.layout import Parameters
 from plant.parts.damper import bulk_modulus, discharge_coefficient, large_area
 from plant.systems.stroke import Stroke
-from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged, shows
+from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged
 from sil.claims.strokes import ATMOSPHERE_PA, arrival, run, speed, value
 
 FINE: dict[str, Any] = {"until_s": 0.12, "step_s": 1e-5}
@@ -31,8 +31,7 @@ def _steady() -> Stroke:
     return run("fixed", load="damper", damper_model="incompressible", **FINE)
 
 
-@shows("F30")
-def _outlet() -> Outcome:
+def _f30_outlet() -> Outcome:
     cap, r, hole = value("damper.A_B0"), value("damper.r_hole"), value("damper.x_B")
     x = np.linspace(0.0, value("fixed.stroke"), 400)
     area = np.array([large_area(a, cap, r, hole) for a in x])
@@ -52,31 +51,27 @@ def _fall_times(stroke: Stroke) -> tuple[float, float]:
     return at[1] - at[0], at[2] - at[0]
 
 
-@shows("F31")
-def _decay() -> Outcome:
+def _f31_decay() -> Outcome:
     tenth = _fall_times(_damped("kappa/10"))
     air = _fall_times(_damped("air"))
     return Outcome(NOT_MET, tuple(1e3 * t for t in (*tenth, *air)))
 
 
-@shows("F32")
-def _chamber_one() -> Outcome:
+def _f32_chamber_one() -> Outcome:
     share = (ATMOSPHERE_PA - value("damper.P_oil1_min")) / float(
         np.max(_damped("kappa/10").pressure_pa("oil2")) - ATMOSPHERE_PA
     )
     return Outcome(PARTLY, (100 * share,))
 
 
-@shows("F33")
-def _coefficient() -> Outcome:
+def _f33_coefficient() -> Outcome:
     cap = value("damper.A_B0")
     early = discharge_coefficient(cap, cap, 0.5, 0.65, 0.65)
     late = discharge_coefficient(0.0, cap, 0.2, 0.65, 0.65)
     return judged(abs(early - 1.325) < 1e-12 and late == 0.65, early, late)
 
 
-@shows("F34")
-def _mount_friction() -> Outcome:
+def _f34_mount_friction() -> Outcome:
     from scipy.optimize import brentq
 
     force = 200.0
@@ -111,8 +106,7 @@ def _maxima(stroke: Stroke) -> int:
     return len(find_peaks(p, prominence=0.2e5)[0])
 
 
-@shows("F34b")
-def _compressibility() -> Outcome:
+def _f34b_compressibility() -> Outcome:
     stiff, soft, rigid = _damped("kappa"), _damped("kappa/10"), _steady()
     gap = float(np.max(np.abs(stiff.position_m - rigid.position_m)))
     far = float(np.max(np.abs(soft.position_m - rigid.position_m)))

@@ -13,20 +13,18 @@ from plant.kernel.layout import FixedState, FlowMap, Parameters
 from plant.kernel.packing import flow_coefficients
 from plant.parts.flow import charge, discharge, orifice
 from plant.systems.stroke import Stroke
-from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged, shows
+from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged
 from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, Floats, nominal, plain, run, value
 
 
-@shows("F12")
-def _alpha_range() -> Outcome:
+def _f12_alpha_range() -> Outcome:
     names = ("alpha_m1", "alpha_1", "alpha_m2", "alpha_2")
     outside = [n for n in names if not 1.0 <= value(f"alpha.{n}") <= value("gas.gamma")]
     values = ", ".join(f"{n} {value(f'alpha.{n}')}" for n in names)
     return judged(not outside, values, ", ".join(outside), otherwise=PARTLY)
 
 
-@shows("F13")
-def _process_laws() -> Outcome:
+def _f13_process_laws() -> Outcome:
     spread = []
     for alpha in (1.0, 1.4):
         shut = {
@@ -45,8 +43,7 @@ def _process_laws() -> Outcome:
     return judged(good, *spread[0], *spread[1])
 
 
-@shows("F14")
-def _duty() -> Outcome:
+def _f14_duty() -> Outcome:
     from can_dbc.messages import ValveCommand
     from sil.claims.equipment import loop
 
@@ -54,8 +51,7 @@ def _duty() -> Outcome:
     return judged(abs(highest - 0.98) < 1e-9, 100 * highest)
 
 
-@shows("F15")
-def _thresholds() -> Outcome:
+def _f15_thresholds() -> Outcome:
     def peak(duty: float) -> float:
         stroke = run("fixed", commands=((0.01, "1", duty),), until_s=0.2)
         return float(np.max(stroke.pressure_pa("1")))
@@ -66,8 +62,7 @@ def _thresholds() -> Outcome:
     return judged(good, *peaks)
 
 
-@shows("F16")
-def _delays() -> Outcome:
+def _f16_delays() -> Outcome:
     stroke = run("fixed", commands=((0.01, "1", 0.98), (0.2, "1", 0.0)), until_s=0.3, step_s=2e-5)
     p1 = stroke.pressure_pa("1")
     opens = stroke.time_s[np.argmax(p1 > p1[0] + 50.0)] - 0.01
@@ -76,8 +71,7 @@ def _delays() -> Outcome:
     return judged(good, 1e3 * opens, 1e3 * falls)
 
 
-@shows("F17")
-def _delay_scatter() -> Outcome:
+def _f17_delay_scatter() -> Outcome:
     return Outcome(
         PARTLY,
         (
@@ -87,8 +81,7 @@ def _delay_scatter() -> Outcome:
     )
 
 
-@shows("F18")
-def _duty_closing() -> Outcome:
+def _f18_duty_closing() -> Outcome:
     from plant.devices.valve import ValveTiming
 
     timing = ValveTiming.from_parameters(nominal(), closing_follows_duty=True)
@@ -103,8 +96,7 @@ def _flow(ratio: float) -> float:
     return float(orifice(SUPPLY_PA, ratio * SUPPLY_PA, cda, value("gas.T"), 1.4, 287.05))
 
 
-@shows("F19")
-def _critical() -> Outcome:
+def _f19_critical() -> Outcome:
     gamma = value("gas.gamma")
     ratio = (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
     below, above = _flow(ratio * 0.9), _flow(ratio * 1.05)
@@ -112,8 +104,7 @@ def _critical() -> Outcome:
     return judged(good, ratio)
 
 
-@shows("F20")
-def _choking() -> Outcome:
+def _f20_choking() -> Outcome:
     gamma = value("gas.gamma")
     edge = (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
     constant = abs(_flow(0.1) / _flow(0.5) - 1.0)
@@ -154,8 +145,7 @@ def _time_ratio(factor: float, empty: bool) -> Floats:
     return ratio
 
 
-@shows("F21")
-def _theory_poor() -> Outcome:
+def _f21_theory_poor() -> Outcome:
     errors = []
     for empty in (False, True):
         mapped = _fill(1.0, False, empty)
@@ -164,8 +154,7 @@ def _theory_poor() -> Outcome:
     return judged(all(poor), *(100 * e for e in errors), otherwise=PARTLY if any(poor) else NOT_MET)
 
 
-@shows("F22")
-def _map_consistent() -> Outcome:
+def _f22_map_consistent() -> Outcome:
     c = FlowMap(flow_coefficients(nominal()))
     into, out = as_python(charge), as_python(discharge)
     y, z = value("flow_charge.y_split"), value("flow_discharge.z_split")
@@ -185,27 +174,23 @@ def _map_consistent() -> Outcome:
     return judged(good, *jumps, *roots)
 
 
-@shows("F23")
-def _flow_of_pressure() -> Outcome:
+def _f23_flow_of_pressure() -> Outcome:
     ratio = _time_ratio(2.0, empty=False)
     worst = float(np.max(np.abs(ratio - 2.0)))
     return judged(worst < 0.002, np.mean(ratio), worst)
 
 
-@shows("F24")
-def _three_volumes() -> Outcome:
+def _f24_three_volumes() -> Outcome:
     ratio = _time_ratio(3.0, empty=True)
     worst = float(np.max(np.abs(ratio - 3.0)))
     return judged(worst < 0.005, np.mean(ratio))
 
 
-@shows("F25")
-def _alpha_after() -> Outcome:
+def _f25_alpha_after() -> Outcome:
     return Outcome(NOT_MET, (value("alpha.alpha_m1"), value("alpha.alpha_m2")))
 
 
-@shows("F26")
-def _breakaway() -> Outcome:
+def _f26_breakaway() -> Outcome:
     stroke = run("fixed", step_s=1e-5, until_s=0.05)
     event = next(e for e in stroke.events if e.name == "breakaway")
     p1, p2 = (
@@ -215,8 +200,7 @@ def _breakaway() -> Outcome:
     return judged(abs(force - 71.0) < 0.2, force, 1e3 * event.time_s)
 
 
-@shows("F27")
-def _stroke_length() -> Outcome:
+def _f27_stroke_length() -> Outcome:
     ends = [
         abs(plain(kind).position_m[-1] - plain(kind).position_m[0]) for kind in ("fixed", "N-B")
     ]
@@ -231,8 +215,7 @@ def _drive_n(stroke: Stroke) -> Floats:
     return force
 
 
-@shows("F28")
-def _dynamic_friction() -> Outcome:
+def _f28_dynamic_friction() -> Outcome:
     speeds, forces = [], []
     for supply in (SUPPLY_PA, 600000.0):
         stroke = run("fixed", supply_pressure_pa=supply, step_s=1e-5, until_s=0.05)
@@ -246,8 +229,7 @@ def _dynamic_friction() -> Outcome:
     return judged(good, slope, offset)
 
 
-@shows("F29")
-def _friction_scatter() -> Outcome:
+def _f29_friction_scatter() -> Outcome:
     from plant.devices.sensors import Potentiometer
 
     pot = Potentiometer(value("potentiometer.resolution"), value("potentiometer.noise_sd"))

@@ -9,7 +9,7 @@ import numpy as np
 from plant.effects.setup import Setup
 from plant.kernel.layout import Parameters
 from plant.systems.stroke import Stroke
-from sil.claims.claim import MET, NOT_MET, PARTLY, Outcome, judged, shows
+from sil.claims.claim import MET, NOT_MET, PARTLY, Outcome, judged
 from sil.claims.strokes import Change, arrival, first_motion_s, plain, run, speed, value
 
 N_CHARGED: dict[str, Any] = {
@@ -52,8 +52,7 @@ def _small_final(factor: float) -> Change:
     return change
 
 
-@shows("F51")
-def _larger_radius() -> Outcome:
+def _f51_larger_radius() -> Outcome:
     parts = []
     figures = {}
     for factor in (1.0, 1.2, 1.5, 2.0):
@@ -79,8 +78,7 @@ def _larger_radius() -> Outcome:
     return judged(good, "; ".join(parts))
 
 
-@shows("F52")
-def _larger_chambers() -> Outcome:
+def _f52_larger_chambers() -> Outcome:
     radii = (1.0, 1.2, 1.5, 2.0)
     strokes = [run("fixed", change=_radius(r)) for r in radii]
     fill = [float(np.interp(0.2, s.time_s, s.pressure_pa("1"))) for s in strokes]
@@ -91,8 +89,7 @@ def _larger_chambers() -> Outcome:
     return Outcome(verdict, tuple(p / 1e5 for p in (*fill, *drops)), reason)
 
 
-@shows("F53")
-def _initial_volume() -> Outcome:
+def _f53_initial_volume() -> Outcome:
     def figures(factor: float) -> tuple[float, float]:
         stroke = run("fixed", scale={Parameters.vol_b: factor})
         return first_motion_s(stroke), _drop_pa(stroke)
@@ -104,14 +101,12 @@ def _initial_volume() -> Outcome:
     return judged(good, *starts, *drops)
 
 
-@shows("F54")
-def _walk_time() -> Outcome:
+def _f54_walk_time() -> Outcome:
     saved = 1e3 * (arrival(plain("N-B")) - arrival(run("N-B", scale={Parameters.vol_b: 0.1})))
     return judged(0.0 < saved < 10.0, saved)
 
 
-@shows("F55")
-def _final_volume() -> Outcome:
+def _f55_final_volume() -> Outcome:
     small, base, large = (
         run("fixed", change=_small_final(f), until_s=0.5) for f in (0.1, 1.0, 10.0)
     )
@@ -121,8 +116,7 @@ def _final_volume() -> Outcome:
     return judged(good, *peaks, *speeds)
 
 
-@shows("F56")
-def _both_small() -> Outcome:
+def _f56_both_small() -> Outcome:
     base = plain("fixed")
     stroke = run("fixed", scale={Parameters.vol_b: 0.1}, change=_small_final(0.1), until_s=0.5)
     starts = (first_motion_s(stroke), first_motion_s(base))
@@ -130,8 +124,7 @@ def _both_small() -> Outcome:
     return judged(good, speed(stroke), speed(base), 1e3 * (starts[1] - starts[0]))
 
 
-@shows("F57")
-def _lighter() -> Outcome:
+def _f57_lighter() -> Outcome:
     base = run("N-B", mounted=True)
     stroke = run("N-B", mounted=True, scale={Parameters.m_p: 0.5})
     dt = 1e3 * abs(arrival(stroke) - arrival(base))
@@ -139,8 +132,7 @@ def _lighter() -> Outcome:
     return judged(dt < 1.0 and dv < 0.03, dt, 100 * dv)
 
 
-@shows("F59")
-def _residual_pressure() -> Outcome:
+def _f59_residual_pressure() -> Outcome:
     easy: dict[str, Any] = {
         "mounted": True,
         "mesh_force_n": 500.0,
@@ -153,14 +145,12 @@ def _residual_pressure() -> Outcome:
     return judged(45.0 <= lost <= 105.0, 1e3 * blow, lost)
 
 
-@shows("F60")
-def _cushion() -> Outcome:
+def _f60_cushion() -> Outcome:
     vented, charged = plain("N-B"), run("N-B", until_s=0.5, **N_CHARGED)
     return judged(speed(charged) < 0.8 * speed(vented), speed(charged), speed(vented))
 
 
-@shows("F61")
-def _closed_chamber() -> Outcome:
+def _f61_closed_chamber() -> Outcome:
     volume = value("fixed.V20")
     final = volume - value("fixed.A2") * value("fixed.stroke")
     alpha = value("alpha.alpha_2")
@@ -173,8 +163,7 @@ def _closed_chamber() -> Outcome:
     return judged(good, ratio, tenth, *peaks)
 
 
-@shows("F63")
-def _burst() -> Outcome:
+def _f63_burst() -> Outcome:
     def stroke(length_s: float) -> Stroke:
         on = 0.02
         return run(

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from plant.systems.stroke import Stroke
-from sil.claims.claim import MET, NOT_MET, PARTLY, Outcome, judged, shows
+from sil.claims.claim import MET, NOT_MET, PARTLY, Outcome, judged
 from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, arrival, nominal, run, speed, value
 
 
@@ -34,8 +34,7 @@ def _together_s(stroke: Stroke) -> float:
     return arrival(stroke) - min(contact, default=0.018)
 
 
-@shows("F44")
-def _plateau() -> Outcome:
+def _f44_plateau() -> Outcome:
     stroke = _into_gear(800.0, 40.0)
     held = np.abs(stroke.position_m - value("synchronizer.x_block")) < 1e-6
     span = float(np.count_nonzero(held)) * 2e-4
@@ -43,8 +42,7 @@ def _plateau() -> Outcome:
     return judged(good, 1e3 * value("synchronizer.x_block"), 1e3 * span)
 
 
-@shows("F45")
-def _intervals() -> Outcome:
+def _f45_intervals() -> Outcome:
     value = nominal()
     mesh = value.values("synchronizer.F_mesh_typ")
     impulse = value.values("synchronizer.impulse_typ")
@@ -60,14 +58,12 @@ def _intervals() -> Outcome:
     return judged(good, *neutral, *gear, otherwise=PARTLY)
 
 
-@shows("F46")
-def _samples() -> Outcome:
+def _f46_samples() -> Outcome:
     count = 0.070 / value("opc4.period")
     return judged(abs(count - 7) < 1e-9, count)
 
 
-@shows("F47")
-def _budget() -> Outcome:
+def _f47_budget() -> Outcome:
     from sil.claims.equipment import lags
 
     lasts = []
@@ -91,15 +87,13 @@ def _budget() -> Outcome:
     return Outcome(verdict, tuple(1e3 * x for x in figures), reason)
 
 
-@shows("F48")
-def _stall() -> Outcome:
+def _f48_stall() -> Outcome:
     p = _into_gear(500.0, 18.0).packed
     force = (SUPPLY_PA - ATMOSPHERE_PA) * (p.area_p + p.area_s)
     return judged(force >= 2200.0, force)
 
 
-@shows("F49")
-def _spread() -> Outcome:
+def _f49_spread() -> Outcome:
     loads = ((0.0, 0.0), (500.0, 18.0), (1300.0, 78.0), (500.0, 250.0))
     found = [_into_gear(*load) for load in loads]
     times = [1e3 * arrival(stroke) for stroke in found]
@@ -108,8 +102,7 @@ def _spread() -> Outcome:
     return judged(good, min(times), max(times), min(speeds), max(speeds))
 
 
-@shows("F50")
-def _truck_channels() -> Outcome:
+def _f50_truck_channels() -> Outcome:
     from sil.claims.equipment import loop
     from sil.simulation.scenario import load
 

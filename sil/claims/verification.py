@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from plant.kernel.layout import LengthState, Parameters
 from plant.systems.stroke import Stroke
-from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged, shows
+from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged
 from sil.claims.strokes import arrival, first_motion_s, nominal, plain, relative_errors, run, value
 
 WINDOW_S = 0.2
@@ -28,8 +28,7 @@ TRIPLE_FRICTION = dict.fromkeys(DYNAMIC_FRICTION, 3.0)
 """Dynamic friction times three, as the thesis tried."""
 
 
-@shows("F35")
-def _table() -> Outcome:
+def _f35_table() -> Outcome:
     p = plain("fixed").packed
     used = tuple(
         float(p[i])
@@ -38,8 +37,7 @@ def _table() -> Outcome:
     return judged(used == (0.94, 0.87, 1.5, 1.05), used)
 
 
-@shows("F36")
-def _durations() -> Outcome:
+def _f36_durations() -> Outcome:
     stroke = plain("fixed")
     motion = arrival(stroke) - first_motion_s(stroke)
     p1 = stroke.pressure_pa("1")
@@ -48,8 +46,7 @@ def _durations() -> Outcome:
     return judged(good, 1e3 * motion, 1e3 * filled)
 
 
-@shows("F37")
-def _walk() -> Outcome:
+def _f37_walk() -> Outcome:
     stroke = plain("N-B")
     contact = next(e for e in stroke.events if e.name == "collar 1 contact")
     before = stroke.time_s < contact.time_s
@@ -60,8 +57,7 @@ def _walk() -> Outcome:
     return judged(good, 1e3 * walked, 1e3 * still, 1e3 * other)
 
 
-@shows("F38")
-def _imposed_position() -> Outcome:
+def _f38_imposed_position() -> Outcome:
     from plant.systems.driven import pressures_along
     from plant.systems.setup import make_setup
 
@@ -78,8 +74,7 @@ def _imposed_position() -> Outcome:
     return Outcome(PARTLY, (100 * one[0], 100 * one[1], 100 * two[0], 100 * two[1], 1e3 * WINDOW_S))
 
 
-@shows("F39")
-def _spring_volumes() -> Outcome:
+def _f39_spring_volumes() -> Outcome:
     x0 = value("spring_test.x0")
     one = value("fixed.A1") * x0 / value("fixed.V10")
     two = value("fixed.A2") * x0 / value("fixed.V20")
@@ -98,8 +93,7 @@ def _spring(scale: Mapping[int, float]) -> Stroke:
     )
 
 
-@shows("F40")
-def _spring_errors() -> Outcome:
+def _f40_spring_errors() -> Outcome:
     measured, simulated = _spring(TRIPLE_FRICTION), _spring({})
     inside = _window(measured)
     x = relative_errors(measured.position_m[inside], simulated.position_m[inside])
@@ -107,8 +101,7 @@ def _spring_errors() -> Outcome:
     return Outcome(PARTLY, (100 * x[0], 100 * x[1], late))
 
 
-@shows("F41")
-def _friction_matters() -> Outcome:
+def _f41_friction_matters() -> Outcome:
     base = plain("N-B")
     shifts = {}
     for name, indices, factor in (
@@ -140,8 +133,7 @@ def _listed(errors: dict[str, tuple[float, float]]) -> str:
     return ", ".join(f"{k} {100 * a:.1f}/{100 * b:.1f} %" for k, (a, b) in errors.items())
 
 
-@shows("F42")
-def _too_fast() -> Outcome:
+def _f42_too_fast() -> Outcome:
     measured = run("N-B", scale=TRIPLE_FRICTION)
     errors = _length_errors(plain("N-B"), measured)
     faster = arrival(plain("N-B")) < arrival(measured)
@@ -152,8 +144,7 @@ def _too_fast() -> Outcome:
     return Outcome(PARTLY if faster and order and peak else NOT_MET, (_listed(errors),))
 
 
-@shows("F43")
-def _friction_repairs() -> Outcome:
+def _f43_friction_repairs() -> Outcome:
     measured = run(
         "N-B", scale=TRIPLE_FRICTION | {Parameters.k_out: 1.6}
     )  # in place of the thesis's record

@@ -7,8 +7,9 @@ Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ class Relative:
     largest: float
 
 
-@dataclass
+@dataclass(frozen=True)
 class Shown:
     """Residuals of a fit in figures.
 
@@ -41,13 +42,13 @@ class Shown:
     the campaign, per stroke; dependence: condition -> level -> rms.
     """
 
-    by_phase: dict[str, dict[str, float]] = field(default_factory=dict)
-    relative: dict[str, Relative] = field(default_factory=dict)
-    whiteness: dict[str, float] = field(default_factory=dict)
-    cross: dict[tuple[str, str], float] = field(default_factory=dict)
-    drift: float = 0.0
-    dependence: dict[str, dict[str, float]] = field(default_factory=dict)
-    strokes: dict[str, float] = field(default_factory=dict)
+    by_phase: dict[str, dict[str, float]]
+    relative: dict[str, Relative]
+    whiteness: dict[str, float]
+    cross: dict[tuple[str, str], float]
+    drift: float
+    dependence: dict[str, dict[str, float]]
+    strokes: dict[str, float]
 
     def largest_correlation(self) -> str:
         """Return the pair of channels with the largest correlation, in words."""
@@ -55,14 +56,6 @@ class Shown:
             return ""
         one, two = max(self.cross, key=lambda pair: abs(self.cross[pair]))
         return f"{one} with {two} {self.cross[one, two]:+.2f}"
-
-
-def rms(values: Floats) -> float:
-    """Root mean square; 0 of nothing.
-
-    values: [n] in any unit.
-    """
-    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
 CONDITIONS: dict[str, Callable[[StrokeConditions], str]] = {
@@ -76,63 +69,67 @@ CONDITIONS: dict[str, Callable[[StrokeConditions], str]] = {
 
 def show(model: CampaignModel, fit: FitResult) -> Shown:
     """All figures of a fit's residuals."""
-    shown = Shown()
-    phase_parts: dict[str, dict[str, list[Floats]]] = {}
-    pairs: dict[tuple[str, str], list[tuple[float, int]]] = {}
+    by_phase: dict[str, dict[str, list[Floats]]] = {}
+    cross: dict[tuple[str, str], list[tuple[float, int]]] = {}
     white: dict[str, list[float]] = {}
     errors: dict[str, list[tuple[float, float]]] = {}
     levels: dict[str, dict[str, list[Floats]]] = {name: {} for name in CONDITIONS}
-    per_stroke = []
-    for k in fit.blocks:
+    strokes: list[tuple[str, float]] = []
+    for k, block in fit.blocks.items():
         stroke = model.strokes[k]
-        setup = model.setup(k, model.amounts(fit.shared, fit.stroke[k]), fit.candidates, fit.values)
-        phase = phases(stroke.time_s, stroke.predictor.states(setup), setup)
-        whole = []
+        setup, states = model.here(k, fit.shared, fit.stroke[k], fit.candidates)
+        phase = phases(stroke.time_s, states, setup)
         observed: dict[str, Floats] = {}
-        for channel, r in channel_parts(stroke, fit.blocks[k].residual):
-            table = phase_parts.setdefault(channel.name, {})
-            for index in np.unique(phase[channel.rows]):
-                table.setdefault(PHASES[index], []).append(r[phase[channel.rows] == index])
+        for channel, r in channel_parts(stroke, block.residual):
+            name, own = channel.name, phase[channel.rows]
+            for index in np.unique(own):
+                table = by_phase.setdefault(name, {})
+                table.setdefault(PHASES[index], []).append(r[own == index])
             raw = np.abs(r * channel.sd)
             top = float(np.abs(channel.measured).max())
-            errors.setdefault(channel.name, []).append((raw.mean() / top, raw.max() / top))
+            errors.setdefault(name, []).append((raw.mean() / top, raw.max() / top))
             if len(r) > 10 and np.std(r) > 0.0:
-                white.setdefault(channel.name, []).append(float(np.corrcoef(r[1:], r[:-1])[0, 1]))
-            observed[channel.name] = r
-            whole.append(r)
-        names = list(observed)
-        for i, one in enumerate(names):
-            for two in names[i + 1 :]:
-                if len(observed[one]) == len(observed[two]) > 10 and np.std(observed[one]) > 0.0:
-                    pairs.setdefault((one, two), []).append(
-                        (float(np.corrcoef(observed[one], observed[two])[0, 1]), len(observed[one]))
-                    )
-        joined = np.concatenate(whole) if whole else np.zeros(0)
-        shown.strokes[stroke.entry.file] = rms(joined)
-        per_stroke.append(rms(joined))
+                white.setdefault(name, []).append(_correlation(r[1:], r[:-1]))
+            observed[name] = r
+        for pair in itertools.combinations(observed, 2):
+            one, two = (observed[name] for name in pair)
+            if len(one) == len(two) > 10 and np.std(one) > 0.0:
+                cross.setdefault(pair, []).append((_correlation(one, two), len(one)))
+        joined = np.concatenate(list(observed.values())) if observed else np.zeros(0)
+        strokes.append((stroke.entry.file, _rms(joined)))
         for name, level in CONDITIONS.items():
             levels[name].setdefault(level(stroke.conditions), []).append(joined)
-    for name, table in phase_parts.items():
-        shown.by_phase[name] = {
-            phase: rms(np.concatenate(table[phase])) for phase in PHASES if phase in table
-        }
-    for name, values in errors.items():
-        shown.relative[name] = Relative(
-            float(np.mean([v[0] for v in values])), float(np.max([v[1] for v in values]))
-        )
-    shown.whiteness = {name: float(np.mean(values)) for name, values in white.items()}
-    shown.cross = {
-        pair: float(np.average([c for c, _n in values], weights=[n for _c, n in values]))
-        for pair, values in pairs.items()
-    }
-    if len(per_stroke) > 2:
-        shown.drift = float(np.polyfit(np.arange(len(per_stroke)), per_stroke, 1)[0])
-    shown.dependence = {
-        name: {level: rms(np.concatenate(parts)) for level, parts in sorted(table.items())}
-        for name, table in levels.items()
-        if len(table) > 1
-    }
-    return shown
+    rows = [value for _file, value in strokes]
+    return Shown(
+        by_phase={
+            name: {phase: _rms(np.concatenate(table[phase])) for phase in PHASES if phase in table}
+            for name, table in by_phase.items()
+        },
+        relative={
+            name: Relative(float(np.mean(means)), float(np.max(largest)))
+            for name, (means, largest) in ((n, zip(*v, strict=True)) for n, v in errors.items())
+        },
+        whiteness={name: float(np.mean(values)) for name, values in white.items()},
+        cross={
+            pair: float(np.average([c for c, _n in values], weights=[n for _c, n in values]))
+            for pair, values in cross.items()
+        },
+        drift=float(np.polyfit(np.arange(len(rows)), rows, 1)[0]) if len(rows) > 2 else 0.0,
+        dependence={
+            name: {level: _rms(np.concatenate(parts)) for level, parts in sorted(table.items())}
+            for name, table in levels.items()
+            if len(table) > 1
+        },
+        strokes=dict(strokes),
+    )
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+
+
+def _correlation(one: Floats, two: Floats) -> float:
+    return float(np.corrcoef(one, two)[0, 1])
 
 
 @dataclass(frozen=True)

@@ -72,32 +72,36 @@ class Verdict:
 def acceptable(item: Judged) -> bool:
     """Return whether a hypothesis' main parameters have physical signs and exclude neutral."""
     fit = item.training
-    covariance = fit.covariance
+    deviation = np.diag(fit.covariance) ** 0.5
     k = fit.layout.healthy
     for candidate, own in zip(fit.candidates, fit.values, strict=True):
         if not candidate.is_term:
             if not candidate.physical(own):
                 return False
             main = len(candidate.parameters) if candidate.effect.sized_by == "any" else 1
-            sizes = [abs(fit.shared[k + j]) / covariance[k + j, k + j] ** 0.5 for j in range(main)]
-            if max(sizes) < 2.0:
+            sizes = np.abs(fit.shared[k : k + main]) / deviation[k : k + main]
+            if sizes.max() < 2.0:
                 return False
         k += len(candidate.parameters)
     return True
 
 
-def _gain_of(name: str, leader: Judged, judged: Sequence[Judged]) -> float:
-    """Score lost by leaving a cause out: against the best hypothesis of the remaining causes."""
+def _without(leader: Judged, judged: Sequence[Judged], name: str) -> Judged:
+    """Return the best hypothesis of the leader's other causes."""
     rest = set(leader.ids) - {name}
-    without = [item for item in judged if set(item.ids) <= rest]
-    return min(item.score for item in without) - leader.score
+    return min((i for i in judged if set(i.ids) <= rest), key=lambda item: item.score)
+
+
+def _gain_of(leader: Judged, judged: Sequence[Judged], name: str) -> float:
+    """Return the score lost by leaving a cause out."""
+    return _without(leader, judged, name).score - leader.score
 
 
 def _held_gain(leader: Judged, judged: Sequence[Judged], name: str) -> float:
-    rest = set(leader.ids) - {name}
-    without = min((i for i in judged if set(i.ids) <= rest), key=lambda item: item.score)
+    """Return the gain on the held-out strokes alone."""
+    without = _without(leader, judged, name)
     if leader.held is None or without.held is None:
-        return _gain_of(name, leader, judged)
+        return without.score - leader.score
     return 0.5 * (without.held.chi2 - leader.held.chi2)
 
 
@@ -111,19 +115,18 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
         if len(item.ids) > 1:
             needed = max(least, 0.5 * SECOND_SHARE * item.whole.beyond)
         for name in item.ids:
-            gain = _gain_of(name, item, judged)
+            gain = _gain_of(item, judged, name)
             if gain < needed or _held_gain(item, judged, name) <= 0.0:
                 return False
             if gain < 0.5 * SLIGHT_SHARE * healthy.whole.excess and name in _slight(item):
                 return False
         return True
 
-    accepted = [item for item in sorted(judged, key=lambda i: i.score) if is_accepted(item)]
-    leader = accepted[0] if accepted else healthy
+    leader = min(filter(is_accepted, judged), key=lambda i: i.score, default=healthy)
     if not leader.ids:
         return Verdict("consistent", healthy, healthy)
     probabilities = by_cause(judged)
-    gains = {name: _gain_of(name, leader, judged) for name in leader.ids}
+    gains = {name: _gain_of(leader, judged, name) for name in leader.ids}
     groups = _rivals_of(leader, judged, probabilities)
     most = _surest_of(leader, healthy)
     stated = {

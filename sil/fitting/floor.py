@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from sil.fitting.fit import FitResult
-from sil.fitting.model import CampaignModel, channel_parts
+from sil.fitting.model import CampaignModel, Floats, channel_parts
 
 FLOOR_RMS = {"position": 0.385, "pressure": 1.0, "oil": 1.0, "internal": 0.17}
 """Root mean square of standardised residuals of a clean campaign, by kind of channel."""
@@ -38,7 +38,6 @@ class ChannelMisfit:
     rms: float
     count: int
     band: float
-    kind: str
 
 
 @dataclass(frozen=True)
@@ -70,38 +69,28 @@ class Misfit:
         return float(np.sqrt(total / max(1, self.count)))
 
 
-def _channel_squares(model: CampaignModel, fit: FitResult) -> dict[str, tuple[str, float, int]]:
-    """Return kind, sum of squared standardised residuals and count of every channel."""
-    sums: dict[str, tuple[str, float, int]] = {}
-
-    def add(name: str, kind: str, part: np.ndarray) -> None:
-        _kind, total, count = sums.get(name, (kind, 0.0, 0))
-        sums[name] = (kind, total + float(part @ part), count + len(part))
-
+def misfit(model: CampaignModel, fit: FitResult) -> Misfit:
+    """Compare a fit's residuals with the floor, channel by channel and in all."""
+    parts: dict[tuple[str, str], list[Floats]] = {}
     for k, block in fit.blocks.items():
         stroke = model.strokes[k]
         for channel, part in channel_parts(stroke, block.residual):
-            add(channel.name, channel.kind, part)
+            parts.setdefault((channel.name, channel.kind), []).append(part)
         if stroke.internal is not None:
-            add("position_internal_m", "internal", block.residual[stroke.size :])
-    return sums
-
-
-def misfit(model: CampaignModel, fit: FitResult) -> Misfit:
-    """Compare a fit's residuals with the floor, channel by channel and in all."""
+            part = block.residual[stroke.size :]
+            parts.setdefault(("position_internal_m", "internal"), []).append(part)
     channels = {}
-    excess = 0.0
-    variance = 0.0
-    count = 0
-    for name, (kind, total, n) in _channel_squares(model, fit).items():
+    excess = variance = 0.0
+    for (name, kind), own in parts.items():
+        n = sum(map(len, own))
+        total = sum(float(part @ part) for part in own)
         floor = FLOOR_RMS[kind] ** 2
         share = float(np.hypot(FLOOR_SPREAD[kind] / FLOOR_RMS[kind], np.sqrt(0.5 / max(1, n))))
-        channels[name] = ChannelMisfit(
-            float(np.sqrt(total / max(1, n) / floor)), n, 1.0 + 3.0 * share, kind
-        )
+        rms = float(np.sqrt(total / max(1, n) / floor))
+        channels[name] = ChannelMisfit(rms, n, 1.0 + 3.0 * share)
         excess += total - floor * n
         variance += (2.0 * share * floor * n) ** 2
-        count += n
+    count = sum(channel.count for channel in channels.values())
     return Misfit(channels, excess, 3.0 * float(np.sqrt(variance)), count)
 
 

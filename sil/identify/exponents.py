@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 
 from plant.batch.prediction import copied
+from plant.devices.valve import seconds_to_ns
 from plant.kernel.layout import Parameters
 from plant.parameters import ParameterSet
 from plant.systems.driven import pressures_along
@@ -15,7 +17,7 @@ from sil.campaign.campaign import Campaign
 from sil.fitting.fit import Show, no_progress
 from sil.fitting.observations import air_noise_pa
 from sil.identify.estimate import Estimate, Floats, Identified
-from sil.identify.friction import plain_strokes
+from sil.identify.friction import plain_strokes, pressures_from_rest
 from sil.report.figure import BAR, Figure, Panel, Series, Stack
 
 NAMES = ("alpha_m1", "alpha_1", "alpha_m2", "alpha_2")
@@ -58,20 +60,10 @@ def identify_alpha(
         begun = int(np.argmax(~resting))
         position[:begun] = np.median(record["position_m"][: max(begun, 1)])
         position = np.clip(position - position[0] + entry.conditions.start_offset_m, 0.0, None)
-        quiet = slice(0, max(5, len(record) // 100))
-        measured = np.column_stack(
-            [
-                record[c] - np.mean(record[c][quiet]) + campaign.atmosphere_pa
-                for c in ("pressure_1_pa", "pressure_2_pa")
-            ]
-        )
+        measured = np.column_stack(pressures_from_rest(record, campaign.atmosphere_pa))
         prepared.append((setup, time_s, position, measured))
 
     def modelled(x: Floats, k: int, error_m: Floats | float = 0.0) -> Floats:
-        from dataclasses import replace
-
-        from plant.devices.valve import seconds_to_ns
-
         setup, time_s, position, _measured = prepared[k]
         twin = copied(setup)
         for index, alpha in zip(FIELDS, x[:4], strict=True):
@@ -107,38 +99,33 @@ def identify_alpha(
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * inflation
     # a flow map known to 1 % carries over to alpha_m, a volume known to 1 % to both
     floor = np.array([0.015, 0.012, 0.015, 0.012])
+    source = (
+        f"least squares on both pressures of {len(prepared)} strokes with imposed position; "
+        "interval includes 1 % of flow and of volume"
+    )
     estimates = []
     for k, name in enumerate(NAMES):
         centre = float(fit.x[k])
         half = 1.96 * float(np.hypot(np.sqrt(covariance[k, k]), floor[k] * abs(centre)))
-        estimates.append(
-            Estimate(
-                f"alpha.{name}",
-                centre,
-                centre - half,
-                centre + half,
-                f"least squares on both pressures of {len(prepared)} strokes with imposed position; "
-                "interval includes 1 % of flow and of volume",
-            )
-        )
+        estimates.append(Estimate(f"alpha.{name}", centre, centre - half, centre + half, source))
+    shown = [modelled(fit.x, k) for k in range(len(prepared))]
+    rms_pa = float(
+        np.sqrt(np.mean([(one - p[3]) ** 2 for one, p in zip(shown, prepared, strict=True)]))
+    )
     _setup, time_s, _position, measured = prepared[0]
-    shown = modelled(fit.x, 0)
     lines = []
     for k, role in enumerate(("series0", "series1")):
-        x, points, fitted = (a[::10] for a in (time_s, BAR * measured[:, k], BAR * shown[:, k]))
+        x, points, fitted = (a[::10] for a in (time_s, BAR * measured[:, k], BAR * shown[0][:, k]))
         lines.append(Series(f"P{k + 1} measured", x, points, role, "dots"))
         lines.append(Series(f"P{k + 1} fitted", x, fitted, role))
     panel = Panel("Pressures with imposed position", "bar", lines, height=320)
-    rms_pa = float(
-        np.sqrt(np.mean([(modelled(fit.x, k) - p[3]) ** 2 for k, p in enumerate(prepared)]))
-    )
     # an error of the position is one of the volume: the potentiometer's noise, and the bias of its
     # smoothing (what a second pass would change), carried through the model
     errors = [
         savgol_filter(x + _position_error_m(parameters, len(x), k), SMOOTH_SAMPLES, 3) - x
         for k, (_setup, _time_s, x, _measured) in enumerate(prepared)
     ]
-    carried = [modelled(fit.x, k, error) - modelled(fit.x, k) for k, error in enumerate(errors)]
+    carried = [modelled(fit.x, k, error) - shown[k] for k, error in enumerate(errors)]
     noise_pa = np.hypot(air_noise_pa(parameters), np.sqrt(np.mean(np.square(carried))))
     over_noise = rms_pa / float(noise_pa)
     notes = (f"rms of the fit {rms_pa:.0f} Pa",)

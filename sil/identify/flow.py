@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,9 +215,8 @@ def _best_degrees(
     return a + (0.0,) * (near_most + 1 - len(a)), b + (0.0,) * (far_most + 1 - len(b))
 
 
-@dataclass(frozen=True)
-class _Direction:
-    """One direction of flow: its words and parameters."""
+class _Direction(NamedTuple):
+    """One direction of flow: its words, and its parameters by their paths."""
 
     charging: bool
     word: str
@@ -228,10 +228,8 @@ class _Direction:
 
 
 DIRECTIONS = (
-    _Direction(True, "filling", "P / P_s", "alpha.alpha_m1", "flow_charge", "y_split", (4, 3)),
-    _Direction(
-        False, "emptying", "P / P_atm", "alpha.alpha_m2", "flow_discharge", "z_split", (4, 2)
-    ),
+    _Direction(True, "filling", "P / P_s", "alpha_m1", "flow_charge", "y_split", (4, 3)),
+    _Direction(False, "emptying", "P / P_atm", "alpha_m2", "flow_discharge", "z_split", (4, 2)),
 )
 
 
@@ -274,7 +272,7 @@ def _identify_direction(
         )
     largest = max(r.volume_m3 for r in chosen)
     fitted = [r for r in chosen if r.volume_m3 < 0.8 * largest] or chosen
-    alpha = parameters.value(direction.alpha)
+    alpha = parameters.value(f"alpha.{direction.alpha}")
     xs, ys = [], []
     for record in fitted:
         pressure, rate = _slope(record)

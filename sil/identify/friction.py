@@ -26,13 +26,12 @@ def plain_strokes(campaign: Campaign) -> list[tuple[CampaignStroke, Record]]:
     Raises InputError for fewer than two.
     """
     found = []
+    needed = ("position_m", "pressure_1_pa", "pressure_2_pa")
     for entry in campaign.strokes:
         c = entry.conditions
         if c.kind == "fixed" and c.load == "none" and not c.charged_before:
             record = campaign.record(entry)
-            needed = ("position_m", "pressure_1_pa", "pressure_2_pa")
-            moved = "position_m" in record and np.ptp(record["position_m"]) > 0.003
-            if all(name in record for name in needed) and moved:
+            if all(name in record for name in needed) and np.ptp(record["position_m"]) > 0.003:
                 found.append((entry, record))
     if len(found) < 2:
         raise InputError(
@@ -42,11 +41,16 @@ def plain_strokes(campaign: Campaign) -> list[tuple[CampaignStroke, Record]]:
     return found
 
 
-def _net_force(record: Record, p: Parameters, atmosphere_pa: float) -> Floats:
-    """Pressure force on the piston P1 A1 - P2 A2 - P_atm A_s [N]; gauge offsets taken at rest."""
+def pressures_from_rest(record: Record, atmosphere_pa: float) -> list[Floats]:
+    """Return both pressures [n] in Pa, gauge offsets taken off at rest."""
     quiet = slice(0, max(5, len(record) // 100))
-    one = record["pressure_1_pa"] - np.mean(record["pressure_1_pa"][quiet]) + atmosphere_pa
-    two = record["pressure_2_pa"] - np.mean(record["pressure_2_pa"][quiet]) + atmosphere_pa
+    pressures = (record[column] for column in ("pressure_1_pa", "pressure_2_pa"))
+    return [pressure - np.mean(pressure[quiet]) + atmosphere_pa for pressure in pressures]
+
+
+def _net_force(record: Record, p: Parameters, atmosphere_pa: float) -> Floats:
+    """Return the pressure force on the piston P1 A1 - P2 A2 - P_atm A_s [N]."""
+    one, two = pressures_from_rest(record, atmosphere_pa)
     return np.asarray(one * p.area_p - two * p.area_p2 - atmosphere_pa * p.area_s)
 
 
@@ -80,13 +84,9 @@ def _beginning(time_s: Floats, position_m: Floats, share: float) -> tuple[float,
         late = np.maximum(t - q[0], 0.0)
         return np.asarray((0.5 * q[1] * late**2 + q[2] * late**3 / 6.0 - x) / 2e-5)
 
+    limits = ([float(t[0]), 0.0, 0.0], [end, 1e4, 1e8])
     guess = np.array([end - 0.006, 20.0, 1e4])
-    fit = least_squares(
-        residual,
-        guess,
-        bounds=([float(t[0]), 0.0, 0.0], [end, 1e4, 1e8]),
-        x_scale=[1e-3, 10.0, 1e4],
-    )
+    fit = least_squares(residual, guess, bounds=limits, x_scale=[1e-3, 10.0, 1e4])
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * max(1.0, 2.0 * fit.cost / (len(x) - 3))
     return float(fit.x[0]), float(np.sqrt(covariance[0, 0]))
 
@@ -101,75 +101,65 @@ def identify_friction(
     from scipy.signal import savgol_filter
 
     strokes = plain_strokes(campaign)
-    static, doubts, slopes, offsets = [], [], [], []
-    speeds, forces = [], []
+    static, doubts, speeds, forces = [], [], [], []
     for entry, record in strokes:
         p = make_setup(parameters, entry.conditions).p
-        time_s = record.time_s - record.time_s[0]
+        time_s, position = record.time_s - record.time_s[0], record["position_m"]
         force = _net_force(record, p, campaign.atmosphere_pa)
-        begin, doubt = breakaway_s(time_s, record["position_m"])
+        begin, doubt = breakaway_s(time_s, position)
         step = float(np.median(np.diff(time_s)))
         static.append(float(np.interp(begin, time_s, savgol_filter(force, 15, 2))))
         rising = float(np.interp(begin, time_s, savgol_filter(force, 15, 2, deriv=1, delta=step)))
         doubts.append(abs(rising) * doubt)
         window = 2 * round(0.5 * 0.003 / step) + 1
-        velocity = savgol_filter(record["position_m"], window, 3, deriv=1, delta=step)
-        acceleration = savgol_filter(record["position_m"], window, 3, deriv=2, delta=step)
-        travel = record["position_m"] - record["position_m"][0]
+        velocity, acceleration = (
+            savgol_filter(position, window, 3, deriv=order, delta=step) for order in (1, 2)
+        )
+        travel = position - position[0]
         reach = float(np.max(travel))
         moving = (travel > 0.12 * reach) & (travel < 0.85 * reach) & (velocity > 0.05)
-        v = velocity[moving]
-        f = (force - p.m_s * acceleration)[moving]
-        if len(v) < 10:
-            continue
-        speeds.append(v)
-        forces.append(f)
+        if np.count_nonzero(moving) >= 10:
+            speeds.append(velocity[moving])
+            forces.append((force - p.m_s * acceleration)[moving])
     if len(speeds) < 2:
         raise InputError(f"{campaign.folder}: too few samples in motion; expected 10 kHz records")
     v, f = np.concatenate(speeds), np.concatenate(forces)
     slope, offset = (float(x) for x in np.polyfit(v, f, 1))
     generator = np.random.default_rng(0)
+    lines = []
     for _ in range(400):
         pick = generator.integers(0, len(speeds), len(speeds))
-        a, b = np.polyfit(
-            np.concatenate([speeds[k] for k in pick]), np.concatenate([forces[k] for k in pick]), 1
-        )
-        slopes.append(a)
-        offsets.append(b)
-    mean, low, high = interval(static)
+        some_v, some_f = (np.concatenate([parts[k] for k in pick]) for parts in (speeds, forces))
+        lines.append(np.polyfit(some_v, some_f, 1))
+    mean, _low, high = interval(static)
     # the instant is not known better than its fit, the same way in every stroke: no averaging out
     half = float(np.hypot(high - mean, 1.96 * np.mean(doubts)))
-    low, high = mean - half, mean + half
-    beta_low, beta_high = (float(x) for x in np.percentile(slopes, [2.5, 97.5]))
-    run_low, run_high = (float(x) for x in np.percentile(offsets, [2.5, 97.5]))
+    lows, highs = np.percentile(lines, [2.5, 97.5], axis=0).tolist()
     n = len(strokes)
+    about = f"F - m a against v, {n} strokes"
+    first = f"net force at first motion, {n} strokes"
     thesis = (
-        Estimate("friction_fixed.F_sf", mean, low, high, f"net force at first motion, {n} strokes"),
-        Estimate(
-            "friction_fixed.F_rf", offset, run_low, run_high, f"F - m a against v, {n} strokes"
-        ),
-        Estimate(
-            "friction_fixed.beta", slope, beta_low, beta_high, f"F - m a against v, {n} strokes"
-        ),
+        Estimate("friction_fixed.F_sf", mean, mean - half, mean + half, first),
+        Estimate("friction_fixed.F_rf", offset, lows[1], highs[1], about),
+        Estimate("friction_fixed.beta", slope, lows[0], highs[0], about),
     )
     fitted = _whole_record(campaign, strokes, parameters, progress)
-    better = fitted.estimates
-    line = np.array([float(np.min(v)), float(np.max(v))])
+    _static, level, rate = (item.numbers[0] for item in fitted.estimates)
     notes = (
         f"scatter about the line {np.std(f - slope * v - offset):.0f} N: twice-differentiated position",
         f"breakaway of single strokes {min(static):.1f} to {max(static):.1f} N",
         "values written are those of the whole-record fit",
     )
-    fit = float(better[2].value) * line + float(better[1].value)  # type: ignore[arg-type]
+    ends = np.array([float(np.min(v)), float(np.max(v))])
     order = np.argsort(v, kind="stable")
     series = [
         Series("measured", v[order], f[order], "measured", "dots"),
-        Series("F - m a against v", line, slope * line + offset, "before"),
-        Series("whole-record fit", line, fit, "after"),
+        Series("F - m a against v", ends, slope * ends + offset, "before"),
+        Series("whole-record fit", ends, rate * ends + level, "after"),
     ]
     panel = Panel("F - m a", "N", series, height=320)
     figure = Figure([Stack("speed, m/s", [panel], "Friction against speed")])
-    return Identified("friction", better, notes, figure, fitted.over_noise, thesis)
+    return Identified("friction", fitted.estimates, notes, figure, fitted.over_noise, thesis)
 
 
 def _whole_record(
