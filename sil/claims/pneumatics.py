@@ -13,8 +13,9 @@ from plant.kernel.layout import FixedState, FlowMap, Parameters
 from plant.kernel.packing import flow_coefficients
 from plant.parts.flow import charge, discharge, orifice
 from plant.systems.stroke import Stroke
+from sil.campaign.campaign import Floats
 from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged
-from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, Floats, nominal, plain, run, value
+from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, nominal, plain, run, value
 
 
 def _f12_alpha_range() -> Outcome:

@@ -8,13 +8,13 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.parameters import ParameterSet, load
 from plant.systems.setup import make_setup
 from plant.systems.stroke import Stroke, run_setup
+from sil.campaign.campaign import Floats
 
 SUPPLY_PA = 900000.0
 ATMOSPHERE_PA = 101325.0
@@ -22,7 +22,6 @@ VALVE = {"fixed": "1", "N-B": "B", "B-N": "N", "N-F": "F", "F-N": "N"}
 COMMAND_S = 0.01
 
 Change = Callable[[Setup], None]
-Floats = NDArray[np.float64]
 
 
 @cache

@@ -16,9 +16,9 @@ from can_dbc.errors import InputError
 from plant.batch.prediction import copied
 from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
-from sil.campaign.campaign import Campaign, CampaignStroke, Record
+from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record
 from sil.fitting.fit import FitResult
-from sil.fitting.model import CampaignModel, Floats, channel_parts
+from sil.fitting.model import CampaignModel, channel_parts
 from sil.fitting.observations import StrokeObservation, observe
 
 LEAST_DURATION_S = 0.02

@@ -10,8 +10,8 @@ from math import inf, isfinite, log10
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sil.campaign.campaign import Floats
 from sil.diagnosis.phases import PHASES
 from sil.diagnosis.residuals import Shown
 from sil.fitting.model import channel_parts
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from sil.diagnosis.diagnosis import Diagnosis
     from sil.diagnosis.intervals import Interval
     from sil.diagnosis.one_equation import Alone
-
-Floats = NDArray[np.float64]
 STROKES_DRAWN = 3
 BEFORE, AFTER = "healthy model", "extended model"
 UNITS = {"position": ("mm", MM), "pressure": ("bar", BAR), "oil": ("bar", BAR)}

@@ -8,8 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sil.campaign.campaign import Floats
 from sil.diagnosis.force_rig import DETECTABILITY, TERMS, ForceDiagnosis, balance, gains
 from sil.files.atomic import write_atomically
 from sil.report.figure import Figure, Panel, Series, Stack
@@ -17,7 +17,6 @@ from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 
-Floats = NDArray[np.float64]
 DRAWN = 4000
 
 

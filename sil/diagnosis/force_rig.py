@@ -20,21 +20,18 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
-from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
 from can_dbc.typed_toml import convert, read_toml
 from plant.effects import CATALOGUE
 from plant.effects.force_term import ForceTerm, Motion
-from sil.campaign.campaign import ColumnMap, Rate, Text, column_maps, read_record
+from sil.campaign.campaign import ColumnMap, Floats, Rate, Text, column_maps, read_record
 from sil.diagnosis.causes import Cause, diagnosis_json
 from sil.diagnosis.checks import longest_run
 from sil.diagnosis.intervals import Interval
 from sil.diagnosis.residuals import Gain
 from sil.diagnosis.verdict import SUREST, UNNAMED
 from sil.fitting.floor import EXPLAINED
-
-Floats = NDArray[np.float64]
 
 BODY = (("coulomb_n", "N"), ("viscous_n_s_m", "N s/m"), ("offset_n", "N"), ("mass_kg", "kg"))
 BLOCKS = 24

@@ -8,18 +8,17 @@ Checked by: tests/unit/sil/diagnosis/test_one_equation.py
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plant.errors import IntegrationError
 from plant.systems.imposed import motion_along, pressures_along
+from sil.campaign.campaign import Floats
 from sil.fitting.fit import FitResult
 from sil.fitting.model import CampaignModel
 from sil.fitting.observations import Channel
-
-Floats = NDArray[np.float64]
 
 SMOOTH_SAMPLES = 4.0
 """Width of the smoothing of the measured position, which is a volume of a chamber."""
@@ -54,36 +53,32 @@ def alone(model: CampaignModel, fit: FitResult, k: int) -> Alone:
     stroke = model.strokes[k]
     setup = model.setup(k, model.amounts(fit.shared, fit.stroke[k]), fit.candidates, fit.values)
     time_s = stroke.time_s
-    whole = {c.name: c for c in stroke.channels if len(c.measured) == len(time_s)}
-    names = {name: f"pressure_{name}_pa" for name in stroke.conditions.chambers}
-    position = None
-    pressures: dict[str, Floats] = {}
-    if all(column in whole for column in names.values()):
-        measured = np.column_stack([_cleared(model, fit, whole[c]) for c in names.values()])
-        try:
-            if "position_m" in whole:
-                moved = motion_along(setup, time_s, measured)
-                position = _cleared(model, fit, whole["position_m"]) - moved
-        except IntegrationError:
-            position = None
-    if "position_m" in whole:
-        smooth = gaussian_filter1d(_cleared(model, fit, whole["position_m"]), SMOOTH_SAMPLES)
-        try:
-            predicted = pressures_along(setup, time_s, smooth)
-        except IntegrationError:
-            return Alone(time_s, position, {})
-        for j, (name, column) in enumerate(names.items()):
-            if column in whole:
-                pressures[name] = _cleared(model, fit, whole[column]) - predicted[:, j]
-    return Alone(time_s, position, pressures)
+    whole = {
+        c.name: _cleared(model, fit, c) for c in stroke.channels if len(c.measured) == len(time_s)
+    }
+    columns = {name: f"pressure_{name}_pa" for name in stroke.conditions.chambers}
+    position = whole.get("position_m")
+    if position is None:
+        return Alone(time_s, None, {})
+    force = None
+    if all(column in whole for column in columns.values()):
+        measured = np.column_stack([whole[column] for column in columns.values()])
+        with suppress(IntegrationError):
+            force = position - motion_along(setup, time_s, measured)
+    try:
+        predicted = pressures_along(setup, time_s, gaussian_filter1d(position, SMOOTH_SAMPLES))
+    except IntegrationError:
+        return Alone(time_s, force, {})
+    pressures = {
+        name: whole[column] - predicted[:, j]
+        for j, (name, column) in enumerate(columns.items())
+        if column in whole
+    }
+    return Alone(time_s, force, pressures)
 
 
 def _cleared(model: CampaignModel, fit: FitResult, channel: Channel) -> Floats:
     """Return a measured channel with its fitted offset taken off."""
     index = len(model.unit) + model.offsets.index(channel.name)
-    size = (
-        model.spread.position_offset_m
-        if channel.kind == "position"
-        else model.spread.gauge_offset_pa
-    )
+    size = model.spread.offset[channel.kind]
     return np.asarray(channel.measured - fit.shared[index] * size)

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from plant.effects.setup import Setup
 from plant.kernel.layout import FIXED, FixedState, LengthState
-
-Floats = NDArray[np.float64]
+from sil.campaign.campaign import Floats
 
 PHASES = (
     "rest",

@@ -13,16 +13,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plant.effects.stroke_conditions import StrokeConditions
+from sil.campaign.campaign import Floats
 from sil.diagnosis.phases import PHASES, phases
 from sil.diagnosis.verdict import Verdict
 from sil.fitting.fit import FitResult
 from sil.fitting.internal import INTERNAL_SD_M
 from sil.fitting.model import CampaignModel, channel_parts
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plant.errors import IntegrationError
+from sil.campaign.campaign import Floats
 from sil.fitting.fit import FARTHEST_SD, FitResult, arrow
 from sil.fitting.hypotheses import Candidate
 from sil.fitting.model import CampaignModel
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -38,34 +36,24 @@ class Score:
 
 
 def _change_of(
-    model: CampaignModel,
-    fit: FitResult,
-    candidate: Candidate,
-    start: tuple[float, ...],
-    strokes: Sequence[int],
+    model: CampaignModel, fit: FitResult, candidate: Candidate, start: tuple[float, ...]
 ) -> dict[int, Floats]:
     """Return what the candidate at `start` changes in the standardised prediction of each stroke."""
     changes = {}
     own = {p.name: v for p, v in zip(candidate.parameters, start, strict=True)}
-    for k in strokes:
+    for k, block in fit.blocks.items():
         amounts = model.amounts(fit.shared, fit.stroke[k])
         setup = model.setup(k, amounts, (*fit.candidates, candidate), (*fit.values, own))
-        changes[k] = model.predict(k, setup) - fit.blocks[k].base
+        changes[k] = model.predict(k, setup) - block.base
     return changes
 
 
-def screen(
-    model: CampaignModel,
-    fit: FitResult,
-    candidates: Sequence[Candidate],
-    strokes: Sequence[int] | None = None,
-) -> list[Score]:
+def screen(model: CampaignModel, fit: FitResult, candidates: Sequence[Candidate]) -> list[Score]:
     """Score of every candidate on top of a fit, largest gain first.
 
     A candidate whose start cannot be simulated scores nothing.
     """
-    use = list(fit.blocks) if strokes is None else list(strokes)
-    blocks = {k: fit.blocks[k] for k in use}
+    blocks = fit.blocks
     normal, gradient, inner = arrow(blocks, fit.stroke, fit.shared, fit.layout)
     # what is at its bound and presses outward imitates nothing
     outward = gradient * fit.shared > 0.0
@@ -78,15 +66,13 @@ def screen(
         best: Score | None = None
         for start in candidate.starts[::2]:
             try:
-                changes = _change_of(model, fit, candidate, start, use)
+                changes = _change_of(model, fit, candidate, start)
             except IntegrationError:
                 continue
-            slope = 0.0
-            square = 0.0
+            slope = square = 0.0
             cross = np.zeros(len(normal))
-            for k in use:
-                block, c = blocks[k], changes[k]
-                inverse, hus, gs = inner[k]
+            for k, c in changes.items():
+                block, (inverse, hus, gs) = blocks[k], inner[k]
                 held = (np.abs(fit.stroke[k]) >= FARTHEST_SD) & (gs == 0.0)
                 bc = np.where(held, 0.0, block.scatter.T @ c)
                 slope += float(c @ block.residual) - float(bc @ inverse @ gs)

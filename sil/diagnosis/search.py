@@ -7,13 +7,14 @@ Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plant.errors import IntegrationError
+from sil.campaign.campaign import Floats
 from sil.diagnosis.screening import Score, screen
 from sil.diagnosis.split import stratum
 from sil.diagnosis.workers import Stages, spread_out
@@ -21,8 +22,6 @@ from sil.fitting.fit import FitResult, Fitter, Show, no_progress
 from sil.fitting.floor import misfit, strained
 from sil.fitting.hypotheses import Candidate, compatible, scaled_of
 from sil.fitting.model import Block, CampaignModel
-
-Floats = NDArray[np.float64]
 
 WORTH = 12.0
 """Linear gain in cost below which a further effect is not even tried."""
@@ -153,16 +152,13 @@ class Search:
     def refine(self, fit: FitResult, iterations: int = LAST_ITERATIONS) -> FitResult:
         """Continue a fit from its optimum; strokes it did not use get their scatter first."""
         scatter = fit.stroke.copy()
-        unseen = tuple(sorted(set(self.training) - set(fit.use)))
+        unseen = sorted(set(self.training) - set(fit.use))
         if unseen:
+            everything = range(len(fit.shared))
             first = self.fitter.fit(
-                fit.candidates,
-                start=fit.shared,
-                use=unseen,
-                iterations=3,
-                freeze=range(len(fit.shared)),
+                fit.candidates, start=fit.shared, use=unseen, iterations=3, freeze=everything
             )
-            scatter[list(unseen)] = first.stroke[list(unseen)]
+            scatter[unseen] = first.stroke[unseen]
         return self.fitter.fit(
             fit.candidates,
             start=fit.shared,
@@ -210,16 +206,12 @@ class Search:
             scores = screen(self.model, healthy, self.candidates)
             chosen = [s.candidate for s in scores if s.gain > WORTH][: 2 * SINGLES_KEPT]
         begin = (healthy.shared, healthy.stroke)
-        tasks = [
-            Task((item,), tuple((s,) for s in item.starts), begin, FIRST_ITERATIONS, healthy.name)
-            for item in chosen
-        ]
-        tasks += [
-            Task((item,), ((start,),), None, FIRST_ITERATIONS)
-            for item in chosen
-            if item.effect.rugged
-            for start in item.starts
-        ]
+        tasks = []
+        for item in chosen:
+            starts = tuple((start,) for start in item.starts)
+            tasks.append(Task((item,), starts, begin, FIRST_ITERATIONS, healthy.name))
+            if item.effect.rugged:
+                tasks += [Task((item,), (start,), None, FIRST_ITERATIONS) for start in starts]
         self.first = self.run_tasks(tasks)
         self.polish(_promising(self.first, SINGLES_KEPT))
 
@@ -311,10 +303,10 @@ def _promising(fits: Sequence[FitResult], most: int) -> list[FitResult]:
 
 def _sample_of(model: CampaignModel, training: Sequence[int]) -> tuple[int, ...]:
     """Return a few training strokes for first fits: each stratum in turn, at most SAMPLE."""
-    counts: dict[tuple[str, str, bool], int] = {}
+    ranks: Counter[tuple[str, str, bool]] = Counter()
     ranked = []
     for k in training:
         key = stratum(model.strokes[k])
-        counts[key] = counts.get(key, -1) + 1
-        ranked.append((counts[key], k))
+        ranked.append((ranks[key], k))
+        ranks[key] += 1
     return tuple(sorted(k for _rank, k in sorted(ranked)[:SAMPLE]))

@@ -24,7 +24,7 @@ def stratum(stroke: StrokeObservation) -> tuple[str, str, bool]:
 
 
 def split(strokes: Sequence[StrokeObservation]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return places of training and held-out strokes.
+    """Return the indices of training and held-out strokes.
 
     A third is held out, strata in turn, the first stroke of each stratum trains; one or two strokes
     all train.  No more than MOST_TRAINING train: more would cost time and add nothing.  Every rest
@@ -36,11 +36,12 @@ def split(strokes: Sequence[StrokeObservation]) -> tuple[tuple[int, ...], tuple[
     groups: dict[tuple[str, str, bool], list[int]] = {}
     for k, stroke in enumerate(strokes):
         groups.setdefault(stratum(stroke), []).append(k)
-    ordered: list[tuple[float, int, int]] = []
-    for rank, members in enumerate(sorted(groups.values(), key=len, reverse=True)):
-        for position, k in enumerate(members):
-            ordered.append((position / len(members), rank, k))
-    queue = [k for _place, _rank, k in sorted(ordered)]
+    ordered = sorted(
+        (position / len(members), rank, k)
+        for rank, members in enumerate(sorted(groups.values(), key=len, reverse=True))
+        for position, k in enumerate(members)
+    )
+    queue = [k for _position, _rank, k in ordered]
     training = min(MOST_TRAINING, n - max(1, round(HELD_OUT_SHARE * n)))
     chosen = _with_every_rest(queue[:training], queue[training:], strokes)
     return tuple(sorted(chosen)), tuple(sorted(set(range(n)) - set(chosen)))
@@ -76,7 +77,7 @@ def odd_ones_in(
     squares: Mapping[int, float],
     strokes: Sequence[StrokeObservation],
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Places anew where only held-out strokes show that something is wrong: half of those train.
+    """Split anew where only held-out strokes show that something is wrong: half of those train.
 
     squares: mean squared residual of every stroke under the healthy fit to the training ones.  As
     many training strokes that have another of their kind are held out instead.

@@ -20,10 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.errors import IntegrationError
+from sil.campaign.campaign import Floats
 from sil.fitting.hypotheses import Candidate, precision, scaled_of
 from sil.fitting.model import Block, CampaignModel, Shared
-
-Floats = NDArray[np.float64]
 
 Show = Callable[[float, float], None]
 """Shows that so much of so much is done."""

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
+from sil.campaign.campaign import Floats
 from sil.fitting.fit import FitResult
-from sil.fitting.model import CampaignModel, Floats, channel_parts
+from sil.fitting.model import CampaignModel, channel_parts
 
 FLOOR_RMS = {"position": 0.385, "pressure": 1.0, "oil": 1.0, "internal": 0.17}
 """Root mean square of standardised residuals of a clean campaign, by kind of channel."""

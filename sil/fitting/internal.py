@@ -11,12 +11,10 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plant.devices.sensors import InternalChain
 from plant.effects.setup import Setup
-
-Floats = NDArray[np.float64]
+from sil.campaign.campaign import Floats
 
 INTERNAL_SD_M = 3e-5
 """Expected scatter of one published position: timer tick and the recorder's step in time."""

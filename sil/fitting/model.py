@@ -13,7 +13,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plant.batch.prediction import copied
 from plant.effects import EffectParameter
@@ -21,11 +20,11 @@ from plant.effects.setup import Setup
 from plant.effects.tolerances import shift
 from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
+from sil.campaign.campaign import Floats
 from sil.fitting.hypotheses import Candidate, is_scale, log_size, precision, scaled_of, value_of
 from sil.fitting.internal import INTERNAL_SD_M, internal_prediction
 from sil.fitting.observations import Channel, StrokeObservation
 
-Floats = NDArray[np.float64]
 NS = 1e9
 
 DIFFERENCE = 0.05
@@ -45,14 +44,13 @@ SIMULATED = ("friction", "rise", "fall", "supply", "flow_in", "flow_out", "volum
 class Spread:
     """Standard deviations of healthy tolerances (of the unit, whole campaigns) and scatter (of strokes).
 
-    Every quantity is counted in these, so that each has a standard normal prior.
+    Every quantity is counted in these, so that each has a standard normal prior. offset: of sensors,
+    by kind of channel, in its unit.
     """
 
     unit: dict[str, float]
     stroke: dict[str, float]
-    position_offset_m: float
-    gauge_offset_pa: float
-    oil_gauge_offset_pa: float
+    offset: dict[str, float]
 
     @classmethod
     def of(cls, parameters: ParameterSet) -> Spread:
@@ -75,9 +73,11 @@ class Spread:
                 "fall": value("repeatability.valve_delay_sd"),
                 "supply": value("repeatability.supply_sd"),
             },
-            position_offset_m=value("repeatability.unit_pot_offset_sd"),
-            gauge_offset_pa=value("repeatability.unit_gauge_offset_sd"),
-            oil_gauge_offset_pa=5.0 * value("repeatability.unit_gauge_offset_sd"),
+            offset={
+                "position": value("repeatability.unit_pot_offset_sd"),
+                "pressure": value("repeatability.unit_gauge_offset_sd"),
+                "oil": 5.0 * value("repeatability.unit_gauge_offset_sd"),
+            },
         )
 
     def size(self, name: str) -> float:
@@ -215,15 +215,10 @@ class CampaignModel:
     def _offsets_of(self, stroke: StrokeObservation) -> Floats:
         columns = np.zeros((stroke.total, len(self.offsets)))
         begin = 0
-        sizes = {
-            "position": self.spread.position_offset_m,
-            "pressure": self.spread.gauge_offset_pa,
-            "oil": self.spread.oil_gauge_offset_pa,
-        }
         for channel in stroke.channels:
             n = len(channel.measured)
             index = self.offsets.index(channel.name)
-            columns[begin : begin + n, index] = sizes[channel.kind] / channel.sd
+            columns[begin : begin + n, index] = self.spread.offset[channel.kind] / channel.sd
             begin += n
         return columns
 

@@ -19,10 +19,9 @@ from plant.equations.damper_pressure import steady_oil_pressure
 from plant.kernel.layout import FIXED, FixedState, LengthState
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
-from sil.campaign.campaign import CampaignStroke, Record
+from sil.campaign.campaign import CampaignStroke, Floats, Record
 from sil.fitting.internal import InternalSamples, internal_samples
 
-Floats = NDArray[np.float64]
 NS = 1_000_000_000
 
 

@@ -20,11 +20,11 @@ from plant.batch.tangents import MOVE
 from plant.effects import Effect, EffectParameter
 from plant.effects.setup import Setup
 from plant.parameters import ParameterSet
-from sil.campaign.campaign import Campaign, CampaignStroke
+from sil.campaign.campaign import Campaign, CampaignStroke, Floats
 from sil.fitting.fit import Fitter, Show, no_progress
 from sil.fitting.floor import misfit
 from sil.fitting.hypotheses import Candidate
-from sil.fitting.model import CampaignModel, Floats, Moved, Spread
+from sil.fitting.model import CampaignModel, Moved, Spread
 from sil.fitting.observations import observe
 from sil.identify.estimate import Estimate
 

@@ -13,10 +13,10 @@ from plant.kernel.layout import Parameters
 from plant.parameters import ParameterSet
 from plant.systems.driven import pressures_along
 from plant.systems.setup import make_setup
-from sil.campaign.campaign import Campaign
+from sil.campaign.campaign import Campaign, Floats
 from sil.fitting.fit import Show, no_progress
 from sil.fitting.observations import air_noise_pa
-from sil.identify.estimate import Estimate, Floats, Identified
+from sil.identify.estimate import Estimate, Identified
 from sil.identify.friction import plain_strokes, pressures_from_rest
 from sil.report.figure import BAR, Figure, Panel, Series, Stack
 

@@ -22,10 +22,10 @@ from plant.parameters import ParameterSet
 from plant.systems.driven import chamber_along
 from plant.systems.setup import make_setup
 from plant.systems.stroke import valve_moves
-from sil.campaign.campaign import Campaign, Record
+from sil.campaign.campaign import Campaign, Floats, Record
 from sil.fitting.fit import Show, no_progress
 from sil.fitting.observations import air_noise_pa
-from sil.identify.estimate import Estimate, Floats, Identified
+from sil.identify.estimate import Estimate, Identified
 from sil.report.figure import Figure, Panel, Series, Stack
 
 Polynomial = tuple[float, ...]

@@ -13,10 +13,10 @@ from can_dbc.errors import InputError
 from plant.kernel.layout import Parameters
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
-from sil.campaign.campaign import Campaign, CampaignStroke, Record
+from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record
 from sil.fitting.fit import Show, no_progress
 from sil.identify.campaign_fit import Fitted, fit_factors
-from sil.identify.estimate import Estimate, Floats, Identified, interval
+from sil.identify.estimate import Estimate, Identified, interval
 from sil.report.figure import Figure, Panel, Series, Stack
 
 

@@ -56,7 +56,7 @@ def made(
     generator = np.random.default_rng(seed)
     spread = Spread.of(load())
     unit = {name: generator.normal(0.0, size) for name, size in spread.unit.items()}
-    gauge_pa = generator.normal(0.0, spread.gauge_offset_pa, 3)
+    gauge_pa = generator.normal(0.0, spread.offset["pressure"], 3)
     time_s = np.arange(3001) * 1e-4
     entries = []
     folder.mkdir(parents=True, exist_ok=True)
