@@ -35,46 +35,45 @@ FAULTS = {
 }
 """Fault classes by the equation that they enter."""
 
+SENSORS = {
+    "position": ("potentiometer", "x"),
+    "driving": ("driving gauge", "p_driving"),
+    "passive": ("passive gauge", "p_passive"),
+    "oil": ("oil gauge", "p_oil"),
+    "internal": ("internal sensor", "x"),
+}
+"""The equation that a channel adds, and the unknown that it measures."""
+
 
 def equations(channels: Iterable[str], has_damper: bool) -> dict[str, frozenset[str]]:
     """Equations of one stroke and the unknowns in each; a channel adds its own.
 
     Derivatives are taken as known functions of their signal: both count as one unknown.
     """
+    oil = {"p_oil"} if has_damper else set()
     system = {
-        "force": frozenset({"x", "p_driving", "p_passive"} | ({"p_oil"} if has_damper else set())),
-        "driving chamber": frozenset({"p_driving", "x", "u", "p_supply"}),
-        "passive chamber": frozenset({"p_passive", "x", "u"}),
-        "valve": frozenset({"u"}),
-        "supply": frozenset({"p_supply"}),
+        "force": {"x", "p_driving", "p_passive"} | oil,
+        "driving chamber": {"p_driving", "x", "u", "p_supply"},
+        "passive chamber": {"p_passive", "x", "u"},
+        "valve": {"u"},
+        "supply": {"p_supply"},
     }
     if has_damper:
-        system["damper"] = frozenset({"p_oil", "x"})
-    known = set(channels)
-    if "position" in known:
-        system["potentiometer"] = frozenset({"x"})
-    if "driving" in known:
-        system["driving gauge"] = frozenset({"p_driving"})
-    if "passive" in known:
-        system["passive gauge"] = frozenset({"p_passive"})
-    if "oil" in known and has_damper:
-        system["oil gauge"] = frozenset({"p_oil"})
-    if "internal" in known:
-        system["internal sensor"] = frozenset({"x"})
-    return system
+        system["damper"] = {"p_oil", "x"}
+    for channel in SENSORS.keys() & set(channels):
+        name, unknown = SENSORS[channel]
+        if has_damper or channel != "oil":
+            system[name] = {unknown}
+    return {name: frozenset(unknowns) for name, unknowns in system.items()}
 
 
 def overdetermined(graph: Graph) -> frozenset[str]:
     """Equations of the overdetermined part: those that an unmatched one reaches, alternating."""
     names = sorted(graph)
-    unknowns = sorted(set().union(*graph.values())) if graph else []
-    if not names or not unknowns:
+    unknowns = sorted(set().union(*graph.values()))
+    if not unknowns:
         return frozenset(names)
-    column = {name: j for j, name in enumerate(unknowns)}
-    matrix = np.zeros((len(names), len(unknowns)), dtype=np.int8)
-    for i, name in enumerate(names):
-        for unknown in graph[name]:
-            matrix[i, column[unknown]] = 1
+    matrix = np.array([[name in graph[row] for name in unknowns] for row in names], dtype=np.int8)
     match = maximum_bipartite_matching(csr_matrix(matrix), perm_type="column")
     owner = {int(j): i for i, j in enumerate(match) if j >= 0}
     reached = {i for i, j in enumerate(match) if j < 0}
@@ -103,14 +102,10 @@ class Structure:
         left = [fault for fault in self.faults if fault in self.detectable]
         found = []
         while left:
-            first = left.pop(0)
-            same = [
-                other
-                for other in left
-                if (first, other) not in self.isolable and (other, first) not in self.isolable
-            ]
-            left = [other for other in left if other not in same]
-            found.append((first, *same))
+            first = left[0]
+            apart = {f for f in left if {(first, f), (f, first)} & self.isolable}
+            found.append(tuple(fault for fault in left if fault not in apart))
+            left = [fault for fault in left if fault in apart]
         return found
 
     def sentence(self) -> str:
@@ -149,19 +144,15 @@ def analyse(channels: Sequence[str], has_damper: bool) -> Structure:
 
 def structure_of(strokes: Sequence[StrokeObservation]) -> Structure:
     """Structure with the channels that the campaign's strokes have."""
-    known: list[str] = []
+    known: dict[str, None] = {}
     for stroke in strokes:
-        driving = f"pressure_{stroke.setup.charged_chamber}_pa"
-        passive = {f"pressure_{name}_pa" for name in stroke.setup.passive_chambers}
+        kinds = {f"pressure_{name}_pa": "passive" for name in stroke.setup.passive_chambers}
+        kinds[f"pressure_{stroke.setup.charged_chamber}_pa"] = "driving"
         for channel in stroke.channels:
-            name = {"position": "position", "oil": "oil"}.get(channel.kind, "")
-            if channel.name == driving:
-                name = "driving"
-            elif channel.name in passive:
-                name = "passive"
-            if name and name not in known:
-                known.append(name)
-        if stroke.internal is not None and "internal" not in known:
-            known.append("internal")
+            name = kinds.get(channel.name, channel.kind)
+            if name != "pressure":
+                known[name] = None
+        if stroke.internal is not None:
+            known["internal"] = None
     damper = any(stroke.conditions.load == "damper" for stroke in strokes)
-    return analyse(known, damper)
+    return analyse(list(known), damper)

@@ -85,18 +85,12 @@ class FitResult:
 
     @property
     def covariance(self) -> Floats:
-        """Covariance of the shared parameters by the curvature at the optimum.
-
-        [shared, shared], in prior standard deviations and typical sizes.
-        """
+        """Covariance [shared, shared] of the shared parameters by the curvature at the optimum."""
         return np.asarray(np.linalg.pinv(self.normal))
 
     @property
     def scaled(self) -> Floats:
-        """The hypothesis' own parameters in typical sizes from neutral.
-
-        [parameters], no unit.
-        """
+        """The hypothesis' own parameters [parameters] in typical sizes from neutral."""
         return self.shared[self.layout.effect_slice]
 
     @property

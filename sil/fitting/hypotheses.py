@@ -8,7 +8,7 @@ Checked by: tests/unit/sil/fitting/test_hypotheses.py
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -43,9 +43,9 @@ class Candidate:
     def __post_init__(self) -> None:
         KNOWN[self.name] = self
 
-    def __reduce__(self):  # type: ignore[no-untyped-def]
+    def __reduce__(self) -> tuple[Callable[[str], Candidate], tuple[str]]:
         """Between processes a candidate travels by name: the forked ones inherit them all."""
-        return known, (self.name,)
+        return _known, (self.name,)
 
     @property
     def id(self) -> str:
@@ -110,10 +110,7 @@ def log_size(parameter: EffectParameter) -> float:
 
 
 def precision(candidates: Sequence[Candidate]) -> NDArray[np.float64]:
-    """Inverse covariance of the prior of all candidates' parameters, in typical sizes.
-
-    [parameters, parameters].
-    """
+    """Return the inverse covariance [parameters, parameters] of the prior, in typical sizes."""
     count = sum(len(item.parameters) for item in candidates)
     out = np.eye(count) / EFFECT_PRIOR**2
     k = 0
@@ -130,8 +127,7 @@ KNOWN: dict[str, Candidate] = {}
 """Every candidate made in this process, by name."""
 
 
-def known(name: str) -> Candidate:
-    """Return the candidate of that name."""
+def _known(name: str) -> Candidate:
     return KNOWN[name]
 
 

@@ -34,10 +34,7 @@ class InternalSamples:
 
 
 def internal_samples(time_s: Floats, values: Floats) -> InternalSamples | None:
-    """Publications of the control unit's position, found by its steps; None if it hardly moves.
-
-    time_s: [n] in s; values: [n] in m.
-    """
+    """Return the publications in values [n] in m at time_s [n], by their steps; None if it hardly moves."""
     edges = np.flatnonzero(np.abs(np.diff(values)) > 1e-9) + 1
     if len(edges) < FEWEST_PUBLICATIONS:
         return None
@@ -68,8 +65,7 @@ def internal_prediction(
     turn = 2.0 * np.pi / period
     phase = float(np.angle(np.mean(np.exp(1j * turn * begun)))) / turn % period
     pulses = np.rint((begun - phase) / period).astype(int)
-    first = int(np.floor(-phase / period)) - 1
-    first = min(first, int(pulses[0]))
+    first = min(int(np.floor(-phase / period)) - 1, int(pulses[0]))
     count = int(pulses[-1]) - first + 1
     ticks = phase + period * (first + np.arange(count))
     true_m = np.interp(ticks + 0.5 * chain.sensor.t_mid_s, time_s, position_m)

@@ -109,10 +109,7 @@ class Shared:
 
     @property
     def prior(self) -> Floats:
-        """Inverse covariance of the prior of all of them.
-
-        [shared, shared], no unit.
-        """
+        """Inverse covariance [shared, shared] of the prior of all of them, no unit."""
         out = np.eye(len(self.names))
         out[self.effect_slice, self.effect_slice] = self.precision
         return out
@@ -141,6 +138,8 @@ class CampaignModel:
 
     measured: by stroke, all compared numbers [n] as measured, standardised; offset_columns: by
     stroke, what one standard deviation of each sensor's offset adds to them [n, offsets].
+    Everywhere, shared [shared] and scatter [scatter] are in prior standard deviations, the
+    hypothesis' own parameters in typical sizes, and compared numbers have no unit.
     """
 
     def __init__(self, strokes: Sequence[StrokeObservation], spread: Spread) -> None:
@@ -182,21 +181,15 @@ class CampaignModel:
         return setup
 
     def predict(self, k: int, setup: Setup, rounded: bool = False) -> Floats:
-        """All compared numbers of stroke k, without sensor offsets, standardised by their noise.
+        """Return the compared numbers [n] of stroke k, without sensor offsets.
 
-        rounded: with the timer's rounding at rest, which has no derivative.
-
-        Raises IntegrationError where the motion cannot be continued.
-
-        [n], no unit.
+        rounded: with the timer's rounding at rest, which has no derivative. Raises IntegrationError
+        where the motion cannot be continued.
         """
         return self.numbers_of(k, setup, self.strokes[k].predictor.states(setup), rounded)
 
     def numbers_of(self, k: int, setup: Setup, states: Floats, rounded: bool) -> Floats:
-        """Return the compared numbers of stroke k in these states.
-
-        states: [instants, states] in SI units; result [n], no unit.
-        """
+        """Return the compared numbers [n] of stroke k in the states [instants, states], SI units."""
         stroke = self.strokes[k]
         parts = []
         for channel in stroke.channels:
@@ -223,10 +216,7 @@ class CampaignModel:
         return columns
 
     def amounts(self, shared: Floats, scatter: Floats) -> dict[str, float]:
-        """Healthy amounts of one stroke from unit tolerances and its own scatter.
-
-        shared: [shared], scatter: [scatter], in prior standard deviations.
-        """
+        """Return the healthy amounts of a stroke from the unit's tolerances [shared] and its scatter."""
         total = dict.fromkeys(SIMULATED, 0.0)
         for k, name in enumerate(self.unit):
             total[name] += shared[k] * self.spread.unit[name]
@@ -237,10 +227,7 @@ class CampaignModel:
     def effect_values(
         self, candidates: Sequence[Candidate], scaled: Floats
     ) -> tuple[dict[str, float], ...]:
-        """Effect parameters from their scaled form, limited to the physical bounds.
-
-        scaled: [parameters] in typical sizes.
-        """
+        """Return the effect parameters from scaled [parameters], limited to the physical bounds."""
         left = iter(scaled.tolist())
         return tuple(
             {p.name: value_of(p, next(left)) for p in item.parameters} for item in candidates
@@ -261,10 +248,7 @@ class CampaignModel:
     def residual(
         self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
     ) -> Floats:
-        """Standardised residual (measured - predicted) of stroke k.
-
-        shared: [shared], scatter: [scatter], in prior standard deviations; result [n], no unit.
-        """
+        """Return the standardised residual (measured - predicted) [n] of stroke k."""
         setup, states = self.here(k, shared, scatter, candidates)
         offsets = shared[len(self.unit) : len(self.unit) + len(self.offsets)]
         predicted = self.numbers_of(k, setup, states, True)
@@ -273,11 +257,7 @@ class CampaignModel:
     def here(
         self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
     ) -> tuple[Setup, Floats]:
-        """Return setup and states of stroke k; simulated once as long as nothing else is asked for it.
-
-        shared: [shared], scatter: [scatter], in prior standard deviations; states [instants,
-        states] in SI units.
-        """
+        """Return setup and states [instants, states] of stroke k in SI units; the last are stored."""
         spot = (shared.tobytes(), scatter.tobytes(), tuple(item.name for item in candidates))
         last = self._last.get(k)
         if last is None or last[0] != spot:
@@ -297,12 +277,10 @@ class CampaignModel:
         own_only: bool = False,
         reuse: Block | None = None,
     ) -> Block:
-        """Residual of stroke k, its derivatives by the shared and by the stroke's own parameters.
+        """Return stroke k linearised at shared [shared] and its own scatter.
 
-        own_only: by the hypothesis' own alone, the others are left at zero; reuse: a block whose
-        derivatives by tolerances and scatter are taken over.
-
-        shared: [shared], scatter: [scatter], in prior standard deviations.
+        own_only: by the hypothesis' own parameters alone, the other derivatives are zero; reuse: a
+        block whose derivatives by tolerances and scatter are taken over.
         """
         layout = self.layout(candidates)
         healthy, tolerances = layout.healthy, len(self.unit)
@@ -369,7 +347,7 @@ class CampaignModel:
         """Return the smooth prediction [n] of stroke k and its derivatives [n] by the names in `steps`.
 
         here: setup and states; moved(name, h): the setup with one quantity moved by h; steps: how
-        far for a difference. No units.
+        far for a difference.
         """
         base = self.numbers_of(k, *here, rounded=False)
         return base, {
@@ -382,7 +360,7 @@ class CampaignModel:
     ) -> Floats:
         """Difference quotient [n]; one-sided, or with a smaller step, where the motion breaks off.
 
-        base: [n], no unit. Raises IntegrationError if no step can be simulated.
+        Raises IntegrationError if no step can be simulated.
         """
         if central:
             # wider, against the rounding of the integration: the error is of second order here
