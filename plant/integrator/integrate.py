@@ -75,6 +75,7 @@ def rests_are_plain(p, m):
         and p.leak_atm == 0.0
         and p.seal_mu == 0.0
         and p.term_slot == Slot.NONE
+        and p.added_count == 0.0
         and m.line == 0
     )
 

@@ -6,8 +6,11 @@ The same interface as the compiled views of `plant.kernel.views`.
 
 from __future__ import annotations
 
+import ctypes
+
 import numpy as np
 
+from plant.kernel.layout import ADDED_VALUES
 from plant.kernel.records import RECORDS, Record
 
 ABSENT: dict[str, int] = {"": 0, "discarded": 0}
@@ -103,6 +106,15 @@ def copy_row(v, source, target, width) -> None:
     v._at(source + width - 1), v._at(target + width - 1)
     from_, to = v._start + source, v._start + target
     v._array[to : to + width] = v._array[from_ : from_ + width]
+
+
+def call_at(address, t, x, v, direction, pressure, values) -> float:
+    """Call the compiled function at an address with five numbers and a view of its values."""
+    double = ctypes.c_double
+    held = [values[k] for k in range(ADDED_VALUES)]
+    array = (double * ADDED_VALUES)(*held)
+    kind = ctypes.CFUNCTYPE(double, *[double] * 5, ctypes.POINTER(double))
+    return float(kind(int(address))(t, x, v, direction, pressure, array))
 
 
 def named(record: type[Record], absent: str = ""):

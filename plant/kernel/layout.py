@@ -96,6 +96,9 @@ INCOMPRESSIBLE, COMPRESSIBLE = 1, 2
 
 
 TERM_NODES = 24
+MOST_ADDED = 3
+ADDED_VALUES = 8
+"""How many terms effects may add to the equations of one stroke, and values that each may have."""
 
 
 class Parameters(Record):
@@ -182,6 +185,7 @@ class Parameters(Record):
     v_oil: Value
     cd_floor: Value
     cd_slope: Value
+    added_count: Value  # how many terms `added` holds
     # non-parametric term: the slot it enters, its variable, and its nodes on an even grid
     term_slot: Value
     term_variable: Value
@@ -189,10 +193,12 @@ class Parameters(Record):
     term_step: Value
     term_count: Value
     term_nodes: Value = block(TERM_NODES)
+    # terms that effects add: slot, address of the compiled function, its values
+    added: Value = block(MOST_ADDED, 2 + ADDED_VALUES)
 
 
 class Slot(IntEnum):
-    """Where a non-parametric term enters, as `equation` of an extended model writes it.
+    """Where a term enters; of a non-parametric one, as `equation` of an extended model writes it.
 
     NONE to EXPONENT are slots of the equations (`Parameters.term_slot`).
     FLOW_1 to FLOW_3: into a chamber; FRICTION, RISE, FALL, SUPPLY, CHARGE_LEVEL and DISCHARGE_LEVEL

@@ -244,6 +244,20 @@ class Fields(AttributeTemplate):
         return View(value.dtype, value.width, field.row) if field.length else value.dtype
 
 
+@intrinsic
+def _call_at(typing_context, address, t, x, v, direction, pressure, values):
+    """Call the compiled function at an address: double f(five doubles, pointer to its values)."""
+    number = types.float64
+
+    def generate(context, builder, signature, arguments):
+        double = ir.DoubleType()
+        kind = ir.FunctionType(double, [double] * 5 + [double.as_pointer()])
+        function = builder.inttoptr(arguments[0], kind.as_pointer())
+        return builder.call(function, arguments[1:])
+
+    return number(types.int64, *[number] * 5, values), generate
+
+
 def _pointer(context, builder, v, pointer, field):
     return _element(builder, pointer, v.width, context.get_constant(types.intp, field.start))
 
@@ -273,6 +287,6 @@ def _enumerated(context, builder, member, number, value):
 
 
 if CHECKED:
-    from plant.kernel.checked import copy_row, lane, named, rows, view
+    from plant.kernel.checked import call_at, copy_row, lane, named, rows, view
 else:
-    view, rows, lane, copy_row, named = _view, _rows, _lane, _copy_row, _named
+    view, rows, lane, copy_row, named, call_at = _view, _rows, _lane, _copy_row, _named, _call_at

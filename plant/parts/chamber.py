@@ -10,7 +10,7 @@ from math import exp
 from plant.kernel.compiled import inlined
 from plant.kernel.layout import Slot
 from plant.parts.flow import charge, discharge, orifice
-from plant.parts.term import term_flow, term_value
+from plant.parts.term import added_terms, term_flow, term_value
 
 
 @inlined
@@ -19,6 +19,9 @@ def valve_flow_in(pressure, supply, p, c):
     factor = p.k_in
     if p.term_slot == Slot.CHARGE:
         factor *= max(0.0, 1.0 + term_value(p, pressure / supply))
+    if p.added_count != 0.0:
+        share = added_terms(Slot.CHARGE, 0.0, 0.0, 0.0, 0.0, pressure / supply, p)
+        factor *= max(0.0, 1.0 + share)
     if p.flow_model == 0.0:
         return factor * charge(pressure, supply, c)
     return factor * orifice(supply, pressure, p.cda_in, p.t_gas, p.gamma, p.r_air)
@@ -30,6 +33,9 @@ def valve_flow_out(pressure, p, c):
     factor = p.k_out
     if p.term_slot == Slot.DISCHARGE:
         factor *= max(0.0, 1.0 + term_value(p, pressure / p.p_atm))
+    if p.added_count != 0.0:
+        share = added_terms(Slot.DISCHARGE, 0.0, 0.0, 0.0, 0.0, pressure / p.p_atm, p)
+        factor *= max(0.0, 1.0 + share)
     if p.flow_model == 0.0:
         return factor * discharge(pressure, p.p_atm, c)
     return factor * orifice(pressure, p.p_atm, p.cda_out, p.t_gas, p.gamma, p.r_air)
@@ -44,10 +50,11 @@ def piston_leak(pressure, other, p):
 
 
 @inlined
-def all_leaks(leak, t, x, pressure, u, own, p):
+def all_leaks(leak, t, x, pressure, u, slot, own, p):
     """Return the flow into a chamber that passes no valve [K kg/s].
 
-    leak: that past the pistons; own: True if a non-parametric flow enters this chamber.
+    leak: that past the pistons; slot: of the flows into this chamber; own: True if a non-parametric
+    flow enters it.
     """
     if p.leak_atm != 0.0:
         leak -= u * orifice(pressure, p.p_atm, p.leak_atm, p.t_gas, p.gamma, p.r_air)
@@ -55,6 +62,9 @@ def all_leaks(leak, t, x, pressure, u, own, p):
         leak -= term_value(p, pressure)
     elif own:
         leak += term_flow(t, x, pressure, p)
+    if p.added_count != 0.0:
+        leak += added_terms(slot, t, x, 0.0, u, pressure, p)
+        leak -= added_terms(Slot.LEAK, t, x, 0.0, u, pressure, p)
     return leak
 
 
@@ -72,6 +82,10 @@ def exponents(speed, p):
     a2 = p.alpha_2 + p.alpha_speed_2 * effective
     if p.term_slot == Slot.EXPONENT:
         shift = term_value(p, speed)
+        a1 += shift
+        a2 += shift
+    if p.added_count != 0.0:
+        shift = added_terms(Slot.EXPONENT, 0.0, 0.0, speed, 0.0, 0.0, p)
         a1 += shift
         a2 += shift
     return am1, a1, am2, a2

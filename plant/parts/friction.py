@@ -7,7 +7,7 @@ from math import exp
 from plant.kernel.compiled import inlined
 from plant.kernel.layout import Slot
 from plant.parts.synchronizer import barrier
-from plant.parts.term import term_drag
+from plant.parts.term import added_terms, term_drag
 
 
 @inlined
@@ -61,6 +61,9 @@ def stay_sliding(x, v, direction, p):
     level = level * direction_factor(direction, p) + extra_drag(x, direction, p)
     if p.term_slot == Slot.RESISTANCE:
         level = max(0.0, level + term_drag(x, abs(v), p))
+    if p.added_count != 0.0:
+        drag = added_terms(Slot.RESISTANCE, 0.0, x, max(direction * v, 0.0), direction, 0.0, p)
+        level = max(0.0, level + drag)
     return level
 
 
@@ -71,6 +74,10 @@ def stay_static(x, direction, p):
     level += extra_drag(x, direction, p)
     if p.term_slot == Slot.RESISTANCE:
         level = max(0.0, level + term_drag(x, 0.0, p))
+    if p.added_count != 0.0:
+        level = max(
+            0.0, level + added_terms(Slot.RESISTANCE, 0.0, x, 0.0, float(direction), 0.0, p)
+        )
     return level
 
 

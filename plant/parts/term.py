@@ -1,11 +1,12 @@
-"""The non-parametric term: nodes on an even grid, added in one slot of the equations."""
+"""Terms in the slots of the equations: one by nodes on an even grid, others as compiled functions."""
 
 # mypy: disallow-untyped-defs=False
 
 from __future__ import annotations
 
-from plant.kernel.compiled import inlined
+from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import Over
+from plant.kernel.views import call_at
 
 
 @inlined
@@ -45,3 +46,17 @@ def term_flow(t, x, pressure, p):
     if p.term_variable == Over.TIME:
         return term_value(p, t)
     return term_value(p, x if p.term_variable == Over.POSITION else pressure)
+
+
+@called
+def added_terms(slot, t, x, v, direction, pressure, p):
+    """Return the sum of the functions that effects add in a slot [unit of the slot].
+
+    What they depend on, by slot: `plant.effects.added_term.ARGUMENTS`.
+    """
+    total = 0.0
+    for k in range(int(p.added_count)):
+        row = p.added[k]
+        if row[0] == slot:
+            total += call_at(int(row[1]), t, x, v, direction, pressure, row[2:])
+    return total
