@@ -6,7 +6,6 @@ which call it thousands of times.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -218,11 +217,3 @@ class Predictor:
         rates -= base
         rates *= (1.0 / np.array(steps)).reshape(-1, 1, 1)
         return base, [rate if same else None for rate, same in zip(rates, alike[1:], strict=True)]
-
-
-def copied(setup: Setup) -> Setup:
-    """Return a setup that can be changed without changing the original."""
-    twin = copy.copy(setup)
-    twin.p = setup.p.copy()
-    twin.residual_pa = dict(setup.residual_pa)
-    return twin

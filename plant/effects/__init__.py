@@ -8,21 +8,33 @@ file here; no other module names one.
 from __future__ import annotations
 
 import difflib
+import importlib
+import pkgutil
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
-from plant.effects import damper, flow, friction, mechanics, sensors, term, thermal, valves
 from plant.effects.effect import Effect, EffectParameter
 from plant.effects.setup import Setup
 from plant.errors import InputError
-from plant.parameters import Parameter, ParameterSet
+from plant.parameters import Parameter, ParameterSet, number
 
-__all__ = ["CATALOGUE", "Effect", "EffectParameter", "apply_effects", "effect", "look_alikes"]
+__all__ = [
+    "CATALOGUE",
+    "Effect",
+    "EffectParameter",
+    "apply_effects",
+    "effect",
+    "look_alikes",
+    "overridden",
+]
 
 CATALOGUE: dict[str, Effect] = {
     item.id: item
-    for module in (friction, flow, valves, thermal, damper, mechanics, sensors, term)
-    for item in module.EFFECTS
+    for module in sorted(info.name for info in pkgutil.iter_modules(__path__))
+    for item in getattr(importlib.import_module(f"{__name__}.{module}"), "EFFECTS", ())
 }
+"""All effects by id: those of every file in this folder, and of the users' files that were loaded."""
 
 
 def effect(name: str) -> Effect:
@@ -31,7 +43,10 @@ def effect(name: str) -> Effect:
         return CATALOGUE[name]
     except KeyError:
         near = difflib.get_close_matches(name, CATALOGUE, n=3, cutoff=0.3) or list(CATALOGUE)
-        raise InputError(f"effect {name!r}: no such effect; nearest: {', '.join(near)}") from None
+        raise InputError(
+            f"effect {name!r}: no such effect; nearest: {', '.join(near)}; "
+            "a file of your own effects is given with --effects"
+        ) from None
 
 
 def look_alikes(name: str) -> tuple[str, ...]:
@@ -65,3 +80,25 @@ def apply_effects(setup: Setup, parameters: ParameterSet) -> None:
     check_effects(parameters.effects, parameters.name)
     for identifier, table in parameters.effects.items():
         effect(identifier).apply(setup, {key: item.value for key, item in table.items()})
+
+
+def overridden(parameters: ParameterSet, changes: Mapping[str, Any]) -> ParameterSet:
+    """Return a set with some values replaced; effect.<id>.<parameter> adds an effect.
+
+    Raises InputError for unknown paths and wrong values.
+    """
+    effects = {name: dict(table) for name, table in parameters.effects.items()}
+    for path, value in changes.items():
+        if not path.startswith("effect."):
+            continue
+        parts = path.split(".")
+        if len(parts) != 3:
+            raise InputError(f"{path}: expected effect.<id>.<parameter> = number")
+        units = {item.name: item.unit for item in effect(parts[1]).parameters}
+        effects.setdefault(parts[1], {})[parts[2]] = Parameter(
+            number(value, path), units.get(parts[2], ""), "set by the user"
+        )
+    own = {path: value for path, value in changes.items() if not path.startswith("effect.")}
+    found = replace(parameters.override(own), effects=effects)
+    check_effects(effects, parameters.name)
+    return found

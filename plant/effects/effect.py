@@ -103,9 +103,14 @@ class Effect:
         return self.scope(values) if callable(self.scope) else self.scope
 
     def apply(self, setup: Setup, values: Values) -> None:
-        """Change a stroke's setup; parameters left out are neutral."""
+        """Change a stroke's setup; parameters left out are neutral.
+
+        Nothing changes while all that a fit may move are neutral.
+        """
         full = {item.name: values.get(item.name, item.neutral) for item in self.parameters}
-        self.change(setup, full)  # type: ignore[arg-type]
+        moved = (full[item.name] != item.neutral for item in self.parameters if item.fitted)
+        if self.nonparametric or any(moved):
+            self.change(setup, full)  # type: ignore[arg-type]
 
     def check(self, table: Mapping[str, Parameter], where: str) -> None:
         """Check a table of parameters.

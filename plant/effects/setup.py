@@ -5,6 +5,7 @@ Effects (plant.effects) change a `Setup`; nothing else knows how.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,7 +14,8 @@ from plant.devices.sensors import InternalChain
 from plant.devices.valve import ValveTiming
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.kernel.layout import Parameters
-from plant.kernel.packing import Floats
+from plant.kernel.packing import Floats, flow_coefficients, pack
+from plant.parameters import ParameterSet
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,31 @@ class Setup:
     internal_error_m: Curve | None = None
     gauge_error_pa: Curve | None = None
     has_line: bool = False
+
+    def copy(self) -> Setup:
+        """Return a setup that can be changed without changing this one."""
+        twin = copy.copy(self)
+        twin.p = self.p.copy()
+        twin.residual_pa = dict(self.residual_pa)
+        return twin
+
+    @classmethod
+    def of(cls, parameters: ParameterSet, conditions: StrokeConditions) -> Setup:
+        """Return the setup of a stroke, without the effects of an extended model."""
+        return cls(
+            conditions=conditions,
+            p=pack(
+                parameters,
+                conditions.system,
+                supply_pressure_pa=conditions.supply_pressure_pa,
+                atmosphere_pa=conditions.atmosphere_pa,
+                load=conditions.loads(),
+                theoretical_flow=conditions.theoretical_flow,
+            ),
+            c=flow_coefficients(parameters),
+            timing=ValveTiming.from_parameters(parameters),
+            chain=InternalChain.from_parameters(parameters),
+        )
 
     @property
     def exact_gauges(self) -> bool:

@@ -253,7 +253,8 @@ def _call_at(typing_context, address, t, x, v, direction, pressure, values):
         double = ir.DoubleType()
         kind = ir.FunctionType(double, [double] * 5 + [double.as_pointer()])
         function = builder.inttoptr(arguments[0], kind.as_pointer())
-        return builder.call(function, arguments[1:])
+        # "readonly" keeps the compiler from reading every parameter again after the call
+        return builder.call(function, arguments[1:], attrs=("readonly", "nounwind"))
 
     return number(types.int64, *[number] * 5, values), generate
 

@@ -7,7 +7,7 @@ import json
 import sys
 from pathlib import Path
 
-from sil.cli.options import JSON, argument, out
+from sil.cli.options import EFFECTS, JSON, argument, out
 
 EXAMPLE = "example: opc4 diagnose measured/ --out diagnosis/"
 
@@ -17,6 +17,7 @@ ARGUMENTS = (
     argument(
         "--model", "parameter set or model file questioned", default="nominal", metavar="MODEL"
     ),
+    EFFECTS,
     *out("runs/CAMPAIGN-diagnosis-N"),
     argument("--workers", "processes (default 2)", "N", type=int, default=2),
     JSON,
@@ -25,6 +26,7 @@ ARGUMENTS = (
 
 def run(arguments: argparse.Namespace) -> int:
     """Diagnose; write diagnosis.json, extended_model.toml, report.html; 1 if not consistent."""
+    from plant.effects.user_file import load_effects
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
     from sil.diagnosis.diagnosis import diagnose
@@ -34,6 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.output_folder import finite
     from sil.files.progress import Progress
 
+    stamps = [load_effects(file) for file in arguments.effects]
     if is_force_rig(arguments.campaign):
         return run_force(arguments)
     campaign = load_campaign(arguments.campaign)
@@ -47,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     if result.extended is not None:
         write_atomically(folder / "extended_model.toml", result.extended)
     beyond = write_report(result, folder, arguments.campaign, arguments.model)
-    plain = finite(result.as_json() | beyond)
+    plain = finite(result.as_json() | beyond | {"effects": stamps})
     text = json.dumps(plain, indent=1, ensure_ascii=False)
     write_atomically(folder / "diagnosis.json", text + "\n")
     if arguments.json:

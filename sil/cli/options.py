@@ -38,6 +38,13 @@ SETTINGS = argument(
     default=[],
     dest="settings",
 )
+EFFECTS = argument(
+    "--effects",
+    "add the effects of a Python file to the catalogue; repeatable",
+    "FILE.py",
+    action="append",
+    default=[],
+)
 STRICT = argument("--strict", "refuse a log with anything broken")
 TIMES = argument(
     "--times",

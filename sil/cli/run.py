@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sil.cli.options import JSON, MODEL, SEED, SETTINGS, argument, out, say
+from sil.cli.options import EFFECTS, JSON, MODEL, SEED, SETTINGS, argument, out, say
 
 if TYPE_CHECKING:
     from sil.simulation.runner import Finished
@@ -47,7 +47,7 @@ ARGUMENTS = (
         "FACTOR",
         type=float,
     ),
-    *(MODEL, SETTINGS, SEED),
+    *(MODEL, EFFECTS, SETTINGS, SEED),
     argument("--junit", "write the checks as JUnit XML", "FILE", type=Path),
     argument("--no-report", "no picture and no page"),
     *(*out("runs/SCENARIO-N"), JSON),
@@ -73,6 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.scenario,
         model=arguments.model,
         settings=arguments.settings,
+        effects=arguments.effects,
         seed=arguments.seed,
     )
     speed = arguments.speed if arguments.speed is not None else 1.0 if arguments.realtime else None

@@ -7,7 +7,7 @@ import json
 import sys
 from typing import TYPE_CHECKING, Any
 
-from sil.cli.options import JSON, SETTINGS, argument, out
+from sil.cli.options import EFFECTS, JSON, SETTINGS, argument, out
 
 if TYPE_CHECKING:
     from sil.campaign.simulate import SimulatedStroke
@@ -18,12 +18,14 @@ EXAMPLE = "example: opc4 simulate measured/ --out simulated/ --set friction_leng
 ARGUMENTS = (
     argument("campaign", "campaign folder", "CAMPAIGN"),
     argument("--model", "parameter set or model file", "MODEL", default="nominal"),
-    *(SETTINGS, *out("runs/CAMPAIGN-simulated-N"), JSON),
+    *(EFFECTS, SETTINGS, *out("runs/CAMPAIGN-simulated-N"), JSON),
 )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate, write the campaign folder, print one line a stroke."""
+    from plant.effects import overridden
+    from plant.effects.user_file import load_effects
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
     from sil.campaign.simulate import campaign_folder, simulate_campaign, write_campaign
@@ -32,8 +34,8 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.progress import Progress
 
     campaign = load_campaign(arguments.campaign)
-    parameters = load(arguments.model)
-    parameters = parameters.override(model_settings(arguments.settings))
+    stamps = [load_effects(file) for file in arguments.effects]
+    parameters = overridden(load(arguments.model), model_settings(arguments.settings))
     folder = prepare_folder(arguments.out, f"{campaign.name}-simulated", arguments.force)
     campaign_folder(folder, arguments.force)
     rows: list[dict[str, Any]] = []
@@ -62,7 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(f"simulating {campaign.name}", "strokes") as progress:
         write_campaign(campaign, simulate_campaign(campaign, parameters), folder, note)
     if arguments.json:
-        print(json.dumps(finite({"campaign": campaign.name, "out": str(folder), "strokes": rows})))
+        found = {"campaign": campaign.name, "out": str(folder), "effects": stamps, "strokes": rows}
+        print(json.dumps(finite(found)))
     else:
         print(f"{len(rows)} strokes in {folder}", file=sys.stderr)
     return 0

@@ -11,7 +11,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sil.cli.options import JSON, argument, out
+from sil.cli.options import EFFECTS, JSON, argument, out
 
 if TYPE_CHECKING:
     from sil.studies.study import LoadedStudy
@@ -27,7 +27,7 @@ ARGUMENTS = (
     argument("--workers", "processes (default 1)", "N", type=int, default=1),
     argument("--cluster", "dask.distributed scheduler", "ADDRESS"),
     argument("--resume", "continue the sweep in DIR"),
-    *(*out("runs/STUDY-N"), JSON),
+    *(EFFECTS, *out("runs/STUDY-N"), JSON),
 )
 
 
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("whatif: no study; expected a study file, or --list")
     if arguments.workers < 1:
         raise InputError(f"--workers {arguments.workers}: expected 1 or more")
-    study = load_study(arguments.study)
+    study = load_study(arguments.study, arguments.effects)
     folder = folder_of(study, arguments)
     with Progress("rows") as progress:
         now = run_study(

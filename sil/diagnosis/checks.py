@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from can_dbc.errors import InputError
-from plant.batch.prediction import copied
 from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record
@@ -294,7 +293,7 @@ def _creeps(stroke: StrokeObservation, pressures: Signals, shift: float) -> bool
     """
     if shift <= 0.0:
         return False
-    setup = copied(stroke.setup)
+    setup = stroke.setup.copy()
     setup.creep_s = 2.0 * shift
     try:
         states = stroke.predictor.states(setup)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.effects import CATALOGUE, Effect, EffectParameter
+from plant.effects.added_term import compile_terms
 from plant.effects.effect import Need, Starts
 from plant.effects.setup import Setup
 
@@ -159,6 +160,7 @@ def starts_of(parameters: tuple[EffectParameter, ...]) -> Starts:
 def candidates(has: Collection[Need]) -> list[Candidate]:
     """Return all candidates that strokes which have this can show at all."""
     found: list[Candidate] = []
+    compile_terms()
     for effect in CATALOGUE.values():
         if effect.nonparametric:
             continue

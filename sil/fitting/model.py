@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from plant.batch.prediction import copied
 from plant.effects import EffectParameter
 from plant.effects.setup import Setup
 from plant.effects.tolerances import shift
@@ -172,7 +171,7 @@ class CampaignModel:
         values: Sequence[dict[str, float]],
     ) -> Setup:
         """Stroke k's setup with healthy amounts and effects applied."""
-        setup = copied(self.strokes[k].setup)
+        setup = self.strokes[k].setup.copy()
         for name, amount in amounts.items():
             if amount != 0.0:
                 shift(setup, name, amount)

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from plant.batch.prediction import copied
 from plant.devices.valve import seconds_to_ns
 from plant.kernel.layout import Parameters
 from plant.parameters import ParameterSet
@@ -65,7 +64,7 @@ def identify_alpha(
 
     def modelled(x: Floats, k: int, error_m: Floats | float = 0.0) -> Floats:
         setup, time_s, position, _measured = prepared[k]
-        twin = copied(setup)
+        twin = setup.copy()
         for index, alpha in zip(FIELDS, x[:4], strict=True):
             twin.p[index] = alpha
         # counted from one: the relative steps of the differences would vanish at zero

@@ -145,10 +145,14 @@ class Scenario(_Table, frozen=True, kw_only=True):
     """Faults of the shaft speeds that the plant reports."""
     valve_fault: list[ValveFault] = []
     """Faults of the valves."""
+    effects: list[str] = []
+    """Python files of a user's own effects, relative to the scenario; a result.json holds them with
+    the hash of their content, and runs again with the same content only."""
     model_set: str = "nominal"
     """Parameter set of the plant: a shipped name, or a model file relative to the scenario."""
     model: dict[str, float | list[float]] = {}
-    """Parameters of the plant that differ from the set, by path, e.g. "valve.D_fall" = 0.02."""
+    """Parameters of the plant that differ from the set, by path, e.g. "valve.D_fall" = 0.02, and
+    effects to add, by effect.ID.PARAMETER."""
     trace_period_s: Annotated[float, Meta(ge=1e-5, le=1.0)] = 0.0005
     """Distance of the rows of trace.csv; at most a tenth of duration_s."""
     expect: Expectations = Expectations()
@@ -173,17 +177,24 @@ def load(
     *,
     model: str | None = None,
     settings: Sequence[str] = (),
+    effects: Sequence[str] = (),
     seed: int | None = None,
 ) -> Loaded:
     """Load a scenario file, or a shipped scenario by name, and apply overrides.
 
-    `settings`: texts PATH=VALUE; PATH names a value of the scenario, the firmware (controller...),
+    `effects`: files of a user's own effects. `settings`: texts PATH=VALUE; PATH names a value of the scenario, the firmware (controller...),
     sensor, bus, or model (valve.D_fall). A result.json is loaded as the scenario that it holds.
     Raises InputError naming file and key, what is wrong and what was expected.
     """
     table, path = read(where)
     return from_table(
-        table, str(path), model=model, settings=settings, seed=seed, folder=path.parent
+        table,
+        str(path),
+        model=model,
+        settings=settings,
+        effects=effects,
+        seed=seed,
+        folder=path.parent,
     )
 
 
@@ -199,6 +210,7 @@ def from_table(
     *,
     model: str | None = None,
     settings: Sequence[str] = (),
+    effects: Sequence[str] = (),
     seed: int | None = None,
     folder: Path = Path(),
 ) -> Loaded:
@@ -215,6 +227,11 @@ def from_table(
         raw["model_set"] = str(folder / scenario.model_set)
     if scenario.firmware:
         raw["firmware"] = absolute(scenario.firmware, folder)
+    if scenario.effects or effects:
+        from plant.effects.user_file import load_effects
+
+        files = [str(folder / file) for file in scenario.effects] + list(effects)
+        raw["effects"] = list(dict.fromkeys(load_effects(file) for file in files))
     parameters = _parameters(raw.get("model_set", scenario.model_set), source)
     if settings or seed is not None:
         for text in settings:
@@ -236,6 +253,11 @@ def from_table(
 def restore(raw: Mapping[str, Any], source: str) -> Loaded:
     """Return a scenario rebuilt from its expanded form (as in result.json). Raises InputError."""
     scenario = _build(copy.deepcopy(dict(raw)), source)
+    if scenario.effects:
+        from plant.effects.user_file import load_effects
+
+        for file in scenario.effects:
+            load_effects(file)
     parameters = _parameters(scenario.model_set, source)
     return Loaded(scenario, _overridden(parameters, scenario.model, source), source)
 
@@ -348,6 +370,10 @@ def _overridden(
     parameters: ParameterSet, changes: Mapping[str, float | list[float]], source: str
 ) -> ParameterSet:
     try:
+        if any(path.startswith("effect.") for path in changes):
+            from plant.effects import overridden
+
+            return overridden(parameters, changes)
         return parameters.override(changes)
     except InputError as error:
         raise InputError(f"{source}: model: {error}") from None
@@ -362,7 +388,7 @@ def _apply(raw: dict[str, Any], text: str, parameters: ParameterSet) -> None:
     if written.strip() in ("True", "False"):
         raise InputError(f"--set {path}: {written.strip()}; expected true or false, as TOML has it")
     value = overrides.parse_value(written.strip())
-    if path in parameters:
+    if path in parameters or path.startswith("effect."):
         raw.setdefault("model", {})[path] = value
         return
     if path == "controller.filter" and isinstance(value, bool):

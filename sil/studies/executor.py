@@ -235,6 +235,11 @@ def run_sent_chunk(
 ) -> list[str]:
     """Run a chunk on a machine that has the study only as it was sent, as `run_chunk` does."""
     if digest not in _SENT:
+        if study["effects"]:
+            from plant.effects.user_file import load_effects
+
+            for file in study["effects"]:
+                load_effects(file)
         _SENT[digest] = LoadedStudy(
             msgspec.convert(study, Study),
             source,

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
+
+from msgspec import structs
 
 from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
@@ -26,8 +29,8 @@ def shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
 
 
-def load_study(where: str) -> LoadedStudy:
-    """Read a study file, or a shipped study by name.
+def load_study(where: str, effects: Sequence[str] = ()) -> LoadedStudy:
+    """Read a study file, or a shipped study by name; `effects`: files of a user's own effects.
 
     Raises InputError with file, location, what is wrong and what was expected.
     """
@@ -39,6 +42,11 @@ def load_study(where: str) -> LoadedStudy:
             raise InputError(f"study {where!r}: no such study; nearest: {', '.join(near)}")
         path = known[where]
     study = typed_toml.convert(typed_toml.read_toml(path), Study, str(path))
+    files = [str(path.parent / file) for file in study.effects] + list(effects)
+    if files:
+        from plant.effects.user_file import load_effects
+
+        study = structs.replace(study, effects=[load_effects(file) for file in files])
     for check in (check_shape, check_names, check_size):
         check(study, str(path))
     loaded = LoadedStudy(study, str(path), base_of(study, path))

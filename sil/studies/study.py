@@ -157,6 +157,8 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Scenario that is run: a file or a shipped name."""
     stroke: StrokeBase | None = None
     """Stroke of the plant alone that is simulated instead."""
+    effects: list[str] = []
+    """Python files of a user's own effects, relative to the study."""
     model: str = "nominal"
     """Parameter set or model file of the plant."""
     seed: Annotated[int, msgspec.Meta(ge=0, le=(1 << 53) - 1)] | None = None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant.batch.prediction import copied
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.parameters import load
@@ -45,10 +44,10 @@ def test_the_motion_gives_back_the_pressures(kind: str) -> None:
     assert np.sqrt(np.mean((found - true) ** 2, axis=0)).max() < 500.0
     assert np.ptp(true, axis=0).max() > 4e5
     # friction of the stay plays no part, a volume does
-    rough = copied(setup)
+    rough = setup.copy()
     rough.p.f_run_s *= 3.0
     assert pressures_along(rough, TIME_S, stroke.position_m) == pytest.approx(found, rel=1e-6)
-    large = copied(setup)
+    large = setup.copy()
     large.p[setup.volume_index(setup.charged_chamber)] *= 1.1
     assert np.abs(pressures_along(large, TIME_S, stroke.position_m) - true).max() > 5e3
 
@@ -60,10 +59,10 @@ def test_the_pressures_give_back_the_motion(kind: str) -> None:
     assert np.ptp(found) > 0.012
     assert np.sqrt(np.mean((found - stroke.position_m) ** 2)) < 2e-5
     # a volume plays no part, friction does
-    large = copied(setup)
+    large = setup.copy()
     large.p.vol_b *= 1.1
     assert np.array_equal(motion_along(large, TIME_S, pressures_of(stroke)), found)
-    rough = copied(setup)
+    rough = setup.copy()
     rough.p.f_run_s *= 3.0
     changed = motion_along(rough, TIME_S, pressures_of(stroke))
     assert np.abs(changed - stroke.position_m).max() > 1e-4

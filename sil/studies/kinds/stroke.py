@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from can_dbc.errors import InputError, RunError
-from plant.effects import effect
+from plant.effects import overridden
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.errors import IntegrationError
-from plant.parameters import Parameter, ParameterSet, load
+from plant.parameters import load
 from plant.systems.stroke import Stroke, simulate
 from sil.report.figure import BAR, MM, MS, Figure, Panel, Series, Stack
 from sil.studies.figures import COLOURS, swept_figures, title_of
@@ -81,8 +80,8 @@ def stroke_of(base: StrokeBase, study: LoadedStudy, row: Row) -> Stroke:
     Settings stroke.* change its conditions, effect.* add effects, all others change the model.
     Raises InputError for wrong settings, RunError if the equations cannot be solved.
     """
-    model = {k: v for k, v in row.settings.items() if not k.startswith(("stroke.", "effect."))}
-    parameters = with_effects(load(study.study.model).override(model), row)  # type: ignore[arg-type]
+    model = {k: v for k, v in row.settings.items() if not k.startswith("stroke.")}
+    parameters = overridden(load(study.study.model), model)
     fields = [name for name in base.__struct_fields__ if name not in ("commands", "until_s")]
     values: dict[str, Any] = {name: getattr(base, name) for name in fields}
     for path, value in row.settings.items():
@@ -99,24 +98,6 @@ def stroke_of(base: StrokeBase, study: LoadedStudy, row: Row) -> Stroke:
         return simulate(parameters, StrokeConditions(**values), time_s, internal=False)
     except IntegrationError as error:
         raise RunError(str(error)) from None
-
-
-def with_effects(parameters: ParameterSet, row: Row) -> ParameterSet:
-    """Return the parameters with the row's settings effect.<id>.<parameter> as added effects.
-
-    Raises InputError for a path of another form or an unknown effect.
-    """
-    effects = {name: dict(table) for name, table in parameters.effects.items()}
-    for path, value in row.settings.items():
-        if not path.startswith("effect."):
-            continue
-        parts = path.split(".")
-        if len(parts) != 3 or isinstance(value, str | list):
-            raise InputError(f"{path}: expected effect.<id>.<parameter> = number")
-        units = {item.name: item.unit for item in effect(parts[1]).parameters}
-        unit = units.get(parts[2], "")
-        effects.setdefault(parts[1], {})[parts[2]] = Parameter(float(value), unit, "study")
-    return replace(parameters, effects=effects) if effects else parameters
 
 
 def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:

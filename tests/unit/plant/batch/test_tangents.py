@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plant.batch.batch import Strokes, simulate_batch
-from plant.batch.prediction import Predictor, copied
+from plant.batch.prediction import Predictor
 from plant.batch.tangents import MOVE, neighbours
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
@@ -77,7 +77,7 @@ def test_ten_parameters_agree_with_differences_of_exact_runs(kind: str) -> None:
 def test_delays_and_lags_have_derivatives_too() -> None:
     base = setup("fixed")
     base.gauge_lag_s = 2e-3
-    late, lagging = copied(base), copied(base)
+    late, lagging = base.copy(), base.copy()
     late.timing = replace(late.timing, rise_ns=late.timing.rise_ns + 20)
     lagging.gauge_lag_s *= 1.0 + MOVE
     predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64), 1e-9)
@@ -91,7 +91,7 @@ def test_delays_and_lags_have_derivatives_too() -> None:
     slope = (pressure[2:] - pressure[:-2]) / (TIME_S[2] - TIME_S[0])
     smooth = (TIME_S[1:-1] > 0.06) & (TIME_S[1:-1] < 0.2)
     assert by_delay[1:-1, FixedState.p_1][smooth] == pytest.approx(-slope[smooth], rel=2e-3)
-    twin = copied(base)
+    twin = base.copy()
     twin.gauge_lag_s *= 1.01
     expected = (predictor.states(twin) - states) / (0.01 * base.gauge_lag_s)
     assert (
@@ -102,7 +102,7 @@ def test_delays_and_lags_have_derivatives_too() -> None:
 
 def test_a_neighbour_with_other_events_has_none() -> None:
     base = setup("fixed")
-    stuck, near = copied(base), copied(base)
+    stuck, near = base.copy(), base.copy()
     stuck.p.f_static_s = 5000.0
     near.p.m_s *= 1.0 + MOVE
     predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64))
@@ -136,7 +136,7 @@ def test_what_the_lanes_do_not_cover_has_derivatives_too(
     size, columns = SIZE["N-B"], COLUMNS["N-B"]
 
     def neighbour(place: int, share: float) -> Setup:
-        twin = copied(base)
+        twin = base.copy()
         twin.p[place] *= 1.0 + share
         return twin
 
@@ -165,7 +165,7 @@ def test_corners_of_the_dampers_law_carry_derivatives(kind: str) -> None:
     exact = Predictor(predictor.sample_ns, 1e-11)
 
     def neighbour(place: int, share: float) -> Setup:
-        twin = copied(base)
+        twin = base.copy()
         twin.p[place] *= 1.0 + share
         return twin
 
@@ -184,4 +184,4 @@ def test_as_many_steps_as_neighbours() -> None:
     base = setup("fixed")
     predictor = Predictor(np.rint(TIME_S * 1e9).astype(np.int64))
     with pytest.raises(ValueError, match="steps"):
-        predictor.derivatives(base, [copied(base)], [])
+        predictor.derivatives(base, [base.copy()], [])

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from plant.batch.prediction import copied
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.effects.tolerances import shift
 from plant.parameters import ParameterSet, load
@@ -62,7 +61,7 @@ def made(
     folder.mkdir(parents=True, exist_ok=True)
     for number, (kind, supply_pa) in enumerate(KINDS[:count], start=1):
         conditions = conditions_of(kind, supply_pa)
-        setup = copied(make_setup(parameters, conditions))
+        setup = make_setup(parameters, conditions)
         for name, amount in unit.items():
             shift(setup, name, amount)
         for name, size in spread.stroke.items():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
-from plant.batch.prediction import Predictor, copied
+from plant.batch.prediction import Predictor
 from plant.effects import CATALOGUE
 from plant.effects.term import FORMS, TermForm, term
 from plant.kernel.layout import LengthState
@@ -27,7 +27,7 @@ def form_named(name: str) -> TermForm:
 
 
 def states(change, kind: str = "N-B") -> np.ndarray:
-    setup = copied(make_setup(load(), conditions_of(kind, 900000.0)))
+    setup = make_setup(load(), conditions_of(kind, 900000.0))
     change(setup)
     return Predictor(SAMPLES, 1e-9).states(setup)
 

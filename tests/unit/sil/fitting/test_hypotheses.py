@@ -7,7 +7,6 @@ import pickle
 import numpy as np
 import pytest
 
-from plant.batch.prediction import copied
 from plant.effects import CATALOGUE
 from plant.parameters import load
 from plant.systems.setup import make_setup
@@ -26,7 +25,7 @@ def test_every_named_cause_stands_in_the_search() -> None:
 def test_neutral_changes_nothing_and_starts_are_within_bounds(item) -> None:
     if item.id != "hose_droop":
         setup = make_setup(load(), conditions_of("N-B", 900000.0))
-        changed = copied(setup)
+        changed = setup.copy()
         item.change(changed, {p.name: p.neutral for p in item.parameters})
         from plant.kernel.layout import Parameters
 

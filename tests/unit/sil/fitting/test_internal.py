@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant.batch.prediction import copied
 from plant.parameters import load
 from plant.systems.setup import make_setup
 from plant.systems.stroke import run_setup
@@ -16,7 +15,7 @@ TIME_S = np.arange(3001) * 1e-4
 
 
 def stroke_of(change, phase_s: float):
-    setup = copied(make_setup(load(), conditions_of("N-B", 900000.0)))
+    setup = make_setup(load(), conditions_of("N-B", 900000.0))
     setup.phase_s = phase_s
     change(setup)
     return setup, run_setup(setup, TIME_S)

@@ -1,0 +1,287 @@
+"""A user's own effects: a Python file outside the package, of the form of the files in plant/effects.
+
+Everything wrong with it is found when it is loaded: its statements, the compilation of its terms,
+their values all over the ranges of position, speed and pressure, and that nothing changes while its
+parameters are neutral.
+Checked by: tests/unit/plant/effects/test_user_file.py
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import math
+import sys
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any, get_args
+
+import numpy as np
+
+from can_dbc.errors import nearest
+from can_dbc.user_file import read_user_text
+from plant import effects as catalogue
+from plant.effects.added_term import ALL_TERMS, AddedTerm
+from plant.effects.effect import Effect, EffectParameter, Need, Scope, Variant
+from plant.effects.setup import Setup
+from plant.effects.stroke_conditions import KINDS, StrokeConditions
+from plant.errors import InputError
+from plant.kernel.layout import ADDED_VALUES, Parameters
+from plant.parameters import load
+
+MARK = "@sha256:"
+"""Separates a file's path from the hash of its content, where a run stores it."""
+
+EXPECTED = "a Python file with EFFECTS = (...)"
+
+_LOADED: dict[str, tuple[str, tuple[str, ...]]] = {}
+"""Path of each loaded file -> hash of its content, and the effects in it."""
+
+
+def load_effects(where: str) -> str:
+    """Add the effects of a file to the catalogue; return PATH@sha256:HASH, which loads exactly it.
+
+    where: a path, or what an earlier call returned.
+
+    Raises InputError naming file, line, what is wrong and what was expected: no such file, not
+    Python, an effect that is not complete or consistent, one whose id exists already, a term that
+    numba cannot compile or that is not finite, and another content than that of the hash.
+    """
+    name, _, expected = where.partition(MARK)
+    path = Path(name).resolve()
+    text = read_user_text(path, EXPECTED)
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    if expected and digest != expected:
+        raise InputError(
+            f"{name}: has changed: sha256 {digest[:12]}; expected {expected[:12]}, as it ran before"
+        )
+    file = str(path)
+    before = _LOADED.get(file)
+    if before is None or before[0] != digest:
+        for identifier in before[1] if before else ():
+            del catalogue.CATALOGUE[identifier]
+        _LOADED.pop(file, None)
+        effects = effects_of(name, file, text)
+        for item in effects:
+            catalogue.CATALOGUE[item.id] = item
+        _LOADED[file] = digest, tuple(item.id for item in effects)
+    return f"{file}{MARK}{digest}"
+
+
+def loaded_effects() -> dict[str, str]:
+    """Return the effects of users' files -> PATH@sha256:HASH of the file."""
+    return {
+        identifier: f"{file}{MARK}{digest}"
+        for file, (digest, identifiers) in _LOADED.items()
+        for identifier in identifiers
+    }
+
+
+def effects_of(name: str, file: str, text: str) -> tuple[Effect, ...]:
+    """Return the checked effects of a file's text; `name` stands for it in messages."""
+    module = ModuleType(f"opc4_effects_{Path(file).stem}")
+    module.__file__ = file
+    sys.modules[module.__name__] = module  # dataclasses of the file look their module up
+    first = len(ALL_TERMS)
+    try:
+        exec(compile(text, file, "exec"), module.__dict__)
+        effects = getattr(module, "EFFECTS", None)
+        if not isinstance(effects, tuple | list) or not effects:
+            raise InputError(f"{file}: no EFFECTS; expected EFFECTS = (effect, ...)")
+        known = set(catalogue.CATALOGUE)
+        for item in effects:
+            check_effect(item, file, known)
+            known.add(item.id)
+    except BaseException as error:
+        del ALL_TERMS[first:]
+        if isinstance(error, KeyboardInterrupt | MemoryError):
+            raise
+        raise InputError(described(error, file).replace(file, name)) from None
+    return tuple(effects)
+
+
+def described(error: BaseException, file: str) -> str:
+    """Return an error of a user's file as FILE:LINE: what is wrong; expected ..."""
+    if isinstance(error, SyntaxError):
+        return f"{file}:{error.lineno}: not valid Python: {error.msg}; expected {EXPECTED}"
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
+    said = " ".join(str(error).split())
+    if isinstance(error, InputError):
+        return said if said.startswith(file) else f"{file}:{frames[-1].lineno}: {said}"
+    line = f":{frames[-1].lineno}" if frames else ""
+    said = said.replace("EffectParameter.__init__()", "EffectParameter()")
+    return f"{file}{line}: {type(error).__name__}: {said}; expected {EXPECTED}"
+
+
+def check_effect(item: Any, file: str, known: set[str]) -> None:
+    """Check one effect: what it states, its terms, and that it is neutral at its neutral parameters.
+
+    Raises InputError with file and line.
+    """
+    if not isinstance(item, Effect):
+        raise InputError(f"{file}: EFFECTS: {item!r}; expected functions under @effect(...)")
+    line = getattr(getattr(item.change, "__code__", None), "co_firstlineno", 1)
+    where = f"{file}:{line}: effect {item.id!r}"
+    for wrong in statement_errors(item, known):
+        raise InputError(f"{where}: {wrong}")
+    for setup in probe_setups(item):
+        check_neutral(item, setup, where)
+        for values in tried_values(item):
+            check_terms(item, setup, values, where)
+
+
+def statement_errors(item: Effect, known: set[str]) -> Iterator[str]:
+    """Yield what is wrong with the statements of an effect."""
+    if not (isinstance(item.id, str) and item.id.isidentifier() and item.id.islower()):
+        yield "expected an id in lower case, of letters, digits and _"
+    if item.id in known:
+        yield "exists already; expected another id"
+    for name in ("cause_class", "equation", "what"):
+        text = getattr(item, name)
+        if not isinstance(text, str) or not text.strip():
+            yield f"{name} {text!r}; expected a text"
+    if not item.parameters or not all(isinstance(p, EffectParameter) for p in item.parameters):
+        yield f"parameters {item.parameters!r}; expected one EffectParameter(...) or more"
+        return
+    for p in item.parameters:
+        yield from parameter_errors(p)
+    fitted = [p for p in item.parameters if p.fitted]
+    if not fitted:
+        yield "no parameter is fitted; expected one or more that are no choice(...)"
+    names = [p.name for p in item.parameters]
+    if len(set(names)) != len(names):
+        yield f"parameters {', '.join(names)}; expected different names"
+    choices = {p.name for p in item.parameters if not p.fitted}
+    for variant in item.variants:
+        if not isinstance(variant, Variant) or not set(variant.fixed) <= choices:
+            yield f"variant {variant!r}; expected fixed to name choices: {', '.join(choices) or 'none'}"
+            return
+        if any(len(start) != len(fitted) for start in variant.starts):
+            yield f"variant {variant.name!r}: starts; expected {len(fitted)} values each"
+        yield from need_errors(variant.needs)
+    yield from need_errors(item.needs)
+    if not callable(item.scope) and item.scope not in get_args(Scope):
+        yield f"scope {item.scope!r}; expected {', '.join(get_args(Scope))}"
+    for other in item.look_alikes:
+        if other not in known:
+            near = ", ".join(nearest(other, known, cutoff=0.3))
+            yield f"look_alikes: {other!r} is no effect; nearest: {near}"
+
+
+def parameter_errors(p: EffectParameter) -> Iterator[str]:
+    """Yield what is wrong with the statements of a parameter."""
+    numbers = {name: getattr(p, name) for name in ("neutral", "low", "high", "typical", "sign")}
+    for name, value in numbers.items():
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+        ):
+            yield f"{p.name}: {name} {value!r}; expected a finite number"
+            return
+    if not (isinstance(p.name, str) and p.name.isidentifier() and isinstance(p.unit, str)):
+        yield f"{p.name!r}, {p.unit!r}: expected a name of letters, digits and _, and a unit"
+    if not p.low <= p.neutral <= p.high:
+        yield f"{p.name}: neutral {p.neutral:g}; expected it from low {p.low:g} to high {p.high:g}"
+    if not p.typical > 0.0:
+        yield f"{p.name}: typical {p.typical:g}; expected more than 0"
+    if p.sign not in (-1, 0, 1):
+        yield f"{p.name}: sign {p.sign}; expected -1, 0 or 1"
+
+
+def need_errors(needs: Any) -> Iterator[str]:
+    """Yield what is wrong with what an effect says it needs."""
+    for need in needs:
+        if need not in get_args(Need):
+            yield f"needs: {need!r}; expected {', '.join(get_args(Need))}"
+
+
+@functools.cache
+def probes() -> tuple[Setup, ...]:
+    """Return a setup of every kind of stroke, some with the oil damper."""
+    commands = {"fixed": "1", "N-B": "B", "B-N": "N", "N-F": "F", "F-N": "N"}
+    conditions = [
+        StrokeConditions(kind, 9e5, ((0.01, commands[kind], 0.98),), load=held)
+        for kind in KINDS
+        for held in ("none", "damper")
+    ]
+    return tuple(Setup.of(load(), one) for one in conditions)
+
+
+def probe_setups(item: Effect) -> list[Setup]:
+    """Return the probes that an effect can act on."""
+    return [
+        setup
+        for setup in probes()
+        if ("damper" not in item.needs or setup.conditions.load == "damper")
+        and ("length stroke" not in item.needs or setup.conditions.kind != "fixed")
+    ]
+
+
+def tried_values(item: Effect) -> Iterator[dict[str, float]]:
+    """Yield values of all parameters: typical sizes, and each at its bounds."""
+    for variant in item.variants:
+        usual = {p.name: p.neutral for p in item.parameters} | dict(variant.fixed)
+        for p in (p for p in item.parameters if p.fitted):
+            step = p.sign * p.typical if p.sign else p.typical
+            usual[p.name] = min(max(p.neutral + step, p.low), p.high)
+        yield usual
+        for p in (p for p in item.parameters if p.fitted):
+            yield usual | {p.name: p.low}
+            yield usual | {p.name: p.high}
+
+
+def changed(item: Effect, setup: Setup, values: dict[str, float]) -> Setup:
+    """Return a copy of a setup with an effect applied, also at its neutral parameters."""
+    twin = setup.copy()
+    item.change(twin, values)
+    return twin
+
+
+def check_neutral(item: Effect, setup: Setup, where: str) -> None:
+    """Check that an effect changes nothing at its neutral parameters. Raises InputError."""
+    values = {p.name: p.neutral for p in item.parameters}
+    twin = changed(item, setup, values)
+    for term, own in added_to(twin):
+        for at, value in term.tried(own):
+            if value != 0.0:
+                given = shown(at)
+                raise InputError(
+                    f"{term.where}({given}) = {value:g} at the neutral parameters; expected 0"
+                )
+    for name in Parameters.fields:
+        if name in ("added", "added_count"):
+            continue
+        old, new = getattr(setup.p, name), getattr(twin.p, name)
+        if not np.array_equal(old, new):
+            raise InputError(
+                f"{where}: at its neutral parameters it changes {name} from {old} to {new}; "
+                "expected no change"
+            )
+
+
+def check_terms(item: Effect, setup: Setup, values: dict[str, float], where: str) -> None:
+    """Check that setup and terms are finite at these values. Raises InputError."""
+    twin = changed(item, setup, values)
+    for term, own in added_to(twin):
+        for at, value in term.tried(own):
+            if not math.isfinite(value):
+                given = shown(at | dict(zip(term.values, own, strict=False)))
+                raise InputError(f"{term.where}({given}) = {value}; expected a finite number")
+    if not np.isfinite(twin.p.array).all():
+        raise InputError(f"{where}: at {shown(values)} it sets a parameter that is not finite")
+
+
+def added_to(setup: Setup) -> Iterator[tuple[AddedTerm, list[float]]]:
+    """Yield the terms that are added to a setup, with their values."""
+    for slot, address, *values in setup.p.added[: int(setup.p.added_count)].tolist():
+        for term in ALL_TERMS:
+            if term.slot == slot and term.compiled.address == address:
+                yield term, values[:ADDED_VALUES]
+
+
+def shown(values: dict[str, float]) -> str:
+    """Return values as arguments."""
+    return ", ".join(f"{name}={value:g}" for name, value in values.items())
