@@ -34,6 +34,9 @@ from plant.parameters import load
 MARK = "@sha256:"
 """Separates a file's path from the hash of its content, where a run stores it."""
 
+SHAPES = ("bump_x", "bump_width", "detent_width", "alpha_v0", "line_volume")
+"""Parameters without a meaning while another one, the size of what they shape, is neutral."""
+
 EXPECTED = "a Python file with EFFECTS = (...)"
 
 _LOADED: dict[str, tuple[str, tuple[str, ...]]] = {}
@@ -80,7 +83,10 @@ def loaded_effects() -> dict[str, str]:
 
 
 def effects_of(name: str, file: str, text: str) -> tuple[Effect, ...]:
-    """Return the checked effects of a file's text; `name` stands for it in messages."""
+    """Return the checked effects of a file's text; `name` replaces its path in messages.
+
+    Raises InputError for whatever is wrong with them.
+    """
     module = ModuleType(f"opc4_effects_{Path(file).stem}")
     module.__file__ = file
     sys.modules[module.__name__] = module  # dataclasses of the file look their module up
@@ -252,7 +258,7 @@ def check_neutral(item: Effect, setup: Setup, where: str) -> None:
                     f"{term.where}({given}) = {value:g} at the neutral parameters; expected 0"
                 )
     for name in Parameters.fields:
-        if name in ("added", "added_count"):
+        if name in ("added", "added_count", *SHAPES):
             continue
         old, new = getattr(setup.p, name), getattr(twin.p, name)
         if not np.array_equal(old, new):
