@@ -81,8 +81,8 @@ memory_record = named(Memory)
 result_of = named(Result)
 
 IDLE = -1
-# What a lane takes of a stroke: no term has nodes there.
-COPIED, MODES = Parameters.fields["term_nodes"].start, Modes.size
+# What a lane takes of a stroke: no term is added there.
+COPIED, MODES = Parameters.fields["added_count"].start, Modes.size
 LIMIT_EVENTS = 4000
 LEAST_ROOT = 0.5623413251903491  # of a norm of 1e-4
 SMALL_NORM = 0.01  # square of the norm

@@ -49,8 +49,7 @@ FREE_OF = (
     Parameters.leak_piston,
     Parameters.leak_atm,
     Parameters.alpha_speed,
-    Parameters.term_slot,
-    Parameters.added_count,
+    Parameters.adder,
 )
 MODES_FREE_OF = (Modes.damper, Modes.line, Modes.oil_rest, Modes.blocked)
 ABSENT["lane parameters"] = sum(1 << i for i in FREE_OF)
@@ -86,7 +85,7 @@ class Lane(Record):
     lowest: Value  # guard at the end of the step
     hides: Value  # 1: a body may have turned or met another within the step
     flow: Value = block(FlowMap.size)
-    parameters: Value = block(Parameters.fields["term_nodes"].start)  # no term has nodes here
+    parameters: Value = block(Parameters.fields["added_count"].start)  # no term is added here
     steps: Value = block(MAX_STATES)  # step sizes again, once for every state
     scale: Value = block(MAX_STATES)
     take: Value = block(MAX_STATES)  # `accepted` again, once for every state

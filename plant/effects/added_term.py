@@ -3,7 +3,7 @@
 The function's address and the values of its parameters are written into a stroke's record; the
 equations call it in its slot. So no kernel is compiled again, and strokes without a term run as
 they do without this module.  A stroke with an added term takes the scalar kernel, also in a batch.
-Checked by: tests/unit/plant/effects/test_added_term.py
+Checked by: tests/unit/plant/effects/test_user_file.py
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import dis
 import functools
 import inspect
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import product
 from typing import Any
 
@@ -22,21 +22,23 @@ from numba import types
 
 from plant.effects.setup import Setup
 from plant.errors import InputError
+from plant.kernel.compiled import c_function
 from plant.kernel.layout import ADDED_VALUES, MOST_ADDED, Slot
+from plant.parts.term import DIRECTION, POSITION, PRESSURE, SPEED, TIME, sum_of_terms
 
 __all__ = ["ARGUMENTS", "AddedTerm", "Slot", "added_term"]
 
-FLOW = {"time_s": 0, "position_m": 1, "valve": 3, "pressure_pa": 4}
+FLOW = {"time_s": TIME, "position_m": POSITION, "valve": DIRECTION, "pressure_pa": PRESSURE}
 ARGUMENTS: dict[Slot, dict[str, int]] = {
-    Slot.FORCE: {"time_s": 0, "position_m": 1, "speed_m_s": 2},
-    Slot.RESISTANCE: {"position_m": 1, "speed_m_s": 2, "direction": 3},
+    Slot.FORCE: {"time_s": TIME, "position_m": POSITION, "speed_m_s": SPEED},
+    Slot.RESISTANCE: {"position_m": POSITION, "speed_m_s": SPEED, "direction": DIRECTION},
     Slot.FLOW_1: FLOW,
     Slot.FLOW_2: FLOW,
     Slot.FLOW_3: FLOW,
     Slot.LEAK: FLOW,
-    Slot.CHARGE: {"pressure_ratio": 4},
-    Slot.DISCHARGE: {"pressure_ratio": 4},
-    Slot.EXPONENT: {"speed_m_s": 2},
+    Slot.CHARGE: {"pressure_ratio": PRESSURE},
+    Slot.DISCHARGE: {"pressure_ratio": PRESSURE},
+    Slot.EXPONENT: {"speed_m_s": SPEED},
 }
 """What the term of a slot may depend on, and where the equations pass it (`call_at`)."""
 
@@ -54,7 +56,7 @@ TRIED: dict[str, tuple[float, ...]] = {
 RAISES = {"RAISE_VARARGS", "LOAD_ASSERTION_ERROR"}
 """Instructions of `raise` and `assert`, which the equations cannot pass on."""
 
-SIGNATURE = types.float64(*[types.float64] * 5, types.CPointer(types.float64))
+SIGNATURE = types.float64(*[types.float64] * 6, types.CPointer(types.float64))
 
 
 class AddedTerm:
@@ -73,15 +75,10 @@ class AddedTerm:
             raise InputError(f"{self.where}: *, / or ** in its arguments; expected plain names")
         if {item.opname for item in dis.get_instructions(code)} & RAISES:
             raise InputError(f"{self.where}: raises an error; expected a number for all arguments")
-        if len(self.values) > ADDED_VALUES:
-            raise InputError(
-                f"{self.where}: {len(self.values)} arguments besides {', '.join(ARGUMENTS[slot])}; "
-                f"expected at most {ADDED_VALUES}"
-            )
 
     @functools.cached_property
     def compiled(self) -> Any:
-        """The function compiled to a C function of five numbers and a pointer to its values.
+        """The function compiled to a C function of six numbers and a pointer to its values.
 
         Raises InputError with file, line and reason if numba cannot compile it.
         """
@@ -92,7 +89,9 @@ class AddedTerm:
             for name in inspect.signature(self.function).parameters
         ]  # fmt: skip
         space: dict[str, Any] = {"function": function}
-        source = f"def entry(a0, a1, a2, a3, a4, values):\n    return function({', '.join(passed)})"
+        source = (
+            f"def entry(a0, a1, a2, a3, a4, a5, values):\n    return function({', '.join(passed)})"
+        )
         exec(source, space)
         try:
             return numba.cfunc(SIGNATURE, error_model="numpy")(space["entry"])
@@ -111,25 +110,14 @@ class AddedTerm:
     def add_to(self, setup: Setup, **values: float) -> None:
         """Add the term, with these values of its other arguments, to a stroke.
 
-        Raises InputError if they are not its arguments, or the stroke has no room for one more.
+        Raises InputError if they are not its arguments, or the stroke has no room for them.
         """
         if set(values) != set(self.values):
             expected = ", ".join(self.values) or "none"
             raise InputError(
                 f"{self.where}: values {', '.join(values) or 'none'}; expected {expected}"
             )
-        p = setup.p
-        count = int(p.added_count)
-        if count == MOST_ADDED:
-            raise InputError(
-                f"{self.where}: the {count + 1}th added term; expected at most {MOST_ADDED}"
-            )
-        row = p.added[count]
-        row[0] = self.slot
-        row[1] = self.compiled.address
-        row[2:] = 0.0
-        row[2 : 2 + len(self.values)] = [values[name] for name in self.values]
-        p.added_count = count + 1.0
+        write_term(setup, self.slot, self.compiled.address, [values[n] for n in self.values])
 
     def tried(self, values: list[float]) -> Iterator[tuple[dict[str, float], float]]:
         """Yield arguments all over their ranges, and the term there, for these values."""
@@ -138,10 +126,36 @@ class AddedTerm:
         pointer = own.ctypes.data_as(call.argtypes[-1])
         for chosen in product(*(TRIED[name] for name in self.arguments)):
             at = dict(zip(self.arguments, chosen, strict=True))
-            five = [0.0] * 5
+            six = [0.0] * 6
             for name, value in at.items():
-                five[ARGUMENTS[self.slot][name]] = value
-            yield at, float(call(*five, pointer))
+                six[ARGUMENTS[self.slot][name]] = value
+            yield at, float(call(*six, pointer))
+
+
+def write_term(setup: Setup, slot: float, address: int, values: Sequence[float]) -> None:
+    """Write a term, by its function's address and its values, into a stroke's parameters.
+
+    Raises InputError if there is no room for it.
+    """
+    p = setup.p
+    count = int(p.added_count)
+    used = int(p.added_used)
+    if count == MOST_ADDED or used + len(values) > ADDED_VALUES:
+        raise InputError(
+            f"{count + 1} added terms of {used + len(values)} values on one stroke; expected at most "
+            f"{MOST_ADDED} of {ADDED_VALUES}"
+        )
+    p.adder = adder_address()
+    p.added[count] = slot, address, used
+    p.added_values[used : used + len(values)] = values
+    p.added_count = count + 1.0
+    p.added_used = used + len(values)
+
+
+@functools.cache
+def adder_address() -> int:
+    """Return the address of the function that the equations call."""
+    return int(c_function(sum_of_terms, SIGNATURE).address)
 
 
 def reason_of(error: Exception) -> str:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from plant.effects.effect import EffectParameter, Scope, Values, Variant, choice, effect
 from plant.effects.setup import Setup
-from plant.effects.term import into_kernel
+from plant.effects.term import add_table
 from plant.kernel.layout import TERM_NODES, Over, Slot
 from plant.parts.flow import orifice
 
@@ -82,7 +82,7 @@ def leak_out(setup: Setup, values: dict[str, float]) -> None:
 def follow_pressure(setup: Setup, slot: float, pressures: Floats, flows: Floats) -> None:
     """Enter flows [n] in K kg/s of a chamber, tabulated by its own pressures [n] in Pa."""
     grid = {"low": float(pressures[0]), "step": float(pressures[1] - pressures[0])}
-    into_kernel(setup.p, {"equation": slot, "variable": Over.SPEED, **grid}, flows)
+    add_table(setup, {"equation": slot, "variable": Over.SPEED, **grid}, flows)
 
 
 @effect(

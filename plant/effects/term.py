@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from plant.effects.added_term import ARGUMENTS, SIGNATURE, write_term
 from plant.effects.effect import EffectParameter, Scope, Values, effect
 from plant.effects.setup import Curve, Setup
 from plant.effects.tolerances import shift
 from plant.errors import InputError
-from plant.kernel.layout import TERM_NODES, Over, Parameters, Slot
+from plant.kernel.compiled import c_function
+from plant.kernel.layout import FIXED, TERM_NODES, Over, Slot
 from plant.kernel.packing import Floats
+from plant.parts.term import AGAINST_MOTION, POSITION, PRESSURE, SPEED, TIME, tabulated
 
 LEVELLED = {
     Slot.RISE: "rise",
@@ -161,17 +165,28 @@ def term(setup: Setup, values: dict[str, float]) -> None:
     elif equation == Slot.GAUGE:
         setup.gauge_error_pa = curve
     else:
-        into_kernel(setup.p, values, nodes)
+        add_table(setup, values, nodes)
 
 
-def into_kernel(p: Parameters, values: dict[str, float], nodes: Floats) -> None:
-    """Write a term, nodes [n], into the packed parameters where the equations read it."""
-    p.term_slot = values["equation"]
-    p.term_variable = values["variable"]
-    p.term_low = values["low"]
-    p.term_step = values["step"]
-    p.term_count = float(len(nodes))
-    p.term_nodes[: len(nodes)] = nodes
+def add_table(setup: Setup, values: Mapping[str, float], nodes: Floats) -> None:
+    """Add a term, nodes [n], where the equations read it."""
+    slot = Slot(int(values["equation"]))
+    if slot == Slot.FLOW_3 and setup.conditions.system == FIXED:
+        slot = Slot.FLOW_2
+    offered = ARGUMENTS[slot].values()
+    over = {Over.TIME: TIME, Over.POSITION: POSITION}.get(Over(int(values["variable"])), SPEED)
+    if over not in offered:
+        over = SPEED if SPEED in offered else PRESSURE
+    if slot == Slot.FORCE and over == SPEED:
+        over = AGAINST_MOTION
+    grid = [over, values["low"], values["step"], len(nodes)]
+    write_term(setup, slot, table_address(), [*grid, *nodes.tolist()])
+
+
+@functools.cache
+def table_address() -> int:
+    """Return the address of the compiled `tabulated`."""
+    return int(c_function(tabulated, SIGNATURE).address)
 
 
 EFFECTS = (term,)

@@ -14,6 +14,7 @@ import math
 import sys
 import traceback
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from types import ModuleType
 from typing import Any, get_args
@@ -23,12 +24,12 @@ import numpy as np
 from can_dbc.errors import nearest
 from can_dbc.user_file import read_user_text
 from plant import effects as catalogue
-from plant.effects.added_term import ALL_TERMS, AddedTerm
+from plant.effects.added_term import ALL_TERMS
 from plant.effects.effect import Effect, EffectParameter, Need, Scope, Variant
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import KINDS, StrokeConditions
 from plant.errors import InputError
-from plant.kernel.layout import ADDED_VALUES, Parameters
+from plant.kernel.layout import Parameters
 from plant.parameters import load
 
 MARK = "@sha256:"
@@ -173,7 +174,7 @@ def statement_errors(item: Effect, known: set[str]) -> Iterator[str]:
     for other in item.look_alikes:
         if other not in known:
             near = ", ".join(nearest(other, known, cutoff=0.3))
-            yield f"look_alikes: {other!r} is no effect; nearest: {near}"
+            yield f"look_alikes: {other!r} is no effect; expected ids; nearest: {near}"
 
 
 def parameter_errors(p: EffectParameter) -> Iterator[str]:
@@ -250,15 +251,11 @@ def check_neutral(item: Effect, setup: Setup, where: str) -> None:
     """Check that an effect changes nothing at its neutral parameters. Raises InputError."""
     values = {p.name: p.neutral for p in item.parameters}
     twin = changed(item, setup, values)
-    for term, own in added_to(twin):
-        for at, value in term.tried(own):
-            if value != 0.0:
-                given = shown(at)
-                raise InputError(
-                    f"{term.where}({given}) = {value:g} at the neutral parameters; expected 0"
-                )
+    for call, value in evaluated(twin):
+        if value != 0.0:
+            raise InputError(f"{call} = {value:g} at the neutral parameters; expected 0")
     for name in Parameters.fields:
-        if name in ("added", "added_count", *SHAPES):
+        if name.startswith("added") or name in ("adder", *SHAPES):
             continue
         old, new = getattr(setup.p, name), getattr(twin.p, name)
         if not np.array_equal(old, new):
@@ -271,21 +268,26 @@ def check_neutral(item: Effect, setup: Setup, where: str) -> None:
 def check_terms(item: Effect, setup: Setup, values: dict[str, float], where: str) -> None:
     """Check that setup and terms are finite at these values. Raises InputError."""
     twin = changed(item, setup, values)
-    for term, own in added_to(twin):
-        for at, value in term.tried(own):
-            if not math.isfinite(value):
-                given = shown(at | dict(zip(term.values, own, strict=False)))
-                raise InputError(f"{term.where}({given}) = {value}; expected a finite number")
+    list(evaluated(twin))
     if not np.isfinite(twin.p.array).all():
         raise InputError(f"{where}: at {shown(values)} it sets a parameter that is not finite")
 
 
-def added_to(setup: Setup) -> Iterator[tuple[AddedTerm, list[float]]]:
-    """Yield the terms that are added to a setup, with their values."""
-    for slot, address, *values in setup.p.added[: int(setup.p.added_count)].tolist():
-        for term in ALL_TERMS:
-            if term.slot == slot and term.compiled.address == address:
-                yield term, values[:ADDED_VALUES]
+def evaluated(setup: Setup) -> Iterator[tuple[str, float]]:
+    """Yield the calls of the terms added to a setup, all over their ranges, and what they return.
+
+    Raises InputError for a value that is not finite.
+    """
+    rows = setup.p.added[: int(setup.p.added_count)].tolist()
+    for term, (slot, address, first) in product(ALL_TERMS, rows):
+        if term.slot != slot or term.compiled.address != address:
+            continue
+        own = setup.p.added_values[int(first) : int(first) + len(term.values)].tolist()
+        for at, value in term.tried(own):
+            call = f"{term.where}({shown(at | dict(zip(term.values, own, strict=True)))})"
+            if not math.isfinite(value):
+                raise InputError(f"{call} = {value}; expected a finite number")
+            yield call, value
 
 
 def shown(values: dict[str, float]) -> str:

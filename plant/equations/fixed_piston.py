@@ -27,6 +27,7 @@ from plant.equations.length_impacts import direction_of, group_acceleration, reb
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import COMPRESSIBLE, FixedState, Slot
 from plant.kernel.record_views import quadratures_of
+from plant.kernel.views import unlikely
 from plant.parts.chamber import (
     all_leaks,
     chamber,
@@ -38,7 +39,7 @@ from plant.parts.chamber import (
 from plant.parts.damper import damper_difference, oil_rate
 from plant.parts.friction import seal_drag, stay_sliding, stay_static
 from plant.parts.loads import conservative_force
-from plant.parts.term import added_terms, term_force
+from plant.parts.term import added
 
 STATES = FixedState.size
 
@@ -50,10 +51,8 @@ def fixed_drive(y, m, p, t):
     force += conservative_force(y.x, p)
     if m.damper != 0:
         force -= p.a_oil * damper_difference(y.x, y.v, y.p_oil, m, p)
-    if p.term_slot == Slot.FORCE:
-        force += term_force(t, y.x, y.v, p)
-    if p.added_count != 0.0:
-        force += added_terms(Slot.FORCE, t, y.x, y.v, 0.0, 0.0, p)
+    if unlikely(p.adder != 0.0):
+        force += added(Slot.FORCE, t, y.x, y.v, 0.0, 0.0, p)
     return force
 
 
@@ -81,10 +80,8 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
     u_2 = u0[1] + du[1] * t
     supply = y.p_line if m.line != 0 else p.p_supply
     across = piston_leak(y.p_1, y.p_2, p)
-    own_1 = p.term_slot == Slot.FLOW_1
-    own_2 = p.term_slot == Slot.FLOW_2 or p.term_slot == Slot.FLOW_3
-    leak_1 = all_leaks(0.0 - across, t, y.x, y.p_1, u_1, Slot.FLOW_1, own_1, p)
-    leak_2 = all_leaks(across, t, y.x, y.p_2, u_2, Slot.FLOW_2, own_2, p)
+    leak_1 = all_leaks(0.0 - across, t, y.x, y.p_1, u_1, Slot.FLOW_1, p)
+    leak_2 = all_leaks(across, t, y.x, y.p_2, u_2, Slot.FLOW_2, p)
     alphas = exponents(abs(v), p)
     v_1, v_2 = fixed_volumes(y, p)
     dv_1 = p.area_p * v
@@ -113,10 +110,8 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
         if m.damper != 0:
             q.damper = v * p.a_oil * damper_difference(y.x, v, y.p_oil, m, p)
         q.external = conservative_force(y.x, p) * v
-        if p.term_slot == Slot.FORCE:
-            q.external += term_force(t, y.x, v, p) * v
-        if p.added_count != 0.0:
-            q.external += added_terms(Slot.FORCE, t, y.x, v, 0.0, 0.0, p) * v
+        if unlikely(p.adder != 0.0):
+            q.external += added(Slot.FORCE, t, y.x, v, 0.0, 0.0, p) * v
         q.atmosphere = -p.p_atm * p.area_s * v
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import COLLAR, COMPRESSIBLE, FREE, NUT, LengthState, Slot
 from plant.kernel.record_views import quadratures_of
+from plant.kernel.views import unlikely
 from plant.parts.chamber import (
     all_leaks,
     chamber,
@@ -20,7 +21,7 @@ from plant.parts.chamber import (
 from plant.parts.damper import damper_difference, oil_rate
 from plant.parts.friction import piston_sliding, stay_sliding
 from plant.parts.loads import conservative_force
-from plant.parts.term import added_terms, term_force
+from plant.parts.term import added
 
 STATES = LengthState.size
 # Bodies nearer than this touch.
@@ -35,10 +36,8 @@ def stay_force(y, m, p, t):
     if m.damper != 0:
         side = float(m.side)
         force -= side * p.a_oil * damper_difference(side * x, side * y.v_s, y.p_oil, m, p)
-    if p.term_slot == Slot.FORCE:
-        force += term_force(t, x, y.v_s, p)
-    if p.added_count != 0.0:
-        force += added_terms(Slot.FORCE, t, x, y.v_s, 0.0, 0.0, p)
+    if unlikely(p.adder != 0.0):
+        force += added(Slot.FORCE, t, x, y.v_s, 0.0, 0.0, p)
     return force
 
 
@@ -130,9 +129,9 @@ def length_leaks(t, y, u_b, u_n, u_f, p):
     two = piston_leak(y.p_f, y.p_n, p)
     x = y.x_s
     return (
-        all_leaks(0.0 - one, t, x, y.p_b, u_b, Slot.FLOW_1, p.term_slot == Slot.FLOW_1, p),
-        all_leaks(one + two, t, x, y.p_n, u_n, Slot.FLOW_2, p.term_slot == Slot.FLOW_2, p),
-        all_leaks(0.0 - two, t, x, y.p_f, u_f, Slot.FLOW_3, p.term_slot == Slot.FLOW_3, p),
+        all_leaks(0.0 - one, t, x, y.p_b, u_b, Slot.FLOW_1, p),
+        all_leaks(one + two, t, x, y.p_n, u_n, Slot.FLOW_2, p),
+        all_leaks(0.0 - two, t, x, y.p_f, u_f, Slot.FLOW_3, p),
     )
 
 
@@ -186,10 +185,8 @@ def rates(t, y, dy, m, u0, du, p, c, quadratures):
             difference = damper_difference(side * y.x_s, side * v_s, y.p_oil, m, p)
             q.damper = side * v_s * p.a_oil * difference
         q.external = conservative_force(y.x_s, p) * v_s
-        if p.term_slot == Slot.FORCE:
-            q.external += term_force(t, y.x_s, v_s, p) * v_s
-        if p.added_count != 0.0:
-            q.external += added_terms(Slot.FORCE, t, y.x_s, v_s, 0.0, 0.0, p) * v_s
+        if unlikely(p.adder != 0.0):
+            q.external += added(Slot.FORCE, t, y.x_s, v_s, 0.0, 0.0, p) * v_s
         q.atmosphere = 0.0
 
 

@@ -59,7 +59,7 @@ from plant.integrator.steppers import (
 )
 from plant.integrator.workspace import Motion, control_of, run_of, scratch_of
 from plant.kernel.compiled import called, kernel
-from plant.kernel.layout import COMPRESSIBLE, FIXED, Slot
+from plant.kernel.layout import COMPRESSIBLE, FIXED
 from plant.kernel.record_views import flow_map, impact_of, length_state, modes, parameters
 from plant.kernel.views import view
 
@@ -74,8 +74,7 @@ def rests_are_plain(p, m):
         and p.leak_piston == 0.0
         and p.leak_atm == 0.0
         and p.seal_mu == 0.0
-        and p.term_slot == Slot.NONE
-        and p.added_count == 0.0
+        and p.adder == 0.0
         and m.line == 0
     )
 

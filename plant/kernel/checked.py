@@ -10,7 +10,6 @@ import ctypes
 
 import numpy as np
 
-from plant.kernel.layout import ADDED_VALUES
 from plant.kernel.records import RECORDS, Record
 
 ABSENT: dict[str, int] = {"": 0, "discarded": 0}
@@ -108,13 +107,17 @@ def copy_row(v, source, target, width) -> None:
     v._array[to : to + width] = v._array[from_ : from_ + width]
 
 
-def call_at(address, t, x, v, direction, pressure, values) -> float:
-    """Call the compiled function at an address with five numbers and a view of its values."""
+def call_at(address, slot, t, x, v, direction, pressure, p) -> float:
+    """Call the compiled function at an address with six numbers and a pointer to a view."""
     double = ctypes.c_double
-    held = [values[k] for k in range(ADDED_VALUES)]
-    array = (double * ADDED_VALUES)(*held)
-    kind = ctypes.CFUNCTYPE(double, *[double] * 5, ctypes.POINTER(double))
-    return float(kind(int(address))(t, x, v, direction, pressure, array))
+    kind = ctypes.CFUNCTYPE(double, *[double] * 6, ctypes.c_void_p)
+    pointer = p._array[p._start :].ctypes.data
+    return float(kind(int(address))(slot, t, x, v, direction, pressure, pointer))
+
+
+def unlikely(condition: bool) -> bool:
+    """Return the condition."""
+    return condition
 
 
 def named(record: type[Record], absent: str = ""):

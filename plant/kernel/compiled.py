@@ -119,6 +119,16 @@ def called(function: F) -> F:
     return compiled
 
 
+def c_function(function: Callable[..., float], signature: Any) -> Any:
+    """Compile `function` to a C function of that signature, cached on disk; its address is `.address`."""
+    previous = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = _FOLDER
+    try:
+        return numba.cfunc(signature, cache=True, error_model="numpy")(function)
+    finally:
+        numba.config.CACHE_DIR = previous
+
+
 def plain(function: F) -> F:
     """Return the Python function behind a compiled one."""
     return getattr(function, "py_func", function)

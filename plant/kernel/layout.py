@@ -97,8 +97,8 @@ INCOMPRESSIBLE, COMPRESSIBLE = 1, 2
 
 TERM_NODES = 24
 MOST_ADDED = 3
-ADDED_VALUES = 8
-"""How many terms effects may add to the equations of one stroke, and values that each may have."""
+ADDED_VALUES = 40
+"""How many terms effects may add to the equations of one stroke, and values of all together."""
 
 
 class Parameters(Record):
@@ -185,22 +185,19 @@ class Parameters(Record):
     v_oil: Value
     cd_floor: Value
     cd_slope: Value
-    added_count: Value  # how many terms `added` holds
-    # non-parametric term: the slot it enters, its variable, and its nodes on an even grid
-    term_slot: Value
-    term_variable: Value
-    term_low: Value
-    term_step: Value
-    term_count: Value
-    term_nodes: Value = block(TERM_NODES)
-    # terms that effects add: slot, address of the compiled function, its values
-    added: Value = block(MOST_ADDED, 2 + ADDED_VALUES)
+    # terms that effects add: address of `plant.parts.term.sum_of_terms` (0: none), how many terms and
+    # values there are, and of each term its slot, its function's address and its first value's index
+    adder: Value
+    added_count: Value
+    added_used: Value
+    added: Value = block(MOST_ADDED, 3)
+    added_values: Value = block(ADDED_VALUES)
 
 
 class Slot(IntEnum):
     """Where a term enters; of a non-parametric one, as `equation` of an extended model writes it.
 
-    NONE to EXPONENT are slots of the equations (`Parameters.term_slot`).
+    NONE to EXPONENT are slots of the equations (`Parameters.added`).
     FLOW_1 to FLOW_3: into a chamber; FRICTION, RISE, FALL, SUPPLY, CHARGE_LEVEL and DISCHARGE_LEVEL
     have one level a stroke.
     """

@@ -151,7 +151,6 @@ def pack(
     p.v_oil = value("damper.V_oil2_0")
     p.cd_floor = value("damper.C_D_floor")
     p.cd_slope = value("damper.C_D_slope")
-    p.term_step = 1.0
     return p
 
 

@@ -245,18 +245,41 @@ class Fields(AttributeTemplate):
 
 
 @intrinsic
-def _call_at(typing_context, address, t, x, v, direction, pressure, values):
-    """Call the compiled function at an address: double f(five doubles, pointer to its values)."""
+def _call_at(typing_context, address, slot, t, x, v, direction, pressure, values):
+    """Call the compiled function at an address: double f(six doubles, pointer to doubles)."""
     number = types.float64
 
     def generate(context, builder, signature, arguments):
         double = ir.DoubleType()
-        kind = ir.FunctionType(double, [double] * 5 + [double.as_pointer()])
+        kind = ir.FunctionType(double, [double] * 6 + [double.as_pointer()])
         function = builder.inttoptr(arguments[0], kind.as_pointer())
         # "readonly" keeps the compiler from reading every parameter again after the call
         return builder.call(function, arguments[1:], attrs=("readonly", "nounwind"))
 
-    return number(types.int64, *[number] * 5, values), generate
+    return number(types.int64, *[number] * 6, values), generate
+
+
+@intrinsic
+def _moved_pointer(typing_context, pointer, count):
+    """Return a pointer `count` elements further on."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.gep(arguments[0], [arguments[1]])
+
+    return pointer(pointer, types.intp), generate
+
+
+@intrinsic
+def _unlikely(typing_context, condition):
+    """Return a condition that is rarely true: the compiler moves what depends on it out of the way."""
+
+    def generate(context, builder, signature, arguments):
+        bit = ir.IntType(1)
+        kind = ir.FunctionType(bit, [bit, bit])
+        expect = builder.module.declare_intrinsic("llvm.expect", [bit], kind)
+        return builder.call(expect, [arguments[0], bit(0)])
+
+    return types.boolean(types.boolean), generate
 
 
 def _pointer(context, builder, v, pointer, field):
@@ -288,6 +311,8 @@ def _enumerated(context, builder, member, number, value):
 
 
 if CHECKED:
-    from plant.kernel.checked import call_at, copy_row, lane, named, rows, view
+    from plant.kernel.checked import call_at, copy_row, lane, named, rows, unlikely, view
 else:
-    view, rows, lane, copy_row, named, call_at = _view, _rows, _lane, _copy_row, _named, _call_at
+    view, rows, lane, copy_row, named = _view, _rows, _lane, _copy_row, _named
+    call_at, unlikely = _call_at, _unlikely
+moved_pointer = _moved_pointer

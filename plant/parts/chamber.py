@@ -9,18 +9,17 @@ from math import exp
 
 from plant.kernel.compiled import inlined
 from plant.kernel.layout import Slot
+from plant.kernel.views import unlikely
 from plant.parts.flow import charge, discharge, orifice
-from plant.parts.term import added_terms, term_flow, term_value
+from plant.parts.term import added
 
 
 @inlined
 def valve_flow_in(pressure, supply, p, c):
     """Return the charge flow at u = 1 by the selected flow model, with the factor of this unit [K kg/s]."""
     factor = p.k_in
-    if p.term_slot == Slot.CHARGE:
-        factor *= max(0.0, 1.0 + term_value(p, pressure / supply))
-    if p.added_count != 0.0:
-        share = added_terms(Slot.CHARGE, 0.0, 0.0, 0.0, 0.0, pressure / supply, p)
+    if unlikely(p.adder != 0.0):
+        share = added(Slot.CHARGE, 0.0, 0.0, 0.0, 0.0, pressure / supply, p)
         factor *= max(0.0, 1.0 + share)
     if p.flow_model == 0.0:
         return factor * charge(pressure, supply, c)
@@ -31,10 +30,8 @@ def valve_flow_in(pressure, supply, p, c):
 def valve_flow_out(pressure, p, c):
     """Return the discharge flow at u = 0 by the selected flow model [K kg/s]."""
     factor = p.k_out
-    if p.term_slot == Slot.DISCHARGE:
-        factor *= max(0.0, 1.0 + term_value(p, pressure / p.p_atm))
-    if p.added_count != 0.0:
-        share = added_terms(Slot.DISCHARGE, 0.0, 0.0, 0.0, 0.0, pressure / p.p_atm, p)
+    if unlikely(p.adder != 0.0):
+        share = added(Slot.DISCHARGE, 0.0, 0.0, 0.0, 0.0, pressure / p.p_atm, p)
         factor *= max(0.0, 1.0 + share)
     if p.flow_model == 0.0:
         return factor * discharge(pressure, p.p_atm, c)
@@ -50,21 +47,16 @@ def piston_leak(pressure, other, p):
 
 
 @inlined
-def all_leaks(leak, t, x, pressure, u, slot, own, p):
+def all_leaks(leak, t, x, pressure, u, slot, p):
     """Return the flow into a chamber that passes no valve [K kg/s].
 
-    leak: that past the pistons; slot: of the flows into this chamber; own: True if a non-parametric
-    flow enters it.
+    leak: that past the pistons; slot: of the terms that add to it.
     """
     if p.leak_atm != 0.0:
         leak -= u * orifice(pressure, p.p_atm, p.leak_atm, p.t_gas, p.gamma, p.r_air)
-    if p.term_slot == Slot.LEAK:
-        leak -= term_value(p, pressure)
-    elif own:
-        leak += term_flow(t, x, pressure, p)
-    if p.added_count != 0.0:
-        leak += added_terms(slot, t, x, 0.0, u, pressure, p)
-        leak -= added_terms(Slot.LEAK, t, x, 0.0, u, pressure, p)
+    if unlikely(p.adder != 0.0):
+        leak += added(slot, t, x, 0.0, u, pressure, p)
+        leak -= added(Slot.LEAK, t, x, 0.0, u, pressure, p)
     return leak
 
 
@@ -80,12 +72,8 @@ def exponents(speed, p):
     a1 = p.alpha_1 + p.alpha_speed * effective
     am2 = p.alpha_m2 + p.alpha_speed_m2 * effective
     a2 = p.alpha_2 + p.alpha_speed_2 * effective
-    if p.term_slot == Slot.EXPONENT:
-        shift = term_value(p, speed)
-        a1 += shift
-        a2 += shift
-    if p.added_count != 0.0:
-        shift = added_terms(Slot.EXPONENT, 0.0, 0.0, speed, 0.0, 0.0, p)
+    if unlikely(p.adder != 0.0):
+        shift = added(Slot.EXPONENT, 0.0, 0.0, speed, 0.0, 0.0, p)
         a1 += shift
         a2 += shift
     return am1, a1, am2, a2

@@ -6,8 +6,9 @@ from math import exp
 
 from plant.kernel.compiled import inlined
 from plant.kernel.layout import Slot
+from plant.kernel.views import unlikely
 from plant.parts.synchronizer import barrier
-from plant.parts.term import added_terms, term_drag
+from plant.parts.term import added
 
 
 @inlined
@@ -59,11 +60,8 @@ def stay_sliding(x, v, direction, p):
     """Return the sliding friction of the stay in its direction of motion [N], >= 0."""
     level = sliding(direction * v, p.f_static_s, p.f_run_s, p.beta_s, p.stribeck_v)
     level = level * direction_factor(direction, p) + extra_drag(x, direction, p)
-    if p.term_slot == Slot.RESISTANCE:
-        level = max(0.0, level + term_drag(x, abs(v), p))
-    if p.added_count != 0.0:
-        drag = added_terms(Slot.RESISTANCE, 0.0, x, max(direction * v, 0.0), direction, 0.0, p)
-        level = max(0.0, level + drag)
+    if unlikely(p.adder != 0.0):
+        level = max(0.0, level + added(Slot.RESISTANCE, 0.0, x, abs(v), direction, 0.0, p))
     return level
 
 
@@ -72,12 +70,8 @@ def stay_static(x, direction, p):
     """Return the breakaway friction of the stay towards a direction [N]."""
     level = breakaway(p.f_static_s, p.f_run_s) * direction_factor(direction, p)
     level += extra_drag(x, direction, p)
-    if p.term_slot == Slot.RESISTANCE:
-        level = max(0.0, level + term_drag(x, 0.0, p))
-    if p.added_count != 0.0:
-        level = max(
-            0.0, level + added_terms(Slot.RESISTANCE, 0.0, x, 0.0, float(direction), 0.0, p)
-        )
+    if unlikely(p.adder != 0.0):
+        level = max(0.0, level + added(Slot.RESISTANCE, 0.0, x, 0.0, direction, 0.0, p))
     return level
 
 

@@ -1,62 +1,68 @@
-"""Terms in the slots of the equations: one by nodes on an even grid, others as compiled functions."""
+"""Terms that effects add in slots of the equations: compiled functions, called by their addresses.
+
+The equations call `sum_of_terms` by an address in the stroke's parameters, so that they are not
+compiled again for a term, and a stroke without terms pays one comparison for each slot.
+"""
 
 # mypy: disallow-untyped-defs=False
 
 from __future__ import annotations
 
-from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import Over
-from plant.kernel.views import call_at
+from plant.kernel.compiled import inlined
+from plant.kernel.layout import Parameters
+from plant.kernel.views import call_at, moved_pointer
+
+COUNT, ROWS, VALUES = (Parameters.fields[n].start for n in ("added_count", "added", "added_values"))
+ROW = Parameters.fields["added"].row
+
+TIME, POSITION, SPEED, DIRECTION, PRESSURE, AGAINST_MOTION = range(1, 7)
+"""Arguments of a term (all but the last); the valve's position takes the place of the direction."""
 
 
 @inlined
-def term_value(p, variable):
-    """Return the term: nodes joined by straight lines, constant outside [unit of its slot]."""
-    count = int(p.term_count)
-    place = (variable - p.term_low) / p.term_step
-    if place <= 0.0:
-        return p.term_nodes[0]
-    if place >= count - 1:
-        return p.term_nodes[count - 1]
-    k = int(place)
-    w = place - k
-    return (1.0 - w) * p.term_nodes[k] + w * p.term_nodes[k + 1]
-
-
-@inlined
-def term_force(t, x, v, p):
-    """Return the force of time, of position, or (as a resistance) of speed [N]."""
-    if p.term_variable == Over.TIME:
-        return term_value(p, t)
-    if p.term_variable == Over.POSITION:
-        return term_value(p, x)
-    value = term_value(p, abs(v))
-    return -value if v > 0.0 else (value if v < 0.0 else 0.0)
-
-
-@inlined
-def term_drag(x, speed, p):
-    """Return the resistance of position or of speed [N]."""
-    return term_value(p, x if p.term_variable == Over.POSITION else speed)
-
-
-@inlined
-def term_flow(t, x, pressure, p):
-    """Return the flow of time, of position, or of the chamber's own pressure [K kg/s]."""
-    if p.term_variable == Over.TIME:
-        return term_value(p, t)
-    return term_value(p, x if p.term_variable == Over.POSITION else pressure)
-
-
-@called
-def added_terms(slot, t, x, v, direction, pressure, p):
-    """Return the sum of the functions that effects add in a slot [unit of the slot].
+def added(slot, t, x, v, direction, pressure, p):
+    """Return the sum of the terms in a slot [unit of the slot].
 
     What they depend on, by slot: `plant.effects.added_term.ARGUMENTS`.
     """
+    return call_at(int(p.adder), slot, t, x, v, direction, pressure, p)
+
+
+def sum_of_terms(slot, t, x, v, direction, pressure, p):
+    """Return the sum of the terms in a slot; p: pointer to the stroke's parameters."""
     total = 0.0
-    for k in range(int(p.added_count)):
-        row = p.added[k]
-        if row[0] == slot:
-            total += call_at(int(row[1]), t, x, v, direction, pressure, row[2:])
+    for k in range(int(p[COUNT])):
+        row = ROWS + k * ROW
+        if p[row] == slot:
+            values = moved_pointer(p, VALUES + int(p[row + 2]))
+            total += call_at(int(p[row + 1]), slot, t, x, v, direction, pressure, values)
     return total
+
+
+def tabulated(slot, t, x, v, direction, pressure, values):
+    """Return a term by its values on an even grid, joined by straight lines, constant outside.
+
+    values: what it depends on (TIME, POSITION, SPEED or PRESSURE; AGAINST_MOTION: a force of the
+    speed's size that acts against it); lower end and step of the grid; how many nodes; the nodes.
+    """
+    over = values[0]
+    sign = 1.0
+    variable = pressure
+    if over == TIME:
+        variable = t
+    elif over == POSITION:
+        variable = x
+    elif over == SPEED:
+        variable = v
+    elif over == AGAINST_MOTION:
+        variable = abs(v)
+        sign = -1.0 if v > 0.0 else (1.0 if v < 0.0 else 0.0)
+    count = int(values[3])
+    place = (variable - values[1]) / values[2]
+    if place <= 0.0:
+        return sign * values[4]
+    if place >= count - 1:
+        return sign * values[3 + count]
+    k = int(place)
+    w = place - k
+    return sign * ((1.0 - w) * values[4 + k] + w * values[5 + k])
