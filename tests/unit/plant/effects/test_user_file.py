@@ -96,7 +96,7 @@ WRONG = {
     "signature": ("end_m):", "*end_m):", r":9: grip: \*, / or \*\* in its arguments; expected plain"),
     "not a number": ("/ length_m)", "/ length_m) / (end_m - end_m)", r"grip\(position_m=-0.03, .*\) = nan"),
     "infinite": ("low=2e-4", "low=0.0", r": grip\(position_m=.*length_m=0.*\) = nan; expected a finite"),
-    "not neutral": (GRIP, GRIP + " + 1.0", r"grip\(position_m=-0.03\) = 1 at the neutral parameters; exp"),
+    "not neutral": (GRIP, GRIP + " + 1.0", r"grip\(position_m=-0.03, .*\) = 1 at the neutral parameters; exp"),
     "changes": ("    grip.add", "    setup.p.f_external += 5\n    grip.add", r"it changes f_external from 0.0 to 5"),
     "in use": ("    grip.add", "    setup.none += 5\n    grip.add", r":\d+: AttributeError: .*none"),
 }  # fmt: skip
