@@ -47,13 +47,11 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         messages = response_times.contract_messages()
     bitrate = arguments.bitrate or bitrate
-    load = float(response_times.utilisation(messages, bitrate))
     responses = response_times.response_times(messages, bitrate)
-    transports = _transports()
     figures: dict[str, Any] = {
-        "transports": transports,
+        "transports": _transports(),
         "bitrate": bitrate,
-        "worst_case_load": load,
+        "worst_case_load": float(response_times.utilisation(messages, bitrate)),
         "messages": [
             {
                 "name": r.name,

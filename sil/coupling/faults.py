@@ -188,24 +188,27 @@ class Window(NamedTuple):
 
 
 class _Selection:
-    """Selects the frames that one frame fault hits, and stores its state."""
+    """Selects the frames that one frame fault hits, and changes what arrives of them."""
 
     def __init__(self, fault: Any, window: Window, seed: str) -> None:
         self.fault = fault
-        self.can_id = can_id_of(getattr(messages, fault.message))
         self.message_type: type = getattr(messages, fault.message)
-        self.random = random.Random(seed)
         self.hits = 0
-        self.retries: dict[tuple[int, int], int] = {}
-        self.counter: int | None = None
+        self._can_id = can_id_of(self.message_type)
+        self._random = random.Random(seed)
+        self._hit_first: set[int] = set()
+        """Instants of queueing of the frames whose first transmission was destroyed, ns."""
+        self._counter: int | None = None
         self._window = window
         self._candidates = 0
 
     def picks(self, transmission: Transmission) -> bool:
-        if transmission.frame.can_id != self.can_id:
+        if transmission.frame.can_id != self._can_id:
             return False
         if transmission.attempt > 1 and isinstance(self.fault, DetectedCorruption):
-            return (transmission.frame.can_id, transmission.queued_ns) in self.retries
+            if transmission.attempt > self.fault.attempts:
+                self._hit_first.discard(transmission.queued_ns)
+            return transmission.queued_ns in self._hit_first
         if not self._window.holds(transmission.start_ns):
             return False
         if self.fault.count is not None and self.hits >= self.fault.count:
@@ -213,7 +216,28 @@ class _Selection:
         self._candidates += 1
         if (self._candidates - 1) % self.fault.every:
             return False
-        return bool(self.fault.probability >= 1.0 or self.random.random() < self.fault.probability)
+        return bool(self.fault.probability >= 1.0 or self._random.random() < self.fault.probability)
+
+    def apply(
+        self, transmission: Transmission, deliveries: Sequence[Delivery]
+    ) -> Sequence[Delivery] | ErrorFrame:
+        fault, draw = self.fault, self._random
+        self.hits += 1
+        if isinstance(fault, DetectedCorruption):
+            self._hit_first.add(transmission.queued_ns)
+            return ErrorFrame()
+        if isinstance(fault, Loss):
+            return ()
+        if isinstance(fault, Delay):
+            jitter_us = round(fault.jitter_s * 1e6)
+            late_us = round(fault.delay_s * 1e6) + (draw.randint(0, jitter_us) if jitter_us else 0)
+            return [d._replace(arrival_ns=d.arrival_ns + late_us * _NS_PER_US) for d in deliveries]
+        if isinstance(fault, FrozenCounter):
+            if self._counter is None:
+                self._counter = transmission.frame.data[1] % COUNTERS
+            kind, counter = self.message_type, self._counter
+            return [d._replace(frame=with_counter(kind, d.frame, counter)) for d in deliveries]
+        return [d._replace(frame=_flipped(d.frame, fault.bits, draw)) for d in deliveries]
 
 
 class FaultPlan:
@@ -271,10 +295,7 @@ class FaultPlan:
         for selection in self._selections:
             if not selection.picks(transmission):
                 continue
-            verdict = _apply(selection, transmission, deliveries)
-            if verdict is None:
-                continue
-            selection.hits += 1
+            verdict = selection.apply(transmission, deliveries)
             if isinstance(verdict, ErrorFrame):
                 return verdict
             deliveries = verdict
@@ -286,8 +307,6 @@ class FaultPlan:
 
     def bus_off(self, instant_ns: int) -> frozenset[str]:
         """Return the nodes that do not receive a frame that arrives at this instant."""
-        if not self._off:
-            return frozenset()
         return frozenset(node for node, window in self._off if window.holds(instant_ns))
 
     def next_event(self, name: str, event_ns: int, period_ns: int) -> int:
@@ -323,37 +342,6 @@ def window_of(fault: BusFault, name: str = "fault") -> Window:
             f"{name}.end_s: {fault.end_s} s; expected later than start_s, {fault.start_s} s"
         )
     return Window(start_ns, end_ns)
-
-
-def _apply(
-    selection: _Selection, transmission: Transmission, deliveries: Sequence[Delivery]
-) -> Sequence[Delivery] | ErrorFrame | None:
-    """Return the changed deliveries, or None where the fault does not change them."""
-    fault = selection.fault
-    if isinstance(fault, DetectedCorruption):
-        return _error_frame(selection, transmission)
-    if isinstance(fault, Loss):
-        return ()
-    if isinstance(fault, Delay):
-        jitter_us = round(fault.jitter_s * 1e6)
-        late_ns = round(fault.delay_s * 1e6) * _NS_PER_US
-        late_ns += selection.random.randint(0, jitter_us) * _NS_PER_US if jitter_us else 0
-        return [d._replace(arrival_ns=d.arrival_ns + late_ns) for d in deliveries]
-    if isinstance(fault, FrozenCounter):
-        if selection.counter is None:
-            selection.counter = transmission.frame.data[1] % COUNTERS
-        kind, counter = selection.message_type, selection.counter
-        return [d._replace(frame=with_counter(kind, d.frame, counter)) for d in deliveries]
-    return [d._replace(frame=_flipped(d.frame, fault.bits, selection.random)) for d in deliveries]
-
-
-def _error_frame(selection: _Selection, transmission: Transmission) -> ErrorFrame | None:
-    key = (transmission.frame.can_id, transmission.queued_ns)
-    left = selection.retries.pop(key, selection.fault.attempts)
-    if left == 0:
-        return None
-    selection.retries[key] = left - 1
-    return ErrorFrame()
 
 
 def _flipped(frame: Frame, bits: int, generator: random.Random) -> Frame:

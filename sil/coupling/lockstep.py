@@ -168,13 +168,14 @@ class Lockstep:
                 channel.deliver((delivery,), bus_off)
 
     def _take(self, name: str, now_ns: int, turn: Turn) -> None:
-        for release_ns, frame in turn.frames:
+        frames, next_ns = turn
+        for release_ns, frame in frames:
             try:
                 self._bus.queue(release_ns, frame, name)
             except ValueError as error:
                 raise ParticipantLost(name, str(error)) from None
-        self._next[name] = self._running_event(name, turn.next_ns, now_ns, turn.next_ns - now_ns)
-        if self._next[name] >= NEVER_NS and turn.next_ns < NEVER_NS:
+        self._next[name] = self._running_event(name, next_ns, now_ns, next_ns - now_ns)
+        if self._next[name] >= NEVER_NS > next_ns:
             del self._next[name]
             self._channel_of[name].retire(name)
 

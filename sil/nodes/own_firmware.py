@@ -19,7 +19,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from multiprocessing.connection import Pipe
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,7 +27,7 @@ import msgspec
 
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
-from sil.coupling.transports.channel import ParticipantLost
+from sil.coupling.transports.channel import ParticipantLost, Received, Turn
 
 if TYPE_CHECKING:
     from controller.config import FirmwareConfig
@@ -68,9 +67,7 @@ class OwnController:
         """Return the time of the first tick, ns."""
         return 0
 
-    def advance(
-        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
-    ) -> tuple[list[tuple[int, Frame]], int]:
+    def advance(self, until_ns: int, deliveries: Received) -> Turn:
         """Advance the controller, as `controller.node.ControllerNode` does.
 
         Raises ParticipantLost with the file, the line and the error when the firmware fails.

@@ -16,7 +16,7 @@ from can_dbc.messages import Gear, ShiftRequest
 from sil.coupling.clock import NS_PER_S, next_tick, to_ns
 from sil.coupling.faults import INTRUDER, Intrusion, Replayed, Spoofed, window_of
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
-from sil.coupling.transports.channel import Participant
+from sil.coupling.transports.channel import Participant, Received, Turn
 
 Released = list[tuple[int, Frame]]
 """Frames with their release instants, ns."""
@@ -64,9 +64,7 @@ class DriverNode(_Node):
         """Return the instant of the first frame, ns."""
         return self._phase_ns
 
-    def advance(
-        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
-    ) -> tuple[Released, int]:
+    def advance(self, until_ns: int, deliveries: Received) -> Turn:
         """Send the frame that is due at `until_ns`; frames of others are ignored."""
         while self._schedule and self._schedule[0][0] <= until_ns:
             self._gear = self._schedule.pop(0)[1]
@@ -126,9 +124,7 @@ class TrafficNode(_Node):
         self._load = _Load(load, TRAFFIC_WINDOW_NS, bitrate, draw, can_id)
         self._next_ns = 0
 
-    def advance(
-        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
-    ) -> tuple[Released, int]:
+    def advance(self, until_ns: int, deliveries: Received) -> Turn:
         """Release the frames of the window that begins at `until_ns`."""
         if until_ns < self._next_ns:  # the run ends between two windows
             return [], self._next_ns
@@ -148,9 +144,7 @@ class IntruderNode(_Node):
         ]
         self._next_ns = 0
 
-    def advance(
-        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
-    ) -> tuple[Released, int]:
+    def advance(self, until_ns: int, deliveries: Received) -> Turn:
         """Release the frames of the millisecond that begins at `until_ns`."""
         if until_ns < self._next_ns:  # the run ends within a millisecond
             return [], self._next_ns
@@ -172,7 +166,7 @@ class _Intrusion:
             can_id = join_id(fault.priority, BABBLED_PGN, INTRUDER_SOURCE)
             self._load = _Load(fault.load, INTRUDER_STEP_NS, bitrate, draw, lambda: can_id)
 
-    def released(self, begin_ns: int, deliveries: Sequence[tuple[int, Frame]]) -> Released:
+    def released(self, begin_ns: int, deliveries: Received) -> Released:
         """Return the frames released in the step that begins at `begin_ns`."""
         fault = self._fault
         if isinstance(fault, Replayed):
@@ -218,9 +212,7 @@ class Drifting:
         self._before_own_ns = self._next_own_ns = self._inner.start()
         return self._simulated(self._next_own_ns)
 
-    def advance(
-        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
-    ) -> tuple[Released, int]:
+    def advance(self, until_ns: int, deliveries: Received) -> Turn:
         """Advance the participant to what its own clock shows at `until_ns`."""
         due_ns = self._simulated(self._next_own_ns)
         own_ns = self._next_own_ns

@@ -8,7 +8,7 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 from zlib import crc32
@@ -17,7 +17,6 @@ import msgspec
 
 from can_dbc.contract import contract
 from can_dbc.errors import InputError
-from can_dbc.frame import Frame
 from can_dbc.messages import Gear
 from sil.coupling.bus import BusModel
 from sil.coupling.clock import to_ns
@@ -28,7 +27,9 @@ from sil.coupling.transports.channel import (
     InProcess,
     Participant,
     ParticipantLost,
+    Received,
     Timeouts,
+    Turn,
 )
 from sil.coupling.transports.wire import GUEST
 from sil.nodes.simulated import Drifting, DriverNode, IntruderNode, TrafficNode
@@ -99,15 +100,10 @@ class RecordedPlant:
 
     def __init__(self, node: PlantNode, trace: TraceWriter, events: EventLog) -> None:
         self.node = node
+        self.start = node.start
         self._files = (trace, events)
 
-    def start(self) -> int:
-        """Return the instant of the plant's first event, ns."""
-        return self.node.start()
-
-    def advance(
-        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
-    ) -> tuple[list[tuple[int, Frame]], int]:
+    def advance(self, until_ns: int, deliveries: Received) -> Turn:
         """Advance the plant. Raises ParticipantLost when its motion cannot be continued."""
         from plant.errors import IntegrationError
 

@@ -6,7 +6,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
@@ -22,15 +22,11 @@ def silent(message: str) -> None:
     """Discard a message for the user."""
 
 
-class Turn(NamedTuple):
-    """A participant's answer to a grant.
-
-    `frames`: release instant (not before the grant) and frame, in the order of the participant's
-    choice; `next_ns`: its next event, after the grant.
-    """
-
-    frames: list[tuple[int, Frame]]
-    next_ns: int
+Received = Sequence[tuple[int, Frame]]
+"""Frames with their arrival instants, ns, in order of arrival."""
+Turn = tuple[list[tuple[int, Frame]], int]
+"""A participant's answer to a grant: frames in the order of its choice with their release instants
+(ns, not before the grant), and the instant of its next event (ns, after the grant)."""
 
 
 class ParticipantLost(RunError):
@@ -72,14 +68,11 @@ class Participant(Protocol):
     def start(self) -> int:
         """Return the simulated instant of the first event, in ns."""
 
-    def advance(
-        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
-    ) -> tuple[list[tuple[int, Frame]], int]:
+    def advance(self, until_ns: int, deliveries: Received) -> Turn:
         """Advance to `until_ns`, given the frames that arrived since the last grant.
 
-        `deliveries` holds arrival instant and frame of what others sent, in order of arrival; one
-        that arrives exactly at `until_ns` is among them.  Returns frames with their release
-        instants (not before `until_ns`) and the instant of the next event (after `until_ns`).
+        `deliveries` holds what others sent; a frame that arrives exactly at `until_ns` is among
+        them.
         """
 
     def close(self) -> None:
@@ -162,7 +155,7 @@ class InProcess(Channel):
             if inbox is not None:
                 self._inboxes[name] = []
                 try:
-                    self._turns[name] = Turn(*self._participants[name].advance(now_ns, inbox))
+                    self._turns[name] = self._participants[name].advance(now_ns, inbox)
                 except (InputError, RunError):
                     raise
                 except Exception as error:  # as when its process dies of it: the run is over

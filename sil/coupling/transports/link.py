@@ -16,7 +16,7 @@ from can_dbc.frame import EDP_BIT, Frame
 from can_dbc.messages import StopReason
 from sil.coupling.bus import can_be_offered
 from sil.coupling.transports import address, wire
-from sil.coupling.transports.channel import Participant, silent
+from sil.coupling.transports.channel import Participant, Received, silent
 from sil.coupling.transports.socketcan import PARTICIPANT_VIEW, CanSocket, lifeline_address
 from sil.coupling.transports.wire import Kind
 
@@ -232,7 +232,7 @@ class Session:
                     self._first_event_ns = first_event_ns
                     return
 
-    def next_grant(self) -> tuple[int, list[tuple[int, Frame]]] | None:
+    def next_grant(self) -> tuple[int, Received] | None:
         """Wait for a grant; return its instant (ns) and the frames since the last one, or None.
 
         None is the end of the run: `ending` says how it ended.

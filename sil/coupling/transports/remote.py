@@ -223,7 +223,7 @@ class RemoteChannel(Channel):
             self.core = self._closing.enter_context(sharing_one_core(pids))
         self._send(wire.control(Kind.START, value=end_ns), *peers)
         answered = time.monotonic() + self._timeouts.answer_s
-        return {p.name: self._await_answer(p, answered).next_ns for p in peers}
+        return {p.name: self._await_answer(p, answered)[1] for p in peers}
 
     def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
         """Note who is granted time."""
@@ -312,7 +312,7 @@ class RemoteChannel(Channel):
                 offered = len(peer.frames)
                 deadline = time.monotonic() + self._timeouts.answer_s
         frames, peer.frames = peer.frames, []
-        return Turn(frames, peer.done)
+        return frames, peer.done
 
     def _answer_hello(self, control: wire.Control) -> tuple[Peer | None, bytes]:
         """Return the participant that joins, or None, and the record to answer with."""
