@@ -6,17 +6,17 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from can_dbc.messages import ShiftState
 from sil.log_replay.excerpts import Excerpt, Row
 from sil.log_replay.plant_side import Position
 from sil.report.figure import MM, Figure, Floats, Panel, Rule, Series, Span, Stack, Zoom, spans_of
-from sil.report.theme import LIGHT
 
 CHAMBERS = "BNF"
 NS_PER_MS = 1e6
 SIDES = ((0, "estimate", 2.6), (1, "alarm", 1.2))
 """Index, colour and line width of the recorded and of the replayed side."""
 
-STATES = LIGHT.state
+STATES = set(ShiftState.__members__)
 GAP_MS = 1e-3
 """From the end of a piece to the point that interrupts its lines."""
 

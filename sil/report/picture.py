@@ -84,7 +84,7 @@ def draw(figure: Figure, theme: Theme = LIGHT) -> Drawing:
     head = (0.32 if figure.title else 0.08) + (0.2 if figure.subtitle else 0.0)
     width = sum(column.width for column in columns) + 1.2
     height = head + sum(heights) + 0.16 * len(heights) + 0.5
-    made = Drawing(figsize=(width, height), facecolor=theme.paper, layout="constrained")
+    made = Drawing(figsize=(width, height), facecolor=theme.colour("paper"), layout="constrained")
     layout: Any = made.get_layout_engine()
     layout.set(
         rect=(0.0, 0.0, 1.0, 1.0 - head / height), h_pad=0.03, w_pad=0.06, hspace=0.0, wspace=0.0
@@ -95,7 +95,7 @@ def draw(figure: Figure, theme: Theme = LIGHT) -> Drawing:
         figure.title,
         fontsize=15,
         weight="bold",
-        color=theme.ink,
+        color=theme.colour("ink"),
         va="top",
     )
     made.text(
@@ -103,7 +103,7 @@ def draw(figure: Figure, theme: Theme = LIGHT) -> Drawing:
         1.0 - 0.38 / height,
         figure.subtitle,
         fontsize=9.5,
-        color=theme.faint,
+        color=theme.colour("faint"),
         va="top",
     )
     grid = made.add_gridspec(
@@ -116,7 +116,7 @@ def draw(figure: Figure, theme: Theme = LIGHT) -> Drawing:
             1.0 - 0.38 / height,
             note,
             fontsize=8.5,
-            color=theme.faint,
+            color=theme.colour("faint"),
             va="top",
             ha="right",
         )
@@ -148,7 +148,7 @@ def draw(figure: Figure, theme: Theme = LIGHT) -> Drawing:
                     column.stack.title,
                     fontsize=10,
                     loc="left",
-                    color=theme.ink,
+                    color=theme.colour("ink"),
                     pad=6 + 14 * legend_rows,
                 )
     return made
@@ -190,13 +190,13 @@ def _vertical(figure: Figure, columns: Sequence[_Column], column: _Column, row: 
 
 
 def _style(axes: Axes, theme: Theme) -> None:
-    axes.set_facecolor(theme.paper)
-    axes.grid(True, color=theme.grid, linewidth=0.6)
+    axes.set_facecolor(theme.colour("paper"))
+    axes.grid(True, color=theme.colour("grid"), linewidth=0.6)
     axes.set_axisbelow(True)
-    axes.tick_params(colors=theme.ink, labelsize=8.5, length=0)
+    axes.tick_params(colors=theme.colour("ink"), labelsize=8.5, length=0)
     for side, spine in axes.spines.items():
         spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(theme.grid)
+        spine.set_color(theme.colour("grid"))
 
 
 def _draw_panel(
@@ -234,7 +234,7 @@ def _draw_panel(
         axes.grid(False, axis="x")
     axes.tick_params(labelbottom=is_lowest)
     if is_lowest:
-        axes.set_xlabel(stack.axis, color=theme.ink, fontsize=9)
+        axes.set_xlabel(stack.axis, color=theme.colour("ink"), fontsize=9)
 
 
 def _series(axes: Axes, theme: Theme, panel: Panel) -> None:
@@ -308,7 +308,7 @@ def _span_label(axes: Axes, theme: Theme, span: Span, view: View, points: float)
     )
     if turned and room < 6.5:
         return
-    box = {"facecolor": theme.paper, "edgecolor": "none", "pad": 0.8, "alpha": 0.8}
+    box = {"facecolor": theme.colour("paper"), "edgecolor": "none", "pad": 0.8, "alpha": 0.8}
     axes.text(
         0.5 * (view[0] + view[1]), 0.5 * (span.low + span.high) if isfinite(span.low) else axes.get_ylim()[0],
         span.label, ha="center", va="center", fontsize=size, rotation=90 if turned else 0,
@@ -319,7 +319,7 @@ def _span_label(axes: Axes, theme: Theme, span: Span, view: View, points: float)
 def _ink_on(theme: Theme, span: Span) -> str:
     """Return black or white, whichever is easier to read on the span's colour."""
     if span.style != "solid":
-        return theme.ink
+        return theme.colour("ink")
     colour = theme.colour(span.role)
     red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
     return "#1a1a1a" if 0.299 * red + 0.587 * green + 0.114 * blue > 110 else "#ffffff"
@@ -355,7 +355,7 @@ def _note(axes: Axes, theme: Theme, note: Note) -> None:
         textcoords="offset points", ha=note.align,
         va="center" if note.up == 0.0 else "bottom" if note.up > 0.0 else "top",
         fontsize=8.5, weight="bold" if note.bold else "normal", color=theme.colour(note.role),
-        path_effects=[withStroke(linewidth=2.5, foreground=theme.paper)], zorder=7, annotation_clip=True,
+        path_effects=[withStroke(linewidth=2.5, foreground=theme.colour("paper"))], zorder=7, annotation_clip=True,
     )  # fmt: skip
 
 
@@ -374,7 +374,7 @@ def _legend(axes: Axes, theme: Theme, panel: Panel, width: float) -> int:
     fits = max(1, int(72 * width / (LETTER * 8 * longest + 40)))
     axes.legend(
         handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(fits, len(handles)),
-        fontsize=8, frameon=False, labelcolor=theme.ink, borderaxespad=0.1, handlelength=1.6, borderpad=0.2,
+        fontsize=8, frameon=False, labelcolor=theme.colour("ink"), borderaxespad=0.1, handlelength=1.6, borderpad=0.2,
     )  # fmt: skip
     return -(-len(handles) // fits)
 
@@ -384,7 +384,7 @@ def _name(axes: Axes, theme: Theme, panel: Panel) -> None:
     if panel.ticks and not panel.unit:
         return
     text = f"{panel.title}, {panel.unit}" if panel.unit else panel.title
-    axes.set_ylabel(fill(text, max(12, panel.height // 6)), color=theme.ink, fontsize=9)
+    axes.set_ylabel(fill(text, max(12, panel.height // 6)), color=theme.colour("ink"), fontsize=9)
 
 
 def _colour_bar(made: Drawing, axes: Axes, panel: Panel) -> None:
@@ -407,5 +407,5 @@ def _overview(axes: Axes, theme: Theme, panel: Panel, columns: Sequence[_Column]
     _draw_panel(axes, theme, panel, whole, limits, True)
     axes.set_xlabel("")
     for column in columns:
-        axes.axvspan(*column.view, color=theme.band, zorder=0)
+        axes.axvspan(*column.view, color=theme.colour("band"), zorder=0)
     axes.tick_params(labeltop=True, labelbottom=False)

@@ -133,7 +133,13 @@ def _position(record: RunRecord, zooms: Sequence[Zoom], shifts: Sequence[Shift])
 
     def draw_arrows(axes: Any, theme: Any, view: Interval) -> None:
         """Mark how late the estimate is: a picture only."""
-        style = {"arrowstyle": "<->", "color": theme.alarm, "lw": 1.5, "shrinkA": 0, "shrinkB": 0}
+        style = {
+            "arrowstyle": "<->",
+            "color": theme.colour("alarm"),
+            "lw": 1.5,
+            "shrinkA": 0,
+            "shrinkB": 0,
+        }
         for at, lag, level in arrows:
             if view[0] <= at <= view[1]:
                 axes.annotate("", (at + lag, level), (at, level), arrowprops=style, zorder=6)

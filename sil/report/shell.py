@@ -82,7 +82,7 @@ def render(template: str, head: Head, groups: Sequence[Group] = (), **values: An
 def _library() -> dict[str, str]:
     """Return what plots need in the page, once."""
     uplot = (HERE / "uplot" / "uPlot.min.js").read_text(encoding="utf-8")
-    themes = {theme.name: theme.roles() for theme in (LIGHT, DARK)}
+    themes = {theme.name: theme.roles for theme in (LIGHT, DARK)}
     return {
         # its banner names its home; a page without any address is easily seen to need no network
         "uplot": uplot.replace("https://", ""),

@@ -18,7 +18,7 @@ from sil.report.figure import (
     Span,
     Stack,
 )
-from sil.report.theme import LIGHT
+from sil.report.theme import SERIES
 from sil.studies.rows import columns
 from sil.studies.study import LoadedStudy, Sweep
 from sil.studies.table import Table, row_groups
@@ -27,7 +27,7 @@ Ints = NDArray[np.int64]
 MOST_DOTS = 2000
 """Of a larger study every so-many-th row is drawn as a dot; results.csv has them all."""
 
-COLOURS = len(LIGHT.series)
+COLOURS = SERIES
 UNITS = {"_m_s": ("m/s", 1.0), "_s": ("ms", 1e3), "_m": ("mm", 1e3), "_pa": ("bar", 1e-5),
          "_j": ("J", 1.0), "_kg": ("g", 1e3)}  # fmt: skip
 
