@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable
 from functools import cache, lru_cache
 from operator import attrgetter, index
-from typing import Any, NoReturn, get_args, get_type_hints
+from typing import Any, NamedTuple, NoReturn, get_args, get_type_hints
 
 from can_dbc.contract import MessageSpec, SignalSpec, contract
 from can_dbc.errors import CodecError
@@ -39,127 +39,115 @@ _NOT_AVAILABLE_FROM = {2: 2, 8: 0xFE, 16: 0xFE00}
 """First raw value of a width that means error or not available (SAE J1939-71, 5.1)."""
 
 
-class _Number:
-    """A number, `by` the SI denominator and `to_si` the numerator of its unit."""
+class _Conversion(NamedTuple):
+    """Both directions between a field and the raw value of its signal.
 
-    def __init__(self, signal: SignalSpec) -> None:
-        self.factor, self.offset = signal.factor, signal.offset
-        self.to_si, self.by = _SI[signal.unit]
-        self.low = round((signal.minimum - signal.offset) / signal.factor)
-        self.high = round((signal.maximum - signal.offset) / signal.factor)
-        self.mask = signal.mask
-        self.negative_from = signal.mask >> 1 if signal.signed else signal.mask
-        limits = (limit * self.to_si / self.by for limit in (signal.minimum, signal.maximum))
-        self.expected = "{:g} to {:g}".format(*limits)
+    Each raises one of `_NO_VALUE` for what has no counterpart; `expected` says what has.
+    """
 
-    def to_raw(self, value: Any) -> int:
-        raw: int = round((value * self.by / self.to_si - self.offset) / self.factor)
-        if not self.low <= raw <= self.high:
+    to_raw: Callable[[Any], int]
+    from_raw: Callable[[int], Any]
+    expected: str
+
+
+def _number(signal: SignalSpec) -> _Conversion:
+    factor, offset, mask = signal.factor, signal.offset, signal.mask
+    to_si, by = _SI[signal.unit]
+    low, high = (round((x - offset) / factor) for x in (signal.minimum, signal.maximum))
+    negative_from = mask >> 1 if signal.signed else mask
+
+    def to_raw(value: Any) -> int:
+        raw: int = round((value * by / to_si - offset) / factor)
+        if not low <= raw <= high:
             raise ValueError
-        return raw & self.mask
+        return raw & mask
 
-    def from_raw(self, raw: int) -> float:
-        if raw > self.negative_from:
-            raw -= self.mask + 1
-        if not self.low <= raw <= self.high:
+    def from_raw(raw: int) -> float:
+        if raw > negative_from:
+            raw -= mask + 1
+        if not low <= raw <= high:
             raise ValueError
-        return (raw * self.factor + self.offset) * self.to_si / self.by
+        return (raw * factor + offset) * to_si / by
+
+    limits = (limit * to_si / by for limit in (signal.minimum, signal.maximum))
+    return _Conversion(to_raw, from_raw, "{:g} to {:g}".format(*limits))
 
 
-class _Whole:
-    """A whole number with factor 1."""
+def _whole(signal: SignalSpec) -> _Conversion:
+    """Return the conversion of a whole number with factor 1."""
+    offset = int(signal.offset)
+    low, high = int(signal.minimum), int(signal.maximum)
 
-    def __init__(self, signal: SignalSpec) -> None:
-        self.offset = int(signal.offset)
-        self.low = int(signal.minimum) - self.offset
-        self.high = int(signal.maximum) - self.offset
-        self.expected = f"a whole number from {signal.minimum} to {signal.maximum}"
-
-    def to_raw(self, value: Any) -> int:
-        raw = index(value) - self.offset
-        if not self.low <= raw <= self.high:
+    def to_raw(value: Any) -> int:
+        if not low <= index(value) <= high:
             raise ValueError
-        return raw
+        return index(value) - offset
 
-    def from_raw(self, raw: int) -> int:
-        if not self.low <= raw <= self.high:
+    def from_raw(raw: int) -> int:
+        if not low <= raw + offset <= high:
             raise ValueError
-        return raw + self.offset
+        return raw + offset
+
+    expected = f"a whole number from {signal.minimum} to {signal.maximum}"
+    return _Conversion(to_raw, from_raw, expected)
 
 
 _TRUTH = {False: 0, True: 1}  # also of numpy
 
 
-class _Choice:
-    """A bool or a member of an enum."""
+def _choice(kind: type[int], signal: SignalSpec) -> _Conversion:
+    """Return the conversion of a bool or a member of an enum."""
+    last = 1 if kind is bool else int(signal.maximum)  # J1939 has more states of two bits
 
-    def __init__(self, kind: type[int], signal: SignalSpec) -> None:
-        self.kind = kind
-        last = 1 if kind is bool else int(signal.maximum)  # J1939 has more states of two bits
-        self.members = tuple(kind(raw) for raw in range(last + 1))
-        self.expected = f"a {kind.__name__}"
-
-    def to_raw(self, value: Any) -> int:
-        if self.kind is bool:
-            return _TRUTH[value]
-        if value.__class__ is not self.kind:
+    def member_to_raw(value: Any) -> int:
+        if value.__class__ is not kind:
             raise TypeError
         return int(value)
 
-    def from_raw(self, raw: int) -> int:
-        return self.members[raw]
+    to_raw = _TRUTH.__getitem__ if kind is bool else member_to_raw
+    from_raw = tuple(kind(raw) for raw in range(last + 1)).__getitem__
+    return _Conversion(to_raw, from_raw, f"a {kind.__name__}")
 
 
-class _Text:
-    """Two characters, the first in the low byte; 255 is no character."""
-
-    expected = "two characters of codes 0 to 254"
-
-    def to_raw(self, value: Any) -> int:
-        first, second = value.encode("latin-1")
-        if first == 0xFF or second == 0xFF:
-            raise ValueError
-        return int(first | second << 8)
-
-    def from_raw(self, raw: int) -> str:
-        if raw & 0xFF == 0xFF or raw >> 8 == 0xFF:
-            raise ValueError
-        return chr(raw & 0xFF) + chr(raw >> 8)
+def _text_to_raw(value: Any) -> int:
+    first, second = value.encode("latin-1")
+    if first == 0xFF or second == 0xFF:
+        raise ValueError
+    return int(first | second << 8)
 
 
-_Conversion = _Number | _Whole | _Choice | _Text
+def _text_from_raw(raw: int) -> str:
+    if raw & 0xFF == 0xFF or raw >> 8 == 0xFF:
+        raise ValueError
+    return chr(raw & 0xFF) + chr(raw >> 8)
 
 
-class _Optional:
-    """A J1939 value that may be missing; sent as all ones, received as error or as missing."""
-
-    def __init__(self, inner: _Conversion, signal: SignalSpec) -> None:
-        self.inner = inner
-        self.mask = signal.mask
-        one_value = isinstance(inner, _Text)
-        self.missing_from = signal.mask if one_value else _NOT_AVAILABLE_FROM[signal.length]
-        self.expected = f"{inner.expected} or None"
-
-    def to_raw(self, value: Any) -> int:
-        return self.mask if value is None else self.inner.to_raw(value)
-
-    def from_raw(self, raw: int) -> Any:
-        return None if raw >= self.missing_from else self.inner.from_raw(raw)
+_TEXT = _Conversion(_text_to_raw, _text_from_raw, "two characters of codes 0 to 254")
+"""Two characters, the first in the low byte; 255 is no character."""
 
 
-def _conversion(hint: Any, signal: SignalSpec) -> _Conversion | _Optional:
+def _optional(inner: _Conversion, signal: SignalSpec) -> _Conversion:
+    """Return that of a J1939 value or None: sent as all ones, received as error or as missing."""
+    missing_from = signal.mask if inner is _TEXT else _NOT_AVAILABLE_FROM[signal.length]
+
+    def to_raw(value: Any) -> int:
+        return signal.mask if value is None else inner.to_raw(value)
+
+    def from_raw(raw: int) -> Any:
+        return None if raw >= missing_from else inner.from_raw(raw)
+
+    return _Conversion(to_raw, from_raw, f"{inner.expected} or None")
+
+
+def _conversion(hint: Any, signal: SignalSpec) -> _Conversion:
     """Return the conversion between a field of that type and its signal."""
     if type(None) in get_args(hint):
-        inner = _conversion(get_args(hint)[0], signal)
-        assert not isinstance(inner, _Optional)
-        return _Optional(inner, signal)
+        return _optional(_conversion(get_args(hint)[0], signal), signal)
     if hint is str:
-        return _Text()
+        return _TEXT
     if hint is int:
-        return _Whole(signal)
-    if hint is float:
-        return _Number(signal)
-    return _Choice(hint, signal)
+        return _whole(signal)
+    return _number(signal) if hint is float else _choice(hint, signal)
 
 
 class _MessageCodec:
@@ -246,7 +234,7 @@ class _MessageCodec:
 
 
 def spec_of(message_type: type) -> MessageSpec:
-    """Return the entry of opc4.dbc for a message type: identifier, timing, signals, comments."""
+    """Return the entry of opc4.dbc for a message type: identifier, timing, signals."""
     return contract()[message_type.__name__]
 
 
@@ -265,34 +253,23 @@ def message_type_of(can_id: int) -> type | None:
     return _types().get(can_id)
 
 
-class _Encoders(dict[type, Callable[[Any], Frame]]):
-    """Encoder per message type, made when first asked for."""
-
-    def __missing__(self, message_type: type) -> Callable[[Any], Frame]:
-        if message_type not in SIGNALS:
-            raise CodecError(
-                f"opc4.dbc: {message_type.__name__} is not a message; expected one of "
-                + ", ".join(known.__name__ for known in SIGNALS)
-            )
-        self[message_type] = encoder = _codec(message_type).encode
-        return encoder
+@cache
+def _codec(message_type: type) -> _MessageCodec:
+    if message_type not in SIGNALS:
+        known = ", ".join(kind.__name__ for kind in SIGNALS)
+        raise CodecError(
+            f"opc4.dbc: {message_type.__name__} is not a message; expected one of {known}"
+        )
+    return _MessageCodec(message_type)
 
 
-class _Decoders(dict[int, Callable[[bytes], Any]]):
-    """Decoder per identifier, made when first asked for."""
-
-    def __missing__(self, can_id: int) -> Callable[[bytes], Any]:
-        message_type = message_type_of(can_id)
-        if message_type is None:
-            raise CodecError(f"opc4.dbc: identifier {can_id:#010x} carries no message")
-        # messages do not change, so those that come again are decoded once
-        self[can_id] = decoder = lru_cache(maxsize=4096)(_codec(message_type).decode)
-        return decoder
-
-
-_codec = cache(_MessageCodec)
-_encoders = _Encoders()
-_decoders = _Decoders()
+@cache
+def _decoder(can_id: int) -> Callable[[bytes], Any]:
+    message_type = message_type_of(can_id)
+    if message_type is None:
+        raise CodecError(f"opc4.dbc: identifier {can_id:#010x} carries no message")
+    # messages do not change, so those that come again are decoded once
+    return lru_cache(maxsize=4096)(_codec(message_type).decode)
 
 
 def encode(message: Message) -> Frame:
@@ -313,7 +290,8 @@ def encode(message: Message) -> Frame:
     CodecError
         If a value is out of range, NaN or of another type; the message names the field.
     """
-    return _encoders[message.__class__](message)
+    kind: type = message.__class__
+    return _codec(kind).encode(message)
 
 
 def decode(frame: Frame) -> Message:
@@ -334,5 +312,5 @@ def decode(frame: Frame) -> Message:
     CodecError
         If the identifier is unknown, the length wrong, a value without meaning, or an unused bit 0.
     """
-    message: Message = _decoders[frame[0]](frame[1])
+    message: Message = _decoder(frame[0])(frame[1])
     return message

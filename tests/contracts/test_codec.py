@@ -397,7 +397,7 @@ def test_every_unit_by_hand() -> None:
 def test_a_number_with_an_offset() -> None:
     """A temperature of J1939: -273 to 1735 in steps of 1/32, 16 bits."""
     spec = codec.spec_of(m.PositionPulse).signal("CoilTemperature")
-    number = codec._Number(
+    number = codec._number(
         spec._replace(offset=-273.0, minimum=-273.0, maximum=1735.0, factor=1 / 32)
     )
     assert number.expected == "-273 to 1735"
@@ -528,7 +528,7 @@ def test_a_codec_that_contradicts_itself_says_so() -> None:
 
 def test_what_is_kept_does_not_grow_without_end() -> None:
     decode(encode(PULSE))
-    for kept in (codec._codec(m.PositionPulse).framed, codec._decoders[can_id_of(m.PositionPulse)]):
+    for kept in (codec._codec(m.PositionPulse).framed, codec._decoder(can_id_of(m.PositionPulse))):
         most = kept.cache_info().maxsize  # type: ignore[attr-defined]
         assert most is not None and most < 10_000
 

@@ -132,9 +132,6 @@ def clear_caches() -> None:
         for kept in vars(module).values():
             if isinstance(kept, functools._lru_cache_wrapper):
                 kept.cache_clear()
-    if codec := sys.modules.get("can_dbc.codec"):
-        codec._encoders.clear()
-        codec._decoders.clear()
 
 
 def loaded_anew(
