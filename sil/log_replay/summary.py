@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from sil.log_replay.comparison import Difference, StateHistory
@@ -31,11 +32,8 @@ def attribution(outcome: ReplayResult) -> str:
     """Say which side differs from the recording."""
     assert outcome.plant is not None
     unit, plant = outcome.comparison.differs, outcome.plant.differing > 0
-    known = (
-        ""
-        if outcome.settings.own_run
-        else " (as set by default: --run tells the run's own settings)"
-    )
+    by_default = " (as set by default: --run tells the run's own settings)"
+    known = "" if outcome.settings.own_run else by_default
     if plant and unit:
         return f"both the control unit and the plant{known} differ from the recording"
     if plant:
@@ -51,36 +49,32 @@ def attribution(outcome: ReplayResult) -> str:
 def edge_lines(outcome: ReplayResult) -> list[str]:
     """Say which edges moved, are gone or new."""
     grid = outcome.grid
-    lines: list[str] = []
-    for result in outcome.comparison.matched_edges():
-        if result.moved(0):
-            lines += result.lines(grid.period_ns, grid.origin_ns)
-    return lines
+    found = [r for r in outcome.comparison.matched_edges() if r.moved(0)]
+    return [line for r in found for line in r.lines(grid.period_ns, grid.origin_ns)]
 
 
 def summary_lines(outcome: ReplayResult) -> list[str]:
     """Return what is printed: verdict, edges, where the sides part, what was special."""
-    lines = [f"{outcome.request.log}: {verdict(outcome)}"]
-    lines += [f"  {line}" for line in edge_lines(outcome)]
-    for history in outcome.comparison.states:
-        if history.differs:
-            lines.append(f"  {_sequences(history, outcome.labels)}")
+    lines = edge_lines(outcome)
+    lines += [_sequences(h, outcome.labels) for h in outcome.comparison.states if h.differs]
     first = outcome.comparison.first
     if first is not None:
-        lines.append(
-            f"  first difference at {_when(outcome, first.time_ns)}: {_parts(outcome, first)}"
-        )
+        (a, b), (name, x, y) = outcome.labels, first.signals[0]
+        more = f", and {len(first.signals) - 1} more" if len(first.signals) > 1 else ""
+        when = _when(outcome, first.time_ns)
+        lines.append(f"first difference at {when}: {name} {a} {x}, {b} {y}{more}")
     if outcome.plant is not None:
-        lines += [f"  {line}" for line in plant_lines(outcome)]
-    lines.append(f"  firmware {outcome.settings.description}; {outcome.grid.description}")
-    lines.append(f"  {_account_line(outcome)}")
-    lines += [f"  {note}" for note in outcome.notes]
-    return lines
+        lines += plant_lines(outcome)
+    lines.append(f"firmware {outcome.settings.description}; {outcome.grid.description}")
+    lines += [_account_line(outcome), *outcome.notes]
+    return [f"{outcome.request.log}: {verdict(outcome)}", *_indented(lines)]
 
 
 def text(outcome: ReplayResult) -> str:
     """Return diff.txt."""
     grid, found = outcome.grid, outcome.comparison
+    edges = edge_lines(outcome)
+    total = sum(len(signal.recorded) for signal in found.switches)
     lines = [
         f"replay of {outcome.request.log}",
         f"firmware  {outcome.settings.description}",
@@ -88,29 +82,30 @@ def text(outcome: ReplayResult) -> str:
         f"verdict   {verdict(outcome)}",
         "",
         "edges",
+        *_indented(edges or [f"none of {total} moved"]),
+        "",
+        "states",
     ]
-    edges = edge_lines(outcome)
-    total = sum(len(signal.recorded) for signal in found.switches)
-    lines += [f"  {line}" for line in edges] or [f"  none of {total} moved"]
-    lines += ["", "states"]
     for history in found.states:
-        lines.append(f"  {_sequences(history, outcome.labels)}")
-        lines += [f"    {line}" for line in _state_times(history, outcome)]
-    lines.append("")
-    lines += _difference_lines(outcome, "first difference", found.first)
+        lines += _indented([_sequences(history, outcome.labels)])
+        lines += _indented(_state_times(history, outcome), 4)
+    lines += ["", *_difference_lines(outcome, "first difference", found.first)]
     if found.first_command is not None and found.first_command != found.first:
         lines += _difference_lines(outcome, "first command that differs", found.first_command)
     if outcome.plant is not None:
-        lines += ["plant", *(f"  {line}" for line in plant_lines(outcome)), ""]
+        lines += ["plant", *_indented(plant_lines(outcome)), ""]
     for scene in found.excerpts.found:
-        where = "commands differ" if scene.differs else "commands are equal"
-        lines.append(f"waveforms, {where}")
-        lines += [f"  {line}".rstrip() for line in waveforms(scene, outcome.labels, grid.origin_ns)]
-    lines += ["signals", *_signal_lines(outcome), "", "frames", f"  {_account_line(outcome)}"]
-    lines += [f"  {line}" for line in account_lines(outcome)]
+        lines.append(f"waveforms, commands {'differ' if scene.differs else 'are equal'}")
+        lines += _indented(waveforms(scene, outcome.labels, grid.origin_ns))
+    lines += ["signals", *_indented(_signal_lines(outcome)), "", "frames"]
+    lines += _indented([_account_line(outcome), *account_lines(outcome)])
     if outcome.notes:
-        lines += ["", "notes", *(f"  {note}" for note in outcome.notes)]
+        lines += ["", "notes", *_indented(outcome.notes)]
     return "\n".join(lines) + "\n"
+
+
+def _indented(lines: Iterable[str], width: int = 2) -> list[str]:
+    return [f"{' ' * width}{line}".rstrip() for line in lines]
 
 
 def as_dict(outcome: ReplayResult) -> dict[str, Any]:
@@ -159,12 +154,7 @@ def as_dict(outcome: ReplayResult) -> dict[str, Any]:
         "frames": {
             "total": outcome.frames,
             "accounted": account.total,
-            "inputs": dict(account.inputs),
-            "unheard": dict(account.unheard),
-            "answers": dict(account.answers),
-            "plant": dict(account.plant),
-            "other": dict(account.other),
-            "foreign": account.foreign,
+            **vars(account),
             "foreign_names": [{"name": name, "frames": count} for name, count in outcome.foreign],
             "unanswered": dict(outcome.unanswered),
         },
@@ -175,13 +165,6 @@ def as_dict(outcome: ReplayResult) -> dict[str, Any]:
 
 def _when(outcome: ReplayResult, time_ns: int) -> str:
     return f"{(time_ns + outcome.grid.origin_ns) / 1e9:.6f} s"
-
-
-def _parts(outcome: ReplayResult, parting: Difference) -> str:
-    a, b = outcome.labels
-    name, recorded, replayed = parting.signals[0]
-    more = len(parting.signals) - 1
-    return f"{name} {a} {recorded}, {b} {replayed}" + (f", and {more} more" if more else "")
 
 
 def _difference_lines(outcome: ReplayResult, title: str, parting: Difference | None) -> list[str]:
@@ -264,11 +247,11 @@ def _signal_lines(outcome: ReplayResult) -> list[str]:
             size = "" if entry.largest is None else f", at most {entry.largest:.6g} apart"
             assert entry.first_ns is not None
             lines.append(
-                f"  {name}: {entry.differing} of {entry.compared} differ{size}, first at "
+                f"{name}: {entry.differing} of {entry.compared} differ{size}, first at "
                 f"{_when(outcome, entry.first_ns)}"
             )
     equal = sum(1 for entry in outcome.comparison.signals.values() if not entry.differing)
-    return [*lines, f"  {equal} signals without a difference"]
+    return [*lines, f"{equal} signals without a difference"]
 
 
 def _account_line(outcome: ReplayResult) -> str:
@@ -289,35 +272,31 @@ def _account_line(outcome: ReplayResult) -> str:
 def account_lines(outcome: ReplayResult) -> list[str]:
     """Return how many frames of each message were read, by what they were used for."""
     account = outcome.account
-    lines = []
-    for title, part in (
-        ("inputs", account.inputs),
-        ("inputs not heard", account.unheard),
-        ("answers", account.answers),
-        ("plant", account.plant),
-        ("others", account.other),
-    ):
-        if part:
-            counts = ", ".join(f"{count} {name}" for name, count in sorted(part.items()))
-            lines.append(f"{title}: {counts}")
-    if outcome.foreign:
-        counts = ", ".join(f"{count} {name}" for name, count in outcome.foreign)
-        lines.append(f"foreign: {counts}")
-    return lines
+    parts = (
+        ("inputs", sorted(account.inputs.items())),
+        ("inputs not heard", sorted(account.unheard.items())),
+        ("answers", sorted(account.answers.items())),
+        ("plant", sorted(account.plant.items())),
+        ("others", sorted(account.other.items())),
+        ("foreign", outcome.foreign),
+    )
+    return [
+        f"{title}: {', '.join(f'{count} {name}' for name, count in counts)}"
+        for title, counts in parts
+        if counts
+    ]
 
 
 def _history(history: StateHistory, base_ns: int) -> dict[str, Any]:
-    def side(index: int) -> list[dict[str, Any]]:
-        return [
-            {"time_s": (time_ns + base_ns) / 1e9, "value": name}
-            for time_ns, name in history.sides[index]
-        ]
-
+    recorded, replayed = (
+        [{"time_s": (time_ns + base_ns) / 1e9, "value": name} for time_ns, name in side]
+        for side in history.sides
+    )
     return {
         "name": history.name,
         "differs": history.differs,
-        "recorded": side(0),
-        "replayed": side(1),
+        "recorded": recorded,
+        "replayed": replayed,
     }
 
 
