@@ -31,18 +31,14 @@ def excerpts_figure(
     parts = without_repetition(scenes)
     pieces = [([(row.time_ns + base_ns) / NS_PER_MS for row in rows], rows) for rows in parts]
     pieces = [(times, rows) for times, rows in pieces if rows]
-    panels = [
-        _estimates(pieces, labels, base_ns, positions),
-        _coils(pieces, labels),
-        _states(pieces, labels),
-    ]
-    zooms = [
-        Zoom(f"{low / 1e3:.3f} s{', differs' if scene.differs else ''}", low, _end(times))
-        for scene in scenes
-        if len(scene.rows) > 1
-        for times in ([(row.time_ns + base_ns) / NS_PER_MS for row in scene.rows],)
-        for low in times[:1]
-    ]
+    estimates = _estimates(pieces, labels, base_ns, positions)
+    panels = [estimates, _coils(pieces, labels), _states(pieces, labels)]
+    zooms = []
+    for scene in scenes:
+        times = [(row.time_ns + base_ns) / NS_PER_MS for row in scene.rows]
+        if len(times) > 1:
+            name = f"{times[0] / 1e3:.3f} s{', differs' if scene.differs else ''}"
+            zooms.append(Zoom(name, times[0], _end(times)))
     title = "the commands differ" if any(s.differs for s in scenes) else "the commands are equal"
     return Figure([Stack("time of the log, ms", panels, zooms=zooms, width=10.8)], title)
 
@@ -91,14 +87,10 @@ def _estimates(
     lines = []
     for side, role, width in SIDES:
         times, values = _over(pieces, lambda row, side=side: row.estimates_m[side])  # type: ignore[misc]
-        lines.append(
-            Series(f"estimate, {labels[side]}", times, MM * values, role, "stepped", width=width)
-        )
-    near = [
-        p
-        for p in positions
-        if any(rows[0].time_ns <= p.time_ns <= rows[-1].time_ns for _, rows in pieces)
-    ]
+        label = f"estimate, {labels[side]}"
+        lines.append(Series(label, times, MM * values, role, "stepped", width=width))
+    ends = [(rows[0].time_ns, rows[-1].time_ns) for _, rows in pieces]
+    near = [p for p in positions if any(a <= p.time_ns <= b for a, b in ends)]
     near_ms = np.array([(p.time_ns + base_ns) / NS_PER_MS for p in near])
     for label, position_m, dashed in (
         ("true position, recorded", [p.recorded_m for p in near], False),
@@ -137,15 +129,9 @@ def _states(pieces: Sequence[Piece], labels: tuple[str, str]) -> Panel:
         for times, rows in pieces:
             names = [row.states[side] for row in rows]
             for name in dict.fromkeys(names):
+                role, text = name if name in STATES else "grid", name.lower()
                 spans += [
-                    Span(
-                        a,
-                        b,
-                        name if name in STATES else "grid",
-                        name.lower(),
-                        base + 0.06,
-                        base + 0.94,
-                    )
+                    Span(a, b, role, text, base + 0.06, base + 0.94)
                     for a, b in spans_of(times, [n == name for n in names], _end(times))
                 ]
     ticks = [(1.5, f"state {labels[0]}"), (0.5, f"state {labels[1]}")]
@@ -162,9 +148,9 @@ def positions_figure(positions: Sequence[Position], base_ns: int) -> Figure:
         Series("recorded", times, recorded, "truth", width=2.4),
         Series("plant replayed", times, replayed, "alarm", width=1.2),
     ]
-    difference = Series("replayed - recorded", times, replayed - recorded, "alarm", width=1.0)
+    difference = [Series("replayed - recorded", times, replayed - recorded, "alarm", width=1.0)]
     panels = [
         Panel("Position of the plant", "mm", lines, height=230),
-        Panel("Difference", "mm", [difference], height=110),
+        Panel("Difference", "mm", difference, height=110),
     ]
     return Figure([Stack("time of the log, ms", panels, width=10.8)])

@@ -43,9 +43,8 @@ def save(
     FigureCanvasAgg(drawing)
     colour = drawing.get_facecolor()
     image, vectors = BytesIO(), BytesIO()
-    drawing.savefig(
-        image, format="png", dpi=dots_per_inch, metadata={"Software": None}, facecolor=colour
-    )
+    metadata = {"Software": None}
+    drawing.savefig(image, format="png", dpi=dots_per_inch, metadata=metadata, facecolor=colour)
     # random identifiers and the date would make each file another one
     with matplotlib.rc_context({"svg.hashsalt": name}):
         drawing.savefig(vectors, format="svg", metadata={"Date": None}, facecolor=colour)
@@ -86,40 +85,22 @@ def draw(figure: Figure, theme: Theme = LIGHT) -> Drawing:
     height = head + sum(heights) + 0.16 * len(heights) + 0.5
     made = Drawing(figsize=(width, height), facecolor=theme.colour("paper"), layout="constrained")
     layout: Any = made.get_layout_engine()
-    layout.set(
-        rect=(0.0, 0.0, 1.0, 1.0 - head / height), h_pad=0.03, w_pad=0.06, hspace=0.0, wspace=0.0
-    )
-    made.text(
-        0.12 / width,
-        1.0 - 0.1 / height,
-        figure.title,
-        fontsize=15,
-        weight="bold",
-        color=theme.colour("ink"),
-        va="top",
-    )
-    made.text(
-        0.12 / width,
-        1.0 - 0.38 / height,
-        figure.subtitle,
-        fontsize=9.5,
-        color=theme.colour("faint"),
-        va="top",
-    )
+    below_head = (0.0, 0.0, 1.0, 1.0 - head / height)
+    layout.set(rect=below_head, h_pad=0.03, w_pad=0.06, hspace=0.0, wspace=0.0)
+
+    def write(x: float, below: float, text: str, size: float, role: str, **style: Any) -> None:
+        """Write a text `below` the upper edge, in inches."""
+        colour = theme.colour(role)
+        made.text(x, 1.0 - below / height, text, fontsize=size, color=colour, va="top", **style)
+
+    write(0.12 / width, 0.1, figure.title, 15, "ink", weight="bold")
+    write(0.12 / width, 0.38, figure.subtitle, 9.5, "faint")
     grid = made.add_gridspec(
         len(heights), len(columns), height_ratios=heights, width_ratios=[c.width for c in columns]
     )
     if overview is not None:
         note = "top: the whole; shaded: enlarged below"
-        made.text(
-            1.0 - 0.12 / width,
-            1.0 - 0.38 / height,
-            note,
-            fontsize=8.5,
-            color=theme.colour("faint"),
-            va="top",
-            ha="right",
-        )
+        write(1.0 - 0.12 / width, 0.38, note, 8.5, "faint", ha="right")
         _overview(made.add_subplot(grid[0, :]), theme, overview, columns)
     for number, column in enumerate(columns):
         shown: set[str] = set()
@@ -129,28 +110,20 @@ def draw(figure: Figure, theme: Theme = LIGHT) -> Drawing:
             is_lowest = row == len(column.panels) - 1
             _draw_panel(axes, theme, panel, column, limits, is_lowest)
             names = {s.label for s in panel.series if s.label}
+            legend_rows = 0
             if panel.legend and column.is_first and not (names and names <= shown):
                 legend_rows = _legend(axes, theme, panel, column.width)
-            else:
-                legend_rows = 0
             shown |= names
-            repeats = number > 0 and (
-                figure.same_scale or (not column.is_first and panel.limits is not None)
-            )
-            if repeats:
+            is_repeated = figure.same_scale or (not column.is_first and panel.limits is not None)
+            if number > 0 and is_repeated:
                 axes.tick_params(labelleft=False)
             elif column.is_first:
                 _name(axes, theme, panel)
             if panel.scale is not None and number == len(columns) - 1:
                 _colour_bar(made, axes, panel)
             if row == 0 and column.stack.title and column.is_first:
-                axes.set_title(
-                    column.stack.title,
-                    fontsize=10,
-                    loc="left",
-                    color=theme.colour("ink"),
-                    pad=6 + 14 * legend_rows,
-                )
+                pad, colour = 6 + 14 * legend_rows, theme.colour("ink")
+                axes.set_title(column.stack.title, fontsize=10, loc="left", color=colour, pad=pad)
     return made
 
 
@@ -159,15 +132,13 @@ def _columns(stack: Stack) -> list[_Column]:
     zooms = stack.zooms[:MOST_ZOOMS]
     if stack.overview is None or not zooms:
         low, high = stack.ends()
-        margin = (
-            0.02 * (high - low)
-            if any(s.style in ("dots", "marked") for p in stack.panels for s in p.series)
-            else 0.0
-        )
-        if stack.logarithmic or stack.limits is not None or stack.ticks:
-            margin = 0.0
-        view = (low - margin, high + margin) if not stack.logarithmic else (low / 1.05, high * 1.05)
-        return [_Column(stack, view, True, stack.width)]
+        points = any(s.style in ("dots", "marked") for p in stack.panels for s in p.series)
+        margin = 0.02 * (high - low)
+        if stack.logarithmic:
+            low, high = low / 1.05, high * 1.05
+        elif points and stack.limits is None and not stack.ticks:
+            low, high = low - margin, high + margin
+        return [_Column(stack, (low, high), True, stack.width)]
     longest = max(zoom.high - zoom.low for zoom in zooms)
     weights = [max(zoom.high - zoom.low, 0.25 * longest) ** 0.6 for zoom in zooms]
     width = stack.width + 4.5 * len(zooms)
@@ -211,9 +182,8 @@ def _draw_panel(
     axes.set_ylim(*limits)
     _spans(axes, theme, panel.spans, column.width)
     for band in panel.bands:
-        axes.fill_between(
-            band.x, band.low, band.high, color=theme.colour(band.role), alpha=0.15, lw=0
-        )
+        colour = theme.colour(band.role)
+        axes.fill_between(band.x, band.low, band.high, color=colour, alpha=0.15, lw=0)
     for rule in panel.rules:
         _rule(axes, theme, rule)
     _series(axes, theme, panel)
@@ -272,26 +242,16 @@ def _spans(axes: Axes, theme: Theme, spans: Sequence[Span], width: float) -> Non
             labels.append((span, a, b))
     for (role, style, is_bounded), corners in looks.items():
         colour = theme.colour(role)
+        frame: dict[str, Any] = {"facecolors": "none", "edgecolors": colour, "linewidths": 3}
         how: dict[str, Any] = {
             "solid": {"facecolors": colour, "edgecolors": colour, "linewidths": 0.7},
             "pale": {"facecolors": colour, "alpha": 0.35, "linewidths": 0},
-            "hatched": {
-                "facecolors": "none",
-                "edgecolors": colour,
-                "hatch": "////",
-                "linewidths": 0,
-            },
-            "frame": {"facecolors": "none", "edgecolors": colour, "linewidths": 3},
-            "dashed frame": {
-                "facecolors": "none",
-                "edgecolors": colour,
-                "linewidths": 3,
-                "linestyles": "--",
-            },
+            "hatched": frame | {"hatch": "////", "linewidths": 0},
+            "frame": frame,
+            "dashed frame": frame | {"linestyles": "--"},
         }[style]
-        axes.add_collection(
-            PolyCollection(corners, zorder=2 if is_bounded else 0.5, **how), autolim=False
-        )
+        order = 2 if is_bounded else 0.5
+        axes.add_collection(PolyCollection(corners, zorder=order, **how), autolim=False)
     for span, a, b in labels:
         _span_label(axes, theme, span, (a, b), 72.0 * 0.9 * width / (right - left))
 
@@ -302,10 +262,8 @@ def _span_label(axes: Axes, theme: Theme, span: Span, view: View, points: float)
     points: per unit of the horizontal axis.
     """
     room = (view[1] - view[0]) * points
-    size, turned = next(
-        ((size, False) for size in (8.5, 6.5) if LETTER * size * len(span.label) <= room),
-        (6.5, True),
-    )
+    size = 8.5 if LETTER * 8.5 * len(span.label) <= room else 6.5
+    turned = LETTER * size * len(span.label) > room
     if turned and room < 6.5:
         return
     box = {"facecolor": theme.colour("paper"), "edgecolor": "none", "pad": 0.8, "alpha": 0.8}
@@ -326,18 +284,12 @@ def _ink_on(theme: Theme, span: Span) -> str:
 
 
 def _rule(axes: Axes, theme: Theme, rule: Rule) -> None:
-    line = axes.axvline if rule.axis == "x" else axes.axhline
-    colour = theme.colour(rule.role)
-    line(
-        rule.at,
-        color=colour,
-        linewidth=1.4 if rule.style == "solid" else 0.9,
-        linestyle=DASHES[rule.style],
-        zorder=1,
-    )
+    across = rule.axis == "y"
+    colour, width = theme.colour(rule.role), 1.4 if rule.style == "solid" else 0.9
+    line = axes.axhline if across else axes.axvline
+    line(rule.at, color=colour, linewidth=width, linestyle=DASHES[rule.style], zorder=1)
     if not rule.text:
         return
-    across = rule.axis == "y"
     axes.annotate(
         rule.text, (0.005, rule.at) if across else (rule.at, 0.5),
         xycoords=("axes fraction", "data") if across else ("data", "axes fraction"),
@@ -364,10 +316,8 @@ def _legend(axes: Axes, theme: Theme, panel: Panel, width: float) -> int:
     from matplotlib.patches import Patch
 
     lines, _ = axes.get_legend_handles_labels()
-    handles: list[Any] = [
-        *lines,
-        *(Patch(color=theme.colour(role), label=text) for text, role in panel.keys),
-    ]
+    handles: list[Any] = list(lines)
+    handles += [Patch(color=theme.colour(role), label=text) for text, role in panel.keys]
     if len(handles) < 2 and not panel.keys:
         return 0
     longest = max(len(h.get_label()) for h in handles)
@@ -394,9 +344,8 @@ def _colour_bar(made: Drawing, axes: Axes, panel: Panel) -> None:
     scale = panel.scale
     assert scale is not None
     colours = LinearSegmentedColormap.from_list("scale", list(scale.colours))
-    made.colorbar(
-        ScalarMappable(Normalize(scale.low, scale.high), colours), ax=axes, label=scale.label
-    )
+    mappable = ScalarMappable(Normalize(scale.low, scale.high), colours)
+    made.colorbar(mappable, ax=axes, label=scale.label)
 
 
 def _overview(axes: Axes, theme: Theme, panel: Panel, columns: Sequence[_Column]) -> None:

@@ -60,13 +60,10 @@ def run_figure(
             "Shaft speeds, referred to the synchronizer", "rad/s", shafts, height=130, drawn="page"
         ),
     ]
-    overview = Panel(
-        "Position",
-        series=[Series("", time, truth["position_m"] * MM, "truth", width=1.2)],
-        height=52,
-        ticks=[(-stroke, "forward"), (0.0, "neutral"), (stroke, "backward")],
-        limits=(-1.25 * stroke, 1.25 * stroke),
-    )
+    whole = [Series("", time, truth["position_m"] * MM, "truth", width=1.2)]
+    ticks = [(-stroke, "forward"), (0.0, "neutral"), (stroke, "backward")]
+    limits = (-1.25 * stroke, 1.25 * stroke)
+    overview = Panel("Position", series=whole, height=52, ticks=ticks, limits=limits)
     stack = Stack("simulated time, ms", panels, zooms=zooms, overview=overview)
     return Figure([stack], title, subtitle)
 
@@ -81,11 +78,8 @@ def shift_zooms(record: RunRecord, shifts: Sequence[Shift]) -> list[Zoom]:
     for index, shift in enumerate(shifts):
         until = shifts[index + 1].requested_s if index + 1 < len(shifts) else end
         settled = [shift.arrived_s, shift.confirmed_s, shift.requested_s + 0.1]
-        settled += [
-            e.time_s
-            for e in record.events
-            if e.name.endswith("_close") and shift.requested_s <= e.time_s <= until
-        ]
+        closed = [e.time_s for e in record.events if e.name.endswith("_close")]
+        settled += [time_s for time_s in closed if shift.requested_s <= time_s <= until]
         last = max(instant for instant in settled if instant is not None)
         low, high = max(shift.requested_s - 0.02, 0.0), min(last + SETTLED_S, until)
         found.append(Zoom(f"{shift.from_gear} to {shift.to_gear}", low * MS, high * MS))
@@ -96,40 +90,33 @@ def shift_zooms(record: RunRecord, shifts: Sequence[Shift]) -> list[Zoom]:
 def _position(record: RunRecord, zooms: Sequence[Zoom], shifts: Sequence[Shift]) -> Panel:
     time, position = record.truth["time_s"] * MS, record.truth["position_m"] * MM
     estimate_s, estimate_m = record.estimate
+    x, y = estimate_s * MS, estimate_m * MM
     lines = [
         Series("true position of the stay", time, position, "truth", width=2.2),
-        Series(
-            "controller's estimate",
-            estimate_s * MS,
-            estimate_m * MM,
-            "estimate",
-            "sampled",
-            width=1.8,
-        ),
+        Series("controller's estimate", x, y, "estimate", "sampled", width=1.8),
     ]
     pistons: list[Series] = []
     stroke = record.stroke_m * MM
     rules = [Rule(at, "", "grid", "y", "solid") for at in (-stroke, 0.0, stroke)]
     notes = list(_synchronizer_notes(record))
-    arrows: list[tuple[float, float, float]] = []
+    lags: list[tuple[float, float, float]] = []
     for zoom, shift in zip(zooms, shifts, strict=False):  # a run without a shift has one zoom
         rules.append(Rule(shift.requested_s * MS, f"{shift.to_gear} requested"))
         if shift.confirmed_s is not None:
             rules.append(Rule(shift.confirmed_s * MS, f"{shift.to_gear} confirmed"))
         inside = (time >= zoom.low) & (time <= zoom.high)
         for name, values in _piston(record, shift):
-            low, high = _reach(position[inside])
+            reach = position[inside]  # of this shift, with some room
+            low, high = (reach.min() - 1.5, reach.max() + 1.5) if len(reach) else (0.0, 0.0)
             shown = np.where((values >= low) & (values <= high), values, np.nan)[inside]
             label = "" if pistons else "moving piston, where it touches the stay"
             pistons.append(Series(label, time[inside], shown, "faint", dashed=True, width=1.0))
             notes += _note_on_line(time[inside], shown, name)
-        lags = list(_lags(record, shift))
-        arrows += lags
-        notes += [
-            Note(at + 0.5 * lag, level, f"{lag:.0f} ms late", "alarm", up=-4.0, bold=True)
-            for at, lag, level in lags
-        ]
+        lags += _lags(record, shift)
         notes += _stop_note(record, shift)
+    for at, lag, level in lags:
+        text = f"{lag:.0f} ms late"
+        notes.append(Note(at + 0.5 * lag, level, text, "alarm", up=-4.0, bold=True))
 
     def draw_arrows(axes: Any, theme: Any, view: Interval) -> None:
         """Mark how late the estimate is: a picture only."""
@@ -140,26 +127,12 @@ def _position(record: RunRecord, zooms: Sequence[Zoom], shifts: Sequence[Shift])
             "shrinkA": 0,
             "shrinkB": 0,
         }
-        for at, lag, level in arrows:
+        for at, lag, level in lags:
             if view[0] <= at <= view[1]:
                 axes.annotate("", (at + lag, level), (at, level), arrowprops=style, zorder=6)
 
-    return Panel(
-        "Position",
-        "mm",
-        [*pistons, *lines],
-        rules=rules,
-        notes=notes,
-        height=230,
-        extra=draw_arrows,
-    )
-
-
-def _reach(position_mm: Floats) -> Interval:
-    """Return the lowest and the highest position of a shift, with some room."""
-    if not len(position_mm):
-        return 0.0, 0.0
-    return float(position_mm.min()) - 1.5, float(position_mm.max()) + 1.5
+    series = [*pistons, *lines]
+    return Panel("Position", "mm", series, rules=rules, notes=notes, height=230, extra=draw_arrows)
 
 
 def _piston(record: RunRecord, shift: Shift) -> Iterator[tuple[str, Floats]]:
@@ -321,19 +294,12 @@ def _states(record: RunRecord) -> Panel:
     """Return the states that the controller reported, and where it reported nothing."""
     times, states = record.series(ControllerStatus, "state")
     names = [state.name for state in states]
-    spans = [
-        Span(a * MS, b * MS, "faint" if name == SILENT else name, name.lower(), 0.0, 1.0,
-             "hatched" if name == SILENT else "solid")
-        for a, b, name in state_spans(times, names, float(record.truth["time_s"][-1]))
-    ]  # fmt: skip
-    return Panel(
-        "Firmware state",
-        "",
-        spans=spans,
-        ticks=[(0.5, "firmware state")],
-        height=46,
-        limits=(0.0, 1.0),
-    )
+    spans = []
+    for a, b, name in state_spans(times, names, float(record.truth["time_s"][-1])):
+        role, style = ("faint", "hatched") if name == SILENT else (name, "solid")
+        spans.append(Span(a * MS, b * MS, role, name.lower(), 0.0, 1.0, style))  # type: ignore[arg-type]
+    ticks = [(0.5, "firmware state")]
+    return Panel("Firmware state", "", spans=spans, ticks=ticks, height=46, limits=(0.0, 1.0))
 
 
 def state_spans(times: Floats, names: Sequence[str], end: float) -> list[tuple[float, float, str]]:
@@ -360,12 +326,9 @@ def state_spans(times: Floats, names: Sequence[str], end: float) -> list[tuple[f
 
 def _bus(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
     """One lane per message, lowest identifier (highest priority) on top: released to arrived."""
-    lanes = sorted(
-        ((entries[0][0].frame.can_id, kind, entries) for kind, entries in record.messages.items()),
-        key=lambda lane: -lane[0],
-    )
+    lanes = sorted(record.messages.items(), key=lambda lane: -lane[1][0][0].frame.can_id)
     spans = []
-    for lane, (_, _, entries) in enumerate(lanes):
+    for lane, (_, entries) in enumerate(lanes):
         role = SENDERS.get(entries[0][0].sender, "B")
         for entry, _ in entries:
             start, end = entry.released_ns / NS_PER_S * MS, entry.arrival_ns / NS_PER_S * MS
@@ -374,7 +337,7 @@ def _bus(record: RunRecord, zooms: Sequence[Zoom]) -> Panel:
     return Panel(
         "Frames on the bus, from release to arrival",
         spans=spans,
-        ticks=[(float(lane), kind.__name__) for lane, (_, kind, _) in enumerate(lanes)],
+        ticks=[(float(lane), kind.__name__) for lane, (kind, _) in enumerate(lanes)],
         keys=list(SENDERS.items()),
         height=160,
         limits=(-0.7, len(lanes) - 0.3),
