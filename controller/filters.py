@@ -35,15 +35,8 @@ def butterworth(order: int, fc_hz: float, rate_hz: float) -> tuple[Section, ...]
         damping = 2.0 * math.sin((2 * pair - 1) * math.pi / (2 * order))
         scale = 1.0 / (1.0 + k * damping + k * k)
         gain = k * k * scale
-        sections.append(
-            Section(
-                gain,
-                2.0 * gain,
-                gain,
-                2.0 * (k * k - 1.0) * scale,
-                (1.0 - k * damping + k * k) * scale,
-            )
-        )
+        a1, a2 = 2.0 * (k * k - 1.0) * scale, (1.0 - k * damping + k * k) * scale
+        sections.append(Section(gain, 2.0 * gain, gain, a1, a2))
     if order % 2:
         scale = 1.0 / (1.0 + k)
         sections.append(Section(k * scale, k * scale, 0.0, (k - 1.0) * scale, 0.0))

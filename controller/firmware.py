@@ -196,20 +196,18 @@ class Firmware:
             apart_rad_s = abs(speeds.input_rad_s - speeds.output_rad_s)
             agree = apart_rad_s <= self._sync_tolerance_rad_s
         machine = self._machine
-        machine.step(
-            now_ns,
-            Observation(
-                position_valid=estimate.valid,
-                gear=windows.gear if trusted else Gear.UNKNOWN,
-                run=windows.run,
-                moved=self._estimator.moved,
-                requested=requested,
-                synchronized=agree,
-                clear_b=self._clear(now_ns, Chamber.F),
-                clear_f=self._clear(now_ns, Chamber.B),
-                recoverable=not (self._latched and self._latched & Fault.INTERNAL),
-            ),
+        observed = Observation(
+            position_valid=estimate.valid,
+            gear=windows.gear if trusted else Gear.UNKNOWN,
+            run=windows.run,
+            moved=self._estimator.moved,
+            requested=requested,
+            synchronized=agree,
+            clear_b=self._clear(now_ns, Chamber.F),
+            clear_f=self._clear(now_ns, Chamber.B),
+            recoverable=not (self._latched and self._latched & Fault.INTERNAL),
         )
+        machine.step(now_ns, observed)
         if machine.event is Event.LEG_STARTED:
             self._estimator.mark()
             if machine.leg is not Gear.NEUTRAL:
@@ -231,23 +229,18 @@ class Firmware:
         if machine.driving:
             b_ns, n_ns, f_ns = self._energised_ns
             speeds = self._speeds
-            duties = self._strategy.command(
-                now_ns,
-                estimate,
-                ShiftContext(
-                    leg=machine.leg,
-                    final=machine.final,
-                    charged=CHAMBER_OF[machine.leg],
-                    passive=self._passive,
-                    start_ns=machine.attempt_ns,
-                    attempt=machine.attempt,
-                    energised_ns=(b_ns, n_ns, f_ns),
-                    apart_rad_s=None
-                    if speeds is None
-                    else speeds.input_rad_s - speeds.output_rad_s,
-                    apart_ns=self._speeds_ns,
-                ),
+            shift = ShiftContext(
+                leg=machine.leg,
+                final=machine.final,
+                charged=CHAMBER_OF[machine.leg],
+                passive=self._passive,
+                start_ns=machine.attempt_ns,
+                attempt=machine.attempt,
+                energised_ns=(b_ns, n_ns, f_ns),
+                apart_rad_s=None if speeds is None else speeds.input_rad_s - speeds.output_rad_s,
+                apart_ns=self._speeds_ns,
             )
+            duties = self._strategy.command(now_ns, estimate, shift)
             if not self._allowed(now_ns, duties):
                 machine.fail(Fault.INTERNAL)
                 duties = OFF

@@ -129,34 +129,21 @@ class LightModel:
         The piston pushes the stay and cannot pull it: what brakes the piston lets the stay coast.
         """
         own = self.settings
-        piston_kg, stay_kg, piston_m2, stay_m2 = (
-            own.piston_kg,
-            own.stay_kg,
-            own.piston_m2,
-            own.stay_m2,
-        )
+        piston_kg, stay_kg = own.piston_kg, own.stay_kg
+        piston_m2, stay_m2 = own.piston_m2, own.stay_m2
         z_m, x_m = motion.piston_m, motion.stay_m
         u_m_s, v_m_s = motion.piston_m_s, motion.stay_m_s
-        u_m_s = slid(
-            u_m_s,
-            piston_m2 * (motion.driving_pa - motion.braking_pa),
-            own.piston_friction_n + own.piston_damping_n_s_m * abs(u_m_s),
-            step_s,
-            piston_kg,
-        )
-        v_m_s = slid(
-            v_m_s,
-            stay_m2 * (motion.driving_pa - own.atmosphere_pa),
-            own.stay_friction_n + motion.load_n + own.stay_damping_n_s_m * abs(v_m_s),
-            step_s,
-            stay_kg,
-        )
+        drive_n = piston_m2 * (motion.driving_pa - motion.braking_pa)
+        resist_n = own.piston_friction_n + own.piston_damping_n_s_m * abs(u_m_s)
+        u_m_s = slid(u_m_s, drive_n, resist_n, step_s, piston_kg)
+        drive_n = stay_m2 * (motion.driving_pa - own.atmosphere_pa)
+        resist_n = own.stay_friction_n + motion.load_n + own.stay_damping_n_s_m * abs(v_m_s)
+        v_m_s = slid(v_m_s, drive_n, resist_n, step_s, stay_kg)
         if u_m_s > v_m_s and z_m + step_s * u_m_s > own.gap_m + x_m + step_s * v_m_s:
             total_kg = piston_kg + stay_kg
             common_m_s = (piston_kg * u_m_s + stay_kg * v_m_s) / total_kg
             if v_m_s <= 0.0:  # the piston's push has the stay's resistance to overcome first
                 resist_n = own.stay_friction_n + motion.load_n
-                drive_n = stay_m2 * (motion.driving_pa - own.atmosphere_pa)
                 held_m_s = step_s * max(0.0, resist_n - drive_n) / total_kg
                 common_m_s = max(0.0, common_m_s - held_m_s)
             u_m_s = v_m_s = common_m_s

@@ -51,10 +51,8 @@ class ControllerNode:
         self.pulses = _receiver(PositionPulse, e2e.position_timeout_s)
         self.requests = _receiver(ShiftRequest, e2e.request_timeout_s)
         self.speeds = _receiver(DrivelineSpeeds, e2e.speeds_timeout_s)
-        self._receivers: dict[int, Receiver[Any]] = {
-            can_id_of(receiver.message_type): receiver
-            for receiver in (self.pulses, self.requests, self.speeds)
-        }
+        receivers = (self.pulses, self.requests, self.speeds)
+        self._receivers = {can_id_of(receiver.message_type): receiver for receiver in receivers}
         self._protect_valves = Protector(ValveCommand)
         self._protect_blow = Protector(SafetyBlow)
         self._protect_status = Protector(ControllerStatus)
@@ -83,9 +81,7 @@ class ControllerNode:
             self._tick_ns = tick_ns
         for arrival_ns, frame in deliveries:
             self._receive(arrival_ns, frame)
-        if (
-            until_ns < self._tick_ns
-        ):  # between two ticks: the run ends, or the control unit has just started
+        if until_ns < self._tick_ns:  # the run ends, or the control unit has just started
             return [], self._tick_ns
         self._tick_ns += self.config.period_ns
         released_ns = until_ns + self.config.computation_ns

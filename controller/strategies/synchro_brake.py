@@ -62,9 +62,8 @@ class SynchroBrake(IntoGear):
     def decide(self, progress: Progress) -> Command:
         """Push but for the two intervals before and after the forecast release."""
         own = self.parameters
-        now_s = (
-            progress.spent_s + 0.5 * self.config.period_s
-        )  # an instant's nearest step acts for it
+        # the step nearest to an instant acts for it
+        now_s = progress.spent_s + 0.5 * self.config.period_s
         if self._brake_s is None and self._rest_s is None:
             self._note(progress)
             if self._release_s is None or self._release_s - now_s < own.least_lead_s:

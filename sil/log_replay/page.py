@@ -53,19 +53,17 @@ def _tiles(outcome: ReplayResult) -> list[tuple[str, str]]:
     found = outcome.comparison
     results = found.matched_edges()
     edges = sum(len(result.signal.recorded) for result in results)
-    moved = sum(sum(1 for s in result.shift_ns if s) for result in results)
     alone = sum(len(r.matching.dropped) + len(r.matching.added) for r in results)
     shifts = [abs(s) for result in results for s in result.shift_ns]
-    tiles = [
-        ("ticks compared", f"{found.ticks}"),
-        ("ticks that differ", f"{found.differing_ticks}"),
-        ("edges recorded", f"{edges}"),
-        ("edges moved", f"{moved}"),
-        ("edges gone or new", f"{alone}"),
-        ("farthest moved", f"{max(shifts, default=0) / 1e6:g} ms"),
-        ("frames accounted for", f"{outcome.account.total} of {outcome.frames}"),
+    return [
+        (f"{found.ticks}", "ticks compared"),
+        (f"{found.differing_ticks}", "ticks that differ"),
+        (f"{edges}", "edges recorded"),
+        (f"{sum(1 for s in shifts if s)}", "edges moved"),
+        (f"{alone}", "edges gone or new"),
+        (f"{max(shifts, default=0) / 1e6:g} ms", "farthest moved"),
+        (f"{outcome.account.total} of {outcome.frames}", "frames accounted for"),
     ]
-    return [(value, name) for name, value in tiles]
 
 
 def _pictures(outcome: ReplayResult, folder: Path) -> tuple[list[Picture], list[Group]]:
@@ -73,27 +71,19 @@ def _pictures(outcome: ReplayResult, folder: Path) -> tuple[list[Picture], list[
     base_ns, scenes = outcome.grid.origin_ns, outcome.comparison.excerpts.found
     positions = outcome.plant.positions if outcome.plant is not None else []
     a, b = outcome.labels
-    pictures = [
-        Picture(
-            save(
-                excerpts_figure([scene], outcome.labels, base_ns, positions),
-                folder,
-                f"scene_{number}",
-            ),
-            "Position, coils and states of both sides over time",
-            f"The controller's estimate, the coils energised (pale: {a}, full: {b}) and the states.",
-        )
-        for number, scene in enumerate(scenes, start=1)
-    ]
+    alt = "Position, coils and states of both sides over time"
+    caption = (
+        f"The controller's estimate, the coils energised (pale: {a}, full: {b}) and the states."
+    )
+    pictures = []
+    for number, scene in enumerate(scenes, start=1):
+        figure = excerpts_figure([scene], outcome.labels, base_ns, positions)
+        pictures.append(Picture(save(figure, folder, f"scene_{number}"), alt, caption))
     groups = plots(excerpts_figure(scenes, outcome.labels, base_ns, positions)) if scenes else []
     if any(np.isfinite(p.recorded_m) for p in positions):
         figure = positions_figure(positions, base_ns)
-        pictures.append(
-            Picture(
-                save(figure, folder, "positions"),
-                "Recorded and replayed position over time",
-                "The plant's position as recorded and as replayed.",
-            )
-        )
+        alt = "Recorded and replayed position over time"
+        caption = "The plant's position as recorded and as replayed."
+        pictures.append(Picture(save(figure, folder, "positions"), alt, caption))
         groups += plots(figure)
     return pictures, groups

@@ -106,13 +106,12 @@ class RecordedFrames:
             if channel is not None and entry.channel != channel:
                 self.counts["on another channel"] += 1
                 continue
-            if kind is None:
-                if len(self.foreign) < 100_000 or entry.can_id in self.foreign:
-                    self.foreign[entry.can_id] += 1
-                yield Arrival(time_ns, None, Frame(entry.can_id, entry.data))
-            else:
+            if kind is not None:
                 self.kinds[kind] += 1
-                yield Arrival(time_ns, kind, Frame(ID_OF[kind], entry.data))
+            elif len(self.foreign) < 100_000 or entry.can_id in self.foreign:
+                self.foreign[entry.can_id] += 1
+            can_id = entry.can_id if kind is None else ID_OF[kind]
+            yield Arrival(time_ns, kind, Frame(can_id, entry.data))
 
     def _clamped(self, time_ns: int, last_ns: int) -> int:
         if last_ns - time_ns > REORDERED_NS:
@@ -193,16 +192,14 @@ def _require_layout(path: str, kind: type, message: Any) -> None:
             f"{path}: {message.name}: {message.length} bytes; expected {spec.length} as in opc4.dbc"
         )
     for ours in spec.signals:
-        there = theirs.get(ours.name)
+        where, there = f"{path}: {message.name}.{ours.name}", theirs.get(ours.name)
         if there is None:
-            raise InputError(
-                f"{path}: {message.name}.{ours.name}: missing; expected as in opc4.dbc"
-            )
+            raise InputError(f"{where}: missing; expected as in opc4.dbc")
         found = (there.start, there.length, there.is_signed, there.byte_order)
         wanted = (ours.start, ours.length, ours.signed, "little_endian")
         scaled = (float(there.scale), float(there.offset))
         if found != wanted or scaled != (float(ours.factor), float(ours.offset)):
             raise InputError(
-                f"{path}: {message.name}.{ours.name}: bits {there.start}|{there.length}, factor "
+                f"{where}: bits {there.start}|{there.length}, factor "
                 f"{there.scale}; expected {ours.start}|{ours.length}, {ours.factor} as in opc4.dbc"
             )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,7 +21,7 @@ from sil.log_replay.comparison import Comparison
 from sil.log_replay.executor import Account, ReplayExecutor, Unit
 from sil.log_replay.options import ReplaySettings, find_settings
 from sil.log_replay.plant_side import PlantSide
-from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames, ids_of_database
+from sil.log_replay.recorded_frames import OWN_IDS, Arrival, RecordedFrames, ids_of_database
 from sil.log_replay.signals import Options
 from sil.log_replay.tick_grid import HEAD_FRAMES, NOMINAL, Grid, make_grid, survey
 from sil.log_replay.ticks import TickMap, map_ticks
@@ -68,8 +68,8 @@ class ReplayResult:
     steps: int
     unanswered: Counter[str]
     plant: PlantSide | None
+    foreign: list[tuple[str, int]]
     notes: list[str] = field(default_factory=list)
-    foreign: list[tuple[str, int]] = field(default_factory=list)
 
     @property
     def differs(self) -> bool:
@@ -90,7 +90,7 @@ def replay(request: ReplayRequest) -> ReplayResult:
     Checked by: tests/scenarios/test_replay.py
     """
     log = _Log(request)
-    found = survey(log.head)
+    found = survey(log.head())
     ready = find_settings(
         request.log,
         found,
@@ -99,15 +99,15 @@ def replay(request: ReplayRequest) -> ReplayResult:
         run=request.run,
         with_plant=request.plant or request.closed_loop,
     )
-    if request.firmware is not None and _is_folder(request.firmware):
+    if _is_folder(request.firmware):
         description = f"of {request.firmware}, settings {ready.description}"
         ready = dataclasses.replace(ready, description=description)
     scene = ready.loaded.scenario
     if found.skew and not ready.own_run:
-        log.set_clock(found.first_ns, found.skew)
-        found = survey(log.head)
+        log.skew = (found.first_ns, found.skew)
+        found = survey(log.head())
     if found.bitrate is None and ready.own_run:
-        found = survey(log.head, scene.bus.bitrate)
+        found = survey(log.head(), scene.bus.bitrate)
     config = scene.controller
     period_ns = found.period_ns or ready.recorded_ns
     if abs(period_ns - ready.recorded_ns) <= NOMINAL * period_ns:
@@ -160,16 +160,16 @@ def replay(request: ReplayRequest) -> ReplayResult:
         ticks=ticks,
         comparison=comparison,
         account=executor.account,
-        read=log.report,
+        read=log.reader.report,
         frames=frames.total,
         steps=executor.steps,
         unanswered=executor.unanswered,
         plant=plant,
+        foreign=[
+            (log.names.get(can_id, f"{can_id:08X}"), count)
+            for can_id, count in frames.foreign.most_common(20)
+        ],
     )
-    outcome.foreign = [
-        (log.names.get(can_id, f"{can_id:08X}"), count)
-        for can_id, count in frames.foreign.most_common(20)
-    ]
     outcome.notes = _notes(outcome, log, frames)
     return outcome
 
@@ -183,41 +183,33 @@ class _Log:
         self._ids: Mapping[int, type] = OWN_IDS
         if request.dbc is not None:
             self._ids, self.names = ids_of_database(request.dbc)
-        self._reader = open_log(request.log, strict=request.strict, times=request.times)
+        self.reader = open_log(request.log, strict=request.strict, times=request.times)
         self.channel: str | None = None
         self.channels: Counter[str] = Counter()
         self.skew = (0, 0.0)
-        self._frames = self._beginning()
-        self.head = list(RecordedFrames(self._frames, channel=self.channel, ids=self._ids))
+        """Time in ns from which the recorder's clock drifts from the control unit's, and the share."""
+        self._beginning = self._read_beginning()
 
-    def set_clock(self, begin_ns: int, share: float) -> None:
-        """Tell times by the control unit's clock, from which the recorder's drifts away."""
-        self.skew = (begin_ns, share)
-        self.head = list(
-            RecordedFrames(self._frames, channel=self.channel, ids=self._ids, skew=self.skew)
-        )
-
-    @property
-    def report(self) -> LogReport:
-        """What the latest reading found."""
-        return self._reader.report
+    def head(self) -> list[Arrival]:
+        """Return the first frames, for the survey."""
+        return list(self._recorded(self._beginning))
 
     def recorded_frames(self) -> RecordedFrames:
         """Return the frames of a new reading."""
+        return self._recorded(self.reader)
+
+    def _recorded(self, frames: Iterable[LogFrame]) -> RecordedFrames:
+        path = self._request.log
         return RecordedFrames(
-            self._reader,
-            channel=self.channel,
-            ids=self._ids,
-            path=self._request.log,
-            skew=self.skew,
+            frames, channel=self.channel, ids=self._ids, path=path, skew=self.skew
         )
 
-    def _beginning(self) -> list[LogFrame]:
+    def _read_beginning(self) -> list[LogFrame]:
         """Read on to the first valve command, and some more; choose the channel."""
         valves = {can_id for can_id, kind in self._ids.items() if kind is ValveCommand}
         before: deque[LogFrame] = deque(maxlen=BEFORE_FRAMES)
         frames: list[LogFrame] = []
-        entries = iter(self._reader)
+        entries = iter(self.reader)
         first: LogFrame | None = None
         for entry in entries:
             first = first or entry
@@ -315,10 +307,8 @@ def _notes(outcome: ReplayResult, log: _Log, frames: RecordedFrames) -> list[str
         notes += [f"the control unit {name} from {when(a)} to {when(b)}" for a, b in spans[:5]]
         if len(spans) > 5:
             notes.append(f"the control unit {name} {len(spans) - 5} times more")
-    if ticks.restarts:
-        notes.append(
-            f"gaps in the recording: {len(ticks.restarts)}; the replay restarted after each"
-        )
+    if gaps := len(ticks.restarts):
+        notes.append(f"gaps in the recording: {gaps}; the replay restarted after each")
     if outcome.plant is not None and (not grid.fresh or not outcome.settings.own_run):
         gear = outcome.settings.loaded.scenario.initial_gear
         notes.append(
@@ -348,7 +338,6 @@ def _notes(outcome: ReplayResult, log: _Log, frames: RecordedFrames) -> list[str
         )
     if frames.reordered:
         notes.append(f"{frames.reordered} frames out of order, taken as of the latest time before")
-    report = log.report
-    if not report.clean:
-        notes += [f"log: {line}" for line in report.lines()[1:]]
+    if not outcome.read.clean:
+        notes += [f"log: {line}" for line in outcome.read.lines()[1:]]
     return notes

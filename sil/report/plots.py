@@ -77,14 +77,7 @@ def _panel(panel: Panel, x: Floats) -> dict[str, Any]:
         "keys": [list(key) for key in panel.keys],
         "scale": scale and [scale.label, scale.low, scale.high, list(scale.colours)],
         "series": [
-            {
-                "label": s.label,
-                "role": s.role,
-                "style": s.style,
-                "dashed": s.dashed,
-                "width": s.width,
-                "y": rounded(on_axis(s, x)),
-            }
+            {k: v for k, v in vars(s).items() if k != "x"} | {"y": rounded(on_axis(s, x))}
             for s in panel.series
         ],
         "bands": [[rounded(b.x), rounded(b.low), rounded(b.high), b.role] for b in panel.bands],

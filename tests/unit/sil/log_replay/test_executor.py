@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from tests.unit.sil.log_replay.golden_logs import frames, golden, write
 PERIOD = 10_000_000
 
 
+@cache
 def long_log(seconds: int) -> list[LogFrame]:
     """Several shifts on one clock."""
     requests = [

@@ -57,7 +57,7 @@ def test_silence_with_standing_counters_is_standstill() -> None:
     ]
     found = mapped(late)
     assert found.idle == [Span(50, 57)] and not found.off_bus
-    assert [found.runs(tick) for tick in (49, 50, 56, 57)] == [True, False, False, True]
+    assert [found.idle_at(tick) is None for tick in (49, 50, 56, 57)] == [True, False, False, True]
     blow = next(a for a in late if a.kind is SafetyBlow and a.time_ns > 570_100_000)
     assert found.tick_of(blow) == 57
 
