@@ -1,8 +1,7 @@
 """MF4 (ASAM MDF 4) through asammdf: logs of CAN frames.
 
 asammdf is optional (the extra `mdf`) and slow to import: it is imported when an MF4 is read or
-written. It trusts the links and sizes in a file, so that a damaged one can make it loop or crash;
-the block structure is therefore checked first.
+written.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ import io
 import logging
 import os
 import shutil
-import struct
 import tempfile
 from collections.abc import Iterator, Sequence
 from itertools import islice
@@ -31,6 +29,7 @@ from sil.logs.frame import (
     LogFrame,
     frame_problem,
 )
+from sil.logs.mf4_blocks import LARGEST_RECORD, VARIABLE_LENGTH, Blocks
 from sil.logs.report import Location, LogReport, printable
 from sil.logs.source import ByteSource
 from sil.logs.writer import LogWriter
@@ -52,31 +51,8 @@ _EXACT_SPAN_NS: Final = 4_000_000 * 10**9
 """Times are stored as seconds in a double; up to here (46 days) these are exact to the ns."""
 
 _NO_VALUE: Final = "its data is missing"
-_VARIABLE_LENGTH: Final = 1
-_LARGEST_RECORD: Final = 1 << 16
-_LARGEST_BLOCK: Final = 1 << 26
-_MOST_BLOCKS: Final = 200_000
-_MOST_LINKS: Final = 1 << 16
-_HEADER: Final = struct.Struct("<4sIQQ")
 _FLAGS_AT, _LEFT_TO_ASAMMDF = 60, 0b1100001
 """Flags of what is unfinished in a file; of these, asammdf is left to count the records."""
-
-_RECORDS: Final = ("DT", "DV", "SD", "DZ")
-_DATA: Final = (*_RECORDS, "DL", "HL")
-_LINKS: Final[dict[str, dict[int, tuple[str, ...]]]] = {
-    "HD": {0: ("DG",), 1: ("FH",), 3: ("AT",), 4: ("EV",), 5: ("MD", "TX")},
-    "FH": {0: ("FH",)},
-    "AT": {0: ("AT",)},
-    "EV": {0: ("EV",)},
-    "DG": {0: ("DG",), 1: ("CG",), 2: _DATA},
-    "CG": {0: ("CG",), 1: ("CN",)},
-    "CN": {0: ("CN",), 1: ("CN",), 5: _DATA},
-    "HL": {0: ("DL",)},
-    "DL": {0: ("DL",)},
-}
-"""The links of each kind of block that are followed, and the kinds of blocks they lead to."""
-
-_LINK_COUNTS: Final = {"HD": (6,), "DG": (4,), "CG": (6, 7), "CN": range(8, 1000)}
 
 _SOURCE_BUS, _BUS_CAN = 2, 2
 _COMPRESSION_DEFLATE: Final = 1
@@ -96,141 +72,6 @@ def _close_quietly(measurement: Any) -> None:
     """Close a collected measurement; asammdf's own way fails on one that could not be opened."""
     with contextlib.suppress(AttributeError):
         measurement.close()
-
-
-class _Broken(Exception):
-    """The block structure is broken at a byte."""
-
-    def __init__(self, byte: int, reason: str) -> None:
-        super().__init__(reason)
-        self.location = Location(reason, byte=byte)
-
-
-class _Link(NamedTuple):
-    """A link to a block of one of these kinds.
-
-    context: what the block has to fit to: bytes of a record number (CG), of a record (CN).
-    """
-
-    address: int
-    kinds: tuple[str, ...]
-    context: int = 0
-
-
-class _Structure:
-    """The blocks of a file that asammdf follows: links, sizes, and where the file is cut off.
-
-    record_bytes: bytes of records in all blocks of them. resized: address and available length of each data
-    block that is longer than the file, or whose length an unfinished file does not state yet.
-    cut_at: the byte of the first one that is longer than the file.
-    """
-
-    def __init__(self, file: BinaryIO, open_end: bool) -> None:
-        self._file = file
-        self._size = file.seek(0, os.SEEK_END)
-        self._open_end = open_end
-        self._blocks: set[int] = set()
-        self.record_bytes = 0
-        self.resized: list[tuple[int, int]] = []
-        self.cut_at: int | None = None
-
-    def check(self) -> None:
-        """Follow the links from the header. Raises _Broken at the first fault."""
-        pending = [_Link(64, ("HD",))]
-        while pending:
-            link = pending.pop()
-            pending += [inner for inner in self._block(link) if inner.address]
-
-    def _head(self, address: int) -> tuple[str, int, int]:
-        """Return kind, length and number of links of the block at `address`."""
-        if not 64 <= address <= self._size - _HEADER.size:
-            raise _Broken(min(address, self._size), "a link leads out of the file")
-        self._file.seek(address)
-        mark, _, length, links = _HEADER.unpack(self._file.read(_HEADER.size))
-        if mark[:2] != b"##":
-            raise _Broken(address, "no block where a link leads")
-        return printable(mark[2:].decode("latin-1")), length, links
-
-    def _block(self, link: _Link) -> list[_Link]:
-        """Check one block and return its links."""
-        address, kinds, context = link
-        kind, length, count = self._head(address)
-        if kind not in kinds:
-            wanted = "data" if kinds is _DATA else f"a {kinds[0]} block"
-            raise _Broken(address, f"a {kind} block where {wanted} is expected")
-        if address in self._blocks:
-            raise _Broken(address, f"the {kind} block is linked twice")
-        self._blocks.add(address)
-        if len(self._blocks) > _MOST_BLOCKS:
-            raise _Broken(address, f"more than {_MOST_BLOCKS} blocks")
-        if kind in _RECORDS:
-            self._records(address, kind, length)
-            return []
-        sound = count in _LINK_COUNTS.get(kind, range(_MOST_LINKS))
-        if not sound or not _HEADER.size + 8 * count <= length <= _LARGEST_BLOCK:
-            raise _Broken(address, f"{kind} block of {length} bytes with {count} links")
-        content = self._file.read(length - _HEADER.size)
-        if len(content) < length - _HEADER.size:
-            raise _Broken(address, f"the file ends inside a {kind} block")
-        links = list(struct.unpack_from(f"<{count}Q", content))
-        try:
-            contexts = self._fields(_Link(address, (kind,), context), links, content[8 * count :])
-        except struct.error:
-            raise _Broken(address, f"{kind} block of {length} bytes is short") from None
-        followed = _LINKS.get(kind, {}) if kind != "DL" else dict.fromkeys(range(count), _DATA)
-        return [
-            _Link(links[i], to if i or kind != "DL" else ("DL",), contexts.get(i, context))
-            for i, to in followed.items()
-            if i < count
-        ]
-
-    def _fields(self, block: _Link, links: list[int], body: bytes) -> dict[int, int]:
-        """Check the fields of a block; return the contexts of its links, and remove some links."""
-        address, (kind,), context = block
-        if kind == "DG":
-            (id_size,) = struct.unpack_from("<B", body)
-            if id_size not in (0, 1, 2, 4, 8):
-                raise _Broken(address, f"record numbers of {id_size} bytes")
-            return {1: id_size}
-        if kind == "CG":
-            if links[0] and not context:
-                raise _Broken(address, "record numbers of 0 bytes")
-            _, _, flags, _, _, size, invalid = struct.unpack_from("<QQHHIII", body)
-            values_only = flags & 1 and not links[1]  # values of variable length
-            if size + invalid > _LARGEST_RECORD and not values_only:
-                raise _Broken(address, f"records of {size + invalid} bytes")
-            return {1: size}
-        if kind == "CN":
-            channel, _, _, bit, byte, bits = struct.unpack_from("<BBBBII", body)
-            outside = byte + (bit + bits + 7) // 8 > context
-            if outside and channel not in (3, 6):  # virtual channels have no bytes
-                raise _Broken(address, "a channel is outside of its record")
-            if links[1] and self._head(links[1])[0] != "CN":
-                links[1] = 0
-            if channel != _VARIABLE_LENGTH or not links[5] or self._head(links[5])[0] == "CG":
-                links[5] = 0
-        return {}
-
-    def _records(self, address: int, kind: str, length: int) -> None:
-        """Check a block of records, or of values of variable length."""
-        available = self._size - address
-        if length > available or (self._open_end and length <= _HEADER.size):
-            if length > available and self.cut_at is None:
-                self.cut_at = address
-            self.resized.append((address, available))
-            length = available
-        if kind != "DZ":
-            self.record_bytes += max(length - _HEADER.size, 0) if kind != "SD" else 0
-            return
-        fields = self._file.read(24)
-        if len(fields) < 24:
-            raise _Broken(address, "the file ends inside a DZ block")
-        of_kind, method, _, columns, size, packed = struct.unpack("<2sBBIQQ", fields)
-        if method > 1 or (method == 1 and not columns):
-            raise _Broken(address, f"packing method {method}, which is not deflate")
-        if max(size, packed) > _LARGEST_BLOCK or (packed > length - 48 and self.cut_at is None):
-            raise _Broken(address, f"DZ block of {size} bytes, {packed} packed")
-        self.record_bytes += size if of_kind != b"SD" else 0
 
 
 def _copy(source: ByteSource) -> BinaryIO:
@@ -276,25 +117,19 @@ class Mf4File:
             file = source.file
             if source.packed or self.open_end:
                 file = stack.enter_context(_copy(source))
-            structure = _Structure(file, self.open_end)
-            try:
-                structure.check()
-            except _Broken as broken:
-                raise InputError(
-                    f"{report.path}: {broken.location}; expected a whole MF4"
-                ) from None
-            self.cut = structure.cut_at is not None
+            blocks = Blocks(report.path, file, self.open_end)
+            self.cut = blocks.cut_at is not None
             if self.cut:
-                report.cut(Location("the file ends inside a data block", byte=structure.cut_at))
+                report.cut(Location("the file ends inside a data block", byte=blocks.cut_at))
                 if file is source.file:
                     file = stack.enter_context(_copy(source))
-            for address, length in structure.resized:
+            for address, length in blocks.resized:
                 file.seek(address + 8)
                 file.write(length.to_bytes(8, "little"))
             if self.open_end:
                 file.seek(_FLAGS_AT)
                 file.write(bytes((flags & _LEFT_TO_ASAMMDF, 0)))
-            self._record_bytes = structure.record_bytes
+            self._record_bytes = blocks.record_bytes
             self._file = file
             with self.guard():
                 file.seek(0)
@@ -332,7 +167,7 @@ class Mf4File:
             if kind is not None:
                 split = [name.rpartition(".") for name in names]
                 parts = {part: i for i, (owner, _, part) in enumerate(split) if owner == kind}
-                variable = any(c.channel_type == _VARIABLE_LENGTH for c in group.channels)
+                variable = any(c.channel_type == VARIABLE_LENGTH for c in group.channels)
                 structured = group.channel_dependencies[names.index(kind)] and not variable
                 whole = names.index(kind) if structured else None
                 found.append(_Stream(number, kind, parts, whole))
@@ -413,7 +248,7 @@ class _Values:
         """index: the channel of the data in the group, None if there is none."""
         self._file, self._group, self._index = file, group, index
         self.used = False
-        if index is not None and group.channels[index].channel_type == _VARIABLE_LENGTH:
+        if index is not None and group.channels[index].channel_type == VARIABLE_LENGTH:
             self.used = True
             group.channels[index].channel_type = 0  # the offsets, as plain numbers
             self._size = _stored_bytes(group, index)
@@ -432,7 +267,7 @@ class _Values:
         for offset in offsets:
             begin = offset - first + 4
             length = int.from_bytes(stored[begin - 4 : begin], "little") if begin >= 4 else -1
-            value = stored[begin : begin + length] if 0 <= length <= _LARGEST_RECORD else b""
+            value = stored[begin : begin + length] if 0 <= length <= LARGEST_RECORD else b""
             found.append(value if len(value) == length else None)
         return found
 
@@ -635,23 +470,30 @@ class Mf4Writer(LogWriter):
         import numpy as np
 
         name, data_bytes = _LAYOUT[kind]
-        rows = np.zeros(len(frames), dtype=_columns(name, data_bytes))
-        rows[f"{name}.BusChannel"] = [self.channel_number(f.channel, 0) for f in frames]
-        rows[f"{name}.ID"] = [frame.can_id for frame in frames]
-        rows[f"{name}.IDE"] = [frame.extended for frame in frames]
-        rows[f"{name}.DLC"] = [frame.dlc for frame in frames]
-        rows[f"{name}.Dir"] = [frame.direction == "Tx" for frame in frames]
-        rows[f"{name}.EDL"] = [frame.fd for frame in frames]
-        rows[f"{name}.BRS"] = [frame.brs for frame in frames]
-        rows[f"{name}.ESI"] = [frame.esi for frame in frames]
+        times_ns, ids, data, extended, _, _, fd, brs, esi, channels, ways, _ = zip(
+            *frames, strict=True
+        )
+        parts: dict[str, Any] = {
+            "BusChannel": [self.channel_number(channel, 0) for channel in channels],
+            "DLC": [frame.dlc for frame in frames],
+            "Dir": [way == "Tx" for way in ways],
+            "ID": ids,
+            "IDE": extended,
+            "EDL": fd,
+            "BRS": brs,
+            "ESI": esi,
+        }
         if data_bytes:
-            padded = b"".join([frame.data.ljust(data_bytes, b"\x00") for frame in frames])
-            rows[f"{name}.DataBytes"] = np.frombuffer(padded, np.uint8).reshape(-1, data_bytes)
-            rows[f"{name}.DataLength"] = [len(frame.data) for frame in frames]
+            padded = b"".join([content.ljust(data_bytes, b"\x00") for content in data])
+            parts["DataBytes"] = np.frombuffer(padded, np.uint8).reshape(-1, data_bytes)
+            parts["DataLength"] = list(map(len, data))
+        rows = np.zeros(len(frames), dtype=_columns(name, data_bytes))
+        for part, values in parts.items():
+            rows[f"{name}.{part}"] = values
         self._count_losses(frames)
-        times_ns = np.array([frame.time_ns - self.start_ns for frame in frames], dtype=np.int64)
+        offsets_ns = np.array([time_ns - self.start_ns for time_ns in times_ns], dtype=np.int64)
         # Integer seconds and the rest apart: one rounding, to the double nearest to the decimal.
-        seconds = times_ns // 10**9 + (times_ns % 10**9) / 1e9
+        seconds = offsets_ns // 10**9 + (offsets_ns % 10**9) / 1e9
         if kind in self._groups:
             self._measurement.extend(self._groups[kind], [(seconds, None), (rows, None)])
         else:
