@@ -63,6 +63,9 @@ FORMATS = (
     Format("mf4", "mf4", ("1", "2"), same),
     Format("csv", "csv", ("can0", "2"), same),
 )
+PYTHON_CAN = FORMATS[:6]
+"""The formats of python-can; its CSV is a table of its own, which it reads and we do not write."""
+
 PACKED = [fmt._replace(suffix=f"{fmt.suffix}.gz") for fmt in FORMATS]
 every_format = pytest.mark.parametrize("fmt", FORMATS, ids=lambda fmt: fmt.name)
 every_file = pytest.mark.parametrize("fmt", [*FORMATS, *PACKED], ids=lambda fmt: fmt.suffix)
@@ -336,7 +339,7 @@ def plain_frames(fmt: Format) -> list[LogFrame]:
     return [f for f in frames if not f.error and not (f.raw_dlc and not f.remote)]
 
 
-@pytest.mark.parametrize("fmt", [f for f in FORMATS if f.name != "csv"], ids=lambda f: f.name)
+@pytest.mark.parametrize("fmt", PYTHON_CAN[:-1], ids=lambda f: f.name)
 def test_python_can_reads_what_we_write(fmt: Format, tmp_path: Path) -> None:
     can = importlib.import_module("can")
     frames = plain_frames(fmt)
@@ -360,7 +363,7 @@ def test_python_can_reads_what_we_write(fmt: Format, tmp_path: Path) -> None:
         assert message.is_rx is (frame.direction == "Rx")
 
 
-@every_format
+@pytest.mark.parametrize("fmt", PYTHON_CAN, ids=lambda f: f.name)
 def test_we_read_what_python_can_writes(fmt: Format, tmp_path: Path) -> None:
     can = importlib.import_module("can")
     frames = plain_frames(fmt)
