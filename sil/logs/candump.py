@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from functools import lru_cache
 from itertools import pairwise, repeat
 from operator import add
 from typing import Final, NamedTuple
@@ -226,81 +227,57 @@ def surely_whole(parsed: Parsed, earlier: list[LogFrame]) -> bool:
     return False
 
 
-class PlainChunks:
-    """Reads such chunks; remembers the identifiers in them."""
+@lru_cache(_MOST_KNOWN_IDS)
+def _plain_identifier(digits: str) -> tuple[int, bool] | None:
+    """Return number and extended flag of a data frame's identifier, None for other words."""
+    return (int(digits, 16), len(digits) == 8) if _PLAIN_IDENTIFIER.match(digits) else None
 
-    def __init__(self) -> None:
-        self._ids: dict[str, int] = {}
-        self._extended: dict[str, bool] = {}
 
-    def frames(self, text: str, count: int) -> list[LogFrame] | None:
-        """Return the frames of `count` lines of text, None when one of them is not a common line."""
-        if "\r" in text:
-            text = text.replace("\r\n", "\n")
-        first = text[: text.find("\n")]
-        directed = first.endswith((" R", " T"))
-        words = _words(text, count, first, 10 if directed else 9)
-        if words is None:
-            return None
-        step = 10 if directed else 9
-        seconds = self._seconds(words[1::step])
-        fractions = words[3::step]
-        digits = words[6::step]
-        data = words[8::step]
-        channels = words[5::step]
-        ways = words[9::step] if directed else None
-        sound = (
-            seconds is not None
-            and set(map(len, fractions)) == {9}
-            and "".join(fractions).isdigit()
-            and _DATA_LENGTHS.issuperset(map(len, data))
-            and all(map(_PLAIN_CHANNEL.match, set(channels)))
-            and self._learn(set(digits))
-            and (ways is None or _LETTERS.keys() >= set(ways))
-        )
-        if not sound or seconds is None:
-            return None
-        try:
-            payloads = list(map(bytes.fromhex, data))
-        except ValueError:
-            return None
-        times_ns = map(add, map(seconds.__getitem__, words[1::step]), map(int, fractions))
-        no = repeat(False)
-        rows = zip(
-            times_ns,
-            map(self._ids.__getitem__, digits),
-            payloads,
-            map(self._extended.__getitem__, digits),
-            *(no, no, no, no, no),
-            channels,
-            repeat("") if ways is None else map(_LETTERS.__getitem__, ways),
-            repeat(0),
-            strict=False,
-        )
-        return list(map(tuple.__new__, repeat(LogFrame), rows))
-
-    def _seconds(self, words: list[str]) -> dict[str, int] | None:
-        """Nanoseconds of each number of seconds, None when one is no such number."""
-        found = {}
-        for word in set(words):
-            if not (word.isdigit() and len(word) <= 10 and int(word) <= _MOST_SECONDS):
-                return None
-            found[word] = int(word) * NS_PER_S
-        return found
-
-    def _learn(self, digits: set[str]) -> bool:
-        """Know the numbers of identifiers; False when one is none that a data frame can have."""
-        new = digits - self._ids.keys()
-        if not all(map(_PLAIN_IDENTIFIER.match, new)):
-            return False
-        if len(self._ids) > _MOST_KNOWN_IDS:
-            self._ids.clear()
-            self._extended.clear()
-            new = digits
-        for word in new:
-            self._ids[word] = int(word, 16)
-            self._extended[word] = len(word) == 8
-        return True
+def plain_frames(text: str, count: int) -> list[LogFrame] | None:
+    """Return the frames of `count` lines of text, None when one of them is not a common line."""
+    if "\r" in text:
+        text = text.replace("\r\n", "\n")
+    first = text[: text.find("\n")]
+    directed = first.endswith((" R", " T"))
+    step = 10 if directed else 9
+    words = _words(text, count, first, step)
+    if words is None:
+        return None
+    whole, fractions, channels = words[1::step], words[3::step], words[5::step]
+    digits, data = words[6::step], words[8::step]
+    ways = words[9::step] if directed else []
+    seconds = set(whole)
+    known = {word: _plain_identifier(word) for word in set(digits)}
+    ids = {word: item[0] for word, item in known.items() if item is not None}
+    extended = {word: item[1] for word, item in known.items() if item is not None}
+    if not (
+        all(word.isdigit() and len(word) <= 10 and int(word) <= _MOST_SECONDS for word in seconds)
+        and set(map(len, fractions)) == {9}
+        and "".join(fractions).isdigit()
+        and _DATA_LENGTHS.issuperset(map(len, data))
+        and all(map(_PLAIN_CHANNEL.match, set(channels)))
+        and len(ids) == len(known)
+        and _LETTERS.keys() >= set(ways)
+    ):
+        return None
+    try:
+        payloads = list(map(bytes.fromhex, data))
+    except ValueError:
+        return None
+    seconds_ns = {word: int(word) * NS_PER_S for word in seconds}
+    no = repeat(False)
+    rows = zip(
+        map(add, map(seconds_ns.__getitem__, whole), map(int, fractions)),
+        map(ids.__getitem__, digits),
+        payloads,
+        map(extended.__getitem__, digits),
+        *(no, no, no, no, no),
+        channels,
+        map(_LETTERS.__getitem__, ways) if directed else repeat(""),
+        repeat(0),
+        strict=False,
+    )
+    return list(map(tuple.__new__, repeat(LogFrame), rows))
 
 
 def _words(text: str, count: int, first: str, step: int) -> list[str] | None:
@@ -338,7 +315,6 @@ class CandumpReader(TextReader):
         self._decided = False
         self._timed: bool | None = None
         self._sum_ns = 0
-        self._columns = PlainChunks()
         self._earlier: list[LogFrame] = []
 
     def __iter__(self) -> Iterator[Batch]:
@@ -358,7 +334,7 @@ class CandumpReader(TextReader):
         if self._timed is False:
             return None
         count = chunk.text.count("\n")
-        frames = self._columns.frames(chunk.text, count)
+        frames = plain_frames(chunk.text, count)
         if frames is None:
             return None
         self._timed = True

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_log, open_writer
-from sil.logs.candump import PlainChunks, look_like_deltas, parse_line
+from sil.logs.candump import look_like_deltas, parse_line, plain_frames
 from sil.logs.format import NotAFrame
 from sil.logs.frame import require_possible
 
@@ -352,7 +352,7 @@ def test_column_reading_agrees_with_line_reading(
         line = lines[0]
         if place < len(line):
             lines[0] = line[:place] + character + line[place + 1 :]
-    quick = PlainChunks().frames("".join(f"{line}\n" for line in lines), len(lines))
+    quick = plain_frames("".join(f"{line}\n" for line in lines), len(lines))
     if quick is not None:
         assert quick == [parse_line(line).frame for line in lines]
 
@@ -377,12 +377,12 @@ def test_common_lines_are_read_by_columns(
         text += (
             f"({time_ns // 10**9:010d}.{fraction}) can0 {can_id:08X}#{data.hex().upper()}{way}\n"
         )
-    frames = PlainChunks().frames(text, len(rows))
+    frames = plain_frames(text, len(rows))
     assert frames is not None
     assert [(f.can_id, f.data) for f in frames] == [row[1:] for row in rows]
     step = 1 if nanoseconds else 1000
     assert [f.time_ns for f in frames] == [row[0] // step * step for row in rows]
-    assert PlainChunks().frames(text.replace("\n", "\r\n"), len(rows)) == frames
+    assert plain_frames(text.replace("\n", "\r\n"), len(rows)) == frames
 
 
 def test_decimals_as_the_log_needs(tmp_path: Path) -> None:
