@@ -18,7 +18,7 @@ from heapq import heapify, heappop, heappush
 from typing import Any, NamedTuple, TypeVar
 
 from can_dbc.errors import InputError
-from can_dbc.frame import DP_BIT, EDP_BIT, MAX_ID, MAX_LENGTH, Frame
+from can_dbc.frame import MAX_ID, MAX_LENGTH, Frame
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import EOF_BITS, INTERMISSION_BITS, frame_bits
 
@@ -125,17 +125,6 @@ def overwritten(ready: list[_Entry], entry: _Entry) -> bool:
     return False
 
 
-def can_be_offered(frame: Frame) -> bool:
-    """Return whether a node may send the frame: classic, 29-bit, both data page bits clear.
-
-    Set, these bits mark the frames of the lockstep protocol.
-    """
-    can_id = frame.can_id
-    return (
-        0 <= can_id <= MAX_ID and not can_id & (EDP_BIT | DP_BIT) and len(frame.data) <= MAX_LENGTH
-    )
-
-
 class BusModel:
     """A CAN bus in simulated time; the module docstring states the model.
 
@@ -196,10 +185,11 @@ class BusModel:
 
         Raises ValueError for a release in the past and for frames that are not classic CAN.
         """
-        if release_ns < self._now_ns or not can_be_offered(frame):
+        classic = 0 <= frame.can_id <= MAX_ID and len(frame.data) <= MAX_LENGTH
+        if release_ns < self._now_ns or not classic:
             raise ValueError(
-                f"released {frame} at {release_ns} ns, granted {self._now_ns} ns; expected a classic "
-                "29-bit frame with EDP clear, not released before the grant"
+                f"released {frame} at {release_ns} ns, the bus is at {self._now_ns} ns; expected a "
+                "classic 29-bit frame, not released in the past"
             )
         if self._capacity is not None and self._waiting[sender] >= self._capacity:
             self.statistics.dropped_full += 1

@@ -11,6 +11,7 @@ from can_dbc.errors import RunError
 from sil.coupling.clock import NEVER_NS, to_seconds
 from sil.coupling.real_time import Lateness, Pacer
 from sil.coupling.transports.channel import NOBODY, Channel, InProcess, ParticipantLost, Turn
+from sil.coupling.transports.wire import can_be_offered
 
 if TYPE_CHECKING:
     from sil.coupling.bus import BusModel, Delivery
@@ -170,10 +171,13 @@ class Lockstep:
     def _take(self, name: str, now_ns: int, turn: Turn) -> None:
         frames, next_ns = turn
         for release_ns, frame in frames:
-            try:
-                self._bus.queue(release_ns, frame, name)
-            except ValueError as error:
-                raise ParticipantLost(name, str(error)) from None
+            if release_ns < now_ns or not can_be_offered(frame):
+                raise ParticipantLost(
+                    name,
+                    f"released {frame} at {release_ns} ns, granted {now_ns} ns; expected a "
+                    "classic 29-bit frame with EDP clear, not released before the grant",
+                )
+            self._bus.queue(release_ns, frame, name)
         self._next[name] = self._running_event(name, next_ns, now_ns, next_ns - now_ns)
         if self._next[name] >= NEVER_NS > next_ns:
             del self._next[name]

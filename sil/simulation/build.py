@@ -36,9 +36,8 @@ from sil.nodes.simulated import Drifting, DriverNode, IntruderNode, TrafficNode
 from sil.simulation.scenario import Loaded, Scenario, expanded
 
 if TYPE_CHECKING:
-    from plant.node import PlantConfig, PlantNode
+    from plant.node import PlantConfig
     from sil.coupling.transports.remote import RemoteChannel
-    from sil.recording.recorder import EventLog, TraceWriter
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENARIO = "scenario.json"
@@ -98,10 +97,25 @@ class RecordedPlant:
 
     name = "plant"
 
-    def __init__(self, node: PlantNode, trace: TraceWriter, events: EventLog) -> None:
-        self.node = node
-        self.start = node.start
-        self._files = (trace, events)
+    def __init__(self, loaded: Loaded, folder: Path) -> None:
+        """Open the files.  Raises InputError if the plant refuses its settings."""
+        from plant.errors import IntegrationError
+        from plant.node import TRACE_COLUMNS, PlantNode
+        from sil.recording.recorder import EVENTS, PLANT_TRACE, EventLog, TraceWriter
+
+        with contextlib.ExitStack() as on_error:
+            trace = on_error.enter_context(TraceWriter(folder / PLANT_TRACE, TRACE_COLUMNS))
+            events = on_error.enter_context(EventLog(folder / EVENTS))
+            try:
+                config = plant_config(loaded.scenario)
+                self.node = PlantNode(config, loaded.parameters, trace, events)
+                warm_up(loaded)
+            except InputError as error:
+                raise InputError(f"{loaded.source}: {error}") from None
+            except IntegrationError as error:
+                raise InputError(f"{loaded.source}: the plant cannot even start: {error}") from None
+            self._files = on_error.pop_all()
+        self.start = self.node.start
 
     def advance(self, until_ns: int, deliveries: Received) -> Turn:
         """Advance the plant. Raises ParticipantLost when its motion cannot be continued."""
@@ -115,8 +129,7 @@ class RecordedPlant:
     def close(self) -> None:
         """Close the node, which records its balances, then the files."""
         self.node.close()
-        for file in self._files:
-            file.close()
+        self._files.close()
 
 
 def make_participant(name: str, loaded: Loaded, folder: Path) -> Participant:
@@ -158,26 +171,7 @@ def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
             f"{loaded.source}: bus.guest: its program joins over a channel only; "
             "expected opc4 run --transport local:NAME or a CAN interface"
         )
-    if name != "plant":
-        raise InputError(f"participant {name!r}: expected driver, controller or plant")
-    from plant.errors import IntegrationError
-    from plant.node import TRACE_COLUMNS, PlantNode
-    from sil.recording.recorder import EVENTS, PLANT_TRACE, EventLog, TraceWriter
-
-    with contextlib.ExitStack() as on_error:
-        trace = TraceWriter(folder / PLANT_TRACE, TRACE_COLUMNS)
-        on_error.callback(trace.close)
-        events = EventLog(folder / EVENTS)
-        on_error.callback(events.close)
-        try:
-            node = PlantNode(plant_config(scenario), loaded.parameters, trace, events)
-            warm_up(loaded)
-        except InputError as error:
-            raise InputError(f"{loaded.source}: {error}") from None
-        except IntegrationError as error:
-            raise InputError(f"{loaded.source}: the plant cannot even start: {error}") from None
-        on_error.pop_all()
-    return RecordedPlant(node, trace, events)
+    return RecordedPlant(loaded, folder)
 
 
 def warm_up(loaded: Loaded) -> None:

@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import EDP_BIT, Frame
 from can_dbc.messages import StopReason
-from sil.coupling.bus import can_be_offered
 from sil.coupling.transports import address, wire
 from sil.coupling.transports.channel import Participant, Received, silent
 from sil.coupling.transports.socketcan import PARTICIPANT_VIEW, CanSocket, lifeline_address
@@ -283,7 +282,7 @@ class Session:
         records = []
         release_ns = self._now_ns
         for instant_ns, frame in frames:
-            if instant_ns < self._now_ns or not can_be_offered(frame):
+            if instant_ns < self._now_ns or not wire.can_be_offered(frame):
                 raise ValueError(f"{self.name} at {self._now_ns} ns: {frame} at {instant_ns} ns")
             if instant_ns != release_ns:
                 release_ns = instant_ns

@@ -168,6 +168,18 @@ def offer(frame: Frame) -> bytes:
     return RECORD.pack(frame.can_id | (EXTENDED | EDP_BIT), len(frame.data), frame.data)
 
 
+def can_be_offered(frame: Frame) -> bool:
+    """Return whether a participant may send the frame.
+
+    Classic, 29-bit, both data page bits clear: set they mean an offer or a control frame.
+    """
+    return (
+        0 <= frame.can_id <= MAX_ID
+        and not frame.can_id & _CONTROL_BITS
+        and len(frame.data) <= MAX_LENGTH
+    )
+
+
 def announced(sender: int, arrival_ns: int, frame: Frame) -> bytes:
     """Return the two records of a delivered frame: its BusTime and itself.
 

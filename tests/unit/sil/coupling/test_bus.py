@@ -148,7 +148,7 @@ offers = st.lists(
         st.integers(0, 3_000_000),
         st.builds(
             Frame,
-            st.sampled_from((1, 2, 3, 0x0CFF_0005, 0x0CFF_0006, 0x1CFF_FFFF)),
+            st.sampled_from((1, 2, 3, 0x0CFF_0005, 0x0CFF_0006, 0x1FFF_FFFF)),
             st.binary(max_size=8),
         ),
     ),
@@ -401,7 +401,7 @@ def test_the_past_is_refused() -> None:
     bus = BusModel()
     bus.advance(100)
     with pytest.raises(
-        ValueError, match=r"at 99 ns, granted 100 ns; expected .* not released before"
+        ValueError, match=r"at 99 ns, the bus is at 100 ns; expected .* not released in the past"
     ):
         bus.queue(99, USUAL, "a")
     with pytest.raises(ValueError, match="not before 99 ns"):
@@ -416,12 +416,10 @@ def test_the_past_is_refused() -> None:
         Frame(1 << 29, b""),
         Frame(-1, b""),
         Frame(1, bytes(9)),
-        Frame(1 << 25, b""),
-        Frame(1 << 24, b""),
     ],
 )
 def test_other_frames_are_refused(frame: Frame) -> None:
-    with pytest.raises(ValueError, match="expected a classic 29-bit frame with EDP clear"):
+    with pytest.raises(ValueError, match="expected a classic 29-bit frame"):
         BusModel().queue(0, frame, "a")
 
 

@@ -275,7 +275,7 @@ def check_taken_or_refused(table: dict[str, Any]) -> None:
         assert scenario.restore(scenario.expanded(loaded.scenario), "x").scenario == loaded.scenario
 
 
-@settings(max_examples=800, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
 @given(table=mutated())
 def test_a_mutated_scenario_is_taken_or_refused_in_one_line(table: dict[str, Any]) -> None:
     check_taken_or_refused(table)
@@ -288,7 +288,7 @@ def test_very_many_mutated_scenarios(table: dict[str, Any]) -> None:
     check_taken_or_refused(table)
 
 
-@settings(max_examples=1_000, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(raw=st.binary(max_size=200) | st.sampled_from([b"[" * 5000, b"a=" + b"[" * 3000]))
 def test_any_bytes_are_refused_in_one_line(raw: bytes) -> None:
     try:
@@ -297,7 +297,7 @@ def test_any_bytes_are_refused_in_one_line(raw: bytes) -> None:
         assert "\n" not in str(error)
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(path=st.text(max_size=30), value=st.text(max_size=20))
 def test_any_setting_is_taken_or_refused_in_one_line(path: str, value: str) -> None:
     table = tomllib.loads(GOOD)

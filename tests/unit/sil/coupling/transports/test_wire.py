@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_dbc.frame import DP_BIT, EDP_BIT, Frame
-from sil.coupling.bus import can_be_offered
 from sil.coupling.clock import NEVER_NS
 from sil.coupling.transports import wire
 from sil.coupling.transports.wire import Control, Kind
@@ -26,7 +25,7 @@ def test_control_frames_round_trip(kind: Kind, number: int, extra: int, value: i
 
 @given(plain_frames)
 def test_frames_and_offers_round_trip(frame: Frame) -> None:
-    assert can_be_offered(frame)
+    assert wire.can_be_offered(frame)
     assert list(wire.split(wire.real(frame))) == [frame]
     ((can_id, payload),) = wire.split(wire.offer(frame))
     assert (can_id, payload) == (frame.can_id | EDP_BIT, frame.data)
@@ -52,9 +51,9 @@ def test_the_checksum_sees_every_flipped_bit(frame: Frame, bit: int) -> None:
 
 @given(frames)
 def test_what_could_be_taken_for_lockstep_is_not_offered(frame: Frame) -> None:
-    assert can_be_offered(frame) == (not frame.can_id & (EDP_BIT | DP_BIT))
-    assert not can_be_offered(Frame(frame.can_id | 1 << 29, frame.data))
-    assert not can_be_offered(Frame(frame.can_id, frame.data + bytes(9)))
+    assert wire.can_be_offered(frame) == (not frame.can_id & (EDP_BIT | DP_BIT))
+    assert not wire.can_be_offered(Frame(frame.can_id | 1 << 29, frame.data))
+    assert not wire.can_be_offered(Frame(frame.can_id, frame.data + bytes(9)))
 
 
 @given(st.binary(max_size=96))
