@@ -3,7 +3,7 @@
 The function's address and the values of its parameters are written into a stroke's record; the
 equations call it in its slot. So no kernel is compiled again, and strokes without a term run as
 they do without this module.  A stroke with an added term takes the scalar kernel, also in a batch.
-Checked by: tests/unit/plant/effects/test_user_file.py
+Checked by: tests/unit/plant/effects/test_added_term.py
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ import numpy as np
 from plant.devices.sensors import InternalChain
 from plant.devices.valve import ValveTiming
 from plant.effects.stroke_conditions import StrokeConditions
-from plant.kernel.layout import Parameters
+from plant.kernel.layout import FIXED, Parameters
 from plant.kernel.packing import Floats, flow_coefficients, pack
 from plant.parameters import ParameterSet
 
@@ -74,16 +74,22 @@ class Setup:
     @classmethod
     def of(cls, parameters: ParameterSet, conditions: StrokeConditions) -> Setup:
         """Return the setup of a stroke, without the effects of an extended model."""
+        is_cylinder = conditions.system == FIXED and "cylinder.acting" in parameters
+        p = pack(
+            parameters,
+            conditions.system,
+            supply_pressure_pa=conditions.supply_pressure_pa,
+            atmosphere_pa=conditions.atmosphere_pa,
+            load=conditions.loads(),
+            theoretical_flow=conditions.theoretical_flow or is_cylinder,
+        )
+        if is_cylinder:
+            rate = parameters.value("cylinder.spring_rate")
+            p.f_external -= parameters.value("cylinder.spring_preload") + rate * p.spring_x0
+            p.spring_k += rate
         return cls(
             conditions=conditions,
-            p=pack(
-                parameters,
-                conditions.system,
-                supply_pressure_pa=conditions.supply_pressure_pa,
-                atmosphere_pa=conditions.atmosphere_pa,
-                load=conditions.loads(),
-                theoretical_flow=conditions.theoretical_flow,
-            ),
+            p=p,
             c=flow_coefficients(parameters),
             timing=ValveTiming.from_parameters(parameters),
             chain=InternalChain.from_parameters(parameters),

@@ -1,7 +1,8 @@
 """Parameter sets: every number with its value, unit and source.
 
 A set is a TOML file of sections with entries `key = { value, unit, source }`.  The shipped set
-`nominal` is the calibrated actuator.  An extended model names its base and adds `[effect.<id>]`.
+`nominal` is the calibrated actuator.  An extended model names its base and adds `[effect.<id>]`;
+`[cylinder]` states another actuator (`plant.parameters.cylinder`).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import msgspec
 from can_dbc.errors import nearest
 from can_dbc.typed_toml import convert, read_toml
 from plant.errors import InputError
+from plant.parameters import cylinder
 from plant.parameters.bounds import outside
 
 Number = float | tuple[float, ...]
@@ -86,7 +88,7 @@ class ParameterSet:
                 raise InputError(f"{self.name}: {path}: expected {kind}, got {raw!r}")
             entries[path] = Parameter(value, old.unit, f"override of: {old.source}")
             check_range(path, entries[path], f"{self.name}: {path}")
-        return ParameterSet(self.name, entries, self.effects)
+        return ParameterSet(self.name, complete(entries, self.name), self.effects)
 
 
 def unknown_path(path: str, known: Mapping[str, Any], name: str) -> str:
@@ -157,7 +159,8 @@ def parse(raw: Mapping[str, Any], name: str) -> ParameterSet:
         for section, table in convert(sections, tables, name).items()
         for key, item in table.items()
     }
-    known = base.entries if base else given if name == "nominal" else load().entries
+    known = dict(base.entries if base else given if name == "nominal" else load().entries)
+    known |= {path: Parameter(0.0, unit, "cylinder") for path, unit in cylinder.UNITS.items()}
     for path, item in given.items():
         if path not in known:
             raise InputError(unknown_path(path, known, name))
@@ -165,11 +168,28 @@ def parse(raw: Mapping[str, Any], name: str) -> ParameterSet:
             raise InputError(f"{name}: {path}: unit {item.unit!r}; expected {known[path].unit!r}")
         check_range(path, item, f"{name}: {path}.value")
     if base is not None:
-        return ParameterSet(name, {**base.entries, **given}, {**base.effects, **effects})
+        entries = complete({**base.entries, **given}, name)
+        return ParameterSet(name, entries, {**base.effects, **effects})
     for path in known:
-        if path not in given:
+        if path not in given and path not in cylinder.UNITS:
             raise InputError(f'{name}: no {path}; expected a full set, or [base] model = "nominal"')
-    return ParameterSet(name, given, effects)
+    return ParameterSet(name, complete(given, name), effects)
+
+
+def complete(entries: Mapping[str, Parameter], name: str) -> dict[str, Parameter]:
+    """Return the entries with what follows from a section [cylinder], if there is one.
+
+    Raises InputError for a section that is not complete or impossible.
+    """
+    found = dict(entries)
+    stated = {
+        path: float(item.value)
+        for path, item in entries.items()
+        if path in cylinder.UNITS and not isinstance(item.value, tuple)
+    }
+    for path, value in cylinder.derived(stated, name).items() if stated else ():
+        found[path] = Parameter(value, found[path].unit, "computed from [cylinder]")
+    return found
 
 
 def check_range(path: str, item: Parameter, where: str) -> None:

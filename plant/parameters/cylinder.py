@@ -1,0 +1,101 @@
+"""A user's own cylinder: the fixed-piston actuator with other dimensions, valves and a return spring.
+
+A model file with a [cylinder] section states it; what the equations read is computed from that.
+Checked by: tests/physics/test_cylinder.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import pi, sqrt
+
+from plant.errors import InputError
+
+UNITS = {
+    "cylinder.acting": "-",
+    "cylinder.bore": "m",
+    "cylinder.rod": "m",
+    "cylinder.stroke": "m",
+    "cylinder.dead_volume_1": "m^3",
+    "cylinder.dead_volume_2": "m^3",
+    "cylinder.mass": "kg",
+    "cylinder.breakaway": "N",
+    "cylinder.coulomb": "N",
+    "cylinder.viscous": "N s/m",
+    "cylinder.spring_rate": "N/m",
+    "cylinder.spring_preload": "N",
+    "cylinder.valve_cda_in": "m^2",
+    "cylinder.valve_cda_out": "m^2",
+    "cylinder.tube_length": "m",
+    "cylinder.tube_diameter": "m",
+}
+"""Every value of the section, all required.
+
+acting: 1 single (the rod's side is open to the air, spring return), 2 double; bore, rod: diameters;
+dead volumes: of chamber 1 (behind the piston) and 2 (on the rod's side) at the retracted end, without
+tubes; spring: pushes back with preload + rate x; valve_cda: C_d A of the valve's inlet and outlet;
+tube: from the valve to each chamber, length 0 for none.
+"""
+
+TUBE_FRICTION = 0.02
+"""Friction factor of a smooth tube in turbulent flow (Moody chart, Reynolds numbers about 3e4)."""
+
+TUBE_ENDS = 1.5
+"""Loss factor of entry and exit of a tube (0.5 and 1)."""
+
+
+def tube_area(length_m: float, diameter_m: float) -> float:
+    """Return the C_d A of a tube, A / sqrt(f L / D + 1.5) [m^2]; without a length none limits."""
+    if length_m == 0.0:
+        return float("inf")
+    area = 0.25 * pi * diameter_m**2
+    return area / sqrt(TUBE_FRICTION * length_m / diameter_m + TUBE_ENDS)
+
+
+def in_series(one: float, two: float) -> float:
+    """Return the C_d A of two restrictions one behind the other [m^2]."""
+    return 1.0 / sqrt(1.0 / one**2 + 1.0 / two**2)
+
+
+def derived(values: Mapping[str, float], name: str) -> dict[str, float]:
+    """Return what follows from the values of a [cylinder] section, by path.
+
+    Raises InputError for a section that is not complete or impossible; `name` is the set's.
+    """
+    for path in UNITS:
+        if path not in values:
+            raise InputError(f"{name}: no {path}; expected all of {', '.join(UNITS)}")
+    v = {path.removeprefix("cylinder."): value for path, value in values.items()}
+    positive = ("bore", "stroke", "dead_volume_1", "valve_cda_in", "valve_cda_out")
+    for key in (*positive, *(("tube_diameter",) if v["tube_length"] > 0.0 else ())):
+        if not v[key] > 0.0:
+            raise InputError(f"{name}: cylinder.{key}: {v[key]:g}; expected more than 0")
+    if v["acting"] not in (1.0, 2.0):
+        raise InputError(f"{name}: cylinder.acting: {v['acting']:g}; expected 1 or 2")
+    if not v["rod"] < v["bore"]:
+        raise InputError(
+            f"{name}: cylinder.rod: {v['rod']:g}; expected less than bore, {v['bore']:g}"
+        )
+    bore, rod = 0.25 * pi * v["bore"] ** 2, 0.25 * pi * v["rod"] ** 2
+    single = v["acting"] == 1.0
+    tube_m3 = 0.25 * pi * v["tube_diameter"] ** 2 * v["tube_length"]
+    tube = tube_area(v["tube_length"], v["tube_diameter"])
+    charge, discharge = in_series(v["valve_cda_in"], tube), in_series(v["valve_cda_out"], tube)
+    return {
+        "fixed.stroke": v["stroke"],
+        "fixed.r_piston": 0.5 * v["bore"],
+        "fixed.r_stay": 0.5 * v["rod"],
+        "fixed.A1": bore,
+        "fixed.A2": 0.0 if single else bore - rod,
+        "fixed.A_s": bore if single else rod,
+        "fixed.V10": v["dead_volume_1"] + tube_m3,
+        "fixed.V20": v["dead_volume_2"] + tube_m3 + (bore - rod) * v["stroke"],
+        "fixed.m_s": v["mass"],
+        "fixed.m_p": 1e-9,
+        "friction_fixed.F_sf": v["breakaway"],
+        "friction_fixed.F_rf": v["coulomb"],
+        "friction_fixed.beta": v["viscous"],
+        "orifice.A_valve": charge,
+        "orifice.C_d_in": 1.0,
+        "orifice.C_d_out": discharge / charge,
+    }
