@@ -55,7 +55,7 @@ def load_effects(where: str) -> str:
     """
     name, _, expected = where.partition(MARK)
     path = Path(name).resolve()
-    text = read_user_text(path, EXPECTED)
+    text = read_user_text(name, EXPECTED)
     digest = hashlib.sha256(text.encode()).hexdigest()
     if expected and digest != expected:
         raise InputError(

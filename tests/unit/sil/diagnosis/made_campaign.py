@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,11 @@ def conditions_of(kind: str, supply_pa: float) -> StrokeConditions:
 
 
 def made(
-    folder: Path, parameters: ParameterSet | None = None, seed: int = 1, count: int = 8
+    folder: Path,
+    parameters: ParameterSet | None = None,
+    seed: int = 1,
+    count: int = 8,
+    kinds: Sequence[tuple[str, float]] = KINDS,
 ) -> Campaign:
     """Write and read a campaign of `count` strokes under `parameters` (nominal by default)."""
     parameters = parameters or load()
@@ -59,7 +64,7 @@ def made(
     time_s = np.arange(3001) * 1e-4
     entries = []
     folder.mkdir(parents=True, exist_ok=True)
-    for number, (kind, supply_pa) in enumerate(KINDS[:count], start=1):
+    for number, (kind, supply_pa) in enumerate(kinds[:count], start=1):
         conditions = conditions_of(kind, supply_pa)
         setup = make_setup(parameters, conditions)
         for name, amount in unit.items():

@@ -1,0 +1,64 @@
+"""A user's effect, new effects of the catalogue and a user's cylinder: named where they are hidden."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from plant.effects import CATALOGUE, overridden
+from plant.effects.user_file import _LOADED, load_effects
+from plant.parameters import load
+from sil.diagnosis.diagnosis import diagnose
+from tests.physics.test_cylinder import model
+from tests.unit.sil.diagnosis.made_campaign import made
+
+pytestmark = pytest.mark.slow
+
+SEAL = Path(__file__).resolve().parents[2] / "plant" / "effects" / "end_seal.py"
+CYLINDER = tuple(("fixed", 1e5 * bar) for bar in (7, 5, 8, 6, 7, 5))
+
+
+@pytest.fixture
+def seal():
+    yield load_effects(str(SEAL))
+    for _digest, names in _LOADED.values():
+        for name in names:
+            CATALOGUE.pop(name, None)
+    _LOADED.clear()
+
+
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        {"effect.end_seal.force_n": 80.0, "effect.end_seal.length_m": 0.002},
+        {"effect.back_pressure.pressure_pa": 3e4},
+        {"effect.end_cushion.stiffness_n_m": 1e5, "effect.end_cushion.thickness_m": 0.003},
+    ],
+    ids=lambda hidden: next(iter(hidden)).split(".")[1],
+)
+def test_a_hidden_effect_is_named(tmp_path, seal, hidden) -> None:
+    campaign = made(tmp_path / "campaign", overridden(load(), hidden), seed=11, count=6)
+    found = diagnose(campaign, load(), workers=1)
+    assert found.verdict.kind == "named"
+    cause = found.causes[0]
+    assert cause.id == next(iter(hidden)).split(".")[1] and cause.probability > 0.9
+    for path, value in hidden.items():
+        item = cause.parameters[path.split(".")[2]]
+        assert item.low - 0.2 * value < value < item.high + 0.2 * value
+    assert found.gain.before > 1.2 and found.gain.after < 1.1
+
+
+def test_a_hidden_effect_of_a_users_cylinder_is_named(tmp_path) -> None:
+    base = load(model(tmp_path, acting=2.0))
+    hidden = overridden(base, {"effect.exhaust_clog.factor": 0.7})
+    campaign = made(tmp_path / "campaign", hidden, seed=11, count=6, kinds=CYLINDER)
+    found = diagnose(campaign, base, workers=1)
+    assert found.verdict.kind == "named" and found.causes[0].id == "exhaust_clog"
+    assert found.causes[0].parameters["factor"].value == pytest.approx(0.7, abs=0.05)
+
+
+def test_a_clean_campaign_of_a_users_cylinder_is_consistent(tmp_path) -> None:
+    base = load(model(tmp_path))
+    campaign = made(tmp_path / "campaign", base, seed=12, count=6, kinds=CYLINDER)
+    assert diagnose(campaign, base, workers=1).verdict.kind == "consistent"
