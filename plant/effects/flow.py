@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from plant.effects.effect import EffectParameter, Scope, Values, Variant, choice, effect
 from plant.effects.setup import Setup
 from plant.effects.term import add_table
+from plant.kernel.compiled import plain
 from plant.kernel.layout import TERM_NODES, Over, Slot
 from plant.parts.flow import orifice
 
@@ -70,8 +71,8 @@ def leak_out(setup: Setup, values: dict[str, float]) -> None:
         p = setup.p
         pressures = np.linspace(p.p_atm, LEAK_UP_TO_PA, TERM_NODES)
         gas = (values["cda_m2"], p.t_gas, p.gamma, p.r_air)
-        plain = orifice.py_func  # type: ignore[attr-defined]
-        lost = np.array([plain(pressure, p.p_atm, *gas) for pressure in pressures.tolist()])
+        flow = plain(orifice)
+        lost = np.array([flow(pressure, p.p_atm, *gas) for pressure in pressures.tolist()])
         index = setup.conditions.chambers.index(setup.charged_chamber)
         if values["where"] == 1.0:
             follow_pressure(setup, Slot.FLOW_1 + index, pressures, -lost)

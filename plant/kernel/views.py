@@ -245,7 +245,7 @@ class Fields(AttributeTemplate):
 
 
 @intrinsic
-def _call_at(typing_context, address, slot, t, x, v, direction, pressure, values):
+def call_compiled(typing_context, address, slot, t, x, v, direction, pressure, values):
     """Call the compiled function at an address: double f(six doubles, pointer to doubles)."""
     number = types.float64
 
@@ -260,7 +260,7 @@ def _call_at(typing_context, address, slot, t, x, v, direction, pressure, values
 
 
 @intrinsic
-def _moved_pointer(typing_context, pointer, count):
+def moved_pointer(typing_context, pointer, count):
     """Return a pointer `count` elements further on."""
 
     def generate(context, builder, signature, arguments):
@@ -314,5 +314,4 @@ if CHECKED:
     from plant.kernel.checked import call_at, copy_row, lane, named, rows, unlikely, view
 else:
     view, rows, lane, copy_row, named = _view, _rows, _lane, _copy_row, _named
-    call_at, unlikely = _call_at, _unlikely
-moved_pointer = _moved_pointer
+    call_at, unlikely = call_compiled, _unlikely

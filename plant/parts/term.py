@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from plant.kernel.compiled import inlined
 from plant.kernel.layout import Parameters
-from plant.kernel.views import call_at, moved_pointer
+from plant.kernel.views import call_at, call_compiled, moved_pointer
 
 COUNT, ROWS, VALUES = (Parameters.fields[n].start for n in ("added_count", "added", "added_values"))
 ROW = Parameters.fields["added"].row
@@ -35,7 +35,7 @@ def sum_of_terms(slot, t, x, v, direction, pressure, p):
         row = ROWS + k * ROW
         if p[row] == slot:
             values = moved_pointer(p, VALUES + int(p[row + 2]))
-            total += call_at(int(p[row + 1]), slot, t, x, v, direction, pressure, values)
+            total += call_compiled(int(p[row + 1]), slot, t, x, v, direction, pressure, values)
     return total
 
 

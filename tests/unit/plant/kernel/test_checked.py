@@ -12,6 +12,7 @@ import pytest
 
 from plant.batch.batch import Strokes, simulate_batch
 from plant.batch.prediction import Predictor
+from plant.effects import effect
 from plant.parameters import load
 from plant.systems.setup import make_setup
 from tests.physics.strokes import ALL, conditions_of
@@ -27,6 +28,11 @@ def states_of_short_strokes() -> dict[str, list[float]]:
         setup = make_setup(load(), conditions_of(ALL[name]))
         predictor = Predictor(np.array([0, 25_000_000]), tolerance=1e-5)
         found[name] = predictor.states(setup)[-1].tolist()
+    setup = make_setup(load(), conditions_of(ALL["fixed"]))
+    effect("leak_to_atmosphere").apply(setup, {"cda_m2": 2e-6, "where": 2.0})
+    assert setup.p.adder != 0.0
+    predictor = Predictor(np.array([0, 25_000_000]), tolerance=1e-5)
+    found["fixed with an added term"] = predictor.states(setup)[-1].tolist()
     for name in IN_LANES:
         setup = make_setup(load(), conditions_of(ALL[name]))
         result = simulate_batch(Strokes.from_setups([setup], 0.022), tolerance=1e-4)
