@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 from can_dbc.frame import split_id
@@ -131,7 +131,6 @@ class J1939Summary:
         return found + self.notes
 
 
-@dataclass(slots=True)
 class ShiftFinder:
     """Finds the shifts in a stream of frames: `take` each, then `finish`.
 
@@ -139,15 +138,12 @@ class ShiftFinder:
     and all other parameter groups, transport protocol included, are passed over.
     """
 
-    short: int = 0
-    _flags: dict[tuple[str, int], FlagTracker] = field(
-        default_factory=lambda: defaultdict(FlagTracker)
-    )
-    _gears: dict[tuple[str, int], GearHistory] = field(
-        default_factory=lambda: defaultdict(GearHistory)
-    )
-    unflagged: list[Shift] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    def __init__(self) -> None:
+        self._flags: dict[tuple[str, int], FlagTracker] = defaultdict(FlagTracker)
+        self._gears: dict[tuple[str, int], GearHistory] = defaultdict(GearHistory)
+        self._short = 0
+        self.unflagged: list[Shift] = []
+        self.notes: list[str] = []
 
     def take(self, frame: LogFrame) -> None:
         """Take one frame."""
@@ -157,7 +153,7 @@ class ShiftFinder:
         if not frame.extended or frame.remote or frame.error:
             return
         if len(frame.data) < 8:
-            self.short += 1
+            self._short += 1
             return
         sender = frame.channel, frame.can_id & 0xFF
         if group == _ETC1_BITS:
@@ -168,9 +164,8 @@ class ShiftFinder:
     @property
     def chatter(self) -> int:
         """One-sample changes left out, of flags and gears."""
-        return sum(t.chatter for t in self._flags.values()) + sum(
-            h.chatter for h in self._gears.values()
-        )
+        flags = sum(tracker.chatter for tracker in self._flags.values())
+        return flags + sum(history.chatter for history in self._gears.values())
 
     @property
     def unfinished(self) -> int:
@@ -197,8 +192,8 @@ class ShiftFinder:
                 self.unflagged += alone
             else:
                 found += [s for s in alone if not _repeats(s, found)]
-        if self.short:
-            self.notes.append(f"{self.short} ETC1 or ETC2 frames of fewer than 8 bytes")
+        if self._short:
+            self.notes.append(f"{self._short} ETC1 or ETC2 frames of fewer than 8 bytes")
         if not found:
             self._explain()
         return sorted(found, key=lambda shift: (shift.start_ns, shift.source, shift.channel))
@@ -246,6 +241,7 @@ class ShiftFinder:
 
     def _flagged(self, sender: tuple[str, int], tracker: FlagTracker) -> list[Shift]:
         history = self._history(sender)
+        channel, source = sender
         found: list[Shift] = []
         for index, flagged in enumerate(tracker.shifts):
             following = tracker.shifts[index + 1 : index + 2]
@@ -254,22 +250,9 @@ class ShiftFinder:
                 until_ns = flagged.end_ns + SETTLE_NS
             before = history.gear_before(flagged.start_ns) if history else None
             after = history.gear_after(flagged.end_ns, until_ns) if history else None
-            found.append(
-                Shift(
-                    *(
-                        flagged.start_ns,
-                        flagged.end_ns,
-                        before,
-                        after,
-                        sender[1],
-                        sender[0],
-                        "flag",
-                    ),
-                    flagged.chatter,
-                    flagged.from_ratio,
-                    flagged.to_ratio,
-                )
-            )
+            shift = Shift(flagged.start_ns, flagged.end_ns, before, after, source, channel, "flag")
+            shift = replace(shift, chatter=flagged.chatter, from_ratio=flagged.from_ratio)
+            found.append(replace(shift, to_ratio=flagged.to_ratio))
         return self._gears_by_ratio(found)
 
     def _gears_by_ratio(self, found: list[Shift]) -> list[Shift]:

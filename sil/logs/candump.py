@@ -411,58 +411,29 @@ class CandumpWriter(LogWriter):
     def __init__(self, path: str) -> None:
         super().__init__(path)
         self._names: dict[str, str] = {}
-        self._prefixes: dict[tuple[int, bool], str] = {}
 
     def _begin(self, frames: list[LogFrame]) -> None:
         self._decimals = enough_decimals(frames)
 
     def _write_batch(self, frames: list[LogFrame]) -> None:
-        if self._ordinary and self._decimals == 6 and not any(f[0] % 1000 for f in frames):
-            text = self._plain(frames)
-        else:
-            text = "".join([self._line(frame) for frame in frames])
-        self._out.write(text.encode("ascii"))
-
-    def _plain(self, frames: list[LogFrame]) -> str:
-        """Return the lines of classic data frames at whole microseconds."""
-        names = {frame[9]: self._name(frame[9]) for frame in frames}
-        hexes = "\n".join([frame[2].hex() for frame in frames]).upper().split("\n")
-        prefixes = self._prefixes
-        if len(prefixes) > _MOST_KNOWN_IDS:
-            prefixes.clear()
-        lines = []
-        for frame, digits in zip(frames, hexes, strict=True):
-            time_ns, can_id, _, extended, _, _, _, _, _, channel, direction, _ = frame
-            prefix = prefixes.get((can_id, extended))
-            if prefix is None:
-                prefix = prefixes[can_id, extended] = _id_text(frame)
-            lines.append(
-                f"({time_ns // NS_PER_S:010d}.{time_ns % NS_PER_S // 1000:06d}) {names[channel]} "
-                f"{prefix}#{digits}{_LETTER[direction]}\n"
-            )
-        return "".join(lines)
+        self._out.write("".join(map(self._line, frames)).encode("ascii"))
 
     def _line(self, frame: LogFrame) -> str:
-        """Return the line of any frame."""
-        time_ns = frame.time_ns
+        time_ns, can_id, data, extended, remote, error, fd, _, _, channel, direction, raw = frame
         if time_ns < 0:
             raise InputError(f"{self.path}: time {time_ns} ns; candump expected times from 0")
-        decimals = 9 if time_ns % 1000 else self._decimals
         seconds, nano = divmod(time_ns, NS_PER_S)
-        stamp = (
-            f"{seconds:010d}.{nano:09d}" if decimals == 9 else f"{seconds:010d}.{nano // 1000:06d}"
-        )
-        if frame.error or frame.remote or frame.fd or frame.raw_dlc:
-            body = self._special(frame)
-        else:
-            body = f"{_id_text(frame)}#{frame.data.hex().upper()}"
-        return f"({stamp}) {self._name(frame.channel)} {body}{_LETTER[frame.direction]}\n"
-
-    def _name(self, channel: str) -> str:
+        exact = self._decimals == 9 or nano % 1000
+        stamp = f"{seconds:010d}.{nano:09d}" if exact else f"{seconds:010d}.{nano // 1000:06d}"
         name = self._names.get(channel)
         if name is None:
             name = self._names[channel] = self._interface(channel)
-        return name
+        digits = f"{can_id:08X}" if extended else f"{can_id:03X}"
+        if remote or error or fd or raw:
+            body = self._special(frame, digits)
+        else:
+            body = f"{digits}#{data.hex().upper()}"
+        return f"({stamp}) {name} {body}{_LETTER[direction]}\n"
 
     def _interface(self, channel: str) -> str:
         """Return the network interface name of a channel; numbered channels count from can0."""
@@ -475,8 +446,7 @@ class CandumpWriter(LogWriter):
             return name
         return channel
 
-    def _special(self, frame: LogFrame) -> str:
-        digits = _id_text(frame)
+    def _special(self, frame: LogFrame, digits: str) -> str:
         if frame.error:
             if frame.extended or frame.remote or frame.fd:
                 self.losses["flags of an error frame"] += 1
@@ -494,10 +464,6 @@ class CandumpWriter(LogWriter):
             flags = 4 | frame.brs | frame.esi << 1
             return f"{digits}##{flags:X}{frame.data.hex().upper()}"
         return f"{digits}#{frame.data.hex().upper()}_{frame.raw_dlc:X}"
-
-
-def _id_text(frame: LogFrame) -> str:
-    return f"{frame.can_id:08X}" if frame.extended else f"{frame.can_id:03X}"
 
 
 def _recognise(head: bytes) -> bool:

@@ -92,36 +92,30 @@ class _Watch:
 
     def _look(self, batch: Batch) -> None:
         """Find the steps back and the duplicates of a batch in which time does not simply run."""
-        last_ns, instant = self._last_ns, self._instant
+        report, last_ns, instant = self._report, self._last_ns, self._instant
         for frame, location in zip(batch.frames, batch.locations, strict=True):
             time_ns = frame[0]
             if last_ns is None or time_ns > last_ns:
                 instant = [frame]
-            elif time_ns == last_ns:
-                if frame in instant:
-                    self._duplicate(frame, location)
-                elif len(instant) < _WATCHED_INSTANT:
-                    instant.append(frame)
-            else:
-                self._backwards(last_ns, time_ns, location)
+            elif time_ns < last_ns:
                 instant = [frame]
+                report.backwards += 1
+                back = f"back from {format_ns(last_ns)} s to {format_ns(time_ns)} s"
+                text = f"{self._location_word} {location}: the clock steps {back}"
+                self._found(report.backwards_locations, text, "times that do not fall")
+            elif frame in instant:
+                report.duplicates += 1
+                twice = f"the frame {frame.can_id:X} at {format_ns(time_ns)} s is in the log twice"
+                text = f"{self._location_word} {location}: {twice}"
+                self._found(report.duplicate_locations, text, "every frame once")
+            elif len(instant) < _WATCHED_INSTANT:
+                instant.append(frame)
             last_ns = time_ns
         self._instant = instant
 
-    def _backwards(self, before_ns: int, after_ns: int, location: int) -> None:
-        self._report.backwards += 1
-        text = f"the clock steps back from {format_ns(before_ns)} s to {format_ns(after_ns)} s"
-        self._found(self._report.backwards_locations, location, text, "times that do not fall")
-
-    def _duplicate(self, frame: LogFrame, location: int) -> None:
-        self._report.duplicates += 1
-        text = f"the frame {frame.can_id:X} at {format_ns(frame.time_ns)} s is in the log twice"
-        self._found(self._report.duplicate_locations, location, text, "every frame once")
-
-    def _found(self, locations: list[str], location: int, text: str, expected: str) -> None:
+    def _found(self, locations: list[str], text: str, expected: str) -> None:
         """Add a location to a list of the report. Raises InputError if reading is strict."""
-        where = f"{self._location_word} {location}: {text}"
         if self._report.strict:
-            raise InputError(f"{self._report.path}: {where}; expected {expected}")
+            raise InputError(f"{self._report.path}: {text}; expected {expected}")
         if len(locations) < MOST_LOCATIONS:
-            locations.append(where)
+            locations.append(text)

@@ -49,8 +49,7 @@ class LogWriter(ABC):
         self.start_ns = 0
         self._held: list[LogFrame] = []
         self._begun = self._closed = False
-        self._channels_seen: set[str] = set()
-        self._ordinary = False
+        self._known_channels: set[str] = set()
         if os.path.exists(path) and not os.path.isfile(path):
             kind = "a folder" if os.path.isdir(path) else "a pipe or device"
             raise InputError(f"{path}: is {kind}; expected the name of a file")
@@ -85,11 +84,10 @@ class LogWriter(ABC):
         if not self._held:
             return
         held = self._held
-        self._ordinary = all_ordinary(held, self._channels_seen)
-        if not self._ordinary:
+        if not all_ordinary(held, self._known_channels):
             for number, frame in enumerate(held, self._written + 1):
                 require_possible(frame, f"{self.path}: frame {number}")
-                self._channels_seen.add(frame.channel)
+                self._known_channels.add(frame.channel)
         self._held = []
         try:
             self._begin_with(held)
