@@ -28,7 +28,7 @@ def same(frame: LogFrame) -> LogFrame:
 
 
 def in_asc(frame: LogFrame) -> LogFrame:
-    """ASC tells of an error frame only that there was one; of a classic one not the direction."""
+    """ASC states of an error frame only that there was one; of a classic one not the direction."""
     if not frame.error:
         return frame
     direction = frame.direction if frame.fd else ""
@@ -47,12 +47,12 @@ def in_trc(frame: LogFrame) -> LogFrame:
 
 
 class Format(NamedTuple):
-    """A format under test: suffix, channel names that it keeps, and what it keeps of a frame."""
+    """A format under test: suffix, channel names that it holds, and what it holds of a frame."""
 
     name: str
     suffix: str
     channels: tuple[str, str]
-    kept: Callable[[LogFrame], LogFrame]
+    held: Callable[[LogFrame], LogFrame]
 
 
 FORMATS = (
@@ -115,14 +115,14 @@ def test_frames_come_back(fmt: Format, start_ns: int, tmp_path: Path) -> None:
     path = tmp_path / f"log.{fmt.suffix}"
     writer = write(path, frames)
     reader = open_log(path)
-    assert list(reader) == [fmt.kept(frame) for frame in frames]
+    assert list(reader) == [fmt.held(frame) for frame in frames]
     report = reader.report
     assert report.clean
     assert (report.frames, report.error, report.remote) == (len(frames), 1, 2)
     assert report.fd == sum(frame.fd for frame in frames)
     assert report.format == fmt.name
     assert report.time_base == ("absolute" if start_ns else "relative")
-    lossless = [fmt.kept(frame) for frame in frames] == frames
+    lossless = [fmt.held(frame) for frame in frames] == frames
     assert bool(writer.losses) is not lossless
 
 
@@ -181,7 +181,27 @@ def test_any_log_comes_back(fmt: Format, frames: list[LogFrame], tmp_path: Path)
     frames = [frame._replace(channel=names[frame.channel]) for frame in frames]
     path = tmp_path / f"log.{fmt.suffix}"
     write(path, frames)
-    assert list(open_log(path)) == [fmt.kept(frame) for frame in frames]
+    assert list(open_log(path)) == [fmt.held(frame) for frame in frames]
+
+
+@every_format
+@given(
+    first_ns=st.integers(10**18, 4 * 10**18),
+    later_ns=st.lists(st.integers(0, 10**15), max_size=20, unique=True),
+)
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_times_are_exact_over_days(
+    fmt: Format, first_ns: int, later_ns: list[int], tmp_path: Path
+) -> None:
+    frames = [
+        LogFrame(first_ns + t, 1, b"", channel=fmt.channels[0], direction="Rx")
+        for t in sorted({0, *later_ns})
+    ]
+    path = tmp_path / f"log.{fmt.suffix}"
+    write(path, frames)
+    assert list(open_log(path)) == [fmt.held(frame) for frame in frames]
 
 
 @every_format
@@ -283,7 +303,7 @@ def test_the_clock_may_step_back(fmt: Format, tmp_path: Path) -> None:
 
 
 @every_format
-def test_duplicates_are_kept_and_counted(fmt: Format, tmp_path: Path) -> None:
+def test_duplicates_stay_and_are_counted(fmt: Format, tmp_path: Path) -> None:
     frame = LogFrame(ABSOLUTE_NS // 1000 * 1000, 0x123, b"\x01", channel=fmt.channels[0])
     other = frame._replace(data=b"\x02")
     path = tmp_path / f"log.{fmt.suffix}"
@@ -351,9 +371,9 @@ def test_python_can_reads_what_we_write(fmt: Format, tmp_path: Path) -> None:
     with can.LogReader(path) as reader:
         messages = list(reader)
     # python-can leaves the length code of TRC's CAN FD lines where a length belongs.
-    told = 7 if fmt.name == "trc" else 8
-    assert [from_python_can(m)[:told] for m in messages] == [
-        as_python_can(f)[:told] for f in frames
+    compared = 7 if fmt.name == "trc" else 8
+    assert [from_python_can(m)[:compared] for m in messages] == [
+        as_python_can(f)[:compared] for f in frames
     ]
     offset_s = 0.0
     if fmt.name == "asc":

@@ -69,28 +69,28 @@ def mutated(rng: random.Random, blob: bytes) -> bytes:
     for _ in range(rng.choice((1, 1, 2, 4))):
         if not damaged:
             break
-        place = rng.randrange(len(damaged))
-        length = min(rng.choice((1, 2, 4, 8, 64)), len(damaged) - place)
+        index = rng.randrange(len(damaged))
+        length = min(rng.choice((1, 2, 4, 8, 64)), len(damaged) - index)
         accident = rng.randrange(9)
         if accident == 0:
-            damaged[place] ^= 1 << rng.randrange(8)
+            damaged[index] ^= 1 << rng.randrange(8)
         elif accident == 1:
-            damaged[place] = rng.randrange(256)
+            damaged[index] = rng.randrange(256)
         elif accident == 2:
-            del damaged[place : place + length]
+            del damaged[index : index + length]
         elif accident == 3:
-            damaged[place:place] = rng.randbytes(length)
+            damaged[index:index] = rng.randbytes(length)
         elif accident == 4:
-            del damaged[place:]
+            del damaged[index:]
         elif accident == 5:
-            damaged[place:place] = damaged[place : place + length]
+            damaged[index:index] = damaged[index : index + length]
         elif accident == 6:
-            damaged[place : place + length] = bytes([rng.choice((0, 0xFF, 0x30, 0x0A))]) * length
+            damaged[index : index + length] = bytes([rng.choice((0, 0xFF, 0x30, 0x0A))]) * length
         elif accident == 7:
             other = rng.randrange(len(damaged))
-            damaged[place : place + length] = damaged[other : other + length]
+            damaged[index : index + length] = damaged[other : other + length]
         else:
-            damaged[place : place + 8] = rng.choice((2**63, 2**32, 64, len(blob), 1)).to_bytes(
+            damaged[index : index + 8] = rng.choice((2**63, 2**32, 64, len(blob), 1)).to_bytes(
                 8, "little"
             )[: max(length, 1)]
     return bytes(damaged)

@@ -57,7 +57,7 @@ def test_a_torn_log_of_all_kinds() -> None:
         "frame with a symbolic name instead of its identifier": 1,
         "reassembled J1939 message": 1,
     }
-    assert [place.line for place in report.skipped_locations] == [15, 20, 21]
+    assert [location.line for location in report.skipped_locations] == [15, 20, 21]
     assert report.start_ns == utc_ns(2022, 4, 28, 10, 44, 52, 480_000_000)
 
 
@@ -139,9 +139,9 @@ def test_common_and_other_lines_mixed(
         for f in frames
     ]
     for _ in range(data.draw(st.integers(0, 4))):
-        place = data.draw(st.integers(0, len(lines)))
+        index = data.draw(st.integers(0, len(lines)))
         other = data.draw(st.sampled_from(("", "0.1 1 Statistic: D 2", "// remark", "rubbish")))
-        lines.insert(place, other)
+        lines.insert(index, other)
     path = tmp_path_factory.mktemp("asc") / "log.asc"
     header = "date Sat Sep 30 10:06:13.191 PM 2017\nbase hex  timestamps absolute\n"
     path.write_text(header + f"// {'x' * 1000}\n" * 40 + "\n".join(lines) + "\n")

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
-from sil.logs import LogFrame, blf, open_log, open_writer
+from sil.logs import LogFrame, blf, open_log
 from sil.logs.blf import Broken, Other, Unfinished, objects
 
 START_NS = 1_700_000_000_123 * 10**6
@@ -37,11 +37,11 @@ def container(content: bytes, *, method: int = 2) -> bytes:
     return header + blf.CONTAINER.pack(method, len(content)) + packed + bytes(size % 4)
 
 
-def file_of(*parts: bytes, start_ns: int = START_NS, told_size: int = 0) -> bytes:
+def file_of(*parts: bytes, start_ns: int = START_NS, stated_size: int = 0) -> bytes:
     """A BLF file."""
     start = blf.write_systemtime(start_ns)
     header = blf.FILE_HEADER.pack(
-        b"LOGG", 144, 0, 0, 0, 0, 2, 6, 8, 1, told_size, 0, 0, 0, *start, *start
+        b"LOGG", 144, 0, 0, 0, 0, 2, 6, 8, 1, stated_size, 0, 0, 0, *start, *start
     )
     return header.ljust(144, b"\x00") + b"".join(parts)
 
@@ -97,7 +97,7 @@ def test_objects_of_every_kind() -> None:
 
 
 def test_trailing_zero_bytes_that_vector_leaves_out() -> None:
-    """CANoe stores fewer bytes than the length tells; the missing ones are zero."""
+    """CANoe stores fewer bytes than the length states; the missing ones are zero."""
     body = blf.CAN_FD_64.pack(1, 15, 64, 0, 0x123, 0, 0x1000, 0, 0, 0, 0, 0, 0, 0, 0)
     found = one(body + b"\x01\x02", blf.TYPE_CAN_FD_64)
     assert isinstance(found, LogFrame)
@@ -197,8 +197,8 @@ def test_a_cut_log_gives_what_there_is(tmp_path: Path) -> None:
         read(blob[: len(blob) // 2], tmp_path, strict=True)
 
 
-def test_a_log_shorter_than_its_header_tells(tmp_path: Path) -> None:
-    blob = file_of(container(can(0)), told_size=10_000)
+def test_a_log_shorter_than_its_header_states(tmp_path: Path) -> None:
+    blob = file_of(container(can(0)), stated_size=10_000)
     frames, report = read(blob, tmp_path)
     assert len(frames) == 1
     assert report.truncated
@@ -227,16 +227,7 @@ def test_a_bomb_is_no_memory(tmp_path: Path) -> None:
     assert report.skipped == 1
 
 
-def test_unfinished_is_told() -> None:
+def test_unfinished_is_named() -> None:
     found = list(objects(can(0) + can(1)[:20], 0))
     assert isinstance(found[0], LogFrame)
     assert found[1:] == [Unfinished(48, 48)]
-
-
-@given(time_ns=st.integers(10**18, 4 * 10**18))
-@settings(deadline=None, max_examples=50)
-def test_times_are_exact(time_ns: int, tmp_path_factory: pytest.TempPathFactory) -> None:
-    path = tmp_path_factory.mktemp("blf") / "log.blf"
-    with open_writer(path) as writer:
-        writer.write(LogFrame(time_ns, 1, b"", channel="1", direction="Rx"))
-    assert [frame.time_ns for frame in open_log(path)] == [time_ns]

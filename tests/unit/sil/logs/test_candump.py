@@ -263,7 +263,7 @@ class TestDeltaTimes:
     def test_two_frames_tell_nothing(self) -> None:
         assert not look_like_deltas(self.log(0, 100))
 
-    def test_told_is_believed(self, tmp_path: Path) -> None:
+    def test_stated_times_are_used(self, tmp_path: Path) -> None:
         path = tmp_path / "log.txt"
         path.write_text("(000.000000) can0 123#11\n(000.100000) can0 123#11\n")
         assert [f.time_ns for f in open_log(path, times="delta")] == [0, 100_000_000]
@@ -348,10 +348,10 @@ def test_column_reading_agrees_with_line_reading(
     lines: list[str], damage: list[tuple[int, str]]
 ) -> None:
     """What is taken apart by columns is what each line is by itself."""
-    for place, character in damage:
+    for index, character in damage:
         line = lines[0]
-        if place < len(line):
-            lines[0] = line[:place] + character + line[place + 1 :]
+        if index < len(line):
+            lines[0] = line[:index] + character + line[index + 1 :]
     quick = plain_frames("".join(f"{line}\n" for line in lines), len(lines))
     if quick is not None:
         assert quick == [parse_line(line).frame for line in lines]

@@ -13,7 +13,7 @@ from sil.logs import LogFrame, convert, open_log
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
 
 
-def test_the_report_tells_both_sides(tmp_path: Path) -> None:
+def test_the_report_has_both_sides(tmp_path: Path) -> None:
     target = tmp_path / "torn.blf"
     report = convert(DATA / "torn.log", target)
     assert report.read is not None
@@ -24,8 +24,8 @@ def test_the_report_tells_both_sides(tmp_path: Path) -> None:
     lines = report.lines()
     assert lines[0] == f"{target}: 4 frames (blf)"
     assert "  broken and skipped: 6" in lines
-    told = json.loads(json.dumps(report.as_dict()))
-    assert told["read"]["backwards"] == 1
+    stated = json.loads(json.dumps(report.as_dict()))
+    assert stated["read"]["backwards"] == 1
     assert len(list(open_log(target))) == 4
 
 
@@ -52,7 +52,7 @@ def test_unknown_targets_and_missing_sources(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_formats_may_be_told(tmp_path: Path) -> None:
+def test_formats_may_be_stated(tmp_path: Path) -> None:
     source, target = tmp_path / "a", tmp_path / "b"
     source.write_text("(1.000000) can0 123#11\n")
     report = convert(source, target, source_format="candump", target_format="csv")

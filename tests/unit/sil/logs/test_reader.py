@@ -1,4 +1,4 @@
-"""Reports, places and refusals that all formats share."""
+"""Reports, locations and refusals that all formats share."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_everything_wrong_is_counted_and_located() -> None:
         (11_300, 0x125),
     ]
     assert report.skipped == 6
-    assert [(place.line, place.byte) for place in report.skipped_locations[:2]] == [
+    assert [(location.line, location.byte) for location in report.skipped_locations[:2]] == [
         (3, 48),
         (4, 56),
     ]
@@ -57,7 +57,7 @@ def test_everything_wrong_is_counted_and_located() -> None:
         ("(1.000000) can0 123#11", r"line 2: the frame 123 .* twice"),
     ],
 )
-def test_strict_refuses_at_the_place(line: str, expected: str, tmp_path: Path) -> None:
+def test_strict_refuses_at_the_line(line: str, expected: str, tmp_path: Path) -> None:
     path = tmp_path / "log.log"
     path.write_text(f"(1.000000) can0 123#11\n{line}\n")
     assert len(list(open_log(path))) >= 1
@@ -80,7 +80,7 @@ def test_garbage_alone_is_never_silence(tmp_path: Path) -> None:
         list(open_log(path))
 
 
-def test_places_kept_are_few_and_counts_are_all(tmp_path: Path) -> None:
+def test_locations_are_few_and_counts_are_all(tmp_path: Path) -> None:
     path = tmp_path / "log.log"
     path.write_text("(1.000000) can0 123#11\n" + "?\n" * 5000)
     reader = open_log(path)
@@ -155,7 +155,7 @@ def test_devices_and_pipes_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_a_told_format_is_believed(name: str, tmp_path: Path) -> None:
+def test_a_stated_format_is_used(name: str, tmp_path: Path) -> None:
     path = tmp_path / "bare"
     with open_writer(path, format=name) as writer:
         writer.write(LogFrame(10**9, 0x123, b"\x01", channel="1", direction="Rx"))
@@ -175,7 +175,9 @@ def test_close_twice_abort_after_close(tmp_path: Path) -> None:
     assert path.exists()
 
 
-@pytest.mark.parametrize("name", ["log.log", "log.asc", "log.blf", "log.log.gz", "log.trc"])
+@pytest.mark.parametrize(
+    "name", ["log.log", "log.asc", "log.blf", "log.log.gz", "log.blf.gz", "log.trc"]
+)
 def test_a_log_that_finds_no_room_leaves_nothing_behind(name: str, tmp_path: Path) -> None:
     """No file may grow beyond 64 bytes, which ends a write as a full disk does."""
     allowed = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -191,7 +193,7 @@ def test_a_log_that_finds_no_room_leaves_nothing_behind(name: str, tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
-def test_channels_get_numbers_and_losses_tell(tmp_path: Path) -> None:
+def test_channels_get_numbers_and_losses_are_counted(tmp_path: Path) -> None:
     path = tmp_path / "log.asc"
     names = ["can0", "vcan0", "can4", "engine", "5", ""]
     with open_writer(path) as writer:

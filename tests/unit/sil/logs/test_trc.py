@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
-from sil.logs import LogFrame, open_log, open_writer
+from sil.logs import LogFrame, open_log
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
 NOON_NS = 1_639_828_800 * 10**9
@@ -156,26 +156,17 @@ def test_common_and_other_lines_mixed(
     for number, (row, f) in enumerate(zip(rows, frames, strict=True), 1):
         digits = f"{f.can_id:08X}" if f.extended else f"{f.can_id:04X}"
         stamp = f"{row[0] // 1000}.{row[0] % 1000:03d}"
-        told = f"{len(f.data)}  {f.data.hex(' ').upper()}"
+        shown = f"{len(f.data)}  {f.data.hex(' ').upper()}"
         if version == "1.1":
-            lines.append(f"{number:>6})  {stamp:>9}  {f.direction}  {digits:>8}  {told} ")
+            lines.append(f"{number:>6})  {stamp:>9}  {f.direction}  {digits:>8}  {shown} ")
         else:
-            lines.append(f"{number:>7} {stamp:>13} DT 3 {digits:>8} {f.direction} -  {told}")
+            lines.append(f"{number:>7} {stamp:>13} DT 3 {digits:>8} {f.direction} -  {shown}")
     for _ in range(data.draw(st.integers(0, 3))):
-        place = data.draw(st.integers(0, len(lines)))
-        lines.insert(place, data.draw(st.sampled_from(("", ";remark", "rubbish"))))
+        index = data.draw(st.integers(0, len(lines)))
+        lines.insert(index, data.draw(st.sampled_from(("", ";remark", "rubbish"))))
     path = tmp_path_factory.mktemp("trc") / "log.trc"
     header = f";$FILEVERSION={version}\n;$STARTTIME=44548.5\n"
     path.write_text(header + f";{'x' * 1000}\n" * 40 + "\n".join(lines) + "\n")
     reader = open_log(path)
     assert list(reader) == frames
     assert reader.report.skipped == lines.count("rubbish")
-
-
-@given(time_ns=st.integers(10**18, 4 * 10**18).map(lambda us: us // 1000 * 1000))
-@settings(deadline=None)
-def test_start_times_are_exact(time_ns: int, tmp_path_factory: pytest.TempPathFactory) -> None:
-    path = tmp_path_factory.mktemp("trc") / "log.trc"
-    with open_writer(path) as writer:
-        writer.write(LogFrame(time_ns, 1, b"", channel="1", direction="Rx"))
-    assert [f.time_ns for f in open_log(path)] == [time_ns]
