@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
@@ -14,9 +14,6 @@ from sil.log_replay.signals import NAMES, Options, SignalComparer, value_text, v
 
 RECORDED, REPLAYED = 0, 1
 CHAMBERS: Final = (Chamber.B, Chamber.N, Chamber.F)
-COMMANDS: Final = (ValveCommand, SafetyBlow)
-"""What the plant hears: where these part, its answer would have been another."""
-
 WARM_UP_NS: Final = 5_000_000_000
 """A replay that begins in the middle of the control unit's work has to agree with it within this time."""
 
@@ -48,9 +45,7 @@ class StateHistory:
     """What a discrete signal was on both sides: (time in ns, name) of each change."""
 
     name: str
-    sides: tuple[list[tuple[int, str]], list[tuple[int, str]]] = field(
-        default_factory=lambda: ([], [])
-    )
+    sides: tuple[list[tuple[int, str]], ...] = field(default_factory=lambda: ([], []))
 
     def take(self, side: int, time_ns: int, value: str) -> None:
         """Note the value of a side."""
@@ -87,7 +82,7 @@ class Comparison:
         self._judge = SignalComparer(options)
         self._duty_closed = duty_closed
         self._inputs = inputs
-        self.signals: dict[str, SignalCount] = {}
+        self.signals: defaultdict[str, SignalCount] = defaultdict(SignalCount)
         self.ticks = 0
         self.differing_ticks = 0
         self.damaged: Counter[type] = Counter()
@@ -107,7 +102,6 @@ class Comparison:
         self._held: tuple[dict[type, tuple[Any, ...]], ...] = ({}, {})
         self._recent: dict[type, deque[tuple[int, tuple[Any, ...]]]] = {}
         self._waiting: deque[tuple[int, type, tuple[Any, ...]]] = deque()
-        self._estimate: list[float | None] = [None, None]
 
     def begin_warm_up(self) -> None:
         """From here on compare only once the sides agree: the replay had to begin anew."""
@@ -179,13 +173,7 @@ class Comparison:
     # --- signals ----------------------------------------------------------------------------
     def _count(self, kind: type) -> None:
         for name in NAMES[kind]:
-            self._signal(name).compared += 1
-
-    def _signal(self, name: str) -> SignalCount:
-        found = self.signals.get(name)
-        if found is None:
-            found = self.signals[name] = SignalCount()
-        return found
+            self.signals[name].compared += 1
 
     def _compare(
         self, time_ns: int, kind: type, ours: tuple[Any, ...], theirs: tuple[Any, ...] | None
@@ -195,7 +183,7 @@ class Comparison:
             theirs = (None,) * len(ours)
         found = self._judge.differing(kind, ours, theirs)
         for index, name in found:
-            entry = self._signal(name)
+            entry = self.signals[name]
             entry.differing += 1
             if entry.first_ns is None:
                 entry.first_ns = time_ns
@@ -229,7 +217,7 @@ class Comparison:
         if not differing:
             return False
         self.differing_ticks += 1
-        heard = [d for d in differing if d[0].split(".")[0] in ("ValveCommand", "SafetyBlow")]
+        heard = [d for d in differing if d[0].startswith(("ValveCommand.", "SafetyBlow."))]
         if self.first is None:
             self.first = Difference(time_ns, differing, self._inputs())
         if heard and self.first_command is None:
@@ -248,8 +236,9 @@ class Comparison:
     def _switch(self, time_ns: int, commands_part: bool) -> None:
         """Bring lanes, states and scenes up to date."""
         changed = False
-        states: list[tuple[bool, ...]] = []
+        coils: list[tuple[bool, ...]] = []
         names: list[str] = []
+        estimates: list[float | None] = []
         for side in (RECORDED, REPLAYED):
             held = self._held[side]
             blow, etc1, status = held.get(SafetyBlow), held.get(Etc1), held.get(ControllerStatus)
@@ -258,21 +247,15 @@ class Comparison:
                 blow is not None and bool(blow[1]),
                 etc1 is not None and bool(etc1[2]),
             )
-            states.append(on)
+            coils.append(on[:3])
             for signal, is_on in zip(self.switches, on, strict=True):
                 changed |= signal.take(side, time_ns, is_on)
             if status is not None:
                 for history, value in zip(self.states, status, strict=False):
                     history.take(side, time_ns, value.name)
             names.append("" if status is None else status[0].name)
-            self._estimate[side] = None if status is None else status[2]
-        row = Row(
-            time_ns,
-            (states[0][:3], states[1][:3]),
-            (names[0], names[1]),
-            (self._estimate[0], self._estimate[1]),
-        )
-        self.excerpts.take(row, changed, commands_part)
+            estimates.append(None if status is None else status[2])
+        self.excerpts.take(Row(time_ns, coils, names, estimates), changed, commands_part)
 
     def matched_edges(self) -> list[MatchedEdges]:
         """Match the edges of all lanes."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
@@ -111,10 +111,8 @@ class MatchedEdges(NamedTuple):
 
     def moved(self, time_ns: int) -> bool:
         """Whether an edge is alone or moved by more than this."""
-        matching = self.matching
-        return bool(
-            matching.dropped or matching.added or any(abs(s) > time_ns for s in self.shift_ns)
-        )
+        _, dropped, added = self.matching
+        return bool(dropped or added) or any(abs(s) > time_ns for s in self.shift_ns)
 
     def lines(self, period_ns: int, base_ns: int = 0) -> list[str]:
         """Say what moved, one line per direction and shift; nothing for what did not move."""
@@ -146,10 +144,9 @@ class MatchedEdges(NamedTuple):
         """All of it as plain JSON values; times on the log's clock."""
         signal, (pairs, dropped, added) = self.signal, self.matching
 
-        def alone(side: list[Edge], which: list[int]) -> list[dict[str, Any]]:
+        def alone(edges: Iterable[Edge]) -> list[dict[str, Any]]:
             return [
-                {"edge": signal.verb(side[k].up), "time_s": (side[k].time_ns + base_ns) / 1e9}
-                for k in which
+                {"edge": signal.verb(e.up), "time_s": (e.time_ns + base_ns) / 1e9} for e in edges
             ]
 
         return {
@@ -165,8 +162,8 @@ class MatchedEdges(NamedTuple):
                 }
                 for (i, j), shift in zip(pairs, self.shift_ns, strict=True)
             ],
-            "dropped": alone(signal.recorded, dropped),
-            "added": alone(signal.replayed, added),
+            "dropped": alone(signal.recorded[i] for i in dropped),
+            "added": alone(signal.replayed[j] for j in added),
         }
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from itertools import groupby
+from typing import Any, Final, NamedTuple
 
 BEFORE_NS: Final = 80_000_000
 AFTER_NS: Final = 160_000_000
@@ -15,16 +16,14 @@ MOST_DIFFERING: Final = 6
 MOST_EQUAL: Final = 3
 WIDTH: Final = 100
 
-Coils = tuple[bool, ...]
-
 
 class Row(NamedTuple):
     """One tick: coils B, N, F energised, state and estimate (m), recorded and replayed."""
 
     time_ns: int
-    coils: tuple[Coils, Coils]
-    states: tuple[str, str]
-    estimates_m: tuple[float | None, float | None]
+    coils: Sequence[tuple[bool, ...]]
+    states: Sequence[str]
+    estimates_m: Sequence[float | None]
 
 
 @dataclass
@@ -86,19 +85,17 @@ def waveforms(scene: Excerpt, labels: tuple[str, str], base_ns: int = 0) -> list
         step_ms = (part[1].time_ns - part[0].time_ns) / 1e6 if len(part) > 1 else 0.0
         lines.append(f"from {(part[0].time_ns + base_ns) / 1e9:.6f} s, {step_ms:g} ms per column")
         margin = max(len(label) for label in labels) + 10
-        for chamber, name in enumerate("BNF"):
-            if not any(row.coils[side][chamber] for row in rows for side in (0, 1)):
-                continue
-            waves = [[row.coils[side][chamber] for row in part] for side in (0, 1)]
-            for side in (0, 1):
-                head = f"valve {name}" if side == 0 else ""
-                lines.append(f"{head:<9} {labels[side]:<{margin - 10}} {_wave(waves[side])}")
-            lines += _marks([a != b for a, b in zip(*waves, strict=True)], margin)
-        names = [[row.states[side] for row in part] for side in (0, 1)]
-        for side in (0, 1):
-            head = "state" if side == 0 else ""
-            lines.append(f"{head:<9} {labels[side]:<{margin - 10}} {_named(names[side])}")
-        lines += _marks([a != b for a, b in zip(*names, strict=True)], margin)
+        drawn: list[tuple[str, list[list[Any]], Callable[[list[Any]], str]]] = [
+            (f"valve {name}", [[row.coils[side][k] for row in part] for side in (0, 1)], _wave)
+            for k, name in enumerate("BNF")
+            if any(coils[k] for row in rows for coils in row.coils)
+        ]
+        drawn.append(("state", [[row.states[side] for row in part] for side in (0, 1)], _named))
+        for head, sides, draw in drawn:
+            for side, title in enumerate((head, "")):
+                lines.append(f"{title:<9} {labels[side]:<{margin - 10}} {draw(sides[side])}")
+            marks = "".join("^" if a != b else " " for a, b in zip(*sides, strict=True)).rstrip()
+            lines += [" " * (margin + 1) + marks] if marks else []
         lines.append("")
     return lines
 
@@ -107,20 +104,7 @@ def _wave(levels: Sequence[bool]) -> str:
     return "".join("#" if on else "_" for on in levels)
 
 
-def _marks(differing: Sequence[bool], margin: int) -> list[str]:
-    if not any(differing):
-        return []
-    return [" " * (margin + 1) + "".join("^" if d else " " for d in differing).rstrip()]
-
-
 def _named(names: Sequence[str]) -> str:
     """Each name where it begins, as far as there is room, and dots while it lasts."""
-    text = ""
-    index = 0
-    while index < len(names):
-        end = index
-        while end < len(names) and names[end] == names[index]:
-            end += 1
-        text += f"|{names[index]}"[: end - index].ljust(end - index, ".")
-        index = end
-    return text
+    lengths = [(name, len(list(run))) for name, run in groupby(names)]
+    return "".join(f"|{name}"[:length].ljust(length, ".") for name, length in lengths)

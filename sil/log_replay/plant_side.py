@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -25,7 +26,7 @@ from sil.log_replay.signals import Options, SignalComparer, plain, value_text, v
 if TYPE_CHECKING:
     from plant.node import PlantNode
 
-COMMANDS: Final = (ValveCommand, SafetyBlow)
+COMMANDS: Final = (ValveCommand, SafetyBlow)  # what the plant hears
 MOST_POSITIONS: Final = 200_000
 _LATE_NS: Final = 60_000_000
 
@@ -59,11 +60,8 @@ class PlantSide:
         hears: Callable[[int], bool],
         slack_ns: int,
     ) -> None:
-        self._node = node
-        self._closes = closes
-        self._hears = hears
-        self._slack_ns = slack_ns
-        self._computation_ns = computation_ns
+        self._node, self._closes, self._hears = node, closes, hears
+        self._slack_ns, self._computation_ns = slack_ns, computation_ns
         self._bus = BusModel(bitrate)
         self._bit_ns = self._bus.bit_ns
         self._next_ns = node.start()
@@ -191,11 +189,8 @@ class PlantSide:
             if self.closed_ns is not None:
                 continue
             ours = self._partner(time_ns, kind, data)
-            if ours is None:
-                self.unmatched += 1
-                continue
-            self.compared += 1
-            recorded, replayed = values(kind, data), values(kind, ours)
+            self.compared += ours is not None
+            recorded, replayed = values(kind, data), values(kind, ours) if ours else None
             if recorded is None or replayed is None:
                 self.unmatched += 1
                 continue
@@ -238,28 +233,21 @@ class PlantSide:
 
     def _note_position(self, time_ns: int, data: bytes) -> None:
         found = values(PlantMotion, data)
-        if found is None:
-            return
-        for index in range(len(self.positions) - 1, max(len(self.positions) - 20, -1), -1):
-            position = self.positions[index]
-            if position.time_ns <= time_ns:
-                self.positions[index] = position._replace(recorded_m=found[0])
-                return
+        index = bisect_right(self.positions, time_ns, key=lambda p: p.time_ns) - 1
+        if found is not None and index >= 0:
+            self.positions[index] = self.positions[index]._replace(recorded_m=found[0])
 
     def as_dict(self, base_ns: int) -> dict[str, object]:
         """All of it as plain JSON values; times on the log's clock."""
+        first = self.first and {
+            "time_s": (self.first[0] + base_ns) / 1e9,
+            "signals": [{"name": n, "recorded": a, "replayed": b} for n, a, b in self.first[1]],
+        }
         return {
             "compared": self.compared,
             "differing": self.differing,
             "unmatched": self.unmatched,
-            "first": None
-            if self.first is None
-            else {
-                "time_s": (self.first[0] + base_ns) / 1e9,
-                "signals": [
-                    {"name": name, "recorded": a, "replayed": b} for name, a, b in self.first[1]
-                ],
-            },
+            "first": first,
             "largest": {name: plain(value) for name, value in sorted(self.largest.items())},
             "closed_at_s": None if self.closed_ns is None else (self.closed_ns + base_ns) / 1e9,
         }
