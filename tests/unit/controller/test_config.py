@@ -36,23 +36,6 @@ RECORDS = [
 ]
 
 
-def test_defaults_are_the_control_unit_of_the_thesis() -> None:
-    config = FirmwareConfig()
-    assert config.period_ns == 10_000_000
-    assert config.computation_ns == 100_000
-    assert (config.duty, config.duty_closed) == (0.98, 0.33)
-    sensor = config.sensor
-    assert (sensor.period_s, sensor.t_mid_s, sensor.slope_s_per_m) == (0.01, 0.0009, 0.022)
-    assert (sensor.temp_coeff_per_k, sensor.t_ref_k) == (0.0012, 293.15)
-    assert sensor.timer_resolution_s == 1e-6
-    assert config.filter == FilterConfig(enabled=True, order=6, fc_hz=22.0)
-    assert config.windows.stroke_m == 0.01285
-    assert config.blow == BlowConfig(duration_s=0.15, cut="sync")
-    assert config.strategy == "open_loop"
-    assert config.strategy_parameters == {}
-    assert not config.shift.wait_for_sync
-
-
 def test_defaults_agree_with_each_other() -> None:
     """Windows wider than the filter's overshoot; interlock and hold longer than the valve."""
     config = FirmwareConfig()

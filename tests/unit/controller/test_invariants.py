@@ -132,7 +132,7 @@ def test_promises_hold_whatever_comes_in() -> None:
     visited: Counter[ShiftState] = Counter()
 
     @given(config=CONFIGS, scenes=st.one_of(SCENES, SCENES.map(lambda scenes: [WAKE, *scenes])))
-    @settings(max_examples=300, deadline=None, derandomize=True, database=None)
+    @settings(max_examples=150, deadline=None, derandomize=True, database=None)
     def run(config: FirmwareConfig, scenes: list[Scene]) -> None:
         check_scenes(config, scenes, visited)
 
@@ -196,7 +196,7 @@ def check_truth(rig: Rig) -> None:
 
 
 @given(rig=troubled())
-@settings(max_examples=60, deadline=None, derandomize=True, database=None)
+@settings(max_examples=40, deadline=None, derandomize=True, database=None)
 def test_no_gear_is_reported_that_is_not_engaged(rig: Rig) -> None:
     check_truth(rig)
 
