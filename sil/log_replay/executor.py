@@ -40,7 +40,7 @@ class Account:
     def total(self) -> int:
         """Frames accounted for."""
         parts = (self.inputs, self.unheard, self.answers, self.plant, self.other)
-        return sum(sum(part.values()) for part in parts) + self.foreign
+        return sum(part.total() for part in parts) + self.foreign
 
 
 class Unit:
@@ -96,14 +96,12 @@ class ReplayExecutor:
         plant: PlantSide | None = None,
         reference: Unit | None = None,
     ) -> None:
-        self._map = ticks
-        self._grid = ticks.grid
-        self._unit = unit
+        self._map, self._grid = ticks, ticks.grid
+        self._unit, self._reference = unit, reference
         self._period_ns = period_ns
         self._same_grid = period_ns == ticks.grid.period_ns
         self._hears = hears
         self._plant = plant
-        self._reference = reference
         self._ahead_ns = COUNTERS * self._grid.period_ns + AHEAD_NS
         self._pending: deque[tuple[int, Frame]] = deque()
         self._answers: dict[int, dict[type, bytes]] = {}
@@ -259,8 +257,5 @@ def _input_text(kind: type, frame: Frame) -> str:
     found = values(kind, frame.data) if is_intact(kind, frame) else None
     if found is None:
         return f"{kind.__name__} damaged: {frame.data.hex().upper()}"
-    fields = (name.split(".")[1] for name in NAMES[kind])
-    text = ", ".join(
-        f"{name} {value_text(value)}" for name, value in zip(fields, found, strict=True)
-    )
-    return f"{kind.__name__}: {text}"
+    named = zip((name.split(".")[1] for name in NAMES[kind]), found, strict=True)
+    return f"{kind.__name__}: {', '.join(f'{name} {value_text(value)}' for name, value in named)}"

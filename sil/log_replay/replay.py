@@ -139,12 +139,8 @@ def replay(request: ReplayRequest) -> ReplayResult:
             reference = stack.enter_context(closing(Unit(make)))
         plant = _plant(request, ready, grid, hears_plant=_hearing(ready, grid, ticks, "plant"))
         executor = ReplayExecutor(ticks, firmware, config.period_ns, hears, plant, reference)
-        comparison = Comparison(
-            _options(request.options, grid, ticks),
-            config.duty_closed,
-            executor.inputs,
-            warming=not grid.fresh,
-        )
+        options = _options(request.options, grid, ticks)
+        comparison = Comparison(options, config.duty_closed, executor.inputs, not grid.fresh)
         frames = log.recorded_frames()
         executor.run(frames, comparison)
     executor.account.other.update(frames.counts)
@@ -248,9 +244,8 @@ def _firmware(request: ReplayRequest, ready: ReplaySettings) -> Callable[[], Par
     if request.firmware is not None and _is_folder(request.firmware):
         folder = Path(request.firmware).resolve()
         if not (folder / "controller" / "node.py").is_file():
-            raise InputError(
-                f"{request.firmware}: no controller/node.py in it; expected a checkout"
-            )
+            name = request.firmware
+            raise InputError(f"{name}: no controller/node.py in it; expected a checkout")
         return partial(CheckoutController, folder, config, request.firmware)
     if program:
         from sil.nodes.own_firmware import OwnController
@@ -310,15 +305,12 @@ def _notes(outcome: ReplayResult, log: _Log, frames: RecordedFrames) -> list[str
     if gaps := len(ticks.restarts):
         notes.append(f"gaps in the recording: {gaps}; the replay restarted after each")
     if outcome.plant is not None and (not grid.fresh or not outcome.settings.own_run):
-        gear = outcome.settings.loaded.scenario.initial_gear
-        notes.append(
-            f"the plant starts at rest, vented and in {gear}: the log holds no other state"
-        )
+        state = f"at rest, vented and in {outcome.settings.loaded.scenario.initial_gear}"
+        notes.append(f"the plant starts {state}: the log holds no other state")
     last_ns = frames.last_ns or 0
     if last_ns - grid.tick_ns(ticks.last) > 2 * grid.period_ns:
-        notes.append(
-            f"the control unit's last frame is at {when(ticks.last)}; later frames are not compared"
-        )
+        last = f"the control unit's last frame is at {when(ticks.last)}"
+        notes.append(f"{last}; later frames are not compared")
     if outcome.unanswered:
         missing = ", ".join(f"{n} {name}" for name, n in sorted(outcome.unanswered.items()))
         notes.append(f"replayed but not in the recording, not compared: {missing}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import takewhile
 from typing import Any
 
 from sil.log_replay.comparison import Difference, StateHistory
@@ -163,7 +164,8 @@ def as_dict(outcome: ReplayResult) -> dict[str, Any]:
     }
 
 
-def _when(outcome: ReplayResult, time_ns: int) -> str:
+def _when(outcome: ReplayResult, time_ns: int | None) -> str:
+    assert time_ns is not None
     return f"{(time_ns + outcome.grid.origin_ns) / 1e9:.6f} s"
 
 
@@ -181,15 +183,11 @@ def _sequences(history: StateHistory, labels: tuple[str, str]) -> str:
     recorded, replayed = history.sequence(0), history.sequence(1)
     if recorded == replayed:
         return f"{history.name}: the same {len(recorded)} in both: {_row(recorded)}"
-    same = next(
-        (i for i, (a, b) in enumerate(zip(recorded, replayed, strict=False)) if a != b),
-        min(len(recorded), len(replayed)),
-    )
+    both = zip(recorded, replayed, strict=False)
+    same = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], both))
     start = max(same - 2, 0)
-    return (
-        f"{history.name}: the same {same}, then {labels[0]} {_row(recorded[start:])}; "
-        f"{labels[1]} {_row(replayed[start:])}"
-    )
+    rows = f"{labels[0]} {_row(recorded[start:])}; {labels[1]} {_row(replayed[start:])}"
+    return f"{history.name}: the same {same}, then {rows}"
 
 
 def _row(names: list[str]) -> str:
@@ -216,27 +214,20 @@ def plant_lines(outcome: ReplayResult) -> list[str]:
     assert plant is not None
     lines = []
     if outcome.request.plant:
-        lines.append(
-            f"plant alone on the recorded commands: {plant.differing} of {plant.compared} frames differ"
-        )
+        share = f"{plant.differing} of {plant.compared}"
+        lines.append(f"plant alone on the recorded commands: {share} frames differ")
         if plant.unmatched:
             lines.append(f"{plant.unmatched} recorded frames of the plant without a counterpart")
-        for name, largest in sorted(plant.largest.items()):
-            lines.append(f"{name}: at most {largest:.6g} apart")
+        lines += [f"{name}: at most {x:.6g} apart" for name, x in sorted(plant.largest.items())]
         if plant.first is not None:
-            time_ns, parts = plant.first
-            name, recorded, replayed = parts[0]
-            lines.append(
-                f"first at {_when(outcome, time_ns)}: {name} recorded {recorded}, replayed {replayed}"
-            )
+            time_ns, ((name, a, b), *_) = plant.first
+            lines.append(f"first at {_when(outcome, time_ns)}: {name} recorded {a}, replayed {b}")
         lines.append(attribution(outcome))
-    if outcome.request.closed_loop:
-        if plant.closed_ns is None:
-            lines.append("no command differs, so the loop stayed open")
-        else:
-            lines.append(
-                f"loop closed at {_when(outcome, plant.closed_ns)}: from there the plant answers"
-            )
+    if outcome.request.closed_loop and plant.closed_ns is None:
+        lines.append("no command differs, so the loop stayed open")
+    elif plant.closed_ns is not None:
+        when = _when(outcome, plant.closed_ns)
+        lines.append(f"loop closed at {when}: from there the plant answers")
     return lines
 
 
@@ -245,11 +236,8 @@ def _signal_lines(outcome: ReplayResult) -> list[str]:
     for name, entry in sorted(outcome.comparison.signals.items()):
         if entry.differing:
             size = "" if entry.largest is None else f", at most {entry.largest:.6g} apart"
-            assert entry.first_ns is not None
-            lines.append(
-                f"{name}: {entry.differing} of {entry.compared} differ{size}, first at "
-                f"{_when(outcome, entry.first_ns)}"
-            )
+            share, when = f"{entry.differing} of {entry.compared}", _when(outcome, entry.first_ns)
+            lines.append(f"{name}: {share} differ{size}, first at {when}")
     equal = sum(1 for entry in outcome.comparison.signals.values() if not entry.differing)
     return [*lines, f"{equal} signals without a difference"]
 
@@ -257,15 +245,15 @@ def _signal_lines(outcome: ReplayResult) -> list[str]:
 def _account_line(outcome: ReplayResult) -> str:
     account = outcome.account
     parts = [
-        f"{sum(account.inputs.values())} inputs",
-        f"{sum(account.answers.values())} answers of the control unit",
-        f"{sum(account.plant.values())} of the plant",
+        f"{account.inputs.total()} inputs",
+        f"{account.answers.total()} answers of the control unit",
+        f"{account.plant.total()} of the plant",
         f"{account.foreign} foreign",
     ]
     if account.unheard:
-        parts.append(f"{sum(account.unheard.values())} inputs while off the bus")
+        parts.append(f"{account.unheard.total()} inputs while off the bus")
     if account.other:
-        parts.append(f"{sum(account.other.values())} others")
+        parts.append(f"{account.other.total()} others")
     return f"{account.total} of {outcome.frames} frames accounted for: {', '.join(parts)}"
 
 
@@ -288,16 +276,10 @@ def account_lines(outcome: ReplayResult) -> list[str]:
 
 
 def _history(history: StateHistory, base_ns: int) -> dict[str, Any]:
-    recorded, replayed = (
-        [{"time_s": (time_ns + base_ns) / 1e9, "value": name} for time_ns, name in side]
-        for side in history.sides
-    )
-    return {
-        "name": history.name,
-        "differs": history.differs,
-        "recorded": recorded,
-        "replayed": replayed,
-    }
+    found: dict[str, Any] = {"name": history.name, "differs": history.differs}
+    for side, changes in zip(("recorded", "replayed"), history.sides, strict=True):
+        found[side] = [{"time_s": (ns + base_ns) / 1e9, "value": name} for ns, name in changes]
+    return found
 
 
 def _difference_dict(parting: Difference | None, base_ns: int) -> dict[str, Any] | None:
