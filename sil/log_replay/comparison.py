@@ -64,9 +64,9 @@ class StateHistory:
 
 
 class Comparison:
-    """Takes both sides of each tick and keeps what is worth telling, in bounded memory.
+    """Compares both sides of each tick in bounded memory.
 
-    `inputs`: called where the sides part, returns the inputs that led there. What is kept grows
+    `inputs`: called where the sides part, returns the inputs that led there. Memory grows
     with the number of edges and state changes, not with the log.
     Checked by: tests/unit/sil/log_replay/test_comparison.py
     """
@@ -110,7 +110,7 @@ class Comparison:
     def take(self, time_ns: int, recorded: Side, replayed: Side) -> None:
         """Take what the sides sent at a time (of the log's clock, ns), data by message type.
 
-        Either side may be silent; what it sent last then stands. Counters and checksums are
+        Either side may be silent; its latest message then counts. Counters and checksums are
         left out of the data (`bare`).
         """
         ours = self._read(RECORDED, recorded, time_ns)

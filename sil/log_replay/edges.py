@@ -135,9 +135,9 @@ class MatchedEdges(NamedTuple):
             for up in (True, False):
                 when = [(side[k].time_ns + base_ns) / 1e9 for k in alone if side[k].up is up]
                 if when:
-                    places = ", ".join(f"{t:.6f}" for t in when[:5])
+                    times_s = ", ".join(f"{t:.6f}" for t in when[:5])
                     more = f" and {len(when) - 5} more" if len(when) > 5 else ""
-                    found.append(f"{signal.name} {signal.verb(up)} {what}, at {places} s{more}")
+                    found.append(f"{signal.name} {signal.verb(up)} {what}, at {times_s} s{more}")
         return found
 
     def as_dict(self, base_ns: int = 0) -> dict[str, Any]:

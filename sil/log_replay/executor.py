@@ -81,7 +81,7 @@ class ReplayExecutor:
     """Runs a control unit over a log and hands both sides of each tick to the comparison.
 
     period_ns: of the control unit under replay; the map has that of the recorded one.
-    hears: whether the control unit hears a frame of a time (log's clock, ns).
+    receives: whether the control unit receives the frames of a time (log's clock, ns).
     plant: takes part where the plant is replayed too.
     reference: another control unit whose answers replace the recorded ones.
     Checked by: tests/unit/sil/log_replay/test_executor.py, tests/scenarios/test_replay.py
@@ -92,7 +92,7 @@ class ReplayExecutor:
         ticks: TickMap,
         unit: Unit,
         period_ns: int,
-        hears: Callable[[int], bool],
+        receives: Callable[[int], bool],
         plant: PlantSide | None = None,
         reference: Unit | None = None,
     ) -> None:
@@ -100,7 +100,7 @@ class ReplayExecutor:
         self._unit, self._reference = unit, reference
         self._period_ns = period_ns
         self._same_grid = period_ns == ticks.grid.period_ns
-        self._hears = hears
+        self._receives = receives
         self._plant = plant
         self._ahead_ns = COUNTERS * self._grid.period_ns + AHEAD_NS
         self._pending: deque[tuple[int, Frame]] = deque()
@@ -153,7 +153,7 @@ class ReplayExecutor:
         elif kind in OUTPUTS:
             self._sort_answer(arrival, kind)
         elif kind in INPUTS:
-            if self._hears(arrival.time_ns):
+            if self._receives(arrival.time_ns):
                 account.inputs[kind.__name__] += 1
                 self._pending.append((time_ns, arrival.frame))
             else:
@@ -169,7 +169,7 @@ class ReplayExecutor:
             account.other[f"{kind.__name__} with a wrong checksum or length"] += 1
             return
         tick = self._map.tick_of(arrival)
-        if kind in self._answers.get(tick, ()):  # its counter stands still
+        if kind in self._answers.get(tick, ()):  # its counter does not change
             tick = self._grid.latest_tick(arrival)
         if tick < self._next_recorded:
             account.other[f"{kind.__name__} from before the replay or too late"] += 1

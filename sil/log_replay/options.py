@@ -1,4 +1,4 @@
-"""What is replayed with which settings: the run's own beside the log, a file's, or the defaults."""
+"""What is replayed with which settings: the run's own in the folder of the log, a file's, or the defaults."""
 
 from __future__ import annotations
 
@@ -44,17 +44,17 @@ def find_settings(
     run: str | None = None,
     with_plant: bool = False,
 ) -> ReplaySettings:
-    """Find the settings: result.json beside the log, else the defaults with the log's periods.
+    """Find the settings: result.json in the folder of the log, else the defaults with the log's periods.
 
     `firmware`: a file with the firmware's settings (a table of them, a [controller] table, a
     scenario or a result.json), or the program of another firmware (FILE.py or FILE.py:CLASS). `run`: scenario or result.json that the log is of. `settings`:
     PATH=VALUE; those of the plant need `with_plant`.
     Raises InputError. Checked by: tests/unit/sil/log_replay/test_options.py
     """
-    beside = Path(log).with_name(RESULT)
-    own_run = run is not None or _holds_scenario(beside)
+    result = Path(log).with_name(RESULT)
+    own_run = run is not None or _holds_scenario(result)
     if own_run:
-        source = str(scenario.find(run)) if run is not None else str(beside)
+        source = str(scenario.find(run)) if run is not None else str(result)
         raw = scenario.expanded(scenario.load(source).scenario)
         description = f"as in {source}"
     else:

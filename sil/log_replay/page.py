@@ -16,7 +16,7 @@ from sil.report.shell import Head, Picture, render
 
 
 def replay_page(outcome: ReplayResult, values: dict[str, Any], command: str, folder: Path) -> str:
-    """Return the page, its figures written beside it; `values` is what diff.json holds.
+    """Return the page, its figures written into the folder; `values` is what diff.json holds.
 
     `command` is the call that made it. Checked by: tests/unit/sil/log_replay/test_page.py
     """

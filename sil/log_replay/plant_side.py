@@ -26,7 +26,7 @@ from sil.log_replay.signals import Options, SignalComparer, plain, value_text, v
 if TYPE_CHECKING:
     from plant.node import PlantNode
 
-COMMANDS: Final = (ValveCommand, SafetyBlow)  # what the plant hears
+COMMANDS: Final = (ValveCommand, SafetyBlow)
 MOST_POSITIONS: Final = 200_000
 _LATE_NS: Final = 60_000_000
 
@@ -40,7 +40,7 @@ class Position(NamedTuple):
 
 
 class PlantSide:
-    """Runs the plant beside the control unit; times in ns from the control unit's first tick.
+    """Runs the plant together with the control unit; times in ns from the control unit's first tick.
 
     As long as the control unit commands what was recorded, the plant gets the recorded commands at their
     recorded times and the control unit the recorded inputs. With `closes`, the loop closes at the first
@@ -57,10 +57,10 @@ class PlantSide:
         closes: bool,
         bitrate: int,
         computation_ns: int,
-        hears: Callable[[int], bool],
+        receives: Callable[[int], bool],
         slack_ns: int,
     ) -> None:
-        self._node, self._closes, self._hears = node, closes, hears
+        self._node, self._closes, self._receives = node, closes, receives
         self._slack_ns, self._computation_ns = slack_ns, computation_ns
         self._bus = BusModel(bitrate)
         self._bit_ns = self._bus.bit_ns
@@ -89,7 +89,7 @@ class PlantSide:
         if time_ns < 0:  # of before the control unit's first tick, where the plant is at rest
             return
         if kind in OUTPUTS:
-            if kind in COMMANDS and self.closed_ns is None and self._hears(arrival.time_ns):
+            if kind in COMMANDS and self.closed_ns is None and self._receives(arrival.time_ns):
                 self._commands.append((time_ns, frame))
             return
         if kind in FROM_PLANT:
@@ -103,7 +103,7 @@ class PlantSide:
 
     # --- the control unit's ticks -------------------------------------------------------------------
     def deliveries(self, now_ns: int, recorded: list[tuple[int, Frame]]) -> list[tuple[int, Frame]]:
-        """Bring plant and bus to a tick; return what the control unit hears: the log's frames, or ours."""
+        """Bring plant and bus to a tick; return what the control unit receives: the log's frames, or ours."""
         self._advance(now_ns)
         ours, self._for_unit = self._for_unit, []
         return recorded if self.closed_ns is None else ours
@@ -216,7 +216,7 @@ class PlantSide:
         released = self._released[kind]
         while released and released[0][0] < time_ns - _LATE_NS:
             released.popleft()
-        best, place = -1, None
+        best, chosen = -1, None
         for index, (release_ns, ours) in enumerate(released):
             if release_ns > sent_ns:
                 break
@@ -224,11 +224,11 @@ class PlantSide:
             if kind in PROTECTED and ours[1] & 0x0F == data[1] & 0x0F:
                 likeness = max(likeness, 1)
             if likeness >= best:
-                best, place = likeness, index
-        if place is None:
+                best, chosen = likeness, index
+        if chosen is None:
             return None
-        found = released[place][1]
-        del released[place]
+        found = released[chosen][1]
+        del released[chosen]
         return found
 
     def _note_position(self, time_ns: int, data: bytes) -> None:

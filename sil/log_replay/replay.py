@@ -130,15 +130,15 @@ def replay(request: ReplayRequest) -> ReplayResult:
             f"{request.log}: the recording has gaps ({len(ticks.restarts)}) in which the plant is unknown; "
             "expected a recording without gaps, or neither --plant nor --closed-loop"
         )
-    hears = _hearing(ready, grid, ticks, "controller")
+    receives = _receiving(ready, grid, ticks, "controller")
     with ExitStack() as stack:
         firmware = stack.enter_context(closing(Unit(_firmware(request, ready))))
         reference = None
         if request.reference is not None:
             make = partial(CheckoutController, request.reference[0], config, request.reference[1])
             reference = stack.enter_context(closing(Unit(make)))
-        plant = _plant(request, ready, grid, hears_plant=_hearing(ready, grid, ticks, "plant"))
-        executor = ReplayExecutor(ticks, firmware, config.period_ns, hears, plant, reference)
+        plant = _plant(request, ready, grid, plant_receives=_receiving(ready, grid, ticks, "plant"))
+        executor = ReplayExecutor(ticks, firmware, config.period_ns, receives, plant, reference)
         options = _options(request.options, grid, ticks)
         comparison = Comparison(options, config.duty_closed, executor.inputs, not grid.fresh)
         frames = log.recorded_frames()
@@ -256,8 +256,10 @@ def _firmware(request: ReplayRequest, ready: ReplaySettings) -> Callable[[], Par
     return partial(ControllerNode, config)
 
 
-def _hearing(ready: ReplaySettings, grid: Grid, ticks: TickMap, node: str) -> Callable[[int], bool]:
-    """Return whether a node hears a frame of a time: by the run's faults, else by its silence."""
+def _receiving(
+    ready: ReplaySettings, grid: Grid, ticks: TickMap, node: str
+) -> Callable[[int], bool]:
+    """Return what says whether a node receives the frames of a time: the run's faults, else its silence."""
     from sil.coupling.faults import FaultPlan
 
     scene = ready.loaded.scenario
@@ -265,12 +267,12 @@ def _hearing(ready: ReplaySettings, grid: Grid, ticks: TickMap, node: str) -> Ca
         plan = FaultPlan(scene.fault, scene.seed)
         return lambda time_ns: node not in plan.bus_off(time_ns)
     if node == "controller":
-        return ticks.hears
+        return ticks.receives
     return lambda time_ns: True
 
 
 def _plant(
-    request: ReplayRequest, ready: ReplaySettings, grid: Grid, hears_plant: Callable[[int], bool]
+    request: ReplayRequest, ready: ReplaySettings, grid: Grid, plant_receives: Callable[[int], bool]
 ) -> PlantSide | None:
     if not (request.plant or request.closed_loop):
         return None
@@ -285,13 +287,13 @@ def _plant(
         closes=request.closed_loop,
         bitrate=grid.bitrate,
         computation_ns=scene.controller.computation_ns,
-        hears=hears_plant,
+        receives=plant_receives,
         slack_ns=grid.slack_ns,
     )
 
 
 def _notes(outcome: ReplayResult, log: _Log, frames: RecordedFrames) -> list[str]:
-    """Say what of the log was special."""
+    """Return what a reader must know of this log."""
     grid, ticks = outcome.grid, outcome.ticks
     notes = []
 

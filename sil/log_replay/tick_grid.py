@@ -47,9 +47,9 @@ NS_PER_S: Final = 1_000_000_000
 
 
 class Survey(NamedTuple):
-    """What the beginning of a log tells about its control unit.
+    """What the beginning of a log shows of its control unit.
 
-    bitrate: None where the times do not tell. period_ns, sensor_period_ns: None where there are
+    bitrate: None where the times do not show it. period_ns, sensor_period_ns: None where there are
     not two frames in a row. release_ns: earliest bound of the release of the tick with
     `first_counter`, moved to the phase that all ticks agree on; None without any tick.
     awake: the control unit was already running (its first status is not INIT).

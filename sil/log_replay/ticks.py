@@ -1,8 +1,8 @@
 """Which ticks the recorded unit ran, and which tick each of its frames belongs to.
 
 The end-to-end counters tell. When nothing of the control unit was on the bus for a while, counters that
-went on by the ticks that passed mean that it ran and was off the bus, so that it heard nothing;
-counters that stood still mean that it did not run. A hole in which nobody was on the bus is none
+went on by the ticks that passed mean that it ran and was off the bus, so that it received nothing;
+counters that did not change mean that it did not run. A hole in which nobody was on the bus is none
 of the control unit's: the recorder was off, and the replay starts anew behind it.
 """
 
@@ -56,8 +56,8 @@ class TickMap:
         """Return the ticks that did not run of which this is one."""
         return _holding(self.idle, tick)
 
-    def hears(self, time_ns: int) -> bool:
-        """Whether the control unit could hear a frame that arrived at a time of the log's clock."""
+    def receives(self, time_ns: int) -> bool:
+        """Whether the control unit could receive a frame that arrived at a time of the log's clock."""
         if not self.off_bus:
             return True
         grid = self.grid
@@ -90,7 +90,7 @@ def map_ticks(arrivals: Iterable[Arrival], grid: Grid) -> TickMap:
     """
     found = TickMap(grid)
     active: int | None = None
-    seen: dict[type, tuple[int, int]] = {}
+    latest: dict[type, tuple[int, int]] = {}
     last_ns: int | None = None
     hole = False
     for arrival in arrivals:
@@ -113,12 +113,12 @@ def map_ticks(arrivals: Iterable[Arrival], grid: Grid) -> TickMap:
             found.idle.append(Span(active + 1, tick))
             found.restarts.append(tick)
             found.count_from(tick, counter)
-            seen.clear()
-        elif tick > active + 1 and kind in seen:
-            _judge_silence(found, active, tick, counter, seen[kind])
+            latest.clear()
+        elif tick > active + 1 and kind in latest:
+            _judge_silence(found, active, tick, counter, latest[kind])
         hole = False
         active = tick if active is None else max(active, tick)
-        seen[kind] = (tick, counter)
+        latest[kind] = (tick, counter)
     found.last = -1 if active is None else active
     return found
 

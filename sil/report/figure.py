@@ -132,7 +132,7 @@ class Panel:
     ticks: (value, name) on the vertical axis instead of numbers.
     limits: ends of the vertical axis, the lower one first, even if reversed by a higher one;
     None: found from the content.
-    keys: (text, role) of legend entries beside those of the series.
+    keys: (text, role) of legend entries in addition to those of the series.
     drawn: "page" and "picture" leave the panel out of the other.
     extra: draws what only a picture shows: called with matplotlib axes, theme, first and last x.
     """

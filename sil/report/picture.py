@@ -22,7 +22,7 @@ PIXELS_PER_INCH = 80.0
 """Of a panel's height."""
 
 MOST_ZOOMS = 3
-"""A picture shows this many parts of an axis beside one another; a page has a button for each."""
+"""A picture shows this many parts of an axis side by side; a page has a button for each."""
 
 DOTS_PER_INCH = 110
 DASHES: dict[str, Any] = {"solid": "-", "dashed": (0, (4, 2)), "dotted": ":"}

@@ -42,9 +42,9 @@ class Picture:
 
 @dataclass(frozen=True)
 class Head:
-    """What stands at the top of every page.
+    """What is at the top of every page.
 
-    command: the `opc4` command it is of. good: the verdict is one to be glad of; None: neither.
+    command: the `opc4` command it is of. good: whether the verdict is a good one; None: neither.
     tiles: figures as (value, name). again: the call that makes the page again.
     """
 
@@ -84,7 +84,7 @@ def _library() -> dict[str, str]:
     uplot = (HERE / "uplot" / "uPlot.min.js").read_text(encoding="utf-8")
     themes = {theme.name: theme.roles for theme in (LIGHT, DARK)}
     return {
-        # its banner names its home; a page without any address is easily seen to need no network
+        # its banner names its home; a page without any address clearly needs no network
         "uplot": uplot.replace("https://", ""),
         "style": (HERE / "uplot" / "uPlot.min.css").read_text(encoding="utf-8"),
         "script": (HERE / "plots.js").read_text(encoding="utf-8"),

@@ -45,8 +45,8 @@ def test_lost_frames_leave_all_ticks_running() -> None:
 def test_silence_with_running_counters_is_off_the_bus() -> None:
     found = mapped(arrivals("bus_off"))
     assert found.off_bus == [Span(16, 36)] and not found.idle
-    assert found.hears(159_999_999) and not found.hears(160_000_000)
-    assert not found.hears(359_999_999) and found.hears(360_000_000)
+    assert found.receives(159_999_999) and not found.receives(160_000_000)
+    assert not found.receives(359_999_999) and found.receives(360_000_000)
 
 
 def test_silence_with_standing_counters_is_standstill() -> None:
