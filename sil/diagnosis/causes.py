@@ -12,9 +12,8 @@ from typing import Any
 from plant.parameters import Number, Parameter, ParameterSet
 from sil.campaign.campaign import Campaign
 from sil.diagnosis.intervals import Interval, intervals
-from sil.diagnosis.judge import Judged
 from sil.diagnosis.terms import form_of
-from sil.diagnosis.verdict import Verdict
+from sil.diagnosis.verdict import Judged, Verdict
 from sil.fitting.fit import FitResult, Fitter
 from sil.fitting.hypotheses import Candidate
 from sil.fitting.model_file import model_file

@@ -11,11 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
 from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record
+from sil.diagnosis.phases import runs
 from sil.fitting.fit import FitResult
 from sil.fitting.model import CampaignModel, channel_parts
 from sil.fitting.observations import StrokeObservation, observe
@@ -197,10 +199,9 @@ def _check_pressure(
     return []
 
 
-def longest_run(flags: np.ndarray) -> int:
+def longest_run(flags: NDArray[np.bool_]) -> int:
     """Return the length of the longest run of true values in flags [n]."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
+    return max((last - first + 1 for first, last in runs(flags)), default=0)
 
 
 LENGTHS = ((1e3, "millimetres"), (1e2, "centimetres"), (39.37, "inches"), (1e6, "micrometres"))

@@ -19,14 +19,13 @@ from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign
 from sil.diagnosis.causes import Cause, causes_of, diagnosis_json, extended_model
 from sil.diagnosis.checks import Finding, check_strokes, observed
-from sil.diagnosis.judge import Judged, judge, weigh
 from sil.diagnosis.next_experiment import NextExperiment, next_experiment
 from sil.diagnosis.residuals import Gain, gain_between
 from sil.diagnosis.search import Search
 from sil.diagnosis.split import odd_ones_in, split
 from sil.diagnosis.structure import Structure, structure_of
 from sil.diagnosis.terms import try_terms
-from sil.diagnosis.verdict import Verdict, acceptable, decide
+from sil.diagnosis.verdict import Judged, Verdict, acceptable, decide, judge, weigh
 from sil.fitting.fit import FitResult, Fitter, Show, no_progress
 from sil.fitting.floor import misfit
 from sil.fitting.hypotheses import Candidate, candidates

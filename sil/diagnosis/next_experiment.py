@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from plant.errors import IntegrationError
-from sil.diagnosis.judge import Judged
-from sil.diagnosis.verdict import Verdict
+from sil.diagnosis.verdict import Judged, Verdict
 from sil.fitting.fit import FitResult
 from sil.fitting.model import CampaignModel
 

@@ -22,12 +22,11 @@ from sil.diagnosis.figures import (
     term_figure,
     worst,
 )
-from sil.diagnosis.judge import Judged
 from sil.diagnosis.one_equation import Alone, alone
 from sil.diagnosis.residuals import Shown, show
 from sil.diagnosis.structure import FAULTS
 from sil.diagnosis.terms import form_of
-from sil.diagnosis.verdict import UNNAMED
+from sil.diagnosis.verdict import UNNAMED, Judged
 from sil.files.atomic import write_atomically
 from sil.report.figure import Figure
 from sil.report.picture import save

@@ -15,9 +15,8 @@ from plant.effects import Effect, EffectParameter
 from plant.effects.effect import Starts
 from plant.effects.setup import Setup
 from plant.effects.term import FORMS, TermForm, term
-from sil.diagnosis.judge import Judged
 from sil.diagnosis.search import Search, Task
-from sil.diagnosis.verdict import Verdict
+from sil.diagnosis.verdict import Judged, Verdict
 from sil.fitting.floor import strained
 from sil.fitting.hypotheses import Candidate, compatible
 

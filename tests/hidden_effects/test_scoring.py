@@ -11,10 +11,9 @@ from tests.bench.hidden_effects import Row, interval, read_rows, tables
 
 
 def row(names: tuple[str, ...], found: tuple[tuple[str, str, float], ...], **more) -> Row:
-    case = more.pop("case", "one" if names else "none")
-    told = {
+    usual = {
         "number": 1,
-        "case": case,
+        "case": "one" if names else "none",
         "level": "easy",
         "names": names,
         "classes": tuple("friction" for _ in names),
@@ -25,7 +24,7 @@ def row(names: tuple[str, ...], found: tuple[tuple[str, str, float], ...], **mor
         "after": 1.0,
         "seconds": 1.0,
     }
-    return Row(**{**told, **more})
+    return Row(**{**usual, **more})
 
 
 LEAK = (("piston_leak", "leak", 0.98),)

@@ -1,14 +1,14 @@
-"""What is claimed, what is not, and who is a rival."""
+"""Probabilities of explanations, what is claimed, what is not, and who is a rival."""
 
 from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from plant.effects import CATALOGUE
-from sil.diagnosis.judge import weigh
-from sil.diagnosis.verdict import decide
+from sil.diagnosis.verdict import EFFECTIVE, by_cause, decide, weigh
 
 
 def entry(
@@ -34,6 +34,32 @@ def named(name: str) -> SimpleNamespace:
 def verdict(*entries: SimpleNamespace):
     weigh(entries)
     return decide(list(entries), 10)
+
+
+def weighed(*entries: SimpleNamespace) -> list[float]:
+    weigh(entries)
+    return [item.probability for item in entries]
+
+
+def test_close_scores_without_misfit_follow_their_evidence() -> None:
+    one, two = weighed(entry(100.0, 0.0, "a"), entry(100.5, 0.0, "b"))
+    expected = (1.0 + 2.0 * 0.5 / EFFECTIVE) ** (-EFFECTIVE / 2.0)
+    assert two / one == pytest.approx(expected)
+    assert expected == pytest.approx(np.exp(-0.5), rel=0.05)
+
+
+def test_a_model_error_makes_the_same_difference_say_less() -> None:
+    assert weighed(entry(100.0, 0.0, "a"), entry(130.0, 0.0, "b", beyond=60.0))[0] > 0.99
+    unsure = (entry(100.0, 0.0, "a", beyond=2000.0), entry(130.0, 0.0, "b", beyond=2060.0))
+    assert 0.5 < weighed(*unsure)[0] < 0.7
+
+
+def test_a_cause_collects_every_explanation_that_holds_it() -> None:
+    rivals = [entry(100.0, 0.0, "a", "b"), entry(100.0, 0.0, "a", "c"), entry(400.0, 0.0)]
+    assert sum(weighed(*rivals)) == pytest.approx(1.0)
+    total = by_cause(rivals)
+    assert total["a"] == pytest.approx(1.0, abs=1e-6)
+    assert total["b"] == pytest.approx(0.5, abs=1e-6)
 
 
 def test_chance_gains_are_consistent() -> None:
@@ -69,16 +95,15 @@ def test_no_gain_on_held_out_strokes_is_no_cause() -> None:
     assert found.kind == "consistent"
 
 
-def test_a_second_cause_must_earn_its_place() -> None:
+@pytest.mark.parametrize(
+    ("score", "chi2", "second", "claimed"),
+    [(992.0, 495.0, "stribeck", False), (600.0, 300.0, "free_play", True)],
+)
+def test_a_second_cause_must_earn_its_place(score, chi2, second, claimed) -> None:
     single = entry(1000.0, 500.0, "dynamic_friction")
-    assert verdict(
-        entry(3000.0, 1500.0), single, entry(992.0, 495.0, "dynamic_friction", "stribeck")
-    ).claimed == ("dynamic_friction",)
-    assert verdict(
-        entry(3000.0, 1500.0),
-        entry(1000.0, 500.0, "dynamic_friction"),
-        entry(600.0, 300.0, "dynamic_friction", "free_play"),
-    ).claimed == ("dynamic_friction", "free_play")
+    pair = entry(score, chi2, "dynamic_friction", second)
+    found = verdict(entry(3000.0, 1500.0), single, pair)
+    assert found.claimed == ("dynamic_friction", *([second] if claimed else []))
 
 
 def test_a_second_cause_must_explain_a_share_of_what_is_left() -> None:
@@ -99,18 +124,17 @@ def test_a_cause_that_leaves_much_is_doubted() -> None:
     assert found.probabilities["stribeck"] < 0.5 and found.kind == "ambiguous"
 
 
-def test_a_tiny_second_cause_is_doubted_while_something_is_left() -> None:
-    def training(*sizes: float) -> SimpleNamespace:
-        ids = ("alpha_speed", "dead_volume_passive")
-        return SimpleNamespace(
-            candidates=[named(name) for name in ids],
-            scaled=sizes,
-        )
+def with_sizes(item: SimpleNamespace, *sizes: float) -> SimpleNamespace:
+    """Give a pair the fitted sizes of its causes."""
+    item.training = SimpleNamespace(candidates=[named(name) for name in item.ids], scaled=sizes)
+    return item
 
+
+def test_a_tiny_second_cause_is_doubted_while_something_is_left() -> None:
     def found(beyond: float):
         pair = entry(400.0, 200.0, "alpha_speed", "dead_volume_passive", beyond=beyond, excess=9.0)
-        pair.training = training(0.16, 0.03)
-        return verdict(entry(3000.0, 1500.0, excess=1e5), entry(1500.0, 700.0, "alpha_speed"), pair)
+        single = entry(1500.0, 700.0, "alpha_speed")
+        return verdict(entry(3000.0, 1500.0, excess=1e5), single, with_sizes(pair, 0.16, 0.03))
 
     assert found(50.0).probabilities["dead_volume_passive"] == pytest.approx(0.45)
     assert found(50.0).probabilities["alpha_speed"] > 0.9
@@ -121,16 +145,9 @@ def test_a_tiny_second_cause_is_doubted_while_something_is_left() -> None:
 def test_a_tiny_second_cause_that_gains_next_to_nothing_is_not_claimed() -> None:
     def found(size: float):
         pair = entry(900.0, 440.0, "seal_pressure_friction", "external_force")
-        ids = ("seal_pressure_friction", "external_force")
-        pair.training = SimpleNamespace(
-            candidates=[named(name) for name in ids],
-            scaled=(1.0, size),
-        )
-        return verdict(
-            entry(100000.0, 50000.0, excess=2e5),
-            entry(1000.0, 480.0, "seal_pressure_friction"),
-            pair,
-        )
+        single = entry(1000.0, 480.0, "seal_pressure_friction")
+        healthy = entry(100000.0, 50000.0, excess=2e5)
+        return verdict(healthy, single, with_sizes(pair, 1.0, size))
 
     assert found(0.01).claimed == ("seal_pressure_friction",)
     assert "external_force" in found(0.3).claimed

@@ -6,12 +6,11 @@ from sil.diagnosis.workers import spread_out
 
 
 def test_answers_keep_their_order_and_do_not_depend_on_the_workers() -> None:
-    offset = 3
+    offset, items = 3, list(range(17))
 
     def work(item: int) -> int:
         return item * item + offset
 
-    items = list(range(17))
     alone = spread_out(work, items, 1)
     assert alone == [k * k + 3 for k in items]
     assert spread_out(work, items, 2) == alone

@@ -8,11 +8,18 @@ import numpy as np
 import pytest
 
 from plant.effects import CATALOGUE
+from plant.kernel.layout import Parameters
 from plant.parameters import load
 from plant.systems.setup import make_setup
 from sil.fitting.hypotheses import candidates, compatible
 from tests.unit.sil.diagnosis.made_campaign import conditions_of
 
+INERT = (
+    Parameters.bump_x,
+    Parameters.bump_width,
+    Parameters.detent_width,
+    Parameters.alpha_v0,
+)
 ALL = candidates(("damper", "internal position", "length stroke"))
 
 
@@ -27,16 +34,8 @@ def test_neutral_changes_nothing_and_starts_are_within_bounds(item) -> None:
         setup = make_setup(load(), conditions_of("N-B", 900000.0))
         changed = setup.copy()
         item.change(changed, {p.name: p.neutral for p in item.parameters})
-        from plant.kernel.layout import Parameters
-
-        inert = (
-            Parameters.bump_x,
-            Parameters.bump_width,
-            Parameters.detent_width,
-            Parameters.alpha_v0,
-        )
-        kept = [k for k in range(Parameters.size) if k not in inert]
-        assert np.array_equal(changed.p.array[kept], setup.p.array[kept])
+        acting = [k for k in range(Parameters.size) if k not in INERT]
+        assert np.array_equal(changed.p.array[acting], setup.p.array[acting])
     for start in item.starts:
         assert len(start) == len(item.parameters)
         for value, parameter in zip(start, item.parameters, strict=True):

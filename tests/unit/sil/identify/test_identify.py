@@ -93,15 +93,14 @@ def write_campaign(
 
 
 @pytest.fixture(scope="module")
-def truth() -> ParameterSet:
-    return load().override(TRUTH)
-
-
-@pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory, truth: ParameterSet) -> Campaign:
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
     strokes = [conditions(supply_pressure_pa=p) for p in (9e5, 9e5, 7.5e5, 6e5, 6e5, 9e5)]
-    only_friction = load().override({k: v for k, v in TRUTH.items() if k.startswith("friction")})
-    return write_campaign(tmp_path_factory.mktemp("plain"), strokes, only_friction, 5)
+    return write_campaign(tmp_path_factory.mktemp("plain"), strokes, only("friction"), 5)
+
+
+def only(section: str) -> ParameterSet:
+    """The nominal set with one section as it is in truth."""
+    return load().override({k: v for k, v in TRUTH.items() if k.startswith(section)})
 
 
 def test_friction_is_recovered_both_ways(plain: Campaign) -> None:
@@ -130,11 +129,9 @@ def test_breakaway_instant_of_a_known_start() -> None:
     assert doubt < 1e-3
 
 
-def test_exponents_are_recovered(tmp_path: Path, truth: ParameterSet) -> None:
-    only = load().override({k: v for k, v in TRUTH.items() if k.startswith("alpha")})
-    campaign = write_campaign(
-        tmp_path, [conditions(), conditions(supply_pressure_pa=6e5)] * 2, only, 6
-    )
+def test_exponents_are_recovered(tmp_path: Path) -> None:
+    strokes = [conditions(), conditions(supply_pressure_pa=6e5)] * 2
+    campaign = write_campaign(tmp_path, strokes, only("alpha"), 6)
     found = identify_alpha(campaign, load())
     assert found.fits, found.judgement
     for item in found.estimates:
@@ -143,9 +140,8 @@ def test_exponents_are_recovered(tmp_path: Path, truth: ParameterSet) -> None:
 
 
 def test_damper_is_recovered(tmp_path: Path) -> None:
-    only = load().override({k: v for k, v in TRUTH.items() if k.startswith("damper")})
     strokes = [conditions(load="damper"), conditions(load="damper", supply_pressure_pa=6e5)]
-    campaign = write_campaign(tmp_path, strokes, only, 7)
+    campaign = write_campaign(tmp_path, strokes, only("damper"), 7)
     found = identify_damper(campaign, load())
     assert found.fits, found.judgement
     estimates = {item.path: item for item in found.estimates}
@@ -159,12 +155,10 @@ def test_a_model_that_does_not_fit_has_no_interval(tmp_path: Path, capsys) -> No
     sticky = load().override({"friction_fixed.F_rf": 150.0, "friction_fixed.beta": 120.0})
     campaign = write_campaign(tmp_path, [conditions(load="damper")], sticky, 7)
     out = tmp_path / "found"
-    assert main(["identify", "damper", str(campaign.folder), "--out", str(out)]) == 1
+    command = ["identify", "damper", str(campaign.folder), "--out", str(out)]
+    assert main(command) == 1
     assert "the model does not fit: residual" in capsys.readouterr().out
-    assert (
-        main(["identify", "damper", str(campaign.folder), "--out", str(out), "--json", "--force"])
-        == 1
-    )
+    assert main([*command, "--json", "--force"]) == 1
     found = json.loads(capsys.readouterr().out)
     assert found["fits"] is False and found["over_noise"] > 3.0
     assert all(item["low"] is None and item["high"] is None for item in found["estimates"])
@@ -174,13 +168,9 @@ def test_a_model_that_does_not_fit_has_no_interval(tmp_path: Path, capsys) -> No
 
 def resting(volume: str) -> list[StrokeConditions]:
     """Fill and empty a volume that stands still: chamber 1 at the far stop, or 2 at the near one."""
-    if volume == "small":
-        place = {"start_offset_m": 0.01285}
-        fill = conditions(commands=((0.01, "1", 0.98),), **place)
-        empty = conditions(commands=((0.01, "1", 0.0),), charged_before=("1",), **place)
-        return [fill, empty]
-    fill = conditions(commands=((0.01, "2", 0.98),))
-    empty = conditions(commands=((0.01, "2", 0.0),), charged_before=("2",))
+    chamber, offset_m = ("1", 0.01285) if volume == "small" else ("2", 0.0)
+    fill = conditions(commands=((0.01, chamber, 0.98),), start_offset_m=offset_m)
+    empty = replace(fill, commands=((0.01, chamber, 0.0),), charged_before=(chamber,))
     return [fill, empty]
 
 
@@ -200,12 +190,10 @@ def test_flow_maps_are_recovered_and_predict_another_volume(tmp_path: Path) -> N
 
     c, true = (FlowMap(flow_coefficients(item)) for item in (identified, wide))
     for p in np.linspace(2.0e5, 8.5e5, 14):
-        assert charge.py_func(p, 9e5, c) == pytest.approx(
-            charge.py_func(p, 9e5, true), rel=0.02, abs=0.03
-        )
-        assert discharge.py_func(p, 101325.0, c) == pytest.approx(
-            discharge.py_func(p, 101325.0, true), rel=0.03
-        )
+        into, out = (charge.py_func(p, 9e5, m) for m in (c, true))
+        assert into == pytest.approx(out, rel=0.02, abs=0.03)
+        into, out = (discharge.py_func(p, 101325.0, m) for m in (c, true))
+        assert into == pytest.approx(out, rel=0.03)
     checked = [line for line in found.notes if line.startswith("check")]
     assert any(": 3.0 times" in line for line in checked)
     for line in checked:
@@ -234,9 +222,6 @@ def test_a_campaign_without_what_is_needed_is_refused(tmp_path: Path) -> None:
     campaign = write_campaign(tmp_path, [conditions(load="damper")], load(), 9)
     with pytest.raises(InputError, match="unloaded strokes"):
         identify_friction(campaign, load())
-    folder = tmp_path / "plain"
-    folder.mkdir()
-    plain = write_campaign(folder, [conditions()], load(), 9)
+    (tmp_path / "plain").mkdir()
     with pytest.raises(InputError, match="damper"):
-        identify_damper(plain, load())
-    assert json.dumps(plain.name)
+        identify_damper(write_campaign(tmp_path / "plain", [conditions()], load(), 9), load())
