@@ -1,6 +1,6 @@
 """Chapter 3.3-3.4: the system model and its verification.
 
-The thesis's measurements are not at hand; a disturbed plant stands in for them where a claim is
+The thesis's measurements are not at hand; a disturbed plant takes their part where a claim is
 about the size and sign of deviations, and says so.
 """
 
@@ -145,9 +145,7 @@ def _f42_too_fast() -> Outcome:
 
 
 def _f43_friction_repairs() -> Outcome:
-    measured = run(
-        "N-B", scale=TRIPLE_FRICTION | {Parameters.k_out: 1.6}
-    )  # in place of the thesis's record
+    measured = run("N-B", scale=TRIPLE_FRICTION | {Parameters.k_out: 1.6})
     before = _length_errors(plain("N-B"), measured)
     after = _length_errors(run("N-B", scale=TRIPLE_FRICTION), measured)
     repaired = after["x"][0] < 0.5 * before["x"][0]

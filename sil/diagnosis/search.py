@@ -29,8 +29,8 @@ WORTH = 12.0
 FIRST_ITERATIONS = 3
 LAST_ITERATIONS = 10
 MOST_ITERATIONS = 30
-SINGLES_KEPT = 6
-PAIRS_KEPT = 5
+MOST_SINGLES = 6
+MOST_PAIRS = 5
 FEWEST = 3
 HOPELESS = 6.0
 """A first fit whose cost is larger than the best one's by this factor is not finished."""
@@ -152,13 +152,13 @@ class Search:
     def refine(self, fit: FitResult, iterations: int = LAST_ITERATIONS) -> FitResult:
         """Continue a fit from its optimum; strokes it did not use get their scatter first."""
         scatter = fit.stroke.copy()
-        unseen = sorted(set(self.training) - set(fit.use))
-        if unseen:
+        unused = sorted(set(self.training) - set(fit.use))
+        if unused:
             everything = range(len(fit.shared))
             first = self.fitter.fit(
-                fit.candidates, start=fit.shared, use=unseen, iterations=3, freeze=everything
+                fit.candidates, start=fit.shared, use=unused, iterations=3, freeze=everything
             )
-            scatter[unseen] = first.stroke[unseen]
+            scatter[unused] = first.stroke[unused]
         return self.fitter.fit(
             fit.candidates,
             start=fit.shared,
@@ -204,7 +204,7 @@ class Search:
         if misfit(self.model, healthy).per_number < NEAR and not strained(healthy):
             self.known[healthy.name] = healthy.blocks
             scores = screen(self.model, healthy, self.candidates)
-            chosen = [s.candidate for s in scores if s.gain > WORTH][: 2 * SINGLES_KEPT]
+            chosen = [s.candidate for s in scores if s.gain > WORTH][: 2 * MOST_SINGLES]
         begin = (healthy.shared, healthy.stroke)
         tasks = []
         for item in chosen:
@@ -213,7 +213,7 @@ class Search:
             if item.effect.rugged:
                 tasks += [Task((item,), (start,), None, FIRST_ITERATIONS) for start in starts]
         self.first = self.run_tasks(tasks)
-        self.polish(_promising(self.first, SINGLES_KEPT))
+        self.polish(_promising(self.first, MOST_SINGLES))
 
     def pairs(self) -> None:
         """Try a second cause on top of the best singles, by score; then finish the best pairs."""
@@ -224,7 +224,7 @@ class Search:
         unique: dict[frozenset[str], Task] = {}
         for task in tasks + self.crossed():
             unique.setdefault(frozenset(item.name for item in task.candidates), task)
-        self.polish(_promising(self.run_tasks(list(unique.values())), PAIRS_KEPT))
+        self.polish(_promising(self.run_tasks(list(unique.values())), MOST_PAIRS))
 
     def crossed(self) -> list[Task]:
         """Pairs of the best singles: while much is unexplained, linear scores mislead."""

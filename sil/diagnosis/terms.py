@@ -75,7 +75,7 @@ def form_of(candidate: Candidate) -> TermForm:
 
 
 TERM_ITERATIONS = 6
-TERMS_KEPT = 2
+MOST_TERMS = 2
 
 SMALL = 1e-3
 """A misfit beyond noise of this share of the healthy model's is a detail of the cause's form."""
@@ -105,5 +105,5 @@ def try_terms(search: Search, verdict: Verdict, judged: Sequence[Judged]) -> boo
             both = (*parent.candidates, candidate)
             tasks.append(Task(both, starts, begin, TERM_ITERATIONS))
     done = search.run_tasks(tasks)
-    search.polish(done[:TERMS_KEPT])
+    search.polish(done[:MOST_TERMS])
     return bool(done)

@@ -106,10 +106,10 @@ def judge(
 ) -> list[Judged]:
     """Held-out evaluation of fits, best score first."""
     model = fitter.model
-    unseen = _unseen_offsets(fitter, held_out)
+    free = _free_offsets(fitter, held_out)
 
     def work(fit: FitResult) -> FitResult | None:
-        frozen = [k for k in range(len(fit.shared)) if k not in unseen]
+        frozen = [k for k in range(len(fit.shared)) if k not in free]
         try:
             return fitter.fit(
                 fit.candidates, start=fit.shared, use=held_out, iterations=4, freeze=frozen
@@ -137,7 +137,7 @@ def judge(
     return found
 
 
-def _unseen_offsets(fitter: Fitter, held_out: Sequence[int]) -> set[int]:
+def _free_offsets(fitter: Fitter, held_out: Sequence[int]) -> set[int]:
     """Return the indices of offsets of gauges that no training stroke has: held-out ones determine them."""
     model = fitter.model
     strokes = set(range(len(model.strokes))) - set(held_out)

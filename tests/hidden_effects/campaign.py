@@ -96,8 +96,8 @@ def write_campaign(folder: Path, hidden: Hidden, seed: int, count: int = 15) -> 
         "temperature_k = 293.15",
         f"sample_rate_hz = {RATE_HZ}",
     ]
-    for number, place in enumerate(order, start=1):
-        kind, load, charged, supplies = PLANS[place % len(PLANS)]
+    for number, row in enumerate(order, start=1):
+        kind, load, charged, supplies = PLANS[row % len(PLANS)]
         supply = float(rng.choice(supplies))
         rest_s = float(rng.choice((2.0, 30.0, 600.0)))
         drive = DRIVING[kind]
@@ -188,12 +188,14 @@ def record(
             if valve == name:
                 duty[time_s >= when - 1e-9] = value
         columns[f"cmd_{name}"] = duty
-    told = {name: change[name] for name in INTERNAL if name in change}
+    own = {name: change[name] for name in INTERNAL if name in change}
     phase_s = rng.uniform(0.0, v["position_sensor.period"])
-    told_m = control_unit(time_s, states[:, 0], phase_s, v, **told)
+    reported_m = control_unit(time_s, states[:, 0], phase_s, v, **own)
     if "bent_m" in change:
-        told_m = told_m + change["bent_m"] * np.sin(2.0 * np.pi * told_m / change["bent_over_m"])
-    columns["position_internal_m"] = told_m
+        reported_m = reported_m + change["bent_m"] * np.sin(
+            2.0 * np.pi * reported_m / change["bent_over_m"]
+        )
+    columns["position_internal_m"] = reported_m
     return columns
 
 

@@ -1,6 +1,6 @@
 """What can be hidden in a campaign: changes of the judge's actuator, by name, with their sizes.
 
-`draw(name, level, rng)` gives the changes; nothing here is seen by the diagnosis.
+`draw(name, level, rng)` gives the changes; the diagnosis knows nothing of it.
 """
 
 from __future__ import annotations

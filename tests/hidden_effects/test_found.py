@@ -19,8 +19,8 @@ from tests.hidden_effects.campaign import hide, write_campaign
 
 def diagnosed(folder: Path, names: tuple[str, ...], seed: int, strokes: int, level="easy") -> Row:
     hidden = hide(names, level, seed)
-    place = write_campaign(folder / f"campaign_{seed}", hidden, seed, strokes)
-    found = diagnose(load_campaign(place), load(), workers=1)
+    written = write_campaign(folder / f"campaign_{seed}", hidden, seed, strokes)
+    found = diagnose(load_campaign(written), load(), workers=1)
     return row_of(seed, "one" if names else "none", hidden, found.as_json(), 0.0)
 
 

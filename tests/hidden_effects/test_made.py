@@ -66,12 +66,12 @@ def test_a_campaign_repeats_from_its_seed(tmp_path) -> None:
 def test_the_reported_position_is_late_and_settles() -> None:
     time_s = np.arange(0, 5001) * 1e-4
     true = np.where(time_s > 0.1, 0.0128, 0.0)
-    told = control_unit(time_s, true, 0.003, nominal())
-    half = time_s[np.argmax(told > 0.0064)] - 0.1
+    reported = control_unit(time_s, true, 0.003, nominal())
+    half = time_s[np.argmax(reported > 0.0064)] - 0.1
     assert 0.025 < half < 0.045
-    assert told[-1] == pytest.approx(0.0128, abs=1e-4)
+    assert reported[-1] == pytest.approx(0.0128, abs=1e-4)
     warm = control_unit(time_s, true, 0.003, nominal(), warmer_k=20.0)
-    assert warm[-1] > told[-1] + 5e-4
+    assert warm[-1] > reported[-1] + 5e-4
 
 
 OF_STROKES = {

@@ -78,6 +78,6 @@ def test_tables_say_what_there_is() -> None:
 def test_rows_come_back_from_disk(tmp_path) -> None:
     path = tmp_path / "results.jsonl"
     assert read_rows(path) == []
-    kept = row(("supply_low",), RIVALS, rivals=(("inlet_clog", "supply_low"),))
-    path.write_text(json.dumps(asdict(kept)) + "\n", encoding="utf-8")
-    assert read_rows(path) == [kept]
+    stored = row(("supply_low",), RIVALS, rivals=(("inlet_clog", "supply_low"),))
+    path.write_text(json.dumps(asdict(stored)) + "\n", encoding="utf-8")
+    assert read_rows(path) == [stored]

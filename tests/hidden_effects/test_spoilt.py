@@ -55,19 +55,19 @@ def spoil(folder: Path, change: Callable[[Table], None]) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "expected"),
     [
         (swapped, "channels are swapped"),
         pytest.param(shifted, "runs +8.", marks=pytest.mark.slow),
         pytest.param(saturated, "saturated at 450000 Pa", marks=pytest.mark.slow),
     ],
 )
-def test_spoilt_records_are_found_and_are_no_cause(tmp_path, change, told) -> None:
+def test_spoilt_records_are_found_and_are_no_cause(tmp_path, change, expected) -> None:
     folder = spoil(write_campaign(tmp_path / "c", hide((), "easy", 61), 61, 4), change)
     found = diagnose(load_campaign(folder), load(), workers=1)
     texts = [str(item) for item in found.findings]
     for number in range(1, 5):
-        assert any(f"stroke_{number:03d}.csv" in text and told in text for text in texts), texts
+        assert any(f"stroke_{number:03d}.csv" in text and expected in text for text in texts), texts
     assert found.verdict.kind == "consistent", [c.evidence for c in found.causes]
 
 

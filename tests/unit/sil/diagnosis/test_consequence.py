@@ -1,4 +1,4 @@
-"""What an extended model changes in the loop: as two runs say, or why it has no place there."""
+"""What an extended model changes in the loop: as two runs say, or why it cannot be applied there."""
 
 from __future__ import annotations
 

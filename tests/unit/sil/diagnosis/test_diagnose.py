@@ -55,12 +55,12 @@ def test_a_hidden_effect_is_named_with_its_gain_and_model(tmp_path) -> None:
     path.write_text(found.extended, encoding="utf-8")
     extended = load(path)
     assert extended.effects["exhaust_clog"]["factor"].value == pytest.approx(factor.value)
-    told = json.loads(json.dumps(finite(write_report(found, tmp_path, "measured/", "nominal"))))
-    assert told["explanations"][0]["behind"] == 0.0 and told["explanations"][0]["left_over"] < 1.1
-    assert len(told["loop"]["shifts"]) == 7 and "What it changes in the control loop" in (
+    plain = json.loads(json.dumps(finite(write_report(found, tmp_path, "measured/", "nominal"))))
+    assert plain["explanations"][0]["behind"] == 0.0 and plain["explanations"][0]["left_over"] < 1.1
+    assert len(plain["loop"]["shifts"]) == 7 and "What it changes in the control loop" in (
         tmp_path / "report.html"
     ).read_text(encoding="utf-8")
-    after = told["residuals"]["after"]
+    after = plain["residuals"]["after"]
     assert after["relative"]["position_m"]["mean"] < 0.01 and after["cross"]
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert {"strokes.png", "strokes.svg", "phases.png", "phases.svg"} <= set(os.listdir(tmp_path))

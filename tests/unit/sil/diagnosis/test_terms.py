@@ -89,17 +89,17 @@ def test_a_level_holds_for_the_strokes_it_is_of(name: str, same: dict, other: di
     assert 0 <= reached[0] < reached[1]
 
 
-def test_errors_of_sensors_are_added_to_what_they_tell() -> None:
+def test_errors_of_sensors_are_added_to_what_they_measure() -> None:
     for name, level in (("internal position", 3e-4), ("gauge of pressure", 4e3)):
         candidate = term_candidate(form_named(name))
         setup = make_setup(load(), conditions_of("N-B", 900000.0))
         time_s = np.arange(1500) * 1e-4
         plain = run_setup(setup, time_s)
         candidate.change(setup, {p.name: level for p in candidate.parameters})
-        told = run_setup(setup, time_s)
-        more_m = told.internal_m - plain.internal_m
+        wrong = run_setup(setup, time_s)
+        more_m = wrong.internal_m - plain.internal_m
         more_pa = (
-            told.states[:, LengthState.p_b : LengthState.p_f + 1]
+            wrong.states[:, LengthState.p_b : LengthState.p_f + 1]
             - plain.states[:, LengthState.p_b : LengthState.p_f + 1]
         )
         if name == "internal position":

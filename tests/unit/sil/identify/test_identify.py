@@ -167,7 +167,7 @@ def test_a_model_that_does_not_fit_has_no_interval(tmp_path: Path, capsys) -> No
 
 
 def resting(volume: str) -> list[StrokeConditions]:
-    """Fill and empty a volume that stands still: chamber 1 at the far stop, or 2 at the near one."""
+    """Fill and empty a volume at rest: chamber 1 at the far stop, or 2 at the near one."""
     chamber, offset_m = ("1", 0.01285) if volume == "small" else ("2", 0.0)
     fill = conditions(commands=((0.01, chamber, 0.98),), start_offset_m=offset_m)
     empty = replace(fill, commands=((0.01, chamber, 0.0),), charged_before=(chamber,))
