@@ -11,7 +11,6 @@ import importlib
 import re
 import tomllib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -33,33 +32,20 @@ class Outcome(NamedTuple):
     reason: str = ""
 
 
-class Claim(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One claim: section, wording, the command that shows it, and its number in the list of facts.
+class Claim(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One claim of the thesis: its number, section, wording and the command that shows it.
 
-    achieved, reason: what a simulation gives, as format strings of its figures; the reason is given
-    unless the claim is met. verdict: given where no simulation can decide the claim.
+    achieved, reason: what the simulation gives, and why the claim is not met; format strings of
+    figures until the claim is checked. verdict: empty until then, but where no simulation can decide.
     """
 
-    section: str
-    text: str
-    achieved: str
-    reason: str = ""
-    verdict: str = ""
-    command: str = ""
     id: str = ""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A checked claim."""
-
-    id: str
     section: str
     claimed: str
     achieved: str
-    verdict: str
-    reason: str
-    command: str
+    verdict: str = ""
+    reason: str = ""
+    command: str = ""
 
 
 def all_claims() -> list[Claim]:
@@ -86,18 +72,15 @@ def chosen(names: Iterable[str]) -> list[Claim]:
     return [known[name] for name in wanted] or list(known.values())
 
 
-def check(item: Claim) -> Finding:
-    """Run the simulation that shows a claim."""
+def check(item: Claim) -> Claim:
+    """Run the simulation that shows a claim and fill in what it gives."""
     outcome = Outcome(item.verdict, ()) if item.verdict else _measurements()[item.id]()
     reason = "" if outcome.verdict == MET else outcome.reason or item.reason
-    return Finding(
-        item.id,
-        item.section,
-        item.text,
-        item.achieved.format(*outcome.figures),
-        outcome.verdict,
-        reason.format(*outcome.figures),
-        item.command,
+    return msgspec.structs.replace(
+        item,
+        achieved=item.achieved.format(*outcome.figures),
+        verdict=outcome.verdict,
+        reason=reason.format(*outcome.figures),
     )
 
 

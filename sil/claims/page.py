@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from sil.claims.claim import MET, NOT_MET, Finding
+from sil.claims.claim import MET, NOT_MET, Claim
 from sil.report.figure import BAR, MM, MS, Figure, Panel, Series, Stack
 from sil.report.picture import save
 from sil.report.plots import plots
@@ -26,7 +26,7 @@ CAPTION = (
 )
 
 
-def write_page(found: Sequence[Finding], folder: Path, again: str) -> None:
+def write_page(found: Sequence[Claim], folder: Path, again: str) -> None:
     """Write report.html, shift.png and shift.svg; `again` is the call that made them."""
     from sil.files.atomic import write_atomically
 

@@ -6,14 +6,15 @@ import argparse
 import json
 import shlex
 from collections import Counter
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import msgspec
 
 from sil.cli.options import JSON, argument
 
 if TYPE_CHECKING:
-    from sil.claims.claim import Finding
+    from sil.claims.claim import Claim
 
 EXAMPLE = "example: opc4 claims F07 F16 F36"
 
@@ -37,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     folder = None
     if arguments.out is not None:
         folder = prepare_folder(arguments.out, "claims", arguments.force)
-    found: list[Finding] = []
+    found: list[Claim] = []
     for item in wanted:
         finding = check(item)
         found.append(finding)
@@ -48,7 +49,10 @@ def run(arguments: argparse.Namespace) -> int:
                 print(f"      because: {finding.reason}")
             print(f"      shown by: {finding.command}")
     counts = Counter(finding.verdict for finding in found)
-    table = {"claims": [asdict(finding) for finding in found], "verdicts": dict(counts)}
+    table = {
+        "claims": [msgspec.to_builtins(finding) for finding in found],
+        "verdicts": dict(counts),
+    }
     if folder is not None:
         write_atomically(folder / "claims.md", markdown(found))
         write_page(found, folder, shlex.join(["opc4", "claims", *arguments.id]))
@@ -62,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def markdown(found: list[Finding]) -> str:
+def markdown(found: list[Claim]) -> str:
     """Return the findings as one Markdown table."""
     lines = [
         "| claim | section | the thesis | here | verdict | shown by |",

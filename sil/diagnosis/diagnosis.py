@@ -44,7 +44,6 @@ class Diagnosis:
     """Everything found out about a campaign; `as_json` is what diagnosis.json holds."""
 
     campaign: Campaign
-    parameters: ParameterSet
     verdict: Verdict
     causes: list[Cause]
     gain: Gain
@@ -53,7 +52,6 @@ class Diagnosis:
     structure: Structure
     findings: list[Finding]
     model: CampaignModel
-    training: tuple[int, ...]
     held_out: tuple[int, ...]
     judged: list[Judged]
     final: FitResult
@@ -118,7 +116,6 @@ def diagnose(
     findings += check_strokes(model, final)
     return Diagnosis(
         campaign,
-        parameters,
         verdict,
         causes,
         gain,
@@ -127,7 +124,6 @@ def diagnose(
         structure,
         findings,
         model,
-        training,
         held_out,
         judged,
         final,

@@ -324,13 +324,16 @@ class CampaignModel:
                 for j, name in enumerate(self.scatter):
                     by_scatter[:, j] = columns[name] * self.spread.stroke[name]
         by_shared[:, tolerances:healthy] = self.offset_columns[k]
+        by_second = (
+            columns
+            if reuse is None
+            else {
+                name: reuse.scatter[:, j] / self.spread.stroke[name]
+                for j, name in enumerate(self.scatter)
+            }
+        )
         for name, (instant, by_step) in delays.items():
-            if reuse is None:
-                by_second = columns[instant]
-            else:
-                size = self.spread.stroke[instant]
-                by_second = by_scatter[:, self.scatter.index(instant)] / size
-            columns[name] = by_second * by_step
+            columns[name] = by_second[instant] * by_step
         for j, name in enumerate(layout.effects):
             by_shared[:, healthy + j] = columns[name]
         return Block(residual, by_shared, by_scatter, base)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError
-from sil.claims.claim import Finding, all_claims, check, chosen
+from sil.claims.claim import Claim, all_claims, check, chosen
 from sil.cli import main
 
 VERDICTS = {"met", "partly", "not met", "cannot be shown"}
@@ -29,18 +29,18 @@ def test_unknown_claim_names_the_nearest() -> None:
 
 
 @pytest.fixture(scope="module")
-def findings() -> dict[str, Finding]:
+def findings() -> dict[str, Claim]:
     return {item.id: check(item) for item in all_claims() if item.id not in NEEDS_LOOP}
 
 
-def test_verdicts_are_those_of_a_careful_reader(findings: dict[str, Finding]) -> None:
+def test_verdicts_are_those_of_a_careful_reader(findings: dict[str, Claim]) -> None:
     assert {f.verdict for f in findings.values()} <= VERDICTS
     assert {n for n, f in findings.items() if f.verdict == "not met"} == NOT_MET - NEEDS_LOOP
     met = [n for n, f in findings.items() if f.verdict == "met"]
     assert len(met) >= 40
 
 
-def test_what_is_not_met_says_why(findings: dict[str, Finding]) -> None:
+def test_what_is_not_met_says_why(findings: dict[str, Claim]) -> None:
     for finding in findings.values():
         assert finding.achieved
         if finding.verdict != "met":
