@@ -11,7 +11,7 @@ Checked by: tests/unit/sil/identify/test_identify.py
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -64,14 +64,6 @@ class TangentModel(CampaignModel):
         return base, columns
 
 
-@dataclass(frozen=True)
-class Fitted:
-    """Estimates of the parameters, and the rms of the residual over its expected noise."""
-
-    estimates: tuple[Estimate, ...]
-    over_noise: float
-
-
 def fit_factors(
     campaign: Campaign,
     strokes: Sequence[CampaignStroke],
@@ -80,8 +72,8 @@ def fit_factors(
     known: Sequence[str],
     source: str,
     progress: Show = no_progress,
-) -> Fitted:
-    """Fit factors on packed parameters.
+) -> tuple[tuple[Estimate, ...], float]:
+    """Fit factors on packed parameters; return estimates, and the residual over its expected noise.
 
     indices: parameter path -> its indices in the packed array; known: healthy unit tolerances that
     the parameters themselves express (frozen at zero).
@@ -119,4 +111,4 @@ def fit_factors(
         centre = base * found.values[0][path]
         half = quantile * float(np.sqrt(covariance[row, row] * reduced)) * 0.1 * base
         estimates.append(Estimate(path, centre, centre - half, centre + half, source))
-    return Fitted(tuple(estimates), misfit(model, found).rms)
+    return tuple(estimates), misfit(model, found).rms

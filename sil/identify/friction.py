@@ -15,7 +15,7 @@ from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
 from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record
 from sil.fitting.fit import Show, no_progress
-from sil.identify.campaign_fit import Fitted, fit_factors
+from sil.identify.campaign_fit import fit_factors
 from sil.identify.estimate import Estimate, Identified, interval
 from sil.report.figure import Figure, Panel, Series, Stack
 
@@ -143,8 +143,20 @@ def identify_friction(
         Estimate("friction_fixed.F_rf", offset, lows[1], highs[1], about),
         Estimate("friction_fixed.beta", slope, lows[0], highs[0], about),
     )
-    fitted = _whole_record(campaign, strokes, parameters, progress)
-    _static, level, rate = (item.numbers[0] for item in fitted.estimates)
+    fitted, over_noise = fit_factors(
+        campaign,
+        [entry for entry, _record in strokes],
+        parameters,
+        {
+            "friction_fixed.F_sf": (Parameters.f_static_s,),
+            "friction_fixed.F_rf": (Parameters.f_run_s,),
+            "friction_fixed.beta": (Parameters.beta_s,),
+        },
+        ("friction",),
+        f"whole-record fit of {n} strokes with their scatter",
+        progress,
+    )
+    _static, level, rate = (item.numbers[0] for item in fitted)
     notes = (
         f"scatter about the line {np.std(f - slope * v - offset):.0f} N: twice-differentiated position",
         f"breakaway of single strokes {min(static):.1f} to {max(static):.1f} N",
@@ -159,25 +171,4 @@ def identify_friction(
     ]
     panel = Panel("F - m a", "N", series, height=320)
     figure = Figure([Stack("speed, m/s", [panel], "Friction against speed")])
-    return Identified("friction", fitted.estimates, notes, figure, fitted.over_noise, thesis)
-
-
-def _whole_record(
-    campaign: Campaign,
-    strokes: list[tuple[CampaignStroke, Record]],
-    parameters: ParameterSet,
-    progress: Show,
-) -> Fitted:
-    return fit_factors(
-        campaign,
-        [entry for entry, _record in strokes],
-        parameters,
-        {
-            "friction_fixed.F_sf": (Parameters.f_static_s,),
-            "friction_fixed.F_rf": (Parameters.f_run_s,),
-            "friction_fixed.beta": (Parameters.beta_s,),
-        },
-        ("friction",),
-        f"whole-record fit of {len(strokes)} strokes with their scatter",
-        progress,
-    )
+    return Identified("friction", fitted, notes, figure, over_noise, thesis)

@@ -37,7 +37,7 @@ def identify_damper(
             f"{campaign.folder}: no stroke of the fixed piston with damper, position_m and "
             "pressure_oil2_pa; expected at least one"
         )
-    fitted = fit_factors(
+    fitted, over_noise = fit_factors(
         campaign,
         [entry for entry, _record in strokes],
         parameters,
@@ -50,7 +50,7 @@ def identify_damper(
         f"whole-record fit of {len(strokes)} damper strokes with their scatter",
         progress,
     )
-    found = parameters.override({e.path: float(e.value) for e in fitted.estimates})  # type: ignore[arg-type]
+    found = parameters.override({item.path: item.numbers[0] for item in fitted})
     entry, record = strokes[0]
     time_s = record.time_s - record.time_s[0]
     shown = simulate(found, entry.conditions, time_s, internal=False)
@@ -59,4 +59,4 @@ def identify_damper(
         Series("fitted", time_s, BAR * shown.pressure_pa("oil2"), "after"),
     ]
     figure = Figure([Stack("time, s", [Panel("Oil pressure", "bar", lines, height=320)])])
-    return Identified("damper", fitted.estimates, (), figure, fitted.over_noise)
+    return Identified("damper", fitted, (), figure, over_noise)

@@ -136,20 +136,19 @@ def write_campaign(folder: Path, hidden: Hidden, seed: int, count: int = 15) -> 
         file = f"stroke_{number:03d}.csv"
         columns = record(case, change, rest_s, v, offsets, offset_m, rng)
         write_csv(folder / file, columns)
-        lines += [
-            "",
-            "[[stroke]]",
-            f'file = "{file}"',
-            f'label = "{kind}"',
-            f'kind = "{kind}"',
-            f"supply_pressure_pa = {supply}",
-            f'load = "{load}"',
-            f"spring_n_per_m = {case.spring_n_per_m}",
-            f"start_offset_m = {case.start_m}",
-            f"rest_s = {rest_s}",
-            f"commands = {json.dumps([list(c) for c in commands])}",
-            f"charged_before = {json.dumps(list(case.charged))}",
-        ]
+        table = {
+            "file": file,
+            "label": kind,
+            "kind": kind,
+            "supply_pressure_pa": supply,
+            "load": load,
+            "spring_n_per_m": case.spring_n_per_m,
+            "start_offset_m": case.start_m,
+            "rest_s": rest_s,
+            "commands": commands,
+            "charged_before": case.charged,
+        }
+        lines += ["", "[[stroke]]", *(f"{k} = {json.dumps(v)}" for k, v in table.items())]
     (folder / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return folder
 
