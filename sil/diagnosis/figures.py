@@ -110,29 +110,22 @@ def phases_figure(before: Shown, after: Shown) -> Figure:
 
 def equations_figure(result: Diagnosis, k: int, before: Alone, after: Alone) -> Figure:
     """Return the residuals of the force balance and of each chamber alone, before and after."""
-    rows: list[tuple[str, str, Floats, Floats]] = []
+    ms = MS * before.time_s
+    panels = []
+
+    def add(title: str, unit: str, one: Floats, two: Floats) -> None:
+        lines = [
+            Series("questioned model", ms, one, "before", width=0.9),
+            Series(AFTER, ms, two, "after", width=0.9),
+        ]
+        panels.append(Panel(title, unit, lines, rules=[Rule(0.0, axis="y")], height=120))
+
     if before.position_m is not None and after.position_m is not None:
-        rows.append(
-            ("force balance: position", "mm", MM * before.position_m, MM * after.position_m)
-        )
+        add("force balance: position", "mm", MM * before.position_m, MM * after.position_m)
     for name, values in before.pressures_pa.items():
         if name in after.pressures_pa:
-            title = f"chamber {name}: pressure"
-            rows.append((title, "bar", BAR * values, BAR * after.pressures_pa[name]))
-    ms = MS * before.time_s
-    panels = [
-        Panel(
-            title,
-            unit,
-            [
-                Series("questioned model", ms, one, "before", width=0.9),
-                Series(AFTER, ms, two, "after", width=0.9),
-            ],
-            rules=[Rule(0.0, axis="y")],
-            height=120,
-        )
-        for title, unit, one, two in rows
-    ]
+            other = after.pressures_pa[name]
+            add(f"chamber {name}: pressure", "bar", BAR * values, BAR * other)
     entry = result.model.strokes[k].entry
     title = f"{entry.label} ({entry.file}): measured - predicted"
     return Figure([Stack("time, ms", panels, title, width=12.0)])

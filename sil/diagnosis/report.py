@@ -26,31 +26,37 @@ from sil.diagnosis.one_equation import Alone, alone
 from sil.diagnosis.residuals import Shown, show
 from sil.diagnosis.structure import FAULTS
 from sil.diagnosis.terms import form_of
-from sil.diagnosis.verdict import UNNAMED, Judged
+from sil.diagnosis.verdict import Judged
 from sil.files.atomic import write_atomically
-from sil.report.figure import Figure
 from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 
-STROKES_CAPTION = (
-    "The strokes that the questioned model fits worst among those {where}. Grey: measured. Orange: "
-    "the healthy model, its tolerances and scatter fitted. Blue: the extended model. Below each: "
-    "residuals over their expected scatter; the band is three standard deviations."
-)
-PHASES_CAPTION = (
-    "Rms of residuals over their expected scatter (1 = explained), by channel and phase of the "
-    "stroke: the healthy model, and the extended one."
-)
-ALONE_CAPTION = (
-    "One equation at a time: measured pressures into the stay's force balance, measured position "
-    "into each chamber's mass balance. What goes wrong in one of them alone is in that equation. "
-    "Orange: the questioned model without tolerances. The fixed rig's chambers begin vented here."
-)
-TERM_CAPTION = (
-    "What none of the named causes describes, as a function without a form: its value at the nodes "
-    "and their 95 % interval."
-)
+PICTURES = {
+    "strokes": (
+        "Measured and simulated strokes",
+        "The strokes that the questioned model fits worst among those {where}. Grey: measured. Orange: "
+        "the healthy model, its tolerances and scatter fitted. Blue: the extended model. Below each: "
+        "residuals over their expected scatter; the band is three standard deviations.",
+    ),
+    "phases": (
+        "Standardised residuals by channel and phase",
+        "Rms of residuals over their expected scatter (1 = explained), by channel and phase of the "
+        "stroke: the healthy model, and the extended one.",
+    ),
+    "equations": (
+        "Residuals one equation at a time",
+        "One equation at a time: measured pressures into the stay's force balance, measured position "
+        "into each chamber's mass balance. What goes wrong in one of them alone is in that equation. "
+        "Orange: the questioned model without tolerances. The fixed rig's chambers begin vented here.",
+    ),
+    "term": (
+        "What is missing",
+        "What none of the named causes describes, as a function without a form: its value at the "
+        "nodes and their 95 % interval.",
+    ),
+}
+"""What each picture shows, and its caption."""
 
 
 def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> dict[str, Any]:
@@ -61,25 +67,20 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
     """
     before, after = show(result.model, result.healthy), show(result.model, result.final)
     strokes = strokes_figure(result)
-    pictures = {}
-
-    def draw(key: str, figure: Figure, name: str, alt: str, caption: str) -> None:
-        pictures[key] = Picture(save(figure, folder, name), alt, caption)
-
-    caption = STROKES_CAPTION.format(where="held out" if result.held_out else "measured")
-    draw("strokes", strokes, "strokes", "Measured and simulated strokes", caption)
-    alt = "Standardised residuals by channel and phase"
-    draw("phases", phases_figure(before, after), "phases", alt, PHASES_CAPTION)
+    figures = {"strokes": strokes, "phases": phases_figure(before, after)}
     found = _equations(result)
     if found is not None:
-        alt = "Residuals one equation at a time"
-        draw("alone", equations_figure(result, *found), "equations", alt, ALONE_CAPTION)
+        figures["equations"] = equations_figure(result, *found)
     terms = {c.name: c for c in result.final.candidates if c.is_term}
     for cause in result.causes:
         candidate = terms.get(f"{cause.id}:{cause.variant}")
         if candidate is not None:
-            figure = term_figure(form_of(candidate), list(cause.parameters.values()))
-            draw("term", figure, "term", "What is missing", TERM_CAPTION)
+            figures["term"] = term_figure(form_of(candidate), list(cause.parameters.values()))
+    where = "held out" if result.held_out else "measured"
+    pictures = {}
+    for name, figure in figures.items():
+        alt, caption = PICTURES[name]
+        pictures[name] = Picture(save(figure, folder, name), alt, caption.format(where=where))
     loop = None
     if result.extended is not None:
         loop = consequence(model, folder / "extended_model.toml")
@@ -97,7 +98,6 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
         head,
         plots(strokes),
         result=result,
-        summary=_summary(result),
         causes=[(c, _parameter_lines(c), _look_alikes(c, result)) for c in result.causes],
         pictures=pictures,
         alone=[] if found is None else _rms_rows(*found[1:]),
@@ -180,30 +180,6 @@ def _parameter_lines(cause: Cause) -> list[str]:
         f"{name} {item}" + (f" ({item.note})" if item.note else "")
         for name, item in cause.parameters.items()
     ]
-
-
-def _summary(result: Diagnosis) -> str:
-    """Return the verdict in words."""
-    gain = result.gain
-    kind = result.verdict.kind
-    if kind == "consistent":
-        return (
-            "Noise, unit tolerances and the known scatter between strokes explain these "
-            f"measurements: residuals are {gain.before:.3g} times their expected scatter."
-        )
-    names = " and ".join(cause.id for cause in result.causes if cause.id in result.verdict.claimed)
-    text = {
-        "named": f"The measurements are explained by {names}.",
-        "ambiguous": f"{names} explains the measurements, but look-alikes do nearly as well.",
-        UNNAMED: (
-            "Something acts that none of the named causes describes; its equation and shape are "
-            "in the extended model."
-        ),
-    }[kind]
-    return (
-        f"{text} On strokes that the fit did not use, the residuals fall from {gain.before:.3g} "
-        f"to {gain.after:.3g} times their expected scatter."
-    )
 
 
 def _tiles(result: Diagnosis) -> list[tuple[str, str]]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -215,22 +214,11 @@ def _best_degrees(
     return a + (0.0,) * (near_most + 1 - len(a)), b + (0.0,) * (far_most + 1 - len(b))
 
 
-class _Direction(NamedTuple):
-    """One direction of flow: its words, and its parameters by their paths."""
-
-    charging: bool
-    word: str
-    axis: str
-    alpha: str
-    section: str
-    split: str
-    degrees: tuple[int, int]
-
-
-DIRECTIONS = (
-    _Direction(True, "filling", "P / P_s", "alpha_m1", "flow_charge", "y_split", (4, 3)),
-    _Direction(False, "emptying", "P / P_atm", "alpha_m2", "flow_discharge", "z_split", (4, 2)),
-)
+DIRECTIONS = {
+    True: ("filling", "P / P_s", "alpha_m1", "flow_charge", "y_split", (4, 3)),
+    False: ("emptying", "P / P_atm", "alpha_m2", "flow_discharge", "z_split", (4, 2)),
+}
+"""By whether a chamber is charged: word, axis, names of alpha_m, section and joint, most degrees."""
 
 
 def identify_flow(
@@ -244,9 +232,9 @@ def identify_flow(
     estimates: list[Estimate] = []
     notes: list[str] = []
     stacks: list[Stack] = []
-    for number, direction in enumerate(DIRECTIONS):
+    for number, charging in enumerate(DIRECTIONS):
         progress(number, 2)
-        own, note, stack = _identify_direction(direction, records, campaign, parameters)
+        own, note, stack = _identify_direction(charging, records, campaign, parameters)
         estimates += own
         notes.append(note)
         stacks.append(stack)
@@ -257,13 +245,13 @@ def identify_flow(
 
 
 def _identify_direction(
-    direction: _Direction,
+    charging: bool,
     records: list[RestRecord],
     campaign: Campaign,
     parameters: ParameterSet,
 ) -> tuple[list[Estimate], str, Stack]:
     """Return the estimates of one direction, a note on them and their figure."""
-    charging, word = direction.charging, direction.word
+    word, axis, alpha_m, section, joint, degrees = DIRECTIONS[charging]
     chosen = [r for r in records if r.charging == charging]
     if not chosen:
         raise InputError(
@@ -272,7 +260,7 @@ def _identify_direction(
         )
     largest = max(r.volume_m3 for r in chosen)
     fitted = [r for r in chosen if r.volume_m3 < 0.8 * largest] or chosen
-    alpha = parameters.value(f"alpha.{direction.alpha}")
+    alpha = parameters.value(f"alpha.{alpha_m}")
     xs, ys = [], []
     for record in fitted:
         pressure, rate = _slope(record)
@@ -283,9 +271,8 @@ def _identify_direction(
     x, y = np.concatenate(xs), np.concatenate(ys)
     if len(x) < 50:
         raise InputError(f"{campaign.folder}: {word} records too short; expected 50 samples")
-    section = direction.section
-    split = parameters.value(f"{section}.{direction.split}")
-    near, far = _best_degrees(x, y, split, *direction.degrees)
+    split = parameters.value(f"{section}.{joint}")
+    near, far = _best_degrees(x, y, split, *degrees)
     fit = _evaluate(x, split, near, far)
     scatter = float(np.std(y - fit))
     band = 100.0 * scatter / float(np.mean(np.abs(y))) / max(1.0, (len(x) / 40) ** 0.5) * 1.96
@@ -304,14 +291,14 @@ def _identify_direction(
         Series("two polynomials", x[shown], fit[shown], "after"),
     ]
     panel = Panel("flow / reference pressure", "K kg/(s Pa)", lines, height=320)
-    return estimates, note, Stack(direction.axis, [panel], f"Flow, {word}", width=6.4)
+    return estimates, note, Stack(axis, [panel], f"Flow, {word}", width=6.4)
 
 
 def _checks(records: list[RestRecord], found: ParameterSet, campaign: Campaign) -> list[str]:
     """Predict the records of the largest volumes, which were not fitted, with the identified map."""
     lines = []
-    for direction in DIRECTIONS:
-        chosen = [r for r in records if r.charging == direction.charging]
+    for charging in DIRECTIONS:
+        chosen = [r for r in records if r.charging == charging]
         volumes = [r.volume_m3 for r in chosen]
         for record in chosen:
             if record.volume_m3 >= 0.8 * max(volumes):
