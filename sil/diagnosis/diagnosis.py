@@ -144,7 +144,7 @@ def _assigned(model: CampaignModel) -> tuple[tuple[int, ...], tuple[int, ...]]:
     judged = [] if misfit(model, healthy).beyond > 0.0 else judge(fitter, [healthy], held_out)
     if not judged or judged[0].held is None or judged[0].misfit.beyond == 0.0:
         return training, held_out
-    blocks = {**healthy.blocks, **judged[0].held.blocks}
+    blocks = judged[0].both.blocks
     squares = {k: float(np.mean(block.residual**2)) for k, block in blocks.items()}
     return odd_ones_in(training, held_out, squares, model.strokes)
 
@@ -171,14 +171,10 @@ def _judged(search: Search, held_out: tuple[int, ...], workers: int) -> list[Jud
 
 def _whole_fit(fitter: Fitter, item: Judged) -> FitResult:
     """Return the hypothesis fitted to all strokes, from where the training left it."""
-    stroke = item.training.stroke.copy()
-    if item.held is not None:
-        indices = list(item.held.use)
-        stroke[indices] = item.held.stroke[indices]
     return fitter.fit(
         item.training.candidates,
         start=item.training.shared,
-        scatter=stroke,
+        scatter=item.both.stroke,
         iterations=8,
         fine=True,
     )

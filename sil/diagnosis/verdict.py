@@ -74,12 +74,14 @@ PAIR_PRIOR = 0.1
 class Judged:
     """A hypothesis judged by all strokes.
 
-    training, held: fits; score: evidence/2 on the training plus cost on the held-out strokes;
-    misfit: over the held-out strokes (over the training ones if none are held out).
+    training, held: fits; both: the training one with the held-out strokes; score: evidence/2 on the
+    training plus cost on the held-out strokes; misfit: over the held-out strokes (over the training
+    ones if none are held out); whole: over all.
     """
 
     training: FitResult
     held: FitResult | None
+    both: FitResult
     score: float
     misfit: Misfit
     whole: Misfit
@@ -106,7 +108,11 @@ def judge(
 ) -> list[Judged]:
     """Held-out evaluation of fits, best score first."""
     model = fitter.model
-    free = _free_offsets(fitter, held_out)
+    # offsets of gauges that no training stroke has: held-out ones determine them
+    training = set(range(len(model.strokes))) - set(held_out)
+    trained = {channel.name for k in training for channel in model.strokes[k].channels}
+    names = enumerate(model.offsets, start=len(model.unit))
+    free = {k for k, name in names if name not in trained}
 
     def work(fit: FitResult) -> FitResult | None:
         frozen = [k for k in range(len(fit.shared)) if k not in free]
@@ -122,28 +128,19 @@ def judge(
     for fit, held in zip(fits, answers, strict=True):
         if held_out and held is None:
             continue
-        cost = 0.5 * fit.evidence()
-        whole = fit
+        score, both = 0.5 * fit.evidence(), fit
         if held is not None:
             # the priors of the shared parameters are counted once, with the training strokes
-            cost += 0.5 * held.chi2
+            score += 0.5 * held.chi2
             blocks = {**fit.blocks, **held.blocks}
             stroke = fit.stroke.copy()
             stroke[list(held_out)] = held.stroke[list(held_out)]
-            whole = replace(fit, use=tuple(sorted(blocks)), stroke=stroke, blocks=blocks)
-        found.append(Judged(fit, held, cost, misfit(model, held or fit), misfit(model, whole)))
+            both = replace(fit, use=tuple(sorted(blocks)), stroke=stroke, blocks=blocks)
+        own, whole = misfit(model, held or fit), misfit(model, both)
+        found.append(Judged(fit, held, both, score, own, whole))
     found.sort(key=lambda item: item.score)
     weigh(found)
     return found
-
-
-def _free_offsets(fitter: Fitter, held_out: Sequence[int]) -> set[int]:
-    """Return the indices of offsets of gauges that no training stroke has: held-out ones determine them."""
-    model = fitter.model
-    strokes = set(range(len(model.strokes))) - set(held_out)
-    trained = {channel.name for k in strokes for channel in model.strokes[k].channels}
-    first = len(model.unit)
-    return {first + j for j, name in enumerate(model.offsets) if name not in trained}
 
 
 def weigh(judged: Sequence[Judged]) -> None:
