@@ -109,18 +109,12 @@ Kind = Literal["runs", "bounds", "budget", "tuning"]
 
 
 class BoundsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Size of the search for bounds; see `sil.studies.bound_search`.
-
-    extra_s: how much later than the plain push a load may arrive.
-    """
+    """Size of the search for bounds; see `sil.studies.bound_search`."""
 
     extra_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.03
-    switches: Annotated[int, msgspec.Meta(ge=1, le=6)] = 6
-    """Most switchings of a command that is searched."""
-    budget: Annotated[int, msgspec.Meta(ge=4, le=10_000)] = 60
-    """Simulations for each search."""
-    stems: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8
-    """Starting points of the search."""
+    """How much later than the plain push a load may arrive."""
+    generations: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 50
+    """Generations of the first search; the second has twice as many, and another seed."""
     seed: Annotated[int, msgspec.Meta(ge=0)] = 0
     """Seed of the search."""
 

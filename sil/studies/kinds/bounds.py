@@ -1,7 +1,7 @@
 """Rows that are bounds: the softest stop found for a family of loads at an information delay.
 
-A row sets `bound.family`, `bound.delay_s` and if wanted `bound.extra_s`; all other settings change
-the model. `sil.studies.bound_search` searches.
+A row sets `bound.family`, `bound.delay_s` and if wanted `bound.extra_s` and `bound.valves`; all
+other settings change the model. `sil.studies.bound_search` searches, twice.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import csv
 import functools
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,15 +18,21 @@ import numpy as np
 from can_dbc.errors import InputError
 from plant.parameters import load
 from sil.report.figure import MS, Figure, Floats, Panel, Rule, Series, Span, Stack
-from sil.studies.bound_search import bound, clairvoyant, shooters_of
+from sil.studies.bound_search import (
+    arrivals_of,
+    softest,
+    stem_switches,
+)
 from sil.studies.figures import title_of
 from sil.studies.kinds.budget import THESIS_S
+from sil.studies.policies import FAMILIES, FamilyModel, Layout
 from sil.studies.rows import RowResult
-from sil.studies.shooting import FAMILIES
 from sil.studies.study import BoundsTable, LoadedStudy, Row, Setting
 from sil.studies.table import Table
 
-TUNED = Path(__file__).parents[1] / "tuned.csv"
+SHIPPED = Path(__file__).parents[1] / "bounds.csv"
+"""Result of the shipped study `bounds`."""
+TUNED = SHIPPED.with_name("tuned.csv")
 """Result of the shipped study `tuning`: the results.csv of `opc4 whatif tuning`."""
 
 FORETOLD = "synchro brake"
@@ -36,57 +43,74 @@ LAST_MS = 64.0
 """Right end of the figure."""
 
 
+COLUMNS = (
+    "open_loop_m_s",
+    "damper_m_s",
+    "clairvoyant_m_s",
+    "bound_m_s",
+    "impact_stay_m_s",
+    "impact_worst_m_s",
+    "lost_s",
+    "search_1_m_s",
+    "search_2_m_s",
+    "spread_m_s",
+    "stem_switches",
+    "simulations",
+    "failed",
+)
+USELESS_S = 0.005
+"""A branch that begins later than this before the latest arrival, under every load, is not searched."""
+VALVES = {"all": "BNF", "firmware": "BN"}
+"""Valves that a policy may use. The firmware never fills F while B pushes: its interlock."""
+
+
 def columns(study: LoadedStudy) -> tuple[str, ...]:
-    """Return the worst impact speeds over the family, and the size of the search."""
-    return (
-        "open_loop_m_s",
-        "damper_m_s",
-        "clairvoyant_m_s",
-        "bound_m_s",
-        "stem_switches",
-        "simulations",
-        "failed",
-    )
+    """Return the worst impact speeds over the family, and how far two searches agree."""
+    return COLUMNS
 
 
 def run(study: LoadedStudy, row: Row) -> RowResult:
-    """Search the bounds of a row. Raises InputError for a family or delay that is missing or wrong."""
+    """Search the bounds of a row. Raises InputError for settings that are missing or wrong."""
     own = {k[6:]: v for k, v in row.settings.items() if k.startswith("bound.")}
     model = {k: v for k, v in row.settings.items() if not k.startswith("bound.")}
-    unknown = set(own) - {"family", "delay_s", "extra_s"}
-    if unknown:
-        raise InputError(f"bound.{min(unknown)}: unknown; expected family, delay_s, extra_s")
-    family = FAMILIES.get(str(own.get("family")))
-    if family is None:
-        raise InputError(f"bound.family: {own.get('family')!r}; expected {', '.join(FAMILIES)}")
-    table = study.study.bounds
+    known = ("family", "delay_s", "extra_s", "valves")
+    if unknown := set(own) - set(known):
+        raise InputError(f"bound.{min(unknown)}: unknown; expected {', '.join(known)}")
+    for name, allowed in (("family", FAMILIES), ("valves", VALVES)):
+        if own.setdefault(name, "all" if name == "valves" else "") not in allowed:
+            raise InputError(f"bound.{name}: {own[name]!r}; expected {', '.join(allowed)}")
+    table, family = study.study.bounds, FAMILIES[str(own["family"])]
     delay_s = seconds("delay_s", own.get("delay_s"), -1.0)
     extra_s = seconds("extra_s", own.get("extra_s", table.extra_s), 0.0)
-    known_m_s = softest_known(
-        study.study.model, tuple(sorted(model.items())), family.name, extra_s, table
+    valves = VALVES[str(own["valves"])]
+    parameters = load(study.study.model).override(model)  # type: ignore[arg-type]
+    values = tuple(sorted(model.items()))
+    known_m_s = known_loads_m_s(study.study.model, values, family.name, extra_s, valves, table)
+    family_model = FamilyModel(parameters, family, delay_s, extra_s)
+    late = family_model.plain.revealed_s + delay_s > family_model.limit_s - USELESS_S
+    layout = Layout(valves, 2, 0 if late.all() else 1)
+    first = softest(family_model, layout, table.generations, table.seed)
+    second = softest(family_model, layout, 2 * table.generations, table.seed + 1)
+    best = min(first, second, key=lambda policy: policy.cost_m_s)
+    arrivals = arrivals_of(family_model, best)
+    plain_s = family_model.plain.arrival_s[0, 0]
+    damped = replace(family, cases=tuple(replace(case, damper=True) for case in family.cases))
+    found = (
+        family_model.plain.impact_stay_m_s.max(),
+        FamilyModel(parameters, damped, 0.0, 0.0).plain.impact_stay_m_s.max(),
+        min(known_m_s, best.cost_m_s),
+        best.cost_m_s,
+        arrivals.impact_stay_m_s.max(),
+        arrivals.impact_worst_m_s.max(),
+        (arrivals.arrival_s[0, 0] - plain_s).max(),
+        first.cost_m_s,
+        second.cost_m_s,
+        abs(first.cost_m_s - second.cost_m_s),
+        stem_switches(best),
+        family_model.runs,
+        0.0,
     )
-    found = bound(
-        load(study.study.model).override(model),  # type: ignore[arg-type]
-        family,
-        delay_s,
-        extra_s,
-        most_switches=table.switches,
-        budget=table.budget,
-        stems=table.stems,
-        seed=table.seed,
-        known_m_s=known_m_s,
-    )
-    return RowResult(
-        {
-            "open_loop_m_s": found.open_loop_m_s,
-            "damper_m_s": found.damper_m_s,
-            "clairvoyant_m_s": found.clairvoyant_m_s,
-            "bound_m_s": found.non_anticipating_m_s,
-            "stem_switches": float(found.stem.switches),
-            "simulations": float(found.runs),
-            "failed": 0.0,
-        }
-    )
+    return RowResult(dict(zip(COLUMNS, map(float, found), strict=True)))
 
 
 def seconds(name: str, value: Setting | None, low: float) -> float:
@@ -99,28 +123,28 @@ def seconds(name: str, value: Setting | None, low: float) -> float:
 
 
 @functools.cache
-def softest_known(
+def known_loads_m_s(
     model: str,
     values: tuple[tuple[str, Setting], ...],
     family: str,
     extra_s: float,
+    valves: str,
     table: BoundsTable,
-) -> tuple[float, ...]:
-    """Return bound (a) of each load; it is the same for all delays, so a worker searches it once."""
+) -> float:
+    """Return bound (a) in m/s; it is the same for all delays, so a worker searches it once."""
     parameters = load(model).override(dict(values))  # type: ignore[arg-type]
-    return tuple(
-        clairvoyant(
-            shooter, most_switches=table.switches, budget=table.budget, seed=table.seed
-        ).speed_m_s
-        for shooter in shooters_of(parameters, FAMILIES[family], extra_s)
-    )
+    found = []
+    for case in FAMILIES[family].cases:
+        alone = FamilyModel(parameters, replace(FAMILIES[family], cases=(case,)), 0.0, extra_s)
+        found.append(softest(alone, Layout(valves, 2, 0), table.generations, table.seed).cost_m_s)
+    return max(found)
 
 
 def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     """Return bounds and tuned strategies over the information delay, damper and plain push as levels."""
     delay_ms = MS * table.numbers["bound.delay_s"]
     families = np.array(table.texts.get("load", [study.study.name] * table.size))
-    variants = np.array(table.texts.get("variant", [""] * table.size))
+    variants = np.array(variants_of(table))
     stacks = []
     for family in dict.fromkeys(families):
         inside = families == family
@@ -131,9 +155,10 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
             rows = rows[np.argsort(delay_ms[rows])]
             x, name = delay_ms[rows], f"valves: {variant}" if variant else "bound"
             b = envelope(x, table.numbers["bound_m_s"][rows])
-            a = np.full(len(x), np.min(table.numbers["clairvoyant_m_s"][rows]))
-            lines.append(Series(f"(b) {name}", x, b, f"series{k}", width=2.2))
-            lines.append(Series(f"(a) {name}", x, a, f"series{k}", dashed=True, width=1.0))
+            lines.append(Series(f"(b) {name}", x, b, f"series{k}", "marked", width=2.2))
+            ends = np.array([min(x[0], 0.0), LAST_MS])
+            a = np.full(2, np.min(table.numbers["clairvoyant_m_s"][rows]))
+            lines.append(Series(f"(a) {name}", ends, a, f"series{k}", dashed=True, width=1.0))
         for k, (strategy, points) in enumerate(tuned_points(family).items(), start=3):
             x, y = np.array(sorted(points)).T
             lines.append(Series(strategy, MS * x, y, f"series{k % 8}", "dots", width=3.0))
@@ -158,6 +183,14 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     return {"bounds": Figure(stacks, title_of(study), headline(table, families), same_scale=True)}
 
 
+def variants_of(table: Table) -> list[str]:
+    """Return the variant of each row, or the delays of its valves if they are swept."""
+    if "valve.D_rise" not in table.numbers or "valve.D_fall" not in table.numbers:
+        return table.texts.get("variant", [""] * table.size)
+    delays_s = zip(table.numbers["valve.D_rise"], table.numbers["valve.D_fall"], strict=True)
+    return [f"opens {MS * rise:g}, closes {MS * fall:g} ms" for rise, fall in delays_s]
+
+
 def headline(table: Table, families: Iterable[str]) -> str:
     """Return which families no controller was found to stop as softly as the damper does."""
     observed = table.numbers["bound.delay_s"] >= 0.0
@@ -165,7 +198,7 @@ def headline(table: Table, families: Iterable[str]) -> str:
     rows = {family: observed & (np.array(families) == family) for family in dict.fromkeys(families)}
     found = [family for family, which in rows.items() if which.any() and harder[which].all()]
     if not found:
-        return "The softest worst-case stop found for a controller"
+        return "The softest worst-case stop found for a controller that waits for the motion"
     return (
         f"On the {' and the '.join(found)} no policy found that waits for the motion stops as "
         "softly as the oil damper"

@@ -1,132 +1,70 @@
-"""The bounds: their search on known answers, and no random controller below them."""
+"""The bounds: their search on known answers, and no random policy below those that are shipped."""
 
 from __future__ import annotations
 
-import math
+import csv
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
 from plant.parameters import load as load_parameters
-from plant.systems.stroke import simulate
-from sil.studies import bound_search as bounds
-from sil.studies.bound_search import Best, Bound
-from sil.studies.kinds.bounds import envelope
-from sil.studies.shooting import FAMILIES, GEARBOX, LABORATORY, Arrivals, Commands, Family, Shooter
+from sil.studies.bound_search import Policy, Search, arrivals_of, softest, stem_switches
+from sil.studies.kinds.bounds import SHIPPED, envelope
+from sil.studies.policies import FAMILIES, GEARBOX, Arrivals, FamilyModel, Floats, Layout
 
 PARAMETERS = load_parameters("nominal")
-QUICK = PARAMETERS.override({"valve.D_fall": 0.005})
-EXTRA_S = 0.03
-LAB = LABORATORY.cases[-1]
+VALVES = {
+    "opens 8, closes 35 ms": (0.008, 0.035),
+    "opens 8, closes 5 ms": (0.008, 0.005),
+    "opens 2, closes 2 ms": (0.002, 0.002),
+}
+LEAST_M_S = 0.3
 
 
-def test_a_shot_is_the_stroke_that_the_plant_makes() -> None:
-    case = replace(GEARBOX.cases[2])
-    commands = Commands((0.09, 0.1), (0.08, 0.11))
-    found = Shooter(PARAMETERS, case, 0.3).shoot([Commands(), commands])
-    stroke = simulate(
-        PARAMETERS,
-        StrokeConditions(
-            "N-B",
-            case.supply_pressure_pa,
-            (
-                (0.0, "B", FULL_DUTY),
-                (0.08, "N", FULL_DUTY),
-                (0.09, "B", 0.0),
-                (0.1, "B", FULL_DUTY),
-                (0.11, "N", 0.0),
-            ),
-            mounted=True,
-            mesh_force_n=case.mesh_force_n,
-            sync_impulse_n_s=case.sync_impulse_n_s,
-        ),
-        np.array([0.0, 0.3]),
-        internal=False,
-    )
-    assert stroke.impact is not None
-    revealed = next(event.time_s for event in stroke.events if event.name == "unblock")
-    assert found.speed_m_s[1] == pytest.approx(stroke.impact.speed_m_s, rel=1e-3)
-    assert found.time_s[1] == pytest.approx(stroke.impact.time_s, abs=1e-6)
-    assert found.revealed_s[1] == pytest.approx(revealed, abs=1e-6)
-    assert found.speed_m_s[0] != pytest.approx(found.speed_m_s[1], rel=1e-2)
+class Bowls(FamilyModel):
+    """A model whose best policy is known: a stem at 120 ms, and a branch of its own for each load."""
+
+    def __init__(self) -> None:
+        self.loads, self.delay_s, self.runs = 3, 0.0, 0
+        self.valve_s = 0.008, 0.035
+        self.limit_s = np.full(3, 0.2)
+
+    def fly(self, stems: Floats, branches: Floats | None, layout: Layout) -> Arrivals:
+        assert branches is not None
+        tries, loads = branches.shape[1:3]
+        stem = np.abs(stems[:, 0, 0] - 12.0)[:, None, None]
+        own = np.abs(branches[..., 0, 1] - 0.5 * np.arange(loads))
+        cost = LEAST_M_S + 0.1 * (stem + own)
+        return Arrivals(*[np.broadcast_to(cost, (len(stems), tries, loads))] * 5)
 
 
-def test_an_arrival_beyond_the_limit_is_none() -> None:
-    assert Shooter(PARAMETERS, LAB, 0.03).shoot([Commands()]).speed_m_s[0] == math.inf
-    speed_m_s, time_s = bounds.plain_push(PARAMETERS, LAB, LABORATORY.revealed_by)
-    assert speed_m_s == pytest.approx(0.9412, abs=1e-3)
-    assert time_s == pytest.approx(0.04075, abs=1e-4)
+def test_the_search_finds_the_lowest_point_of_a_known_function() -> None:
+    for seed in (1, 2):
+        best = softest(Bowls(), Layout("N", 1, 1), 60, seed)
+        assert best.cost_m_s == pytest.approx(LEAST_M_S, abs=0.01)
+        assert best.stem[0, 0] == pytest.approx(12.0, abs=0.1)
+        assert best.branches[:, 0, 1] == pytest.approx([0.0, 0.5, 1.0], abs=0.1)
 
 
-@pytest.mark.parametrize("family", FAMILIES.values(), ids=list(FAMILIES))
-def test_before_a_load_tells_it_moves_like_the_others(family: Family) -> None:
-    """Up to the first telling instant of the family the stay is at the same place."""
-    revealed = [
-        float(Shooter(PARAMETERS, case, 0.4, family.revealed_by).shoot([Commands()]).revealed_s[0])
-        for case in family.cases
-    ]
-    assert revealed == sorted(revealed, reverse=family is LABORATORY)
-    first_s = min(revealed)
-    times = np.linspace(0.0, first_s - 1e-4, 50)
-    positions = [
-        simulate(
-            PARAMETERS,
-            StrokeConditions(
-                "N-B",
-                case.supply_pressure_pa,
-                ((0.0, "B", FULL_DUTY),),
-                mounted=case.mounted,
-                mesh_force_n=case.mesh_force_n,
-                sync_impulse_n_s=case.sync_impulse_n_s,
-            ),
-            times,
-            internal=False,
-        ).position_m
-        for case in family.cases
-    ]
-    for position_m in positions:
-        assert np.max(np.abs(position_m - positions[0])) < 1e-6
+def test_searches_by_other_seeds_find_the_same() -> None:
+    """At 48 ms nothing is known in time: the policy of three switches, found again and again."""
+    model = FamilyModel(PARAMETERS, GEARBOX, 0.048, 0.03)
+    found = [softest(model, Layout("BNF", 2, 0), 25, seed).cost_m_s for seed in (1, 2)]
+    assert found == pytest.approx([0.926, 0.926], abs=0.02)
 
 
-def test_patterns_are_all_up_to_six_changes() -> None:
-    found = list(bounds.patterns(6))
-    assert len(found) == len(set(found)) == 28
-    assert max(a + b for a, b in found) == 6
+def test_a_policy_comes_out_again_as_it_was_found() -> None:
+    model = FamilyModel(PARAMETERS, GEARBOX, 0.005, 0.03)
+    best = softest(model, Layout("BN", 1, 1), 3, 5)
+    again = arrivals_of(model, best)
+    assert again.cost_m_s.max() == best.cost_m_s
+    assert (again.arrival_s <= model.limit_s).all() or best.cost_m_s > 2.0
 
 
-def test_starting_sequences_are_ordered_and_within_their_span() -> None:
-    found = bounds.starts(0.01, 0.05, 4, 10, np.random.default_rng(1))
-    assert len(found) == 1 + 14 * 11
-    first = bounds.best_of_patterns(found, np.arange(len(found), 0.0, -1.0))
-    kinds = [(len(found[k].driving_s), len(found[k].braking_s)) for k in first]
-    assert sorted(kinds) == sorted(bounds.patterns(4)) and first[0] == len(found) - 1
-    for commands in found:
-        for times in (commands.driving_s, commands.braking_s):
-            assert list(times) == sorted(times)
-            assert all(0.01 <= t <= 0.05 for t in times)
-
-
-def test_refinement_finds_the_lowest_point_of_a_known_function() -> None:
-    class Bowl(Shooter):
-        def shoot(self, sequences: list[Commands]) -> Arrivals:  # type: ignore[override]
-            speeds = []
-            for commands in sequences:
-                (a,), (b,) = commands.driving_s, commands.braking_s
-                speeds.append(1.0 + (100.0 * (a - 0.013)) ** 2 + (100.0 * (b - 0.027)) ** 2)
-            times = np.full(len(sequences), 0.05)
-            return Arrivals(np.array(speeds), times, times)
-
-    start = Best(Commands((0.03,), (0.01,)), 10.0, 0.05)
-    bowl, rng = Bowl(PARAMETERS, LAB, 0.1), np.random.default_rng(3)
-    for best in (
-        bounds.refined(bowl, start, Commands(), 0.0, 0.01),
-        bounds.scattered(bowl, start, 0.01, rng),
-    ):
-        assert best.commands.driving_s[0] == pytest.approx(0.013, abs=1e-4)
-        assert best.commands.braking_s[0] == pytest.approx(0.027, abs=1e-4)
-        assert best.speed_m_s == pytest.approx(1.0, abs=1e-3)
+def test_switches_of_a_stem_are_counted_once() -> None:
+    stem = np.array([[1.0, 1.0, 1.5, 1.0], [3.0, -1.0, 4.0, 0.5]])
+    assert stem_switches(Policy(0.0, stem, np.zeros(0), Layout("BN", 2, 0))) == 4
 
 
 def test_late_information_holds_for_earlier_information() -> None:
@@ -134,102 +72,28 @@ def test_late_information_holds_for_earlier_information() -> None:
     assert list(envelope(delay_s, np.array([0.5, 0.3, 0.9, 0.7]))) == [0.5, 0.3, 0.5, 0.7]
 
 
-def searched(family: Family, delay_s: float) -> Bound:
-    return bounds.bound(QUICK, family, delay_s, EXTRA_S, budget=20, stems=3, seed=2)
-
-
-@pytest.fixture(scope="module")
-def gearbox() -> dict[float, Bound]:
-    return {delay_s: searched(GEARBOX, delay_s) for delay_s in (-0.02, 0.0, 0.048)}
-
-
-@pytest.mark.slow
-def test_searches_from_other_starts_find_the_same() -> None:
-    """Not a proof that (a) is the least there is, but no start found a much softer stop."""
-    hardest = bounds.shooters_of(PARAMETERS, GEARBOX, EXTRA_S)[-1]
-    found_m_s = [bounds.clairvoyant(hardest, seed=seed).speed_m_s for seed in (1, 2)]
-    assert found_m_s[1] == pytest.approx(found_m_s[0], abs=0.03)
-
-
-def test_the_gap_that_makes_feedback_fail(gearbox: dict[float, Bound]) -> None:
-    """On the gearbox, known 20 ms ahead the stop is softer than the damper's; seen, it is not."""
-    late = gearbox[0.048]
-    assert late.open_loop_m_s == pytest.approx(1.365, abs=0.005)
-    assert late.damper_m_s == pytest.approx(0.602, abs=0.005)
-    assert gearbox[-0.02].non_anticipating_m_s < late.damper_m_s
-    assert late.clairvoyant_m_s < 0.5 * late.damper_m_s
-    assert gearbox[0.0].non_anticipating_m_s > 1.2 * late.damper_m_s
-    assert gearbox[0.0].non_anticipating_m_s <= late.non_anticipating_m_s + 1e-9
-    assert late.non_anticipating_m_s <= late.open_loop_m_s
-    for found in gearbox.values():
-        assert found.clairvoyant_m_s <= found.non_anticipating_m_s
-
-
-@pytest.mark.parametrize("delay_s", [-0.02, 0.0, 0.048])
-def test_the_stem_is_shared_until_the_load_has_told(
-    delay_s: float, gearbox: dict[float, Bound]
-) -> None:
-    found = gearbox[delay_s]
-    for case, best in zip(GEARBOX.cases, found.per_load, strict=True):
-        limit_s = bounds.plain_push(QUICK, case, GEARBOX.revealed_by)[1] + EXTRA_S
-        shooter = Shooter(QUICK, case, limit_s)
-        revealed_s = float(shooter.shoot([found.stem]).revealed_s[0])
-        free_s = revealed_s + delay_s
-        assert best.commands.until(free_s - 1e-9) == found.stem.until(free_s - 1e-9)
-        again = shooter.shoot([best.commands])
-        assert again.speed_m_s[0] == best.speed_m_s <= found.non_anticipating_m_s
-        assert again.time_s[0] <= limit_s
-
-
-def random_policies(
-    family: Family, delay_s: float, count: int, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Worst impact of random stems with random endings; and of random sequences, all known."""
-    rng = np.random.default_rng(seed)
-    shooters = bounds.shooters_of(QUICK, family, EXTRA_S)
-    last_s = max(shooter.limit_s for shooter in shooters)
-
-    def some(low_s: float, high_s: float, most: int = 3) -> Commands:
-        def instants() -> tuple[float, ...]:
-            drawn = rng.uniform(low_s, max(low_s, high_s), int(rng.integers(0, most + 1)))
-            return tuple(sorted(map(float, drawn)))
-
-        return Commands(instants(), instants())
-
-    stems = [some(0.0, last_s) if k % 4 else Commands() for k in range(count)]
-    worst = np.zeros(count)
-    alone = np.zeros(count)
-    for shooter in shooters:
-        revealed_s = shooter.shoot(stems).revealed_s
-        policies = []
-        for stem, at_s in zip(stems, revealed_s, strict=True):
-            free_s = max(0.0, min(float(at_s), last_s) + delay_s)
-            policies.append(stem.until(free_s).then(some(free_s, shooter.limit_s, 2)))
-        worst = np.maximum(worst, shooter.shoot(policies).speed_m_s)
-        known = [some(0.0, shooter.limit_s) for _ in range(count)]
-        alone = np.maximum(alone, shooter.shoot(known).speed_m_s)
-    return worst, alone
+with open(SHIPPED, encoding="utf-8", newline="") as file:
+    POINTS = list(csv.DictReader(file))
 
 
 @pytest.mark.parametrize(
-    "delay_s", [0.048, *(pytest.param(d, marks=pytest.mark.slow) for d in (-0.02, 0.0))]
+    "point", POINTS, ids=[f"{p['load']}, {p['variant']}, {p['bound.delay_s']} s" for p in POINTS]
 )
-def test_no_random_policy_is_below_the_bound_on_the_gearbox(
-    delay_s: float, gearbox: dict[float, Bound]
-) -> None:
-    worst, alone = random_policies(GEARBOX, delay_s, 1000, 11)
-    found = gearbox[delay_s]
-    assert np.isfinite(worst).sum() > 50
-    assert found.non_anticipating_m_s <= np.min(worst)
-    assert found.clairvoyant_m_s <= np.min(alone)
+def test_no_random_policy_is_below_the_bound(point: dict[str, str]) -> None:
+    rise_s, fall_s = VALVES[point["variant"]]
+    parameters = PARAMETERS.override({"valve.D_rise": rise_s, "valve.D_fall": fall_s})
+    model = FamilyModel(parameters, FAMILIES[point["load"]], float(point["bound.delay_s"]), 0.03)
+    search = Search(model, Layout("BNF", 2, 1), 11)
+    stems = search.drawn(40)
+    cost_m_s = model.fly(stems, search.branches(40), search.layout).cost_m_s.max(axis=2)
+    assert np.isfinite(cost_m_s).all() and (cost_m_s < 2.0).sum() >= 1
+    assert float(point["bound_m_s"]) <= cost_m_s.min() + 1e-6
 
 
-@pytest.mark.parametrize(
-    "delay_s", [0.01, *(pytest.param(d, marks=pytest.mark.slow) for d in (0.0, 0.048))]
-)
-def test_no_random_policy_is_below_the_bound_in_the_laboratory(delay_s: float) -> None:
-    found = searched(LABORATORY, delay_s)
-    worst, alone = random_policies(LABORATORY, delay_s, 1000, 12)
-    assert np.isfinite(worst).sum() > 50
-    assert found.non_anticipating_m_s <= np.min(worst)
-    assert found.clairvoyant_m_s <= np.min(alone)
+def test_without_commands_the_impact_is_that_of_the_open_loop() -> None:
+    for point in POINTS:
+        case = FAMILIES[point["load"]].cases
+        model = FamilyModel(PARAMETERS, replace(FAMILIES[point["load"]], cases=case), 0.0, 0.0)
+        worst_m_s = model.plain.impact_stay_m_s.max()
+        assert float(point["open_loop_m_s"]) == pytest.approx(worst_m_s, abs=1e-3)
+        assert float(point["bound_m_s"]) <= worst_m_s + 1e-6

@@ -1,0 +1,358 @@
+"""Simulate command policies under all loads of a family: how hard each arrives, and when.
+
+The loads of a family differ in one unknown, and an event reveals which load it is: the
+synchronizer's release on the gearbox, the first contact of piston and stay in the laboratory. Until
+then the motion is the same for all loads. A policy is a stem, which all loads share, and a branch for
+each load, which begins at that event plus the information delay: all that a controller with that
+delay can do, however it computes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.batch.batch import Strokes, simulate_batch
+from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
+from plant.integrator.hybrid import GUARD_NAMES
+from plant.integrator.loop import DONE
+from plant.kernel.layout import EventRow, LengthState
+from plant.parameters import ParameterSet
+from plant.systems.setup import make_setup
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Number = TypeVar("Number", np.float64, np.int64)
+
+GUARDS = {name: number for number, name in GUARD_NAMES.items()}
+MOST_EVENTS = 96
+TOLERANCE = 1e-5
+HOLD_S = 0.05
+"""How long after the latest arrival the stay must still be at its stop, with the plain push on."""
+AT_STOP_M = 1e-4
+ARMED = 0.999
+"""Share of a valve's delay by which its coil may be switched before it is known whether it must be."""
+SAME_S = 1e-6
+NOT_ARRIVED = 2.0
+"""Least cost of an arrival that is too late or does not last, m/s; above every impact."""
+
+
+@dataclass(frozen=True)
+class LoadCase:
+    """The load of a shift from neutral to backward."""
+
+    name: str
+    supply_pressure_pa: float = 900000.0
+    mounted: bool = False
+    mesh_force_n: float = 0.0
+    sync_impulse_n_s: float = 0.0
+    damper: bool = False
+
+    def conditions(self) -> StrokeConditions:
+        """Return the conditions of the plain push under this load."""
+        return StrokeConditions(
+            "N-B",
+            self.supply_pressure_pa,
+            ((0.0, "B", FULL_DUTY),),
+            load="damper" if self.damper else "none",
+            mounted=self.mounted,
+            mesh_force_n=self.mesh_force_n,
+            sync_impulse_n_s=self.sync_impulse_n_s,
+        )
+
+
+@dataclass(frozen=True)
+class Family:
+    """Loads that differ in one unknown, and the event that reveals which it is."""
+
+    name: str
+    unknown: str
+    revealed_by: Literal["collar 1 contact", "unblock"]
+    cases: tuple[LoadCase, ...]
+
+
+LABORATORY = Family(
+    "laboratory",
+    "supply pressure, 6 to 9 bar",
+    "collar 1 contact",
+    tuple(LoadCase(f"{bar:g} bar", supply_pressure_pa=1e5 * bar) for bar in (6.0, 7.0, 8.0, 9.0)),
+)
+GEARBOX = Family(
+    "gearbox",
+    "impulse of the synchronizer, 18 to 250 N s",
+    "unblock",
+    tuple(
+        LoadCase(f"{impulse:g} N s", mounted=True, mesh_force_n=1300.0, sync_impulse_n_s=impulse)
+        for impulse in (18.0, 40.0, 78.0, 140.0, 250.0)
+    ),
+)
+FAMILIES = {family.name: family for family in (LABORATORY, GEARBOX)}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Meaning of the vectors of a policy, in units of 10 ms: pulses of a start and a length.
+
+    A pulse inverts the plain push: B off, N or F on; one of negative length is none. Where pulses
+    overlap their union counts. A stem holds pulses for each valve. A branch, timed from where it
+    begins, holds pulses for each valve, and a time from which on the stem's no longer count. A pulse
+    of a branch may switch the coil up to one valve delay early: for the other loads the coil is
+    switched back when the branch would begin, before the plunger has moved.
+    """
+
+    valves: str = "BNF"
+    stem: int = 5
+    branch: int = 1
+
+    @property
+    def stem_shape(self) -> tuple[int, int]:
+        """Return the shape of a stem: valves, variables."""
+        return len(self.valves), 2 * self.stem
+
+    @property
+    def branch_shape(self) -> tuple[int, int]:
+        """Return the shape of the branch of one load: valves, variables."""
+        return len(self.valves), 2 * self.branch + 1
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """How policies arrive, each [stems, tries, loads]; speeds in m/s, times in s.
+
+    cost_m_s: the hardest impact, or above `NOT_ARRIVED` for an arrival that is too late or does not
+    last. impact_stay_m_s: hardest stop of the stay. impact_worst_m_s: speed of the stay whose stop
+    loses as much energy as the hardest impact of stay, pistons, nuts and collars; the synchronizer's
+    block and the first contact of the driving piston, which every stroke has, are not counted.
+    """
+
+    cost_m_s: Floats
+    impact_stay_m_s: Floats
+    impact_worst_m_s: Floats
+    arrival_s: Floats
+    revealed_s: Floats
+
+    def reshaped(self, shape: tuple[int, ...]) -> Arrivals:
+        """Return the same with every array in another shape."""
+        return Arrivals(**{name: each.reshape(shape) for name, each in vars(self).items()})
+
+
+class FamilyModel:
+    """The strokes of a family's loads, to be simulated under many policies.
+
+    delay_s: of the information, negative if the revealing event is known ahead. extra_s: how much
+    later than the plain push a load may arrive. `runs` counts the simulations.
+    """
+
+    def __init__(
+        self, parameters: ParameterSet, family: Family, delay_s: float, extra_s: float
+    ) -> None:
+        setups = [make_setup(parameters, case.conditions()) for case in family.cases]
+        self.delay_s = delay_s
+        self.loads = len(setups)
+        self.runs = 0
+        self._base = Strokes.from_setups(setups, 1.0)
+        self._stroke_m = setups[0].p.stroke
+        self._mass_kg = setups[0].p.m_s + setups[0].p.m_p
+        self._revealing = GUARDS[family.revealed_by]
+        self.valve_s = parameters.value("valve.D_rise"), parameters.value("valve.D_fall")
+        self.limit_s = np.full(self.loads, 0.5)
+        self.plain = self.fly(np.full((1, 1, 2), -1.0), None, Layout("N", 1, 0))
+        self.limit_s = self.plain.arrival_s[0, 0] + extra_s
+
+    def fly(self, stems: Floats, branches: Floats | None, layout: Layout) -> Arrivals:
+        """Simulate stems [n, valves, variables] with several tries of branches under every load.
+
+        branches: [n, tries, loads, valves, variables], or None for none.
+        """
+        loads = self.loads
+        load = np.tile(np.arange(loads), len(stems))
+        given = self.changes(
+            layout, *(np.repeat(each, loads, axis=0) for each in stem_spans(stems))
+        )
+        stem_only = self._simulate(given, load)
+        if branches is None:
+            return stem_only.reshaped((len(stems), 1, loads))
+        tries = branches.shape[1]
+        revealed_s = np.repeat(stem_only.revealed_s.reshape(-1, 1, loads), tries, axis=1)
+        begin_s = np.maximum(np.minimum(revealed_s, self.limit_s) + self.delay_s, 0.0)
+        given = self.changes(layout, *self.spans(layout, stems, branches, begin_s))
+        found = self._simulate(given, np.tile(np.arange(loads), len(stems) * tries))
+        found = found.reshaped(revealed_s.shape)
+        moved = (self.delay_s >= 0.0) & ~np.isclose(found.revealed_s, revealed_s, 0.0, SAME_S)
+        cost_m_s = np.where(moved, 2.0 * NOT_ARRIVED, found.cost_m_s)
+        return replace(found, cost_m_s=cost_m_s, revealed_s=revealed_s)
+
+    def spans(
+        self, layout: Layout, stems: Floats, branches: Floats, begin_s: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return begins and ends [runs, valves, k] in s of all pulses of policies.
+
+        stems and branches as of `fly`; begin_s [n, tries, loads]: when each branch begins.
+        """
+        branches = 0.01 * branches
+        shape = *branches.shape[:4], -1
+        from_s = begin_s[..., None, None]
+        lead_s = [self.valve_s[1 if valve == "B" else 0] for valve in layout.valves]
+        armed_s = np.array(lead_s)[:, None] * (ARMED if self.delay_s >= 0.0 else 0.0)
+        start = np.maximum(branches[..., 0:-1:2], -armed_s)
+        begin, end = from_s + start, from_s + branches[..., 0:-1:2] + branches[..., 1:-1:2]
+        cut_s = from_s + np.maximum(branches[..., -1:], 0.0)
+        stem_begin, stem_end = (
+            np.broadcast_to(each[:, None, None], (*shape[:4], each.shape[-1]))
+            for each in stem_spans(stems)
+        )
+        # the coil that a branch switches on before it begins is switched on for all loads until then
+        arms = (start < 0.0) & (end > from_s)
+        others = ~np.eye(self.loads, dtype=np.bool_)[:, :, None, None]
+        arm_begin = np.where(arms, begin, np.inf)[:, :, None]
+        arm_end = np.minimum(np.where(arms, from_s, -np.inf)[:, :, None], from_s[:, :, :, None])
+        arm_begin, arm_end = (
+            np.moveaxis(np.where(others, each, -np.inf), 3, 4).reshape(shape)
+            for each in np.broadcast_arrays(arm_begin, arm_end)
+        )
+        arm_begin = np.where(arm_end > 0.0, arm_begin, np.inf)
+        begin = np.concatenate([stem_begin, arm_begin, begin], axis=-1)
+        end = np.concatenate([np.minimum(stem_end, cut_s), arm_end, end], axis=-1)
+        runs = begin_s.size, len(layout.valves), -1
+        return begin.reshape(runs), end.reshape(runs)
+
+    def changes(self, layout: Layout, begin: Floats, end: Floats) -> list[Floats]:
+        """Return when the commands of B, N and F change, from pulses [runs, valves, k] in s."""
+        none = np.full((len(begin), 1), np.inf)
+        valves = layout.valves
+        return [
+            changes(begin[:, valves.index(valve)], end[:, valves.index(valve)])
+            if valve in valves
+            else none
+            for valve in "BNF"
+        ]
+
+    def _simulate(self, given: list[Floats], load: Ints) -> Arrivals:
+        """Simulate the changes of commands (B, N, F) [runs, k] under the load [runs] of each run."""
+        limit_s = self.limit_s[load]
+        base = self._base
+        result = simulate_batch(
+            Strokes(
+                base.system,
+                base.packed[load],
+                rows_of(base.flow, load),
+                rows_of(base.initial, load),
+                rows_of(base.modes, load),
+                rows_of(base.valves, load),
+                valve_switches(given, limit_s, *self.valve_s),
+                limit_s + HOLD_S,
+            ),
+            event_room=MOST_EVENTS,
+            lanes=False,
+            tolerance=TOLERANCE,
+        )
+        self.runs += len(load)
+        events = np.moveaxis(result.events, 2, 0)
+        happened = np.arange(MOST_EVENTS) < result.event_count[:, None]
+        time_s = np.where(happened, events[EventRow.time], np.inf)
+        guard, x_m = events[EventRow.guard], events[EventRow.x]
+        counted = happened & (events[EventRow.at_block] != 1.0)
+        stop = counted & (events[EventRow.speed] > 0.0) & (x_m > 0.5 * self._stroke_m)
+        below = happened & (x_m < self._stroke_m - AT_STOP_M)
+        left_s = np.where(below & (time_s > first(stop, time_s)[:, None]), time_s, -1.0).max(axis=1)
+        arrival_s = first(stop & (time_s > left_s[:, None]), time_s)
+        pick_up = happened & (guard == GUARDS["collar 1 contact"])
+        counted &= ~(pick_up & (time_s == first(pick_up, time_s)[:, None]))
+        worst_j = np.where(counted, events[EventRow.lost], 0.0).max(axis=1)
+        worst_m_s = np.sqrt(2.0 * worst_j / self._mass_kg)
+        stay_m_s = np.where(stop, events[EventRow.speed], 0.0).max(axis=1)
+        final_m = result.final[:, LengthState.x_s]
+        lasts = (result.status == DONE) & (result.event_count <= MOST_EVENTS)
+        lasts &= (arrival_s <= limit_s) & (final_m > self._stroke_m - AT_STOP_M)
+        late = np.where(
+            np.isfinite(arrival_s),
+            np.maximum(arrival_s - limit_s, 0.0) / HOLD_S,
+            2.0 - np.clip(final_m / self._stroke_m, -1.0, 1.0),
+        )
+        return Arrivals(
+            np.where(lasts, np.maximum(worst_m_s, stay_m_s), NOT_ARRIVED + late),
+            np.where(lasts, stay_m_s, np.inf),
+            np.where(lasts, worst_m_s, np.inf),
+            np.where(lasts, arrival_s, np.inf),
+            first(happened & (guard == self._revealing), time_s),
+        )
+
+
+def stem_spans(stems: Floats) -> tuple[Floats, Floats]:
+    """Return begins and ends [..., pulses] in s of the pulses of stems [..., variables] in 10 ms."""
+    start, length = 0.01 * stems[..., 0::2], 0.01 * stems[..., 1::2]
+    return np.maximum(start, 0.0), start + length
+
+
+def rows_of(rows: NDArray[Number], load: Ints) -> NDArray[Number]:
+    """Return the rows [1 or loads, ...] of an array of `Strokes` for the load [runs] of each run."""
+    return rows if len(rows) == 1 else rows[load]
+
+
+def first(which: Bools, time_s: Floats) -> Floats:
+    """Return the time [runs] in s of the first marked event of [runs, events], infinite without one."""
+    found: Floats = np.where(which, time_s, np.inf).min(axis=1)
+    return found
+
+
+def changes(begin: Floats, end: Floats) -> Floats:
+    """Return when the union of pulses [runs, k] in s begins and ends, in turn, infinite times last.
+
+    At a begin one more pulse is on, at an end one less: the union changes where that count leaves or
+    reaches zero. A pulse that ends before it begins is none.
+    """
+    none = end <= begin
+    time_s = np.where(np.hstack([none, none]), np.inf, np.hstack([begin, end]))
+    step = np.hstack([np.ones_like(begin), -np.ones_like(end)])
+    order = np.lexsort((-step, time_s))  # at the same instant, begins first
+    time_s, step = (np.take_along_axis(rows, order, axis=1) for rows in (time_s, step))
+    after = np.cumsum(step, axis=1)
+    changed = (after == 0) | (after - step == 0)
+    return np.sort(np.where(changed, time_s, np.inf), axis=1)
+
+
+def valve_switches(given: list[Floats], limit_s: Floats, rise_s: float, fall_s: float) -> Floats:
+    """Return the switches [runs, k, 4] of `Strokes` for changes of the commands (B, N, F) [runs, j], s.
+
+    B is on from 0 s. At the limit [runs] all commands return to the plain push.
+    """
+    plungers = []
+    for chamber, times in enumerate(given):
+        coil = np.where(times < limit_s[:, None], times, np.inf)
+        odd = np.isfinite(coil).sum(axis=1) % 2 == 1
+        back = np.where(odd, limit_s, np.inf)[:, None]
+        start = np.zeros((len(coil), 1 if chamber == 0 else 0))
+        coil = np.sort(np.hstack([start, coil, back]), axis=1)
+        time_s, position = plunger_moves(coil, rise_s, fall_s)
+        plungers.append(np.stack([time_s, np.full_like(time_s, chamber), position], axis=2))
+    switches = np.concatenate(plungers, axis=1)
+    order = np.argsort(switches[:, :, 0], axis=1, kind="stable")[:, :, None]
+    switches = np.take_along_axis(switches, order, axis=1)
+    needed = max(1, int(np.isfinite(switches[:, :, 0]).sum(axis=1).max()))
+    return np.concatenate([switches[:, :needed], np.zeros((len(switches), needed, 1))], axis=2)
+
+
+def plunger_moves(commands: Floats, rise_s: float, fall_s: float) -> tuple[Floats, Floats]:
+    """Return times [runs, k] in s and positions (1 open) of a valve's plunger, as `Valve` moves it.
+
+    commands [runs, k]: instants in s at which the coil changes, the first one on, ascending,
+    infinite ones last. A change that is reversed before the plunger moved has no effect.
+    """
+    due = np.full(len(commands), np.inf)
+    on = np.zeros(len(commands), dtype=np.bool_)
+    times, positions = [], []
+    for change in [*commands.T, np.full(len(commands), math.inf)]:
+        moves = due <= change
+        times.append(np.where(moves, due, np.inf))
+        positions.append(on.astype(np.float64))
+        due = np.where(moves, np.inf, due)
+        given = np.isfinite(change)
+        on = on ^ given
+        delay_s = np.where(on, rise_s, fall_s)
+        due = np.where(given, np.where(np.isfinite(due), np.inf, change + delay_s), due)
+    return np.array(times).T, np.array(positions).T
