@@ -38,12 +38,10 @@ SPECIAL = {
 name = "few"
 kind = "bounds"
 [bounds]
-budget = 4
-stems = 2
-switches = 2
+generations = 1
 [[sweep]]
 path = "bound.delay_s"
-values = [0.0, 0.01, 0.02]
+values = [0.048, 0.05, 0.06]
 [[load]]
 name = "laboratory"
 set = { "bound.family" = "laboratory" }

@@ -36,7 +36,7 @@ kind = "bounds"
 generations = 1
 [[sweep]]
 path = "bound.delay_s"
-values = [0.0, 0.02]
+values = [0.048, 0.06]
 [[load]]
 name = "laboratory"
 set = { "bound.family" = "laboratory" }
@@ -87,7 +87,7 @@ def test_a_study_of_bounds_and_the_same_bytes_by_two_workers(tmp_path: Path) -> 
     [
         (BOUNDS.replace('"laboratory" }', '"gear box" }'), "laboratory"),
         (BOUNDS.replace("bound.delay_s", "bound.delay"), "delay_s"),
-        (BOUNDS.replace("[0.0, 0.02]", "[true]"), "number of seconds"),
+        (BOUNDS.replace("[0.048, 0.06]", "[true]"), "number of seconds"),
         (BOUNDS.replace("bound.delay_s", "bound.valves"), "all, firmware"),
         (BOUNDS.replace('kind = "bounds"', 'kind = "bound"'), "kind"),
         (BOUNDS.replace('kind = "bounds"', 'kind = "bounds"\nscenario = "lab_n_b"'), "no scenario"),
