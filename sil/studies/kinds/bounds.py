@@ -156,10 +156,12 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
             x, name = delay_ms[rows], f"valves: {variant}" if variant else "bound"
             b = envelope(x, table.numbers["bound_m_s"][rows])
             lines.append(Series(f"(b) {name}", x, b, f"series{k}", "marked", width=2.2))
-            ends = np.array([min(x[0], 0.0), LAST_MS])
+            ends = np.array([0.0, LAST_MS])
             a = np.full(2, np.min(table.numbers["clairvoyant_m_s"][rows]))
             lines.append(Series(f"(a) {name}", ends, a, f"series{k}", dashed=True, width=1.0))
-        for k, (strategy, points) in enumerate(tuned_points(family).items(), start=3):
+        tuned = tuned_points(family)
+        low = min(float(np.min(delay_ms)), *(MS * min(each)[0] for each in tuned.values()))
+        for k, (strategy, points) in enumerate(tuned.items(), start=3):
             x, y = np.array(sorted(points)).T
             lines.append(Series(strategy, MS * x, y, f"series{k % 8}", "dots", width=3.0))
         rules = [
@@ -171,7 +173,6 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
         ]
         thesis = MS * sum(delay_s for _name, delay_s in THESIS_S)
         rules.append(Rule(thesis, f"thesis: {thesis:.0f} ms", "alarm", "x", "solid"))
-        low = float(np.min(delay_ms))
         ahead = [Span(low, 0.0, "band")] if low < 0.0 else []
         panel = Panel(
             "Impact speed at the stop", "m/s", lines, spans=ahead, rules=rules, limits=(0.0, 1.5),

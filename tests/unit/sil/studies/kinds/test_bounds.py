@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import csv
-import itertools
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
 from sil.cli import main
 from sil.studies import executor
-from sil.studies.kinds.bounds import SHIPPED, TUNED, delay_of, envelope, worst_over
+from sil.studies.kinds.bounds import SHIPPED, TUNED, delay_of, worst_over
 from sil.studies.kinds.budget import BARS, closed, simulated
 from sil.studies.load_study import load_study
-from sil.studies.policies import FAMILIES
 
 BUDGET = """
 name = "two"
@@ -105,56 +102,69 @@ def test_wrong_studies_are_refused_in_one_line(text: str, message: str, tmp_path
     assert "\n" not in str(refused.value)
 
 
-VALVES = {"today": "opens 8, closes 35 ms", "no filter": "opens 8, closes 35 ms"}
+def shipped_points() -> dict[tuple[float, float, float], dict[str, str]]:
+    """Rows of the shipped bounds by opening and closing delay and information delay, ms."""
+    keys = ("valve.D_rise", "valve.D_fall", "bound.delay_s")
+    return {tuple(1e3 * float(row[key]) for key in keys): row for row in rows_of(SHIPPED)}  # type: ignore[misc]
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-def test_no_tuned_strategy_is_below_the_bound_at_its_delay(family: str) -> None:
-    """Rows with the same valves, at the latest tabulated delay that is no later than theirs."""
-    table = [row for row in rows_of(SHIPPED) if row["load"] == family]
+def test_no_tuned_strategy_is_below_the_bound_at_its_delay() -> None:
+    """At the latest tabulated delay, with the same valves, that is no later than theirs."""
     compared = 0
     for row in rows_of(TUNED):
-        worst_m_s = worst_over(row, family)
+        worst_m_s = worst_over(row, "gearbox")
         if worst_m_s is None or row["strategy"] == "oil damper":
             continue
-        delay_now_s = delay_of(row, family)
-        valves = VALVES.get(row["variant"], "opens 8, closes 5 ms")
-        points = [line for line in table if line["variant"] == valves]
-        delay_s = np.array([float(line["bound.delay_s"]) for line in points])
-        bound_m_s = envelope(delay_s, np.array([float(line["bound_m_s"]) for line in points]))
-        before = delay_s <= delay_now_s
-        assert worst_m_s >= np.max(bound_m_s[before]), row
-        compared += 1
-    assert compared >= 20
+        fall_ms = 35.0 if row["variant"] in ("today", "no filter") else 5.0
+        bounds_m_s = [
+            float(point["bound_m_s"])
+            for (rise_ms, closes_ms, delay_ms), point in shipped_points().items()
+            if (rise_ms, closes_ms) == (8.0, fall_ms) and delay_ms <= 1e3 * delay_of(row, "gearbox")
+        ]
+        assert worst_m_s >= max(bounds_m_s, default=0.0), row
+        compared += bool(bounds_m_s)
+    assert compared >= 10
 
 
-def test_what_the_shipped_results_say() -> None:
-    bounds = {
-        (row["variant"], row["load"], float(row["bound.delay_s"])): row for row in rows_of(SHIPPED)
-    }
-    late = bounds["opens 8, closes 35 ms", "gearbox", 0.048]
-    assert float(late["bound_m_s"]) - float(late["clairvoyant_m_s"]) > 0.85
-    for valves, delay_s in itertools.product(
-        ("opens 8, closes 35 ms", "opens 8, closes 5 ms", "opens 2, closes 2 ms"), (0.0, 0.048)
-    ):
-        row = bounds[valves, "gearbox", delay_s]
-        assert float(row["bound_m_s"]) > float(row["damper_m_s"])
+LIMITS_M_S = {
+    (8.0, 35.0, 48.0): 0.926,
+    (8.0, 35.0, 10.0): 0.882,
+    (8.0, 35.0, 0.0): 0.607,
+    (8.0, 5.0, 5.0): 0.746,
+    (2.0, 2.0, 5.0): 0.688,
+    (2.0, 2.0, 0.0): 0.406,
+}
+"""Worst impact, with the same rules, of policies that other searches have found."""
+
+
+def test_the_shipped_bounds_are_no_harder_than_any_policy_known() -> None:
+    points = shipped_points()
+    assert set(points) == set(LIMITS_M_S)
+    for key, limit_m_s in LIMITS_M_S.items():
+        row = points[key]
+        assert float(row["bound_m_s"]) <= limit_m_s + 0.0005, key
+        assert float(row["clairvoyant_m_s"]) <= float(row["bound_m_s"]) and row["failed"] == "0.0"
+    damper_m_s = float(points[8.0, 35.0, 0.0]["damper_m_s"])
+    assert float(points[8.0, 35.0, 0.0]["bound_m_s"]) < damper_m_s  # at once is early enough,
+    assert float(points[8.0, 35.0, 48.0]["bound_m_s"]) > damper_m_s  # 48 ms late is not
+
+
+def test_what_the_shipped_tuning_says() -> None:
     tuned = {(row["variant"], row["strategy"]): row for row in rows_of(TUNED)}
     plain, mpc = tuned["today", "open loop"], tuned["today", "predictive"]
     bench, truck = "impact_m_s laboratory, 9 bar", "impact_m_s gearbox, 250 N s"
     assert float(mpc[bench]) < 0.5 * float(plain[bench])
     assert float(mpc[truck]) > float(plain[truck])
+    late_m_s = float(shipped_points()[8.0, 35.0, 48.0]["bound_m_s"])
     for row in rows_of(TUNED):  # what waits for the motion gains no more than the bound allows
         waits = row["strategy"] not in ("oil damper", "synchro brake")
-        assert not waits or float(row[truck]) >= float(late["bound_m_s"])
-    known = tuned["today", "synchro brake"]
-    assert worst_over(known, "gearbox") < float(late["bound_m_s"])  # and what is known ahead, more
+        assert not waits or float(row[truck]) >= late_m_s
 
 
 @pytest.mark.slow
 def test_shipped_rows_come_out_again() -> None:
     """One tuned row and one of the bounds, as the studies make them now."""
-    for path, name, number in ((TUNED, "tuning", 15), (SHIPPED, "bounds", 39)):
+    for path, name, number in ((TUNED, "tuning", 15), (SHIPPED, "bounds", 0)):
         study = load_study(name)
         text = executor.header(study) + "".join(executor.run_chunk(study, (number, number + 1)))
         (found,) = csv.DictReader(text.splitlines())
