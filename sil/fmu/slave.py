@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 from pythonfmu3 import Float64, Fmi3Causality, Fmi3Initial, Fmi3Slave, Fmi3Variability
 
-from sil.fmu.interpreter import release_static_state
 from sil.simulation.scenario import Loaded, restore
 
 
@@ -54,3 +55,28 @@ def declare(
         if units:
             own["unit"] = units[name]
         slave.register_variable(kind(name, variability=variability, **own))
+
+
+def release_static_state(resources: str, class_name: str) -> bool:
+    """Empty the static pointer of a unit's library; call it while an instance is being made.
+
+    The library of a unit (pythonfmu3 0.3 and before) holds a static `std::shared_ptr` to the state
+    of the interpreter. At exit its destructor releases it, and then the library's unload function
+    assigns to it once more, which decrements a counter in freed memory: glibc may find its heap
+    corrupted and abort (exit code 134) after a simulation that was right. The library exports the
+    function that empties the pointer, which makes both later releases do nothing.
+
+    resources: the folder of the unpacked unit's resources. Returns whether it was emptied: it is
+    left as it is while the unit is being exported, and in programs that are not Python, where the
+    state must outlive the instance because it ends the interpreter.
+    """
+    if not sys.orig_argv:
+        return False
+    for library in (Path(resources).parent / "binaries").glob(f"*/{class_name}.*"):
+        try:
+            release = ctypes.CDLL(str(library)).finalizePythonInterpreter
+        except (OSError, AttributeError):  # of another platform, or of a pythonfmu3 without it
+            continue
+        release()
+        return True
+    return False

@@ -5,10 +5,10 @@ from __future__ import annotations
 import copy
 import functools
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, Unpack
 
 import msgspec
 from msgspec import Meta
@@ -172,30 +172,28 @@ def shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
 
 
-def load(
-    where: str,
-    *,
-    model: str | None = None,
-    settings: Sequence[str] = (),
-    effects: Sequence[str] = (),
-    seed: int | None = None,
-) -> Loaded:
+class Overrides(TypedDict, total=False):
+    """What replaces values of a scenario file."""
+
+    model: str | None
+    """Parameter set or model file of the plant."""
+    settings: Sequence[str]
+    """Texts PATH=VALUE; PATH names a value of the scenario, the firmware (controller...), sensor,
+    bus, or model (valve.D_fall)."""
+    effects: Sequence[str]
+    """Files of a user's own effects."""
+    seed: int | None
+    """Seed of all random numbers."""
+
+
+def load(where: str, **given: Unpack[Overrides]) -> Loaded:
     """Load a scenario file, or a shipped scenario by name, and apply overrides.
 
-    `effects`: files of a user's own effects. `settings`: texts PATH=VALUE; PATH names a value of the scenario, the firmware (controller...),
-    sensor, bus, or model (valve.D_fall). A result.json is loaded as the scenario that it holds.
+    A result.json is loaded as the scenario that it holds.
     Raises InputError naming file and key, what is wrong and what was expected.
     """
     table, path = read(where)
-    return from_table(
-        table,
-        str(path),
-        model=model,
-        settings=settings,
-        effects=effects,
-        seed=seed,
-        folder=path.parent,
-    )
+    return from_table(table, str(path), folder=path.parent, **given)
 
 
 def read(where: str) -> tuple[dict[str, Any], Path]:
@@ -205,19 +203,14 @@ def read(where: str) -> tuple[dict[str, Any], Path]:
 
 
 def from_table(
-    table: Mapping[str, Any],
-    source: str,
-    *,
-    model: str | None = None,
-    settings: Sequence[str] = (),
-    effects: Sequence[str] = (),
-    seed: int | None = None,
-    folder: Path = Path(),
+    table: Mapping[str, Any], source: str, *, folder: Path = Path(), **given: Unpack[Overrides]
 ) -> Loaded:
     """Build a scenario from a parsed file; `source` names it, `folder` holds its model files.
 
     Raises InputError as `load` does.
     """
+    model, seed = given.get("model"), given.get("seed")
+    settings, effects = given.get("settings", ()), given.get("effects", ())
     raw = copy.deepcopy(dict(table))
     _normalise(raw, source)
     scenario = _build(raw, source)
@@ -421,40 +414,41 @@ def _set_strategy(raw: dict[str, Any], path: str, value: Any) -> bool:
 
 
 def _check_consistent(scenario: Scenario, source: str) -> None:
-    """Check what involves several values. Raises InputError for requests out of order and the like."""
-    if not scenario.name.isprintable():  # pictures, pages and JUnit files hold the name
-        name = typed_toml.one_line(scenario.name)
-        raise InputError(f"{source}: name: {name!r}; expected printable characters only")
-    last = -1.0
-    for index, request in enumerate(scenario.request):
-        key = f"{source}: request[{index}].at_s"
-        if request.at_s <= last:
-            raise InputError(f"{key}: {request.at_s}; expected later than the one before, {last}")
-        if request.at_s >= scenario.duration_s:
-            raise InputError(
-                f"{key}: {request.at_s}; expected before the end, {scenario.duration_s} s"
-            )
-        last = request.at_s
-    if scenario.trace_period_s > 0.1 * scenario.duration_s:
-        raise InputError(
-            f"{source}: trace_period_s: {scenario.trace_period_s}; expected at most a tenth of "
-            f"duration_s, {0.1 * scenario.duration_s:g} s"
-        )
-    if scenario.bus.extra_load > 0.95 and scenario.bus.send_buffer is None:
-        raise InputError(
-            f"{source}: bus.send_buffer: missing; expected a number of frames, since more waits "
-            f"than can be sent with extra_load {scenario.bus.extra_load:g}"
-        )
-    if len(set(scenario.plant.charged)) != len(scenario.plant.charged):
-        raise InputError(f"{source}: plant.charged: a chamber twice; expected each once")
-    for name in ("sensor_fault", "temperature_fault", "speed_fault", "valve_fault"):
-        for index, fault in enumerate(getattr(scenario, name)):
-            if fault.end_s is not None and fault.end_s <= fault.start_s:
-                raise InputError(
-                    f"{source}: {name}[{index}].end_s: {fault.end_s}; expected after its start, "
-                    f"{fault.start_s} s"
-                )
+    """Check what involves several values.  Raises InputError with the first contradiction."""
+    for line in _inconsistencies(scenario):
+        raise InputError(f"{source}: {line}")
     try:
         FaultPlan(scenario.fault, scenario.seed)
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
+
+
+def _inconsistencies(scenario: Scenario) -> Iterator[str]:
+    if not scenario.name.isprintable():  # pictures, pages and JUnit files hold the name
+        name = typed_toml.one_line(scenario.name)
+        yield f"name: {name!r}; expected printable characters only"
+    last, end = -1.0, scenario.duration_s
+    for index, request in enumerate(scenario.request):
+        key = f"request[{index}].at_s: {request.at_s}"
+        if request.at_s <= last:
+            yield f"{key}; expected later than the one before, {last}"
+        if request.at_s >= end:
+            yield f"{key}; expected before the end, {end} s"
+        last = request.at_s
+    if scenario.trace_period_s > 0.1 * end:
+        yield (
+            f"trace_period_s: {scenario.trace_period_s}; expected at most a tenth of duration_s, "
+            f"{0.1 * end:g} s"
+        )
+    if scenario.bus.extra_load > 0.95 and scenario.bus.send_buffer is None:
+        yield (
+            "bus.send_buffer: missing; expected a number of frames, since more waits than can be "
+            f"sent with extra_load {scenario.bus.extra_load:g}"
+        )
+    if len(set(scenario.plant.charged)) != len(scenario.plant.charged):
+        yield "plant.charged: a chamber twice; expected each once"
+    for name in ("sensor_fault", "temperature_fault", "speed_fault", "valve_fault"):
+        for index, fault in enumerate(getattr(scenario, name)):
+            if fault.end_s is not None and fault.end_s <= fault.start_s:
+                key = f"{name}[{index}].end_s: {fault.end_s}"
+                yield f"{key}; expected after its start, {fault.start_s} s"

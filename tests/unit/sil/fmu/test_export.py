@@ -19,7 +19,7 @@ from plant.devices.valve import Valve, ValveTiming
 from plant.parameters import load
 from plant.systems.length_stroke import LengthStroke
 from sil.cli import main
-from sil.fmu.interpreter import release_static_state
+from sil.fmu.slave import release_static_state
 from sil.simulation import scenario
 
 MS = 1_000_000
