@@ -64,7 +64,15 @@ def run(arguments: argparse.Namespace) -> int:
         return _summary(arguments)
     if arguments.against is not None and (arguments.plant or arguments.closed_loop):
         raise InputError("--against: not together with --plant or --closed-loop; expected one")
-    request = _request(arguments)
+    from sil.log_replay.replay import ReplayRequest
+    from sil.log_replay.signals import Options, load_options
+
+    names = ("log", "firmware", "run", "dbc", "plant", "closed_loop", "strict", "times")
+    request = ReplayRequest(
+        settings=tuple(arguments.settings),
+        options=load_options(arguments.options) if arguments.options else Options(),
+        **{name: getattr(arguments, name) for name in names},
+    )
     if arguments.against is None:
         return _finish(arguments, request)
     import dataclasses
@@ -73,24 +81,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     with checkout(arguments.against) as tree:
         return _finish(arguments, dataclasses.replace(request, reference=(tree, arguments.against)))
-
-
-def _request(arguments: argparse.Namespace) -> ReplayRequest:
-    from sil.log_replay.replay import ReplayRequest
-    from sil.log_replay.signals import Options, load_options
-
-    return ReplayRequest(
-        log=arguments.log,
-        firmware=arguments.firmware,
-        settings=tuple(arguments.settings),
-        options=load_options(arguments.options) if arguments.options else Options(),
-        run=arguments.run,
-        dbc=arguments.dbc,
-        plant=arguments.plant,
-        closed_loop=arguments.closed_loop,
-        strict=arguments.strict,
-        times=arguments.times,
-    )
 
 
 def _finish(arguments: argparse.Namespace, request: ReplayRequest) -> int:

@@ -84,27 +84,18 @@ class ResponseTime:
 def contract_messages(
     period_ns: Mapping[str, int] | None = None, jitter_ns: Mapping[str, int] | None = None
 ) -> tuple[PeriodicMessage, ...]:
-    """Return the periodic messages of opc4.dbc; periods and jitters by message name replace its own.
-
-    Raises InputError for a name that is not a periodic message of the contract.
-    """
-    periodic = {spec.name: spec for spec in contract().values() if spec.cycle_ns}
-    for what, given in (("period", period_ns), ("jitter", jitter_ns)):
-        for name in given or {}:
-            if name not in periodic:
-                raise InputError(
-                    f"bus: {what}: {name} is not a periodic message; "
-                    f"expected one of {', '.join(periodic)}"
-                )
+    """Return the periodic messages of opc4.dbc; periods and jitters by message name replace its own."""
+    periods, jitters = period_ns or {}, jitter_ns or {}
     return tuple(
         PeriodicMessage(
-            name,
+            spec.name,
             spec.can_id,
-            (period_ns or {}).get(name, spec.cycle_ns),
+            periods.get(spec.name, spec.cycle_ns),
             spec.length,
-            (jitter_ns or {}).get(name, spec.jitter_ns),
+            jitters.get(spec.name, spec.jitter_ns),
         )
-        for name, spec in periodic.items()
+        for spec in contract().values()
+        if spec.cycle_ns
     )
 
 

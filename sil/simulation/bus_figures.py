@@ -14,6 +14,7 @@ from sil.files.quantity import quantity
 from sil.simulation.results import Check
 from sil.simulation.scenario import Scenario
 
+COUNTS = ("frames", "error_frames", "lost", "overwritten", "dropped_bus_off", "dropped_full")
 _CONTROLLER = ("ValveCommand", "SafetyBlow", "ControllerStatus")
 _BROADCAST = ("Etc1", "Etc2")
 _BROADCAST_NS = 10_000_000
@@ -77,12 +78,7 @@ def bus_figures(scenario: Scenario, bus: BusModel, plan: FaultPlan) -> dict[str,
     return {
         "bitrate": scenario.bus.bitrate,
         "load": bus.load,
-        "frames": statistics.frames,
-        "error_frames": statistics.error_frames,
-        "lost": statistics.lost,
-        "overwritten": statistics.overwritten,
-        "dropped_bus_off": statistics.dropped_bus_off,
-        "dropped_full": statistics.dropped_full,
+        **{name: getattr(statistics, name) for name in COUNTS},
         "fault_hits": {f"fault[{index}]": hits for index, hits in plan.hits.items()},
         "messages": sorted(messages, key=lambda m: m["can_id"]),
     }
