@@ -27,7 +27,8 @@ from plant.systems.stroke import valve_moves
 
 BATCH_TOLERANCE = 1e-6
 LONGEST_GRID = 4096
-FREE_PLACES, FREE_MODES = np.array(FREE_OF), np.array(MODES_FREE_OF)
+NOT_IN_LANES = np.array([getattr(Parameters, name) for name in FREE_OF])
+MODES_NOT_IN_LANES = np.array([getattr(Modes, name) for name in MODES_FREE_OF])
 BEGIN = np.array(
     [
         Parameters.p_atm,
@@ -162,8 +163,8 @@ class Strokes:
 
 def covered_by_lanes(packed: Floats, modes: Ints) -> Bools:
     """Return which strokes [n] the lanes cover; arrays and units as those of `Strokes`."""
-    used = packed.take(FREE_PLACES, axis=1).any(axis=1) | modes.take(FREE_MODES, axis=1).any(axis=1)
-    return np.logical_not(used)
+    used = packed.take(NOT_IN_LANES, axis=1).any(axis=1)
+    return np.logical_not(used | modes.take(MODES_NOT_IN_LANES, axis=1).any(axis=1))
 
 
 def _initial(setup: Setup) -> Floats:

@@ -91,7 +91,7 @@ SMALL_NORM = 0.01  # square of the norm
 @inlined
 def memory_of(memory, j):
     """Return the counters of lane j."""
-    return memory_record(lane(memory, 0, j, WIDTH, ""))
+    return memory_record(lane(memory, j, WIDTH))
 
 
 @inlined

@@ -32,32 +32,29 @@ from plant.kernel.compiled import called, inlined, plain
 from plant.kernel.layout import MAX_STATES, FlowMap, Modes, Parameters
 from plant.kernel.record_views import fixed_state, flow_map, length_state
 from plant.kernel.records import Record, Value, block
-from plant.kernel.views import ABSENT, copy_row, lane, named, rows
+from plant.kernel.views import copy_row, discarding, lane, named, rows
 
 WIDTH = 8
 
 # Parameters and modes that must be 0 in a lane; what depends on them is not compiled.
 FREE_OF = (
-    Parameters.flow_model,
-    Parameters.stribeck_v,
-    Parameters.bump_force,
-    Parameters.seal_mu,
-    Parameters.mesh_force,
-    Parameters.pull_force,
-    Parameters.sync_impulse,
-    Parameters.detent_force,
-    Parameters.leak_piston,
-    Parameters.leak_atm,
-    Parameters.alpha_speed,
-    Parameters.adder,
+    "flow_model",
+    "stribeck_v",
+    "bump_force",
+    "seal_mu",
+    "mesh_force",
+    "pull_force",
+    "sync_impulse",
+    "detent_force",
+    "leak_piston",
+    "leak_atm",
+    "alpha_speed",
+    "adder",
 )
-MODES_FREE_OF = (Modes.damper, Modes.line, Modes.oil_rest, Modes.blocked)
-ABSENT["lane parameters"] = sum(1 << i for i in FREE_OF)
-ABSENT["plain parameters"] = ABSENT["lane parameters"] | 1 << Parameters.alpha_v0
-ABSENT["lane modes"] = sum(1 << i for i in MODES_FREE_OF)
-lane_parameters = named(Parameters, "lane parameters")
-plain_parameters = named(Parameters, "plain parameters")
-lane_modes = named(Modes, "lane modes")
+MODES_FREE_OF = ("damper", "line", "oil_rest", "blocked")
+lane_parameters = named(Parameters, FREE_OF)
+plain_parameters = named(Parameters, (*FREE_OF, "alpha_v0"))
+lane_modes = named(Modes, MODES_FREE_OF)
 
 
 class Lane(Record):
@@ -106,7 +103,7 @@ lane_record = named(Lane)
 @inlined
 def lane_of(f, j):
     """Lane j of the flat array."""
-    return lane_record(lane(f, 0, j, WIDTH, ""))
+    return lane_record(lane(f, j, WIDTH))
 
 
 lane_fixed_rates = inlined(plain(fixed_rates))
@@ -184,7 +181,7 @@ def guards_of_lanes(f, fixed, width):
                 fixed_state(one.stage),
                 m,
                 lane_parameters(one.parameters),
-                lane(f, 0, j, WIDTH, "discarded"),
+                discarding(lane(f, j, WIDTH)),
             )
             hides = fixed_may_hide(fixed_state(one.rate_0), fixed_state(one.rate), m)
             one.hides = 1.0 if hides else 0.0
@@ -198,7 +195,7 @@ def guards_of_lanes(f, fixed, width):
                 length_state(one.stage),
                 m,
                 p,
-                lane(f, 0, j, WIDTH, "discarded"),
+                discarding(lane(f, j, WIDTH)),
             )
             hides = may_hide(
                 length_state(one.y),

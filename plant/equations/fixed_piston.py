@@ -11,13 +11,6 @@ from plant.equations.length_contacts import (
     EPS_N,
     EPS_PA,
     FAR,
-    G_HOLD_STAY,
-    G_OIL_EMPTY,
-    G_OIL_FILL,
-    G_STAY_HIGH,
-    G_STAY_LOW,
-    G_STAY_SPEED,
-    GUARDS,
     TOUCH_M,
     damper_corners,
     note_corners,
@@ -25,7 +18,7 @@ from plant.equations.length_contacts import (
 )
 from plant.equations.length_impacts import direction_of, group_acceleration, rebound
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import COMPRESSIBLE, FixedState, Slot
+from plant.kernel.layout import COMPRESSIBLE, GUARDS, FixedState, Guard, Slot
 from plant.kernel.record_views import quadratures_of
 from plant.kernel.views import unlikely
 from plant.parts.chamber import (
@@ -124,11 +117,11 @@ def fixed_guards(t, y, m, p, g):
     high = p.stroke + p.stop_offset
     d = m.stay
     if d != 0:
-        low = put(g, G_STAY_SPEED, d * y.v + EPS_M_S, low)
+        low = put(g, Guard.STAY_SPEED, d * y.v + EPS_M_S, low)
         if d > 0:
-            low = put(g, G_STAY_HIGH, high - y.x + EPS_M, low)
+            low = put(g, Guard.STAY_HIGH, high - y.x + EPS_M, low)
         else:
-            low = put(g, G_STAY_LOW, y.x + EPS_M, low)
+            low = put(g, Guard.STAY_LOW, y.x + EPS_M, low)
     else:
         drive = fixed_drive(y, m, p, t)
         hold = FAR
@@ -136,15 +129,15 @@ def fixed_guards(t, y, m, p, g):
             hold = stay_static(y.x, 1.0, p) + seal_drag(y.p_1 - y.p_2, p) - drive
         if y.x > TOUCH_M:
             hold = min(hold, stay_static(y.x, -1.0, p) + seal_drag(y.p_1 - y.p_2, p) + drive)
-        low = put(g, G_HOLD_STAY, hold + EPS_N, low)
+        low = put(g, Guard.HOLD_STAY, hold + EPS_N, low)
     if m.damper != 0 and d != 0:
         low = damper_corners(y.x, y.v, m, p, g, low)
     if m.damper == COMPRESSIBLE:
         if m.oil_rest != 0:
             if d != 0:
-                low = put(g, G_OIL_FILL, EPS_M_S - y.v, low)
+                low = put(g, Guard.OIL_FILL, EPS_M_S - y.v, low)
         else:
-            low = put(g, G_OIL_EMPTY, y.p_oil - p.p_atm + EPS_PA, low)
+            low = put(g, Guard.OIL_EMPTY, y.p_oil - p.p_atm + EPS_PA, low)
     return low
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from plant.equations.length_stroke import TOUCH_M, accelerations, net_forces
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import COLLAR, COMPRESSIBLE, FREE, NUT
+from plant.kernel.layout import COLLAR, COMPRESSIBLE, FREE, GUARDS, NUT, Guard
 from plant.parts.damper import damper_borders
 from plant.parts.friction import piston_static, stay_static
 
@@ -20,34 +20,6 @@ EPS_PA = 1e-7
 EPS_M2 = 1e-18
 EPS_CD = 1e-12
 FAR = 1.0e30
-
-GUARDS = 23
-(
-    G_STAY_SPEED,
-    G_SPEED1,
-    G_SPEED2,
-    G_STAY_HIGH,
-    G_STAY_LOW,
-    G_OUTER1,
-    G_OUTER2,
-    G_NUT1,
-    G_COLLAR1,
-    G_NUT2,
-    G_COLLAR2,
-    G_CONTACT1,
-    G_CONTACT2,
-    G_HOLD_STAY,
-    G_HOLD1,
-    G_HOLD2,
-    G_SYNC,
-    G_OIL_EMPTY,
-    G_OIL_FILL,
-    G_NEUTRAL,
-    G_CAPPED,
-    G_OPEN,
-    G_LIFTED,
-) = range(GUARDS)
-FIRST_CORNER = G_CAPPED  # from here on: corners of a law, at which nothing happens but a new step
 
 
 @inlined
@@ -190,9 +162,9 @@ def put(g, k, value, low):
 def damper_corners(distance, speed, m, p, g, low):
     """Guards of the corners of the damper's law; returns the lowest guard so far."""
     capped, opened, lifted = damper_borders(distance, speed, p)
-    low = put(g, G_CAPPED, (capped if m.capped != 0 else -capped) + EPS_M2, low)
-    low = put(g, G_OPEN, (opened if m.opened != 0 else -opened) + EPS_M, low)
-    return put(g, G_LIFTED, (lifted if m.lifted != 0 else -lifted) + EPS_CD, low)
+    low = put(g, Guard.CAPPED, (capped if m.capped != 0 else -capped) + EPS_M2, low)
+    low = put(g, Guard.OPEN, (opened if m.opened != 0 else -opened) + EPS_M, low)
+    return put(g, Guard.LIFTED, (lifted if m.lifted != 0 else -lifted) + EPS_CD, low)
 
 
 @inlined
@@ -209,24 +181,24 @@ def guard_speeds(y, m, p, g, low):
     """Guards of bodies in motion: turning, and reaching their stops; returns the lowest so far."""
     d = m.stay
     if d != 0:
-        low = put(g, G_STAY_SPEED, d * y.v_s + EPS_M_S, low)
+        low = put(g, Guard.STAY_SPEED, d * y.v_s + EPS_M_S, low)
         highest, lowest = stay_limits(y, m, p)
         if d > 0:
-            low = put(g, G_STAY_HIGH, highest - y.x_s + EPS_M, low)
+            low = put(g, Guard.STAY_HIGH, highest - y.x_s + EPS_M, low)
         else:
-            low = put(g, G_STAY_LOW, y.x_s - lowest + EPS_M, low)
+            low = put(g, Guard.STAY_LOW, y.x_s - lowest + EPS_M, low)
     d1 = m.piston_1
     if d1 != 0:
         if m.joined_1 == FREE:
-            low = put(g, G_SPEED1, d1 * y.v_1 + EPS_M_S, low)
+            low = put(g, Guard.SPEED_1, d1 * y.v_1 + EPS_M_S, low)
         if d1 < 0:
-            low = put(g, G_OUTER1, y.x_1 + EPS_M, low)
+            low = put(g, Guard.OUTER_1, y.x_1 + EPS_M, low)
     d2 = m.piston_2
     if d2 != 0:
         if m.joined_2 == FREE:
-            low = put(g, G_SPEED2, d2 * -y.v_2 + EPS_M_S, low)
+            low = put(g, Guard.SPEED_2, d2 * -y.v_2 + EPS_M_S, low)
         if d2 > 0:
-            low = put(g, G_OUTER2, y.x_2 + EPS_M, low)
+            low = put(g, Guard.OUTER_2, y.x_2 + EPS_M, low)
     return low
 
 
@@ -243,17 +215,17 @@ def guard_contacts(y, m, p, force, g, low):
     """Guards of contacts of stay and pistons, that close or open; returns the lowest so far."""
     moves = m.stay != 0
     if m.joined_1 == FREE and (m.piston_1 != 0 or moves):
-        low = guard_gap(y.x_1 - y.x_s, G_NUT1, G_COLLAR1, p, g, low)
+        low = guard_gap(y.x_1 - y.x_s, Guard.NUT_1, Guard.COLLAR_1, p, g, low)
     if m.joined_2 == FREE and (m.piston_2 != 0 or moves):
-        low = guard_gap(y.x_2 + y.x_s, G_NUT2, G_COLLAR2, p, g, low)
+        low = guard_gap(y.x_2 + y.x_s, Guard.NUT_2, Guard.COLLAR_2, p, g, low)
     if moves and (m.joined_1 != FREE or m.joined_2 != FREE):
         need = p.m_p * accelerations(m, p, force)[0]
         if m.joined_1 != FREE:
             pull = sign_ahead(1, m.joined_1) * (need - force[1])
-            low = put(g, G_CONTACT1, pull + EPS_N, low)
+            low = put(g, Guard.CONTACT_1, pull + EPS_N, low)
         if m.joined_2 != FREE:
             pull = sign_ahead(2, m.joined_2) * (need - force[2])
-            low = put(g, G_CONTACT2, pull + EPS_N, low)
+            low = put(g, Guard.CONTACT_2, pull + EPS_N, low)
     return low
 
 
@@ -264,14 +236,14 @@ def guard_damper(y, m, p, g, low):
     side = float(m.side)
     if d * side < 0:
         # crossing neutral: the damper acts on the other side from there
-        low = put(g, G_NEUTRAL, side * y.x_s + EPS_M, low)
+        low = put(g, Guard.NEUTRAL, side * y.x_s + EPS_M, low)
     if d != 0:
         low = damper_corners(side * y.x_s, side * y.v_s, m, p, g, low)
     if m.damper == COMPRESSIBLE:
         if m.oil_rest == 0:
-            low = put(g, G_OIL_EMPTY, y.p_oil - p.p_atm + EPS_PA, low)
+            low = put(g, Guard.OIL_EMPTY, y.p_oil - p.p_atm + EPS_PA, low)
         elif d != 0:
-            low = put(g, G_OIL_FILL, EPS_M_S - side * y.v_s, low)
+            low = put(g, Guard.OIL_FILL, EPS_M_S - side * y.v_s, low)
     return low
 
 
@@ -289,11 +261,11 @@ def guards(t, y, m, p, g):
     low = guard_contacts(y, m, p, force, g, low)
     if m.stay == 0 or m.piston_1 == 0 or m.piston_2 == 0:
         hold, hold1, hold2 = rest_margins(y, m, p, force)
-        low = put(g, G_HOLD_STAY, hold, low)
-        low = put(g, G_HOLD1, hold1, low)
-        low = put(g, G_HOLD2, hold2, low)
+        low = put(g, Guard.HOLD_STAY, hold, low)
+        low = put(g, Guard.HOLD_1, hold1, low)
+        low = put(g, Guard.HOLD_2, hold2, low)
     if m.blocked != 0:
-        low = put(g, G_SYNC, p.sync_impulse - y.impulse, low)
+        low = put(g, Guard.SYNC, p.sync_impulse - y.impulse, low)
     if m.damper != 0:
         low = guard_damper(y, m, p, g, low)
     return low

@@ -8,19 +8,11 @@ from __future__ import annotations
 from math import sqrt
 
 from plant.equations.fixed_piston import fixed_guards, fixed_impacts, fixed_settle
-from plant.equations.length_contacts import (
-    G_OIL_EMPTY,
-    G_SPEED1,
-    G_SPEED2,
-    G_STAY_SPEED,
-    G_SYNC,
-    GUARDS,
-)
 from plant.equations.length_contacts import guards as length_guards
 from plant.equations.length_impacts import impacts, settle
 from plant.integrator.steppers import interpolate
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import FIXED, FREE
+from plant.kernel.layout import FIXED, FREE, GUARDS, Guard
 from plant.kernel.record_views import fixed_state, impact_of, length_state
 
 # A velocity below this after an event is rounding, and ends a Zeno sequence of stops.
@@ -264,9 +256,9 @@ def after_event(t, index, o):
 @called
 def fixed_reset(t, index, y, m, p, impact):
     """`after_event` of the fixed piston."""
-    if index == G_STAY_SPEED:
+    if index == Guard.STAY_SPEED:
         y.v = 0.0
-    if index == G_OIL_EMPTY:
+    if index == Guard.OIL_EMPTY:
         y.p_oil = p.p_atm
     y.v = settled_speed(y.v)
     fixed_impacts(y, m, p, impact)
@@ -276,19 +268,19 @@ def fixed_reset(t, index, y, m, p, impact):
 @called
 def length_reset(t, index, y, m, p, impact):
     """`after_event` of the length stroke."""
-    if index == G_STAY_SPEED:
+    if index == Guard.STAY_SPEED:
         if m.joined_1 != FREE:
             y.v_1 = 0.0
         if m.joined_2 != FREE:
             y.v_2 = 0.0
         y.v_s = 0.0
-    elif index == G_SPEED1:
+    elif index == Guard.SPEED_1:
         y.v_1 = 0.0
-    elif index == G_SPEED2:
+    elif index == Guard.SPEED_2:
         y.v_2 = 0.0
-    elif index == G_SYNC:
+    elif index == Guard.SYNC:
         y.impulse = p.sync_impulse
-    elif index == G_OIL_EMPTY:
+    elif index == Guard.OIL_EMPTY:
         y.p_oil = p.p_atm
     y.v_s = settled_speed(y.v_s)
     y.v_1 = settled_speed(y.v_1)

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.equations import length_contacts as guard
 from plant.equations.volumes import emptied, refuse_empty, volumes_m3
 from plant.errors import IntegrationError, NoVolumeError
 from plant.integrator.filling import NO_CURVES
@@ -25,6 +24,7 @@ from plant.kernel.layout import (
     LENGTH,
     EventRow,
     GridRow,
+    Guard,
     Modes,
     Parameters,
     Quadratures,
@@ -36,26 +36,26 @@ DEFAULT_TOLERANCE = 1e-8
 NO_GRID = np.zeros((1, GridRow.size))
 
 GUARD_NAMES = {
-    guard.G_STAY_SPEED: "turn",
-    guard.G_SPEED1: "piston 1 turn",
-    guard.G_SPEED2: "piston 2 turn",
-    guard.G_STAY_HIGH: "stop",
-    guard.G_STAY_LOW: "stop",
-    guard.G_OUTER1: "piston 1 stop",
-    guard.G_OUTER2: "piston 2 stop",
-    guard.G_NUT1: "nut 1 contact",
-    guard.G_COLLAR1: "collar 1 contact",
-    guard.G_NUT2: "nut 2 contact",
-    guard.G_COLLAR2: "collar 2 contact",
-    guard.G_CONTACT1: "piston 1 separation",
-    guard.G_CONTACT2: "piston 2 separation",
-    guard.G_HOLD_STAY: "breakaway",
-    guard.G_HOLD1: "piston 1 breakaway",
-    guard.G_HOLD2: "piston 2 breakaway",
-    guard.G_SYNC: "unblock",
-    guard.G_OIL_EMPTY: "oil empty",
-    guard.G_OIL_FILL: "oil fill",
-    guard.G_NEUTRAL: "damper side",
+    Guard.STAY_SPEED: "turn",
+    Guard.SPEED_1: "piston 1 turn",
+    Guard.SPEED_2: "piston 2 turn",
+    Guard.STAY_HIGH: "stop",
+    Guard.STAY_LOW: "stop",
+    Guard.OUTER_1: "piston 1 stop",
+    Guard.OUTER_2: "piston 2 stop",
+    Guard.NUT_1: "nut 1 contact",
+    Guard.COLLAR_1: "collar 1 contact",
+    Guard.NUT_2: "nut 2 contact",
+    Guard.COLLAR_2: "collar 2 contact",
+    Guard.CONTACT_1: "piston 1 separation",
+    Guard.CONTACT_2: "piston 2 separation",
+    Guard.HOLD_STAY: "breakaway",
+    Guard.HOLD_1: "piston 1 breakaway",
+    Guard.HOLD_2: "piston 2 breakaway",
+    Guard.SYNC: "unblock",
+    Guard.OIL_EMPTY: "oil empty",
+    Guard.OIL_FILL: "oil fill",
+    Guard.NEUTRAL: "damper side",
 }
 
 MOST_EVENTS = 2000

@@ -11,7 +11,7 @@ Checked by: tests/physics/
 
 from __future__ import annotations
 
-from plant.equations.length_contacts import GUARDS, note_side
+from plant.equations.length_contacts import note_side
 from plant.integrator.events import (
     after_event,
     all_guards,
@@ -59,7 +59,7 @@ from plant.integrator.steppers import (
 )
 from plant.integrator.workspace import Motion, control_of, run_of, scratch_of
 from plant.kernel.compiled import called, kernel
-from plant.kernel.layout import COMPRESSIBLE, FIXED
+from plant.kernel.layout import COMPRESSIBLE, FIXED, GUARDS
 from plant.kernel.record_views import flow_map, impact_of, length_state, modes, parameters
 from plant.kernel.views import view
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from plant.equations.length_contacts import FIRST_CORNER
 from plant.integrator.filling import (
     FOLLOW_GRID,
     KNOWN_COLUMNS,
@@ -22,7 +21,7 @@ from plant.integrator.filling import (
 )
 from plant.integrator.steppers import interpolated
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import CHAMBERS, FIRST_PRESSURE, FIXED, EventRow, GridRow
+from plant.kernel.layout import CHAMBERS, FIRST_PRESSURE, FIXED, EventRow, GridRow, Guard
 from plant.kernel.record_views import event_row, grid_row
 
 # Why a loop stopped.
@@ -158,7 +157,7 @@ def store_event(t, index, impact, y, count, task):
 @inlined
 def is_corner(index):
     """Return True for the corner of a law: nothing happens there but a new step."""
-    return index >= FIRST_CORNER
+    return index >= Guard.CAPPED
 
 
 @called

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from plant.equations.length_contacts import GUARDS
 from plant.integrator.filling import ChamberCurve
-from plant.kernel.layout import MAX_STATES, Impact, Modes, Quadratures
+from plant.kernel.layout import GUARDS, MAX_STATES, Impact, Modes, Quadratures
 from plant.kernel.records import Record, Value, block
 from plant.kernel.views import named
 

@@ -12,23 +12,22 @@ import numpy as np
 
 from plant.kernel.records import RECORDS, Record
 
-ABSENT: dict[str, int] = {"": 0, "discarded": 0}
-"""Name of a set of elements -> bit mask of those known to be 0."""
-
 
 class CheckedView:
     """A view that knows the memory it may touch: the elements of one array or of one field.
 
     array: the flat memory; start: first element; end: end of what may be touched; width, length,
-    absent and record: see `plant.kernel.views.View`.
+    record, zeros and discards: see `plant.kernel.views.View`.
     """
 
-    __slots__ = ("_absent", "_array", "_end", "_length", "_record", "_start", "_width")
+    __slots__ = ("_array", "_discards", "_end", "_length", "_record", "_start", "_width", "_zeros")
 
-    def __init__(self, array, start, end, width=1, length=0, absent="", record="") -> None:
+    def __init__(
+        self, array, start, end, width=1, length=0, record="", zeros=(), discards=False
+    ) -> None:
         for name, value in zip(
-            ("_array", "_start", "_end", "_width", "_length", "_absent", "_record"),
-            (array, start, end, width, length, absent, record),
+            ("_array", "_start", "_end", "_width", "_length", "_record", "_zeros", "_discards"),
+            (array, start, end, width, length, record, zeros, discards),
             strict=True,
         ):
             object.__setattr__(self, name, value)
@@ -38,9 +37,6 @@ class CheckedView:
         if index < 0 or not position < self._end:
             raise IndexError(f"element {index} of a view of {self._record or 'an array'}")
         return position
-
-    def _reads_zero(self, index: int) -> bool:
-        return bool(ABSENT[self._absent] >> index & 1)
 
     def _from(self, index: int, end: int | None = None, length: int = 0) -> CheckedView:
         start = self._start + index * self._width
@@ -57,11 +53,10 @@ class CheckedView:
             return self._array[self._at(i[0] * self._length + i[1])]
         if self._length:
             return self._from(i * self._length)
-        value = self._array[self._at(int(i))]
-        return value * 0 if self._reads_zero(int(i)) else value
+        return self._array[self._at(int(i))]
 
     def __setitem__(self, i, value) -> None:
-        if self._absent != "discarded":
+        if not self._discards:
             k = i[0] * self._length + i[1] if isinstance(i, tuple) else i
             self._array[self._at(int(k))] = value
 
@@ -73,7 +68,8 @@ class CheckedView:
         if field.length:
             last = self._at(field.start + field.length - 1)
             return self._from(field.start, last + 1, field.row)
-        return self[field.start]
+        value = self[field.start]
+        return value * 0 if name in self._zeros else value
 
     def __setattr__(self, name: str, value) -> None:
         self[RECORDS[self._record].fields[name].start] = value
@@ -95,9 +91,14 @@ def rows(v, length):
     return CheckedView(v._array, v._start, v._end, v._width, length)
 
 
-def lane(v, block, index, width, absent):
-    """Return lane `index` of `width` interleaved copies, from row `block` on."""
-    return CheckedView(v._array, v._start + block * width + index, v._end, width, 0, absent)
+def lane(v, index, width):
+    """Return lane `index` of `width` interleaved copies."""
+    return CheckedView(v._array, v._start + index, v._end, width)
+
+
+def discarding(v):
+    """Return the same view, to which nothing is written."""
+    return CheckedView(v._array, v._start, v._end, v._width, v._length, discards=True)
 
 
 def copy_row(v, source, target, width) -> None:
@@ -120,14 +121,12 @@ def unlikely(condition: bool) -> bool:
     return condition
 
 
-def named(record: type[Record], absent: str = ""):
+def named(record: type[Record], zeros: tuple[str, ...] = ()):
     """Return the function that makes a view, or an array, a view of a record."""
 
     def of(v):
         if not isinstance(v, CheckedView):
             v = view(v, 0)
-        return CheckedView(
-            v._array, v._start, v._end, v._width, 0, absent or v._absent, record.__name__
-        )
+        return CheckedView(v._array, v._start, v._end, v._width, 0, record.__name__, zeros)
 
     return of

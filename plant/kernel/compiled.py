@@ -19,6 +19,8 @@ from typing import Any, TypeVar
 
 import numba
 from numba.core import event
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 
 from plant.errors import InputError
 
@@ -103,20 +105,66 @@ def kernel(function: F) -> F:
     return compiled
 
 
-def inlined(function: F) -> F:
-    """Compile `function` as part of the kernels that call it; always inlined by LLVM."""
+class _PartLibrary(JITCodeLibrary):
+    """LLVM code of a part of the kernels.
+
+    Optimised and turned into machine code only within the kernels that call it: numba alone does both
+    again for every function on the way from a kernel to its innermost part.
+    """
+
+    def _optimize_functions(self, module: Any) -> None:
+        """Leave the code as it is."""
+
+    def _optimize_final_module(self) -> None:
+        """Leave the code as it is."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return 0: Python cannot call a part."""
+        return 0
+
+    @property
+    def codegen(self) -> _PartLibrary:
+        """Return what takes the function's environment, which a part does not need."""
+        return self
+
+    def set_env(self, name: str, env: Any) -> None:
+        """Do nothing."""
+
+
+class _PartCompiler(Compiler):
+    """numba's compiler with `_PartLibrary` as its output."""
+
+    def define_pipelines(self) -> Any:
+        """Return numba's own passes."""
+        state = self.state
+        state.library = _PartLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        return super().define_pipelines()
+
+
+def _part(function: F, **options: bool) -> F:
     if CHECKED:
         return function
-    compiled: F = numba.njit(error_model="numpy", forceinline=True)(function)
+    compiled: F = numba.njit(
+        error_model="numpy",
+        no_cpython_wrapper=True,
+        no_cfunc_wrapper=True,
+        pipeline_class=_PartCompiler,
+        **options,
+    )(function)
     return compiled
+
+
+def inlined(function: F) -> F:
+    """Compile `function` as part of the kernels that call it; always inlined by LLVM."""
+    return _part(function, forceinline=True)
 
 
 def called(function: F) -> F:
     """Compile `function` as part of the kernels that call it, as a function of its own."""
-    if CHECKED:
-        return function
-    compiled: F = numba.njit(error_model="numpy")(function)
-    return compiled
+    return _part(function)
 
 
 def c_function(function: Callable[..., float], signature: Any) -> Any:

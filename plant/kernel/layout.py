@@ -252,6 +252,40 @@ class FlowMap(Record):
     discharge_slope: Value  # phi'(1)
 
 
+class Guard(IntEnum):
+    """Guards of the modes: each is positive until its event.
+
+    From CAPPED on: corners of a law, at which nothing happens but a new step.
+    """
+
+    STAY_SPEED = 0  # the stay turns; pistons 1 and 2 turn
+    SPEED_1 = 1
+    SPEED_2 = 2
+    STAY_HIGH = 3  # the stay meets its upper or lower stop
+    STAY_LOW = 4
+    OUTER_1 = 5  # a piston meets its outer stop
+    OUTER_2 = 6
+    NUT_1 = 7  # a free piston meets the stay
+    COLLAR_1 = 8
+    NUT_2 = 9
+    COLLAR_2 = 10
+    CONTACT_1 = 11  # a joined piston parts from the stay
+    CONTACT_2 = 12
+    HOLD_STAY = 13  # a body at rest breaks away
+    HOLD_1 = 14
+    HOLD_2 = 15
+    SYNC = 16  # the synchronizer lets the stay pass
+    OIL_EMPTY = 17  # the damper's oil comes to the pressure of the atmosphere, or leaves it
+    OIL_FILL = 18
+    NEUTRAL = 19  # the stay comes to the damper's other side
+    CAPPED = 20  # see `plant.parts.damper.borders`
+    OPEN = 21
+    LIFTED = 22
+
+
+GUARDS = len(Guard)
+
+
 class Impact(Record):
     """What the resets at one instant did."""
 

@@ -18,8 +18,10 @@ import operator
 
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
+from numba.core import cgutils
 from numba.core.errors import TypingError
-from numba.core.typing.templates import AttributeTemplate
+from numba.core.imputils import lower_builtin
+from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_global, signature
 from numba.extending import (
     infer_getattr,
     intrinsic,
@@ -27,43 +29,35 @@ from numba.extending import (
     lower_getattr_generic,
     lower_setattr_generic,
     models,
-    overload,
     register_model,
 )
 
-from plant.kernel import checked
 from plant.kernel.compiled import CHECKED
 from plant.kernel.records import RECORDS, Record
-
-# Name of a set of elements -> bit mask of those known to be 0 (see `lane`).
-ABSENT: dict[str, int] = checked.ABSENT
-HALF = 62  # bits of a mask that fit one positive int64
 
 
 class View(types.Type):
     """Type of a view.
 
     dtype: of its elements; width: distance between neighbours; length: of a row, 0 without rows;
-    absent: name of the set of elements that read as 0; record: name of the record, if it is one.
+    record: name of the record, if it is one; zeros: names of its fields that read as 0; discards: True
+    if nothing is written.
     """
 
     def __init__(
-        self, dtype, width: int = 1, length: int = 0, absent: str = "", record: str = ""
+        self, dtype, width=1, length=0, record="", zeros: tuple[str, ...] = (), discards=False
     ) -> None:
         self.dtype = dtype
         self.width = width
         self.length = length
-        self.absent = absent
         self.record = record
-        super().__init__(name=f"View({dtype},{width},{length},{absent},{record})")
+        self.zeros = zeros
+        self.discards = discards
+        super().__init__(name=f"View({dtype},{width},{length},{record},{zeros},{discards})")
 
     def field(self, name: str):
         """Return the field of that name, None if there is none."""
         return RECORDS[self.record].fields.get(name) if self.record else None
-
-    def reads_zero(self, index: int) -> bool:
-        """Return True if an element is known to be 0."""
-        return bool(ABSENT[self.absent] >> index & 1)
 
 
 @register_model(View)
@@ -107,20 +101,24 @@ def _rows(typing_context, v, length):
 
 
 @intrinsic(prefer_literal=True)
-def _lane(typing_context, v, block, index, width, absent):
-    """Lane `index` of `width` interleaved copies, from row `block` on.
-
-    Element i is v[(block + i) width + index].  `absent` names a set of ABSENT: those elements read
-    as 0, and what depends on them is compiled away.  "discarded": nothing is written.
-    """
-    step = width.literal_value
-    result = View(v.dtype, step, 0, absent.literal_value)
+def _lane(typing_context, v, index, width):
+    """Lane `index` of `width` (a constant) interleaved copies: element i is v[i width + index]."""
+    result = View(v.dtype, width.literal_value)
 
     def generate(context, builder, signature, arguments):
-        start = builder.mul(arguments[1], ir.Constant(arguments[1].type, step))
-        return builder.gep(arguments[0], [builder.add(start, arguments[2])])
+        return builder.gep(arguments[0], [arguments[1]])
 
-    return result(v, types.intp, types.intp, width, absent), generate
+    return result(v, types.intp, width), generate
+
+
+@intrinsic
+def _discarding(typing_context, v):
+    """Return the same view, to which nothing is written."""
+
+    def generate(context, builder, signature, arguments):
+        return arguments[0]
+
+    return View(v.dtype, v.width, v.length, discards=True)(v), generate
 
 
 @intrinsic(prefer_literal=True)
@@ -138,21 +136,18 @@ def _copy_row(typing_context, v, source, target, width):
     return types.void(v, types.intp, types.intp, width), generate
 
 
-def _named(record: type[Record], absent: str = ""):
+def _named(record: type[Record], zeros: tuple[str, ...] = ()):
     """Return the function that makes a view, or a C-contiguous array, a view of a record.
 
-    `absent` names a set of ABSENT: fields that read as 0, and what depends on them is compiled away.
+    zeros: fields that read as 0, and what depends on them is compiled away.
     """
     name = record.__name__
 
     @intrinsic
     def named(typing_context, v):
-        if isinstance(v, View):
-            signature = View(v.dtype, v.width, 0, absent or v.absent, name)(v)
-        elif isinstance(v, types.Array) and v.layout == "C":
-            signature = View(v.dtype, 1, 0, absent, name)(v)
-        else:
+        if not isinstance(v, View) and not (isinstance(v, types.Array) and v.layout == "C"):
             raise TypingError(f"{name} needs a view or a C-contiguous array")
+        width = v.width if isinstance(v, View) else 1
 
         def generate(context, builder, signature, arguments):
             if isinstance(signature.args[0], View):
@@ -160,74 +155,69 @@ def _named(record: type[Record], absent: str = ""):
             whole = context.make_array(signature.args[0])(context, builder, arguments[0])
             return whole.data
 
-        return signature, generate
+        return View(v.dtype, width, 0, name, zeros)(v), generate
 
     return named
 
 
-@intrinsic
-def _load(typing_context, v, index):
-    def generate(context, builder, signature, arguments):
-        width = signature.args[0].width
-        return builder.load(_element(builder, arguments[0], width, arguments[1]))
+@infer_global(operator.getitem)
+class Read(AbstractTemplate):
+    """`v[i]`, `v[i, j]`, the view `v[a:]`, and the row `v[i]` of a view with rows."""
 
-    return v.dtype(v, types.intp), generate
-
-
-@intrinsic
-def _store(typing_context, v, index, value):
-    def generate(context, builder, signature, arguments):
-        width = signature.args[0].width
-        builder.store(arguments[2], _element(builder, arguments[0], width, arguments[1]))
-        return context.get_dummy_value()
-
-    return types.void(v, types.intp, v.dtype), generate
+    def generic(self, args, kws):
+        """Return the signature."""
+        v, i = args
+        if not isinstance(v, View):
+            return None
+        tail = isinstance(i, types.SliceType)
+        row = v.length and not isinstance(i, types.BaseTuple)
+        result = View(v.dtype, v.width) if tail or row else v.dtype
+        return signature(result, v, i if isinstance(i, types.BaseTuple) or tail else types.intp)
 
 
-@intrinsic
-def _from(typing_context, v, index):
-    def generate(context, builder, signature, arguments):
-        return _element(builder, arguments[0], signature.args[0].width, arguments[1])
+@infer_global(operator.setitem)
+class Write(AbstractTemplate):
+    """`v[i] = value` and `v[i, j] = value`."""
 
-    return View(v.dtype, v.width)(v, types.intp), generate
-
-
-@overload(operator.getitem)
-def _read(v, i):
-    if not isinstance(v, View):
-        return None
-    length = v.length
-    if isinstance(i, types.SliceType):
-        return lambda v, i: _from(v, i.start)
-    if isinstance(i, types.BaseTuple):
-        return lambda v, i: _load(v, i[0] * length + i[1])
-    if length:
-        return lambda v, i: _from(v, i * length)
-    if not v.absent:
-        return lambda v, i: _load(v, i)
-    mask = ABSENT[v.absent]
-    low = mask & ((1 << HALF) - 1)
-    high = mask >> HALF
-    zero = v.dtype(0)
-
-    def read(v, i):
-        if (low >> i) & 1 if i < HALF else (high >> (i - HALF)) & 1:
-            return zero
-        return _load(v, i)
-
-    return read
+    def generic(self, args, kws):
+        """Return the signature."""
+        v, i, _value = args
+        if not isinstance(v, View):
+            return None
+        return signature(
+            types.none, v, i if isinstance(i, types.BaseTuple) else types.intp, v.dtype
+        )
 
 
-@overload(operator.setitem)
-def _write(v, i, value):
-    if not isinstance(v, View):
-        return None
-    length = v.length
-    if v.absent == "discarded":
-        return lambda v, i, value: None
-    if isinstance(i, types.BaseTuple):
-        return lambda v, i, value: _store(v, i[0] * length + i[1], value)
-    return lambda v, i, value: _store(v, i, value)
+def _indexed(context, builder, v, pointer, index_type, index):
+    """Return the pointer that an index selects."""
+    if isinstance(index_type, types.SliceType):
+        index = context.make_helper(builder, index_type, index).start
+    elif isinstance(index_type, types.BaseTuple):
+        i, j = (
+            context.cast(builder, part, kind, types.intp)
+            for part, kind in zip(cgutils.unpack_tuple(builder, index), index_type, strict=True)
+        )
+        index = builder.add(builder.mul(i, ir.Constant(i.type, v.length)), j)
+    elif v.length:
+        index = builder.mul(index, ir.Constant(index.type, v.length))
+    return _element(builder, pointer, v.width, index)
+
+
+@lower_builtin(operator.getitem, View, types.Any)
+def _read(context, builder, signature, arguments):
+    v, index_type = signature.args
+    pointer = _indexed(context, builder, v, arguments[0], index_type, arguments[1])
+    return pointer if isinstance(signature.return_type, View) else builder.load(pointer)
+
+
+@lower_builtin(operator.setitem, View, types.Any, types.Any)
+def _write(context, builder, signature, arguments):
+    v, index_type, _ = signature.args
+    if not v.discards:
+        pointer = _indexed(context, builder, v, arguments[0], index_type, arguments[1])
+        builder.store(arguments[2], pointer)
+    return context.get_dummy_value()
 
 
 @infer_getattr
@@ -291,7 +281,7 @@ def _get(context, builder, v, pointer, attribute):
     field = v.field(attribute)
     if field.length:
         return _pointer(context, builder, v, pointer, field)
-    if v.reads_zero(field.start):
+    if attribute in v.zeros:
         return context.get_constant(v.dtype, 0)
     return builder.load(_pointer(context, builder, v, pointer, field))
 
@@ -300,7 +290,7 @@ def _get(context, builder, v, pointer, attribute):
 def _set(context, builder, signature, arguments, attribute):
     v = signature.args[0]
     pointer, value = arguments
-    if v.absent != "discarded":
+    if not v.discards:
         builder.store(value, _pointer(context, builder, v, pointer, v.field(attribute)))
 
 
@@ -311,7 +301,11 @@ def _enumerated(context, builder, member, number, value):
 
 
 if CHECKED:
-    from plant.kernel.checked import call_at, copy_row, lane, named, rows, unlikely, view
+    from plant.kernel.checked import (
+        call_at, copy_row, discarding, lane, named, rows, unlikely, view
+    )  # fmt: skip
 else:
-    view, rows, lane, copy_row, named = _view, _rows, _lane, _copy_row, _named
+    view, rows, lane, discarding, copy_row, named = (
+        _view, _rows, _lane, _discarding, _copy_row, _named
+    )  # fmt: skip
     call_at, unlikely = call_compiled, _unlikely
