@@ -254,8 +254,8 @@ class HybridSystem:
 
     def _note_events(self) -> None:
         for row in map(EventRow, self._record[: self._control.events]):
-            index = int(row.guard)
-            name = GUARD_NAMES[index]
+            guard = Guard(int(row.guard))
+            name = GUARD_NAMES[guard]
             speed = float(row.speed)
             if row.at_block == 1.0:
                 name = "block"

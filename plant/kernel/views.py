@@ -302,7 +302,14 @@ def _enumerated(context, builder, member, number, value):
 
 if CHECKED:
     from plant.kernel.checked import (
-        call_at, copy_row, discarding, lane, named, rows, unlikely, view
+        call_at,
+        copy_row,
+        discarding,
+        lane,
+        named,
+        rows,
+        unlikely,
+        view,
     )  # fmt: skip
 else:
     view, rows, lane, discarding, copy_row, named = (
