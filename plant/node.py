@@ -14,11 +14,12 @@ from can_dbc.codec import encode
 from can_dbc.e2e import Protector
 from can_dbc.frame import Frame
 from can_dbc.messages import DrivelineSpeeds, Gear, PlantMotion, PlantPressures, PositionPulse
+from plant.devices.coil import make_valve
 from plant.devices.driveline import BACKWARD, FORWARD, NO_GEAR, Driveline, DrivelineConfig
 from plant.devices.position_circuit import PositionCircuit, SensorConfig, SensorFault
 from plant.devices.sensors import InductiveSensor
 from plant.devices.signal_faults import SpeedFault, SpeedSensors, TemperatureFault, Thermometer
-from plant.devices.valve import NS_PER_S, Valve, ValveTiming, seconds_to_ns
+from plant.devices.valve import NS_PER_S, CoilConfig, Drive, ValveTiming, seconds_to_ns
 from plant.devices.valve_driver import ValveDriver, ValveDriverConfig
 from plant.devices.valve_faults import ValveFault, faulty_valves
 from plant.errors import InputError
@@ -56,7 +57,8 @@ class PlantConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     initial: gear at time 0. charged: chambers at supply pressure then, valves open but
     no longer energised. supply_pressure_pa: absolute, left out the set's supply.P_s. mounted: on
     the gearbox. mesh_force_n, pull_force_n: peaks of the barriers into and out of gear.
-    closing_follows_duty: closing delay of the valves by their duty instead of D_fall.
+    drive: valves as time delays, or with the current of their coils. closing_follows_duty: closing
+    delay of the former by their duty instead of D_fall.
     speeds_period_s, truth_period_s: of DrivelineSpeeds, and of PlantMotion and PlantPressures;
     broadcast_phase_s: of both, left out together with the pulse report. trace_period_s: of the
     trace rows, None for none. seed: of the sensor's noise and of the faults.
@@ -69,7 +71,9 @@ class PlantConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     damper: Literal["none", "incompressible", "compressible"] = "none"
     mesh_force_n: Annotated[float, Meta(ge=0.0, le=1e5)] = 0.0
     pull_force_n: Annotated[float, Meta(ge=0.0, le=1e5)] = 0.0
+    drive: Drive = "delays"
     closing_follows_duty: bool = False
+    coil: CoilConfig = CoilConfig()
     driveline: DrivelineConfig = DrivelineConfig()
     valve_driver: ValveDriverConfig = ValveDriverConfig()
     sensor: SensorConfig = SensorConfig()
@@ -149,8 +153,12 @@ class PlantNode:
         if self.stroke.valve_delays_ns is not None:
             rise_ns, fall_ns = self.stroke.valve_delays_ns
             timing = replace(timing, rise_ns=rise_ns, fall_ns=fall_ns)
+        if config.drive == "coil":
+            refuse_delays(config, timing, ValveTiming.from_parameters(parameters))
         self.valves = tuple(
-            Valve(timing, is_open=c in config.charged, duty=duty if c in config.charged else 0.0)
+            make_valve(
+                config.drive, timing, config.coil, c in config.charged, duty * (c in config.charged)
+            )
             for c in CHAMBERS
         )
         self._faulty = faulty_valves(self.valves, CHAMBERS, config.valve_faults, config.seed)
@@ -347,6 +355,21 @@ class PlantNode:
         found.sort(key=lambda event: event[0])
         for time_s, name, values in found:
             self._on_event(time_s, name, values)
+
+
+def refuse_delays(config: PlantConfig, timing: ValveTiming, nominal: ValveTiming) -> None:
+    """Raise InputError for settings of the delays that a valve with its coil would not follow."""
+    if config.closing_follows_duty:
+        raise InputError(
+            'plant.closing_follows_duty: true; expected false with plant.drive = "coil"'
+        )
+    if (timing.rise_ns, timing.fall_ns) != (nominal.rise_ns, nominal.fall_ns):
+        raise InputError(
+            'plant.drive: "coil"; expected "delays" with an effect on the valve delays'
+        )
+    for fault in config.valve_faults:
+        if fault.kind == "slow":
+            raise InputError('valve_fault: slow; expected another kind with plant.drive = "coil"')
 
 
 def _flat(balance: Balance) -> dict[str, float]:

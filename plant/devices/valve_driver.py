@@ -27,10 +27,18 @@ class ValveDriverConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     timeout_s: after this long without a good ValveCommand, or without a good SafetyBlow, every
     valve is de-energised; D_fall later it is closed.
     blow_limit_s: no blow lasts longer than this, whatever its frame says.
+    blow_duty: duty of a blow. hold_duty: peak and hold; `peak_s` after a coil was energised its
+    duty is at most this.
     """
 
     timeout_s: Annotated[float, msgspec.Meta(ge=0.001, le=1.0)] = 0.05
     blow_limit_s: Annotated[float, msgspec.Meta(ge=0.0, le=4.0)] = 0.5
+    blow_duty: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] | None = None
+    """Duty of a safety blow; if left out, the model's valve.duty_nominal."""
+    hold_duty: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] | None = None
+    """Largest duty once the peak is over; if left out, the commanded duty stays."""
+    peak_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.02
+    """How long the commanded duty acts before hold_duty limits it."""
 
 
 class _Channel(Generic[Input]):
@@ -85,8 +93,11 @@ class ValveDriver:
     """
 
     def __init__(self, config: ValveDriverConfig, blow_duty: float) -> None:
-        """Start at time 0 with nothing received; `blow_duty` (0..1) is what a blow applies."""
-        self.blow_duty = blow_duty
+        """Start at time 0 with nothing received; `blow_duty` (0..1): of a blow, unless configured."""
+        self.blow_duty = blow_duty if config.blow_duty is None else config.blow_duty
+        self._hold_duty = config.hold_duty
+        self._peak_ns = seconds_to_ns(config.peak_s)
+        self._hold_from_ns: list[int | None] = [None, None, None]
         timeout_ns = seconds_to_ns(config.timeout_s)
         self._commands = _Channel(ValveCommand, timeout_ns)
         self._blows = _Channel(SafetyBlow, timeout_ns)
@@ -146,7 +157,8 @@ class ValveDriver:
     def _next_timer_ns(self) -> int:
         """Return the first instant after now at which a timer ends."""
         now_ns, first_ns = self._now_ns, NEVER_NS
-        for end_ns in (self._commands.end_ns, self._blows.end_ns, self._blow_end_ns):
+        ends = (self._commands.end_ns, self._blows.end_ns, self._blow_end_ns, *self._hold_from_ns)
+        for end_ns in ends:
             if end_ns is not None and now_ns < end_ns < first_ns:
                 first_ns = end_ns
         return first_ns
@@ -157,6 +169,8 @@ class ValveDriver:
         if self._blow_end_ns is not None and now_ns >= self._blow_end_ns:
             self._blow_end_ns = None
         duties = self._wanted(now_ns)
+        if self._hold_duty is not None:
+            duties = self._after_peak(now_ns, duties, self._hold_duty)
         if duties != self.duties:
             self.duties = duties
             changes.append((now_ns, duties))
@@ -174,3 +188,16 @@ class ValveDriver:
         elif self._commands.message_ns < self._blow_start_ns:
             duties[self._blown] = 0.0
         return (duties[0], duties[1], duties[2])
+
+    def _after_peak(self, now_ns: int, duties: Duties, hold_duty: float) -> Duties:
+        """Limit the duty of each coil that has been energised for the time of the peak."""
+        limited = list(duties)
+        for chamber, duty in enumerate(duties):
+            begin_ns = self._hold_from_ns[chamber]
+            if duty <= hold_duty:
+                self._hold_from_ns[chamber] = None
+            elif begin_ns is None:
+                self._hold_from_ns[chamber] = now_ns + self._peak_ns
+            elif now_ns >= begin_ns:
+                limited[chamber] = hold_duty
+        return (limited[0], limited[1], limited[2])

@@ -35,7 +35,8 @@ class Opc4Plant(Fmi3Slave):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        from plant.devices.valve import Valve, ValveTiming
+        from plant.devices.coil import make_valve
+        from plant.devices.valve import ValveTiming
         from plant.systems.length_stroke import LengthStroke
         from sil.fmu.slave import declare, prepare
         from sil.simulation.build import INITIAL
@@ -60,7 +61,10 @@ class Opc4Plant(Fmi3Slave):
         timing = ValveTiming.from_parameters(parameters, table.closing_follows_duty)
         duty = parameters.value("valve.duty_nominal")
         self.valves = [
-            Valve(timing, is_open=c in charged, duty=duty if c in charged else 0.0) for c in "BNF"
+            make_valve(
+                table.drive, timing, self.loaded.scenario.coil, c in charged, duty * (c in charged)
+            )
+            for c in "BNF"
         ]
         self.register_units([Unit("m", m=1), Unit("m/s", m=1, s=-1), Unit("Pa", kg=1, m=-1, s=-2)])
         about_duty = dict.fromkeys(DUTIES, "duty of the coil, 0 to 1")

@@ -72,6 +72,7 @@ def plant_config(scenario: Scenario) -> PlantConfig:
         initial=INITIAL[scenario.initial_gear],  # type: ignore[arg-type]
         driveline=scenario.driveline,
         valve_driver=scenario.valve_driver,
+        coil=scenario.coil,
         sensor=scenario.sensor,
         sensor_faults=tuple(scenario.sensor_fault),
         temperature_faults=tuple(scenario.temperature_fault),

@@ -19,6 +19,7 @@ from controller.config import FirmwareConfig
 from plant.devices.driveline import DrivelineConfig
 from plant.devices.position_circuit import SensorConfig, SensorFault
 from plant.devices.signal_faults import SpeedFault, TemperatureFault
+from plant.devices.valve import CoilConfig, Drive
 from plant.devices.valve_driver import ValveDriverConfig
 from plant.devices.valve_faults import ValveFault
 from sil.coupling.faults import BusFault, FaultPlan
@@ -64,8 +65,10 @@ class PlantTable(_Table, frozen=True, kw_only=True):
     """Peak of the force against meshing, on the way into a gear."""
     pull_force_n: Newtons = 0.0
     """Peak of the force that holds the teeth, on the way out of a gear."""
+    drive: Drive = "delays"
+    """Valves as time delays, or with the current of their coils (see [coil])."""
     closing_follows_duty: bool = False
-    """A valve closes sooner after a smaller duty."""
+    """A valve closes sooner after a smaller duty; with drive = "delays"."""
     speeds_period_s: Annotated[float, Meta(ge=0.001, le=0.02)] = 0.01
     """Period of the DrivelineSpeeds frames."""
     truth_period_s: Annotated[float, Meta(ge=0.001, le=1.0)] = 0.01
@@ -128,6 +131,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     plant: PlantTable = PlantTable()
     driveline: DrivelineConfig = DrivelineConfig()
     valve_driver: ValveDriverConfig = ValveDriverConfig()
+    coil: CoilConfig = CoilConfig()
     sensor: SensorConfig = SensorConfig()
     controller: FirmwareConfig = FirmwareConfig()
     firmware: str = ""

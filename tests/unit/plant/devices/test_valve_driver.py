@@ -301,3 +301,22 @@ def test_instants_out_of_order_are_refused() -> None:
         unit.advance(60 * MS, sender.tick(0))
     with pytest.raises(ValueError, match="go back"):
         unit.advance(10 * MS, [])
+
+
+def test_peak_and_hold_limits_the_duty_after_the_peak() -> None:
+    unit, sender = driver(ValveDriverConfig(hold_duty=0.4, peak_s=0.02)), Controller()
+    frames = sender.ticks(range(0, 60, 10)) + sender.tick(60, OFF) + sender.tick(70)
+    changes = unit.advance(80 * MS, frames)
+    assert changes == [
+        (10_500_000, ON_B),
+        (30_500_000, (0.4, 0.0, 0.0)),
+        (60_300_000, DE_ENERGISED),
+        (70_300_000, ON_B),  # a new peak
+    ]
+
+
+def test_blow_duty_as_configured() -> None:
+    unit, sender = driver(ValveDriverConfig(blow_duty=0.36)), Controller()
+    blow = SafetyBlow(Chamber.N, True, 0.1)
+    unit.advance(30 * MS, sender.ticks(range(0, 30, 10), OFF, blow))
+    assert unit.duties == (0.0, 0.36, 0.0)

@@ -1,0 +1,230 @@
+"""Solenoid valve with the current of its coil and the motion of its plunger (thesis 3.1.3)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from plant.devices.valve import CoilConfig, Drive, Valve, ValveTiming, seconds_to_ns
+from plant.kernel.compiled import kernel
+
+STEP_NS = 2_000
+"""Step of the integration; a hundredth of the shortest time constant of the plunger."""
+
+REFERENCE_K = 293.15
+COPPER_1_K = 0.00393
+"""Temperature coefficient of the resistance of copper at 20 degrees Celsius."""
+
+OPENS_AT, CLOSES_AT = 0.55, 0.45
+"""Share of the plunger's travel beyond which the valve counts as open, and as closed."""
+
+
+class Solenoid(NamedTuple):
+    """A coil with its plunger; position 0 is closed, `travel_m` open.
+
+    L(x) = L0 + L1 x + L2 x^2 / 2. Spring force: preload_n + stiffness_n_m x.
+    """
+
+    supply_v: float
+    decay_v: float
+    resistance_ohm: float
+    inductance_h: float = 0.432
+    inductance_slope_h_m: float = 419.8
+    inductance_curve_h_m2: float = 342_300.0
+    travel_m: float = 0.0005
+    mass_kg: float = 0.006
+    preload_n: float = 18.153
+    stiffness_n_m: float = 13_250.0
+    damping_n_s_m: float = 0.01
+
+
+class SolenoidState(NamedTuple):
+    """Current, motion of the plunger, and energies since the start."""
+
+    current_a: float = 0.0
+    position_m: float = 0.0
+    velocity_m_s: float = 0.0
+    supplied_j: float = 0.0
+    """Taken from the driver; what the freewheel path turns into heat counts as negative."""
+    heat_j: float = 0.0
+    """Lost in the windings."""
+    friction_j: float = 0.0
+    """Lost by damping and on the end stops."""
+
+
+@kernel
+def _step(
+    state: SolenoidState, solenoid: Solenoid, on: float, step_s: float, blocked: bool
+) -> SolenoidState:
+    """Return the state after one step with the driver on for the share `on` of it.
+
+    u = R i + d(L i)/dt, m dv/dt = i^2/2 dL/dx - spring - damping; midpoint rule.
+    """
+    flux, position, velocity = 0.0, state.position_m, state.velocity_m_s
+    current = state.current_a
+    slope = solenoid.inductance_slope_h_m
+    curve = solenoid.inductance_curve_h_m2
+    inductance = solenoid.inductance_h + (slope + 0.5 * curve * position) * position
+    flux = inductance * current
+    voltage = on * solenoid.supply_v
+    if current > 0.0 or on > 0.0:
+        voltage -= (1.0 - on) * solenoid.decay_v
+    middle_i, middle_x, middle_v = current, position, velocity
+    flux_rate = acceleration = 0.0
+    for half in range(2):
+        flux_rate = voltage - solenoid.resistance_ohm * middle_i
+        force = 0.5 * middle_i * middle_i * (slope + curve * middle_x)
+        force -= solenoid.preload_n + solenoid.stiffness_n_m * middle_x
+        force -= solenoid.damping_n_s_m * middle_v
+        at_rest = blocked or (
+            (middle_x <= 0.0 and force < 0.0) or (middle_x >= solenoid.travel_m and force > 0.0)
+        )
+        acceleration = 0.0 if at_rest else force / solenoid.mass_kg
+        if half == 0:
+            middle_x = position + 0.5 * step_s * velocity
+            middle_v = velocity + 0.5 * step_s * acceleration
+            inductance = solenoid.inductance_h + (slope + 0.5 * curve * middle_x) * middle_x
+            middle_i = max(0.0, flux + 0.5 * step_s * flux_rate) / inductance
+    flux = max(0.0, flux + step_s * flux_rate)
+    friction_j = solenoid.damping_n_s_m * middle_v * middle_v * step_s
+    position += step_s * middle_v
+    velocity += step_s * acceleration
+    if blocked or position <= 0.0 or position >= solenoid.travel_m:
+        friction_j += 0.5 * solenoid.mass_kg * velocity * velocity
+        position = min(max(position, 0.0), solenoid.travel_m)
+        velocity = 0.0
+    inductance = solenoid.inductance_h + (slope + 0.5 * curve * position) * position
+    return SolenoidState(
+        flux / inductance,
+        position,
+        velocity,
+        state.supplied_j + voltage * middle_i * step_s,
+        state.heat_j + solenoid.resistance_ohm * middle_i * middle_i * step_s,
+        state.friction_j + friction_j,
+    )
+
+
+@kernel
+def _march(
+    state: SolenoidState,
+    solenoid: Solenoid,
+    begin_ns: int,
+    end_ns: int,
+    carrier_ns: int,
+    shift_ns: int,
+    duty: float,
+    blocked: bool,
+    watch: float,
+) -> tuple[SolenoidState, int, int]:
+    """Advance in steps of at most STEP_NS; return state, instant reached, instant of a crossing.
+
+    It stops at `end_ns`, or after the step in which the plunger passes `watch` (a position in m, positive on
+    the way up, negative on the way down); the instant is -1 without one.
+    """
+    now_ns = begin_ns
+    while now_ns < end_ns:
+        size_ns = min(STEP_NS, end_ns - now_ns)
+        begin = (now_ns + shift_ns) % carrier_ns
+        width = duty * carrier_ns
+        covered = max(0.0, min(begin + size_ns, width) - begin)
+        covered += max(0.0, min(begin + size_ns - carrier_ns, width))
+        before = state.position_m
+        state = _step(state, solenoid, covered / size_ns, size_ns * 1e-9, blocked)
+        after = state.position_m
+        if (watch > 0.0 and before < watch <= after) or (watch < 0.0 and before > -watch >= after):
+            share = (abs(watch) - before) / (after - before)
+            return state, now_ns + size_ns, now_ns + int(share * size_ns)
+        now_ns += size_ns
+    return state, now_ns, -1
+
+
+class CoilValve(Valve):
+    """One 3/2 valve whose plunger is moved by the force of its coil.
+
+    The valve switches where the plunger passes the middle of its travel. `state` is that of the
+    coil at the last whole step. Whether it `is_energised` follows from the duty as in `Valve`.
+    Raises ValueError when `duty` contradicts `is_open`.
+    """
+
+    def __init__(
+        self, timing: ValveTiming, config: CoilConfig, is_open: bool = False, duty: float = 0.0
+    ) -> None:
+        super().__init__(timing, is_open, duty)
+        warm = 1.0 + COPPER_1_K * (config.temperature_k - REFERENCE_K)
+        self.solenoid = Solenoid(config.supply_v, config.decay_v, config.resistance_ohm * warm)
+        mean_v = duty * (config.supply_v + config.decay_v) - config.decay_v
+        current_a = max(0.0, mean_v / self.solenoid.resistance_ohm)
+        self.state = SolenoidState(current_a, self.solenoid.travel_m if is_open else 0.0)
+        self._carrier_ns = seconds_to_ns(1.0 / config.carrier_hz)
+        self._shift_ns = round(config.carrier_phase * self._carrier_ns)
+        self._reached_ns = 0
+
+    def command(self, t_ns: int, duty: float) -> None:
+        """Apply `duty` (0..1) to the coil from `t_ns` on. Raises ValueError as `Valve.command` does."""
+        self._change(t_ns)
+        super().command(t_ns, duty)
+
+    def block(self, t_ns: int) -> None:
+        """Hold the plunger where it is at `t_ns`, whatever the coil does, until `free`."""
+        self._change(t_ns)
+        super().block(t_ns)
+
+    def free(self, t_ns: int) -> None:
+        """Let a blocked plunger move again from `t_ns` on."""
+        self._change(t_ns)
+        super().free(t_ns)
+
+    def _follow(self, t_ns: int) -> None:
+        """Do nothing: the plunger follows the force."""
+
+    def _settle(self, until_ns: int) -> None:
+        """Advance by whole steps, which no grant of time may split, and note the moves up to `until_ns`."""
+        whole_ns = self._reached_ns + (until_ns - self._reached_ns) // STEP_NS * STEP_NS
+        self._march(whole_ns)
+        *_, crossed_ns = self._marched(self.state, self._reached_ns + STEP_NS)
+        if 0 <= crossed_ns <= until_ns:  # within the step that is not whole yet
+            self._switch(crossed_ns)
+
+    def _change(self, t_ns: int) -> None:
+        """Advance to the very instant at which something changes."""
+        self._settle(t_ns)
+        self._march(t_ns)
+
+    def _march(self, end_ns: int) -> None:
+        while self._reached_ns < end_ns:
+            self.state, self._reached_ns, crossed_ns = self._marched(self.state, end_ns)
+            if crossed_ns >= 0:
+                self._switch(crossed_ns)
+
+    def _marched(self, state: SolenoidState, end_ns: int) -> tuple[SolenoidState, int, int]:
+        if self.duty == 0.0 and state.current_a == 0.0 and state.position_m == 0.0:
+            return state, max(end_ns, self._reached_ns), -1  # at rest
+        share = -CLOSES_AT if self.is_open else OPENS_AT
+        marched: tuple[SolenoidState, int, int] = _march(
+            state,
+            self.solenoid,
+            self._reached_ns,
+            end_ns,
+            self._carrier_ns,
+            self._shift_ns,
+            self.duty,
+            self._blocked,
+            share * self.solenoid.travel_m,
+        )
+        return marched
+
+    def _switch(self, t_ns: int) -> None:
+        self.is_open = not self.is_open
+        self._moved.append((t_ns, 1.0 if self.is_open else 0.0))
+
+
+def make_valve(
+    drive: Drive,
+    timing: ValveTiming,
+    coil: CoilConfig,
+    is_open: bool,
+    duty: float,
+) -> Valve:
+    """Return a valve at rest, as time delays or with its coil."""
+    if drive == "coil":
+        return CoilValve(timing, coil, is_open, duty)
+    return Valve(timing, is_open, duty)
