@@ -315,7 +315,7 @@ def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
     """Return the text of campaign.toml for a campaign."""
     top = ("name", "rig", "atmosphere_pa", "temperature_k", "sample_rate_hz")
     keys = ("kind", "supply_pressure_pa", "load", "spring_n_per_m", "start_offset_m", "rest_s")
-    lines = [f"{key} = {_toml(getattr(campaign, key))}" for key in top]
+    lines = [f"{key} = {toml_value(getattr(campaign, key))}" for key in top]
     for stroke in strokes:
         c = stroke.conditions
         values = {
@@ -329,10 +329,14 @@ def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
             values["flow_model"] = "theoretical"
         optional = ("mounted", "mesh_force_n", "sync_impulse_n_s")
         values |= {key: getattr(c, key) for key in optional if getattr(c, key)}
-        lines += ["", "[[stroke]]", *(f"{key} = {_toml(value)}" for key, value in values.items())]
+        lines += [
+            "",
+            "[[stroke]]",
+            *(f"{key} = {toml_value(value)}" for key, value in values.items()),
+        ]
     return "\n".join(lines) + "\n"
 
 
-def _toml(value: object) -> str:
+def toml_value(value: object) -> str:
     """Return a value as TOML: but for one character, JSON is written alike."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

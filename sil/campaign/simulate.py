@@ -17,6 +17,7 @@ from sil.campaign.campaign import (
     CampaignStroke,
     campaign_toml,
     stroke_columns,
+    toml_value,
     write_record,
 )
 from sil.files.atomic import write_atomically
@@ -83,7 +84,7 @@ def write_campaign(
         arrivals += [
             "",
             "[[stroke]]",
-            f'file = "{item.entry.file}"',
+            f"file = {toml_value(item.entry.file)}",
             f"arrival_s = {item.arrival_s:.9f}",
             f"impact_speed_m_s = {item.impact_speed_m_s:.7f}",
         ]

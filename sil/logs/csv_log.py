@@ -15,8 +15,8 @@ from typing import Any, Final, NamedTuple
 from can_dbc.errors import InputError
 from sil.logs.format import Batch, Format, TextReader, time_base
 from sil.logs.frame import DLC_LENGTHS, LogFrame
-from sil.logs.report import printable
-from sil.logs.source import Line
+from sil.logs.report import LogReport, printable
+from sil.logs.source import ByteSource, Line
 from sil.logs.times import format_ns, parse_decimal_ns
 from sil.logs.writer import LogWriter
 
@@ -163,11 +163,12 @@ def _known(columns: tuple[Column, ...], words: list[str]) -> _Known:
 class CsvReader(TextReader):
     """State of one reading: the dialect, once the header is read."""
 
-    _dialect: Dialect | None = None
-    _rows: dict[tuple[str, ...], _Known]
+    def __init__(self, source: ByteSource, report: LogReport, times: str) -> None:
+        super().__init__(source, report, times)
+        self._dialect: Dialect | None = None
+        self._rows: dict[tuple[str, ...], _Known] = {}
 
     def __iter__(self) -> Iterator[Batch]:
-        self._rows = {}
         for number, batch in enumerate(super().__iter__()):
             if number == 0:
                 self._report.time_base = time_base(batch.frames[0].time_ns)

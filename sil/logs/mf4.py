@@ -194,8 +194,8 @@ class Mf4File:
         channels = [self.mdf.iter_get(group=stream.group, index=i) for i in indices]
         while True:
             with self.guard():
-                signals = [signal for channel in channels if (signal := next(channel, None))]
-            if len(signals) < len(channels):
+                signals: list[Any] = [next(channel, None) for channel in channels]
+            if any(signal is None for signal in signals):
                 return
             for begin in range(0, len(signals[0].timestamps), _ROWS):
                 rows = slice(begin, begin + _ROWS)

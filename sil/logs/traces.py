@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
@@ -17,6 +17,7 @@ from sil.files.quantity import unit_of
 from sil.logs.mf4 import Mf4File, import_asammdf, is_mf4, new_measurement, save
 from sil.logs.report import LogReport, printable
 from sil.logs.source import ByteSource, lines
+from sil.logs.writer import packer
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -182,7 +183,7 @@ def holds_signals_only(path: str) -> bool:
 
 
 def mf4_to_trace(source: str, target: str) -> TraceReport:
-    """Write the signals of an MF4 file as a trace CSV; times from the start of the file.
+    """Write the signals of an MF4 file as a trace CSV (.gz packs); times from the file's start.
 
     Raises InputError for a file of several tables, and for signals that are no plain numbers.
     """
@@ -194,7 +195,8 @@ def mf4_to_trace(source: str, target: str) -> TraceReport:
         opened.close()
     names = tuple(signal.name for signal in signals)
     columns = [signals[0].timestamps, *(signal.samples for signal in signals)]
-    with _written(target) as csv:
+    with _written(target) as file, ExitStack() as packed:
+        csv = packed.enter_context(packer(file)) if target.endswith(".gz") else file
         csv.write(",".join(["time_s", *names]).encode("utf-8") + b"\n")
         for row in zip(*(column.tolist() for column in columns), strict=True):
             csv.write((",".join(map(repr, row)) + "\n").encode("ascii"))

@@ -134,8 +134,11 @@ class TrcReader(TextReader):
             raise NotAFrame("status line")
         remote = words[:1] == ["RTR"] and kind != "Error"
         return self._built(
-            {"Error": "ER"}.get(kind, "RR" if remote else "DT"),
-            (offset, bus or "", digits, kind if kind in ("Rx", "Tx") else ""),
+            "ER" if kind == "Error" else "RR" if remote else "DT",
+            offset,
+            bus or "",
+            digits,
+            kind if kind in ("Rx", "Tx") else "",
             int(length_text),
             [] if remote else words,
         )
@@ -174,14 +177,20 @@ class TrcReader(TextReader):
         length = int(length_text)
         if coded and kind in _FD_TYPES:
             length = DLC_LENGTHS[length]
-        texts = column["O"], bus, digits, column.get("d", "")
-        return self._built(kind, texts, length, [] if kind == "RR" else column["D"].split())
+        words = [] if kind == "RR" else column["D"].split()
+        return self._built(kind, column["O"], bus, digits, column.get("d", ""), length, words)
 
     def _built(
-        self, kind: str, texts: tuple[str, str, str, str], length: int, words: list[str]
+        self,
+        kind: str,
+        offset: str,
+        bus: str,
+        digits: str,
+        direction: str,
+        length: int,
+        words: list[str],
     ) -> LogFrame:
-        """Return a frame of a type of version 2; texts: offset, bus, identifier, direction."""
-        offset, bus, digits, direction = texts
+        """Return a frame of a type as version 2 has them, from its texts and its data length."""
         fd, remote, error = kind in _FD_TYPES, kind == "RR", kind == "ER"
         brs, esi = _FD_TYPES.get(kind, (False, False))
         data = b"" if remote else _bytes(words, length if fd else min(length, 8))

@@ -62,7 +62,7 @@ class LogWriter(ABC):
             if self.patched:
                 self._out = tempfile.NamedTemporaryFile()  # type: ignore[assignment]  # noqa: SIM115
             else:
-                self._out = _packer(self._new.file)
+                self._out = packer(self._new.file)
 
     @property
     def frames(self) -> int:
@@ -141,7 +141,7 @@ class LogWriter(ABC):
             if self._out is not self._new.file:
                 if self.patched:
                     self._out.seek(0)
-                    with _packer(self._new.file) as packed:
+                    with packer(self._new.file) as packed:
                         shutil.copyfileobj(self._out, packed, 1 << 20)
                 self._out.close()
             self._new.keep()
@@ -202,7 +202,7 @@ class LogWriter(ABC):
         return wanted
 
 
-def _packer(file: BinaryIO) -> BinaryIO:
+def packer(file: BinaryIO) -> BinaryIO:
     """Return a stream that packs into a file, the same bytes at any time of day."""
     return gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0)  # type: ignore[return-value]
 

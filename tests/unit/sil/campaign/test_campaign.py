@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,7 +11,7 @@ import pytest
 from can_dbc.errors import InputError
 from plant.parameters import load
 from sil.campaign.campaign import campaign_toml, load_campaign
-from sil.campaign.simulate import simulate_campaign
+from sil.campaign.simulate import simulate_campaign, write_campaign
 
 TEXT = """
 name = "one"
@@ -35,15 +37,19 @@ def written(folder: Path, more: str = "") -> Path:
 def test_the_theoretical_flow_can_be_chosen_and_is_kept(tmp_path: Path) -> None:
     mapped = load_campaign(str(written(tmp_path / "mapped")))
     chosen = load_campaign(str(written(tmp_path / "chosen", 'flow_model = "theoretical"\n')))
-    arrivals = [
-        next(iter(simulate_campaign(campaign, load()))).arrival_s for campaign in (mapped, chosen)
-    ]
+    strokes = [next(iter(simulate_campaign(campaign, load()))) for campaign in (mapped, chosen)]
+    arrivals = [stroke.arrival_s for stroke in strokes]
     assert arrivals[1] - arrivals[0] == pytest.approx(1.26e-3, rel=0.1)
     again = tmp_path / "again"
     again.mkdir()
     (again / "campaign.toml").write_text(campaign_toml(chosen, chosen.strokes), encoding="utf-8")
     assert load_campaign(str(again)).strokes[0].conditions.theoretical_flow
     assert not mapped.strokes[0].conditions.theoretical_flow
+    odd = replace(strokes[0], entry=replace(strokes[0].entry, file='a"b\\c.csv'))
+    write_campaign(mapped, [odd], again, lambda _: None)
+    reference = tomllib.loads((again / "reference.toml").read_text(encoding="utf-8"))
+    assert [entry["file"] for entry in reference["stroke"]] == ['a"b\\c.csv']
+    assert load_campaign(str(again)).strokes[0].file == 'a"b\\c.csv'
 
 
 def test_an_unknown_flow_model_is_refused(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import importlib
 import random
 from pathlib import Path
@@ -61,6 +62,8 @@ def test_signals_of_others_become_a_table(tmp_path: Path) -> None:
     source.write_bytes(signal_file())
     convert(source, target)
     assert target.read_text() == "time_s,engine_speed\n0.0,1.0\n0.1,2.0\n"
+    convert(source, tmp_path / "log.csv.gz")
+    assert gzip.decompress((tmp_path / "log.csv.gz").read_bytes()) == target.read_bytes()
     with pytest.raises(InputError, match="decoded signals only"):
         convert(source, tmp_path / "log.blf")
 
