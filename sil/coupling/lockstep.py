@@ -27,7 +27,6 @@ _LONGEST_WAIT_S = 0.02
 class RunSummary:
     """The figures of a finished run; `lateness` in real time only."""
 
-    end_ns: int
     turns: int
     frames: int
     wall_s: float
@@ -120,7 +119,7 @@ class Lockstep:
         self._timed_step(self.end_ns, [name for name in self.names if name in self._next])
         self._finished = True
         lateness = self._pacer.lateness() if self._pacer is not None else None
-        return RunSummary(self.end_ns, self._turns, self._frames, self._wall_s, lateness)
+        return RunSummary(self._turns, self._frames, self._wall_s, lateness)
 
     def advance(self, until_ns: int) -> None:
         """Take all steps up to and at `until_ns`, which is before the end."""

@@ -61,10 +61,9 @@ class BusLog(AppendedFile):
     which canplayer refuses: no time is rounded.
     """
 
-    def __init__(self, path: Path, channel: str = "opc4") -> None:
-        """Create the file; `channel` is the name in its lines."""
+    def __init__(self, path: Path) -> None:
+        """Create the file."""
         super().__init__(path)
-        self._channel = channel
         self._hash = hashlib.sha256()
         self.frames = 0
 
@@ -77,8 +76,7 @@ class BusLog(AppendedFile):
             seconds, nanoseconds = divmod(arrival_ns, 1_000_000_000)
             fraction = f"{nanoseconds:09d}".removesuffix("000")
             lines.append(
-                f"({seconds:010d}.{fraction}) {self._channel} "
-                f"{frame.can_id:08X}#{frame.data.hex().upper()}\n"
+                f"({seconds:010d}.{fraction}) opc4 {frame.can_id:08X}#{frame.data.hex().upper()}\n"
             )
         self.frames += len(lines)
         self.append("".join(lines).encode())

@@ -23,32 +23,11 @@ START_TIMEOUT_S = 60.0
 _ANSWER_EXPECTED_S = 0.3
 
 
-class Link:
-    """Moves records between a participant and its coordinator."""
+class LocalLink:
+    """The link to a `Hub`."""
 
     hello_again_s = math.inf
     """Time after which an unanswered Hello is repeated."""
-
-    def read(self, timeout_s: float | None) -> list[tuple[int, bytes]]:
-        """Return the next records (identifier, data), none when the time is up.
-
-        Raises RunError when the coordinator is gone or the channel lost frames.
-        """
-        raise NotImplementedError
-
-    def write(self, records: Sequence[bytes]) -> None:
-        """Send records.  Raises RunError when the coordinator is gone."""
-        raise NotImplementedError
-
-    def welcomed(self, number: int) -> None:
-        """Note that the coordinator has accepted this participant."""
-
-    def close(self) -> None:
-        """Leave the channel."""
-
-
-class LocalLink(Link):
-    """The link to a `Hub`; the connection itself shows who is alive."""
 
     def __init__(
         self, channel: str, start_timeout_s: float, say: Callable[[str], None] = silent
@@ -89,7 +68,10 @@ class LocalLink(Link):
                 raise RunError(f"{self._path}: {error.strerror}") from None
 
     def read(self, timeout_s: float | None) -> list[tuple[int, bytes]]:
-        """Return the next records.  Raises RunError when the coordinator is gone."""
+        """Return the next records (identifier, data), none when the time is up.
+
+        Raises RunError when the coordinator is gone.
+        """
         try:
             self._socket.settimeout(timeout_s)
             length = self._socket.recv_into(self._buffer)
@@ -114,12 +96,15 @@ class LocalLink(Link):
         except OSError as error:
             raise RunError(f"{self._path}: {error.strerror}: the coordinator is gone") from None
 
+    def welcomed(self, number: int) -> None:
+        """Do nothing: the connection itself shows who is alive."""
+
     def close(self) -> None:
         """Close the connection."""
         self._socket.close()
 
 
-class CanLink(Link):
+class CanLink:
     """The link to a `SocketCan` coordinator on the same channel."""
 
     hello_again_s = 0.1
@@ -173,6 +158,10 @@ class CanLink(Link):
         self._can.close()
         if self._lifeline is not None:
             self._lifeline.close()
+
+
+Link = LocalLink | CanLink
+"""Moves records between a participant and its coordinator."""
 
 
 class Session:

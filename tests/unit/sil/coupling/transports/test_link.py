@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import socket
+import threading
 from collections import deque
 from collections.abc import Sequence
 
@@ -13,7 +15,8 @@ from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
 from can_dbc.messages import StopReason
 from sil.coupling.transports import wire
-from sil.coupling.transports.link import Link, Session
+from sil.coupling.transports.hub import Hub
+from sil.coupling.transports.link import LocalLink, Session, open_link, take_part
 from sil.coupling.transports.wire import Control, Kind, Refusal
 
 CONTROLLER, PLANT = wire.PARTICIPANTS["controller"], wire.PARTICIPANTS["plant"]
@@ -21,7 +24,7 @@ PULSE = Frame(0x0CFF2591, b"\x01\x02\x03")
 VALVES = Frame(0x08FF2003, b"\xff" * 8)
 
 
-class ScriptedLink(Link):
+class ScriptedLink:
     """Plays records to a session and keeps what it wrote."""
 
     hello_again_s = 0.001
@@ -212,3 +215,125 @@ def test_every_other_stop_is_an_early_one(code: int) -> None:
     joined, _ = session(wire.control(Kind.STOP, code, value=1))
     assert joined.next_grant() is None
     assert joined.ending is StopReason.ABORTED
+
+
+# --- a participant's main loop ------------------------------------------------------------------
+
+
+@pytest.fixture(autouse=True)
+def _runtime(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
+
+
+class Counter:
+    """Speaks every millisecond; fails at `fails_at`."""
+
+    name = "controller"
+
+    def __init__(self, fails_at: int = 1 << 60) -> None:
+        self.instants: list[int] = []
+        self.closed = 0
+        self._fails_at = fails_at
+
+    def start(self) -> int:
+        return 0
+
+    def advance(
+        self, until_ns: int, deliveries: Sequence[tuple[int, Frame]]
+    ) -> tuple[list[tuple[int, Frame]], int]:
+        self.instants.append(until_ns)
+        if until_ns >= self._fails_at:
+            raise ZeroDivisionError
+        return [], until_ns + 1_000_000
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+class Running:
+    """`take_part` in a thread, its outcome kept."""
+
+    def __init__(self, participant: Counter, channel: str) -> None:
+        self.error: BaseException | None = None
+        self._participant = participant
+        self._channel = channel
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            take_part(self._participant, open_link(self._channel, 5.0), start_timeout_s=5.0)
+        except Exception as error:
+            self.error = error
+
+    def outcome(self) -> BaseException | None:
+        self._thread.join(10.0)
+        assert not self._thread.is_alive()
+        return self.error
+
+
+def test_a_participant_takes_part_from_hello_to_stop() -> None:
+    counter = Counter()
+    running = Running(counter, "local:run")
+    hub = Hub("run", ["controller"])
+    assert hub.start(10**9) == {"controller": 0}
+    for now_ns in range(0, 5_000_000, 1_000_000):
+        hub.begin_turn(now_ns, ["controller"])
+        assert hub.end_turn()["controller"] == ([], now_ns + 1_000_000)
+    hub.close(aborted=False)
+    assert running.outcome() is None
+    assert counter.instants == list(range(0, 5_000_000, 1_000_000))
+    assert counter.closed == 1
+
+
+def test_a_participant_that_fails_says_so_and_raises_its_own_error() -> None:
+    counter = Counter(fails_at=1_000_000)
+    running = Running(counter, "local:run")
+    hub = Hub("run", ["controller"])
+    hub.start(10**9)
+    hub.begin_turn(0, ["controller"])
+    hub.end_turn()
+    hub.begin_turn(1_000_000, ["controller"])
+    with pytest.raises(RunError, match="controller failed; its own error output says why"):
+        hub.end_turn()
+    hub.close(aborted=True)
+    assert isinstance(running.outcome(), ZeroDivisionError)
+    assert counter.closed == 1
+
+
+def test_an_early_end_and_a_lost_coordinator_are_errors_of_the_run() -> None:
+    for aborted, message in ((True, "ended the run early"), (False, "the coordinator is gone")):
+        counter = Counter()
+        running = Running(counter, "local:run")
+        hub = Hub("run", ["controller"])
+        hub.start(10**9)
+        if aborted:
+            hub.close(aborted=True)
+        else:  # as if the coordinator had been killed: no farewell
+            for connection in hub._connections.values():
+                connection.socket.shutdown(socket.SHUT_RDWR)
+        error = running.outcome()
+        assert isinstance(error, RunError) and message in str(error)
+        assert counter.closed == 1
+        hub.close(aborted=True)
+
+
+def test_channels_are_local_names_or_can_interfaces() -> None:
+    for nameless in ("local:", "local"):
+        with pytest.raises(InputError, match="expected a name of letters"):
+            open_link(nameless)
+    with pytest.raises(RunError, match=r"no run on local:nobody within 0.05 s"):
+        open_link("local:nobody", 0.05)
+    with pytest.raises(InputError, match=r"channel 'nocan7': .*expected .*local:NAME, or the name"):
+        open_link("nocan7")
+
+
+def test_a_link_waits_for_its_hub() -> None:
+    hubs: list[Hub] = []
+    opener = threading.Timer(0.2, lambda: hubs.append(Hub("late", ["plant"])))
+    opener.start()
+    link = open_link("local:late", 5.0)
+    assert isinstance(link, LocalLink)
+    opener.join()
+    link.close()
+    hubs[0].close(aborted=True)
