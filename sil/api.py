@@ -188,12 +188,13 @@ def simulate(
     InputError
         If the campaign, the model or a setting is not valid.
     """
+    from plant.effects import overridden
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
     from sil.campaign.simulate import simulate_campaign
     from sil.files.overrides import model_settings
 
-    parameters = load(str(model)).override(model_settings(texts(settings)))
+    parameters = overridden(load(str(model)), model_settings(texts(settings)))
     return list(simulate_campaign(load_campaign(campaign), parameters))
 
 

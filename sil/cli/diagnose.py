@@ -27,6 +27,9 @@ ARGUMENTS = (
 def run(arguments: argparse.Namespace) -> int:
     """Diagnose; write diagnosis.json, extended_model.toml, report.html; 1 if not consistent."""
     from plant.effects.user_file import load_effects
+
+    # before the modules below, which list what the catalogue holds
+    stamps = [load_effects(file) for file in arguments.effects]
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
     from sil.diagnosis.diagnosis import diagnose
@@ -36,9 +39,8 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.output_folder import finite, prepare_folder
     from sil.files.progress import Progress
 
-    stamps = [load_effects(file) for file in arguments.effects]
     if is_force_rig(arguments.campaign):
-        return run_force(arguments)
+        return run_force(arguments, stamps)
     campaign = load_campaign(arguments.campaign)
     parameters = load(arguments.model)
     folder = prepare_folder(arguments.out, f"{campaign.name}-diagnosis", arguments.force)
@@ -52,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     return _finish(arguments, folder, finite(result.as_json() | beyond | {"effects": stamps}))
 
 
-def run_force(arguments: argparse.Namespace) -> int:
+def run_force(arguments: argparse.Namespace, stamps: list[str]) -> int:
     """Diagnose a rig known by driving force and position alone; 1 if not consistent."""
     from sil.diagnosis.force_page import write_page
     from sil.diagnosis.force_rig import diagnose_force
@@ -61,7 +63,7 @@ def run_force(arguments: argparse.Namespace) -> int:
     found = diagnose_force(arguments.campaign)
     folder = prepare_folder(arguments.out, f"{found.name}-diagnosis", arguments.force)
     write_page(found, folder, arguments.campaign)
-    return _finish(arguments, folder, finite(found.as_json()))
+    return _finish(arguments, folder, finite(found.as_json() | {"effects": stamps}))
 
 
 def _finish(arguments: argparse.Namespace, folder: Path, found: dict[str, Any]) -> int:

@@ -65,7 +65,9 @@ def run(arguments: argparse.Namespace) -> int:
         )
     table = read_table(study, folder)
     found = summary(study, table)
-    write_files(study, table, found, folder, shlex.join(["opc4", "whatif", arguments.study]))
+    files = [word for file in arguments.effects for word in ("--effects", file)]
+    command = ["opc4", "whatif", arguments.study, *files]
+    write_files(study, table, found, folder, shlex.join(command))
     if arguments.json:
         print(json.dumps(finite({"out": str(folder), "rows_now": now, **found})))
     else:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from plant.effects import look_alikes
+from plant.effects.user_file import MARK, loaded_effects
 from sil.diagnosis.causes import FALSE_ALARM_LEVEL, Cause
 from sil.diagnosis.consequence import consequence
 from sil.diagnosis.diagnosis import FALSE_ALARM_BASIS, Diagnosis
@@ -65,6 +66,8 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
     An extended model that was claimed is in the folder already. Returns the page's numbers beyond
     those of `Diagnosis.as_json`.
     """
+    stamps = dict.fromkeys(loaded_effects().values())
+    files = "".join(f" --effects {stamp.partition(MARK)[0]}" for stamp in stamps)
     before, after = show(result.model, result.healthy), show(result.model, result.final)
     strokes = strokes_figure(result)
     figures = {"strokes": strokes, "phases": phases_figure(before, after)}
@@ -91,7 +94,7 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
         verdict=kind,
         good=kind == "consistent",
         tiles=_tiles(result),
-        again=f"opc4 diagnose {campaign} --model {model}",
+        again=f"opc4 diagnose {campaign} --model {model}{files}",
     )
     page = render(
         "diagnosis.html",
