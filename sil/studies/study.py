@@ -135,8 +135,8 @@ class TuningTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A study; exactly one of `scenario` and `stroke` is the base, bounds have none.
 
-    kind: what a row is. runs: one shift. bounds: clairvoyant and non-anticipating bound of the
-    family "bound.family" at the information delay "bound.delay_s". budget: the delays of one shift.
+    kind: what a row is. runs: one shift. bounds: the softest worst-case stop found for the family
+    "bound.family" of loads at the information delay "bound.delay_s". budget: the delays of one shift.
     tuning: the best parameters of a strategy over all loads together.
     """
 
