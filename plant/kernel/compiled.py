@@ -26,7 +26,7 @@ from plant.errors import InputError
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-KERNEL_FOLDERS = ("kernel", "parts", "equations", "integrator", "batch", "systems")
+KERNEL_FOLDERS = ("kernel", "parts", "devices", "equations", "integrator", "batch", "systems")
 """Folders of the package that hold compiled functions."""
 
 
@@ -122,7 +122,7 @@ class _PartLibrary(JITCodeLibrary):
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
-        """Return 0: Python cannot call a part."""
+        """Return 0: a part has no machine code of its own."""
         return 0
 
     @property
@@ -147,13 +147,18 @@ class _PartCompiler(Compiler):
 def _part(function: F, **options: bool) -> F:
     if CHECKED:
         return function
-    compiled: F = numba.njit(
+    part: Any = numba.njit(
         error_model="numpy",
         no_cpython_wrapper=True,
         no_cfunc_wrapper=True,
         pipeline_class=_PartCompiler,
         **options,
     )(function)
+    # Python has no address to call: it gets an ordinary function, compiled when it asks for it
+    ordinary = numba.njit(error_model="numpy")(function)
+    part.add_overload = lambda found: part.overloads.update({tuple(found.signature.args): found})
+    part._compile_for_args = lambda *_args, **_keywords: ordinary
+    compiled: F = part
     return compiled
 
 

@@ -6,6 +6,7 @@ import ast
 import shutil
 from pathlib import Path
 
+import numba
 import pytest
 
 from plant.kernel import compiled
@@ -47,3 +48,14 @@ def test_the_cache_is_named_after_the_sources(
 ) -> None:
     monkeypatch.setenv("OPC4_CACHE", str(tmp_path))
     assert compiled.cache_folder() == tmp_path / f"kernel-{compiled.kernel_hash()}"
+
+
+def test_python_can_call_a_part_before_and_after_a_kernel_uses_it() -> None:
+    @compiled.called
+    def twice(value: float) -> float:
+        return 2.0 * value
+
+    assert twice(1.5) == 3.0
+    outer = numba.njit(lambda value: twice(value) + 1.0)
+    assert outer(1.5) == 4.0
+    assert twice(2.5) == 5.0
