@@ -1,1 +1,1 @@
-"""Files: typed TOML, settings from the command line, output folders."""
+"""Files: settings from the command line, output folders."""
