@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 import subprocess
 import sys
@@ -106,6 +107,16 @@ def test_names_in_the_text_exist(page: str) -> None:
     for name in re.findall(r"`((?:can_dbc|controller|plant|sil|tests|docs)/[\w/.-]*)`", text):
         if not re.search(r"[A-Z]{4}", name):  # NAME and PACKAGE are the reader's
             assert (ROOT / name).exists(), name
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_imports_in_the_text_exist(page: str) -> None:
+    text = PAGES[page].read_text(encoding="utf-8")
+    pattern = r"^from ((?:can_dbc|controller|plant|sil)[\w.]*) import (\([^)]*\)|[^\n]+)"
+    for module, names in re.findall(pattern, text, re.MULTILINE):
+        found = importlib.import_module(module)
+        for name in re.findall(r"\w+", names.partition("#")[0]):
+            assert hasattr(found, name), f"{module}.{name}"
 
 
 def test_the_guided_tour_reads_at_most_1000_lines_that_exist() -> None:
