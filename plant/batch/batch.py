@@ -256,6 +256,33 @@ class BatchResult:
     in_lanes: Bools
 
 
+def _arrays(strokes: Strokes, sample_s: Floats | None, columns: Sequence[int] | None) -> Batch:
+    """Return what the kernels take; raises ValueError as `simulate_batch` does."""
+    n, states = len(strokes), strokes.initial.shape[1]
+    if sample_s is None:
+        instants = np.zeros((1, 0))
+    else:
+        instants = np.array(sample_s, dtype=np.float64, ndmin=2, order="C")
+        if len(instants) not in (1, n) or not (np.diff(instants, axis=1) >= 0.0).all():
+            raise ValueError("sample_s: expected ascending instants, shape [s] or [n, s]")
+    wanted = np.arange(states) if columns is None else np.array(columns, dtype=np.int64)
+    if not ((wanted >= 0) & (wanted < states)).all():
+        raise ValueError(f"columns: expected numbers from 0 to {states - 1}")
+    contiguous = np.ascontiguousarray
+    return Batch(
+        packed=contiguous(strokes.packed),
+        flow=contiguous(strokes.flow),
+        initial=contiguous(strokes.initial),
+        modes=contiguous(strokes.modes),
+        valves=contiguous(strokes.valves),
+        switches=contiguous(strokes.switches),
+        duration=contiguous(strokes.duration_s),
+        samples=instants,
+        columns=wanted,
+        scale=scales(strokes.system),
+    )
+
+
 def simulate_batch(
     strokes: Strokes,
     *,
@@ -284,30 +311,9 @@ def simulate_batch(
     A stroke that cannot be continued does not stop the others: see `BatchResult.status`.
     Checked by: tests/unit/plant/batch/test_batch.py
     """
-    n = len(strokes)
-    states = strokes.initial.shape[1]
-    if sample_s is None:
-        instants = np.zeros((1, 0))
-    else:
-        instants = np.array(sample_s, dtype=np.float64, ndmin=2, order="C")
-        if len(instants) not in (1, n) or not (np.diff(instants, axis=1) >= 0.0).all():
-            raise ValueError("sample_s: expected ascending instants, shape [s] or [n, s]")
-    wanted = np.arange(states) if columns is None else np.array(columns, dtype=np.int64)
-    if not ((wanted >= 0) & (wanted < states)).all():
-        raise ValueError(f"columns: expected numbers from 0 to {states - 1}")
-    contiguous = np.ascontiguousarray
-    batch = Batch(
-        packed=contiguous(strokes.packed),
-        flow=contiguous(strokes.flow),
-        initial=contiguous(strokes.initial),
-        modes=contiguous(strokes.modes),
-        valves=contiguous(strokes.valves),
-        switches=contiguous(strokes.switches),
-        duration=contiguous(strokes.duration_s),
-        samples=instants,
-        columns=wanted,
-        scale=scales(strokes.system),
-    )
+    n, states = len(strokes), strokes.initial.shape[1]
+    batch = _arrays(strokes, sample_s, columns)
+    instants, wanted = batch.samples, batch.columns
     found = room_for_results(n, states, instants.shape[1], len(wanted), event_room)
     covered = strokes.in_lanes if lanes else np.zeros(n, dtype=np.bool_)
     curves = filling_curves(batch.flow)
@@ -332,11 +338,9 @@ def simulate_batch(
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(run, np.array_split(everything, workers)))
     moving = MOVING[strokes.system]
-    for place in np.flatnonzero(wanted >= moving):
-        # these states do not move in a lane
-        found.out[covered, :, place] = np.broadcast_to(strokes.initial, (n, states))[covered][
-            :, wanted[place], None
-        ]
+    initial = np.broadcast_to(strokes.initial, (n, states))
+    for column in np.flatnonzero(wanted >= moving):  # these states do not move in a lane
+        found.out[covered, :, column] = initial[covered][:, wanted[column], None]
     results = Result(found.results)
     return BatchResult(
         status=results.status.astype(np.int64),
