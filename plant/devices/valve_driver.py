@@ -193,11 +193,11 @@ class ValveDriver:
         """Limit the duty of each coil that has been energised for the time of the peak."""
         limited = list(duties)
         for chamber, duty in enumerate(duties):
-            begin_ns = self._hold_from_ns[chamber]
+            hold_from_ns = self._hold_from_ns[chamber]
             if duty <= hold_duty:
                 self._hold_from_ns[chamber] = None
-            elif begin_ns is None:
+            elif hold_from_ns is None:
                 self._hold_from_ns[chamber] = now_ns + self._peak_ns
-            elif now_ns >= begin_ns:
+            elif now_ns >= hold_from_ns:
                 limited[chamber] = hold_duty
         return (limited[0], limited[1], limited[2])

@@ -7,13 +7,13 @@ file here; no other module names one.
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import pkgutil
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from can_dbc.errors import nearest
 from plant.effects.effect import Effect, EffectParameter
 from plant.effects.setup import Setup
 from plant.errors import InputError
@@ -42,7 +42,7 @@ def effect(name: str) -> Effect:
     try:
         return CATALOGUE[name]
     except KeyError:
-        near = difflib.get_close_matches(name, CATALOGUE, n=3, cutoff=0.3) or list(CATALOGUE)
+        near = nearest(name, CATALOGUE, cutoff=0.3) or list(CATALOGUE)
         raise InputError(
             f"effect {name!r}: no such effect; nearest: {', '.join(near)}; "
             "a file of your own effects is given with --effects"

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import msgspec
 
@@ -22,17 +22,21 @@ from plant.parameters import cylinder
 from plant.parameters.bounds import outside
 
 Number = float | tuple[float, ...]
-Text = Annotated[str, msgspec.Meta(min_length=1)]
 
 
 class Parameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One number (or list of numbers) with its unit and where it comes from."""
 
     value: Number
-    unit: Text
-    source: Text
+    unit: str
+    source: str
     low: float | None = None
     high: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("unit", "source"):
+            if not getattr(self, name).strip():
+                raise InputError(f"{name}: {getattr(self, name)!r} is wrong; expected a text")
 
 
 class _Base(msgspec.Struct, forbid_unknown_fields=True):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 
@@ -53,3 +54,23 @@ def test_what_no_actuator_has_is_refused(tmp_path, path: str, value: float) -> N
     )
     with pytest.raises(InputError, match=re.escape(f"{key}.value: {value:g}; expected ")):
         load(file)
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        (
+            '{ value = "a", unit = "s", source = "x" }',
+            "value: 'a' is wrong; expected number or list",
+        ),
+        ('{ value = 0.01, unit = "s" }', "source: missing; expected a value"),
+        ('{ value = 0.01, unit = "s", source = " " }', "source: ' ' is wrong; expected a text"),
+        ('{ value = 0.01, unit = "ms", source = "x" }', "unit 'ms'; expected 's'"),
+        ("3", "3 is wrong; expected table"),
+    ],
+)
+def test_wrong_entries_of_a_model_file_are_named(tmp_path: Path, entry: str, message: str) -> None:
+    path = tmp_path / "model.toml"
+    path.write_text(f'[base]\nmodel = "nominal"\n[valve]\nD_rise = {entry}\n', encoding="utf-8")
+    with pytest.raises(InputError, match=rf"model.toml: valve.D_rise[.:] ?{re.escape(message)}"):
+        load(path)
