@@ -1,0 +1,226 @@
+"""The J1939 transport protocol: messages of 9 to 1785 bytes in packets of seven (SAE J1939-21).
+
+A message to all is announced once (BAM). One to a single receiver is negotiated: a request to send
+(RTS), permissions of the receiver (CTS) for some packets each, and its acknowledgement.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+from can_dbc.frame import Frame, join_id, split_id
+from sil.logs.frame import LogFrame
+from sil.logs.times import format_ns
+
+PGN_CONTROL: Final = 0xEC00
+PGN_DATA: Final = 0xEB00
+GLOBAL: Final = 0xFF
+"""Destination address of a message to all."""
+
+BAM_PERIOD_NS: Final = 50_000_000
+"""Least time from one frame of a message to all to its next."""
+
+MOST_BYTES: Final = 1785
+LEAST_BYTES: Final = 9
+_BROADCAST_TIMEOUT_NS: Final = 750_000_000
+_NEGOTIATED_TIMEOUT_NS: Final = 1_250_000_000
+_PACKET_BYTES: Final = 7
+_PRIORITY: Final = 7
+_RTS, _CTS, _ACKNOWLEDGE, _BAM, _ABORT = 16, 17, 19, 32, 255
+_MOST_LOCATIONS: Final = 10
+
+
+class Message(NamedTuple):
+    """A J1939 message, of one frame or put together; `time_ns` is when its last frame arrived."""
+
+    time_ns: int
+    pgn: int
+    source: int
+    destination: int
+    data: bytes
+    channel: str = ""
+
+
+@dataclass(slots=True)
+class _Transfer:
+    """A message under way: the packets that came, by their number from 1."""
+
+    pgn: int
+    size: int
+    negotiated: bool
+    last_ns: int
+    packets: dict[int, bytes] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        return -(-self.size // _PACKET_BYTES)
+
+    @property
+    def complete(self) -> bool:
+        return len(self.packets) == self.count
+
+    @property
+    def timeout_ns(self) -> int:
+        return _NEGOTIATED_TIMEOUT_NS if self.negotiated else _BROADCAST_TIMEOUT_NS
+
+
+_Key = tuple[str, int, int]
+"""Channel, source and destination: J1939 allows one transfer at a time for each."""
+
+
+class Assembler:
+    """Puts long messages together from a stream of frames: `take` each, then `finish`.
+
+    Transfers of different channels, senders and receivers may be interleaved.
+    lost: messages that did not come whole, and packets of none, counted by reason; locations: the
+    first of them, with time and sender.
+    """
+
+    def __init__(self) -> None:
+        self._transfers: dict[_Key, _Transfer] = {}
+        self._now_ns = 0
+        self.assembled = 0
+        self.lost: Counter[str] = Counter()
+        self.locations: list[str] = []
+
+    def take(self, frame: LogFrame) -> Message | None:
+        """Take one frame of any kind; return the message that it completes."""
+        group = frame.can_id >> 16 & 0x3FF
+        if group not in (PGN_CONTROL >> 8, PGN_DATA >> 8) or not frame.extended:
+            return None
+        if frame.remote or frame.error:
+            return None
+        self._now_ns = frame.time_ns
+        parts = split_id(frame.can_id)
+        key = frame.channel, parts.source, parts.destination
+        if len(frame.data) != 8:
+            self._lose(key, "frame of fewer than 8 bytes")
+        elif parts.pgn == PGN_CONTROL:
+            self._control(key, frame)
+        else:
+            return self._data(key, frame)
+        return None
+
+    def finish(self) -> None:
+        """Count what is still under way at the end of the log."""
+        for key, transfer in self._transfers.items():
+            if not transfer.complete:
+                late = self._now_ns - transfer.last_ns > transfer.timeout_ns
+                self._lose(key, "timeout" if late else "end of the log", transfer)
+        self._transfers.clear()
+
+    def lines(self) -> list[str]:
+        """Return what was put together and what was lost as text, nothing if there was neither."""
+        if not self.assembled and not self.lost:
+            return []
+        found = [f"{self.assembled} messages of the transport protocol put together"]
+        found += [f"not put together: {count}: {name}" for name, count in sorted(self.lost.items())]
+        return found + [f"  {location}" for location in self.locations]
+
+    def _control(self, key: _Key, frame: LogFrame) -> None:
+        data, kind = frame.data, frame.data[0]
+        if kind in (_RTS, _BAM):
+            self._close(key, "new announcement before the end")
+            size, pgn = data[1] | data[2] << 8, int.from_bytes(data[5:8], "little")
+            transfer = _Transfer(pgn, size, kind == _RTS, frame.time_ns)
+            fits = LEAST_BYTES <= size <= MOST_BYTES and data[3] == transfer.count
+            if fits and (kind == _BAM) == (key[2] == GLOBAL):
+                self._transfers[key] = transfer
+            else:
+                self._lose(key, "announcement that contradicts itself", transfer)
+            return
+        towards = key[0], key[2], key[1]
+        if kind == _CTS and towards in self._transfers:
+            self._transfers[towards].last_ns = frame.time_ns
+        elif kind == _ACKNOWLEDGE:
+            self._close(towards, "packet missing")
+        elif kind == _ABORT:
+            self._close(towards if towards in self._transfers else key, "aborted")
+
+    def _close(self, key: _Key, reason: str) -> None:
+        transfer = self._transfers.pop(key, None)
+        if transfer is not None and not transfer.complete:
+            late = self._now_ns - transfer.last_ns > transfer.timeout_ns
+            self._lose(key, "timeout" if late else reason, transfer)
+
+    def _data(self, key: _Key, frame: LogFrame) -> Message | None:
+        number, packet = frame.data[0], frame.data[1:]
+        transfer = self._transfers.get(key)
+        if transfer is not None and frame.time_ns - transfer.last_ns > transfer.timeout_ns:
+            self._close(key, "timeout")
+            transfer = None
+        if transfer is None:
+            self._lose(key, "packet without an announcement")
+            return None
+        transfer.last_ns = frame.time_ns
+        if transfer.complete or transfer.packets.get(number) == packet:
+            return None  # sent again
+        expected = len(transfer.packets) + 1
+        if not 1 <= number <= transfer.count or not (transfer.negotiated or number == expected):
+            self._close(key, "packet missing")
+            return None
+        transfer.packets[number] = packet
+        if not transfer.complete:
+            return None
+        if not transfer.negotiated:
+            del self._transfers[key]
+        self.assembled += 1
+        data = b"".join(transfer.packets[n] for n in range(1, transfer.count + 1))
+        return Message(frame.time_ns, transfer.pgn, key[1], key[2], data[: transfer.size], key[0])
+
+    def _lose(self, key: _Key, reason: str, transfer: _Transfer | None = None) -> None:
+        self.lost[reason] += 1
+        if len(self.locations) < _MOST_LOCATIONS:
+            channel, source, destination = key
+            what = f"PGN {transfer.pgn} of {transfer.size} bytes, " if transfer else ""
+            sender = f"source {source:#04x} to {destination:#04x}"
+            sender += f" on {channel}" if channel else ""
+            self.locations.append(f"at {format_ns(self._now_ns)} s: {what}{sender}: {reason}")
+
+
+def messages(frames: Iterable[LogFrame], assembler: Assembler) -> Iterator[Message]:
+    """Yield the J1939 messages of a log: single frames as they are, long ones put together.
+
+    What could not be put together is counted in `assembler`.
+    """
+    for frame in frames:
+        if not frame.extended or frame.remote or frame.error or frame.fd:
+            continue
+        _, pgn, source, destination = split_id(frame.can_id)
+        if pgn not in (PGN_CONTROL, PGN_DATA):
+            yield Message(frame.time_ns, pgn, source, destination, frame.data, frame.channel)
+        elif (message := assembler.take(frame)) is not None:
+            yield message
+    assembler.finish()
+
+
+def split_message(
+    pgn: int, source: int, data: bytes, destination: int = GLOBAL, *, packets_per_cts: int = 16
+) -> list[Frame]:
+    """Return the frames that carry a long message, in order.
+
+    A message to all needs `BAM_PERIOD_NS` or more from frame to frame. To a single destination,
+    the frames of the receiver (CTS, acknowledgement) are among them: see their source addresses.
+    Raises ValueError for fewer than 9 or more than 1785 bytes, and for no J1939 addresses.
+    """
+    if not LEAST_BYTES <= len(data) <= MOST_BYTES:
+        raise ValueError(f"{len(data)} bytes; expected {LEAST_BYTES} to {MOST_BYTES}")
+    packets = [data[n : n + _PACKET_BYTES] for n in range(0, len(data), _PACKET_BYTES)]
+    count, size, group = len(packets), len(data).to_bytes(2, "little"), pgn.to_bytes(3, "little")
+    control = join_id(_PRIORITY, PGN_CONTROL, source, destination)
+    answer = join_id(_PRIORITY, PGN_CONTROL, destination, source)
+    packet_id = join_id(_PRIORITY, PGN_DATA, source, destination)
+    frames = [
+        Frame(packet_id, bytes((number,)) + packet.ljust(_PACKET_BYTES, b"\xff"))
+        for number, packet in enumerate(packets, 1)
+    ]
+    if destination == GLOBAL:
+        return [Frame(control, bytes((_BAM, *size, count, 0xFF, *group))), *frames]
+    found = [Frame(control, bytes((_RTS, *size, count, packets_per_cts, *group)))]
+    for begin in range(0, count, packets_per_cts):
+        part = frames[begin : begin + packets_per_cts]
+        found += [Frame(answer, bytes((_CTS, len(part), begin + 1, 0xFF, 0xFF, *group))), *part]
+    return [*found, Frame(answer, bytes((_ACKNOWLEDGE, *size, count, 0xFF, *group)))]
