@@ -125,9 +125,8 @@ class Assembler:
         if kind in (_RTS, _BAM):
             self._close(key, "new announcement before the end")
             size, pgn = data[1] | data[2] << 8, int.from_bytes(data[5:8], "little")
-            transfer = _Transfer(pgn, size, kind == _RTS, frame.time_ns)
-            fits = LEAST_BYTES <= size <= MOST_BYTES and data[3] == transfer.count
-            if fits and (kind == _BAM) == (key[2] == GLOBAL):
+            transfer = _Transfer(pgn, size, key[2] != GLOBAL, frame.time_ns)
+            if LEAST_BYTES <= size <= MOST_BYTES and data[3] == transfer.count:
                 self._transfers[key] = transfer
             else:
                 self._lose(key, "announcement that contradicts itself", transfer)

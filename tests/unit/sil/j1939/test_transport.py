@@ -16,7 +16,9 @@ ENGINE, TRANSMISSION, TOOL = 0x00, 0x03, 0xF9
 DM1 = 65226
 
 
-def recorded(frames: Sequence[Frame], step_ns: int = 10_000_000, channel: str = "") -> list[LogFrame]:
+def recorded(
+    frames: Sequence[Frame], step_ns: int = 10_000_000, channel: str = ""
+) -> list[LogFrame]:
     return [
         LogFrame(index * step_ns, frame.can_id, frame.data, channel=channel)
         for index, frame in enumerate(frames)
@@ -29,10 +31,14 @@ def assembled(frames: Sequence[LogFrame]) -> tuple[list[Message], Assembler]:
 
 
 def test_a_broadcast_recorded_elsewhere_is_put_together() -> None:
-    lines = (
-        "20220005FFE3FE00 015014BB7A44B620 021CD16022E1E02E 03E1C044FFFF7509 04C0440341DC7DE1 "
-        "057A440000FFFFFF"
-    ).split()
+    lines = [
+        "20220005FFE3FE00",
+        "015014BB7A44B620",
+        "021CD16022E1E02E",
+        "03E1C044FFFF7509",
+        "04C0440341DC7DE1",
+        "057A440000FFFFFF",
+    ]
     ids = [0x1CECFF00, *[0x1CEBFF00] * 5]
     frames = [Frame(i, bytes.fromhex(line)) for i, line in zip(ids, lines, strict=True)]
     found, assembler = assembled(recorded(frames))
@@ -121,7 +127,9 @@ def test_what_ends_before_its_last_packet() -> None:
 def test_a_pause_longer_than_the_timeout() -> None:
     late = [frame._replace(time_ns=frame.time_ns + 750_000_000) for frame in BROADCAST[2:]]
     assert lost([*BROADCAST[:2], *late]) == {"timeout": 1, "packet without an announcement": 4}
-    found, assembler = assembled([*NEGOTIATED[:2], *[f._replace(time_ns=10**9) for f in NEGOTIATED[2:]]])
+    found, assembler = assembled(
+        [*NEGOTIATED[:2], *[f._replace(time_ns=10**9) for f in NEGOTIATED[2:]]]
+    )
     assert len(found) == 1 and not assembler.lost  # a negotiated one may pause for 1.25 s
     other = LogFrame(5 * 10**9, 0x1CEC0303, bytes.fromhex("1100000000000000"))
     assert lost([*BROADCAST[:2], other]) == {"timeout": 1}
