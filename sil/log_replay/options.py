@@ -74,6 +74,8 @@ def find_settings(
         source, description = firmware, f"as in {firmware}"
     if not with_plant:
         _refuse_plant_settings(settings)
+    if not own_run and firmware is None:
+        _refuse_impossible_periods(raw, log)
     loaded = scenario.from_table(raw, source, settings=settings)
     if settings:
         description += " with " + ", ".join(settings)
@@ -115,6 +117,17 @@ def _periods(raw: Mapping[str, Any]) -> str:
     if "sensor" in raw:
         text += f" and sensor period {1e3 * raw['sensor']['period_s']:g} ms"
     return text
+
+
+def _refuse_impossible_periods(raw: dict[str, Any], log: str) -> None:
+    """Refuse a log whose periods the firmware cannot have, without naming parameters of ours."""
+    try:
+        scenario.from_table(raw, log)
+    except InputError:
+        raise InputError(
+            f"{log}: the log shows {_periods(raw)}, with which the firmware does not work; "
+            "expected a recording in real time, or its settings by --firmware or --run"
+        ) from None
 
 
 def _firmware_table(path: str) -> dict[str, Any]:

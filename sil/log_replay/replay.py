@@ -332,6 +332,8 @@ def _notes(outcome: ReplayResult, log: _Log, frames: RecordedFrames) -> list[str
         )
     if frames.reordered:
         notes.append(f"{frames.reordered} frames out of order, taken as of the latest time before")
+    if left_out := outcome.read.lockstep_line():
+        notes.append(f"log: {left_out}")
     if not outcome.read.clean:
         notes += [f"log: {line}" for line in outcome.read.lines()[1:]]
     return notes

@@ -8,6 +8,7 @@ from operator import lt
 from can_dbc.errors import InputError
 from sil.logs.format import Batch, Format
 from sil.logs.frame import LogFrame
+from sil.logs.lockstep import LockstepFilter
 from sil.logs.report import MOST_LOCATIONS, LogReport
 from sil.logs.source import ByteSource
 from sil.logs.times import format_ns
@@ -36,10 +37,11 @@ class LogReader:
 
     def __iter__(self) -> Iterator[LogFrame]:
         report = self.report = LogReport(self.path, self.format, strict=self._strict)
+        lockstep = LockstepFilter(report)
         watch = _Watch(report, self._format.location)
         source = ByteSource(self.path, report)
         try:
-            for batch in self._format.read(source, report, self._times):
+            for batch in map(lockstep.take, self._format.read(source, report, self._times)):
                 watch.take(batch)
                 yield from batch.frames
         finally:
@@ -48,7 +50,7 @@ class LogReader:
 
     def _refuse_silence(self, report: LogReport) -> None:
         """Refuse a log of which nothing could be read; note an empty one. Raises InputError."""
-        if report.frames:
+        if report.frames or report.lockstep:
             return
         if report.skipped or report.truncated:
             first = (

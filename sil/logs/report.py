@@ -57,6 +57,7 @@ class LogReport:
     skipped: broken lines or records left out; backwards: steps of the clock to an earlier time;
     duplicates: frames that repeat one of the same instant in every field.
     truncated: the log ends inside a line, record or block.
+    lockstep: frames left out because they coordinated a lockstep run, by name.
     time_base: "absolute", "relative", "delta" (differences, summed up) or "none".
     """
 
@@ -74,6 +75,7 @@ class LogReport:
     duplicate_locations: list[str] = field(default_factory=list)
     truncated: bool = False
     other: Counter[str] = field(default_factory=Counter)
+    lockstep: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)
     first_ns: int | None = None
     last_ns: int | None = None
@@ -107,6 +109,13 @@ class LogReport:
         """Return whether nothing is skipped, stepping backwards, there twice or cut off."""
         return not (self.skipped or self.backwards or self.duplicates or self.truncated)
 
+    def lockstep_line(self) -> str:
+        """Return what was left out of the capture of a lockstep run; empty if it is none."""
+        if not self.lockstep:
+            return ""
+        counts = ", ".join(f"{count} {name}" for name, count in sorted(self.lockstep.items()))
+        return f"recorded during a lockstep run: times are simulated; left out: {counts}"
+
     def as_dict(self) -> dict[str, Any]:
         """Return all of it as plain JSON values."""
         return {
@@ -117,6 +126,7 @@ class LogReport:
             "remote": self.remote,
             "fd": self.fd,
             "other": dict(sorted(self.other.items())),
+            "lockstep": dict(sorted(self.lockstep.items())),
             "skipped": self.skipped,
             "skipped_places": [str(location) for location in self.skipped_locations],
             "backwards": self.backwards,
@@ -139,6 +149,8 @@ class LogReport:
             if count:
                 found.append(f"  of them {name}: {count}")
         found += [f"not frames: {count} {name}" for name, count in sorted(self.other.items())]
+        if left_out := self.lockstep_line():
+            found.append(left_out)
         for title, count, locations in (
             ("broken and skipped", self.skipped, [str(one) for one in self.skipped_locations]),
             ("clock steps backwards", self.backwards, self.backwards_locations),
