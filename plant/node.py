@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, Literal
@@ -112,7 +113,8 @@ class PlantNode:
     these in the order B, N, F, and a measurement or trace row sees them all.
 
     Events handed to `on_event`: "stay_stop" and the other resets of the motion (position_m,
-    speed_m_s, energy_j), "sync_block" and "sync_unblock", "valve_B_open" and "valve_B_close" (the
+    speed_m_s, energy_j, and peak_force_n of a contact of stiffness stops.soft_k that takes that
+    energy, sqrt(2 k E)), "sync_block" and "sync_unblock", "valve_B_open" and "valve_B_close" (the
     plunger), "coil_B_on" and "coil_B_off" (energised or not), N and F alike, and on closing
     "balance".
     Raises InputError for conditions outside their range.
@@ -131,6 +133,7 @@ class PlantNode:
         """`trace_rows_at_once`: how many rows the trace waits for, the last ones until `close`."""
         self.config = config
         self._on_event = on_event
+        self._contact_n_m = parameters.value("stops.soft_k")
         duty = parameters.value("valve.duty_nominal")
         if not 0.0 <= duty <= 1.0:
             raise InputError(f"valve.duty_nominal: {duty:g}; expected 0 to 1")
@@ -345,6 +348,7 @@ class PlantNode:
                     "position_m": event.position_m,
                     "speed_m_s": event.speed_m_s,
                     "energy_j": event.energy_j,
+                    "peak_force_n": math.sqrt(2.0 * self._contact_n_m * event.energy_j),
                 },
             )
             for event in events

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from sil.cli.options import EFFECTS, JSON, MODEL, SEED, SETTINGS, argument, out, say
 
 if TYPE_CHECKING:
+    from sil.simulation.metrics import Shift
     from sil.simulation.runner import Finished
 
 EXAMPLE = """\
@@ -116,6 +117,19 @@ def _list() -> int:
     return 0
 
 
+def _harder_impact(shift: Shift) -> str:
+    """Return what was harder than the stop, and whether the gear was confirmed too early."""
+    worst, text = max(shift.impacts, key=lambda i: i.energy_j, default=None), ""
+    if worst is not None and worst.name != "stay_stop":
+        text += (
+            f"; hardest impact: {worst.name.replace('_', ' ')}, {worst.energy_j:.2f} J, "
+            f"{1e-3 * worst.peak_force_n:.1f} kN"
+        )
+    if shift.confirmed_early_s:
+        text += f"; CONFIRMED {1e3 * shift.confirmed_early_s:.0f} ms BEFORE IT ARRIVED"
+    return text
+
+
 def _print_summary(finished: Finished, folder: Path, was_changed: bool) -> None:
     """Print the checks, shifts and files; `was_changed`: a shipped scenario with other values."""
     result = finished.result
@@ -138,6 +152,7 @@ def _print_summary(finished: Finished, folder: Path, was_changed: bool) -> None:
             line += f"{1e3 * shift.shift_time_s:.0f} ms from request to stop"
         if shift.impact_speed_m_s is not None and shift.impact_energy_j is not None:
             line += f", impact {shift.impact_speed_m_s:.2f} m/s ({shift.impact_energy_j:.1f} J)"
+        line += _harder_impact(shift)
         if shift.position_lag_10_s is not None and shift.position_lag_90_s is not None:
             line += (
                 f"; controller's position late by {1e3 * shift.position_lag_10_s:.0f} ms at 10 %, "

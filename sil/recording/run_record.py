@@ -102,6 +102,7 @@ class RunRecord:
     stroke_m: float
     free_travel_m: float
     supply_pressure_pa: float
+    moving_mass_kg: float
 
     @cached_property
     def messages(self) -> dict[type, list[tuple[BusFrame, Any]]]:

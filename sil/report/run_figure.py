@@ -113,7 +113,7 @@ def _position(record: RunRecord, zooms: Sequence[Zoom], shifts: Sequence[Shift])
             pistons.append(Series(label, time[inside], shown, "faint", dashed=True, width=1.0))
             notes += _note_on_line(time[inside], shown, name)
         lags += _lags(record, shift)
-        notes += _stop_note(record, shift)
+        notes += _impact_notes(record, shift)
     for at, lag, level in lags:
         text = f"{lag:.0f} ms late"
         notes.append(Note(at + 0.5 * lag, level, text, "alarm", up=-4.0, bold=True))
@@ -189,13 +189,20 @@ def _lags(record: RunRecord, shift: Shift) -> Iterator[tuple[float, float, float
             yield float(time[int(np.argmax(beyond))]) * MS, lag * MS, level * MM
 
 
-def _stop_note(record: RunRecord, shift: Shift) -> list[Note]:
+def _impact_notes(record: RunRecord, shift: Shift) -> list[Note]:
+    """Return the stop of the stay, and the hardest of the other impacts unless it is far softer."""
+    others = [impact for impact in shift.impacts if impact.name != "stay_stop"]
+    worst = max(others, key=lambda impact: impact.energy_j, default=None)
+    notes = []
+    if worst is not None and worst.energy_j > 0.1 * (shift.impact_energy_j or 0.0):
+        text = f"{worst.name.replace('_', ' ')}: {worst.energy_j:.2f} J"
+        notes = [Note(worst.time_s * MS, worst.position_m * MM, text, "alarm", up=-9.0)]
     if shift.arrived_s is None or shift.impact_speed_m_s is None or shift.impact_energy_j is None:
-        return []
+        return notes
     time, position = record.truth["time_s"], record.truth["position_m"]
     start, goal = np.interp([shift.requested_s, shift.arrived_s], time, position)
     text = f"stop: {shift.impact_speed_m_s:.2f} m/s, {shift.impact_energy_j:.1f} J"
-    return [Note(shift.arrived_s * MS, goal * MM, text, up=7.0 if goal > start else -7.0)]
+    return [*notes, Note(shift.arrived_s * MS, goal * MM, text, up=7.0 if goal > start else -7.0)]
 
 
 # --- valves -------------------------------------------------------------------------------------

@@ -34,6 +34,8 @@ def tiles(metrics: dict[str, Any]) -> list[tuple[str, str]]:
         ("shift time, request to stop", "shift_time_s", 1e3, "ms", 0),
         ("impact speed", "impact_speed_m_s", 1.0, "m/s", 2),
         ("impact energy", "impact_energy_j", 1.0, "J", 1),
+        ("hardest of all impacts", "impact_worst_energy_j", 1.0, "J", 2),
+        ("its peak force", "impact_worst_force_n", 1e-3, "kN", 1),
         ("position late at 10 %", "position_lag_10_s", 1e3, "ms", 0),
         ("position late at 90 %", "position_lag_90_s", 1e3, "ms", 0),
         ("air used", "air_used_kg", 1e3, "g", 2),

@@ -85,11 +85,14 @@ def plant_config(scenario: Scenario) -> PlantConfig:
 
 def constants(loaded: Loaded) -> dict[str, float]:
     """Return what a record of a run holds besides what was recorded."""
-    supply_pa, parameters = loaded.scenario.plant.supply_pressure_pa, loaded.parameters
+    plant, parameters = loaded.scenario.plant, loaded.parameters
+    supply_pa = plant.supply_pressure_pa
+    moving = ["length.m_s", "length.m_p", *(["truck.m_gearbox"] if plant.mounted else [])]
     return {
         "supply_pressure_pa": parameters.value("supply.P_s") if supply_pa is None else supply_pa,
         "stroke_m": parameters.value("length.stroke"),
         "free_travel_m": parameters.value("length.x_free_total"),
+        "moving_mass_kg": sum(map(parameters.value, moving)),
     }
 
 

@@ -41,6 +41,10 @@ MetricName = Literal[
     "shift_time_s",
     "impact_speed_m_s",
     "impact_energy_j",
+    "impact_worst_m_s",
+    "impact_worst_energy_j",
+    "impact_worst_force_n",
+    "confirmed_early_s",
     "position_lag_10_s",
     "position_lag_90_s",
     "bus_lag_10_s",
@@ -96,6 +100,8 @@ class Expectations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """Gear whose stop the stay is at when the run ends, in the plant."""
     confirmed_gear: GearName | Literal["unknown"] | None = None
     """Gear that the controller reports at the end."""
+    confirmed_after_arrival: bool = False
+    """Whether gears must be confirmed, and no sooner than the stay has arrived to remain."""
     states: list[StateName] = []
     """States that the controller must have reported."""
     never_states: list[StateName] = []
@@ -164,6 +170,9 @@ def evaluate(
     if wanted.confirmed_gear is not None:
         confirmed = None if observed.confirmed is None else observed.confirmed.name.lower()
         checks.append(_check("confirmed gear", confirmed, wanted.confirmed_gear))
+    if wanted.confirmed_after_arrival:
+        early_s = metrics["confirmed_early_s"]
+        checks.append(Limits(max=0.0).check("confirmed before arrival", early_s, "s"))
     if wanted.faults is not None:
         names = sorted(f.name or "" for f in Fault if f and f in observed.faults)
         checks.append(_check("faults reported", names, sorted(wanted.faults)))

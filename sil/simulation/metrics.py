@@ -21,6 +21,7 @@ from can_dbc.messages import (
 from sil.coupling.clock import NS_PER_S
 from sil.recording.interpolation import hermite, monotone_slopes
 from sil.recording.run_record import CHAMBERS, Floats, M, PlantEvent, RunRecord
+from sil.simulation.impacts import HOLD_S, PICK_UP, counted, worst_speed_m_s
 
 ARRIVED_WITHIN_M = 5e-5
 """The stay counts as arrived this close to its stop: one step of the external potentiometer."""
@@ -40,11 +41,35 @@ LAGS = (
     "bus_lag_90_s",
 )
 
+WORST = (
+    "impact_worst_m_s",
+    "impact_worst_energy_j",
+    "impact_worst_force_n",
+    "confirmed_early_s",
+)
+"""Figures of a shift of which the summary gives the largest."""
+
 GEAR_CHAMBER = {Gear.BACKWARD: "B", Gear.NEUTRAL: "N", Gear.FORWARD: "F"}
 
 
+class Impact(msgspec.Struct, frozen=True, kw_only=True):
+    """One impact of a shift that counts, see `sil.simulation.impacts`."""
+
+    time_s: float
+    name: str
+    position_m: float
+    energy_j: float
+    peak_force_n: float
+
+
 class Shift(msgspec.Struct, frozen=True, kw_only=True):
-    """One shift: instants in s of simulated time from request to confirmation; None = never."""
+    """One shift: instants in s of simulated time from request to confirmation; None = never.
+
+    arrived_s: from when on the stay is at its stop for `HOLD_S` at least, or to the end of the run.
+    confirmed_early_s: by how much the gear was confirmed before that, 0 if it was not;
+    None without confirmation. impact_speed_m_s, impact_energy_j: first impact of the stay on its
+    stop; impact_worst_...: the hardest of `impacts`, as a speed of the stay, energy, peak force.
+    """
 
     from_gear: str
     to_gear: str
@@ -58,6 +83,11 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     shift_time_s: float | None
     impact_speed_m_s: float | None
     impact_energy_j: float | None
+    impact_worst_m_s: float | None
+    impact_worst_energy_j: float | None
+    impact_worst_force_n: float | None
+    confirmed_early_s: float | None
+    impacts: list[Impact]
     position_lag_10_s: float | None
     position_lag_90_s: float | None
     position_lag_10_held_s: float | None
@@ -181,11 +211,15 @@ def shift_figures(
     origin = float(x[0]) if len(x) else 0.0
     arrived = first_motion = stop = None
     if known:
-        arrived = _first_time(t, np.abs(x - goal) <= ARRIVED_WITHIN_M)
+        arrived = _arrival(t, np.abs(x - goal) <= ARRIVED_WITHIN_M, record.events, goal)
         first_motion = _first_time(t, np.abs(x - origin) > ARRIVED_WITHIN_M)
         stop = _stop_event(record.events, start, until, goal)
-    if stop is not None:
-        arrived = stop.time_s
+    found = _impacts(record, start, until, (source, target))
+    speed = 0.0 if stop is None else abs(float(stop.values["speed_m_s"]))
+    confirmed = _first(record, ControllerStatus, start, until, lambda m: m.confirmed == target)
+    early = None
+    if confirmed is not None:
+        early = max((until if arrived is None else arrived) - confirmed, 0.0)
     duty = f"duty_{letter.lower()}"
     opened = [
         e.time_s
@@ -210,11 +244,14 @@ def shift_figures(
         valve_open_s=opened[0] if opened else None,
         first_motion_s=first_motion,
         arrived_s=arrived,
-        confirmed_s=_first(record, ControllerStatus, start, until, lambda m: m.confirmed == target),
+        confirmed_s=confirmed,
         blow_end_s=blow[-1] if blow else None,
         shift_time_s=None if arrived is None else arrived - start,
-        impact_speed_m_s=None if stop is None else abs(float(stop.values["speed_m_s"])),
+        impact_speed_m_s=None if stop is None else speed,
         impact_energy_j=None if stop is None else float(stop.values["energy_j"]),
+        **_worst(found, speed, record.moving_mass_kg),
+        confirmed_early_s=early,
+        impacts=found,
         **lags,
     )
 
@@ -222,6 +259,51 @@ def shift_figures(
 def _first_time(times: Floats, where: NDArray[np.bool_]) -> float | None:
     found = times[where]
     return float(found[0]) if len(found) else None
+
+
+def _arrival(
+    t: Floats, at_stop: NDArray[np.bool_], events: Sequence[PlantEvent], goal_m: float
+) -> float | None:
+    """Return when the stay arrives to remain at its stop, from samples [n] at times t in s."""
+    changes = np.flatnonzero(np.diff(at_stop.astype(np.int8), prepend=0, append=0))
+    for begin, end in changes.reshape(-1, 2):
+        if end == len(t) or t[end - 1] - t[begin] >= HOLD_S:
+            stop = _stop_event(events, t[max(begin - 1, 0)], t[end - 1], goal_m)
+            return float(t[begin]) if stop is None else stop.time_s
+    return None
+
+
+def _impacts(record: RunRecord, start: float, until: float, way: tuple[Gear, Gear]) -> list[Impact]:
+    """Return the impacts of a shift that count, in order of time."""
+    events = [e for e in record.events if start <= e.time_s <= until and "energy_j" in e.values]
+    found = counted(
+        np.array([e.name for e in events]),
+        np.array([e.time_s for e in events]),
+        np.array([float(e.values["energy_j"]) for e in events]),
+        np.array([e.name == "sync_block" for e in events], dtype=np.bool_),
+        PICK_UP.get((way[0].name.lower(), way[1].name.lower()), ()),
+    )
+    return [
+        Impact(
+            time_s=event.time_s,
+            name=event.name,
+            position_m=float(event.values["position_m"]),
+            energy_j=float(event.values["energy_j"]),
+            peak_force_n=float(event.values["peak_force_n"]),
+        )
+        for event, counts in zip(events, found, strict=True)
+        if counts
+    ]
+
+
+def _worst(found: Sequence[Impact], stay_m_s: float, mass_kg: float) -> dict[str, float | None]:
+    """Return the hardest impact as a speed, its energy and its peak force; None without one."""
+    if not found:
+        return dict.fromkeys(WORST[:3])
+    worst = max(found, key=lambda impact: impact.energy_j)
+    speed_m_s = worst_speed_m_s(np.array(worst.energy_j), np.array(stay_m_s), mass_kg)
+    figures = float(speed_m_s), worst.energy_j, worst.peak_force_n
+    return dict(zip(WORST[:3], figures, strict=True))
 
 
 def _within(times: Floats, start: float, until: float) -> NDArray[np.bool_]:
@@ -290,8 +372,8 @@ def summary(
     """Return the metrics of result.json.
 
     `shift_time_s` is the time spent shifting: the sum over the shifts of request to arrival at the
-    stop, None when one of them never arrived. Impact speed and energy are the worst of all shifts;
-    lags are those of the last shift that completed.
+    stop, None when one of them never arrived. Impacts and early confirmation are the worst of all
+    shifts; lags are those of the last shift that completed.
     """
     times = [s.shift_time_s for s in found]
     speeds = [s.impact_speed_m_s for s in found if s.impact_speed_m_s is not None]
@@ -301,6 +383,10 @@ def summary(
         "shift_time_s": None if not times or None in times else sum(t for t in times if t),
         "impact_speed_m_s": max(speeds, default=None),
         "impact_energy_j": max(energies, default=None),
+        **{
+            name: max((v for s in found if (v := getattr(s, name)) is not None), default=None)
+            for name in WORST
+        },
         **{name: last and getattr(last, name) for name in LAGS if "held" not in name},
         "air_used_kg": air_used_kg,
         "valve_switchings": switchings,

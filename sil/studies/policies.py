@@ -23,6 +23,7 @@ from plant.integrator.loop import DONE
 from plant.kernel.layout import EventRow, LengthState
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
+from sil.simulation.impacts import HOLD_S, counted, worst_speed_m_s
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -32,8 +33,6 @@ Number = TypeVar("Number", np.float64, np.int64)
 GUARDS = {name: number for number, name in GUARD_NAMES.items()}
 MOST_EVENTS = 96
 TOLERANCE = 1e-5
-HOLD_S = 0.05
-"""How long after the latest arrival the stay must still be at its stop, with the plain push on."""
 AT_STOP_M = 1e-4
 ARMED = 0.999
 """Share of a valve's delay by which its coil may be switched before it is known whether it must be."""
@@ -125,9 +124,8 @@ class Arrivals:
     """How policies arrive, each [stems, tries, loads]; speeds in m/s, times in s.
 
     cost_m_s: the hardest impact, or above `NOT_ARRIVED` for an arrival that is too late or does not
-    last. impact_stay_m_s: hardest stop of the stay. impact_worst_m_s: speed of the stay whose stop
-    loses as much energy as the hardest impact of stay, pistons, nuts and collars; the synchronizer's
-    block and the first contact of the driving piston, which every stroke has, are not counted.
+    last. impact_stay_m_s: hardest stop of the stay. impact_worst_m_s: hardest of all impacts that
+    count (see `sil.simulation.impacts`).
     """
 
     cost_m_s: Floats
@@ -256,16 +254,16 @@ class FamilyModel:
         happened = np.arange(MOST_EVENTS) < result.event_count[:, None]
         time_s = np.where(happened, events[EventRow.time], np.inf)
         guard, x_m = events[EventRow.guard], events[EventRow.x]
-        counted = happened & (events[EventRow.at_block] != 1.0)
-        stop = counted & (events[EventRow.speed] > 0.0) & (x_m > 0.5 * self._stroke_m)
+        at_block = events[EventRow.at_block] == 1.0
+        stop = happened & ~at_block & (events[EventRow.speed] > 0.0) & (x_m > 0.5 * self._stroke_m)
         below = happened & (x_m < self._stroke_m - AT_STOP_M)
         left_s = np.where(below & (time_s > first(stop, time_s)[:, None]), time_s, -1.0).max(axis=1)
         arrival_s = first(stop & (time_s > left_s[:, None]), time_s)
-        pick_up = happened & (guard == GUARDS["collar 1 contact"])
-        counted &= ~(pick_up & (time_s == first(pick_up, time_s)[:, None]))
-        worst_j = np.where(counted, events[EventRow.lost], 0.0).max(axis=1)
-        worst_m_s = np.sqrt(2.0 * worst_j / self._mass_kg)
+        lost_j = np.where(happened, events[EventRow.lost], 0.0)
+        counts = counted(guard, time_s, lost_j, at_block, (GUARDS["collar 1 contact"],))
+        worst_j = np.where(counts, lost_j, 0.0).max(axis=1)
         stay_m_s = np.where(stop, events[EventRow.speed], 0.0).max(axis=1)
+        worst_m_s = worst_speed_m_s(worst_j, stay_m_s, self._mass_kg)
         final_m = result.final[:, LengthState.x_s]
         lasts = (result.status == DONE) & (result.event_count <= MOST_EVENTS)
         lasts &= (arrival_s <= limit_s) & (final_m > self._stroke_m - AT_STOP_M)
@@ -275,7 +273,7 @@ class FamilyModel:
             2.0 - np.clip(final_m / self._stroke_m, -1.0, 1.0),
         )
         return Arrivals(
-            np.where(lasts, np.maximum(worst_m_s, stay_m_s), NOT_ARRIVED + late),
+            np.where(lasts, worst_m_s, NOT_ARRIVED + late),
             np.where(lasts, stay_m_s, np.inf),
             np.where(lasts, worst_m_s, np.inf),
             np.where(lasts, arrival_s, np.inf),

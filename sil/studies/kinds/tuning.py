@@ -5,8 +5,9 @@ candidates are the shipped defaults and points of a scrambled Sobol sequence ove
 free parameters. The other half are points around the best so far, in boxes that shrink from a
 quarter to a twentieth of each range. Each candidate is run in closed loop under every load.
 
-The cost of a load is its impact speed plus `late_m_s2` times the time lost against the open loop
-beyond `free_s`, which is about the price of the oil damper. A failed shift costs `FAILED_M_S`. The
+The cost of a load is the speed of its hardest impact (`sil.simulation.impacts`) plus `late_m_s2` times the time lost against the open loop
+beyond `free_s`, which is about the price of the oil damper. A failed shift, or one that is confirmed
+before it has arrived, costs `FAILED_M_S`. The
 cost of a candidate is half the worst of the loads and half their mean: the worst is what the
 hardware has to withstand, but alone it cannot rank candidates that leave it unchanged.
 
@@ -80,7 +81,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Arrival:
-    """Impact speed and shift time under one load; infinite, with the reason, for a failed shift."""
+    """Hardest impact and shift time under one load; infinite, with the reason, for a failed shift."""
 
     speed_m_s: float
     time_s: float
@@ -265,11 +266,15 @@ def run_case(make: Make, strategy: str, values: Mapping[str, Any], case: Case) -
     except RunError as error:
         return Arrival(math.inf, math.inf, " ".join(str(error).split()), died=True)
     shift = run.shifts[-1]
-    speed_m_s, time_s = shift.impact_speed_m_s, shift.shift_time_s
+    speed_m_s, time_s = shift.impact_worst_m_s, shift.shift_time_s
     if time_s is None:
         return Arrival(math.inf, math.inf, "the shift did not arrive")
     if shift.confirmed_s is None:
         return Arrival(math.inf, math.inf, "the controller did not confirm the gear")
+    if shift.confirmed_early_s:
+        return Arrival(
+            math.inf, math.inf, "the controller confirmed the gear before the stay arrived"
+        )
     return Arrival(0.0 if speed_m_s is None else speed_m_s, time_s)
 
 

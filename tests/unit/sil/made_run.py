@@ -83,7 +83,9 @@ def made() -> RunRecord:
     events = [
         PlantEvent(0.118, "valve_B_open"),
         PlantEvent(
-            0.150, "stay_stop", {"position_m": STROKE, "speed_m_s": 0.6425, "energy_j": 0.2}
+            0.150,
+            "stay_stop",
+            {"position_m": STROKE, "speed_m_s": 0.6425, "energy_j": 0.2, "peak_force_n": 4472.0},
         ),
         PlantEvent(0.2355, "valve_B_close"),
     ]
@@ -94,4 +96,5 @@ def made() -> RunRecord:
         stroke_m=STROKE,
         free_travel_m=0.013,
         supply_pressure_pa=9e5,
+        moving_mass_kg=1.1,
     )

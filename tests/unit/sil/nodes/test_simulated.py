@@ -100,8 +100,8 @@ def test_what_the_checks_of_the_frames_found_is_counted() -> None:
              (good[2], "intruder"), (good[4], "driver")]  # fmt: skip
     frames = [BusFrame(k * MS, k * MS, who, frame) for k, (frame, who) in enumerate(order)]
     checked = EndToEnd()
-    checked.add(RunRecord({}, [], frames[:3], 0.0, 0.0, 0.0))
-    checked.add(RunRecord({}, [], frames[3:], 0.0, 0.0, 0.0))
+    checked.add(RunRecord({}, [], frames[:3], 0.0, 0.0, 0.0, 0.0))
+    checked.add(RunRecord({}, [], frames[3:], 0.0, 0.0, 0.0, 0.0))
     assert checked.counts()["ShiftRequest"] == {
         "ok": 2,
         "ok, some lost": 1,

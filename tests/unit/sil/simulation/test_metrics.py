@@ -86,6 +86,7 @@ def cut_off_requests(record: made_run.RunRecord) -> made_run.RunRecord:
         record.stroke_m,
         record.free_travel_m,
         record.supply_pressure_pa,
+        record.moving_mass_kg,
     )
 
 
@@ -99,6 +100,7 @@ def test_a_request_that_leads_nowhere_has_no_times() -> None:
         stroke_m=record.stroke_m,
         free_travel_m=record.free_travel_m,
         supply_pressure_pa=record.supply_pressure_pa,
+        moving_mass_kg=record.moving_mass_kg,
     )
     found = metrics.shifts(stuck, Gear.NEUTRAL)
     assert found[0].arrived_s is None and found[0].shift_time_s is None
@@ -130,6 +132,7 @@ def test_a_run_that_ended_early_has_the_figures_it_got_to(end_s: float) -> None:
             stroke_m=whole.stroke_m,
             free_travel_m=whole.free_travel_m,
             supply_pressure_pa=whole.supply_pressure_pa,
+            moving_mass_kg=whole.moving_mass_kg,
         )
         found = metrics.shifts(cut, Gear.NEUTRAL)
         assert len(found) == (frames_end_s >= 0.1003)

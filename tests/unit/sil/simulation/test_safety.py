@@ -63,6 +63,7 @@ def test_a_report_of_a_gear_the_stay_is_not_in_is_found() -> None:
     fooled = type(record)(
         moved, record.events, record.frames, record.stroke_m, record.free_travel_m,
         record.supply_pressure_pa,
+        record.moving_mass_kg,
     )  # fmt: skip
     assert safety.false_gear_s(record, loaded.scenario) == 0.0
     assert safety.false_gear_s(fooled, loaded.scenario) > 0.3

@@ -317,7 +317,7 @@ def test_a_strategy_s_own_settings_are_set_by_path() -> None:
         ],
     )
     found = loaded.scenario.controller.strategy_parameters
-    assert found == {**plain, "brake_s": 0.011, "model": {"valve_close_s": 0.007}}
+    assert found == {**plain, "brake_s": 0.011, "model": {**plain["model"], "valve_close_s": 0.007}}
     for bad in ("break_s=1", "model.valve_clos_s=1", "brake_s.x=1", "brake_s=-1"):
         with pytest.raises(InputError, match=r"strategy_parameters.*(expected|nearest)"):
             scenario.load("strategy_bang_bang", settings=[f"controller.strategy_parameters.{bad}"])
