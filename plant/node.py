@@ -15,7 +15,7 @@ from can_dbc.codec import encode
 from can_dbc.e2e import Protector
 from can_dbc.frame import Frame
 from can_dbc.messages import DrivelineSpeeds, Gear, PlantMotion, PlantPressures, PositionPulse
-from plant.devices.coil import make_valve
+from plant.devices.coil import CoilValve, make_valve
 from plant.devices.driveline import BACKWARD, FORWARD, NO_GEAR, Driveline, DrivelineConfig
 from plant.devices.position_circuit import PositionCircuit, SensorConfig, SensorFault
 from plant.devices.sensors import InductiveSensor
@@ -27,13 +27,24 @@ from plant.errors import InputError
 from plant.integrator.hybrid import Balance
 from plant.parameters import ParameterSet
 from plant.systems.length_stroke import LengthStroke
-from plant.trace import CMD, PULSE, SPEEDS, TRACE_COLUMNS, VALVE, TraceRows, TraceSink, Update
+from plant.trace import (
+    CMD,
+    CURRENT,
+    PULSE,
+    SPEEDS,
+    TRACE_COLUMNS,
+    VALVE,
+    TraceRows,
+    TraceSink,
+    Update,
+    trace_columns,
+)
 
 ChamberName = Literal["B", "N", "F"]
 Released = list[tuple[int, Frame]]
 Switch = tuple[int, int, float]  # instant in ns, chamber, 1 on or open, 0 off or closed
 
-__all__ = ["TRACE_COLUMNS", "EventSink", "PlantConfig", "PlantNode", "TraceSink"]
+__all__ = ["TRACE_COLUMNS", "EventSink", "PlantConfig", "PlantNode", "TraceSink", "trace_columns"]
 
 CHAMBERS: tuple[ChamberName, ...] = ("B", "N", "F")
 OVERTRAVEL_M = (
@@ -158,14 +169,13 @@ class PlantNode:
             timing = replace(timing, rise_ns=rise_ns, fall_ns=fall_ns)
         if config.drive == "coil":
             refuse_delays(config, timing, ValveTiming.from_parameters(parameters))
+        trace_ns = 0 if trace is None else seconds_to_ns(config.trace_period_s or 0.0)
         self.valves = tuple(
-            make_valve(
-                config.drive, timing, config.coil, c in config.charged, duty * (c in config.charged)
-            )
-            for c in CHAMBERS
+            make_valve(config.drive, timing, config.coil, is_open, duty * is_open, trace_ns)
+            for is_open in (c in config.charged for c in CHAMBERS)
         )
         self._faulty = faulty_valves(self.valves, CHAMBERS, config.valve_faults, config.seed)
-        self.driver = ValveDriver(config.valve_driver, blow_duty=duty)
+        self.driver = ValveDriver(config.valve_driver, duty, timing.duty_open)
         self.supply_pressure_pa = float(self.stroke.packed.p_supply)
         self.circuit = PositionCircuit(
             config.sensor,
@@ -193,8 +203,9 @@ class PlantNode:
             self.stroke,
             config.damper,
             trace,
-            seconds_to_ns(config.trace_period_s or 0.0),
+            trace_ns,
             trace_rows_at_once,
+            config.drive,
         )
         self._protect_pulse: Protector[PositionPulse] = Protector(PositionPulse)
         self._protect_speeds: Protector[DrivelineSpeeds] = Protector(DrivelineSpeeds)
@@ -208,6 +219,7 @@ class PlantNode:
         for chamber, valve in enumerate(self.valves):
             updates.append((0, VALVE + chamber, float(valve.is_open)))
             valve.command(0, 0.0)
+        self._note_currents(updates)
         self._arm_synchronizer(0)
         updates.append((0, SPEEDS, self.driveline.input_rad_s))
         updates.append((0, SPEEDS + 1, self.driveline.output_rad_s))
@@ -286,7 +298,14 @@ class PlantNode:
         if len(switches) > 1:
             switches.sort()
         updates.extend((instant, VALVE + chamber, u) for instant, chamber, u in switches)
+        self._note_currents(updates)
         return switches
+
+    def _note_currents(self, updates: list[Update]) -> None:
+        for chamber, valve in enumerate(self.valves):
+            if isinstance(valve, CoilValve):
+                updates.extend((at, CURRENT + chamber, amps) for at, amps in valve.currents)
+                valve.currents.clear()
 
     def _energise(self, now_ns: int, chamber: int, duty: float, coils: list[Switch]) -> None:
         valve = self.valves[chamber]

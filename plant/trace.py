@@ -8,12 +8,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from plant.devices.valve import NS_PER_S
+from plant.devices.valve import NS_PER_S, Drive
 from plant.equations.damper_pressure import steady_oil_pressure
 from plant.systems.length_stroke import LengthStroke
 
 Floats = NDArray[np.float64]
-Update = tuple[int, int, float]  # instant in ns, column of HELD, value from then on
+Update = tuple[int, int, float]  # instant in ns, column of HELD + CURRENTS, value from then on
 
 STATES = (
     "position_m",
@@ -37,21 +37,27 @@ HELD = (
     "input_rad_s",
     "output_rad_s",
 )
+CURRENTS = ("current_B_a", "current_N_a", "current_F_a")
 TRACE_COLUMNS = ("time_s", *STATES, *HELD)
 """Columns of a trace row: time, true states, and signals that hold between their changes: duty at
 the coil, actual valve position, duration in the latest pulse report (0 before the first), and shaft
 speeds as last published. A row shows what has changed at its very instant."""
 
-CMD, VALVE, PULSE, SPEEDS = 0, 3, 6, 7  # where each group begins in HELD
+CMD, VALVE, PULSE, SPEEDS, CURRENT = 0, 3, 6, 7, 9  # where each group begins in HELD + CURRENTS
 _OIL = 1 + STATES.index("pressure_oil2_pa")
 _HELD_FROM = 1 + len(STATES)
+
+
+def trace_columns(drive: Drive) -> tuple[str, ...]:
+    """Return the columns of a trace row; with coils also their currents."""
+    return TRACE_COLUMNS + CURRENTS if drive == "coil" else TRACE_COLUMNS
 
 
 class TraceSink(Protocol):
     """Receiver of the trace rows during the run."""
 
     def write(self, rows: Floats) -> None:
-        """Take rows [n, len(TRACE_COLUMNS)] in the units of the columns' names."""
+        """Take rows [n, number of columns] in the units of the columns' names."""
 
 
 class TraceRows:
@@ -64,8 +70,9 @@ class TraceRows:
         sink: TraceSink | None,
         period_ns: int,
         at_once: int = 1,
+        drive: Drive = "delays",
     ) -> None:
-        """`damper` as in `PlantConfig`; no rows without a sink or with period_ns 0.
+        """`damper` and `drive` as in `PlantConfig`; no rows without a sink or with period_ns 0.
 
         `at_once`: the sink gets rows when there are so many, and at `flush`.
         """
@@ -76,7 +83,8 @@ class TraceRows:
         self._next_ns = 0
         self._columns = [stroke.columns.index(name) for name in STATES]
         self._at_once = at_once
-        self._held = [0.0] * len(HELD)
+        self._width = len(trace_columns(drive))
+        self._held = [0.0] * (self._width - _HELD_FROM)
         self._states: list[Floats] = []
         self._updates: list[Update] = []
         self._written_ns = 0  # the first row that the sink has not got
@@ -107,7 +115,7 @@ class TraceRows:
             return
         instants = np.arange(self._written_ns, self._next_ns, self._period_ns, dtype=np.int64)
         states = np.concatenate(self._states)
-        rows = np.empty((len(instants), len(TRACE_COLUMNS)))
+        rows = np.empty((len(instants), self._width))
         rows[:, 0] = instants / NS_PER_S
         rows[:, 1:_HELD_FROM] = states[:, self._columns]
         if self._oil_follows_motion:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
-from plant.devices.valve import CoilConfig, Drive, Valve, ValveTiming, seconds_to_ns
+from plant.devices.valve import NEVER_NS, CoilConfig, Drive, Valve, ValveTiming, seconds_to_ns
+from plant.errors import InputError
 from plant.kernel.compiled import kernel
 
 STEP_NS = 2_000
@@ -141,11 +143,17 @@ class CoilValve(Valve):
 
     The valve switches where the plunger passes the middle of its travel. `state` is that of the
     coil at the last whole step. Whether it `is_energised` follows from the duty as in `Valve`.
-    Raises ValueError when `duty` contradicts `is_open`.
+    Every `sample_ns` (0: never) the current is noted in `currents` (instant in ns, current in A).
+    Raises ValueError when `duty` contradicts `is_open`, InputError for dips that overlap.
     """
 
     def __init__(
-        self, timing: ValveTiming, config: CoilConfig, is_open: bool = False, duty: float = 0.0
+        self,
+        timing: ValveTiming,
+        config: CoilConfig,
+        is_open: bool = False,
+        duty: float = 0.0,
+        sample_ns: int = 0,
     ) -> None:
         super().__init__(timing, is_open, duty)
         warm = 1.0 + COPPER_1_K * (config.temperature_k - REFERENCE_K)
@@ -156,6 +164,10 @@ class CoilValve(Valve):
         self._carrier_ns = seconds_to_ns(1.0 / config.carrier_hz)
         self._shift_ns = round(config.carrier_phase * self._carrier_ns)
         self._reached_ns = 0
+        self._supply = supply_changes(config)
+        self.currents: list[tuple[int, float]] = []
+        self._sample_ns = sample_ns
+        self._next_sample_ns = 0 if sample_ns else NEVER_NS
 
     def command(self, t_ns: int, duty: float) -> None:
         """Apply `duty` (0..1) to the coil from `t_ns` on. Raises ValueError as `Valve.command` does."""
@@ -177,8 +189,16 @@ class CoilValve(Valve):
 
     def _settle(self, until_ns: int) -> None:
         """Advance by whole steps, which no grant of time may split, and note the moves up to `until_ns`."""
-        whole_ns = self._reached_ns + (until_ns - self._reached_ns) // STEP_NS * STEP_NS
-        self._march(whole_ns)
+        while min(self._next_sample_ns, self._supply[0][0]) <= until_ns:
+            if self._next_sample_ns <= self._supply[0][0]:
+                self._march_whole(self._next_sample_ns)
+                self.currents.append((self._next_sample_ns, self.state.current_a))
+                self._next_sample_ns += self._sample_ns
+            else:
+                change_ns, supply_v = self._supply.pop(0)
+                self._march(change_ns)
+                self.solenoid = self.solenoid._replace(supply_v=supply_v)
+        self._march_whole(until_ns)
         *_, crossed_ns = self._marched(self.state, self._reached_ns + STEP_NS)
         if 0 <= crossed_ns <= until_ns:  # within the step that is not whole yet
             self._switch(crossed_ns)
@@ -187,6 +207,9 @@ class CoilValve(Valve):
         """Advance to the very instant at which something changes."""
         self._settle(t_ns)
         self._march(t_ns)
+
+    def _march_whole(self, until_ns: int) -> None:
+        self._march(self._reached_ns + (until_ns - self._reached_ns) // STEP_NS * STEP_NS)
 
     def _march(self, end_ns: int) -> None:
         while self._reached_ns < end_ns:
@@ -216,14 +239,34 @@ class CoilValve(Valve):
         self._moved.append((t_ns, 1.0 if self.is_open else 0.0))
 
 
+def supply_changes(config: CoilConfig) -> list[tuple[int, float]]:
+    """Return when the supply changes and to what [ns, V], in order, the last one never.
+
+    Raises InputError for dips that overlap.
+    """
+    dips = sorted(config.dip, key=lambda dip: dip.start_s)
+    for dip, following in pairwise(dips):
+        if following.start_s < dip.end_s:
+            raise InputError(
+                f"coil.dip: one from {following.start_s:g} s within that to {dip.end_s:g} s; "
+                "expected one after the other"
+            )
+    changes = []
+    for dip in dips:
+        changes.append((seconds_to_ns(dip.start_s), dip.supply_v))
+        changes.append((seconds_to_ns(dip.end_s), config.supply_v))
+    return [*changes, (NEVER_NS, config.supply_v)]
+
+
 def make_valve(
     drive: Drive,
     timing: ValveTiming,
     coil: CoilConfig,
     is_open: bool,
     duty: float,
+    sample_ns: int = 0,
 ) -> Valve:
-    """Return a valve at rest, as time delays or with its coil."""
+    """Return a valve at rest, as time delays or with its coil, its current noted every `sample_ns`."""
     if drive == "coil":
-        return CoilValve(timing, coil, is_open, duty)
+        return CoilValve(timing, coil, is_open, duty, sample_ns)
     return Valve(timing, is_open, duty)

@@ -16,6 +16,7 @@ from plant.parameters.bounds import outside
 
 NS_PER_S = 1_000_000_000
 LONGEST_S = 1e9
+NEVER_NS = 1 << 63
 
 Drive = Literal["delays", "coil"]
 
@@ -28,6 +29,24 @@ def seconds_to_ns(seconds: float) -> int:
     if abs(seconds) > LONGEST_S:
         raise InputError(f"a time of {seconds:g} s; expected at most {LONGEST_S:g} s")
     return round(seconds * NS_PER_S)
+
+
+class SupplyDip(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A time in which the supply of all coils is lower (or higher).
+
+    Raises ValueError unless it ends after its start.
+    """
+
+    start_s: Annotated[float, Meta(ge=0.0, le=86400.0)]
+    """Time from which the supply is `supply_v`."""
+    end_s: Annotated[float, Meta(ge=0.0, le=86400.0)]
+    """Time at which it is again that of the coil."""
+    supply_v: Annotated[float, Meta(ge=0.0, le=100.0)]
+    """Voltage meanwhile."""
+
+    def __post_init__(self) -> None:
+        if self.end_s <= self.start_s:
+            raise ValueError(f"end_s: {self.end_s:g}; expected after its start, {self.start_s:g} s")
 
 
 class CoilConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -50,6 +69,8 @@ class CoilConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Frequency of the pulse width modulation."""
     carrier_phase: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     """Part of a carrier period that has passed at time 0."""
+    dip: list[SupplyDip] = []
+    """Times in which the supply has another voltage, as while the engine is cranked."""
 
 
 @dataclass(frozen=True)

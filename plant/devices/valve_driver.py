@@ -11,12 +11,11 @@ from can_dbc import codec
 from can_dbc.e2e import E2eConfig, E2eStatus, Receiver
 from can_dbc.frame import Frame
 from can_dbc.messages import Chamber, E2eState, Gear, SafetyBlow, ValveCommand
-from plant.devices.valve import seconds_to_ns
+from plant.devices.valve import NEVER_NS, seconds_to_ns
 
 Duties = tuple[float, float, float]
 
 DE_ENERGISED: Duties = (0.0, 0.0, 0.0)
-NEVER_NS = 1 << 63
 ACCEPTED = (E2eStatus.OK, E2eStatus.OK_SOME_LOST)
 Input = TypeVar("Input", ValveCommand, SafetyBlow)
 
@@ -34,7 +33,8 @@ class ValveDriverConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     timeout_s: Annotated[float, msgspec.Meta(ge=0.001, le=1.0)] = 0.05
     blow_limit_s: Annotated[float, msgspec.Meta(ge=0.0, le=4.0)] = 0.5
     blow_duty: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] | None = None
-    """Duty of a safety blow; if left out, the model's valve.duty_nominal."""
+    """Duty of a safety blow; if left out, that of the command that it follows, and the model's
+    valve.duty_nominal where that did not energise the coil."""
     hold_duty: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] | None = None
     """Largest duty once the peak is over; if left out, the commanded duty stays."""
     peak_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.02
@@ -83,7 +83,8 @@ class ValveDriver:
     """Receivers of ValveCommand and SafetyBlow, and the duties that they lead to.
 
     A coil gets the larger of its commanded duty and, while an active blow for its chamber has time
-    left on the driver's own clock, the blow's duty. A command received before the blow began ends
+    left on the driver's own clock, the blow's duty: the one configured, else the one commanded when
+    the blow began, else (below `duty_open`) `blow_duty`. A command received before the blow began ends
     with the blow. As soon as either channel is not valid (start,
     damaged or missing frames, wrong sequence, timeout) every coil gets 0: a dead controller
     de-energises the valves exactly `timeout_s` after its last good frame. Only frames with a
@@ -92,9 +93,14 @@ class ValveDriver:
     A timer that ends at the very instant at which a frame arrives is overtaken by the frame.
     """
 
-    def __init__(self, config: ValveDriverConfig, blow_duty: float) -> None:
-        """Start at time 0 with nothing received; `blow_duty` (0..1): of a blow, unless configured."""
-        self.blow_duty = blow_duty if config.blow_duty is None else config.blow_duty
+    def __init__(
+        self, config: ValveDriverConfig, blow_duty: float, duty_open: float = 0.35
+    ) -> None:
+        """Start at time 0 with nothing received; the duties are 0..1."""
+        self._configured_duty = config.blow_duty
+        self._default_duty = blow_duty
+        self._duty_open = duty_open
+        self._blow_duty = blow_duty
         self._hold_duty = config.hold_duty
         self._peak_ns = seconds_to_ns(config.peak_s)
         self._hold_from_ns: list[int | None] = [None, None, None]
@@ -147,7 +153,17 @@ class ValveDriver:
             return
         if self._blow_end_ns is None or blow.chamber is not self._blown:
             self._blow_start_ns, self._blown = now_ns, blow.chamber
+            self._blow_duty = self._duty_of_blow(now_ns, blow.chamber)
         self._blow_end_ns = now_ns + seconds_to_ns(lasts_s)
+
+    def _duty_of_blow(self, now_ns: int, chamber: Chamber) -> float:
+        if self._configured_duty is not None:
+            return self._configured_duty
+        command = self._commands.message(now_ns)
+        if command is None:
+            return self._default_duty
+        duty = (command.duty_b, command.duty_n, command.duty_f)[chamber]
+        return duty if duty >= self._duty_open else self._default_duty
 
     def _run_timers(self, before_ns: int, changes: list[tuple[int, Duties]]) -> None:
         """Let every timer act that ends before `before_ns`, in order."""
@@ -184,7 +200,7 @@ class ValveDriver:
         self.target = command.target
         duties = [command.duty_b, command.duty_n, command.duty_f]
         if self._blow_end_ns is not None:
-            duties[self._blown] = max(duties[self._blown], self.blow_duty)
+            duties[self._blown] = max(duties[self._blown], self._blow_duty)
         elif self._commands.message_ns < self._blow_start_ns:
             duties[self._blown] = 0.0
         return (duties[0], duties[1], duties[2])

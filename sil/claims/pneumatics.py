@@ -7,6 +7,8 @@ from functools import cache
 
 import numpy as np
 
+from plant.devices.coil import CoilValve
+from plant.devices.valve import CoilConfig, ValveTiming
 from plant.effects.setup import Setup
 from plant.kernel.compiled import plain as as_python
 from plant.kernel.layout import FixedState, FlowMap, Parameters
@@ -68,27 +70,42 @@ def _f16_delays() -> Outcome:
     p1 = stroke.pressure_pa("1")
     opens = stroke.time_s[np.argmax(p1 > p1[0] + 50.0)] - 0.01
     falls = stroke.time_s[np.argmax(p1)] - 0.2
+    coil_opens, coil_closes = _coil_delays_s()
     good = abs(opens - 0.008) < 1e-4 and abs(falls - 0.035) < 1e-4
-    return judged(good, 1e3 * opens, 1e3 * falls)
+    good = good and abs(coil_opens - 0.008) < 5e-4 and abs(coil_closes - 0.035) < 5e-4
+    return judged(good, 1e3 * opens, 1e3 * falls, 1e3 * coil_opens, 1e3 * coil_closes)
 
 
-def _f17_delay_scatter() -> Outcome:
-    return Outcome(
-        PARTLY,
-        (
-            1e3 * value("repeatability.valve_delay_sd"),
-            1e3 * value("repeatability.unit_valve_delay_sd"),
-        ),
-    )
+def _coil_delays_s(duty: float = 0.98, **changes: float) -> tuple[float, float]:
+    """Return opening and closing delay of a valve with its coil, switched on for half a second.
+
+    It opens at full duty and is held at `duty`. `changes`: fields of `CoilConfig`.
+    """
+    on_ns, off_ns = 0, 500_000_000
+    valve = CoilValve(ValveTiming.from_parameters(nominal()), CoilConfig(**changes))  # type: ignore[arg-type]
+    valve.command(on_ns, 0.98)
+    valve.command(off_ns // 2, duty)
+    valve.command(off_ns, 0.0)
+    moves = valve.moves(2 * off_ns)
+    if [u for _, u in moves] != [1.0, 0.0]:
+        return float("nan"), float("nan")
+    return moves[0][0] * 1e-9, (moves[1][0] - off_ns) * 1e-9
+
+
+def _f17_sensitive_delays() -> Outcome:
+    cold, warm, hot = (_coil_delays_s(temperature_k=t) for t in (253.15, 293.15, 373.15))
+    weak, strong = _coil_delays_s(supply_v=20.0)[0], _coil_delays_s(supply_v=28.0)[0]
+    least = 10.0 * value("repeatability.valve_delay_sd")  # far more than from stroke to stroke
+    sensitive = hot[0] - cold[0] > least or cold[1] - hot[1] > least
+    figures = (cold[0], warm[0], hot[0], cold[1], warm[1], hot[1], weak, strong)
+    return Outcome(PARTLY if sensitive else NOT_MET, tuple(1e3 * delay for delay in figures))
 
 
 def _f18_duty_closing() -> Outcome:
-    from plant.devices.valve import ValveTiming
-
-    timing = ValveTiming.from_parameters(nominal(), closing_follows_duty=True)
-    falls = [timing.fall_delay_ns(d) * 1e-6 for d in (0.98, 0.7, 0.4)]
-    good = abs(falls[0] - 35.0) < 0.1 and falls[0] > falls[1] > falls[2]
-    return judged(good, *falls)
+    falls = [_coil_delays_s(duty)[1] for duty in (0.98, 0.7, 0.36)]
+    zener = _coil_delays_s(decay_v=40.0)[1]
+    good = falls[0] > falls[1] > falls[2] and zener < 0.5 * falls[0]
+    return judged(good, *(1e3 * fall for fall in falls), 1e3 * zener)
 
 
 def _flow(ratio: float) -> float:

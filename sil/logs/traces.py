@@ -41,6 +41,7 @@ _COMMENTS: Final = {
 _OF_CHAMBER: Final = {
     "pressure": "pressure of chamber {}, absolute",
     "cmd": "duty of the coil of valve {}, 0 to 1",
+    "current": "current of the coil of valve {}",
     "valve": "plunger of valve {}: 1 supply, 0 atmosphere",
 }
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_.\[\]]*\Z")
@@ -68,7 +69,7 @@ def comment_of(name: str) -> str:
     """Return what a signal of a trace or a campaign is, "" for one of neither."""
     if name in _COMMENTS:
         return _COMMENTS[name]
-    found = re.fullmatch(r"(pressure|cmd|valve)_([BNF12])(?:_pa)?", name)
+    found = re.fullmatch(r"(pressure|cmd|current|valve)_([BNF12])(?:_p?a)?", name)
     return _OF_CHAMBER[found[1]].format(found[2]) if found else ""
 
 

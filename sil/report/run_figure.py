@@ -53,6 +53,7 @@ def run_figure(
         _position(record, zooms, shifts),
         Panel("Speed of the stay", "m/s", [speed], height=130, drawn="page"),
         _valves(record),
+        *_currents(record),
         _pressures(record, zooms),
         _states(record),
         _bus(record, zooms),
@@ -263,6 +264,15 @@ def _event_spans(
 def _overlap(spans: list[Interval], others: list[Interval]) -> list[Interval]:
     """Return the parts of spans that are within other spans."""
     return [(max(a, c), min(b, d)) for a, b in spans for c, d in others if a < d and c < b]
+
+
+def _currents(record: RunRecord) -> Iterator[Panel]:
+    """Yield the currents of the coils, where the run has coils."""
+    time = record.truth["time_s"] * MS
+    names = {c: f"current_{c}_a" for c in CHAMBERS if f"current_{c}_a" in record.truth}
+    if names:
+        lines = [Series(c, time, record.truth[name], c) for c, name in names.items()]
+        yield Panel("Current of the coils", "A", lines, height=110)
 
 
 # --- pressures, states, bus ---------------------------------------------------------------------

@@ -104,11 +104,12 @@ class RecordedPlant:
     def __init__(self, loaded: Loaded, folder: Path) -> None:
         """Open the files.  Raises InputError if the plant refuses its settings."""
         from plant.errors import IntegrationError
-        from plant.node import TRACE_COLUMNS, PlantNode
+        from plant.node import PlantNode, trace_columns
         from sil.recording.recorder import EVENTS, PLANT_TRACE, EventLog, TraceWriter
 
         with contextlib.ExitStack() as on_error:
-            trace = on_error.enter_context(TraceWriter(folder / PLANT_TRACE, TRACE_COLUMNS))
+            columns = trace_columns(loaded.scenario.plant.drive)
+            trace = on_error.enter_context(TraceWriter(folder / PLANT_TRACE, columns))
             events = on_error.enter_context(EventLog(folder / EVENTS))
             try:
                 config = plant_config(loaded.scenario)

@@ -51,12 +51,10 @@ class MemoryRun:
     @cached_property
     def trace_sha256(self) -> str:
         """The run's hash, as `opc4 run` gives it."""
-        from plant.node import TRACE_COLUMNS
-
         digest = hashlib.sha256()
         for entry in self.record.frames:
             digest.update(hashed_frame(entry.arrival_ns, entry.frame))
-        pieces = [trace_header(TRACE_COLUMNS), self.rows.tobytes()]
+        pieces = [trace_header(list(self.record.truth)), self.rows.tobytes()]
         return run_sha256(digest.digest(), pieces)
 
 
@@ -71,7 +69,7 @@ def run_in_memory(loaded: Loaded) -> MemoryRun:
 
     Raises InputError if the scenario is not valid, RunError if a participant fails.
     """
-    from plant.node import TRACE_COLUMNS, PlantNode
+    from plant.node import PlantNode, trace_columns
 
     scenario = loaded.scenario
     trace, events = _TraceRows(), list[PlantEvent]()
@@ -97,8 +95,9 @@ def run_in_memory(loaded: Loaded) -> MemoryRun:
         boxes = build.mailboxes(scenario)
         frames = run_quickly(participants, scenario.bus.bitrate, end_ns, boxes)
     rows = np.concatenate(trace)
+    columns = trace_columns(scenario.plant.drive)
     record = RunRecord(
-        truth={name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(TRACE_COLUMNS)},
+        truth={name: np.ascontiguousarray(rows[:, i]) for i, name in enumerate(columns)},
         events=events,
         frames=frames,
         **build.constants(loaded),

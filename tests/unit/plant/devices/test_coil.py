@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from can_dbc.errors import InputError
 from plant.devices.coil import CoilValve, Solenoid, SolenoidState
-from plant.devices.valve import CoilConfig, ValveTiming
+from plant.devices.valve import CoilConfig, SupplyDip, Valve, ValveTiming
 from plant.devices.valve_faults import ValveFault
 from plant.node import PlantConfig, PlantNode
 from plant.parameters import load
@@ -20,7 +20,7 @@ MS = 1_000_000
 TIMING = ValveTiming(8 * MS, 35 * MS, 0.33, 0.35)
 
 
-def valve(**changes: float) -> CoilValve:
+def valve(**changes: object) -> CoilValve:
     return CoilValve(TIMING, msgspec.structs.replace(CoilConfig(), **changes))
 
 
@@ -64,6 +64,51 @@ def test_closed_at_33_percent_and_open_at_35(was_open: bool) -> None:
         one.command(0, duty)
         one.moves(1000 * MS)
         assert one.is_open == is_open
+
+
+def test_thresholds_come_out_where_the_delays_have_them() -> None:
+    """At rest both models agree for every duty but those between the thresholds of the delays."""
+    for percent in (*range(0, 33, 8), 33, 35, *range(36, 101, 16)):
+        for was_open in (False, True):
+            both = []
+            for kind in (
+                Valve(TIMING, was_open, 0.98 * was_open),
+                CoilValve(TIMING, CoilConfig(), was_open, 0.98 * was_open),
+            ):
+                kind.command(0, percent / 100)
+                kind.moves(1000 * MS)
+                both.append(kind.is_open)
+            assert both[0] == both[1], (percent, was_open)
+
+
+def test_carrier_phase_moves_the_opening_by_less_than_a_period() -> None:
+    opening = [delays_ms(on=0.6, carrier_phase=phase)[0] for phase in (0.0, 0.25, 0.5, 0.75)]
+    assert 0.05 < max(opening) - min(opening) < 1.0
+
+
+def test_dip_of_the_supply_delays_the_opening() -> None:
+    dip = SupplyDip(start_s=0.002, end_s=0.010, supply_v=8.0)
+    assert delays_ms(dip=[dip])[0] > delays_ms()[0] + 3.0
+    before = SupplyDip(start_s=0.0, end_s=0.002, supply_v=8.0)
+    later = [before, SupplyDip(start_s=0.6, end_s=0.7, supply_v=8.0)]
+    assert delays_ms(dip=later) == delays_ms(dip=[before])
+    long = SupplyDip(start_s=0.1, end_s=0.4, supply_v=5.0)  # less than what holds the plunger
+    assert len(_moves_with(long)) == 4 and len(_moves_with(dip)) == 2
+
+
+def _moves_with(dip: SupplyDip) -> list[tuple[int, float]]:
+    one = valve(dip=[dip])
+    one.command(0, 0.98)
+    one.command(500 * MS, 0.0)
+    return one.moves(700 * MS)
+
+
+def test_dips_that_overlap_or_end_before_they_start_are_refused() -> None:
+    dips = [SupplyDip(start_s=a, end_s=a + 0.2, supply_v=8.0) for a in (0.3, 0.2)]
+    with pytest.raises(InputError, match=r"coil.dip: one from 0.3 s within that to 0.4 s"):
+        valve(dip=dips)
+    with pytest.raises(ValueError, match="end_s"):
+        SupplyDip(start_s=0.3, end_s=0.3, supply_v=8.0)
 
 
 def test_supply_temperature_and_decay_change_the_delays() -> None:
@@ -135,8 +180,10 @@ def test_opening_agrees_with_an_independent_solver() -> None:
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.integers(0, 150 * MS), max_size=12))
 def test_moves_do_not_depend_on_the_grants(grants: list[int]) -> None:
+    dip = SupplyDip(start_s=0.0123, end_s=0.0163, supply_v=15.0)
+
     def moves(instants: list[int]) -> list[tuple[int, float]]:
-        one = valve()
+        one = valve(dip=[dip])
         found = []
         commands = {10 * MS: 0.98, 60 * MS + 123: 0.0}
         for t_ns in sorted({*instants, *commands}):
@@ -147,6 +194,19 @@ def test_moves_do_not_depend_on_the_grants(grants: list[int]) -> None:
 
     assert moves(grants) == moves([])
     assert [u for _, u in moves(grants)] == [1.0, 0.0]
+
+
+def test_noted_currents_do_not_change_the_motion() -> None:
+    found = []
+    for sample_ns in (0, 333_333):
+        one = CoilValve(TIMING, CoilConfig(), sample_ns=sample_ns)
+        one.command(10 * MS + 1, 0.98)
+        one.command(60 * MS + 123, 0.0)
+        found.append((one.moves(150 * MS), one.state))
+    assert found[0] == found[1]
+    instants = [at for at, _ in one.currents]
+    assert instants == list(range(0, 150 * MS + 1, 333_333))
+    assert max(current for _, current in one.currents) > 0.7
 
 
 def test_blocked_plunger_does_not_move() -> None:

@@ -320,3 +320,16 @@ def test_blow_duty_as_configured() -> None:
     blow = SafetyBlow(Chamber.N, True, 0.1)
     unit.advance(30 * MS, sender.ticks(range(0, 30, 10), OFF, blow))
     assert unit.duties == (0.0, 0.36, 0.0)
+
+
+def test_blow_goes_on_with_the_duty_that_was_commanded() -> None:
+    """From the frame with the blow on, also when the command ends; one below 35 % does not count."""
+    for commanded, blown in ((0.36, 0.36), (0.25, 0.98)):
+        unit, sender = driver(), Controller()
+        push = ValveCommand(commanded, 0.0, 0.0, Gear.BACKWARD)
+        blow = SafetyBlow(Chamber.B, True, 0.1)
+        frames = sender.ticks(range(0, 20, 10), push) + sender.tick(20, push, blow)
+        frames += sender.ticks(range(30, 60, 10), OFF, blow)
+        changes = unit.advance(60 * MS, frames)
+        assert unit.duties[0] == pytest.approx(blown, abs=1e-4)
+        assert [duties for _, duties in changes if duties[0] == 0.0] == []
