@@ -12,7 +12,7 @@ Argument = tuple[str, dict[str, Any]]
 
 def argument(name: str, text: str, metavar: str | None = None, **how: Any) -> Argument:
     """Return an argument with its help; an option without a metavar is a switch."""
-    if name.startswith("--") and metavar is None and "choices" not in how:
+    if name.startswith("--") and metavar is None and not how:
         how["action"] = "store_true"
     elif metavar is not None:
         how["metavar"] = metavar

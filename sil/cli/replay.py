@@ -1,8 +1,11 @@
 """Put the inputs of a recorded log into the firmware alone, and compare its answers.
 
+A truck's log, without commands of our control unit: each gear shift in it (J1939: ETC1 and ETC2, or by
+--map) by our firmware and plant in closed loop, next to the recorded one.
+
 LOG is a candump, ASC, BLF, TRC, MF4 or CSV log, packed or not. The firmware has the settings of the
 run whose result.json is in the folder of LOG, else its defaults with the periods that the log shows.
-Exit 1: something differs. Exit 2: nothing was engaged in the log, or it cannot be used.
+Exit 1: something differs; of a truck's log: ours does not reach a gear. Exit 2: nothing was engaged in the log, or it cannot be used.
 """
 
 from __future__ import annotations
@@ -17,11 +20,12 @@ from typing import TYPE_CHECKING
 from sil.cli.options import JSON, SETTINGS, STRICT, TIMES, argument, out
 
 if TYPE_CHECKING:
-    from sil.log_replay.replay import ReplayRequest, ReplayResult
+    from sil.log_replay.replay import ReplayRequest
 
 EXAMPLE = """\
 example:
   opc4 replay runs/full_shift-1/bus.log --set controller.filter=false
+  opc4 replay truck.asc.gz --strategy synchro_brake
   opc4 replay truck.asc.gz --summary
 
 options of --options FILE, all optional:
@@ -32,6 +36,16 @@ options of --options FILE, all optional:
   [edges]
   window_s = 0.2                                         # an edge moved farther is another edge
 """
+
+
+class _PrintMap(argparse.Action):
+    """Prints the shipped mapping and ends the command, as --help does."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from sil.j1939.mapping import SHIPPED
+
+        print(SHIPPED.read_text(encoding="utf-8"), end="")
+        parser.exit(0)
 
 
 ARGUMENTS = (
@@ -45,6 +59,13 @@ ARGUMENTS = (
     SETTINGS,
     argument("--options", "tolerances and ignore list (TOML)", "FILE"),
     argument("--dbc", "where the log's identifiers are others", "FILE"),
+    argument(
+        "--map", "what the signals of a truck's log stand for (TOML; see --print-map)", "FILE"
+    ),
+    argument(
+        "--print-map", "print the mapping for J1939, to copy and change", action=_PrintMap, nargs=0
+    ),
+    argument("--strategy", "short for --set controller.strategy=NAME", "NAME"),
     argument(
         "--run", "scenario or result.json that the log is of [in the folder of LOG]", "SCENARIO"
     ),
@@ -62,6 +83,10 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.summary:
         return _summary(arguments)
+    if arguments.strategy is not None:
+        arguments.settings.append(f"controller.strategy={arguments.strategy}")
+    if (code := _truck(arguments)) is not None:
+        return code
     if arguments.against is not None and (arguments.plant or arguments.closed_loop):
         raise InputError("--against: not together with --plant or --closed-loop; expected one")
     from sil.log_replay.replay import ReplayRequest
@@ -85,39 +110,92 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _finish(arguments: argparse.Namespace, request: ReplayRequest) -> int:
     """Replay, then write the files and report: a log that is refused leaves no folder behind."""
+    from sil.log_replay.page import replay_page
     from sil.log_replay.replay import replay
-    from sil.log_replay.summary import as_dict, summary_lines
+    from sil.log_replay.summary import as_dict, summary_lines, text
 
     outcome = replay(request)
     values = as_dict(outcome)
-    folder = _write(arguments, outcome, values)
-    if arguments.json:
-        print(json.dumps(values | {"out": str(folder)}, ensure_ascii=False, indent=1))
-    else:
-        print("\n".join(summary_lines(outcome)))
-        print(f"  {folder}: {' '.join(sorted(path.name for path in folder.iterdir()))}")
+    folder = _prepared(arguments)
+    page = replay_page(outcome, values, shlex.join(["opc4", *sys.argv[1:]]), folder)
+    _complete(folder, text(outcome), page, values)
+    _report(arguments, folder, values, summary_lines(outcome))
     return 1 if outcome.differs else 0
 
 
-def _write(arguments: argparse.Namespace, outcome: ReplayResult, values: dict[str, object]) -> Path:
-    from sil.files.atomic import write_atomically
-    from sil.files.output_folder import close_folders, prepare_folder
-    from sil.log_replay.page import replay_page
-    from sil.log_replay.summary import text
+def _prepared(arguments: argparse.Namespace) -> Path:
+    """Return the output folder, without the figures of a replay that --force replaces."""
+    from sil.files.output_folder import prepare_folder
 
     stem = Path(arguments.log).name.removesuffix(".gz").rsplit(".", 1)[0]
     parent = Path(arguments.log).resolve().parent.name
     name = f"replay-{parent}" if stem == "bus" else f"replay-{stem}"
     folder = prepare_folder(arguments.out, name, arguments.force)
-    write_atomically(folder / "diff.txt", text(outcome))
-    command = shlex.join(["opc4", *sys.argv[1:]])
-    for figure in (*folder.glob("scene_*.*"), *folder.glob("positions.*")):
-        if figure.suffix in (".png", ".svg"):  # of a replay that --force replaces
+    for figure in (
+        *folder.glob("scene_*.*"),
+        *folder.glob("positions.*"),
+        *folder.glob("shift*.*"),
+    ):
+        if figure.suffix in (".png", ".svg"):
             figure.unlink()
-    write_atomically(folder / "report.html", replay_page(outcome, values, command, folder))
+    return folder
+
+
+def _complete(folder: Path, text: str, page: str, values: dict[str, object]) -> None:
+    from sil.files.atomic import write_atomically
+    from sil.files.output_folder import close_folders
+
+    write_atomically(folder / "diff.txt", text)
+    write_atomically(folder / "report.html", page)
     write_atomically(folder / "diff.json", json.dumps(values, ensure_ascii=False, indent=1) + "\n")
     close_folders(None)  # complete: the mark INCOMPLETE goes before the files are listed
-    return folder
+
+
+def _report(
+    arguments: argparse.Namespace, folder: Path, values: dict[str, object], lines: list[str]
+) -> None:
+    if arguments.json:
+        print(json.dumps(values | {"out": str(folder)}, ensure_ascii=False, indent=1))
+    else:
+        print("\n".join(lines))
+        print(f"  {folder}: {' '.join(sorted(path.name for path in folder.iterdir()))}")
+
+
+OWN_LOG_ONLY = ("run", "plant", "closed_loop", "against", "options")
+"""Options that compare with commands of our own control unit, which a truck's log does not hold."""
+
+
+def _truck(arguments: argparse.Namespace) -> int | None:
+    """Compare a truck's log with our firmware and plant; return None for a log of our own unit."""
+    from can_dbc.errors import InputError
+    from sil.j1939.mapping import SignalMapping
+    from sil.log_replay.truck_replay import as_dict, replay_truck, summary_lines, text
+
+    given = [name for name in OWN_LOG_ONLY if getattr(arguments, name)]
+    if given and arguments.map is not None:
+        name = given[0].replace("_", "-")
+        raise InputError(f"--map: a truck's log has no commands for --{name}; expected one of them")
+    if given or (arguments.dbc is not None and arguments.map is None):
+        return None
+    found = replay_truck(
+        arguments.log,
+        mapping=SignalMapping(arguments.map, arguments.dbc),
+        settings=arguments.settings,
+        firmware=arguments.firmware,
+        strict=arguments.strict,
+        times=arguments.times,
+        only_trucks=arguments.map is not None,
+    )
+    if found is None:
+        return None
+    from sil.log_replay.truck_page import truck_page
+
+    values = as_dict(found)
+    folder = _prepared(arguments)
+    page = truck_page(found, values, shlex.join(["opc4", *sys.argv[1:]]), folder)
+    _complete(folder, text(found), page, values)
+    _report(arguments, folder, values, summary_lines(found))
+    return 1 if found.failed else 0
 
 
 def _summary(arguments: argparse.Namespace) -> int:

@@ -65,12 +65,13 @@ class Shift:
         if None in (self.from_gear, self.to_gear) and None not in (self.from_ratio, self.to_ratio):
             ratio = f", ratio {self.from_ratio:.2f} to {self.to_ratio:.2f}"
         return (
-            f"{when} ({self.duration_s:.3f} s): {_gear(self.from_gear)} to "
-            f"{_gear(self.to_gear)}{ratio}, {sender}, by {self.method}"
+            f"{when} ({self.duration_s:.3f} s): {gear_name(self.from_gear)} to "
+            f"{gear_name(self.to_gear)}{ratio}, {sender}, by {self.method}"
         )
 
 
-def _gear(gear: int | None) -> str:
+def gear_name(gear: int | None) -> str:
+    """Return a gear as a driver reads it: N, P, 4, R1; ? for an unknown one."""
     if gear is None:
         return "?"
     return _GEAR_NAMES.get(gear, f"{gear}" if gear > 0 else f"R{-gear}")

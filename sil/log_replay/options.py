@@ -63,13 +63,11 @@ def find_settings(
     raw = _without_none(raw)
     recorded_ns = round(raw["controller"]["period_s"] * 1e9)
     if firmware is not None and _is_program(firmware):
-        raw["firmware"] = absolute(firmware, Path())
+        raw |= firmware_of(firmware)
         description = f"of {firmware}, settings {description}"
     elif firmware is not None:
-        table = _firmware_table(firmware)
-        if "period_s" not in table:
-            table = {"period_s": raw["controller"]["period_s"], **table}
-        raw["controller"] = table
+        table = firmware_of(firmware)["controller"]
+        raw["controller"] = {"period_s": raw["controller"]["period_s"], **table}
         raw.pop("sensor" if not own_run else "", None)
         source, description = firmware, f"as in {firmware}"
     if not with_plant:
@@ -80,6 +78,13 @@ def find_settings(
     if settings:
         description += " with " + ", ".join(settings)
     return ReplaySettings(loaded, description, own_run, recorded_ns)
+
+
+def firmware_of(firmware: str) -> dict[str, Any]:
+    """Return a scenario's keys for the program or settings of --firmware. Raises InputError."""
+    if _is_program(firmware):
+        return {"firmware": absolute(firmware, Path())}
+    return {"controller": _firmware_table(firmware)}
 
 
 def _is_program(firmware: str) -> bool:
