@@ -60,6 +60,19 @@ def piston_holds(direction, which, y):
 
 
 @inlined
+def bond(contact, y, p):
+    """Pull that this contact of stay and piston bears here [N].
+
+    None in the gear in which the piston must part: of a nut in neutral, of a collar at an end.
+    """
+    away = abs(y.x_s)
+    parts = (contact == NUT and away <= TOUCH_M) or (
+        contact == COLLAR and away >= end_stop(p) - TOUCH_M
+    )
+    return 0.0 if parts or contact == FREE else p.bond
+
+
+@inlined
 def stay_margin(d, y, m, p, force, static1, static2):
     """Margin before the stay, at rest, moves in direction d (1, -1) with what it takes along [N].
 
@@ -99,7 +112,7 @@ def stay_margin(d, y, m, p, force, static1, static2):
             cap += static2
             blocked = blocked or piston_holds(d, 2, y)
         if not blocked:
-            hold = min(hold, cap - away)
+            hold = min(hold, cap - away + bond(c1, y, p))
     if c2 != FREE and d == -sign_ahead(2, c2):
         away = d * force[0]
         cap = own
@@ -109,7 +122,7 @@ def stay_margin(d, y, m, p, force, static1, static2):
             cap += static1
             blocked = blocked or piston_holds(d, 1, y)
         if not blocked:
-            hold = min(hold, cap - away)
+            hold = min(hold, cap - away + bond(c2, y, p))
     return hold
 
 
@@ -130,6 +143,8 @@ def rest_margins(y, m, p, force):
     minus1 = piston_static(-1.0, y.p_b - y.p_n, p)
     plus2 = piston_static(1.0, y.p_f - y.p_n, p)
     minus2 = piston_static(-1.0, y.p_f - y.p_n, p)
+    pull1 = bond(c1, y, p)
+    pull2 = bond(c2, y, p)
     hold = FAR
     hold1 = FAR
     hold2 = FAR
@@ -140,13 +155,13 @@ def rest_margins(y, m, p, force):
         )
     if m.piston_1 == 0:
         hold1 = min(
-            piston_margin(1, 1, c1, y, plus1, force[1]),
-            piston_margin(-1, 1, c1, y, minus1, force[1]),
+            piston_margin(1, 1, c1, y, plus1 + pull1, force[1]),
+            piston_margin(-1, 1, c1, y, minus1 + pull1, force[1]),
         )
     if m.piston_2 == 0:
         hold2 = min(
-            piston_margin(1, 2, c2, y, plus2, force[2]),
-            piston_margin(-1, 2, c2, y, minus2, force[2]),
+            piston_margin(1, 2, c2, y, plus2 + pull2, force[2]),
+            piston_margin(-1, 2, c2, y, minus2 + pull2, force[2]),
         )
     return hold + EPS_N, hold1 + EPS_N, hold2 + EPS_N
 
@@ -221,11 +236,11 @@ def guard_contacts(y, m, p, force, g, low):
     if moves and (m.joined_1 != FREE or m.joined_2 != FREE):
         need = p.m_p * accelerations(m, p, force)[0]
         if m.joined_1 != FREE:
-            pull = sign_ahead(1, m.joined_1) * (need - force[1])
-            low = put(g, Guard.CONTACT_1, pull + EPS_N, low)
+            push = sign_ahead(1, m.joined_1) * (need - force[1]) + bond(m.joined_1, y, p)
+            low = put(g, Guard.CONTACT_1, push + EPS_N, low)
         if m.joined_2 != FREE:
-            pull = sign_ahead(2, m.joined_2) * (need - force[2])
-            low = put(g, Guard.CONTACT_2, pull + EPS_N, low)
+            push = sign_ahead(2, m.joined_2) * (need - force[2]) + bond(m.joined_2, y, p)
+            low = put(g, Guard.CONTACT_2, push + EPS_N, low)
     return low
 
 

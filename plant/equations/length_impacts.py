@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from plant.equations.length_contacts import (
     EPS_PA,
+    bond,
     end_stop,
     note_corners,
     note_side,
@@ -346,9 +347,17 @@ def join(y, m, p, force):
         a2 = lone_piston(-y.v_2, force[2], y.p_f - y.p_n, y.x_2 <= TOUCH_M, False, p)
         if c2 != FREE:
             a2 = a
-        if c1 == FREE and touch1 != FREE and sign_ahead(1, touch1) * (a1 - a) < 0.0:
+        if (
+            c1 == FREE
+            and touch1 != FREE
+            and p.m_p * sign_ahead(1, touch1) * (a1 - a) < bond(touch1, y, p)
+        ):
             c1 = touch1
-        elif c2 == FREE and touch2 != FREE and sign_ahead(2, touch2) * (a2 - a) < 0.0:
+        elif (
+            c2 == FREE
+            and touch2 != FREE
+            and p.m_p * sign_ahead(2, touch2) * (a2 - a) < bond(touch2, y, p)
+        ):
             c2 = touch2
         else:
             break
@@ -357,7 +366,7 @@ def join(y, m, p, force):
 
 @inlined
 def part(y, p, force, joined):
-    """Part the contacts of `join` that would have to pull: a piston faster than the group leaves it."""
+    """Part the contacts of `join` that would have to pull (harder than their `bond`): a piston faster than the group leaves it."""
     c1, c2, a, a1, a2 = joined
     d = direction_of(y.v_s, a)
     for _ in range(2):
@@ -365,10 +374,10 @@ def part(y, p, force, joined):
             break
         alone1 = (force[1] - d * piston_sliding(y.v_s, d, y.p_b - y.p_n, p)) / p.m_p
         alone2 = (force[2] - d * piston_sliding(y.v_s, d, y.p_f - y.p_n, p)) / p.m_p
-        if c1 != FREE and sign_ahead(1, c1) * (alone1 - a) > 0.0:
+        if c1 != FREE and p.m_p * sign_ahead(1, c1) * (alone1 - a) > bond(c1, y, p):
             a1 = alone1
             c1 = FREE
-        elif c2 != FREE and sign_ahead(2, c2) * (alone2 - a) > 0.0:
+        elif c2 != FREE and p.m_p * sign_ahead(2, c2) * (alone2 - a) > bond(c2, y, p):
             a2 = alone2
             c2 = FREE
         else:

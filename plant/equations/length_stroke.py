@@ -99,13 +99,16 @@ def blocked_force(y, m, p, force):
     Positive outward; without friction, as the static friction's share is not determined.
     """
     total = force[0]
+    bonded = p.bond > 0.0
     if m.piston_1 == 0:
         contact = touching(y.x_1 - y.x_s, p)
-        if (contact == NUT and force[1] < 0.0) or (contact == COLLAR and force[1] > 0.0):
+        pushes = (contact == NUT and force[1] < 0.0) or (contact == COLLAR and force[1] > 0.0)
+        if pushes or (bonded and contact != FREE):
             total += force[1]
     if m.piston_2 == 0:
         contact = touching(y.x_2 + y.x_s, p)
-        if (contact == NUT and force[2] > 0.0) or (contact == COLLAR and force[2] < 0.0):
+        pushes = (contact == NUT and force[2] > 0.0) or (contact == COLLAR and force[2] < 0.0)
+        if pushes or (bonded and contact != FREE):
             total += force[2]
     return total * m.blocked
 

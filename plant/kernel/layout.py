@@ -130,6 +130,7 @@ class Parameters(Record):
     vol_f: Value
     m_s: Value  # mass of the stay with everything that moves with it
     m_p: Value
+    bond: Value  # pull that a contact of stay and piston bears between the gears
     # friction of the stay (fixed piston: of the whole) and of a piston
     f_static_s: Value
     f_run_s: Value

@@ -119,6 +119,7 @@ def pack(
         p.vol_f = value("length.V_F0")
         p.m_s = value("length.m_s")
         p.m_p = value("length.m_p")
+        p.bond = value("length.F_bond")
         p.f_static_s = value("friction_length.F_sf_s")
         p.f_run_s = value("friction_length.F_rf_s")
         p.beta_s = value("friction_length.beta_s")

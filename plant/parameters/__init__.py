@@ -23,6 +23,9 @@ from plant.parameters.bounds import outside
 
 Number = float | tuple[float, ...]
 
+OPTIONAL = ("length.F_bond",)
+"""Parameters that a full set may leave out; the shipped value of `nominal` counts then."""
+
 
 class Parameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One number (or list of numbers) with its unit and where it comes from."""
@@ -174,6 +177,7 @@ def parse(raw: Mapping[str, Any], name: str) -> ParameterSet:
     if base is not None:
         entries = complete({**base.entries, **given}, name)
         return ParameterSet(name, entries, {**base.effects, **effects})
+    given = {path: known[path] for path in OPTIONAL} | given
     for path in known:
         if path not in given and path not in cylinder.UNITS:
             raise InputError(f'{name}: no {path}; expected a full set, or [base] model = "nominal"')
