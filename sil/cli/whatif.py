@@ -101,7 +101,7 @@ def folder_of(study: LoadedStudy, arguments: argparse.Namespace) -> Path:
 def write_files(
     study: LoadedStudy, table: Table, found: dict[str, Any], folder: Path, command: str
 ) -> None:
-    """Write summary, figures and page, of a safety study also the fault table."""
+    """Write summary, figures and page, and the table of a study of faults or of sensitivity."""
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import finite
     from sil.studies.fault_table import FAULT_TABLE, fault_table, safe_states
@@ -111,6 +111,10 @@ def write_files(
     if study.study.safety:
         found["safe_states"] = safe_states(study, table)
         write_atomically(folder / FAULT_TABLE, fault_table(study, table))
+    if study.study.kind == "sensitivity":
+        from sil.studies.kinds.sensitivity import markdown
+
+        write_atomically(folder / "sensitivity.md", markdown(study, table))
     write_page(study, table, found, folder, command)
 
 
@@ -141,7 +145,13 @@ def shift_line(entry: dict[str, Any]) -> str:
         parts.append(f"time {1e3 * time['median']:.0f} ms ({1e3 * time['max']:.0f} at worst)")
     if speed:
         parts.append(f"impact {speed['median']:.2f} m/s ({speed['max']:.2f} at worst)")
-    return ", ".join([*parts, f"failed {100 * entry['failed_share']:.1f} %"])
+    failed = f"failed {100 * entry['failed_share']:.1f} %"
+    if "failed_interval" in entry:
+        failed += " ({:.1f} to {:.1f} %)".format(*(100 * end for end in entry["failed_interval"]))
+    worst = entry.get("impact_worst_m_s", {}).get("p95")
+    if worst:
+        parts.append("hardest impact below {:.2f} m/s ({:.2f} to {:.2f}) in 95 %".format(*worst))
+    return ", ".join([*parts, failed])
 
 
 def metrics_line(entry: dict[str, Any], metrics: list[str]) -> str:

@@ -14,11 +14,14 @@ from sil.simulation import scenario
 from sil.studies.rows import columns
 from sil.studies.study import MOST_ROWS, Base, LoadedStudy, Study, Sweep, groups_of
 
+DRAWN = ("lhs", "sobol", "radial")
+"""Designs that draw values from ranges."""
 SHIPPED = Path(__file__).parent / "shipped"
 BASES = {
     "runs": ({(True, False), (False, True)}, "either scenario = or [stroke], exactly one"),
     "bounds": ({(False, False)}, "no scenario and no [stroke], where kind is bounds"),
     "budget": ({(True, False)}, "scenario = and no [stroke], where kind is budget"),
+    "sensitivity": ({(False, False)}, "no scenario and no [stroke], where kind is sensitivity"),
     "tuning": ({(True, False)}, "scenario = and no [stroke], where kind is tuning"),
 }
 """For each kind, which of (scenario, stroke) may be given, and the same in words."""
@@ -80,7 +83,7 @@ def check_shape(study: Study, source: str) -> None:
         wrong = wrong_sweep(sweep, study.design.kind)
         if wrong:
             raise InputError(f"{source}: sweep[{index}] {sweep.path}: {wrong}")
-    if study.design.kind in ("lhs", "sobol") and study.design.samples < 1:
+    if study.design.kind in DRAWN and study.design.samples < 1:
         raise InputError(f"{source}: design.samples: expected 1 or more")
     if study.safety and (study.scenario is None or study.kind != "runs"):
         raise InputError(f"{source}: safety: expected a study of runs with a scenario as base")
@@ -88,7 +91,7 @@ def check_shape(study: Study, source: str) -> None:
 
 def wrong_sweep(sweep: Sweep, design: str) -> str:
     """Return what is wrong with a sweep in a design, empty if nothing is."""
-    drawn = design in ("lhs", "sobol")
+    drawn = design in DRAWN
     ranged = sweep.low is not None or sweep.high is not None
     if (sweep.values is None) == (not ranged):
         return "expected values, or low and high"
@@ -100,6 +103,8 @@ def wrong_sweep(sweep: Sweep, design: str) -> str:
         return "expected low < high"
     if sweep.scale == "log" and sweep.low <= 0.0:
         return "a log range needs low > 0"
+    if sweep.scale == "normal" and not drawn:
+        return "a normal range needs a design that draws; expected lhs, sobol or radial"
     return "steps: expected 2 or more" if not drawn and sweep.steps is None else ""
 
 
@@ -130,17 +135,18 @@ def check_names(study: Study, source: str) -> None:
 
 def check_size(study: Study, source: str) -> None:
     """Refuse more rows than `MOST_ROWS` before any of them is made. Raises InputError."""
-    if study.design.kind in ("lhs", "sobol"):
+    if study.design.kind in DRAWN:
         if not study.sweep:
             raise InputError(
                 f"{source}: a {study.design.kind} design without [[sweep]]; expected one"
             )
-        size = study.design.samples
+        size = study.design.samples * (len(study.sweep) + 1 if study.design.kind == "radial" else 1)
     else:
         counts = [
             sweep.steps or 2 if sweep.values is None else len(sweep.values) for sweep in study.sweep
         ]
-        size = math.prod(counts) if study.design.kind == "grid" else max(counts, default=1)
+        combined = {"grid": math.prod(counts), "one_at_a_time": sum(counts, 1 - len(counts))}
+        size = combined.get(study.design.kind, max(counts, default=1))
     size *= math.prod(len(items) for _name, items in groups_of(study))
     if size > MOST_ROWS:
         raise InputError(f"{source}: {size} rows; expected at most {MOST_ROWS}")

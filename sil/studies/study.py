@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
 
@@ -64,7 +65,8 @@ class StrokeBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Sweep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One swept value: a list of values, or a range (for designs: its bounds).
 
-    `scale` "log" spaces a range by equal ratios.
+    `scale` "log" spaces a range by equal ratios; "normal" makes its ends the 2.5 and 97.5 % points
+    of a normal distribution.
     """
 
     path: str
@@ -77,8 +79,8 @@ class Sweep(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Upper end of the range."""
     steps: Annotated[int, msgspec.Meta(ge=2, le=MOST_ROWS)] | None = None
     """Number of values in the range."""
-    scale: Literal["linear", "log"] = "linear"
-    """Equal distances, or equal ratios."""
+    scale: Literal["linear", "log", "normal"] = "linear"
+    """Equal distances, equal ratios, or (in designs) normally distributed, 95 % within the range."""
     label: str = ""
     """Text for figures; if empty, the path."""
     unit: str = ""
@@ -95,17 +97,22 @@ class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How swept values are combined: full grid, value by value (list), Latin hypercube, Sobol."""
+    """How swept values are combined: full grid, value by value (list), Latin hypercube, Sobol.
 
-    kind: Literal["grid", "list", "lhs", "sobol"] = "grid"
-    """How swept values are combined: full grid, value by value (list), Latin hypercube, Sobol."""
+    one_at_a_time: all at their first value, then each at its others; radial: centres, and round each
+    one value after another at another place.
+    """
+
+    kind: Literal["grid", "list", "lhs", "sobol", "one_at_a_time", "radial"] = "grid"
+    """How swept values are combined: full grid, value by value (list), Latin hypercube, Sobol,
+    one at a time from the first values, or radially round Sobol points."""
     samples: Annotated[int, msgspec.Meta(ge=0, le=MOST_ROWS)] = 0
-    """Number of samples of a hypercube or Sobol design."""
+    """Number of samples of a hypercube or Sobol design, of centres of a radial one."""
     seed: Annotated[int, msgspec.Meta(ge=0, le=(1 << 53) - 1)] = 0
     """Seed of a hypercube or Sobol design."""
 
 
-Kind = Literal["runs", "bounds", "budget", "tuning"]
+Kind = Literal["runs", "bounds", "budget", "tuning", "sensitivity"]
 
 
 class BoundsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -137,7 +144,8 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     kind: what a row is. runs: one shift. bounds: the softest worst-case stop found for the family
     "bound.family" of loads at the information delay "bound.delay_s". budget: the delays of one shift.
-    tuning: the best parameters of a strategy over all loads together.
+    tuning: the best parameters of a strategy over all loads together. sensitivity: margins of the
+    headlines of "Why feedback fails".
     """
 
     name: Name
@@ -289,7 +297,7 @@ def levels(sweep: Sweep) -> list[Value]:
 
 
 def design_points(study: Study, source: str) -> list[tuple[Value, ...]]:
-    """Return all points of the design, in a fixed order.
+    """Return all points of the design, in a fixed order, one value for each sweep.
 
     Raises InputError for a list design whose sweeps differ in length.
     """
@@ -302,11 +310,18 @@ def design_points(study: Study, source: str) -> list[tuple[Value, ...]]:
         if len({len(column) for column in columns}) != 1:
             raise InputError(f"{source}: design list: the sweeps have different lengths")
         return list(zip(*columns, strict=True))
+    if study.design.kind == "one_at_a_time":
+        columns = [levels(sweep) for sweep in study.sweep]
+        base = tuple(column[0] for column in columns)
+        single = [(k, value) for k, column in enumerate(columns) for value in column[1:]]
+        return [base, *((*base[:k], value, *base[k + 1 :]) for k, value in single)]
     from scipy.stats import qmc
 
     dimension = len(study.sweep)
     if study.design.kind == "lhs":
         unit = qmc.LatinHypercube(dimension, rng=study.design.seed).random(study.design.samples)
+    elif study.design.kind == "radial":
+        unit = radial_points(dimension, study.design)
     else:
         sampler = qmc.Sobol(dimension, scramble=True, rng=study.design.seed)
         power = int(np.ceil(np.log2(max(study.design.samples, 1))))
@@ -314,11 +329,30 @@ def design_points(study: Study, source: str) -> list[tuple[Value, ...]]:
     return [tuple(inside(*pair) for pair in zip(study.sweep, row, strict=True)) for row in unit]
 
 
+def radial_points(dimension: int, design: Design) -> NDArray[np.float64]:
+    """Return centres, each followed by itself with one value after another replaced.
+
+    [samples (dimension + 1), dimension], shares of the ranges; centres and replacements are the two
+    halves of the points of a scrambled Sobol sequence.
+    """
+    from scipy.stats import qmc
+
+    sampler = qmc.Sobol(2 * dimension, scramble=True, rng=design.seed)
+    drawn = sampler.random_base2(math.ceil(math.log2(max(design.samples, 1))))[: design.samples]
+    centres, others = drawn[:, None, :dimension], drawn[:, None, dimension:]
+    moved = np.where(np.eye(dimension, dtype=np.bool_), others, centres)
+    return np.concatenate([centres, moved], axis=1).reshape(-1, dimension)
+
+
 def inside(sweep: Sweep, share: float) -> float:
     """Return the value at a share, 0 to 1, of the range of a sweep."""
     low, high = float(sweep.low or 0.0), float(sweep.high or 0.0)
     if sweep.scale == "log":
         return float(low * (high / low) ** share)
+    if sweep.scale == "normal":
+        from scipy.special import ndtri
+
+        return float(0.5 * (low + high) + (high - low) * ndtri(share) / (2.0 * ndtri(0.975)))
     return float(low + (high - low) * share)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
@@ -74,3 +75,29 @@ def test_wrong_entries_of_a_model_file_are_named(tmp_path: Path, entry: str, mes
     path.write_text(f'[base]\nmodel = "nominal"\n[valve]\nD_rise = {entry}\n', encoding="utf-8")
     with pytest.raises(InputError, match=rf"model.toml: valve.D_rise[.:] ?{re.escape(message)}"):
         load(path)
+
+
+def test_the_second_truck_reproduces_the_window_of_the_thesis() -> None:
+    """40 ms from the release to the stop, 70 to 120 ms into gear, 40 to 100 ms to neutral (4.2.1)."""
+    from plant.effects.stroke_conditions import StrokeConditions
+    from plant.systems.stroke import simulate
+
+    truck = load("truck_40ms")
+
+    def stroke(kind: str, valve: str, force_n: float, impulse_n_s: float) -> tuple[float, float]:
+        conditions = StrokeConditions(
+            kind, 900000.0, ((0.0, valve, 0.98),), mounted=True,
+            mesh_force_n=force_n, sync_impulse_n_s=impulse_n_s,
+        )  # fmt: skip
+        events = simulate(truck, conditions, np.arange(0.0, 0.4, 1e-3), internal=False).events
+        at = {name: next((e.time_s for e in events if e.name == name), 0.0) for name in ("stop", "unblock")}  # fmt: skip
+        contact = min(e.time_s for e in events if e.name.endswith("contact"))
+        return at["stop"] - at["unblock"], at["stop"] - contact
+
+    mesh, impulse = (truck.values(f"synchronizer.{n}_typ") for n in ("F_mesh", "impulse"))
+    for force_n, impulse_n_s in zip(mesh, impulse, strict=True):
+        last, together = stroke("N-B", "B", force_n, impulse_n_s)
+        assert last == pytest.approx(0.040, abs=0.003)
+        assert 0.070 <= together <= 0.120
+    for force_n in truck.values("synchronizer.F_pull_typ"):
+        assert 0.040 <= stroke("B-N", "N", force_n, 0.0)[1] <= 0.1005
