@@ -96,7 +96,7 @@ def overridden(parameters: ParameterSet, changes: Mapping[str, Any]) -> Paramete
             raise InputError(f"{path}: expected effect.<id>.<parameter> = number")
         units = {item.name: item.unit for item in effect(parts[1]).parameters}
         effects.setdefault(parts[1], {})[parts[2]] = Parameter(
-            number(value, path), units.get(parts[2], ""), "set by the user"
+            number(value, path), units.get(parts[2], "-"), "set by the user"
         )
     own = {path: value for path, value in changes.items() if not path.startswith("effect.")}
     found = replace(parameters.override(own), effects=effects)

@@ -29,6 +29,7 @@ COMMANDS = {
     "claims": "the thesis's claims: claimed, achieved, met or not",
     "fmu": "plant or firmware as a co-simulation unit for other tools",
     "convert": "convert logs between candump, ASC, BLF, TRC, MF4 and CSV",
+    "live": "a live bench in the browser, on this machine only",
     "node": "run one participant of a scenario alone, on a bus",
     "bus": "transports found here; load and worst-case response times",
 }

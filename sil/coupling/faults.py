@@ -156,6 +156,15 @@ class Spoofed(_Fault, frozen=True, kw_only=True, tag="spoofed"):
     """Period of the forged frames."""
 
 
+class Sent(_Fault, frozen=True, kw_only=True, tag="sent"):
+    """An intruder sends one frame, at `start_s`."""
+
+    can_id: Annotated[int, Meta(ge=0, le=0x1FFF_FFFF)]
+    """Its 29-bit identifier."""
+    data: Annotated[str, Meta(pattern=r"^([0-9A-Fa-f]{2} ?){0,8}$")] = ""
+    """Its content, two hexadecimal digits a byte, at most 8 bytes."""
+
+
 BusFault = (
     Loss
     | DetectedCorruption
@@ -168,11 +177,12 @@ BusFault = (
     | Babbling
     | Replayed
     | Spoofed
+    | Sent
 )
 """Any fault that a scenario may state, by its `kind`."""
 
 
-Intrusion = Babbling | Replayed | Spoofed
+Intrusion = Babbling | Replayed | Spoofed | Sent
 """Faults that put frames on the bus; `sil.nodes.simulated` has the node that sends them."""
 
 
@@ -336,6 +346,8 @@ def window_of(fault: BusFault, name: str = "fault") -> Window:
         return Window(start_ns, NEVER_NS)
     if isinstance(fault, Dead):
         raise InputError(f"{name}.end_s: a dead node stays dead; expected the kind 'stalled'")
+    if isinstance(fault, Sent):
+        raise InputError(f"{name}.end_s: one frame has no end; expected start_s alone")
     end_ns = to_ns(fault.end_s, f"{name}.end_s")
     if end_ns <= start_ns:
         raise InputError(

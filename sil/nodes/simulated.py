@@ -14,7 +14,7 @@ from can_dbc.e2e import Protector
 from can_dbc.frame import Frame, join_id
 from can_dbc.messages import Gear, ShiftRequest
 from sil.coupling.clock import NS_PER_S, next_tick, to_ns
-from sil.coupling.faults import INTRUDER, Intrusion, Replayed, Spoofed, window_of
+from sil.coupling.faults import INTRUDER, Babbling, Intrusion, Replayed, Sent, Spoofed, window_of
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.coupling.transports.channel import Participant, Received, Turn
 
@@ -162,7 +162,7 @@ class _Intrusion:
         self._window = window_of(fault)
         self._random = draw
         self._sent = 0
-        if not isinstance(fault, Replayed | Spoofed):
+        if isinstance(fault, Babbling):
             can_id = join_id(fault.priority, BABBLED_PGN, INTRUDER_SOURCE)
             self._load = _Load(fault.load, INTRUDER_STEP_NS, bitrate, draw, lambda: can_id)
 
@@ -179,6 +179,10 @@ class _Intrusion:
             ]
         if isinstance(fault, Spoofed):
             return self._forged(fault, begin_ns)
+        if isinstance(fault, Sent):
+            at = self._window.start_ns
+            frame = Frame(fault.can_id, bytes.fromhex(fault.data))
+            return [(at, frame)] if begin_ns <= at < begin_ns + INTRUDER_STEP_NS else []
         return self._load.released(begin_ns) if self._window.holds(begin_ns) else []
 
     def _forged(self, fault: Spoofed, begin_ns: int) -> Released:

@@ -198,8 +198,7 @@
     return made;
   }
 
-  function group(place, number) {
-    const content = JSON.parse(place.querySelector("script").textContent);
+  function group(place, number, content) {
     const names = content.panels.flatMap((panel) => panel.ticks.map((tick) => tick[1].length));
     const size = Math.max(56, 7 * Math.max(0, ...names) + 6);
     const holder = place.querySelector(".panels");
@@ -336,6 +335,7 @@
       place.querySelector(".bar").appendChild(made);
     }
 
+    place.querySelector(".bar").replaceChildren();
     button("whole", "show everything", () => show(whole[0], whole[1]));
     content.zooms.forEach(([name, low, high]) => button(name, name, () => show(low, high)));
     button("+", "zoom in", () => zoom(0.5));
@@ -347,11 +347,27 @@
       draw,
       fit: () => charts.forEach((chart) => chart.setSize({ width: width(), height: chart.height })),
       charts: () => charts,
+      range: () => (range[0] > whole[0] || range[1] < whole[1] ? range : null),
+      show,
     };
   }
 
-  const groups = Array.from(document.querySelectorAll(".plots"), group);
-  window.opc4Plots = () => groups.map((one) => one.charts());
+  const groups = new Map();
+  document.querySelectorAll(".plots").forEach((place, number) => {
+    const stored = place.querySelector("script");
+    if (stored) groups.set(place, group(place, number, JSON.parse(stored.textContent)));
+  });
+  window.opc4Plots = () => Array.from(groups.values(), (one) => one.charts());
+  // Draws other content in a group; the part of the axis that was shown stays.
+  window.opc4Draw = (place, content) => {
+    const before = groups.get(place);
+    const shown = before && before.range();
+    if (before) before.charts().forEach((chart) => chart.destroy());
+    const made = group(place, `live ${Array.from(document.querySelectorAll(".plots")).indexOf(place)}`, content);
+    groups.set(place, made);
+    if (shown) made.show(...shown);
+    return made;
+  };
   const redraw = () => groups.forEach((one) => one.draw());
   dark.addEventListener("change", redraw);
   window.addEventListener("beforeprint", () => { printing = true; redraw(); });

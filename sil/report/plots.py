@@ -40,6 +40,19 @@ def plots(figure: Figure, *, repeated: bool = True) -> list[Group]:
 
 
 def _group(stack: Stack, repeated: bool) -> Group:
+    made = content(stack)
+    stride = made.pop("stride")
+    text = json.dumps(made, separators=(",", ":"), ensure_ascii=True)
+    return Group(
+        title=stack.title,
+        numbers=text.replace("<", "\\u003c"),  # inside a script element, "<" could end it
+        thinned=f"one point in {stride}" if stride > 1 else "",
+        repeated=repeated,
+    )
+
+
+def content(stack: Stack) -> dict[str, Any]:
+    """Return what plots.js draws of a stack; `stride`: it has one point in so many."""
     panels = [panel for panel in stack.panels if panel.drawn != "picture"]
     xs = [series.x for panel in panels for series in panel.series]
     ends = stack.ends()
@@ -47,7 +60,7 @@ def _group(stack: Stack, repeated: bool) -> Group:
     x = x[(x >= ends[0]) & (x <= ends[1])]
     stride = max(1, -(-len(x) // MOST_POINTS))
     x = x[::stride]
-    content = {
+    return {
         "axis": stack.axis,
         "log": stack.logarithmic,
         "ticks": [list(tick) for tick in stack.ticks],
@@ -55,14 +68,8 @@ def _group(stack: Stack, repeated: bool) -> Group:
         "x": rounded(x, DIGITS + 2),
         "zooms": [[zoom.name, zoom.low, zoom.high] for zoom in stack.zooms],
         "panels": [_panel(panel, x) for panel in panels],
+        "stride": stride,
     }
-    text = json.dumps(content, separators=(",", ":"), ensure_ascii=True)
-    return Group(
-        title=stack.title,
-        numbers=text.replace("<", "\\u003c"),  # inside a script element, "<" could end it
-        thinned=f"one point in {stride}" if stride > 1 else "",
-        repeated=repeated,
-    )
 
 
 def _panel(panel: Panel, x: Floats) -> dict[str, Any]:
@@ -118,4 +125,15 @@ def on_axis(series: Series, x: Floats) -> Floats:
 
 def rounded(values: Iterable[float], digits: int = DIGITS) -> list[float | None]:
     """Return numbers with so many significant digits; None for those that are not finite."""
-    return [float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in values]
+    given = np.asarray(values if isinstance(values, np.ndarray) else list(values), dtype=float)
+    finite = np.isfinite(given)
+    known = np.where(finite & (given != 0.0), given, 1.0)
+    places = digits - 1 - np.floor(np.log10(np.abs(known))).astype(int)
+    # powers of ten up to 22 are exact, so that one rounding gives the nearest decimal
+    scale = 10.0 ** np.minimum(np.abs(places), 22)
+    whole = np.where(places >= 0, np.round(known * scale), np.round(known / scale))
+    made = np.where(places >= 0, whole / scale, whole * scale)
+    found: list[float | None] = np.where(given == 0.0, 0.0, made).tolist()
+    for i in np.flatnonzero(~finite):
+        found[i] = None
+    return found

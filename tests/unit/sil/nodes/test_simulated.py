@@ -12,7 +12,7 @@ from can_dbc.errors import InputError
 from can_dbc.frame import Frame, split_id
 from can_dbc.messages import E2eState, Gear, ShiftRequest
 from sil.coupling.bus import BusModel
-from sil.coupling.faults import Babbling, Replayed, Spoofed
+from sil.coupling.faults import Babbling, Replayed, Sent, Spoofed, window_of
 from sil.nodes.simulated import Drifting, DriverNode, IntruderNode, TrafficNode
 from sil.recording.end_to_end import EndToEnd
 from sil.recording.run_record import BusFrame, RunRecord
@@ -175,3 +175,10 @@ def test_nothing_between_two_windows() -> None:
     node = TrafficNode(0.5, 3, 500_000, 1)
     assert node.advance(0, [])[1] == 10 * MS
     assert node.advance(4 * MS, []) == ([], 10 * MS)
+
+
+def test_a_frame_is_sent_once_at_its_instant() -> None:
+    fault = Sent(can_id=0x18FF1234, data="01 fF", start_s=0.0305)
+    assert sent(fault) == [(30_500_000, Frame(0x18FF1234, b"\x01\xff"))]
+    with pytest.raises(InputError, match="one frame has no end"):
+        window_of(Sent(can_id=1, start_s=0.1, end_s=0.2))

@@ -1,0 +1,65 @@
+"""Open a live bench in the browser: shifts by hand, what-ifs, the bus, finished runs.
+
+The page is served to this machine only, at an address with a token. Further scenario files can be
+given; the shipped ones are always there. Ends with Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from sil.cli.options import argument, say
+
+EXAMPLE = """\
+example:
+  opc4 live
+  opc4 live my_scenario.toml --runs results --no-browser --port 8000
+"""
+
+ARGUMENTS = (
+    argument("scenarios", "further scenario files", "SCENARIO", nargs="*"),
+    argument("--port", "port on 127.0.0.1; 0: any free one [0]", "N", type=int, default=0),
+    argument("--runs", "folder of the finished runs that are shown [runs]", "DIR", type=Path),
+    argument("--no-browser", "print the address only"),
+)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serve until interrupted. Raises InputError for a port in use or a scenario that is not valid."""
+    import asyncio
+    import webbrowser
+
+    from can_dbc.errors import InputError
+    from sil.live.server import Bench, serve
+    from sil.simulation import scenario
+
+    if not 0 <= arguments.port <= 65535:
+        raise InputError(f"--port {arguments.port}: expected 0 to 65535")
+    known = {name: name for name in scenario.shipped()}
+    for file in arguments.scenarios:
+        known[scenario.load(file).scenario.name] = file
+    folder = arguments.runs or Path("runs")
+    if arguments.runs is not None and not folder.is_dir():
+        raise InputError(f"{folder}: --runs: no such folder; expected one that exists")
+    shared = Bench(known, folder.resolve(), log=lambda line: say(f"opc4 live: {line}"))
+
+    def ready(address: str) -> None:
+        print(address, flush=True)
+        say("opc4 live: ends with Ctrl-C")
+        shared.pool.submit(warm_up)
+        if not arguments.no_browser:
+            webbrowser.open(address)
+
+    try:
+        asyncio.run(serve(shared, arguments.port, ready))
+    except KeyboardInterrupt:
+        say("opc4 live: ended")
+    return 0
+
+
+def warm_up() -> None:
+    """Load or compile the plant's equations while the page opens."""
+    from sil.simulation import build, scenario
+
+    build.warm_up(scenario.load("lab_n_b"))

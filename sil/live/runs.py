@@ -1,0 +1,115 @@
+"""The finished and unfinished outputs in a folder, for the tab Runs.
+
+Only what commands write there is read, and only in folders directly below the one chosen.
+Checked by: tests/unit/sil/live/test_runs.py
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from can_dbc.errors import InputError
+from sil.files.output_folder import INCOMPLETE
+from sil.report.figure import MM, MS, Figure, Panel, Series, Stack
+from sil.report.plots import content
+
+PAGES = ("report.html", "shift.png", "shift.svg")
+"""Files of a run that the page may open."""
+
+MOST_COMPARED = 6
+_FILES = {
+    "result.json": "run",
+    "diagnosis.json": "diagnosis",
+    "summary.json": "study",
+    "results.csv": "study",
+    "diff.json": "replay",
+    "claims.json": "claims",
+}
+
+
+def listed(folder: Path) -> list[dict[str, Any]]:
+    """Return name, kind, state and figures of each output below a folder, newest first."""
+    if not folder.is_dir():
+        return []
+    inside = [path for path in folder.iterdir() if path.is_dir() and not path.is_symlink()]
+    inside.sort(key=lambda path: (-path.stat().st_mtime, path.name))
+    return [entry for path in inside for entry in _entry(path)]
+
+
+def _entry(path: Path) -> Iterator[dict[str, Any]]:
+    kind = next((kind for name, kind in _FILES.items() if (path / name).is_file()), None)
+    unfinished = (path / INCOMPLETE).is_file()
+    if kind is None and not unfinished:
+        return
+    entry: dict[str, Any] = {
+        "name": path.name,
+        "kind": kind or "in progress",
+        "state": "complete",
+        "page": (path / "report.html").is_file(),
+    }
+    if unfinished:
+        entry["state"] = (path / INCOMPLETE).read_text(encoding="utf-8").strip() or "in progress"
+    if kind == "run":
+        result = _json(path / "result.json")
+        metrics = result.get("metrics") or {}
+        entry["state"] = "passed" if result.get("passed") else result.get("why") or "failed"
+        entry["figures"] = {
+            key: metrics.get(key) for key in ("shift_time_s", "impact_speed_m_s", "air_used_kg")
+        }
+        entry["trace"] = (path / "trace.csv").is_file()
+    elif kind == "study" and (path / "results.csv").is_file():
+        with (path / "results.csv").open("rb") as rows:
+            entry["rows"] = max(0, sum(1 for _ in rows) - 1)
+    elif kind == "diagnosis":
+        entry["state"] = _json(path / "diagnosis.json").get("verdict", "")
+    yield entry
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        held = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # being written, or damaged: shown without figures
+        return {}
+    return held if isinstance(held, dict) else {}
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Return the folder of one output. Raises InputError for a name that is not one of them."""
+    if name not in {entry["name"] for entry in listed(folder)}:
+        raise InputError(f"runs: no output {name!r} in {folder}; expected one that is listed")
+    return folder / name
+
+
+def compared(folder: Path, names: Sequence[str]) -> dict[str, Any]:
+    """Return the positions of several runs over each other, as plots.js draws them.
+
+    Raises InputError for too many, or one without a trace.
+    """
+    if not 1 <= len(names) <= MOST_COMPARED:
+        raise InputError(f"runs: {len(names)} chosen; expected 1 to {MOST_COMPARED}")
+    position, speed = [], []
+    for number, name in enumerate(names):
+        trace = inside(folder, name) / "trace.csv"
+        if not trace.is_file():
+            raise InputError(f"runs: {name} has no trace.csv; expected a finished run")
+        time_s, position_m, speed_m_s = _columns(trace)
+        role, at = f"series{number}", time_s * MS
+        position.append(Series(name, at, position_m * MM, role))
+        speed.append(Series(name, at, speed_m_s, role))
+    panels = [
+        Panel("Position", "mm", position, height=240),
+        Panel("Speed of the stay", "m/s", speed),
+    ]
+    return content(Figure([Stack("simulated time, ms", panels)]).stacks[0])
+
+
+def _columns(trace: Path) -> np.ndarray:
+    with trace.open(encoding="utf-8") as lines:
+        names = lines.readline().strip().split(",")
+        wanted = [names.index(name) for name in ("time_s", "position_m", "velocity_m_s")]
+        return np.loadtxt(lines, delimiter=",", usecols=wanted, unpack=True, ndmin=2)

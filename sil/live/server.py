@@ -1,0 +1,306 @@
+"""The live bench's server: one page and what it asks for, to this machine's browser only.
+
+It listens on 127.0.0.1. The address holds a token that the browser returns as a cookie of this site;
+a request without it, from another origin or for another host is refused with one line of log.
+Requests, messages and connections are bounded.
+Checked by: tests/unit/sil/live/test_server.py, tests/browser/test_live.py
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import hmac
+import json
+import secrets
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from tornado import httpserver, iostream, netutil, web, websocket
+
+from can_dbc.errors import InputError, RunError
+from sil.live import bench, runs
+from sil.live.bench import Asked
+
+HOST = "127.0.0.1"
+LARGEST_BODY = 1 << 20
+LARGEST_MESSAGE = 1 << 12
+MOST_CONNECTIONS = 64
+IDLE_S = 60.0
+FRAMES_AT_ONCE, FLUSH_S = 500, 0.1
+
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+        "img-src 'self' data:; connect-src 'self'"
+    ),
+}
+
+Log = Callable[[str], None]
+
+
+@dataclass
+class Bench:
+    """What all handlers share."""
+
+    known: Mapping[str, str]
+    """Scenarios that may be run: name on the page, and file or shipped name."""
+    folder: Path
+    """Folder of finished runs; nothing else is read."""
+    log: Log
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
+    port: int = 0
+    pool: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "bench"))
+
+    @property
+    def origin(self) -> str:
+        """The page's own origin."""
+        return f"http://{HOST}:{self.port}"
+
+    @property
+    def address(self) -> str:
+        """What the browser opens."""
+        return f"{self.origin}/?token={self.token}"
+
+    @property
+    def cookie(self) -> str:
+        """Name of the cookie: several benches may run on one machine."""
+        return f"opc4_live_{self.port}"
+
+    def fault_of(self, request: Any, token: str | None) -> str:
+        """Return why a request is refused, "" if it is not."""
+        if request.headers.get("Host") != f"{HOST}:{self.port}":
+            return "asked for another host"
+        if request.headers.get("Origin") not in (None, self.origin):
+            return f"came from another origin, {request.headers['Origin'][:60]!r}"
+        if not token or not hmac.compare_digest(token.encode(), self.token.encode()):
+            return "has no valid token"
+        return ""
+
+
+class _Handler(web.RequestHandler):
+    """A request that is refused unless it comes from our own page."""
+
+    def initialize(self, shared: Bench) -> None:
+        self.shared = shared
+
+    def set_default_headers(self) -> None:
+        for name, value in _HEADERS.items():
+            self.set_header(name, value)
+
+    def token(self) -> str | None:
+        return self.get_cookie(self.shared.cookie)
+
+    def prepare(self) -> None:
+        if why := self.shared.fault_of(self.request, self.token()):
+            self.shared.log(f"refused: a request that {why}")
+            raise web.HTTPError(403)
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        self.finish(f"opc4 live: {status_code}; open the address that opc4 live printed\n")
+
+    async def answer(self, work: Callable[[], Any]) -> None:
+        """Send what `work` returns as JSON; bad input is one line with status 400."""
+        loop = asyncio.get_running_loop()
+        self.set_header("Content-Type", "application/json")
+        try:
+            text = await loop.run_in_executor(self.shared.pool, lambda: json.dumps(work()))
+        except (InputError, RunError, msgspec.DecodeError) as error:
+            self.set_status(400)
+            text = json.dumps({"error": " ".join(str(error).split())})
+        self.finish(text)
+
+
+class _Page(_Handler):
+    """The page itself: the only address that takes the token from its query."""
+
+    def token(self) -> str | None:
+        return self.get_query_argument("token", None) or super().token()
+
+    def get(self) -> None:
+        name, value = self.shared.cookie, self.shared.token
+        self.set_cookie(name, value, httponly=True, samesite="Strict", path="/")
+        self.finish(page())
+
+
+class _Vocabulary(_Handler):
+    """What the page offers."""
+
+    async def get(self) -> None:
+        await self.answer(lambda: bench.vocabulary(self.shared.known))
+
+
+class _Run(_Handler):
+    """A run, the values of a scenario, or two runs over each other."""
+
+    async def post(self, what: str) -> None:
+        body, known = self.request.body, self.shared.known
+
+        def work() -> Any:
+            if what == "compare":
+                before, after = msgspec.json.decode(body, type=tuple[Asked, Asked])
+                return bench.compare(before, after, known)
+            asked = msgspec.json.decode(body, type=Asked)
+            return (bench.run_shift if what == "run" else bench.values_of)(asked, known)
+
+        await self.answer(work)
+
+
+class _Runs(_Handler):
+    """The list of runs, and several of them over each other."""
+
+    async def get(self) -> None:
+        await self.answer(lambda: runs.listed(self.shared.folder))
+
+    async def post(self) -> None:
+        body, folder = self.request.body, self.shared.folder
+        await self.answer(lambda: runs.compared(folder, msgspec.json.decode(body, type=list[str])))
+
+
+class _RunPage(_Handler):
+    """A page or picture that a command has written."""
+
+    def get(self, name: str, file: str) -> None:
+        try:
+            path = runs.inside(self.shared.folder, name) / file
+        except InputError:
+            raise web.HTTPError(404) from None
+        if file not in runs.PAGES or path.is_symlink() or not path.is_file():
+            raise web.HTTPError(404)
+        kind = {".html": "text/html; charset=utf-8", ".png": "image/png", ".svg": "image/svg+xml"}
+        self.set_header("Content-Type", kind[path.suffix])
+        self.finish(path.read_bytes())
+
+
+class _Listener(websocket.WebSocketHandler):
+    """The frames of a run on the local bus, which another process has started."""
+
+    def initialize(self, shared: Bench) -> None:
+        self.shared = shared
+        self.ended = threading.Event()
+
+    def check_origin(self, origin: str) -> bool:
+        return origin == self.shared.origin
+
+    def prepare(self) -> None:
+        if why := self.shared.fault_of(self.request, self.get_cookie(self.shared.cookie)):
+            self.shared.log(f"refused: a connection that {why}")
+            raise web.HTTPError(403)
+
+    def on_message(self, message: str | bytes) -> None:
+        if self.ended.is_set() or not isinstance(message, str) or not message.isprintable():
+            self.close(1003, "expected the name of a local bus, once")
+            return
+        loop = asyncio.get_running_loop()
+
+        def send(text: str) -> None:
+            loop.call_soon_threadsafe(self._send, text)
+
+        threading.Thread(target=_listen, args=(message, self.ended, send), daemon=True).start()
+
+    def _send(self, text: str) -> None:
+        if self.ws_connection is not None:
+            self.write_message(text)
+
+    def on_close(self) -> None:
+        self.ended.set()
+
+
+def _listen(name: str, ended: threading.Event, send: Callable[[str], object]) -> None:
+    """Send the frames of the local bus of that name until the page or the run ends."""
+    import can
+
+    frames: list[list[Any]] = []
+    why = ""
+    try:
+        with can.Bus(interface="opc4local", channel=name) as bus:
+            while not ended.is_set():
+                while len(frames) < FRAMES_AT_ONCE and (message := bus.recv(FLUSH_S)) is not None:
+                    frames.append(bench.heard(message))
+                send(json.dumps({"frames": frames}))
+                frames = []
+    except can.CanError as error:
+        why = str(error)
+    send(json.dumps({"frames": frames, "end": why}))
+
+
+class _Server(httpserver.HTTPServer):
+    """A server with a bounded number of connections."""
+
+    log: Log = print
+
+    def handle_stream(self, stream: iostream.IOStream, address: tuple[Any, ...]) -> None:
+        if len(self._connections) >= MOST_CONNECTIONS:
+            self.log(f"refused: connection {MOST_CONNECTIONS + 1}; the limit is {MOST_CONNECTIONS}")
+            stream.close()
+            return
+        super().handle_stream(stream, address)
+
+
+def application(shared: Bench) -> web.Application:
+    """Return the addresses of the bench."""
+    handlers = [
+        (r"/", _Page),
+        (r"/api/vocabulary", _Vocabulary),
+        (r"/api/(run|values|compare)", _Run),
+        (r"/api/runs", _Runs),
+        (r"/runs/([^/]+)/([^/]+)", _RunPage),
+        (r"/bus", _Listener),
+    ]
+    return web.Application(
+        [(pattern, handler, {"shared": shared}) for pattern, handler in handlers],
+        default_handler_class=_Nothing,
+        default_handler_args={"shared": shared},
+        websocket_max_message_size=LARGEST_MESSAGE,
+        log_function=lambda handler: None,
+    )
+
+
+class _Nothing(_Handler):
+    """Any other address."""
+
+    def prepare(self) -> None:
+        super().prepare()
+        raise web.HTTPError(404)
+
+
+@functools.cache
+def page() -> str:
+    """Return the page, complete in one file."""
+    from sil.report.plots import Group
+    from sil.report.shell import Head, render
+
+    library = [Group("", "{}", "", True)]  # so that the shell carries uPlot and the themes
+    return render("live.html", Head("live", "Live bench"), library)
+
+
+async def serve(shared: Bench, port: int, ready: Callable[[str], None]) -> None:
+    """Serve until cancelled; `ready` is called with the address. Raises InputError for a port in use."""
+    try:
+        sockets = netutil.bind_sockets(port, HOST)
+    except OSError as error:
+        raise InputError(f"--port {port}: {error.strerror}; expected a free one, or 0") from None
+    shared.port = sockets[0].getsockname()[1]
+    server = _Server(
+        application(shared),
+        max_body_size=LARGEST_BODY,
+        max_buffer_size=LARGEST_BODY,
+        idle_connection_timeout=IDLE_S,
+    )
+    server.log = shared.log
+    server.add_sockets(sockets)
+    ready(shared.address)
+    try:
+        await asyncio.Event().wait()
+    finally:
+        server.stop()
+        shared.pool.shutdown(wait=False, cancel_futures=True)

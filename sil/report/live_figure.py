@@ -1,0 +1,92 @@
+"""The figure of the live bench: a run over the one before a change."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sil.recording.run_record import CHAMBERS, Floats
+from sil.report.figure import BAR, MM, MS, Figure, Panel, Rule, Series, Span, Stack, Zoom
+from sil.report.run_figure import shift_zooms, valve_spans
+from sil.simulation.in_memory import MemoryRun
+
+MOST_POINTS = 900
+"""Points of a line: as many as a screen has, so that a change is drawn at once."""
+
+
+def comparison_figure(before: MemoryRun, after: MemoryRun) -> Figure:
+    """Return the figure of two runs: the first dashed, the second in full colours."""
+    zooms = [zoom for run in (before, after) for zoom in shift_zooms(run.record, run.shifts)]
+    low, high = min(zoom.low for zoom in zooms), max(zoom.high for zoom in zooms)
+    old, new = _Lines(before, low, high, dashed=True), _Lines(after, low, high, dashed=False)
+    stroke = after.record.stroke_m * MM
+    rules = [Rule(at, "", "grid", "y", "solid") for at in (-stroke, 0.0, stroke)]
+    rules += [
+        Rule(shift.requested_s * MS, f"{shift.to_gear} requested")
+        for shift in after.shifts
+        if low <= shift.requested_s * MS <= high
+    ]
+    panels = [
+        Panel("Position", "mm", [*old.position(), *new.position()], rules=rules, height=240),
+        Panel("Speed of the stay", "m/s", [*old.speed(), *new.speed()], height=120),
+        _valves(before, after),
+        Panel("Chamber pressures", "bar", [*old.pressures(), *new.pressures()], height=170),
+    ]
+    own = shift_zooms(after.record, after.shifts)
+    named = [Zoom(zoom.name, max(zoom.low, low), min(zoom.high, high)) for zoom in own]
+    stack = Stack("simulated time, ms", panels, zooms=named, limits=(low, high))
+    return Figure([stack])
+
+
+class _Lines:
+    """The lines of one run between two instants in ms."""
+
+    def __init__(self, run: MemoryRun, low: float, high: float, *, dashed: bool) -> None:
+        self._record = run.record
+        rows = np.flatnonzero(
+            (run.record.truth["time_s"] * MS >= low) & (run.record.truth["time_s"] * MS <= high)
+        )
+        self._rows = rows[:: max(1, len(rows) // MOST_POINTS)]
+        self._dashed = dashed
+
+    def _of(self, label: str, column: str, factor: float, role: str) -> Series:
+        truth = self._record.truth
+        x: Floats = truth["time_s"][self._rows] * MS
+        name = f"{label}, before" if self._dashed else label
+        width = 1.2 if self._dashed else 2.0
+        return Series(
+            name, x, truth[column][self._rows] * factor, role, dashed=self._dashed, width=width
+        )
+
+    def position(self) -> Iterator[Series]:
+        """Yield the true position and the controller's estimate."""
+        yield self._of("true position", "position_m", MM, "faint" if self._dashed else "truth")
+        at_s, estimate_m = self._record.estimate
+        x, y = at_s * MS, estimate_m * MM
+        if self._dashed:
+            yield Series("estimate, before", x, y, "faint", "stepped", True, 1.0)
+        else:
+            yield Series("controller's estimate", x, y, "estimate", "sampled", width=1.8)
+
+    def speed(self) -> Iterator[Series]:
+        """Yield the true speed."""
+        yield self._of("true speed", "velocity_m_s", 1.0, "faint" if self._dashed else "truth")
+
+    def pressures(self) -> Iterator[Series]:
+        """Yield the pressures of the chambers."""
+        for chamber in CHAMBERS:
+            yield self._of(chamber, f"pressure_{chamber}_pa", BAR, chamber)
+
+
+def _valves(before: MemoryRun, after: MemoryRun) -> Panel:
+    spans, ticks = [], []
+    for lane, chamber in enumerate(reversed(CHAMBERS)):
+        for run, low, high, style in (
+            (after, lane + 0.40, lane + 0.85, "solid"),
+            (before, lane + 0.10, lane + 0.30, "pale"),
+        ):
+            opened = valve_spans(run.record, chamber)[2]
+            spans += [Span(a * MS, b * MS, chamber, "", low, high, style) for a, b in opened]  # type: ignore[arg-type]
+        ticks += [(lane + 0.62, f"{chamber} open"), (lane + 0.20, "before")]
+    return Panel("Valves", "", spans=spans, ticks=ticks, height=120, limits=(-0.02, 3.0))

@@ -1,0 +1,70 @@
+"""A scenario as the text of a scenario file: what differs from the defaults, and nothing else.
+
+Checked by: tests/unit/sil/simulation/test_scenario_text.py
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from sil.simulation.scenario import Scenario, expanded
+
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+_DEFAULTS = expanded(Scenario(name="-", duration_s=1.0, request=[]))
+_STATED = ("name", "duration_s", "request")
+"""Keys that have no default."""
+
+
+def scenario_toml(scenario: Scenario) -> str:
+    """Return the text of a file that loads as this scenario, without its expectations.
+
+    A model file and a user's own firmware are named as the scenario names them.
+    """
+    table = _different(expanded(scenario), _DEFAULTS)
+    table.pop("expect", None)
+    for key in _STATED:
+        table[key] = expanded(scenario)[key]
+    return "\n".join(_lines(table, "")) + "\n"
+
+
+def _different(table: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        if isinstance(value, dict) and isinstance(defaults.get(key), dict):
+            if inner := _different(value, defaults[key]):
+                found[key] = inner
+        elif value is not None and (key not in defaults or value != defaults[key]):
+            found[key] = _without_none(value)
+    return found
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_without_none(item) for item in value]
+    if isinstance(value, dict):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    return value
+
+
+def _lines(table: Mapping[str, Any], prefix: str) -> Iterator[str]:
+    """Yield the lines of a table: its values, then its tables."""
+    inner: list[tuple[str, Any]] = []
+    for key, value in table.items():
+        name = key if _BARE_KEY.fullmatch(key) else json.dumps(key)
+        if isinstance(value, dict) or (value and _is_tables(value)):
+            inner.append((prefix + name, value))
+        else:
+            yield f"{name} = {json.dumps(value)}"
+    for name, value in inner:
+        tables = value if isinstance(value, list) else [value]
+        for item in tables:
+            yield ""
+            yield f"[[{name}]]" if isinstance(value, list) else f"[{name}]"
+            yield from _lines(item, f"{name}.")
+
+
+def _is_tables(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(item, dict) for item in value)

@@ -1,0 +1,312 @@
+"""The live bench driven as a person would: tabs, gears, sliders, faults, reload, two tabs, a restart."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import pytest
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.select import Select
+from selenium.webdriver.support.ui import WebDriverWait
+
+from sil.api import run
+from sil.cli import main
+from tests.browser.test_pages import INK, LEAST_INK, PHONE, UNMARKED
+from tests.conftest import ROOT
+
+pytestmark = pytest.mark.browser
+
+WAIT_S = 60.0
+
+
+class Live:
+    """`opc4 live` in a process of its own."""
+
+    def __init__(self, folder: Path, port: int = 0) -> None:
+        words = ["live", "--no-browser", "--port", str(port), "--runs", str(folder)]
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "sil.cli", *words],
+            cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        )  # fmt: skip
+        assert self.process.stdout is not None
+        self.address = self.process.stdout.readline().strip()
+        self.port = int(re.findall(r":(\d+)/", self.address)[0])
+
+    def end(self) -> int:
+        self.process.send_signal(signal.SIGINT)
+        code = self.process.wait(30.0)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+        return code
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("runs")
+    assert main(["run", "lab_n_b", "--out", str(made / "first")]) == 0
+    return made
+
+
+@pytest.fixture(scope="module")
+def live(folder: Path) -> Iterator[Live]:
+    served = Live(folder)
+    yield served
+    assert served.end() == 0
+
+
+class Page:
+    """What a person does and sees."""
+
+    def __init__(self, browser: Any, address: str) -> None:
+        self.browser = browser
+        browser.get("about:blank")
+        browser.get(address)
+        self.wait(lambda: self.text("trace"))
+
+    def wait(self, until: Callable[[], Any]) -> Any:
+        return WebDriverWait(self.browser, WAIT_S).until(lambda _: until())
+
+    def one(self, name: str) -> Any:
+        return self.browser.find_element(By.ID, name)
+
+    def text(self, name: str) -> str:
+        found: str = self.one(name).get_attribute("textContent")
+        return found
+
+    def click(self, name: str) -> None:
+        self.one(name).click()
+
+    def after(self, act: Callable[[], Any]) -> str:
+        """Act, and return the hash of the new run."""
+        before = self.text("trace")
+        act()
+        self.wait(lambda: self.text("trace") != before)
+        return self.text("trace")
+
+    def slide(self, path: str, value: int) -> None:
+        self.browser.execute_script(
+            "const s = document.querySelector(`[data-path='${arguments[0]}']`);"
+            "s.value = arguments[1]; s.dispatchEvent(new Event('input'))",
+            path, value,
+        )  # fmt: skip
+
+    def at(self, time_ms: float) -> None:
+        self.browser.execute_script(
+            "const t = document.getElementById('time'); t.value = arguments[0];"
+            "t.dispatchEvent(new Event('input'))",
+            time_ms,
+        )
+
+    def scenario(self) -> str:
+        found: str = self.one("copy-scenario").get_attribute("data-text")
+        return found
+
+    def drawn(self) -> bool:
+        inks = self.browser.execute_script(INK_OF_SHOWN)
+        return bool(inks) and max(inks) >= LEAST_INK
+
+
+INK_OF_SHOWN = INK.replace(
+    "window.opc4Plots().flat()", "window.opc4Plots().flat().filter(c => c.root.offsetWidth)"
+)
+
+
+def test_a_shift_by_hand(browser: Any, live: Live) -> None:
+    page = Page(browser, live.address)
+    assert "token" not in browser.current_url and page.drawn()
+    page.at(180.0)
+    true_mm, estimate_mm = map(float, re.findall(r"(-?\d+\.\d+) mm", page.text("readout")))
+    assert true_mm < 12.0 and estimate_mm > true_mm + 0.5  # it learns of it later
+    page.click("step")
+    assert page.text("clock").startswith("190.0 of")
+    page.after(lambda: page.click("by-hand"))
+    page.at(200.0)
+    page.after(lambda: page.browser.find_element(By.CSS_SELECTOR, "[data-gear=forward]").click())
+    page.at(850.0)
+    assert re.match(r"true position -1\d\.\d+ mm", page.text("readout"))
+    again = run(tomllib_of(page.scenario()))
+    assert again.trace_sha256 == page.text("trace")
+    assert [shift.to_gear for shift in again.shifts] == ["neutral", "forward"][-len(again.shifts) :]
+    page.click("play")
+    page.wait(lambda: not page.text("clock").startswith("850.0"))
+    page.click("play")
+    assert browser.get_log("browser") == []
+
+
+def tomllib_of(text: str) -> dict[str, Any]:
+    return tomllib.loads(text)
+
+
+def test_a_slider_a_reload_and_a_second_tab(browser: Any, live: Live) -> None:
+    page = Page(browser, live.address)
+    page.click("tab-whatif")
+    page.wait(page.drawn)
+    first = page.after(lambda: page.slide("valve.D_fall", 100))
+    command = page.one("copy-command").get_attribute("data-text")
+    assert "--set valve.D_fall=0.0069" in command
+    words = shlex.split(command)
+    assert run(words[2], [w for w in words[3:] if w != "--set"]).trace_sha256 == first
+    cells = [c.text for c in browser.find_elements(By.CSS_SELECTOR, "#metrics td")]
+    assert cells[0] == "request to stop" and cells[1].endswith("ms") and len(cells) == 18
+    browser.refresh()
+    page.wait(lambda: page.text("trace") == first)
+    address = browser.current_url
+    browser.switch_to.new_window("tab")
+    try:
+        Page(browser, live.address)
+        browser.get(address)
+        browser.refresh()
+        page.wait(lambda: page.text("trace") == first)
+        page.after(lambda: page.click("filter"))
+    finally:
+        browser.close()
+        browser.switch_to.window(browser.window_handles[0])
+    assert page.text("trace") == first
+    page.after(lambda: page.click("reset"))
+
+
+def test_something_is_broken_and_mended(browser: Any, live: Live) -> None:
+    page = Page(browser, live.address)
+    page.at(150.0)
+    page.click("tab-bus")
+    page.wait(lambda: len(browser.find_elements(By.CSS_SELECTOR, "#frames tbody tr")) > 50)
+    whole = page.text("trace")
+    kinds = Select(browser.find_element(By.CSS_SELECTOR, "#fault select"))
+    kinds.select_by_visible_text("bus: bus_off")
+    Select(browser.find_element(By.NAME, "node")).select_by_visible_text("controller")
+    broken = page.after(lambda: browser.find_element(By.CSS_SELECTOR, "#fault button").click())
+    assert "bus_off from 0.15 s" in page.text("faults") and "[[fault]]" in page.scenario()
+    assert run(tomllib_of(page.scenario())).trace_sha256 == broken
+    kinds = Select(browser.find_element(By.CSS_SELECTOR, "#fault select"))
+    kinds.select_by_visible_text("bus: delay")
+    delay = browser.find_element(By.NAME, "delay_s")
+    delay.send_keys("-5")
+    browser.find_element(By.CSS_SELECTOR, "#fault button").click()
+    page.wait(lambda: "delay_s" in page.text("error"))
+    assert page.text("trace") == broken  # refused with its line, nothing lost
+    mended = page.after(
+        lambda: browser.find_element(By.CSS_SELECTOR, "#faults button").send_keys(Keys.ENTER)
+    )
+    assert mended == whole
+    Select(page.one("only")).select_by_visible_text("ValveCommand")
+    rows = browser.find_elements(By.CSS_SELECTOR, "#frames tbody tr")
+    assert rows and all("ValveCommand" in row.text for row in rows)
+
+
+def test_frames_of_another_process_are_heard(browser: Any, live: Live, tmp_path: Path) -> None:
+    page = Page(browser, live.address)
+    page.click("tab-bus")
+    name = f"live-{live.port}"
+    other = subprocess.Popen(
+        [sys.executable, "-m", "sil.cli", "run", "full_shift", "--transport", f"local:{name}",
+         "--speed", "0.2", "--no-report", "--out", str(tmp_path / "other")],
+        cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        channel = page.one("channel")
+        channel.clear()
+        channel.send_keys(name)
+
+        def heard() -> bool:
+            if page.text("listen") == "Listen":
+                page.click("listen")
+            return bool(re.match(r"\d{2,} frames heard", page.text("heard")))
+
+        page.wait(heard)
+        assert browser.find_elements(By.CSS_SELECTOR, "#frames tbody tr")
+    finally:
+        other.wait(WAIT_S)
+
+
+def test_runs_are_listed_opened_and_compared(browser: Any, live: Live, folder: Path) -> None:
+    page = Page(browser, live.address)
+    page.one("tab-shift").send_keys(Keys.ARROW_LEFT)  # round to the last tab, by keyboard
+    page.wait(lambda: "first" in page.text("listed"))
+    assert main(["run", "lab_n_b", "--out", str(folder / "second"), "--no-report",
+                 "--set", "valve.D_rise=0.012"]) in (0, 1)  # fmt: skip
+    page.wait(lambda: "second" in page.text("listed"))  # listed by itself
+    for name in ("first", "second"):
+        page.wait(lambda name=name: click_box(browser, name))
+    page.wait(lambda: len(browser.execute_script(INK_OF_SHOWN)) == 2 and page.drawn())
+    page.wait(lambda: open_link(browser))
+    page.wait(lambda: "/runs/first/report.html" in browser.current_url)
+    assert "lab_n_b" in browser.title
+
+
+def click_box(browser: Any, name: str) -> bool:
+    done: bool = browser.execute_script(
+        "const b = document.querySelector(`[aria-label='compare ${arguments[0]}']`);"
+        "if (!b || b.disabled) return false; if (!b.checked) b.click(); return true",
+        name,
+    )
+    return done
+
+
+def open_link(browser: Any) -> bool:
+    done: bool = browser.execute_script(
+        "const a = document.querySelector('#listed a'); if (!a) return false; a.click(); return true"
+    )
+    return done
+
+
+def test_the_server_is_killed_and_started_again(browser: Any, folder: Path) -> None:
+    served = Live(folder)
+    page = Page(browser, served.address)
+    page.click("tab-whatif")
+    page.wait(page.drawn)
+    first = page.after(lambda: page.slide("valve.D_fall", 200))
+    address = browser.current_url
+    served.process.kill()
+    served.process.wait(30.0)
+    assert served.process.stdout is not None
+    served.process.stdout.close()
+    page.slide("valve.D_fall", 300)
+    page.wait(lambda: "start opc4 live again" in page.text("error"))
+    again = Live(folder, served.port)
+    try:
+        hash_part = address.split("#")[1]
+        browser.get("about:blank")
+        browser.get(f"{again.address}#{hash_part}")
+        page.wait(lambda: page.text("trace") == first)
+    finally:
+        assert again.end() == 0
+    browser.get_log("browser")  # the failed requests are known
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_a_phone_shows_every_tab(browser: Any, live: Live, dark: bool) -> None:
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", PHONE)
+    scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": scheme})
+    try:
+        page = Page(browser, live.address)
+        for tab in ("shift", "whatif", "bus", "runs"):
+            page.click(f"tab-{tab}")
+            page.wait(lambda: page.text("error") == "")
+            wide = browser.execute_script("return document.documentElement.scrollWidth")
+            assert wide <= PHONE["width"], tab
+            assert browser.execute_script(UNMARKED) == [] or tab == "bus"
+        paper = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+        assert (sum(map(int, re.findall(r"\d+", paper)[:3])) < 150) is dark
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def test_the_state_is_in_the_address(browser: Any, live: Live) -> None:
+    page = Page(browser, live.address)
+    Select(page.one("scenario")).select_by_visible_text("lab_n_b")
+    page.wait(lambda: "lab_n_b" in page.scenario())
+    state = json.loads(unquote(browser.current_url.split("#")[1]))
+    assert state["scenario"] == "lab_n_b" and state["settings"] == {}

@@ -1,0 +1,143 @@
+"""What the live bench shows is what the copied command or scenario computes, to the bit."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from can_dbc.errors import InputError
+from sil.api import Run, run
+from sil.live import bench
+from sil.live.bench import SLIDERS, Asked
+from sil.simulation.scenario import Request, shipped
+
+KNOWN = {name: name for name in shipped()}
+NAME = "truck_into_gear_easy"
+
+
+def computed(shown: dict[str, Any]) -> Run:
+    """The run of the command that is offered, or of the scenario where there is none."""
+    if not shown["command"]:
+        return run(tomllib.loads(shown["toml"]))
+    words = shlex.split(shown["command"])
+    assert words[:2] == ["opc4", "run"]
+    return run(words[2], [word for word in words[3:] if word != "--set"])
+
+
+@st.composite
+def changes(draw: st.DrawFn) -> dict[str, Any]:
+    """Values within the ends of some sliders, and the choices above them."""
+    paths = draw(st.lists(st.sampled_from(sorted(SLIDERS)), max_size=3, unique=True))
+    made: dict[str, Any] = {}
+    for path in paths:
+        _, low, high, _, _ = SLIDERS[path]
+        made[path] = float(f"{draw(st.floats(low, high)):.4g}")
+    if draw(st.booleans()):
+        made["controller.filter"] = draw(st.booleans())
+    if draw(st.booleans()):
+        names = ("open_loop", "blow_cut", "air_cushion", "sliding_mode")
+        made["controller.strategy"] = draw(st.sampled_from(names))
+    return made
+
+
+@given(changes())
+@settings(max_examples=12)
+def test_the_copied_command_computes_what_the_slider_shows(changed: dict[str, Any]) -> None:
+    before, after = Asked(scenario=NAME), Asked(scenario=NAME, settings=changed)
+    shown = bench.compare(before, after, KNOWN)
+    again = computed(shown)
+    assert again.trace_sha256 == shown["trace_sha256"]
+    assert again.trace_sha256 == run(tomllib.loads(shown["toml"])).trace_sha256
+    for (key, _, factor, _), (_, _, _, now) in zip(bench.METRICS, shown["metrics"], strict=True):
+        value = again.metrics[key]
+        assert now == (None if value is None else factor * value)
+
+
+def test_requests_and_faults_come_with_the_copied_scenario() -> None:
+    asked = Asked(
+        scenario="full_shift",
+        requests=[Request(at_s=0.1, gear="neutral"), Request(at_s=0.2, gear="backward")],
+        faults={
+            "fault": [
+                {"kind": "loss", "start_s": 0.15, "message": "PositionPulse", "count": 2},
+                {"kind": "sent", "start_s": 0.1505, "can_id": 0x18FF1234, "data": "01 02"},
+            ],
+            "sensor_fault": [{"kind": "stuck", "start_s": 0.3}],
+        },
+        duration_s=0.5,
+    )
+    shown = bench.run_shift(asked, KNOWN)
+    assert shown["command"] == ""
+    again = computed(shown)
+    assert again.trace_sha256 == shown["trace_sha256"]
+    assert len(again.frames) == len(shown["frames"]) > 300
+    assert [f[5] for f in shown["frames"] if f[4] == "18FF1234"] == ["01 02"]
+    assert {shift.to_gear for shift in again.shifts} == {"neutral", "backward"}
+    json.dumps(shown, allow_nan=False)
+
+
+def test_an_added_request_leaves_what_was_before_it() -> None:
+    earlier = Asked(scenario="lab_n_b", duration_s=0.7)
+    first = bench.run_shift(earlier, KNOWN)
+    requests = [*(msgspec.convert(r, Request) for r in first["requests"])]
+    later = Asked(
+        scenario="lab_n_b",
+        requests=[*requests, Request(at_s=0.4, gear="neutral")],
+        duration_s=1.1,
+    )
+    second = bench.run_shift(later, KNOWN)
+    until = first["trace"]["time_ms"].index(400.0)
+    assert second["trace"]["stay_mm"][:until] == first["trace"]["stay_mm"][:until]
+    assert second["trace"]["stay_mm"][-1] == pytest.approx(0.0, abs=0.05)
+    assert first["trace"]["stay_mm"][-1] > 10.0
+
+
+def refused() -> Iterator[tuple[dict[str, Any], str]]:
+    yield {"scenario": "/etc/passwd"}, "scenario: '/etc/passwd'; expected one of"
+    yield {"scenario": NAME, "settings": {"firmware": "x.py"}}, "firmware: cannot be set"
+    yield {"scenario": NAME, "settings": {"model_set": "/x.toml"}}, "model_set: cannot be set"
+    yield {"scenario": NAME, "settings": {"effects": "x.py"}}, "effects: cannot be set"
+    yield {"scenario": NAME, "settings": {"bus.guest": True}}, "bus.guest: cannot be set"
+    yield {"scenario": NAME, "settings": {"sensr.delay_s": 1}}, "nearest: sensor.delay_s"
+    yield {"scenario": NAME, "settings": {"sensor.delay_s": -1.0}}, "sensor.delay_s"
+    yield {"scenario": NAME, "duration_s": 3600.0}, "expected at most 20 s"
+    yield {"scenario": NAME, "settings": {"trace_period_s": 1e-5}, "duration_s": 19.0}, "steps"
+    yield {"scenario": NAME, "faults": {"fault": [{"kind": "none"}]}}, "fault[0]"
+
+
+@pytest.mark.parametrize(("raw", "line"), list(refused()))
+def test_what_a_page_may_not_ask_is_one_line(raw: dict[str, Any], line: str) -> None:
+    with pytest.raises(InputError) as caught:
+        bench.run_shift(msgspec.convert(raw, Asked), KNOWN)
+    assert line in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_every_fault_and_strategy_is_offered() -> None:
+    offered = bench.vocabulary(KNOWN)
+    kinds = {
+        kind
+        for schemas in offered["faults"].values()
+        for schema in schemas
+        for kind in schema["properties"]["kind"]["enum"]
+    }
+    assert {"loss", "babbling", "sent", "stuck", "garbage", "dead"} <= kinds
+    assert offered["scenarios"] == sorted(KNOWN) and "open_loop" in offered["strategies"]
+
+
+def test_a_file_of_the_user_is_offered_by_its_name(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        'name = "mine"\nduration_s = 0.2\n[[request]]\nat_s = 0.05\ngear = "backward"\n',
+        encoding="utf-8",
+    )
+    shown = bench.run_shift(Asked(scenario="mine"), {"mine": str(file)})
+    assert shown["duration_ms"] == 200.0

@@ -1,0 +1,52 @@
+"""The list of outputs, and runs over each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from can_dbc.errors import InputError
+from sil.cli import main
+from sil.live import runs
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("runs")
+    for name, extra in (("one", []), ("two", ["--set", "valve.D_rise=0.02"])):
+        code = main(["run", "lab_n_b", "--out", str(made / name), "--no-report", *extra])
+        assert code in (0, 1)
+    (made / "begun").mkdir()
+    (made / "begun" / "INCOMPLETE").write_text("opc4 whatif is writing\n", encoding="utf-8")
+    (made / "begun" / "results.csv").write_text("a,b\n1,2\n3,4\n", encoding="utf-8")
+    (made / "other").mkdir()
+    (made / "loop").symlink_to(made / "one")
+    return made
+
+
+def test_all_outputs_are_listed_with_their_state(folder: Path) -> None:
+    entries = {entry["name"]: entry for entry in runs.listed(folder)}
+    assert set(entries) == {"one", "two", "begun"}
+    assert entries["one"]["state"] == "passed" and entries["two"]["state"] == "failed"
+    assert entries["one"]["figures"]["impact_speed_m_s"] == pytest.approx(0.94, abs=0.01)
+    assert entries["begun"]["kind"] == "study" and entries["begun"]["rows"] == 2
+    assert entries["begun"]["state"] == "opc4 whatif is writing"
+
+
+def test_runs_are_drawn_over_each_other(folder: Path) -> None:
+    drawn = runs.compared(folder, ["one", "two"])
+    position = drawn["panels"][0]["series"]
+    assert [series["label"] for series in position] == ["one", "two"]
+    reached = [next(x for x, y in zip(drawn["x"], s["y"], strict=True) if y > 5) for s in position]
+    assert reached[1] - reached[0] == pytest.approx(12.0, abs=0.6)
+
+
+@pytest.mark.parametrize("names", [[], ["one"] * 7, ["../one"], ["loop"], ["begun"]])
+def test_other_names_are_refused(folder: Path, names: list[str]) -> None:
+    with pytest.raises(InputError, match="runs: "):
+        runs.compared(folder, names)
+
+
+def test_no_folder_is_an_empty_list(tmp_path: Path) -> None:
+    assert runs.listed(tmp_path / "none") == []

@@ -1,0 +1,180 @@
+"""The server answers its own page only: everything else is refused, bounded and one line of log."""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import json
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from can_dbc.errors import InputError
+from sil.live import server
+from sil.live.server import HOST, MOST_CONNECTIONS, Bench, serve
+from sil.simulation.scenario import shipped
+from tests.conftest import Run, run_opc4
+
+
+class Served:
+    """A bench that is served from a thread of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.lines: list[str] = []
+        self.bench = Bench({name: name for name in shipped()}, folder, self.lines.append)
+        ready = threading.Event()
+
+        async def until_stopped() -> None:
+            self.loop = asyncio.get_running_loop()
+            self.task = asyncio.ensure_future(serve(self.bench, 0, lambda address: ready.set()))
+            try:
+                await self.task
+            except asyncio.CancelledError:
+                pass
+
+        self.thread = threading.Thread(target=lambda: asyncio.run(until_stopped()), daemon=True)
+        self.thread.start()
+        assert ready.wait(30.0)
+
+    def stop(self) -> None:
+        self.loop.call_soon_threadsafe(self.task.cancel)
+        self.thread.join(30.0)
+
+    def ask(
+        self, method: str, path: str, body: Any = None, **headers: str | None
+    ) -> tuple[int, str, dict[str, str]]:
+        """Return status, text and headers; a header given as None is left out."""
+        given = {
+            "Host": f"{HOST}:{self.bench.port}",
+            "Cookie": f"{self.bench.cookie}={self.bench.token}",
+            **{name.title(): value for name, value in headers.items()},
+        }
+        connection = http.client.HTTPConnection(HOST, self.bench.port, timeout=60.0)
+        text = body if isinstance(body, bytes | type(None)) else json.dumps(body).encode()
+        try:
+            connection.request(method, path, text, {k: v for k, v in given.items() if v})
+            answer = connection.getresponse()
+            return answer.status, answer.read().decode(), dict(answer.headers)
+        finally:
+            connection.close()
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    folder = tmp_path_factory.mktemp("runs")
+    (folder / "done").mkdir()
+    (folder / "done" / "diagnosis.json").write_text('{"verdict": "named"}', encoding="utf-8")
+    (folder / "done" / "report.html").write_text("<p>page</p>", encoding="utf-8")
+    (folder / "done" / "secret.txt").write_text("secret", encoding="utf-8")
+    (folder.parent / "outside.txt").write_text("outside", encoding="utf-8")
+    made = Served(folder)
+    yield made
+    made.stop()
+
+
+def test_the_page_and_what_it_asks_for(served: Served) -> None:
+    token = served.bench.token
+    status, text, headers = served.ask("GET", f"/?token={token}", cookie=None)
+    assert status == 200 and "<title>Live bench" in text and token not in text
+    cookie = headers["Set-Cookie"]
+    assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
+    assert "default-src 'none'" in headers["Content-Security-Policy"]
+    assert json.loads(served.ask("GET", "/api/vocabulary")[1])["scenarios"]
+    assert json.loads(served.ask("GET", "/api/runs")[1])[0]["state"] == "named"
+    status, text, _ = served.ask("POST", "/api/run", {"scenario": "lab_n_b"})
+    assert status == 200 and len(json.loads(text)["frames"]) > 300
+    status, text, headers = served.ask("GET", "/runs/done/report.html")
+    assert (status, text) == (200, "<p>page</p>")
+
+
+@pytest.mark.parametrize(
+    ("headers", "why"),
+    [
+        ({"cookie": None}, "has no valid token"),
+        ({"cookie": "opc4_live_1=abc"}, "has no valid token"),
+        ({"origin": "http://example.org"}, "came from another origin, 'http://example.org'"),
+        ({"origin": "null"}, "came from another origin"),
+        ({"host": "example.org"}, "asked for another host"),
+    ],
+)
+@pytest.mark.parametrize("path", ["/", "/api/runs", "/runs/done/report.html", "/bus", "/none"])
+def test_others_are_refused_with_one_line_of_log(
+    served: Served, path: str, headers: dict[str, str | None], why: str
+) -> None:
+    before = len(served.lines)
+    status, text, _ = served.ask("GET", path, **headers)
+    assert status == 403 and "page" not in text.split("open")[0]
+    assert len(served.lines) == before + 1 and why in served.lines[-1]
+    assert "\n" not in served.lines[-1]
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "line"),
+    [
+        ("/api/run", b"{", "truncated"),
+        ("/api/run", b"\xff\xfe", "JSON is malformed"),
+        ("/api/run", [1], "Expected `object`, got `array`"),
+        ("/api/run", {"scenario": "lab_n_b", "path": "/etc"}, "unknown field `path`"),
+        ("/api/run", {"scenario": 3}, "Expected `str`, got `int`"),
+        ("/api/compare", {"scenario": "lab_n_b"}, "Expected `array`"),
+        ("/api/runs", ["../outside.txt"], "no output '../outside.txt'"),
+        ("/api/runs", ["done"], "has no trace.csv"),
+    ],
+)
+def test_malformed_messages_are_one_line(served: Served, path: str, body: Any, line: str) -> None:
+    status, text, _ = served.ask("POST", path, body)
+    assert status == 400 and line in json.loads(text)["error"]
+    assert "\n" not in json.loads(text)["error"]
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/runs/done/secret.txt", "/runs/..%2Foutside.txt/report.html", "/runs/../outside.txt",
+     "/runs/done/..%2F..%2Foutside.txt", "/etc/passwd", "/live.js", "/runs/%00/report.html"],
+)  # fmt: skip
+def test_nothing_else_is_read(served: Served, path: str) -> None:
+    status, text, _ = served.ask("GET", path)
+    assert status in (400, 404) and "secret" not in text and "outside" not in text
+
+
+def test_a_huge_request_is_refused(served: Served) -> None:
+    try:
+        status, _, _ = served.ask("POST", "/api/run", b" " * (2 * server.LARGEST_BODY))
+    except (ConnectionError, http.client.HTTPException):
+        status = 400  # closed before all of it was sent
+    assert status in (400, 413)
+    assert served.ask("GET", "/api/vocabulary")[0] == 200
+
+
+def test_a_thousand_connections_are_bounded(served: Served) -> None:
+    held, before = [], len(served.lines)
+    try:
+        for _ in range(1000):
+            one = socket.create_connection((HOST, served.bench.port), timeout=120.0)
+            held.append(one)
+        for one in held[MOST_CONNECTIONS + 8 :]:
+            assert one.recv(1) == b""  # closed by the server
+        assert any("the limit is" in line for line in served.lines[before:])
+    finally:
+        for one in held:
+            one.close()
+    assert served.ask("GET", "/api/vocabulary")[0] == 200
+
+
+def test_a_port_in_use_is_one_line(served: Served) -> None:
+    with pytest.raises(InputError, match=f"--port {served.bench.port}: .*; expected a free one"):
+        asyncio.run(serve(Bench({}, Path(), print), served.bench.port, print))
+
+
+def test_bad_arguments_are_refused(opc4: Run, tmp_path: Path) -> None:
+    for arguments, line in (
+        (["--port", "99999"], "--port 99999: expected 0 to 65535"),
+        (["--runs", "missing"], "missing: --runs: no such folder"),
+        (["none.toml"], "none.toml: file: not found"),
+    ):
+        done = run_opc4(tmp_path, "live", "--no-browser", *arguments)
+        assert done.returncode == 2 and line in done.stderr and done.stderr.count("\n") == 1
