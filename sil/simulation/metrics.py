@@ -68,7 +68,7 @@ class Shift(msgspec.Struct, frozen=True, kw_only=True):
     arrived_s: from when on the stay is at its stop for `HOLD_S` at least, or to the end of the run.
     confirmed_early_s: by how much the gear was confirmed before that, 0 if it was not;
     None without confirmation. impact_speed_m_s, impact_energy_j: first impact of the stay on its
-    stop; impact_worst_...: the hardest of `impacts`, as a speed of the stay, energy, peak force.
+    stop; `impact_worst_m_s` and the next two: the hardest of `impacts`, as a speed of the stay, energy, peak force.
     """
 
     from_gear: str
