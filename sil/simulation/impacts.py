@@ -51,8 +51,8 @@ def counted(
 def worst_speed_m_s(energy_j: Floats, stay_m_s: Floats, moving_mass_kg: float) -> Floats:
     """Return the hardest impact as a speed of the stay in m/s.
 
-    energy_j: of the hardest impact; stay_m_s: fastest stop of the stay; moving_mass_kg: of the stay,
-    its load and one piston, which would lose that energy at that speed.
+    energy_j [n] in J: of the hardest impact; stay_m_s [n] in m/s: fastest stop of the stay;
+    moving_mass_kg: of the stay, its load and one piston, which would lose that energy at that speed.
     """
     worst: Floats = np.maximum(np.sqrt(2.0 * energy_j / moving_mass_kg), stay_m_s)
     return worst

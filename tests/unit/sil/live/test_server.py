@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import http.client
 import json
 import socket
@@ -31,10 +32,8 @@ class Served:
         async def until_stopped() -> None:
             self.loop = asyncio.get_running_loop()
             self.task = asyncio.ensure_future(serve(self.bench, 0, lambda address: ready.set()))
-            try:
+            with contextlib.suppress(asyncio.CancelledError):
                 await self.task
-            except asyncio.CancelledError:
-                pass
 
         self.thread = threading.Thread(target=lambda: asyncio.run(until_stopped()), daemon=True)
         self.thread.start()
