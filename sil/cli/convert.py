@@ -1,7 +1,8 @@
 """Convert logs of frames between candump, ASC, BLF, TRC, MF4 and CSV, and traces to MF4.
 
-The formats follow from the names; .gz packs. What is broken in a log is counted, located and left
-out, or refused with --strict.
+The formats follow from the names; .gz packs. Several logs become one, ordered by time; - is standard
+input. What is broken in a log is counted, located and left out, or refused with --strict. With --dbc
+the signals are decoded: to CSV (one row per value), MF4 or parquet.
 """
 
 from __future__ import annotations
@@ -9,21 +10,29 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from sil.cli.options import JSON, STRICT, TIMES, argument
+from sil.cli.options import JSON, SELECTION, STRICT, TIMES, argument, selection
+
+if TYPE_CHECKING:
+    from sil.j1939.decode import DecodeReport
+    from sil.logs.convert import ConvertReport
 
 EXAMPLE = """\
 example:
   opc4 convert runs/full_shift-1/bus.log full_shift.asc
+  opc4 convert day-1.blf day-2.blf day.mf4 --since 2026-01-31T12:00 --pgn 61442,61445
+  candump -L can0 | opc4 convert - signals.csv --dbc truck.dbc
 """
 
 
 ARGUMENTS = (
-    argument("source", "log, or a run's trace.csv", "IN"),
+    argument("source", "logs, or a run's trace.csv", "IN", nargs="+"),
     argument("target", "file to write", "OUT"),
     argument("--from", "format of IN", "FORMAT", dest="source_format"),
     argument("--to", "format of OUT", "FORMAT", dest="target_format"),
-    *(STRICT, TIMES),
+    argument("--dbc", "decode the signals of this database (J1939 too)", "FILE"),
+    *(*SELECTION, STRICT, TIMES),
     argument("--force", "replace OUT"),
     JSON,
 )
@@ -32,18 +41,24 @@ ARGUMENTS = (
 def run(arguments: argparse.Namespace) -> int:
     """Convert a log; return the exit code. Raises InputError for bad input."""
     from can_dbc.errors import InputError
+    from sil.j1939.decode import decode
     from sil.logs.convert import convert
 
     if Path(arguments.target).exists() and not arguments.force:
         raise InputError(f"{arguments.target}: exists; expected a new name, or --force")
-    report = convert(
-        arguments.source,
-        arguments.target,
-        strict=arguments.strict,
-        times=arguments.times,
-        source_format=arguments.source_format,
-        target_format=arguments.target_format,
-    )
+    common = {
+        "strict": arguments.strict,
+        "times": arguments.times,
+        "source_format": arguments.source_format,
+        "selection": selection(arguments),
+        "show_progress": True,
+    }
+    report: ConvertReport | DecodeReport
+    if arguments.dbc is not None:
+        report = decode(arguments.source, arguments.target, arguments.dbc, **common)
+    else:
+        target_format = arguments.target_format
+        report = convert(arguments.source, arguments.target, target_format=target_format, **common)
     if arguments.json:
         print(json.dumps(report.as_dict(), ensure_ascii=False))
     else:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sil.logs.selection import Selection
 
 Argument = tuple[str, dict[str, Any]]
 """Name, and how argparse takes it."""
@@ -52,6 +56,38 @@ TIMES = argument(
     default="auto",
     choices=("auto", "delta", "recorded"),
 )
+
+
+SELECTION = (
+    argument(
+        "--since",
+        "only from here: seconds from the first frame or from 1970, or a UTC date",
+        "TIME",
+    ),
+    argument("--until", "only up to here", "TIME"),
+    *(
+        argument(name, text, metavar, action="append", default=[])
+        for name, text, metavar in (
+            ("--id", "only these identifiers, hex, commas between; repeatable", "ID"),
+            ("--pgn", "only these J1939 parameter groups, and those of --id; repeatable", "PGN"),
+            ("--channel", "only these channels; repeatable", "NAME"),
+        )
+    ),
+)
+"""The filters of a log; `selection(arguments)` takes them."""
+
+
+def selection(arguments: argparse.Namespace) -> Selection:
+    """Return the filters of a log that were given. Raises InputError for a bad one."""
+    from sil.logs.selection import Selection
+
+    return Selection.parse(
+        since=arguments.since,
+        until=arguments.until,
+        ids=arguments.id,
+        pgns=arguments.pgn,
+        channels=arguments.channel,
+    )
 
 
 def say(message: str) -> None:

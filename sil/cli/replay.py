@@ -17,16 +17,17 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sil.cli.options import JSON, SETTINGS, STRICT, TIMES, argument, out
+from sil.cli.options import JSON, SELECTION, SETTINGS, STRICT, TIMES, argument, out, selection
 
 if TYPE_CHECKING:
     from sil.log_replay.replay import ReplayRequest
+    from sil.logs import Logs
 
 EXAMPLE = """\
 example:
   opc4 replay runs/full_shift-1/bus.log --set controller.filter=false
   opc4 replay truck.asc.gz --strategy synchro_brake
-  opc4 replay truck.asc.gz --summary
+  opc4 replay truck-1.asc.gz truck-2.asc.gz --summary --out shifts
 
 options of --options FILE, all optional:
   ignore = ["Etc1.*", "ControllerStatus.estimate_m"]     # signals that are not compared
@@ -49,7 +50,8 @@ class _PrintMap(argparse.Action):
 
 
 ARGUMENTS = (
-    argument("log", "recorded log of the bus", "LOG"),
+    argument("log", "recorded log of the bus, - for standard input", "LOG"),
+    argument("more_logs", "more files of the same log", "LOG", nargs="*"),
     argument(
         "--firmware",
         "settings of the firmware (TOML, a scenario, a result.json), a firmware of your own "
@@ -73,7 +75,7 @@ ARGUMENTS = (
     argument("--closed-loop", "let the plant answer from the first command that differs"),
     argument("--against", "compare with the firmware of another commit instead", "REV"),
     argument("--summary", "list the gear shifts of any truck's log (J1939)"),
-    *(STRICT, TIMES, *out("runs/replay-LOG-N"), JSON),
+    *(*SELECTION, STRICT, TIMES, *out("runs/replay-LOG-N"), JSON),
 )
 
 
@@ -92,9 +94,21 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.log_replay.replay import ReplayRequest
     from sil.log_replay.signals import Options, load_options
 
-    names = ("log", "firmware", "run", "dbc", "plant", "closed_loop", "strict", "times")
+    names = (
+        "log",
+        "more_logs",
+        "firmware",
+        "run",
+        "dbc",
+        "plant",
+        "closed_loop",
+        "strict",
+        "times",
+    )
     request = ReplayRequest(
         settings=tuple(arguments.settings),
+        selection=selection(arguments),
+        show_progress=True,
         options=load_options(arguments.options) if arguments.options else Options(),
         **{name: getattr(arguments, name) for name in names},
     )
@@ -178,12 +192,10 @@ def _truck(arguments: argparse.Namespace) -> int | None:
     if given or (arguments.dbc is not None and arguments.map is None):
         return None
     found = replay_truck(
-        arguments.log,
+        _open(arguments),
         mapping=SignalMapping(arguments.map, arguments.dbc),
         settings=arguments.settings,
         firmware=arguments.firmware,
-        strict=arguments.strict,
-        times=arguments.times,
         only_trucks=arguments.map is not None,
     )
     if found is None:
@@ -198,26 +210,51 @@ def _truck(arguments: argparse.Namespace) -> int | None:
     return 1 if found.failed else 0
 
 
+def _open(arguments: argparse.Namespace) -> Logs:
+    """Return all files of the log, of which the filters select."""
+    from sil.logs import open_logs
+
+    return open_logs(
+        [arguments.log, *arguments.more_logs],
+        selection(arguments),
+        strict=arguments.strict,
+        times=arguments.times,
+        show_progress=True,
+    )
+
+
 def _summary(arguments: argparse.Namespace) -> int:
     from can_dbc.errors import InputError
     from sil.j1939.gear_history import PGN_ETC2
     from sil.j1939.shift_flag import PGN_ETC1
     from sil.j1939.shifts import summarize
-    from sil.logs import open_log
 
-    if arguments.out is not None:
-        raise InputError("--out: --summary writes nothing; expected one of the two")
-    reader = open_log(arguments.log, strict=arguments.strict, times=arguments.times)
+    reader = _open(arguments)
     found = summarize(reader)
     if not any(pgn in (PGN_ETC1, PGN_ETC2) for pgn, _ in found.groups):
         raise InputError(
-            f"{arguments.log}: no ETC1 (PGN 61442) and no ETC2 (PGN 61445) among {found.frames} "
+            f"{reader.path}: no ETC1 (PGN 61442) and no ETC2 (PGN 61445) among {found.frames} "
             "frames; expected a log of a truck's transmission"
         )
+    report = reader.report
+    if report.time_base == "none":
+        raise InputError(
+            f"{reader.path}: has no times, so that no shift time is known; expected a log with times "
+            "(candump -L or -ta)"
+        )
+    values = found.as_dict() | {"log_report": report.as_dict()}
+    folder = None
+    if arguments.out is not None:
+        from sil.log_replay.shifts_page import write_shifts
+
+        folder = write_shifts(found, values, reader.path, arguments.out, arguments.force)
+        values["out"] = str(folder)
     if arguments.json:
-        print(json.dumps(found.as_dict() | {"log_report": reader.report.as_dict()}, indent=1))
-    else:
-        print(f"{arguments.log}: " + "\n".join(found.lines()))
-        if not reader.report.clean:
-            print("\n".join(f"log: {line}" for line in reader.report.lines()[1:]))
+        print(json.dumps(values, indent=1))
+        return 0
+    print(f"{reader.path}: " + "\n".join(found.lines()))
+    if report.files or report.notes or not report.clean:
+        print("\n".join(f"log: {line}" for line in report.lines()[1:]))
+    if folder is not None:
+        print(f"{folder}: {' '.join(sorted(path.name for path in folder.iterdir()))}")
     return 0

@@ -8,8 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
+from sil.j1939.silences import Silences
+
 PGN_ETC2: Final = 61445
 _GEAR_OFFSET: Final = 125
+_FIRST_GEAR_BYTE: Final = 1
+"""Byte 0 would be reverse gear 125: it is sent by units that have nothing to report yet."""
+
 _PARK_BYTE: Final = 0xFB
 SETTLE_NS: Final = 1_000_000_000
 """After a shift the reported gear may lag so long behind (ETC2 comes every 100 ms)."""
@@ -21,9 +26,9 @@ MOST_RUNS: Final = 1_000_000
 
 
 def gear_at(data: bytes, byte: int) -> int | None:
-    """Return a gear, -125..125, 126 for park, None if not available (SPN 523, 524)."""
+    """Return a gear, -124..125, 126 for park, None if not available (SPN 523, 524)."""
     value = data[byte]
-    return value - _GEAR_OFFSET if value <= _PARK_BYTE else None
+    return value - _GEAR_OFFSET if _FIRST_GEAR_BYTE <= value <= _PARK_BYTE else None
 
 
 @dataclass(slots=True)
@@ -60,13 +65,13 @@ class GearChange(NamedTuple):
 class GearHistory:
     """Runs of one sender; memory grows with the changes, not with the log."""
 
-    samples: int = 0
     chatter: int = 0
     runs: list[Run] = field(default_factory=list)
+    silences: Silences = field(default_factory=Silences)
 
     def take(self, time_ns: int, data: bytes) -> None:
         """Take one ETC2."""
-        self.samples += 1
+        self.silences.take(time_ns)
         current, selected = gear_at(data, 3), gear_at(data, 0)
         if self.runs:
             last = self.runs[-1]
@@ -110,7 +115,8 @@ class GearHistory:
     def changes(self) -> list[GearChange]:
         """Shifts by the current gear alone; neutral in passing is taken as part of a shift.
 
-        A single sample of another gear between samples of the same gear is chatter.
+        A single sample of another gear between samples of the same gear is chatter. A gear that is
+        another after a step of the clock backwards is no shift: its time is not known.
         """
         stays = self._stays()
         found: list[GearChange] = []
@@ -122,7 +128,7 @@ class GearHistory:
                 beyond = stays[index + 2]
                 if beyond.first_ns - there.first_ns < NEUTRAL_PASS_NS:
                     there, step = beyond, 2
-            if here.current != there.current:
+            if here.current != there.current and here.last_ns <= there.first_ns:
                 found.append(GearChange(here.last_ns, there.first_ns, here.current, there.current))
             index += step
         return found

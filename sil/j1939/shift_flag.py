@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Final
 
+from sil.j1939.silences import Silences
+
 PGN_ETC1: Final = 61442
 _LAST_VALID_WORD: Final = 0xFAFF
 CHATTER_NS: Final = 50_000_000
@@ -39,13 +41,17 @@ def word_at(data: bytes, byte: int) -> int | None:
 
 @dataclass(slots=True)
 class FlaggedShift:
-    """A time in which the flag was up, and the speed ratios (input by output) around it."""
+    """A time in which the flag was up, and the speed ratios (input by output) around it.
+
+    silent_ns: how long the sender was not recorded meanwhile.
+    """
 
     start_ns: int
     end_ns: int
     chatter: int
     from_ratio: float | None
     to_ratio: float | None = None
+    silent_ns: int = 0
 
 
 @dataclass(slots=True)
@@ -57,12 +63,12 @@ class FlagTracker:
     unfinished: shifts of which the log has no beginning or no end.
     """
 
-    samples: int = 0
     flagged: bool = False
     chatter: int = 0
     unfinished: int = 0
     clock_steps: int = 0
     shifts: list[FlaggedShift] = field(default_factory=list)
+    silences: Silences = field(default_factory=Silences)
     _state: bool | None = None
     _begun_ns: int | None = None
     _doubt_ns: int | None = None
@@ -81,7 +87,7 @@ class FlagTracker:
         if self._last_ns is not None and time_ns < self._last_ns:
             self._restart()
         self._last_ns, self._last_data = time_ns, data
-        self.samples += 1
+        self.silences.take(time_ns)
         self._ratio(time_ns, data)
         flag = flag_at(data, 0, 4)
         if flag is not None:
@@ -160,3 +166,5 @@ class FlagTracker:
         if self._state:
             self.unfinished += 1
             self._state = None
+        for shift in self.shifts:
+            shift.silent_ns = self.silences.within(shift.start_ns, shift.end_ns)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final
 
 from can_dbc.frame import split_id
+from sil.j1939.engine import PGN_EEC1, EngineFigures, EngineSample, EngineTrace
 from sil.j1939.gear_history import PGN_ETC2, SETTLE_NS, GearHistory
-from sil.j1939.shift_flag import PGN_ETC1, FlagTracker
+from sil.j1939.shift_flag import PGN_ETC1, FlagTracker, flag_at
+from sil.j1939.transport import Assembler
 from sil.logs.frame import LogFrame
 from sil.logs.registry import open_log
 from sil.logs.times import format_ns
@@ -20,7 +22,12 @@ RATIO_TOLERANCE: Final = 0.05
 _PGN_MASK: Final = 0x3FFFF00
 _ETC1_BITS: Final = PGN_ETC1 << 8
 _ETC2_BITS: Final = PGN_ETC2 << 8
+_EEC1_BITS: Final = PGN_EEC1 << 8
+_TRANSPORT_MASK, _TRANSPORT_BITS = 0x3F80000, 0x0E80000
+"""Of PDU formats 0xE8 to 0xEF, of which the assembler takes its two."""
+
 _MOST_GROUPS: Final = 20_000
+_MOST_NOTES: Final = 20
 _GATEWAY_NS: Final = 100_000_000
 """A gateway forwards within this; the same shift of the same sender on two channels is one."""
 
@@ -36,6 +43,9 @@ class Shift:
     from_ratio, to_ratio: input by output shaft speed before and after, None where not known.
     method: "flag" (SPN 574, shift in process) or "gear" (SPN 523, current gear changed).
     chatter: one-sample changes of the flag left out inside.
+    silent_ns: how long its sender was not recorded from the last sample before the shift to its end:
+    so much shorter the shift may have been, or longer if it began unrecorded.
+    engine: torque and speed around it, None if the log has no EEC1 there.
     """
 
     start_ns: int
@@ -48,6 +58,8 @@ class Shift:
     chatter: int = 0
     from_ratio: float | None = None
     to_ratio: float | None = None
+    silent_ns: int = 0
+    engine: EngineFigures | None = None
 
     @property
     def duration_s(self) -> float:
@@ -61,12 +73,14 @@ class Shift:
     def __str__(self) -> str:
         sender = f"source {self.source:#04x}" + (f" on {self.channel}" if self.channel else "")
         when = f"{format_ns(self.start_ns)} s to {format_ns(self.end_ns)} s"
+        silent = f", {self.silent_ns / 1e9:.3f} s of it not recorded" if self.silent_ns else ""
         ratio = ""
-        if None in (self.from_gear, self.to_gear) and None not in (self.from_ratio, self.to_ratio):
+        if self.from_ratio is not None and self.to_ratio is not None:
             ratio = f", ratio {self.from_ratio:.2f} to {self.to_ratio:.2f}"
+        engine = f", {self.engine}" if self.engine else ""
         return (
-            f"{when} ({self.duration_s:.3f} s): {gear_name(self.from_gear)} to "
-            f"{gear_name(self.to_gear)}{ratio}, {sender}, by {self.method}"
+            f"{when} ({self.duration_s:.3f} s{silent}): {gear_name(self.from_gear)} to "
+            f"{gear_name(self.to_gear)}{ratio}, {sender}, by {self.method}{engine}"
         )
 
 
@@ -97,6 +111,12 @@ class J1939Summary:
     first_ns: int | None = None
     """Time of the log's first frame."""
 
+    transport: Assembler = field(default_factory=Assembler)
+    """What became of the messages of the transport protocol."""
+
+    engine_samples: Mapping[str, Sequence[EngineSample]] = field(default_factory=dict)
+    """By channel, those around shifts."""
+
     def as_dict(self) -> dict[str, Any]:
         """Return all of it as plain JSON values."""
         return {
@@ -111,6 +131,8 @@ class J1939Summary:
             "unflagged_gear_changes": [shift.as_dict() for shift in self.unflagged],
             "chatter": self.chatter,
             "unfinished": self.unfinished,
+            "long_messages": self.transport.assembled,
+            "long_messages_lost": dict(self.transport.lost),
             "notes": list(self.notes),
         }
 
@@ -129,19 +151,21 @@ class J1939Summary:
             found.append(f"{self.chatter} one-sample changes of the flag or gear left out")
         if self.unfinished:
             found.append(f"{self.unfinished} shifts without beginning or end in the log")
-        return found + self.notes
+        return found + self.transport.lines() + self.notes
 
 
 class ShiftFinder:
     """Finds the shifts in a stream of frames: `take` each, then `finish`.
 
-    Senders (channel and source address) are followed apart. Error, remote and standard frames
-    and all other parameter groups, transport protocol included, are passed over.
+    Senders (channel and source address) are followed apart, of engines the first on each channel.
+    Error, remote and standard frames and all other parameter groups are passed over.
     """
 
     def __init__(self) -> None:
         self._flags: dict[tuple[str, int], FlagTracker] = defaultdict(FlagTracker)
         self._gears: dict[tuple[str, int], GearHistory] = defaultdict(GearHistory)
+        self._engines: dict[str, tuple[int, EngineTrace]] = {}
+        self._gear_bytes: dict[tuple[str, int], bytes] = {}
         self._short = 0
         self.unflagged: list[Shift] = []
         self.notes: list[str] = []
@@ -149,7 +173,7 @@ class ShiftFinder:
     def take(self, frame: LogFrame) -> None:
         """Take one frame."""
         group = frame.can_id & _PGN_MASK
-        if group != _ETC1_BITS and group != _ETC2_BITS:
+        if group not in (_ETC1_BITS, _ETC2_BITS, _EEC1_BITS):
             return
         if not frame.extended or frame.remote or frame.error:
             return
@@ -157,10 +181,21 @@ class ShiftFinder:
             self._short += 1
             return
         sender = frame.channel, frame.can_id & 0xFF
+        if group == _EEC1_BITS:
+            engine = self._engines.setdefault(frame.channel, (sender[1], EngineTrace()))
+            if engine[0] == sender[1]:
+                engine[1].take(frame.time_ns, frame.data)
+            return
         if group == _ETC1_BITS:
             self._flags[sender].take(frame.time_ns, frame.data)
+            shifting = flag_at(frame.data, 0, 4)
         else:
             self._gears[sender].take(frame.time_ns, frame.data)
+            gears = frame.data[:4:3]
+            shifting = self._gear_bytes.get(sender) not in (None, gears)
+            self._gear_bytes[sender] = gears
+        if shifting and frame.channel in self._engines:
+            self._engines[frame.channel][1].keep(frame.time_ns)
 
     @property
     def chatter(self) -> int:
@@ -173,6 +208,11 @@ class ShiftFinder:
         """Shifts without beginning or end."""
         return sum(tracker.unfinished for tracker in self._flags.values())
 
+    @property
+    def engine_samples(self) -> dict[str, Sequence[EngineSample]]:
+        """Torque and speed around shifts, of the engine on each channel."""
+        return {channel: trace.kept for channel, (_, trace) in self._engines.items()}
+
     def finish(self) -> list[Shift]:
         """All shifts, by their start."""
         found: list[Shift] = []
@@ -182,12 +222,17 @@ class ShiftFinder:
                 self.notes.append(
                     f"source {sender[1]:#04x}: the clock stepped back {tracker.clock_steps} times"
                 )
+            if silent := [shift for shift in tracker.shifts if shift.silent_ns]:
+                self.notes.append(
+                    f"source {sender[1]:#04x}: not recorded for over 1 s in {len(silent)} shifts, "
+                    "whose times are therefore not known better"
+                )
             found += self._flagged(sender, tracker)
         flagged = found
         found = self._once(found)
         flagged_channels = {key[0] for key, tracker in self._flags.items() if tracker.shifts}
         for sender, history in self._gears.items():
-            by_gear = [Shift(*change, sender[1], sender[0], "gear") for change in history.changes()]
+            by_gear = self._by_gear(sender, history)
             alone = [s for s in by_gear if not _near_any(s, flagged)]
             if sender[0] in flagged_channels:
                 self.unflagged += alone
@@ -197,7 +242,29 @@ class ShiftFinder:
             self.notes.append(f"{self._short} ETC1 or ETC2 frames of fewer than 8 bytes")
         if not found:
             self._explain()
+        found = [replace(shift, engine=self._engine(shift)) for shift in found]
         return sorted(found, key=lambda shift: (shift.start_ns, shift.source, shift.channel))
+
+    def _by_gear(self, sender: tuple[str, int], history: GearHistory) -> list[Shift]:
+        """Return the changes of gear of a sender; one while it was silent has no shift time."""
+        found = []
+        for change in history.changes():
+            shift = Shift(*change, sender[1], sender[0], "gear")
+            silent_ns = history.silences.within(shift.start_ns + 1, shift.end_ns)
+            if not silent_ns:
+                found.append(shift)
+            elif len(self.notes) < _MOST_NOTES:
+                self.notes.append(
+                    f"source {sender[1]:#04x} was silent for {silent_ns / 1e9:.3f} s at "
+                    f"{format_ns(shift.start_ns)} s, then in {gear_name(shift.to_gear)} instead of "
+                    f"{gear_name(shift.from_gear)}: the shift between has no known time"
+                )
+        return found
+
+    def _engine(self, shift: Shift) -> EngineFigures | None:
+        if shift.channel not in self._engines:
+            return None
+        return self._engines[shift.channel][1].figures(shift.start_ns, shift.end_ns)
 
     def _once(self, found: list[Shift]) -> list[Shift]:
         """One of each shift that a gateway or another unit repeats: a truck shifts one at a time.
@@ -252,8 +319,8 @@ class ShiftFinder:
             before = history.gear_before(flagged.start_ns) if history else None
             after = history.gear_after(flagged.end_ns, until_ns) if history else None
             shift = Shift(flagged.start_ns, flagged.end_ns, before, after, source, channel, "flag")
-            shift = replace(shift, chatter=flagged.chatter, from_ratio=flagged.from_ratio)
-            found.append(replace(shift, to_ratio=flagged.to_ratio))
+            shift = replace(shift, chatter=flagged.chatter, silent_ns=flagged.silent_ns)
+            found.append(replace(shift, from_ratio=flagged.from_ratio, to_ratio=flagged.to_ratio))
         return self._gears_by_ratio(found)
 
     def _gears_by_ratio(self, found: list[Shift]) -> list[Shift]:
@@ -308,6 +375,7 @@ def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
     Raises InputError if `log` is a file that cannot be read.
     """
     finder = ShiftFinder()
+    transport = Assembler()
     identifiers: Counter[int] = Counter()
     frames = 0
     first_ns: int | None = None
@@ -319,6 +387,9 @@ def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
             if len(identifiers) < _MOST_GROUPS or frame.can_id in identifiers:
                 identifiers[frame.can_id] += 1
             finder.take(frame)
+            if frame.can_id & _TRANSPORT_MASK == _TRANSPORT_BITS:
+                transport.take(frame)
+    transport.finish()
     groups: Counter[tuple[int, int]] = Counter()
     for can_id, count in identifiers.items():
         parts = split_id(can_id)
@@ -334,4 +405,6 @@ def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
         finder.unfinished,
         finder.notes,
         first_ns,
+        transport,
+        finder.engine_samples,
     )

@@ -19,7 +19,7 @@ from sil.log_replay.options import firmware_of
 from sil.log_replay.truck_log import TruckLog
 from sil.log_replay.truck_loop import Input, OurShift, inputs_of, simulate, why_not
 from sil.log_replay.truck_shift import PHASES, RecordedShift, recorded_shift
-from sil.logs import open_log
+from sil.logs import Logs
 
 NAMES: Final = {
     "torque_cut": "torque cut",
@@ -79,13 +79,11 @@ class TruckReplay:
 
 
 def replay_truck(
-    path: str,
+    reader: Logs,
     *,
     mapping: SignalMapping,
     settings: Sequence[str] = (),
     firmware: str | None = None,
-    strict: bool = False,
-    times: str = "auto",
     only_trucks: bool = False,
 ) -> TruckReplay | None:
     """Compare every shift of a log with ours; None if the log is of our own control unit.
@@ -94,7 +92,7 @@ def replay_truck(
     in it.
     Raises InputError for a log without shaft speeds, gears or shifts, and for wrong settings.
     """
-    reader = open_log(path, strict=strict, times=times)
+    path = reader.path
     log = TruckLog(path, mapping)
     if not log.read(reader, only_trucks):
         return None

@@ -2,9 +2,11 @@
 
 from sil.logs.convert import ConvertReport, convert
 from sil.logs.frame import LogFrame
+from sil.logs.merged import Logs, open_logs
 from sil.logs.reader import LogReader
 from sil.logs.registry import FORMATS, open_log, open_writer
 from sil.logs.report import Location, LogReport
+from sil.logs.selection import Selection
 from sil.logs.writer import LogWriter
 
 __all__ = [
@@ -15,7 +17,10 @@ __all__ = [
     "LogReader",
     "LogReport",
     "LogWriter",
+    "Logs",
+    "Selection",
     "convert",
     "open_log",
+    "open_logs",
     "open_writer",
 ]

@@ -1,7 +1,8 @@
 """Vector ASC logs (CANalyzer, CANoe, and tools that write alike).
 
-Times are those recorded, counted from the start of the measurement; a comment of our own writer,
-`// time origin S s`, gives the instant that they count from.
+Times are those recorded, counted from the start of the measurement: the `date`, or, as python-can
+writes it, that of the trigger block. A comment of our own writer, `// time origin S s`, gives the
+instant that they count from.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import re
 from typing import Final, NamedTuple
 
-from sil.logs.format import Batch, Format, NotAFrame, TextReader
+from sil.logs.format import ZONE_NOTE, Batch, Format, NotAFrame, TextReader
 from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame
 from sil.logs.report import LogReport
 from sil.logs.source import ByteSource, Chunk, Line
@@ -57,13 +58,16 @@ _TIMED: Final = re.compile(r"(\d{1,10}\.\d{1,12})\s+(\S.*)\Z")
 _CLASSIC = re.compile(
     r"(\d{1,5})\s+([0-9A-Fa-f]{1,10})(x?)\s+(Rx|TxRq|Tx)\s+([dr])(?:\s+(.*))?\Z", re.IGNORECASE
 )
-_CLASSIC_LOOK = re.compile(r"\d+\s+\S+\s+(?:Rx|Tx|TxRq)\b|\d+\s+[0-9A-F]+x?\s+\S+\s+[dr]\b", re.I)
+_CLASSIC_LOOK = re.compile(
+    r"\d+\s+\S+\s+(?:Rx|Tx|TxRq)\b|\d+\s+[0-9A-F]+x?\s+\S+\s+[dr]\b|\d+\s+[0-9A-F]{1,8}x?(?:\s+[RT])?\s*\Z",
+    re.IGNORECASE,
+)
 _ERROR = re.compile(
     r"(\d{1,5})\s+ErrorFrame\b|CANFD\s+(\d{1,5})\s+(Rx|TxRq|Tx)\s+ErrorFrame\b", re.IGNORECASE
 )
 _FD = re.compile(
-    r"CANFD\s+(\d{1,5})\s+(Rx|TxRq|Tx)\s+([0-9A-F]{1,8})(x?)\s+(?:(?![01]\s+[01]\s+[0-9A-F]\s+\d)"
-    r"([A-Za-z_]\S*)\s+)?([01])\s+([01])\s+([0-9A-F])\s+(\d{1,2})(?:\s+(.*))?\Z",
+    r"CANFD\s+(\d{1,5})\s+(Rx|TxRq|Tx)\s+([0-9A-F]{1,8})(x?)\s+(?:(?![01]\s+[01]\s+(?:[0-9A-F]|1[0-5])\s+\d)"
+    r"([A-Za-z_]\S*)\s+)?([01])\s+([01])\s+([0-9A-F]|1[0-5])\s+(\d{1,2})(?:\s+(.*))?\Z",
     re.IGNORECASE,
 )
 _HEX_BYTE = re.compile(r"[0-9A-Fa-f]{2}\Z")
@@ -169,7 +173,8 @@ def _fd(text: str) -> _Event:
         raise ValueError(f"{text[:40]!r} is no whole CANFD line")
     channel, way, digits, extended, _name, brs, esi, code_text, length_text, rest = match.groups()
     direction = _direction(way)
-    code, length = int(code_text, 16), int(length_text)
+    decimal, length = len(code_text) == 2, int(length_text)
+    code = int(code_text, 10 if decimal else 16)
     words = (rest or "").split()
     data = _bytes(words[:length], False)
     if len(data) != length:
@@ -188,7 +193,8 @@ def _fd(text: str) -> _Event:
         direction=direction,
         raw_dlc=code if remote or (not fd and code > 8) else 0,
     )
-    return _Event(frame, len(words) > length + 3)
+    remark = "length codes of CANFD lines are decimal; they were read as such" if decimal else ""
+    return _Event(frame, len(words) > length + 3, remark)
 
 
 class AscReader(TextReader):
@@ -228,7 +234,7 @@ class AscReader(TextReader):
             if line.unterminated and known.name:
                 raise ValueError("the last line has no end and may be cut short") from None
             if _START.match(timed[2]) and time_ns == 0 and self._block_ns is not None:
-                self._report.start_ns, self._block_ns = self._block_ns, None
+                self._count_from(self._block_ns)
             raise
         if line.unterminated and not event.whole:
             raise ValueError("the last line has no end and may be cut short")
@@ -244,6 +250,7 @@ class AscReader(TextReader):
             if origin:
                 self._origin_ns = parse_decimal_ns(origin[1])
                 report.time_base = "absolute"
+                report.notes[:] = [note for note in report.notes if note != ZONE_NOTE]
             return
         base = _BASE.match(text)
         if base:
@@ -254,15 +261,22 @@ class AscReader(TextReader):
             return
         date = _DATE.match(text)
         if date:
-            report.start_ns = parse_date(date[1])
-            if report.start_ns is None:
-                report.note(f"date {date[1][:40]!r} was not understood; the times do not need it")
+            start_ns = parse_date(date[1])
+            if start_ns is None:
+                report.note(f"date {date[1][:40]!r} was not understood; times count from the start")
+            self._count_from(start_ns)
             return
         block = _BLOCK.match(text)
         if block:
             self._block_ns = parse_date(block[1])
         elif not _OTHER_HEADER.match(text):
             raise ValueError(f"{text[:40]!r} is no ASC line")
+
+    def _count_from(self, start_ns: int | None) -> None:
+        """Set the start of the measurement, which a header states without a zone."""
+        self._report.start_ns = start_ns
+        if start_ns is not None:
+            self._report.note(ZONE_NOTE)
 
 
 class AscWriter(RelativeWriter):

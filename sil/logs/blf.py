@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
-from sil.logs.format import Batch, Format, time_base
+from sil.logs.format import ZONE_NOTE, Batch, Format, time_base
 from sil.logs.frame import (
     MAX_EXTENDED_ID,
     MAX_STANDARD_ID,
@@ -365,6 +365,8 @@ class BlfReader:
         self._start_ns = read_systemtime(fields[14:22])
         self._report.start_ns = self._start_ns or None
         self._report.time_base = time_base(self._start_ns)
+        if self._start_ns:
+            self._report.note(ZONE_NOTE)
         return size, stated_size
 
     def _exactly(self, size: int) -> bytes:

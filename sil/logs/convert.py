@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from can_dbc.errors import InputError
-from sil.logs.registry import open_log, open_writer
+from sil.logs.merged import open_logs
+from sil.logs.registry import open_writer
 from sil.logs.report import LogReport
+from sil.logs.selection import Selection
+from sil.logs.source import STANDARD_INPUT
 
 if TYPE_CHECKING:
     from sil.logs.traces import TraceReport
@@ -58,39 +62,46 @@ class ConvertReport:
 
 
 def convert(
-    src: str | os.PathLike[str],
+    src: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     dst: str | os.PathLike[str],
     *,
     strict: bool = False,
     times: str = "auto",
     source_format: str | None = None,
     target_format: str | None = None,
+    selection: Selection | None = None,
+    show_progress: bool = False,
 ) -> ConvertReport:
-    """Read a log and write it in another format, frame by frame in constant memory.
+    """Read a log, or several as one, and write it in another format in constant memory.
 
     A table of signals (a CSV that begins with time_s) goes to MF4 with units, and an MF4 of such
     signals to CSV. Times that count from a date in the log's header become absolute. The target
-    appears only when it is complete.
+    appears only when it is complete. `selection`: the frames that are wanted [all].
     Raises InputError for what cannot be read (with `strict` also for anything broken) or written.
     """
-    source, target = os.fspath(src), os.fspath(dst)
-    if os.path.exists(target) and os.path.exists(source) and os.path.samefile(source, target):
-        raise InputError(f"{target}: is the source itself; expected another name")
-    if source_format is None:
-        signals = _signals(source, target)
+    sources = [src] if isinstance(src, (str, os.PathLike)) else list(src)
+    names, target = [os.fspath(source) for source in sources], os.fspath(dst)
+    for source in names:
+        if os.path.exists(target) and os.path.exists(source) and os.path.samefile(source, target):
+            raise InputError(f"{target}: is the source itself; expected another name")
+    name = ", ".join(names)
+    if source_format is None and len(names) == 1 and name != STANDARD_INPUT:
+        signals = _signals(name, target)
         if signals is not None:
-            return ConvertReport(source, target, signals=signals, written=signals.rows)
-    reader = open_log(source, format=source_format, strict=strict, times=times)
-    writer = open_writer(target, format=target_format)
-    start_ns: int | None = None
-    with writer:
-        for frame in reader:
-            if start_ns is None:  # of a log whose times count from a date in its header
-                relative = reader.report.time_base != "absolute"
-                start_ns = (reader.report.start_ns or 0) if relative else 0
-            writer.write(frame._replace(time_ns=start_ns + frame.time_ns) if start_ns else frame)
+            return ConvertReport(name, target, signals=signals, written=signals.rows)
+    log = open_logs(
+        names,
+        selection,
+        format=source_format,
+        strict=strict,
+        times=times,
+        show_progress=show_progress,
+    )
+    with open_writer(target, format=target_format) as writer:
+        for frame in log:
+            writer.write(frame)
     return ConvertReport(
-        source, target, reader.report, writer.format, writer.frames, dict(writer.losses)
+        name, target, log.report, writer.format, writer.frames, dict(writer.losses)
     )
 
 

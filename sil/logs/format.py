@@ -15,6 +15,7 @@ from sil.logs.times import RELATIVE_BELOW_NS
 from sil.logs.writer import LogWriter
 
 _MOST_KNOWN_IDS: Final = 100_000
+ZONE_NOTE: Final = "the start in the header names no time zone; it is taken as UTC"
 
 
 class Batch(NamedTuple):

@@ -294,9 +294,11 @@ def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
             file.report_rest()
         merged = heapq.merge(*(_frames(file, stream) for stream in streams), key=itemgetter(0))
         number = 1
+        total = sum(file.mdf.groups[stream.group].channel_group.cycles_nr for stream in streams)
         while frames := list(islice(merged, _ROWS)):
             yield Batch(frames, range(number, number + len(frames)))
             number += len(frames)
+            source.share = min(number / (total + 1), 1.0)
 
 
 def _refuse_signals(file: Mf4File) -> None:

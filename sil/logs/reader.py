@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from operator import lt
 
 from can_dbc.errors import InputError
@@ -29,6 +29,9 @@ class LogReader:
 
     def __init__(self, path: str, format: Format, *, strict: bool, times: str) -> None:
         self.path = path
+        self.on_read: Callable[[float, float], None] = lambda passed, size: None
+        """Called now and then with the bytes of the file that were read, and all of them."""
+
         self.format = format.name
         self._format = format
         self._strict = strict
@@ -43,6 +46,7 @@ class LogReader:
         try:
             for batch in map(lockstep.take, self._format.read(source, report, self._times)):
                 watch.take(batch)
+                self.on_read(source.passed_bytes, source.size)
                 yield from batch.frames
         finally:
             source.close()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from can_dbc.errors import InputError
@@ -40,8 +41,13 @@ class Location:
     reason: str
     line: int | None = None
     byte: int | None = None
+    path: str = ""
+    """Only where several files are read as one log."""
 
     def __str__(self) -> str:
+        return f"{self.path}: {self._text()}" if self.path else self._text()
+
+    def _text(self) -> str:
         reason = printable(self.reason)
         if self.line is not None:
             return f"line {self.line}: {reason}"
@@ -59,6 +65,7 @@ class LogReport:
     truncated: the log ends inside a line, record or block.
     lockstep: frames left out because they coordinated a lockstep run, by name.
     time_base: "absolute", "relative", "delta" (differences, summed up) or "none".
+    files: of several files read as one log, when each begins and ends.
     """
 
     path: str
@@ -82,6 +89,32 @@ class LogReport:
     start_ns: int | None = None
     time_base: str = "absolute"
     strict: bool = False
+    files: list[str] = field(default_factory=list)
+
+    @classmethod
+    def joined(cls, reports: Sequence[LogReport]) -> LogReport:
+        """Return the report of several files; locations and notes begin with the name of theirs."""
+        first, last = reports[0], reports[-1]
+        found = cls(
+            "+".join(r.path for r in reports), "+".join(dict.fromkeys(r.format for r in reports))
+        )
+        found.first_ns, found.last_ns, found.time_base = (
+            first.first_ns,
+            last.last_ns,
+            first.time_base,
+        )
+        for report in reports:
+            for name in ("frames", "error", "remote", "fd", "skipped", "backwards", "duplicates"):
+                setattr(found, name, getattr(found, name) + getattr(report, name))
+            found.truncated |= report.truncated
+            found.other += report.other
+            for name in ("backwards_locations", "duplicate_locations", "notes"):
+                texts = getattr(found, name)
+                texts += [f"{report.path}: {text}" for text in getattr(report, name)]
+            found.skipped_locations += [
+                replace(one, path=report.path) for one in report.skipped_locations
+            ]
+        return found
 
     def skip(self, location: Location) -> None:
         """Count a broken line or record. Raises InputError if `strict`."""
@@ -134,6 +167,7 @@ class LogReport:
             "duplicates": self.duplicates,
             "duplicate_places": list(self.duplicate_locations),
             "truncated": self.truncated,
+            "files": list(self.files),
             "notes": list(self.notes),
             "first_ns": self.first_ns,
             "last_ns": self.last_ns,
@@ -143,7 +177,7 @@ class LogReport:
 
     def lines(self) -> list[str]:
         """Return the report as text: one fact per line, only what is there."""
-        found = [f"{self.frames} frames ({self.format}, {self.time_base} times)"]
+        found = [f"{self.frames} frames ({self.format}, {self.time_base} times)", *self.files]
         for name in ("error", "remote", "fd"):
             count = getattr(self, name)
             if count:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import gzip
 import os
+import shutil
+import sys
+import tempfile
 import zlib
 from collections.abc import Callable, Iterator
 from typing import BinaryIO, Final, NamedTuple, Protocol
@@ -11,6 +15,7 @@ from typing import BinaryIO, Final, NamedTuple, Protocol
 from can_dbc.errors import InputError
 from sil.logs.report import Location, LogReport
 
+STANDARD_INPUT: Final = "-"
 HEAD_BYTES: Final = 1 << 14
 CHUNK_BYTES: Final = 1 << 15
 LONGEST_LINE: Final = 1 << 16
@@ -42,11 +47,17 @@ class ByteSource:
         self.path = path
         self._report = report
         self._unpacked = 0
+        self.share: float | None = None
+        """How much of the file was read, if its reader does not read it in order."""
+
         try:
-            if os.path.exists(path) and not os.path.isfile(path):
+            if path == STANDARD_INPUT:
+                path = _standard_input().name
+            elif os.path.exists(path) and not os.path.isfile(path):
                 kind = "a folder" if os.path.isdir(path) else "a pipe or device"
-                raise InputError(f"{path}: is {kind}; expected a log file")
+                raise InputError(f"{path}: is {kind}; expected a log file, or - for standard input")
             self.file: BinaryIO = open(path, "rb")  # noqa: SIM115 closed by close()
+            self.size = os.fstat(self.file.fileno()).st_size
         except OSError as error:
             raise InputError(f"{path}: {error.strerror}; expected a readable log file") from None
         try:
@@ -90,9 +101,23 @@ class ByteSource:
             )
         return block
 
+    @property
+    def passed_bytes(self) -> float:
+        """How many bytes of the file were read so far."""
+        return self.file.tell() if self.share is None else self.share * self.size
+
     def close(self) -> None:
         """Close the file."""
         self.file.close()
+
+
+@functools.cache
+def _standard_input() -> tempfile._TemporaryFileWrapper[bytes]:
+    """Return a temporary file with what standard input gave: logs are read more than once."""
+    copy = tempfile.NamedTemporaryFile(prefix="opc4-")  # noqa: SIM115 deleted at the end of the process
+    shutil.copyfileobj(sys.stdin.buffer, copy, 1 << 20)
+    copy.flush()
+    return copy
 
 
 class Readable(Protocol):

@@ -128,7 +128,7 @@ def _table(path: str, names: list[str]) -> NDArray[Any]:
 
 
 @contextmanager
-def _written(path: str) -> Iterator[BinaryIO]:
+def written(path: str) -> Iterator[BinaryIO]:
     """Open the new file. Raises InputError if the disk refuses."""
     try:
         with open_atomically(Path(path)) as file:
@@ -159,7 +159,7 @@ def trace_to_mf4(source: str, target: str) -> TraceReport:
     measurement = new_measurement(target, 0)
     try:
         measurement.append(signals, acq_name="trace", common_timebase=True)
-        with _written(target) as file:
+        with written(target) as file:
             save(measurement, file)
     finally:
         measurement.close()
@@ -196,7 +196,7 @@ def mf4_to_trace(source: str, target: str) -> TraceReport:
         opened.close()
     names = tuple(signal.name for signal in signals)
     columns = [signals[0].timestamps, *(signal.samples for signal in signals)]
-    with _written(target) as file, ExitStack() as packed:
+    with written(target) as file, ExitStack() as packed:
         csv = packed.enter_context(packer(file)) if target.endswith(".gz") else file
         csv.write(",".join(["time_s", *names]).encode("utf-8") + b"\n")
         for row in zip(*(column.tolist() for column in columns), strict=True):

@@ -9,7 +9,7 @@ import re
 from typing import Final
 
 from can_dbc.errors import InputError
-from sil.logs.format import Batch, Format, NotAFrame, TextReader, time_base
+from sil.logs.format import ZONE_NOTE, Batch, Format, NotAFrame, TextReader, time_base
 from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame
 from sil.logs.report import LogReport
 from sil.logs.source import ByteSource, Chunk, Line
@@ -112,11 +112,13 @@ class TrcReader(TextReader):
                     f"{report.path}: columns {value[:40]!r}; expected N,O,T,B,I,d,R,L,D or alike"
                 )
             self._columns = columns
+            report.note(ZONE_NOTE)
         elif report.start_ns is None:
             start = _START_TEXT.match(text)
             if start:
                 day, month, year, hour, minute, second, milli = map(int, start.groups())
                 report.start_ns = utc_ns(year, month, day, hour, minute, second, milli * NS_PER_MS)
+                report.note(ZONE_NOTE)
 
     def _time(self, text: str) -> int:
         """Milliseconds from the start as nanoseconds from 1970 or from the start."""

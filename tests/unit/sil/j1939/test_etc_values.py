@@ -26,12 +26,12 @@ def test_words_above_the_valid_range_are_none() -> None:
 
 
 def test_reverse_neutral_and_park() -> None:
-    gears = [gear_at(bytes((raw,)), 0) for raw in (0, 123, 125, 126, 250, 251)]
-    assert gears == [-125, -2, 0, 1, 125, GEAR_PARK]
+    gears = [gear_at(bytes((raw,)), 0) for raw in (0, 1, 123, 125, 126, 250, 251)]
+    assert gears == [None, -124, -2, 0, 1, 125, GEAR_PARK]
     assert [gear_at(bytes((raw,)), 0) for raw in (252, 253, 254, 255)] == [None] * 4
 
 
-@given(shifting=st.booleans(), bits=st.integers(0, 0xFAFF), gear=st.integers(-125, 126))
+@given(shifting=st.booleans(), bits=st.integers(0, 0xFAFF), gear=st.integers(-124, 126))
 def test_our_own_messages_are_read(shifting: bool, bits: int, gear: int) -> None:
     speed_rad_s = bits * 0.125 * 2.0 * math.pi / 60.0
     etc1 = encode(Etc1(shift_in_process=shifting, input_shaft_rad_s=speed_rad_s)).data

@@ -471,3 +471,54 @@ def test_no_traffic_breaks_the_finder(log: list[LogFrame]) -> None:
     for shift in shifts(log):
         assert shift.duration_s >= 0.0
         assert shift.method in ("flag", "gear")
+
+
+def silence(frames: list[LogFrame], begin_ms: int, end_ms: int) -> list[LogFrame]:
+    """Leave out what a recorder or sender did not deliver."""
+    gap = range(START_NS + begin_ms * MS, START_NS + end_ms * MS)
+    return [frame for frame in frames if frame.time_ns not in gap]
+
+
+def test_a_sender_that_was_silent_and_begins_with_zeros_makes_no_shift() -> None:
+    frames = truck([(50_000, 50_600, 0, 1)], flags=False, end_ms=8_000)
+    frames = silence(frames, 3_000, 5_000)
+    index = next(i for i, f in enumerate(frames) if f.time_ns > START_NS + 5_000 * MS)
+    zeros = LogFrame(frames[index].time_ns, join_id(6, 61445, 3), bytes(8), channel="can0")
+    assert shifts([*frames[:index], zeros, *frames[index:]]) == []
+
+
+def test_a_change_of_gear_during_silence_has_no_shift_time() -> None:
+    frames = silence(truck(SEVEN[:2], flags=False, end_ms=9_000), 4_000, 6_500)
+    found = summarize(frames)
+    assert plain(found.shifts) == [(2_630, 2_730, 0, 1)]
+    assert any("was silent for 2." in note and "in 2 instead of 1" in note for note in found.notes)
+
+
+def test_a_log_sampled_slowly_is_not_silent() -> None:
+    frames = [
+        etc2(time_ms, 1 if time_ms < 20_000 else 2, None) for time_ms in range(0, 40_000, 2_000)
+    ]
+    assert [(s.from_gear, s.to_gear) for s in shifts(frames)] == [(1, 2)]
+
+
+def test_a_gap_within_a_flagged_shift_is_stated() -> None:
+    found = summarize(silence(truck(SEVEN[:2], end_ms=12_000), 5_600, 8_600))
+    first, second = found.shifts
+    assert first.silent_ns == 0
+    assert second.duration_s == pytest.approx(3.6, abs=0.02)
+    assert second.silent_ns / 1e9 == pytest.approx(3.0, abs=0.02)
+    assert "3.0" in str(second) and "of it not recorded" in str(second)
+    assert any("not recorded for over 1 s in 1 shifts" in note for note in found.notes)
+
+
+def test_a_clock_that_steps_back_makes_no_negative_shift() -> None:
+    frames = truck([(5_000, 5_600, 1, 2), (8_000, 8_600, 2, 3)], flags=False, end_ms=12_000)
+    stepped = [
+        frame._replace(time_ns=frame.time_ns - 104_000 * MS)
+        if frame.time_ns > START_NS + 8_300 * MS
+        else frame
+        for frame in frames
+    ]
+    found = shifts(stepped)
+    assert [(s.from_gear, s.to_gear) for s in found] == [(0, 3), (1, 2)]
+    assert all(0 < shift.duration_s < 2 for shift in found)

@@ -1,0 +1,353 @@
+"""Signals of a log by a database (DBC), to a table: CSV or parquet with a row per value, or MF4.
+
+A frame is decoded by its identifier; a J1939 message by its parameter group, whoever sends it, long
+ones put together. What a sender reports as not available (all bits set, SAE J1939-71) is left out.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
+
+from can_dbc.dbc import load_dbc
+from can_dbc.errors import InputError
+from can_dbc.frame import split_id
+from sil.j1939.transport import PGN_CONTROL, PGN_DATA, Assembler
+from sil.logs.frame import LogFrame
+from sil.logs.merged import open_logs
+from sil.logs.mf4 import import_asammdf, new_measurement, save
+from sil.logs.report import LogReport
+from sil.logs.selection import Selection
+from sil.logs.times import NS_PER_MS, RELATIVE_BELOW_NS, format_ns
+from sil.logs.traces import written
+from sil.logs.writer import packer
+
+if TYPE_CHECKING:
+    from cantools.database import Database
+    from cantools.database.can import Message
+
+COLUMNS: Final = ("time_s", "channel", "message", "source", "signal", "value", "unit", "text")
+_NULL_ADDRESS: Final = 0xFE
+"""Source address in the J1939 identifiers of a DBC, which stands for any."""
+
+_BATCH: Final = 4096
+_MOST_UNKNOWN: Final = 100_000
+_SHOWN: Final = 5
+
+
+class Decoded(NamedTuple):
+    """The signals of one message: physical values by name; `source` of a J1939 message, else None."""
+
+    time_ns: int
+    channel: str
+    message: Message
+    source: int | None
+    values: dict[str, float]
+
+
+@dataclass
+class DecodeReport:
+    """What was decoded: unknown are frames of identifiers that the database does not have."""
+
+    source: str
+    target: str
+    database: str
+    read: LogReport
+    messages: Counter[str] = field(default_factory=Counter)
+    values: int = 0
+    broken: Counter[str] = field(default_factory=Counter)
+    unknown: Counter[str] = field(default_factory=Counter)
+    transport: Assembler = field(default_factory=Assembler)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all of it as plain JSON values."""
+        names = ("source", "target", "database", "values")
+        counts = {name: dict(getattr(self, name)) for name in ("messages", "broken", "unknown")}
+        long = {
+            "long_messages": self.transport.assembled,
+            "long_messages_lost": dict(self.transport.lost),
+        }
+        return {
+            **{name: getattr(self, name) for name in names},
+            **counts,
+            **long,
+            "read": self.read.as_dict(),
+        }
+
+    def lines(self) -> list[str]:
+        """Return the report as text, one fact per line."""
+        found = [
+            f"{self.target}: {self.values} values of {self.messages.total()} messages "
+            f"({', '.join(f'{n} {name}' for name, n in self.messages.most_common())})"
+        ]
+        found += [f"not decoded: {n} {name}" for name, n in self.broken.items()]
+        if self.unknown:
+            shown = ", ".join(f"{name} ({n})" for name, n in self.unknown.most_common(_SHOWN))
+            more = ", ..." if len(self.unknown) > _SHOWN else ""
+            found.append(
+                f"not in {self.database}: {self.unknown.total()} frames of {len(self.unknown)} "
+                f"identifiers: {shown}{more}"
+            )
+        found += self.transport.lines()
+        return [*found, f"{self.source}:", *(f"  {line}" for line in self.read.lines())]
+
+
+class Decoder:
+    """Decodes frames, one after the other, by the messages of a database."""
+
+    def __init__(self, database: Database, report: DecodeReport) -> None:
+        self._report = report
+        specifics = database.dbc.attributes if database.dbc is not None else {}
+        j1939 = "ProtocolType" in specifics and str(specifics["ProtocolType"].value) == "J1939"
+        self._exact: dict[tuple[int, bool], Message] = {}
+        self._groups: dict[int, Message] = {}
+        for message in database.messages:
+            can_id, extended = message.frame_id, message.is_extended_frame
+            self._exact[can_id, extended] = message
+            by_group = j1939 or message.protocol == "j1939" or can_id & 0xFF == _NULL_ADDRESS
+            if extended and by_group:
+                self._groups[split_id(can_id).pgn] = message
+
+    def decode(self, frame: LogFrame) -> Decoded | None:
+        """Return the signals of a frame, or of the long message that it completes."""
+        if frame.error or frame.remote:
+            return None
+        data = frame.data
+        message = self._exact.get((frame.can_id, frame.extended))
+        source = pgn = None
+        if frame.extended:
+            parts = split_id(frame.can_id)
+            if parts.pgn in (PGN_CONTROL, PGN_DATA) and message is None:
+                whole = self._report.transport.take(frame)
+                if whole is None:
+                    return None
+                pgn, source, data = whole.pgn, whole.source, whole.data
+            elif parts.pgn in self._groups:
+                pgn, source = parts.pgn, parts.source
+        if pgn is not None:
+            message = self._groups.get(pgn)
+        if message is None:
+            name = f"{frame.can_id:0{8 if frame.extended else 3}X}" if pgn is None else f"PGN {pgn}"
+            if len(self._report.unknown) < _MOST_UNKNOWN or name in self._report.unknown:
+                self._report.unknown[name] += 1
+            return None
+        return self._signals(message, frame, source, data)
+
+    def _signals(
+        self, message: Message, frame: LogFrame, source: int | None, data: bytes
+    ) -> Decoded | None:
+        try:
+            raw = message.decode(data, decode_choices=False, scaling=False, allow_truncated=True)
+            assert isinstance(raw, dict)
+            values = {
+                signal.name: float(signal.conversion.raw_to_scaled(raw[signal.name], False))
+                for signal in message.signals
+                if signal.name in raw
+                and not (source is not None and raw[signal.name] == (1 << signal.length) - 1)
+            }
+        except (
+            Exception
+        ):  # cantools declares none; a multiplexer without such a branch, too few bytes
+            self._report.broken[f"{message.name} of {len(data)} bytes"] += 1
+            return None
+        self._report.messages[message.name] += 1
+        self._report.values += len(values)
+        return Decoded(frame.time_ns, frame.channel, message, source, values)
+
+
+class _Table(ABC):
+    """Writes decoded messages into a file, batch by batch."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+
+    @abstractmethod
+    def take(self, batch: Sequence[Decoded]) -> None:
+        """Write messages, in order."""
+
+    @abstractmethod
+    def finish(self, file: BinaryIO) -> None:
+        """Complete the file."""
+
+    def close(self) -> None:  # noqa: B027 optional
+        """Give back what is open, also after an error."""
+
+
+def _rows(
+    batch: Sequence[Decoded],
+) -> Iterator[tuple[int, str, str, int | None, str, float, str, str]]:
+    for time_ns, channel, message, source, values in batch:
+        for name, value in values.items():
+            signal = message.get_signal_by_name(name)
+            choices = signal.choices or {}
+            text = str(choices.get(int(value), "")) if value == int(value) else ""
+            yield time_ns, channel, message.name, source, name, value, signal.unit or "", text
+
+
+class _Csv(_Table):
+    def __init__(self, path: str, file: BinaryIO) -> None:
+        super().__init__(path)
+        self._out = packer(file) if path.endswith(".gz") else file
+        self._out.write((",".join(COLUMNS) + "\n").encode())
+
+    def take(self, batch: Sequence[Decoded]) -> None:
+        lines = [
+            f"{format_ns(time_ns, 9)},{_quoted(channel)},{message},{'' if source is None else source},"
+            f"{name},{value!r},{_quoted(unit)},{_quoted(text)}\n"
+            for time_ns, channel, message, source, name, value, unit, text in _rows(batch)
+        ]
+        self._out.write("".join(lines).encode())
+
+    def finish(self, file: BinaryIO) -> None:
+        if self._out is not file:
+            self._out.close()
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
+
+
+class _Parquet(_Table):
+    def __init__(self, path: str, file: BinaryIO) -> None:
+        super().__init__(path)
+        try:
+            self._arrow = importlib.import_module("pyarrow")
+            importlib.import_module("pyarrow.parquet")
+        except ImportError:
+            raise InputError(
+                f"{path}: parquet needs pyarrow, which is not installed; expected it after: "
+                "pip install pyarrow (or OUT .csv or .mf4)"
+            ) from None
+        arrow, text = self._arrow, self._arrow.dictionary(self._arrow.int32(), self._arrow.string())
+        kinds = (arrow.int64(), text, text, arrow.int16(), text, arrow.float64(), text, text)
+        self._schema = arrow.schema(list(zip(("time_ns", *COLUMNS[1:]), kinds, strict=True)))
+        self._writer = arrow.parquet.ParquetWriter(file, self._schema)
+
+    def take(self, batch: Sequence[Decoded]) -> None:
+        columns = list(zip(*_rows(batch), strict=True)) or [()] * len(COLUMNS)
+        arrays = [
+            self._arrow.array(c, kind) for c, kind in zip(columns, self._schema.types, strict=True)
+        ]
+        self._writer.write_table(self._arrow.Table.from_arrays(arrays, schema=self._schema))
+
+    def finish(self, file: BinaryIO) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._writer.close()
+
+
+class _Mf4(_Table):
+    """A group of its own for each message, sender and channel; a missing value is not a number."""
+
+    def __init__(self, path: str) -> None:
+        super().__init__(path)
+        self._asammdf = import_asammdf(path)
+        self._measurement: Any = None
+        self._start_ns = 0
+        self._groups: dict[tuple[str, int | None, str], int] = {}
+
+    def take(self, batch: Sequence[Decoded]) -> None:
+        import numpy as np
+
+        if self._measurement is None:
+            if (first_ns := batch[0].time_ns) >= RELATIVE_BELOW_NS:
+                self._start_ns = first_ns // NS_PER_MS * NS_PER_MS
+            self._measurement = new_measurement(self.path, self._start_ns)
+        parts: dict[tuple[str, int | None, str], list[Decoded]] = {}
+        for one in batch:
+            parts.setdefault((one.message.name, one.source, one.channel), []).append(one)
+        for key, part in parts.items():
+            times_s = np.array([one.time_ns - self._start_ns for one in part]) / 1e9
+            signals = part[0].message.signals
+            columns = [np.array([one.values.get(s.name, np.nan) for one in part]) for s in signals]
+            if key in self._groups:
+                samples = [(column, None) for column in (times_s, *columns)]
+                self._measurement.extend(self._groups[key], samples)
+                continue
+            name, source, channel = key
+            title = name + ("" if source is None else f" of {source:#04x}")
+            title += f" on {channel}" if channel else ""
+            made = [
+                self._asammdf.Signal(
+                    column, times_s, name=s.name, unit=s.unit or "", comment=s.comment or ""
+                )
+                for s, column in zip(signals, columns, strict=True)
+            ]
+            self._groups[key] = len(self._groups)
+            self._measurement.append(made, acq_name=title, comment=title, common_timebase=True)
+
+    def finish(self, file: BinaryIO) -> None:
+        save(self._measurement, file)
+
+    def close(self) -> None:
+        if self._measurement is not None:
+            self._measurement.close()
+
+
+def decode(
+    sources: Sequence[str | os.PathLike[str]],
+    target: str | os.PathLike[str],
+    database: str | os.PathLike[str],
+    *,
+    selection: Selection | None = None,
+    source_format: str | None = None,
+    strict: bool = False,
+    times: str = "auto",
+    show_progress: bool = False,
+) -> DecodeReport:
+    """Decode the signals of logs by a DBC into .csv, .csv.gz, .mf4 or .parquet, in bounded memory.
+
+    Parameters
+    ----------
+    sources, selection, strict, times, show_progress
+        As in `open_logs`; `source_format` is its `format`.
+    target
+        The file to write; it appears when it is complete.
+    database
+        A DBC file.
+
+    Raises
+    ------
+    InputError
+        For what cannot be read or written, and if the log has no message of the database.
+    """
+    path = os.fspath(target)
+    kind = os.path.splitext(path.removesuffix(".gz"))[1].lower()
+    if kind not in (".csv", ".mf4", ".parquet") or (path.endswith(".gz") and kind != ".csv"):
+        raise InputError(
+            f"{path}: --dbc decodes signals; expected OUT .csv, .csv.gz, .mf4 or .parquet"
+        )
+    log = open_logs(
+        sources,
+        selection,
+        format=source_format,
+        strict=strict,
+        times=times,
+        show_progress=show_progress,
+    )
+    report = DecodeReport(log.path, path, os.fspath(database), log.report)
+    decoder = Decoder(load_dbc(database, strict=False), report)
+    with written(path) as file, ExitStack() as stack:
+        makers = {".csv": lambda: _Csv(path, file), ".parquet": lambda: _Parquet(path, file)}
+        table: _Table = makers[kind]() if kind in makers else _Mf4(path)
+        stack.callback(table.close)
+        decoded = (one for frame in log if (one := decoder.decode(frame)) is not None)
+        while batch := list(islice(decoded, _BATCH)):
+            table.take(batch)
+        report.transport.finish()
+        report.read = log.report
+        if not report.messages:
+            raise InputError(
+                f"{log.path}: none of its {report.read.frames} frames is of a message in "
+                f"{report.database}; expected a DBC of this bus"
+            )
+        table.finish(file)
+    return report

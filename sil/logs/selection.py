@@ -1,0 +1,143 @@
+"""Filters of a log: by time, identifier, parameter group and channel."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import chain
+from typing import Final
+
+from can_dbc.errors import InputError
+from can_dbc.frame import MAX_ID, split_id
+from sil.logs.frame import MAX_STANDARD_ID, MAX_TIME_NS, LogFrame
+from sil.logs.times import RELATIVE_BELOW_NS, parse_decimal_ns, utc_ns
+
+_HEX: Final = re.compile(r"(?:0x)?([0-9A-Fa-f]{1,8})\Z")
+_MOST_KNOWN: Final = 100_000
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which frames of a log are used; the empty one takes all.
+
+    since_ns, until_ns: first and last time, from 1970 if after 1979, else from the log's first frame.
+    ids: identifiers, each with whether it is extended; pgns: J1939 parameter groups; a frame has to be
+    of one of the two. channels: names or numbers.
+    """
+
+    since_ns: int | None = None
+    until_ns: int | None = None
+    ids: frozenset[tuple[int, bool]] = frozenset()
+    pgns: frozenset[int] = frozenset()
+    channels: frozenset[str] = frozenset()
+
+    @classmethod
+    def parse(
+        cls,
+        *,
+        since: str | None = None,
+        until: str | None = None,
+        ids: Sequence[str] = (),
+        pgns: Sequence[str] = (),
+        channels: Sequence[str] = (),
+    ) -> Selection:
+        """Return the selection of a command line: hex identifiers, several with commas between.
+
+        Raises InputError that names the option.
+        """
+        return cls(
+            None if since is None else _time("--since", since),
+            None if until is None else _time("--until", until),
+            frozenset(_identifier(word) for word in _words(ids)),
+            frozenset(_group(word) for word in _words(pgns)),
+            frozenset(_words(channels)),
+        )
+
+    def __bool__(self) -> bool:
+        return self != Selection()
+
+    def select(self, frames: Iterator[LogFrame]) -> Iterator[LogFrame]:
+        """Yield the frames of the selection, in their order.
+
+        Raises InputError for a date if the log's times are not absolute.
+        """
+        first = next(frames, None)
+        if first is None:
+            return
+        low_ns = self._bound(self.since_ns, first.time_ns, -MAX_TIME_NS)
+        high_ns = self._bound(self.until_ns, first.time_ns, MAX_TIME_NS)
+        channels, any_identifier = self.channels, not (self.ids or self.pgns)
+        known: dict[tuple[int, bool], bool] = {}
+        for frame in chain((first,), frames):
+            if not low_ns <= frame[0] <= high_ns or (channels and frame[9] not in channels):
+                continue
+            if not any_identifier:
+                key = frame[1], frame[3]
+                wanted = known.get(key)
+                if wanted is None:
+                    wanted = self._wanted(key)
+                    if len(known) < _MOST_KNOWN:
+                        known[key] = wanted
+                if not wanted or frame[5]:
+                    continue
+            yield frame
+
+    def _bound(self, bound_ns: int | None, first_ns: int, default_ns: int) -> int:
+        if bound_ns is None:
+            return default_ns
+        if bound_ns < RELATIVE_BELOW_NS:
+            return first_ns + bound_ns
+        if first_ns < RELATIVE_BELOW_NS:
+            raise InputError(
+                "--since, --until: a date, but the times of the log count from its start; "
+                "expected seconds from its first frame"
+            )
+        return bound_ns
+
+    def _wanted(self, key: tuple[int, bool]) -> bool:
+        return key in self.ids or (key[1] and split_id(key[0]).pgn in self.pgns)
+
+
+def _words(texts: Sequence[str]) -> list[str]:
+    return [word.strip() for text in texts for word in text.split(",")]
+
+
+def _time(option: str, text: str) -> int:
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        pass
+    else:
+        if not text.isdecimal():
+            moment = moment.replace(tzinfo=moment.tzinfo or UTC).astimezone(UTC)
+            whole_ns = utc_ns(*moment.timetuple()[:6])
+            return whole_ns + moment.microsecond * 1000
+    try:
+        return parse_decimal_ns(text)
+    except ValueError:
+        raise InputError(
+            f"{option}: {text[:40]!r}; expected seconds from the first frame or from 1970, or a date "
+            "such as 2026-01-31T12:00:00 (UTC)"
+        ) from None
+
+
+def _identifier(text: str) -> tuple[int, bool]:
+    match = _HEX.match(text)
+    if match is None or int(match[1], 16) > (MAX_STANDARD_ID if len(match[1]) < 4 else MAX_ID):
+        raise InputError(
+            f"--id: {text[:40]!r}; expected hex, up to 3 digits of a standard identifier, 4 to 8 of an "
+            "extended one"
+        )
+    return int(match[1], 16), len(match[1]) > 3
+
+
+def _group(text: str) -> int:
+    try:
+        group = int(text, 0)
+    except ValueError:
+        group = -1
+    if not 0 <= group <= 0x3FFFF:
+        raise InputError(f"--pgn: {text[:40]!r}; expected a parameter group, 61442 or 0xF002")
+    return group

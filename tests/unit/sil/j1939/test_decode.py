@@ -1,0 +1,132 @@
+"""Signals of a log by a DBC, into CSV, MF4 and parquet."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from can_dbc.errors import InputError
+from sil.j1939.decode import decode
+from sil.j1939.transport import split_message
+from sil.logs import LogFrame, open_writer
+
+START_NS = 1_600_000_000 * 10**9
+DBC = """\
+VERSION ""
+BU_: A
+BO_ 2364540158 EEC1: 8 A
+ SG_ EngineSpeed : 24|16@1+ (0.125,0) [0|8031.875] "rpm" A
+ SG_ Torque : 16|8@1+ (1,-125) [-125|125] "%" A
+BO_ 2566838526 Long: 12 A
+ SG_ Last : 88|8@1+ (1,0) [0|255] "" A
+BO_ 291 Plain: 2 A
+ SG_ Mode : 0|8@1+ (1,0) [0|255] "" A
+ SG_ Value : 8|8@1- (0.5,0) [-64|63.5] "V" A
+VAL_ 291 Mode 0 "off, idle" 1 "on" ;
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "StandardCAN";
+BA_ "VFrameFormat" BO_ 2364540158 3;
+"""
+
+
+def eec1(source: int, rpm: float, torque: int = 125) -> tuple[int, bytes]:
+    raw = round(8 * rpm).to_bytes(2, "little")
+    return 0x0CF00400 | source, bytes((0xFF, 0xFF, torque)) + raw + b"\xff" * 3
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    (tmp_path / "truck.dbc").write_text(DBC)
+    frames = [
+        LogFrame(0, *eec1(0x00, 700.0, 135)),
+        LogFrame(0, *eec1(0x0F, 1500.0)),
+        LogFrame(0, 0x0CF00400, b"\xff" * 8),
+        LogFrame(0, 0x123, bytes((0, 0xFE)), False),
+        LogFrame(0, 0x123, bytes((1, 0x02)), False),
+        LogFrame(0, 0x124, b"", False),
+        LogFrame(0, 0x18FEF100, bytes(8)),
+        *(
+            LogFrame(0, frame.can_id, frame.data)
+            for frame in split_message(65240, 3, bytes(range(12)))
+        ),
+        LogFrame(0, *eec1(0x00, 710.0, 140)),
+    ]
+    with open_writer(tmp_path / "a.log") as writer:
+        for n, frame in enumerate(frames):
+            writer.write(frame._replace(time_ns=START_NS + n * 10_000_000, channel="can0"))
+    return tmp_path / "a.log"
+
+
+def test_a_row_for_each_value(log: Path) -> None:
+    report = decode([log], log.with_name("s.csv"), log.with_name("truck.dbc"))
+    with log.with_name("s.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    found = [(r["message"], r["source"], r["signal"], float(r["value"]), r["text"]) for r in rows]
+    assert found == [
+        ("EEC1", "0", "Torque", 10.0, ""),
+        ("EEC1", "0", "EngineSpeed", 700.0, ""),
+        ("EEC1", "15", "Torque", 0.0, ""),
+        ("EEC1", "15", "EngineSpeed", 1500.0, ""),
+        ("Plain", "", "Mode", 0.0, "off, idle"),
+        ("Plain", "", "Value", -1.0, ""),
+        ("Plain", "", "Mode", 1.0, "on"),
+        ("Plain", "", "Value", 1.0, ""),
+        ("Long", "3", "Last", 11.0, ""),
+        ("EEC1", "0", "Torque", 15.0, ""),
+        ("EEC1", "0", "EngineSpeed", 710.0, ""),
+    ]
+    assert rows[0]["time_s"] == "1600000000.000000000"
+    assert rows[-1]["time_s"] == "1600000000.100000000"
+    assert rows[1]["unit"] == "rpm"
+    assert report.unknown == {"124": 1, "18FEF100": 1}
+    text = "\n".join(report.lines())
+    assert "2 frames of 2 identifiers: 124 (1), 18FEF100 (1)" in text
+    assert "1 messages of the transport protocol put together" in text
+
+
+def test_the_same_values_in_mf4(log: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    decode([log], log.with_name("s.mf4"), log.with_name("truck.dbc"))
+    with asammdf.MDF(log.with_name("s.mf4")) as mdf:
+        names = [group.channel_group.acq_name for group in mdf.groups]
+        assert names == [
+            "EEC1 of 0x00 on can0",
+            "EEC1 of 0x0f on can0",
+            "Plain on can0",
+            "Long of 0x03 on can0",
+        ]
+        speed = mdf.get("EngineSpeed", group=0)
+        assert (
+            speed.samples.tolist()[::2] == [700.0, 710.0] and speed.samples[1] != speed.samples[1]
+        )
+        assert speed.timestamps.tolist() == [0.0, 0.02, 0.1]
+        assert speed.unit == "rpm"
+
+
+def test_parquet_without_its_library_is_one_line(log: Path, monkeypatch: Any) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(InputError, match="needs pyarrow, which is not installed") as refused:
+        decode([log], log.with_name("s.parquet"), log.with_name("truck.dbc"))
+    assert "\n" not in str(refused.value)
+    assert not log.with_name("s.parquet").exists()
+
+
+def test_parquet_holds_the_same_rows(log: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    decode([log], log.with_name("s.parquet"), log.with_name("truck.dbc"))
+    rows = parquet.read_table(log.with_name("s.parquet")).to_pylist()
+    assert [row["value"] for row in rows][:3] == [10.0, 700.0, 0.0]
+
+
+def test_what_cannot_be_decoded_is_refused_or_counted(log: Path) -> None:
+    dbc = log.with_name("truck.dbc")
+    with pytest.raises(InputError, match=r"expected OUT \.csv, \.csv\.gz, \.mf4 or \.parquet"):
+        decode([log], log.with_name("s.asc"), dbc)
+    dbc.write_text(DBC.split("BO_ 2364540158")[0] + "BO_ 5 Other: 8 A\n")
+    with pytest.raises(InputError, match="none of its 11 frames is of a message in"):
+        decode([log], log.with_name("s.csv"), dbc)
+    assert not log.with_name("s.csv").exists()

@@ -1,0 +1,61 @@
+"""Engine torque and speed around shifts."""
+
+from __future__ import annotations
+
+import pytest
+
+from sil.j1939.engine import EngineTrace
+from sil.j1939.shifts import summarize
+from sil.logs import LogFrame
+from tests.unit.sil.j1939.test_shifts import MS, SEVEN, START_NS, truck
+
+
+def eec1(time_ms: float, torque: int, rpm: float) -> LogFrame:
+    data = bytes((0xF0, 125, torque + 125)) + round(8 * rpm).to_bytes(2, "little") + b"\xff" * 3
+    return LogFrame(START_NS + round(time_ms * MS), 0x0CF00400, data, channel="can0")
+
+
+def with_engine(end_ms: int = 12_000) -> list[LogFrame]:
+    frames = [f for f in truck(SEVEN[:3], speeds=True, end_ms=end_ms) if f.can_id != 0x0CF00400]
+    for time_ms in range(0, end_ms, 10):
+        cut = any(begin - 60 <= time_ms < end for begin, end, _, _ in SEVEN)
+        frames.append(eec1(time_ms + 0.2, -5 if cut else 60, 1200 if cut else 1500))
+    return sorted(frames, key=lambda frame: frame.time_ns)
+
+
+def test_each_shift_has_the_torque_and_its_cut() -> None:
+    found = summarize(with_engine()).shifts
+    assert len(found) == 3
+    for shift, (begin, end, _, _) in zip(found, SEVEN, strict=False):
+        engine = shift.engine
+        assert engine is not None
+        assert (engine.torque_before_percent, engine.torque_least_percent) == (60, -5)
+        assert (engine.torque_after_percent, engine.speed_before_rpm) == (60, 1500)
+        assert engine.torque_cut_s == pytest.approx((end - begin + 60) / 1e3, abs=0.011)
+        assert "torque 60 %, down to -5 % (cut for" in str(shift)
+    assert "ratio 11.70 to 9.20" in str(found[1])
+
+
+def test_without_the_engine_there_are_no_figures() -> None:
+    found = summarize([f for f in with_engine() if f.can_id != 0x0CF00400]).shifts
+    assert [shift.engine for shift in found] == [None] * 3
+
+
+def test_memory_grows_with_the_shifts_only() -> None:
+    trace = EngineTrace()
+    for n in range(5_000):
+        trace.take(n * 10 * MS, eec1(0, 50, 1500).data)
+        if n == 2_000:
+            trace.keep(n * 10 * MS)
+    assert len(trace.kept) == 512 + 200
+
+
+def test_no_torque_no_cut_and_no_values() -> None:
+    trace = EngineTrace()
+    trace.keep(0)
+    for n in range(300):
+        trace.take(n * 10 * MS, eec1(0, 5, 700).data)
+        trace.take(n * 10 * MS, b"\xff" * 8)
+    engine = trace.figures(1_000 * MS, 1_500 * MS)
+    assert engine is not None and engine.torque_cut_s is None
+    assert trace.figures(-1, -1) is None

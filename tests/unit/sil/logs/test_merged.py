@@ -1,0 +1,124 @@
+"""Several files as one log: order, gaps, overlaps, clocks, standard input, progress."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from can_dbc.errors import InputError
+from sil.files import progress
+from sil.logs import LogFrame, Selection, open_log, open_logs, open_writer
+
+START_NS = 1_600_000_000 * 10**9
+MS = 1_000_000
+
+
+def made(path: Path, times_ms: range, can_id: int = 0x100, channel: str = "can0") -> list[LogFrame]:
+    frames = [
+        LogFrame(START_NS + t * MS, can_id, t.to_bytes(4, "big"), channel=channel) for t in times_ms
+    ]
+    with open_writer(path) as writer:
+        for frame in frames:
+            writer.write(frame)
+    return frames
+
+
+def test_files_are_put_in_order_of_time(tmp_path: Path) -> None:
+    parts = [
+        made(tmp_path / f"{name}.log", times)
+        for name, times in (("c", range(6000, 9000)), ("a", range(3000)), ("b", range(3000, 5000)))
+    ]
+    log = open_logs([tmp_path / "c.log", tmp_path / "a.log", tmp_path / "b.log"], strict=True)
+    assert list(log) == [*parts[1], *parts[2], *parts[0]]
+    lines = log.report.files
+    assert [Path(line.split(":")[0]).name for line in lines] == ["a.log", "b.log", "c.log"]
+    assert "after a gap of 0.001000 s" in lines[1]
+    assert "after a gap of 1.001000 s" in lines[2]
+    assert (log.report.frames, log.report.clean) == (8000, True)
+    assert list(log) == [*parts[1], *parts[2], *parts[0]]  # again
+
+
+def test_overlapping_files_are_interleaved_and_the_same_frames_taken_once(tmp_path: Path) -> None:
+    first = made(tmp_path / "a.log", range(0, 4000, 2))
+    other = made(tmp_path / "b.log", range(1001, 6000, 2), 0x200, "can1")
+    again = made(tmp_path / "c.log", range(3000, 7000, 2))
+    log = open_logs([tmp_path / name for name in ("a.log", "b.log", "c.log")])
+    found = list(log)
+    assert found == sorted({*first, *other, *again}, key=lambda frame: frame.time_ns)
+    assert log.repeated == 500
+    assert "overlaps by 2.997000 s" in log.report.files[1]
+    assert log.report.files[3] == "500 frames are in several files and were taken once"
+
+
+def test_dates_in_headers_order_relative_logs(tmp_path: Path) -> None:
+    for name, date in (
+        ("late", "Sat Sep 30 15:06:20.000 2017"),
+        ("early", "Sat Sep 30 15:06:13.000 2017"),
+    ):
+        (tmp_path / f"{name}.asc").write_text(
+            f"date {date}\nbase hex  timestamps absolute\n"
+            "   0.500000 1  100             Rx   d 1 00\n"
+        )
+    log = open_logs([tmp_path / "late.asc", tmp_path / "early.asc"])
+    assert [frame.time_ns for frame in log] == [1506783973500000000, 1506783980500000000]
+    assert "names no time zone" in log.report.notes[0]
+    (tmp_path / "none.asc").write_text("base hex  timestamps absolute\n 0.5 1 100 Rx d 1 00\n")
+    with pytest.raises(InputError, match="its times count from its start"):
+        list(open_logs([tmp_path / "late.asc", tmp_path / "none.asc"]))
+    (tmp_path / "timeless.log").write_text("can0  123   [1]  00\n")
+    with pytest.raises(InputError, match="has no times"):
+        list(open_logs([tmp_path / "late.asc", tmp_path / "timeless.log"]))
+    with pytest.raises(InputError, match="a file given twice"):
+        open_logs([tmp_path / "late.asc", tmp_path / "late.asc"])
+
+
+def test_what_is_broken_is_located_in_its_file(tmp_path: Path) -> None:
+    made(tmp_path / "a.log", range(10))
+    made(tmp_path / "b.log", range(20, 30))
+    with (tmp_path / "b.log").open("a") as file:
+        file.write("garbage\n")
+    (tmp_path / "empty.log").write_text("")
+    log = open_logs([tmp_path / "b.log", tmp_path / "a.log", tmp_path / "empty.log"])
+    assert len(list(log)) == 20
+    text = "\n".join(log.report.lines())
+    assert f"{tmp_path}/b.log: line 11: 'garbage'" in text
+    assert f"{tmp_path}/empty.log: no frames" in text
+
+
+def test_a_selection_of_several_files(tmp_path: Path) -> None:
+    made(tmp_path / "a.log", range(10))
+    made(tmp_path / "b.log", range(20, 30), 0x200)
+    log = open_logs(
+        [tmp_path / "b.log", tmp_path / "a.log"], Selection.parse(since="0.008", until="0.021")
+    )
+    assert [frame.time_ns // MS % 1000 for frame in log] == [8, 9, 20, 21]
+
+
+def test_standard_input(tmp_path: Path) -> None:
+    frames = made(tmp_path / "a.log", range(3000))
+    code = "import sys; from sil.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", code, "convert", "-", str(tmp_path / "b.csv")]
+    with (tmp_path / "a.log").open() as file:
+        done = subprocess.run(command, stdin=file, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert list(open_log(tmp_path / "b.csv")) == frames
+
+
+def test_progress_is_shown_over_all_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "FIRST_AFTER_S", 0.0)
+    monkeypatch.setattr(progress, "LINE_EVERY_S", 0.0)
+    made(tmp_path / "a.log", range(20_000))
+    made(tmp_path / "b.log", range(20_000, 40_000))
+    paths = [tmp_path / "b.log", tmp_path / "a.log"]
+    assert len(list(open_logs(paths))) == 40_000
+    assert capsys.readouterr().err == ""
+    assert len(list(open_logs(paths, show_progress=True))) == 40_000
+    lines = capsys.readouterr().err.splitlines()
+    shares = [int(line.partition(" %")[0].rpartition(" ")[2]) for line in lines]
+    assert shares == sorted(shares) and shares[0] < 50 and shares[-1] == 100
+    assert all(line.startswith("reading ") and "MB" in line for line in lines)
