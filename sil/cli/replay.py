@@ -227,7 +227,7 @@ def _summary(arguments: argparse.Namespace) -> int:
     from can_dbc.errors import InputError
     from sil.j1939.gear_history import PGN_ETC2
     from sil.j1939.shift_flag import PGN_ETC1
-    from sil.j1939.shifts import summarize
+    from sil.j1939.summary import summarize
 
     reader = _open(arguments)
     found = summarize(reader)

@@ -1,20 +1,16 @@
-"""J1939 in a log: identifiers split, and the gear shifts of any truck found."""
+"""The gear shifts of any truck, out of its J1939 log."""
 
 from __future__ import annotations
 
-import os
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
-from can_dbc.frame import split_id
 from sil.j1939.engine import PGN_EEC1, EngineFigures, EngineSample, EngineTrace
 from sil.j1939.gear_history import PGN_ETC2, SETTLE_NS, GearHistory
 from sil.j1939.shift_flag import PGN_ETC1, FlagTracker, flag_at
-from sil.j1939.transport import Assembler
 from sil.logs.frame import LogFrame
-from sil.logs.registry import open_log
 from sil.logs.times import format_ns
 
 _GEAR_NAMES: Final = {0: "N", 126: "P"}
@@ -23,10 +19,6 @@ _PGN_MASK: Final = 0x3FFFF00
 _ETC1_BITS: Final = PGN_ETC1 << 8
 _ETC2_BITS: Final = PGN_ETC2 << 8
 _EEC1_BITS: Final = PGN_EEC1 << 8
-_TRANSPORT_MASK, _TRANSPORT_BITS = 0x3F80000, 0x0E80000
-"""Of PDU formats 0xE8 to 0xEF, of which the assembler takes its two."""
-
-_MOST_GROUPS: Final = 20_000
 _MOST_NOTES: Final = 20
 _GATEWAY_NS: Final = 100_000_000
 """A gateway forwards within this; the same shift of the same sender on two channels is one."""
@@ -89,69 +81,6 @@ def gear_name(gear: int | None) -> str:
     if gear is None:
         return "?"
     return _GEAR_NAMES.get(gear, f"{gear}" if gear > 0 else f"R{-gear}")
-
-
-@dataclass(slots=True)
-class J1939Summary:
-    """What J1939 traffic a log holds.
-
-    groups: frames by parameter group and source. unflagged: changes of the reported gear with
-    no flagged shift around them. chatter: flag changes of one sample left out.
-    unfinished: shifts under way where the log (or its clock) begins or ends.
-    """
-
-    frames: int
-    j1939_frames: int
-    groups: dict[tuple[int, int], int]
-    shifts: list[Shift]
-    unflagged: list[Shift]
-    chatter: int
-    unfinished: int
-    notes: list[str]
-    first_ns: int | None = None
-    """Time of the log's first frame."""
-
-    transport: Assembler = field(default_factory=Assembler)
-    """What became of the messages of the transport protocol."""
-
-    engine_samples: Mapping[str, Sequence[EngineSample]] = field(default_factory=dict)
-    """By channel, those around shifts."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return all of it as plain JSON values."""
-        return {
-            "frames": self.frames,
-            "first_ns": self.first_ns,
-            "j1939_frames": self.j1939_frames,
-            "groups": [
-                {"pgn": pgn, "source": source, "frames": count}
-                for (pgn, source), count in sorted(self.groups.items())
-            ],
-            "shifts": [shift.as_dict() for shift in self.shifts],
-            "unflagged_gear_changes": [shift.as_dict() for shift in self.unflagged],
-            "chatter": self.chatter,
-            "unfinished": self.unfinished,
-            "long_messages": self.transport.assembled,
-            "long_messages_lost": dict(self.transport.lost),
-            "notes": list(self.notes),
-        }
-
-    def lines(self) -> list[str]:
-        """Return the summary as text, shifts first."""
-        found = [f"{len(self.shifts)} shifts in {self.frames} frames"]
-        begin_ns = self.first_ns or 0
-        found += [
-            f"  {number}. +{(shift.start_ns - begin_ns) / 1e9:.3f} s: {shift}"
-            for number, shift in enumerate(self.shifts, 1)
-        ]
-        if self.unflagged:
-            found.append(f"{len(self.unflagged)} changes of gear outside of flagged shifts")
-            found += [f"  {shift}" for shift in self.unflagged]
-        if self.chatter:
-            found.append(f"{self.chatter} one-sample changes of the flag or gear left out")
-        if self.unfinished:
-            found.append(f"{self.unfinished} shifts without beginning or end in the log")
-        return found + self.transport.lines() + self.notes
 
 
 class ShiftFinder:
@@ -366,45 +295,4 @@ def _repeats(shift: Shift, found: Iterable[Shift]) -> bool:
         and (other.from_gear, other.to_gear) == (shift.from_gear, shift.to_gear)
         and abs(other.end_ns - shift.end_ns) < SETTLE_NS
         for other in found
-    )
-
-
-def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
-    """Parameter groups, senders and shifts of a truck's log, in one pass and bounded memory.
-
-    Raises InputError if `log` is a file that cannot be read.
-    """
-    finder = ShiftFinder()
-    transport = Assembler()
-    identifiers: Counter[int] = Counter()
-    frames = 0
-    first_ns: int | None = None
-    for frame in open_log(log) if isinstance(log, (str, os.PathLike)) else log:
-        frames += 1
-        if first_ns is None:
-            first_ns = frame.time_ns
-        if frame.extended and not frame.error and not frame.remote:
-            if len(identifiers) < _MOST_GROUPS or frame.can_id in identifiers:
-                identifiers[frame.can_id] += 1
-            finder.take(frame)
-            if frame.can_id & _TRANSPORT_MASK == _TRANSPORT_BITS:
-                transport.take(frame)
-    transport.finish()
-    groups: Counter[tuple[int, int]] = Counter()
-    for can_id, count in identifiers.items():
-        parts = split_id(can_id)
-        groups[parts.pgn, parts.source] += count
-    found = finder.finish()
-    return J1939Summary(
-        frames,
-        sum(identifiers.values()),
-        dict(groups),
-        found,
-        finder.unflagged,
-        finder.chatter,
-        finder.unfinished,
-        finder.notes,
-        first_ns,
-        transport,
-        finder.engine_samples,
     )

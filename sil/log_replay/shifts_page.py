@@ -15,7 +15,8 @@ import numpy as np
 from sil.files.atomic import write_atomically
 from sil.files.output_folder import close_folders, prepare_folder
 from sil.j1939.engine import EngineSample
-from sil.j1939.shifts import J1939Summary, Shift, gear_name
+from sil.j1939.shifts import Shift, gear_name
+from sil.j1939.summary import J1939Summary
 from sil.report.figure import Figure, Panel, Series, Span, Stack, Zoom
 from sil.report.picture import save
 from sil.report.plots import plots

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError
-from sil.j1939.shifts import summarize
+from sil.j1939.summary import summarize
 from sil.logs import LogFrame, open_log, open_writer
 from sil.logs.frame import DLC_LENGTHS, frame_problem
 from tests.unit.sil.logs.mf4_builder import logger_file

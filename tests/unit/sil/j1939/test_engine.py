@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from sil.j1939.engine import EngineTrace
-from sil.j1939.shifts import summarize
+from sil.j1939.summary import summarize
 from sil.logs import LogFrame
 from tests.unit.sil.j1939.test_shifts import MS, SEVEN, START_NS, truck
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
 from can_dbc.frame import join_id, split_id
-from sil.j1939.shifts import Shift, summarize
+from sil.j1939.shifts import Shift
+from sil.j1939.summary import summarize
 from sil.logs import LogFrame, open_writer
 
 MS = 1_000_000
