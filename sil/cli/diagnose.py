@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
     from sil.diagnosis.diagnosis import diagnose
-    from sil.diagnosis.force_rig import is_force_rig
+    from sil.diagnosis.force_record import is_force_rig
     from sil.diagnosis.report import write_report
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import finite, prepare_folder
@@ -61,7 +61,7 @@ def run_force(arguments: argparse.Namespace, stamps: list[str]) -> int:
     from sil.files.output_folder import finite, prepare_folder
 
     found = diagnose_force(arguments.campaign)
-    folder = prepare_folder(arguments.out, f"{found.name}-diagnosis", arguments.force)
+    folder = prepare_folder(arguments.out, f"{found.record.name}-diagnosis", arguments.force)
     write_page(found, folder, arguments.campaign)
     return _finish(arguments, folder, finite(found.as_json() | {"effects": stamps}))
 

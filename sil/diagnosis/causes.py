@@ -68,7 +68,7 @@ def diagnosis_json(
 
 
 def causes_of(
-    fitter: Fitter, verdict: Verdict, judged: list[Judged], final: FitResult, workers: int
+    fitter: Fitter, verdict: Verdict[Judged], judged: list[Judged], final: FitResult, workers: int
 ) -> list[Cause]:
     """Return the claimed causes and their rivals with parameters, most probable first."""
     if not verdict.claimed:
@@ -104,7 +104,7 @@ def causes_of(
 
 def sentence(
     candidate: Candidate,
-    verdict: Verdict,
+    verdict: Verdict[Judged],
     judged: Sequence[Judged],
     parameters: Mapping[str, Interval],
 ) -> str:

@@ -44,7 +44,7 @@ class Diagnosis:
     """Everything found out about a campaign; `as_json` is what diagnosis.json holds."""
 
     campaign: Campaign
-    verdict: Verdict
+    verdict: Verdict[Judged]
     causes: list[Cause]
     gain: Gain
     extended: str | None

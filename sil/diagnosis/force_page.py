@@ -1,4 +1,4 @@
-"""report.html of a rig known by force and position: friction against speed, hypotheses tried.
+"""report.html of a rig known by force and position: what is wrong, the body, what was tried.
 
 Checked by: tests/unit/sil/diagnosis/test_force_rig.py, tests/browser/
 """
@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from sil.campaign.campaign import Floats
-from sil.diagnosis.force_rig import DETECTABILITY, TERMS, ForceDiagnosis, balance, gains
+from sil.diagnosis.force_fit import gain_in_errors
+from sil.diagnosis.force_rig import DETECTABILITY, ForceDiagnosis
 from sil.files.atomic import write_atomically
 from sil.report.figure import Figure, Panel, Series, Stack
 from sil.report.picture import save
@@ -22,43 +23,47 @@ DRAWN = 4000
 
 def _models(found: ForceDiagnosis) -> list[tuple[str, Floats, str]]:
     """Return label, force without inertia [n] in N and colour of the measurement and of each model."""
-    leader = found.leader
-    plain, _target = balance(found.motion, found.mass_kg)
-    whole, target = balance(found.motion, found.mass_kg, leader.names, leader.shapes)
-    first = np.linalg.lstsq(plain, target, rcond=None)[0]
-    second = np.linalg.lstsq(whole, target, rcond=None)[0]
-    inertia = np.zeros(len(target)) if found.mass_kg is not None else plain[:, 3] * second[3]
+    leader, bank = found.leader, found.bank
+    mass = leader.value("mass_kg")[0] if "mass_kg" in leader.body else 0.0
+    inertia = mass * found.record.raw.acceleration_m_s2[found.record.judged]
     rows = [
-        ("measured, without inertia", target - inertia, "measured"),
-        ("Coulomb, viscous, offset", plain @ first - inertia, "before"),
+        ("measured, without inertia", bank.target - inertia, "measured"),
+        ("Coulomb, viscous, offset", bank.model_n(found.plain) - inertia, "before"),
     ]
-    if leader.names:
-        rows.append(("with " + " + ".join(leader.names), whole @ second - inertia, "after"))
+    if leader.groups:
+        rows.append((f"with {leader.name}", bank.model_n(leader) - inertia, "after"))
     return rows
 
 
 def _speed_figure(found: ForceDiagnosis) -> Figure:
-    order = np.argsort(found.motion.speed_m_s, kind="stable")
+    speeds = found.record.raw.speed_m_s[found.record.judged]
+    order = np.argsort(speeds, kind="stable")
     drawn = order[np.linspace(0, len(order) - 1, min(DRAWN, len(order))).astype(int)]
-    speed = found.motion.speed_m_s[drawn]
-    dots = [Series(label, speed, f[drawn], role, "dots") for label, f, role in _models(found)]
+    dots = [
+        Series(label, speeds[drawn], f[drawn], role, "dots") for label, f, role in _models(found)
+    ]
     return Figure([Stack("speed, m/s", [Panel("Force", "N", dots, height=320)])])
 
 
 def _time_figure(found: ForceDiagnosis) -> Figure:
-    motion = found.motion
-    x = np.arange(len(motion.force_n)) / motion.rate_hz
+    record = found.record
+    rows = np.flatnonzero(record.judged)
+    x = np.asarray(rows * record.step_s, dtype=np.float64)
     lines = [
         Series(label, x, force, role, dashed=role == "after")
         for label, force, role in _models(found)
     ]
     panels = [Panel("Force, without inertia", "N", lines, height=220)]
-    for title, unit, values in (
-        ("Speed", "m/s", motion.speed_m_s),
-        ("Position", "m", motion.position_m),
-    ):
+    signals: list[tuple[str, str, Floats]] = [
+        ("Residual, of what is claimed", "N", found.bank.target - found.bank.model_n(found.leader)),
+        ("Speed", "m/s", record.raw.speed_m_s[rows]),
+        ("Position", "m", record.raw.position_m[rows]),
+    ]
+    if record.raw.pressure_pa is not None:
+        signals.append(("Pressure", "Pa", record.raw.pressure_pa[rows]))
+    for title, unit, values in signals:
         panels.append(Panel(title, unit, [Series("measured", x, values, "truth")], height=120))
-    return Figure([Stack("time in motion, s", panels)])
+    return Figure([Stack("time, s", panels)])
 
 
 def write_page(found: ForceDiagnosis, folder: Path, campaign: str) -> None:
@@ -67,12 +72,13 @@ def write_page(found: ForceDiagnosis, folder: Path, campaign: str) -> None:
     causes = [] if found.doubts else found.causes()
     head = Head(
         command="diagnose",
-        name=found.name,
+        name=found.record.name,
         verdict=verdict,
         good=verdict == "consistent",
         tiles=[
-            (f"{found.error(found.plain):.2%}", "relative force error, plain body"),
-            (f"{found.over_noise(found.leader):.3g}", "residual over noise"),
+            (f"{found.over_noise(found.plain):.3g}", "residual over noise, plain body"),
+            (f"{found.over_noise(found.leader):.3g}", "of what is claimed"),
+            (f"{found.error(found.leader):.2%}", "of the driving force"),
             *((f"{cause.probability:.2f}", f"probability of {cause.id}") for cause in causes[:3]),
         ],
         again=f"opc4 diagnose {campaign}",
@@ -84,12 +90,12 @@ def write_page(found: ForceDiagnosis, folder: Path, campaign: str) -> None:
         found=found,
         detectability=DETECTABILITY,
         causes=causes,
+        refused=found.refused(),
         picture=Picture(
             save(_speed_figure(found), folder, "force"),
             "Force against speed",
             "Driving force without inertia: measured, of the plain body, and with what is claimed.",
         ),
-        rows=[(name, item, *gains(item, found.plain)) for name, item in found.singles.items()],
-        units={name: term.unit for name, term in TERMS.items()},
+        rows=[(item, gain_in_errors(item, found.plain)) for item in found.judged[:12]],
     )
     write_atomically(folder / "report.html", page)

@@ -31,7 +31,7 @@ class NextExperiment:
 
 
 def next_experiment(
-    model: CampaignModel, verdict: Verdict, judged: list[Judged]
+    model: CampaignModel, verdict: Verdict[Judged], judged: list[Judged]
 ) -> NextExperiment | None:
     """Of the kinds of strokes that were measured, the one at which two rivals differ most.
 

@@ -17,7 +17,7 @@ import numpy as np
 from plant.effects.stroke_conditions import StrokeConditions
 from sil.campaign.campaign import Floats
 from sil.diagnosis.phases import PHASES, phases
-from sil.diagnosis.verdict import Verdict
+from sil.diagnosis.verdict import Judged, Verdict
 from sil.fitting.fit import FitResult
 from sil.fitting.internal import INTERNAL_SD_M
 from sil.fitting.model import CampaignModel, channel_parts
@@ -166,7 +166,7 @@ def _channel_rms(model: CampaignModel, fit: FitResult) -> dict[str, float]:
     }
 
 
-def gain_between(model: CampaignModel, verdict: Verdict, held_out: tuple[int, ...]) -> Gain:
+def gain_between(model: CampaignModel, verdict: Verdict[Judged], held_out: tuple[int, ...]) -> Gain:
     """Gain of the verdict's leader over the healthy model, each fitted to the training strokes."""
     before = verdict.healthy.held or verdict.healthy.training
     after = verdict.leader.held or verdict.leader.training

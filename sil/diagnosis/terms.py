@@ -81,7 +81,7 @@ SMALL = 1e-3
 """A misfit beyond noise of this share of the healthy model's is a detail of the cause's form."""
 
 
-def try_terms(search: Search, verdict: Verdict, judged: Sequence[Judged]) -> bool:
+def try_terms(search: Search, verdict: Verdict[Judged], judged: Sequence[Judged]) -> bool:
     """Fit non-parametric terms alone and with the best single; True if any was tried.
 
     Only if the leading hypothesis leaves more than the band of a clean campaign and a detail, or

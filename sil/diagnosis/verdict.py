@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -39,6 +40,9 @@ CLAIM_PER_STROKE = 1.5
 
 RIVAL_SHARE = 0.05
 """A cause at least this probable is, with the leading one, is a rival."""
+
+CONTEST = 0.02
+"""An explanation without a cause replaces it only if it is at least this probable, against the likeliest."""
 
 CLEAR = 0.7
 """Below this probability of the leading cause the verdict is ambiguous."""
@@ -70,6 +74,39 @@ PAIR_PRIOR = 0.1
 """Prior odds of two causes at once against one."""
 
 
+class Explanation(Protocol):
+    """What a verdict needs of a hypothesis that all strokes have judged.
+
+    score: cost, lower is better, in log evidence; held_cost: the part on held-out strokes (None: all
+    of it is); whole: the fit against its floor.
+    """
+
+    probability: float
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Identifiers of its causes."""
+
+    @property
+    def score(self) -> float:
+        """Cost in log evidence."""
+
+    @property
+    def held_cost(self) -> float | None:
+        """Cost on held-out strokes alone."""
+
+    @property
+    def whole(self) -> Misfit:
+        """Misfit over all strokes."""
+
+    @property
+    def slight(self) -> tuple[str, ...]:
+        """Causes that are tiny and not alone."""
+
+
+E = TypeVar("E", bound=Explanation)
+
+
 @dataclass
 class Judged:
     """A hypothesis judged by all strokes.
@@ -98,9 +135,14 @@ class Judged:
         return tuple(item.id for item in self.training.candidates)
 
     @property
-    def prior(self) -> float:
-        """Prior weight."""
-        return PAIR_PRIOR if len(self.ids) > 1 else 1.0
+    def held_cost(self) -> float | None:
+        """Cost on held-out strokes alone."""
+        return None if self.held is None else 0.5 * self.held.chi2
+
+    @property
+    def slight(self) -> tuple[str, ...]:
+        """Causes that are tiny and not alone."""
+        return slight_causes(self)
 
 
 def judge(
@@ -143,7 +185,7 @@ def judge(
     return found
 
 
-def weigh(judged: Sequence[Judged]) -> None:
+def weigh(judged: Sequence[Explanation]) -> None:
     """Fill in the probabilities of competing hypotheses."""
     if not judged:
         return
@@ -152,7 +194,8 @@ def weigh(judged: Sequence[Judged]) -> None:
     nu = EFFECTIVE
     logs = np.array(
         [
-            np.log(item.prior) - 0.5 * nu * np.log1p(2.0 * (item.score - leader.score + error) / nu)
+            np.log(PAIR_PRIOR if len(item.ids) > 1 else 1.0)
+            - 0.5 * nu * np.log1p(2.0 * (item.score - leader.score + error) / nu)
             for item in judged
         ]
     )
@@ -162,7 +205,7 @@ def weigh(judged: Sequence[Judged]) -> None:
         item.probability = float(weight)
 
 
-def by_cause(judged: Sequence[Judged]) -> dict[str, float]:
+def by_cause(judged: Sequence[Explanation]) -> dict[str, float]:
     """Probability of each cause: of all hypotheses it takes part in."""
     total: dict[str, float] = {}
     for item in judged:
@@ -172,7 +215,7 @@ def by_cause(judged: Sequence[Judged]) -> dict[str, float]:
 
 
 @dataclass
-class Verdict:
+class Verdict(Generic[E]):
     """What is concluded, before figures are put to it.
 
     leader: the accepted hypothesis; claimed: its causes that are claimed; probabilities: of
@@ -180,8 +223,8 @@ class Verdict:
     """
 
     kind: str
-    leader: Judged
-    healthy: Judged
+    leader: E
+    healthy: E
     claimed: tuple[str, ...] = ()
     probabilities: dict[str, float] = field(default_factory=dict)
     gains: dict[str, float] = field(default_factory=dict)
@@ -205,31 +248,31 @@ def acceptable(item: Judged) -> bool:
     return True
 
 
-def _without(leader: Judged, judged: Sequence[Judged], name: str) -> Judged:
+def _without(leader: E, judged: Sequence[E], name: str) -> E:
     """Return the best hypothesis of the leader's other causes."""
     rest = set(leader.ids) - {name}
     return min((i for i in judged if set(i.ids) <= rest), key=lambda item: item.score)
 
 
-def _gain_of(leader: Judged, judged: Sequence[Judged], name: str) -> float:
+def _gain_of(leader: E, judged: Sequence[E], name: str) -> float:
     """Return the score lost by leaving a cause out."""
     return _without(leader, judged, name).score - leader.score
 
 
-def _held_gain(leader: Judged, judged: Sequence[Judged], name: str) -> float:
+def _held_gain(leader: E, judged: Sequence[E], name: str) -> float:
     """Return the gain on the held-out strokes alone."""
     without = _without(leader, judged, name)
-    if leader.held is None or without.held is None:
+    if leader.held_cost is None or without.held_cost is None:
         return without.score - leader.score
-    return 0.5 * (without.held.chi2 - leader.held.chi2)
+    return without.held_cost - leader.held_cost
 
 
-def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
+def decide(judged: Sequence[E], strokes: int) -> Verdict[E]:
     """Return the verdict on judged hypotheses (the healthy one among them; weighed already)."""
     healthy = next(item for item in judged if not item.ids)
     least = max(CLAIM, CLAIM_PER_STROKE * strokes)
 
-    def is_accepted(item: Judged) -> bool:
+    def is_accepted(item: E) -> bool:
         needed = least
         if len(item.ids) > 1:
             needed = max(least, 0.5 * SECOND_SHARE * item.whole.beyond)
@@ -237,7 +280,7 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
             gain = _gain_of(item, judged, name)
             if gain < needed or _held_gain(item, judged, name) <= 0.0:
                 return False
-            if gain < 0.5 * SLIGHT_SHARE * healthy.whole.excess and name in _slight(item):
+            if gain < 0.5 * SLIGHT_SHARE * healthy.whole.excess and name in item.slight:
                 return False
         return True
 
@@ -254,7 +297,7 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
         if name in leader.ids or (p >= RIVAL_SHARE and any(name in group for group in groups))
     }
     if leader.whole.beyond > 0.0:
-        for name in _slight(leader):
+        for name in leader.slight:
             stated[name] = min(stated[name], DOUBTED)
     if UNNAMED in leader.ids:
         stated[UNNAMED] = min(max(stated[UNNAMED], 1.0 - most), SUREST)
@@ -268,7 +311,7 @@ def decide(judged: Sequence[Judged], strokes: int) -> Verdict:
     return Verdict(kind, leader, healthy, leader.ids, stated, gains, groups)
 
 
-def _surest_of(leader: Judged, healthy: Judged) -> float:
+def _surest_of(leader: Explanation, healthy: Explanation) -> float:
     """Most that a named cause of the leader can be given, by what the leader leaves unexplained.
 
     A right cause of a slightly other form leaves a small share; next to a non-parametric term a
@@ -283,7 +326,7 @@ def _surest_of(leader: Judged, healthy: Judged) -> float:
     return float(SUREST - (SUREST - DOUBTED) * doubt)
 
 
-def _slight(item: Judged) -> tuple[str, ...]:
+def slight_causes(item: Judged) -> tuple[str, ...]:
     """Return the causes that are tiny and not alone."""
     if len(item.ids) < 2:
         return ()
@@ -301,15 +344,16 @@ def _slight(item: Judged) -> tuple[str, ...]:
 
 
 def _rivals_of(
-    leader: Judged, judged: Sequence[Judged], probabilities: dict[str, float]
+    leader: Explanation, judged: Sequence[Explanation], probabilities: dict[str, float]
 ) -> tuple[tuple[str, ...], ...]:
     """Return groups that the data cannot tell apart: each claimed cause with what may replace it."""
     groups = []
+    least = CONTEST * max(item.probability for item in judged)
     for name in leader.ids:
         rest = set(leader.ids) - {name}
         group = {name}
         for item in judged:
-            if name not in item.ids:
+            if name not in item.ids and item.probability >= least:
                 group |= {
                     other for other in set(item.ids) - rest if probabilities[other] >= RIVAL_SHARE
                 }

@@ -11,7 +11,8 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil.cli import main
-from sil.diagnosis.force_rig import diagnose_force, local_polynomial
+from sil.diagnosis.force_record import smoothed
+from sil.diagnosis.force_rig import diagnose_force
 
 HEAD = """name = "bench"
 rig = "force"
@@ -61,24 +62,20 @@ def changed(folder: Path, column: str, change: Callable[[np.ndarray], np.ndarray
     return folder
 
 
-def test_local_polynomials_are_exact_for_cubics() -> None:
-    t = np.arange(60.0)
-    values = 1.0 + 2.0 * t - 0.3 * t**2 + 0.01 * t**3
-    inner = slice(10, -10)
-    assert local_polynomial(values, 5, 0)[inner] == pytest.approx(values[inner])
-    assert local_polynomial(values, 5, 1)[inner] == pytest.approx(
-        (2 - 0.6 * t + 0.03 * t**2)[inner]
-    )
-    assert 2 * local_polynomial(values, 5, 2)[inner] == pytest.approx((-0.6 + 0.06 * t)[inner])
+def test_filtered_derivatives_are_those_of_one_filter() -> None:
+    t = 0.05 * np.arange(400.0)
+    inner = slice(60, -60)
+    once, twice = smoothed(np.sin(t), 6.0), smoothed(np.sin(t), 6.0, 2)
+    assert twice[inner] / 0.05**2 == pytest.approx(-once[inner], abs=1e-9)
 
 
 def test_plain_friction_is_no_cause(tmp_path) -> None:
     found = diagnose_force(rig(tmp_path / "a"))
     plain = found.as_json()
     assert plain["verdict"] == "consistent"
-    assert set(found.refused) == set(found.singles)
+    assert not plain["causes"] and found.refused().keys() >= {"stribeck", "friction_asymmetry"}
     standard = plain["gain"]["standardised"]
-    assert standard["before"] == standard["after"] == pytest.approx(1.0, abs=0.1)
+    assert standard["before"] == standard["after"] == pytest.approx(1.0, abs=0.15)
     truth = {"coulomb_n": 15.0, "viscous_n_s_m": 80.0, "offset_n": 2.0, "mass_kg": 20.0}
     for name, value in truth.items():
         item = plain["body"][name]
@@ -96,7 +93,7 @@ def test_plain_friction_is_no_cause(tmp_path) -> None:
 def test_extra_friction_is_named_with_its_size(tmp_path, name, change, value) -> None:
     plain = diagnose_force(rig(tmp_path / "a", **change)).as_json()
     assert plain["verdict"] == "named"
-    assert plain["gain"]["standardised"]["after"] == pytest.approx(1.0, abs=0.1)
+    assert plain["gain"]["standardised"]["after"] == pytest.approx(1.0, abs=0.15)
     assert [c["id"] for c in plain["causes"]] == [name]
     (parameter,) = plain["causes"][0]["parameters"].values()
     assert parameter["value"] == pytest.approx(value, rel=0.2)
@@ -107,7 +104,7 @@ def test_extra_friction_is_named_with_its_size(tmp_path, name, change, value) ->
 
 def test_friction_that_grows_at_rest_is_refused(tmp_path) -> None:
     found = diagnose_force(rig(tmp_path / "a", stribeck_n=-12.0))
-    assert "not physical" in found.refused["stribeck"]
+    assert "not physical" in found.refused()["stribeck"]
     plain = found.as_json()
     assert plain["verdict"] == "unnamed" and plain["gain"]["standardised"]["after"] > 2.0
     (cause,) = plain["causes"]
@@ -123,21 +120,35 @@ def test_a_reversed_sign_is_no_diagnosis(tmp_path, capsys, column) -> None:
     assert "sign of the driving force" in plain["findings"][0]
 
 
-def test_a_stuck_force_and_a_hole_in_it_are_refused(tmp_path) -> None:
-    for name, change, why in (
+def test_a_hole_in_the_force_is_refused(tmp_path) -> None:
+    folder = changed(
+        rig(tmp_path / "a"), "f", lambda f: np.where(np.arange(len(f)) == 40, np.nan, f)
+    )
+    with pytest.raises(InputError, match=r"a\.csv: line 42: 'nan' is not finite"):
+        diagnose_force(folder)
+
+
+@pytest.mark.parametrize(
+    ("column", "change", "why"),
+    [
         (
-            "a",
-            lambda f: np.where(np.arange(len(f)) < 900, f, f[900]),
-            r"one value over \d+ samples",
+            "f",
+            lambda f: np.where(abs(np.arange(len(f)) - 900) > 200, f, f[900]),
+            "stuck or saturated",
         ),
         (
-            "b",
-            lambda f: np.where(np.arange(len(f)) == 40, np.nan, f),
-            "line 42: 'nan' is not finite",
+            "f",
+            lambda f: f + 500.0 * (np.arange(len(f)) % 1000 == 500),
+            "force: 10 spikes, the first",
         ),
-    ):
-        with pytest.raises(InputError, match=rf"a\.csv: .*{why}"):
-            diagnose_force(changed(rig(tmp_path / name), "f", change))
+        ("f", lambda f: np.roll(f, 100), "0.2 s late against the position"),
+        ("x_mm", lambda x: x + 90.0 * (np.arange(len(x)) > 4000), "position: 1 jumps"),
+    ],
+)
+def test_a_corrupted_record_is_no_diagnosis(tmp_path, column, change, why) -> None:
+    plain = diagnose_force(changed(rig(tmp_path / "a"), column, change)).as_json()
+    assert plain["verdict"] == "cannot_tell" and not plain["causes"]
+    assert any(why in line for line in plain["findings"])
 
 
 def test_the_command_writes_page_and_json(tmp_path, capsys) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plant.effects import CATALOGUE
-from sil.diagnosis.verdict import EFFECTIVE, by_cause, decide, weigh
+from sil.diagnosis.verdict import EFFECTIVE, by_cause, decide, slight_causes, weigh
 
 
 def entry(
@@ -18,9 +18,9 @@ def entry(
         score=score,
         ids=ids,
         name="+".join(ids) or "healthy",
-        prior=0.1 if len(ids) > 1 else 1.0,
         whole=SimpleNamespace(beyond=beyond, excess=excess, count=10000),
-        held=SimpleNamespace(chi2=held_chi2),
+        held_cost=0.5 * held_chi2,
+        slight=(),
         training=SimpleNamespace(candidates=[], scaled=[]),
         probability=0.0,
     )
@@ -127,6 +127,7 @@ def test_a_cause_that_leaves_much_is_doubted() -> None:
 def with_sizes(item: SimpleNamespace, *sizes: float) -> SimpleNamespace:
     """Give a pair the fitted sizes of its causes."""
     item.training = SimpleNamespace(candidates=[named(name) for name in item.ids], scaled=sizes)
+    item.slight = slight_causes(item)
     return item
 
 

@@ -1,0 +1,99 @@
+"""Channels of a body's record: their noise, and what forbids conclusions from them.
+
+Checked by: tests/unit/sil/diagnosis/test_force_rig.py
+"""
+
+from __future__ import annotations
+
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sil.campaign.campaign import Floats
+
+
+def noise_of(values: Floats) -> float:
+    """Return the standard deviation of the noise of a sample of values [n].
+
+    By sixth differences, which motion hardly changes, and by the quietest part of the upper half of
+    the spectrum; not less than the rounding of the values.
+    """
+    differences = np.diff(values, 6)
+    robust = float(np.median(np.abs(differences))) / (0.6745 * comb(12, 6) ** 0.5)
+    window = np.hanning(len(values))
+    power = np.abs(np.fft.rfft((values - values.mean()) * window)) ** 2 / np.sum(window**2)
+    bands = np.array_split(power[len(power) // 2 : -1], 8)
+    spectral = min(float(np.median(band)) for band in bands) / np.log(2.0)
+    return float(max(min(robust, spectral**0.5), rounding_of(values) / 12.0**0.5))
+
+
+def rounding_of(values: Floats) -> float:
+    """Return the step to which values [n] are rounded; 0 if that is not visible."""
+    distinct = np.unique(values)
+    if len(distinct) > 0.5 * len(values) or len(distinct) < 3:
+        return 0.0
+    steps = np.diff(distinct)
+    return float(np.median(steps[steps > 1e-9 * np.ptp(values)]))
+
+
+def odd_channels(file: str, signals: Floats, first: int) -> list[str]:
+    """Return what forbids conclusions from channels [3, n], which begin at sample `first`."""
+    found = []
+    for name, values in zip(("position", "force", "pressure"), signals, strict=True):
+        if np.isnan(values[0]):
+            continue
+        flaws = {"spikes": _spikes(values)}
+        if name == "position":
+            flaws["jumps"] = _jumps(values)
+        for what, rows in flaws.items():
+            if len(rows):
+                where = f"the first at sample {first + rows[0] + 1}"
+                found.append(f"{file}: {name}: {len(rows)} {what}, {where}")
+        start, held = _stuck(values, signals[0])
+        if held:
+            found.append(
+                f"{file}: the driving {name} keeps one value over {held} samples in motion from "
+                f"sample {first + start + 1} on: stuck or saturated"
+            )
+    return found
+
+
+def _spikes(values: Floats) -> NDArray[np.int64]:
+    """Return where one or two samples are far from all of their neighbours in values [n]."""
+    span = float(np.diff(np.quantile(values, (0.01, 0.99)))[0])
+    far = np.zeros(len(values), dtype=bool)
+    for k in (1, 2):
+        out = np.abs(values[k:-k] - 0.5 * (values[: -2 * k] + values[2 * k :]))
+        far[k:-k] |= out > max(
+            15.0 * float(np.median(out)), 10.0 * np.quantile(out, 0.9), 0.05 * span
+        )
+    found = []
+    for row in np.flatnonzero(far[6:-6]) + 6:
+        around = np.concatenate([values[row - 6 : row - 1], values[row + 2 : row + 7]])
+        if np.abs(values[row] - np.median(around)) > 2.0 * np.ptp(around):
+            found.append(row)
+    rows = np.array(found, dtype=np.int64)
+    return rows[np.diff(rows, prepend=-2) > 1]
+
+
+def _jumps(position: Floats) -> NDArray[np.int64]:
+    """Return where a position [n] moves within one sample as far as it never does otherwise."""
+    steps = np.abs(np.diff(position))
+    usual = float(np.quantile(steps, 0.98)) + rounding_of(position)
+    return np.flatnonzero(steps > max(20.0 * usual, 0.02 * float(np.ptp(position))))
+
+
+def _stuck(values: Floats, position: Floats) -> tuple[int, int]:
+    """Return first sample and length of a run of one value in motion, (0, 0) if none is unusual."""
+    changes = np.flatnonzero(np.diff(values) != 0.0)
+    edges = np.concatenate([[0], changes + 1, [len(values)]])
+    lengths = np.diff(edges)
+    usual = float(np.quantile(lengths, 0.98))
+    for k in np.argsort(-lengths)[:20]:
+        if lengths[k] < max(20.0, 10.0 * usual):
+            break
+        run = position[edges[k] : edges[k + 1]]
+        if np.ptp(run) > 0.05 * np.ptp(position):
+            return int(edges[k]), int(lengths[k])
+    return 0, 0

@@ -1,0 +1,387 @@
+"""Balances of forces: every hypothesis by linear least squares, groups of strokes held out in turn.
+
+D = M a + F_C sgn v + d v + F_0 + causes, all filtered alike. The columns of all hypotheses are
+reduced once, group by group, to their products; a hypothesis is then the solution of a few equations.
+Checked by: tests/unit/sil/diagnosis/test_force_rig.py
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from plant.effects.force_term import Floats, Motion
+from sil.diagnosis.force_record import Recorded
+from sil.diagnosis.force_terms import FLEXIBLE, MORE, SMOOTH, Term, hats, named_terms
+from sil.diagnosis.verdict import UNNAMED
+from sil.fitting.floor import EXPLAINED, ChannelMisfit, Misfit
+
+BODY = {"coulomb_n": "N", "viscous_n_s_m": "N s/m", "offset_n": "N", "mass_kg": "kg"}
+POSITIVE = ("coulomb_n", "viscous_n_s_m", "mass_kg")
+ALIKE = 0.05
+"""A column is not offered if less than this share of it differs from the body's columns ..."""
+TOGETHER = 0.1
+"""... and not together with another if less than this share differs from both."""
+CLEAN = 10.0
+"""Least ratio of a fourth derivative to its noise, which is that of the acceleration too."""
+SURE = 3.0
+"""Least gain of a cause, in standard errors over the groups held out."""
+LEAST_NOISE = 1e-3
+"""A residual below this share of the driving force is explained: no model of a body is better."""
+STROKE_SCATTER = 0.05
+"""Coulomb friction of a healthy body may vary from stroke to stroke by this share."""
+MOST_TRIPLES = 5
+
+
+@dataclass(frozen=True)
+class Group:
+    """Columns that enter together: one of a term with a shape, several of a smooth function."""
+
+    name: str
+    id: str
+    cause_class: str
+    term: Term | None
+    shape: float
+    columns: tuple[int, ...]
+
+
+@dataclass
+class Tried:
+    """A hypothesis, fitted.
+
+    values, deviations: [k] of the body's and the groups' columns; squares: held-out sum of squares
+    of each group of strokes [N^2]; noise_n: expected rms of its residual [N]; count: independent
+    samples.
+    """
+
+    groups: tuple[Group, ...]
+    values: Floats
+    deviations: Floats
+    squares: Floats
+    samples: int
+    body: tuple[str, ...]
+    noise_n: float = 1.0
+    expected_n: float = 1.0
+    count: float = 1.0
+    probability: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Name of the hypothesis."""
+        return " + ".join(self.names) or "plain body"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its terms."""
+        return tuple(group.name for group in self.groups)
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Identifiers of its causes."""
+        return tuple(group.id for group in self.groups)
+
+    @property
+    def rms_n(self) -> float:
+        """Held-out rms [N]."""
+        return float(np.sqrt(self.squares.sum() / self.samples))
+
+    @property
+    def score(self) -> float:
+        """Held-out cost in log evidence."""
+        return 0.5 * self.count * (self.rms_n / self.noise_n) ** 2
+
+    @property
+    def held_cost(self) -> float | None:
+        """None: all of the score is held out."""
+        return None
+
+    @property
+    def slight(self) -> tuple[str, ...]:
+        """None is: the forms of these causes are linear."""
+        return ()
+
+    @cached_property
+    def whole(self) -> Misfit:
+        """Misfit against noise and the scatter between strokes."""
+        rms = self.rms_n / self.noise_n
+        band = max(EXPLAINED, min(3.0, EXPLAINED * self.expected_n / self.noise_n))
+        channel = ChannelMisfit(rms, round(self.count), band)
+        excess = self.count * (rms**2 - 1.0)
+        return Misfit({"force_n": channel}, excess, self.count * (band**2 - 1.0), round(self.count))
+
+    def value(self, name: str) -> tuple[float, float]:
+        """Return value and deviation of a parameter of the body."""
+        k = self.body.index(name)
+        return float(self.values[k]), float(self.deviations[k])
+
+    def physical(self) -> bool:
+        """Return whether the causes have physical signs and exclude zero."""
+        k = len(self.body)
+        for group in self.groups:
+            value, deviation = float(self.values[k]), float(self.deviations[k])
+            k += len(group.columns)
+            if group.term is None:
+                continue
+            if abs(value) < 2.0 * deviation or (group.term.form.sign and value < 0.0):
+                return False
+            if group.id == "friction_asymmetry" and "viscous_n_s_m" in self.body:
+                viscous, spread = self.value("viscous_n_s_m")
+                if abs(value) > viscous + 2.0 * float(np.hypot(spread, deviation)):
+                    return False  # friction would drive the body one way
+        return True
+
+
+def gain_in_errors(item: Tried, other: Tried) -> float:
+    """Return how much less `item` leaves of held-out squares than `other`, in standard errors."""
+    differences = other.squares - item.squares
+    error = float(np.std(differences, ddof=1) * np.sqrt(len(differences))) + 1e-300
+    return float(differences.sum() / error)
+
+
+class Bank:
+    """All columns at the judged samples, and what least squares needs of them.
+
+    columns: [n, k] in N per unit, the body's first; target: [n] in N; groups: what may be added;
+    missing: why a term is not offered, by name.
+    """
+
+    def __init__(self, record: Recorded) -> None:
+        self.record = record
+        raw, rows = record.raw, record.judged
+        stated = record.body.mass_kg
+        target = record.filtered(raw.force_n)
+        if stated is not None:
+            target = target - stated * raw.acceleration_m_s2
+        self.target = target[rows]
+        self.missing: dict[str, str] = {}
+        self.groups: list[Group] = []
+        self._columns: list[Floats] = []
+        self.body = self._add_body(raw, stated is None)
+        base = np.column_stack(self._columns)
+        self._base = np.linalg.qr(base)[0]
+        for name, term in named_terms().items():
+            self._add_term(name, term, raw)
+        for term in MORE:
+            if term.id == UNNAMED:
+                self._add_term("pressure times position", term, raw)
+        snap = record.filtered(raw.position_m, 4)[rows]
+        if np.std(snap) > CLEAN * record.position_sd_m * record.gain_of(4):
+            self._add(FLEXIBLE, UNNAMED, "flexibility", None, snap)
+        self._reduce()
+
+    def _add_body(self, raw: Motion, free_mass: bool) -> tuple[str, ...]:
+        record, rows = self.record, self.record.judged
+        # the mean sign over a sampling step in which the motion turns
+        half = 0.5 * record.step_s * np.abs(raw.acceleration_m_s2) + 1e-300
+        sign = np.clip(raw.speed_m_s / half, -1.0, 1.0)
+        table = {
+            "coulomb_n": record.filtered(sign)[rows],
+            "viscous_n_s_m": raw.speed_m_s[rows],
+            "offset_n": np.ones(np.count_nonzero(rows)),
+        }
+        if free_mass:
+            table["mass_kg"] = raw.acceleration_m_s2[rows]
+        noise = record.position_sd_m * record.gain_of(2)
+        if free_mass and np.std(table["mass_kg"]) < SURE * noise:
+            del table["mass_kg"]
+            self.missing["mass_kg"] = (
+                "not determined: the acceleration stays within its noise; faster strokes would tell"
+            )
+        found: list[str] = []
+        for name, column in table.items():
+            if (
+                found
+                and difference(np.linalg.qr(np.column_stack([table[n] for n in found]))[0], column)
+                < ALIKE
+            ):
+                self.missing[name] = {
+                    "viscous_n_s_m": "not determined: the speed hardly varies; strokes at several speeds would tell",
+                    "offset_n": "not determined: the body moves one way only; strokes both ways would tell it from friction",
+                }.get(name, "not determined: moves with the others; other speeds would tell")
+            else:
+                found.append(name)
+        self._columns += [table[name] for name in found]
+        return tuple(found)
+
+    def _add_term(self, name: str, term: Term, raw: Motion) -> None:
+        if term.form.needs_pressure and raw.pressure_pa is None:
+            return
+        before = len(self._columns)
+        for shape in term.form.shapes(raw):
+            column = self.record.filtered(term.form.feature(raw, shape))[self.record.judged]
+            if difference(self._base, column) >= ALIKE:
+                self._add(name, term.id, term.cause_class, term, column, shape)
+        if len(self._columns) == before:
+            what = "pressure" if term.form.needs_pressure else "motion"
+            self.missing[name] = (
+                f"not judged: cannot be told from the plain body here; strokes with other {what} would tell"
+            )
+
+    def _add(
+        self,
+        name: str,
+        id_: str,
+        cause_class: str,
+        term: Term | None,
+        table: Floats,
+        shape: float = 0.0,
+    ) -> None:
+        table = table.reshape(len(self.target), -1)
+        first = len(self._columns)
+        self._columns += list(table.T)
+        columns = tuple(range(first, len(self._columns)))
+        self.groups.append(Group(name, id_, cause_class, term, shape, columns))
+
+    def add_smooth(self) -> list[Group]:
+        """Add functions without a form; return their groups."""
+        raw, first = self.record.raw, len(self.groups)
+        for name, (cause_class, over, turns) in SMOOTH.items():
+            values = over(raw)
+            if len(values):
+                table = hats(values, np.sign(raw.speed_m_s) if turns else None)
+                column = self.record.filtered(table)[self.record.judged]
+                self._add(name, UNNAMED, cause_class, None, column)
+        self._reduce()
+        return self.groups[first:]
+
+    def _reduce(self) -> None:
+        table = np.column_stack(self._columns)
+        self.scale = np.sqrt(np.mean(table**2, axis=0)) + 1e-300
+        self.columns = table / self.scale
+        beyond = self.columns - self._base @ (self._base.T @ self.columns)
+        beyond /= np.sqrt(np.sum(beyond**2, axis=0)) + 1e-300
+        self._correlation = beyond.T @ beyond
+        fold = self.record.raw.block[self.record.judged]
+        rows = [np.flatnonzero(fold == number) for number in np.unique(fold)]
+        parts = [self.columns[r] for r in rows]
+        self._grams = np.array([part.T @ part for part in parts])
+        self._sides = np.array([p.T @ self.target[r] for p, r in zip(parts, rows, strict=True)])
+        self._squares = np.array([float(self.target[r] @ self.target[r]) for r in rows])
+        # against the motion, on average over each stroke
+        sign = np.sign(self.record.raw.speed_m_s[self.record.judged])
+        stroke = np.unique(self.record.stroke[self.record.judged], return_inverse=True)[1]
+        order = np.argsort(stroke, kind="stable")
+        self._sizes = np.bincount(stroke)
+        first = np.cumsum(self._sizes) - self._sizes
+        both = np.column_stack([self.columns, self.target]) * sign[:, None]
+        self._means = np.add.reduceat(both[order], first) / self._sizes[:, None]
+
+    def _own(self, groups: Sequence[Group]) -> list[int]:
+        """Return the columns of a hypothesis, the body's first."""
+        return [*range(len(self.body)), *(c for group in groups for c in group.columns)]
+
+    def attempt(self, groups: Sequence[Group]) -> Tried:
+        """Fit a hypothesis with every group of strokes held out in turn; deviations by jackknife."""
+        own = self._own(groups)
+        values, without = self._solved(own)
+        free = _jackknife(without - values)
+        # mass and friction are not negative: what comes out so is left out
+        held = list(own)
+        while True:
+            signed = [k for k in held if k < len(self.body) and self.body[k] in POSITIVE]
+            worst = min(signed, key=lambda k: values[own.index(k)], default=-1)
+            if worst < 0 or values[own.index(worst)] >= 0.0:
+                break
+            held.remove(worst)
+            rows = [own.index(k) for k in held]
+            values, without = np.zeros(len(own)), np.zeros((len(without), len(own)))
+            values[rows], without[:, rows] = self._solved(held)
+        grams, sides = self._grams[:, own][:, :, own], self._sides[:, own]
+        squares = (
+            self._squares
+            - 2.0 * np.sum(without * sides, axis=1)
+            + np.einsum("fi,fij,fj->f", without, grams, without)
+        )
+        scale = self.scale[own]
+        return Tried(
+            tuple(groups),
+            values / scale,
+            np.where(values == 0.0, free, _jackknife(without - values)) / scale,
+            np.maximum(squares, 0.0),
+            len(self.target),
+            self.body,
+        )
+
+    def free_body(self) -> tuple[Floats, Floats]:
+        """Return the plain body's parameters without bounds, and their deviations: [k] each."""
+        own = list(range(len(self.body)))
+        values, without = self._solved(own)
+        return values / self.scale[own], _jackknife(without - values) / self.scale[own]
+
+    def _solved(self, own: Sequence[int]) -> tuple[Floats, Floats]:
+        """Return the solution for these columns [k], and with every group held out [f, k]."""
+        grams = self._grams[:, own][:, :, own]
+        sides = self._sides[:, own]
+        gram, side = grams.sum(axis=0), sides.sum(axis=0)
+        guard = 1e-10 * np.trace(gram) * np.eye(len(own))
+        without = np.linalg.solve(gram - grams + guard, (side - sides)[:, :, None])[:, :, 0]
+        return np.linalg.solve(gram + guard, side), without
+
+    def model_n(self, item: Tried) -> Floats:
+        """Return the force of a hypothesis [n] in N, without the stated mass's."""
+        own = self._own(item.groups)
+        return np.asarray(self.columns[:, own] @ (item.values * self.scale[own]))
+
+    def all_tried(self) -> list[Tried]:
+        """Return the plain body, every term with its best shape alone and in pairs, some triples."""
+        best = self._best((group,) for group in self.groups)
+        pairs = self._best(itertools.combinations(self.groups, 2))
+        leading = sorted(pairs, key=lambda item: item.rms_n)[:MOST_TRIPLES]
+        triples = self._best((*pair.groups, group) for pair in leading for group in self.groups)
+        return [self.attempt(()), *best, *pairs, *triples]
+
+    def _best(self, sets: Iterable[tuple[Group, ...]]) -> list[Tried]:
+        """Return the hypotheses of sets of groups, of each set of names the one that leaves least."""
+        found: dict[frozenset[str], Tried] = {}
+        for groups in sets:
+            names = frozenset(group.name for group in groups)
+            if len({group.id for group in groups}) < len(groups) or self._alike(groups):
+                continue
+            item = self.attempt(groups)
+            if names not in found or item.rms_n < found[names].rms_n:
+                found[names] = item
+        return list(found.values())
+
+    def _alike(self, groups: Sequence[Group]) -> bool:
+        """Return whether the data hardly tell single columns apart."""
+        pairs = itertools.combinations([group.columns[0] for group in groups], 2)
+        return any(abs(self._correlation[i, j]) > (1.0 - TOGETHER**2) ** 0.5 for i, j in pairs)
+
+    def calibrate(self, tried: Sequence[Tried]) -> None:
+        """State the noise: of the channels through the best balance, and the scatter of strokes."""
+        best = min(tried, key=lambda item: item.rms_n)
+        stated = self.record.body.mass_kg
+        mass = best.value("mass_kg")[0] if "mass_kg" in self.body else (stated or 0.0)
+        viscous = best.value("viscous_n_s_m")[0] if "viscous_n_s_m" in self.body else 0.0
+        noise = self.record.balance_sd_n(mass, viscous)
+        noise = max(noise, LEAST_NOISE * float(np.sqrt(np.mean(self.target**2))))
+        correlated = max(1.0, 2.0 * np.pi**0.5 * self.record.width / self.record.stride)
+        sizes = self._sizes
+        for item in tried:
+            own = self._own(item.groups)
+            means = self._means[:, -1] - self._means[:, own] @ (item.values * self.scale[own])
+            spread = float(np.average(means**2 - noise**2 * correlated / sizes, weights=sizes))
+            coulomb = item.value("coulomb_n")[0] if "coulomb_n" in self.body else 0.0
+            scatter = min(max(spread, 0.0) ** 0.5, STROKE_SCATTER * max(coulomb, 0.0))
+            item.noise_n = noise
+            item.expected_n = float(np.hypot(noise, scatter))
+            item.count = item.samples / correlated
+
+
+def _jackknife(differences: Floats) -> Floats:
+    """Return standard deviations [k] from solutions with each group left out, less the whole [f, k].
+
+    Neighbouring samples are not independent; strokes nearly are.
+    """
+    count = len(differences)
+    return np.asarray(np.sqrt((count - 1) / count * np.sum(differences**2, axis=0)))
+
+
+def difference(base: Floats, column: Floats) -> float:
+    """Return the share of a column [n] that orthonormal columns [n, k] cannot make up."""
+    rest = column - base @ (base.T @ column)
+    return float(np.linalg.norm(rest) / (np.linalg.norm(column) + 1e-300))

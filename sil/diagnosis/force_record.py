@@ -1,0 +1,345 @@
+"""Records of a body of which driving force and position are known: read, checked, filtered.
+
+Speed, acceleration and force go through one Gaussian filter: what is linear in the balance of
+forces holds for filtered signals as it does for raw ones. Samples close to rest and to the ends of
+a record are left out. What is odd about a record is a finding; what forbids any conclusion from it
+is a doubt.
+Checked by: tests/unit/sil/diagnosis/test_force_rig.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from msgspec import Meta, Struct
+from numpy.typing import NDArray
+
+from can_dbc.errors import InputError
+from can_dbc.typed_toml import convert, read_toml
+from plant.effects.force_term import Motion
+from sil.campaign.campaign import ColumnMap, Floats, Rate, Record, Text, column_maps, read_record
+from sil.diagnosis.force_checks import noise_of, odd_channels
+
+FOLDS = 24
+"""Most groups of strokes that are held out in turn."""
+FEWEST_STROKES = 4
+"""With fewer strokes, blocks of time are held out instead."""
+FEWEST_SAMPLES = 200
+SLOW_SHARE = 0.05
+"""Slower samples than this share of the highest speeds are left out."""
+RADIUS = 7.0
+"""Reach of the filter in standard deviations: cut shorter, its derivatives are not those of one filter."""
+NOISY = 0.02
+"""Most noise of speed and acceleration that the filter leaves, as a share of their rms."""
+MARGIN = 50.0
+"""A part between gaps that has fewer sampling steps is left out."""
+GAP_STEPS = 8.0
+"""A longer pause, in sampling steps, is a gap."""
+
+AXES = ({"position_m", "force_n"}, {"angle_rad", "torque_n_m"})
+ROTARY = {"N": "N m", "kg": "kg m^2", "N s/m": "N m s", "N/m": "N m", "N/Pa": "N m/Pa", "m": "rad"}
+
+
+class Body(Struct, frozen=True, forbid_unknown_fields=True):
+    """The [body] of campaign.toml."""
+
+    mass_kg: Annotated[float, Meta(ge=0.0, le=1e6)] | None = None
+    piston_area_m2: Annotated[float, Meta(ge=-10.0, le=10.0)] = 0.0
+    area_2_m2: Annotated[float, Meta(ge=-10.0, le=10.0)] = 0.0
+    """Area under pressure_2_pa, counted as piston_area_m2: negative if it pushes towards -."""
+    slow_m_s: Annotated[float, Meta(ge=0.0, le=1e3)] | None = None
+    smooth_s: Annotated[float, Meta(ge=0.0, le=10.0)] | None = None
+    """Standard deviation of the filter; without it, found from the noise of the position."""
+
+
+class RecordedMotion(Struct, frozen=True, forbid_unknown_fields=True):
+    """One [[stroke]] of campaign.toml: a file, with one stroke or many."""
+
+    file: Text
+    label: str = ""
+
+
+class ForceRig(Struct, frozen=True, forbid_unknown_fields=True):
+    """The keys of campaign.toml with rig = "force"."""
+
+    name: Text
+    rig: Literal["force"]
+    sample_rate_hz: Rate
+    stroke: Annotated[list[RecordedMotion], Meta(min_length=1)]
+    columns: dict[str, Text | ColumnMap] = {}
+    body: Body = Body()
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """All samples of a campaign, and which of them are judged.
+
+    raw: position, force and pressure as measured, speed and acceleration filtered, all [n]; its
+    block is the number of the group of strokes that is held out together. judged: [n]; stroke: [n];
+    width: of the filter, in samples; step_s: sampling step; force_sd_n, position_sd_m: noise of a
+    sample; files: [n] number of the file; stride: distance of judged samples.
+    """
+
+    name: str
+    raw: Motion
+    judged: NDArray[np.bool_]
+    stroke: NDArray[np.int64]
+    files: NDArray[np.int64]
+    width: float
+    step_s: float
+    force_sd_n: float
+    position_sd_m: float
+    held_out: str
+    body: Body
+    units: Mapping[str, str]
+    findings: tuple[str, ...]
+    doubts: tuple[str, ...]
+    stride: int
+
+    def filtered(self, values: Floats, order: int = 0) -> Floats:
+        """Return values [n], or [n, k], or their derivative by time, filtered: [n] per s^order."""
+        return smoothed(values, self.width, order) / self.step_s**order
+
+    def gain_of(self, order: int) -> float:
+        """Return the noise of a filtered derivative per noise of a sample [1/s^order]."""
+        return float(np.linalg.norm(kernel(self.width, order))) / self.step_s**order
+
+    def balance_sd_n(self, mass: float, viscous: float, stiffness: float = 0.0) -> float:
+        """Return the standard deviation of the noise of a filtered balance of forces [N]."""
+        w = [kernel(self.width, order) / self.step_s**order for order in range(3)]
+        position = float(np.linalg.norm(mass * w[2] + viscous * w[1] + stiffness * w[0]))
+        force = float(np.linalg.norm(w[0]))
+        return float(np.hypot(force * self.force_sd_n, position * self.position_sd_m))
+
+
+def description(path: str | Path) -> Path:
+    """Return the campaign.toml of a folder, or the file itself."""
+    folder = Path(path)
+    return folder if folder.suffix == ".toml" else folder / "campaign.toml"
+
+
+def is_force_rig(path: str | Path) -> bool:
+    """Return whether a campaign describes a rig known by force and position alone."""
+    file = description(path)
+    return file.is_file() and read_toml(file).get("rig") == "force"
+
+
+def kernel(width: float, order: int) -> Floats:
+    """Return the weights [m] of the Gaussian filter of this width, in samples, or a derivative."""
+    impulse = np.zeros(2 * int(np.ceil(RADIUS * width)) + 3)
+    impulse[len(impulse) // 2] = 1.0
+    return smoothed(impulse, width, order)
+
+
+def smoothed(values: Floats, width: float, order: int = 0) -> Floats:
+    """Return values [n], or [n, k], or a derivative per step^order, filtered along the first axis."""
+    from scipy.ndimage import gaussian_filter1d
+
+    return np.asarray(
+        gaussian_filter1d(values, width, axis=0, order=order, truncate=RADIUS, mode="nearest")
+    )
+
+
+# --- reading ----------------------------------------------------------------------------------
+def read_motion(path: str | Path) -> Recorded:
+    """Read a campaign with rig = "force".
+
+    Raises InputError naming file and key or column: one that is missing, a value that is not a
+    number, a body that never moves.
+    """
+    file = description(path)
+    rig = convert(read_toml(file), ForceRig, str(file))
+    columns = column_maps(rig.columns)
+    records = [read_record(file.parent / entry.file, columns) for entry in rig.stroke]
+    rotary = any("angle_rad" in record for record in records)
+    usual = [float(np.median(np.diff(record.time_s))) for record in records]
+    step = max(1.0 / rig.sample_rate_hz, *usual)
+    findings: list[str] = []
+    doubts: list[str] = []
+    parts: list[Floats] = []
+    noise: list[tuple[float, float, int]] = []
+    for number, record in enumerate(records):
+        signals = _signals(record, rig.body)
+        findings += _gaps(record)
+        noise.append((noise_of(signals[1]), noise_of(signals[0]), len(record)))
+        for rows in _without_gaps(record.time_s):
+            if (record.time_s[rows[-1]] - record.time_s[rows[0]]) / step < MARGIN:
+                continue
+            doubts += odd_channels(record.path.name, signals[:, rows], int(rows[0]))
+            part = _even(record.time_s[rows], signals[:, rows], step)
+            parts.append(np.vstack([part, np.full(part.shape[1], number)]))
+    if not parts:
+        raise InputError(
+            f"{file.parent}: no {FEWEST_SAMPLES} samples without a gap; expected strokes"
+        )
+    weights = [count for *_sds, count in noise]
+    force_sd, position_sd = (
+        float(np.sqrt(np.average([sds[k] ** 2 for sds in noise], weights=weights))) for k in (0, 1)
+    )
+    return _judged(rig, parts, step, (force_sd, position_sd), rotary, findings, doubts)
+
+
+def _signals(record: Record, body: Body) -> Floats:
+    """Return position, driving force and pressure (NaN without) of a record: [3, n]."""
+    path = record.path
+    position = next((record[name] for name in ("position_m", "angle_rad") if name in record), None)
+    if position is None:
+        raise InputError(f"{path}: no position_m; expected position and a driving force")
+    force = next((record[name] for name in ("force_n", "torque_n_m") if name in record), None)
+    areas = {"pressure_pa": body.piston_area_m2, "pressure_2_pa": body.area_2_m2}
+    for name, area in areas.items():
+        if area and name not in record:
+            raise InputError(f"{path}: no {name}, whose area is stated in [body]")
+    if force is None and not any(areas.values()):
+        raise InputError(
+            f"{path}: no force_n, and no pressure_pa with piston_area_m2; expected a driving force"
+        )
+    force = np.zeros(len(record)) if force is None else force
+    force = force + sum(area * record[name] for name, area in areas.items() if area)
+    if len(record) < FEWEST_SAMPLES:
+        raise InputError(f"{path}: {len(record)} samples; expected at least {FEWEST_SAMPLES}")
+    pressure = record["pressure_pa"] if "pressure_pa" in record else np.full(len(record), np.nan)
+    if "pressure_2_pa" in record:
+        pressure = pressure - record["pressure_2_pa"]
+    return np.vstack([position, force, pressure])
+
+
+def _gaps(record: Record) -> list[str]:
+    """Return a finding if time_s has gaps."""
+    steps = np.diff(record.time_s)
+    gaps = np.flatnonzero(steps > GAP_STEPS * np.median(steps))
+    if not len(gaps):
+        return []
+    first = gaps[0]
+    return [
+        f"{record.path.name}: time_s: {len(gaps)} gaps, the first of {steps[first]:.3g} s at "
+        f"{record.time_s[first]:.4g} s; nothing is concluded across them"
+    ]
+
+
+def _without_gaps(time_s: Floats) -> list[NDArray[np.int64]]:
+    """Return the rows of each part without gaps."""
+    steps = np.diff(time_s)
+    cuts = np.flatnonzero(steps > GAP_STEPS * np.median(steps)) + 1
+    return np.split(np.arange(len(time_s)), cuts)
+
+
+def _even(time_s: Floats, signals: Floats, step: float) -> Floats:
+    """Return signals [3, n] at one step: [3, m]."""
+    from scipy.interpolate import make_interp_spline
+
+    if np.max(np.abs(np.diff(time_s) - step)) <= 0.01 * step:
+        return signals
+    grid = np.arange(time_s[0], time_s[-1], step)
+    return np.asarray(make_interp_spline(time_s, signals.T, k=3)(grid).T)
+
+
+def _judged(
+    rig: ForceRig,
+    parts: list[Floats],
+    step: float,
+    noise: tuple[float, float],
+    rotary: bool,
+    findings: list[str],
+    doubts: list[str],
+) -> Recorded:
+    """Return the parts [4, m] as one record: filtered, its strokes found, slow samples left out."""
+    width = (
+        _width(parts, noise[1]) if rig.body.smooth_s is None else max(1.0, rig.body.smooth_s / step)
+    )
+    speeds = [smoothed(part[0], width, 1) / step for part in parts]
+    x, f, p, files = np.concatenate(parts, axis=1)
+    v = np.concatenate(speeds)
+    a = np.concatenate([smoothed(part[0], width, 2) / step**2 for part in parts])
+    fast = float(np.quantile(np.abs(v), 0.99))
+    slow = SLOW_SHARE * fast if rig.body.slow_m_s is None else rig.body.slow_m_s
+    moving = np.abs(v) > slow
+    reach = int(np.ceil(RADIUS * width))
+    inner = np.concatenate([_inner(part.shape[1], reach) for part in parts])
+    judged = moving & inner
+    # where the filter mixes rest and motion, friction is not what the speed says
+    away = judged & ~_near(~moving, int(np.ceil(2.0 * width)))
+    if np.count_nonzero(away) > 0.5 * np.count_nonzero(judged):
+        judged = away
+    if np.count_nonzero(judged) < 0.5 * FEWEST_SAMPLES:
+        raise InputError(f"{rig.name}: position_m: hardly moves; expected strokes")
+    # filtered samples next to each other say the same
+    stride = max(1, int(0.6 * width))
+    judged &= np.arange(len(judged)) % stride == 0
+    starts = np.concatenate([np.arange(part.shape[1]) == 0 for part in parts])
+    stroke = _strokes(v, moving, starts)
+    kept = np.unique(stroke[judged])
+    held_out = "strokes" if len(kept) >= FEWEST_STROKES else "blocks of time"
+    if held_out == "strokes":
+        pairs = len(kept) >= 2 * FEWEST_STROKES  # there and back
+        order = np.searchsorted(kept, stroke) // (2 if pairs else 1)
+        block = order * FOLDS // max(FOLDS, int(order[judged].max()) + 1)
+    else:
+        block = np.arange(len(x)) * FOLDS // len(x)
+    pressure = None if np.isnan(p).any() else p
+    raw = Motion(f, v, a, x, pressure, block.astype(np.int64), 1.0 / step, 0.0)
+    return Recorded(
+        rig.name,
+        raw,
+        judged,
+        stroke,
+        files.astype(np.int64),
+        width,
+        step,
+        *noise,
+        held_out,
+        rig.body,
+        ROTARY if rotary else {},
+        tuple(findings),
+        tuple(doubts),
+        stride,
+    )
+
+
+def _inner(count: int, reach: int) -> NDArray[np.bool_]:
+    rows = np.arange(count)
+    return (rows >= reach) & (rows < count - reach)
+
+
+def _near(flags: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Return which samples are within `reach` of a flagged one."""
+    from scipy.ndimage import binary_dilation
+
+    return np.asarray(binary_dilation(flags, iterations=max(1, reach)))
+
+
+def _strokes(v: Floats, moving: NDArray[np.bool_], starts: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the number of the stroke of every sample: a new one where the motion turns."""
+    rows = np.flatnonzero(moving | starts)
+    turned = np.zeros(len(v), dtype=np.int64)
+    sign = np.sign(v[rows])
+    turned[rows[1:]] = (sign[1:] != sign[:-1]) | starts[rows[1:]]
+    return np.cumsum(turned)
+
+
+def _width(parts: list[Floats], position_sd: float) -> float:
+    """Return the narrowest filter that leaves little noise of acceleration, in samples.
+
+    From half a percent to 5 % of the usual time between two turns: a narrower one lets vibrations
+    in, a wider one takes motion away.
+    """
+    width, count = 1.0, sum(part.shape[1] for part in parts)
+    while True:
+        shares = []
+        turns = 1
+        for order in (1, 2):
+            values = np.concatenate([smoothed(part[0], width, order) for part in parts])
+            noise = position_sd * float(np.linalg.norm(kernel(width, order)))
+            shares.append(noise / max(float(np.sqrt(np.mean(values**2))), 1e-300))
+            if order == 1:
+                level = np.sign(values[np.abs(values) > 0.1 * np.quantile(np.abs(values), 0.99)])
+                turns += int(np.count_nonzero(np.diff(level)))
+        wider = 1.25 * width
+        enough = width >= 0.005 * count / turns and max(shares) <= NOISY
+        if enough or wider > max(1.0, 0.05 * count / turns):
+            return width
+        width = wider

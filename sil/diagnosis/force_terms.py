@@ -1,0 +1,124 @@
+"""What may act on a body besides mass, Coulomb and viscous friction and an offset.
+
+Causes of the catalogue that a balance of forces can show, physics that belongs to no catalogue of
+faults (springs, drag, errors of gauge or area), and functions without a form, which say where a
+residual sits.
+Checked by: tests/unit/sil/diagnosis/test_force_rig.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from plant.effects import CATALOGUE
+from plant.effects.force_term import Floats, ForceTerm, Motion
+from sil.diagnosis.verdict import UNNAMED
+
+NODES = 8
+
+
+@dataclass(frozen=True)
+class Term:
+    """A candidate: an id of the vocabulary, its class, and its form."""
+
+    id: str
+    cause_class: str
+    form: ForceTerm
+
+
+def centred(motion: Motion) -> Floats:
+    """Return the position from the middle of the travel [n] in m."""
+    low, high = np.quantile(motion.position_m, (0.01, 0.99))
+    return motion.position_m - 0.5 * float(low + high)
+
+
+def _pressure(motion: Motion) -> Floats:
+    return np.zeros(0) if motion.pressure_pa is None else motion.pressure_pa
+
+
+MORE = (
+    Term(
+        "stiffness",
+        "mechanics",
+        ForceTerm("stiffness_n_m", "N/m", "a spring, or enclosed gas", lambda m, _s: centred(m)),
+    ),
+    Term(
+        "stiffness_cubic",
+        "mechanics",
+        ForceTerm(
+            "cubic_n_m3",
+            "N/m^3",
+            "a spring whose rate changes with deflection",
+            lambda m, _s: centred(m) ** 3,
+            sign=0,
+        ),
+    ),
+    Term(
+        "quadratic_drag",
+        "friction",
+        ForceTerm(
+            "drag_n_s2_m2",
+            "N s^2/m^2",
+            "resistance grows with the square of speed",
+            lambda m, _s: m.speed_m_s * np.abs(m.speed_m_s),
+        ),
+    ),
+    Term(
+        "pressure_gain",
+        "gauge",
+        ForceTerm(
+            "area_m2",
+            "m^2",
+            "force in proportion to pressure: error of area or gauge",
+            lambda m, _s: _pressure(m),
+            sign=0,
+            needs_pressure=True,
+        ),
+    ),
+    Term(
+        UNNAMED,
+        "geometry",
+        ForceTerm(
+            "area_per_m_m",
+            "m",
+            "an effective area that changes with position",
+            lambda m, _s: _pressure(m) * centred(m),
+            sign=0,
+            needs_pressure=True,
+        ),
+    ),
+)
+
+
+def named_terms() -> dict[str, Term]:
+    """Return the candidates by name: effects of the catalogue and physics beyond it."""
+    found = {
+        name: Term(name, item.cause_class, item.force)
+        for name, item in CATALOGUE.items()
+        if item.force is not None
+    }
+    return found | {term.id: term for term in MORE if term.id != UNNAMED}
+
+
+FLEXIBLE = "fourth derivative of position"
+"""First sign of a joint that gives way: D = M a - (m^2 / k) x'''' of a mass m on a spring k."""
+
+
+SMOOTH: dict[str, tuple[str, Callable[[Motion], Floats], bool]] = {
+    "speed": ("friction", lambda m: m.speed_m_s, False),
+    "position": ("mechanics", lambda m: m.position_m, False),
+    "position, against the motion": ("friction", lambda m: m.position_m, True),
+    "pressure": ("gauge", _pressure, False),
+    "pressure, against the motion": ("friction", _pressure, True),
+}
+"""Functions without a form: class, what they depend on, whether they turn with the motion."""
+
+
+def hats(values: Floats, sign: Floats | None = None) -> Floats:
+    """Return hat functions over the quantiles of values [n]: [n, NODES]."""
+    nodes = np.unique(np.quantile(values, np.linspace(0.005, 0.995, NODES)))
+    table = np.column_stack([np.interp(values, nodes, row) for row in np.eye(len(nodes))])
+    return table if sign is None else table * sign[:, None]
