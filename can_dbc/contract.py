@@ -47,6 +47,7 @@ class MessageSpec(NamedTuple):
     can_id: int
     length: int
     senders: tuple[str, ...]
+    receivers: frozenset[str]
     signals: tuple[SignalSpec, ...]
     cycle_ns: int
     jitter_ns: int
@@ -62,6 +63,7 @@ _SIGNAL = re.compile(
     r" SG_ (\w+) : (\d+)\|(\d+)@1([+-]) \((.+?),(.+?)\) \[(.+?)\|(.+?)\] \"(.*?)\" "
 )
 _SENDERS = re.compile(r"^BO_TX_BU_ (\d+) : ([\w,]+);", re.MULTILINE)
+_RECEIVERS = re.compile(r"\" +([\w,]+)$", re.MULTILINE)
 _ATTRIBUTE = re.compile(r"^BA_ \"(\w+)\" BO_ (\d+) \"?(\w*)\"?;", re.MULTILINE)
 
 
@@ -91,6 +93,7 @@ def contract() -> dict[str, MessageSpec]:
             can_id=int(number) & ~_EXTENDED,
             length=int(length),
             senders=tuple(senders.get(number, sender).split(",")),
+            receivers=frozenset(",".join(_RECEIVERS.findall(signals)).split(",")),
             signals=tuple(_signal(*parts) for parts in _SIGNAL.findall(signals)),
             cycle_ns=int(attributes.get(("GenMsgCycleTime", number), 0)) * _MS,
             jitter_ns=int(attributes.get(("GenMsgJitterUs", number), 0)) * _US,

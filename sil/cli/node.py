@@ -1,20 +1,30 @@
-"""Run one participant of a scenario alone: it joins a run begun with `opc4 run --external`.
+"""Run one participant of a scenario alone, on a bus.
 
-The channel is local:NAME (printed by `opc4 run`) or a CAN interface.  File or name of the scenario,
-and settings, must be those of the run.
+In lockstep it joins a run begun with `opc4 run --external`; file or name of the scenario, and
+settings, must be those of the run.  With --realtime it runs by its own clock beside any other nodes,
+ours or foreign, which may come and go; Ctrl-C ends it.  The channel is local:NAME (printed by
+`opc4 run`) or a CAN interface.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import signal
+import threading
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sil.cli.options import MODEL, SEED, SETTINGS, argument, say
+
+if TYPE_CHECKING:
+    from sil.simulation.scenario import Loaded
 
 EXAMPLE = """\
 example:
   opc4 node controller --channel vcan0 --scenario full_shift
+  opc4 node controller --channel vcan0 --realtime
 """
 
 WAIT_S = 300.0
@@ -35,6 +45,11 @@ ARGUMENTS = (
     ),
     argument("--out", "where the plant records [.]", "DIR", type=Path, default=Path()),
     argument("--force", "replace the records in DIR"),
+    argument(
+        "--realtime",
+        "run freely by the own clock, with any nodes on the bus, without a run's coordinator",
+    ),
+    argument("--duration", "with --realtime: end after this time [Ctrl-C]", "SECONDS", type=float),
     *(MODEL, SETTINGS),
 )
 
@@ -60,11 +75,17 @@ def run(arguments: argparse.Namespace) -> int:
         settings=arguments.settings,
         seed=arguments.seed,
     )
+    duration_s: float | None = arguments.duration
+    if duration_s is not None and not (arguments.realtime and 0.0 < duration_s <= 86400.0):
+        raise InputError(f"--duration: {duration_s}; expected 0 to 86400 s, and --realtime")
     out = without_parent_steps(arguments.out)
     if arguments.participant == "plant" and not arguments.force:
         for name in (PLANT_TRACE, EVENTS):
             if (out / name).exists():
                 raise InputError(f"{out / name}: exists; expected none, or --force")
+    if arguments.realtime:
+        _run_freely(arguments, loaded, out, notify)
+        return 0
     with contextlib.ExitStack() as undoing:
         link = open_link(arguments.channel, wait_s, notify)
         undoing.callback(link.close)
@@ -75,3 +96,34 @@ def run(arguments: argparse.Namespace) -> int:
         number = build.scenario_number(loaded.scenario)
         take_part(participant, link, scenario=number, start_timeout_s=wait_s, say=notify)
     return 0
+
+
+def _run_freely(
+    arguments: argparse.Namespace, loaded: Loaded, out: Path, notify: Callable[[str], None]
+) -> None:
+    """Run the participant by the wall clock until it is interrupted."""
+    from sil.coupling.free_running import FreeNode, open_bus
+    from sil.files.atomic import write_atomically
+    from sil.simulation import build
+    from sil.simulation.free_run import CLOCK_ZERO, received
+
+    is_plant = arguments.participant == "plant"
+
+    def started(zero_ns: int) -> None:
+        if is_plant:
+            write_atomically(out / CLOCK_ZERO, str(zero_ns))
+        notify(f"{arguments.participant} runs freely on {arguments.channel}")
+
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with contextlib.ExitStack() as closing:
+        receives = received(arguments.participant)
+        bus = open_bus(arguments.channel, arguments.timeout, notify, receives)
+        closing.callback(bus.shutdown)
+        if is_plant:
+            out.mkdir(parents=True, exist_ok=True)
+        participant = build.make_participant(arguments.participant, loaded, out)
+        closing.callback(participant.close)
+        node = FreeNode(participant, bus, catches_up=is_plant, on_start=started)
+        with contextlib.suppress(KeyboardInterrupt):
+            node.run(threading.Event(), arguments.duration)
+        notify(node.report())

@@ -41,10 +41,14 @@ ARGUMENTS = (
         default=[],
         choices=("controller", "plant"),
     ),
-    argument("--realtime", "pace by the wall clock"),
+    argument(
+        "--realtime",
+        "by the wall clock: on a bus every node runs freely by its own clock and only messages of "
+        "the DBC are sent; with --speed, and in one process, a lockstep run is paced",
+    ),
     argument(
         "--speed",
-        "simulated seconds per wall second in real time [1]; implies --realtime",
+        "pace the lockstep: simulated seconds per wall second",
         "FACTOR",
         type=float,
     ),
@@ -77,7 +81,10 @@ def run(arguments: argparse.Namespace) -> int:
         effects=arguments.effects,
         seed=arguments.seed,
     )
-    speed = arguments.speed if arguments.speed is not None else 1.0 if arguments.realtime else None
+    free_running = arguments.realtime and arguments.speed is None
+    free_running &= arguments.transport != "inproc"
+    speed = 1.0 if arguments.realtime and not free_running else None
+    speed = arguments.speed if arguments.speed is not None else speed
     folder = prepare_folder(arguments.out, loaded.scenario.name, arguments.force, True)
     from sil.simulation import runner
 
@@ -86,6 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
         folder,
         transport=arguments.transport,
         speed=speed,
+        free_running=free_running,
         external=arguments.external,
         say=say,
     )
@@ -132,6 +140,8 @@ def _harder_impact(shift: Shift) -> str:
 
 def _print_summary(finished: Finished, folder: Path, was_changed: bool) -> None:
     """Print the checks, shifts and files; `was_changed`: a shipped scenario with other values."""
+    from sil.simulation.free_run import jitter_lines
+
     result = finished.result
     failed = [check for check in result.expectations if not check.passed]
     checks = len(result.expectations)
@@ -163,6 +173,9 @@ def _print_summary(finished: Finished, folder: Path, was_changed: bool) -> None:
         print(f"  and {len(finished.shifts) - SHIFTS_PRINTED} shifts more, in result.json")
     if result.bus:
         print(f"  bus {100 * result.bus['load']:.0f} % loaded, {result.bus['frames']} frames")
+    if result.bus.get("mode"):
+        for line in jitter_lines(result.bus):
+            say(f"  {line}")
     if "late_p50_s" in result.speed:
         late = [f"{q} {1e3 * result.speed[f'late_{q}_s']:.2f} ms" for q in ("p50", "p99", "max")]
         print(f"  real time: late by {', '.join(late)}; {result.speed['overruns']:.0f} overruns")

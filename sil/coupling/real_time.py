@@ -95,6 +95,13 @@ class Pacer:
         self._late_ns[rounded_up(late_ns)] += 1
         self._latest_ns = max(self._latest_ns, late_ns)
 
+    def now_ns(self) -> int:
+        """Return the simulated instant that the wall clock has reached; the first one before any."""
+        if self._origin_simulated is None:
+            return 0
+        elapsed = (self._clock() - self._origin_wall) * self.factor
+        return self._origin_simulated + round(elapsed)
+
     def lateness(self) -> Lateness:
         """Return what was measured so far."""
         p50_ns, p99_ns = (

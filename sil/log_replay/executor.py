@@ -6,9 +6,11 @@ tick are known, the delayed ones too. Times inside are counted from the control 
 
 from __future__ import annotations
 
+import copy
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from itertools import islice, takewhile
 from typing import Final
 
 from can_dbc.e2e import COUNTERS
@@ -23,6 +25,8 @@ from sil.log_replay.ticks import Span, TickMap
 
 RECENT_INPUTS: Final = 12
 AHEAD_NS: Final = 10_000_000
+LATE_NS: Final = 1_000_000
+"""In a log recorded in real time, an input this short before a tick may have missed it."""
 
 
 @dataclass
@@ -53,11 +57,22 @@ class Unit:
         self._make = make
         self._node = make()
         self._start_ns = 0
+        self._now_ns = 0
 
     def restart(self, tick_ns: int) -> None:
         """Start anew with the tick at this time."""
         self.close()
-        self._node, self._start_ns = self._make(), tick_ns
+        self._node, self._start_ns, self._now_ns = self._make(), tick_ns, 0
+
+    def copy(self) -> Unit | None:
+        """Return a copy in the same state; None for a firmware that is not ours and cannot be copied."""
+        from controller.node import ControllerNode
+
+        if not isinstance(self._node, ControllerNode):
+            return None
+        twin = copy.copy(self)
+        twin._node = copy.deepcopy(self._node)
+        return twin
 
     def step(self, tick_ns: int, deliveries: Iterable[tuple[int, Frame]]) -> list[Frame]:
         """Run a tick with the frames that arrived since the one before; return the frames released.
@@ -65,7 +80,8 @@ class Unit:
         Raises RunError when the firmware fails.
         """
         start_ns = self._start_ns
-        since = [(max(time_ns - start_ns, 0), frame) for time_ns, frame in deliveries]
+        since = [(max(time_ns - start_ns, self._now_ns), frame) for time_ns, frame in deliveries]
+        self._now_ns = tick_ns - start_ns
         try:
             released, _ = self._node.advance(tick_ns - start_ns, since)
         except ParticipantLost as lost:
@@ -105,6 +121,7 @@ class ReplayExecutor:
         self._ahead_ns = COUNTERS * self._grid.period_ns + AHEAD_NS
         self._pending: deque[tuple[int, Frame]] = deque()
         self._answers: dict[int, dict[type, bytes]] = {}
+        self._answered_ns: dict[int, int] = {}
         self._next_recorded = 0
         self._next_ns = 0
         self._restarts = deque(ticks.restarts)
@@ -112,6 +129,8 @@ class ReplayExecutor:
         self.account = Account()
         self.steps = 0
         self.unanswered: Counter[str] = Counter()
+        self.moved_inputs = 0
+        """Inputs counted for another tick than their time says, as the recorded answers show."""
         self.end_ns = ticks.last * self._grid.period_ns
         self.comparison: Comparison | None = None
 
@@ -179,6 +198,7 @@ class ReplayExecutor:
             account.other[f"{kind.__name__} a second time in one tick"] += 1
             return
         account.answers[kind.__name__] += 1
+        self._answered_ns.setdefault(tick, arrival.time_ns - self._grid.origin_ns)
         slot[kind] = bare(kind, arrival.frame.data)
 
     # --- running ----------------------------------------------------------------------------
@@ -227,13 +247,16 @@ class ReplayExecutor:
             if self._reference is not None:
                 self._reference.restart(now_ns)
             self.comparison.begin_warm_up()
-        deliveries: list[tuple[int, Frame]] = []
-        while self._pending and self._pending[0][0] <= now_ns:
-            deliveries.append(self._pending.popleft())
+        released: list[Frame] | None = None
+        count = self._arrived(now_ns)
+        if recorded and not (self._grid.exact or self._plant or self._reference):
+            count, released = self._step_as_recorded(now_ns, tick, count, recorded)
+        deliveries = [self._pending.popleft() for _ in range(count)]
         if self._plant is not None:
             deliveries = self._plant.deliveries(now_ns, deliveries)
         self._heard.extend((t, OWN_IDS[frame.can_id], frame) for t, frame in deliveries)
-        released = self._unit.step(now_ns, deliveries)
+        if released is None:
+            released = self._unit.step(now_ns, deliveries)
         self.steps += 1
         found = by_kind(released)
         if self._plant is not None:
@@ -241,6 +264,40 @@ class ReplayExecutor:
         if self._reference is None:
             return found, None
         return found, by_kind(self._reference.step(now_ns, deliveries))
+
+
+    def _arrived(self, until_ns: int) -> int:
+        return sum(1 for _ in takewhile(lambda pending: pending[0] <= until_ns, self._pending))
+
+    def _step_as_recorded(
+        self, now_ns: int, tick: int, in_time: int, recorded: dict[type, bytes]
+    ) -> tuple[int, list[Frame] | None]:
+        """Step with inputs near the tick such that the recorded answers come out, if they can.
+
+        In real time the tick itself is known to the jitter only: an input shortly before it may
+        have missed it, and one before the answers may have been in time. Returns how many of the
+        pending inputs count, and the frames released; None for these if nothing is open.
+        """
+        first = self._arrived(now_ns - LATE_NS)
+        last = max(self._arrived(self._answered_ns.pop(tick, now_ns)), in_time)
+        before = self._unit.copy() if first < last else None
+        if before is None:
+            return in_time, None
+        choices = sorted(range(first, last + 1), key=lambda count: abs(count - in_time))
+        default: tuple[Unit, list[Frame]] | None = None
+        for count in choices:
+            unit = before.copy() or before
+            inputs = [(min(t, now_ns), f) for t, f in islice(self._pending, count)]
+            released = unit.step(now_ns, inputs)
+            found = by_kind(released)
+            if all(found.get(kind) == answer for kind, answer in recorded.items()):
+                self._unit = unit
+                self.moved_inputs += abs(count - in_time)
+                return count, released
+            default = default or (unit, released)
+        assert default is not None  # the first choice is by time alone
+        self._unit = default[0]
+        return in_time, default[1]
 
 
 def by_kind(released: Iterable[Frame]) -> dict[type, bytes]:

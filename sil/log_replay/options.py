@@ -26,13 +26,14 @@ class ReplaySettings:
     """The settings of a replay.
 
     description: where the settings are from. own_run: the log is that of the run in `loaded`, whose unit
-    had the period `recorded_ns`.
+    had the period `recorded_ns`. free_running: that run was in real time, every node by its own clock.
     """
 
     loaded: Loaded
     description: str
     own_run: bool
     recorded_ns: int
+    free_running: bool = False
 
 
 def find_settings(
@@ -77,7 +78,8 @@ def find_settings(
     loaded = scenario.from_table(raw, source, settings=settings)
     if settings:
         description += " with " + ", ".join(settings)
-    return ReplaySettings(loaded, description, own_run, recorded_ns)
+    free_running = own_run and run is None and "mode" in _read_result(result).get("bus", {})
+    return ReplaySettings(loaded, description, own_run, recorded_ns, free_running)
 
 
 def firmware_of(firmware: str) -> dict[str, Any]:

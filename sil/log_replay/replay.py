@@ -109,7 +109,7 @@ def replay(request: ReplayRequest) -> ReplayResult:
     if found.skew and not ready.own_run:
         log.skew = (found.first_ns, found.skew)
         found = survey(log.head())
-    if found.bitrate is None and ready.own_run:
+    if found.bitrate is None and ready.own_run and not ready.free_running:
         found = survey(log.head(), scene.bus.bitrate)
     config = scene.controller
     period_ns = found.period_ns or ready.recorded_ns
@@ -120,7 +120,7 @@ def replay(request: ReplayRequest) -> ReplayResult:
             f"{request.log}: the steps of the recorded control unit cannot be found; expected its valve commands "
             "and status at regular times"
         )
-    grid = make_grid(found, period_ns, config.computation_ns)
+    grid = make_grid(found, period_ns, config.computation_ns, ready.free_running)
     frames = log.recorded_frames()
     ticks = map_ticks(frames, grid)
     if not frames.kinds[ShiftRequest]:
@@ -169,7 +169,11 @@ def replay(request: ReplayRequest) -> ReplayResult:
             for can_id, count in frames.foreign.most_common(20)
         ],
     )
-    outcome.notes = _notes(outcome, log, frames)
+    if executor.moved_inputs:
+        outcome.notes.append(
+            f"{executor.moved_inputs} inputs within the jitter of a tick, counted as the recorded answers show"
+        )
+    outcome.notes += _notes(outcome, log, frames)
     return outcome
 
 

@@ -264,8 +264,12 @@ def _skew(bounds: Sequence[tuple[int, int]], period_ns: int) -> float:
     return found
 
 
-def make_grid(found: Survey, period_ns: int, computation_ns: int) -> Grid:
+def make_grid(
+    found: Survey, period_ns: int, computation_ns: int, free_running: bool = False
+) -> Grid:
     """Return the ticks of the recorded unit. `computation_ns`: from a tick to its release.
+
+    `free_running`: the log is of a run in real time, whose ticks are not on the log's clock.
 
     Raises ValueError when the survey found no tick.
     Checked by: tests/unit/sil/log_replay/test_tick_grid.py
@@ -276,7 +280,7 @@ def make_grid(found: Survey, period_ns: int, computation_ns: int) -> Grid:
     tick_ns = found.release_ns - computation_ns
     late_ns = tick_ns % period_ns
     slack_ns = max(found.resolution_ns, 2) if found.resolution_ns > 1000 else 0
-    relative = 0 < found.first_ns < NS_PER_S
+    relative = 0 < found.first_ns < NS_PER_S and not free_running
     if relative and (late_ns <= BLOCKED_NS or period_ns - late_ns <= slack_ns):
         tick_ns = (
             round(tick_ns / period_ns) * period_ns if late_ns > BLOCKED_NS else tick_ns - late_ns

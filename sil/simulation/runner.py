@@ -6,7 +6,7 @@ import contextlib
 import json
 import re
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,7 @@ from sil.recording.trace_csv import TraceCsv
 from sil.simulation import build, expectations, metrics
 from sil.simulation.build import SCENARIO, SENDERS, Say
 from sil.simulation.bus_figures import bus_figures, overload, response_check
+from sil.simulation.free_run import CLOCK_ZERO, FreeRun
 from sil.simulation.results import Check, Result, versions, write_result
 from sil.simulation.scenario import Loaded, Scenario, contradictions, expanded
 
@@ -66,12 +67,14 @@ def run(
     *,
     transport: str = "inproc",
     speed: float | None = None,
+    free_running: bool = False,
     external: Iterable[str] = (),
     say: Say = lambda message: None,
 ) -> Finished:
     """Run a scenario into an empty folder and write everything but pictures there.
 
-    `speed`: simulated seconds per wall second in real-time mode; None: as fast as possible. A run
+    `speed`: simulated seconds per wall second of a paced lockstep; None: as fast as possible.
+    `free_running`: no lockstep, every node runs by its own clock on a real transport. A run
     that a participant ends early is written too, marked incomplete with the reason; result.json is
     written before the run begins, so that even a killed run is marked as incomplete.
     Raises InputError if the scenario or the transport is not valid (the folder is then empty), and
@@ -79,9 +82,6 @@ def run(
     """
     scenario = loaded.scenario
     begun = time.perf_counter()
-    pacer = None if speed is None else Pacer(speed)
-    plan = FaultPlan(scenario.fault, scenario.seed)
-    bus = build.make_bus(scenario, plan)
     base = Result(
         scenario_name=scenario.name,
         seed=scenario.seed,
@@ -90,6 +90,7 @@ def run(
         scenario=expanded(scenario),
         model={path: loaded.parameters[path].value for path in loaded.parameters},
     )
+    coupled: FreeRun | LockstepRun
     summary: RunSummary | None = None
     why: str | None = None
     log: BusLog | None = None
@@ -99,10 +100,11 @@ def run(
             write_atomically(
                 folder / SCENARIO, json.dumps({"scenario": expanded(scenario)}, indent=1)
             )
-            channels = build.open_channels(loaded, folder, transport, external, say, closing)
+            arguments = (loaded, folder, transport, external, say)
+            coupled = FreeRun(*arguments) if free_running else LockstepRun(*arguments, speed)
+            closing.enter_context(coupled)
             log = BusLog(folder / BUS_LOG)
             closing.callback(log.close)
-
             frames = closing.enter_context(FrameWriter(folder / BUS_FRAMES, SENDERS))
             progress = closing.enter_context(Progress(scenario.name, "s simulated"))
 
@@ -111,18 +113,7 @@ def run(
                 frames.record(deliveries)
                 progress(to_seconds(deliveries[-1].arrival_ns), scenario.duration_s)
 
-            lockstep = closing.enter_context(
-                Lockstep(
-                    bus,
-                    channels,
-                    to_ns(scenario.duration_s),
-                    record=record,
-                    outages=plan if scenario.fault else None,
-                    pacer=pacer,
-                    order=SENDERS,
-                )
-            )
-            summary = lockstep.run()
+            summary = coupled.run(record)
     except InputError:
         _discard(folder)
         raise
@@ -142,9 +133,9 @@ def run(
             raise
         why = os_error_text(error) if isinstance(error, OSError) else "interrupted"
     if summary is not None:
-        for warning in lockstep.warnings:
+        for warning in coupled.warnings:
             say(warning)
-    bus_result = bus_figures(scenario, bus, plan)
+    bus_result = coupled.figures()
     base = msgspec.structs.replace(
         base, warnings=[*contradictions(scenario), *overload(bus_result)]
     )
@@ -153,9 +144,57 @@ def run(
     return _judge(loaded, folder, base, why, log, bus_result, summary, begun)
 
 
+class LockstepRun:
+    """Participants, channels and simulated bus of a scenario in lockstep; use as a context manager."""
+
+    def __init__(
+        self,
+        loaded: Loaded,
+        folder: Path,
+        transport: str,
+        external: Iterable[str],
+        say: Say,
+        speed: float | None,
+    ) -> None:
+        scenario = self._scenario = loaded.scenario
+        self._pacer = None if speed is None else Pacer(speed)
+        self._plan = FaultPlan(scenario.fault, scenario.seed)
+        self._bus = build.make_bus(scenario, self._plan)
+        self.warnings: list[str] = []
+        with contextlib.ExitStack() as opening:
+            self._channels = build.open_channels(loaded, folder, transport, external, say, opening)
+            self._closing = opening.pop_all()
+
+    def __enter__(self) -> LockstepRun:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._closing.close()
+
+    def run(self, record: Callable[[list[Delivery]], None]) -> RunSummary:
+        """Run to the end.  Raises ParticipantLost, and RunError of the bus."""
+        scenario = self._scenario
+        with Lockstep(
+            self._bus,
+            self._channels,
+            to_ns(scenario.duration_s),
+            record=record,
+            outages=self._plan if scenario.fault else None,
+            pacer=self._pacer,
+            order=SENDERS,
+        ) as lockstep:
+            summary = lockstep.run()
+        self.warnings = lockstep.warnings
+        return summary
+
+    def figures(self) -> dict[str, Any]:
+        """Return load and response times of the simulated bus."""
+        return bus_figures(self._scenario, self._bus, self._plan)
+
+
 def _discard(folder: Path) -> None:
     """Remove what a run that could not begin has put into its folder."""
-    for name in (SCENARIO, BUS_LOG, BUS_FRAMES, PLANT_TRACE, EVENTS, "result.json"):
+    for name in (SCENARIO, BUS_LOG, BUS_FRAMES, PLANT_TRACE, EVENTS, CLOCK_ZERO, "result.json"):
         (folder / name).unlink(missing_ok=True)
     with contextlib.suppress(OSError):  # not empty: it was there before us
         folder.rmdir()
@@ -194,7 +233,8 @@ def _judge(
             if why is None:
                 checks = expectations.evaluate(scenario.expect, observed, found, figures)
                 checks += _balance_checks(balances)
-                checks += response_check(scenario, bus)
+                if "mode" not in bus:  # a free-running bus has no simulated arbitration
+                    checks += response_check(scenario, bus)
     if why is None and record is None:
         why = f"the plant recorded nothing in {folder}; expected opc4 node plant --out {folder}"
     complete = why is None and summary is not None

@@ -13,24 +13,36 @@ import can
 from can.typechecking import AutoDetectedConfig
 
 from can_dbc.errors import InputError, RunError
+from can_dbc.frame import Frame
 from can_dbc.messages import StopReason
 from sil.coupling.clock import to_seconds
 from sil.coupling.transports import address, wire
+from sil.coupling.transports.relay import epoch_ns
 from sil.coupling.transports.wire import Kind
 
 ONLY_CHANNEL = "auto"
 
 
-class LocalBus(can.BusABC):
-    """A listener on a local bus: the frames of a run, with the simulated time of their arrival.
+_GREETING_S = 1.0
 
-    Sending is refused: only the participants of a run send.
+
+class RunEnded(can.CanOperationError):
+    """The run whose bus this is has ended."""
+
+
+class LocalBus(can.BusABC):
+    """The local bus of a run, for any program.
+
+    In lockstep a listener: frames carry the simulated time of their arrival, and sending is refused,
+    since only the participants of a run send. On a free-running bus everybody sends, and times are
+    seconds since 1970.
     """
 
     def __init__(
         self,
         channel: str = ONLY_CHANNEL,
         can_filters: can.typechecking.CanFilters | None = None,
+        receive_own_messages: bool = False,
         **ignored: Any,
     ) -> None:
         """Connect to the run on `channel`; "auto" means the only one there is.
@@ -58,31 +70,37 @@ class LocalBus(can.BusABC):
         self._received: deque[can.Message] = deque()
         self._arrival_ns = 0
         self._failure: str | None = None
+        self._ended = False
+        self._echo = receive_own_messages
+        self._free: bool | None = None
         self.channel_info = f"opc4local {self._path}"
         super().__init__(channel=channel, can_filters=can_filters)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         deadline = None if timeout is None else time.monotonic() + timeout
         while not self._received:
-            connection = self._open()
-            try:
-                length = connection.recv_into(self._buffer)
-            except BlockingIOError:
-                left = None if deadline is None else max(0.0, deadline - time.monotonic())
-                if not _is_readable(connection, left):
-                    return None, False
-                continue
-            except OSError as error:
-                raise can.CanOperationError(f"{self.channel_info}: {error.strerror}") from None
-            if length == 0:
-                self._failure = self._failure or (
-                    "the run closed the connection: it was killed, or this program did not read"
-                )
-                continue
-            with memoryview(self._buffer) as view:
-                for can_id, payload in wire.split(view[:length]):
-                    self._take(can_id, payload)
-        return self._received.popleft(), False
+            left = None if deadline is None else max(0.0, deadline - time.monotonic())
+            if not self._read(left):
+                return None, False
+        return self._received.popleft(), True
+
+    def _read(self, timeout_s: float | None) -> bool:
+        """Take a datagram; return whether there was one in time.  Raises can.CanOperationError."""
+        connection = self._open()
+        try:
+            length = connection.recv_into(self._buffer)
+        except BlockingIOError:
+            return _is_readable(connection, timeout_s)
+        except OSError as error:
+            raise can.CanOperationError(f"{self.channel_info}: {error.strerror}") from None
+        if length == 0:
+            self._failure = self._failure or (
+                "the run closed the connection: it was killed, or this program did not read"
+            )
+        with memoryview(self._buffer) as view:
+            for can_id, payload in wire.split(view[:length]):
+                self._take(can_id, payload)
+        return True
 
     def _take(self, can_id: int, payload: bytes) -> None:
         control = wire.parse_control(can_id, payload)
@@ -94,22 +112,53 @@ class LocalBus(can.BusABC):
                 data=payload,
                 channel=self._path.stem,
             )
-            self._received.append(message)
+            if self._matches_filters(message):  # here: recv(0) ends at a message that is left out
+                self._received.append(message)
         elif control.kind == Kind.BUS_TIME:
+            self._free = bool(self._free)
             self._arrival_ns = control.value
+            if self._free:
+                self._arrival_ns = epoch_ns(control.value, time.time_ns())
+        elif control.kind == Kind.START:
+            self._free = True
+            if self._echo and self._connection is not None:
+                self._connection.send(wire.control(Kind.MONITOR, extra=1))
         elif control.kind == Kind.STOP:
+            self._ended = True
             regular = control.participant == StopReason.END
             self._failure = "the run has ended" + ("" if regular else " early")
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Refuse the message.  Raises can.CanOperationError."""
-        self._open()
-        reason = wire.reason(wire.Refusal.NO_PARTICIPANT)
-        raise can.CanOperationError(f"{self.channel_info}: frame refused: {reason}")
+        """Send a message on a free-running bus.
+
+        Raises can.CanOperationError in lockstep, and for a frame that is no classic 29-bit data frame.
+        """
+        connection = self._open()
+        deadline = time.monotonic() + _GREETING_S
+        while self._free is None and (left := deadline - time.monotonic()) > 0.0:
+            self._read(left)
+        classic = msg.is_extended_id and not (msg.is_fd or msg.is_remote_frame)
+        frame = Frame(msg.arbitration_id, bytes(msg.data))
+        reason = ""
+        if not self._free:
+            reason = wire.reason(wire.Refusal.NO_PARTICIPANT)
+        elif not classic or not wire.can_be_offered(frame):
+            reason = "expected a classic data frame with a 29-bit identifier, EDP clear"
+        if reason:
+            raise can.CanOperationError(f"{self.channel_info}: frame refused: {reason}")
+        try:
+            connection.settimeout(timeout or _GREETING_S)
+            connection.send(wire.real(frame))
+        except OSError as error:
+            raise can.CanOperationError(f"{self.channel_info}: {error.strerror}") from None
+        finally:
+            connection.setblocking(False)
 
     def _open(self) -> socket.socket:
         if self._connection is None:
             raise can.CanOperationError(f"{self.channel_info}: the bus is shut down")
+        if self._ended:
+            raise RunEnded(f"{self.channel_info}: {self._failure}")
         if self._failure is not None:
             raise can.CanOperationError(f"{self.channel_info}: {self._failure}")
         return self._connection

@@ -32,6 +32,7 @@ def test_reader_agrees_with_cantools(database: Database) -> None:
             theirs.length,
         )
         assert list(spec.senders) == theirs.senders
+        assert spec.receivers == theirs.receivers
         assert spec.cycle_ns == (theirs.cycle_time or 0) * 1_000_000
         assert spec.jitter_ns == 0
         attributes = theirs.dbc.attributes

@@ -1,0 +1,323 @@
+"""A free-running run: every node by its own clock, only messages of the DBC on the bus."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import shlex
+import signal
+import statistics
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from msgspec.structs import replace
+
+from can_dbc.contract import contract
+from can_dbc.errors import InputError
+from sil.coupling.bus import Delivery
+from sil.coupling.clock import NS_PER_S, to_ns
+from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
+from sil.coupling.free_running import FreeNode, frame_of, open_bus
+from sil.coupling.lockstep import RunSummary
+from sil.coupling.processes import ChildProcess
+from sil.coupling.transports.channel import ParticipantLost
+from sil.coupling.transports.relay import Relay
+from sil.coupling.transports.wire import GUEST
+from sil.recording.recorder import EVENTS, PLANT_TRACE
+from sil.recording.run_reader import open_trace
+from sil.simulation import build
+from sil.simulation.build import REMOTE, TIMEOUTS, Say
+from sil.simulation.bus_figures import COUNTS, periods_ns
+from sil.simulation.scenario import Loaded, Scenario
+
+CLOCK_ZERO = "plant.zero"
+"""File beside the plant's trace: the instant, ns since 1970, at which its clock is zero."""
+
+MODE = "free-running"
+PARTICIPANT = {
+    "Opc4": "controller",
+    "ShiftConsole": "driver",
+    "ValveDriver": "plant",
+    "PositionSensor": "plant",
+    "Driveline": "plant",
+}
+"""Nodes of the DBC to the participants that send and receive for them."""
+
+SETTLING_S = 1.0
+"""The run begins this long after the last node has come, when all have received the others' frames."""
+
+_LOOK_S = 0.05
+_END_S = 10.0
+_ROWS_AT_ONCE = 1 << 16
+
+
+def received(name: str) -> list[int]:
+    """Return the identifiers of the messages that a participant receives by the DBC, at least one."""
+    nodes = {node for node, participant in PARTICIPANT.items() if participant == name}
+    return [s.can_id for s in contract().values() if nodes & s.receivers] or [0]
+
+
+class FreeRun:
+    """The nodes of a scenario on a bus, and what crosses it; use as a context manager."""
+
+    def __init__(
+        self,
+        loaded: Loaded,
+        folder: Path,
+        transport: str,
+        external: Iterable[str],
+        say: Say,
+    ) -> None:
+        """Open the bus and start the processes of plant and controller, unless they are external.
+
+        Raises InputError for what only a lockstep run has, or for a channel that cannot exist.
+        """
+        _refuse_lockstep_only(loaded)
+        self._loaded, self._folder = loaded, folder
+        self.warnings: list[str] = []
+        self._children: list[ChildProcess] = []
+        self._stop = threading.Event()
+        self._failures: list[BaseException] = []
+        self._threads: list[threading.Thread] = []
+        self._zero_ns = 0
+        self._arrivals: defaultdict[int, list[int]] = defaultdict(list)
+        self._bits = self._frames = 0
+        self._senders = {
+            spec.can_id: PARTICIPANT[spec.senders[0]]
+            for spec in contract().values()
+            if spec.senders[0] in PARTICIPANT
+        }
+        with contextlib.ExitStack() as opening:
+            if transport.partition(":")[0] == "local":
+                name = transport.partition(":")[2] or f"run-{os.getpid()}"
+                transport = f"local:{name}"
+                opening.callback(Relay(name).close)
+            self._channel = transport
+            self._bus = open_bus(transport)
+            opening.callback(self._bus.shutdown)
+            opening.callback(self._end_nodes)
+            for name in REMOTE:
+                if name in set(external):
+                    words = [*build.node_arguments(name, transport, folder.resolve()), "--realtime"]
+                    say(
+                        f"waiting for {name} on {transport}, for instance: {shlex.join(['opc4', *words])}"
+                    )
+                else:
+                    command = [*build.node_command(name, transport, folder), "--realtime"]
+                    self._children.append(ChildProcess(name, command))
+            self._closing = opening.pop_all()
+
+    def __enter__(self) -> FreeRun:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._closing.close()
+
+    def run(self, record: Callable[[list[Delivery]], None]) -> RunSummary:
+        """Wait until plant and controller are on the bus, then run; `record` receives each frame.
+
+        Raises ParticipantLost when one does not come or its process ends.
+        """
+        self._wait_for_all()
+        duration_ns = to_ns(self._loaded.scenario.duration_s)
+        for name in build.participant_names(self._loaded.scenario):
+            if name not in REMOTE:
+                self._start_thread(name)
+        begun = time.perf_counter()
+        self._zero_ns = time.time_ns() + to_ns(SETTLING_S)
+        end_ns = self._zero_ns + duration_ns
+        while time.time_ns() < end_ns + to_ns(_LOOK_S):
+            self._look_after_nodes()
+            time.sleep(_LOOK_S)
+            found = self._deliveries(duration_ns)
+            if found:
+                record(found)
+        wall_s = time.perf_counter() - begun
+        self._end_nodes()
+        self._align_recordings()
+        return RunSummary(0, self._frames, wall_s, None)
+
+    def figures(self) -> dict[str, Any]:
+        """Return load, counts, and per message: frames, period, gaps and jitter."""
+        scenario = self._loaded.scenario
+        periods = periods_ns(scenario)
+        messages = []
+        for spec in contract().values():
+            if spec.name not in periods:
+                continue
+            arrivals = self._arrivals.get(spec.can_id, [])
+            messages.append(
+                {
+                    "name": spec.name,
+                    "can_id": f"{spec.can_id:08X}",
+                    "sender": ", ".join(spec.senders),
+                    "frames": len(arrivals),
+                    "period_s": periods[spec.name] / NS_PER_S,
+                    "longest_response_s": None,
+                    "worst_case_s": None,
+                    **jitter(arrivals, periods[spec.name]),
+                }
+            )
+        return {
+            "mode": MODE,
+            "clock": "every node ran by the wall clock; another run gives other times and bits",
+            "bitrate": scenario.bus.bitrate,
+            "load": self._bits / scenario.bus.bitrate / scenario.duration_s,
+            **dict.fromkeys(COUNTS, 0),
+            "frames": self._frames,
+            "fault_hits": {},
+            "messages": sorted(messages, key=lambda m: m["can_id"]),
+        }
+
+    # --- nodes ------------------------------------------------------------------------------
+    def _wait_for_all(self) -> None:
+        missing = set(REMOTE)
+        deadline = time.monotonic() + TIMEOUTS.start_s
+        while missing:
+            if time.monotonic() > deadline:
+                name = sorted(missing)[0]
+                raise ParticipantLost(
+                    name, f"sent nothing on {self._channel} within {TIMEOUTS.start_s:g} s"
+                )
+            self._look_after_nodes()
+            message = self._bus.recv(_LOOK_S)
+            frame = None if message is None else frame_of(message)
+            if frame is not None:
+                missing.discard(self._senders.get(frame.can_id, ""))
+
+    def _look_after_nodes(self) -> None:
+        for child in self._children:
+            if how := child.how_it_ended(0.0):
+                raise ParticipantLost(child.name, how)
+        if self._failures:
+            raise self._failures[0]
+
+    def _start_thread(self, name: str) -> None:
+        scenario = self._loaded.scenario
+        later = [replace(each, at_s=each.at_s + SETTLING_S) for each in scenario.request]
+        loaded = dataclasses.replace(self._loaded, scenario=replace(scenario, request=later))
+        participant = build.make_participant(name, loaded, self._folder)
+        bus = open_bus(self._channel, receives=received(name))
+        self._closing.callback(bus.shutdown)
+        node = FreeNode(participant, bus, catches_up=False)
+
+        def work() -> None:
+            try:
+                node.run(self._stop)
+            except BaseException as error:
+                self._failures.append(error)
+
+        thread = threading.Thread(target=work, name=name, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def _end_nodes(self) -> None:
+        self._stop.set()
+        for thread in self._threads:
+            thread.join(_END_S)
+        for child in self._children:
+            if child.how_it_ended(0.0) is None:
+                os.kill(child.pid, signal.SIGTERM)
+        for child in self._children:
+            child.end(_END_S)
+        self._children.clear()
+
+    # --- frames -----------------------------------------------------------------------------
+    def _deliveries(self, duration_ns: int) -> list[Delivery]:
+        """Return the frames that have arrived, of those within the duration of the run."""
+        found = []
+        while (message := self._bus.recv(0.0)) is not None:
+            arrival_ns, frame = (
+                round(message.timestamp * NS_PER_S) - self._zero_ns,
+                frame_of(message),
+            )
+            if frame is not None and 0 <= arrival_ns < duration_ns:
+                sender = self._senders.get(frame.can_id, GUEST)
+                found.append(Delivery(arrival_ns, frame, sender, arrival_ns))
+                self._count(found[-1])
+        return found
+
+    def _count(self, delivery: Delivery) -> None:
+        frame = delivery.frame
+        self._frames += 1
+        self._bits += frame_bits(frame.can_id, frame.data) + INTERMISSION_BITS
+        self._arrivals[frame.can_id].append(delivery.arrival_ns)
+
+    def _align_recordings(self) -> None:
+        """Count the plant's times from the beginning of the run; what was before is left out."""
+        zero, trace = self._folder / CLOCK_ZERO, self._folder / PLANT_TRACE
+        if not zero.exists():
+            return
+        late_s = (int(zero.read_text()) - self._zero_ns) / NS_PER_S
+        rows = open_trace(trace)
+        aligned = trace.with_suffix(".aligned")
+        with open(trace, "rb") as recorded, open(aligned, "wb") as file:
+            file.write(recorded.readline())
+            for begin in range(0, rows.rows, _ROWS_AT_ONCE):
+                block = rows.read(begin, min(begin + _ROWS_AT_ONCE, rows.rows))
+                block["time_s"] += late_s
+                duration_s = self._loaded.scenario.duration_s
+                inside = (block["time_s"] >= 0.0) & (block["time_s"] <= duration_s)
+                file.write(np.ascontiguousarray(block[inside]).tobytes())
+        aligned.replace(trace)
+        events = []
+        for line in (self._folder / EVENTS).read_text().splitlines():
+            event = json.loads(line)
+            event["time_s"] += late_s
+            if event["time_s"] >= 0.0:
+                events.append(json.dumps(event) + "\n")
+        (self._folder / EVENTS).write_text("".join(events))
+        zero.unlink()
+
+
+def jitter(arrivals: Sequence[int], period_ns: int) -> dict[str, float | int | None]:
+    """Return how far the distances of a message's frames are from its period, in s.
+
+    Where frames are missing, the distance is that from a whole number of periods. None for all with fewer than two frames.
+    """
+    if len(arrivals) < 2:
+        return dict.fromkeys(("missing", "jitter_p50_s", "jitter_p99_s", "jitter_max_s"))
+    steps = [after - before for before, after in pairwise(arrivals)]
+    missing = max(round(sum(steps) / period_ns) - len(steps), 0)
+    periods = [max(round(step / period_ns), 1) if missing else 1 for step in steps]
+    off = [abs(s - n * period_ns) / NS_PER_S for s, n in zip(steps, periods, strict=True)]
+    percentiles = statistics.quantiles(off, n=100, method="inclusive") if len(off) > 1 else off * 99
+    return {
+        "missing": missing,
+        "jitter_p50_s": percentiles[49],
+        "jitter_p99_s": percentiles[98],
+        "jitter_max_s": max(off),
+    }
+
+
+def jitter_lines(figures: dict[str, Any]) -> list[str]:
+    """Return the figures of each message as text."""
+    lines = ["real time, each node by its own clock; distance of frames from their period:"]
+    for m in figures["messages"]:
+        if m["jitter_max_s"] is None:
+            lines.append(f"  {m['name']}: {m['frames']} frames")
+            continue
+        off = [f"{q} {1e3 * m[f'jitter_{q}_s']:.2f} ms" for q in ("p50", "p99", "max")]
+        lost = f", {m['missing']} missing" if m["missing"] else ""
+        lines.append(
+            f"  {m['name']} every {1e3 * m['period_s']:g} ms: {m['frames']} frames{lost}, {', '.join(off)}"
+        )
+    return lines
+
+
+def _refuse_lockstep_only(loaded: Loaded) -> None:
+    scenario: Scenario = loaded.scenario
+    for key, given in (("fault", scenario.fault), ("bus.guest", scenario.bus.guest)):
+        if given:
+            raise InputError(
+                f"{loaded.source}: {key}: of a lockstep run only; expected none on a free-running "
+                "bus, or --speed 1, which paces a lockstep run"
+            )
