@@ -265,7 +265,6 @@ class ReplayExecutor:
             return found, None
         return found, by_kind(self._reference.step(now_ns, deliveries))
 
-
     def _arrived(self, until_ns: int) -> int:
         return sum(1 for _ in takewhile(lambda pending: pending[0] <= until_ns, self._pending))
 

@@ -81,7 +81,7 @@ class Relay(threading.Thread):
             length = connection.socket.recv_into(self._buffer)
             if not length:
                 raise ConnectionResetError
-            for can_id, payload in list(wire.split(self._buffer[:length])):
+            for can_id, payload in list(wire.split(bytes(self._buffer[:length]))):
                 self._take(connection, can_id, payload)
         except BlockingIOError:
             return
