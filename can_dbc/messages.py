@@ -82,6 +82,17 @@ class StopReason(IntEnum):
     ABORTED = 1
 
 
+class OverrideMode(IntEnum):
+    """What TSC1 asks of the engine (SPN 695)."""
+
+    NONE = 0
+    SPEED = 1
+    TORQUE = 2
+    LIMIT = 3
+
+    __hash__ = int.__hash__
+
+
 class E2eState(Enum):
     """Trust in a protected channel; INIT includes AUTOSAR's NODATA (nothing received yet)."""
 
@@ -129,10 +140,14 @@ class PositionPulse:
 
 @dataclass(frozen=True, slots=True)
 class DrivelineSpeeds:
-    """Shaft speeds referred to the synchronizer: equal means synchronized; every 10 ms."""
+    """Shaft speeds referred to the synchronizer: equal means synchronized; every 10 ms.
+
+    referred: the gear with whose ratio the input speed is referred; UNKNOWN if not stated.
+    """
 
     input_rad_s: float
     output_rad_s: float
+    referred: Gear = Gear.UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,6 +200,62 @@ class Etc2:
 
 
 @dataclass(frozen=True, slots=True)
+class Tsc1:
+    """J1939 Torque/Speed Control 1 (PGN 0), from the transmission to the engine, every 10 ms.
+
+    SPN: override mode 695, requested speed 898, requested torque (of the reference torque) 518.
+    """
+
+    mode: OverrideMode
+    speed_rad_s: float | None = None
+    torque: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Tc1:
+    """J1939 Transmission Control 1 (PGN 256), from the shift console, every 50 ms.
+
+    requested_gear (SPN 525): numbered as in `Etc2`.
+    """
+
+    requested_gear: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Eec1:
+    """J1939 Electronic Engine Controller 1 (PGN 61444), every 20 ms.
+
+    Torques as shares of the reference torque. SPN: torque mode 899 (1 pedal, 6 transmission),
+    driver's demand 512, actual torque 513, speed 190, controlling address 1483, demand 2432.
+    """
+
+    torque_mode: int
+    driver_torque: float | None = None
+    torque: float | None = None
+    speed_rad_s: float | None = None
+    controlling_address: int | None = None
+    demand_torque: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Eec2:
+    """J1939 Electronic Engine Controller 2 (PGN 61443), every 50 ms.
+
+    SPN: accelerator pedal (0..1) 91, load at the present speed (0..1.25) 92.
+    """
+
+    pedal: float | None = None
+    load: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Air1:
+    """J1939 Air Supply Pressure (PGN 65198), every second; supply (SPN 46) above atmosphere."""
+
+    supply_gauge_pa: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class PlantMotion:
     """True motion for recorders: stay position and velocity, positions of the two pistons."""
 
@@ -213,6 +284,11 @@ Message = (
     | ControllerStatus
     | Etc1
     | Etc2
+    | Tsc1
+    | Tc1
+    | Eec1
+    | Eec2
+    | Air1
     | PlantMotion
     | PlantPressures
 )
@@ -223,7 +299,7 @@ SIGNALS: dict[type, tuple[str, ...]] = {
     ValveCommand: ("DutyB", "DutyN", "DutyF", "TargetGear"),
     SafetyBlow: ("BlowChamber", "BlowActive", "BlowRemaining"),
     PositionPulse: ("PulseDuration", "CoilTemperature", "SampleIndex"),
-    DrivelineSpeeds: ("InputSpeed", "OutputSpeed"),
+    DrivelineSpeeds: ("InputSpeed", "OutputSpeed", "ReferredGear"),
     ControllerStatus: ("State", "ConfirmedGear", "PositionEstimate", "Faults"),
     Etc1: (
         "DrivelineEngaged",
@@ -239,7 +315,22 @@ SIGNALS: dict[type, tuple[str, ...]] = {
         "ControllingAddress",
     ),
     Etc2: ("SelectedGear", "GearRatio", "CurrentGear", "RequestedRange", "CurrentRange"),
+    Tsc1: ("OverrideMode", "RequestedSpeed", "RequestedTorque"),
+    Tc1: ("RequestedGear",),
+    Eec1: (
+        "TorqueMode",
+        "DriverTorque",
+        "ActualTorque",
+        "EngineSpeed",
+        "ControllingAddress",
+        "DemandTorque",
+    ),
+    Eec2: ("AcceleratorPedal", "EngineLoad"),
+    Air1: ("SupplyPressure",),
     PlantMotion: ("Position", "Velocity", "Piston1", "Piston2"),
     PlantPressures: ("PressureB", "PressureN", "PressureF", "PressureSupply"),
 }
 """Signals of each message in the order of its fields."""
+
+TRUCK = (Tsc1, Tc1, Eec1, Eec2, Air1)
+"""Messages that are on the bus only around a truck."""

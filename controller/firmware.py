@@ -27,7 +27,7 @@ from controller.shift import Event, Observation, ShiftMachine
 from controller.strategies import OFF, Duties, ShiftContext, one_chamber
 
 BROADCAST_NS = 10_000_000
-"""Period of ETC1 and ETC2, ns (SAE J1939-71)."""
+"""Period of ETC1, ns (SAE J1939-71)."""
 
 CHAMBER_OF = {
     Gear.BACKWARD: Chamber.B,
@@ -37,11 +37,9 @@ CHAMBER_OF = {
 }
 """Chamber whose filling leads to a gear."""
 
-J1939_GEAR = {Gear.NEUTRAL: 0, Gear.FORWARD: 1, Gear.BACKWARD: 2, Gear.UNKNOWN: None}
-"""Gears as ETC2 counts them: forward and backward name the stroke, not the truck's direction."""
-
 J1939_RANGE = {Gear.NEUTRAL: " N", Gear.FORWARD: " F", Gear.BACKWARD: " B", Gear.UNKNOWN: None}
-"""The same as the two characters of the range fields."""
+"""Gears as the two characters of the range fields of ETC2: they name the stroke, not the truck's
+direction."""
 
 J1939_SPEED_RAD_S = 841.0
 """ETC1 carries shaft speeds from zero to this; others are sent as not available."""
@@ -95,7 +93,16 @@ class Firmware:
         self._sync_tolerance_rad_s = config.shift.sync_tolerance_rad_s
         self._start_ns: int | None = None
         self._now_ns = 0
-        self._broadcast_ns = 0
+        self._broadcast_ns = self._etc2_ns = 0
+        said = config.broadcast
+        self._etc2_period_ns = nanoseconds(said.etc2_period_s)
+        self._numbers = {
+            Gear.NEUTRAL: 0,
+            Gear.FORWARD: said.gear_forward,
+            Gear.BACKWARD: said.gear_backward,
+            Gear.UNKNOWN: None,
+        }
+        self._ratios = {Gear.FORWARD: said.ratio_forward, Gear.BACKWARD: said.ratio_backward}
         self._latched = Fault.NONE
         self._energised_ns: list[int | None] = [None, None, None]
         self._valid_before = dict.fromkeys(("position", "request", "speeds"), False)
@@ -112,7 +119,8 @@ class Firmware:
         Raises ValueError unless time increases from step to step.
         """
         if self._start_ns is None:
-            self._start_ns = self._broadcast_ns = self._sampled_ns = now_ns
+            self._start_ns = self._sampled_ns = now_ns
+            self._broadcast_ns = self._etc2_ns = now_ns
         elif now_ns <= self._now_ns:
             raise ValueError(f"step at {now_ns} ns after one at {self._now_ns} ns")
         self._now_ns = now_ns
@@ -285,27 +293,37 @@ class Firmware:
         etc1 = etc2 = None
         if now_ns >= self._broadcast_ns:
             self._broadcast_ns += BROADCAST_NS
-            etc1, etc2 = self._broadcast(speeds)
+            etc1 = self._etc1(speeds)
+        if now_ns >= self._etc2_ns:
+            self._etc2_ns += self._etc2_period_ns
+            etc2 = self._etc2()
         return Outputs(valves, blow, status, etc1, etc2)
 
-    def _broadcast(self, speeds: DrivelineSpeeds | None) -> tuple[Etc1, Etc2]:
+    def _etc1(self, speeds: DrivelineSpeeds | None) -> Etc1:
+        current = self._machine.confirmed
+        input_rad_s = output_rad_s = None
+        if speeds is not None:
+            ratio = self._ratios.get(speeds.referred, 0.0) or 1.0
+            input_rad_s = _j1939_speed(speeds.input_rad_s * ratio)
+            output_rad_s = _j1939_speed(speeds.output_rad_s)
+        return Etc1(
+            driveline_engaged=None if current is Gear.UNKNOWN else current is not Gear.NEUTRAL,
+            shift_in_process=self._machine.in_process,
+            output_shaft_rad_s=output_rad_s,
+            input_shaft_rad_s=input_rad_s,
+        )
+
+    def _etc2(self) -> Etc2:
         machine = self._machine
         current = machine.confirmed
         selected = machine.final if machine.in_process else current
-        engaged = None if current is Gear.UNKNOWN else current is not Gear.NEUTRAL
-        etc1 = Etc1(
-            driveline_engaged=engaged,
-            shift_in_process=machine.in_process,
-            output_shaft_rad_s=None if speeds is None else _j1939_speed(speeds.output_rad_s),
-            input_shaft_rad_s=None if speeds is None else _j1939_speed(speeds.input_rad_s),
-        )
-        etc2 = Etc2(
-            selected_gear=J1939_GEAR[selected],
-            current_gear=J1939_GEAR[current],
+        return Etc2(
+            selected_gear=self._numbers[selected],
+            gear_ratio=self._ratios.get(current, 0.0) or None,
+            current_gear=self._numbers[current],
             requested_range=J1939_RANGE[selected],
             current_range=J1939_RANGE[current],
         )
-        return etc1, etc2
 
 
 def _j1939_speed(speed_rad_s: float) -> float | None:

@@ -175,6 +175,21 @@ class E2eConfig(Settings, frozen=True):
     """A channel that has never been valid this long after the first step counts as lost."""
 
 
+class BroadcastConfig(Settings, frozen=True):
+    """What the firmware says in ETC1 and ETC2 of the gears that it engages."""
+
+    etc2_period_s: Annotated[float, bounded(0.01, 1.0, "s")] = 0.01
+    """Period of ETC2: 0.1 s in SAE J1939-71, by default that of ETC1 so that a shift can be followed."""
+    gear_backward: Annotated[int, bounded(-125, 125, "")] = 2
+    """Number of the gear in the backward position; negative is reverse."""
+    gear_forward: Annotated[int, bounded(-125, 125, "")] = 1
+    """Number of the gear in the forward position."""
+    ratio_backward: Annotated[float, bounded(0.0, 64.0, "")] = 0.0
+    """Input by output speed in the backward gear; 0: not known, speeds are sent as they come."""
+    ratio_forward: Annotated[float, bounded(0.0, 64.0, "")] = 0.0
+    """The same in the forward gear."""
+
+
 class ControlConfig(Settings, frozen=True):
     """All settings of the firmware but its strategy; the defaults are today's control unit.
 
@@ -195,6 +210,7 @@ class ControlConfig(Settings, frozen=True):
     blow: BlowConfig = BlowConfig()
     shift: ShiftConfig = ShiftConfig()
     e2e: E2eConfig = E2eConfig()
+    broadcast: BroadcastConfig = BroadcastConfig()
 
     def __post_init__(self) -> None:
         super().__post_init__()

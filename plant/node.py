@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Annotated, Literal
 
@@ -11,15 +12,30 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from can_dbc.codec import encode
+from can_dbc.codec import can_id_of, decode, encode
 from can_dbc.e2e import Protector
+from can_dbc.errors import CodecError
 from can_dbc.frame import Frame
-from can_dbc.messages import DrivelineSpeeds, Gear, PlantMotion, PlantPressures, PositionPulse
+from can_dbc.messages import (
+    DrivelineSpeeds,
+    Gear,
+    OverrideMode,
+    PlantMotion,
+    PlantPressures,
+    PositionPulse,
+    Tsc1,
+)
 from plant.devices.coil import CoilValve, make_valve
 from plant.devices.driveline import BACKWARD, FORWARD, NO_GEAR, Driveline, DrivelineConfig
 from plant.devices.position_circuit import PositionCircuit, SensorConfig, SensorFault
 from plant.devices.sensors import InductiveSensor
-from plant.devices.signal_faults import SpeedFault, SpeedSensors, TemperatureFault, Thermometer
+from plant.devices.signal_faults import (
+    SpeedFault,
+    SpeedSensors,
+    TemperatureFault,
+    Thermometer,
+)
+from plant.devices.toothed_wheel import toothed_wheels
 from plant.devices.valve import NS_PER_S, CoilConfig, Drive, ValveTiming, seconds_to_ns
 from plant.devices.valve_driver import ValveDriver, ValveDriverConfig
 from plant.devices.valve_faults import ValveFault, faulty_valves
@@ -57,6 +73,7 @@ LIMITS = (TRAVEL_LIMIT_M, SPEED_LIMIT_M_S, TRAVEL_LIMIT_M, TRAVEL_LIMIT_M)
 
 EVENT_NAMES = {"stop": "stay_stop", "block": "sync_block", "unblock": "sync_unblock"}
 DIRECTIONS = {Gear.BACKWARD: BACKWARD, Gear.FORWARD: FORWARD}
+REFERRED = {BACKWARD: Gear.BACKWARD, FORWARD: Gear.FORWARD, NO_GEAR: Gear.UNKNOWN}
 
 
 EventSink = Callable[[float, str, Mapping[str, float]], None]
@@ -185,7 +202,9 @@ class PlantNode:
             config.seed,
             Thermometer(config.temperature_faults, config.seed),
         )
-        self._speed_sensors = SpeedSensors(config.speed_faults, config.seed)
+        self._speed_sensors = SpeedSensors(
+            config.speed_faults, config.seed, toothed_wheels(config.driveline, config.seed)
+        )
         self.driveline = Driveline(
             config.driveline,
             parameters.value("synchronizer.x_block"),
@@ -237,6 +256,8 @@ class PlantNode:
             raise ValueError(f"advance to {until_ns} ns skips the event at {self._next_event_ns()}")
         updates: list[Update] = []
         coils: list[Switch] = []
+        if self.config.driveline.follows_requests:
+            self._take_engine_requests(deliveries)
         switches = self._drive_valves(until_ns, deliveries, updates, coils)
         measured = self.circuit.measurement_instants_ns(until_ns)
         rows = self._rows.instants_ns(until_ns)
@@ -325,9 +346,12 @@ class PlantNode:
         if self._speeds.take(now_ns):
             self._arm_synchronizer(now_ns)
             line = self.driveline
-            speeds = self._speed_sensors.report(now_ns, line.input_rad_s, line.output_rad_s)
+            speeds = self._speed_sensors.report(
+                now_ns, line.input_rad_s, line.output_rad_s, line.ratio
+            )
             if speeds is not None:
-                frames.append(self._protect_speeds.protect(DrivelineSpeeds(*speeds)))
+                message = DrivelineSpeeds(*speeds, REFERRED[line.referred])
+                frames.append(self._protect_speeds.protect(message))
             updates.append((now_ns, SPEEDS, line.input_rad_s))
             updates.append((now_ns, SPEEDS + 1, line.output_rad_s))
         if self._truth.take(now_ns):
@@ -338,6 +362,15 @@ class PlantNode:
             pressures = (*stroke.pressures_pa, self.supply_pressure_pa)
             frames.append(encode(PlantPressures(*(min(p, PRESSURE_LIMIT_PA) for p in pressures))))
         return frames
+
+    def _take_engine_requests(self, deliveries: Sequence[tuple[int, Frame]]) -> None:
+        for arrival_ns, frame in deliveries:
+            if frame.can_id == can_id_of(Tsc1):
+                with suppress(CodecError):
+                    request = decode(frame)
+                    assert isinstance(request, Tsc1)
+                    asked = request.mode is OverrideMode.SPEED
+                    self.driveline.request(arrival_ns, request.speed_rad_s if asked else None)
 
     def _arm_synchronizer(self, now_ns: int) -> None:
         stroke = self.stroke

@@ -12,6 +12,9 @@ from plant.errors import InputError
 
 BACKWARD, NO_GEAR, FORWARD = 1, 0, -1  # direction of a gear, as the sign of the stay's position
 
+REQUEST_HOLDS_NS = 100_000_000
+"""After this long without another request the engine no longer follows the last one."""
+
 LARGEST = 1e6  # of any value below, in its unit: far beyond every drivetrain
 Limited = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 NotNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
@@ -30,6 +33,11 @@ class DrivelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     inertia_kg_m2: inertia of the input side. cone_gain_m: torque of the cone per axial force.
     impulse_backward_n_s, impulse_forward_n_s: impulse of the cone for that gear, instead of the one
     that follows from the speed difference; the residual then follows from it.
+    ratio_backward, ratio_forward: input by output speed in that gear, 0 if not stated; if both are,
+    the step on leaving a gear follows from them instead of gear_step_rad_s.
+    follows_requests: the engine synchronises while it is asked to (TSC1 on the bus), otherwise by itself.
+    teeth: of the wheels at which the shaft speeds are measured, with a timer of timer_s; 0: exact.
+    noise_rad_s: standard deviation of what each measured speed is off.
     Source: thesis 4.1 in words; numbers inferred (with them 5 to 28 rad/s need 14 to 78 N s).
     """
 
@@ -42,6 +50,12 @@ class DrivelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     cone_gain_m: Positive = 0.09
     impulse_backward_n_s: NotNegative | None = None
     impulse_forward_n_s: NotNegative | None = None
+    ratio_backward: NotNegative = 0.0
+    ratio_forward: NotNegative = 0.0
+    follows_requests: bool = False
+    teeth: Annotated[int, Meta(ge=0, le=1000)] = 0
+    timer_s: Annotated[float, Meta(ge=1e-9, le=1e-3)] = 1e-6
+    noise_rad_s: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.0
 
 
 class Driveline:
@@ -79,6 +93,12 @@ class Driveline:
         self._open_difference_rad_s = self.difference_rad_s  # before the cone took any of it
         self._now_ns = 0
         self._engine_from_ns = 0
+        self._ratios = {BACKWARD: config.ratio_backward, FORWARD: config.ratio_forward}
+        self.referred = NO_GEAR
+        """The gear with whose ratio the input speed is referred; NO_GEAR without ratios."""
+        if all(self._ratios.values()):
+            self.referred = BACKWARD if position_m > 0.0 else FORWARD
+        self._request: tuple[int, float] | None = None  # instant in ns, input speed in rad/s
 
     @property
     def input_rad_s(self) -> float:
@@ -89,6 +109,11 @@ class Driveline:
     def output_rad_s(self) -> float:
         """Speed of the output side [rad/s]."""
         return self.config.output_rad_s
+
+    @property
+    def ratio(self) -> float:
+        """Speed of the input shaft itself by `input_rad_s`; 1 without ratios."""
+        return self._ratios.get(self.referred, 1.0)
 
     def residual_rad_s(self, direction: int) -> float:
         """Speed difference [rad/s] that the engine leaves to the synchronizer of that gear."""
@@ -109,6 +134,15 @@ class Driveline:
         config = self.config
         return config.inertia_kg_m2 * abs(self.difference_rad_s) / config.cone_gain_m
 
+    def request(self, now_ns: int, input_rad_s: float | None) -> None:
+        """Ask the engine for a speed of the input shaft [rad/s], not referred, or for none."""
+        if input_rad_s is None:
+            self._request = None
+            return
+        if self._request is None:
+            self._engine_from_ns = now_ns + seconds_to_ns(self.config.engine_delay_s)
+        self._request = now_ns, input_rad_s
+
     def advance(
         self, now_ns: int, position_m: float, spent_impulse_n_s: float, direction: int
     ) -> float | None:
@@ -125,8 +159,7 @@ class Driveline:
         if self.is_engaged:
             if distance < self.x_block_m:
                 self.is_engaged = False
-                self._set_open(self.config.gear_step_rad_s)
-                self._engine_from_ns = now_ns + seconds_to_ns(self.config.engine_delay_s)
+                self._leave_gear(now_ns, direction)
             return None
         if distance > self.x_block_m:
             self.is_engaged = True
@@ -138,10 +171,12 @@ class Driveline:
             return None
         if spent_impulse_n_s > 0.0:
             self._spend(spent_impulse_n_s)
+        self._refer(direction)
+        goal_rad_s = self._engine_goal_rad_s(now_ns, direction)
         run_ns = now_ns - max(since_ns, self._engine_from_ns)
-        if run_ns > 0:
+        if run_ns > 0 and goal_rad_s is not None:
             reach = self.config.engine_ramp_rad_s2 * run_ns / NS_PER_S
-            error = self.residual_rad_s(direction) - self.difference_rad_s
+            error = goal_rad_s - self.difference_rad_s
             self._set_open(self.difference_rad_s + max(-reach, min(reach, error)))
         else:
             self._set_open(self.difference_rad_s)
@@ -150,6 +185,30 @@ class Driveline:
             return None
         self.armed_n_s = required
         return required
+
+    def _leave_gear(self, now_ns: int, direction: int) -> None:
+        if self.referred == NO_GEAR:
+            self._set_open(self.config.gear_step_rad_s)
+        else:
+            self._refer(direction or -self.referred)
+        if not self.config.follows_requests:
+            self._engine_from_ns = now_ns + seconds_to_ns(self.config.engine_delay_s)
+
+    def _refer(self, direction: int) -> None:
+        """Refer the input speed with the ratio of another gear."""
+        if NO_GEAR not in (self.referred, direction) and direction != self.referred:
+            input_rad_s = self.input_rad_s * self._ratios[self.referred] / self._ratios[direction]
+            self.referred = direction
+            self._set_open(input_rad_s - self.config.output_rad_s)
+
+    def _engine_goal_rad_s(self, now_ns: int, direction: int) -> float | None:
+        """Return the speed difference that the engine aims at; None while nothing asks it to."""
+        residual = self.residual_rad_s(direction)
+        if not self.config.follows_requests:
+            return residual
+        if self._request is None or now_ns - self._request[0] > REQUEST_HOLDS_NS:
+            return None
+        return self._request[1] / self.ratio - self.config.output_rad_s + residual
 
     def _stated_impulse_n_s(self, direction: int) -> float | None:
         config = self.config

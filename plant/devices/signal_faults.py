@@ -11,6 +11,7 @@ from msgspec import Meta
 from numpy.random import Generator
 
 from plant.devices.sensors import named_generator
+from plant.devices.toothed_wheel import ToothedWheel
 from plant.devices.valve import seconds_to_ns
 
 OPEN_LINE_K = 200.0
@@ -105,14 +106,27 @@ class Thermometer:
 
 
 class SpeedSensors:
-    """The reported shaft speeds behind their faults."""
+    """The reported shaft speeds: measured, then behind their faults."""
 
-    def __init__(self, faults: Sequence[SpeedFault], seed: int) -> None:
+    def __init__(
+        self, faults: Sequence[SpeedFault], seed: int, wheels: Sequence[ToothedWheel] = ()
+    ) -> None:
+        """`wheels`: of input and output shaft; if left out, the speeds are exact."""
+        self._wheels = wheels
         self._faults = [_ActiveSpeedFault(fault, seed, i) for i, fault in enumerate(faults)]
 
-    def report(self, now_ns: int, input_rad_s: float, output_rad_s: float) -> Speeds | None:
-        """Speeds [rad/s] to send at `now_ns`, None when none are."""
+    def report(
+        self, now_ns: int, input_rad_s: float, output_rad_s: float, ratio: float = 1.0
+    ) -> Speeds | None:
+        """Return the speeds [rad/s] to send at `now_ns`, None when none are.
+
+        `ratio`: speed of the input shaft itself by the one that is referred to the synchronizer.
+        """
         speeds: Speeds | None = (input_rad_s, output_rad_s)
+        if self._wheels:
+            of_input, of_output = self._wheels
+            measured_rad_s = of_input.measure(now_ns, input_rad_s * ratio)
+            speeds = measured_rad_s / ratio, of_output.measure(now_ns, output_rad_s)
         for memory in self._faults:
             if speeds is not None and memory.fault.holds(now_ns):
                 speeds = memory.apply(speeds)

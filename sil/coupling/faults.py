@@ -30,6 +30,11 @@ MessageName = Literal[
     "ControllerStatus",
     "Etc1",
     "Etc2",
+    "Tsc1",
+    "Tc1",
+    "Eec1",
+    "Eec2",
+    "Air1",
     "PlantMotion",
     "PlantPressures",
 ]

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING
 
 from can_dbc.contract import contract
 from can_dbc.errors import InputError
+from can_dbc.messages import TRUCK
 from sil.coupling.bus import BusModel
 from sil.coupling.frame_bits import INTERMISSION_BITS, longest_frame_bits
 
@@ -84,8 +85,12 @@ class ResponseTime:
 def contract_messages(
     period_ns: Mapping[str, int] | None = None, jitter_ns: Mapping[str, int] | None = None
 ) -> tuple[PeriodicMessage, ...]:
-    """Return the periodic messages of opc4.dbc; periods and jitters by message name replace its own."""
+    """Return the periodic messages of opc4.dbc; periods and jitters by message name replace its own.
+
+    Those of a truck are among them only if they have a period in `period_ns`.
+    """
     periods, jitters = period_ns or {}, jitter_ns or {}
+    truck = {kind.__name__ for kind in TRUCK}
     return tuple(
         PeriodicMessage(
             spec.name,
@@ -95,7 +100,7 @@ def contract_messages(
             jitters.get(spec.name, spec.jitter_ns),
         )
         for spec in contract().values()
-        if spec.cycle_ns
+        if spec.cycle_ns and (spec.name in periods or spec.name not in truck)
     )
 
 

@@ -24,6 +24,7 @@ from sil.report.figure import (
     Zoom,
     spans_of,
 )
+from sil.report.vehicle_figure import vehicle_panels, without_torque
 from sil.simulation.metrics import Shift
 
 SETTLED_S = 0.025
@@ -50,6 +51,7 @@ def run_figure(
         for name, role in (("input", "estimate"), ("output", "faint"))
     ]
     panels = [
+        *vehicle_panels(record),
         _position(record, zooms, shifts),
         Panel("Speed of the stay", "m/s", [speed], height=130, drawn="page"),
         _valves(record),
@@ -81,8 +83,13 @@ def shift_zooms(record: RunRecord, shifts: Sequence[Shift]) -> list[Zoom]:
         settled = [shift.arrived_s, shift.confirmed_s, shift.requested_s + 0.1]
         closed = [e.time_s for e in record.events if e.name.endswith("_close")]
         settled += [time_s for time_s in closed if shift.requested_s <= time_s <= until]
+        first = shift.requested_s
+        for begin, back in without_torque(record):
+            if begin <= first <= back:
+                first = begin
+                settled.append(back)
         last = max(instant for instant in settled if instant is not None)
-        low, high = max(shift.requested_s - 0.02, 0.0), min(last + SETTLED_S, until)
+        low, high = max(first - 0.02, 0.0), min(last + SETTLED_S, until)
         found.append(Zoom(f"{shift.from_gear} to {shift.to_gear}", low * MS, high * MS))
     return found or [Zoom("whole run", 0.0, end * MS)]
 

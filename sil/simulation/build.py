@@ -154,6 +154,12 @@ def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
     if name == "driver":
         schedule = [(to_ns(r.at_s), gear_of(r.gear)) for r in scenario.request]
         driver = scenario.driver
+        if scenario.vehicle is not None:
+            from sil.nodes.vehicle import VehicleNode
+
+            supply_pa = constants(loaded)["supply_pressure_pa"]
+            initial = gear_of(scenario.initial_gear)
+            return VehicleNode(scenario.vehicle, initial, schedule, supply_pa)
         return DriverNode(
             gear_of(scenario.initial_gear), schedule, to_ns(driver.period_s), to_ns(driver.phase_s)
         )

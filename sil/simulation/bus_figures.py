@@ -6,11 +6,15 @@ from typing import Any
 
 from can_dbc.contract import contract
 from can_dbc.errors import InputError
+from can_dbc.messages import Fault
 from sil.coupling.bus import BusModel
 from sil.coupling.clock import NS_PER_S, to_ns
 from sil.coupling.faults import FaultPlan
 from sil.coupling.response_times import PeriodicMessage, contract_messages, response_times
 from sil.files.quantity import quantity
+from sil.j1939.management import NAME_FUNCTIONS, active_faults, address_claim
+from sil.j1939.transport import BAM_PERIOD_NS
+from sil.nodes.vehicle import PERIODS_NS as VEHICLE_NS
 from sil.simulation.results import Check
 from sil.simulation.scenario import Scenario
 
@@ -23,14 +27,17 @@ _BROADCAST_NS = 10_000_000
 def periods_ns(scenario: Scenario) -> dict[str, int]:
     """Return the period of each message as the scenario sets it."""
     controller = scenario.controller.period_ns
+    etc2_ns = to_ns(scenario.controller.broadcast.etc2_period_s)
     return {
         **dict.fromkeys(_CONTROLLER, controller),
-        **dict.fromkeys(_BROADCAST, max(_BROADCAST_NS, controller)),
+        "Etc1": max(_BROADCAST_NS, controller),
+        "Etc2": max(etc2_ns, controller),
         "PositionPulse": to_ns(scenario.sensor.period_s),
         "DrivelineSpeeds": to_ns(scenario.plant.speeds_period_s),
         "PlantMotion": to_ns(scenario.plant.truth_period_s),
         "PlantPressures": to_ns(scenario.plant.truth_period_s),
         "ShiftRequest": to_ns(scenario.driver.period_s),
+        **({} if scenario.vehicle is None else VEHICLE_NS),
     }
 
 
@@ -38,11 +45,20 @@ def scenario_messages(scenario: Scenario) -> tuple[PeriodicMessage, ...]:
     """Return the periodic messages of a scenario, as the response-time analysis takes them.
 
     ETC1 and ETC2 go out with the firmware's next step, so they jitter by one step when the step
-    does not divide their period. Other nodes' traffic is not among them.
+    does not divide their period. Other nodes' traffic is not among them; of a truck, its faults (DM1
+    and its packets) and, once a run, its address claims are.
     """
     step = scenario.controller.period_ns
     jitter = 0 if _BROADCAST_NS % step == 0 or step > _BROADCAST_NS else step
-    return contract_messages(periods_ns(scenario), dict.fromkeys(_BROADCAST, jitter))
+    periodic = contract_messages(periods_ns(scenario), dict.fromkeys(_BROADCAST, jitter))
+    if scenario.vehicle is None:
+        return periodic
+    claims = [
+        PeriodicMessage(f"AddressClaim {source}", address_claim(source).can_id, to_ns(86_400.0))
+        for source in NAME_FUNCTIONS
+    ]
+    faults = PeriodicMessage("DM1", active_faults(Fault.NONE)[0].can_id, BAM_PERIOD_NS)
+    return (*periodic, faults, *claims)
 
 
 def worst_cases_ns(scenario: Scenario) -> dict[str, int]:

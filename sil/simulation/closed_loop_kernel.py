@@ -18,10 +18,12 @@ from can_dbc.codec import can_id_of
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
 from can_dbc.messages import (
+    ControllerStatus,
     DrivelineSpeeds,
     PositionPulse,
     SafetyBlow,
     ShiftRequest,
+    Tsc1,
     ValveCommand,
 )
 from sil.coupling.bus import overwritten
@@ -32,9 +34,9 @@ from sil.coupling.transports.channel import Participant, ParticipantLost
 from sil.recording.run_record import BusFrame
 
 HEARD: Mapping[str, frozenset[int]] = {
-    "driver": frozenset(),
+    "driver": frozenset(map(can_id_of, (ControllerStatus, DrivelineSpeeds))),
     "controller": frozenset(map(can_id_of, (PositionPulse, ShiftRequest, DrivelineSpeeds))),
-    "plant": frozenset(map(can_id_of, (ValveCommand, SafetyBlow))),
+    "plant": frozenset(map(can_id_of, (ValveCommand, SafetyBlow, Tsc1))),
     "traffic": frozenset(),
 }
 """Identifiers of the messages that each participant uses."""

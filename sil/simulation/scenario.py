@@ -26,6 +26,7 @@ from sil.coupling.faults import BusFault, FaultPlan
 from sil.files import overrides
 from sil.files.quantity import quantity
 from sil.nodes.own_firmware import absolute
+from sil.nodes.vehicle import VehicleConfig
 from sil.simulation.expectations import ChamberName, Expectations, GearName
 
 if TYPE_CHECKING:
@@ -128,6 +129,8 @@ class Scenario(_Table, frozen=True, kw_only=True):
     request: list[Request]
     """Requests of the driver, in order of time."""
     driver: DriverTable = DriverTable()
+    vehicle: VehicleConfig | None = None
+    """A truck around the actuator; without it the driver asks the controller for gears directly."""
     plant: PlantTable = PlantTable()
     driveline: DrivelineConfig = DrivelineConfig()
     valve_driver: ValveDriverConfig = ValveDriverConfig()
@@ -315,7 +318,10 @@ def _without_none(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _normalise(raw: dict[str, Any], source: str) -> None:
-    """Rewrite the short forms: filter = false, [model.valve] D_fall, one sensor period for both."""
+    """Rewrite the short forms: filter = false, [model.valve] D_fall, one sensor period for both.
+
+    The gears and ratios of [vehicle] become those of plant and controller.
+    """
     controller = raw.get("controller")
     if isinstance(controller, dict) and isinstance(controller.get("filter"), bool):
         controller["filter"] = {"enabled": controller["filter"]}
@@ -329,6 +335,19 @@ def _normalise(raw: dict[str, Any], source: str) -> None:
             own = controller.setdefault("sensor", {})
             if isinstance(own, dict):
                 own["period_s"] = sensor["period_s"]
+    vehicle = raw.get("vehicle")
+    if isinstance(vehicle, dict):
+        ratios = {key: vehicle[key] for key in vehicle if key.startswith("ratio_")}
+        gears = {key: vehicle[key] for key in vehicle if key.startswith("gear_")}
+        driveline, broadcast = raw.setdefault("driveline", {}), {}
+        if isinstance(controller := raw.setdefault("controller", {}), dict):
+            broadcast = controller.setdefault("broadcast", {})
+        for table, default, same in (
+            (driveline, {"follows_requests": True}, ratios),
+            (broadcast, {"etc2_period_s": 0.1}, ratios | gears),
+        ):
+            if isinstance(table, dict):
+                table.update(default | table | same)
 
 
 def _flat(table: Mapping[str, Any], source: str, prefix: str) -> Iterable[tuple[str, Any]]:
@@ -449,6 +468,8 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
             "bus.send_buffer: missing; expected a number of frames, since more waits than can be "
             f"sent with extra_load {scenario.bus.extra_load:g}"
         )
+    if scenario.vehicle is not None and scenario.driver != DriverTable():
+        yield "driver: given; expected none with [vehicle], which has its own periods"
     if len(set(scenario.plant.charged)) != len(scenario.plant.charged):
         yield "plant.charged: a chamber twice; expected each once"
     for name in ("sensor_fault", "temperature_fault", "speed_fault", "valve_fault"):

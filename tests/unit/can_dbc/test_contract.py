@@ -75,6 +75,8 @@ def test_nodes_and_addresses(database: Database) -> None:
         "PositionSensor": 0x91,
         "Driveline": 0x92,
         "ShiftConsole": 5,
+        "Engine": 0,
+        "Pneumatics": 48,
         "Recorder": 0xFB,
         "Lockstep": 0xF9,
     }
