@@ -119,6 +119,7 @@ def _held_s(of: MemoryRun) -> float:
     return times["sync_unblock"] - times["sync_block"]
 
 
+@pytest.mark.slow
 def test_replay_finds_the_shift_and_no_difference(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,10 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from can_dbc.codec import spec_of
 from can_dbc.contract import DBC_PATH
 from can_dbc.dbc import load_dbc, parse_dbc
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
+from can_dbc.messages import TRUCK
 from sil.coupling.bus import BusModel
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.coupling.response_times import (
@@ -195,7 +197,10 @@ def test_no_messages_no_results() -> None:
 
 
 def test_a_foreign_database() -> None:
-    assert database_messages(load_dbc(DBC_PATH)) == contract_messages()
+    truck = {kind.__name__: spec_of(kind).cycle_ns for kind in TRUCK}
+    everything = database_messages(load_dbc(DBC_PATH))
+    assert everything == contract_messages(truck)
+    assert [m for m in everything if m.name not in truck] == list(contract_messages())
     text = (
         "BU_: A\n"
         "BO_ 5 Slow: 3 A\n\n"
