@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 EXAMPLE = """\
 example:
   opc4 replay runs/full_shift-1/bus.log --set controller.filter=false
-  opc4 replay truck.asc.gz --strategy synchro_brake
+  opc4 replay truck.asc.gz --strategy air_cushion
   opc4 replay truck-1.asc.gz truck-2.asc.gz --summary --out shifts
 
 options of --options FILE, all optional:
@@ -86,7 +86,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.summary:
         return _summary(arguments)
     if arguments.strategy is not None:
-        arguments.settings.append(f"controller.strategy={arguments.strategy}")
+        chosen = f"controller.strategy={arguments.strategy}"
+        arguments.settings = [*arguments.settings, chosen]
     if (code := _truck(arguments)) is not None:
         return code
     if arguments.against is not None and (arguments.plant or arguments.closed_loop):
@@ -182,7 +183,6 @@ OWN_LOG_ONLY = ("run", "plant", "closed_loop", "against", "options")
 def _truck(arguments: argparse.Namespace) -> int | None:
     """Compare a truck's log with our firmware and plant; return None for a log of our own unit."""
     from can_dbc.errors import InputError
-    from sil.j1939.mapping import SignalMapping
     from sil.log_replay.truck_replay import as_dict, replay_truck, summary_lines, text
 
     given = [name for name in OWN_LOG_ONLY if getattr(arguments, name)]
@@ -193,10 +193,10 @@ def _truck(arguments: argparse.Namespace) -> int | None:
         return None
     found = replay_truck(
         _open(arguments),
-        mapping=SignalMapping(arguments.map, arguments.dbc),
+        map=arguments.map,
+        dbc=arguments.dbc,
         settings=arguments.settings,
         firmware=arguments.firmware,
-        only_trucks=arguments.map is not None,
     )
     if found is None:
         return None

@@ -23,7 +23,7 @@ _MOST_NOTES: Final = 20
 _GATEWAY_NS: Final = 100_000_000
 """A gateway forwards within this; the same shift of the same sender on two channels is one."""
 
-_TRANSMISSION: Final = 3
+TRANSMISSION: Final = 3
 """Source address of transmission #1 (SAE J1939-81)."""
 
 
@@ -201,7 +201,7 @@ class ShiftFinder:
         The one of the transmission's own address, and of the first channel, is returned.
         """
         found_once: list[Shift] = []
-        for shift in sorted(found, key=lambda shift: shift.source != _TRANSMISSION):
+        for shift in sorted(found, key=lambda shift: shift.source != TRANSMISSION):
             twins = [
                 other
                 for other in found_once

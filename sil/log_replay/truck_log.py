@@ -15,10 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from can_dbc.codec import can_id_of
 from can_dbc.errors import InputError
 from can_dbc.frame import join_id
-from can_dbc.messages import ValveCommand
 from sil.j1939.gear_history import PGN_ETC2
 from sil.j1939.mapping import Meaning, Sender, SignalMapping
 from sil.j1939.shift_flag import PGN_ETC1
@@ -66,6 +64,11 @@ class _Series:
     content: bytearray = field(default_factory=bytearray)
 
 
+def is_data_of(frame: LogFrame, can_id: int | None) -> bool:
+    """Return whether a frame is a data frame with a 29-bit identifier."""
+    return frame.can_id == can_id and frame.extended and not (frame.remote or frame.error)
+
+
 class TruckLog:
     """The shifts of a log, and the frames of all mapped messages."""
 
@@ -79,19 +82,15 @@ class TruckLog:
         self._series: dict[Sender, _Series] = {}
         self._short = 0
         self._times: dict[Sender, NDArray[np.int64]] = {}
-        self._unsorted: set[Sender] = set()
+        self._pieces: dict[Sender, NDArray[np.int64]] = {}
 
-    def read(self, frames: Iterable[LogFrame], only_trucks: bool) -> bool:
-        """Read all frames; return False, having read on to there, at a command of our own unit.
-
-        `only_trucks`: take our own commands as foreign frames, too.
-        """
-        own = None if only_trucks else can_id_of(ValveCommand)
+    def read(self, frames: Iterable[LogFrame], stop_id: int | None = None) -> bool:
+        """Read all frames; return False at a frame with the identifier `stop_id`, not having read on."""
         finder = ShiftFinder()
         translated = None if self.mapping.is_standard else _Translator(self.mapping, finder.take)
         for frame in frames:
             self.frames += 1
-            if frame.can_id == own and frame.extended and not (frame.remote or frame.error):
+            if is_data_of(frame, stop_id):
                 return False
             if translated is None:
                 finder.take(frame)
@@ -124,7 +123,10 @@ class TruckLog:
             sender: np.array(series.times_ns, dtype=np.int64)
             for sender, series in self._series.items()
         }
-        self._unsorted = {s for s, times in self._times.items() if (np.diff(times) < 0).any()}
+        self._pieces = {
+            sender: np.flatnonzero(np.diff(times, prepend=times[0]) < 0)
+            for sender, times in self._times.items()
+        }
 
     def require_shifts(self) -> None:
         """Raise InputError in one line if shaft speeds, gears or shifts are missing."""
@@ -187,9 +189,14 @@ class TruckLog:
     def _window(self, sender: Sender, begin_ns: int, end_ns: int) -> list[tuple[int, bytes]]:
         series, times = self._series[sender], self._times[sender]
         length = self.mapping.length(sender.message)
-        inside: Iterable[int] = range(*np.searchsorted(times, (begin_ns, end_ns + 1)).tolist())
-        if sender in self._unsorted:
-            inside = np.flatnonzero((times >= begin_ns) & (times <= end_ns)).tolist()
+        ends = [0, *self._pieces[sender].tolist(), len(times)]  # at steps of the clock backwards
+        inside = max(
+            (
+                range(*(begin + np.searchsorted(times[begin:end], (begin_ns, end_ns + 1))).tolist())
+                for begin, end in pairwise(ends)
+            ),
+            key=len,
+        )
         return [
             (series.times_ns[i], bytes(series.content[i * length : (i + 1) * length]))
             for i in inside

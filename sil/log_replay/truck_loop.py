@@ -25,6 +25,7 @@ from sil.simulation.in_memory import MemoryRun, run_in_memory
 REQUEST_S: Final = 0.4
 """Simulated time of our request: the firmware is ready, and a request frame is due."""
 
+ALIGNED: Final = "as the gear is left"
 LONGEST_RUN_S: Final = 8.0
 _SETTLED_S: Final = 2.6
 PARK: Final = 126
@@ -109,10 +110,16 @@ def inputs_of(recorded: RecordedShift) -> list[Input]:
 
 
 def _request(recorded: RecordedShift) -> Input:
-    cut = recorded.times_s["torque_cut"]
-    if cut is None:
-        return Input("request.after_s", 0.0, "default", "torque cut not known: at the request")
-    return Input("request.after_s", cut, "log", "at the recorded torque cut")
+    path, times = "request.after_s", recorded.times_s
+    cut, agree = times["torque_cut"], times["synchronised"]
+    if not recorded.shift.from_gear and agree is not None and agree >= (cut or 0.0):
+        return Input(path, agree, "log", "from neutral: when the recorded speeds agree")
+    if cut is not None:
+        return Input(path, cut, "log", "at the recorded torque cut")
+    if times["disengaged"] is not None:
+        text = "torque cut not known: so that both leave the gear at the same instant"
+        return Input(path, ALIGNED, "default", text)
+    return Input(path, 0.0, "default", "neither torque cut nor leaving the gear known: at once")
 
 
 def _supply(recorded: RecordedShift) -> Input:
@@ -159,8 +166,9 @@ def _driveline(recorded: RecordedShift) -> list[Input]:
         ),
     ]  # fmt: skip
     if not recorded.shift.from_gear:
-        at = int(np.argmin(np.abs(sync.time_s)))
-        value, text = float(sync.difference_rad_s[at]), "speed difference at the request"
+        after = recorded.times_s["synchronised"] or 0.0
+        value = float(np.interp(after, sync.time_s, sync.difference_rad_s))
+        text = "speed difference at our request"
         return [found[0], Input("driveline.residual_rad_s", value, "log", text)]
     if sync.ramp_rad_s2 is None or sync.delay_s is None:
         text = "fall of the difference not known; the driveline's default"
@@ -211,10 +219,13 @@ def simulate(
     loaded = scenario.from_table(scenario_of(inputs) | dict(table), source, settings=settings)
     run = run_in_memory(loaded)
     after = next(entry.value for entry in inputs if entry.path == "request.after_s")
-    assert isinstance(after, float)
-    offset_s = after - REQUEST_S
     driveline = loaded.scenario.driveline
     block_m = float(loaded.parameters.value("synchronizer.x_block"))
+    truth, left = run.record.truth, recorded.times_s["disengaged"]
+    passed = (truth["time_s"] >= REQUEST_S) & (np.abs(truth["position_m"]) < block_m)
+    offset_s = -REQUEST_S if isinstance(after, str) else after - REQUEST_S
+    if isinstance(after, str) and left is not None and passed.any():
+        offset_s = left - float(truth["time_s"][np.argmax(passed)])
     return _measured(
         recorded, run, offset_s, block_m, driveline.inertia_kg_m2 / driveline.cone_gain_m
     )

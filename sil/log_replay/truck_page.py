@@ -14,7 +14,7 @@ from sil.files.progress import Progress
 from sil.log_replay import truck_replay as replays
 from sil.log_replay.truck_loop import OurShift
 from sil.log_replay.truck_replay import ComparedShift, TruckReplay
-from sil.log_replay.truck_shift import PHASES
+from sil.log_replay.truck_shift import NAMES, PHASES
 from sil.report.figure import MM, Figure, Panel, Rule, Series, Span, Stack
 from sil.report.picture import save
 from sil.report.shell import Head, Picture, render
@@ -60,7 +60,7 @@ def truck_page(replay: TruckReplay, values: dict[str, Any], command: str, folder
         "truck.html",
         head,
         diff=values,
-        names=replays.NAMES,
+        names=NAMES,
         overview=Picture(overview, alt, caption),
         pictures=pictures,
         hidden=max(0, len(replay.shifts) - MOST_PICTURES),
@@ -114,7 +114,7 @@ def shift_figure(replay: TruckReplay, shift: ComparedShift) -> Figure:
         span for k, times in enumerate(sides) for span in _phase_spans(times, len(sides) - 1 - k)
     ]
     ticks = [(len(sides) - 0.5 - k, name) for k, name in enumerate(names[: len(sides)])]
-    keys = [(f"to {replays.NAMES[phase]}", PHASE_ROLES[phase]) for phase in PHASES]
+    keys = [(f"to {NAMES[phase]}", PHASE_ROLES[phase]) for phase in PHASES]
     limits = (0.0, float(len(sides)))
     panels.append(
         Panel("Phases", spans=spans, ticks=ticks, keys=keys, height=40 * len(sides), limits=limits)

@@ -7,28 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any, Final
 
 import numpy as np
 
+from can_dbc.codec import can_id_of
+from can_dbc.errors import InputError
+from can_dbc.messages import ValveCommand
 from sil.files.output_folder import finite
 from sil.files.progress import Progress
-from sil.j1939.mapping import SignalMapping
-from sil.j1939.shifts import gear_name
+from sil.j1939.mapping import ANY_SOURCE, SignalMapping
+from sil.j1939.shifts import TRANSMISSION, gear_name
 from sil.log_replay.options import firmware_of
-from sil.log_replay.truck_log import TruckLog
+from sil.log_replay.truck_log import TruckLog, is_data_of
 from sil.log_replay.truck_loop import Input, OurShift, inputs_of, simulate, why_not
-from sil.log_replay.truck_shift import PHASES, RecordedShift, recorded_shift
+from sil.log_replay.truck_shift import NAMES, RecordedShift, recorded_shift
 from sil.logs import Logs
 
-NAMES: Final = {
-    "torque_cut": "torque cut",
-    "disengaged": "gear left",
-    "synchronised": "speeds agree",
-    "engaged": "new gear reported",
-    "torque_back": "torque back",
-}
-"""Instants of a shift in words."""
+HEAD_FRAMES: Final = 20_000
+"""A log of our own unit shows a command among so many frames: no need to prepare for a truck's."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +51,11 @@ class ComparedShift:
 
     @property
     def title(self) -> str:
-        """Number and gears."""
+        """Number and gears, and the sender's address if it is not the usual one."""
         shift = self.recorded.shift
-        return f"{self.number}. {gear_name(shift.from_gear)} to {gear_name(shift.to_gear)}"
+        sender = f" ({shift.source:#04x})" if shift.source not in (TRANSMISSION, ANY_SOURCE) else ""
+        gears = f"{gear_name(shift.from_gear)} to {gear_name(shift.to_gear)}"
+        return f"{self.number}. {gears}{sender}"
 
     @property
     def counts(self) -> bool:
@@ -81,22 +81,29 @@ class TruckReplay:
 def replay_truck(
     reader: Logs,
     *,
-    mapping: SignalMapping,
+    map: str | None = None,
+    dbc: str | None = None,
     settings: Sequence[str] = (),
     firmware: str | None = None,
-    only_trucks: bool = False,
 ) -> TruckReplay | None:
     """Compare every shift of a log with ours; None if the log is of our own control unit.
 
-    `settings` and `firmware` make a second column. `only_trucks`: the log is a truck's, whatever is
-    in it.
+    `map`: mapping file; with one the log is a truck's, whatever is in it. `dbc`: the layout that its
+    names are of. `settings` and `firmware` make a second column.
     Raises InputError for a log without shaft speeds, gears or shifts, and for wrong settings.
     """
     path = reader.path
-    log = TruckLog(path, mapping)
-    if not log.read(reader, only_trucks):
+    own = None if map is not None else can_id_of(ValveCommand)
+    if any(is_data_of(frame, own) for frame in islice(reader, HEAD_FRAMES)):
+        return None
+    log = TruckLog(path, SignalMapping(map, dbc))
+    if not log.read(reader, own):
         return None
     log.require_shifts()
+    if reader.report.time_base == "none":
+        raise InputError(
+            f"{path}: has no times, so that no shift can be timed; expected a log with times"
+        )
     variants = [Variant("ours")]
     if settings or firmware:
         changes = ", ".join([*([firmware] if firmware else []), *settings])
@@ -124,18 +131,6 @@ def replay_truck(
 # ---------------------------------------------------------------- figures of one shift
 
 
-def phases(times_s: dict[str, float | None]) -> Iterator[tuple[str, float | None]]:
-    """Yield (name, duration in s) of the parts of a shift; None where an end is not known."""
-    before, start = "request", 0.0
-    known: float | None = start
-    for phase in PHASES:
-        at = times_s[phase]
-        if at is None and phase in ("torque_cut", "disengaged", "synchronised"):
-            continue
-        yield f"{before} to {NAMES[phase]}", None if None in (at, known) else at - known  # type: ignore[operator]
-        before, known = NAMES[phase], at
-
-
 def verdict(shift: ComparedShift, column: int = 0) -> list[str]:
     """Return in sentences where ours would be quicker or softer, and why."""
     if shift.skipped:
@@ -147,6 +142,8 @@ def verdict(shift: ComparedShift, column: int = 0) -> list[str]:
     lines = []
     theirs, mine = recorded.times_s["engaged"], ours.times_s["engaged"]
     assert mine is not None
+    if not recorded.is_whole:
+        return ["not comparable: the log has a gap inside"]
     if theirs is None:
         lines.append("how long the truck took to the new gear is not known")
     else:
@@ -194,12 +191,14 @@ def _why(after: str, recorded: RecordedShift, ours: OurShift, quicker: bool) -> 
         return "; the engine has synchronised as recorded before our cone has anything to take"
     if after == "engaged":
         known_s = recorded.known_s["engaged"]
+        if recorded.times_s["synchronised"] is None and recorded.shift.to_gear:
+            return "; what the truck waited for is not recorded"
         return f"; ours confirms by its position sensor, the truck reports every {known_s:.2f} s"
     return ""
 
 
 def _softness(recorded: RecordedShift, ours: OurShift) -> Iterator[str]:
-    if recorded.peak_rad_s2 is not None and ours.peak_rad_s2 is not None:
+    if recorded.peak_rad_s2 and ours.peak_rad_s2 is not None:
         share = ours.peak_rad_s2 / recorded.peak_rad_s2
         word = "softer" if share < 0.9 else "harder" if share > 1.1 else "as soft"
         yield (

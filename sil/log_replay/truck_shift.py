@@ -18,8 +18,16 @@ from sil.j1939.shifts import Shift
 from sil.log_replay.truck_log import Samples, TruckLog
 from sil.report.figure import Floats
 
-PHASES: Final = ("torque_cut", "disengaged", "synchronised", "engaged", "torque_back")
-"""Instants of a shift after its request, in order."""
+NAMES: Final = {
+    "torque_cut": "torque cut",
+    "disengaged": "gear left",
+    "synchronised": "speeds agree",
+    "engaged": "new gear reported",
+    "torque_back": "torque back",
+}
+"""Instants of a shift after its request, in order, with their names in words."""
+
+PHASES: Final = tuple(NAMES)
 
 BEFORE_S, AFTER_S = 1.5, 1.5
 """Recorded time around a shift that is looked at."""
@@ -38,6 +46,9 @@ LEAST_MOTION: Final = 0.01
 
 LEAST_TORQUE: Final = 0.1
 """A change of the engine's torque by less than this share of the reference torque is none."""
+
+SHORTEST_FALL_S: Final = 0.01
+"""A fall of the speed difference between two samples is taken to last as long as ETC1's period."""
 
 SYNCHRONISED_RAD_S: Final = 2.0
 LONGEST_GAP_S: Final = 0.35
@@ -161,6 +172,18 @@ def _selected_before(selected: Samples, gear: int) -> float:
     return 0.0
 
 
+def _set(found: RecordedShift, phase: str, times: Floats, index: int) -> None:
+    """Set an instant to that of a sample, unless its sender was silent before it."""
+    spacing_s = float(times[index] - times[index - 1] if index else np.median(np.diff(times)))
+    if spacing_s > LONGEST_GAP_S:
+        found.notes.append(
+            f"{NAMES[phase]}: not known, its sender was silent for {spacing_s:.2f} s"
+        )
+        found.times_s[phase] = None
+        return
+    found.times_s[phase], found.known_s[phase] = float(times[index]), spacing_s
+
+
 def _speeds(found: RecordedShift, start_s: float, gearbox: Gearbox) -> None:
     """Fill in disengagement and synchronisation from the shaft speeds."""
     entry, output = found.signals["input_shaft_rad_s"], found.signals["output_shaft_rad_s"]
@@ -204,16 +227,14 @@ def _speeds(found: RecordedShift, start_s: float, gearbox: Gearbox) -> None:
     if len(away) == len(d) or (len(away) and away[-1] + 1 >= len(t)):
         found.notes.append("the speeds never agree within the shift")
         return
-    found.times_s["synchronised"] = float(t[away[-1] + 1]) if len(away) else start_s
-    found.known_s["synchronised"] = entry.period_s
+    _set(found, "synchronised", t, int(away[-1]) + 1 if len(away) else 0)
     if not from_gear:
         return
     steady = before.within(start_s - RATIO_BEFORE_S[0], start_s - RATIO_BEFORE_S[1])
     band = max(LEAST_MOTION * abs(factor * during), _scatter(steady))
     left = np.flatnonzero(np.abs(before.values[inside]) > band)
     if len(left):
-        found.times_s["disengaged"] = float(t[left[0]])
-        found.known_s["disengaged"] = entry.period_s
+        _set(found, "disengaged", t, int(left[0]))
 
 
 def _scatter(steady: Samples) -> float:
@@ -233,7 +254,7 @@ def _fit_ramp(found: RecordedShift) -> None:
     high, low = np.flatnonzero(share <= 0.9), np.flatnonzero(share <= 0.1)
     if not (len(high) and len(low)):
         return
-    taken_s = max(float(t[low[0]] - t[high[0]]), float(np.median(np.diff(t))))
+    taken_s = max(float(t[low[0]] - t[high[0]]), SHORTEST_FALL_S)
     ramp = 0.8 * abs(sync.step_rad_s) / taken_s
     delay_s = max(0.0, float(t[high[0]]) - begin - 0.1 * abs(sync.step_rad_s) / ramp)
     fallen = np.clip(1.0 - (t - begin - delay_s) * ramp / abs(sync.step_rad_s), 0.0, 1.0)
@@ -245,17 +266,15 @@ def _reported_gears(found: RecordedShift) -> None:
     """Fill in what the reported gear shows: neutral before the speeds do, the new one after them."""
     gears, target = found.signals["current_gear"], found.shift.to_gear
     times, synchronised = found.times_s, found.times_s["synchronised"]
-    if gears is not None:
-        rounded = np.round(gears.values)
-        neutral = gears.time_s[(rounded == 0) & (gears.time_s >= 0.0)]
+    if gears is not None and len(gears.values) > 1:
+        later = gears.time_s >= 0.0
+        neutral = np.flatnonzero((np.round(gears.values) == 0) & later)
         left_s = found.end_s if times["disengaged"] is None else times["disengaged"]
-        if found.shift.from_gear and len(neutral) and neutral[0] <= left_s:
-            times["disengaged"] = float(neutral[0])
-            found.known_s["disengaged"] = gears.period_s
-        reported = gears.time_s[(rounded == target) & (gears.time_s >= 0.0)]
+        if found.shift.from_gear and len(neutral) and gears.time_s[neutral[0]] <= left_s:
+            _set(found, "disengaged", gears.time_s, int(neutral[0]))
+        reported = np.flatnonzero((np.round(gears.values) == target) & later)
         if len(reported):
-            times["engaged"] = float(reported[0])
-            found.known_s["engaged"] = gears.period_s
+            _set(found, "engaged", gears.time_s, int(reported[0]))
     if synchronised is None:
         return
     if times["engaged"] is None or times["engaged"] < synchronised:
@@ -275,12 +294,11 @@ def _torque(found: RecordedShift) -> None:
     before = torque.median(-0.5, 0.0)
     until = times["disengaged"] if times["disengaged"] is not None else found.end_s
     during = torque.within(0.0, until + torque.period_s)
-    if before is not None and len(during.values):
+    if before is not None and len(during.values) > 1:
         least = float(np.min(during.values))
         if before - least >= LEAST_TORQUE:
             cut = during.values <= least + 0.1 * (before - least)
-            times["torque_cut"] = min(float(during.time_s[np.argmax(cut)]), until)
-            found.known_s["torque_cut"] = torque.period_s
+            _set(found, "torque_cut", during.time_s, int(np.argmax(cut)))
         else:
             found.notes.append(f"engine torque hardly changes ({before:.0%} before): no cut to see")
     engaged = times["engaged"]
@@ -288,8 +306,7 @@ def _torque(found: RecordedShift) -> None:
     if engaged is None or after is None:
         return
     later = torque.within(engaged, found.end_s + AFTER_S)
-    if len(later.values) and after - later.values[0] >= LEAST_TORQUE:
+    if len(later.values) > 1 and after - later.values[0] >= LEAST_TORQUE:
         back = later.values >= later.values[0] + 0.9 * (after - later.values[0])
         if back.any():
-            times["torque_back"] = float(later.time_s[np.argmax(back)])
-            found.known_s["torque_back"] = torque.period_s
+            _set(found, "torque_back", later.time_s, int(np.argmax(back)))
