@@ -112,7 +112,7 @@
       window.opc4Draw($("whatif-plots"), found.plots);
       metrics(found.metrics);
       again(found);
-      if (moved) window.opc4Latency.push(performance.now() - moved);
+      if (moved) requestAnimationFrame(() => window.opc4Latency.push(performance.now() - moved));
       return undefined;
     }
     const before = run;
