@@ -13,10 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sil.files.html_table import html_table
 from sil.files.quantity import quantity
 
 if TYPE_CHECKING:
     import numpy as np
+    import pandas
     from numpy.typing import NDArray
 
     from sil.campaign.simulate import SimulatedStroke
@@ -30,6 +32,10 @@ Where = str | Path
 Value = float | int | bool | str
 Settings = Mapping[str, Value] | Sequence[str]
 """{"valve.D_fall": 0.02}, or ["valve.D_fall=0.02"] as the command line takes it."""
+
+
+ROWS_SHOWN = 20
+"""Rows of a sweep that a notebook shows."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,19 @@ class Run:
             f"trace {self.trace_sha256[:12]})"
         )
 
+    def _repr_html_(self) -> str:
+        checks = (
+            ("met" if check.passed else "not met", check.name, quantity(check.value, check.unit))
+            for check in self.checks
+        )
+        return html_table(repr(self), ("", "expectation", "found"), checks)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return the signals as a table over time_s. Needs pandas."""
+        import pandas
+
+        return pandas.DataFrame(self.signals).set_index("time_s")
+
 
 @dataclass(frozen=True)
 class Sweep:
@@ -104,6 +123,17 @@ class Sweep:
     def __repr__(self) -> str:
         rows = max((len(column) for column in self.numbers.values()), default=0)
         return f"Sweep({rows} rows: {', '.join([*self.texts, *self.numbers])})"
+
+    def _repr_html_(self) -> str:
+        columns = [*self.texts.values(), *([f"{v:.6g}" for v in c] for c in self.numbers.values())]
+        rows = list(zip(*columns, strict=True))[:ROWS_SHOWN]
+        return html_table(repr(self), [*self.texts, *self.numbers], rows)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return the table of results. Needs pandas."""
+        import pandas
+
+        return pandas.DataFrame({**self.texts, **self.numbers})
 
 
 def run(

@@ -26,6 +26,7 @@ from sil.diagnosis.split import odd_ones_in, split
 from sil.diagnosis.structure import Structure, structure_of
 from sil.diagnosis.terms import try_terms
 from sil.diagnosis.verdict import Judged, Verdict, acceptable, decide, judge, weigh
+from sil.files.html_table import html_table
 from sil.fitting.fit import FitResult, Fitter, Show, no_progress
 from sil.fitting.floor import misfit
 from sil.fitting.hypotheses import Candidate, candidates
@@ -71,6 +72,11 @@ class Diagnosis:
             extended_model=None if self.extended is None else "extended_model.toml",
             detectability=self.structure.sentence(),
         )
+
+    def _repr_html_(self) -> str:
+        rows = ((c.id, f"{c.probability:.2f}", c.evidence) for c in self.causes)
+        title = f"{self.campaign.name}: {self.verdict.kind}"
+        return html_table(title, ("cause", "probability", "evidence"), rows)
 
 
 def diagnose(
