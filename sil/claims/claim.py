@@ -19,9 +19,11 @@ import msgspec
 
 from can_dbc.errors import InputError, nearest
 
-CHAPTERS = ("equipment", "pneumatics", "oil", "verification", "truck", "trends")
+CHAPTERS = ("equipment", "pneumatics", "oil", "verification", "truck", "trends", "optimal")
 
 MET, PARTLY, NOT_MET, OPEN = "met", "partly", "not met", "cannot be shown"
+GIVEN = "given"
+"""The verdict where the simulation was given what is claimed, so that it shows nothing."""
 
 
 class Outcome(NamedTuple):
@@ -37,6 +39,7 @@ class Claim(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     achieved, reason: what the simulation gives, and why the claim is not met; format strings of
     figures until the claim is checked. verdict: empty until then, but where no simulation can decide.
+    changed: how the judgement differs from the one of earlier releases, if it does.
     """
 
     id: str = ""
@@ -45,6 +48,7 @@ class Claim(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     achieved: str
     verdict: str = ""
     reason: str = ""
+    changed: str = ""
     command: str = ""
 
 

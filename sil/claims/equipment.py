@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from sil.claims.claim import NOT_MET, OPEN, PARTLY, Outcome, judged
+from sil.claims.claim import GIVEN, NOT_MET, OPEN, PARTLY, Outcome, judged
 from sil.claims.strokes import nominal, plain, run, value
 from sil.simulation.in_memory import MemoryRun, run_in_memory
 
@@ -60,7 +60,7 @@ def _f04_gauges() -> Outcome:
 def _f05_potentiometer() -> Outcome:
     share = value("potentiometer.start_force_max") / value("friction_fixed.F_sf")
     good = value("potentiometer.resolution") == 5e-5 and share <= 0.03
-    return judged(good, 100 * share)
+    return Outcome(GIVEN if good else NOT_MET, (100 * share,))
 
 
 def _f06_pulse() -> Outcome:

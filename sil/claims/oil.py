@@ -58,10 +58,15 @@ def _f31_decay() -> Outcome:
 
 
 def _f32_chamber_one() -> Outcome:
-    share = (ATMOSPHERE_PA - value("damper.P_oil1_min")) / float(
-        np.max(_damped("kappa/10").pressure_pa("oil2")) - ATMOSPHERE_PA
-    )
-    return Outcome(PARTLY, (100 * share,))
+    stroke = _damped("kappa/10")
+    moves = stroke.time_s <= arrival(stroke)
+    pressure, x = stroke.pressure_pa("oil2")[moves], stroke.position_m[moves]
+    share = (ATMOSPHERE_PA - value("damper.P_oil1_min")) / float(np.max(pressure) - ATMOSPHERE_PA)
+    # what the compressed oil of chamber two keeps back is missing in chamber one
+    volume = value("damper.V_oil2_0") - value("damper.A_oil") * x
+    taken = np.gradient(pressure, stroke.time_s[moves]) * volume / value("damper.kappa_effective")
+    missing = np.cumsum(taken) * FINE["step_s"]
+    return Outcome(PARTLY, (100 * share, 1e6 * np.max(missing), 6e4 * np.max(taken)))
 
 
 def _f33_coefficient() -> Outcome:

@@ -38,16 +38,17 @@ def run(
     scale: Mapping[int, float] = MappingProxyType({}),
     put: Mapping[int, float] = MappingProxyType({}),
     change: Change = lambda setup: None,
+    parameters: ParameterSet | None = None,
     **conditions: Any,
 ) -> Stroke:
     """Run a lab stroke: 9 bar, its valve commanded on at 10 ms and left on.
 
     scale and put: factors and values of packed parameters, by their index in `plant.kernel.layout`.
-    change: any other change of the setup. conditions: fields of `StrokeConditions`.
+    change: any other change of the setup. parameters: another set than `nominal`. conditions: fields of `StrokeConditions`.
     """
     conditions.setdefault("supply_pressure_pa", SUPPLY_PA)
     conditions.setdefault("commands", ((COMMAND_S, VALVE[kind], 0.98),))
-    setup = make_setup(nominal(), StrokeConditions(kind=kind, **conditions))
+    setup = make_setup(parameters or nominal(), StrokeConditions(kind=kind, **conditions))
     for index, factor in scale.items():
         setup.p[index] *= factor
     for index, value in put.items():

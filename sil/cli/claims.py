@@ -47,6 +47,8 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"      {finding.achieved}")
             if finding.reason:
                 print(f"      because: {finding.reason}")
+            if finding.changed:
+                print(f"      judged anew: {finding.changed}")
             print(f"      shown by: {finding.command}")
     counts = Counter(finding.verdict for finding in found)
     table = {
@@ -74,6 +76,7 @@ def markdown(found: list[Claim]) -> str:
     ]
     for item in found:
         why = f" ({item.reason})" if item.reason else ""
+        why += f" *Judged anew: {item.changed}*" if item.changed else ""
         cells = [item.id, item.section, item.claimed, item.achieved + why, item.verdict]
         cells = [cell.replace("|", "\\|") for cell in cells]
         lines.append("| " + " | ".join(cells) + f" | `{item.command}` |")
