@@ -39,13 +39,19 @@ def _arrivals(controls: Floats) -> tuple[Floats, Floats]:
     switches[:, :, 0] = np.repeat(STEP_S * np.arange(INTERVALS), 2)
     switches[:, 1::2, 1] = 1.0
     switches[:, 0::2, 2], switches[:, 1::2, 2] = np.hsplit(controls, 2)
-    rows = (np.repeat(each, n, axis=0) for each in (base.packed, base.initial, base.modes))
-    packed, initial, modes = rows
     found = simulate_batch(
-        Strokes(base.system, packed, base.flow, initial, modes, np.repeat(base.valves, n, axis=0),
-                switches, np.full(n, 0.1)),
+        Strokes(
+            base.system,
+            np.repeat(base.packed, n, axis=0),
+            base.flow,
+            np.repeat(base.initial, n, axis=0),
+            np.repeat(base.modes, n, axis=0),
+            np.repeat(base.valves, n, axis=0),
+            switches,
+            np.full(n, 0.1),
+        ),
         lanes=False,
-    )  # fmt: skip
+    )
     return 1e3 * found.arrival_s, found.impact_speed_m_s
 
 

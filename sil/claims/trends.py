@@ -146,7 +146,7 @@ def _f59_residual_pressure() -> Outcome:
 
 
 def _f60_cushion() -> Outcome:
-    loads = ({}, {"mesh_force_n": 500.0, "sync_impulse_n_s": 18.0},
+    loads: tuple[dict[str, Any], ...] = ({}, {"mesh_force_n": 500.0, "sync_impulse_n_s": 18.0},
              {"mesh_force_n": 1300.0, "sync_impulse_n_s": 78.0})  # fmt: skip
     truck: list[dict[str, Any]] = [{"mounted": True, "until_s": 0.6, **load} for load in loads]
     pairs = [(speed(run("N-B", **each, **N_CHARGED)), speed(run("N-B", **each))) for each in truck]

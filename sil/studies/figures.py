@@ -56,11 +56,41 @@ def swept_figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     if is_grid and has_values:
         found["map"] = map_figure(study, table)
     stacks = [stack for sweep in numeric if (stack := lines_over(study, table, sweep)) is not None]
+    if study.study.design.kind in ("lhs", "sobol") and len(read_metrics(study)) > 1:
+        found["pareto"] = pareto_figure(study, table)
     if stacks:
         found["lines"] = Figure(stacks, title_of(study), same_scale=True)
     elif has_values and not study.study.safety:
         found["choices"] = choices_figure(study, table)
     return found
+
+
+def pareto_figure(study: LoadedStudy, table: Table) -> Figure:
+    """Return the first metric over each of the others shown first, with the front of each group.
+
+    A row is on the front if no other of its group is better in both.
+    """
+    first, *others = read_metrics(study)
+    title, unit, factor = shown(first)
+    y = factor * table.numbers[first]
+    groups = row_groups(study, table)
+    stacks = []
+    for other in others:
+        name, other_unit, scale = shown(other)
+        x = scale * table.numbers[other]
+        lines = []
+        for k, (label, rows) in enumerate(groups.items()):
+            rows = rows[np.isfinite(x[rows]) & np.isfinite(y[rows])]
+            rows = rows[np.argsort(x[rows], kind="stable")]
+            lowest = np.minimum.accumulate(y[rows])
+            front = rows[np.append(True, lowest[1:] < lowest[:-1])] if len(rows) else rows
+            role = f"series{k % COLOURS}"
+            dots = rows[:: -(-len(rows) // MOST_DOTS) or 1]
+            lines.append(Series("", x[dots], y[dots], role, "dots", width=1.5))
+            lines.append(Series(label or "front", x[front], y[front], role, "stepped", width=2.4))
+        panel = Panel(title, unit, lines, height=320)
+        stacks.append(Stack(f"{name}, {other_unit}", [panel], width=5.5))
+    return Figure(stacks, title_of(study), "lines: the front, nothing is better in both")
 
 
 def title_of(study: LoadedStudy) -> str:

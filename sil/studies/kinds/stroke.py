@@ -14,6 +14,7 @@ from plant.errors import IntegrationError
 from plant.parameters import load
 from plant.systems.stroke import Stroke, simulate
 from sil.report.figure import BAR, MM, MS, Figure, Panel, Series, Stack
+from sil.simulation.impacts import PICK_UP, counted, worst_speed_m_s
 from sil.studies.figures import COLOURS, swept_figures, title_of
 from sil.studies.rows import FAILED, PASSED, RowResult
 from sil.studies.study import LoadedStudy, Row, StrokeBase
@@ -23,6 +24,8 @@ COLUMNS = (
     "arrival_s",
     "impact_speed_m_s",
     "impact_energy_j",
+    "impact_worst_m_s",
+    "air_used_kg",
     "first_motion_s",
     "first_standstill_m",
     "standstills",
@@ -30,6 +33,7 @@ COLUMNS = (
     "passive_peak_pa",
     "failed",
 )
+FINAL_VOLUME = "stroke.final_volume_m3"
 STEP_S = 1e-4
 MOST_CURVES = 12
 """Most rows that are drawn over time."""
@@ -62,6 +66,8 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
         "arrival_s": impact.time_s if impact else math.nan,
         "impact_speed_m_s": impact.speed_m_s if impact else math.nan,
         "impact_energy_j": impact.energy_j if impact else math.nan,
+        "impact_worst_m_s": worst_m_s(stroke) if impact else math.nan,
+        "air_used_kg": stroke.balance.air_in_kg,
         "first_motion_s": float(stroke.time_s[moved[0]]) if len(moved) else math.nan,
         "first_standstill_m": turns_m[0] if turns_m else math.nan,
         "standstills": float(len(turns_m)),
@@ -74,17 +80,43 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     return RowResult(found, FAILED, f"the stay met no stop within {base.until_s:g} s")
 
 
+def worst_m_s(stroke: Stroke) -> float:
+    """Return the hardest impact of a stroke as a speed of the stay, see `sil.simulation.impacts`."""
+    gears = {"N": "neutral", "B": "backward", "F": "forward"}
+    kind = stroke.conditions.kind
+    way = (gears[kind[0]], gears[kind[-1]]) if kind != "fixed" else ("", "")
+    events = stroke.events
+    energy_j = np.array([e.energy_j for e in events])
+    counts = counted(
+        np.array([e.name.replace(" ", "_") for e in events]),
+        np.array([e.time_s for e in events]),
+        energy_j,
+        np.array([e.name == "block" for e in events], dtype=np.bool_),
+        PICK_UP.get(way, ()),
+    )
+    speed = max(e.speed_m_s for e in events if e.name == "stop")
+    mass_kg = float(stroke.packed.m_s + stroke.packed.m_p)
+    return float(worst_speed_m_s(energy_j[counts].max(initial=0.0), np.array(speed), mass_kg))
+
+
 def stroke_of(base: StrokeBase, study: LoadedStudy, row: Row) -> Stroke:
     """Simulate the stroke of a row.
 
-    Settings stroke.* change its conditions, effect.* add effects, all others change the model.
+    Settings stroke.* change its conditions, effect.* add effects, all others change the model;
+    stroke.final_volume_m3 is what chamber N of the length stroke keeps in gear.
     Raises InputError for wrong settings, RunError if the equations cannot be solved.
     """
-    model = {k: v for k, v in row.settings.items() if not k.startswith("stroke.")}
+    settings = dict(row.settings)
+    final_m3 = settings.pop(FINAL_VOLUME, None)
+    model = {k: v for k, v in settings.items() if not k.startswith("stroke.")}
     parameters = overridden(load(study.study.model), model)
+    if isinstance(final_m3, float):
+        swept_m = parameters.value("length.x_free_total") + parameters.value("length.stroke")
+        held_m3 = final_m3 + parameters.value("length.A_p") * swept_m
+        parameters = parameters.override({"length.V_N0": held_m3})
     fields = [name for name in base.__struct_fields__ if name not in ("commands", "until_s")]
     values: dict[str, Any] = {name: getattr(base, name) for name in fields}
-    for path, value in row.settings.items():
+    for path, value in settings.items():
         if not path.startswith("stroke."):
             continue
         key = path.removeprefix("stroke.")
