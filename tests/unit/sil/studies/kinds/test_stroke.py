@@ -1,0 +1,64 @@
+"""Strokes of the plant alone: hardest impact, air, final volume, and the front of a design."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sil.studies.figures import pareto_figure
+from sil.studies.kinds import stroke
+from sil.studies.load_study import load_study
+from sil.studies.rows import run_row
+from sil.studies.study import LoadedStudy, Row
+from sil.studies.table import Table
+
+DESIGN = """
+name = "s"
+reads = ["impact_worst_m_s", "arrival_s"]
+[stroke]
+kind = "N-B"
+commands = [[0.0, "B", 0.98], [0.025, "B", 0.0], [0.025, "N", 0.98], [0.04, "N", 0.0], [0.04, "B", 0.98]]
+[design]
+kind = "lhs"
+samples = 8
+[[sweep]]
+path = "effect.exhaust_clog.factor"
+low = 0.02
+high = 1.0
+scale = "log"
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> LoadedStudy:
+    (tmp_path / "s.toml").write_text(DESIGN)
+    return load_study(str(tmp_path / "s.toml"))
+
+
+def test_a_stroke_counts_every_impact(study: LoadedStudy) -> None:
+    """A brake that comes too soon: the pistons hit harder than the stay."""
+    found = run_row(study, Row(0, (), {"valve.D_fall": 0.005})).figures
+    assert found["impact_worst_m_s"] > 1.1 * found["impact_speed_m_s"] > 0.0
+    assert found["air_used_kg"] > 1e-4
+
+
+def test_the_final_volume_is_what_chamber_n_keeps_in_gear(study: LoadedStudy) -> None:
+    nominal, same, small = (
+        run_row(study, Row(0, (), {} if m3 is None else {stroke.FINAL_VOLUME: m3})).figures
+        for m3 in (None, 2.8e-5, 2e-6)
+    )
+    assert same["impact_speed_m_s"] == pytest.approx(nominal["impact_speed_m_s"], abs=1e-4)
+    assert small["passive_peak_pa"] > 1.2 * nominal["passive_peak_pa"]
+
+
+def test_nothing_is_better_than_the_front_in_both(study: LoadedStudy) -> None:
+    rows = [run_row(study, row) for row in study.rows()]
+    numbers = {name: [row.figures[name] for row in rows] for name in stroke.COLUMNS}
+    table = Table({}, {name: np.array(values) for name, values in numbers.items()}, len(rows))
+    dots, front = pareto_figure(study, table).stacks[0].panels[0].series
+    assert len(dots.x) == 8 and 1 <= len(front.x) <= 8
+    assert (np.diff(front.x) >= 0.0).all() and (np.diff(front.y) < 0.0).all()
+    for x, y in zip(dots.x, dots.y, strict=True):
+        assert not ((x < front.x) & (y < front.y)).any()
