@@ -20,7 +20,7 @@ from sil.logs.format import Batch, Format, NotAFrame, TextReader, time_base
 from sil.logs.frame import MAX_TIME_NS, LogFrame
 from sil.logs.report import LogReport
 from sil.logs.source import ByteSource, Chunk, Line
-from sil.logs.times import NS_PER_S, enough_decimals, parse_decimal_ns, utc_ns
+from sil.logs.times import NS_PER_S, enough_decimals, format_ns, parse_decimal_ns, utc_ns
 from sil.logs.writer import LogWriter
 
 _MOST_KNOWN_IDS: Final = 100_000
@@ -421,7 +421,10 @@ class CandumpWriter(LogWriter):
     def _line(self, frame: LogFrame) -> str:
         time_ns, can_id, data, extended, remote, error, fd, _, _, channel, direction, raw = frame
         if time_ns < 0:
-            raise InputError(f"{self.path}: time {time_ns} ns; candump expected times from 0")
+            raise InputError(
+                f"{self.path}: a frame at {format_ns(time_ns)} s, and candump has no times below 0; "
+                "expected csv or mf4 as the target"
+            )
         seconds, nano = divmod(time_ns, NS_PER_S)
         exact = self._decimals == 9 or nano % 1000
         stamp = f"{seconds:010d}.{nano:09d}" if exact else f"{seconds:010d}.{nano // 1000:06d}"

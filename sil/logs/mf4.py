@@ -30,9 +30,9 @@ from sil.logs.frame import (
     frame_problem,
 )
 from sil.logs.mf4_blocks import LARGEST_RECORD, VARIABLE_LENGTH, Blocks
+from sil.logs.mf4_writer import Mf4Writer
 from sil.logs.report import Location, LogReport, printable
 from sil.logs.source import ByteSource
-from sil.logs.writer import LogWriter
 
 if TYPE_CHECKING:
     import numpy as np
@@ -47,14 +47,10 @@ _ROWS: Final = 2048
 _FRAGMENT_BYTES: Final = 1 << 18
 """Bytes of records that asammdf takes from the file at once."""
 
-_EXACT_SPAN_NS: Final = 4_000_000 * 10**9
-"""Times are stored as seconds in a double; up to here (46 days) these are exact to the ns."""
-
 _NO_VALUE: Final = "its data is missing"
 _FLAGS_AT, _LEFT_TO_ASAMMDF = 60, 0b1100001
 """Flags of what is unfinished in a file; of these, asammdf is left to count the records."""
 
-_SOURCE_BUS, _BUS_CAN = 2, 2
 _COMPRESSION_DEFLATE: Final = 1
 _TOOL: Final = "opc4-sil"
 
@@ -119,10 +115,16 @@ class Mf4File:
                 file = stack.enter_context(_copy(source))
             blocks = Blocks(report.path, file, self.open_end)
             self.cut = blocks.cut_at is not None
+            self.lost = blocks.lost
             if self.cut:
-                report.cut(Location("the file ends inside a data block", byte=blocks.cut_at))
-                if file is source.file:
-                    file = stack.enter_context(_copy(source))
+                report.cut(Location("the data ends or its list is broken", byte=blocks.cut_at))
+            elif self.lost and report.strict:
+                report.skip(Location("a damaged data block", byte=self.lost[0][0]))
+            if (self.cut or blocks.patches) and file is source.file:
+                file = stack.enter_context(_copy(source))
+            for address, content in blocks.patches:
+                file.seek(address)
+                file.write(content)
             for address, length in blocks.resized:
                 file.seek(address + 8)
                 file.write(length.to_bytes(8, "little"))
@@ -292,7 +294,9 @@ def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
             _refuse_signals(file)
         if file.open_end:
             file.report_rest()
-        merged = heapq.merge(*(_frames(file, stream) for stream in streams), key=itemgetter(0))
+        ordered = all("Order" in stream.parts for stream in streams)
+        groups = [_frames(file, stream, ordered) for stream in streams]
+        merged = map(itemgetter(1), heapq.merge(*groups, key=itemgetter(0)))
         number = 1
         total = sum(file.mdf.groups[stream.group].channel_group.cycles_nr for stream in streams)
         while frames := list(islice(merged, _ROWS)):
@@ -314,8 +318,8 @@ def _refuse_signals(file: Mf4File) -> None:
     file.report.note("no CAN frame groups in it")
 
 
-def _frames(file: Mf4File, stream: _Stream) -> Iterator[LogFrame]:
-    """Yield the frames of one group."""
+def _frames(file: Mf4File, stream: _Stream, ordered: bool) -> Iterator[tuple[int, LogFrame]]:
+    """Yield the frames of one group, each with its number in the log if `ordered`, else its time."""
     report, kind = file.report, stream.kind
     group = file.mdf.groups[stream.group]
     missing = "an ID" if "ID" not in stream.parts and kind != "CAN_ErrorFrame" else None
@@ -325,21 +329,46 @@ def _frames(file: Mf4File, stream: _Stream) -> Iterator[LogFrame]:
         address = group.channel_group.address
         report.skip(Location(f"{kind} without {missing}", byte=address))
         return
-    expected, count = group.channel_group.cycles_nr, 0
+    expected, count, lost = group.channel_group.cycles_nr, 0, 0
     values = _Values(file, group, stream.parts.get("DataBytes"))
     for columns, times_s in file.tables(stream) if expected else ():
-        for frame, problem in _rows(kind, columns, times_s, values, file.mdf.header.abs_time):
+        rows = _rows(kind, columns, times_s, values, file.mdf.header.abs_time)
+        order = _numbers(columns["Order"], len(times_s)).tolist() if ordered else None
+        zeros = _zero_rows(columns, times_s) if file.lost else None
+        for index, (frame, problem) in enumerate(rows):
             count += 1
+            if zeros is not None and zeros[index]:
+                lost += 1
+                continue
             if problem == _NO_VALUE and (file.cut or file.open_end):
                 report.cut(Location(f"{kind} record {count}: {problem}"))
                 return
             problem = problem or frame_problem(frame)
             if problem is None:
-                yield frame
+                yield (order[index] if order else frame.time_ns), frame
             else:
                 report.skip(Location(f"{kind} record {count}: {problem}"))
+    if file.cut and (missing := lost + expected - count):
+        report.note(f"{missing} {kind} records are missing in all")
+    elif lost:
+        text = f"{lost} {kind} records in damaged blocks left out"
+        report.skip(Location(text, byte=file.lost[0][0]), lost)
     if count < expected:
-        report.cut(Location(f"{kind} record {count + 1} is missing"))
+        report.cut(
+            Location(f"{kind} record {count + 1} and {expected - count - 1} more are missing")
+        )
+
+
+def _zero_rows(columns: dict[str, NDArray[Any]], times_s: NDArray[np.float64]) -> list[bool]:
+    """Return of which rows nothing but zeros is there: they were in a block that is lost."""
+    import numpy as np
+
+    empty = times_s == 0
+    for column in columns.values():
+        if column.dtype.kind in "iu":
+            empty &= ~np.any(column.reshape(len(times_s), -1), axis=1)
+    found: list[bool] = empty.tolist()
+    return found
 
 
 def _rows(
@@ -441,117 +470,6 @@ def new_measurement(path: str, start_ns: int) -> Any:
 def save(measurement: Any, file: BinaryIO) -> None:
     """Write a measurement, compressed."""
     measurement.save(file, compression=_COMPRESSION_DEFLATE, add_history_block=False)
-
-
-class Mf4Writer(LogWriter):
-    """Writes groups of data, CAN FD, error and remote frames in the ASAM bus logging layout."""
-
-    format = "mf4"
-    patched = True
-    batch = 1 << 14
-
-    def __init__(self, path: str) -> None:
-        import_asammdf(path)
-        super().__init__(path)
-        self._measurement: Any = None
-        self._groups: dict[str, int] = {}
-
-    def _begin(self, frames: list[LogFrame]) -> None:
-        self._measurement = new_measurement(self.path, self.start_ns)
-
-    def _write_batch(self, frames: list[LogFrame]) -> None:
-        kinds: dict[str, list[LogFrame]] = {}
-        for frame in frames:
-            kind = "error" if frame.error else "remote" if frame.remote else "data"
-            kinds.setdefault("fd" if kind == "data" and frame.fd else kind, []).append(frame)
-        for kind, share in kinds.items():
-            self._extend(kind, share)
-
-    def _extend(self, kind: str, frames: list[LogFrame]) -> None:
-        """Append frames of one kind to their group, which the first of them makes."""
-        import numpy as np
-
-        name, data_bytes = _LAYOUT[kind]
-        times_ns, ids, data, extended, _, _, fd, brs, esi, channels, ways, _ = zip(
-            *frames, strict=True
-        )
-        parts: dict[str, Any] = {
-            "BusChannel": [self.channel_number(channel, 0) for channel in channels],
-            "DLC": [frame.dlc for frame in frames],
-            "Dir": [way == "Tx" for way in ways],
-            "ID": ids,
-            "IDE": extended,
-            "EDL": fd,
-            "BRS": brs,
-            "ESI": esi,
-        }
-        if data_bytes:
-            padded = b"".join([content.ljust(data_bytes, b"\x00") for content in data])
-            parts["DataBytes"] = np.frombuffer(padded, np.uint8).reshape(-1, data_bytes)
-            parts["DataLength"] = list(map(len, data))
-        rows = np.zeros(len(frames), dtype=_columns(name, data_bytes))
-        for part, values in parts.items():
-            rows[f"{name}.{part}"] = values
-        self._count_losses(frames)
-        offsets_ns = np.array([time_ns - self.start_ns for time_ns in times_ns], dtype=np.int64)
-        # Integer seconds and the rest apart: one rounding, to the double nearest to the decimal.
-        seconds = offsets_ns // 10**9 + (offsets_ns % 10**9) / 1e9
-        if kind in self._groups:
-            self._measurement.extend(self._groups[kind], [(seconds, None), (rows, None)])
-        else:
-            self._groups[kind] = len(self._groups)
-            self._append(name, rows, seconds)
-
-    def _append(self, name: str, rows: NDArray[Any], seconds: NDArray[np.float64]) -> None:
-        from asammdf import Signal
-        from asammdf.blocks.source_utils import Source
-
-        source = Source("CAN", "CAN", "", _SOURCE_BUS, _BUS_CAN)
-        signal = Signal(name=name, samples=rows, timestamps=seconds, source=source)
-        self._measurement.append(signal, acq_name=name, acq_source=source)
-
-    def _count_losses(self, frames: list[LogFrame]) -> None:
-        for frame in frames:
-            if not frame.direction:
-                self.losses["direction not recorded, written as Rx"] += 1
-            if abs(frame.time_ns - self.start_ns) > _EXACT_SPAN_NS:
-                self.losses["times more than 46 days from the start, rounded"] += 1
-            if frame.error and frame.remote:
-                self.losses["remote flag of an error frame"] += 1
-
-    def _finish(self) -> None:
-        import numpy as np
-
-        if not self._groups:
-            rows = np.zeros(0, dtype=_columns(*_LAYOUT["data"]))
-            self._append("CAN_DataFrame", rows, np.zeros(0))
-        save(self._measurement, self._out)
-        self._measurement.close()
-
-    def abort(self) -> None:
-        """Throw away what was written."""
-        if self._measurement is not None:
-            self._measurement.close()
-        super().abort()
-
-
-_LAYOUT: Final = {
-    "data": ("CAN_DataFrame", 8),
-    "fd": ("CAN_DataFrame", 64),
-    "error": ("CAN_ErrorFrame", 64),
-    "remote": ("CAN_RemoteFrame", 0),
-}
-"""Name of each group and the bytes of data in its records."""
-
-
-def _columns(name: str, data_bytes: int) -> Any:
-    import numpy as np
-
-    parts = ("BusChannel", "ID", "IDE", "DLC", "Dir", "EDL", "BRS", "ESI")
-    fields: list[Any] = [(f"{name}.{part}", "<u4" if part == "ID" else "<u1") for part in parts]
-    if data_bytes:
-        fields += [(f"{name}.DataLength", "<u1"), (f"{name}.DataBytes", "<u1", (data_bytes,))]
-    return np.dtype(fields)
 
 
 def is_mf4(head: bytes) -> bool:

@@ -1,17 +1,19 @@
 """The block structure of an MF4 file, checked before asammdf follows it.
 
 asammdf trusts the links and sizes in a file: a damaged one can make it loop, crash or fill the
-memory.
+memory. Damaged or missing blocks of records are replaced by zeros, so that it reads the others.
 """
 
 from __future__ import annotations
 
 import os
 import struct
+import zlib
 from collections.abc import Iterator
 from typing import BinaryIO, Final
 
 from can_dbc.errors import InputError
+from sil.logs.mf4_writer import packed_block
 from sil.logs.report import printable
 
 VARIABLE_LENGTH: Final = 1
@@ -28,7 +30,10 @@ _LINK_COUNTS: Final = {"HD": (6,), "DG": (4,), "CG": (6, 7), "CN": range(8, 1000
 
 Link = tuple[int, tuple[str, ...], int]
 """Where a link leads, the kinds of blocks that may be there, and what the block has to fit to: the
-bytes of a record number (CG) or of a record (CN)."""
+bytes of a record number (CG) or of a record (CN), or of what is stated to be in a data block (0: not
+stated; `_MIXED`: records of several groups, of which none can be replaced)."""
+
+_MIXED: Final = -1
 
 
 class Blocks:
@@ -36,7 +41,9 @@ class Blocks:
 
     record_bytes: bytes in all blocks of records. resized: address and available length of each
     data block that is longer than the file, or whose length an unfinished file does not state yet.
-    cut_at: the byte of the first one that is longer than the file.
+    cut_at: the byte of the first one that is longer than the file, or is missing.
+    lost: address and bytes of each packed block of records that is damaged or missing.
+    patches: address and content of what has to be written over the file to read the rest of it.
     """
 
     def __init__(self, path: str, file: BinaryIO, open_end: bool) -> None:
@@ -48,23 +55,33 @@ class Blocks:
         self.record_bytes = 0
         self.resized: list[tuple[int, int]] = []
         self.cut_at: int | None = None
+        self.lost: list[tuple[int, int]] = []
+        self.patches: list[tuple[int, bytes]] = []
+        self._lists: dict[int, int] = {}
+        """Of each block of a list, the address of the link that leads there."""
+
         pending: list[Link] = [(64, ("HD",), 0)]
         known = set()
         while pending:
             address, kinds, context = pending.pop()
             if not address:
                 continue
-            kind, length, count = self._head(address)
-            if kind not in kinds:
-                wanted = "data" if kinds is _DATA else f"a {kinds[0]} block"
-                raise self._broken(address, f"a {kind} block where {wanted} is expected")
+            try:
+                kind, length, count = self._head(address)
+                if kind not in kinds:
+                    wanted = "data" if kinds is _DATA else f"a {kinds[0]} block"
+                    raise self._broken(address, f"a {kind} block where {wanted} is expected")
+            except InputError:
+                if not self._replaced(address, kinds, context):
+                    raise
+                continue
             if address in known:
                 raise self._broken(address, f"the {kind} block is linked twice")
             known.add(address)
             if len(known) > _MOST_BLOCKS:
                 raise self._broken(address, f"more than {_MOST_BLOCKS} blocks")
             if kind in _RECORDS:
-                self._records(address, kind, length)
+                self._records(address, kind, length, context)
                 continue
             links, body = self._content(address, kind, length, count)
             try:
@@ -110,11 +127,12 @@ class Blocks:
             yield links[4], ("EV",), 0
             yield links[5], ("MD", "TX"), 0
         elif kind == "DG":
+            self._lists[links[0]] = address + _HEADER.size
             (id_size,) = struct.unpack_from("<B", body)
             if id_size not in (0, 1, 2, 4, 8):
                 raise self._broken(address, f"record numbers of {id_size} bytes")
             yield links[1], ("CG",), id_size
-            yield links[2], _DATA, 0
+            yield links[2], _DATA, _MIXED if id_size else 0
         elif kind == "CG":
             if links[0] and not context:
                 raise self._broken(address, "record numbers of 0 bytes")
@@ -133,14 +151,50 @@ class Blocks:
             if channel == VARIABLE_LENGTH and links[5] and self._head(links[5])[0] != "CG":
                 yield links[5], _DATA, 0
         elif kind == "HL":
-            yield links[0], ("DL",), 0
+            self._lists[links[0]] = address + _HEADER.size
+            yield links[0], ("DL",), context
         elif kind == "DL":
-            yield from ((link, _DATA, 0) for link in links[1:])
+            equal, size = struct.unpack_from("<B7xQ", body)
+            self._lists[links[0]] = address + _HEADER.size
+            stated = size if equal & 1 and size <= _LARGEST_BLOCK else 0
+            yield from ((link, _DATA, context or stated) for link in links[1:])
 
-    def _records(self, address: int, kind: str, length: int) -> None:
+    def _replaced(self, address: int, kinds: tuple[str, ...], context: int) -> bool:
+        """Return whether what a link should lead to can be done without."""
+        if kinds in (("DL",), ("DG",)) and address in self._lists:
+            self.patches.append((self._lists[address], bytes(8)))
+        elif kinds is _DATA and context > 0:
+            self._lose(address, context)
+        else:
+            return False
+        if self.cut_at is None and (address >= self._size - _HEADER.size or kinds is not _DATA):
+            self.cut_at = min(address, self._size)
+        return True
+
+    def _lose(self, address: int, size: int) -> None:
+        self.lost.append((address, size))
+        self.patches.append((address, packed_block(bytes(size))))
+
+    def _check_packed(self, address: int, size: int, packed: int, context: int) -> None:
+        """Replace a packed block of records that is damaged or cut off by zeros."""
+        if context == _MIXED:
+            return
+        self._file.seek(address + 48)
+        content = self._file.read(packed)
+        inflate = zlib.decompressobj()
+        try:
+            sound = len(inflate.decompress(content, size + 1)) == size and inflate.eof
+        except zlib.error:
+            sound = False
+        if not sound:
+            self._lose(address, context if context > 0 else size)
+
+    def _records(self, address: int, kind: str, length: int, context: int) -> None:
         """Check a block of records, or of values of variable length."""
         available = self._size - address
-        if length > available or (self._open_end and length <= _HEADER.size):
+        if kind == "DZ" and length > available and context != _MIXED:
+            self.cut_at = address if self.cut_at is None else self.cut_at
+        elif length > available or (self._open_end and length <= _HEADER.size):
             if length > available and self.cut_at is None:
                 self.cut_at = address
             self.resized.append((address, available))
@@ -151,9 +205,19 @@ class Blocks:
             if len(fields) < 24:
                 raise self._broken(address, "the file ends inside a DZ block")
             of_kind, method, _, columns, size, packed = struct.unpack("<2sBBIQQ", fields)
+            problem = ""
             if method > 1 or (method == 1 and not columns):
-                raise self._broken(address, f"packing method {method}, which is not deflate")
-            if max(size, packed) > _LARGEST_BLOCK or (packed > length - 48 and self.cut_at is None):
-                raise self._broken(address, f"DZ block of {size} bytes, {packed} packed")
+                problem = f"packing method {method}, which is not deflate"
+            elif max(size, packed) > _LARGEST_BLOCK or (
+                packed > length - 48 and self.cut_at is None
+            ):
+                problem = f"DZ block of {size} bytes, {packed} packed"
+            if problem and context <= 0:
+                raise self._broken(address, problem)
+            if problem:
+                size = context
+                self._lose(address, size)
+            else:
+                self._check_packed(address, size, packed, context)
         if of_kind != b"SD":
             self.record_bytes += size

@@ -116,11 +116,11 @@ class LogReport:
             ]
         return found
 
-    def skip(self, location: Location) -> None:
-        """Count a broken line or record. Raises InputError if `strict`."""
+    def skip(self, location: Location, count: int = 1) -> None:
+        """Count a broken line or record, or several at one place. Raises InputError if `strict`."""
         if self.strict:
             raise InputError(f"{self.path}: {location}; expected a whole {self.format} log")
-        self.skipped += 1
+        self.skipped += count
         if len(self.skipped_locations) < MOST_LOCATIONS:
             self.skipped_locations.append(location)
 

@@ -120,7 +120,8 @@ class LogWriter(ABC):
         if frame.time_ns < self.start_ns:
             raise InputError(
                 f"{self.path}: a frame at {format_ns(frame.time_ns)} s is before the start of "
-                f"the log at {format_ns(self.start_ns)} s; expected candump, csv or mf4 for it"
+                f"the log at {format_ns(self.start_ns)} s; expected csv or mf4 as the target, which "
+                "hold such times"
             )
         return frame.time_ns - self.start_ns
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
-from sil.logs import LogFrame, convert, open_log, open_writer
+from sil.logs import LogFrame, LogReport, convert, open_log, open_logs, open_writer
 from sil.logs.asc import parse_event
 from sil.logs.format import NotAFrame
 from sil.logs.frame import require_possible
@@ -236,7 +236,10 @@ def test_a_frame_before_the_start_is_refused(tmp_path: Path) -> None:
     start_ns = 1_700_000_000_000_000_000
     for suffix in ("asc", "blf", "trc"):
         writer = open_writer(tmp_path / f"log.{suffix}")
-        with pytest.raises(InputError, match=r"is before the start .*; expected candump"), writer:
+        with (
+            pytest.raises(InputError, match=r"is before the start .*; expected csv or mf4"),
+            writer,
+        ):
             for i in range(writer.batch):
                 writer.write(LogFrame(start_ns + i, 1, b"", channel="1"))
             writer.write(LogFrame(start_ns - 10**9, 1, b"", channel="1"))
@@ -260,3 +263,63 @@ if ASC2LOG is not None:
         subprocess.run([str(ASC2LOG), "-I", asc, "-O", log], check=True)
         found = [(f.can_id, f.extended, f.data) for f in open_log(log)]
         assert found == [(f.can_id, f.extended, f.data) for f in frames]
+
+
+HEADER = "date Sat Sep 30 10:06:13.191 PM 2017\nbase hex  timestamps absolute\n"
+
+
+def read_text(
+    tmp_path: Path, text: str, *, strict: bool = False
+) -> tuple[list[LogFrame], LogReport]:
+    path = tmp_path / "log.asc"
+    path.write_text(text)
+    reader = open_log(path, strict=strict)
+    return list(reader), reader.report
+
+
+def test_the_start_is_said_to_be_taken_as_utc(tmp_path: Path) -> None:
+    _, report = read_text(tmp_path, HEADER + "   0.5 1  123             Rx   d 1 00\n")
+    assert report.start_ns == 1506809173191000000
+    assert report.notes == ["the start in the header names no time zone; it is taken as UTC"]
+
+
+def test_converting_keeps_the_date_of_the_trigger_block(tmp_path: Path) -> None:
+    """As python-can writes it: the date is when the file was written."""
+    text = (
+        "date Sun Nov 22 15:46:24.784 2026\nbase hex  timestamps absolute\n"
+        "Begin Triggerblock Sat Sep 30 15:06:15.500 2017\n 0.000000 Start of measurement\n"
+        " 0.250000 1  123x            Rx   d 2 01 02\n"
+    )
+    (tmp_path / "a.asc").write_text(text)
+    (frame,) = open_logs([tmp_path / "a.asc"])
+    assert frame.time_ns == 1506783975750000000
+
+
+@pytest.mark.parametrize("cut", ["1  18FE", "1  18FEF100x", "1  18FEF100x       R"])
+def test_a_line_cut_inside_or_after_its_identifier_is_no_other_event(
+    cut: str, tmp_path: Path
+) -> None:
+    whole = "   0.1 1  18FEF100x       Rx   d 1 00\n"
+    for end in ("", "\n"):
+        with pytest.raises(InputError, match="line 4"):
+            read_text(tmp_path, HEADER + whole + f"   0.2 {cut}{end}", strict=True)
+    _, report = read_text(tmp_path, HEADER + whole + f"   0.2 {cut}\n" + whole)
+    assert report.skipped == 1 and not report.other
+
+
+def test_decimal_length_codes_of_canfd_lines_are_read(tmp_path: Path) -> None:
+    codes = ((9, 12), (10, 16), (13, 32), (15, 64))
+    lines = [
+        f"   0.{n} CANFD   1 Rx   1F8   1 0 {code} {length} {'0A ' * length} 0 0 1000 0 0 0 0 0\n"
+        for n, (code, length) in enumerate(codes)
+    ]
+    frames, report = read_text(tmp_path, HEADER + "".join(lines))
+    assert [len(frame.data) for frame in frames] == [12, 16, 32, 64]
+    assert report.skipped == 0
+    assert any("length codes of CANFD lines are decimal" in note for note in report.notes)
+
+
+def test_remote_frames_of_log2asc_are_classic(tmp_path: Path) -> None:
+    line = "   0.0 CANFD   1 Rx   123     0 0 0  0   130000  130       10 0 0 0 0 0\n"
+    (frame,), _ = read_text(tmp_path, HEADER + line)
+    assert frame.remote and not frame.fd

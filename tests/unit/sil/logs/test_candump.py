@@ -400,7 +400,7 @@ def test_decimals_as_the_log_needs(tmp_path: Path) -> None:
 
 def test_a_negative_time_is_refused(tmp_path: Path) -> None:
     writer = open_writer(tmp_path / "log.log")
-    with pytest.raises(InputError, match="expected times from 0"), writer:
+    with pytest.raises(InputError, match="candump has no times below 0"), writer:
         writer.write(LogFrame(-1, 1, b""))
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError
-from sil.logs import LogFrame, convert, open_log
+from sil.logs import LogFrame, convert, open_log, open_writer
 
 DATA = Path(__file__).resolve().parents[3] / "data" / "logs"
 
@@ -83,3 +83,17 @@ def test_signals_are_no_frames(suffix: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds signals, no CAN frames"):
         convert(DATA / "signals.csv", tmp_path / f"log.{suffix}")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_negative_times_are_refused_with_formats_that_hold_them(tmp_path: Path) -> None:
+    source = tmp_path / "a.csv"
+    with open_writer(source) as writer:
+        writer.write(LogFrame(0, 0x123, channel="1", direction="Rx"))
+        writer.write(LogFrame(-104 * 10**9, 0x123, channel="1", direction="Rx"))
+    for target in ("b.log", "b.asc"):
+        with pytest.raises(InputError, match="expected csv or mf4 as the target") as refused:
+            convert(source, tmp_path / target)
+        assert "\n" not in str(refused.value)
+    for target in ("b.csv", "b.mf4"):
+        convert(source, tmp_path / target, strict=False)
+        assert [frame.time_ns for frame in open_log(tmp_path / target)] == [0, -104 * 10**9]
