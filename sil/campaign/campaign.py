@@ -6,8 +6,7 @@ The same format holds measured strokes and simulated ones.
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from can_dbc.errors import InputError
 from can_dbc.typed_toml import convert, read_toml
 from plant.systems.stroke import Stroke, StrokeConditions
+from sil.campaign.tables import formula, read_columns
 
 Floats = NDArray[np.float64]
 
@@ -29,11 +29,16 @@ Rate = Annotated[float, Meta(ge=1.0, le=1e8)]
 
 
 class ColumnMap(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where one of our columns comes from in another rig's file: column * scale + offset."""
+    """Where one of our columns comes from in another rig's file: column * scale + offset.
+
+    column: a name, or a formula of names as in `sil.campaign.tables.formula`; delay_s: by which the
+    channel lags behind time_s.
+    """
 
     column: Text
     scale: float = 1.0
     offset: float = 0.0
+    delay_s: Annotated[float, Meta(ge=-1e3, le=1e3)] = 0.0
 
 
 class StrokeTable(Struct, frozen=True, forbid_unknown_fields=True):
@@ -148,10 +153,11 @@ class Campaign:
 
 @dataclass(frozen=True)
 class Record:
-    """The columns of one stroke's CSV, by our names."""
+    """The columns of one stroke's file, by our names; dialect: of a file that is not our CSV."""
 
     path: Path
     columns: Mapping[str, Floats]
+    dialect: str = ""
 
     @property
     def time_s(self) -> Floats:
@@ -205,76 +211,33 @@ def load_campaign(path: str | Path) -> Campaign:
 
 
 def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> Record:
-    """Read a stroke's CSV: header row, comma, dot; every cell a finite number.
+    """Read a stroke's file: CSV with header row, comma, dot, or what `sil.campaign.tables` reads.
 
-    Raises InputError with the line of a torn row, a cell that is no number, time that does not
-    increase, or a missing time_s or position_m.
+    Raises InputError with the line of a torn row, a cell that is no finite number, time that does
+    not increase, or a missing time_s.
     """
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    try:
-        lines = raw.decode("ascii").splitlines()
-    except UnicodeDecodeError as error:
-        line = raw[: error.start].count(b"\n") + 1
-        raise InputError(f"{path}: line {line}: not ASCII text; expected CSV") from None
-    if not lines or not lines[0].strip():
-        raise InputError(f"{path}: line 1: empty; expected a header row")
-    header = [name.strip() for name in lines[0].split(",")]
-    if len(set(header)) != len(header):
-        raise InputError(f"{path}: line 1: a column name occurs twice")
-    body = lines[1:]
-    if not raw.endswith(b"\n") and body and len(body[-1].split(",")) != len(header):
-        raise InputError(
-            f"{path}: line {len(lines)}: torn: {len(body[-1].split(','))} cells, "
-            f"expected {len(header)}"
-        )
-    table = parse_cells(path, body, len(header))
-    if len(table) < 2:
-        raise InputError(f"{path}: {len(table)} samples; expected at least 2")
-    found = {name: table[:, k] for k, name in enumerate(header)}
+    found, dialect = read_columns(path)
+    header = list(found)
     for ours, source in (columns or {}).items():
-        if source.column not in header:
+        try:
+            own = found[source.column] if source.column in header else formula(source.column, found)
+        except (KeyError, ValueError):
             raise InputError(
                 f"{path}: line 1: no column {source.column!r} (mapped to {ours}); "
                 f"there are {', '.join(header)}"
-            )
-        found[ours] = table[:, header.index(source.column)] * source.scale + source.offset
+            ) from None
+        found[ours] = own * source.scale + source.offset
     if "time_s" not in found:
-        raise InputError(f"{path}: line 1: no column time_s; there are {', '.join(header)}")
+        raise InputError(f"{path}: line 1: no column time_s; there are {', '.join(found)}")
     steps = np.diff(found["time_s"])
     if np.any(steps <= 0.0):
         line = int(np.argmax(steps <= 0.0)) + 3
         raise InputError(f"{path}: line {line}: time_s does not increase")
-    return Record(path, found)
-
-
-def parse_cells(path: Path, body: Sequence[str], width: int) -> Floats:
-    """Rows of numbers as an array; the slow path runs only to name the line that is wrong.
-
-    Result [rows, width], in the units of the file. Raises InputError naming the line.
-    """
-    try:
-        table = np.loadtxt(body, delimiter=",", ndmin=2) if body else np.zeros((0, width))
-        if table.shape[1] == width and np.all(np.isfinite(table)):
-            return table
-    except ValueError:
-        pass
-    for number, row in enumerate(body, start=2):
-        cells = row.split(",")
-        if len(cells) != width:
-            raise InputError(f"{path}: line {number}: {len(cells)} cells, expected {width}")
-        for cell in cells:
-            try:
-                value = float(cell)
-            except ValueError:
-                raise InputError(
-                    f"{path}: line {number}: {cell.strip()[:30]!r} is not a number"
-                ) from None
-            if not math.isfinite(value):
-                raise InputError(f"{path}: line {number}: {cell.strip()!r} is not finite")
-    raise InputError(f"{path}: no rows of numbers; expected {width} columns")
+    for ours, source in (columns or {}).items():
+        if source.delay_s:
+            time_s = found["time_s"]
+            found[ours] = np.interp(time_s + source.delay_s, time_s, found[ours])
+    return Record(path, found, dialect)
 
 
 def stroke_columns(stroke: Stroke) -> dict[str, Floats]:

@@ -8,12 +8,19 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from can_dbc.errors import InputError
 from sil.cli.options import EFFECTS, JSON, argument, out
 
 EXAMPLE = "example: opc4 diagnose measured/ --out diagnosis/"
 
 ARGUMENTS = (
-    argument("campaign", "campaign folder", "CAMPAIGN"),
+    argument("campaign", "campaign folder; with --new, measured files", "CAMPAIGN", nargs="+"),
+    argument(
+        "--new",
+        "draft a campaign of the files in this folder: columns, units, picture, open questions",
+        "DIR",
+        type=Path,
+    ),
     argument(
         "--model", "parameter set or model file questioned", default="nominal", metavar="MODEL"
     ),
@@ -28,6 +35,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Diagnose; write diagnosis.json, extended_model.toml, report.html; 1 if not consistent."""
     from plant.effects.user_file import load_effects
 
+    if arguments.new is not None:
+        return new_campaign(arguments)
+    if len(arguments.campaign) > 1:
+        raise InputError("several campaigns: expected one, or --new DIR with measured files")
+    (arguments.campaign,) = arguments.campaign
     # before the modules below, which list what the catalogue holds
     stamps = [load_effects(file) for file in arguments.effects]
     from plant.parameters import load
@@ -52,6 +64,23 @@ def run(arguments: argparse.Namespace) -> int:
         write_atomically(folder / "extended_model.toml", result.extended)
     beyond = write_report(result, folder, arguments.campaign, arguments.model)
     return _finish(arguments, folder, finite(result.as_json() | beyond | {"effects": stamps}))
+
+
+def new_campaign(arguments: argparse.Namespace) -> int:
+    """Draft a campaign from measured files; print what they do not say."""
+    from sil.diagnosis.new_campaign import draft
+    from sil.files.output_folder import prepare_folder
+
+    folder = prepare_folder(arguments.new, "campaign", arguments.force)
+    asked = draft(folder, [Path(file) for file in arguments.campaign])
+    if arguments.json:
+        print(json.dumps({"campaign": str(folder), "questions": asked}, ensure_ascii=False))
+        return 0
+    print(f"{folder / 'campaign.toml'}: a draft; channels.png shows what is in the files")
+    for text in asked:
+        print(f"  {text}")
+    print(f"  then: opc4 diagnose {folder}")
+    return 0
 
 
 def run_force(arguments: argparse.Namespace, stamps: list[str]) -> int:

@@ -164,6 +164,8 @@ def read_motion(path: str | Path) -> Recorded:
     noise: list[tuple[float, float, int]] = []
     for number, record in enumerate(records):
         signals = _signals(record, rig.body)
+        if record.dialect:
+            findings.append(f"{record.path.name}: read as {record.dialect}")
         findings += _gaps(record)
         noise.append((noise_of(signals[1]), noise_of(signals[0]), len(record)))
         for rows in _without_gaps(record.time_s):

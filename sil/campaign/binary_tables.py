@@ -1,0 +1,162 @@
+"""Measurements in binary files: MAT, HDF5, parquet, TDMS and MF4, through their libraries.
+
+Channels of several rates are interpolated to the instants of the fastest one.
+Checked by: tests/unit/sil/campaign/test_tables.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from can_dbc.errors import InputError
+from sil.files.extras import import_extra
+
+Floats = NDArray[np.float64]
+
+
+@dataclass
+class Channels:
+    """Channels of a file as they come: values [n] and instants [n] in s, None if none are stored."""
+
+    values: dict[str, Floats] = field(default_factory=dict)
+    times: dict[str, Floats] = field(default_factory=dict)
+
+    def add(self, name: str, values: Any, time_s: Any = None) -> None:
+        """Add a channel of numbers; others are left out, tables become one channel a column."""
+        array = np.asarray(values)
+        if array.dtype.kind not in "biuf" or array.size < 1 or array.ndim > 2:
+            return
+        array = np.squeeze(array).astype(np.float64)
+        if array.ndim == 2:
+            array = array if array.shape[0] >= array.shape[1] else array.T
+            for k in range(array.shape[1]):
+                self.add(f"{name}_{k + 1}", array[:, k], time_s)
+            return
+        self.values[name] = np.atleast_1d(array)
+        if time_s is not None:
+            self.times[name] = np.asarray(time_s, dtype=np.float64)
+
+    def table(self, path: Path) -> tuple[dict[str, Floats], str]:
+        """Return columns of one length, and what was done to the others. Raises InputError."""
+        if not self.values:
+            raise InputError(f"{path}: no channels of numbers")
+        longest = max(map(len, self.values.values()))
+        base = next(
+            (
+                self.times[n]
+                for n, v in self.values.items()
+                if len(v) == longest and n in self.times
+            ),
+            None,
+        )
+        found = {} if base is None or "time_s" in self.values else {"time_s": base}
+        moved = []
+        for name, values in self.values.items():
+            if len(values) == longest and (
+                name not in self.times or base is None or np.array_equal(self.times[name], base)
+            ):
+                found[name] = values
+            elif len(values) == 1:
+                found[name] = np.full(longest, values[0])
+            elif base is not None and name in self.times:
+                found[name] = np.interp(base, self.times[name], values)
+                moved.append(name)
+        return found, f"interpolated to the fastest channel: {', '.join(moved)}" if moved else ""
+
+
+def _mat(path: Path) -> Channels:
+    from scipy.io import loadmat
+
+    found = Channels()
+    try:
+        content = loadmat(path, squeeze_me=True, struct_as_record=False)
+    except NotImplementedError:
+        return _hdf5(path)
+    except (ValueError, OSError, TypeError) as error:
+        raise InputError(f"{path}: not a MAT file: {error}") from None
+
+    def walk(prefix: str, value: Any) -> None:
+        if hasattr(value, "_fieldnames"):
+            for name in value._fieldnames:
+                walk(f"{prefix}.{name}", getattr(value, name))
+        else:
+            found.add(prefix, value)
+
+    for name, value in content.items():
+        if not name.startswith("__"):
+            walk(name, value)
+    return found
+
+
+def _hdf5(path: Path) -> Channels:
+    h5py = import_extra("h5py", "lab", f"{path}: HDF5")
+    found = Channels()
+    with h5py.File(path, "r") as file:
+        file.visititems(
+            lambda name, item: found.add(name, item[()]) if isinstance(item, h5py.Dataset) else None
+        )
+    return found
+
+
+def _parquet(path: Path) -> Channels:
+    parquet = import_extra("pyarrow.parquet", "lab", f"{path}: parquet")
+    found = Channels()
+    for name, column in parquet.read_table(path).to_pydict().items():
+        found.add(name, column)
+    return found
+
+
+def _tdms(path: Path) -> Channels:
+    nptdms = import_extra("nptdms", "lab", f"{path}: TDMS")
+    found = Channels()
+    for group in nptdms.TdmsFile.read(path).groups():
+        for channel in group.channels():
+            timed = "wf_increment" in channel.properties
+            found.add(channel.name, channel[:], channel.time_track() if timed else None)
+    return found
+
+
+def _mf4(path: Path) -> Channels:
+    asammdf = import_extra("asammdf", "mdf", f"{path}: MF4")
+    found = Channels()
+    with asammdf.MDF(path) as file:
+        for signal in file.iter_channels():
+            found.add(signal.name, signal.samples, signal.timestamps)
+    return found
+
+
+BINARY: dict[str, Callable[[Path], Channels]] = {
+    ".mat": _mat,
+    ".h5": _hdf5,
+    ".hdf5": _hdf5,
+    ".parquet": _parquet,
+    ".tdms": _tdms,
+    ".mf4": _mf4,
+}
+"""Readers by suffix."""
+
+
+def read_binary(path: Path) -> tuple[dict[str, Floats], str]:
+    """Return the columns [n] of a binary file, in its units, and what it is in words.
+
+    Raises InputError for a missing extra, a file that is not what its suffix says, no channels.
+    """
+    suffix = path.suffix.lower()
+    try:
+        columns, note = BINARY[suffix](path).table(path)
+    except InputError:
+        raise
+    except Exception as error:  # each library has errors of its own
+        text = str(error).partition("\n")[0]
+        raise InputError(f"{path}: cannot be read as {suffix[1:]}: {text}") from None
+    for name, values in columns.items():
+        if not np.all(np.isfinite(values)):
+            row = int(np.argmin(np.isfinite(values)))
+            raise InputError(f"{path}: {name}: row {row + 1}: {values[row]} is not finite")
+    return columns, ", ".join(filter(None, (suffix[1:].upper(), note)))

@@ -1,0 +1,336 @@
+"""Tables that laboratories export: delimited text of any dialect, binary files, computed columns.
+
+A text is brought to the campaign format's dialect (comma between cells, dot in numbers) and keeps its
+line numbers.
+Checked by: tests/unit/sil/campaign/test_tables.py
+"""
+
+from __future__ import annotations
+
+import ast
+import csv
+import math
+import operator
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from can_dbc.errors import InputError
+from sil.campaign.binary_tables import BINARY, Floats, read_binary
+
+DELIMITERS = {"semicolon": ";", "tab": "\t", "comma": ",", "blank": " "}
+NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?|[nN]a[nN]|[+-]?[iI]nf")
+PREAMBLE = 200
+"""Lines within which the numbers of a text begin."""
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A text as lines of numbers in our dialect.
+
+    header: names of the columns; lines: cells separated by commas, dots in numbers; first: number of
+    the first of them in the file; dialect: in words, empty for our own.
+    """
+
+    header: list[str]
+    lines: list[str]
+    first: int
+    dialect: str
+
+
+def _numeric(cell: str) -> bool:
+    return NUMBER.fullmatch(cell.strip().strip('"')) is not None
+
+
+def sniff(path: Path, text: str, encoding: str) -> TextTable:
+    """Return a delimited text in our dialect.
+
+    Raises InputError if no row of numbers is found.
+    """
+    lines = text.splitlines()
+    while lines and not lines[-1].strip():
+        lines.pop()
+    shapes = [_delimiter(line) for line in lines[:PREAMBLE]]
+    number = next((k for k, shape in enumerate(shapes) if shape is not None), -1)
+    shape = shapes[number] if shapes else None
+    if shape is None:
+        raise InputError(f"{path}: no rows of numbers; expected a table with a header row")
+    name, comma = shape
+    sign = DELIMITERS[name]
+    rows = [_clean(row, sign, comma) for row in lines[number:]]
+    width = rows[0].count(",") + 1
+    header, units = [f"column_{k + 1}" for k in range(width)], ""
+    for above in reversed(lines[:number]):
+        cells = [cell.strip() for cell in _split(above.lstrip("#% "), sign)]
+        if len(cells) != width:
+            continue
+        if units == "" and number > 1 and all(_is_unit(cell) for cell in cells):
+            units = "units in a row of their own"
+            header = cells
+            continue
+        if units:
+            cells = [
+                f"{c} [{u.strip('[]()')}]" if u else c for c, u in zip(cells, header, strict=True)
+            ]
+        header = cells
+        break
+    features = [
+        "" if name == "comma" else f"{name}-separated",
+        "decimal comma" if comma else "",
+        encoding,
+        "quoted header" if number and '"' in lines[number - 1] else "",
+        units,
+        "" if number else "no header row",
+        f"{number - 1} lines above the header" if number > 1 + bool(units) else "",
+    ]
+    return TextTable(header, rows, number + 1, ", ".join(filter(None, features)))
+
+
+def _delimiter(line: str) -> tuple[str, bool] | None:
+    """Return the name of the delimiter of a row of numbers, and whether decimals have commas."""
+    for name, sign in DELIMITERS.items():
+        cells = _split(line, sign)
+        filled = [cell for cell in cells if cell.strip()]
+        if len(cells) < 2 or len(filled) < 2 or not all(map(_numeric, filled)):
+            continue
+        if name == "comma" and any("," in cell for cell in filled):
+            continue
+        return name, any("," in cell for cell in filled)
+    return None
+
+
+def _split(line: str, sign: str) -> list[str]:
+    if sign == " ":
+        return line.split()
+    return next(csv.reader([line], delimiter=sign, skipinitialspace=True), [])
+
+
+def _clean(line: str, sign: str, comma: bool) -> str:
+    if sign == " ":
+        return ",".join(part.replace(",", ".") for part in line.split())
+    line = line.replace('"', "")
+    if sign != ",":
+        line = line.replace(",", ".") if comma else line
+        line = line.replace(sign, ",")
+    return line
+
+
+def _is_unit(cell: str) -> bool:
+    return cell == "" or cell.strip("[]() ") in SCALES or cell.strip("[]() ") in ("-", "1")
+
+
+SCALES: dict[str, tuple[str, float]] = {
+    **{
+        unit: ("time_s", scale)
+        for unit, scale in (
+            ("s", 1.0),
+            ("ms", 1e-3),
+            ("us", 1e-6),
+            ("µs", 1e-6),
+            ("min", 60.0),
+            ("sec", 1.0),
+        )
+    },
+    **{
+        unit: ("position_m", scale)
+        for unit, scale in (
+            ("m", 1.0),
+            ("mm", 1e-3),
+            ("cm", 1e-2),
+            ("µm", 1e-6),
+            ("um", 1e-6),
+            ("in", 0.0254),
+        )
+    },
+    **{
+        unit: ("force_n", scale)
+        for unit, scale in (("N", 1.0), ("kN", 1e3), ("lbf", 4.4482216), ("kgf", 9.80665))
+    },
+    **{
+        unit: ("pressure_pa", scale)
+        for unit, scale in (
+            ("Pa", 1.0),
+            ("kPa", 1e3),
+            ("hPa", 100.0),
+            ("MPa", 1e6),
+            ("bar", 1e5),
+            ("mbar", 100.0),
+            ("psi", 6894.757),
+        )
+    },
+    **{
+        unit: ("angle_rad", scale)
+        for unit, scale in (("rad", 1.0), ("deg", np.pi / 180.0), ("°", np.pi / 180.0))
+    },
+    **{
+        unit: ("torque_n_m", scale)
+        for unit, scale in (("Nm", 1.0), ("N m", 1.0), ("N·m", 1.0), ("mNm", 1e-3))
+    },
+}
+"""Our column and the factor to its unit, by unit."""
+
+
+def read_columns(path: Path) -> tuple[dict[str, Floats], str]:
+    """Return the columns [n] of a file by its own names, in its units, and its dialect in words.
+
+    Raises InputError with the line of what is wrong.
+    """
+    if path.suffix.lower() in BINARY:
+        return read_binary(path)
+    header, body, first, dialect = read_text(path)
+    if len(set(header)) != len(header):
+        raise InputError(f"{path}: line {first - 1}: a column name occurs twice")
+    try:
+        table = parse_cells(path, body, len(header), first)
+    except InputError:
+        try:
+            body, slower = filled(body)
+        except ValueError:
+            slower = 0
+        if not slower:
+            raise
+        note = f"{slower} columns of a slower rate interpolated"
+        dialect = ", ".join(filter(None, (dialect, note)))
+        table = parse_cells(path, body, len(header), first)
+    if len(table) < 2:
+        raise InputError(f"{path}: {len(table)} samples; expected at least 2")
+    return {name: table[:, k] for k, name in enumerate(header)}, dialect
+
+
+def read_text(path: Path) -> tuple[list[str], list[str], int, str]:
+    """Return header, lines of cells, number of the first line, and the dialect of a delimited text.
+
+    Raises InputError for a file that cannot be read, or that holds no table.
+    """
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    text, encoding = _decoded(raw)
+    lines = text.splitlines()
+    if not lines or not lines[0].strip():
+        raise InputError(f"{path}: line 1: empty; expected a header row")
+    foreign = encoding or set(lines[0]) & set(';\t"#%') or "," not in lines[0]
+    if not foreign and not _numeric(lines[0].split(",")[0]):
+        header = [name.strip() for name in lines[0].split(",")]
+        body = lines[1:]
+        if not raw.endswith(b"\n") and body and len(body[-1].split(",")) != len(header):
+            raise InputError(
+                f"{path}: line {len(lines)}: torn: {len(body[-1].split(','))} cells, "
+                f"expected {len(header)}"
+            )
+        return header, body, 2, ""
+    found = sniff(path, text, encoding)
+    return found.header, found.lines, found.first, found.dialect
+
+
+def parse_cells(path: Path, body: Sequence[str], width: int, first: int = 2) -> Floats:
+    """Rows of numbers as an array; the slow path runs only to name the line that is wrong.
+
+    Result [rows, width], in the units of the file. first: line of the first row. Raises InputError
+    naming the line.
+    """
+    try:
+        table = np.loadtxt(body, delimiter=",", ndmin=2) if body else np.zeros((0, width))
+        if table.shape[1] == width and np.all(np.isfinite(table)):
+            return table
+    except ValueError:
+        pass
+    for number, row in enumerate(body, start=first):
+        cells = row.split(",")
+        if len(cells) != width:
+            raise InputError(f"{path}: line {number}: {len(cells)} cells, expected {width}")
+        for cell in cells:
+            try:
+                value = float(cell)
+            except ValueError:
+                raise InputError(
+                    f"{path}: line {number}: {cell.strip()[:30]!r} is not a number"
+                ) from None
+            if not math.isfinite(value):
+                raise InputError(f"{path}: line {number}: {cell.strip()!r} is not finite")
+    raise InputError(f"{path}: no rows of numbers; expected {width} columns")
+
+
+def _decoded(raw: bytes) -> tuple[str, str]:
+    """Return a text and its encoding in words, empty for ASCII."""
+    for mark, name, words in (
+        (b"\xef\xbb\xbf", "utf-8-sig", "UTF-8 with byte order mark"),
+        (b"\xff\xfe", "utf-16", "UTF-16"),
+        (b"\xfe\xff", "utf-16", "UTF-16"),
+    ):
+        if raw.startswith(mark):
+            return raw.decode(name, errors="replace"), words
+    for name, words in (("ascii", ""), ("utf-8", "UTF-8")):
+        try:
+            return raw.decode(name), words
+        except UnicodeDecodeError:
+            pass
+    return raw.decode("latin-1"), "Latin-1"
+
+
+def filled(lines: list[str]) -> tuple[list[str], int]:
+    """Return lines in which channels of a slower rate have values in every row, and their number.
+
+    Such a channel has a value in every k-th row only; between them it is interpolated.
+    """
+    table = np.array([[cell.strip() or "nan" for cell in line.split(",")] for line in lines])
+    values = table.astype(np.float64)
+    slower = []
+    for k, column in enumerate(values.T):
+        rows = np.flatnonzero(~np.isnan(column))
+        if len(rows) == len(column):
+            continue
+        steps = np.diff(rows)
+        if len(rows) < 10 or steps.min() < 2 or steps.max() > 2 * np.median(steps):
+            return lines, 0
+        values[:, k] = np.interp(np.arange(len(column)), rows, column[rows])
+        slower.append(k)
+    return [",".join(map(repr, row)) for row in values.tolist()], len(slower)
+
+
+# --- columns computed from others -------------------------------------------------------------
+OPERATIONS: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+}
+
+
+def formula(text: str, columns: Mapping[str, Floats]) -> Floats:
+    """Return a column [n] computed from others: numbers, + - * / **, names; quoted if not plain.
+
+    `row` counts the rows from 0. Raises KeyError for a name that is no column, ValueError for what
+    is no formula.
+    """
+    count = len(next(iter(columns.values())))
+
+    def value(node: ast.AST) -> Any:
+        match node:
+            case ast.Expression():
+                return value(node.body)
+            case ast.BinOp():
+                return OPERATIONS[type(node.op)](value(node.left), value(node.right))
+            case ast.UnaryOp():
+                return OPERATIONS[type(node.op)](value(node.operand))
+            case ast.Constant(value=int() | float() as number):
+                return float(number)
+            case ast.Constant(value=str() as name) | ast.Name(id=name):
+                return np.arange(count, dtype=np.float64) if name == "row" else columns[name]
+        raise ValueError(text)
+
+    try:
+        tree = ast.parse(text, mode="eval")
+        with np.errstate(all="ignore"):
+            result = np.asarray(value(tree), dtype=np.float64)
+    except (SyntaxError, TypeError) as error:
+        raise ValueError(text) from error
+    return np.array(np.broadcast_to(result, count))
