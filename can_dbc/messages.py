@@ -223,7 +223,7 @@ class Tc1:
 
 @dataclass(frozen=True, slots=True)
 class Eec1:
-    """J1939 Electronic Engine Controller 1 (PGN 61444), every 20 ms.
+    """J1939 Electronic Engine Controller 1 (PGN 61444), every 10 ms.
 
     Torques as shares of the reference torque. SPN: torque mode 899 (1 pedal, 6 transmission),
     driver's demand 512, actual torque 513, speed 190, controlling address 1483, demand 2432.

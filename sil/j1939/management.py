@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from can_dbc.frame import Frame, join_id
 from can_dbc.messages import Fault
-from sil.j1939.transport import split_message
+from sil.j1939.transport import BAM_PERIOD_NS, split_message
 
 ENGINE, TRANSMISSION, SHIFT_CONSOLE, PNEUMATICS = 0, 3, 5, 48
 """Source addresses (SAE J1939, table B2)."""
@@ -13,6 +13,7 @@ NAME_FUNCTIONS = {ENGINE: 0, TRANSMISSION: 3, SHIFT_CONSOLE: 5, PNEUMATICS: 36}
 """Function in the NAME of each address (SAE J1939, table B11)."""
 
 PGN_DM1, PGN_CLAIM = 65226, 60928
+DM1_PERIOD_NS = 1_000_000_000
 
 OWN_SPN = 520_192
 """First of the numbers that are free for manufacturers: here the position sensor."""
@@ -45,6 +46,26 @@ def active_faults(faults: Fault) -> list[Frame]:
     if len(data) > 8:
         return split_message(PGN_DM1, TRANSMISSION, data)
     return [Frame(join_id(6, PGN_DM1, TRANSMISSION), data.ljust(8, b"\xff"))]
+
+
+class FaultSender:
+    """Sends DM1 once a second and when the faults change, but not into a message under way."""
+
+    def __init__(self) -> None:
+        self._faults = Fault.NONE
+        self._next_ns = self._free_ns = 0
+
+    def due(self, now_ns: int, faults: Fault | None) -> list[tuple[int, Frame]]:
+        """Return frames with their releases [ns]; `faults` None: those of before."""
+        if faults is None:
+            faults = self._faults
+        if now_ns < self._next_ns and (faults == self._faults or now_ns < self._free_ns):
+            return []
+        self._faults = faults
+        frames = active_faults(faults)
+        self._next_ns = now_ns + DM1_PERIOD_NS
+        self._free_ns = now_ns + len(frames) * BAM_PERIOD_NS
+        return [(now_ns + k * BAM_PERIOD_NS, frame) for k, frame in enumerate(frames)]
 
 
 def address_claim(source: int) -> Frame:

@@ -31,7 +31,7 @@ _BILLION = 1_000_000_000
 _BILLIONTHS_PER_PPM = 1000
 
 
-class _Node:
+class Node:
     """A node that holds no resources and has its first event at the start of the run."""
 
     def start(self) -> int:
@@ -42,7 +42,7 @@ class _Node:
         """Do nothing."""
 
 
-class DriverNode(_Node):
+class DriverNode(Node):
     """Sends a protected ShiftRequest every period; the gear it carries follows a schedule.
 
     A request is sent with the first frame at or after its instant.
@@ -105,7 +105,7 @@ class _Load:
         return found
 
 
-class TrafficNode(_Node):
+class TrafficNode(Node):
     """Sends frames of J1939 broadcast groups at random instants, seeded by the scenario.
 
     Every 10 ms it releases as many frames as make up `load` (0..1) of the bus so far, spread over
@@ -132,7 +132,7 @@ class TrafficNode(_Node):
         return sorted(self._load.released(until_ns)), self._next_ns
 
 
-class IntruderNode(_Node):
+class IntruderNode(Node):
     """Sends the frames of a scenario's intrusion faults; wakes up every millisecond."""
 
     name = INTRUDER

@@ -28,7 +28,6 @@ from can_dbc.messages import (
     E2eState,
     Eec1,
     Eec2,
-    Fault,
     Gear,
     OverrideMode,
     ShiftRequest,
@@ -36,27 +35,20 @@ from can_dbc.messages import (
     Tsc1,
 )
 from sil.coupling.transports.channel import Received, Turn
-from sil.j1939.management import (
-    ENGINE,
-    NAME_FUNCTIONS,
-    TRANSMISSION,
-    active_faults,
-    address_claim,
-)
-from sil.j1939.transport import BAM_PERIOD_NS
+from sil.j1939.management import ENGINE, NAME_FUNCTIONS, TRANSMISSION, FaultSender, address_claim
+from sil.nodes.simulated import Node
 
 TICK_NS = 10_000_000
 PERIODS_NS = {
     "ShiftRequest": 20_000_000,
     "Tsc1": TICK_NS,
-    "Eec1": 20_000_000,
+    "Eec1": TICK_NS,
     "Tc1": 50_000_000,
     "Eec2": 50_000_000,
     "Air1": 1_000_000_000,
 }
 """Period of each message; TSC1 only while the transmission controls the engine."""
 
-DM1_PERIOD_NS = 1_000_000_000
 _STALE = E2eConfig(timeout_ns=50_000_000)
 _ATMOSPHERE_PA = 101_325.0
 _BY_PEDAL, _BY_TRANSMISSION = 1, 6
@@ -88,7 +80,7 @@ class _Phase(Enum):
     SHIFT = "shift"
 
 
-class VehicleNode:
+class VehicleNode(Node):
     """The truck around the actuator; on the bus it has the driver's place.
 
     The torque is out before the actuator is asked for another gear, and comes back when the firmware
@@ -120,25 +112,18 @@ class VehicleNode:
         self._air = Air1(max(0.0, supply_pressure_pa - _ATMOSPHERE_PA))
         self._status = Receiver(ControllerStatus, _STALE)
         self._speeds = Receiver(DrivelineSpeeds, _STALE)
+        self._receivers: dict[int, Receiver[Any]] = {
+            can_id_of(r.message_type): r for r in (self._status, self._speeds)
+        }
         self._request = Protector(ShiftRequest)
-        self._faults = Fault.NONE
-        self._dm1_ns = self._dm1_free_ns = 0
+        self._fault_sender = FaultSender()
         self._next_ns = 0
-
-    def start(self) -> int:
-        """Return the instant of the first event, ns."""
-        return 0
-
-    def close(self) -> None:
-        """Do nothing."""
 
     def advance(self, until_ns: int, deliveries: Received) -> Turn:
         """Take the frames that arrived; at a tick, go on with the shift and send what is due."""
-        receivers: tuple[Receiver[Any], ...] = (self._status, self._speeds)
         for arrival_ns, frame in deliveries:
-            for receiver in receivers:
-                if frame.can_id == can_id_of(receiver.message_type):
-                    receiver.receive(arrival_ns, frame)
+            if receiver := self._receivers.get(frame.can_id):
+                receiver.receive(arrival_ns, frame)
         if until_ns < self._next_ns:  # the run ends between two ticks
             return [], self._next_ns
         self._next_ns = until_ns + TICK_NS
@@ -150,7 +135,7 @@ class VehicleNode:
         self._step(confirmed)
         frames = [] if until_ns else [(0, address_claim(source)) for source in NAME_FUNCTIONS]
         frames += [(until_ns, frame) for frame in self._due(until_ns, confirmed, speeds)]
-        frames += self._dm1(until_ns, self._faults if status is None else status.faults)
+        frames += self._fault_sender.due(until_ns, None if status is None else status.faults)
         return frames, self._next_ns
 
     def _step(self, confirmed: Gear) -> None:
@@ -215,13 +200,3 @@ class VehicleNode:
             controlling_address=TRANSMISSION if overrides else ENGINE,
             demand_torque=self._asked_torque(),
         )
-
-    def _dm1(self, now_ns: int, faults: Fault) -> list[tuple[int, Frame]]:
-        """Return the active faults, once a second and when they change, after what is under way."""
-        if now_ns < self._dm1_ns and (faults == self._faults or now_ns < self._dm1_free_ns):
-            return []
-        self._faults = faults
-        frames = active_faults(faults)
-        self._dm1_ns = now_ns + DM1_PERIOD_NS
-        self._dm1_free_ns = now_ns + len(frames) * BAM_PERIOD_NS
-        return [(now_ns + k * BAM_PERIOD_NS, frame) for k, frame in enumerate(frames)]

@@ -45,6 +45,8 @@ MODE = "free-running"
 PARTICIPANT = {
     "Opc4": "controller",
     "ShiftConsole": "driver",
+    "Engine": "driver",
+    "Pneumatics": "driver",
     "ValveDriver": "plant",
     "PositionSensor": "plant",
     "Driveline": "plant",
