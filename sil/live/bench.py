@@ -7,6 +7,7 @@ Checked by: tests/unit/sil/live/test_bench.py
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import functools
 import json
@@ -24,14 +25,15 @@ from controller import strategies
 from sil.api import texts
 from sil.coupling.clock import NS_PER_S
 from sil.recording.run_record import CHAMBERS, RunRecord
-from sil.report.figure import MS
-from sil.report.live_figure import comparison_figure
+from sil.report.figure import MS, Figure
+from sil.report.live_figure import bound_figure, comparison_figure
 from sil.report.plots import content, rounded
 from sil.report.run_figure import run_figure
 from sil.simulation import scenario as scenarios
 from sil.simulation.in_memory import MemoryRun, run_in_memory
 from sil.simulation.scenario import Loaded, Request
 from sil.simulation.scenario_text import scenario_toml
+from sil.studies.kinds.bounds import SHIPPED as STORED_BOUNDS
 
 if TYPE_CHECKING:
     import can
@@ -144,7 +146,34 @@ def compare(before: Asked, after: Asked, known: Mapping[str, str]) -> dict[str, 
         **_again(after, *second),
         "metrics": _metrics([first[1].figures, second[1].figures]),
         "plots": content(figure.stacks[0]),
+        "bounds": content(_among_bounds(second[0], [first[1], second[1]]).stacks[0]),
     }
+
+
+def _among_bounds(made: Loaded, runs: Sequence[MemoryRun]) -> Figure:
+    """Return the runs in the figure of the bounds, for the stored hardware whose valves are nearest."""
+    valves = [made.parameters.value(f"valve.{name}") for name in ("D_rise", "D_fall")]
+    nearest = min(_bounds(), key=lambda stored: abs(np.log(np.divide(stored, valves))).sum())
+    name = f"valves {nearest[0] * MS:g}, {nearest[1] * MS:g} ms"
+    return bound_figure(runs, _bounds()[nearest], name)
+
+
+@functools.cache
+def _bounds() -> dict[tuple[float, float], list[dict[str, float]]]:
+    """Return the stored rows of the study `bounds` by opening and closing delay of the valves in s."""
+    found: dict[tuple[float, float], list[dict[str, float]]] = {}
+    with STORED_BOUNDS.open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            values = {
+                name: float(row[column])
+                for name, column in (
+                    ("delay_s", "bound.delay_s"),
+                    *((name, name) for name in ("bound_m_s", "damper_m_s", "open_loop_m_s")),
+                )
+            }
+            valves = (float(row["valve.D_rise"]), float(row["valve.D_fall"]))
+            found.setdefault(valves, []).append(values)
+    return found
 
 
 def json_of(asked: Asked) -> bytes:

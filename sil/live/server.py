@@ -13,6 +13,7 @@ import functools
 import hmac
 import json
 import secrets
+import socket
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -21,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from tornado import httpserver, iostream, netutil, web, websocket
+from tornado import httpserver, iostream, web, websocket
 
 from can_dbc.errors import InputError, RunError
 from sil.live import bench, runs
@@ -286,10 +287,11 @@ def page() -> str:
 async def serve(shared: Bench, port: int, ready: Callable[[str], None]) -> None:
     """Serve until cancelled; `ready` is called with the address. Raises InputError for a port in use."""
     try:
-        sockets = netutil.bind_sockets(port, HOST)
+        listening = socket.create_server((HOST, port), backlog=MOST_CONNECTIONS)
     except OSError as error:
         raise InputError(f"--port {port}: {error.strerror}; expected a free one, or 0") from None
-    shared.port = sockets[0].getsockname()[1]
+    listening.setblocking(False)
+    shared.port = listening.getsockname()[1]
     server = _Server(
         application(shared),
         max_body_size=LARGEST_BODY,
@@ -297,7 +299,7 @@ async def serve(shared: Bench, port: int, ready: Callable[[str], None]) -> None:
         idle_connection_timeout=IDLE_S,
     )
     server.log = shared.log
-    server.add_sockets(sockets)
+    server.add_socket(listening)
     ready(shared.address)
     try:
         await asyncio.Event().wait()

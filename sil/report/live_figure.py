@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -37,6 +37,32 @@ def comparison_figure(before: MemoryRun, after: MemoryRun) -> Figure:
     named = [Zoom(zoom.name, max(zoom.low, low), min(zoom.high, high)) for zoom in own]
     stack = Stack("simulated time, ms", panels, zooms=named, limits=(low, high))
     return Figure([stack])
+
+
+def bound_figure(
+    runs: Sequence[MemoryRun], bounds: Sequence[Mapping[str, float]], hardware: str
+) -> Figure:
+    """Return the figure of runs among the softest stops found for what a controller knows, and when.
+
+    runs: before and after a change, at the lag of the controller's estimate; bounds: rows of the study
+    `bounds` (delay_s, bound_m_s, damper_m_s, open_loop_m_s) of one hardware, which it names.
+    """
+    rows = sorted(bounds, key=lambda row: row["delay_s"])
+    delays = np.array([row["delay_s"] * MS for row in rows])
+    found = np.array([row["bound_m_s"] for row in rows])
+    series = [Series(f"softest found, {hardware}", delays, found, "N", "marked")]
+    for run, label, role in zip(runs, ("before", "now"), ("faint", "estimate"), strict=True):
+        lag_s, impact_m_s = (run.figures[k] for k in ("position_lag_10_s", "impact_speed_m_s"))
+        if lag_s is not None and impact_m_s is not None:
+            x, y = np.array([lag_s * MS]), np.array([impact_m_s])
+            series.append(Series(label, x, y, role, "dots"))
+    rules = [
+        Rule(rows[0]["damper_m_s"], "oil damper", "after", "y", "dashed"),
+        Rule(rows[0]["open_loop_m_s"], "open loop", "before", "y", "dashed"),
+    ]
+    title = "Impact over how late the controller knows the position"
+    panel = Panel(title, "m/s", series, rules=rules, height=200, limits=(0.0, 1.6))
+    return Figure([Stack("information delay, ms", [panel], limits=(0.0, 80.0))])
 
 
 class _Lines:
