@@ -17,14 +17,24 @@ from sil.log_replay.truck_replay import ComparedShift, TruckReplay
 from sil.log_replay.truck_shift import NAMES, PHASES
 from sil.report.figure import MM, Figure, Panel, Rule, Series, Span, Stack
 from sil.report.picture import save
+from sil.report.plots import Group, plots
 from sil.report.shell import Head, Picture, render
 
-ROLES: Final = ("measured", "after", "before")
+ROLES: Final = ("truth", "after", "before")
 """Colours of the recorded side, of ours, and of ours as changed."""
 
 PHASE_ROLES: Final = dict(zip(PHASES, ("INIT", "N", "HOLD", "B", "CONFIRM"), strict=True))
+MOST_NAMED: Final = 24
+"""Shifts that are named below the picture of all; more are numbered."""
+
+MOST_PLOTS: Final = 12
+"""Shifts with interactive plots on the page, the first ones."""
+
 MOST_PICTURES: Final = 40
 """On the page; those of further shifts are files in the folder."""
+
+
+CAPTION: Final = "Recorded side and ours after the request; the engine's torque is the truck's."
 
 
 def truck_page(replay: TruckReplay, values: dict[str, Any], command: str, folder: Path) -> str:
@@ -33,12 +43,16 @@ def truck_page(replay: TruckReplay, values: dict[str, Any], command: str, folder
     alt = "Time from request to new gear of each shift, recorded and ours"
     caption = "Request to new gear of each shift. Shaded: not in the statistics."
     pictures: list[Picture] = []
+    groups: list[Group] = []
     with Progress("pictures") as progress:
         for count, shift in enumerate(replay.shifts, start=1):
-            png = save(shift_figure(replay, shift), folder, f"shift_{shift.number}")
+            figure = shift_figure(replay, shift)
+            png = save(figure, folder, f"shift_{shift.number}")
+            if len(groups) < MOST_PLOTS:
+                groups += plots(figure)
             if len(pictures) < MOST_PICTURES:
                 words = f"Shift {shift.title}: recorded and ours on one time axis"
-                pictures.append(Picture(png, words, "; ".join(replays.verdict(shift))))
+                pictures.append(Picture(png, words, CAPTION))
             progress(count, len(replay.shifts))
     less, same, more = replays.quicker(replay, 0)
     tiles = [
@@ -59,6 +73,7 @@ def truck_page(replay: TruckReplay, values: dict[str, Any], command: str, folder
     return render(
         "truck.html",
         head,
+        groups,
         diff=values,
         names=NAMES,
         overview=Picture(overview, alt, caption),
@@ -78,12 +93,14 @@ def _summary_figure(replay: TruckReplay) -> Figure:
         ]
         known = np.array([(n, t) for n, t in times if t is not None], dtype=np.float64)
         if len(known):
-            series.append(Series(name, known[:, 0], known[:, 1], ROLES[column], "marked"))
+            series.append(Series(name, known[:, 0], known[:, 1], ROLES[column], "dots", width=4.0))
     for shift in replay.shifts:
         if not shift.counts:
             spans.append(Span(shift.number - 0.4, shift.number + 0.4, "grid"))
     panel = Panel("Request to new gear", "s", series, spans=spans, height=260)
-    return Figure([Stack("shift", [panel], width=10.0)], "All shifts of the log")
+    ticks = [(shift.number, shift.title) for shift in replay.shifts]
+    few = ticks if len(ticks) <= MOST_NAMED else ()
+    return Figure([Stack("shift", [panel], ticks=few, width=10.0)], "All shifts of the log")
 
 
 def shift_figure(replay: TruckReplay, shift: ComparedShift) -> Figure:

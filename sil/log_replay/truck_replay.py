@@ -298,9 +298,8 @@ def summary_lines(replay: TruckReplay) -> list[str]:
     lines += [f"  {shift.title}: {verdict(shift)[0]}" for shift in replay.shifts]
     for column, variant in enumerate(replay.variants):
         less, same, more = quicker(replay, column)
-        lines.append(
-            f"{variant.name}: quicker in {less} shifts, as quick in {same}, slower in {more}"
-        )
+        name = f"{variant.name} ({variant.changes})" if variant.changes else variant.name
+        lines.append(f"{name}: quicker in {less} shifts, as quick in {same}, slower in {more}")
     for row in statistics(replay):
         cells = [
             f"{name} {cell['median']:.3f} ({cell['p95']:.3f})"
@@ -354,6 +353,7 @@ def _shift_dict(shift: ComparedShift) -> dict[str, Any]:
     recorded, sync = shift.recorded, shift.recorded.synchronisation
     return {
         "number": shift.number,
+        "title": shift.title,
         **recorded.shift.as_dict(),
         "request_ns": recorded.request_ns,
         "in_statistics": shift.counts,

@@ -35,6 +35,9 @@ BEFORE_S, AFTER_S = 1.5, 1.5
 RATIO_BEFORE_S, RATIO_AFTER_S = (0.6, 0.05), (0.1, 0.7)
 """Speed ratios are medians from so long to so long before the start and after the end."""
 
+POSSIBLE_RATIOS: Final = (0.2, 40.0)
+"""Speed ratios outside are of a truck's neutral, clutch or sensor, not of a gear."""
+
 SLOWEST_RAD_S: Final = 2.1
 """Output speed (20 rpm) below which a ratio means nothing."""
 
@@ -174,7 +177,8 @@ def _selected_before(selected: Samples, gear: int) -> float:
 
 def _set(found: RecordedShift, phase: str, times: Floats, index: int) -> None:
     """Set an instant to that of a sample, unless its sender was silent before it."""
-    spacing_s = float(times[index] - times[index - 1] if index else np.median(np.diff(times)))
+    before = max(index, 1)
+    spacing_s = float(times[before] - times[before - 1]) if len(times) > 1 else np.inf
     if spacing_s > LONGEST_GAP_S:
         found.notes.append(
             f"{NAMES[phase]}: not known, its sender was silent for {spacing_s:.2f} s"
@@ -193,12 +197,15 @@ def _speeds(found: RecordedShift, start_s: float, gearbox: Gearbox) -> None:
     time = entry.time_s
     w_in, w_out = entry.values, np.interp(time, output.time_s, output.values)
     moving = w_out > SLOWEST_RAD_S
-    ratio = Samples(time[moving], w_in[moving] / w_out[moving], "")
+    ratios = w_in[moving] / w_out[moving]
+    possible = (ratios > POSSIBLE_RATIOS[0]) & (ratios < POSSIBLE_RATIOS[1])
+    ratio = Samples(time[moving][possible], ratios[possible], "")
     old = ratio.median(start_s - RATIO_BEFORE_S[0], start_s - RATIO_BEFORE_S[1])
     new = ratio.median(found.end_s + RATIO_AFTER_S[0], found.end_s + RATIO_AFTER_S[1])
     during = Samples(time, w_out, "").median(start_s, found.end_s)
     from_gear, to_gear = bool(found.shift.from_gear), bool(found.shift.to_gear)
-    if new is None or during is None or new <= 0.0 or (old is None and from_gear) or not to_gear:
+    slow = during is None or during < SLOWEST_RAD_S
+    if new is None or during is None or slow or (old is None and from_gear) or not to_gear:
         if to_gear:
             found.notes.append("speed ratios not known: the vehicle too slow, or no speeds")
         return

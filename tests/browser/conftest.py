@@ -14,6 +14,7 @@ from plant.parameters import Parameter, ParameterSet, load
 from sil.cli import main
 from tests.unit.sil.diagnosis.made_campaign import made
 from tests.unit.sil.diagnosis.test_force_rig import rig
+from tests.unit.sil.log_replay.truck_synthesis import DRIVE, Truck, write_log
 
 FLAGS = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
@@ -100,6 +101,11 @@ def of_replay(folder: Path) -> list[str]:
     ]
 
 
+def of_truck(folder: Path) -> list[str]:
+    frames = Truck(drive=DRIVE[:1], end_ms=6_000).frames()
+    return ["replay", str(write_log(folder / "truck.log", frames)), "--strategy", "air_cushion"]
+
+
 def of_whatif(folder: Path) -> list[str]:
     study = folder / "study.toml"
     study.write_text(STUDY, encoding="utf-8")
@@ -134,6 +140,7 @@ def of_force(folder: Path) -> list[str]:
 MAKERS: dict[str, tuple[Callable[[Path], list[str]], int]] = {
     "run": (of_run, 0),
     "replay": (of_replay, 1),
+    "truck": (of_truck, 0),
     "whatif": (of_whatif, 0),
     "choices": (of_choices, 0),
     "strokes": (of_strokes, 0),

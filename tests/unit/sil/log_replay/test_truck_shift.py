@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Iterable
 from itertools import pairwise
 
@@ -13,8 +14,10 @@ from hypothesis import strategies as st
 from can_dbc.errors import InputError
 from sil.j1939.mapping import SignalMapping
 from sil.log_replay.truck_log import TruckLog
+from sil.log_replay.truck_loop import inputs_of, scenario_of, why_not
 from sil.log_replay.truck_shift import RecordedShift, peak_rate, recorded_shift
 from sil.logs import LogFrame
+from sil.simulation import scenario
 from tests.unit.sil.log_replay.truck_synthesis import (
     MS,
     RATIOS,
@@ -222,3 +225,46 @@ def test_peak_rate_is_over_forty_milliseconds() -> None:
     spike = ramp + np.where(np.isclose(time, 0.7), 1.0, 0.0)
     assert peak_rate(time, spike, 0.6, 1.0) == pytest.approx(25.0)
     assert peak_rate(time, ramp, 2.0, 3.0) is None
+
+
+def damage(frames: list[LogFrame], draw: random.Random) -> list[LogFrame]:
+    """The frames with one kind of damage somewhere: lost, random, late, coarse or doubled."""
+    begin = draw.randrange(6_000)
+    end = begin + draw.choice([20, 300, 3_000])
+
+    def inside(frame: LogFrame) -> bool:
+        return begin * MS <= frame.time_ns - START_NS < end * MS
+
+    kind = draw.randrange(6)
+    if kind == 0:
+        return without(frames, begin, end, draw.choice([61442, 61445, 61444, None]))
+    if kind == 1:
+        return [f._replace(data=draw.randbytes(8)) if inside(f) else f for f in frames]
+    if kind == 2:
+        late = [f._replace(time_ns=f.time_ns - 300 * MS) if inside(f) else f for f in frames]
+        return [f for f in late if draw.random() < 0.9]
+    if kind == 3:
+        return [f._replace(time_ns=f.time_ns // (100 * MS) * 100 * MS) for f in frames]
+    if kind == 4:
+        return [f for f in frames for _ in range(1 + (draw.random() < 0.1))]
+    return frames[: draw.randrange(len(frames))]
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.filterwarnings("error")
+def test_damaged_logs_give_shifts_that_can_be_simulated_or_one_line(seed: int) -> None:
+    draw = random.Random(seed)
+    frames = ONE.frames()
+    for _ in range(draw.randrange(1, 4)):
+        frames = damage(frames, draw)
+    log = read(frames)
+    try:
+        log.require_shifts()
+    except InputError as error:
+        assert "\n" not in str(error)
+        return
+    for shift in log.shifts:
+        found = recorded_shift(log, shift)
+        assert all(t is None or t >= -0.01 for t in found.times_s.values())
+        if why_not(found) is None:
+            scenario.from_table(scenario_of(inputs_of(found)), "truck.log")
