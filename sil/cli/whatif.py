@@ -115,6 +115,11 @@ def write_files(
         from sil.studies.kinds.sensitivity import markdown
 
         write_atomically(folder / "sensitivity.md", markdown(study, table))
+    if study.study.kind == "lower_bound":
+        from sil.studies.kinds.lower_bound import certificates
+
+        for name, text in certificates(study, table):
+            write_atomically(folder / name, text)
     write_page(study, table, found, folder, command)
 
 

@@ -20,6 +20,7 @@ SHIPPED = Path(__file__).parent / "shipped"
 BASES = {
     "runs": ({(True, False), (False, True)}, "either scenario = or [stroke], exactly one"),
     "bounds": ({(False, False)}, "no scenario and no [stroke], where kind is bounds"),
+    "lower_bound": ({(False, False)}, "no scenario and no [stroke], where kind is lower_bound"),
     "budget": ({(True, False)}, "scenario = and no [stroke], where kind is budget"),
     "sensitivity": ({(False, False)}, "no scenario and no [stroke], where kind is sensitivity"),
     "tuning": ({(True, False)}, "scenario = and no [stroke], where kind is tuning"),

@@ -112,7 +112,7 @@ class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Seed of a hypercube or Sobol design."""
 
 
-Kind = Literal["runs", "bounds", "budget", "tuning", "sensitivity"]
+Kind = Literal["runs", "bounds", "lower_bound", "budget", "tuning", "sensitivity"]
 
 
 class BoundsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -143,9 +143,9 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """A study; exactly one of `scenario` and `stroke` is the base, bounds have none.
 
     kind: what a row is. runs: one shift. bounds: the softest worst-case stop found for the family
-    "bound.family" of loads at the information delay "bound.delay_s". budget: the delays of one shift.
-    tuning: the best parameters of a strategy over all loads together. sensitivity: margins of the
-    headlines of "Why feedback fails".
+    "bound.family" of loads at the information delay "bound.delay_s". lower_bound: the softest stop
+    that is not excluded by a proof. budget: the delays of one shift. tuning: the best parameters of
+    a strategy over all loads together. sensitivity: margins of the headlines of "Why feedback fails".
     """
 
     name: Name

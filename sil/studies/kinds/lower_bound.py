@@ -1,0 +1,113 @@
+"""Rows that are certified lower bounds: no braking by valve N stops the hardest load softer.
+
+A row sets `bound.delay_s`; all other settings change the model. See `sil.studies.lower_bound`.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from can_dbc.errors import InputError
+from plant.parameters import load
+from sil.report.figure import MS, Figure, Panel, Rule, Series, Stack
+from sil.studies.figures import title_of
+from sil.studies.kinds.bounds import SHIPPED, seconds
+from sil.studies.lower_bound import HeldModel, best_proof, certificate
+from sil.studies.policies import GEARBOX, FamilyModel
+from sil.studies.rows import RowResult
+from sil.studies.study import LoadedStudy, Row
+from sil.studies.table import Table
+
+COLUMNS = ("certified_m_s", "found_m_s", "damper_m_s", "open_loop_m_s", "leaves", "failed")
+MOST_NODES = 60_000
+"""Sets of commands that a proof may look at; beyond it a bound counts as not proven."""
+
+
+def columns(study: LoadedStudy) -> tuple[str, ...]:
+    """Return the certified bound, the softest policy found, damper, plain push, size of the proof."""
+    return COLUMNS
+
+
+def run(study: LoadedStudy, row: Row) -> RowResult:
+    """Prove the bound of a row. Raises InputError for settings that are wrong or not covered."""
+    held = held_model(study, row)
+    bound_m_s, leaves = best_proof(held, MOST_NODES)
+    parameters = held.parameters
+    damped = replace(GEARBOX, cases=tuple(replace(case, damper=True) for case in GEARBOX.cases))
+    plain, damper = (
+        float(FamilyModel(parameters, family, 0.0, 0.0).plain.impact_stay_m_s.max())
+        for family in (GEARBOX, damped)
+    )
+    found = bound_m_s, found_m_s(row.settings), damper, plain, len(leaves), 0.0
+    return RowResult(dict(zip(COLUMNS, map(float, found), strict=True)))
+
+
+def held_model(study: LoadedStudy, row: Row) -> HeldModel:
+    """Return the model of a row. Raises InputError for settings that are wrong or not covered."""
+    own = {k: v for k, v in row.settings.items() if k.startswith("bound.")}
+    if unknown := set(own) - {"bound.delay_s", "bound.extra_s"}:
+        raise InputError(f"{min(unknown)}: unknown; expected bound.delay_s, bound.extra_s")
+    delay_s = seconds("delay_s", own.get("bound.delay_s"), 0.0)
+    extra_s = seconds("extra_s", own.get("bound.extra_s", study.study.bounds.extra_s), 0.0)
+    model = {k: v for k, v in row.settings.items() if k not in own}
+    parameters = load(study.study.model).override(model)  # type: ignore[arg-type]
+    return HeldModel(parameters, GEARBOX, delay_s, extra_s, "N")
+
+
+def found_m_s(settings: Mapping[str, object]) -> float:
+    """Return the softest policy of all valves in the shipped bounds, in m/s; NaN if none has these settings."""
+    with open(SHIPPED, encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            if all(float(row.get(name, "nan")) == value for name, value in settings.items()):
+                return float(row["bound_m_s"])
+    return math.nan
+
+
+def certificates(study: LoadedStudy, table: Table) -> Iterator[tuple[str, str]]:
+    """Yield file name and text of the certificate of each row whose bound is above zero."""
+    for row, bound_m_s in zip(study.rows(), table.numbers["certified_m_s"], strict=False):
+        if bound_m_s > 0.0:
+            held = held_model(study, row)
+            leaves = held.prove(bound_m_s, MOST_NODES)
+            assert leaves is not None, "the same proof was found for the table"
+            text = json.dumps(certificate(held, float(bound_m_s), leaves), indent=None)
+            yield f"certificate_{row.number}.json", text + "\n"
+
+
+def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
+    """Return certified bound and softest policy found over the information delay."""
+    delay_ms = MS * table.numbers["bound.delay_s"]
+    order = np.argsort(delay_ms)
+    lines = [
+        Series(name, delay_ms[order], table.numbers[column][order], role, "dots", width=4.0)
+        for name, column, role in (
+            ("certified: no braking by valve N is softer", "certified_m_s", "series0"),
+            ("softest found, all valves", "found_m_s", "series1"),
+        )
+    ]
+    rules = [
+        Rule(table.numbers[column][0], name, role, "y", "solid")
+        for name, column, role in (
+            ("open loop", "open_loop_m_s", "faint"),
+            ("oil damper", "damper_m_s", "series2"),
+        )
+    ]
+    panel = Panel(
+        "Impact speed at the stop", "m/s", lines, rules=rules, limits=(0.0, 1.5), height=380
+    )
+    proven = table.numbers["certified_m_s"] > table.numbers["damper_m_s"]
+    from_ms = min(delay_ms[proven], default=math.inf)
+    headline = "Certified lower bound of braking by the air in N"
+    if proven[delay_ms >= from_ms].any() and proven[delay_ms >= from_ms].all():
+        headline = (
+            f"A controller that knows the release {from_ms:.0f} ms late, or later, cannot match the "
+            "oil damper with valve N"
+        )
+    stack = Stack("information delay, ms", [panel], "gearbox: worst of its loads", width=6.4)
+    return {"lower_bound": Figure([stack], title_of(study), headline, same_scale=True)}
