@@ -99,6 +99,7 @@ class HeldModel:
         if not 0.0 < alpha_1 <= alpha_2:
             raise InputError("alpha: expected 0 < alpha_1 <= alpha_2, as the lower bound needs")
         self.parameters = parameters
+        self.delay_s = delay_s
         model = FamilyModel(parameters, family, delay_s, extra_s)
         setups = [make_setup(parameters, case.conditions()) for case in family.cases]
         p = setups[-1].p

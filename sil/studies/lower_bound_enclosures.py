@@ -25,7 +25,8 @@ SLACK_PA, SLACK_N = 1e-3, 1e-3
 MAP_SLACK = 2e-3
 """Share by which compared pressures may differ: f_out(P)/P is monotone but for a quarter of it."""
 
-compiled: Any = numba.njit(cache=False)
+compiled: Any = numba.njit(cache=True)
+"""All compiled functions are in this file, so that numba's cache notices every edit."""
 
 
 @compiled

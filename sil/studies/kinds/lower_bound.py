@@ -44,7 +44,7 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
         float(FamilyModel(parameters, family, 0.0, 0.0).plain.impact_stay_m_s.max())
         for family in (GEARBOX, damped)
     )
-    found = bound_m_s, found_m_s(row.settings), damper, plain, len(leaves), 0.0
+    found = bound_m_s, found_m_s(held, row.settings), damper, plain, len(leaves), 0.0
     return RowResult(dict(zip(COLUMNS, map(float, found), strict=True)))
 
 
@@ -60,11 +60,16 @@ def held_model(study: LoadedStudy, row: Row) -> HeldModel:
     return HeldModel(parameters, GEARBOX, delay_s, extra_s, "N")
 
 
-def found_m_s(settings: Mapping[str, object]) -> float:
-    """Return the softest policy of all valves in the shipped bounds, in m/s; NaN if none has these settings."""
+def found_m_s(held: HeldModel, settings: Mapping[str, object]) -> float:
+    """Return the softest policy of all valves in the shipped bounds, in m/s; NaN if none is like the row."""
+    valves = ("valve.D_rise", "valve.D_fall")
+    if set(settings) - {*valves, "bound.delay_s"}:
+        return math.nan
+    wanted = {name: held.parameters.value(name) for name in valves}
+    wanted["bound.delay_s"] = held.delay_s
     with open(SHIPPED, encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
-            if all(float(row.get(name, "nan")) == value for name, value in settings.items()):
+            if all(float(row[name]) == value for name, value in wanted.items()):
                 return float(row["bound_m_s"])
     return math.nan
 

@@ -37,15 +37,20 @@ def given(held: HeldModel) -> dict[str, Any]:
 
 def commands_of(
     leaf: dict[str, Any], given: dict[str, Any], rng: np.random.Generator
-) -> list[float]:
+) -> list[float] | None:
     """Return instants [s] of one command of a leaf; after its last cell valve N moves at random."""
     least = given["least_steps"]["n_open"], given["least_steps"]["n_closed"]
+    latest = math.inf
+    ends: list[float] = []
+    for k in reversed(range(len(leaf["n"]))):
+        latest = min(leaf["n"][k][1], latest - least[k % 2])
+        ends.insert(0, latest)
     moves: list[float] = []
-    for k, (begin, end) in enumerate(leaf["n"]):
+    for k, (begin, _end) in enumerate(leaf["n"]):
         first = max(begin, moves[-1] + least[(k + 1) % 2]) if moves else begin
-        if first > end:
-            return commands_of(leaf, given, rng)
-        moves.append(rng.uniform(first, end))
+        if first > ends[k]:
+            return None  # coil and plunger allow no command of this leaf
+        moves.append(rng.uniform(first, ends[k]))
     while not leaf["ended"][0] and len(moves) < 12:
         first = moves[-1] + least[(len(moves) + 1) % 2] if moves else 0.0
         moves.append(first + rng.exponential(40.0))
@@ -99,7 +104,10 @@ def check_leaves(given: dict[str, Any], count: int) -> float:
     excess = math.inf
     for leaf in rng.choice(given["leaves"], count, replace=False):
         assert leaf["speed_m_s"] is None or leaf["speed_m_s"] > given["bound_m_s"]
-        speed, time_s = arrival(given, commands_of(leaf, given, rng), leaf["load"])
+        moves_s = commands_of(leaf, given, rng)
+        if moves_s is None:
+            continue
+        speed, time_s = arrival(given, moves_s, leaf["load"])
         if leaf["speed_m_s"] is None:
             assert time_s > given["limit_s"][leaf["load"]]
         elif time_s <= given["limit_s"][leaf["load"]]:
