@@ -105,7 +105,7 @@ class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     kind: Literal["grid", "list", "lhs", "sobol", "one_at_a_time", "radial"] = "grid"
     """How swept values are combined: full grid, value by value (list), Latin hypercube, Sobol,
-    one at a time from the first values, or radially round Sobol points."""
+    one at a time from the first values, or radially round drawn points."""
     samples: Annotated[int, msgspec.Meta(ge=0, le=MOST_ROWS)] = 0
     """Number of samples of a hypercube or Sobol design, of centres of a radial one."""
     seed: Annotated[int, msgspec.Meta(ge=0, le=(1 << 53) - 1)] = 0
@@ -332,14 +332,11 @@ def design_points(study: Study, source: str) -> list[tuple[Value, ...]]:
 def radial_points(dimension: int, design: Design) -> NDArray[np.float64]:
     """Return centres, each followed by itself with one value after another replaced.
 
-    [samples (dimension + 1), dimension], shares of the ranges; centres and replacements are the two
-    halves of the points of a scrambled Sobol sequence.
+    [samples (dimension + 1), dimension], shares of the ranges; centres and replacements are drawn
+    independently: halves of one Sobol sequence are correlated where there are few.
     """
-    from scipy.stats import qmc
-
-    sampler = qmc.Sobol(2 * dimension, scramble=True, rng=design.seed)
-    drawn = sampler.random_base2(math.ceil(math.log2(max(design.samples, 1))))[: design.samples]
-    centres, others = drawn[:, None, :dimension], drawn[:, None, dimension:]
+    drawn = np.random.default_rng(design.seed).random((design.samples, 2, dimension))
+    centres, others = drawn[:, :1], drawn[:, 1:]
     moved = np.where(np.eye(dimension, dtype=np.bool_), others, centres)
     return np.concatenate([centres, moved], axis=1).reshape(-1, dimension)
 
