@@ -24,6 +24,7 @@ from can_dbc.frame import Frame
 from controller import strategies
 from sil.api import texts
 from sil.coupling.clock import NS_PER_S
+from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.recording.run_record import CHAMBERS, RunRecord
 from sil.report.figure import MS, Figure
 from sil.report.live_figure import bound_figure, comparison_figure
@@ -31,7 +32,7 @@ from sil.report.plots import content, rounded
 from sil.report.run_figure import run_figure
 from sil.simulation import scenario as scenarios
 from sil.simulation.in_memory import MemoryRun, run_in_memory
-from sil.simulation.scenario import Loaded, Request
+from sil.simulation.scenario import Loaded, Request, Scenario
 from sil.simulation.scenario_text import scenario_toml
 from sil.studies.kinds.bounds import SHIPPED as STORED_BOUNDS
 
@@ -129,7 +130,7 @@ def run_shift(asked: Asked, known: Mapping[str, str]) -> dict[str, Any]:
         "stroke_mm": MS * record.stroke_m,
         "free_mm": MS * record.free_travel_m,
         "supply_bar": 1e-5 * record.supply_pressure_pa,
-        "bitrate": made.scenario.bus.bitrate,
+        "bus_load": _load(record, made.scenario),
         "trace": dict(_trace(record)),
         "frames": list(_frames(record)),
         "requests": msgspec.to_builtins(made.scenario.request),
@@ -200,6 +201,13 @@ def _again(asked: Asked, made: Loaded, done: MemoryRun) -> dict[str, Any]:
         "toml": scenario_toml(made.scenario),
         "trace_sha256": done.trace_sha256,
     }
+
+
+def _load(record: RunRecord, scenario: Scenario) -> float:
+    """Return the share of the run in which the bus carried frames of the record."""
+    frames = (entry.frame for entry in record.frames)
+    bits = sum(frame_bits(f.can_id, f.data) + INTERMISSION_BITS for f in frames)
+    return bits / (scenario.bus.bitrate * scenario.duration_s)
 
 
 def _metrics(runs: Sequence[Mapping[str, Any]]) -> list[list[Any]]:

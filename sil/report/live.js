@@ -126,6 +126,7 @@
     choices($("only"), [["", "all messages"], ...names.map((name) => [name, name])], $("only").value);
     again(run);
     picture();
+    requestAnimationFrame(picture); // with the plots' axes
     return undefined;
   }));
   window.opc4Latency = []; // ms from a slider's movement to the curves on the screen
@@ -344,7 +345,8 @@
       });
       return row;
     }));
-    $("load").textContent = `${chosenFrames.length} frames`;
+    const load = heard || !run ? "" : `, bus ${(100 * run.bus_load).toFixed(1)} % loaded over the run`;
+    $("load").textContent = `${chosenFrames.length} frames${load}`;
   }
 
   // A form made from the schema of the fault: every fault of a scenario, with its limits.

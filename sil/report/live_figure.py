@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from sil.recording.run_record import CHAMBERS, Floats
-from sil.report.figure import BAR, MM, MS, Figure, Panel, Rule, Series, Span, Stack, Zoom
+from sil.report.figure import BAR, MM, MS, Figure, Note, Panel, Rule, Series, Span, Stack, Zoom
 from sil.report.run_figure import shift_zooms, valve_spans
 from sil.simulation.in_memory import MemoryRun
 
@@ -51,17 +51,17 @@ def bound_figure(
     delays = np.array([row["delay_s"] * MS for row in rows])
     found = np.array([row["bound_m_s"] for row in rows])
     series = [Series(f"softest found, {hardware}", delays, found, "N", "marked")]
+    notes = []
     for run, label, role in zip(runs, ("before", "now"), ("faint", "estimate"), strict=True):
         lag_s, impact_m_s = (run.figures[k] for k in ("position_lag_10_s", "impact_speed_m_s"))
         if lag_s is not None and impact_m_s is not None:
-            x, y = np.array([lag_s * MS]), np.array([impact_m_s])
-            series.append(Series(label, x, y, role, "dots"))
+            notes.append(Note(lag_s * MS, impact_m_s, f"\u25cf {label}", role, "left", bold=True))
     rules = [
         Rule(rows[0]["damper_m_s"], "oil damper", "after", "y", "dashed"),
         Rule(rows[0]["open_loop_m_s"], "open loop", "before", "y", "dashed"),
     ]
     title = "Impact over how late the controller knows the position"
-    panel = Panel(title, "m/s", series, rules=rules, height=200, limits=(0.0, 1.6))
+    panel = Panel(title, "m/s", series, rules=rules, notes=notes, height=200, limits=(0.0, 1.6))
     return Figure([Stack("information delay, ms", [panel], limits=(0.0, 80.0))])
 
 
