@@ -14,11 +14,21 @@ from sil.cli.options import JSON, argument
 EXAMPLE = """\
 example:
   opc4 bus --bitrate 250000
+  opc4 bus --dbc > opc4.dbc
 """
+
+OWN = ""
+"""What `--dbc` is without a FILE."""
 
 
 ARGUMENTS = (
-    argument("--dbc", "another database [the project's]", "FILE"),
+    argument(
+        "--dbc",
+        "another database [the project's]; without FILE: print the project's database",
+        "FILE",
+        nargs="?",
+        const=OWN,
+    ),
     argument("--scenario", "take periods and bit rate from it", "SCENARIO"),
     argument("--bitrate", "[500000]", "BIT/S", type=int),
     JSON,
@@ -31,6 +41,8 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.coupling import response_times
     from sil.coupling.clock import to_seconds
 
+    if arguments.dbc == OWN:
+        return _print_database(arguments.json)
     if arguments.dbc and arguments.scenario:
         raise InputError("--dbc, --scenario: both given; expected one of them")
     bitrate = 500_000
@@ -71,6 +83,16 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         _print(figures)
     return 0 if all(r.in_time for r in responses) else 1
+
+
+def _print_database(as_json: bool) -> int:
+    """Print the project's database as it is."""
+    from can_dbc.contract import DBC_PATH
+
+    with open(DBC_PATH, encoding="ascii") as file:
+        text = file.read()
+    print(json.dumps({"dbc": text}) if as_json else text.removesuffix("\n"))
+    return 0
 
 
 def _transports() -> dict[str, Any]:

@@ -20,6 +20,7 @@ from can_dbc.errors import InputError
 from can_dbc.frame import Frame
 from sil.coupling.bus import Delivery, ErrorFrame, Transmission
 from sil.coupling.clock import NEVER_NS, to_ns
+from sil.coupling.other_bit_rate import MisfitNode
 
 MessageName = Literal[
     "ShiftRequest",
@@ -117,6 +118,17 @@ class BusOff(_Fault, frozen=True, kw_only=True, tag="bus_off"):
     """Node that is bus-off."""
 
 
+class OtherBitRate(_Fault, frozen=True, kw_only=True, tag="bit_rate"):
+    """The node is set to another bit rate: it understands nobody, and nobody understands it.
+
+    Its error flags destroy the frames of others until it is error-passive, after 15 of them. Each of
+    its own frames ends in an error frame and is repeated; after 32 it is bus-off and stays silent.
+    """
+
+    node: NodeName
+    """Node on another bit rate."""
+
+
 class Dead(_Fault, frozen=True, kw_only=True, tag="dead"):
     """The node executes nothing from `start_s` on, for good; frames already handed over leave."""
 
@@ -177,6 +189,7 @@ BusFault = (
     | Delay
     | FrozenCounter
     | BusOff
+    | OtherBitRate
     | Dead
     | Stalled
     | Babbling
@@ -265,6 +278,7 @@ class FaultPlan:
         """Take the faults.  Raises InputError naming one that is impossible."""
         self._by_fault: dict[int, _Selection] = {}
         self._off: list[tuple[str, Window]] = []
+        self._misfits: list[MisfitNode] = []
         self._down: list[tuple[str, Window]] = []
         for index, fault in enumerate(faults):
             name = f"fault[{index}]"
@@ -273,6 +287,8 @@ class FaultPlan:
                 continue
             if isinstance(fault, BusOff):
                 self._off.append((fault.node, window))
+            elif isinstance(fault, OtherBitRate):
+                self._misfits.append(MisfitNode(fault.node, window.start_ns, window.end_ns))
             elif isinstance(fault, Dead | Stalled):
                 self._down.append((fault.node, window))
             else:
@@ -296,7 +312,7 @@ class FaultPlan:
     @property
     def touches_frames(self) -> bool:
         """Whether the bus model needs `frame_filter`."""
-        return bool(self._selections or self._off)
+        return bool(self._selections or self._off or self._misfits)
 
     def frame_filter(self, transmission: Transmission) -> Iterable[Delivery] | ErrorFrame:
         """Decide what arrives of one transmission; a `sil.coupling.bus.FrameFilter`."""
@@ -306,6 +322,9 @@ class FaultPlan:
                 and transmission.start_ns < window.start_ns <= transmission.end_ns
             ):
                 return ErrorFrame(retransmit=False)
+        for misfit in self._misfits:
+            if error := misfit.verdict(transmission):
+                return error
         deliveries: Sequence[Delivery] = transmission.delivered()
         for selection in self._selections:
             if not selection.picks(transmission):
@@ -318,11 +337,14 @@ class FaultPlan:
 
     def is_off(self, sender: str, instant_ns: int) -> bool:
         """Return whether a sender is bus-off; a `sil.coupling.bus.IsOff`."""
-        return any(node == sender and window.holds(instant_ns) for node, window in self._off)
+        return any(
+            node == sender and window.holds(instant_ns) for node, window in self._off
+        ) or any(m.node == sender and m.is_off and m.acts(instant_ns) for m in self._misfits)
 
     def bus_off(self, instant_ns: int) -> frozenset[str]:
         """Return the nodes that do not receive a frame that arrives at this instant."""
-        return frozenset(node for node, window in self._off if window.holds(instant_ns))
+        off = [node for node, window in self._off if window.holds(instant_ns)]
+        return frozenset(off + [m.node for m in self._misfits if m.acts(instant_ns)])
 
     def next_event(self, name: str, event_ns: int, period_ns: int) -> int:
         """Return the node's first event from `event_ns` on at which it runs; `NEVER_NS`: none.

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from itertools import islice, takewhile
 from typing import Final
 
-from can_dbc.e2e import COUNTERS
+from can_dbc.e2e import COUNTERS, PROTECTED
 from can_dbc.frame import Frame
 from sil.coupling.clock import to_seconds
 from sil.coupling.transports.channel import Participant, ParticipantLost
@@ -122,6 +122,7 @@ class ReplayExecutor:
         self._pending: deque[tuple[int, Frame]] = deque()
         self._answers: dict[int, dict[type, bytes]] = {}
         self._answered_ns: dict[int, int] = {}
+        self._last_tick = 0
         self._next_recorded = 0
         self._next_ns = 0
         self._restarts = deque(ticks.restarts)
@@ -188,6 +189,10 @@ class ReplayExecutor:
             account.other[f"{kind.__name__} with a wrong checksum or length"] += 1
             return
         tick = self._map.tick_of(arrival)
+        if kind in PROTECTED:
+            self._last_tick = tick
+        elif not self._grid.exact:  # sent with the answers before it
+            tick = self._last_tick
         if kind in self._answers.get(tick, ()):  # its counter does not change
             tick = self._grid.latest_tick(arrival)
         if tick < self._next_recorded:

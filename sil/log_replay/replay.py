@@ -109,7 +109,9 @@ def replay(request: ReplayRequest) -> ReplayResult:
     if found.skew and not ready.own_run:
         log.skew = (found.first_ns, found.skew)
         found = survey(log.head())
-    if found.bitrate is None and ready.own_run and not ready.free_running:
+    if ready.free_running:
+        found = survey(log.head(), period_ns=ready.recorded_ns)
+    elif found.bitrate is None and ready.own_run:
         found = survey(log.head(), scene.bus.bitrate)
     config = scene.controller
     period_ns = found.period_ns or ready.recorded_ns

@@ -130,15 +130,17 @@ def _bounds(arrivals: Iterable[Arrival], bit_ns: int) -> list[tuple[int, int]]:
     return pairs or singles
 
 
-def survey(arrivals: Sequence[Arrival], bitrate: int | None = None) -> Survey:
-    """Look at the beginning of a log; `bitrate` where it is known better.
+def survey(
+    arrivals: Sequence[Arrival], bitrate: int | None = None, period_ns: int | None = None
+) -> Survey:
+    """Look at the beginning of a log; `bitrate` and `period_ns` where they are known better.
 
     Checked by: tests/unit/sil/log_replay/test_tick_grid.py
     """
     found_bitrate = bitrate or _bitrate(arrivals)
     bit_ns = NS_PER_S // (found_bitrate or DEFAULT_BITRATE)
     bounds = _bounds(arrivals, bit_ns)
-    period_ns = _period(bounds)
+    period_ns = period_ns or _period(bounds)
     release_ns = None
     if bounds:
         first_ns = bounds[0][1]

@@ -9,7 +9,8 @@ of the control unit's: the recorder was off, and the replay starts anew behind i
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
 
 from can_dbc.e2e import COUNTERS, PROTECTED
@@ -18,6 +19,10 @@ from sil.log_replay.tick_grid import Grid
 
 HOLE_NS: Final = 2_000_000_000
 """Nothing at all on the bus for this long is a hole in the recording."""
+
+
+DELAYED_ANSWERS: Final = 48
+"""In real time, so many answers later (some 16 ticks) a delay is made up for."""
 
 
 class Span(NamedTuple):
@@ -75,7 +80,8 @@ class TickMap:
             return latest
         back = (self.counter_at(latest) - counter_of(arrival.frame)) % COUNTERS
         tick = latest - back
-        return tick if tick >= 0 and self.idle_at(tick) is None else latest
+        possible = tick >= 0 or not self.grid.exact  # one delayed from before the log's first tick
+        return tick if possible and self.idle_at(tick) is None else latest
 
 
 def _holding(spans: list[Span], tick: int) -> Span | None:
@@ -91,36 +97,79 @@ def map_ticks(arrivals: Iterable[Arrival], grid: Grid) -> TickMap:
     found = TickMap(grid)
     active: int | None = None
     latest: dict[type, tuple[int, int]] = {}
-    last_ns: int | None = None
-    hole = False
-    for arrival in arrivals:
-        if last_ns is not None and arrival.time_ns - last_ns > HOLE_NS:
-            hole = True
-        last_ns = arrival.time_ns
-        kind = arrival.kind
-        if kind not in OUTPUTS or kind not in PROTECTED:
-            continue
-        assert kind is not None
-        if not is_intact(kind, arrival.frame):
-            continue
-        tick = grid.latest_tick(arrival)
-        counter = counter_of(arrival.frame)
+    for answer, tick in _with_ticks(_protected_answers(arrivals), grid):
+        kind, counter = answer.kind, answer.counter
         if active is None:
-            found.count_from(max(tick, 0), counter)
+            found.count_from(max(tick, 0), (counter - min(tick, 0)) % COUNTERS)
             if grid.fresh and tick > 0:  # its first frames were lost
                 found.count_from(0, (counter - tick) % COUNTERS)
-        elif hole:
+        elif answer.after_hole:
             found.idle.append(Span(active + 1, tick))
             found.restarts.append(tick)
             found.count_from(tick, counter)
             latest.clear()
         elif tick > active + 1 and kind in latest:
             _judge_silence(found, active, tick, counter, latest[kind])
-        hole = False
         active = tick if active is None else max(active, tick)
         latest[kind] = (tick, counter)
     found.last = -1 if active is None else active
     return found
+
+
+class _Answer(NamedTuple):
+    """A protected frame of the control unit; after_hole: the recorder was off before it."""
+
+    arrival: Arrival
+    kind: type
+    counter: int
+    after_hole: bool
+
+
+def _protected_answers(arrivals: Iterable[Arrival]) -> Iterator[_Answer]:
+    last_ns: int | None = None
+    hole = False
+    for arrival in arrivals:
+        hole |= last_ns is not None and arrival.time_ns - last_ns > HOLE_NS
+        last_ns = arrival.time_ns
+        kind = arrival.kind
+        if kind in OUTPUTS and kind in PROTECTED and is_intact(kind, arrival.frame):
+            yield _Answer(arrival, kind, counter_of(arrival.frame), hole)
+            hole = False
+
+
+def _with_ticks(answers: Iterable[_Answer], grid: Grid) -> Iterator[tuple[_Answer, int]]:
+    """Yield the answers with their ticks.
+
+    In a log recorded in real time a busy machine delays frames, by several ticks at times. The
+    counters then go on without a gap, and the delay is made up for; ticks that did not run are not.
+    So the smallest delay among the next answers is that of the ticks themselves.
+    """
+    if grid.exact:
+        for answer in answers:
+            yield answer, grid.latest_tick(answer.arrival)
+        return
+    waiting: deque[tuple[_Answer, int, int]] = deque()
+    counted = before = 0
+    for answer in answers:
+        tick = grid.latest_tick(answer.arrival)
+        silent = answer.after_hole or tick - before >= COUNTERS
+        if silent:
+            yield from _undelayed(waiting, 0)
+        step = (answer.counter - counted + COUNTERS // 2) % COUNTERS - COUNTERS // 2
+        step += COUNTERS * round((tick - before - step) / COUNTERS)
+        counted, before = counted + step, tick
+        waiting.append((answer, counted, tick - counted))
+        yield from _undelayed(waiting, DELAYED_ANSWERS)
+    yield from _undelayed(waiting, 0)
+
+
+def _undelayed(
+    waiting: deque[tuple[_Answer, int, int]], most: int
+) -> Iterator[tuple[_Answer, int]]:
+    while len(waiting) > most:
+        least = min(delay for _, _, delay in waiting)
+        answer, counted, _ = waiting.popleft()
+        yield answer, counted + least
 
 
 def _judge_silence(

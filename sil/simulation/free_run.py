@@ -56,6 +56,9 @@ PARTICIPANT = {
 SETTLING_S = 1.0
 """The run begins this long after the last node has come, when all have received the others' frames."""
 
+MISSING_SHARE = 0.05
+"""More frames missing than this share of a message is worth a warning."""
+
 _LOOK_S = 0.05
 _END_S = 10.0
 _ROWS_AT_ONCE = 1 << 16
@@ -145,6 +148,12 @@ class FreeRun:
         wall_s = time.perf_counter() - begun
         self._end_nodes()
         self._align_recordings()
+        for message in self.figures()["messages"]:
+            if (message["missing"] or 0) > MISSING_SHARE * message["frames"]:
+                self.warnings.append(
+                    f"{message['name']}: {message['missing']} frames missing, {message['frames']} on "
+                    "the bus; this machine was too busy, or its sender was away"
+                )
         return RunSummary(0, self._frames, wall_s, None)
 
     def figures(self) -> dict[str, Any]:

@@ -43,15 +43,15 @@ def test_every_fault_of_every_device_is_in_it_twice() -> None:
             "loss", "delay", "corruption", "frozen_counter", "error_frame",
             "spoofed", "replayed"}  # fmt: skip
     for node in ("controller", "driver"):
-        assert stated("fault", node=node) == {"dead", "bus_off", "stalled"}
+        assert stated("fault", node=node) == {"dead", "bus_off", "stalled", "bit_rate"}
     names = [variant.name for variant in STUDY.study.variant]
     during, before = (
         {n.removesuffix(when) for n in names if n.endswith(when)}
         for when in (", in the shift", ", before")
     )
-    assert len(names) == 1 + len(during) + len(before) and len(during) == 124
-    # a clock is wrong from the start
-    assert during <= before and all("clock" in n for n in before - during)
+    assert len(names) == 1 + len(during) + len(before) and len(during) == 129
+    # a clock is wrong, and a node is late, from the start
+    assert during <= before and all("clock" in n or "late" in n for n in before - during)
     assert {choice.name for choice in STUDY.study.load} == {"N-B", "B-N", "N-F", "F-N"}
 
 

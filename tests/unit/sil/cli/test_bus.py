@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from can_dbc.contract import DBC_PATH
 from sil import cli
 
 
@@ -62,3 +63,11 @@ def test_a_database_that_is_no_file_is_refused(
         assert cli.main(["bus", "--dbc", path]) == 2
         line = f"opc4 bus: {path}: is a device or pipe; expected a DBC file\n"
         assert capsys.readouterr().err == line
+
+
+def test_the_database_is_printed_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    text = Path(DBC_PATH).read_text()
+    assert cli.main(["bus", "--dbc"]) == 0
+    assert capsys.readouterr().out == text
+    assert cli.main(["bus", "--dbc", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"dbc": text}

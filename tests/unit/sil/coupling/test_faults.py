@@ -26,6 +26,7 @@ from sil.coupling.faults import (
     FrozenCounter,
     Loss,
     MessageName,
+    OtherBitRate,
     Stalled,
     UndetectedCorruption,
 )
@@ -158,6 +159,19 @@ def test_a_node_that_is_bus_off_neither_sends_nor_receives() -> None:
     assert bus.statistics.error_frames == 1 and bus.statistics.dropped_bus_off == 9
     assert plan.bus_off(start_ns) == plan.bus_off(end_ns - 1) == {"driver"}
     assert plan.bus_off(start_ns - 1) == plan.bus_off(end_ns) == frozenset()
+
+
+def test_a_node_on_another_bit_rate_disturbs_the_bus_until_it_is_bus_off() -> None:
+    wrong, plan, bus = run([OtherBitRate(node="driver", start_s=0.2, end_s=0.9)])
+    sent = {d.queued_ns for d in of(wrong, ShiftRequest)}
+    assert {at for at in range(0, 1000 * MS, PERIOD_NS) if at not in sent} == set(
+        range(200 * MS, 900 * MS, PERIOD_NS)
+    )
+    assert bus.statistics.error_frames == 15 + 32, "its error flags, then its own attempts"
+    assert {d.queued_ns for d in of(wrong, Etc1)} == {d.queued_ns for d in of(CLEAN, Etc1)}
+    assert [d.arrival_ns for d in of(wrong, Etc1)] != [d.arrival_ns for d in of(CLEAN, Etc1)]
+    assert plan.is_off("driver", 500 * MS) and not plan.is_off("controller", 500 * MS)
+    assert plan.bus_off(200 * MS) == {"driver"} and not plan.bus_off(900 * MS)
 
 
 def test_the_dead_have_no_events_and_the_stalled_go_on_with_their_schedule() -> None:

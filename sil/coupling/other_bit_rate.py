@@ -1,0 +1,47 @@
+"""A node on another bit rate: what the others on the bus experience."""
+
+from __future__ import annotations
+
+from sil.coupling.bus import ErrorFrame, Transmission
+
+FLAGS_UNTIL_PASSIVE = 15
+"""Each error that a receiver flags adds 1 and then 8 to its error counter; from 128 on it is
+error-passive and disturbs no more (ISO 11898-1, fault confinement)."""
+
+TRIES_UNTIL_OFF = 32
+"""Each failed transmission adds 8 to a sender's error counter; from 256 on it is bus-off."""
+
+
+class MisfitNode:
+    """A node on another bit rate from one instant to before another, ns, with its error counters.
+
+    Assumptions: none of the frames that it receives or sends passes by chance; bus-off is not
+    recovered from.
+    """
+
+    def __init__(self, node: str, start_ns: int, end_ns: int) -> None:
+        self.node = node
+        self._start_ns = start_ns
+        self._end_ns = end_ns
+        self._flags = self._tries = 0
+
+    @property
+    def is_off(self) -> bool:
+        """Whether the node is bus-off."""
+        return self._tries >= TRIES_UNTIL_OFF
+
+    def acts(self, instant_ns: int) -> bool:
+        """Return whether the node has the other bit rate at an instant."""
+        return self._start_ns <= instant_ns < self._end_ns
+
+    def verdict(self, transmission: Transmission) -> ErrorFrame | None:
+        """Return the error frame in which a transmission ends, None if it does not."""
+        if not self.acts(transmission.start_ns) or self.is_off:
+            return None
+        if transmission.sender == self.node:
+            self._tries += 1
+            return ErrorFrame(retransmit=not self.is_off)
+        if self._flags >= FLAGS_UNTIL_PASSIVE:
+            return None
+        self._flags += 1
+        return ErrorFrame()

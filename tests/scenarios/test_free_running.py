@@ -1,0 +1,147 @@
+"""Free-running on the local bus: ours, and a controller made of python-can and cantools alone.
+
+Only content and order are judged: a busy machine delays frames.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from can_dbc.contract import DBC_PATH
+from can_dbc.e2e import PROTECTED
+from can_dbc.messages import SafetyBlow, ValveCommand
+from sil import cli
+from sil.coupling.transports import address
+from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames, counter_of
+from sil.log_replay.replay import ReplayRequest, replay
+from sil.logs import open_log
+from sil.simulation.free_run import jitter, received
+
+ROOT = Path(__file__).resolve().parents[2]
+FOREIGN = ROOT / "tests" / "foreign_controller" / "free_controller.py"
+PATIENCE_S = 400.0
+HELD_S = 0.05
+"""Nodes that stand still for longer than this have missed steps, as a real one would."""
+
+
+@pytest.fixture
+def local_bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+    """The environment of processes that share a folder of sockets."""
+    runtime = str(tmp_path_factory.mktemp("r"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_RUNTIME_DIR", runtime)
+        yield {**os.environ, "PYTHONPATH": str(ROOT)}
+
+
+def run(folder: Path, env: dict[str, str], *words: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "sil.cli", "run", *words, "--realtime", "--no-report"]
+    return subprocess.Popen(
+        [*command, "--out", str(folder)],
+        env=env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def counters(log: Path) -> dict[type, list[int]]:
+    """End-to-end counters of each protected message, in order."""
+    found: dict[type, list[int]] = defaultdict(list)
+    for arrival in RecordedFrames(open_log(log)):
+        if arrival.kind in PROTECTED:
+            found[arrival.kind].append(counter_of(arrival.frame))
+    return found
+
+
+def test_a_free_run_has_each_message_once_and_replays(
+    tmp_path: Path, local_bus: dict[str, str]
+) -> None:
+    for attempt in range(5):
+        folder = tmp_path / f"out{attempt}"
+        with run(folder, local_bus, "full_shift", "--transport", "local:free") as process:
+            _, complaints = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode in (0, 1), complaints  # 1: a limit in time not met
+        assert "each node by its own clock" in complaints and "p99" in complaints
+        result = json.loads((folder / "result.json").read_text())
+        assert result["complete"] and result["bus"]["mode"] == "free-running"
+        if all((m["jitter_max_s"] or 1.0) < HELD_S for m in result["bus"]["messages"]):
+            break
+    else:
+        pytest.skip("this machine is too busy for real time: nodes stood still in each run")
+    log = folder / "bus.log"
+    assert {f.can_id for f in open_log(log)} <= OWN_IDS.keys()  # nothing of a protocol
+    for kind, seen in counters(log).items():
+        steps = {(after - before) % 16 for before, after in pairwise(seen)}
+        assert 0 not in steps, f"{kind.__name__} twice"
+    found = replay(ReplayRequest(str(log)))
+    assert found.comparison.engaged and found.comparison.ticks > 20
+    for kind in (ValveCommand, SafetyBlow):
+        signals = found.comparison.signals
+        assert not any(s.differing for n, s in signals.items() if n.startswith(kind.__name__))
+
+
+def test_a_controller_of_python_can_and_cantools_shifts(
+    tmp_path: Path, local_bus: dict[str, str]
+) -> None:
+    imported = {
+        name.name if isinstance(node, ast.Import) else str(node.module)
+        for node in ast.walk(ast.parse(FOREIGN.read_text()))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for name in node.names
+    }
+    assert imported - sys.stdlib_module_names == {"can", "cantools"}
+    assert len(FOREIGN.read_text().splitlines()) <= 100
+    folder = tmp_path / "out"
+    words = ("lab_n_b", "--transport", "local:free", "--external", "controller")
+    with run(folder, local_bus, *words) as process:
+        while "free" not in address.running_channels():
+            assert process.poll() is None, process.communicate()
+        foreign = subprocess.Popen(
+            [sys.executable, str(FOREIGN), DBC_PATH, "opc4local", "free", str(PATIENCE_S)],
+            env=local_bus,
+            cwd=tmp_path,
+        )
+        _, complaints = process.communicate(timeout=PATIENCE_S)
+        assert foreign.wait(timeout=60.0) == 0  # it notices the end of the run
+    result = json.loads((folder / "result.json").read_text())
+    assert result["complete"], complaints
+    checks = {check["name"]: check for check in result["expectations"]}
+    assert checks["final gear"]["passed"] and checks["confirmed gear"]["passed"]
+    assert result["metrics"]["shift_time_s"] > 0.0
+    seen = {message["name"]: message["frames"] for message in result["bus"]["messages"]}
+    assert seen["ControllerStatus"] > 10 and seen["Etc1"] == 0  # it sends no ETC1: it is not ours
+
+
+def test_jitter_is_the_distance_from_the_period() -> None:
+    ms = 1_000_000
+    assert jitter([0], 10 * ms)["jitter_max_s"] is None
+    found = jitter([0, 10 * ms, 21 * ms, 30 * ms], 10 * ms)
+    assert found["jitter_p50_s"] == found["jitter_max_s"] == 0.001 and found["missing"] == 0
+    found = jitter([0, 10 * ms, 40 * ms, 52 * ms], 10 * ms)
+    assert found["missing"] == 2 and found["jitter_max_s"] == 0.002
+
+
+def test_participants_receive_what_the_dbc_says() -> None:
+    names = {OWN_IDS[can_id].__name__ for can_id in received("controller") if can_id in OWN_IDS}
+    assert names == {"ShiftRequest", "PositionPulse", "DrivelineSpeeds"}
+    names = {OWN_IDS[can_id].__name__ for can_id in received("plant") if can_id in OWN_IDS}
+    assert names == {"ValveCommand", "SafetyBlow"}
+    assert received("traffic") == [0]
+
+
+def test_faults_of_lockstep_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["run", "bus_off", "--transport", "local:free", "--realtime"]
+    assert cli.main([*words, "--out", str(tmp_path / "out")]) == 2
+    complaints = capsys.readouterr().err
+    assert complaints.count("\n") == 1 and "fault: of a lockstep run only" in complaints
+    assert not (tmp_path / "out").exists()
