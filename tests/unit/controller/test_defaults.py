@@ -19,6 +19,7 @@ from controller.estimator import ObserverSettings
 from controller.light_model import ModelSettings
 from controller.settings import (
     BlowConfig,
+    BroadcastConfig,
     E2eConfig,
     FilterConfig,
     SensorConfig,
@@ -57,7 +58,14 @@ def test_a_strategy(name: str) -> None:
 
 KINDS = (
     *(Settings, FirmwareConfig, SensorConfig, FilterConfig, WindowConfig, BlowConfig, ShiftConfig),
-    *(E2eConfig, ModelSettings, ObserverSettings, Strategy.Parameters, ForesightParameters),
+    *(
+        BroadcastConfig,
+        E2eConfig,
+        ModelSettings,
+        ObserverSettings,
+        Strategy.Parameters,
+        ForesightParameters,
+    ),
     *(IntoGearParameters, *(type(parameters(name, {})) for name in NAMES)),
 )
 

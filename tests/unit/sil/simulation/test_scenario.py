@@ -201,10 +201,12 @@ def test_model_file_and_seed(tmp_path: Path) -> None:
     assert near.parameters.value("valve.D_fall") == 0.01
 
 
-def test_every_settable_path_of_a_scenario_can_be_set_to_what_it_is() -> None:
-    loaded = scenario.load("lost_frames")
-    raw = scenario.expanded(loaded.scenario)
-    paths = list(overrides.leaf_paths(Scenario, raw))
+@pytest.mark.parametrize("name", ["lost_frames", "truck_torque_to_torque"])
+def test_every_settable_path_of_a_scenario_can_be_set_to_what_it_is(name: str) -> None:
+    raw = scenario.expanded(scenario.load(name).scenario)
+    absent = [key for key, value in raw.items() if value is None]
+    found = list(overrides.leaf_paths(Scenario, raw))
+    paths = [path for path in found if path.split(".")[0] not in absent]
     assert len(paths) > 80
     for path in paths:
         before = copy.deepcopy(raw)
