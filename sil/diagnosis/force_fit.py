@@ -16,7 +16,15 @@ import numpy as np
 
 from plant.effects.force_term import Floats, Motion
 from sil.diagnosis.force_record import Recorded
-from sil.diagnosis.force_terms import FLEXIBLE, MORE, SMOOTH, Term, hats, named_terms
+from sil.diagnosis.force_terms import (
+    FLEXIBLE,
+    MORE,
+    SMOOTH,
+    Term,
+    centred,
+    hats,
+    named_terms,
+)
 from sil.diagnosis.verdict import UNNAMED
 from sil.fitting.floor import EXPLAINED, ChannelMisfit, Misfit
 
@@ -214,6 +222,9 @@ class Bank:
         for shape in term.form.shapes(raw):
             column = self.record.filtered(term.form.feature(raw, shape))[self.record.judged]
             if difference(self._base, column) >= ALIKE:
+                if name == "stiffness_cubic":  # whose middle need not be that of the travel
+                    square = self.record.filtered(centred(raw) ** 2)[self.record.judged]
+                    column = np.column_stack([column, square])
                 self._add(name, term.id, term.cause_class, term, column, shape)
         if len(self._columns) == before:
             what = "pressure" if term.form.needs_pressure else "motion"
@@ -306,11 +317,12 @@ class Bank:
             self.body,
         )
 
-    def free_body(self) -> tuple[Floats, Floats]:
-        """Return the plain body's parameters without bounds, and their deviations: [k] each."""
-        own = list(range(len(self.body)))
+    def free_body(self, groups: Sequence[Group]) -> tuple[Floats, Floats]:
+        """Return the body's parameters [k] without bounds, fitted with groups, and their deviations."""
+        own = self._own(groups)
         values, without = self._solved(own)
-        return values / self.scale[own], _jackknife(without - values) / self.scale[own]
+        k = len(self.body)
+        return (values / self.scale[own])[:k], (_jackknife(without - values) / self.scale[own])[:k]
 
     def _solved(self, own: Sequence[int]) -> tuple[Floats, Floats]:
         """Return the solution for these columns [k], and with every group held out [f, k]."""

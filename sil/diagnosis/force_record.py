@@ -33,6 +33,8 @@ SLOW_SHARE = 0.05
 """Slower samples than this share of the highest speeds are left out."""
 RADIUS = 7.0
 """Reach of the filter in standard deviations: cut shorter, its derivatives are not those of one filter."""
+NARROWEST = 1.5
+"""Least width of the filter, in samples: what is near half the sampling rate is left out."""
 NOISY = 0.02
 """Most noise of speed and acceleration that the filter leaves, as a share of their rms."""
 MARGIN = 50.0
@@ -329,7 +331,7 @@ def _width(parts: list[Floats], position_sd: float) -> float:
     From half a percent to 5 % of the usual time between two turns: a narrower one lets vibrations
     in, a wider one takes motion away.
     """
-    width, count = 1.0, sum(part.shape[1] for part in parts)
+    width, count = NARROWEST, sum(part.shape[1] for part in parts)
     while True:
         shares = []
         turns = 1
@@ -342,6 +344,6 @@ def _width(parts: list[Floats], position_sd: float) -> float:
                 turns += int(np.count_nonzero(np.diff(level)))
         wider = 1.25 * width
         enough = width >= 0.005 * count / turns and max(shares) <= NOISY
-        if enough or wider > max(1.0, 0.05 * count / turns):
+        if enough or wider > max(NARROWEST, 0.05 * count / turns):
             return width
         width = wider

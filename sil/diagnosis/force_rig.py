@@ -41,10 +41,13 @@ LEAST_SHARE = 0.5
 LONGEST_DELAY_S = 0.5
 DELAY_LEAVES = 0.3
 """A delay is reported if it leaves less than this share of all that is not explained without it."""
+GIVING_BACK = ("position", "pressure_gain", "pressure times position")
+"""Forces that do no work on the whole when a motion returns."""
 CONTAINED = 0.5
 """A function contains a cause if less than this share of the cause differs from it."""
-LEAST_OF_EXCESS = 0.1
-"""A cause explains at least this share of the misfit that is there without it."""
+LEAST_OF_EXCESS = (0.1, 0.5)
+"""A cause explains at least this share of the misfit that is there without it; next to a residual that
+noise does not explain, at least the second."""
 DESCRIBED = 0.2
 """A function describes a residual if it removes this share of its squares."""
 
@@ -241,12 +244,13 @@ def diagnose_force(path: str | Path) -> ForceDiagnosis:
     judged.sort(key=lambda item: item.score)
     weigh(judged)
     verdict = decide(judged, len(plain.squares))
+    smooth = bank.add_smooth()
     doubts = (*record.doubts, *_doubts(bank, plain))
     rest = ("", "", 0.0)
     robust: tuple[str, ...] = ()
     leader = verdict.leader
     if leader.whole.beyond > 0.0:
-        rest = _described(bank, leader, bank.add_smooth())
+        rest = _described(bank, leader, smooth)
         if 1.0 - leader.whole.excess / plain.whole.excess >= LEAST_SHARE:
             named = [group for group in leader.groups if group.id != UNNAMED]
             robust = tuple(group.id for group in named if _is_robust(bank, leader, group))
@@ -263,7 +267,8 @@ def _acceptable(item: Tried, by_names: dict[frozenset[str], Tried]) -> bool:
         without = by_names[frozenset(item.names) - {name}]
         if gain_in_errors(item, without) < SURE:
             return False
-        if item.whole.excess > (1.0 - LEAST_OF_EXCESS) * max(without.whole.excess, 0.0):
+        least = LEAST_OF_EXCESS[item.whole.beyond > 0.0]
+        if item.whole.excess > (1.0 - least) * max(without.whole.excess, 0.0):
             return False
     return True
 
@@ -311,26 +316,40 @@ def _doubts(bank: Bank, plain: Tried) -> list[str]:
             f"the driving force is {abs(delay):.3g} s {'late' if delay > 0 else 'early'} against the "
             f"position: correct the time base, or state delay_s = {delay:.4g} for it in [columns]"
         )
-    values, deviations = (dict(zip(bank.body, v, strict=True)) for v in bank.free_body())
-    speed = np.abs(bank.record.raw.speed_m_s[bank.record.judged])
-    size = {"coulomb_n": float(np.mean(speed)), "viscous_n_s_m": float(np.mean(speed**2))}
-    power = sum(values[name] * s for name, s in size.items() if name in values)
-    spread = sum(deviations[name] * s for name, s in size.items() if name in values)
-    mass, mass_spread = values.get("mass_kg", 0.0), deviations.get("mass_kg", 0.0)
-    backwards = power < -2.0 * spread or (power < 2.0 * spread and mass < -2.0 * mass_spread)
-    if backwards and not delay:
+    # forces that a motion to and fro gives back must not be taken for friction
+    giving_back = [g for g in bank.groups if g.name in GIVING_BACK]
+    (power, mass, backwards), (_power, _mass, still) = (
+        _friction(bank, groups) for groups in ([], giving_back)
+    )
+    if backwards and still and not delay:
         found.append(
             f"friction would drive the body ({-power:.3g} W) and the mass come out as {mass:.3g} kg: the "
             "sign of the driving force or of the position is reversed (state scale = -1), or other "
             "forces act"
         )
     if "offset_n" not in bank.body:
-        found.append(f"offset_n: {bank.missing['offset_n']}")
+        found.append(f"offset_n: {bank.missing.pop('offset_n')}")
+    if "stiffness" in bank.missing and "mass_kg" in bank.body and plain.value("mass_kg")[0] == 0.0:
+        found.append(
+            "mass and stiffness move together: motion at another frequency would tell them apart"
+        )
     if float(np.sqrt(np.mean(bank.target**2))) < SURE * plain.noise_n:
         found.append(
             "the driving force hardly exceeds its noise: larger or faster strokes would tell"
         )
     return found
+
+
+def _friction(bank: Bank, groups: Sequence[Group]) -> tuple[float, float, bool]:
+    """Return friction's power [W] and the mass [kg] without bounds, and whether they are negative."""
+    values, deviations = (dict(zip(bank.body, v, strict=True)) for v in bank.free_body(groups))
+    speed = np.abs(bank.record.raw.speed_m_s[bank.record.judged])
+    size = {"coulomb_n": float(np.mean(speed)), "viscous_n_s_m": float(np.mean(speed**2))}
+    power = sum(values[name] * s for name, s in size.items() if name in values)
+    spread = sum(deviations[name] * s for name, s in size.items() if name in values)
+    mass, mass_spread = values.get("mass_kg", 0.0), deviations.get("mass_kg", 0.0)
+    negative = power < -2.0 * spread or (power < 2.0 * spread and mass < -2.0 * mass_spread)
+    return power, mass, negative
 
 
 def _delay_s(bank: Bank, plain: Tried) -> float:

@@ -43,7 +43,12 @@ MORE = (
     Term(
         "stiffness",
         "mechanics",
-        ForceTerm("stiffness_n_m", "N/m", "a spring, or enclosed gas", lambda m, _s: centred(m)),
+        ForceTerm(
+            "stiffness_n_m",
+            "N/m",
+            "a spring, or enclosed gas, whose dead volume and exponent cannot be told apart",
+            lambda m, _s: centred(m),
+        ),
     ),
     Term(
         "stiffness_cubic",

@@ -159,6 +159,64 @@ def test_the_command_writes_page_and_json(tmp_path, capsys) -> None:
     assert (tmp_path / "out" / "diagnosis.json").exists()
 
 
+def written(folder: Path, body: str, **columns: np.ndarray) -> Path:
+    """A campaign of columns at 500 Hz with this [body]."""
+    folder.mkdir()
+    t = np.arange(len(columns["position_m"])) / 500.0
+    table = np.column_stack([t, *columns.values()])
+    header = ",".join(["time_s", *columns])
+    np.savetxt(folder / "a.csv", table, "%.9g", ",", header=header, comments="")
+    text = f'name = "a"\nrig = "force"\nsample_rate_hz = 500.0\n[body]\n{body}\n'
+    (folder / "campaign.toml").write_text(f'{text}[[stroke]]\nfile = "a.csv"\n', encoding="utf-8")
+    return folder
+
+
+def test_an_area_that_changes_is_unnamed(tmp_path) -> None:
+    rng = np.random.default_rng(2)
+    t = np.arange(10000) / 500.0
+    x = 0.03 * (1.0 + 0.6 * np.sin(0.9 * t) + 0.3 * np.sin(2.2 * t))
+    v = 0.03 * (0.54 * np.cos(0.9 * t) + 0.66 * np.cos(2.2 * t))
+    p = 2e5 + 1.5e5 * np.sin(0.9 * t + 0.3) + 0.8e5 * np.sin(2.9 * t)
+    f = 300.0 * v + 60.0 * np.sign(v) + 5000.0 * x - 0.012 * (1.0 - 6.0 * x) * p
+    folder = written(
+        tmp_path / "a",
+        "piston_area_m2 = 0.012",
+        position_m=x + rng.normal(0.0, 1e-6, len(t)),
+        force_n=f + rng.normal(0.0, 2.0, len(t)),
+        pressure_pa=p,
+    )
+    found = diagnose_force(folder)
+    assert found.verdict == "unnamed"
+    assert (found.causes()[0].id, found.causes()[0].cause_class) == ("unnamed", "geometry")
+
+
+def test_a_motion_of_one_frequency_or_one_way_cannot_tell(tmp_path) -> None:
+    rng = np.random.default_rng(2)
+    t = np.arange(10000) / 500.0
+    x, v = 0.02 * np.sin(6.0 * t), 0.12 * np.cos(6.0 * t)
+    noise = rng.normal(0.0, 0.1, (2, len(t)))
+    f = (400.0 - 3.0 * 36.0) * x + 5.0 * np.sign(v) + 20.0 * v + noise[0]
+    spring = diagnose_force(
+        written(tmp_path / "a", "", position_m=x + 1e-5 * noise[1], force_n=f)
+    ).as_json()
+    assert spring["verdict"] == "cannot_tell" and "another frequency" in spring["findings"][0]
+    x, v = 0.1 * t + 0.01 * np.sin(3.0 * t), 0.1 + 0.03 * np.cos(3.0 * t)
+    f = 12.0 + 30.0 * v - 5.0 * 0.09 * np.sin(3.0 * t) + noise[0]
+    once = diagnose_force(
+        written(tmp_path / "b", "", position_m=x + 1e-5 * noise[1], force_n=f)
+    ).as_json()
+    assert once["verdict"] == "cannot_tell" and "one way only" in once["findings"][0]
+
+
+def test_a_rotary_axis_has_its_units(tmp_path) -> None:
+    folder = rig(
+        tmp_path / "a",
+        head=HEAD.replace("position_m", "angle_rad").replace("force_n", "torque_n_m"),
+    )
+    body = diagnose_force(folder).as_json()["body"]
+    assert body["mass_kg"]["unit"] == "kg m^2" and body["coulomb_n"]["unit"] == "N m"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "why"),
     [
