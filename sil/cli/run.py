@@ -72,6 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import prepare_folder
     from sil.simulation import scenario
+    from sil.simulation.free_run import jitter_lines
     from sil.simulation.results import as_json, junit_xml
 
     loaded = scenario.load(
@@ -103,6 +104,9 @@ def run(arguments: argparse.Namespace) -> int:
         write_report(finished, folder)
     if arguments.junit is not None:
         write_atomically(arguments.junit, junit_xml(finished.result))
+    if free_running:
+        for line in jitter_lines(finished.result.bus):
+            say(line)
     if arguments.json:
         print(as_json(finished.result))
     else:
@@ -140,8 +144,6 @@ def _harder_impact(shift: Shift) -> str:
 
 def _print_summary(finished: Finished, folder: Path, was_changed: bool) -> None:
     """Print the checks, shifts and files; `was_changed`: a shipped scenario with other values."""
-    from sil.simulation.free_run import jitter_lines
-
     result = finished.result
     failed = [check for check in result.expectations if not check.passed]
     checks = len(result.expectations)
@@ -173,9 +175,6 @@ def _print_summary(finished: Finished, folder: Path, was_changed: bool) -> None:
         print(f"  and {len(finished.shifts) - SHIFTS_PRINTED} shifts more, in result.json")
     if result.bus:
         print(f"  bus {100 * result.bus['load']:.0f} % loaded, {result.bus['frames']} frames")
-    if result.bus.get("mode"):
-        for line in jitter_lines(result.bus):
-            say(f"  {line}")
     if "late_p50_s" in result.speed:
         late = [f"{q} {1e3 * result.speed[f'late_{q}_s']:.2f} ms" for q in ("p50", "p99", "max")]
         print(f"  real time: late by {', '.join(late)}; {result.speed['overruns']:.0f} overruns")

@@ -137,7 +137,8 @@ class FreeRun:
             if name not in REMOTE:
                 self._start_thread(name)
         begun = time.perf_counter()
-        self._zero_ns = time.time_ns() + to_ns(SETTLING_S)
+        # Whole microseconds, so that canplayer reads the log.
+        self._zero_ns = time.time_ns() // 1000 * 1000 + to_ns(SETTLING_S)
         end_ns = self._zero_ns + duration_ns
         while time.time_ns() < end_ns + to_ns(_LOOK_S):
             self._look_after_nodes()
@@ -247,7 +248,7 @@ class FreeRun:
         found = []
         while (message := self._bus.recv(0.0)) is not None:
             arrival_ns, frame = (
-                round(message.timestamp * NS_PER_S) - self._zero_ns,
+                1000 * round(message.timestamp * 1e6) - self._zero_ns,
                 frame_of(message),
             )
             if frame is not None and 0 <= arrival_ns < duration_ns:

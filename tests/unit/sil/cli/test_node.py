@@ -77,3 +77,10 @@ def test_a_participants_process_runs_this_code_whatever_lies_around(tmp_path: Pa
         command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
     )
     assert done.returncode == 2 and "nocan9" in done.stderr
+
+
+def test_a_duration_is_for_a_node_in_real_time(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["node", "controller", "--channel", "local:x", "--duration"]
+    for more in (["5"], ["0", "--realtime"]):
+        assert cli.main([*words, *more]) == 2
+        assert "expected 0 to 86400 s, and --realtime" in capsys.readouterr().err
