@@ -173,7 +173,11 @@ def _report(
         print(json.dumps(values | {"out": str(folder)}, ensure_ascii=False, indent=1))
     else:
         print("\n".join(lines))
-        print(f"  {folder}: {' '.join(sorted(path.name for path in folder.iterdir()))}")
+        names = sorted(path.name for path in folder.iterdir())
+        if pictures := sum(name.startswith("shift_") for name in names):
+            names = [name for name in names if not name.startswith("shift_")]
+            names.append(f"and {pictures} pictures shift_N.png, shift_N.svg")
+        print(f"  {folder}: {' '.join(names)}")
 
 
 OWN_LOG_ONLY = ("run", "plant", "closed_loop", "against", "options")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, get_args
 
 import numpy as np
 
@@ -57,16 +57,7 @@ SYNCHRONISED_RAD_S: Final = 2.0
 LONGEST_GAP_S: Final = 0.35
 """A longer time without the transmission's frames is a gap: ETC2 comes every 0.1 s."""
 
-MEANINGS: Final[tuple[Meaning, ...]] = (
-    "shift_in_process",
-    "current_gear",
-    "selected_gear",
-    "input_shaft_rad_s",
-    "output_shaft_rad_s",
-    "engine_rad_s",
-    "engine_torque_share",
-    "supply_pressure_pa",
-)
+MEANINGS: Final[tuple[Meaning, ...]] = get_args(Meaning)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from itertools import chain, count
 from can_dbc.errors import InputError
 from sil.files.progress import Progress
 from sil.logs.frame import MAX_TIME_NS, LogFrame
-from sil.logs.reader import LogReader
+from sil.logs.reader import LogReader, unseen
 from sil.logs.registry import open_log
 from sil.logs.report import LogReport
 from sil.logs.selection import Selection
@@ -173,7 +173,11 @@ class Logs:
                     progress(done_bytes / _BYTES_PER_MB, sum(sizes.values()) / _BYTES_PER_MB)
 
                 part.reader.on_read = show
-            yield from frames
+            try:
+                yield from frames
+            finally:  # else the next reading would show its first frame as progress of this one
+                for part in self._parts:
+                    part.reader.on_read = unseen
 
 
 def _size(path: str) -> float:

@@ -17,6 +17,10 @@ _WATCHED_INSTANT = 64
 """Frames of one instant among which duplicates are searched."""
 
 
+def unseen(passed: float, size: float) -> None:
+    """Show no progress."""
+
+
 class LogReader:
     """Frames of a log, in its order, in bounded memory; `report` states what was found.
 
@@ -29,7 +33,7 @@ class LogReader:
 
     def __init__(self, path: str, format: Format, *, strict: bool, times: str) -> None:
         self.path = path
-        self.on_read: Callable[[float, float], None] = lambda passed, size: None
+        self.on_read: Callable[[float, float], None] = unseen
         """Called now and then with the bytes of the file that were read, and all of them."""
 
         self.format = format.name
