@@ -1,20 +1,25 @@
 """Show the transports found on this machine, and load and worst-case response times of a bus.
 
-Without --dbc it is the project's own contract; with a scenario, the periods are that scenario's.
+Without --dbc it is the project's own contract; with a scenario, the periods are that scenario's; with
+--log, periods and jitter are those measured in the log, and --dbc gives the names.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sil.cli.options import JSON, argument
+from sil.cli.options import JSON, SELECTION, argument
+
+if TYPE_CHECKING:
+    from sil.coupling.response_times import PeriodicMessage
 
 EXAMPLE = """\
 example:
   opc4 bus --bitrate 250000
   opc4 bus --dbc > opc4.dbc
+  opc4 bus --dbc truck.dbc --log monday.asc --channel 1 --bitrate 250000
 """
 
 OWN = ""
@@ -30,6 +35,10 @@ ARGUMENTS = (
         const=OWN,
     ),
     argument("--scenario", "take periods and bit rate from it", "SCENARIO"),
+    argument(
+        "--log", "measure periods and jitter in it; repeatable", "LOG", action="append", default=[]
+    ),
+    *(option for option in SELECTION if option[0] in ("--since", "--until", "--channel")),
     argument("--bitrate", "[500000]", "BIT/S", type=int),
     JSON,
 )
@@ -43,13 +52,16 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.dbc == OWN:
         return _print_database(arguments.json)
-    if arguments.dbc and arguments.scenario:
-        raise InputError("--dbc, --scenario: both given; expected one of them")
+    if arguments.scenario and (arguments.dbc or arguments.log):
+        raise InputError("--scenario: given with --dbc or --log; expected one of them")
     bitrate = 500_000
-    if arguments.dbc:
+    notes: list[str] = []
+    if arguments.log:
+        messages, notes = _measured(arguments)
+    elif arguments.dbc:
         from can_dbc.dbc import load_dbc
 
-        messages = response_times.database_messages(load_dbc(arguments.dbc))
+        messages = response_times.database_messages(load_dbc(arguments.dbc), arguments.dbc)
     elif arguments.scenario:
         from sil.simulation import scenario
         from sil.simulation.bus_figures import scenario_messages
@@ -60,15 +72,18 @@ def run(arguments: argparse.Namespace) -> int:
         messages = response_times.contract_messages()
     bitrate = arguments.bitrate or bitrate
     responses = response_times.response_times(messages, bitrate)
+    jitters = {message.name: message.jitter_ns for message in messages}
     figures: dict[str, Any] = {
         "transports": _transports(),
         "bitrate": bitrate,
+        "notes": notes,
         "worst_case_load": float(response_times.utilisation(messages, bitrate)),
         "messages": [
             {
                 "name": r.name,
                 "can_id": f"{r.can_id:08X}",
                 "period_s": to_seconds(r.period_ns),
+                "jitter_s": to_seconds(jitters[r.name]),
                 "transmission_s": to_seconds(r.transmission_ns),
                 "blocking_s": to_seconds(r.blocking_ns),
                 "worst_case_s": to_seconds(r.response_ns),
@@ -93,6 +108,50 @@ def _print_database(as_json: bool) -> int:
         text = file.read()
     print(json.dumps({"dbc": text}) if as_json else text.removesuffix("\n"))
     return 0
+
+
+def _measured(arguments: argparse.Namespace) -> tuple[tuple[PeriodicMessage, ...], list[str]]:
+    """Return the messages of a log, and what is assumed; periods that the DBC states go first."""
+    from can_dbc.dbc import load_dbc
+    from sil.coupling.response_times import NS_PER_MS, PeriodicMessage
+    from sil.j1939.periods import measure_bus, names_of
+    from sil.logs import Selection, open_logs
+
+    chosen = Selection.parse(
+        since=arguments.since, until=arguments.until, channels=arguments.channel
+    )
+    log = open_logs(arguments.log, chosen, show_progress=True)
+    measured = measure_bus(log, log.path)
+    names: dict[tuple[int, bool], str] = {}
+    stated: dict[tuple[int, bool], int] = {}
+    how = "jitter of 99 % of the intervals, waiting for the bus included"
+    notes = [f"periods and jitter measured in {log.path} ({how})", *measured.notes]
+    if arguments.dbc:
+        database = load_dbc(arguments.dbc)
+        names = names_of(database, measured.messages)
+        stated = {
+            (m.frame_id, m.is_extended_frame): round(m.cycle_time * NS_PER_MS)
+            for m in database.messages
+            if m.cycle_time
+        }
+        if unnamed := len(measured.messages) - len(names):
+            notes.append(f"{unnamed} messages are not in {arguments.dbc}: shown by identifier")
+    messages = []
+    for message in measured.messages:
+        key = message.can_id, message.extended
+        name = names.get(key, f"{message.can_id:0{8 if message.extended else 3}X}")
+        name += "" if message.periodic or key in stated else " ~"
+        messages.append(
+            PeriodicMessage(
+                name,
+                message.can_id,
+                stated.get(key, message.period_ns),
+                message.length,
+                message.jitter_ns,
+                extended=message.extended,
+            )
+        )
+    return tuple(messages), notes
 
 
 def _transports() -> dict[str, Any]:
@@ -122,14 +181,18 @@ def _print(figures: dict[str, Any]) -> None:
     print(
         f"bus: {figures['bitrate']} bit/s, {100 * figures['worst_case_load']:.1f} % loaded at worst"
     )
+    for note in figures["notes"]:
+        print(f"  {note}")
+    width = max(18, *(len(m["name"]) for m in figures["messages"]))
     print(
-        f"  {'message':<18} {'identifier':>10} {'period ms':>10} {'frame ms':>9} "
+        f"  {'message':<{width}} {'identifier':>10} {'period ms':>10} {'jitter ms':>10} {'frame ms':>9} "
         f"{'blocked ms':>11} {'worst ms':>9}"
     )
     for m in figures["messages"]:
         late = "" if m["in_time"] else "  too late"
         print(
-            f"  {m['name']:<18} {m['can_id']:>10} {1e3 * m['period_s']:>10.1f} "
+            f"  {m['name']:<{width}} {m['can_id']:>10} {1e3 * m['period_s']:>10.1f} "
+            f"{1e3 * m['jitter_s']:>10.3f} "
             f"{1e3 * m['transmission_s']:>9.3f} {1e3 * m['blocking_s']:>11.3f} "
             f"{1e3 * m['worst_case_s']:>9.3f}{late}"
         )

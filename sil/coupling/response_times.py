@@ -104,10 +104,10 @@ def contract_messages(
     )
 
 
-def database_messages(database: Database) -> tuple[PeriodicMessage, ...]:
+def database_messages(database: Database, source: str = "DBC") -> tuple[PeriodicMessage, ...]:
     """Return the messages with a cycle time of a database read by `can_dbc.dbc.load_dbc`.
 
-    Raises InputError when there is none or one is longer than a classic frame.
+    `source`: its name in messages. Raises InputError when there is none or one is longer than a classic frame.
     """
     messages = []
     for message in database.messages:
@@ -115,7 +115,7 @@ def database_messages(database: Database) -> tuple[PeriodicMessage, ...]:
             continue
         if message.length > 8:
             raise InputError(
-                f"DBC: {message.name}: {message.length} bytes; "
+                f"{source}: {message.name}: {message.length} bytes; "
                 "expected at most 8, the analysis covers classic CAN only"
             )
         messages.append(
@@ -129,7 +129,8 @@ def database_messages(database: Database) -> tuple[PeriodicMessage, ...]:
         )
     if not messages:
         raise InputError(
-            "DBC: no message has a cycle time (GenMsgCycleTime); expected at least one"
+            f"{source}: no message has a cycle time (GenMsgCycleTime); expected at least one, or a log "
+            "of the bus (--log) to measure them from"
         )
     return tuple(messages)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from typing import Final
 
 from can_dbc.errors import InputError
@@ -17,6 +18,32 @@ _MODULES: Final = (blf, mf4, trc, asc, csv_log, candump)
 """In the order in which they are asked whether a file is theirs: the surest mark first."""
 
 FORMATS: Final[dict[str, Format]] = {module.FORMAT.name: module.FORMAT for module in _MODULES}
+
+_SAVVYCAN: Final = "SavvyCAN (open it, then save it as GVRET CSV)"
+_FOREIGN: Final = (
+    (rb"\*\*\*BUSMASTER", "a BUSMASTER log", f"BUSMASTER (to ASC), or {_SAVVYCAN}"),
+    (rb"(?i)vehicle spy|^\W*line,\s*abs time", "a Vehicle Spy log", _SAVVYCAN),
+    (rb"(?m)^\d+\.\d+ \d?[RT](?:11|29) [0-9A-Fa-f]+", "a CRTD log", _SAVVYCAN),
+    (rb"\A# Logger type: CL", "a CLX000 log", _SAVVYCAN),
+    (rb"\A\s*ASCII Trace IXXAT", "an IXXAT trace", _SAVVYCAN),
+    (rb"\ASQLite format 3\0", "a SQLite log", "can_logconvert of python-can (to .asc or .blf)"),
+    (
+        rb"(?i)\A\W*time[^\n]*[;,]\s*\"?(?:chn?|channel|can)\b[^\n]*[;,]\s*\"?id\b[^\n]*data",
+        "a CSV export of CANalyzer, CANoe or Kvaser",
+        "the tool that made it (export as ASC or BLF)",
+    ),
+)
+"""Formats that are not read: how their files begin, what they are, and what converts them."""
+
+
+def _refuse_foreign(path: str, head: bytes) -> None:
+    """Refuse a log of a known format that is not read. Raises InputError that says what converts it."""
+    for pattern, name, converter in _FOREIGN:
+        if re.search(pattern, head[:4096]):
+            raise InputError(
+                f"{path}: is {name}, which is not read; expected one of {', '.join(FORMATS)}: "
+                f"convert it with {converter}"
+            )
 
 
 def _format_named(name: str) -> Format:
@@ -65,7 +92,10 @@ def open_log(
     source.close()
     if found is None:
         recognised = (one for one in FORMATS.values() if one.recognise(source.head))
-        found = next(recognised, None) or _format_of_name(name)
+        found = next(recognised, None)
+    if found is None:
+        _refuse_foreign(name, source.head)
+        found = _format_of_name(name)
     if found is None:
         raise InputError(
             f"{name}: neither content nor name is that of a log; expected one of "

@@ -70,8 +70,9 @@ class ByteSource:
             self._held = b""
             self.head = self._held = self.read(HEAD_BYTES).removeprefix(b"\xef\xbb\xbf")
             for mark, name in _NOT_LOGS.items():
+                hint = " (SavvyCAN converts it to GVRET CSV)" if "capture" in name else ""
                 if self.head.startswith(mark):
-                    raise InputError(f"{path}: is {name}; expected a log, plain or gzipped")
+                    raise InputError(f"{path}: is {name}; expected a log, plain or gzipped{hint}")
         except BaseException:
             self.file.close()
             raise

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import random
 from pathlib import Path
 
 import pytest
 
 from can_dbc.contract import DBC_PATH
 from sil import cli
+from sil.logs import LogFrame, open_writer
 
 
 def test_bus_prints_transports_load_and_worst_cases(capsys: pytest.CaptureFixture[str]) -> None:
@@ -71,3 +73,52 @@ def test_the_database_is_printed_as_it_is(capsys: pytest.CaptureFixture[str]) ->
     assert capsys.readouterr().out == text
     assert cli.main(["bus", "--dbc", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"dbc": text}
+
+
+def test_periods_and_jitter_measured_from_a_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dbc = tmp_path / "truck.dbc"
+    dbc.write_text(
+        'VERSION ""\nBU_: A\nBO_ 2364540158 EEC1: 8 A\n SG_ S : 0|8@1+ (1,0) [0|0] "" A\n'
+        'BO_ 256 Plain: 4 A\n SG_ T : 0|8@1+ (1,0) [0|0] "" A\n'
+    )
+    assert cli.main(["bus", "--dbc", str(dbc)]) == 2
+    error = capsys.readouterr().err
+    assert f"{dbc}: no message has a cycle time" in error and "--log" in error
+    rng = random.Random(4)
+    frames = [LogFrame(n * 20_000_000, 0x0CF00400, bytes(8)) for n in range(500)]
+    frames += [
+        LogFrame(n * 50_000_000 + rng.randrange(4_000_000), 0x100, b"ab", False) for n in range(200)
+    ]
+    frames += [LogFrame(rng.randrange(10**10), 0x18EF0003, bytes(8)) for _ in range(100)]
+    frames += [LogFrame(5, 0x123, b"", False)]
+    log = tmp_path / "a.log"
+    with open_writer(log) as writer:
+        for frame in sorted(frames, key=lambda frame: frame.time_ns):
+            writer.write(frame._replace(channel="can0"))
+    assert cli.main(["bus", "--dbc", str(dbc), "--log", str(log), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    by_name = {m["name"]: m for m in found["messages"]}
+    assert set(by_name) == {"EEC1 of 00", "Plain", "18EF0003 ~"}
+    assert by_name["EEC1 of 00"]["period_s"] == pytest.approx(0.02)
+    assert by_name["EEC1 of 00"]["jitter_s"] == pytest.approx(0.0, abs=1e-6)
+    assert by_name["Plain"]["period_s"] == pytest.approx(0.05, abs=3e-4)
+    assert 0.002 < by_name["Plain"]["jitter_s"] < 0.0045
+    assert by_name["18EF0003 ~"]["period_s"] == pytest.approx(0.1, rel=0.03)
+    assert any("1 messages come too rarely" in note for note in found["notes"])
+    assert any("1 messages are not periodic" in note for note in found["notes"])
+
+
+def test_a_log_of_several_buses_needs_a_channel(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "a.log"
+    with open_writer(log) as writer:
+        for n in range(100):
+            writer.write(LogFrame(n * 10_000_000, 0x100 + n % 2, b"", False, channel=f"can{n % 2}"))
+    assert cli.main(["bus", "--log", str(log)]) == 2
+    assert "channels can0, can1; expected one bus, by --channel" in capsys.readouterr().err
+    assert cli.main(["bus", "--log", str(log), "--channel", "can1", "--json"]) == 0
+    (message,) = json.loads(capsys.readouterr().out)["messages"]
+    assert (message["can_id"], message["period_s"]) == ("00000101", 0.02)

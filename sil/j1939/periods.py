@@ -1,0 +1,128 @@
+"""Periods and jitter of the messages of a bus, measured from a log."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from can_dbc.errors import InputError
+from can_dbc.frame import split_id
+from sil.logs.frame import LogFrame
+
+if TYPE_CHECKING:
+    from cantools.database import Database
+
+_MOST_INTERVALS: Final = 10_000
+_MOST_MESSAGES: Final = 4_000
+_LEAST_INTERVALS: Final = 10
+_REGULAR_SHARE, _REGULAR_WITHIN = 0.8, 0.3
+"""A message is periodic if so many of its intervals are so close to their median."""
+
+
+@dataclass
+class MeasuredMessage:
+    """A message of the bus, from its intervals in the log.
+
+    period_ns: the median interval, or the mean one of a message that is not periodic. jitter_ns: by
+    how much an interval is shorter than that, 99 of 100 at most; it includes waiting for the bus.
+    """
+
+    can_id: int
+    extended: bool
+    frames: int = 0
+    length: int = 0
+    periodic: bool = False
+    period_ns: int = 0
+    jitter_ns: int = 0
+    _last_ns: int | None = None
+    _intervals: array[int] = field(default_factory=lambda: array("q"))
+
+    def take(self, frame: LogFrame) -> None:
+        """Take one frame; the first intervals are kept."""
+        self.frames += 1
+        self.length = max(self.length, len(frame.data))
+        last_ns, room = self._last_ns, len(self._intervals) < _MOST_INTERVALS
+        if room and last_ns is not None and frame.time_ns > last_ns:
+            self._intervals.append(frame.time_ns - last_ns)
+        self._last_ns = frame.time_ns
+
+    def measure(self) -> bool:
+        """Find period and jitter; return whether there were frames enough for that."""
+        if len(self._intervals) < _LEAST_INTERVALS:
+            return False
+        ordered = sorted(self._intervals)
+        median = ordered[len(ordered) // 2]
+        near = [i for i in ordered if abs(i - median) <= _REGULAR_WITHIN * median]
+        self.periodic = len(near) >= _REGULAR_SHARE * len(ordered)
+        self.period_ns = median if self.periodic else sum(ordered) // len(ordered)
+        shortest = ordered[len(ordered) // 100]
+        self.jitter_ns = max(self.period_ns - shortest, 0) if self.periodic else 0
+        return True
+
+
+@dataclass
+class MeasuredBus:
+    """The messages measured, most frequent first, and what was left out, as text."""
+
+    messages: list[MeasuredMessage]
+    notes: list[str]
+
+
+def measure_bus(frames: Iterable[LogFrame], log: str) -> MeasuredBus:
+    """Measure all messages of one bus, in bounded memory.
+
+    Raises InputError for a log of several channels, and for one without messages that repeat.
+    """
+    found: dict[tuple[int, bool], MeasuredMessage] = {}
+    channels: set[str] = set()
+    fd = 0
+    for frame in frames:
+        if frame.error or frame.remote:
+            continue
+        if frame.fd:
+            fd += 1
+            continue
+        channels.add(frame.channel)
+        key = frame.can_id, frame.extended
+        message = found.get(key)
+        if message is None:
+            if len(found) >= _MOST_MESSAGES:
+                continue
+            message = found[key] = MeasuredMessage(*key)
+        message.take(frame)
+    if len(channels) > 1:
+        raise InputError(
+            f"{log}: channels {', '.join(sorted(channels)[:8])}; expected one bus, by --channel"
+        )
+    measured = [message for message in found.values() if message.measure()]
+    if not measured:
+        raise InputError(
+            f"{log}: no message comes {_LEAST_INTERVALS + 1} times; expected a log of a bus in traffic"
+        )
+    notes = []
+    if rare := len(found) - len(measured):
+        notes.append(f"{rare} messages come too rarely to be measured, left out")
+    if fd:
+        notes.append(f"{fd} CAN FD frames left out: the analysis covers classic CAN only")
+    if irregular := sum(1 for message in measured if not message.periodic):
+        notes.append(f"{irregular} messages are not periodic: taken by their mean interval (~)")
+    return MeasuredBus(sorted(measured, key=lambda message: message.period_ns), notes)
+
+
+def names_of(
+    database: Database, messages: Iterable[MeasuredMessage]
+) -> dict[tuple[int, bool], str]:
+    """Return the database's name of each message: by identifier, else by J1939 parameter group."""
+    exact = {(m.frame_id, m.is_extended_frame): m.name for m in database.messages}
+    groups = {split_id(m.frame_id).pgn: m.name for m in database.messages if m.is_extended_frame}
+    found = {}
+    for message in messages:
+        key = message.can_id, message.extended
+        if key in exact:
+            found[key] = exact[key]
+        elif message.extended and split_id(message.can_id).pgn in groups:
+            name = groups[split_id(message.can_id).pgn]
+            found[key] = f"{name} of {message.can_id & 0xFF:02X}"
+    return found
