@@ -9,15 +9,16 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from can_dbc.frame import split_id
-from sil.j1939.engine import EngineSample
+from sil.j1939.engine import PGN_EEC1, EngineSample
+from sil.j1939.gear_history import PGN_ETC2
+from sil.j1939.shift_flag import PGN_ETC1
 from sil.j1939.shifts import Shift, ShiftFinder
-from sil.j1939.transport import Assembler
+from sil.j1939.transport import PGN_CONTROL, PGN_DATA, Assembler
 from sil.logs.frame import LogFrame
 from sil.logs.registry import open_log
 
 _MOST_GROUPS: Final = 20_000
-_TRANSPORT_MASK, _TRANSPORT_BITS = 0x3F80000, 0x0E80000
-"""Of PDU formats 0xE8 to 0xEF, of which the assembler takes its two."""
+_FOLLOWED: Final = frozenset((PGN_ETC1, PGN_ETC2, PGN_EEC1, PGN_CONTROL, PGN_DATA))
 
 
 @dataclass(slots=True)
@@ -93,6 +94,7 @@ def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
     identifiers: Counter[int] = Counter()
     frames = 0
     first_ns: int | None = None
+    followed: dict[int, bool] = {}
     for frame in open_log(log) if isinstance(log, (str, os.PathLike)) else log:
         frames += 1
         if first_ns is None:
@@ -100,8 +102,13 @@ def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
         if frame.extended and not frame.error and not frame.remote:
             if len(identifiers) < _MOST_GROUPS or frame.can_id in identifiers:
                 identifiers[frame.can_id] += 1
-            finder.take(frame)
-            if frame.can_id & _TRANSPORT_MASK == _TRANSPORT_BITS:
+            wanted = followed.get(frame.can_id)
+            if wanted is None:
+                wanted = split_id(frame.can_id).pgn in _FOLLOWED
+                if len(followed) < _MOST_GROUPS:
+                    followed[frame.can_id] = wanted
+            if wanted:
+                finder.take(frame)
                 transport.take(frame)
     transport.finish()
     groups: Counter[tuple[int, int]] = Counter()
