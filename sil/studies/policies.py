@@ -31,11 +31,16 @@ Bools = NDArray[np.bool_]
 Number = TypeVar("Number", np.float64, np.int64)
 
 GUARDS = {name: number for number, name in GUARD_NAMES.items()}
+IMPACTS = [
+    kind for kind, name in GUARD_NAMES.items() if name.endswith("contact") or name.endswith("stop")
+]
 MOST_EVENTS = 96
 TOLERANCE = 1e-5
 AT_STOP_M = 1e-4
 ARMED = 0.999
 """Share of a valve's delay by which its coil may be switched before it is known whether it must be."""
+AGAIN_S = 1e-7
+"""How long a coil is switched back between two loads for which it is switched early."""
 SAME_S = 1e-6
 NOT_ARRIVED = 2.0
 """Least cost of an arrival that is too late or does not last, m/s; above every impact."""
@@ -126,6 +131,8 @@ class Arrivals:
     cost_m_s: the hardest impact, or above `NOT_ARRIVED` for an arrival that is too late or does not
     last. impact_stay_m_s: hardest stop of the stay. impact_worst_m_s: hardest of all impacts that
     count (see `sil.simulation.impacts`).
+    late_s: arrival after the limit (negative before it), infinite for none that lasts. parts_m_s
+    [..., parts]: hardest impact of each body on each stop, smooth where the hardest of all is not.
     """
 
     cost_m_s: Floats
@@ -133,10 +140,19 @@ class Arrivals:
     impact_worst_m_s: Floats
     arrival_s: Floats
     revealed_s: Floats
+    late_s: Floats
+    parts_m_s: Floats
 
-    def reshaped(self, shape: tuple[int, ...]) -> Arrivals:
-        """Return the same with every array in another shape."""
-        return Arrivals(**{name: each.reshape(shape) for name, each in vars(self).items()})
+    def reshaped(self, shape: tuple[int, ...], which: Bools | None = None) -> Arrivals:
+        """Return the same in another shape; `which` of its elements these are, the others NaN."""
+        found = {}
+        for name, each in vars(self).items():
+            whole = each
+            if which is not None:
+                whole = np.full((which.size, *each.shape[1:]), np.nan)
+                whole[which.ravel()] = each
+            found[name] = whole.reshape(*shape, *each.shape[1:])
+        return Arrivals(**found)
 
 
 class FamilyModel:
@@ -158,32 +174,63 @@ class FamilyModel:
         self._mass_kg = setups[0].p.m_s + setups[0].p.m_p
         self._revealing = GUARDS[family.revealed_by]
         self.valve_s = parameters.value("valve.D_rise"), parameters.value("valve.D_fall")
-        self.limit_s = np.full(self.loads, 0.5)
+        self.limit_s, self.order = np.full(self.loads, 0.5), np.arange(self.loads)
         self.plain = self.fly(np.full((1, 1, 2), -1.0), None, Layout("N", 1, 0))
         self.limit_s = self.plain.arrival_s[0, 0] + extra_s
+        self.order = np.argsort(self.plain.revealed_s[0, 0])
 
     def fly(self, stems: Floats, branches: Floats | None, layout: Layout) -> Arrivals:
         """Simulate stems [n, valves, variables] with several tries of branches under every load.
 
         branches: [n, tries, loads, valves, variables], or None for none.
         """
-        loads = self.loads
-        load = np.tile(np.arange(loads), len(stems))
         given = self.changes(
-            layout, *(np.repeat(each, loads, axis=0) for each in stem_spans(stems))
+            layout, *(np.repeat(each, self.loads, axis=0) for each in stem_spans(stems))
         )
-        stem_only = self._simulate(given, load)
+        stem_only = self._simulate(given, np.tile(np.arange(self.loads), len(stems)))
+        shape = len(stems), 1, self.loads
         if branches is None:
-            return stem_only.reshaped((len(stems), 1, loads))
-        tries = branches.shape[1]
-        revealed_s = np.repeat(stem_only.revealed_s.reshape(-1, 1, loads), tries, axis=1)
-        begin_s = np.maximum(np.minimum(revealed_s, self.limit_s) + self.delay_s, 0.0)
-        given = self.changes(layout, *self.spans(layout, stems, branches, begin_s))
-        found = self._simulate(given, np.tile(np.arange(loads), len(stems) * tries))
-        found = found.reshaped(revealed_s.shape)
+            return stem_only.reshaped(shape)
+        return self.branched(stems, branches, layout, stem_only.revealed_s.reshape(-1, self.loads))
+
+    def branched(
+        self,
+        stems: Floats,
+        branches: Floats,
+        layout: Layout,
+        revealed_s: Floats,
+        which: Bools | None = None,
+    ) -> Arrivals:
+        """Simulate as `fly` does, with the instants [n, loads] in s at which the stems reveal a load.
+
+        which: [n, loads], the loads to simulate, NaN for the others; if not given, all.
+        """
+        shape = branches.shape[:3]
+        revealed_s = np.repeat(revealed_s[:, None], shape[1], axis=1)
+        load = np.broadcast_to(np.arange(self.loads), shape)
+        some = np.ones(shape, dtype=np.bool_)
+        if which is not None:
+            some &= which[:, None]
+        begin, end = self.spans(layout, stems, branches, self.begin_s(revealed_s))
+        given = self.changes(layout, begin[some.ravel()], end[some.ravel()])
+        found = self._simulate(given, load[some]).reshaped(shape, some)
         moved = (self.delay_s >= 0.0) & ~np.isclose(found.revealed_s, revealed_s, 0.0, SAME_S)
-        cost_m_s = np.where(moved, 2.0 * NOT_ARRIVED, found.cost_m_s)
-        return replace(found, cost_m_s=cost_m_s, revealed_s=revealed_s)
+        moved &= some
+        return replace(
+            found,
+            cost_m_s=np.where(moved, 2.0 * NOT_ARRIVED, found.cost_m_s),
+            late_s=np.where(moved, np.inf, found.late_s),
+            revealed_s=revealed_s,
+        )
+
+    def begin_s(self, revealed_s: Floats) -> Floats:
+        """Return when branches begin, from the instants [..., loads] in s at which loads are revealed."""
+        return np.maximum(np.minimum(revealed_s, self.limit_s) + self.delay_s, 0.0)
+
+    def reveals_s(self, stems: Floats, layout: Layout, load: int) -> Floats:
+        """Return when stems [n, valves, variables] reveal a load [n], in s."""
+        given = self.changes(layout, *stem_spans(stems))
+        return self._simulate(given, np.full(len(stems), load), hold_s=0.0).revealed_s
 
     def spans(
         self, layout: Layout, stems: Floats, branches: Floats, begin_s: Floats
@@ -199,13 +246,14 @@ class FamilyModel:
         armed_s = np.array(lead_s)[:, None] * (ARMED if self.delay_s >= 0.0 else 0.0)
         start = np.maximum(branches[..., 0:-1:2], -armed_s)
         begin, end = from_s + start, from_s + branches[..., 0:-1:2] + branches[..., 1:-1:2]
+        begin = self._rearmed(begin, end, from_s)
         cut_s = from_s + np.maximum(branches[..., -1:], 0.0)
         stem_begin, stem_end = (
             np.broadcast_to(each[:, None, None], (*shape[:4], each.shape[-1]))
             for each in stem_spans(stems)
         )
         # the coil that a branch switches on before it begins is switched on for all loads until then
-        arms = (start < 0.0) & (end > from_s)
+        arms = (begin < from_s) & (end > from_s)
         others = ~np.eye(self.loads, dtype=np.bool_)[:, :, None, None]
         arm_begin = np.where(arms, begin, np.inf)[:, :, None]
         arm_end = np.minimum(np.where(arms, from_s, -np.inf)[:, :, None], from_s[:, :, :, None])
@@ -219,6 +267,20 @@ class FamilyModel:
         runs = begin_s.size, len(layout.valves), -1
         return begin.reshape(runs), end.reshape(runs)
 
+    def _rearmed(self, begin: Floats, end: Floats, from_s: Floats) -> Floats:
+        """Return begins of pulses [n, tries, loads, valves, k] in s that are possible together.
+
+        A coil that is switched early for one load is switched back when that load is not revealed;
+        only then can it be switched early for the next one.
+        """
+        for at, later in enumerate(self.order):
+            for load in self.order[:at]:
+                until_s = from_s[:, :, load]
+                arms = (begin[:, :, load] < until_s) & (end[:, :, load] > until_s)
+                busy = arms.any(axis=-1, keepdims=True) & (begin[:, :, later] <= until_s)
+                begin[:, :, later] = np.where(busy, until_s + AGAIN_S, begin[:, :, later])
+        return begin
+
     def changes(self, layout: Layout, begin: Floats, end: Floats) -> list[Floats]:
         """Return when the commands of B, N and F change, from pulses [runs, valves, k] in s."""
         none = np.full((len(begin), 1), np.inf)
@@ -230,7 +292,7 @@ class FamilyModel:
             for valve in "BNF"
         ]
 
-    def _simulate(self, given: list[Floats], load: Ints) -> Arrivals:
+    def _simulate(self, given: list[Floats], load: Ints, hold_s: float = HOLD_S) -> Arrivals:
         """Simulate the changes of commands (B, N, F) [runs, k] under the load [runs] of each run."""
         limit_s = self.limit_s[load]
         base = self._base
@@ -243,7 +305,7 @@ class FamilyModel:
                 rows_of(base.modes, load),
                 rows_of(base.valves, load),
                 valve_switches(given, limit_s, *self.valve_s),
-                limit_s + HOLD_S,
+                limit_s + hold_s,
             ),
             event_room=MOST_EVENTS,
             lanes=False,
@@ -261,12 +323,14 @@ class FamilyModel:
         arrival_s = first(stop & (time_s > left_s[:, None]), time_s)
         lost_j = np.where(happened, events[EventRow.lost], 0.0)
         counts = counted(guard, time_s, lost_j, at_block, (GUARDS["collar 1 contact"],))
-        worst_j = np.where(counts, lost_j, 0.0).max(axis=1)
+        lost_j = np.where(counts, lost_j, 0.0)
+        worst_j = lost_j.max(axis=1)
         stay_m_s = np.where(stop, events[EventRow.speed], 0.0).max(axis=1)
         worst_m_s = worst_speed_m_s(worst_j, stay_m_s, self._mass_kg)
         final_m = result.final[:, LengthState.x_s]
-        lasts = (result.status == DONE) & (result.event_count <= MOST_EVENTS)
-        lasts &= (arrival_s <= limit_s) & (final_m > self._stroke_m - AT_STOP_M)
+        stays = (result.status == DONE) & (result.event_count <= MOST_EVENTS)
+        stays &= final_m > self._stroke_m - AT_STOP_M
+        lasts = stays & (arrival_s <= limit_s)
         late = np.where(
             np.isfinite(arrival_s),
             np.maximum(arrival_s - limit_s, 0.0) / HOLD_S,
@@ -278,7 +342,16 @@ class FamilyModel:
             np.where(lasts, worst_m_s, np.inf),
             np.where(lasts, arrival_s, np.inf),
             first(happened & (guard == self._revealing), time_s),
+            np.where(stays, arrival_s - limit_s, np.inf),
+            np.stack([stay_m_s, *self._parts_m_s(lost_j, guard)], axis=1),
         )
+
+    def _parts_m_s(self, lost_j: Floats, guard: Floats) -> list[Floats]:
+        """Return the speeds [runs] in m/s of the hardest impacts by kind, from events [runs, events]."""
+        return [
+            np.sqrt(2.0 * np.where(guard == kind, lost_j, 0.0).max(axis=1) / self._mass_kg)
+            for kind in IMPACTS
+        ]
 
 
 def stem_spans(stems: Floats) -> tuple[Floats, Floats]:
@@ -311,7 +384,8 @@ def changes(begin: Floats, end: Floats) -> Floats:
     time_s, step = (np.take_along_axis(rows, order, axis=1) for rows in (time_s, step))
     after = np.cumsum(step, axis=1)
     changed = (after == 0) | (after - step == 0)
-    return np.sort(np.where(changed, time_s, np.inf), axis=1)
+    found = np.sort(np.where(changed, time_s, np.inf), axis=1)
+    return found[:, : max(1, int(np.isfinite(found).sum(axis=1).max(initial=0)))]
 
 
 def valve_switches(given: list[Floats], limit_s: Floats, rise_s: float, fall_s: float) -> Floats:
