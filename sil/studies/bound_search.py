@@ -33,15 +33,16 @@ ABSENT = -0.2
 """Length of a pulse that is not there, in 10 ms."""
 NO_CUT = 30.0
 """Time, in 10 ms after a branch begins, that is later than any arrival."""
-POPULATION = 12
+POPULATION = 8
 CHILDREN = 60
 KEPT = 8
 """New policies of a generation."""
 TRIES = 12
 """Branches tried for each load of a new policy."""
-POLISHED = 2
-"""New policies of a generation that are refined."""
+NEAR_M_S = 0.05
+"""A new policy that is harder than its parent by more than this is not refined further."""
 LEAST_LINES = 2
+"""Policies with descendants at the end of a search."""
 STEPS = 5
 """Steps of a refinement."""
 DIFFERENCE = 0.005
@@ -168,10 +169,10 @@ class Search:
         if member.cost_m_s.max() >= self.best.cost_m_s - 1e-6:
             return
         stems, _revealed_s = self.stems(member.segments[None])
-        branches = member.branches[None, None] if self.layout.branch else None
-        cost_m_s = float(self.model.fly(stems, branches, self.layout).cost_m_s.max())
+        policy = Policy(0.0, stems[0], member.branches, self.layout)
+        cost_m_s = float(arrivals_of(self.model, policy).cost_m_s.max())
         if cost_m_s < self.best.cost_m_s:
-            self.best = Policy(cost_m_s, stems[0], member.branches, self.layout)
+            self.best = replace(policy, cost_m_s=cost_m_s)
 
     def random_segments(self, n: int) -> Floats:
         """Return random segments [n, k, valves, variables]."""
@@ -329,13 +330,13 @@ class Search:
                 found = [self.crossed(parent, other), self.crossed(other, parent)]
             else:
                 found = sorted(self.children(parent), key=lambda m: m.screened_m_s)
-            for k in (0, self.rng.integers(1, len(found))):
-                new = self.refine(found[k], 2)
-                if new.merit_m_s < population[turn].merit_m_s + 0.05:
-                    new = self.refine(new, STEPS)
-                self.note(new)
-                if new.merit_m_s < population[turn].merit_m_s:
-                    population[turn] = new
+            k = 0 if self.rng.random() < 0.6 else self.rng.integers(len(found))
+            new = self.refine(found[k], 2)
+            if new.merit_m_s < parent.merit_m_s + NEAR_M_S:
+                new = self.refine(new, STEPS)
+            self.note(new)
+            if new.merit_m_s < parent.merit_m_s:
+                population[turn] = new
             spent = self.model.runs - begin
             while len(history) < HALVINGS and spent >= parts[len(history)]:
                 history.append(self.best.cost_m_s)
@@ -367,6 +368,17 @@ def merits(arrivals: Arrivals) -> Floats:
 def screened(cost_m_s: Floats) -> Floats:
     """Return a smooth mean [...] near the worst of the loads [..., loads], m/s."""
     return np.mean(np.minimum(cost_m_s, LOST_M_S) ** 6, axis=-1) ** (1.0 / 6.0)
+
+
+def arrivals_of(model: FamilyModel, policy: Policy) -> Arrivals:
+    """Return how a policy arrives, each figure [1, 1, loads]."""
+    branches = policy.branches[None, None] if policy.layout.branch else None
+    return model.fly(policy.stem[None], branches, policy.layout)
+
+
+def stem_switches(policy: Policy) -> int:
+    """Return how often the commands of a stem change, the start of the push not counted."""
+    return int(np.isfinite(changes(*stem_spans(policy.stem))).sum())
 
 
 def programme(active: Ints, first: Arrivals, second: Arrivals, reach: float) -> Floats | None:

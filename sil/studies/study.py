@@ -120,10 +120,10 @@ class BoundsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     extra_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.03
     """How much later than the plain push a load may arrive."""
-    generations: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 50
-    """Generations of the first search; the second has twice as many, and another seed."""
+    simulations: Annotated[int, msgspec.Meta(ge=1, le=100_000_000)] = 200_000
+    """Strokes that each of the two searches may simulate."""
     seed: Annotated[int, msgspec.Meta(ge=0)] = 0
-    """Seed of the search."""
+    """Seed of the first search; the second has the next one."""
 
 
 class TuningTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -136,7 +136,7 @@ class TuningTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     late_m_s2: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 10.0
     """Cost of further shift time: impact speed per time."""
     seed: Annotated[int, msgspec.Meta(ge=0)] = 0
-    """Seed of the search."""
+    """Seed of the first search; the second has the next one."""
 
 
 class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -19,13 +19,14 @@ from can_dbc.errors import InputError
 from plant.parameters import load
 from sil.report.figure import MS, Figure, Floats, Panel, Rule, Series, Span, Stack
 from sil.studies.bound_search import (
+    HALVINGS,
+    Search,
     arrivals_of,
-    softest,
     stem_switches,
 )
 from sil.studies.figures import title_of
 from sil.studies.kinds.budget import THESIS_S
-from sil.studies.policies import FAMILIES, FamilyModel, Layout
+from sil.studies.policies import FAMILIES, FamilyModel
 from sil.studies.rows import RowResult
 from sil.studies.study import BoundsTable, LoadedStudy, Row, Setting
 from sil.studies.table import Table
@@ -54,10 +55,16 @@ COLUMNS = (
     "search_1_m_s",
     "search_2_m_s",
     "spread_m_s",
+    "last_doubling_m_s",
     "stem_switches",
     "simulations",
     "failed",
 )
+PARTS = [f"1/{1 << k}" for k in range(HALVINGS - 1, 0, -1)]
+"""Parts of the budget at which the searches' best so far is stored; the last is the whole."""
+HISTORY = tuple(f"search_{k}_m_s {part}" for k in (1, 2) for part in PARTS)
+KNOWN_SHARE = 20
+"""The search for one known load has the budget of the family divided by this."""
 USELESS_S = 0.005
 """A branch that begins later than this before the latest arrival, under every load, is not searched."""
 VALVES = {"all": "BNF", "firmware": "BN"}
@@ -66,7 +73,7 @@ VALVES = {"all": "BNF", "firmware": "BN"}
 
 def columns(study: LoadedStudy) -> tuple[str, ...]:
     """Return the worst impact speeds over the family, and how far two searches agree."""
-    return COLUMNS
+    return COLUMNS + HISTORY
 
 
 def run(study: LoadedStudy, row: Row) -> RowResult:
@@ -88,10 +95,12 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     known_m_s = known_loads_m_s(study.study.model, values, family.name, extra_s, valves, table)
     family_model = FamilyModel(parameters, family, delay_s, extra_s)
     late = family_model.plain.revealed_s + delay_s > family_model.limit_s - USELESS_S
-    layout = Layout(valves, 2, 0 if late.all() else 1)
-    first = softest(family_model, layout, table.generations, table.seed)
-    second = softest(family_model, layout, 2 * table.generations, table.seed + 1)
-    best = min(first, second, key=lambda policy: policy.cost_m_s)
+    searches = [
+        Search(family_model, valves, *((4, 0) if late.all() else (1, 1)), table.seed + k)
+        for k in range(2)
+    ]
+    first, second = (np.array(search.run(table.simulations)) for search in searches)
+    best = min((search.best for search in searches), key=lambda policy: policy.cost_m_s)
     arrivals = arrivals_of(family_model, best)
     plain_s = family_model.plain.arrival_s[0, 0]
     damped = replace(family, cases=tuple(replace(case, damper=True) for case in family.cases))
@@ -103,14 +112,17 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
         arrivals.impact_stay_m_s.max(),
         arrivals.impact_worst_m_s.max(),
         (arrivals.arrival_s[0, 0] - plain_s).max(),
-        first.cost_m_s,
-        second.cost_m_s,
-        abs(first.cost_m_s - second.cost_m_s),
+        first[-1],
+        second[-1],
+        abs(first[-1] - second[-1]),
+        min(first[-2], second[-2]) - best.cost_m_s,
         stem_switches(best),
         family_model.runs,
         0.0,
+        *first[:-1],
+        *second[:-1],
     )
-    return RowResult(dict(zip(COLUMNS, map(float, found), strict=True)))
+    return RowResult(dict(zip(COLUMNS + HISTORY, map(float, found), strict=True)))
 
 
 def seconds(name: str, value: Setting | None, low: float) -> float:
@@ -136,7 +148,9 @@ def known_loads_m_s(
     found = []
     for case in FAMILIES[family].cases:
         alone = FamilyModel(parameters, replace(FAMILIES[family], cases=(case,)), 0.0, extra_s)
-        found.append(softest(alone, Layout(valves, 2, 0), table.generations, table.seed).cost_m_s)
+        search = Search(alone, valves, 3, 0, table.seed)
+        search.run(table.simulations // KNOWN_SHARE)
+        found.append(search.best.cost_m_s)
     return max(found)
 
 
