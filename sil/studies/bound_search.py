@@ -330,13 +330,13 @@ class Search:
                 found = [self.crossed(parent, other), self.crossed(other, parent)]
             else:
                 found = sorted(self.children(parent), key=lambda m: m.screened_m_s)
-            k = 0 if self.rng.random() < 0.6 else self.rng.integers(len(found))
-            new = self.refine(found[k], 2)
-            if new.merit_m_s < parent.merit_m_s + NEAR_M_S:
-                new = self.refine(new, STEPS)
-            self.note(new)
-            if new.merit_m_s < parent.merit_m_s:
-                population[turn] = new
+            for k in (0, int(self.rng.integers(1, len(found)))):
+                new = self.refine(found[k], 2)
+                if new.merit_m_s < population[turn].merit_m_s + NEAR_M_S:
+                    new = self.refine(new, STEPS)
+                self.note(new)
+                if new.merit_m_s < population[turn].merit_m_s:
+                    population[turn] = new
             spent = self.model.runs - begin
             while len(history) < HALVINGS and spent >= parts[len(history)]:
                 history.append(self.best.cost_m_s)

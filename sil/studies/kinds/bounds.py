@@ -95,11 +95,9 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     known_m_s = known_loads_m_s(study.study.model, values, family.name, extra_s, valves, table)
     family_model = FamilyModel(parameters, family, delay_s, extra_s)
     late = family_model.plain.revealed_s + delay_s > family_model.limit_s - USELESS_S
-    searches = [
-        Search(family_model, valves, *((4, 0) if late.all() else (1, 1)), table.seed + k)
-        for k in range(2)
-    ]
-    first, second = (np.array(search.run(table.simulations)) for search in searches)
+    pulses, branch, budget = (4, 0, table.simulations // 4) if late.all() else (1, 1, table.simulations)
+    searches = [Search(family_model, valves, pulses, branch, table.seed + k) for k in range(2)]
+    first, second = (np.array(search.run(budget)) for search in searches)
     best = min((search.best for search in searches), key=lambda policy: policy.cost_m_s)
     arrivals = arrivals_of(family_model, best)
     plain_s = family_model.plain.arrival_s[0, 0]
