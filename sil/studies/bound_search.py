@@ -193,7 +193,9 @@ class Search:
         armed = self.rng.random(shape) < 0.6
         start = np.where(armed, -early, start)
         length = np.where(armed & (length > 0.0), length + early, length)
-        cut = np.where(self.rng.random(shape[:3]) < 0.5, self.rng.uniform(0, 1.5, shape[:3]), NO_CUT)
+        cut = np.where(
+            self.rng.random(shape[:3]) < 0.5, self.rng.uniform(0, 1.5, shape[:3]), NO_CUT
+        )
         return np.concatenate(
             [np.stack([start, length], axis=-1).reshape(*shape[:3], -1), cut[..., None]], axis=-1
         )

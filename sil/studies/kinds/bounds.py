@@ -1,7 +1,7 @@
 """Rows that are bounds: the softest stop found for a family of loads at an information delay.
 
-A row sets `bound.family`, `bound.delay_s` and if wanted `bound.extra_s` and `bound.valves`; all
-other settings change the model. `sil.studies.bound_search` searches, twice.
+A row sets `bound.family`, `bound.delay_s` and if wanted `bound.extra_s`, `bound.valves` and
+`bound.simulations`; all other settings change the model. `sil.studies.bound_search` searches, twice.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from sil.studies.bound_search import (
 )
 from sil.studies.figures import title_of
 from sil.studies.kinds.budget import THESIS_S
-from sil.studies.policies import FAMILIES, FamilyModel
+from sil.studies.policies import FAMILIES, NOT_ARRIVED, FamilyModel
 from sil.studies.rows import RowResult
 from sil.studies.study import BoundsTable, LoadedStudy, Row, Setting
 from sil.studies.table import Table
@@ -80,7 +80,7 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     """Search the bounds of a row. Raises InputError for settings that are missing or wrong."""
     own = {k[6:]: v for k, v in row.settings.items() if k.startswith("bound.")}
     model = {k: v for k, v in row.settings.items() if not k.startswith("bound.")}
-    known = ("family", "delay_s", "extra_s", "valves")
+    known = ("family", "delay_s", "extra_s", "valves", "simulations")
     if unknown := set(own) - set(known):
         raise InputError(f"bound.{min(unknown)}: unknown; expected {', '.join(known)}")
     for name, allowed in (("family", FAMILIES), ("valves", VALVES)):
@@ -95,7 +95,12 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     known_m_s = known_loads_m_s(study.study.model, values, family.name, extra_s, valves, table)
     family_model = FamilyModel(parameters, family, delay_s, extra_s)
     late = family_model.plain.revealed_s + delay_s > family_model.limit_s - USELESS_S
-    pulses, branch, budget = (4, 0, table.simulations // 4) if late.all() else (1, 1, table.simulations)
+    budget = own.get("simulations", table.simulations)
+    if isinstance(budget, bool) or not isinstance(budget, int) or budget < 1:
+        raise InputError(f"bound.simulations: {budget!r}; expected a whole number from 1")
+    pulses, branch = 1, 1
+    if late.all():
+        pulses, branch, budget = 4, 0, budget // 4
     searches = [Search(family_model, valves, pulses, branch, table.seed + k) for k in range(2)]
     first, second = (np.array(search.run(budget)) for search in searches)
     best = min((search.best for search in searches), key=lambda policy: policy.cost_m_s)
@@ -193,7 +198,33 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
         axis = "information delay, ms (grey: known ahead)"
         title = f"{family}: worst of its loads"
         stacks.append(Stack(axis, [panel], title, limits=(low, LAST_MS), width=6.4))
-    return {"bounds": Figure(stacks, title_of(study), headline(table, families), same_scale=True)}
+    return {
+        "bounds": Figure(stacks, title_of(study), headline(table, families), same_scale=True),
+        "convergence": convergence(study, table),
+    }
+
+
+def convergence(study: LoadedStudy, table: Table) -> Figure:
+    """Return the best of both searches of each row over their simulations."""
+    shares = 100.0 * 0.5 ** np.arange(HALVINGS - 1, -1, -1)
+    lines = []
+    for row in range(table.size):
+        name = f"{MS * table.numbers['bound.delay_s'][row]:g} ms"
+        if variant := variants_of(table)[row]:
+            name += f", {variant}"
+        for k, dashed in ((1, False), (2, True)):
+            columns_of_search = [f"search_{k}_m_s {part}" for part in PARTS] + [f"search_{k}_m_s"]
+            found = np.array([table.numbers[column][row] for column in columns_of_search])
+            found[found > NOT_ARRIVED] = np.nan
+            label = name if k == 1 else f"{name}, second search"
+            lines.append(Series(label, shares, found, f"series{row % 8}", "marked", dashed))
+    panel = Panel("Hardest impact of the best policy", "m/s", lines, height=380)
+    axis = "simulations, % of each search's"
+    best = table.numbers["spread_m_s"]
+    text = (
+        f"The two searches of a point differ by {best.min():.3f} to {best.max():.3f} m/s at the end"
+    )
+    return Figure([Stack(axis, [panel], logarithmic=True, width=9.0)], title_of(study), text)
 
 
 def variants_of(table: Table) -> list[str]:

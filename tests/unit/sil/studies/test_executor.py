@@ -38,7 +38,7 @@ SPECIAL = {
 name = "few"
 kind = "bounds"
 [bounds]
-generations = 1
+simulations = 1500
 [[sweep]]
 path = "bound.delay_s"
 values = [0.048, 0.05, 0.06]

@@ -106,12 +106,12 @@ def test_before_it_is_revealed_a_load_moves_like_the_others(family: Family) -> N
 def test_a_load_that_is_not_revealed_yet_does_not_act_on_the_commands(delay_s: float) -> None:
     """Until two loads' branches begin their plungers move alike, coils switched early included."""
     model = FamilyModel(PARAMETERS, GEARBOX, delay_s, 0.03)
-    search = Search(model, LAYOUT, 3)
-    stems, branches = search.drawn(6), search.branches(6)
-    found = model.fly(stems, branches, LAYOUT)
+    search = Search(model, "BNF", 2, 1, 3)
+    layout, (stems, _revealed_s) = search.layout, search.stems(search.random_segments(6))
+    branches = search.random_branches(36).reshape(6, 6, model.loads, *layout.branch_shape)
+    found = model.fly(stems, branches, layout)
     begin_s = np.minimum(found.revealed_s, model.limit_s) + delay_s
-    spans = model.spans(LAYOUT, stems, branches, begin_s)
-    coils = model.changes(LAYOUT, *spans)
+    coils = model.changes(layout, *model.spans(layout, stems, branches, begin_s))
     for valve, coil in enumerate(coils):
         start = np.zeros((len(coil), 1 if valve == 0 else 0))
         times, positions = plunger_moves(np.hstack([start, coil]), *model.valve_s)
@@ -132,7 +132,8 @@ def test_a_load_that_is_not_revealed_yet_does_not_act_on_the_commands(delay_s: f
 
 def test_a_blow_of_a_piston_counts_though_the_stay_stops_softly() -> None:
     model = FamilyModel(PARAMETERS, LABORATORY, 0.0, 0.03)
-    found = model.fly(Search(model, LAYOUT, 4).drawn(100), None, LAYOUT)
+    search = Search(model, "BNF", 4, 0, 4)
+    found = search.fly(search.random_segments(100), np.zeros(0))
     arrived = np.isfinite(found.impact_worst_m_s)
     hidden = arrived & (found.impact_worst_m_s > found.impact_stay_m_s + 0.1)
     assert hidden.any()

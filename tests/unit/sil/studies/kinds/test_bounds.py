@@ -30,7 +30,7 @@ BOUNDS = """
 name = "few"
 kind = "bounds"
 [bounds]
-generations = 1
+simulations = 1500
 [[sweep]]
 path = "bound.delay_s"
 values = [0.048, 0.06]
