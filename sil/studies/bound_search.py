@@ -17,23 +17,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sil.studies.policies import (
-    Arrivals,
-    Bools,
-    FamilyModel,
-    Floats,
-    Ints,
-    Layout,
-    changes,
-    stem_spans,
-)
+from sil.studies.minimax import DIFFERENCE, MEAN_WEIGHT, merits, programme, screened
+from sil.studies.policies import Arrivals, Bools, FamilyModel, Floats, Ints, Layout
+from sil.studies.pulses import changes, stem_spans
 
 UNITS_PER_S = 100.0
 ABSENT = -0.2
 """Length of a pulse that is not there, in 10 ms."""
 NO_CUT = 30.0
 """Time, in 10 ms after a branch begins, that is later than any arrival."""
-POPULATION = 8
+POPULATION = 12
 CHILDREN = 60
 KEPT = 8
 """New policies of a generation."""
@@ -45,16 +38,6 @@ LEAST_LINES = 2
 """Policies with descendants at the end of a search."""
 STEPS = 5
 """Steps of a refinement."""
-DIFFERENCE = 0.005
-"""Step of the finite differences, in 10 ms."""
-LATE_M_S_PER_S = 300.0
-"""What a late arrival costs while a policy is refined."""
-MEAN_WEIGHT = 0.05
-"""Weight of the loads that are not the worst."""
-LOST_M_S = 6.0
-"""Cost of a load that does not arrive."""
-SAME_M_S = 2e-4
-"""Policies whose costs differ by less are the same."""
 HALVINGS = 5
 """Budgets at which the best so far is reported: the whole, a half, a quarter ..."""
 
@@ -360,18 +343,6 @@ def joined(segments: Floats) -> Floats:
     )
 
 
-def merits(arrivals: Arrivals) -> Floats:
-    """Return costs in m/s, smooth over an arrival that is late."""
-    late_s = np.where(np.isfinite(arrivals.late_s), arrivals.late_s, 0.0)
-    cost = arrivals.parts_m_s.max(axis=-1) + LATE_M_S_PER_S * np.maximum(late_s, 0.0)
-    return np.where(np.isfinite(arrivals.late_s), cost, LOST_M_S)
-
-
-def screened(cost_m_s: Floats) -> Floats:
-    """Return a smooth mean [...] near the worst of the loads [..., loads], m/s."""
-    return np.mean(np.minimum(cost_m_s, LOST_M_S) ** 6, axis=-1) ** (1.0 / 6.0)
-
-
 def arrivals_of(model: FamilyModel, policy: Policy) -> Arrivals:
     """Return how a policy arrives, each figure [1, 1, loads]."""
     branches = policy.branches[None, None] if policy.layout.branch else None
@@ -381,63 +352,3 @@ def arrivals_of(model: FamilyModel, policy: Policy) -> Arrivals:
 def stem_switches(policy: Policy) -> int:
     """Return how often the commands of a stem change, the start of the push not counted."""
     return int(np.isfinite(changes(*stem_spans(policy.stem))).sum())
-
-
-def programme(active: Ints, first: Arrivals, second: Arrivals, reach: float) -> Floats | None:
-    """Return the step, at most `reach` in each variable, that lowers the worst impact most.
-
-    Variables of the segments, then of the branch of each load. Loads whose arrival a variable does
-    not change have a slope of NaN.
-    """
-    from scipy.optimize import linprog
-
-    base, late_s = second.parts_m_s[0, 0], second.late_s[0, 0]
-    loads, parts = base.shape
-    n, size = len(active), len(second.late_s) - 1
-    width = n + loads * size
-
-    def slope(found: Floats, at: Floats, most: float) -> Floats:
-        slopes = (found - at) / DIFFERENCE
-        return np.clip(np.where(np.isfinite(slopes), slopes, 0.0), -most, most)
-
-    def rows(stem: Floats, own: Floats, load: int) -> Floats:
-        row = np.zeros(width + 2 * loads + 1)
-        row[:n] = stem
-        row[n + load * size : n + (load + 1) * size] = own
-        return row
-
-    matrix, limits = [], []
-    for load in range(loads):
-        for part in range(parts):
-            at = base[load, part]
-            if at < 0.3 * base[load].max():
-                continue
-            row = rows(
-                slope(first.parts_m_s[:, 0, load, part], at, 50.0),
-                slope(second.parts_m_s[1:, 0, load, part], at, 50.0),
-                load,
-            )
-            row[width + load] = -1.0
-            matrix.append(row)
-            limits.append(-at)
-        row = rows(
-            1e3 * slope(first.late_s[:, 0, load], late_s[load], 0.05),
-            1e3 * slope(second.late_s[1:, 0, load], late_s[load], 0.05),
-            load,
-        )
-        row[width + loads + 1 + load] = -1.0
-        matrix.append(row)
-        limits.append(-1e3 * late_s[load] - 0.005)
-        row = np.zeros(width + 2 * loads + 1)
-        row[width + load], row[width + loads] = 1.0, -1.0
-        matrix.append(row)
-        limits.append(0.0)
-    price = np.zeros(width + 2 * loads + 1)
-    price[width : width + loads] = MEAN_WEIGHT
-    price[width + loads] = 1.0
-    price[width + loads + 1 :] = 1e-3 * LATE_M_S_PER_S
-    bounds = np.zeros((len(price), 2))
-    bounds[:width] = -reach, reach
-    bounds[width:, 1] = np.inf
-    result = linprog(price, np.array(matrix), np.array(limits), bounds=bounds, method="highs")
-    return None if result.x is None else result.x[:width]

@@ -206,7 +206,7 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
 
 def convergence(study: LoadedStudy, table: Table) -> Figure:
     """Return the best of both searches of each row over their simulations."""
-    shares = 100.0 * 0.5 ** np.arange(HALVINGS - 1, -1, -1)
+    shares: Floats = np.array([100.0 / (1 << k) for k in range(HALVINGS - 1, -1, -1)])
     lines = []
     for row in range(table.size):
         name = f"{MS * table.numbers['bound.delay_s'][row]:g} ms"

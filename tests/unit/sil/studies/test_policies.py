@@ -20,9 +20,8 @@ from sil.studies.policies import (
     Family,
     FamilyModel,
     Layout,
-    changes,
-    plunger_moves,
 )
+from sil.studies.pulses import changes, plunger_moves
 
 PARAMETERS = load_parameters("nominal")
 LAYOUT = Layout("BNF", 2, 1)

@@ -1,0 +1,91 @@
+"""The step that lowers the hardest impact of a policy, as a linear programme of its slopes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sil.studies.policies import Arrivals, Floats, Ints
+
+DIFFERENCE = 0.005
+"""Step of the finite differences, in 10 ms."""
+LATE_M_S_PER_S = 300.0
+"""What a late arrival costs while a policy is refined."""
+MEAN_WEIGHT = 0.05
+"""Weight of the loads that are not the worst."""
+LOST_M_S = 6.0
+"""Cost of a load that does not arrive."""
+
+
+def merits(arrivals: Arrivals) -> Floats:
+    """Return costs in m/s, smooth over an arrival that is late."""
+    late_s = np.where(np.isfinite(arrivals.late_s), arrivals.late_s, 0.0)
+    cost = arrivals.parts_m_s.max(axis=-1) + LATE_M_S_PER_S * np.maximum(late_s, 0.0)
+    found: Floats = np.where(np.isfinite(arrivals.late_s), cost, LOST_M_S)
+    return found
+
+
+def screened(cost_m_s: Floats) -> Floats:
+    """Return a smooth mean [...] near the worst of the loads [..., loads], m/s."""
+    found: Floats = np.mean(np.minimum(cost_m_s, LOST_M_S) ** 6, axis=-1) ** (1.0 / 6.0)
+    return found
+
+
+def programme(active: Ints, first: Arrivals, second: Arrivals, reach: float) -> Floats | None:
+    """Return the step, at most `reach` in each variable, that lowers the worst impact most.
+
+    Variables of the segments, then of the branch of each load. Loads whose arrival a variable does
+    not change have a slope of NaN.
+    """
+    from scipy.optimize import linprog
+
+    base, late_s = second.parts_m_s[0, 0], second.late_s[0, 0]
+    loads, parts = base.shape
+    n, size = len(active), len(second.late_s) - 1
+    width = n + loads * size
+
+    def slope(found: Floats, at: Floats, most: float) -> Floats:
+        slopes = (found - at) / DIFFERENCE
+        known: Floats = np.where(np.isfinite(slopes), slopes, 0.0)
+        return np.clip(known, -most, most)
+
+    def rows(stem: Floats, own: Floats, load: int) -> Floats:
+        row = np.zeros(width + 2 * loads + 1)
+        row[:n] = stem
+        row[n + load * size : n + (load + 1) * size] = own
+        return row
+
+    matrix, limits = [], []
+    for load in range(loads):
+        for part in range(parts):
+            at = base[load, part]
+            if at < 0.3 * base[load].max():
+                continue
+            row = rows(
+                slope(first.parts_m_s[:, 0, load, part], at, 50.0),
+                slope(second.parts_m_s[1:, 0, load, part], at, 50.0),
+                load,
+            )
+            row[width + load] = -1.0
+            matrix.append(row)
+            limits.append(-at)
+        row = rows(
+            1e3 * slope(first.late_s[:, 0, load], late_s[load], 0.05),
+            1e3 * slope(second.late_s[1:, 0, load], late_s[load], 0.05),
+            load,
+        )
+        row[width + loads + 1 + load] = -1.0
+        matrix.append(row)
+        limits.append(-1e3 * late_s[load] - 0.005)
+        row = np.zeros(width + 2 * loads + 1)
+        row[width + load], row[width + loads] = 1.0, -1.0
+        matrix.append(row)
+        limits.append(0.0)
+    price = np.zeros(width + 2 * loads + 1)
+    price[width : width + loads] = MEAN_WEIGHT
+    price[width + loads] = 1.0
+    price[width + loads + 1 :] = 1e-3 * LATE_M_S_PER_S
+    bounds = np.zeros((len(price), 2))
+    bounds[:width] = -reach, reach
+    bounds[width:, 1] = np.inf
+    result = linprog(price, np.array(matrix), np.array(limits), bounds=bounds, method="highs")
+    return None if result.x is None else result.x[:width]
