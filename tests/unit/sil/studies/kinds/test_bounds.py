@@ -11,7 +11,7 @@ import pytest
 from can_dbc.errors import InputError
 from sil.cli import main
 from sil.studies import executor
-from sil.studies.kinds.bounds import SHIPPED, TUNED, delay_of, worst_over
+from sil.studies.kinds.bounds import PARTS, SHIPPED, TUNED, delay_of, worst_over
 from sil.studies.kinds.budget import BARS, closed, simulated
 from sil.studies.load_study import load_study
 
@@ -75,7 +75,12 @@ def test_a_study_of_bounds_and_the_same_bytes_by_two_workers(tmp_path: Path) -> 
         assert float(row["spread_m_s"]) == max(searches) - min(searches)
         impacts = [float(row["impact_stay_m_s"]), float(row["impact_worst_m_s"])]
         assert float(row["bound_m_s"]) == max(impacts) and float(row["lost_s"]) <= 0.03
-    assert (tmp_path / "1" / "bounds.png").read_bytes()[:4] == b"\x89PNG"
+        for k in (1, 2):  # over its simulations the best of a search only falls
+            history = [float(row[f"search_{k}_m_s {part}"]) for part in PARTS]
+            history.append(float(row[f"search_{k}_m_s"]))
+            assert history == sorted(history, reverse=True)
+    for name in ("bounds", "convergence"):
+        assert (tmp_path / "1" / f"{name}.png").read_bytes()[:4] == b"\x89PNG"
     assert json.loads((tmp_path / "1" / "summary.json").read_text())["rows"] == 2
 
 
@@ -86,6 +91,10 @@ def test_a_study_of_bounds_and_the_same_bytes_by_two_workers(tmp_path: Path) -> 
         (BOUNDS.replace("bound.delay_s", "bound.delay"), "delay_s"),
         (BOUNDS.replace("[0.048, 0.06]", "[true]"), "number of seconds"),
         (BOUNDS.replace("bound.delay_s", "bound.valves"), "all, firmware"),
+        (
+            BOUNDS.replace('"laboratory" }', '"laboratory", "bound.simulations" = 0 }'),
+            "whole number",
+        ),
         (BOUNDS.replace('kind = "bounds"', 'kind = "bound"'), "kind"),
         (BOUNDS.replace('kind = "bounds"', 'kind = "bounds"\nscenario = "lab_n_b"'), "no scenario"),
         (BUDGET.replace('scenario = "lab_n_b"', ""), "scenario ="),
