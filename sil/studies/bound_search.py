@@ -235,6 +235,7 @@ class Search:
     def slopes(self, member: Member) -> tuple[Ints, Arrivals, Arrivals]:
         """Return the segments' variables that act, and arrivals after a step in each variable.
 
+        Variables [n, 2]: segment and index in it; a step is `DIFFERENCE` in 10 ms.
         The first arrivals are after steps of the segments' variables, the second after none and after
         steps of the variables of all branches.
         """

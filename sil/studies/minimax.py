@@ -17,7 +17,7 @@ LOST_M_S = 6.0
 
 
 def merits(arrivals: Arrivals) -> Floats:
-    """Return costs in m/s, smooth over an arrival that is late."""
+    """Return costs [..., loads] in m/s, smooth over an arrival that is late."""
     late_s = np.where(np.isfinite(arrivals.late_s), arrivals.late_s, 0.0)
     cost = arrivals.parts_m_s.max(axis=-1) + LATE_M_S_PER_S * np.maximum(late_s, 0.0)
     found: Floats = np.where(np.isfinite(arrivals.late_s), cost, LOST_M_S)
@@ -31,9 +31,9 @@ def screened(cost_m_s: Floats) -> Floats:
 
 
 def programme(active: Ints, first: Arrivals, second: Arrivals, reach: float) -> Floats | None:
-    """Return the step, at most `reach` in each variable, that lowers the worst impact most.
+    """Return the step [variables] in 10 ms, at most `reach`, that lowers the worst impact most.
 
-    Variables of the segments, then of the branch of each load. Loads whose arrival a variable does
+    Variables of the segments, active [n, 2], then of the branch of each load. Loads whose arrival a variable does
     not change have a slope of NaN.
     """
     from scipy.optimize import linprog
