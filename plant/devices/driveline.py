@@ -36,7 +36,8 @@ class DrivelineConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ratio_backward, ratio_forward: input by output speed in that gear, 0 if not stated; if both are,
     the step on leaving a gear follows from them instead of gear_step_rad_s.
     follows_requests: the engine synchronises while it is asked to (TSC1 on the bus), otherwise by itself.
-    teeth: of the wheels at which the shaft speeds are measured, with a timer of timer_s; 0: exact.
+    teeth: of the wheels at which the shaft speeds are measured; 0: exact.
+    timer_s: resolution of the timer that measures the teeth.
     noise_rad_s: standard deviation of what each measured speed is off.
     Source: thesis 4.1 in words; numbers inferred (with them 5 to 28 rad/s need 14 to 78 N s).
     """

@@ -43,7 +43,10 @@ class Channels:
             self.times[name] = np.asarray(time_s, dtype=np.float64)
 
     def table(self, path: Path) -> tuple[dict[str, Floats], str]:
-        """Return columns of one length, and what was done to the others. Raises InputError."""
+        """Return columns [n] of one length, each in the file's unit, and what was done to the others.
+
+        Raises InputError for a file without channels of numbers.
+        """
         if not self.values:
             raise InputError(f"{path}: no channels of numbers")
         longest = max(map(len, self.values.values()))

@@ -32,7 +32,10 @@ ARGUMENTS = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Diagnose; write diagnosis.json, extended_model.toml, report.html; 1 if not consistent."""
+    """Diagnose; write diagnosis.json, extended_model.toml, report.html; 1 if not consistent.
+
+    Raises InputError for a campaign or an effect that is not valid.
+    """
     from plant.effects.user_file import load_effects
 
     if arguments.new is not None:

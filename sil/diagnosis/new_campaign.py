@@ -55,7 +55,10 @@ def unit_of(name: str) -> str:
 
 
 def guess(columns: Mapping[str, Floats]) -> dict[str, tuple[str, float, bool]]:
-    """Return column, scale and whether a unit was stated, by our name, of what can be told."""
+    """Return column, scale and whether a unit was stated, by our name, of what can be told.
+
+    columns: [n] each, in the file's units.
+    """
     found: dict[str, tuple[str, float, bool]] = {}
     for name, values in columns.items():
         if name in NAMES:

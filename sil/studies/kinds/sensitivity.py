@@ -184,7 +184,10 @@ def total_indices(margins: Floats, parameters: int, seed: int = 0) -> Floats:
 
 
 def holds(values: Floats, margins: Floats) -> str:
-    """Return between which swept values a headline holds: "always", "never" or ranges."""
+    """Return between which swept values a headline holds: "always", "never" or ranges.
+
+    values [n]: swept, in the unit of their path; margins [n]: of the headline, in its unit.
+    """
     order = np.argsort(values)
     x, good = values[order], margins[order] > 0.0
     if good.all() or not good.any():
