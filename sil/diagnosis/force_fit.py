@@ -28,8 +28,9 @@ from sil.diagnosis.force_terms import (
 from sil.diagnosis.verdict import UNNAMED
 from sil.fitting.floor import EXPLAINED, ChannelMisfit, Misfit
 
-BODY = {"coulomb_n": "N", "viscous_n_s_m": "N s/m", "offset_n": "N", "mass_kg": "kg"}
-POSITIVE = ("coulomb_n", "viscous_n_s_m", "mass_kg")
+VISCOUS = "viscous_n_s_m"
+BODY = {"coulomb_n": "N", VISCOUS: "N s/m", "offset_n": "N", "mass_kg": "kg"}
+POSITIVE = ("coulomb_n", VISCOUS, "mass_kg")
 ALIKE = 0.05
 """A column is not offered if less than this share of it differs from the body's columns ..."""
 TOGETHER = 0.1
@@ -136,8 +137,8 @@ class Tried:
                 continue
             if abs(value) < 2.0 * deviation or (group.term.form.sign and value < 0.0):
                 return False
-            if group.id == "friction_asymmetry" and "viscous_n_s_m" in self.body:
-                viscous, spread = self.value("viscous_n_s_m")
+            if group.term.form.parameter == VISCOUS and VISCOUS in self.body:  # a part of it
+                viscous, spread = self.value(VISCOUS)
                 if abs(value) > viscous + 2.0 * float(np.hypot(spread, deviation)):
                     return False  # friction would drive the body one way
         return True
@@ -188,7 +189,7 @@ class Bank:
         sign = np.clip(raw.speed_m_s / half, -1.0, 1.0)
         table = {
             "coulomb_n": record.filtered(sign)[rows],
-            "viscous_n_s_m": raw.speed_m_s[rows],
+            VISCOUS: raw.speed_m_s[rows],
             "offset_n": np.ones(np.count_nonzero(rows)),
         }
         if free_mass:
@@ -207,7 +208,7 @@ class Bank:
                 < ALIKE
             ):
                 self.missing[name] = {
-                    "viscous_n_s_m": "not determined: the speed hardly varies; strokes at several speeds would tell",
+                    VISCOUS: "not determined: the speed hardly varies; strokes at several speeds would tell",
                     "offset_n": "not determined: the body moves one way only; strokes both ways would tell it from friction",
                 }.get(name, "not determined: moves with the others; other speeds would tell")
             else:
@@ -368,7 +369,7 @@ class Bank:
         best = min(tried, key=lambda item: item.rms_n)
         stated = self.record.body.mass_kg
         mass = best.value("mass_kg")[0] if "mass_kg" in self.body else (stated or 0.0)
-        viscous = best.value("viscous_n_s_m")[0] if "viscous_n_s_m" in self.body else 0.0
+        viscous = best.value(VISCOUS)[0] if VISCOUS in self.body else 0.0
         noise = self.record.balance_sd_n(mass, viscous)
         noise = max(noise, LEAST_NOISE * float(np.sqrt(np.mean(self.target**2))))
         correlated = max(1.0, 2.0 * np.pi**0.5 * self.record.width / self.record.stride)

@@ -82,6 +82,7 @@ def run(
     """
     scenario = loaded.scenario
     begun = time.perf_counter()
+    pacer = None if speed is None else Pacer(speed)
     base = Result(
         scenario_name=scenario.name,
         seed=scenario.seed,
@@ -101,7 +102,7 @@ def run(
                 folder / SCENARIO, json.dumps({"scenario": expanded(scenario)}, indent=1)
             )
             arguments = (loaded, folder, transport, external, say)
-            coupled = FreeRun(*arguments) if free_running else LockstepRun(*arguments, speed)
+            coupled = FreeRun(*arguments) if free_running else LockstepRun(*arguments, pacer)
             closing.enter_context(coupled)
             log = BusLog(folder / BUS_LOG)
             closing.callback(log.close)
@@ -154,10 +155,10 @@ class LockstepRun:
         transport: str,
         external: Iterable[str],
         say: Say,
-        speed: float | None,
+        pacer: Pacer | None,
     ) -> None:
         scenario = self._scenario = loaded.scenario
-        self._pacer = None if speed is None else Pacer(speed)
+        self._pacer = pacer
         self._plan = FaultPlan(scenario.fault, scenario.seed)
         self._bus = build.make_bus(scenario, self._plan)
         self.warnings: list[str] = []

@@ -83,6 +83,8 @@ PARAMETERS: dict[str, Draw] = {
     "jitter_s": _between(0.0, 0.05),
     "load": _between(0.1, 2.0),
     "priority": _whole(0, 7),
+    "can_id": _whole(0, 0x1FFF_FFFF),
+    "data": lambda rng: rng.randbytes(rng.randint(0, 8)).hex(),
     "period_s": _between(0.0005, 0.02),
     "pulse_s": _between(0.0, 0.0015),
     "garbage_s": _between(1e-4, 0.004),
@@ -96,7 +98,7 @@ PARAMETERS: dict[str, Draw] = {
 }
 """How the parameters of faults are drawn; a parameter that is not in here cannot be left out."""
 
-NEEDED = ("delay_s", "period_s")
+NEEDED = ("delay_s", "period_s", "can_id")
 PLACE = ("kind", "message", "node", "valve", "start_s", "end_s")
 STRUCTS = {"sensor_fault": SensorFault, "temperature_fault": TemperatureFault,
            "speed_fault": SpeedFault, "valve_fault": ValveFault}  # fmt: skip
@@ -158,7 +160,7 @@ def state(table: dict[str, Any], fault: Fault, rng: random.Random) -> None:
             told[name] = PARAMETERS[name](rng)
     if fault.kind == "replayed":
         told["delay_s"] = _repeated_after(fault.whom, rng)
-    if fault.kind == "dead":
+    if fault.kind in ("dead", "sent"):
         told.pop("end_s", None)
     elif fault.kind == "stalled":
         told.setdefault("end_s", round(told["start_s"] + 0.2, 4))
