@@ -236,10 +236,10 @@ def _trace(record: RunRecord) -> Iterator[tuple[str, list[float | None]]]:
     yield "estimate_mm", rounded(estimate, 5)
 
 
-def heard(message: can.Message) -> list[Any]:
-    """Return a frame of another process's run as `_frames` gives one."""
+def heard(message: can.Message, start_s: float) -> list[Any]:
+    """Return a frame of another process's run as `_frames` gives one, its time from `start_s` on."""
     frame = Frame(message.arbitration_id, bytes(message.data))
-    at_ms = round(MS * message.timestamp, 4)
+    at_ms = round(MS * (message.timestamp - start_s), 4)
     try:
         signals = _signals(decode(frame))
     except CodecError:

@@ -34,6 +34,7 @@ LARGEST_MESSAGE = 1 << 12
 MOST_CONNECTIONS = 64
 IDLE_S = 60.0
 FRAMES_AT_ONCE, FLUSH_S = 500, 0.1
+A_YEAR_S = 3.15e7
 
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -221,12 +222,15 @@ def _listen(name: str, ended: threading.Event, send: Callable[[str], object]) ->
     import can
 
     frames: list[list[Any]] = []
+    start_s: float | None = None
     why = ""
     try:
         with can.Bus(interface="opc4local", channel=name) as bus:
             while not ended.is_set():
                 while len(frames) < FRAMES_AT_ONCE and (message := bus.recv(FLUSH_S)) is not None:
-                    frames.append(bench.heard(message))
+                    if start_s is None:  # simulated time, or the clock of a run in real time
+                        start_s = message.timestamp if message.timestamp > A_YEAR_S else 0.0
+                    frames.append(bench.heard(message, start_s))
                 send(json.dumps({"frames": frames}))
                 frames = []
     except can.CanError as error:
