@@ -27,6 +27,9 @@ PHASE_ROLES: Final = dict(zip(PHASES, ("INIT", "N", "HOLD", "B", "CONFIRM"), str
 MOST_NAMED: Final = 24
 """Shifts that are named below the picture of all; more are numbered."""
 
+TEXTS_APART_S: Final = 0.03
+"""Instants nearer than this have one text in a picture."""
+
 MOST_PLOTS: Final = 12
 """Shifts with interactive plots on the page, the first ones."""
 
@@ -110,6 +113,8 @@ def shift_figure(replay: TruckReplay, shift: ComparedShift) -> Figure:
     end_s = max([recorded.end_s, *(o.times_s["engaged"] or 0.0 for o in shift.ours)]) + 0.4
     cut = recorded.times_s["torque_cut"]
     instants = [(0.0, "request")] + ([] if cut is None else [(cut, "torque cut: our request")])
+    if cut is not None and abs(cut) < TEXTS_APART_S:
+        instants = [(0.0, "request, torque cut: our request")]
     rules = [Rule(at) for at, _ in instants]
     panels = []
     speeds = _speeds(shift, names)
