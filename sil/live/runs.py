@@ -6,6 +6,7 @@ Checked by: tests/unit/sil/live/test_runs.py
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -17,11 +18,13 @@ from can_dbc.errors import InputError
 from sil.files.output_folder import INCOMPLETE
 from sil.report.figure import MM, MS, Figure, Panel, Series, Stack
 from sil.report.plots import content
+from sil.studies.table import RESULTS, numbers_of
 
 PAGES = ("report.html", "shift.png", "shift.svg")
 """Files of a run that the page may open."""
 
 MOST_COMPARED = 6
+MOST_PANELS = 8
 _FILES = {
     "result.json": "run",
     "diagnosis.json": "diagnosis",
@@ -62,9 +65,10 @@ def _entry(path: Path) -> Iterator[dict[str, Any]]:
             key: metrics.get(key) for key in ("shift_time_s", "impact_speed_m_s", "air_used_kg")
         }
         entry["trace"] = (path / "trace.csv").is_file()
-    elif kind == "study" and (path / "results.csv").is_file():
-        with (path / "results.csv").open("rb") as rows:
+    elif kind == "study" and (path / RESULTS).is_file():
+        with (path / RESULTS).open("rb") as rows:
             entry["rows"] = max(0, sum(1 for _ in rows) - 1)
+        entry["trace"] = entry["rows"] > 0
     elif kind == "diagnosis":
         entry["state"] = _json(path / "diagnosis.json").get("verdict", "")
     yield entry
@@ -86,12 +90,14 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def compared(folder: Path, names: Sequence[str]) -> dict[str, Any]:
-    """Return the positions of several runs over each other, as plots.js draws them.
+    """Return runs over each other, or a study as far as it is, as plots.js draws them.
 
     Raises InputError for too many, or one without a trace.
     """
     if not 1 <= len(names) <= MOST_COMPARED:
         raise InputError(f"runs: {len(names)} chosen; expected 1 to {MOST_COMPARED}")
+    if len(names) == 1 and (inside(folder, names[0]) / RESULTS).is_file():
+        return content(_so_far(inside(folder, names[0]) / RESULTS).stacks[0])
     position, speed = [], []
     for number, name in enumerate(names):
         trace = inside(folder, name) / "trace.csv"
@@ -106,6 +112,21 @@ def compared(folder: Path, names: Sequence[str]) -> dict[str, Any]:
         Panel("Speed of the stay", "m/s", speed),
     ]
     return content(Figure([Stack("simulated time, ms", panels)]).stacks[0])
+
+
+def _so_far(results: Path) -> Figure:
+    """Return the numbers of a study's rows in order; while it is written its last line may be a part."""
+    with results.open(encoding="utf-8", newline="") as file:
+        names, *cells = csv.reader(file)
+    columns = zip(*(row for row in cells if len(row) == len(names)), strict=True)
+    panels = []
+    for name, column in zip(names, columns, strict=False):
+        values = numbers_of(list(column))
+        if name == "row" or values is None or len(np.unique(values[np.isfinite(values)])) < 2:
+            continue
+        series = Series(name, np.arange(len(values), dtype=float), values, "after", "dots")
+        panels.append(Panel(name, "", [series], height=110))
+    return Figure([Stack("row", panels[:MOST_PANELS] or [Panel("No numbers yet")])])
 
 
 def _columns(trace: Path) -> np.ndarray:

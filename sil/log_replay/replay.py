@@ -16,6 +16,7 @@ import msgspec
 from can_dbc.errors import InputError
 from can_dbc.messages import ShiftRequest, ValveCommand
 from sil.coupling.transports.channel import Participant
+from sil.files.html_table import html_table
 from sil.log_replay.checkout import CheckoutController
 from sil.log_replay.comparison import Comparison
 from sil.log_replay.executor import Account, ReplayExecutor, Unit
@@ -73,6 +74,13 @@ class ReplayResult:
     plant: PlantSide | None
     foreign: list[tuple[str, int]]
     notes: list[str] = field(default_factory=list)
+
+    def _repr_html_(self) -> str:
+        found = self.comparison
+        rows = [("ticks compared", found.ticks), ("ticks that differ", found.differing_ticks)]
+        return html_table(
+            f"{self.request.log}", ("", ""), [*rows, *(("note", n) for n in self.notes)]
+        )
 
     @property
     def differs(self) -> bool:

@@ -452,9 +452,16 @@
 
   // --- runs ----------------------------------------------------------------------------------------
   const picked = new Set();
+  let listed = "";
 
   async function list() {
     const found = await ask("/api/runs");
+    const studies = new Set(found.filter((entry) => entry.kind === "study").map((entry) => entry.name));
+    const working = found.find((entry) => picked.has(entry.name) && entry.kind === "study" && entry.state !== "complete");
+    if (working) window.opc4Draw($("runs-plots"), await ask("/api/runs", [...picked]));
+    const text = JSON.stringify(found);
+    if (text === listed) return; // the rows stay, and with them what has the focus
+    listed = text;
     const figure = (value, factor) => (value == null ? "" : Number((value * factor).toPrecision(4)));
     $("listed").tBodies[0].replaceChildren(...found.map((entry) => {
       const row = document.createElement("tr");
@@ -462,8 +469,12 @@
       Object.assign(tick, { type: "checkbox", checked: picked.has(entry.name), disabled: !entry.trace });
       tick.setAttribute("aria-label", `compare ${entry.name}`);
       tick.addEventListener("change", guarded(async () => {
-        if (tick.checked) picked.add(entry.name);
-        else picked.delete(entry.name);
+        if (!tick.checked) picked.delete(entry.name);
+        else {
+          if (entry.kind === "study") picked.clear(); // alone, as far as it is
+          picked.forEach((name) => { if (studies.has(name)) picked.delete(name); });
+          picked.add(entry.name);
+        }
         if (picked.size) window.opc4Draw($("runs-plots"), await ask("/api/runs", [...picked]));
       }));
       row.insertCell().append(tick);

@@ -14,6 +14,7 @@ from typing import Any
 from urllib.parse import unquote
 
 import pytest
+from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.select import Select
@@ -71,6 +72,12 @@ def test_a_slider_a_reload_and_a_second_tab(browser: Any, live: Live) -> None:
     page = Page(browser, live.address)
     page.click("tab-whatif")
     page.wait(page.drawn)
+    first = page.after(lambda: page.slide("valve.D_fall", 100))
+    slider = browser.find_element(By.CSS_SELECTOR, "[data-path='valve.D_rise']")
+    page.after(lambda: ActionChains(browser).drag_and_drop_by_offset(slider, 40, 0).perform())
+    assert "valve.D_rise" in page.scenario()
+    page.after(lambda: ActionChains(browser).drag_and_drop_by_offset(slider, 80, 0).perform())
+    page.click("reset")
     first = page.after(lambda: page.slide("valve.D_fall", 100))
     command = page.one("copy-command").get_attribute("data-text")
     assert "--set valve.D_fall=0.0069" in command

@@ -90,7 +90,8 @@ def test_whatif_and_replay(tmp_path: Path, capsys: Any) -> None:
     assert times[1] - times[0] == pytest.approx(0.004, abs=1e-6)
     assert main(["run", "lab_n_b", "--no-report", "--out", str(tmp_path / "run")]) == 0
     assert not api.replay(tmp_path / "run" / "bus.log").differs
-    assert api.replay(tmp_path / "run" / "bus.log", {"controller.filter": False}).differs
+    changed = api.replay(tmp_path / "run" / "bus.log", {"controller.filter": False})
+    assert changed.differs and "ticks that differ" in changed._repr_html_()
 
 
 def test_diagnose_refuses_what_is_no_campaign(tmp_path: Path) -> None:

@@ -42,10 +42,25 @@ def test_runs_are_drawn_over_each_other(folder: Path) -> None:
     assert reached[1] - reached[0] == pytest.approx(12.0, abs=0.6)
 
 
-@pytest.mark.parametrize("names", [[], ["one"] * 7, ["../one"], ["loop"], ["begun"]])
+@pytest.mark.parametrize("names", [[], ["one"] * 7, ["../one"], ["loop"], ["one", "begun"]])
 def test_other_names_are_refused(folder: Path, names: list[str]) -> None:
     with pytest.raises(InputError, match="runs: "):
         runs.compared(folder, names)
+
+
+def test_a_study_is_drawn_as_far_as_it_is(folder: Path) -> None:
+    rows = [
+        "row,load,impact_speed_m_s,same,outcome",
+        "0,a,0.5,1,passed",
+        "1,b,0.75,1,passed",
+        "2,c,0.",
+    ]
+    (folder / "begun" / "results.csv").write_text("\n".join(rows), encoding="utf-8")
+    drawn = runs.compared(folder, ["begun"])
+    assert [panel["title"] for panel in drawn["panels"]] == ["impact_speed_m_s"]
+    assert drawn["panels"][0]["series"][0]["y"] == [0.5, 0.75]
+    (folder / "begun" / "results.csv").write_text(rows[0] + "\n", encoding="utf-8")
+    assert runs.compared(folder, ["begun"])["panels"][0]["title"] == "No numbers yet"
 
 
 def test_no_folder_is_an_empty_list(tmp_path: Path) -> None:
