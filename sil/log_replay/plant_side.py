@@ -7,9 +7,10 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from can_dbc.codec import can_id_of
 from can_dbc.e2e import PROTECTED
 from can_dbc.frame import Frame
-from can_dbc.messages import PlantMotion, SafetyBlow, ValveCommand
+from can_dbc.messages import PlantMotion, SafetyBlow, Tsc1, ValveCommand
 from sil.coupling.bus import BusModel
 from sil.coupling.frame_bits import frame_bits
 from sil.log_replay.recorded_frames import (
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
     from plant.node import PlantNode
 
 COMMANDS: Final = (ValveCommand, SafetyBlow)
+ENGINE_REQUEST: Final = can_id_of(Tsc1)
+"""What else the plant takes, from a vehicle around it."""
+
 MOST_POSITIONS: Final = 200_000
 _LATE_NS: Final = 60_000_000
 
@@ -97,6 +101,8 @@ class PlantSide:
             if is_intact(kind, frame):
                 self._recorded.append((time_ns, kind, frame.data))
             return
+        if frame.can_id == ENGINE_REQUEST and self.closed_ns is None:
+            self._commands.append((time_ns, frame))
         if len(frame.data) <= 8:
             begun_ns = time_ns - frame_bits(frame.can_id, frame.data) * self._bit_ns
             self._others.append((begun_ns, frame, "log"))
@@ -173,7 +179,7 @@ class PlantSide:
             kind = OWN_IDS.get(frame.can_id)
             if kind in INPUTS:
                 self._for_unit.append((arrival_ns, frame))
-            elif kind in COMMANDS and sender == "unit":
+            elif (kind in COMMANDS and sender == "unit") or frame.can_id == ENGINE_REQUEST:
                 self._for_plant.append((arrival_ns, frame))
         if self.closed_ns is None:  # what arrives now was recorded, too
             self._for_unit.clear()

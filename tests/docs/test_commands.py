@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -40,6 +41,16 @@ def make_measured(folder: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+def serve_and_end(folder: Path, arguments: list[str]) -> None:
+    """Start the live bench, and end it as Ctrl-C does once it has its address."""
+    command = [sys.executable, "-m", "sil.cli", "live", "--no-browser", *arguments]
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("http://127.0.0.1:")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60.0) == 0
+
+
 def test_guides_are_found() -> None:
     assert len(GUIDES) >= 5
 
@@ -58,6 +69,9 @@ def test_commands_do_what_the_page_says(page: str, tmp_path: Path) -> None:
             if words[0] == "python" and words[-1] == "&":
                 background.append(subprocess.Popen([sys.executable, *words[1:-1]], cwd=tmp_path))
             if words[0] != "opc4":
+                continue
+            if words[1] == "live":
+                serve_and_end(tmp_path, words[2:])
                 continue
             done = run_opc4(tmp_path, *words[1:], timeout=1200.0)
             # a changed value may break an expectation, but is never an error

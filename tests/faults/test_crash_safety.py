@@ -250,7 +250,7 @@ def test_a_folder_of_somebody_else(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("library", "command"),
     [
-        ("asammdf", ["convert", "{made}/run/bus.log", "x.mf4"]),
+        ("asammdf", ["convert", "{made}/run/trace.csv", "x.mf4"]),
         ("matplotlib", ["replay", "{made}/run/bus.log"]),
         ("cantools", ["replay", "{made}/run/bus.log", "--dbc", "{root}/can_dbc/opc4.dbc"]),
         ("pythonfmu3", ["fmu", "plant", "x.fmu"]),
