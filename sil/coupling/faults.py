@@ -17,7 +17,7 @@ from can_dbc import messages
 from can_dbc.codec import can_id_of
 from can_dbc.e2e import COUNTERS, PROTECTED, with_counter
 from can_dbc.errors import InputError
-from can_dbc.frame import EDP_BIT, Frame
+from can_dbc.frame import DP_BIT, EDP_BIT, Frame
 from sil.coupling.bus import Delivery, ErrorFrame, Transmission
 from sil.coupling.clock import NEVER_NS, to_ns
 from sil.coupling.other_bit_rate import MisfitNode
@@ -47,6 +47,7 @@ INTRUDER = "intruder"
 Instant = Annotated[float, Meta(ge=0.0, le=86400.0)]
 
 MOST_DELAY_S = 10.0
+_PAGES = DP_BIT | EDP_BIT
 _NS_PER_US = 1000
 
 
@@ -177,7 +178,7 @@ class Sent(_Fault, frozen=True, kw_only=True, tag="sent"):
     """An intruder sends one frame, at `start_s`."""
 
     can_id: Annotated[int, Meta(ge=0, le=0x1FFF_FFFF)]
-    """Its 29-bit identifier, with the EDP bit clear as J1939 has it."""
+    """Its 29-bit identifier, of data page 0: bits 24 and 25 are clear."""
     data: Annotated[str, Meta(pattern=r"^([0-9A-Fa-f]{2} ?){0,8}$")] = ""
     """Its content, two hexadecimal digits a byte, at most 8 bytes."""
 
@@ -367,10 +368,10 @@ class FaultPlan:
 def window_of(fault: BusFault, name: str = "fault") -> Window:
     """Return when a fault acts.  Raises InputError, with its name, for an impossible time."""
     start_ns = to_ns(fault.start_s, f"{name}.start_s")
-    if isinstance(fault, Sent) and fault.can_id & EDP_BIT:
+    if isinstance(fault, Sent) and fault.can_id & _PAGES:
         given = f"0x{fault.can_id:08X}"
         raise InputError(
-            f"{name}.can_id: {given} has the EDP bit set; expected 0x{EDP_BIT:X} clear"
+            f"{name}.can_id: {given} is on data page 1 to 3; expected bits 24, 25 clear"
         )
     if fault.end_s is None:
         if isinstance(fault, Stalled):

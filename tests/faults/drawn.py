@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from can_dbc.e2e import PROTECTED
-from can_dbc.frame import EDP_BIT
+from can_dbc.frame import DP_BIT, EDP_BIT
 from plant.devices.position_circuit import SensorFault
 from plant.devices.signal_faults import SpeedFault, TemperatureFault
 from plant.devices.valve_faults import ValveFault
@@ -84,7 +84,7 @@ PARAMETERS: dict[str, Draw] = {
     "jitter_s": _between(0.0, 0.05),
     "load": _between(0.1, 2.0),
     "priority": _whole(0, 7),
-    "can_id": lambda rng: rng.randint(0, 0x1FFF_FFFF) & ~EDP_BIT,
+    "can_id": lambda rng: rng.randint(0, 0x1FFF_FFFF) & ~(DP_BIT | EDP_BIT),
     "data": lambda rng: rng.randbytes(rng.randint(0, 8)).hex(),
     "period_s": _between(0.0005, 0.02),
     "pulse_s": _between(0.0, 0.0015),

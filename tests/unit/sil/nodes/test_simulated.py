@@ -182,5 +182,5 @@ def test_a_frame_is_sent_once_at_its_instant() -> None:
     assert sent(fault) == [(30_500_000, Frame(0x18FF1234, b"\x01\xff"))]
     with pytest.raises(InputError, match="one frame has no end"):
         window_of(Sent(can_id=1, start_s=0.1, end_s=0.2))
-    with pytest.raises(InputError, match="0x02000001 has the EDP bit set"):
+    with pytest.raises(InputError, match="0x02000001 is on data page 1 to 3"):
         window_of(Sent(can_id=0x2000001))
