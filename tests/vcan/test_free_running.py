@@ -23,6 +23,8 @@ pytestmark = pytest.mark.vcan
 ROOT = Path(__file__).resolve().parents[2]
 FOREIGN = ROOT / "tests" / "foreign_controller" / "free_controller.py"
 HELD_S = 0.05
+EDGES = 2
+"""Of each valve and blow in a shift: on and off."""
 
 
 def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
@@ -71,16 +73,17 @@ def test_a_recorded_shift_in_real_time_has_each_message_once_and_replays(tmp_pat
             break
     else:
         pytest.skip("this machine is too busy for real time: nodes stood still in each run")
-    # candump's log also holds the start of the control unit, when nobody has requested anything yet
+    # candump's log also holds the start of the control unit, when nobody has requested anything yet, and
+    # by its times an input near a tick may count one tick later: each edge may be one tick apart
     whole_run = ("ValveCommand.", "SafetyBlow.")
-    for path, names in (
-        (folder / "bus.log", whole_run),
-        (log, ("ValveCommand.duty", *whole_run[1:])),
+    for path, names, ticks in (
+        (folder / "bus.log", whole_run, 0),
+        (log, ("ValveCommand.duty", *whole_run[1:]), EDGES),
     ):
         found = replay(ReplayRequest(str(path)))
         assert found.comparison.engaged
         for name, signal in found.comparison.signals.items():
-            assert not (name.startswith(names) and signal.differing), f"{path}: {name}"
+            assert not name.startswith(names) or signal.differing <= ticks, f"{path}: {name}"
 
 
 def require_part(part: Frames, whole: Frames) -> None:
