@@ -31,7 +31,7 @@ define install
 endef
 
 $(VENV)/.run: pyproject.toml constraints.txt
-	$(call install,.)
+	$(call install,.[live])
 
 $(VENV)/.dev: pyproject.toml constraints.txt
 	$(call install,.[dev])
