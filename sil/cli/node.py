@@ -1,7 +1,7 @@
 """Run one participant of a scenario alone, on a bus.
 
 In lockstep it joins a run begun with `opc4 run --external`; file or name of the scenario, and
-settings, must be those of the run.  With --realtime it runs by its own clock beside any other nodes,
+settings, must be those of the run.  With --realtime it runs by its own clock among any other nodes,
 ours or foreign, which may come and go; Ctrl-C ends it.  The channel is local:NAME (printed by
 `opc4 run`) or a CAN interface.
 """

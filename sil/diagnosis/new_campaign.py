@@ -55,7 +55,7 @@ def unit_of(name: str) -> str:
 
 
 def guess(columns: Mapping[str, Floats]) -> dict[str, tuple[str, float, bool]]:
-    """Return column, scale and whether a unit was stated, by our name, of what can be told.
+    """Return column, scale and whether a unit was stated, by our name, of what the names and values show.
 
     columns: [n] each, in the file's units.
     """

@@ -39,7 +39,7 @@ from sil.simulation.bus_figures import COUNTS, periods_ns
 from sil.simulation.scenario import Loaded, Scenario
 
 CLOCK_ZERO = "plant.zero"
-"""File beside the plant's trace: the instant, ns since 1970, at which its clock is zero."""
+"""File next to the plant's trace: the instant, ns since 1970, at which its clock is zero."""
 
 MODE = "free-running"
 PARTICIPANT = {
