@@ -42,7 +42,6 @@ MARGIN = 50.0
 GAP_STEPS = 8.0
 """A longer pause, in sampling steps, is a gap."""
 
-AXES = ({"position_m", "force_n"}, {"angle_rad", "torque_n_m"})
 ROTARY = {"N": "N m", "kg": "kg m^2", "N s/m": "N m s", "N/m": "N m", "N/Pa": "N m/Pa", "m": "rad"}
 
 

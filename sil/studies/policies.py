@@ -112,11 +112,6 @@ class Layout:
     branch: int = 1
 
     @property
-    def stem_shape(self) -> tuple[int, int]:
-        """Return the shape of a stem: valves, variables."""
-        return len(self.valves), 2 * self.stem
-
-    @property
     def branch_shape(self) -> tuple[int, int]:
         """Return the shape of the branch of one load: valves, variables."""
         return len(self.valves), 2 * self.branch + 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 import numpy as np
@@ -111,12 +112,12 @@ def test_matlab_files_are_read(tmp_path: Path) -> None:
 
 
 def test_hdf5_parquet_and_tdms_are_read_with_the_extra(tmp_path: Path) -> None:
-    h5py = pytest.importorskip("h5py")
+    h5py = importlib.import_module("h5py")
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["t"], file["x"] = TIME, POSITION
-    parquet, arrow = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
+    parquet, arrow = importlib.import_module("pyarrow.parquet"), importlib.import_module("pyarrow")
     parquet.write_table(arrow.table({"t": TIME, "x": POSITION}), tmp_path / "a.parquet")
-    nptdms = pytest.importorskip("nptdms")
+    nptdms = importlib.import_module("nptdms")
     with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
         writer.write_segment(
             [nptdms.ChannelObject("g", n, v) for n, v in (("t", TIME), ("x", POSITION))]
@@ -133,7 +134,7 @@ def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_mf4_channels_of_several_rates(tmp_path: Path) -> None:
-    asammdf = pytest.importorskip("asammdf")
+    asammdf = importlib.import_module("asammdf")
     file = tmp_path / "a.mf4"
     with asammdf.MDF() as measured:
         measured.append([asammdf.Signal(POSITION, TIME, name="x")])
