@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import argparse
 import codecs
 import errno
@@ -11,6 +12,7 @@ import json
 import os
 import signal
 import sys
+import time
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
@@ -78,6 +80,19 @@ def _end_at_once() -> None:
             signal.signal(number, signal.SIG_DFL)
 
 
+def _interrupt_again(unraisable: Any) -> None:
+    """Repeat an interrupt that Python discarded, as it does in destructors and weakref callbacks."""
+    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(unraisable)
+        return
+
+    def interrupt(thread: int) -> None:
+        time.sleep(0.001)  # until the callback has ended, where it would be discarded again
+        signal.pthread_kill(thread, signal.SIGINT)
+
+    _thread.start_new_thread(interrupt, (_thread.get_ident(),))
+
+
 class _Output(io.FileIO):
     """Standard output, whose errors name it."""
 
@@ -103,6 +118,7 @@ def command() -> NoReturn:
             os.fstat(descriptor)
         except OSError:
             os.open(os.devnull, os.O_RDWR)
+    sys.unraisablehook = _interrupt_again
     codecs.register_error("json", _escaped)
     encoding = sys.stdout.encoding if sys.stdout else "utf-8"
     output = io.BufferedWriter(_Output(1, "w", closefd=False))

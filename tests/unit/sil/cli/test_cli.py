@@ -108,3 +108,34 @@ def test_without_compilation_the_plant_is_refused_in_one_line() -> None:
     done = shell("opc4 simulate none", NUMBA_DISABLE_JIT="1")
     assert done.returncode == 2 and done.stderr.count("\n") == 1
     assert "NUMBA_DISABLE_JIT is set; expected it unset" in done.stderr
+
+
+DISCARDED = """
+import sys, time
+from sil import cli
+
+class Ends:
+    def __del__(self):
+        raise {error}
+
+sys.unraisablehook = cli._interrupt_again
+try:
+    ends = Ends()
+    del ends
+    time.sleep(60.0)
+    print("slept")
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def test_an_interrupt_within_a_destructor_is_not_lost() -> None:
+    words = [sys.executable, "-c", DISCARDED.format(error="KeyboardInterrupt")]
+    process = subprocess.run(words, capture_output=True, text=True, timeout=50.0, check=True)
+    assert (process.stdout, process.stderr) == ("interrupted\n", "")
+
+
+def test_other_errors_of_a_destructor_are_reported() -> None:
+    words = [sys.executable, "-c", DISCARDED.format(error="ValueError('odd')").replace("60.0", "0")]
+    process = subprocess.run(words, capture_output=True, text=True, timeout=50.0, check=True)
+    assert process.stdout == "slept\n" and "ValueError: odd" in process.stderr
