@@ -82,11 +82,15 @@ class Firmware:
     that gear's window.
     """
 
-    def __init__(self, config: FirmwareConfig) -> None:
+    def __init__(self, config: FirmwareConfig, memory: bytes = b"") -> None:
+        """Power on with the `memory` that the unit had at power-off, empty for none."""
         self.config = config
         self._estimator = PositionEstimator(config)
         self._windows = GearWindows(config.windows)
         self._strategy = create_strategy(config)
+        self._strategy.recall(memory)
+        self._healthy = self._pushed = False  # of the push under way
+        self._coil_k: float | None = None
         self._machine = ShiftMachine(config, self._strategy.blow_s)
         self._startup_ns = nanoseconds(config.e2e.startup_s)
         self._apart_ns = nanoseconds(config.shift.interlock_s) + config.period_ns
@@ -112,6 +116,11 @@ class Firmware:
         self._speeds: DrivelineSpeeds | None = None
         self._speeds_ns = 0  # the step that saw them first
         self._duties = OFF  # of the latest step
+
+    @property
+    def memory(self) -> bytes:
+        """What survives power-off, up to date after every shift; empty unless the strategy learns."""
+        return self._strategy.memory
 
     def step(self, now_ns: int, inputs: Inputs) -> Outputs:
         """Take the inputs of one period and return the messages to send.
@@ -148,7 +157,18 @@ class Firmware:
         if self._latched:
             live |= self._latched
         self._duties = duties
+        self._learn(now_ns, estimate, not live)
         return self._report(now_ns, estimate, duties, live, speeds)
+
+    def _learn(self, now_ns: int, estimate: Estimate, healthy: bool) -> None:
+        """Notify the strategy of the end of a push."""
+        machine = self._machine
+        if machine.driving:
+            self._healthy = healthy and (self._healthy or not self._pushed)
+        elif self._pushed:
+            done = machine.event is Event.CONFIRMED or machine.event is Event.SHIFT_DONE
+            self._strategy.ended(now_ns, estimate, done, healthy and self._healthy)
+        self._pushed = machine.driving
 
     def _lost(self, channel: str, state: E2eState, waking: bool) -> bool:
         """Whether a channel is lost: no longer valid, or never valid when it should be by now."""
@@ -162,6 +182,8 @@ class Firmware:
 
         A channel that is valid but brings no usable sample for its timeout is lost as well.
         """
+        if inputs.pulses:
+            self._coil_k = inputs.pulses[-1].coil_temperature_k
         lost = self._lost("position", inputs.position_state, waking)
         valid = inputs.position_state is E2eState.VALID
         if not valid:
@@ -247,6 +269,7 @@ class Firmware:
                 energised_ns=(b_ns, n_ns, f_ns),
                 apart_rad_s=None if speeds is None else speeds.input_rad_s - speeds.output_rad_s,
                 apart_ns=self._speeds_ns,
+                coil_k=self._coil_k,
             )
             duties = self._strategy.command(now_ns, estimate, shift)
             if not self._allowed(now_ns, duties):

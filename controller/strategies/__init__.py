@@ -23,6 +23,7 @@ NAMES: Mapping[str, str] = {
     "sliding_mode": "controller.strategies.sliding_mode:SlidingMode",
     "bang_bang": "controller.strategies.bang_bang:BangBang",
     "predictive": "controller.strategies.predictive:Predictive",
+    "learned": "controller.strategies.learned:Learned",
 }
 """Name of each strategy and where its class is; loaded when first used."""
 
@@ -47,7 +48,7 @@ class ShiftContext(NamedTuple):
     `energised_ns` is, in the order B, N, F, the last step whose output opened each valve (None before
     the first), so that an estimator knows which chambers may still hold air. `apart_rad_s`
     is input minus output speed as last reported, None without a valid report, and `apart_ns` the
-    step that received it first.
+    step that received it first. `coil_k` is the temperature of the sensor's coil as last reported.
     """
 
     leg: Gear
@@ -59,6 +60,7 @@ class ShiftContext(NamedTuple):
     energised_ns: tuple[int | None, int | None, int | None]
     apart_rad_s: float | None = None
     apart_ns: int = 0
+    coil_k: float | None = None
 
 
 def one_chamber(chamber: Chamber, duty: float) -> Duties:
@@ -82,6 +84,7 @@ class Strategy(abc.ABC):
         """Settings of the strategy, from `strategy_parameters`."""
 
     name: ClassVar[str]
+    has_memory: ClassVar[bool] = False
 
     def __init__(self, config: ControlConfig, parameters: Struct) -> None:
         self.config = config
@@ -94,6 +97,22 @@ class Strategy(abc.ABC):
     @abc.abstractmethod
     def command(self, now_ns: int, estimate: Estimate, shift: ShiftContext) -> Duties:
         """Return the duties for the coming period; called once per step of a push."""
+
+    def recall(self, memory: bytes) -> None:  # noqa: B027 - most strategies do not learn
+        """Take the memory of an earlier power-on; one that cannot be read means the defaults."""
+
+    @property
+    def memory(self) -> bytes:
+        """What is to survive power-off; empty without `has_memory`."""
+        return b""
+
+    def ended(  # noqa: B027 - most strategies do not learn
+        self, now_ns: int, estimate: Estimate, confirmed: bool, healthy: bool
+    ) -> None:
+        """Learn from the push that ended in this step.
+
+        `confirmed`: its gear was reached. `healthy`: no fault since it began.
+        """
 
     def blow_s(self, configured_s: float, leg: Gear, follows: bool) -> float:
         """Return how long the safety blow lasts after `leg` is confirmed, at most as configured.

@@ -43,7 +43,13 @@ ARGUMENTS = (
         type=float,
         default=WAIT_S,
     ),
-    argument("--out", "where the plant records [.]", "DIR", type=Path, default=Path()),
+    argument(
+        "--out",
+        "where the plant records, and a controller that learns its memory [.]",
+        "DIR",
+        type=Path,
+        default=Path(),
+    ),
     argument("--force", "replace the records in DIR"),
     argument(
         "--realtime",

@@ -18,6 +18,8 @@ import msgspec
 from can_dbc.contract import contract
 from can_dbc.errors import InputError
 from can_dbc.messages import Gear
+from controller.firmware import Firmware
+from controller.node import ControllerNode
 from sil.coupling.bus import BusModel
 from sil.coupling.clock import to_ns
 from sil.coupling.faults import FaultPlan, Intrusion
@@ -32,8 +34,10 @@ from sil.coupling.transports.channel import (
     Turn,
 )
 from sil.coupling.transports.wire import GUEST
+from sil.files.atomic import write_atomically
 from sil.nodes.simulated import Drifting, DriverNode, IntruderNode, TrafficNode
 from sil.simulation.scenario import Loaded, Scenario, expanded
+from sil.simulation.unit_memory import content
 
 if TYPE_CHECKING:
     from plant.node import PlantConfig
@@ -41,6 +45,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENARIO = "scenario.json"
+MEMORY = "memory.bin"
 REMOTE = ("controller", "plant")
 """Participants that have a process of their own on every transport but inproc."""
 
@@ -137,19 +142,38 @@ class RecordedPlant:
         self._files.close()
 
 
-def make_participant(name: str, loaded: Loaded, folder: Path) -> Participant:
+class RecordedController:
+    """The controller node with our firmware, whose memory is written to a folder at the end."""
+
+    name = "controller"
+
+    def __init__(self, unit: Firmware, folder: Path) -> None:
+        self._unit, self._folder = unit, folder
+        node = ControllerNode(unit.config, unit)
+        self.start, self.advance = node.start, node.advance
+
+    def close(self) -> None:
+        """Write the memory, as at power-off."""
+        if memory := self._unit.memory:
+            write_atomically(self._folder / MEMORY, memory)
+
+
+def make_participant(
+    name: str, loaded: Loaded, folder: Path, unit: Firmware | None = None
+) -> Participant:
     """Return one participant of a scenario, its clock as the scenario says.
 
-    The plant records into `folder`, and its clock is simulated time. Raises InputError for an
+    The plant records into `folder`, and its clock is simulated time. `unit`: the controller's
+    program, if it is not to be made from the scenario. Raises InputError for an
     unknown name, or if the participant refuses its settings.
     """
-    participant = _on_time(name, loaded, folder)
+    participant = _on_time(name, loaded, folder, unit)
     clock = loaded.scenario.clock
     ppm = {"controller": clock.controller_ppm, "driver": clock.driver_ppm}.get(name, 0.0)
     return participant if ppm == 0.0 else Drifting(participant, ppm)
 
 
-def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
+def _on_time(name: str, loaded: Loaded, folder: Path, unit: Firmware | None) -> Participant:
     scenario = loaded.scenario
     if name == "driver":
         schedule = [(to_ns(r.at_s), gear_of(r.gear)) for r in scenario.request]
@@ -168,9 +192,9 @@ def _on_time(name: str, loaded: Loaded, folder: Path) -> Participant:
             from sil.nodes.own_firmware import OwnController
 
             return OwnController(scenario.firmware, scenario.controller)
-        from controller.node import ControllerNode
-
-        return ControllerNode(scenario.controller)
+        if unit is not None:
+            return ControllerNode(scenario.controller, unit)
+        return RecordedController(Firmware(scenario.controller, content(scenario.memory)), folder)
     if name == "traffic":
         bus = scenario.bus
         return TrafficNode(bus.extra_load, bus.extra_priority, bus.bitrate, scenario.seed)
@@ -295,5 +319,5 @@ def node_command(name: str, channel: str, folder: Path) -> list[str]:
 
 def node_arguments(name: str, channel: str, folder: Path) -> list[str]:
     """Return the arguments of `opc4` that run one participant of the run in `folder`."""
-    recording = ["--out", str(folder), "--force"] if name == "plant" else []
+    recording = ["--out", str(folder), *(["--force"] if name == "plant" else [])]
     return ["node", name, "--channel", channel, "--scenario", str(folder / SCENARIO), *recording]

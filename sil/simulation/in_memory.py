@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from controller.firmware import Firmware
 from sil.coupling.bus import Delivery
 from sil.coupling.clock import to_ns
 from sil.coupling.faults import FaultPlan
@@ -27,6 +28,7 @@ from sil.simulation.closed_loop_kernel import run_quickly
 from sil.simulation.expectations import Expectations, Observed, evaluate
 from sil.simulation.results import Check
 from sil.simulation.scenario import Loaded, Scenario
+from sil.simulation.unit_memory import content
 
 ROWS_AT_ONCE = 1 << 14
 """Trace rows that are made together: they are read only after the run."""
@@ -42,6 +44,8 @@ class MemoryRun:
     figures: dict[str, Any]
     balances: dict[str, Any]
     rows: np.ndarray
+    memory: bytes
+    """What the firmware's memory holds at the end; empty unless its strategy learns."""
 
     @cached_property
     def checks(self) -> list[Check]:
@@ -64,9 +68,10 @@ class _TraceRows(list[np.ndarray]):
     write = list.append
 
 
-def run_in_memory(loaded: Loaded) -> MemoryRun:
+def run_in_memory(loaded: Loaded, memory: bytes | None = None) -> MemoryRun:
     """Run a scenario as `opc4 run --transport inproc` does; nothing is written.
 
+    `memory`: of the firmware at power-on; if not given, the scenario's.
     Raises InputError if the scenario is not valid, RunError if a participant fails.
     """
     from plant.node import PlantNode, trace_columns
@@ -84,8 +89,12 @@ def run_in_memory(loaded: Loaded) -> MemoryRun:
         note,
         trace_rows_at_once=ROWS_AT_ONCE,
     )
+    unit = None
+    if not scenario.firmware:
+        held = content(scenario.memory) if memory is None else memory
+        unit = Firmware(scenario.controller, held)
     participants = [
-        node if name == "plant" else build.make_participant(name, loaded, Path())
+        node if name == "plant" else build.make_participant(name, loaded, Path(), unit)
         for name in build.participant_names(scenario)
     ]
     end_ns = to_ns(scenario.duration_s)
@@ -112,6 +121,7 @@ def run_in_memory(loaded: Loaded) -> MemoryRun:
         figures=metrics.summary(found, balances.get("air_in_kg"), switchings, len(frames)),
         balances=balances,
         rows=rows,
+        memory=b"" if unit is None else unit.memory,
     )
 
 

@@ -28,6 +28,7 @@ from sil.files.quantity import quantity
 from sil.nodes.own_firmware import absolute
 from sil.nodes.vehicle import VehicleConfig
 from sil.simulation.expectations import ChamberName, Expectations, GearName
+from sil.simulation.unit_memory import embedded
 
 if TYPE_CHECKING:
     from plant.parameters import ParameterSet
@@ -140,6 +141,10 @@ class Scenario(_Table, frozen=True, kw_only=True):
     firmware: str = ""
     """FILE.py or FILE.py:CLASS of a user's own firmware in place of ours, relative to the
     scenario; empty for ours."""
+    memory: str = ""
+    """Memory with which our firmware is powered on: a file of at most 4096 bytes, relative to the
+    scenario, as the memory.bin that a run with a learning strategy leaves; empty for none. A
+    result.json holds the content."""
     bus: BusTable = BusTable()
     clock: ClockTable = ClockTable()
     fault: list[BusFault] = []
@@ -227,6 +232,8 @@ def from_table(
         raw["model_set"] = str(folder / scenario.model_set)
     if scenario.firmware:
         raw["firmware"] = absolute(scenario.firmware, folder)
+    if scenario.memory:
+        raw["memory"] = embedded(scenario.memory, folder, source)
     if scenario.effects or effects:
         from plant.effects.user_file import load_effects
 
@@ -243,7 +250,9 @@ def from_table(
         scenario = _build(raw, "--set")
         if scenario.firmware:
             raw["firmware"] = absolute(scenario.firmware, Path())
-            scenario = _build(raw, "--set")
+        if scenario.memory:
+            raw["memory"] = embedded(scenario.memory, Path(), "--set")
+        scenario = _build(raw, "--set")
     else:
         scenario = _build(raw, source)
     _check_consistent(scenario, source)
@@ -468,6 +477,8 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
             "bus.send_buffer: missing; expected a number of frames, since more waits than can be "
             f"sent with extra_load {scenario.bus.extra_load:g}"
         )
+    if scenario.memory and (scenario.firmware or not scenario.controller.learns):
+        yield "memory: given; expected none unless controller.strategy learns"
     if scenario.vehicle is not None and scenario.driver != DriverTable():
         yield "driver: given; expected none with [vehicle], which has its own periods"
     if len(set(scenario.plant.charged)) != len(scenario.plant.charged):

@@ -10,6 +10,7 @@ from can_dbc.errors import InputError
 from can_dbc.messages import Chamber, Gear
 from controller import strategies
 from controller.config import FirmwareConfig, create_strategy
+from controller.firmware import Firmware
 from controller.position import Estimate
 from controller.strategies import OFF, Duties, ShiftContext, Strategy, one_chamber
 from controller.strategies.open_loop import OpenLoop
@@ -83,3 +84,10 @@ def test_unknown_parameter() -> None:
 
 def test_off_is_off() -> None:
     assert Duties(0.0, 0.0, 0.0) == OFF
+
+
+def test_only_a_strategy_that_learns_has_a_memory() -> None:
+    for name in strategies.NAMES:
+        config = FirmwareConfig(strategy=name)
+        unit = Firmware(config, b"anything")
+        assert bool(unit.memory) == config.learns == (name == "learned")
