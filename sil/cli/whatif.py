@@ -115,6 +115,10 @@ def write_files(
         from sil.studies.kinds.sensitivity import markdown
 
         write_atomically(folder / "sensitivity.md", markdown(study, table))
+    if study.study.kind == "learned":
+        from sil.studies.kinds import learned
+
+        write_atomically(folder / "learned.md", learned.markdown(study, table))
     if study.study.kind == "lower_bound":
         from sil.studies.kinds.lower_bound import certificates
 

@@ -29,8 +29,6 @@ from sil.studies.study import Base, LoadedStudy, Row, Study, toml_value
 from sil.studies.table import RESULTS
 
 STATE = "study.json"
-CHUNK = 16
-"""Rows of runs that a worker takes at a time; the longer rows of other kinds are taken one by one."""
 
 CONTINUE = "the finished rows are stored; add --resume to continue"
 
@@ -75,7 +73,7 @@ def _freeze_loaded_objects() -> None:
     gc.freeze()
 
 
-def chunks(begin: int, size: int, rows: int = CHUNK) -> Iterator[tuple[int, int]]:
+def chunks(begin: int, size: int, rows: int) -> Iterator[tuple[int, int]]:
     """Yield row numbers in pieces (begin, end)."""
     for start in range(begin, size, rows):
         yield start, min(start + rows, size)
@@ -104,7 +102,7 @@ def run_study(
             folder / STATE, json.dumps({"study": study.study.name, "sha256": study.digest})
         )
         write_atomically(path, header(study))
-    wanted = list(chunks(begin, study.size, CHUNK if study.study.kind == "runs" else 1))
+    wanted = list(chunks(begin, study.size, study.rows_together))
     # the first rows run here: bad settings are reported at once, and kernels are compiled once
     done = begin
     progress(done, study.size)

@@ -23,6 +23,7 @@ BASES = {
     "lower_bound": ({(False, False)}, "no scenario and no [stroke], where kind is lower_bound"),
     "budget": ({(True, False)}, "scenario = and no [stroke], where kind is budget"),
     "sensitivity": ({(False, False)}, "no scenario and no [stroke], where kind is sensitivity"),
+    "learned": ({(True, False)}, "scenario = and no [stroke], where kind is learned"),
     "tuning": ({(True, False)}, "scenario = and no [stroke], where kind is tuning"),
 }
 """For each kind, which of (scenario, stroke) may be given, and the same in words."""
@@ -80,6 +81,10 @@ def check_shape(study: Study, source: str) -> None:
         raise InputError(f"{source}: expected {expected}")
     if study.kind == "tuning" and not (study.load and study.strategy):
         raise InputError(f"{source}: a tuning needs [[load]] and [[strategy]]; expected both")
+    if study.kind == "learned" and not (study.truck and study.strategy):
+        raise InputError(
+            f"{source}: a study of trucks needs [truck] and [[strategy]]; expected both"
+        )
     for index, sweep in enumerate(study.sweep):
         wrong = wrong_sweep(sweep, study.design.kind)
         if wrong:

@@ -17,16 +17,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
+from sil.studies.fleet import FleetTable, TruckTable
 
 if TYPE_CHECKING:
     from sil.simulation.scenario import Loaded
 
 
 Value = float | int | bool | str
-Setting = Value | list[dict[str, Value]]
-"""What a choice may set: a value, or a whole list of tables (requests, faults)."""
+Setting = Value | list[dict[str, Value] | Value]
+"""What a choice may set: a value, or a list of values or of tables (requests, faults)."""
 LONGEST_S = 60.0
+CHUNK = 16
+"""Rows of runs that a worker takes at a time; the longer rows of other kinds are taken one by one."""
 MOST_ROWS = 5_000_000
+TRUCK = "truck"
+FLEET_TRUCK = "fleet.truck"
+"""Column of the truck's number in a study of trucks, and the setting that chooses it."""
 
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=80)]
 
@@ -112,7 +118,7 @@ class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Seed of a hypercube or Sobol design."""
 
 
-Kind = Literal["runs", "bounds", "lower_bound", "budget", "tuning", "sensitivity"]
+Kind = Literal["runs", "bounds", "lower_bound", "budget", "tuning", "sensitivity", "learned"]
 
 
 class BoundsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -146,6 +152,7 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     "bound.family" of loads at the information delay "bound.delay_s". lower_bound: the softest stop
     that is not excluded by a proof. budget: the delays of one shift. tuning: the best parameters of
     a strategy over all loads together. sensitivity: margins of the headlines of "Why feedback fails".
+    learned: the shifts of one truck in sequence.
     """
 
     name: Name
@@ -155,6 +162,9 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     kind: Kind = "runs"
     bounds: BoundsTable = BoundsTable()
     tuning: TuningTable = TuningTable()
+    truck: TruckTable | None = None
+    """The population of a study of kind learned."""
+    fleet: FleetTable = FleetTable()
     scenario: str | None = None
     """Scenario that is run: a file or a shipped name."""
     stroke: StrokeBase | None = None
@@ -182,8 +192,14 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 def groups_of(study: Study) -> list[tuple[str, list[Choice]]]:
-    """Return the kinds of choices of a study, in column order; a tuning takes all loads together."""
+    """Return the kinds of choices of a study, in column order; a tuning takes all loads together.
+
+    The trucks of a population are choices as well.
+    """
     groups = [("variant", study.variant), ("strategy", study.strategy), ("load", study.load)]
+    if study.kind == "learned":
+        numbers = range(1, study.fleet.trucks + 1)
+        groups.insert(0, (TRUCK, [Choice(str(k), {FLEET_TRUCK: k}) for k in numbers]))
     return [
         (name, found)
         for name, found in groups
@@ -264,6 +280,13 @@ class LoadedStudy:
             seed=self.study.seed,
             folder=Path(self.base.folder),
         )
+
+    @property
+    def rows_together(self) -> int:
+        """Return how many rows in sequence a worker takes at a time: those of one truck, say."""
+        if self.study.kind == "learned":
+            return math.prod(len(items) for name, items in self.groups if name != TRUCK)
+        return CHUNK if self.study.kind == "runs" else 1
 
     @cached_property
     def longest_sight_s(self) -> float:
@@ -353,14 +376,14 @@ def inside(sweep: Sweep, share: float) -> float:
     return float(low + (high - low) * share)
 
 
-def toml_value(value: Setting) -> str:
-    """Return a value, or a list of tables, as TOML text."""
+def toml_value(value: Setting | dict[str, Value]) -> str:
+    """Return a value, a table, or a list of either, as TOML text."""
     if isinstance(value, list):
-        tables = [
-            ", ".join(f"{json.dumps(k)} = {toml_value(v)}" for k, v in table.items())
-            for table in value
-        ]
-        return "[" + ", ".join(f"{{ {table} }}" for table in tables) + "]"
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    if isinstance(value, dict):
+        return (
+            "{ " + ", ".join(f"{json.dumps(k)} = {toml_value(v)}" for k, v in value.items()) + " }"
+        )
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

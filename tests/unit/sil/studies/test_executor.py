@@ -15,8 +15,9 @@ from pathlib import Path
 import pytest
 
 from can_dbc.errors import InputError, RunError
-from sil.studies.executor import CHUNK, run_study
+from sil.studies.executor import run_study
 from sil.studies.load_study import load_study
+from sil.studies.study import CHUNK
 from sil.studies.table import RESULTS
 
 pytestmark = pytest.mark.slow

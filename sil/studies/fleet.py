@@ -1,0 +1,314 @@
+"""A population of trucks and the shifts of each: drawn by seed, carried from shift to shift.
+
+A truck is a unit with its tolerances. What lasts beyond one shift is carried along the sequence:
+the temperature of unit and oil, the supply between two runs of the compressor, the friction of
+each synchronizer, the valves, and the memory of the control unit. What the speeds on the bus do
+not say of a shift is the friction of its synchronizer: J = I |dw| / (friction term).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+
+from can_dbc.errors import InputError, unknown_name
+
+BEGIN_S = 0.1
+"""Request of a shift whose chambers are empty, after the firmware's first reports."""
+LASTS_S = 0.7
+"""Simulated time of a shift from its request on."""
+T_REF_K = 293.15
+OIL_REF_K = 353.15
+BLOCK_FORCE_N = 1500.0
+"""Typical force of the actuator on the synchronizer, by which a drag torque is compared."""
+EXAM_N_S = tuple(float(each) for each in np.geomspace(18.0, 250.0, 14))
+"""Nominal impulses of an examination."""
+
+
+Assumed = tuple[
+    Annotated[float, msgspec.Meta(ge=0.0, le=1e7)], Annotated[str, msgspec.Meta(min_length=8)]
+]
+"""A number of the population, with its source or the reason for it."""
+
+
+class TruckTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What differs between trucks and shifts: each number with its source or reason.
+
+    sd is a standard deviation, relative where the key has no unit.
+    """
+
+    friction_unit: Assumed
+    """Friction of the actuator: sd between units."""
+    friction_shift: Assumed
+    """Friction of the actuator: sd between shifts."""
+    flow_unit: Assumed
+    """Inlet flow, and outlet flow: sd between units."""
+    rise_unit_s: Assumed
+    """Opening delay: sd between units."""
+    fall_unit_s: Assumed
+    """Closing delay: sd between units."""
+    valve_shift_s: Assumed
+    """Either delay: sd between shifts."""
+    rise_per_k: Assumed
+    """Relative growth of the opening delay by temperature."""
+    fall_per_k: Assumed
+    """Relative fall of the closing delay by temperature."""
+    exchanged_rise_s: Assumed
+    """Longer opening delay of valves that were exchanged."""
+    cone_unit: Assumed
+    """Friction of a synchronizer: sd between synchronizers."""
+    cone_shift: Assumed
+    """Friction of a synchronizer: sd between shifts, independent."""
+    cone_wander: Assumed
+    """Friction of a synchronizer: sd of its slow variation."""
+    cone_wander_shifts: Assumed
+    """Number of shifts after which the slow variation is forgotten to 1/e."""
+    cone_drift: Assumed
+    """Share of its friction that a synchronizer loses along the sequence."""
+    drag_n_m: Assumed
+    """Drag torque on the input side with warm oil; it helps upward and hinders downward."""
+    drag_fold_k: Assumed
+    """Cooling of the oil by which the drag grows e-fold."""
+    speed_rad_s: Assumed
+    """Median of the speed difference that the engine leaves over."""
+    speed_spread: Assumed
+    """sd of the logarithm of the speed difference."""
+    speed_low_rad_s: Assumed
+    """Least speed difference."""
+    speed_high_rad_s: Assumed
+    """Greatest speed difference."""
+    speed_noise_rad_s: Assumed
+    """sd of each reported shaft speed."""
+    inertia_forward: Assumed
+    """Inertia of the input side in the forward gear, by that in the backward gear."""
+    mesh_low_n: Assumed
+    """Least peak of the meshing force."""
+    mesh_high_n: Assumed
+    """Greatest peak of the meshing force."""
+    supply_low_pa: Assumed
+    """Supply pressure at which the compressor starts, absolute."""
+    supply_high_pa: Assumed
+    """Supply pressure at which the compressor stops, absolute."""
+    supply_used_pa: Assumed
+    """Mean fall of the supply pressure from shift to shift, brakes included."""
+    supply_fill_pa_s: Assumed
+    """Rise of the supply pressure while the compressor runs."""
+    ambient_k: Assumed
+    """Mean ambient temperature."""
+    ambient_sd_k: Assumed
+    """sd of the ambient temperature between trucks."""
+    warm_k: Assumed
+    """Mean temperature of a warm unit."""
+    warm_sd_k: Assumed
+    """sd of it between trucks."""
+    warm_up_s: Assumed
+    """Time constant with which unit and oil warm up."""
+    cold_start: Assumed
+    """Probability that a shift is the first after a night."""
+    thermometer_k: Assumed
+    """sd between units of the error of the reported temperature."""
+    gap_s: Assumed
+    """Mean time between two shifts."""
+    direct: Assumed
+    """Probability that a shift follows a blow on neutral whose air is still there."""
+    direct_low_s: Assumed
+    """Least time between the end of that blow and the request."""
+    direct_high_s: Assumed
+    """Greatest time between the end of that blow and the request."""
+    shifts_per_year: Assumed
+    """Shifts into a gear of this actuator per truck and year."""
+
+
+class FleetTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Number of trucks and shifts, and what happens on the way."""
+
+    trucks: Annotated[int, msgspec.Meta(ge=1, le=100_000)] = 20
+    """Trucks, numbered from 1; each has one row for each strategy."""
+    shifts: Annotated[int, msgspec.Meta(ge=1, le=5_000)] = 100
+    """Shifts of each truck."""
+    seed: Annotated[int, msgspec.Meta(ge=0, le=(1 << 53) - 1)] = 1
+    """Seed of all draws, with the truck's number."""
+    exchanged_at: Annotated[int, msgspec.Meta(ge=0, le=5_000)] = 0
+    """Shift before which the valves of every second truck are exchanged; 0: never."""
+    examined_after: Annotated[int, msgspec.Meta(ge=0, le=5_000)] = 0
+    """Shifts after which 14 impulses from 18 to 250 N s are tried at 9 bar and 20 degrees Celsius,
+    each with the memory of then; 0: never."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One shift as drawn: settings of the scenario, and the impulses in N s.
+
+    expected_n_s follows from the speeds with the nominal friction; impulse_n_s is what it takes.
+    """
+
+    settings: dict[str, Any]
+    expected_n_s: float
+    impulse_n_s: float
+
+
+class Truck:
+    """The truck of a number: its unit, drawn once, and its state, carried from shift to shift.
+
+    nominal: the scenario's values of `NOMINAL`, which the draws change.
+    """
+
+    NOMINAL = ("valve.D_rise", "valve.D_fall", "driveline.cone_gain_m", "driveline.inertia_kg_m2")
+
+    def __init__(
+        self, table: TruckTable, fleet: FleetTable, number: int, nominal: Mapping[str, float]
+    ) -> None:
+        self._of = {name: getattr(table, name)[0] for name in table.__struct_fields__}
+        self._fleet, self._number, self._nominal = fleet, number, nominal
+        self._rng = rng = np.random.default_rng([fleet.seed, number])
+        of = self._of
+        self.friction = self._factor("friction_unit")
+        self.flows = self._factor("flow_unit"), self._factor("flow_unit")
+        self.rise_s = of["rise_unit_s"] * rng.standard_normal()
+        self.fall_s = of["fall_unit_s"] * rng.standard_normal()
+        self.cones = {gear: self._factor("cone_unit") for gear in ("backward", "forward")}
+        self.thermometer_k = of["thermometer_k"] * rng.standard_normal()
+        self.ambient_k = of["ambient_k"] + of["ambient_sd_k"] * rng.standard_normal()
+        self.warm_k = of["warm_k"] + of["warm_sd_k"] * rng.standard_normal()
+        self.phase_s = rng.uniform(0.0, 0.01)
+        self._wander = {gear: float(rng.standard_normal()) for gear in self.cones}
+        self._unit_k, self._oil_k = self.ambient_k, self.ambient_k
+        self._supply_pa = rng.uniform(of["supply_low_pa"], of["supply_high_pa"])
+        self._filling = False
+
+    def shifts(self) -> tuple[list[Drawn], list[Drawn]]:
+        """Return the shifts in their order, and those of the examination."""
+        found, exam = [], []
+        for k in range(self._fleet.shifts):
+            found.append(self._shift(k))
+            if k + 1 == self._fleet.examined_after:
+                exam = [self._examined(k, each) for each in EXAM_N_S]
+        return found, exam
+
+    def _factor(self, name: str) -> float:
+        """Return a factor around 1 whose logarithm has the standard deviation of that name."""
+        return math.exp(self._of[name] * self._rng.standard_normal())
+
+    def _cone_gain_m(self, k: int, gear: str) -> float:
+        """Return the friction term of a synchronizer at shift `k`."""
+        of = self._of
+        drift = 1.0 - of["cone_drift"] * k / max(self._fleet.shifts - 1, 1)
+        slow = math.exp(of["cone_wander"] * self._wander[gear])
+        factor = self.cones[gear] * slow * drift * self._factor("cone_shift")
+        return float(self._nominal["driveline.cone_gain_m"] * factor)
+
+    def _carry_on(self) -> None:
+        """Let the time to the next shift pass: temperatures, supply, friction."""
+        of, rng = self._of, self._rng
+        gap_s = rng.exponential(of["gap_s"])
+        if rng.random() < of["cold_start"]:
+            self._unit_k = self._oil_k = self.ambient_k
+        share = -math.expm1(-gap_s / of["warm_up_s"])
+        self._unit_k += share * (self.warm_k - self._unit_k)
+        self._oil_k += share * (OIL_REF_K - self._oil_k)
+        self._supply_pa -= rng.exponential(of["supply_used_pa"])
+        self._filling |= self._supply_pa < of["supply_low_pa"]
+        if self._filling:
+            self._supply_pa += of["supply_fill_pa_s"] * gap_s
+            self._filling = self._supply_pa < of["supply_high_pa"]
+        self._supply_pa = min(self._supply_pa, of["supply_high_pa"])
+        stays = math.exp(-1.0 / of["cone_wander_shifts"])
+        for gear, old in self._wander.items():
+            self._wander[gear] = stays * old + math.sqrt(1.0 - stays**2) * rng.standard_normal()
+
+    def _shift(self, k: int) -> Drawn:
+        of, rng = self._of, self._rng
+        self._carry_on()
+        gear = "backward" if rng.random() < 0.5 else "forward"
+        drawn = of["speed_rad_s"] * self._factor("speed_spread")
+        upward = rng.random() < 0.5
+        speed_rad_s = min(max(drawn, of["speed_low_rad_s"]), of["speed_high_rad_s"])
+        drag_n_m = of["drag_n_m"] * math.exp((OIL_REF_K - self._oil_k) / of["drag_fold_k"])
+        gain_m = self._cone_gain_m(k, gear) + (1 if upward else -1) * drag_n_m / BLOCK_FORCE_N
+        direct, blow_s = rng.random(), rng.uniform(of["direct_low_s"], of["direct_high_s"])
+        return self._settings(
+            k,
+            gear,
+            speed_rad_s if upward else -speed_rad_s,
+            gain_m,
+            self._unit_k,
+            blow_s if direct < of["direct"] else None,
+            {
+                "plant.supply_pressure_pa": self._supply_pa,
+                "plant.mesh_force_n": rng.uniform(of["mesh_low_n"], of["mesh_high_n"]),
+            },
+        )
+
+    def _examined(self, k: int, impulse_n_s: float) -> Drawn:
+        """Return a shift that nominally needs an impulse, at 9 bar and 20 degrees Celsius."""
+        gain_m, inertia = (
+            self._nominal[f"driveline.{name}"] for name in ("cone_gain_m", "inertia_kg_m2")
+        )
+        fixed = {"plant.supply_pressure_pa": 9e5, "plant.mesh_force_n": self._of["mesh_high_n"]}
+        speed_rad_s = impulse_n_s * gain_m / inertia
+        gain_m = self._cone_gain_m(k, "backward")
+        return self._settings(k, "backward", speed_rad_s, gain_m, T_REF_K, None, fixed)
+
+    def _settings(
+        self,
+        k: int,
+        gear: str,
+        speed_rad_s: float,
+        gain_m: float,
+        unit_k: float,
+        blow_s: float | None,
+        fixed: dict[str, float],
+    ) -> Drawn:
+        of, rng, nominal = self._of, self._rng, self._nominal
+        exchanged = 0 < self._fleet.exchanged_at <= k + 1 and self._number % 2 == 1
+        rise_s = nominal["valve.D_rise"] * (1.0 + of["rise_per_k"] * (unit_k - T_REF_K))
+        rise_s += self.rise_s + exchanged * of["exchanged_rise_s"]
+        fall_s = nominal["valve.D_fall"] * math.exp(-of["fall_per_k"] * (unit_k - T_REF_K))
+        inertia = nominal["driveline.inertia_kg_m2"]
+        inertia *= 1.0 if gear == "backward" else of["inertia_forward"]
+        begin_s = BEGIN_S if blow_s is None else blow_s
+        settings: dict[str, Any] = {
+            "plant.mounted": True,
+            "request": [{"at_s": begin_s, "gear": gear}],
+            "duration_s": begin_s + LASTS_S,
+            "driveline.residual_rad_s": speed_rad_s,
+            "driveline.cone_gain_m": gain_m,
+            "driveline.inertia_kg_m2": inertia,
+            "driveline.noise_rad_s": of["speed_noise_rad_s"],
+            "valve.D_rise": rise_s + of["valve_shift_s"] * rng.standard_normal(),
+            "valve.D_fall": fall_s + self.fall_s + of["valve_shift_s"] * rng.standard_normal(),
+            "sensor.coil_temperature_k": unit_k,
+            "sensor.measured_temperature_k": unit_k + self.thermometer_k,
+            "sensor.phase_s": self.phase_s,
+            "effect.dynamic_friction.factor": self.friction * self._factor("friction_shift"),
+            "effect.inlet_clog.factor": self.flows[0],
+            "effect.exhaust_clog.factor": self.flows[1],
+            "seed": int(rng.integers(1 << 32)),
+            **fixed,
+        }
+        if blow_s is not None:
+            settings["plant.charged"] = ["N"]
+        settings = {
+            path: float(value) if isinstance(value, float) else value
+            for path, value in settings.items()
+        }
+        size_n_s = inertia * abs(speed_rad_s)
+        return Drawn(settings, size_n_s / nominal["driveline.cone_gain_m"], size_n_s / gain_m)
+
+
+def truck_table(table: TruckTable, changed: Mapping[str, Any]) -> TruckTable:
+    """Return a population with some of its numbers replaced. Raises InputError for wrong ones."""
+    new = {}
+    for name, value in changed.items():
+        if name not in table.__struct_fields__:
+            raise InputError(f"truck.{name}: {unknown_name(name, table.__struct_fields__)}")
+        try:
+            new[name] = msgspec.convert((value, "set by the study"), Assumed)
+        except msgspec.ValidationError as error:
+            raise InputError(f"truck.{name}: {error}") from None
+    return msgspec.structs.replace(table, **new)

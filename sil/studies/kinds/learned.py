@@ -1,0 +1,287 @@
+"""Rows that are trucks: the shifts of one truck in sequence, with one strategy.
+
+All strategies of a study get the same trucks with the same draws; times and impacts are compared
+with the open loop's in the same shift. The control unit's memory goes from each shift to the next.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sil.report.figure import MS, Figure, Panel, Rule, Series, Stack
+from sil.simulation.in_memory import run_in_memory
+from sil.simulation.scenario import Loaded
+from sil.studies.figures import title_of
+from sil.studies.fleet import EXAM_N_S, Drawn, Truck, truck_table
+from sil.studies.rows import FAILED, PASSED, RowResult
+from sil.studies.study import FLEET_TRUCK, LoadedStudy, Row, texts_of
+from sil.studies.table import Table, row_groups
+
+Floats = NDArray[np.float64]
+Make = Callable[[Sequence[str]], Loaded]
+"""Returns the base scenario with settings PATH=VALUE."""
+
+COLUMNS = (
+    "impact_median_m_s",
+    "impact_p95_m_s",
+    "impact_worst_m_s",
+    "lost_median_s",
+    "lost_p99_s",
+    "lost_worst_s",
+    "harder_worst_m_s",
+    "lost_gears",
+    "beyond_limits",
+    "examined_worst_m_s",
+    "relearned_shifts",
+    "energy_year_j",
+    "failed",
+)
+LEARNED = "learned"
+"""The strategy that has a memory, and that claims the two limits."""
+HARDER_M_S = 0.05
+LONGER_S = 0.03
+"""Limits against the open loop in the same shift."""
+SUPPLY_STEP_PA = 8000.0
+"""Resolution with which a truck reports its supply (J1939-71, SPN 1087)."""
+RELEARNING = 10
+"""Shifts over which an impact is averaged to say that it is as before the exchange."""
+RELEARNED = 1.1
+"""Share of the mean impact before the exchange that counts as that impact."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a shift did: hardest impact, energy of all impacts, time from the request to arrival.
+
+    lost: why the gear was not engaged or not confirmed, empty if it was; then the time is infinite.
+    memory: of the control unit, after the shift.
+    """
+
+    impact_m_s: float
+    energy_j: float
+    time_s: float
+    lost: str
+    memory: bytes
+
+
+def run_shifts(
+    make: Make, settings: Mapping[str, Any], drawn: Sequence[Drawn], memory: bytes = b""
+) -> Iterator[Outcome]:
+    """Run drawn shifts one after another and yield what each did; the memory is handed on.
+
+    settings: of the control unit and of other hardware.
+    Raises InputError for settings that the scenario does not accept, RunError if a run cannot finish.
+    """
+    known = {}
+    for each in drawn:
+        if settings.get("controller.strategy") == LEARNED:
+            supply_pa = SUPPLY_STEP_PA * round(
+                each.settings["plant.supply_pressure_pa"] / SUPPLY_STEP_PA
+            )
+            known = {"controller.strategy_parameters.supply_pa": supply_pa}
+        run = run_in_memory(make(texts_of({**each.settings, **known, **settings})))
+        shift = run.shifts[-1]
+        lost = "" if shift.confirmed_s is not None else "was not confirmed"
+        if shift.shift_time_s is None:
+            lost = "did not arrive"
+        yield Outcome(
+            shift.impact_worst_m_s or 0.0,
+            sum(impact.energy_j for impact in shift.impacts),
+            math.inf if lost else shift.shift_time_s or 0.0,
+            lost,
+            memory,
+        )
+
+
+def columns(study: LoadedStudy) -> tuple[str, ...]:
+    """Return the figures of a truck, then impact and lost time of each of its shifts."""
+    numbers = range(1, study.study.fleet.shifts + 1)
+    exam = EXAM_N_S if study.study.fleet.examined_after else ()
+    return (
+        *COLUMNS,
+        *(f"impact_m_s {k}" for k in numbers),
+        *(f"lost_s {k}" for k in numbers),
+        *(f"examined_m_s {each:.0f} N s" for each in exam),
+    )
+
+
+def run(study: LoadedStudy, row: Row) -> RowResult:
+    """Run the shifts of the row's truck. Raises InputError for settings that are not accepted."""
+    own = dict(row.settings)
+    number = own.pop(FLEET_TRUCK)
+    changed = {name[6:]: own.pop(name) for name in list(own) if name.startswith("truck.")}
+    hardware = {
+        name: value
+        for name, value in own.items()
+        if not name.startswith(("controller.strategy", "plant.damper"))
+    }
+    fleet = study.study.fleet
+    assert study.study.truck is not None
+    assert isinstance(number, int)
+    table = truck_table(study.study.truck, changed)
+    drawn, exam = Truck(table, fleet, number, nominal(study, hardware)).shifts()
+    for name in Truck.NOMINAL:
+        own.pop(name, None)
+        hardware.pop(name, None)
+    plain = reference(study, hardware, drawn)
+    found = list(run_shifts(study.loaded, own, drawn))
+    at = fleet.examined_after
+    examined = [
+        each.impact_m_s
+        for shift in exam
+        for each in run_shifts(study.loaded, own, [shift], found[at - 1].memory)
+    ]
+    impact_m_s = np.array([each.impact_m_s for each in found])
+    lost_s = np.array([a.time_s - b.time_s if not a.lost else math.nan
+                       for a, b in zip(found, plain, strict=True)])  # fmt: skip
+    harder_m_s = impact_m_s - [each.impact_m_s for each in plain]
+    exchanged = fleet.exchanged_at if number % 2 == 1 else 0
+    reasons = [f"shift {k} {each.lost}" for k, each in enumerate(found, 1) if each.lost]
+    beyond = int(np.sum((harder_m_s > HARDER_M_S) | (lost_s > LONGER_S)))
+    claimed = own.get("controller.strategy") == LEARNED
+    if beyond and claimed:
+        reasons.append(f"{beyond} shifts beyond the limits against the open loop")
+    year = table.shifts_per_year[0] / len(found)
+    figures = (
+        *np.quantile(impact_m_s, (0.5, 0.95, 1.0)),
+        *quantiles_of(lost_s, (0.5, 0.99, 1.0)),
+        harder_m_s.max(),
+        sum(bool(each.lost) for each in found),
+        beyond,
+        max(examined, default=math.nan),
+        relearned(impact_m_s / [each.impact_m_s for each in plain], exchanged),
+        year * sum(each.energy_j for each in found),
+        float(bool(reasons)),
+        *impact_m_s.round(4),
+        *lost_s.round(5),
+        *np.round(examined, 4),
+    )
+    return RowResult(
+        dict(zip(columns(study), map(float, figures), strict=True)),
+        FAILED if reasons else PASSED,
+        "; ".join(reasons),
+    )
+
+
+def quantiles_of(values: Floats, shares: Sequence[float]) -> Floats:
+    """Return quantiles [shares] of the values that are known, in their unit; NaN if none is."""
+    known = values[np.isfinite(values)]
+    return np.quantile(known, shares) if len(known) else np.full(len(shares), math.nan)
+
+
+_REFERENCE: dict[str, list[Outcome]] = {}
+
+
+def reference(
+    study: LoadedStudy, hardware: Mapping[str, Any], drawn: Sequence[Drawn]
+) -> list[Outcome]:
+    """Return what the open loop does in the drawn shifts, without a damper; the last one is stored."""
+    key = f"{study.digest} {hardware} {[each.settings['seed'] for each in drawn]} {drawn[-1]}"
+    if key not in _REFERENCE:
+        _REFERENCE.clear()
+        _REFERENCE[key] = list(run_shifts(study.loaded, hardware, drawn))
+    return _REFERENCE[key]
+
+
+def nominal(study: LoadedStudy, hardware: Mapping[str, Any]) -> dict[str, float]:
+    """Return the values that the tolerances are drawn around: those of the scenario with hardware."""
+    loaded = study.loaded(texts_of(hardware))
+    line, value = loaded.scenario.driveline, loaded.parameters.value
+    values = value("valve.D_rise"), value("valve.D_fall"), line.cone_gain_m, line.inertia_kg_m2
+    return dict(zip(Truck.NOMINAL, values, strict=True))
+
+
+def relearned(share: Floats, exchanged_at: int) -> float:
+    """Return the shifts after an exchange until the impacts are as they were before it.
+
+    share: [shifts], impact by the open loop's impact; exchanged_at: number of the first shift
+    with the other valves, 0 for none (NaN is returned). Infinite if the impacts stay harder.
+    """
+    if not exchanged_at:
+        return math.nan
+    before = share[max(0, exchanged_at - 1 - 2 * RELEARNING) : exchanged_at - 1].mean()
+    after = share[exchanged_at - 1 :]
+    for k in range(len(after) - RELEARNING + 1):
+        if after[k : k + RELEARNING].mean() <= RELEARNED * before:
+            return float(k)
+    return math.inf
+
+
+def series(table: Table, name: str, rows: NDArray[np.int64]) -> Floats:
+    """Return a figure of all shifts [rows, shifts] of a table's rows, in the figure's unit."""
+    found = [values[rows] for key, values in table.numbers.items() if key.startswith(f"{name} ")]
+    return np.array(found).T
+
+
+HEAD = ("strategy", "impact, median", "95 %", "worst", "lost, median", "99 %", "worst",
+        "harder than open loop", "lost gears", "beyond limits", "examined, median truck",
+        "worst truck", "relearned after", "energy a year")  # fmt: skip
+
+
+def markdown(study: LoadedStudy, table: Table) -> str:
+    """Return the strategies side by side over all shifts of all trucks, as a table in Markdown."""
+    lines = [HEAD, ["---"] * len(HEAD)]
+    for label, rows in row_groups(study, table).items():
+        impact_m_s, lost_s = series(table, "impact_m_s", rows), series(table, "lost_s", rows)
+        number = {name: table.numbers[name][rows] for name in COLUMNS}
+        again = number["relearned_shifts"][~np.isnan(number["relearned_shifts"])]
+        exam_m_s = number["examined_worst_m_s"]
+        lines.append([
+            label,
+            *(f"{each:.2f} m/s" for each in np.quantile(impact_m_s, (0.5, 0.95, 1.0))),
+            *(f"{MS * each:.0f} ms" for each in quantiles_of(lost_s, (0.5, 0.99, 1.0))),
+            f"{number['harder_worst_m_s'].max():.2f} m/s",
+            f"{number['lost_gears'].sum():.0f}",
+            f"{number['beyond_limits'].sum():.0f}",
+            *(f"{each:.2f} m/s" for each in (np.median(exam_m_s), exam_m_s.max())),
+            f"{np.median(again):.0f} shifts, at most {again.max():.0f}".replace("inf", "never") if len(again) else "",
+            f"{np.mean(number['energy_year_j']) / 1000.0:.0f} kJ",
+        ])  # fmt: skip
+    return "".join("| " + " | ".join(cells) + " |\n" for cells in lines)
+
+
+def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
+    """Return how the impacts fall from shift to shift, and how often each impact and lost time is."""
+    learning: list[Series] = []
+    impacts: list[Series] = []
+    losses: list[Series] = []
+    for k, (label, rows) in enumerate(row_groups(study, table).items()):
+        role = f"series{k % 8}"
+        impact_m_s = series(table, "impact_m_s", rows)
+        x, parts = blocks(impact_m_s)
+        for name, share, dashed in ((label, 0.5, False), (f"{label}, 95 %", 0.95, True)):
+            y = np.array([np.quantile(part, share) for part in parts])
+            learning.append(Series(name, x, y, role, dashed=dashed, width=1.2 if dashed else 2.2))
+        for found, values in (
+            (impacts, impact_m_s.ravel()),
+            (losses, MS * series(table, "lost_s", rows).ravel()),
+        ):
+            ordered = np.sort(values[np.isfinite(values)])
+            shares = np.linspace(0.0, 100.0, 201)
+            if len(ordered):
+                found.append(Series(label, np.percentile(ordered, shares), shares, role, width=2.0))
+    at = study.study.fleet.exchanged_at
+    rules = [Rule(float(at), "valves of every second truck exchanged", "alarm")] if at else []
+    text = f"{study.study.fleet.trucks} trucks, {study.study.fleet.shifts} shifts each"
+    panels = [
+        Panel("Hardest impact, median and 95 %", "m/s", learning, rules=rules, height=380),
+        Panel("Shifts with a softer impact", "%", impacts, limits=(0.0, 100.0), height=380),
+        Panel("Shifts that lose less time", "%", losses, limits=(0.0, 100.0), height=380),
+    ]
+    axes = "shift", "hardest impact, m/s", "time lost against the open loop, ms"
+    stacks = [Stack(axis, [each], width=5.6) for axis, each in zip(axes, panels, strict=True)]
+    return {"learned": Figure(stacks, title_of(study), text)}
+
+
+def blocks(values: Floats) -> tuple[Floats, list[Floats]]:
+    """Return the middles of some 20 runs of shifts, and the values [trucks, shifts] of each."""
+    edges = np.unique(np.linspace(0, values.shape[1], min(20, values.shape[1]) + 1).astype(int))
+    parts = [values[:, a:b].ravel() for a, b in pairwise(edges)]
+    return 0.5 * (edges[:-1] + edges[1:] + 1), parts

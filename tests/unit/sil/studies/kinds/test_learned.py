@@ -1,0 +1,130 @@
+"""Trucks in sequence: draws by seed and truck alone, the same for all strategies and workers."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from can_dbc.errors import InputError
+from sil.cli import main
+from sil.studies.fleet import FleetTable, Truck, TruckTable, truck_table
+from sil.studies.kinds import learned
+from sil.studies.load_study import SHIPPED, load_study
+from sil.studies.table import read_table, row_groups
+
+SHIPPED_STUDY = SHIPPED / "learned.toml"
+NOMINAL = dict(zip(Truck.NOMINAL, (0.008, 0.035, 0.09, 0.25), strict=True))
+TABLE = msgspec.convert(tomllib.loads(SHIPPED_STUDY.read_text())["truck"], TruckTable)
+
+
+def small(folder: Path, **fleet: int) -> Path:
+    """Write the shipped study with fewer trucks and shifts."""
+    fleet = {"trucks": 2, "shifts": 3, "seed": 1, "examined_after": 0, "exchanged_at": 0} | fleet
+    before, rest = SHIPPED_STUDY.read_text().split("[fleet]")
+    path = folder / "small.toml"
+    numbers = "\n".join(f"{name} = {value}" for name, value in fleet.items())
+    path.write_text(f"{before}[fleet]\n{numbers}\n\n[truck]{rest.split('[truck]')[1]}")
+    return path
+
+
+def impulses(fleet: FleetTable, number: int, **changed: float) -> np.ndarray:
+    shifts, _exam = Truck(truck_table(TABLE, changed), fleet, number, NOMINAL).shifts()
+    return np.array([[each.expected_n_s, each.impulse_n_s] for each in shifts])
+
+
+def test_a_truck_is_drawn_from_seed_and_number_alone() -> None:
+    few, many = FleetTable(shifts=30), FleetTable(shifts=30, trucks=500)
+    assert np.array_equal(impulses(few, 7), impulses(many, 7))
+    assert not np.array_equal(impulses(few, 7), impulses(few, 8))
+    assert not np.array_equal(impulses(few, 7), impulses(FleetTable(shifts=30, seed=2), 7))
+
+
+def test_the_scatter_of_the_friction_is_what_the_speeds_do_not_say() -> None:
+    fleet = FleetTable(shifts=2000)
+    known = {"cone_unit": 0.0, "cone_wander": 0.0, "cone_drift": 0.0, "drag_n_m": 0.0}
+    for sd in (0.0, 0.02, 0.1):
+        expected, real = impulses(fleet, 3, cone_shift=sd, **known).T
+        assert np.std(np.log(real / expected)) == pytest.approx(sd, rel=0.1, abs=1e-12)
+        assert expected.min() >= 14.0
+        assert expected.max() <= 250.001
+
+
+def test_state_is_carried_from_shift_to_shift() -> None:
+    shifts, _exam = Truck(TABLE, FleetTable(shifts=400), 1, NOMINAL).shifts()
+    unit_k = np.array([each.settings["sensor.coil_temperature_k"] for each in shifts])
+    supply_pa = np.array([each.settings["plant.supply_pressure_pa"] for each in shifts])
+    assert np.median(np.abs(np.diff(unit_k))) < 1.0 < np.ptp(unit_k)
+    assert 7.5e5 < supply_pa.min() < supply_pa.max() == 9e5
+    assert np.mean(np.diff(supply_pa) < 0.0) > 0.6  # the compressor runs now and then
+
+
+def test_exchanged_valves_open_later_in_every_second_truck() -> None:
+    for number, later_s in ((1, 0.003), (2, 0.0)):
+        with_s, without_s = (
+            [
+                each.settings["valve.D_rise"]
+                for each in Truck(TABLE, fleet, number, NOMINAL).shifts()[0]
+            ]
+            for fleet in (FleetTable(shifts=6, exchanged_at=4), FleetTable(shifts=6))
+        )
+        assert np.subtract(with_s, without_s) == pytest.approx([0.0] * 3 + [later_s] * 3)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"cone_shift": -0.1}, "truck.cone_shift: Expected `float` >= 0.0"),
+        ({"cone_shift": "much"}, "truck.cone_shift: Expected `float`, got `str`"),
+        ({"cone_shfit": 0.1}, "truck.cone_shfit: unknown"),
+    ],
+)
+def test_numbers_of_the_population_are_checked(changed: dict[str, float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        truck_table(TABLE, changed)
+
+
+def test_a_study_needs_its_population(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = small(tmp_path)
+    whole = path.read_text()
+    path.write_text(whole.replace("cone_shift =", "cone_shfit ="))
+    assert main(["whatif", str(path)]) == 2
+    assert "truck" in capsys.readouterr().err
+    path.write_text(whole.split("[truck]")[0] + '[[strategy]]\nname = "open loop"\n')
+    assert main(["whatif", str(path)]) == 2
+    assert "needs [truck] and [[strategy]]" in capsys.readouterr().err
+
+
+def test_relearned_is_when_the_impacts_are_as_before() -> None:
+    before, after = np.full(20, 0.5), np.full(30, 0.5)
+    assert learned.relearned(np.append(before, after), 0) != 0.0  # NaN: nothing was exchanged
+    assert learned.relearned(np.append(before, after), 21) == 0.0
+    after[:8] = 0.9
+    assert 0.0 < learned.relearned(np.append(before, after), 21) <= 8.0
+    after[:] = 0.6
+    assert learned.relearned(np.append(before, after), 21) == math.inf
+
+
+@pytest.mark.slow
+def test_strategies_share_trucks_and_workers_do_not_matter(tmp_path: Path) -> None:
+    path = small(tmp_path, examined_after=2)
+    one, two = tmp_path / "one", tmp_path / "two"
+    assert main(["whatif", str(path), "--out", str(one)]) == 0
+    assert main(["whatif", str(path), "--out", str(two), "--workers", "2"]) == 0
+    assert (one / "results.csv").read_bytes() == (two / "results.csv").read_bytes()
+    lines = (one / "results.csv").read_text().splitlines(keepends=True)
+    (two / "results.csv").write_text("".join(lines[:3]))
+    assert main(["whatif", str(path), "--out", str(two), "--resume"]) == 0
+    assert (one / "results.csv").read_bytes() == (two / "results.csv").read_bytes()
+    table = read_table(load_study(str(path)), one)
+    groups = row_groups(load_study(str(path)), table)
+    worst = {label: table.numbers["examined_worst_m_s"][rows] for label, rows in groups.items()}
+    assert (worst["oil damper"] < 0.7).all()
+    assert (worst["open loop"] > 1.2).all()
+    assert np.all(table.numbers["lost_worst_s"][groups["open loop"]] == 0.0)
+    assert np.all(table.numbers["harder_worst_m_s"][groups["oil damper"]] < -0.2)
+    assert "| oil damper |" in (one / "learned.md").read_text()
