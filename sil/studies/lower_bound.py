@@ -1,8 +1,8 @@
-"""Certified lower bound of the hardest stop over the loads, for braking by valves B and N.
+"""Certified lower bound of the hardest stop over the loads, for braking by valve N.
 
-Branch and bound over the instants at which the plungers of valves B and N move. For a set of such
-instants the pressures of the held actuator are enclosed, from these the release of each load, and
-from these the speed of its stop from below. Steps are enclosed by monotony of the flow maps; every
+Branch and bound over the instants at which the plunger of valve N moves. For a set of such instants
+the pressures of the held actuator are enclosed, from these the release of each load, and from these
+the speed of its stop from below. Steps are enclosed by monotony of the flow maps; every
 quantity is widened by more than its rounding. Proof: docs/explanation/lower_bound.md.
 """
 
@@ -33,6 +33,8 @@ from sil.studies.policies import Family, FamilyModel
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+Cells = tuple[tuple[int, int], ...]
+
 STEP_M = 5e-5
 START_S = 1e-4
 """Begin after the stay rests at the synchronizer, at least."""
@@ -54,13 +56,13 @@ CONDITIONS = (
 
 @dataclass(frozen=True)
 class Node:
-    """A set of commands: cells (first, last step) of the moves of valves N and B, in turn.
+    """A set of commands: cells (first, last step) of the moves of valve N, which opens first.
 
-    N opens first, B closes first. ended: whether further moves of N, of B are excluded.
+    ended: whether further moves are excluded.
     """
 
-    cells: tuple[tuple[tuple[int, int], ...], tuple[tuple[int, int], ...]] = ((), ())
-    ended: tuple[bool, bool] = (False, False)
+    cells: Cells = ()
+    ended: bool = False
 
 
 @dataclass(frozen=True)
@@ -78,17 +80,12 @@ class Leaf:
 class HeldModel:
     """The held actuator of a family's loads, for enclosures; delay_s: of the information, from 0.
 
-    extra_s: how much later than the plain push a load may arrive. valves: those that may brake,
-    "N" or "BN". Raises InputError for a model that the proof does not cover.
+    extra_s: how much later than the plain push a load may arrive. Raises InputError for a model that
+    the proof does not cover.
     """
 
     def __init__(
-        self,
-        parameters: ParameterSet,
-        family: Family,
-        delay_s: float,
-        extra_s: float,
-        valves: str = "BN",
+        self, parameters: ParameterSet, family: Family, delay_s: float, extra_s: float
     ) -> None:
         if parameters.effects or family.revealed_by != "unblock":
             raise InputError(
@@ -107,10 +104,8 @@ class HeldModel:
         check_maps(self.maps)
         self.impulse_n_s = [setup.p.sync_impulse for setup in setups]
         self.limit_s = model.limit_s + LATE_S
-        self.valves = valves
-        value = parameters.value
-        open_s, closed_s = value("valve.D_fall"), value("valve.D_rise")
-        self.least = (round_down(open_s), round_down(closed_s))
+        delays_s = parameters.value("valve.D_fall"), parameters.value("valve.D_rise")
+        self.least = tuple(int(np.floor(least_s / STEP_S + 1e-9)) for least_s in delays_s)
         self.own = int(np.ceil(delay_s / STEP_S - 1e-9))
         strokes = Strokes.from_setups(setups[-1:], 0.5)
         found = simulate_batch(strokes, event_room=96, lanes=False, tolerance=1e-9)
@@ -136,18 +131,16 @@ class HeldModel:
         volume_b = p.vol_b + p.area_p * (x + p.x_free) + p.area_s * x
         volume_n = p.vol_n - p.area_p * (x + p.x_free)
         gas, gas_out = p.r_air * p.alpha_m1, p.r_air * p.alpha_m2
-        closes = "B" in self.valves
-        self.rates = np.array([gas, gas_out, gas, gas_out, closes * gas_out])
-        self.rates /= volume_b[0], volume_b[0], volume_n[0], volume_n[0], volume_b[0]
+        self.rates = gas / volume_n[0], gas_out / volume_n[0]
         u = np.clip((x - p.x_mesh) / p.w_mesh, -1.0, 1.0)
         barrier = p.mesh_force * np.cos(0.5 * np.pi * u) ** 2
         area, mass = p.area_p + p.area_s, p.m_s + p.m_p
         run_n = p.f_run_s + p.f_run_p + p.f_linkage
         static_n = max(p.f_static_s, p.f_run_s) + max(p.f_static_p, p.f_run_p) + p.f_linkage
-        steps = np.ones(self.steps, np.bool_)
-        pressure = float(self.state[LengthState.p_b])
-        _low, high = self._chamber(steps, steps, pressure, self.rates[:2])
-        force = area * (high[-1] - p.p_atm) - run_n
+        always = np.ones(self.steps, np.bool_)
+        rates = gas / volume_b[0], gas_out / volume_b[0]
+        self.low_b, self.high_b = self._chamber(always, always, LengthState.p_b, rates)
+        force = area * (self.high_b[-1] - p.p_atm) - run_n
         energy = np.cumsum((force - np.minimum(barrier[1:], barrier[:-1])) * np.diff(x))
         speed = np.sqrt(2.0 * np.concatenate([[0.0], energy]) / mass) * (1.0 + 1e-9)
         fastest = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(x) / (speed[1:] + speed[:-1]))])
@@ -155,7 +148,7 @@ class HeldModel:
         self.path = np.array(
             [
                 x,
-                (volume_b[0] / volume_b) ** (p.alpha_2 if closes else max(p.alpha_1, 1.0)),
+                (volume_b[0] / volume_b) ** max(p.alpha_1, 1.0),
                 (volume_n[0] / volume_n) ** p.alpha_2,
                 np.append(np.maximum(barrier[1:], barrier[:-1]) + SLACK_N, 0.0),
                 fastest * (1.0 - 1e-9),
@@ -167,23 +160,20 @@ class HeldModel:
         self.body = (area, p.area_p, p.area_s, mass, run_n, p.beta_s + p.beta_p, static_n, p_f)
 
     def _chamber(
-        self, surely: Bools, possibly: Bools, pressure_pa: float, rates: Floats
+        self, surely: Bools, possibly: Bools, index: int, rates: tuple[float, float]
     ) -> tuple[Floats, Floats]:
         low, high = np.empty(self.steps + 1), np.empty(self.steps + 1)
+        pressure_pa = float(self.state[index])
         atmosphere = max(self.maps[12], pressure_pa - 10.0)
         chamber_bounds(
             surely, possibly, atmosphere, pressure_pa + 10.0, *rates, self.maps, low, high
         )
         return low, high
 
-    def pulses(self, node: Node, which: int) -> tuple[Bools, Bools]:
-        """Return in which steps [steps] a valve is surely, is possibly away from its plain place.
-
-        which: 0 valve N (open), 1 valve B (closed). The arrays are True or False, no unit.
-        """
-        cells, ended = node.cells[which], node.ended[which]
+    def _opened(self, node: Node) -> tuple[Bools, Bools]:
+        """Return in which steps valve N is surely open, is possibly open."""
+        cells = node.cells
         surely, possibly = np.zeros(self.steps, np.bool_), np.zeros(self.steps, np.bool_)
-        least = self.least if which == 0 else self.least[::-1]
         for k in range(0, len(cells), 2):
             begin = cells[k]
             if k + 1 < len(cells):
@@ -191,28 +181,21 @@ class HeldModel:
                 possibly[begin[0] : cells[k + 1][1]] = True
             else:
                 possibly[begin[0] :] = True
-                surely[begin[1] : self.steps if ended else begin[0] + least[0]] = True
-        if len(cells) % 2 == 0 and not ended:
-            possibly[cells[-1][0] + least[1] if cells else 0 :] = True
+                surely[begin[1] : self.steps if node.ended else begin[0] + self.least[0]] = True
+        if len(cells) % 2 == 0 and not node.ended:
+            possibly[self._next_step(cells) :] = True
         return surely, possibly
 
     def hardest(self, node: Node) -> tuple[float, int]:
         """Return what the hardest stop of a set of commands is at least, in m/s, and its load."""
-        state, atmosphere = self.state, self.maps[12]
-        surely, possibly = self.pulses(node, 1)
-        low_b, high_b = self._chamber(
-            ~possibly, ~surely, float(state[LengthState.p_b]), self.rates[:2]
-        )
-        surely, possibly = self.pulses(node, 0)
-        low_n, high_n = self._chamber(
-            surely, possibly, float(state[LengthState.p_n]), self.rates[2:4]
-        )
+        low_b, high_b = self.low_b, self.high_b
+        low_n, high_n = self._chamber(*self._opened(node), LengthState.p_n, self.rates)
         area, area_p, area_s = self.body[:3]
         most = area * np.maximum(high_b[1:], high_b[:-1])
-        most -= area_p * np.minimum(low_n[1:], low_n[:-1]) + area_s * atmosphere
+        most -= area_p * np.minimum(low_n[1:], low_n[:-1]) + area_s * self.maps[12]
         least = area * np.minimum(low_b[1:], low_b[:-1])
         least -= area_p * np.maximum(high_n[1:], high_n[:-1]) + area_s * self.body[7]
-        impulse = float(state[LengthState.impulse])
+        impulse = float(self.state[LengthState.impulse])
         high = impulse + SLACK_N_S + STEP_S * np.cumsum(np.maximum(most, 0.0))
         low = impulse - SLACK_N_S + STEP_S * np.cumsum(np.maximum(least, 0.0))
         worst, which = 0.0, -1
@@ -226,7 +209,7 @@ class HeldModel:
             last = load == len(self.impulse_n_s) - 1
             own = 0 if last else min(self.own, self.steps)
             speed = stop_speed(
-                low_b, high_n, begin, end, own, self.rates, self.maps, self.path, self.body
+                low_b, high_n, begin, end, own, self.rates[0], self.maps, self.path, self.body
             )
             if speed > worst:
                 worst, which = speed, load
@@ -234,47 +217,36 @@ class HeldModel:
 
     def children(self, node: Node) -> list[Node]:
         """Return nodes that together hold all commands of a node; none for one that is as fine as it gets."""
-        cells = [
-            (b - a, a, which, k) for which in (0, 1) for k, (a, b) in enumerate(node.cells[which])
-        ]
-        wide = [(a, which, k) for width, a, which, k in cells if width > WIDE]
-        grows = [(self.earliest(node, w), w, -1) for w in (0, 1) if not node.ended[w]]
-        if wide or grows:
-            _begin, which, k = min(wide + grows)
+        cells, next_step = node.cells, self._next_step(node.cells)
+        wide = [(begin, k) for k, (begin, end) in enumerate(cells) if end - begin > WIDE]
+        if not node.ended and (not wide or next_step <= min(wide)[0]):
+            more = [Node((*cells, (next_step, self.steps)))] if next_step < self.steps else []
+            return [Node(cells, True), *more]
+        if wide:
+            _, k = min(wide)
         else:
-            width, _begin, which, k = max(cells, default=(0, 0, 0, 0))
+            width, _, k = max(((b - a, a, k) for k, (a, b) in enumerate(cells)), default=(0, 0, 0))
             if width <= FINE:
                 return []
-        if k >= 0:
-            begin, end = node.cells[which][k]
-            middle = (begin + end) // 2
-            halves = [with_cell(node, which, k, half) for half in ((begin, middle), (middle, end))]
-            return [half for half in halves if self.possible(half, which)]
-        ended = tuple(True if w == which else node.ended[w] for w in (0, 1))
-        found = [Node(node.cells, ended)]  # type: ignore[arg-type]
-        begin = self.earliest(node, which)
-        if begin < self.steps:
-            found.append(with_cell(node, which, len(node.cells[which]), (begin, self.steps)))
-        return found
+        begin, end = cells[k]
+        middle = (begin + end) // 2
+        halves = [(*cells[:k], half, *cells[k + 1 :]) for half in ((begin, middle), (middle, end))]
+        return [Node(half, node.ended) for half in halves if self._possible(half)]
 
-    def earliest(self, node: Node, which: int) -> int:
-        """Return the first step at which a valve can move next."""
-        cells = node.cells[which]
-        least = self.least if which == 0 else self.least[::-1]
-        return cells[-1][0] + least[(len(cells) + 1) % 2] if cells else 0
+    def _next_step(self, cells: Cells) -> int:
+        """Return the first step at which the valve can move next."""
+        return cells[-1][0] + self.least[(len(cells) + 1) % 2] if cells else 0
 
-    def possible(self, node: Node, which: int) -> bool:
-        """Return whether coil and plunger allow any of the commands of a valve in a node."""
-        cells = node.cells[which]
-        least = self.least if which == 0 else self.least[::-1]
+    def _possible(self, cells: Cells) -> bool:
+        """Return whether coil and plunger allow any move in each of the cells."""
         return all(
-            cells[k][1] >= cells[k - 1][0] + least[(k + 1) % 2] for k in range(1, len(cells))
+            cells[k][1] >= cells[k - 1][0] + self.least[(k + 1) % 2] for k in range(1, len(cells))
         )
 
     def prove(self, bound_m_s: float, most: int = 400_000) -> list[Leaf] | None:
         """Return leaves that prove a bound, or None if it cannot be proven within `most` nodes."""
         leaves: list[Leaf] = []
-        stack = [Node(ended=(False, "B" not in self.valves))]
+        stack = [Node()]
         for _ in range(most):
             if not stack:
                 return leaves
@@ -288,12 +260,6 @@ class HeldModel:
                 return None
             stack += children
         return None
-
-
-def with_cell(node: Node, which: int, k: int, cell: tuple[int, int]) -> Node:
-    """Return a node with cell k of a valve replaced, or added."""
-    changed = (*node.cells[which][:k], cell, *node.cells[which][k + 1 :])
-    return Node((changed, node.cells[1]) if which == 0 else (node.cells[0], changed), node.ended)
 
 
 def best_proof(held: HeldModel, most: int) -> tuple[float, list[Leaf]]:
@@ -316,7 +282,7 @@ def certificate(held: HeldModel, bound_m_s: float, leaves: list[Leaf]) -> dict[s
         "the conditions allow",
         "conditions": list(CONDITIONS),
         "bound_m_s": bound_m_s,
-        "valves": held.valves,
+        "valves": "N",
         "step_s": STEP_S,
         "begin_s": held.begin_s,
         "begin_impulse_n_s": float(held.state[LengthState.impulse]),
@@ -331,17 +297,12 @@ def certificate(held: HeldModel, bound_m_s: float, leaves: list[Leaf]) -> dict[s
         "limit_s": [float(limit) for limit in held.limit_s],
         "leaves": [
             {
-                "n": leaf.node.cells[0],
-                "b": leaf.node.cells[1],
-                "ended": leaf.node.ended,
+                "n": leaf.node.cells,
+                "b": (),
+                "ended": (leaf.node.ended, True),
                 "load": leaf.load,
                 "speed_m_s": leaf.speed_m_s if np.isfinite(leaf.speed_m_s) else None,
             }
             for leaf in leaves
         ],
     }
-
-
-def round_down(time_s: float) -> int:
-    """Return a time in whole steps."""
-    return int(np.floor(time_s / STEP_S + 1e-9))

@@ -79,11 +79,11 @@ def chamber_bounds(surely, possibly, low_pa, high_pa, fill, vent, maps, low, hig
 
 
 @compiled
-def extremes(low_b, high_n, begin, end, from_s, to_s, own, rates, maps):
+def extremes(low_b, high_n, begin, end, from_s, to_s, own, fill, maps):
     """Return the lowest P_B and highest P_N [Pa] of the held actuator some time after the release.
 
     begin, end: first and last step of the release; from_s, to_s: time after it. own: steps after
-    which the commands are the load's own: the most braking ones.
+    which the commands are the load's own: the most braking ones. fill: of `chamber_bounds`, of N.
     """
     last = len(low_b) - 1
     first = min(begin + int(from_s / STEP_S), last)
@@ -96,14 +96,12 @@ def extremes(low_b, high_n, begin, end, from_s, to_s, own, rates, maps):
         for i in range(max(min(begin + own - 1, last), 0), min(end + own, last) + 1):
             p_b = min(p_b, low_b[i])
             p_n = max(p_n, high_n[i])
-        alone_s = max(0.0, to_s - (own - 2) * STEP_S)
-        p_b -= alone_s * rates[4] * discharge(p_b, maps)
-        p_n += alone_s * rates[2] * charge(p_n, maps)
+        p_n += max(0.0, to_s - (own - 2) * STEP_S) * fill * charge(p_n, maps)
     return max(p_b, maps[12]), p_n
 
 
 @compiled
-def stop_speed(low_b, high_n, begin, end, own, rates, maps, path, body):
+def stop_speed(low_b, high_n, begin, end, own, fill, maps, path, body):
     """Return a speed [m/s] that the stay has at least at its stop; 0 if it may turn back (Lemma 4).
 
     path [6, x]: position, volume ratios of B and N to the power 1.05, barrier, earliest time, in SI
@@ -117,7 +115,7 @@ def stop_speed(low_b, high_n, begin, end, own, rates, maps, path, body):
         after = 0.0
         for _ in range(60):
             p_b, p_n = extremes(
-                low_b, high_n, begin, end, path[4, i], time_s + guess_s, own, rates, maps
+                low_b, high_n, begin, end, path[4, i], time_s + guess_s, own, fill, maps
             )
             drive = (1.0 - MAP_SLACK) * path[1, i + 1] * area * p_b
             drive -= (1.0 + MAP_SLACK) * path[2, i + 1] * area_p * p_n + area_s * p_f + path[3, i]

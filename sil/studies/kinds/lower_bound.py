@@ -57,7 +57,7 @@ def held_model(study: LoadedStudy, row: Row) -> HeldModel:
     extra_s = seconds("extra_s", own.get("bound.extra_s", study.study.bounds.extra_s), 0.0)
     model = {k: v for k, v in row.settings.items() if k not in own}
     parameters = load(study.study.model).override(model)  # type: ignore[arg-type]
-    return HeldModel(parameters, GEARBOX, delay_s, extra_s, "N")
+    return HeldModel(parameters, GEARBOX, delay_s, extra_s)
 
 
 def found_m_s(held: HeldModel, settings: Mapping[str, object]) -> float:
