@@ -15,7 +15,6 @@ from sil.cli.options import EFFECTS, JSON, argument, out
 
 if TYPE_CHECKING:
     from sil.studies.study import LoadedStudy
-    from sil.studies.table import Table
 
 EXAMPLE = "example: opc4 whatif sensor_delay --workers 2 --out sweep/"
 REASONS_PRINTED = 10
@@ -37,10 +36,14 @@ def run(arguments: argparse.Namespace) -> int:
     Raises InputError for wrong arguments or a wrong study, RunError if the sweep cannot go on.
     """
     from can_dbc.errors import InputError
+    from sil.files.atomic import write_atomically
     from sil.files.output_folder import close_folders, finite
     from sil.files.progress import Progress
     from sil.studies.executor import run_study
+    from sil.studies.fault_table import safe_states
     from sil.studies.load_study import load_study, shipped
+    from sil.studies.rows import more_files
+    from sil.studies.study_page import write_page
     from sil.studies.summary import exit_code, summary
     from sil.studies.table import read_table
 
@@ -53,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.workers < 1:
         raise InputError(f"--workers {arguments.workers}: expected 1 or more")
     study = load_study(arguments.study, arguments.effects)
-    folder = folder_of(study, arguments)
+    folder = _folder(study, arguments)
     with Progress("rows") as progress:
         now = run_study(
             study,
@@ -66,18 +69,23 @@ def run(arguments: argparse.Namespace) -> int:
     table = read_table(study, folder)
     found = summary(study, table)
     files = [word for file in arguments.effects for word in ("--effects", file)]
-    command = ["opc4", "whatif", arguments.study, *files]
-    write_files(study, table, found, folder, shlex.join(command))
+    again = shlex.join(["opc4", "whatif", arguments.study, *files])
+    write_atomically(folder / "summary.json", json.dumps(finite(found), indent=1) + "\n")
+    for name, text in more_files(study, table):
+        write_atomically(folder / name, text)
+    if study.study.safety:
+        found["safe_states"] = safe_states(study, table)
+    write_page(study, table, found, folder, again)
     if arguments.json:
         print(json.dumps(finite({"out": str(folder), "rows_now": now, **found})))
     else:
-        print_summary(study, found)
+        _print_summary(study, found)
         print(f"{found['rows']} rows ({now} run now) in {folder}")
     close_folders(None)  # complete, also if rows could not run
     return exit_code(table)
 
 
-def folder_of(study: LoadedStudy, arguments: argparse.Namespace) -> Path:
+def _folder(study: LoadedStudy, arguments: argparse.Namespace) -> Path:
     """Return the folder to write. Raises InputError if it cannot be used, naming --resume if that can."""
     from can_dbc.errors import InputError
     from sil.files.output_folder import prepare_folder, reopen_folder
@@ -98,36 +106,7 @@ def folder_of(study: LoadedStudy, arguments: argparse.Namespace) -> Path:
     return prepare_folder(out, study.study.name, arguments.force)
 
 
-def write_files(
-    study: LoadedStudy, table: Table, found: dict[str, Any], folder: Path, command: str
-) -> None:
-    """Write summary, figures and page, and the table of a study of faults or of sensitivity."""
-    from sil.files.atomic import write_atomically
-    from sil.files.output_folder import finite
-    from sil.studies.fault_table import FAULT_TABLE, fault_table, safe_states
-    from sil.studies.study_page import write_page
-
-    write_atomically(folder / "summary.json", json.dumps(finite(found), indent=1) + "\n")
-    if study.study.safety:
-        found["safe_states"] = safe_states(study, table)
-        write_atomically(folder / FAULT_TABLE, fault_table(study, table))
-    if study.study.kind == "sensitivity":
-        from sil.studies.kinds.sensitivity import markdown
-
-        write_atomically(folder / "sensitivity.md", markdown(study, table))
-    if study.study.kind == "learned":
-        from sil.studies.kinds import learned
-
-        write_atomically(folder / "learned.md", learned.markdown(study, table))
-    if study.study.kind == "lower_bound":
-        from sil.studies.kinds.lower_bound import certificates
-
-        for name, text in certificates(study, table):
-            write_atomically(folder / name, text)
-    write_page(study, table, found, folder, command)
-
-
-def print_summary(study: LoadedStudy, found: dict[str, Any]) -> None:
+def _print_summary(study: LoadedStudy, found: dict[str, Any]) -> None:
     """Print a line for each combination of choices, and why rows did not pass."""
     from sil.studies.figures import read_metrics
 
@@ -135,9 +114,9 @@ def print_summary(study: LoadedStudy, found: dict[str, Any]) -> None:
         print(sentence)
     for name, entry in {} if study.study.safety else found["groups"].items():
         if study.study.kind == "runs":
-            print(f"{name}: {shift_line(entry)}")
+            print(f"{name}: {_shift_line(entry)}")
         else:
-            print(f"{name}: {metrics_line(entry, read_metrics(study))}")
+            print(f"{name}: {_metrics_line(entry, read_metrics(study))}")
     counts = found["outcomes"]
     if counts["failed"] or counts["not_run"]:
         print(f"{counts['failed']} rows failed, {counts['not_run']} could not run:")
@@ -146,7 +125,7 @@ def print_summary(study: LoadedStudy, found: dict[str, Any]) -> None:
             print(f"  {each['rows']} {each['outcome']}: {each['reason']} (row {each['first_row']})")
 
 
-def shift_line(entry: dict[str, Any]) -> str:
+def _shift_line(entry: dict[str, Any]) -> str:
     """Return time, impact and failures of a group of shifts."""
     parts = [f"{entry['rows']} rows"]
     time, speed = entry.get("shift_time_s") or entry.get("arrival_s"), entry.get("impact_speed_m_s")
@@ -163,7 +142,7 @@ def shift_line(entry: dict[str, Any]) -> str:
     return ", ".join([*parts, failed])
 
 
-def metrics_line(entry: dict[str, Any], metrics: list[str]) -> str:
+def _metrics_line(entry: dict[str, Any], metrics: list[str]) -> str:
     """Return the metrics shown first of a group of rows: value, or least to greatest."""
     parts = [f"{entry['rows']} rows"] if entry["rows"] > 1 else []
     for name in metrics:

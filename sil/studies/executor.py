@@ -44,7 +44,7 @@ def csv_line(cells: Sequence[str]) -> str:
 
 def header(study: LoadedStudy) -> str:
     """Return the first line: row, choices, swept values, figures, outcome, reason."""
-    names = ["row", *(name for name, _items in study.groups)]
+    names = ["row", *study.groups]
     names += [sweep.path for sweep in study.study.sweep]
     return csv_line([*names, *columns(study), "outcome", "reason"])
 

@@ -14,7 +14,6 @@ from sil.studies.figures import numbered, title_of
 from sil.studies.study import LoadedStudy
 from sil.studies.table import Table
 
-FAULT_TABLE = "fault_table.md"
 HEAD = (
     "fault",
     "shift",
@@ -76,7 +75,7 @@ def safe_states(study: LoadedStudy, table: Table) -> list[str]:
 
 def _where(study: LoadedStudy, table: Table, flags: NDArray[np.bool_]) -> str:
     """Return the number of flagged [rows], and their faults."""
-    names = [name for name, _items in study.groups][:-1]
+    names = list(study.groups)[:-1]
     faults = [", ".join(table.texts[name][i] for name in names) for i in np.flatnonzero(flags)]
     listed = f" ({'; '.join(dict.fromkeys(faults))})" if any(faults) else ""
     return f"{len(faults)} runs{listed}"
@@ -85,7 +84,7 @@ def _where(study: LoadedStudy, table: Table, flags: NDArray[np.bool_]) -> str:
 def rows(study: LoadedStudy, table: Table) -> Iterator[tuple[str, ...]]:
     """Yield the cells of each row, as texts."""
     number = table.numbers
-    names = [name for name, _items in study.groups]
+    names = list(study.groups)
     for i in range(table.size):
         choices = [table.texts[name][i] for name in names]
         yield (
@@ -150,7 +149,7 @@ def outcome(table: Table, i: int, sight_s: float) -> int:
 
 def outcomes_figure(study: LoadedStudy, table: Table) -> Figure:
     """Return a grid of faults and shifts, coloured by how each run ended; long ones in two halves."""
-    names = [name for name, _items in study.groups]
+    names = list(study.groups)
     shifts = list(dict.fromkeys(table.texts[names[-1]]))
     labels = [", ".join(table.texts[name][i] for name in names[:-1]) for i in range(table.size)]
     faults = list(dict.fromkeys(labels))

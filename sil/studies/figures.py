@@ -98,10 +98,29 @@ def title_of(study: LoadedStudy) -> str:
     return study.study.name.replace("_", " ")
 
 
+def unit_of(sweep: Sweep) -> tuple[str, float]:
+    """Return the unit in which a swept value is shown, and its factor; times are in ms."""
+    return ("ms", 1e3) if sweep.unit == "s" else (sweep.unit, 1.0)
+
+
 def axis_of(sweep: Sweep) -> tuple[str, float]:
-    """Return the label of a swept value's axis with its unit, and the factor; times are in ms."""
-    unit, factor = ("ms", 1e3) if sweep.unit == "s" else (sweep.unit, 1.0)
+    """Return the label of a swept value's axis with its unit, and the factor."""
+    unit, factor = unit_of(sweep)
     return f"{sweep.label or sweep.path}{f', {unit}' if unit else ''}", factor
+
+
+def row_labels(study: LoadedStudy, table: Table) -> list[str]:
+    """Return the choices and swept values of each row as a label; the study's name without any."""
+    columns_of_text = [table.texts[name] for name in study.groups]
+    for sweep in study.study.sweep:
+        unit, factor = unit_of(sweep)
+        if sweep.path in table.texts:
+            values = [text.strip('"') for text in table.texts[sweep.path]]
+        else:
+            values = [f"{factor * value:g} {unit}".strip() for value in table.numbers[sweep.path]]
+        columns_of_text.append([f"{sweep.label or sweep.path} {value}" for value in values])
+    labels = [", ".join(parts) for parts in zip(*columns_of_text, strict=True)]
+    return labels or [study.study.name] * table.size
 
 
 def lines_over(study: LoadedStudy, table: Table, sweep: Sweep) -> Stack | None:
@@ -182,7 +201,7 @@ class Choices(NamedTuple):
 
 def choices(study: LoadedStudy, table: Table) -> Choices:
     """Return the choices of each row: loads and the like, and swept values that are no numbers."""
-    kinds = {name: name for name, _items in study.groups}
+    kinds = {name: name for name in study.groups}
     kinds |= {s.path: s.label or s.path for s in study.study.sweep if s.path in table.texts}
     if not kinds:
         rows = np.arange(table.size)

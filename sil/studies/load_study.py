@@ -12,19 +12,15 @@ from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
 from sil.simulation import scenario
 from sil.studies.rows import columns
-from sil.studies.study import MOST_ROWS, Base, LoadedStudy, Study, Sweep, groups_of
+from sil.studies.study import DRAWN, MOST_ROWS, Base, LoadedStudy, Study, Sweep, groups_of
 
-DRAWN = ("lhs", "sobol", "radial")
-"""Designs that draw values from ranges."""
 SHIPPED = Path(__file__).parent / "shipped"
 BASES = {
     "runs": ({(True, False), (False, True)}, "either scenario = or [stroke], exactly one"),
-    "bounds": ({(False, False)}, "no scenario and no [stroke], where kind is bounds"),
-    "lower_bound": ({(False, False)}, "no scenario and no [stroke], where kind is lower_bound"),
-    "budget": ({(True, False)}, "scenario = and no [stroke], where kind is budget"),
-    "sensitivity": ({(False, False)}, "no scenario and no [stroke], where kind is sensitivity"),
-    "learned": ({(True, False)}, "scenario = and no [stroke], where kind is learned"),
-    "tuning": ({(True, False)}, "scenario = and no [stroke], where kind is tuning"),
+    **dict.fromkeys(("budget", "learned", "tuning"), ({(True, False)}, "scenario = and no [stroke]")),
+    **dict.fromkeys(
+        ("bounds", "lower_bound", "sensitivity"), ({(False, False)}, "no scenario and no [stroke]")
+    ),
 }
 """For each kind, which of (scenario, stroke) may be given, and the same in words."""
 
@@ -78,7 +74,7 @@ def check_shape(study: Study, source: str) -> None:
     """Refuse a study without exactly one base, or with an incomplete sweep. Raises InputError."""
     allowed, expected = BASES[study.kind]
     if (study.scenario is not None, study.stroke is not None) not in allowed:
-        raise InputError(f"{source}: expected {expected}")
+        raise InputError(f"{source}: expected {expected}, where kind is {study.kind}")
     if study.kind == "tuning" and not (study.load and study.strategy):
         raise InputError(f"{source}: a tuning needs [[load]] and [[strategy]]; expected both")
     if study.kind == "learned" and not (study.truck and study.strategy):
@@ -141,19 +137,16 @@ def check_names(study: Study, source: str) -> None:
 
 def check_size(study: Study, source: str) -> None:
     """Refuse more rows than `MOST_ROWS` before any of them is made. Raises InputError."""
-    if study.design.kind in DRAWN:
-        if not study.sweep:
-            raise InputError(
-                f"{source}: a {study.design.kind} design without [[sweep]]; expected one"
-            )
-        size = study.design.samples * (len(study.sweep) + 1 if study.design.kind == "radial" else 1)
+    kind, sweeps = study.design.kind, study.sweep
+    if kind in DRAWN:
+        if not sweeps:
+            raise InputError(f"{source}: a {kind} design without [[sweep]]; expected one")
+        size = study.design.samples * (len(sweeps) + 1 if kind == "radial" else 1)
     else:
-        counts = [
-            sweep.steps or 2 if sweep.values is None else len(sweep.values) for sweep in study.sweep
-        ]
+        counts = [s.steps or 2 if s.values is None else len(s.values) for s in sweeps]
         combined = {"grid": math.prod(counts), "one_at_a_time": sum(counts, 1 - len(counts))}
-        size = combined.get(study.design.kind, max(counts, default=1))
-    size *= math.prod(len(items) for _name, items in groups_of(study))
+        size = combined.get(kind, max(counts, default=1))
+    size *= math.prod(map(len, groups_of(study).values()))
     if size > MOST_ROWS:
         raise InputError(f"{source}: {size} rows; expected at most {MOST_ROWS}")
 

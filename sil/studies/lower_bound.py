@@ -98,7 +98,7 @@ class HeldModel:
         self.parameters = parameters
         self.delay_s = delay_s
         model = FamilyModel(parameters, family, delay_s, extra_s)
-        setups = [make_setup(parameters, case.conditions()) for case in family.cases]
+        setups = [make_setup(parameters, case) for case in family.cases]
         p = setups[-1].p
         self.maps = map_coefficients(parameters, p)
         check_maps(self.maps)

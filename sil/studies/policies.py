@@ -10,7 +10,7 @@ delay can do, however it computes.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,6 @@ from sil.studies.pulses import changes, stem_spans, valve_switches
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-Number = TypeVar("Number", np.float64, np.int64)
 
 GUARDS = {name: number for number, name in GUARD_NAMES.items()}
 IMPACTS = [kind for kind, name in GUARD_NAMES.items() if name.endswith(("contact", "stop"))]
@@ -44,55 +43,38 @@ NOT_ARRIVED = 2.0
 """Least cost of an arrival that is too late or does not last, m/s; above every impact."""
 
 
-@dataclass(frozen=True)
-class LoadCase:
-    """The load of a shift from neutral to backward."""
-
-    name: str
-    supply_pressure_pa: float = 900000.0
-    mounted: bool = False
-    mesh_force_n: float = 0.0
-    sync_impulse_n_s: float = 0.0
-    damper: bool = False
-
-    def conditions(self) -> StrokeConditions:
-        """Return the conditions of the plain push under this load."""
-        return StrokeConditions(
-            "N-B",
-            self.supply_pressure_pa,
-            ((0.0, "B", FULL_DUTY),),
-            load="damper" if self.damper else "none",
-            mounted=self.mounted,
-            mesh_force_n=self.mesh_force_n,
-            sync_impulse_n_s=self.sync_impulse_n_s,
-        )
+PUSH = StrokeConditions("N-B", 900000.0, ((0.0, "B", FULL_DUTY),))
+"""The plain push from neutral to backward."""
 
 
 @dataclass(frozen=True)
 class Family:
-    """Loads that differ in one unknown, and the event that reveals which it is."""
+    """Loads of one stroke that differ in one unknown, and the event that reveals which it is."""
 
     name: str
-    unknown: str
     revealed_by: Literal["collar 1 contact", "unblock"]
-    cases: tuple[LoadCase, ...]
+    cases: tuple[StrokeConditions, ...]
+
+    def under(self, **conditions: Any) -> Family:
+        """Return the family with other conditions of all its loads."""
+        return replace(self, cases=tuple(replace(case, **conditions) for case in self.cases))
 
 
 LABORATORY = Family(
     "laboratory",
-    "supply pressure, 6 to 9 bar",
     "collar 1 contact",
-    tuple(LoadCase(f"{bar:g} bar", supply_pressure_pa=1e5 * bar) for bar in (6.0, 7.0, 8.0, 9.0)),
+    tuple(replace(PUSH, supply_pressure_pa=1e5 * bar) for bar in (6.0, 7.0, 8.0, 9.0)),
 )
+"""Unknown: the supply pressure."""
 GEARBOX = Family(
     "gearbox",
-    "impulse of the synchronizer, 18 to 250 N s",
     "unblock",
     tuple(
-        LoadCase(f"{impulse:g} N s", mounted=True, mesh_force_n=1300.0, sync_impulse_n_s=impulse)
-        for impulse in (18.0, 40.0, 78.0, 140.0, 250.0)
+        replace(PUSH, mounted=True, mesh_force_n=1300.0, sync_impulse_n_s=impulse_n_s)
+        for impulse_n_s in (18.0, 40.0, 78.0, 140.0, 250.0)
     ),
 )
+"""Unknown: the impulse that the synchronizer needs."""
 FAMILIES = {family.name: family for family in (LABORATORY, GEARBOX)}
 
 
@@ -138,13 +120,12 @@ class Arrivals:
 
     def reshaped(self, shape: tuple[int, ...], which: Bools | None = None) -> Arrivals:
         """Return the same in another shape; `which` of its elements these are, the others NaN."""
+        if which is None:
+            which = np.ones(shape, dtype=np.bool_)
         found = {}
         for name, each in vars(self).items():
-            whole = each
-            if which is not None:
-                whole = np.full((which.size, *each.shape[1:]), np.nan)
-                whole[which.ravel()] = each
-            found[name] = whole.reshape(*shape, *each.shape[1:])
+            found[name] = np.full((*shape, *each.shape[1:]), np.nan)
+            found[name][which] = each
         return Arrivals(**found)
 
 
@@ -158,7 +139,7 @@ class FamilyModel:
     def __init__(
         self, parameters: ParameterSet, family: Family, delay_s: float, extra_s: float
     ) -> None:
-        setups = [make_setup(parameters, case.conditions()) for case in family.cases]
+        setups = [make_setup(parameters, case) for case in family.cases]
         self.delay_s = delay_s
         self.loads = len(setups)
         self.runs = 0
@@ -290,17 +271,18 @@ class FamilyModel:
     def _simulate(self, given: list[Floats], load: Ints, hold_s: float = HOLD_S) -> Arrivals:
         """Simulate the changes of commands (B, N, F) [runs, k] under the load [runs] of each run."""
         limit_s = self.limit_s[load]
-        base = self._base
+        own: dict[str, Any] = {
+            name: rows if len(rows) == 1 else rows[load]
+            for name in ("flow", "initial", "modes", "valves")
+            for rows in (getattr(self._base, name),)
+        }
         result = simulate_batch(
-            Strokes(
-                base.system,
-                base.packed[load],
-                rows_of(base.flow, load),
-                rows_of(base.initial, load),
-                rows_of(base.modes, load),
-                rows_of(base.valves, load),
-                valve_switches(given, limit_s, *self.valve_s),
-                limit_s + hold_s,
+            replace(
+                self._base,
+                packed=self._base.packed[load],
+                switches=valve_switches(given, limit_s, *self.valve_s),
+                duration_s=limit_s + hold_s,
+                **own,
             ),
             event_room=MOST_EVENTS,
             lanes=False,
@@ -322,6 +304,7 @@ class FamilyModel:
         worst_j = lost_j.max(axis=1)
         stay_m_s = np.where(stop, events[EventRow.speed], 0.0).max(axis=1)
         worst_m_s = worst_speed_m_s(worst_j, stay_m_s, self._mass_kg)
+        hardest_j = [np.where(guard == kind, lost_j, 0.0).max(axis=1) for kind in IMPACTS]
         final_m = result.final[:, LengthState.x_s]
         stays = (result.status == DONE) & (result.event_count <= MOST_EVENTS)
         stays &= final_m > self._stroke_m - AT_STOP_M
@@ -338,20 +321,8 @@ class FamilyModel:
             np.where(lasts, arrival_s, np.inf),
             first(happened & (guard == self._revealing), time_s),
             np.where(stays, arrival_s - limit_s, np.inf),
-            np.stack([stay_m_s, *self._parts_m_s(lost_j, guard)], axis=1),
+            np.stack([stay_m_s, *np.sqrt(2.0 * np.array(hardest_j) / self._mass_kg)], axis=1),
         )
-
-    def _parts_m_s(self, lost_j: Floats, guard: Floats) -> list[Floats]:
-        """Return the speeds [runs] in m/s of the hardest impacts by kind, from events [runs, events]."""
-        return [
-            np.sqrt(2.0 * np.where(guard == kind, lost_j, 0.0).max(axis=1) / self._mass_kg)
-            for kind in IMPACTS
-        ]
-
-
-def rows_of(rows: NDArray[Number], load: Ints) -> NDArray[Number]:
-    """Return the rows [1 or loads, ...] of an array of `Strokes` for the load [runs] of each run."""
-    return rows if len(rows) == 1 else rows[load]
 
 
 def first(which: Bools, time_s: Floats) -> Floats:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol
 
@@ -47,7 +47,10 @@ class StudyKind(Protocol):
         """Run one row. Raises InputError for wrong settings, RunError if it cannot finish."""
 
     def figures(self, study: LoadedStudy, table: Table) -> dict[str, Figure]:
-        """Return the figures of a finished study by file name."""
+        """Return the figures of a finished study by file name.
+
+        A kind may also have `files` with the same arguments: it yields names and texts of more files.
+        """
 
 
 def kind_of(study: LoadedStudy) -> StudyKind:
@@ -62,6 +65,13 @@ def kind_of(study: LoadedStudy) -> StudyKind:
 def columns(study: LoadedStudy) -> tuple[str, ...]:
     """Return the names of the figures of each row of a study."""
     return kind_of(study).columns(study)
+
+
+def more_files(study: LoadedStudy, table: Table) -> Iterable[tuple[str, str]]:
+    """Return names and texts of the files that only this kind of study writes."""
+    files = getattr(kind_of(study), "files", None)
+    found: Iterable[tuple[str, str]] = files(study, table) if files is not None else ()
+    return found
 
 
 def run_row(study: LoadedStudy, row: Row) -> RowResult:

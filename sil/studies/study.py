@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -103,7 +103,7 @@ class Choice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How swept values are combined: full grid, value by value (list), Latin hypercube, Sobol.
+    """How swept values are combined.
 
     one_at_a_time: all at their first value, then each at its others; radial: centres, and round each
     one value after another at another place.
@@ -118,6 +118,8 @@ class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Seed of a hypercube or Sobol design."""
 
 
+DRAWN = ("lhs", "sobol", "radial")
+"""Designs that draw values from ranges."""
 Kind = Literal["runs", "bounds", "lower_bound", "budget", "tuning", "sensitivity", "learned"]
 
 
@@ -191,20 +193,18 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Report what the faults of each row did (detection, end state, damage); write fault_table.md."""
 
 
-def groups_of(study: Study) -> list[tuple[str, list[Choice]]]:
-    """Return the kinds of choices of a study, in column order; a tuning takes all loads together.
+def groups_of(study: Study) -> dict[str, list[Choice]]:
+    """Return the choices of a study by kind, in column order; a tuning takes all loads together.
 
     The trucks of a population are choices as well.
     """
-    groups = [("variant", study.variant), ("strategy", study.strategy), ("load", study.load)]
+    groups = {"variant": study.variant, "strategy": study.strategy, "load": study.load}
+    if study.kind == "tuning":
+        del groups["load"]
     if study.kind == "learned":
         numbers = range(1, study.fleet.trucks + 1)
-        groups.insert(0, (TRUCK, [Choice(str(k), {FLEET_TRUCK: k}) for k in numbers]))
-    return [
-        (name, found)
-        for name, found in groups
-        if found and (name, study.kind) != ("load", "tuning")
-    ]
+        groups = {TRUCK: [Choice(str(k), {FLEET_TRUCK: k}) for k in numbers], **groups}
+    return {name: found for name, found in groups.items() if found}
 
 
 def texts_of(settings: Mapping[str, Setting]) -> list[str]:
@@ -224,6 +224,25 @@ class Row:
     def texts(self) -> list[str]:
         """Return the settings as PATH=VALUE, as the command line takes them."""
         return texts_of(self.settings)
+
+    def split(
+        self, known: Mapping[str, Collection[str]]
+    ) -> tuple[dict[str, Setting], dict[str, Setting]]:
+        """Return the settings of the study's own groups by name, and all others by path.
+
+        known: the names that each group may set. Raises InputError for any other name.
+        """
+        own: dict[str, Setting] = {}
+        others: dict[str, Setting] = {}
+        for path, value in self.settings.items():
+            group, _, name = path.partition(".")
+            if group not in known:
+                others[path] = value
+            elif name in known[group]:
+                own[name] = value
+            else:
+                raise InputError(f"{path}: unknown; expected one of {', '.join(known[group])}")
+        return own, others
 
 
 class Base(msgspec.Struct, frozen=True):
@@ -255,14 +274,14 @@ class LoadedStudy:
         return design_points(self.study, self.source)
 
     @property
-    def groups(self) -> list[tuple[str, list[Choice]]]:
-        """Return the kinds of choices of this study, in column order."""
+    def groups(self) -> dict[str, list[Choice]]:
+        """Return the choices of this study by kind, in column order."""
         return groups_of(self.study)
 
     @property
     def size(self) -> int:
         """Return the number of rows."""
-        return len(self.points) * math.prod(len(items) for _name, items in self.groups)
+        return len(self.points) * math.prod(map(len, self.groups.values()))
 
     def loaded(self, settings: Sequence[str]) -> Loaded:
         """Return the base scenario with settings PATH=VALUE.
@@ -297,7 +316,7 @@ class LoadedStudy:
 
     def rows(self, begin: int = 0) -> Iterator[Row]:
         """Yield the rows from number `begin` on, in their fixed order."""
-        combos = list(itertools.product(*(items for _name, items in self.groups)))
+        combos = list(itertools.product(*self.groups.values()))
         for number in range(begin, self.size):
             point, combo = divmod(number, len(combos))
             settings: dict[str, Setting] = {}
@@ -312,11 +331,8 @@ def levels(sweep: Sweep) -> list[Value]:
     """Return the values of one sweep in a grid or list."""
     if sweep.values is not None:
         return list(sweep.values)
-    low, high = float(sweep.low or 0.0), float(sweep.high or 0.0)
-    steps = sweep.steps or 2
-    if sweep.scale == "log":
-        return [float(x) for x in np.geomspace(low, high, steps)]
-    return [float(x) for x in np.linspace(low, high, steps)]
+    spaced = np.geomspace if sweep.scale == "log" else np.linspace
+    return [float(x) for x in spaced(sweep.low or 0.0, sweep.high or 0.0, sweep.steps or 2)]
 
 
 def design_points(study: Study, source: str) -> list[tuple[Value, ...]]:
@@ -326,30 +342,28 @@ def design_points(study: Study, source: str) -> list[tuple[Value, ...]]:
     """
     if not study.sweep:
         return [()]
-    if study.design.kind == "grid":
-        return list(itertools.product(*(levels(sweep) for sweep in study.sweep)))
-    if study.design.kind == "list":
-        columns = [levels(sweep) for sweep in study.sweep]
+    design, dimension = study.design, len(study.sweep)
+    if design.kind in DRAWN:
+        from scipy.stats import qmc
+
+        if design.kind == "radial":
+            shares = radial_points(dimension, design)
+        elif design.kind == "lhs":
+            shares = qmc.LatinHypercube(dimension, rng=design.seed).random(design.samples)
+        else:
+            sampler = qmc.Sobol(dimension, scramble=True, rng=design.seed)
+            shares = sampler.random_base2(math.ceil(math.log2(design.samples)))[: design.samples]
+        return [tuple(map(inside, study.sweep, row)) for row in shares]
+    columns = [levels(sweep) for sweep in study.sweep]
+    if design.kind == "grid":
+        return list(itertools.product(*columns))
+    if design.kind == "list":
         if len({len(column) for column in columns}) != 1:
             raise InputError(f"{source}: design list: the sweeps have different lengths")
         return list(zip(*columns, strict=True))
-    if study.design.kind == "one_at_a_time":
-        columns = [levels(sweep) for sweep in study.sweep]
-        base = tuple(column[0] for column in columns)
-        single = [(k, value) for k, column in enumerate(columns) for value in column[1:]]
-        return [base, *((*base[:k], value, *base[k + 1 :]) for k, value in single)]
-    from scipy.stats import qmc
-
-    dimension = len(study.sweep)
-    if study.design.kind == "lhs":
-        unit = qmc.LatinHypercube(dimension, rng=study.design.seed).random(study.design.samples)
-    elif study.design.kind == "radial":
-        unit = radial_points(dimension, study.design)
-    else:
-        sampler = qmc.Sobol(dimension, scramble=True, rng=study.design.seed)
-        power = int(np.ceil(np.log2(max(study.design.samples, 1))))
-        unit = sampler.random_base2(power)[: study.design.samples]
-    return [tuple(inside(*pair) for pair in zip(study.sweep, row, strict=True)) for row in unit]
+    base = tuple(column[0] for column in columns)
+    single = [(k, value) for k, column in enumerate(columns) for value in column[1:]]
+    return [base, *((*base[:k], value, *base[k + 1 :]) for k, value in single)]
 
 
 def radial_points(dimension: int, design: Design) -> NDArray[np.float64]:
@@ -366,7 +380,7 @@ def radial_points(dimension: int, design: Design) -> NDArray[np.float64]:
 
 def inside(sweep: Sweep, share: float) -> float:
     """Return the value at a share, 0 to 1, of the range of a sweep."""
-    low, high = float(sweep.low or 0.0), float(sweep.high or 0.0)
+    low, high = sweep.low or 0.0, sweep.high or 0.0
     if sweep.scale == "log":
         return float(low * (high / low) ** share)
     if sweep.scale == "normal":
@@ -381,11 +395,6 @@ def toml_value(value: Setting | dict[str, Value]) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(map(toml_value, value)) + "]"
     if isinstance(value, dict):
-        return (
-            "{ " + ", ".join(f"{json.dumps(k)} = {toml_value(v)}" for k, v in value.items()) + " }"
-        )
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value)
-    return repr(value)
+        pairs = (f"{json.dumps(k)} = {toml_value(v)}" for k, v in value.items())
+        return "{ " + ", ".join(pairs) + " }"
+    return json.dumps(value)

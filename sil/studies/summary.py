@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sil.studies.figures import read_metrics
-from sil.studies.load_study import DRAWN
 from sil.studies.rows import FAILED, NOT_RUN, OUTCOMES, columns
-from sil.studies.study import LoadedStudy
+from sil.studies.study import DRAWN, LoadedStudy
 from sil.studies.table import Table, row_groups
 
 Z95 = 1.959964

@@ -36,7 +36,7 @@ class Table:
 
 def read_table(study: LoadedStudy, folder: Path) -> Table:
     """Read a study's results.csv."""
-    choices = {name for name, _items in study.groups} | {"outcome", "reason"}
+    choices = {*study.groups, "outcome", "reason"}
     with open(folder / RESULTS, encoding="utf-8", newline="") as file:
         names, *cells = csv.reader(file)
     texts: dict[str, list[str]] = {}
@@ -63,7 +63,7 @@ def row_groups(study: LoadedStudy, table: Table) -> dict[str, NDArray[np.int64]]
 
     A group has the rows of all trucks.
     """
-    keys = [name for name, _items in study.groups if name != TRUCK]
+    keys = [name for name in study.groups if name != TRUCK]
     if not keys:
         return {"": np.arange(table.size)}
     labels = [" / ".join(parts) for parts in zip(*(table.texts[k] for k in keys), strict=True)]

@@ -78,11 +78,7 @@ def columns(study: LoadedStudy) -> tuple[str, ...]:
 
 def run(study: LoadedStudy, row: Row) -> RowResult:
     """Search the bounds of a row. Raises InputError for settings that are missing or wrong."""
-    own = {k[6:]: v for k, v in row.settings.items() if k.startswith("bound.")}
-    model = {k: v for k, v in row.settings.items() if not k.startswith("bound.")}
-    known = ("family", "delay_s", "extra_s", "valves", "simulations")
-    if unknown := set(own) - set(known):
-        raise InputError(f"bound.{min(unknown)}: unknown; expected {', '.join(known)}")
+    own, model = row.split({"bound": ("family", "delay_s", "extra_s", "valves", "simulations")})
     for name, allowed in (("family", FAMILIES), ("valves", VALVES)):
         if own.setdefault(name, "all" if name == "valves" else "") not in allowed:
             raise InputError(f"bound.{name}: {own[name]!r}; expected {', '.join(allowed)}")
@@ -92,7 +88,7 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     valves = VALVES[str(own["valves"])]
     parameters = load(study.study.model).override(model)  # type: ignore[arg-type]
     values = tuple(sorted(model.items()))
-    known_m_s = known_loads_m_s(study.study.model, values, family.name, extra_s, valves, table)
+    known_m_s = _known_loads_m_s(study.study.model, values, family.name, extra_s, valves, table)
     family_model = FamilyModel(parameters, family, delay_s, extra_s)
     late = family_model.plain.revealed_s + delay_s > family_model.limit_s - USELESS_S
     budget = own.get("simulations", table.simulations)
@@ -106,10 +102,9 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     best = min((search.best for search in searches), key=lambda policy: policy.cost_m_s)
     arrivals = arrivals_of(family_model, best)
     plain_s = family_model.plain.arrival_s[0, 0]
-    damped = replace(family, cases=tuple(replace(case, damper=True) for case in family.cases))
     found = (
         family_model.plain.impact_stay_m_s.max(),
-        FamilyModel(parameters, damped, 0.0, 0.0).plain.impact_stay_m_s.max(),
+        FamilyModel(parameters, family.under(load="damper"), 0.0, 0.0).plain.impact_stay_m_s.max(),
         min(known_m_s, best.cost_m_s),
         best.cost_m_s,
         arrivals.impact_stay_m_s.max(),
@@ -138,7 +133,7 @@ def seconds(name: str, value: Setting | None, low: float) -> float:
 
 
 @functools.cache
-def known_loads_m_s(
+def _known_loads_m_s(
     model: str,
     values: tuple[tuple[str, Setting], ...],
     family: str,
@@ -161,7 +156,7 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     """Return bounds and tuned strategies over the information delay, damper and plain push as levels."""
     delay_ms = MS * table.numbers["bound.delay_s"]
     families = np.array(table.texts.get("load", [study.study.name] * table.size))
-    variants = np.array(variants_of(table))
+    variants = np.array(_variants(table))
     stacks = []
     for family in dict.fromkeys(families):
         inside = families == family
@@ -176,18 +171,12 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
             ends = np.array([0.0, LAST_MS])
             a = np.full(2, np.min(table.numbers["clairvoyant_m_s"][rows]))
             lines.append(Series(f"(a) {name}", ends, a, f"series{k}", dashed=True, width=1.0))
-        tuned = tuned_points(family)
+        tuned = _tuned_points(family)
         low = min(float(np.min(delay_ms)), *(MS * min(each)[0] for each in tuned.values()))
         for k, (strategy, points) in enumerate(tuned.items(), start=3):
             x, y = np.array(sorted(points)).T
             lines.append(Series(strategy, MS * x, y, f"series{k % 8}", "dots", width=3.0))
-        rules = [
-            Rule(table.numbers[column][first], name, role, "y", "solid")
-            for name, column, role in (
-                ("open loop", "open_loop_m_s", "faint"),
-                ("oil damper", "damper_m_s", "series2"),
-            )
-        ]
+        rules = levels(table, first)
         thesis = MS * sum(delay_s for _name, delay_s in THESIS_S)
         rules.append(Rule(thesis, f"thesis: {thesis:.0f} ms", "alarm", "x", "solid"))
         ahead = [Span(low, 0.0, "band")] if low < 0.0 else []
@@ -199,35 +188,42 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
         title = f"{family}: worst of its loads"
         stacks.append(Stack(axis, [panel], title, limits=(low, LAST_MS), width=6.4))
     return {
-        "bounds": Figure(stacks, title_of(study), headline(table, families), same_scale=True),
-        "convergence": convergence(study, table),
+        "bounds": Figure(stacks, title_of(study), _headline(table, families), same_scale=True),
+        "convergence": _convergence(study, table),
     }
 
 
-def convergence(study: LoadedStudy, table: Table) -> Figure:
+def levels(table: Table, row: int) -> list[Rule]:
+    """Return the impact speeds of plain push and oil damper in a row as lines across a panel."""
+    known = (("open loop", "open_loop_m_s", "faint"), ("oil damper", "damper_m_s", "series2"))
+    return [
+        Rule(table.numbers[column][row], name, role, "y", "solid") for name, column, role in known
+    ]
+
+
+def _convergence(study: LoadedStudy, table: Table) -> Figure:
     """Return the best of both searches of each row over their simulations."""
     shares: Floats = np.array([100.0 / (1 << k) for k in range(HALVINGS - 1, -1, -1)])
     lines = []
     for row in range(table.size):
         name = f"{MS * table.numbers['bound.delay_s'][row]:g} ms"
-        if variant := variants_of(table)[row]:
+        if variant := _variants(table)[row]:
             name += f", {variant}"
         for k, dashed in ((1, False), (2, True)):
-            columns_of_search = [f"search_{k}_m_s {part}" for part in PARTS] + [f"search_{k}_m_s"]
-            found = np.array([table.numbers[column][row] for column in columns_of_search])
+            names = (*(f"search_{k}_m_s {part}" for part in PARTS), f"search_{k}_m_s")
+            found = np.array([table.numbers[name][row] for name in names])
             found[found > NOT_ARRIVED] = np.nan
             label = name if k == 1 else f"{name}, second search"
             lines.append(Series(label, shares, found, f"series{row % 8}", "marked", dashed))
     panel = Panel("Hardest impact of the best policy", "m/s", lines, height=380)
     axis = "simulations, % of each search's"
     best = table.numbers["spread_m_s"]
-    text = (
-        f"The two searches of a point differ by {best.min():.3f} to {best.max():.3f} m/s at the end"
-    )
+    ends = f"{best.min():.3f} to {best.max():.3f} m/s"
+    text = f"The two searches of a point differ by {ends} at the end"
     return Figure([Stack(axis, [panel], logarithmic=True, width=9.0)], title_of(study), text)
 
 
-def variants_of(table: Table) -> list[str]:
+def _variants(table: Table) -> list[str]:
     """Return the variant of each row, or the delays of its valves if they are swept."""
     if "valve.D_rise" not in table.numbers or "valve.D_fall" not in table.numbers:
         return table.texts.get("variant", [""] * table.size)
@@ -235,8 +231,7 @@ def variants_of(table: Table) -> list[str]:
     return [f"opens {MS * rise:g}, closes {MS * fall:g} ms" for rise, fall in delays_s]
 
 
-def headline(table: Table, families: Iterable[str]) -> str:
-    """Return which families no controller was found to stop as softly as the damper does."""
+def _headline(table: Table, families: Iterable[str]) -> str:
     observed = table.numbers["bound.delay_s"] >= 0.0
     harder = table.numbers["bound_m_s"] > table.numbers["damper_m_s"]
     rows = {family: observed & (np.array(families) == family) for family in dict.fromkeys(families)}
@@ -260,7 +255,7 @@ def envelope(delay: Floats, bound_m_s: Floats) -> Floats:
     return found
 
 
-def tuned_points(family: str) -> dict[str, list[tuple[float, float]]]:
+def _tuned_points(family: str) -> dict[str, list[tuple[float, float]]]:
     """Return (information delay s, worst impact speed m/s) of each strategy of the shipped tuning."""
     found: dict[str, list[tuple[float, float]]] = {}
     with open(TUNED, encoding="utf-8", newline="") as file:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from can_dbc.errors import RunError
 from can_dbc.messages import PositionPulse, ValveCommand
+from controller.settings import FilterConfig
 from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
 from plant.kernel.compiled import plain
 from plant.kernel.layout import FlowMap
@@ -28,7 +28,7 @@ from sil.recording.run_record import BusFrame
 from sil.report.figure import MS, Figure, Note, Panel, Span, Stack
 from sil.simulation.in_memory import MemoryRun, run_in_memory
 from sil.simulation.scenario import Loaded
-from sil.studies.figures import numbered
+from sil.studies.figures import numbered, row_labels
 from sil.studies.rows import FAILED, RowResult
 from sil.studies.study import LoadedStudy, Row
 from sil.studies.table import Table
@@ -38,53 +38,25 @@ THESIS_WINDOW_S = 0.040
 BRAKE_PA = 100000.0
 """Rise of the neutral chamber's pressure that counts as a brake: about 250 N on the piston."""
 
-BARS = (
-    "waiting for a pulse",
-    "pulse and its report",
-    "bus to the controller",
-    "waiting for the step",
-    "filter",
-    "second sample for the speed",
-    "computation",
-    "bus to the valves",
-    "valve opening",
-    "pressure build-up",
-)
-"""The delays in their order."""
+BARS = {
+    "waiting for a pulse": "#1f77b4",
+    "pulse and its report": "#ff7f0e",
+    "bus to the controller": "#2ca02c",
+    "waiting for the step": "#9467bd",
+    "filter": "#d62728",
+    "second sample for the speed": "#8c564b",
+    "computation": "#e377c2",
+    "bus to the valves": "#7f7f7f",
+    "valve opening": "#bcbd22",
+    "pressure build-up": "#17becf",
+}
+"""The delays in their order, and their colours."""
 
 TOTALS = ("window_s", "last_part_s", "spent_s", "closed_spent_s", "slack_s", "last_slack_s")
 
 
 class NoBudgetError(RunError):
     """A shift that never arrives, or whose commands or samples are missing, has no budget."""
-
-
-@dataclass(frozen=True)
-class Budget:
-    """The delays of a shift by the names of `BARS`, and the time from first motion to the stop, s.
-
-    last_part_s: from the end of the synchronizer's block to the stop; the window without a block.
-    """
-
-    window_s: float
-    last_part_s: float
-    simulated_s: dict[str, float]
-    closed_s: dict[str, float]
-
-    @property
-    def spent_s(self) -> float:
-        """Return the sum of the simulated delays."""
-        return sum(self.simulated_s.values())
-
-    @property
-    def slack_s(self) -> float:
-        """Return the rest of the window; if negative, the stay is at its stop first."""
-        return self.window_s - self.spent_s
-
-    @property
-    def last_slack_s(self) -> float:
-        """Return the rest of the part after the block, the only one whose load is known (4.2.1)."""
-        return self.last_part_s - self.spent_s
 
 
 def simulated(bar: str) -> str:
@@ -108,28 +80,20 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     Raises InputError for settings that the scenario does not accept, RunError if a participant dies.
     """
     try:
-        found = budget_of(study.loaded, row.texts)
+        return RowResult(budget_of(study.loaded, row.texts) | {"failed": 0.0})
     except NoBudgetError as error:
         nothing = dict.fromkeys(columns(study), math.nan) | {"failed": 1.0}
         return RowResult(nothing, FAILED, str(error))
-    return RowResult(
-        {
-            "window_s": found.window_s,
-            "last_part_s": found.last_part_s,
-            "spent_s": found.spent_s,
-            "closed_spent_s": sum(found.closed_s.values()),
-            "slack_s": found.slack_s,
-            "last_slack_s": found.last_slack_s,
-            "failed": 0.0,
-            **{simulated(bar): found.simulated_s[bar] for bar in BARS},
-            **{closed(bar): found.closed_s[bar] for bar in BARS},
-        }
-    )
 
 
-def group_delay_s(order: int, fc_hz: float) -> float:
-    """Return the delay of slow signals in a Butterworth low-pass: 1 / (2 pi fc sin(pi / 2n))."""
-    return 1.0 / (2.0 * math.pi * fc_hz * math.sin(math.pi / (2.0 * order)))
+def filter_delay_s(config: FilterConfig) -> float:
+    """Return the delay of slow signals in a controller's Butterworth low-pass, 0 without one.
+
+    1 / (2 pi fc sin(pi / 2n)).
+    """
+    if not config.enabled:
+        return 0.0
+    return 1.0 / (2.0 * math.pi * config.fc_hz * math.sin(math.pi / (2.0 * config.order)))
 
 
 def filling_closed_s(parameters: ParameterSet, supply_pa: float, rise_pa: float) -> float:
@@ -151,35 +115,24 @@ def filling_simulated_s(parameters: ParameterSet, supply_pa: float, rise_pa: flo
     return float(np.interp(parameters.value("gas.P_atm") + rise_pa, pressure_pa, times))
 
 
-def _bits_s(entry: BusFrame, bitrate: int) -> float:
-    return frame_bits(entry.frame.can_id, entry.frame.data) / bitrate
-
-
-def _report_age_s(run: MemoryRun, loaded: Loaded) -> float:
+def _report_age_s(run: MemoryRun, parameters: ParameterSet) -> float:
     """Return the time from a pulse's measurement to the release of its report, read from the run.
 
     The report whose position moved most is searched in the true positions.
     """
-    parameters, record = loaded.parameters, run.record
-    offset_s = parameters.value("position_sensor.t_mid")
-    slope_s_m = parameters.value("position_sensor.slope")
-    warmth_1_k = parameters.value("position_sensor.temp_coeff")
-    reference_k = parameters.value("position_sensor.T_ref")
-    reports = record.of(PositionPulse)
-    positions_m = np.array(
-        [
-            (m.pulse_s / (1.0 + warmth_1_k * (m.coil_temperature_k - reference_k)) - offset_s)
-            / slope_s_m
-            for _, m in reports
-        ]
+    reports, truth = run.record.of(PositionPulse), run.record.truth
+    t_mid_s, slope_s_m, warmth_1_k, reference_k = (
+        parameters.value(f"position_sensor.{name}")
+        for name in ("t_mid", "slope", "temp_coeff", "T_ref")
     )
+    pulse_s, coil_k = np.array([(m.pulse_s, m.coil_temperature_k) for _, m in reports]).T
+    positions_m = (pulse_s / (1.0 + warmth_1_k * (coil_k - reference_k)) - t_mid_s) / slope_s_m
     steps_m = np.abs(np.diff(positions_m, prepend=positions_m[0]))
-    steps_m[np.abs(positions_m) > 0.95 * record.stroke_m] = 0.0
+    steps_m[np.abs(positions_m) > 0.95 * run.record.stroke_m] = 0.0
     k = int(np.argmax(steps_m))
-    time_s, position_m = record.truth["time_s"], record.truth["position_m"]
-    travelled_m = np.maximum.accumulate(np.abs(position_m))
-    released_s = reports[k][0].released_ns / NS_PER_S
-    return released_s - float(np.interp(abs(positions_m[k]), travelled_m, time_s))
+    travelled_m = np.maximum.accumulate(np.abs(truth["position_m"]))
+    measured_s = float(np.interp(abs(positions_m[k]), travelled_m, truth["time_s"]))
+    return reports[k][0].released_ns / NS_PER_S - measured_s
 
 
 def _next(entries: Sequence[tuple[BusFrame, object]], at_ns: int) -> BusFrame:
@@ -189,94 +142,91 @@ def _next(entries: Sequence[tuple[BusFrame, object]], at_ns: int) -> BusFrame:
     raise NoBudgetError("no frame after the first sample of the motion")
 
 
-def budget_of(make: Callable[[Sequence[str]], Loaded], settings: Sequence[str] = ()) -> Budget:
-    """Return the delays of a scenario's last shift, in order, from its first motion on.
+def budget_of(
+    make: Callable[[Sequence[str]], Loaded], settings: Sequence[str] = ()
+) -> dict[str, float]:
+    """Return the delays of a scenario's last shift from its first motion on, by column, in s.
 
-    The filter's delay is how much later the estimated position passes 90 % of the travel than in the
-    same run without the filter. `make` returns the scenario with settings PATH=VALUE.
+    window_s: from first motion to the stop; last_part_s: from the end of the synchronizer's block,
+    the only part whose load is known (4.2.1); slack: what the delays leave of them. The filter's
+    delay is how much later the estimated position passes 90 % of the travel than in the same run
+    without the filter. `make` returns the scenario with settings PATH=VALUE.
     Raises NoBudgetError if the shift does not arrive, RunError if a participant dies.
     """
     loaded = make(settings)
     run = run_in_memory(loaded)
     shift = run.shifts[-1]
-    if shift.first_motion_s is None or shift.arrived_s is None:
-        raise NoBudgetError(f"the shift to {shift.to_gear} never arrives, so it has no budget")
-    config = loaded.scenario.controller
-    bitrate = loaded.scenario.bus.bitrate
     motion_s = shift.first_motion_s
-
+    if motion_s is None or shift.arrived_s is None:
+        raise NoBudgetError(f"the shift to {shift.to_gear} never arrives, so it has no budget")
+    if shift.commanded_s is None or shift.valve_open_s is None:
+        raise NoBudgetError("no valve was opened")
+    config, parameters = loaded.scenario.controller, loaded.parameters
     sensor, period_s = loaded.scenario.sensor, loaded.scenario.sensor.period_s
-    half_s = 0.5 * loaded.parameters.value("position_sensor.t_mid")
-    age_s = _report_age_s(run, loaded)
-    report = _next(run.record.of(PositionPulse), math.ceil((motion_s + age_s) * NS_PER_S))
+    pulses = run.record.of(PositionPulse)
+
+    def bits_s(entry: BusFrame) -> float:
+        return frame_bits(entry.frame.can_id, entry.frame.data) / loaded.scenario.bus.bitrate
+
+    half_s = 0.5 * parameters.value("position_sensor.t_mid")
+    age_s = _report_age_s(run, parameters)
+    report = _next(pulses, math.ceil((motion_s + age_s) * NS_PER_S))
+    second = _next(pulses, report.released_ns + 1)
     released_s, arrived_s = report.released_ns / NS_PER_S, report.arrival_ns / NS_PER_S
     waited_s = (sensor.phase_ns / NS_PER_S + half_s - motion_s) % period_s
     reported_s = sensor.capture_s + sensor.delay_s - half_s
-    there_s = motion_s + waited_s + reported_s + _bits_s(report, bitrate)
+    there_s = motion_s + waited_s + reported_s + bits_s(report)
     step_ns = -(-report.arrival_ns // config.period_ns) * config.period_ns
     command = _next(run.record.of(ValveCommand), step_ns)
-    filtered_s = closed_filter_s = 0.0
+    filtered_s = 0.0
     if config.filter.enabled:
         plain = make([*settings, "controller.filter=false"])
         lags = (shift.position_lag_90_s, run_in_memory(plain).shifts[-1].position_lag_90_s)
         if lags[0] is None or lags[1] is None:
             raise NoBudgetError("the estimated position never passes 90 % of the travel")
         filtered_s = lags[0] - lags[1]
-        closed_filter_s = group_delay_s(config.filter.order, config.filter.fc_hz)
-    opened_s = _opening_s(run)
-    supply_pa = run.record.supply_pressure_pa
+    filling = parameters, run.record.supply_pressure_pa, BRAKE_PA
     delays_s = (
         (released_s - age_s - motion_s, waited_s),
         (age_s, reported_s),
-        (arrived_s - released_s, _bits_s(report, bitrate)),
+        (arrived_s - released_s, bits_s(report)),
         (step_ns / NS_PER_S - arrived_s, -there_s % config.period_s),
-        (filtered_s, closed_filter_s),
-        (_second_sample_s(run, report), period_s),
+        (filtered_s, filter_delay_s(config.filter)),
+        ((second.released_ns - report.released_ns) / NS_PER_S, period_s),
         ((command.released_ns - step_ns) / NS_PER_S, config.computation_s),
-        ((command.arrival_ns - command.released_ns) / NS_PER_S, _bits_s(command, bitrate)),
-        (opened_s, loaded.parameters.value("valve.D_rise")),
-        (
-            filling_simulated_s(loaded.parameters, supply_pa, BRAKE_PA),
-            filling_closed_s(loaded.parameters, supply_pa, BRAKE_PA),
-        ),
+        ((command.arrival_ns - command.released_ns) / NS_PER_S, bits_s(command)),
+        (shift.valve_open_s - shift.commanded_s, parameters.value("valve.D_rise")),
+        (filling_simulated_s(*filling), filling_closed_s(*filling)),
     )
-    released = [e.time_s for e in run.record.events if e.name == "sync_unblock"]
-    last_s = max([motion_s, *(t for t in released if motion_s < t < shift.arrived_s)])
-    simulated_s, closed_s = (
-        dict(zip(BARS, column, strict=True)) for column in zip(*delays_s, strict=True)
+    unblocked_s = [e.time_s for e in run.record.events if e.name == "sync_unblock"]
+    last_s = max([motion_s, *(t for t in unblocked_s if motion_s < t < shift.arrived_s)])
+    simulated_s, closed_s = zip(*delays_s, strict=True)
+    window_s, last_part_s, spent_s = (
+        shift.arrived_s - motion_s,
+        shift.arrived_s - last_s,
+        sum(simulated_s),
     )
-    window_s, last_part_s = shift.arrived_s - motion_s, shift.arrived_s - last_s
-    return Budget(window_s, last_part_s, simulated_s, closed_s)
-
-
-def _second_sample_s(run: MemoryRun, first: BusFrame) -> float:
-    return (
-        _next(run.record.of(PositionPulse), first.released_ns + 1).released_ns - first.released_ns
-    ) / NS_PER_S
-
-
-def _opening_s(run: MemoryRun) -> float:
-    """Return the time from the arrival of the command that opens the driving valve until it is open."""
-    shift = run.shifts[-1]
-    if shift.commanded_s is None or shift.valve_open_s is None:
-        raise NoBudgetError("no valve was opened")
-    return shift.valve_open_s - shift.commanded_s
-
-
-COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#d62728", "#8c564b", "#e377c2", "#7f7f7f",
-           "#bcbd22", "#17becf")  # fmt: skip
+    totals_s = (
+        window_s,
+        last_part_s,
+        spent_s,
+        sum(closed_s),
+        window_s - spent_s,
+        last_part_s - spent_s,
+    )
+    names = (*TOTALS, *map(simulated, BARS), *map(closed, BARS))
+    return dict(zip(names, (*totals_s, *simulated_s, *closed_s), strict=True))
 
 
 def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     """Return the thesis's sum, and each row's delays as one stack against the time that there is."""
-    keys = [name for name, _items in study.groups]
-    rows = [k for k in range(table.size) if not table.numbers["failed"][k]]
-    labels = [", ".join(table.texts[key][k] for key in keys) or study.study.name for k in rows]
-    spans, notes = thesis_bar()
+    rows = np.flatnonzero(table.numbers["failed"] == 0.0)
+    labels = row_labels(study, table)
+    spans, notes = _thesis_bar()
     for at, k in enumerate(rows, start=1):
         value_ms = {name: MS * float(table.numbers[name][k]) for name in columns(study)}
         left = exact = 0.0
-        for bar, colour in zip(BARS, COLOURS, strict=True):
+        for bar, colour in BARS.items():
             ends = left + value_ms[simulated(bar)], exact + value_ms[closed(bar)]
             spans.append(Span(left, ends[0], colour, "", at - 0.28, at + 0.28))
             spans.append(Span(exact, ends[1], colour, "", at + 0.33, at + 0.39))
@@ -290,9 +240,9 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
         "Delays",
         spans=spans,
         notes=notes,
-        ticks=numbered(["thesis 4.2.1", *labels]),
+        ticks=numbered(["thesis 4.2.1", *(labels[k] for k in rows)]),
         limits=(len(rows) + 0.6, -0.6),
-        keys=[*zip(BARS, COLOURS, strict=True), ("stop; thin: from the first motion", "alarm")],
+        keys=[*BARS.items(), ("stop; thin: from the first motion", "alarm")],
         height=36 * (len(rows) + 1) + 40,
     )
     axis = "ms after the motion that is to be answered (thin lines: closed form)"
@@ -300,7 +250,7 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     return {"budget": Figure([Stack(axis, [panel], limits=(0.0, 115.0), width=9.0)], title)}
 
 
-def thesis_bar() -> tuple[list[Span], list[Note]]:
+def _thesis_bar() -> tuple[list[Span], list[Note]]:
     """Return the thesis's own delays (4.2.1) as the first bar, and its slack."""
     spans, left = [], 0.0
     for name, delay_s in THESIS_S:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from sil.report.figure import Figure
 from sil.simulation import safety
 from sil.simulation.in_memory import MemoryRun, run_in_memory
 from sil.simulation.scenario import Loaded
-from sil.studies.fault_table import outcomes_figure
+from sil.studies.fault_table import fault_table, outcomes_figure
 from sil.studies.figures import swept_figures
 from sil.studies.rows import FAILED, PASSED, RowResult
 from sil.studies.study import LoadedStudy, Row
@@ -50,21 +50,21 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     loaded = study.loaded(row.texts)
     done = run_in_memory(loaded)
     last = done.shifts[-1] if done.shifts else None
-    overshoot, oscillations = after_arrival(done.record.truth, last.arrived_s if last else None)
-    reason = why_not_done(done, loaded)
+    overshoot, oscillations = _after_arrival(done.record.truth, last.arrived_s if last else None)
+    reason = _why_not_done(done, loaded)
     found = {name: math.nan if done.figures[name] is None else float(done.figures[name])
              for name in COLUMNS if name in done.figures}  # fmt: skip
     found |= {"overshoot_m": overshoot, "oscillations": oscillations, "failed": float(bool(reason))}
     outcome = FAILED if reason else PASSED
     if study.study.safety:
         found |= safety.figures(done.record, loaded.scenario)
-        unsafe = violations(found, study)
+        unsafe = _violations(found, study)
         outcome = FAILED if unsafe else PASSED
         reason = "; ".join([*unsafe, *([f"shift not done: {reason}"] if reason else [])])
     return RowResult({name: found[name] for name in columns(study)}, outcome, reason)
 
 
-def why_not_done(done: MemoryRun, loaded: Loaded) -> str:
+def _why_not_done(done: MemoryRun, loaded: Loaded) -> str:
     """Return why the last shift of a run was not done, empty if it was."""
     if not done.shifts:
         return "the driver requested no shift"
@@ -85,25 +85,21 @@ def why_not_done(done: MemoryRun, loaded: Loaded) -> str:
     return f"{reason}; the controller reported {names}" if names else reason
 
 
-def violations(figures: Mapping[str, float], study: LoadedStudy) -> list[str]:
+def _violations(figures: Mapping[str, float], study: LoadedStudy) -> list[str]:
     """Return which of the two safe states of `sil.simulation.safety` a run did not keep."""
-    found = []
-    if figures["orphan_energised_s"] > 0.0:
-        found.append("a valve stayed energised without a living controller")
-    if figures["false_gear_s"] > study.longest_sight_s:
-        found.append(
-            "a gear was reported that the stay was not in, longer than a motion takes to be observed"
-        )
-    return found
+    violated = {
+        "a valve stayed energised without a living controller": figures["orphan_energised_s"] > 0.0,
+        "a gear was reported that the stay was not in, longer than a motion takes to be observed": (
+            figures["false_gear_s"] > study.longest_sight_s
+        ),
+    }
+    return [text for text, is_violated in violated.items() if is_violated]
 
 
-def after_arrival(
+def _after_arrival(
     truth: Mapping[str, NDArray[np.float64]], arrived_s: float | None
 ) -> tuple[float, float]:
-    """Return how far the stay leaves its stop again [m], and how often it turns, after arrival.
-
-    truth: the plant's signals [n] by name, position_m in m, velocity_m_s in m/s.
-    """
+    """Return how far the stay leaves its stop again [m], and how often it turns, after arrival."""
     if arrived_s is None:
         return math.nan, math.nan
     later = truth["time_s"] >= arrived_s
@@ -113,6 +109,12 @@ def after_arrival(
     moving = v[np.abs(v) > 1e-3]
     turns = int(np.count_nonzero(np.diff(np.sign(moving)) != 0))
     return float(np.max(np.abs(x - x[-1]))), float(turns)
+
+
+def files(study: LoadedStudy, table: Table) -> Iterator[tuple[str, str]]:
+    """Yield the fault table of a safety study."""
+    if study.study.safety:
+        yield "fault_table.md", fault_table(study, table)
 
 
 def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:

@@ -9,15 +9,13 @@ import csv
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 
 import numpy as np
 
-from can_dbc.errors import InputError
 from plant.parameters import load
-from sil.report.figure import MS, Figure, Panel, Rule, Series, Stack
+from sil.report.figure import MS, Figure, Panel, Series, Stack
 from sil.studies.figures import title_of
-from sil.studies.kinds.bounds import SHIPPED, seconds
+from sil.studies.kinds.bounds import SHIPPED, levels, seconds
 from sil.studies.lower_bound import HeldModel, best_proof, certificate
 from sil.studies.policies import GEARBOX, FamilyModel
 from sil.studies.rows import RowResult
@@ -36,31 +34,27 @@ def columns(study: LoadedStudy) -> tuple[str, ...]:
 
 def run(study: LoadedStudy, row: Row) -> RowResult:
     """Prove the bound of a row. Raises InputError for settings that are wrong or not covered."""
-    held = held_model(study, row)
+    held = _held_model(study, row)
     bound_m_s, leaves = best_proof(held, MOST_NODES)
     parameters = held.parameters
-    damped = replace(GEARBOX, cases=tuple(replace(case, damper=True) for case in GEARBOX.cases))
     plain, damper = (
         float(FamilyModel(parameters, family, 0.0, 0.0).plain.impact_stay_m_s.max())
-        for family in (GEARBOX, damped)
+        for family in (GEARBOX, GEARBOX.under(load="damper"))
     )
-    found = bound_m_s, found_m_s(held, row.settings), damper, plain, len(leaves), 0.0
+    found = bound_m_s, _found_m_s(held, row.settings), damper, plain, len(leaves), 0.0
     return RowResult(dict(zip(COLUMNS, map(float, found), strict=True)))
 
 
-def held_model(study: LoadedStudy, row: Row) -> HeldModel:
+def _held_model(study: LoadedStudy, row: Row) -> HeldModel:
     """Return the model of a row. Raises InputError for settings that are wrong or not covered."""
-    own = {k: v for k, v in row.settings.items() if k.startswith("bound.")}
-    if unknown := set(own) - {"bound.delay_s", "bound.extra_s"}:
-        raise InputError(f"{min(unknown)}: unknown; expected bound.delay_s, bound.extra_s")
-    delay_s = seconds("delay_s", own.get("bound.delay_s"), 0.0)
-    extra_s = seconds("extra_s", own.get("bound.extra_s", study.study.bounds.extra_s), 0.0)
-    model = {k: v for k, v in row.settings.items() if k not in own}
+    own, model = row.split({"bound": ("delay_s", "extra_s")})
+    delay_s = seconds("delay_s", own.get("delay_s"), 0.0)
+    extra_s = seconds("extra_s", own.get("extra_s", study.study.bounds.extra_s), 0.0)
     parameters = load(study.study.model).override(model)  # type: ignore[arg-type]
     return HeldModel(parameters, GEARBOX, delay_s, extra_s)
 
 
-def found_m_s(held: HeldModel, settings: Mapping[str, object]) -> float:
+def _found_m_s(held: HeldModel, settings: Mapping[str, object]) -> float:
     """Return the softest policy of all valves in the shipped bounds, in m/s; NaN if none is like the row."""
     valves = ("valve.D_rise", "valve.D_fall")
     if set(settings) - {*valves, "bound.delay_s"}:
@@ -74,11 +68,11 @@ def found_m_s(held: HeldModel, settings: Mapping[str, object]) -> float:
     return math.nan
 
 
-def certificates(study: LoadedStudy, table: Table) -> Iterator[tuple[str, str]]:
+def files(study: LoadedStudy, table: Table) -> Iterator[tuple[str, str]]:
     """Yield file name and text of the certificate of each row whose bound is above zero."""
     for row, bound_m_s in zip(study.rows(), table.numbers["certified_m_s"], strict=False):
         if bound_m_s > 0.0:
-            held = held_model(study, row)
+            held = _held_model(study, row)
             leaves = held.prove(bound_m_s, MOST_NODES)
             assert leaves is not None, "the same proof was found for the table"
             text = json.dumps(certificate(held, float(bound_m_s), leaves), indent=None)
@@ -96,16 +90,8 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
             ("softest found, all valves", "found_m_s", "series1"),
         )
     ]
-    rules = [
-        Rule(table.numbers[column][0], name, role, "y", "solid")
-        for name, column, role in (
-            ("open loop", "open_loop_m_s", "faint"),
-            ("oil damper", "damper_m_s", "series2"),
-        )
-    ]
-    panel = Panel(
-        "Impact speed at the stop", "m/s", lines, rules=rules, limits=(0.0, 1.5), height=380
-    )
+    title, rules = "Impact speed at the stop", levels(table, 0)
+    panel = Panel(title, "m/s", lines, rules=rules, limits=(0.0, 1.5), height=380)
     proven = table.numbers["certified_m_s"] > table.numbers["damper_m_s"]
     from_ms = min(delay_ms[proven], default=math.inf)
     headline = "Certified lower bound of braking by the air in N"

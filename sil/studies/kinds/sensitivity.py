@@ -9,8 +9,7 @@ holds where it is positive. Designs: `one_at_a_time` gives the range in which ea
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,7 @@ from sil.simulation.scenario import load as load_scenario
 from sil.studies.figures import numbered, title_of
 from sil.studies.policies import GEARBOX, NOT_ARRIVED, Family, FamilyModel, Layout
 from sil.studies.rows import NOT_RUN, PASSED, RowResult
-from sil.studies.study import LoadedStudy, Row
+from sil.studies.study import LoadedStudy, Row, texts_of
 from sil.studies.table import Table
 
 Floats = NDArray[np.float64]
@@ -47,7 +46,6 @@ HEADLINES = {
 }
 """What each figure is the margin of."""
 
-SECONDS = ("late_s", "charged_s")
 THESIS_S = 0.048
 EXTRA_S = 0.03
 GENERATIONS = 15
@@ -64,28 +62,22 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
 
     Raises InputError for settings that no model accepts, RunError if the equations cannot be solved.
     """
-    parameters = load(study.study.model)
-    model, conditions = dict[str, float](), dict[str, float]()
     for path, value in row.settings.items():
         if isinstance(value, (bool, str, list)):
             raise InputError(f"{path}: {value!r}; expected a number")
-        kind, _, name = path.partition(".")
-        if kind == "factor":
-            if name not in FACTORS:
-                raise InputError(f"{path}: unknown; expected one of {', '.join(FACTORS)}")
-            model |= {each: value * parameters.value(each) for each in FACTORS[name]}
-        elif kind == "stroke":
-            if name not in ("supply_pressure_pa", "mesh_force_n"):
-                raise InputError(f"{path}: unknown; expected supply_pressure_pa, mesh_force_n")
-            conditions[name] = float(value)
-        else:
-            model[path] = float(value)
-    changed = parameters.override(model)
-    cases = tuple(replace(case, **conditions) for case in GEARBOX.cases)  # type: ignore[arg-type]
-    settings = [f"{path}={value!r}" for path, value in model.items()]
+    known = {"factor": FACTORS, "stroke": ("supply_pressure_pa", "mesh_force_n")}
+    own, model = (
+        {name: float(value) for name, value in each.items()}  # type: ignore[arg-type]
+        for each in row.split(known)
+    )
+    parameters = load(study.study.model)
+    for group in [group for group in FACTORS if group in own]:
+        factor = own.pop(group)
+        model |= {path: factor * parameters.value(path) for path in FACTORS[group]}
     try:
-        found = gearbox_margins(changed, replace(GEARBOX, cases=cases))
-        found |= loop_margins(study.study.model, settings, conditions, found.pop("damper_250_m_s"))
+        found = _gearbox_margins(parameters.override(model), GEARBOX.under(**own))
+        damper_250_m_s = found.pop("damper_250_m_s")
+        found |= _loop_margins(study.study.model, texts_of(model), own, damper_250_m_s)
     except IntegrationError as error:
         raise RunError(str(error)) from None
     missing = [name for name in HEADLINES if not math.isfinite(found[name])]
@@ -94,21 +86,22 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     return RowResult(found | {"failed": 0.0}, PASSED)
 
 
-def gearbox_margins(parameters: ParameterSet, family: Family) -> dict[str, float]:
+def _gearbox_margins(parameters: ParameterSet, family: Family) -> dict[str, float]:
     """Return the margins of the headlines on policies of the plant alone, and the damper at 250 N s."""
-    damped = replace(family, cases=tuple(replace(case, damper=True) for case in family.cases))
-    late = FamilyModel(parameters, family, THESIS_S, EXTRA_S)
-    damper_m_s = FamilyModel(parameters, damped, THESIS_S, EXTRA_S).plain.impact_worst_m_s[0, 0]
-    plain = late.plain
+    late, damped = (
+        FamilyModel(parameters, each, THESIS_S, EXTRA_S)
+        for each in (family, family.under(load="damper"))
+    )
+    plain, damper_m_s = late.plain, damped.plain.impact_worst_m_s[0, 0]
     return {
         "damper_m_s": float(plain.impact_worst_m_s.max() - damper_m_s.max()),
         "late_s": THESIS_S - float((plain.arrival_s - plain.revealed_s).max()),
-        "blind_m_s": softest_blind_m_s(late) - float(damper_m_s.max()),
+        "blind_m_s": _softest_blind_m_s(late) - float(damper_m_s.max()),
         "damper_250_m_s": float(damper_m_s[-1]),
     }
 
 
-def softest_blind_m_s(model: FamilyModel) -> float:
+def _softest_blind_m_s(model: FamilyModel) -> float:
     """Return the softest worst case of programmes of two pulses of N, by a small global search."""
     from scipy.optimize import differential_evolution
 
@@ -127,38 +120,41 @@ def softest_blind_m_s(model: FamilyModel) -> float:
     return float(found.fun)
 
 
-def loop_margins(
+def _loop_margins(
     model: str, settings: list[str], conditions: Mapping[str, float], damper_250_m_s: float
 ) -> dict[str, float]:
     """Return the margins of the headlines on runs in closed loop."""
-    supply = [f"plant.{k}={v!r}" for k, v in conditions.items() if k == "supply_pressure_pa"]
-    mesh = [f"plant.{k}={v!r}" for k, v in conditions.items() if k == "mesh_force_n"]
+    supply, mesh = (
+        [f"plant.{name}={conditions[name]!r}"] if name in conditions else []
+        for name in ("supply_pressure_pa", "mesh_force_n")
+    )
 
     def impact(scenario: str, *more: str) -> tuple[float, float]:
-        loaded = load_scenario(scenario, model=None if model == "nominal" else model,
-                               settings=[*settings, *supply, *more])  # fmt: skip
+        loaded = load_scenario(
+            scenario,
+            model=None if model == "nominal" else model,
+            settings=[*settings, *supply, *more],
+        )
         shift = run_in_memory(loaded).shifts[-1]
         if shift.arrived_s is None or shift.impact_worst_m_s is None:
             return NOT_ARRIVED, 1.0
         return shift.impact_worst_m_s, shift.arrived_s
 
-    truck = [
+    truck = (
         "plant.mounted=true",
         "plant.mesh_force_n=1300.0",
         "driveline.impulse_backward_n_s=250.0",
-        *mesh,
-    ]
+    )
+    held = ("duration_s=0.8", *truck, *mesh)
     bench_m_s = impact("strategy_air_cushion", "duration_s=0.4")[0]
-    bare_m_s = impact("lab_n_b", "duration_s=0.4")[0]
-    held = ["duration_s=0.8", *truck]
-    easy = ["duration_s=0.6", *(text for text in mesh)]
     charged_s, vented_s = (
-        impact("charged_neutral", *easy, *chambers)[1] for chambers in ([], ["plant.charged=[]"])
+        impact("charged_neutral", "duration_s=0.6", *mesh, *chambers)[1]
+        for chambers in ([], ["plant.charged=[]"])
     )
     return {
         "ahead_m_s": impact("lab_n_b", *held)[0]
         - impact("lab_n_b", *held, 'controller.strategy="synchro_brake"')[0],
-        "cushion_m_s": bare_m_s - bench_m_s,
+        "cushion_m_s": impact("lab_n_b", "duration_s=0.4")[0] - bench_m_s,
         "bench_m_s": bench_m_s - impact("oil_damper", "duration_s=0.4")[0],
         "truck_m_s": impact("strategy_air_cushion", *held)[0] - damper_250_m_s,
         "charged_s": charged_s - vented_s,
@@ -199,77 +195,50 @@ def holds(values: Floats, margins: Floats) -> str:
     return ", ".join(parts)
 
 
-def own_rows(study: LoadedStudy, table: Table, index: int) -> NDArray[np.int64]:
-    """Return the rows [n] of a `one_at_a_time` design in which only one swept value changes."""
-    others = [table.numbers[s.path] for k, s in enumerate(study.study.sweep) if k != index]
-    same = np.all([column == column[0] for column in others], axis=0)
-    return np.flatnonzero(same)
+def _unit(name: str) -> tuple[str, float]:
+    return ("ms", 1e3) if name.endswith("_s") and not name.endswith("_m_s") else ("m/s", 1.0)
 
 
-def summary_table(study: LoadedStudy, table: Table) -> list[list[str]]:
-    """Return the table of headlines and parameters, its head first.
+def _weighed(study: LoadedStudy, table: Table, name: str) -> Iterator[tuple[float, float, str]]:
+    """Yield low and high end of each swept value's influence on a headline, and the same in words.
 
-    A cell is the range of margins and where the headline holds, or a total index with its interval.
+    Of a radial design it is the interval of the total index, of the other the range of margins.
     """
-    sweeps = study.study.sweep
-    lines = [["headline", *(s.label or s.path for s in sweeps)]]
+    sweeps, margins = study.study.sweep, table.numbers[name]
+    if study.study.design.kind == "radial":
+        for index, low, high in total_indices(margins, len(sweeps)):
+            yield low, high, f"{index:.2f} ({low:.2f} to {high:.2f})"
+        return
+    swept = np.array([table.numbers[sweep.path] for sweep in sweeps])
+    for k, values in enumerate(swept):
+        alone = (np.delete(swept, k, axis=0) == np.delete(swept[:, :1], k, axis=0)).all(axis=0)
+        own = _unit(name)[1] * margins[alone]
+        low, high = np.nanmin(own), np.nanmax(own)
+        yield low, high, f"{low:.3g} to {high:.3g} | {holds(values[alone], own)}"
+
+
+def files(study: LoadedStudy, table: Table) -> Iterator[tuple[str, str]]:
+    """Yield the table of headlines and parameters as Markdown, a row for each pair."""
+    radial = study.study.design.kind == "radial"
+    what = "total index (95 % interval)" if radial else "margin from, to | holds at"
+    lines = [f"| headline | parameter | {what} |", "|---" * (what.count("|") + 3) + "|"]
     for name, text in HEADLINES.items():
-        scale = 1e3 if name in SECONDS else 1.0
-        margins = table.numbers[name]
-        cells = []
-        if study.study.design.kind == "radial":
-            for index, low, high in total_indices(margins, len(sweeps)):
-                cells.append(f"{index:.2f} ({low:.2f} to {high:.2f})")
-        else:
-            for k, sweep in enumerate(sweeps):
-                rows = own_rows(study, table, k)
-                own = scale * margins[rows]
-                cells.append(
-                    f"{np.nanmin(own):.3g} to {np.nanmax(own):.3g}; "
-                    f"{holds(table.numbers[sweep.path][rows], own)}"
-                )
-        lines.append([f"{text}{', ms' if scale > 1.0 else ', m/s'}", *cells])
-    return lines
-
-
-def markdown(study: LoadedStudy, table: Table) -> str:
-    """Return the table of headlines and parameters as Markdown, a row for each pair."""
-    head, *lines = summary_table(study, table)
-    what = "total index (95 % interval)"
-    if study.study.design.kind != "radial":
-        what = "margin from, to | holds at"
-    text = [f"| headline | parameter | {what} |", "|---" * (what.count("|") + 3) + "|"]
-    for line in lines:
-        for name, cell in zip(head[1:], line[1:], strict=True):
-            text.append(f"| {line[0]} | {name} | {cell.replace('; ', ' | ')} |")
-    return "\n".join(text) + "\n"
+        cells = (cell for _low, _high, cell in _weighed(study, table, name))
+        for sweep, cell in zip(study.study.sweep, cells, strict=True):
+            lines.append(f"| {text}, {_unit(name)[0]} | {sweep.label or sweep.path} | {cell} |")
+    yield "sensitivity.md", "\n".join(lines) + "\n"
 
 
 def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     """Return for each headline its margin over each parameter, or the total index of each."""
-    sweeps = study.study.sweep
-    labels = [sweep.label or sweep.path for sweep in sweeps]
+    labels = [sweep.label or sweep.path for sweep in study.study.sweep]
     radial = study.study.design.kind == "radial"
     stacks = []
     for name, text in HEADLINES.items():
-        scale, unit = (1e3, "ms") if name in SECONDS else (1.0, "m/s")
-        if radial:
-            ends = [(low, high) for _, low, high in total_indices(table.numbers[name], len(sweeps))]
-        else:
-            own = [
-                scale * table.numbers[name][own_rows(study, table, k)] for k in range(len(labels))
-            ]
-            ends = [(float(np.nanmin(each)), float(np.nanmax(each))) for each in own]
         spans = [
-            Span(
-                low,
-                max(high, low + 1e-3),
-                "series0" if low > 0.0 else "alarm",
-                "",
-                k - 0.3,
-                k + 0.3,
-            )
-            for k, (low, high) in enumerate(ends)
+            Span(low, max(high, low + 1e-3), role, "", k - 0.3, k + 0.3)
+            for k, (low, high, _cell) in enumerate(_weighed(study, table, name))
+            for role in ("series0" if low > 0.0 else "alarm",)
         ]
         panel = Panel(
             text,
@@ -279,7 +248,11 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
             limits=(len(labels) - 0.5, -0.5),
             height=60 + 14 * len(labels),
         )
-        axis = "total Sobol index, 95 % interval" if radial else f"margin of the headline, {unit}"
-        stacks.append(Stack(axis, [panel], width=5.2))
+        axis = "total Sobol index, 95 % interval"
+        stacks.append(
+            Stack(
+                axis if radial else f"margin of the headline, {_unit(name)[0]}", [panel], width=5.2
+            )
+        )
     note = "" if radial else "blue: the headline holds over the whole range; red: it turns"
     return {"sensitivity": Figure(stacks, title_of(study), note)}

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from can_dbc.errors import InputError, RunError
+from can_dbc.errors import RunError
 from plant.effects import overridden
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.errors import IntegrationError
@@ -15,7 +15,7 @@ from plant.parameters import load
 from plant.systems.stroke import Stroke, simulate
 from sil.report.figure import BAR, MM, MS, Figure, Panel, Series, Stack
 from sil.simulation.impacts import PICK_UP, counted, worst_speed_m_s
-from sil.studies.figures import COLOURS, swept_figures, title_of
+from sil.studies.figures import COLOURS, row_labels, swept_figures, title_of
 from sil.studies.rows import FAILED, PASSED, RowResult
 from sil.studies.study import LoadedStudy, Row, StrokeBase
 from sil.studies.table import Table
@@ -33,7 +33,7 @@ COLUMNS = (
     "passive_peak_pa",
     "failed",
 )
-FINAL_VOLUME = "stroke.final_volume_m3"
+FINAL_VOLUME = "final_volume_m3"
 STEP_S = 1e-4
 MOST_CURVES = 12
 """Most rows that are drawn over time."""
@@ -54,7 +54,7 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     """
     base = study.study.stroke
     assert base is not None
-    stroke = stroke_of(base, study, row)
+    stroke = _stroke_of(base, study, row)
     impact = stroke.impact
     driving, opposing = CHAMBERS[base.kind]
     before = stroke.time_s < (impact.time_s if impact else stroke.time_s[-1])
@@ -66,7 +66,7 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
         "arrival_s": impact.time_s if impact else math.nan,
         "impact_speed_m_s": impact.speed_m_s if impact else math.nan,
         "impact_energy_j": impact.energy_j if impact else math.nan,
-        "impact_worst_m_s": worst_m_s(stroke) if impact else math.nan,
+        "impact_worst_m_s": _worst_m_s(stroke) if impact else math.nan,
         "air_used_kg": stroke.balance.air_in_kg,
         "first_motion_s": float(stroke.time_s[moved[0]]) if len(moved) else math.nan,
         "first_standstill_m": turns_m[0] if turns_m else math.nan,
@@ -80,7 +80,7 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     return RowResult(found, FAILED, f"the stay met no stop within {base.until_s:g} s")
 
 
-def worst_m_s(stroke: Stroke) -> float:
+def _worst_m_s(stroke: Stroke) -> float:
     """Return the hardest impact of a stroke as a speed of the stay, see `sil.simulation.impacts`."""
     gears = {"N": "neutral", "B": "backward", "F": "forward"}
     kind = stroke.conditions.kind
@@ -99,31 +99,26 @@ def worst_m_s(stroke: Stroke) -> float:
     return float(worst_speed_m_s(energy_j[counts].max(initial=0.0), np.array(speed), mass_kg))
 
 
-def stroke_of(base: StrokeBase, study: LoadedStudy, row: Row) -> Stroke:
+def _stroke_of(base: StrokeBase, study: LoadedStudy, row: Row) -> Stroke:
     """Simulate the stroke of a row.
 
     Settings stroke.* change its conditions, effect.* add effects, all others change the model;
     stroke.final_volume_m3 is what chamber N of the length stroke keeps in gear.
     Raises InputError for wrong settings, RunError if the equations cannot be solved.
     """
-    settings = dict(row.settings)
-    final_m3 = settings.pop(FINAL_VOLUME, None)
-    model = {k: v for k, v in settings.items() if not k.startswith("stroke.")}
+    fields = [
+        name for name in base.__struct_fields__ if name not in ("kind", "commands", "until_s")
+    ]
+    own, model = row.split({"stroke": [*fields, FINAL_VOLUME]})
+    final_m3 = own.pop(FINAL_VOLUME, None)
     parameters = overridden(load(study.study.model), model)
     if isinstance(final_m3, float):
         swept_m = parameters.value("length.x_free_total") + parameters.value("length.stroke")
         held_m3 = final_m3 + parameters.value("length.A_p") * swept_m
         parameters = parameters.override({"length.V_N0": held_m3})
-    fields = [name for name in base.__struct_fields__ if name not in ("commands", "until_s")]
-    values: dict[str, Any] = {name: getattr(base, name) for name in fields}
-    for path, value in settings.items():
-        if not path.startswith("stroke."):
-            continue
-        key = path.removeprefix("stroke.")
-        if key not in fields or key == "kind":
-            expected = ", ".join(name for name in fields if name != "kind")
-            raise InputError(f"{path}: no such value to set; expected {expected}")
-        values[key] = str(value) if key == "charged_before" else value
+    if "charged_before" in own:
+        own["charged_before"] = str(own["charged_before"])
+    values: dict[str, Any] = {name: getattr(base, name) for name in ("kind", *fields)} | own
     values |= {"charged_before": tuple(values["charged_before"]), "commands": tuple(base.commands)}
     time_s = (np.arange(round(base.until_s / STEP_S) + 1) * STEP_S).astype(np.float64)
     try:
@@ -135,35 +130,28 @@ def stroke_of(base: StrokeBase, study: LoadedStudy, row: Row) -> Stroke:
 def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     """Return metrics over sweeps and choices, of a small study also the strokes over time."""
     found = swept_figures(study, table)
-    return found | ({"curves": curves_figure(study)} if study.size <= MOST_CURVES else {})
+    return found | ({"curves": _curves_figure(study, table)} if study.size <= MOST_CURVES else {})
 
 
-def curves_figure(study: LoadedStudy) -> Figure:
+def _curves_figure(study: LoadedStudy, table: Table) -> Figure:
     """Return position and pressures of every row over time."""
     base = study.study.stroke
     assert base is not None
     driving, opposing = CHAMBERS[base.kind]
-    positions: list[Series] = []
-    pushing: list[Series] = []
-    against: list[Series] = []
+    curves: list[list[Series]] = [[], [], []]
     end_s = 0.0
-    for row in study.rows():
-        values = (f"{s.label or s.path} {row.settings[s.path]} {s.unit}" for s in study.study.sweep)
-        label = ", ".join([*row.choices, *map(str.strip, values)])
+    for row, label in zip(study.rows(), row_labels(study, table), strict=True):
         role, dashed = f"series{row.number % COLOURS}", row.number >= COLOURS
-        stroke = stroke_of(base, study, row)
-        for lines, y in (
-            (positions, MM * stroke.position_m),
-            (pushing, BAR * stroke.pressure_pa(driving)),
-            (against, BAR * stroke.pressure_pa(opposing)),
-        ):
+        stroke = _stroke_of(base, study, row)
+        pressures = (BAR * stroke.pressure_pa(chamber) for chamber in (driving, opposing))
+        for lines, y in zip(curves, (MM * stroke.position_m, *pressures), strict=True):
             lines.append(Series(label, MS * stroke.time_s, y, role, dashed=dashed))
         end_s = max(end_s, stroke.impact.time_s if stroke.impact else 0.0)
     last_s = min(base.until_s, 1.6 * end_s + 0.02) if end_s else base.until_s
     panels = [
-        Panel("Position of the stay", "mm", positions, height=220),
-        Panel(f"Pressure {driving}, absolute", "bar", pushing),
-        Panel(f"Pressure {opposing}, absolute", "bar", against),
+        Panel("Position of the stay", "mm", curves[0], height=220),
+        Panel(f"Pressure {driving}, absolute", "bar", curves[1]),
+        Panel(f"Pressure {opposing}, absolute", "bar", curves[2]),
     ]
     stack = Stack("time, ms", panels, "Over time", limits=(0.0, MS * last_s), width=8.6)
     return Figure([stack], title_of(study))

@@ -30,8 +30,16 @@ from controller import strategies
 from sil.report.figure import VIRIDIS, ColourScale, Figure, Panel, Span, Stack
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.scenario import Loaded
-from sil.studies.figures import cells_of, grid_of, map_panel, map_stack, numbered, title_of
-from sil.studies.kinds.budget import group_delay_s
+from sil.studies.figures import (
+    cells_of,
+    grid_of,
+    map_panel,
+    map_stack,
+    numbered,
+    row_labels,
+    title_of,
+)
+from sil.studies.kinds.budget import filter_delay_s
 from sil.studies.rows import FAILED, NOT_RUN, PASSED, RowResult
 from sil.studies.study import LoadedStudy, Row, TuningTable, texts_of
 from sil.studies.table import Table, row_groups
@@ -72,19 +80,11 @@ SPACES: Mapping[str, Mapping[str, tuple[float, float]]] = {
 
 
 @dataclass(frozen=True)
-class Case:
-    """A load: a name, and the settings that make it."""
-
-    name: str
-    settings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
 class Arrival:
     """Hardest impact and shift time under one load; infinite, with the reason, for a failed shift."""
 
-    speed_m_s: float
-    time_s: float
+    speed_m_s: float = math.inf
+    time_s: float = math.inf
     reason: str = ""
     died: bool = False
 
@@ -145,41 +145,46 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
 
     Raises InputError for settings that the scenario does not accept.
     """
-    settings = dict(row.settings)
-    strategy = strategy_of(settings)
-    settings.pop("controller.strategy", None)
-    hardware = texts_of(settings)
-    cases = [Case(choice.name, tuple(texts_of(choice.set))) for choice in study.study.load]
-    reference = open_loop(study.loaded, hardware, cases)
-    tuned = tune(study.loaded, strategy, hardware, cases, reference, study.study.tuning)
+    strategy, loads = strategy_of(row.settings), study.study.load
+    settings = {k: v for k, v in row.settings.items() if k != "controller.strategy"}
+
+    def cases(*more: str) -> list[list[str]]:
+        return [[*texts_of(settings), *more, *texts_of(load.set)] for load in loads]
+
+    reference, damped = (
+        [run_case(study.loaded, "open_loop", {}, case) for case in each]
+        for each in (cases(), cases(OIL_DAMPER))
+    )
+    tuned = tune(study.loaded, strategy, cases(), reference, study.study.tuning)
     best = tuned[0]
-    default = next(each for each in tuned if not each.parameters)
-    damped = open_loop(study.loaded, [*hardware, OIL_DAMPER], cases)
     lost_s, damped_lost_s = (
         [a.time_s - b.time_s for a, b in zip(arrivals, reference, strict=True)]
         for arrivals in (best.arrivals, damped)
     )
-    failures = [(case, a) for case, a in zip(cases, best.arrivals, strict=True) if a.reason]
+    reasons = [
+        f"{load.name}: {a.reason}" for load, a in zip(loads, best.arrivals, strict=True) if a.reason
+    ]
     found = {
         "cost_m_s": best.cost_m_s,
-        "default_cost_m_s": default.cost_m_s,
+        "default_cost_m_s": next(each.cost_m_s for each in tuned if not each.parameters),
         "worst_impact_m_s": max(each.speed_m_s for each in best.arrivals),
         "worst_lost_s": max(lost_s),
         "damper_m_s": sum(each.speed_m_s for each in damped) / len(damped),
         "damper_worst_m_s": max(each.speed_m_s for each in damped),
         "damper_worst_lost_s": max(damped_lost_s),
-        "failed": float(bool(failures)),
-        "information_delay_s": information_delay_s(study.loaded(hardware)),
+        "failed": float(bool(reasons)),
+        "information_delay_s": information_delay_s(study.loaded(texts_of(settings))),
     }
     found |= {f"best.{name}": best.parameters.get(name, math.nan) for name in parameters(study)}
-    for case, ours, ours_lost_s, damper in zip(cases, best.arrivals, lost_s, damped, strict=True):
-        found[f"impact_m_s {case.name}"] = ours.speed_m_s
-        found[f"lost_s {case.name}"] = ours_lost_s
-        found[f"damper_m_s {case.name}"] = damper.speed_m_s
+    for k, load in enumerate(loads):
+        found[f"impact_m_s {load.name}"] = best.arrivals[k].speed_m_s
+        found[f"lost_s {load.name}"] = lost_s[k]
+        found[f"damper_m_s {load.name}"] = damped[k].speed_m_s
+    died = any(each.died for each in best.arrivals)
     return RowResult(
         {name: value if math.isfinite(value) else math.nan for name, value in found.items()},
-        NOT_RUN if any(each.died for _, each in failures) else FAILED if failures else PASSED,
-        "; ".join(f"{case.name}: {each.reason}" for case, each in failures),
+        NOT_RUN if died else FAILED if reasons else PASSED,
+        "; ".join(reasons),
     )
 
 
@@ -199,27 +204,23 @@ def candidates(strategy: str, count: int, seed: int) -> list[dict[str, float]]:
     if not space or count < 2:
         return [{}]
     sampler = qmc.Sobol(len(space), scramble=True, rng=seed)
-    points = sampler.random_base2(math.ceil(math.log2(max(count - 1, 1))))[: count - 1]
-    low, high = limits(strategy)
-    drawn = low + (high - low) * points
-    return [{}, *(dict(zip(space, map(float, row), strict=True)) for row in drawn)]
+    points = sampler.random_base2(math.ceil(math.log2(count - 1)))[: count - 1]
+    low, high = np.array(list(space.values())).T
+    return [
+        {},
+        *(dict(zip(space, row.tolist(), strict=True)) for row in low + (high - low) * points),
+    ]
 
 
-def limits(strategy: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lower and upper ends [parameters] of the ranges, each in its parameter's unit."""
-    ends = np.array(list(SPACES[strategy].values()))
-    return ends[:, 0], ends[:, 1]
-
-
-def nearby(
+def _nearby(
     strategy: str, best: Mapping[str, float], share: float, rng: np.random.Generator
 ) -> dict[str, float]:
     """Return a random point in a box around `best`, `share` of each range to either side."""
-    defaults = strategies.parameters(strategy, {})
-    low, high = limits(strategy)
-    middle = np.array([best.get(name, getattr(defaults, name)) for name in SPACES[strategy]])
+    space, defaults = SPACES[strategy], strategies.parameters(strategy, {})
+    low, high = np.array(list(space.values())).T
+    middle = np.array([best.get(name, getattr(defaults, name)) for name in space])
     moved = middle + share * (high - low) * rng.uniform(-1.0, 1.0, len(middle))
-    return dict(zip(SPACES[strategy], map(float, np.clip(moved, low, high)), strict=True))
+    return dict(zip(space, np.clip(moved, low, high).tolist(), strict=True))
 
 
 def information_delay_s(hardware: Loaded) -> float:
@@ -228,9 +229,12 @@ def information_delay_s(hardware: Loaded) -> float:
     It includes the delay of the filter for slow signals, as the thesis counts it (4.2.1).
     """
     controller = hardware.scenario.controller
-    filtering = controller.filter
-    filter_s = group_delay_s(filtering.order, filtering.fc_hz) if filtering.enabled else 0.0
-    return sample_age_s(hardware) + filter_s + controller.computation_s + BUS_S
+    return (
+        sample_age_s(hardware)
+        + filter_delay_s(controller.filter)
+        + controller.computation_s
+        + BUS_S
+    )
 
 
 def sample_age_s(hardware: Loaded) -> float:
@@ -256,52 +260,40 @@ def hardware_settings(strategy: str, hardware: Loaded) -> list[str]:
     ]
 
 
-def run_case(make: Make, strategy: str, values: Mapping[str, Any], case: Case) -> Arrival:
-    """Run one closed-loop shift of a strategy with parameter values."""
-    settings = [*case.settings, f'controller.strategy="{strategy}"']
+def run_case(
+    make: Make, strategy: str, values: Mapping[str, float], case: Sequence[str]
+) -> Arrival:
+    """Run one closed-loop shift of a strategy with parameter values; case: settings of the load."""
+    settings = [*case, f'controller.strategy="{strategy}"']
     settings += hardware_settings(strategy, make(settings))
     settings += [f"controller.strategy_parameters.{name}={x!r}" for name, x in values.items()]
     try:
-        run = run_in_memory(make(settings))
+        shift = run_in_memory(make(settings)).shifts[-1]
     except RunError as error:
-        return Arrival(math.inf, math.inf, " ".join(str(error).split()), died=True)
-    shift = run.shifts[-1]
-    speed_m_s, time_s = shift.impact_worst_m_s, shift.shift_time_s
-    if time_s is None:
-        return Arrival(math.inf, math.inf, "the shift did not arrive")
+        return Arrival(reason=" ".join(str(error).split()), died=True)
+    if shift.shift_time_s is None:
+        return Arrival(reason="the shift did not arrive")
     if shift.confirmed_s is None:
-        return Arrival(math.inf, math.inf, "the controller did not confirm the gear")
+        return Arrival(reason="the controller did not confirm the gear")
     if shift.confirmed_early_s:
-        return Arrival(
-            math.inf, math.inf, "the controller confirmed the gear before the stay arrived"
-        )
-    return Arrival(0.0 if speed_m_s is None else speed_m_s, time_s)
-
-
-def open_loop(make: Make, hardware: Sequence[str], cases: Sequence[Case]) -> list[Arrival]:
-    """Run the open loop under each load on some hardware."""
-    return [
-        run_case(make, "open_loop", {}, Case(case.name, (*hardware, *case.settings)))
-        for case in cases
-    ]
+        return Arrival(reason="the controller confirmed the gear before the stay arrived")
+    return Arrival(shift.impact_worst_m_s or 0.0, shift.shift_time_s)
 
 
 def tune(
     make: Make,
     strategy: str,
-    hardware: Sequence[str],
-    cases: Sequence[Case],
+    cases: Sequence[Sequence[str]],
     reference: Sequence[Arrival],
     table: TuningTable,
 ) -> list[Candidate]:
-    """Return all candidates of a strategy on some hardware, the best first.
+    """Return all candidates of a strategy, the best first.
 
-    reference: the arrivals of the open loop under each case.
+    cases: settings of each load; reference: the arrivals of the open loop under each.
     """
-    on_hardware = [Case(case.name, (*hardware, *case.settings)) for case in cases]
 
     def tried(values: Mapping[str, float]) -> Candidate:
-        arrivals = tuple(run_case(make, strategy, values, case) for case in on_hardware)
+        arrivals = tuple(run_case(make, strategy, values, case) for case in cases)
         costs = [
             cost_m_s(arrival, plain, table.free_s, table.late_m_s2)
             for arrival, plain in zip(arrivals, reference, strict=True)
@@ -315,7 +307,7 @@ def tune(
     for k in range(left):
         best = min(found, key=lambda candidate: candidate.cost_m_s)
         share = 0.25 * 0.2 ** (k / max(left - 1, 1))
-        found.append(tried(nearby(strategy, best.parameters, share, rng)))
+        found.append(tried(_nearby(strategy, best.parameters, share, rng)))
     return sorted(found, key=lambda candidate: candidate.cost_m_s)
 
 
@@ -342,11 +334,6 @@ def impacts_m_s(table: Table, family: str, what: str = "impact_m_s") -> NDArray[
 
 def worst_figure(study: LoadedStudy, table: Table) -> Figure:
     """Return the worst impact of each row over the loads of each family, as bars."""
-    labels = []
-    for k in range(table.size):
-        parts = [table.texts[name][k] for name, _items in study.groups]
-        parts += [f"{s.label or s.path} {value_text(table, s.path, k)}" for s in study.study.sweep]
-        labels.append(", ".join(parts))
     families = families_of(table)
     spans = []
     for n, family in enumerate(families):
@@ -357,21 +344,13 @@ def worst_figure(study: LoadedStudy, table: Table) -> Figure:
     panel = Panel(
         "Worst impact",
         spans=spans,
-        ticks=numbered(labels),
+        ticks=numbered(row_labels(study, table)),
         limits=(table.size - 0.5, -0.5),
         keys=[(family, f"series{n}") for n, family in enumerate(families)],
         height=60 + 20 * table.size,
     )
     stack = Stack("worst impact speed over the loads, m/s", [panel], width=7.0)
     return Figure([stack], title_of(study))
-
-
-def value_text(table: Table, path: str, row: int) -> str:
-    """Return a swept value of a row as text, times in ms."""
-    if path in table.texts:
-        return table.texts[path][row]
-    value = float(table.numbers[path][row])
-    return f"{1e3 * value:g} ms" if path.endswith(("_s", "D_rise", "D_fall")) else f"{value:g}"
 
 
 def maps_figure(study: LoadedStudy, table: Table) -> Figure:
@@ -382,13 +361,19 @@ def maps_figure(study: LoadedStudy, table: Table) -> Figure:
     for variant, rows in row_groups(study, table).items():
         panels = []
         for family in families_of(table):
+            ours, damper = (
+                impacts_m_s(table, family, what) for what in ("impact_m_s", "damper_m_s")
+            )
+            soft: dict[Literal["frame", "dashed frame"], Any] = {
+                "frame": ours.max(axis=0) <= damper.max(axis=0),
+                "dashed frame": ours.mean(axis=0) <= damper.mean(axis=0),
+            }
             frames = [
                 Span(j[k] - 0.45, j[k] + 0.45, "alarm", "", i[k] - 0.45, i[k] + 0.45, style)
                 for k in rows
-                if (style := frame_style(table, family, k)) is not None
+                for style in [style for style, which in soft.items() if which[k]][:1]
             ]
-            worst_m_s = np.max(impacts_m_s(table, family), axis=0)
-            grid = grid_of(study, table, rows, worst_m_s)
+            grid = grid_of(study, table, rows, ours.max(axis=0))
             panels.append(map_panel(study, table, grid, scale, frames))
         stacks.append(map_stack(study, table, panels, variant))
     return Figure(
@@ -398,13 +383,3 @@ def maps_figure(study: LoadedStudy, table: Table) -> Figure:
         "the loads (dashed: in their mean only); empty: failed",
         same_scale=True,
     )
-
-
-def frame_style(table: Table, family: str, row: int) -> Literal["frame", "dashed frame"] | None:
-    """Return the frame of a row as soft as the oil damper: at worst, in the mean only, or none."""
-    ours, damper = (
-        impacts_m_s(table, family, what)[:, row] for what in ("impact_m_s", "damper_m_s")
-    )
-    if np.max(ours) <= np.max(damper):
-        return "frame"
-    return "dashed frame" if np.mean(ours) <= np.mean(damper) else None

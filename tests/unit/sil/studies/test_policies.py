@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from plant.devices.valve import ValveTiming, switch_schedule
-from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
+from plant.effects.stroke_conditions import FULL_DUTY
 from plant.parameters import load as load_parameters
 from plant.systems.stroke import simulate
 from sil.studies.bound_search import Search
@@ -32,23 +33,16 @@ def test_a_policy_is_the_stroke_that_the_plant_makes() -> None:
     stem = NO_PULSES.copy()
     stem[0, 0, :2], stem[0, 1, :2] = (9.0, 1.0), (8.0, 3.0)  # B off 90 to 100 ms, N on 80 to 110
     found = FamilyModel(PARAMETERS, GEARBOX, 0.0, 0.1).fly(stem, None, LAYOUT)
-    case = GEARBOX.cases[2]
+    commands = (
+        (0.0, "B", FULL_DUTY),
+        (0.08, "N", FULL_DUTY),
+        (0.09, "B", 0.0),
+        (0.1, "B", FULL_DUTY),
+        (0.11, "N", 0.0),
+    )
     stroke = simulate(
         PARAMETERS,
-        StrokeConditions(
-            "N-B",
-            case.supply_pressure_pa,
-            (
-                (0.0, "B", FULL_DUTY),
-                (0.08, "N", FULL_DUTY),
-                (0.09, "B", 0.0),
-                (0.1, "B", FULL_DUTY),
-                (0.11, "N", 0.0),
-            ),
-            mounted=True,
-            mesh_force_n=case.mesh_force_n,
-            sync_impulse_n_s=case.sync_impulse_n_s,
-        ),
+        replace(GEARBOX.cases[2], commands=commands),
         np.array([0.0, 0.3]),
         internal=False,
     )

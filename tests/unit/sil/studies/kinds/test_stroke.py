@@ -46,7 +46,9 @@ def test_a_stroke_counts_every_impact(study: LoadedStudy) -> None:
 
 def test_the_final_volume_is_what_chamber_n_keeps_in_gear(study: LoadedStudy) -> None:
     nominal, same, small = (
-        run_row(study, Row(0, (), {} if m3 is None else {stroke.FINAL_VOLUME: m3})).figures
+        run_row(
+            study, Row(0, (), {} if m3 is None else {f"stroke.{stroke.FINAL_VOLUME}": m3})
+        ).figures
         for m3 in (None, 2.8e-5, 2e-6)
     )
     assert same["impact_speed_m_s"] == pytest.approx(nominal["impact_speed_m_s"], abs=1e-4)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,10 +13,8 @@ from sil.cli import main
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.scenario import Loaded, load
 from sil.studies.kinds import tuning
-from sil.studies.kinds.tuning import Arrival, Case
+from sil.studies.kinds.tuning import Arrival
 from sil.studies.study import TuningTable
-
-LAB = Case("lab")
 
 
 def lab(settings: Sequence[str]) -> Loaded:
@@ -36,7 +33,7 @@ def test_cost_is_the_impact_plus_the_time_lost_beyond_what_is_free() -> None:
     reference = Arrival(0.9, 0.05)
     assert tuning.cost_m_s(Arrival(0.3, 0.08), reference, 0.034, 10.0) == 0.3
     assert tuning.cost_m_s(Arrival(0.3, 0.104), reference, 0.034, 10.0) == pytest.approx(0.5)
-    failed = Arrival(math.inf, math.inf)
+    failed = Arrival()
     assert tuning.cost_m_s(failed, reference, 0.034, 10.0) == tuning.FAILED_M_S
 
 
@@ -56,15 +53,14 @@ def test_every_candidate_is_a_setting_that_the_strategy_takes(strategy: str) -> 
 
 
 def test_the_best_is_no_worse_than_the_defaults_and_runs_again_the_same() -> None:
-    reference = tuning.open_loop(lab, QUICK, [LAB])
+    reference = [tuning.run_case(lab, "open_loop", {}, QUICK)]
     table = TuningTable(candidates=5, seed=1)
-    found = tuning.tune(lab, "air_cushion", QUICK, [LAB], reference, table)
+    found = tuning.tune(lab, "air_cushion", [QUICK], reference, table)
     assert len(found) == 5
     assert [c.cost_m_s for c in found] == sorted(c.cost_m_s for c in found)
     defaults = next(c for c in found if not c.parameters)
     assert found[0].cost_m_s <= defaults.cost_m_s
-    case = Case("lab", QUICK)
-    again = tuning.run_case(lab, "air_cushion", found[0].parameters, case)
+    again = tuning.run_case(lab, "air_cushion", found[0].parameters, QUICK)
     assert again == found[0].arrivals[0]
 
 
