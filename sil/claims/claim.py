@@ -97,6 +97,6 @@ def _measurements() -> dict[str, Callable[[], Outcome]]:
     return {f"F{found[1]}": f for name, f in functions if (found := named.match(name))}
 
 
-def judged(good: bool, *figures: object, otherwise: str = NOT_MET) -> Outcome:
-    """Return met, or the other verdict, with its figures."""
-    return Outcome(MET if good else otherwise, figures)
+def judged(good: bool, *figures: object, verdict: str = MET, otherwise: str = NOT_MET) -> Outcome:
+    """Return a verdict, met where no other is named, or the opposite one, with its figures."""
+    return Outcome(verdict if good else otherwise, figures)

@@ -6,55 +6,51 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.signal import find_peaks
 
 from plant.kernel.layout import Parameters
 from plant.parts.damper import bulk_modulus, discharge_coefficient, large_area
 from plant.systems.stroke import Stroke
 from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged
-from sil.claims.strokes import ATMOSPHERE_PA, arrival, run, speed, value
+from sil.claims.strokes import ATMOSPHERE_PA, arrival, ms, run, speed, value
 
-FINE: dict[str, Any] = {"until_s": 0.12, "step_s": 1e-5}
-"""End and output step of the strokes with the damper."""
+FINE: dict[str, Any] = {"load": "damper", "until_s": 0.12, "step_s": 1e-5}
+"""Load, end and output step of the strokes with the damper."""
+STEADY: dict[str, Any] = {**FINE, "damper_model": "incompressible"}
 
 
 @cache
 def _damped(variant: str) -> Stroke:
-    """Return the fixed stroke with the damper: kappa/10, kappa, or kappa with free air."""
-    put = {} if variant == "kappa/10" else {Parameters.kappa: value("damper.kappa")}
+    """Return the fixed stroke with the damper: kappa/10, kappa, kappa with free air, or steady."""
+    if variant in ("steady", "kappa/10"):
+        return run("fixed", **(STEADY if variant == "steady" else FINE))
+    put = {Parameters.kappa: value("damper.kappa")}
     if variant == "air":
         put[Parameters.air_fraction] = value("damper.air_fraction")
-    return run("fixed", load="damper", put=put, **FINE)
-
-
-@cache
-def _steady() -> Stroke:
-    return run("fixed", load="damper", damper_model="incompressible", **FINE)
+    return run("fixed", put=put, **FINE)
 
 
 def _f30_outlet() -> Outcome:
     cap, r, hole = value("damper.A_B0"), value("damper.r_hole"), value("damper.x_B")
     x = np.linspace(0.0, value("fixed.stroke"), 400)
     area = np.array([large_area(a, cap, r, hole) for a in x])
-    free = run("fixed", until_s=0.12)
-    stroke = _damped("kappa/10")
+    free, damped = speed(run("fixed", until_s=0.12)), speed(_damped("kappa/10"))
     closes = area[0] == cap and area[-1] == 0.0 and bool(np.all(np.diff(area) <= 0.0))
-    good = closes and 0.0 < speed(stroke) < 0.3 * speed(free)
-    return judged(good, 1e6 * area[0], 1e3 * x[np.argmax(area <= 0)], speed(stroke), speed(free))
+    closed_m = x[np.argmax(area <= 0)]
+    return judged(closes and 0.0 < damped < 0.3 * free, 1e6 * area[0], 1e3 * closed_m, damped, free)
 
 
 def _fall_times(stroke: Stroke) -> tuple[float, float]:
     """Return the times in which the oil pressure falls from 90 to 20 % and to 10 % after the stop [s]."""
     after = stroke.time_s >= arrival(stroke)
     t, p = stroke.time_s[after], stroke.pressure_pa("oil2")[after]
-    top = p[0]
-    at = [float(t[np.argmax(p <= share * top)]) for share in (0.9, 0.2, 0.1)]
+    at = [float(t[np.argmax(p <= share * p[0])]) for share in (0.9, 0.2, 0.1)]
     return at[1] - at[0], at[2] - at[0]
 
 
 def _f31_decay() -> Outcome:
-    tenth = _fall_times(_damped("kappa/10"))
-    air = _fall_times(_damped("air"))
-    return Outcome(NOT_MET, tuple(1e3 * t for t in (*tenth, *air)))
+    return Outcome(NOT_MET, ms(*_fall_times(_damped("kappa/10")), *_fall_times(_damped("air"))))
 
 
 def _f32_chamber_one() -> Outcome:
@@ -77,26 +73,14 @@ def _f33_coefficient() -> Outcome:
 
 
 def _f34_mount_friction() -> Outcome:
-    from scipy.optimize import brentq
-
-    force = 200.0
+    force, plain = 200.0, _damped("steady")
 
     def rubbing(outlet: float) -> Stroke:
         """Return the stroke with mount friction and larger outlets."""
-        return run(
-            "fixed",
-            load="damper",
-            damper_model="incompressible",
-            put={Parameters.damper_drag: force},
-            scale={Parameters.a_small: outlet, Parameters.a_large: outlet},
-            **FINE,
-        )
+        larger = {Parameters.a_small: outlet, Parameters.a_large: outlet}
+        return run("fixed", put={Parameters.damper_drag: force}, scale=larger, **STEADY)
 
-    def late_s(outlet: float) -> float:
-        return arrival(rubbing(outlet)) - arrival(_steady())
-
-    fitted = rubbing(brentq(late_s, 1.0, 3.0, xtol=1e-4))
-    plain = _steady()
+    fitted = rubbing(brentq(lambda x: arrival(rubbing(x)) - arrival(plain), 1.0, 3.0, xtol=1e-4))
     acts = (plain.position_m > 0.0100) & (plain.position_m < 0.0126)
     difference = (plain.pressure_pa("oil2") - fitted.pressure_pa("oil2"))[acts]
     drop = float(np.mean(difference)) / 1e5
@@ -105,17 +89,13 @@ def _f34_mount_friction() -> Outcome:
 
 def _maxima(stroke: Stroke) -> int:
     """Return the number of pressure maxima of the oil before the stop that stand out by 0.2 bar."""
-    from scipy.signal import find_peaks
-
     p = stroke.pressure_pa("oil2")[stroke.time_s <= arrival(stroke)]
     return len(find_peaks(p, prominence=0.2e5)[0])
 
 
 def _f34b_compressibility() -> Outcome:
-    stiff, soft, rigid = _damped("kappa"), _damped("kappa/10"), _steady()
-    gap = float(np.max(np.abs(stiff.position_m - rigid.position_m)))
-    far = float(np.max(np.abs(soft.position_m - rigid.position_m)))
+    rigid, stiff, soft = (_damped(variant) for variant in ("steady", "kappa", "kappa/10"))
+    gap, far = (float(np.max(np.abs(s.position_m - rigid.position_m))) for s in (stiff, soft))
     counts = [_maxima(s) for s in (rigid, stiff, soft)]
     modulus = bulk_modulus(5e5, 1.724e9, 0.0, ATMOSPHERE_PA)
-    good = gap < far and counts[2] > counts[0]
-    return judged(good, 1e3 * gap, 1e3 * far, *counts, modulus)
+    return judged(gap < far and counts[2] > counts[0], *ms(gap, far), *counts, modulus)

@@ -9,13 +9,16 @@ over it; sequential linear programmes with a trust region find a point that sati
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linprog
 
 from plant.batch.batch import Strokes, simulate_batch
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.systems.setup import make_setup
-from sil.claims.claim import NOT_MET, Outcome, judged
+from sil.claims.claim import Outcome, judged
 from sil.claims.strokes import SUPPLY_PA, nominal
 
 Floats = NDArray[np.float64]
@@ -33,25 +36,14 @@ def _arrivals(controls: Floats) -> tuple[Floats, Floats]:
     """Return arrival [n] in ms and impact [n] in m/s under controls [n, 2 INTERVALS]."""
     exponents = {f"alpha.{name}": 1.0 for name in ("alpha_m1", "alpha_1", "alpha_m2", "alpha_2")}
     conditions = StrokeConditions("fixed", SUPPLY_PA, ((0.0, "1", 0.98),))
-    base = Strokes.from_setups([make_setup(nominal().override(exponents), conditions)], 1.0)
+    base = Strokes.from_setups([make_setup(nominal().override(exponents), conditions)], 0.1)
     n = len(controls)
     switches = np.zeros((n, 2 * INTERVALS, 4))
     switches[:, :, 0] = np.repeat(STEP_S * np.arange(INTERVALS), 2)
     switches[:, 1::2, 1] = 1.0
     switches[:, 0::2, 2], switches[:, 1::2, 2] = np.hsplit(controls, 2)
-    found = simulate_batch(
-        Strokes(
-            base.system,
-            np.repeat(base.packed, n, axis=0),
-            base.flow,
-            np.repeat(base.initial, n, axis=0),
-            np.repeat(base.modes, n, axis=0),
-            np.repeat(base.valves, n, axis=0),
-            switches,
-            np.full(n, 0.1),
-        ),
-        lanes=False,
-    )
+    packed = np.repeat(base.packed, n, axis=0)
+    found = simulate_batch(replace(base, packed=packed, switches=switches), lanes=False)
     return 1e3 * found.arrival_s, found.impact_speed_m_s
 
 
@@ -68,7 +60,6 @@ def quickest(u: Floats) -> tuple[Floats, float, Floats]:
 
     Controls are shares of full opening; the derivative [2 INTERVALS] is in ms.
     """
-    from scipy.optimize import linprog
 
     def merit(late_ms: float, speed_m_s: float) -> float:
         return late_ms + PRICE_MS * max(0.0, speed_m_s - SOFT_M_S)
@@ -106,5 +97,5 @@ def _f64_bang_bang() -> Outcome:
     right = np.where(u > 0.5, slope <= 1e-3, slope >= -1e-3)[acts & ~between]
     good = between.sum() <= 2 and bool(right.all()) and abs(late_ms - other_ms) < 1e-3
     switch_ms = 1e3 * STEP_S * float(u[:INTERVALS].sum())
-    return judged(good, late_ms, SOFT_M_S, switch_ms, int(between.sum()), int(acts.sum()),
-                  int(right.sum()), len(right), otherwise=NOT_MET)  # fmt: skip
+    counts = int(between.sum()), int(acts.sum()), int(right.sum()), len(right)
+    return judged(good, late_ms, SOFT_M_S, switch_ms, *counts)

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 
+from can_dbc.messages import ValveCommand
 from plant.devices.coil import CoilValve
 from plant.devices.valve import CoilConfig, ValveTiming
 from plant.effects.setup import Setup
@@ -17,7 +18,17 @@ from plant.parts.flow import charge, discharge, orifice
 from plant.systems.stroke import Stroke
 from sil.campaign.campaign import Floats
 from sil.claims.claim import NOT_MET, PARTLY, Outcome, judged
-from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, nominal, plain, run, value
+from sil.claims.strokes import (
+    ATMOSPHERE_PA,
+    SUPPLY_PA,
+    loop,
+    ms,
+    nominal,
+    peak_bar,
+    plain,
+    run,
+    value,
+)
 
 
 def _f12_alpha_range() -> Outcome:
@@ -30,14 +41,9 @@ def _f12_alpha_range() -> Outcome:
 def _f13_process_laws() -> Outcome:
     spread = []
     for alpha in (1.0, 1.4):
-        shut = {
-            Parameters.k_in: 0.0,
-            Parameters.k_out: 0.0,
-            Parameters.alpha_1: alpha,
-            Parameters.alpha_2: alpha,
-            Parameters.f_external: 400.0,
-        }
-        stroke = run("fixed", put=shut, until_s=0.1)
+        shut = dict.fromkeys((Parameters.k_in, Parameters.k_out), 0.0)
+        alike = dict.fromkeys((Parameters.alpha_1, Parameters.alpha_2), alpha)
+        stroke = run("fixed", put=shut | alike | {Parameters.f_external: 400.0}, until_s=0.1)
         volume = stroke.packed.vol_n - stroke.packed.area_p2 * stroke.position_m
         constant = stroke.pressure_pa("2") * volume**alpha
         compressed = float(np.max(stroke.pressure_pa("2"))) / ATMOSPHERE_PA
@@ -47,20 +53,15 @@ def _f13_process_laws() -> Outcome:
 
 
 def _f14_duty() -> Outcome:
-    from can_dbc.messages import ValveCommand
-    from sil.claims.equipment import loop
-
     highest = max(loop("lab_n_b").record.series(ValveCommand, "duty_b")[1])
     return judged(abs(highest - 0.98) < 1e-9, 100 * highest)
 
 
 def _f15_thresholds() -> Outcome:
-    def peak(duty: float) -> float:
-        stroke = run("fixed", commands=((0.01, "1", duty),), until_s=0.2)
-        return float(np.max(stroke.pressure_pa("1")))
-
-    duties = (0.2, 0.33, 0.34, 0.35, 0.5, 0.98)
-    peaks = [peak(d) / 1e5 for d in duties]
+    peaks = [
+        peak_bar(run("fixed", commands=((0.01, "1", duty),), until_s=0.2), "1")
+        for duty in (0.2, 0.33, 0.34, 0.35, 0.5, 0.98)
+    ]
     good = peaks[1] < 1.02 and peaks[3] > 5.0 and abs(peaks[3] - peaks[5]) < 1e-9
     return judged(good, *peaks)
 
@@ -70,10 +71,10 @@ def _f16_delays() -> Outcome:
     p1 = stroke.pressure_pa("1")
     opens = stroke.time_s[np.argmax(p1 > p1[0] + 50.0)] - 0.01
     falls = stroke.time_s[np.argmax(p1)] - 0.2
-    coil_opens, coil_closes = _coil_delays_s()
-    good = abs(opens - 0.008) < 1e-4 and abs(falls - 0.035) < 1e-4
-    good = good and abs(coil_opens - 0.008) < 5e-4 and abs(coil_closes - 0.035) < 5e-4
-    return judged(good, 1e3 * opens, 1e3 * falls, 1e3 * coil_opens, 1e3 * coil_closes)
+    found = (opens, falls, *_coil_delays_s())
+    expected = ((0.008, 1e-4), (0.035, 1e-4), (0.008, 5e-4), (0.035, 5e-4))
+    good = all(abs(x - at) < room for x, (at, room) in zip(found, expected, strict=True))
+    return judged(good, *ms(*found))
 
 
 def _coil_delays_s(duty: float = 0.98, **changes: float) -> tuple[float, float]:
@@ -98,14 +99,14 @@ def _f17_sensitive_delays() -> Outcome:
     least = 10.0 * value("repeatability.valve_delay_sd")  # far more than from stroke to stroke
     sensitive = hot[0] - cold[0] > least or cold[1] - hot[1] > least
     figures = (cold[0], warm[0], hot[0], cold[1], warm[1], hot[1], weak, strong)
-    return Outcome(PARTLY if sensitive else NOT_MET, tuple(1e3 * delay for delay in figures))
+    return judged(sensitive, *ms(*figures), verdict=PARTLY)
 
 
 def _f18_duty_closing() -> Outcome:
     falls = [_coil_delays_s(duty)[1] for duty in (0.98, 0.7, 0.36)]
     zener = _coil_delays_s(decay_v=40.0)[1]
     good = falls[0] > falls[1] > falls[2] and zener < 0.5 * falls[0]
-    return judged(good, *(1e3 * fall for fall in falls), 1e3 * zener)
+    return judged(good, *ms(*falls, zener))
 
 
 def _flow(ratio: float) -> float:
@@ -114,22 +115,24 @@ def _flow(ratio: float) -> float:
     return float(orifice(SUPPLY_PA, ratio * SUPPLY_PA, cda, value("gas.T"), 1.4, 287.05))
 
 
-def _f19_critical() -> Outcome:
+def _critical_ratio() -> float:
     gamma = value("gas.gamma")
-    ratio = (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
-    below, above = _flow(ratio * 0.9), _flow(ratio * 1.05)
-    good = abs(ratio - 0.5283) < 5e-5 and abs(below / _flow(ratio) - 1) < 1e-12 and above < below
-    return judged(good, ratio)
+    return float((2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0)))
+
+
+def _f19_critical() -> Outcome:
+    ratio = _critical_ratio()
+    below, at, above = (_flow(ratio * share) for share in (0.9, 1.0, 1.05))
+    return judged(
+        abs(ratio - 0.5283) < 5e-5 and abs(below / at - 1) < 1e-12 and above < below, ratio
+    )
 
 
 def _f20_choking() -> Outcome:
-    gamma = value("gas.gamma")
-    edge = (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
+    edge = _critical_ratio()
     constant = abs(_flow(0.1) / _flow(0.5) - 1.0)
     jump = abs(_flow(edge + 1e-12) / _flow(edge - 1e-12) - 1.0)
-    end = _flow(1.0)
-    good = constant < 1e-12 and jump < 1e-9 and end == 0.0
-    return judged(good, constant, jump)
+    return judged(constant < 1e-12 and jump < 1e-9 and _flow(1.0) == 0.0, constant, jump)
 
 
 @cache
@@ -164,10 +167,11 @@ def _time_ratio(factor: float, empty: bool) -> Floats:
 
 
 def _f21_theory_poor() -> Outcome:
-    errors = []
-    for empty in (False, True):
-        mapped = _fill(1.0, False, empty)
-        errors.append(float(np.max(np.abs(_fill(1.0, True, empty) - mapped)) / np.max(mapped)))
+    errors = [
+        float(np.max(np.abs(_fill(1.0, True, empty) - _fill(1.0, False, empty))))
+        / float(np.max(_fill(1.0, False, empty)))
+        for empty in (False, True)
+    ]
     poor = [error > 0.03 for error in errors]
     return judged(all(poor), *(100 * e for e in errors), otherwise=PARTLY if any(poor) else NOT_MET)
 
@@ -210,19 +214,14 @@ def _f25_alpha_after() -> Outcome:
 
 def _f26_breakaway() -> Outcome:
     stroke = run("fixed", step_s=1e-5, until_s=0.05)
-    event = next(e for e in stroke.events if e.name == "breakaway")
-    p1, p2 = (
-        float(np.interp(event.time_s, stroke.time_s, stroke.pressure_pa(name))) for name in "12"
-    )
-    force = p1 * value("fixed.A1") - p2 * value("fixed.A2") - ATMOSPHERE_PA * value("fixed.A_s")
-    return judged(abs(force - 71.0) < 0.2, force, 1e3 * event.time_s)
+    when_s = next(e.time_s for e in stroke.events if e.name == "breakaway")
+    force = float(np.interp(when_s, stroke.time_s, _drive_n(stroke)))
+    return judged(abs(force - 71.0) < 0.2, force, 1e3 * when_s)
 
 
 def _f27_stroke_length() -> Outcome:
-    ends = [
-        abs(plain(kind).position_m[-1] - plain(kind).position_m[0]) for kind in ("fixed", "N-B")
-    ]
-    return judged(all(abs(x - 0.01285) < 1e-9 for x in ends), *(1e3 * x for x in ends))
+    ways = [abs(x[-1] - x[0]) for x in (plain(kind).position_m for kind in ("fixed", "N-B"))]
+    return judged(all(abs(way - 0.01285) < 1e-9 for way in ways), *ms(*ways))
 
 
 def _drive_n(stroke: Stroke) -> Floats:

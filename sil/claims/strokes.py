@@ -1,4 +1,4 @@
-"""Strokes that several claims use, each run once."""
+"""Strokes and runs that several claims use, each made once, and what is read from them."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from plant.parameters import ParameterSet, load
 from plant.systems.setup import make_setup
 from plant.systems.stroke import Stroke, run_setup
 from sil.campaign.campaign import Floats
+from sil.simulation.in_memory import MemoryRun, run_in_memory
+from sil.simulation.scenario import load as load_scenario
 
 SUPPLY_PA = 900000.0
 ATMOSPHERE_PA = 101325.0
@@ -67,6 +69,22 @@ def value(path: str) -> float:
 def plain(kind: str) -> Stroke:
     """Return the nominal lab stroke of a kind."""
     return run(kind)
+
+
+@cache
+def loop(name: str, *settings: str) -> MemoryRun:
+    """Return a shipped scenario run in memory."""
+    return run_in_memory(load_scenario(name, settings=list(settings)))
+
+
+def ms(*times_s: float) -> tuple[float, ...]:
+    """Return times in ms, or lengths in mm."""
+    return tuple(1e3 * each for each in times_s)
+
+
+def peak_bar(stroke: Stroke, chamber: str) -> float:
+    """Return the greatest pressure in a chamber in bar."""
+    return float(np.max(stroke.pressure_pa(chamber))) / 1e5
 
 
 def speed(stroke: Stroke) -> float:

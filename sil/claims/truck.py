@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 
+from can_dbc.messages import PositionPulse
 from plant.parameters import load
 from plant.systems.stroke import Stroke
 from sil.claims.claim import GIVEN, MET, NOT_MET, PARTLY, Outcome, judged
-from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, arrival, nominal, run, value
+from sil.claims.equipment import lags
+from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, arrival, loop, ms, nominal, run, value
+from sil.simulation import scenario
 
 
 @cache
@@ -25,11 +29,6 @@ def _into_gear(mesh_n: float, impulse_n_s: float, model: str = "nominal") -> Str
     )
 
 
-@cache
-def _to_neutral(pull_n: float) -> Stroke:
-    return run("B-N", mounted=True, mesh_force_n=pull_n, until_s=0.4, step_s=2e-4)
-
-
 def _together_s(stroke: Stroke) -> float:
     """Return the time from the first contact of stay and piston to the end stop [s]."""
     contact = [e.time_s for e in stroke.events if e.name.endswith("contact")]
@@ -37,63 +36,50 @@ def _together_s(stroke: Stroke) -> float:
 
 
 def _f44_plateau() -> Outcome:
-    stroke = _into_gear(800.0, 40.0)
-    held = np.abs(stroke.position_m - value("synchronizer.x_block")) < 1e-6
-    span = float(np.count_nonzero(held)) * 2e-4
-    good = span > 0.01 and stroke.impact is not None
-    return Outcome(GIVEN if good else NOT_MET, (1e3 * value("synchronizer.x_block"), 1e3 * span))
+    stroke, block_m = _into_gear(800.0, 40.0), value("synchronizer.x_block")
+    held_s = np.count_nonzero(np.abs(stroke.position_m - block_m) < 1e-6) * 2e-4
+    good = bool(held_s > 0.01) and stroke.impact is not None
+    return judged(good, *ms(block_m, held_s), verdict=GIVEN)
 
 
 def _f45_intervals() -> Outcome:
-    value = nominal()
-    mesh = value.values("synchronizer.F_mesh_typ")
-    impulse = value.values("synchronizer.impulse_typ")
-    pull = value.values("synchronizer.F_pull_typ")
-    gear = [1e3 * _together_s(_into_gear(m, j)) for m, j in zip(mesh, impulse, strict=True)]
-    neutral = [1e3 * _together_s(_to_neutral(f)) for f in pull]
-    others = [1e3 * _together_s(_into_gear(m, j)) for m in (0.0, 1300.0) for j in (2.0, 250.0)]
-    good = (
-        60 <= gear[0] <= 80
-        and 110 <= gear[1] <= 130
-        and 35 <= neutral[0] <= 55
-        and (85 <= neutral[1] <= 110)
+    mesh, impulse, pull = (
+        nominal().values(f"synchronizer.{name}")
+        for name in ("F_mesh_typ", "impulse_typ", "F_pull_typ")
     )
-    figures = (*neutral, *gear, min(others), max(others))
-    return Outcome(GIVEN if good else NOT_MET, figures)
+    gear = ms(*(_together_s(_into_gear(m, j)) for m, j in zip(mesh, impulse, strict=True)))
+    to_neutral: dict[str, Any] = {"mounted": True, "until_s": 0.4, "step_s": 2e-4}
+    neutral = ms(*(_together_s(run("B-N", mesh_force_n=f, **to_neutral)) for f in pull))
+    others = ms(*(_together_s(_into_gear(m, j)) for m in (0.0, 1300.0) for j in (2.0, 250.0)))
+    limits = ((35, 55), (85, 110), (60, 80), (110, 130))
+    found = (*neutral, *gear)
+    good = all(low <= x <= high for x, (low, high) in zip(found, limits, strict=True))
+    return judged(good, *found, min(others), max(others), verdict=GIVEN)
 
 
 def _f46_samples() -> Outcome:
-    from can_dbc.messages import PositionPulse
-    from sil.claims.equipment import loop
-
     record = loop("truck_into_gear_easy").record
-    contact_s = next(e.time_s for e in record.events if e.name == "collar_1_contact")
-    stop_s = next(e.time_s for e in record.events if e.name == "stay_stop")
+    contact_s, stop_s = (
+        next(e.time_s for e in record.events if e.name == name)
+        for name in ("collar_1_contact", "stay_stop")
+    )
     times, _ = record.series(PositionPulse, "pulse_s")
     count = int(np.count_nonzero((times >= contact_s) & (times <= stop_s)))
     return judged(count == 7, 1e3 * (stop_s - contact_s), count)
 
 
 def _f47_budget() -> Outcome:
-    from sil.claims.equipment import lags
-
-    sensor = lags()[0]
-    spent = sensor + value("opc4.velocity_delay") + value("valve.D_rise")
-    lasts = {}
+    parts = lags()[0], value("opc4.velocity_delay"), value("valve.D_rise")
+    lasts = []
     for model in ("nominal", "truck_40ms"):
-        loads = ((500.0, 5.0), (500.0, 18.0), (1300.0, 18.0))
-        events = [_into_gear(*load, model).events for load in loads]
-        lasts[model] = [
-            next(e.time_s for e in found if e.name == "stop")
-            - [e.time_s for e in found if e.name == "unblock"][-1]
-            for found in events
-        ]
-    light, heavy = lasts["nominal"], lasts["truck_40ms"]
+        for mesh_n, impulse_n_s in ((500.0, 5.0), (500.0, 18.0), (1300.0, 18.0)):
+            events = _into_gear(mesh_n, impulse_n_s, model).events
+            unblocked_s = [e.time_s for e in events if e.name == "unblock"][-1]
+            lasts.append(next(e.time_s for e in events if e.name == "stop") - unblocked_s)
+    light, heavy, spent = lasts[:3], lasts[3:], sum(parts)
     around = min(heavy) > 0.03 and max(heavy) < 0.045
-    verdict = NOT_MET if spent <= max(light + heavy) else MET if around else PARTLY
-    figures = (min(light), max(light), min(heavy), max(heavy), sensor,
-               value("opc4.velocity_delay"), value("valve.D_rise"), spent)  # fmt: skip
-    return Outcome(verdict, tuple(1e3 * x for x in figures))
+    verdict = NOT_MET if spent <= max(lasts) else MET if around else PARTLY
+    return Outcome(verdict, ms(min(light), max(light), min(heavy), max(heavy), *parts, spent))
 
 
 def _f48_stall() -> Outcome:
@@ -103,30 +89,24 @@ def _f48_stall() -> Outcome:
 
 
 def _f49_spread() -> Outcome:
-    from sil.claims.equipment import loop
-
     tuned = [
         'controller.strategy="predictive"',
         "controller.strategy_parameters.time_weight_m_s2=27.146",
         "controller.strategy_parameters.way_weight_per_s=552.12",
     ]
-    figures = []
-    for impulse in (None, 18.0, 78.0, 250.0):
-        load = [] if impulse is None else [
-            "plant.mounted=true", "plant.mesh_force_n=1300.0",
-            f"driveline.impulse_backward_n_s={impulse}", "duration_s=0.9",
-        ]  # fmt: skip
-        for more in (tuned, []):
-            figures.append(loop("lab_n_b", *load, *more).shifts[0].impact_worst_m_s or 0.0)
+    mounted = ["plant.mounted=true", "plant.mesh_force_n=1300.0", "duration_s=0.9"]
+    loads = [[*mounted, f"driveline.impulse_backward_n_s={j}"] for j in (18.0, 78.0, 250.0)]
+    figures = [
+        loop("lab_n_b", *load, *more).shifts[0].impact_worst_m_s or 0.0
+        for load in ([], *loads)
+        for more in (tuned, [])
+    ]
     bench, truck = figures[:2], figures[2:]
     fails = all(mpc > 0.95 * plain for mpc, plain in zip(truck[::2], truck[1::2], strict=True))
     return judged(bench[0] < 0.6 * bench[1] and fails, *figures)
 
 
 def _f50_truck_channels() -> Outcome:
-    from sil.claims.equipment import loop
-    from sil.simulation import scenario
-
-    mounted = scenario.load("full_shift").scenario.plant
+    plant = scenario.load("full_shift").scenario.plant
     arrived = all(s.arrived_s is not None for s in loop("full_shift").shifts)
-    return judged(mounted.mounted and mounted.damper == "none" and arrived)
+    return judged(plant.mounted and plant.damper == "none" and arrived)

@@ -133,8 +133,7 @@ class Panel:
     limits: ends of the vertical axis, the lower one first, even if reversed by a higher one;
     None: found from the content.
     keys: (text, role) of legend entries in addition to those of the series.
-    drawn: "page" and "picture" leave the panel out of the other.
-    extra: draws what only a picture shows: called with matplotlib axes, theme, first and last x.
+    page_only: pictures leave the panel out.
     """
 
     title: str
@@ -150,8 +149,7 @@ class Panel:
     legend: bool = True
     keys: Sequence[tuple[str, str]] = ()
     scale: ColourScale | None = None
-    drawn: Literal["both", "page", "picture"] = "both"
-    extra: Callable[[Any, Any, tuple[float, float]], None] | None = None
+    page_only: bool = False
 
     def heights(self, view: tuple[float, float] = (-inf, inf)) -> Iterator[float]:
         """Yield the vertical extremes of the content whose x is inside a view."""

@@ -64,7 +64,7 @@ class _Column:
 
     @property
     def panels(self) -> list[Panel]:
-        return [panel for panel in self.stack.panels if panel.drawn != "page"]
+        return [panel for panel in self.stack.panels if not panel.page_only]
 
 
 def draw(figure: Figure, theme: Theme = LIGHT) -> Drawing:
@@ -190,8 +190,6 @@ def _draw_panel(
     for note in panel.notes:
         if view[0] <= note.x <= view[1]:
             _note(axes, theme, note)
-    if panel.extra is not None:
-        panel.extra(axes, theme, view)
     if panel.ticks:
         axes.set_yticks([at for at, _ in panel.ticks], [name for _, name in panel.ticks])
         axes.tick_params(axis="y", labelsize=8.5 if len(panel.ticks) < 9 else 7.5)

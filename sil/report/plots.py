@@ -53,8 +53,7 @@ def _group(stack: Stack, repeated: bool) -> Group:
 
 def content(stack: Stack) -> dict[str, Any]:
     """Return what plots.js draws of a stack; `stride`: it has one point in so many."""
-    panels = [panel for panel in stack.panels if panel.drawn != "picture"]
-    xs = [series.x for panel in panels for series in panel.series]
+    xs = [series.x for panel in stack.panels for series in panel.series]
     ends = stack.ends()
     x = np.unique(np.concatenate(xs)) if xs else np.array(ends)
     x = x[(x >= ends[0]) & (x <= ends[1])]
@@ -67,7 +66,7 @@ def content(stack: Stack) -> dict[str, Any]:
         "ends": ends,
         "x": rounded(x, DIGITS + 2),
         "zooms": [[zoom.name, zoom.low, zoom.high] for zoom in stack.zooms],
-        "panels": [_panel(panel, x) for panel in panels],
+        "panels": [_panel(panel, x) for panel in stack.panels],
         "stride": stride,
     }
 

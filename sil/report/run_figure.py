@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -53,14 +52,18 @@ def run_figure(
     panels = [
         *vehicle_panels(record),
         _position(record, zooms, shifts),
-        Panel("Speed of the stay", "m/s", [speed], height=130, drawn="page"),
+        Panel("Speed of the stay", "m/s", [speed], height=130, page_only=True),
         _valves(record),
         *_currents(record),
         _pressures(record, zooms),
         _states(record),
         _bus(record, zooms),
         Panel(
-            "Shaft speeds, referred to the synchronizer", "rad/s", shafts, height=130, drawn="page"
+            "Shaft speeds, referred to the synchronizer",
+            "rad/s",
+            shafts,
+            height=130,
+            page_only=True,
         ),
     ]
     whole = [Series("", time, truth["position_m"] * MM, "truth", width=1.2)]
@@ -107,44 +110,31 @@ def _position(record: RunRecord, zooms: Sequence[Zoom], shifts: Sequence[Shift])
     stroke = record.stroke_m * MM
     rules = [Rule(at, "", "grid", "y", "solid") for at in (-stroke, 0.0, stroke)]
     notes = list(_synchronizer_notes(record))
-    lags: list[tuple[float, float, float]] = []
+    spans = []
     for zoom, shift in zip(zooms, shifts, strict=False):  # a run without a shift has one zoom
         rules.append(Rule(shift.requested_s * MS, f"{shift.to_gear} requested"))
         if shift.confirmed_s is not None:
             rules.append(Rule(shift.confirmed_s * MS, f"{shift.to_gear} confirmed"))
         inside = (time >= zoom.low) & (time <= zoom.high)
-        for name, values in _piston(record, shift):
-            reach = position[inside]  # of this shift, with some room
-            low, high = (reach.min() - 1.5, reach.max() + 1.5) if len(reach) else (0.0, 0.0)
-            shown = np.where((values >= low) & (values <= high), values, np.nan)[inside]
+        if (piston := _piston(record, shift)) is not None and inside.any():
+            name, values = piston
+            reach, values = position[inside], values[inside]  # of this shift, with some room
+            near = (values >= reach.min() - 1.5) & (values <= reach.max() + 1.5)
+            shown = np.where(near, values, np.nan)
             label = "" if pistons else "moving piston, where it touches the stay"
             pistons.append(Series(label, time[inside], shown, "faint", dashed=True, width=1.0))
             notes += _note_on_line(time[inside], shown, name)
-        lags += _lags(record, shift)
+        for at, lag, level in _lags(record, shift):
+            spans.append(Span(at, at + lag, "alarm", "", level - 0.04, level + 0.04))
+            text = f"{lag:.0f} ms late"
+            notes.append(Note(at + 0.5 * lag, level, text, "alarm", up=-4.0, bold=True))
         notes += _impact_notes(record, shift)
-    for at, lag, level in lags:
-        text = f"{lag:.0f} ms late"
-        notes.append(Note(at + 0.5 * lag, level, text, "alarm", up=-4.0, bold=True))
-
-    def draw_arrows(axes: Any, theme: Any, view: Interval) -> None:
-        """Mark how late the estimate is: a picture only."""
-        style = {
-            "arrowstyle": "<->",
-            "color": theme.colour("alarm"),
-            "lw": 1.5,
-            "shrinkA": 0,
-            "shrinkB": 0,
-        }
-        for at, lag, level in lags:
-            if view[0] <= at <= view[1]:
-                axes.annotate("", (at + lag, level), (at, level), arrowprops=style, zorder=6)
-
     series = [*pistons, *lines]
-    return Panel("Position", "mm", series, rules=rules, notes=notes, height=230, extra=draw_arrows)
+    return Panel("Position", "mm", series, spans=spans, rules=rules, notes=notes, height=230)
 
 
-def _piston(record: RunRecord, shift: Shift) -> Iterator[tuple[str, Floats]]:
-    """Yield the piston that carries this shift, in mm, where its driving contact meets the stay.
+def _piston(record: RunRecord, shift: Shift) -> tuple[str, Floats] | None:
+    """Return the piston that carries this shift, in mm, where its driving contact meets the stay.
 
     Out of neutral it pushes on the collar, so its free travel is taken off; towards neutral it
     pulls on the nut. Piston 2 is the mirror image.
@@ -153,9 +143,10 @@ def _piston(record: RunRecord, shift: Shift) -> Iterator[tuple[str, Floats]]:
     side = shift.to_gear if away else shift.from_gear
     free = record.free_travel_m if away else 0.0
     if side == "backward":
-        yield "piston 1", (record.truth["piston_1_m"] - free) * MM
-    elif side == "forward":
-        yield "piston 2", (free - record.truth["piston_2_m"]) * MM
+        return "piston 1", (record.truth["piston_1_m"] - free) * MM
+    if side == "forward":
+        return "piston 2", (free - record.truth["piston_2_m"]) * MM
+    return None
 
 
 def _note_on_line(time: Floats, values: Floats, text: str) -> list[Note]:

@@ -43,7 +43,7 @@ def everything() -> Figure:
     )  # fmt: skip
     cells = Panel("Map", spans=scale.cells(np.array([[0.0, nan], [0.5, 1.0]]), "{:.1f}".format),
                   ticks=[(0.0, "low"), (1.0, "high")], scale=scale)  # fmt: skip
-    only = Panel("Page only", "m", lines[:1], drawn="page")
+    only = Panel("Page only", "m", lines[:1], page_only=True)
     stacks = [
         Stack("time, s", [content, only], "left", [Zoom("start", 0.0, 1.0)]),
         Stack("kind", [cells], "right", ticks=[(0.0, "first"), (1.0, "second")]),

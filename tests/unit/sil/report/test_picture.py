@@ -37,16 +37,6 @@ def test_all_content_is_drawn() -> None:
     assert "Position, mm" in names and "Page only, m" not in names
 
 
-def test_an_extra_is_called_with_the_view() -> None:
-    views = []
-    x = np.array([0.0, 2.0])
-    panel = Panel(
-        "p", "m", [Series("a", x, x, "truth")], extra=lambda axes, theme, view: views.append(view)
-    )
-    draw(Figure([Stack("t, s", [panel])]))
-    assert views == [(0.0, 2.0)]
-
-
 def test_zooms_are_columns_below_an_overview() -> None:
     x = np.linspace(0.0, 10.0, 11)
     panel = Panel("p", "m", [Series("a", x, x, "truth")])
