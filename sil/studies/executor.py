@@ -14,18 +14,15 @@ import json
 import math
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
-
-import msgspec
 
 from can_dbc.errors import InputError, RunError
 from sil.files.atomic import write_atomically
 from sil.studies.rows import RowResult, columns, run_row
-from sil.studies.study import Base, LoadedStudy, Row, Study, toml_value
+from sil.studies.study import LoadedStudy, Row, toml_value
 from sil.studies.table import RESULTS
 
 STATE = "study.json"
@@ -73,12 +70,6 @@ def _freeze_loaded_objects() -> None:
     gc.freeze()
 
 
-def chunks(begin: int, size: int, rows: int) -> Iterator[tuple[int, int]]:
-    """Yield row numbers in pieces (begin, end)."""
-    for start in range(begin, size, rows):
-        yield start, min(start + rows, size)
-
-
 def run_study(
     study: LoadedStudy,
     folder: Path,
@@ -102,12 +93,13 @@ def run_study(
             folder / STATE, json.dumps({"study": study.study.name, "sha256": study.digest})
         )
         write_atomically(path, header(study))
-    wanted = list(chunks(begin, study.size, study.rows_together))
+    rows = study.rows_together
+    wanted = [(start, min(start + rows, study.size)) for start in range(begin, study.size, rows)]
     # the first rows run here: bad settings are reported at once, and kernels are compiled once
     done = begin
     progress(done, study.size)
     with open(path, "a", encoding="utf-8", newline="") as file:
-        for lines in results(study, wanted, workers, cluster):
+        for lines in _results(study, wanted, workers, cluster):
             file.write("".join(lines))
             file.flush()
             os.fsync(file.fileno())
@@ -116,28 +108,25 @@ def run_study(
     return done - begin
 
 
-def results(
+def _results(
     study: LoadedStudy, wanted: list[tuple[int, int]], workers: int, cluster: str | None
-) -> Iterable[list[str]]:
+) -> Iterator[list[str]]:
     """Yield the lines of each chunk, in order."""
-    if not wanted:
-        return
-    yield run_chunk(study, wanted[0])
+    yield from (run_chunk(study, piece) for piece in wanted[:1])
     rest = wanted[1:]
-    if cluster is not None:
-        yield from on_cluster(study, rest, cluster)
+    if cluster is not None and wanted:
+        yield from _on_cluster(study, rest, cluster)
     elif workers > 1 and rest:
-        yield from on_processes(study, rest, workers)
+        yield from _on_processes(study, rest, workers)
     else:
-        for piece in rest:
-            yield run_chunk(study, piece)
+        yield from (run_chunk(study, piece) for piece in rest)
 
 
 _STUDY: list[LoadedStudy] = []
 """The study of a worker process."""
 
 
-def begin_worker(study: LoadedStudy, parent: int) -> None:
+def _begin_worker(study: LoadedStudy, parent: int) -> None:
     """Store the study, leave interrupts to the parent, and end when the parent is gone."""
     import signal
     import threading
@@ -152,18 +141,14 @@ def begin_worker(study: LoadedStudy, parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def run_worker_chunk(numbers: tuple[int, int]) -> list[str]:
-    """Run a chunk of the worker's study, as `run_chunk` does."""
+def _run_worker_chunk(numbers: tuple[int, int]) -> list[str]:
     return run_chunk(_STUDY[0], numbers)
 
 
-def on_processes(
+def _on_processes(
     study: LoadedStudy, wanted: list[tuple[int, int]], workers: int
-) -> Iterable[list[str]]:
-    """Run chunks in worker processes of this machine.
-
-    Raises RunError if a worker dies.
-    """
+) -> Iterator[list[str]]:
+    """Run chunks in worker processes of this machine. Raises RunError if one dies."""
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
     from concurrent.futures.process import BrokenProcessPool
@@ -171,20 +156,20 @@ def on_processes(
     pool = ProcessPoolExecutor(
         workers,
         mp_context=multiprocessing.get_context("fork"),
-        initializer=begin_worker,
+        initializer=_begin_worker,
         initargs=(study, os.getpid()),
     )
     try:
-        yield from pool.map(run_worker_chunk, wanted)
+        yield from pool.map(_run_worker_chunk, wanted)
     except BrokenProcessPool:
         raise RunError(f"a worker process died; {CONTINUE}") from None
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
 
 
-def on_cluster(
+def _on_cluster(
     study: LoadedStudy, wanted: list[tuple[int, int]], address: str
-) -> Iterable[list[str]]:
+) -> Iterator[list[str]]:
     """Run chunks on a dask.distributed cluster, in order; its workers need this package.
 
     Raises InputError without dask.distributed, RunError if the cluster is not there or is lost.
@@ -204,14 +189,7 @@ def on_cluster(
     try:
         if not client.scheduler_info()["workers"]:
             raise RunError(f"--cluster {address}: the scheduler has no workers; expected some")
-        plain = msgspec.to_builtins(study.study)
-        base = None if study.base is None else msgspec.to_builtins(study.base)
-        futures = client.map(
-            partial(run_sent_chunk, study.digest, plain, study.source, base),
-            wanted,
-            pure=False,
-            retries=2,
-        )
+        futures = client.map(partial(_run_sent_chunk, study), wanted, pure=False, retries=2)
         for future in futures:
             yield future.result()
             future.release()
@@ -221,29 +199,13 @@ def on_cluster(
         client.close()
 
 
-_SENT: dict[str, LoadedStudy] = {}
+def _run_sent_chunk(study: LoadedStudy, numbers: tuple[int, int]) -> list[str]:
+    """Run a chunk on a machine that has the study only as it was sent."""
+    from plant.effects.user_file import load_effects
 
-
-def run_sent_chunk(
-    digest: str,
-    study: dict[str, Any],
-    source: str,
-    base: dict[str, Any] | None,
-    numbers: tuple[int, int],
-) -> list[str]:
-    """Run a chunk on a machine that has the study only as it was sent, as `run_chunk` does."""
-    if digest not in _SENT:
-        if study["effects"]:
-            from plant.effects.user_file import load_effects
-
-            for file in study["effects"]:
-                load_effects(file)
-        _SENT[digest] = LoadedStudy(
-            msgspec.convert(study, Study),
-            source,
-            None if base is None else msgspec.convert(base, Base),
-        )
-    return run_chunk(_SENT[digest], numbers)
+    for file in study.study.effects:
+        load_effects(file)
+    return run_chunk(study, numbers)
 
 
 def completed(study: LoadedStudy, folder: Path) -> tuple[int, int]:

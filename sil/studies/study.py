@@ -304,7 +304,7 @@ class LoadedStudy:
     def rows_together(self) -> int:
         """Return how many rows in sequence a worker takes at a time: those of one truck, say."""
         if self.study.kind == "learned":
-            return math.prod(len(items) for name, items in self.groups if name != TRUCK)
+            return math.prod(len(items) for name, items in self.groups.items() if name != TRUCK)
         return CHUNK if self.study.kind == "runs" else 1
 
     @cached_property

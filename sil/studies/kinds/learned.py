@@ -225,7 +225,12 @@ HEAD = ("strategy", "impact, median", "95 %", "worst", "lost, median", "99 %", "
         "worst truck", "relearned after", "energy a year")  # fmt: skip
 
 
-def markdown(study: LoadedStudy, table: Table) -> str:
+def files(study: LoadedStudy, table: Table) -> Iterator[tuple[str, str]]:
+    """Yield the table of the groups as Markdown."""
+    yield "learned.md", _markdown(study, table)
+
+
+def _markdown(study: LoadedStudy, table: Table) -> str:
     """Return the strategies side by side over all shifts of all trucks, as a table in Markdown."""
     lines = [HEAD, ["---"] * len(HEAD)]
     for label, rows in row_groups(study, table).items():
