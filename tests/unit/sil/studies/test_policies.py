@@ -89,8 +89,7 @@ def test_before_it_is_revealed_a_load_moves_like_the_others(family: Family) -> N
     assert revealed_s == sorted(revealed_s, reverse=family is LABORATORY)
     times = np.linspace(0.0, min(revealed_s) - 1e-4, 50)
     positions_m = [
-        simulate(PARAMETERS, case.conditions(), times, internal=False).position_m
-        for case in family.cases
+        simulate(PARAMETERS, case, times, internal=False).position_m for case in family.cases
     ]
     assert max(np.abs(each - positions_m[0]).max() for each in positions_m) < 1e-6
 
