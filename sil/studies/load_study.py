@@ -17,7 +17,9 @@ from sil.studies.study import DRAWN, MOST_ROWS, Base, LoadedStudy, Study, Sweep,
 SHIPPED = Path(__file__).parent / "shipped"
 BASES = {
     "runs": ({(True, False), (False, True)}, "either scenario = or [stroke], exactly one"),
-    **dict.fromkeys(("budget", "learned", "tuning"), ({(True, False)}, "scenario = and no [stroke]")),
+    **dict.fromkeys(
+        ("budget", "learned", "tuning"), ({(True, False)}, "scenario = and no [stroke]")
+    ),
     **dict.fromkeys(
         ("bounds", "lower_bound", "sensitivity"), ({(False, False)}, "no scenario and no [stroke]")
     ),
