@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,25 +21,16 @@ from plant.batch.singles import run_singles
 from plant.effects.setup import Setup
 from plant.integrator.filling import NO_CURVES, filling_curves
 from plant.integrator.hybrid import NS
-from plant.kernel.layout import FIRST_PRESSURE, FIXED, FlowMap, Modes, Parameters
-from plant.kernel.packing import Floats, Ints, fresh_modes, initial_state, scales, state_record
+from plant.kernel.layout import FIRST_PRESSURE, FlowMap, Modes, Parameters
+from plant.kernel.packing import Floats, Ints, fresh_modes, scales, state_record
 from plant.systems.stroke import valve_moves
 
 BATCH_TOLERANCE = 1e-6
-LONGEST_GRID = 4096
 NOT_IN_LANES = np.array([getattr(Parameters, name) for name in FREE_OF])
 MODES_NOT_IN_LANES = np.array([getattr(Modes, name) for name in MODES_FREE_OF])
-BEGIN = np.array(
-    [
-        Parameters.p_atm,
-        Parameters.p_supply,
-        Parameters.stroke,
-        Parameters.stop_offset,
-        Parameters.x_free,
-    ]
-)
-"""What a state at time 0 depends on."""
 Bools = NDArray[np.bool_]
+Drive = tuple[Ints, Floats, Floats]
+"""Modes, valves and switches of one stroke, as in `Strokes`."""
 
 
 @dataclass(frozen=True)
@@ -66,19 +57,26 @@ class Strokes:
     switches: Floats
     duration_s: Floats
 
-    def __post_init__(self) -> None:
+    def __len__(self) -> int:
+        return len(self.packed)
+
+    @property
+    def arrays(self) -> tuple[NDArray, ...]:
+        """All arrays [1 or n, ...] in SI units, in the order of their fields."""
+        return (
+            self.packed, self.flow, self.initial, self.modes, self.valves, self.switches,
+            self.duration_s,
+        )  # fmt: skip
+
+    def check(self) -> None:
+        """Raise ValueError for shapes that do not match, switches that do not ascend, and no duration."""
         n = len(self.packed)
-        states = state_record(self.system).size
-        for name, tail in (
-            ("packed", (Parameters.size,)),
-            ("flow", (FlowMap.size,)),
-            ("initial", (states,)),
-            ("modes", (Modes.size,)),
-            ("valves", (3,)),
-            ("switches", (self.switches.shape[1], 4)),
-            ("duration_s", ()),
-        ):
-            array = getattr(self, name)
+        tails: tuple[tuple[int, ...], ...] = (
+            (Parameters.size,), (FlowMap.size,), (state_record(self.system).size,), (Modes.size,),
+            (3,), (self.switches.shape[1], 4), (),
+        )  # fmt: skip
+        names = ("packed", "flow", "initial", "modes", "valves", "switches", "duration_s")
+        for name, array, tail in zip(names, self.arrays, tails, strict=True):
             rows = (n,) if name == "packed" else (1, n)
             if array.shape[1:] != tail or len(array) not in rows:
                 raise ValueError(f"{name}: shape {array.shape}; expected {rows} + {tail}")
@@ -88,9 +86,6 @@ class Strokes:
         if not (np.isfinite(self.duration_s) & (self.duration_s > 0.0)).all():
             raise ValueError("duration_s: expected positive numbers")
 
-    def __len__(self) -> int:
-        return len(self.packed)
-
     @classmethod
     def from_setups(cls, setups: Sequence[Setup], duration_s: float) -> Strokes:
         """Any strokes of one system, each with its own setup.
@@ -99,29 +94,33 @@ class Strokes:
         """
         if len({setup.conditions.system for setup in setups}) != 1:
             raise ValueError("a batch holds strokes of one system")
-        packed = np.array([setup.p.array for setup in setups])
         like: tuple | None = None
-        driven: tuple[Ints, Floats, Floats] | None = None
-        items = []
+        drives: list[Drive] = []
         for setup in setups:
-            same = (setup.conditions, setup.timing, setup.creep_s, setup.has_line)
-            if driven is None or same != like:
-                like, driven = same, _driven(setup, duration_s)
-            items.append(driven)
-        if all(item is driven for item in items):
-            items = items[:1]
-        modes_, valves, switches = zip(*items, strict=True)
-        longest = max(len(item) for item in switches)
-        return cls(
-            system=setups[0].conditions.system,
-            packed=packed,
-            flow=shared([setup.c for setup in setups]),
-            initial=shared(initials(setups, packed)),
-            modes=shared(modes_),
-            valves=shared(valves),
-            switches=shared([_padded(item, longest) for item in switches]),
-            duration_s=np.array([duration_s]),
+            before, like = like, setup.driven_by
+            drives.append(drives[-1] if like == before else drive_of(setup, round(duration_s * NS)))
+        modes_, valves, switches = zip(*drives, strict=True)
+        longest = max(map(len, switches))
+        return cls.driven(
+            setups,
+            (shared(modes_), shared(valves), shared([_padded(item, longest) for item in switches])),
+            np.array([duration_s]),
         )
+
+    @classmethod
+    def driven(cls, setups: Sequence[Setup], drive: Drive, duration_s: Floats) -> Strokes:
+        """Strokes by setups, and rows of what drives them [1 or n, ...] in SI units."""
+        first = setups[0]
+        packed = np.array([setup.p.array for setup in setups])
+        if all(
+            one.conditions is first.conditions and one.residual_pa == first.residual_pa
+            for one in setups
+        ):
+            initial = first.initial_state(Parameters(packed))
+        else:
+            initial = np.array([setup.initial_state() for setup in setups])
+        flow = shared([setup.c for setup in setups])
+        return cls(first.conditions.system, packed, flow, initial, *drive, duration_s)
 
     @classmethod
     def varied(
@@ -144,75 +143,25 @@ class Strokes:
                 for index in (Parameters.p_supply, Parameters.p_atm):
                     if base.initial[0, place] == base.packed[0, index]:
                         initial[:, place] = packed[:, index]
-        return cls(
-            base.system,
-            packed,
-            base.flow,
-            initial,
-            base.modes,
-            base.valves,
-            base.switches,
-            base.duration_s,
-        )
+        return replace(base, packed=packed, initial=initial)
 
     @property
     def in_lanes(self) -> Bools:
         """Return which strokes [n] the lanes cover (True or False, no unit)."""
-        return covered_by_lanes(self.packed, self.modes)
+        used = self.packed.take(NOT_IN_LANES, axis=1).any(axis=1)
+        return np.logical_not(used | self.modes.take(MODES_NOT_IN_LANES, axis=1).any(axis=1))
 
 
-def covered_by_lanes(packed: Floats, modes: Ints) -> Bools:
-    """Return which strokes [n] the lanes cover; arrays and units as those of `Strokes`."""
-    used = packed.take(NOT_IN_LANES, axis=1).any(axis=1)
-    return np.logical_not(used | modes.take(MODES_NOT_IN_LANES, axis=1).any(axis=1))
-
-
-def _initial(setup: Setup) -> Floats:
-    """State at time 0."""
-    conditions = setup.conditions
-    system = conditions.system
-    y = initial_state(
-        system,
-        setup.p,
-        position=conditions.start_offset_m if system == FIXED else conditions.kind[0],
-        charged=conditions.charged_before,
-    )
-    first = FIRST_PRESSURE[system]
-    for chamber, pressure in setup.residual_pa.items():
-        y[first + conditions.chambers.index(chamber)] += pressure
-    return y
-
-
-def initials(setups: Sequence[Setup], packed: Floats) -> list[Floats]:
-    """Return the states [states] at time 0 in SI units, the same array for strokes that begin alike.
-
-    packed: [n, Parameters.size] in SI units.
-    """
-    first = setups[0]
-    begin = _initial(first)
-    places = packed.take(BEGIN, axis=1)
-    same = (places == places[0]).all(axis=1)
-    return [
-        begin
-        if alike and one.conditions is first.conditions and one.residual_pa == first.residual_pa
-        else _initial(one)
-        for one, alike in zip(setups, same.tolist(), strict=True)
-    ]
-
-
-def _driven(setup: Setup, duration_s: float) -> tuple[Ints, Floats, Floats]:
-    """Modes, valves and switches: what the conditions and the valves' timing decide."""
+def drive_of(setup: Setup, end_ns: int) -> Drive:
+    """Return what the conditions and the timing of the valves decide."""
     conditions = setup.conditions
     m = fresh_modes(conditions.system, conditions.loads())
     m.line = 1 if setup.has_line else 0
     valves = np.zeros(3)
     for index, name in enumerate(conditions.chambers):
         valves[index] = 1.0 if name in conditions.charged_before else 0.0
-    switches = [
-        (instant / NS, chamber, target, slope)
-        for instant, chamber, target, slope in valve_moves(setup, round(duration_s * NS))
-    ]
-    return m.array[: Modes.size], valves, np.array(switches).reshape(-1, 4)
+    moves = [(at / NS, *move) for at, *move in valve_moves(setup, end_ns)]
+    return m.array, valves, np.array(moves, dtype=np.float64).reshape(-1, 4)
 
 
 def _padded(switches: Floats, rows: int) -> Floats:
@@ -226,9 +175,19 @@ def _padded(switches: Floats, rows: int) -> Floats:
 def shared(arrays: Sequence[NDArray]) -> NDArray:
     """Return arrays [k] as one [n, k], with one row if all are equal; units are those of the arrays."""
     if all(item is arrays[0] for item in arrays):
-        return arrays[0][None].copy()
-    whole = np.array(arrays)
-    return whole[:1].copy() if (whole == whole[:1]).all() else whole
+        return arrays[0][None]
+    rows = np.array(arrays)
+    return rows[:1] if (rows == rows[:1]).all() else rows
+
+
+def fill_still(out: Floats, strokes: Strokes, columns: Ints, covered: Bools) -> None:
+    """Write the states that do not move in a lane into samples [n, s, columns] of the covered strokes [n].
+
+    In their SI units.
+    """
+    for place in np.flatnonzero(columns >= MOVING[strokes.system]):
+        still = np.broadcast_to(strokes.initial[:, columns[place], None], out.shape[:2])
+        out[covered, :, place] = still[covered]
 
 
 @dataclass(frozen=True)
@@ -258,6 +217,7 @@ class BatchResult:
 
 def _arrays(strokes: Strokes, sample_s: Floats | None, columns: Sequence[int] | None) -> Batch:
     """Return what the kernels take; raises ValueError as `simulate_batch` does."""
+    strokes.check()
     n, states = len(strokes), strokes.initial.shape[1]
     if sample_s is None:
         instants = np.zeros((1, 0))
@@ -268,19 +228,8 @@ def _arrays(strokes: Strokes, sample_s: Floats | None, columns: Sequence[int] | 
     wanted = np.arange(states) if columns is None else np.array(columns, dtype=np.int64)
     if not ((wanted >= 0) & (wanted < states)).all():
         raise ValueError(f"columns: expected numbers from 0 to {states - 1}")
-    contiguous = np.ascontiguousarray
-    return Batch(
-        packed=contiguous(strokes.packed),
-        flow=contiguous(strokes.flow),
-        initial=contiguous(strokes.initial),
-        modes=contiguous(strokes.modes),
-        valves=contiguous(strokes.valves),
-        switches=contiguous(strokes.switches),
-        duration=contiguous(strokes.duration_s),
-        samples=instants,
-        columns=wanted,
-        scale=scales(strokes.system),
-    )
+    arrays = map(np.ascontiguousarray, strokes.arrays)
+    return Batch._make((*arrays, instants, wanted, scales(strokes.system)))
 
 
 def simulate_batch(
@@ -292,7 +241,6 @@ def simulate_batch(
     workers: int = 1,
     event_room: int = 0,
     lanes: bool = True,
-    follow: bool = False,
 ) -> BatchResult:
     """Simulate all strokes of a batch.
 
@@ -305,9 +253,8 @@ def simulate_batch(
     workers : threads that share the strokes
     event_room : how many events of each stroke to keep
     lanes : False sends every stroke through the scalar kernel, rests included
-    follow : the strokes are neighbours of the first one and take its steps: see `plant.batch.tangents`
 
-    Raises ValueError for instants that do not ascend and for unknown columns.
+    Raises ValueError for strokes that `Strokes.check` refuses, instants that do not ascend and unknown columns.
     A stroke that cannot be continued does not stop the others: see `BatchResult.status`.
     Checked by: tests/unit/plant/batch/test_batch.py
     """
@@ -319,28 +266,21 @@ def simulate_batch(
     curves = filling_curves(batch.flow)
 
     def run(order: Ints) -> None:
-        room = Room.of(instants.shape[1] if follow else 1, LONGEST_GRID if follow else 1)
+        room = Room.of(1, 1)
         inside, outside = order[covered[order]], order[~covered[order]]
         if len(inside):
-            leads = follow and bool(covered[0])
-            run_in_lanes(batch, found, room, curves, inside, tolerance, strokes.system, leads)
+            run_in_lanes(batch, found, room, curves, inside, tolerance, strokes.system, False)
         if len(outside):
-            leads = follow and not covered[0]
-            run_singles(
-                batch, found, room, curves if lanes else NO_CURVES, outside, tolerance,
-                strokes.system, leads,
-            )  # fmt: skip
+            table = curves if lanes else NO_CURVES
+            run_singles(batch, found, room, table, outside, tolerance, strokes.system, False)
 
     everything = np.arange(n)
-    if follow or workers <= 1 or n < 2 * WIDTH:
+    if workers <= 1 or n < 2 * WIDTH:
         run(everything)
     else:
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(run, np.array_split(everything, workers)))
-    moving = MOVING[strokes.system]
-    initial = np.broadcast_to(strokes.initial, (n, states))
-    for column in np.flatnonzero(wanted >= moving):  # these states do not move in a lane
-        found.out[covered, :, column] = initial[covered][:, wanted[column], None]
+    fill_still(found.out, strokes, wanted, covered)
     results = Result(found.results)
     return BatchResult(
         status=results.status.astype(np.int64),

@@ -13,8 +13,8 @@ import numpy as np
 from plant.devices.sensors import InternalChain
 from plant.devices.valve import ValveTiming
 from plant.effects.stroke_conditions import StrokeConditions
-from plant.kernel.layout import FIXED, Parameters
-from plant.kernel.packing import Floats, flow_coefficients, pack
+from plant.kernel.layout import FIRST_PRESSURE, FIXED, Parameters
+from plant.kernel.packing import Floats, flow_coefficients, initial_state, pack
 from plant.parameters import ParameterSet
 
 
@@ -94,6 +94,29 @@ class Setup:
             timing=ValveTiming.from_parameters(parameters),
             chain=InternalChain.from_parameters(parameters),
         )
+
+    def initial_state(self, p: Parameters | None = None, quadratures: int = 0) -> Floats:
+        """Return the state at time 0 [states] in SI units.
+
+        p: the stroke's own parameters, or those of several such strokes for [strokes, states].
+        """
+        conditions = self.conditions
+        y = initial_state(
+            conditions.system,
+            self.p if p is None else p,
+            position=conditions.start,
+            charged=conditions.charged_before,
+            quadratures=quadratures,
+        )
+        first = FIRST_PRESSURE[conditions.system]
+        for chamber, pressure in self.residual_pa.items():
+            y[..., first + conditions.chambers.index(chamber)] += pressure
+        return y
+
+    @property
+    def driven_by(self) -> tuple[StrokeConditions, ValveTiming, float, bool]:
+        """What decides modes and valves of the stroke."""
+        return self.conditions, self.timing, self.creep_s, self.has_line
 
     @property
     def exact_gauges(self) -> bool:

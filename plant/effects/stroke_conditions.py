@@ -51,6 +51,11 @@ class StrokeConditions:
         return ("1", "2") if self.kind == "fixed" else ("B", "N", "F")
 
     @property
+    def start(self) -> str | float:
+        """Where the stay is at time 0: position [m] of the fixed piston, gear of the length stroke."""
+        return self.start_offset_m if self.kind == "fixed" else self.kind[0]
+
+    @property
     def into_gear(self) -> bool:
         """True if the stroke engages a gear."""
         return self.kind in ("N-B", "N-F")

@@ -189,23 +189,24 @@ def initial_state(
     charged: Sequence[str],
     quadratures: int = 0,
 ) -> Floats:
-    """State at rest: fixed piston at a start position [m], length stroke in gear N, B or F.
+    """State at rest [states] in SI units: fixed piston at a position [m], length stroke in gear N, B or F.
 
-    Chambers named in `charged` are at the supply pressure, the others at the atmosphere's.
+    p: of one stroke, or of several for states [strokes, states].  Chambers named in `charged` are at the supply pressure, the others at the atmosphere's.
     """
-    state = state_record(system)
-    y = np.zeros(state.size + quadratures)
+    record = state_record(system)
+    y = np.zeros((*p.array.shape[:-1], record.size + quadratures))
+    state = y.T
     atmosphere, supply = p.p_atm, p.p_supply
     if system == FIXED:
-        y[FixedState.x] = float(position)
+        state[FixedState.x] = float(position)
     elif position in ("B", "F"):
-        stroke = min(p.stroke + p.stop_offset, p.x_free)
-        y[LengthState.x_s] = stroke if position == "B" else -stroke
-        y[LengthState.x_1 if position == "B" else LengthState.x_2] = stroke + p.x_free
+        stroke = np.minimum(p.stroke + p.stop_offset, p.x_free)
+        state[LengthState.x_s] = stroke if position == "B" else -stroke
+        state[LengthState.x_1 if position == "B" else LengthState.x_2] = stroke + p.x_free
     for index, name in enumerate(CHAMBER_NAMES[system], FIRST_PRESSURE[system]):
-        y[index] = supply if name in charged else atmosphere
-    y[state.p_oil] = atmosphere
-    y[state.p_line] = supply
+        state[index] = supply if name in charged else atmosphere
+    state[record.p_oil] = atmosphere
+    state[record.p_line] = supply
     return y
 
 

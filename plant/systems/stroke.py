@@ -17,7 +17,7 @@ from plant.equations.volumes import ends_of_travel, refuse_empty
 from plant.errors import InputError
 from plant.integrator.hybrid import DEFAULT_TOLERANCE, NS, Balance, Event, HybridSystem
 from plant.kernel.layout import FIRST_PRESSURE, FIXED, Parameters, Quadratures, pressure_slice
-from plant.kernel.packing import Floats, initial_state, state_record
+from plant.kernel.packing import Floats, state_record
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
 
@@ -81,8 +81,6 @@ class StrokeSystem(HybridSystem):
         self.chambers = conditions.chambers
         system = conditions.system
         p = setup.p
-        position: str | float
-        position = conditions.start_offset_m if system == FIXED else conditions.kind[0]
         if system == FIXED and not 0.0 <= conditions.start_offset_m <= p.stroke:
             raise InputError(
                 f"start offset {conditions.start_offset_m} m: expected 0 to {p.stroke}"
@@ -90,21 +88,11 @@ class StrokeSystem(HybridSystem):
         refuse_empty(
             system, p, ends_of_travel(system, p, (conditions.kind[0], conditions.kind[-1]))
         )
-        y = initial_state(
-            system,
-            p,
-            position=position,
-            charged=conditions.charged_before,
-            quadratures=Quadratures.size,
-        )
-        first = FIRST_PRESSURE[system]
-        for chamber, pressure in setup.residual_pa.items():
-            y[first + self.chambers.index(chamber)] += pressure
         super().__init__(
             system,
             p,
             setup.c,
-            y,
+            setup.initial_state(quadratures=Quadratures.size),
             conditions.loads(),
             conditions.charged_before,
             tolerance,

@@ -16,9 +16,9 @@ REFERENCE_SHARE = 3e-5
 
 def measure() -> Iterator[str]:
     """Lines of the table."""
-    from plant.batch.batch import Strokes, simulate_batch
+    from plant.batch.batch import BATCH_TOLERANCE, Strokes, simulate_batch
     from plant.batch.prediction import Predictor
-    from plant.batch.tangents import MOVE, neighbours
+    from plant.batch.tangents import MOVE, Followers
     from plant.effects.stroke_conditions import StrokeConditions
     from plant.kernel.layout import FixedState, LengthState, Parameters
     from plant.parameters import load
@@ -64,14 +64,15 @@ def measure() -> Iterator[str]:
             return Strokes.varied(setup, TIMES[-1], changes)  # noqa: B023
 
         strokes = moved(MOVE)
-        result, alike = neighbours(strokes, TIMES, columns)
+        followers = Followers(TIMES)
+        _, samples, alike = followers.run(strokes, columns, BATCH_TOLERANCE)
         up, down = (
             simulate_batch(
                 moved(share), sample_s=TIMES, columns=columns, tolerance=1e-12, lanes=False
             ).samples
             for share in (REFERENCE_SHARE, -REFERENCE_SHARE)
         )
-        ours = (result.samples[1:] - result.samples[0]) / MOVE / size
+        ours = (samples[1:] - samples[0]) / MOVE / size
         exact = (up[1:] - down[1:]) / (2.0 * REFERENCE_SHARE) / size
         worst = max(
             float(np.linalg.norm(a - b) / np.linalg.norm(b))
@@ -79,7 +80,7 @@ def measure() -> Iterator[str]:
         )
         predictor = Predictor(np.rint(TIMES * 1e9).astype(np.int64))
         plain_s = best_s(lambda: predictor.states(setup), 300)  # noqa: B023
-        kernel_s = best_s(lambda: neighbours(strokes, TIMES, columns), 300)  # noqa: B023
+        kernel_s = best_s(lambda: followers.run(strokes, columns, BATCH_TOLERANCE), 300)  # noqa: B023
         twins = [setup] + [replace(setup, p=Parameters(p.copy())) for p in strokes.packed[1:]]
         whole_s = best_s(lambda: predictor.derivatives(setup, twins[1:], [MOVE] * 10, columns), 100)  # noqa: B023
         yield (

@@ -193,15 +193,15 @@ def test_refusals():
     strokes = varied("fixed", 3)
     with pytest.raises(ValueError, match="one system"):
         Strokes.from_setups([setup("fixed"), setup("N-B")], DURATION_S)
-    with pytest.raises(ValueError, match="packed"):
-        dataclasses.replace(strokes, packed=strokes.packed[:, :-1])
-    with pytest.raises(ValueError, match="initial"):
-        dataclasses.replace(strokes, initial=strokes.initial[:2])
-    with pytest.raises(ValueError, match="ascend"):
-        times = np.array([[[0.02, 0.0, 1.0, 0.0], [0.01, 1.0, 1.0, 0.0]]])
-        dataclasses.replace(strokes, switches=times)
-    with pytest.raises(ValueError, match="duration_s"):
-        dataclasses.replace(strokes, duration_s=np.array([0.0]))
+    times = np.array([[[0.02, 0.0, 1.0, 0.0], [0.01, 1.0, 1.0, 0.0]]])
+    for match, wrong in (
+        ("packed", {"packed": strokes.packed[:, :-1]}),
+        ("initial", {"initial": strokes.initial[:2]}),
+        ("ascend", {"switches": times}),
+        ("duration_s", {"duration_s": np.array([0.0])}),
+    ):
+        with pytest.raises(ValueError, match=match):
+            simulate_batch(dataclasses.replace(strokes, **wrong))
     with pytest.raises(ValueError, match="columns"):
         simulate_batch(strokes, sample_s=np.array([0.1]), columns=[6])
     with pytest.raises(ValueError, match="sample_s"):

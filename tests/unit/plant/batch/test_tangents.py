@@ -9,9 +9,10 @@ import pytest
 
 from plant.batch.batch import Strokes, simulate_batch
 from plant.batch.prediction import Predictor
-from plant.batch.tangents import MOVE, neighbours
+from plant.batch.tangents import MOVE, Followers
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
+from plant.integrator.loop import DONE
 from plant.kernel.layout import FixedState, LengthState, Parameters
 from plant.parameters import load
 from plant.systems.setup import make_setup
@@ -58,8 +59,8 @@ def moved(base: Setup, places: tuple[int, ...], share: float) -> Strokes:
 def test_ten_parameters_agree_with_differences_of_exact_runs(kind: str) -> None:
     base = setup(kind)
     places = MOVED + FRICTION[kind]
-    found, alike = neighbours(moved(base, places, MOVE), TIME_S, COLUMNS[kind])
-    assert alike.all() and found.event_count[0] >= 2
+    status, samples, alike = Followers(TIME_S).run(moved(base, places, MOVE), COLUMNS[kind], 1e-6)
+    assert status == DONE and alike.all()
     exact = [
         simulate_batch(
             moved(base, places, share),
@@ -68,7 +69,7 @@ def test_ten_parameters_agree_with_differences_of_exact_runs(kind: str) -> None:
         for share in (3e-5, -3e-5)
     ]  # fmt: skip
     for k in range(1, len(places) + 1):
-        ours = (found.samples[k] - found.samples[0]) / MOVE / SIZE[kind]
+        ours = (samples[k] - samples[0]) / MOVE / SIZE[kind]
         theirs = (exact[0][k] - exact[1][k]) / 6e-5 / SIZE[kind]
         assert np.linalg.norm(theirs) > 1e-2
         assert np.linalg.norm(ours - theirs) < 1e-3 * np.linalg.norm(theirs)
