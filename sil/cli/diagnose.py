@@ -4,17 +4,28 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 from can_dbc.errors import InputError
 from sil.cli.options import EFFECTS, JSON, argument, out
 
-EXAMPLE = "example: opc4 diagnose measured/ --out diagnosis/"
+EXAMPLE = """\
+examples:
+  opc4 diagnose measured/ --out diagnosis/
+  opc4 diagnose truck-monday.asc truck-tuesday.asc --out truck-diagnosis/
+"""
 
 ARGUMENTS = (
-    argument("campaign", "campaign folder; with --new, measured files", "CAMPAIGN", nargs="+"),
+    argument(
+        "campaign",
+        "campaign folder, or CAN logs of one truck; with --new, measured files",
+        "CAMPAIGN",
+        nargs="+",
+    ),
     argument(
         "--new",
         "draft a campaign of the files in this folder: columns, units, picture, open questions",
@@ -25,6 +36,10 @@ ARGUMENTS = (
         "--model", "parameter set or model file questioned", default="nominal", metavar="MODEL"
     ),
     EFFECTS,
+    argument(
+        "--map", "what the signals of another layout of a truck's log stand for (TOML)", "FILE"
+    ),
+    argument("--dbc", "the layout that --map names signals of", "FILE"),
     *out("runs/CAMPAIGN-diagnosis-N"),
     argument("--workers", "processes (default 2)", "N", type=int, default=2),
     JSON,
@@ -40,6 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.new is not None:
         return new_campaign(arguments)
+    if all(Path(item).is_file() and Path(item).suffix != ".toml" for item in arguments.campaign):
+        return run_logs(arguments)
     if len(arguments.campaign) > 1:
         raise InputError("several campaigns: expected one, or --new DIR with measured files")
     (arguments.campaign,) = arguments.campaign
@@ -96,6 +113,28 @@ def run_force(arguments: argparse.Namespace, stamps: list[str]) -> int:
     folder = prepare_folder(arguments.out, f"{found.record.name}-diagnosis", arguments.force)
     write_page(found, folder, arguments.campaign)
     return _finish(arguments, folder, finite(found.as_json() | {"effects": stamps}))
+
+
+def run_logs(arguments: argparse.Namespace) -> int:
+    """Diagnose a truck by the shifts in its logs; 1 if not consistent.
+
+    Raises InputError for a file that is no log, or one without what a shift needs.
+    """
+    from plant.effects.user_file import load_effects
+
+    stamps = [load_effects(file) for file in arguments.effects]
+    from sil.files.output_folder import finite, prepare_folder
+    from sil.files.progress import Progress
+    from sil.shift_diagnosis.page import as_json, diagnosed, write_files
+
+    name = Path(arguments.campaign[0]).name.split(".")[0]
+    logs, skipped = arguments.campaign, Counter[str]()
+    with Progress(f"diagnosing {name}", "%") as progress:
+        found = diagnosed(logs, arguments.model, (arguments.map, arguments.dbc), skipped, progress)
+    folder = prepare_folder(arguments.out, f"{name}-diagnosis", arguments.force)
+    values = finite(as_json(found, logs, dict(skipped)) | {"effects": stamps})
+    write_files(found, values, folder, arguments.model, shlex.join(["opc4", *sys.argv[1:]]))
+    return _finish(arguments, folder, values)
 
 
 def _finish(arguments: argparse.Namespace, folder: Path, found: dict[str, Any]) -> int:

@@ -33,6 +33,11 @@ Meaning = Literal[
     "engine_rad_s",
     "engine_torque_share",
     "supply_pressure_pa",
+    "duty_b",
+    "duty_n",
+    "duty_f",
+    "pulse_s",
+    "coil_temperature_k",
 ]
 _LAST_VALID_BYTE: Final = 0xFB
 """Above it the highest byte of a J1939 parameter means error or not available."""

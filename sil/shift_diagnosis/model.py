@@ -1,0 +1,283 @@
+"""Recorded shifts as functions of what may differ: predicted positions and their derivatives.
+
+The recorded commands drive the plant at their recorded instants through the batch kernel, in one
+call for all shifts and all changes of parameters.
+Checked by: tests/unit/sil/shift_diagnosis/test_model.py
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant.batch.batch import Strokes, shared, simulate_batch
+from plant.devices.valve import switch_schedule
+from plant.effects import CATALOGUE, Effect, EffectParameter, apply_effects
+from plant.effects.effect import Variant
+from plant.effects.setup import Setup
+from plant.effects.stroke_conditions import StrokeConditions
+from plant.effects.tolerances import shift as shift_by
+from plant.integrator.loop import DONE
+from plant.kernel.layout import LENGTH, LengthState, Modes
+from plant.kernel.packing import fresh_modes, initial_state
+from plant.parameters import ParameterSet
+from sil.fitting.hypotheses import value_of
+from sil.shift_diagnosis.shifts import Shift
+
+Floats = NDArray[np.float64]
+
+_NS: Final = 1_000_000_000
+TINY_FORCE_N: Final = 1e-6
+"""Holds every stroke in the scalar kernel, which knows all terms."""
+IMPULSE_PER_SPEED: Final = 0.25 / 0.09
+"""Impulse of the cone per speed difference, N s per rad/s: that of the default driveline."""
+MESH_N, PULL_N = (600.0, 500.0), (300.0, 400.0)
+"""Barriers into and out of gear: guess and standard deviation."""
+JITTER_S: Final = 5e-5
+"""Jitter of a pulse that its frame does not show."""
+LEAST_NOISE_M: Final = 1.4e-5
+"""Standard deviation of a position by the timer's resolution alone."""
+DIFFERENCE: Final = 0.1
+"""Step of a difference, in prior standard deviations or typical sizes."""
+
+
+def unit_priors(parameters: ParameterSet) -> dict[str, float]:
+    """Return the standard deviation of every quantity in which healthy trucks differ.
+
+    Those of the actuator are the parameter set's tolerances; gearbox, teeth, cone, supply and the
+    way of a pulse to the log are unknown within wider limits.
+    """
+    value = parameters.value
+    delay = value("repeatability.unit_valve_delay_sd")
+    flow, volume = (value(f"repeatability.unit_{name}_sd") for name in ("flow", "volume"))
+    return {
+        "friction": value("repeatability.unit_friction_sd"),
+        "rise": delay,
+        "fall": 3.0 * delay,
+        "flow_in": flow,
+        "flow_out": flow,
+        "volume_a": volume,
+        "volume_b": volume,
+        "supply": 0.03,
+        "linkage": 0.3,
+        "mass": 0.2,
+        "mesh": MESH_N[1],
+        "pull": PULL_N[1],
+        "cone_B": 0.3,
+        "cone_F": 0.3,
+        "latency": 3e-4,
+        "offset": 1e-4,
+        "gain": 0.005,
+    }
+
+
+def shift_priors(parameters: ParameterSet) -> dict[str, float]:
+    """Return the standard deviation of every quantity in which shifts of one truck differ."""
+    value = parameters.value
+    return {
+        "friction": value("repeatability.friction_sd"),
+        "rise": value("repeatability.valve_delay_sd"),
+        "fall": value("repeatability.valve_delay_sd"),
+        "supply": 0.01,
+        "cone_B": 0.04,
+        "cone_F": 0.04,
+        "latency": 1e-4,
+    }
+
+
+SHOWN: Final = ("latency", "offset", "gain")
+"""Quantities that act on what is reported alone; no stroke is simulated for them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """One effect of the catalogue, with one size: in typical sizes of its first parameter."""
+
+    effect: Effect
+    variant: Variant
+    others: tuple[float, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Its id with the variant, and the values of its other parameters."""
+        values = ", ".join(f"{v:g}" for v in self.others)
+        return ":".join(part for part in (self.effect.id, self.variant.name, values) if part)
+
+    @property
+    def parameter(self) -> EffectParameter:
+        """The parameter that is estimated."""
+        return self.effect.parameters[0]
+
+    @property
+    def is_narrowing(self) -> bool:
+        """Whether the effect grows as its parameter falls from infinity: of a supply line."""
+        return self.effect.sized_by == "none"
+
+    @property
+    def sign(self) -> int:
+        """+1 or -1 if only such sizes are physical, 0 if both are."""
+        return 1 if self.is_narrowing else self.parameter.sign
+
+    def value(self, size: float) -> float:
+        """Return the parameter's value [its unit] at a size in typical ones."""
+        if self.is_narrowing:
+            return min(self.parameter.high, self.parameter.typical * 4.0 / max(size, 1e-3))
+        return value_of(self.parameter, size)
+
+    def values(self, size: float) -> dict[str, float]:
+        """Return all parameters of the effect at a size in typical ones."""
+        rest = [p for p in self.effect.parameters[1:] if p.fitted]
+        found = {p.name: v for p, v in zip(rest, self.others, strict=False)}
+        return {**self.variant.fixed, **found, self.parameter.name: self.value(size)}
+
+
+def catalogue() -> list[Cause]:
+    """Return the causes that a run can have and a bus could show."""
+    found = []
+    for effect in CATALOGUE.values():
+        if "damper" in effect.needs or effect.nonparametric:
+            continue
+        for variant in effect.variants:
+            scope = effect.scope_of(variant.fixed)
+            sensor = scope == "instrument" and effect.equation == "sensor"
+            if scope not in ("unit", "run") and not sensor:
+                continue
+            found += [
+                Cause(effect, variant, other)
+                for other in dict.fromkeys(start[1:] for start in variant.starts or ((0.0,),))
+            ]
+    return found
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where the model is evaluated: amounts of `unit_priors` in their units, and causes' sizes."""
+
+    amounts: Mapping[str, float] = field(default_factory=dict)
+    causes: tuple[tuple[Cause, float], ...] = ()
+
+    def moved(self, name: str, by: float) -> Point:
+        """Return the point with one amount changed."""
+        return Point({**self.amounts, name: self.amounts.get(name, 0.0) + by}, self.causes)
+
+    def with_cause(self, cause: Cause, size: float) -> Point:
+        """Return the point with one more cause, or the same at another size."""
+        others = tuple(item for item in self.causes if item[0] is not cause)
+        return Point(self.amounts, (*others, (cause, size)))
+
+
+class PlantModel:
+    """The plant of a truck, or of a rig without gearbox, for recorded shifts."""
+
+    def __init__(self, parameters: ParameterSet, mounted: bool) -> None:
+        self.parameters = parameters
+        self.mounted = mounted
+        self.mass_kg = parameters.value("truck.m_gearbox") if mounted else 0.0
+        self.supply_pa = parameters.value("supply.P_s")
+        self.unit, self.each = unit_priors(parameters), shift_priors(parameters)
+        self.latency_s = parameters.value("position_sensor.latency")
+
+    def setup(self, point: Point, supply_pa: float) -> Setup:
+        """Return the actuator at a point, at a stated supply [Pa]."""
+        conditions = StrokeConditions(
+            kind="N-B", supply_pressure_pa=supply_pa, commands=(), mounted=self.mounted
+        )
+        setup = Setup.of(self.parameters, conditions)
+        apply_effects(setup, self.parameters)
+        p, amount = setup.p, point.amounts.get
+        for name in ("friction", "rise", "fall", "flow_in", "flow_out", "volume_a", "volume_b"):
+            shift_by(setup, name, amount(name, 0.0))
+        shift_by(setup, "supply", amount("supply", 0.0))
+        p.m_s += self.mass_kg * (np.exp(amount("mass", 0.0)) - 1.0)
+        p.f_linkage *= np.exp(amount("linkage", 0.0))
+        p.mesh_force = max(TINY_FORCE_N, MESH_N[0] * self.mounted + amount("mesh", 0.0))
+        p.pull_force = max(0.0, PULL_N[0] * self.mounted + amount("pull", 0.0))
+        for cause, size in point.causes:
+            values = cause.effect.on_run(cause.values(size))
+            cause.effect.apply(setup, values)
+        return setup
+
+    def predict(
+        self, shifts: Sequence[Shift], points: Sequence[Point]
+    ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Simulate every shift at every point.
+
+        Returns positions [m] and speeds [m/s] that the pulses would report, both
+        [shifts, points, pulses] with NaN behind a shift's last pulse, and whether [shifts, points]
+        could be simulated.
+        """
+        most = max(len(shift.time_s) for shift in shifts)
+        count, here = len(points), len(shifts)
+        setups: dict[tuple[int, float], Setup] = {}
+        times = np.empty((here, count, most))
+        packed, flow, initial, modes, moves = [], [], [], [], []
+        for k, shift in enumerate(shifts):
+            supply = self.supply_pa if np.isnan(shift.supply_pa) else shift.supply_pa
+            schedules: dict[tuple[int, int], Floats] = {}
+            for j, point in enumerate(points):
+                if (j, supply) not in setups:
+                    setups[j, supply] = self.setup(point, supply)
+                setup = setups[j, supply]
+                p = setup.p.copy()
+                cone = point.amounts.get(f"cone_{shift.end}", 0.0)
+                p.sync_impulse = IMPULSE_PER_SPEED * abs(shift.difference_rad_s) * np.exp(cone)
+                timing = setup.timing.rise_ns, setup.timing.fall_ns
+                if timing not in schedules:
+                    schedules[timing] = _moves(shift, setup)
+                m = fresh_modes(LENGTH, setup.conditions.loads())
+                m.line = 1 if setup.has_line else 0
+                packed.append(p.array)
+                flow.append(setup.c)
+                initial.append(initial_state(LENGTH, p, position=shift.start, charged=()))
+                modes.append(m.array[: Modes.size])
+                moves.append(schedules[timing])
+                late_s = point.amounts.get("latency", 0.0) + setup.chain.latency_s - self.latency_s
+                times[k, j, : len(shift.time_s)] = shift.time_s - late_s
+                times[k, j, len(shift.time_s) :] = shift.time_s[-1] - late_s
+        flat = np.maximum(times.reshape(here * count, most), 0.0)
+        strokes = Strokes(
+            system=LENGTH,
+            packed=np.array(packed),
+            flow=shared(flow),
+            initial=np.array(initial),
+            modes=shared(modes),
+            valves=np.zeros((1, 3)),
+            switches=_filled(moves),
+            duration_s=flat[:, -1] + 1e-6,
+        )
+        result = simulate_batch(strokes, sample_s=flat, columns=[LengthState.x_s, LengthState.v_s])
+        samples = result.samples.reshape(here, count, most, 2)
+        for (j, supply), setup in setups.items():
+            if supply == min(own for other, own in setups if other == j):
+                samples[:, j, :, 0] = self._reported(samples[:, j, :, 0], setup, points[j])
+        for k, shift in enumerate(shifts):
+            samples[k, :, len(shift.time_s) :] = np.nan
+        done = (result.status == DONE).reshape(here, count)
+        return samples[..., 0], samples[..., 1], done
+
+    def _reported(self, position_m: Floats, setup: Setup, point: Point) -> Floats:
+        """Return what the sensor reports of true positions, without the timer's rounding."""
+        chain = setup.chain
+        pulses = chain.sensor.duration_s(position_m, chain.coil_temperature_k)
+        found = chain.calibration.position_m(pulses, chain.measured_temperature_k)
+        amount = point.amounts.get
+        return setup.reported_m(found) * (1.0 + amount("gain", 0.0)) + amount("offset", 0.0)
+
+
+def _moves(shift: Shift, setup: Setup) -> Floats:
+    """Return the moves of a shift's valves [k, 4] as rows of `plant.batch.batch.Strokes`."""
+    rows = switch_schedule(shift.commands, setup.timing, 3)
+    return np.array([(at / _NS, chamber, u, 0.0) for at, chamber, u in rows]).reshape(-1, 4)
+
+
+def _filled(moves: Sequence[Floats]) -> Floats:
+    """Return the moves of all strokes as one array, filled up with rows of infinite time."""
+    filled = np.zeros((len(moves), max(map(len, moves)), 4))
+    filled[:, :, 0] = np.inf
+    for row, own in zip(filled, moves, strict=True):
+        row[: len(own)] = own
+    return filled

@@ -1,0 +1,354 @@
+"""Shifts cut out of a log: commands as they reached the valves, pulses, speeds, supply.
+
+Checked by: tests/unit/sil/shift_diagnosis/test_shifts.py
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from can_dbc.codec import can_id_of, decode, encode
+from can_dbc.e2e import Protector
+from can_dbc.errors import CodecError, InputError
+from can_dbc.frame import Frame, split_id
+from can_dbc.messages import (
+    Air1,
+    Chamber,
+    DrivelineSpeeds,
+    Gear,
+    PositionPulse,
+    SafetyBlow,
+    ValveCommand,
+)
+from plant.devices.position_circuit import SensorConfig
+from plant.devices.sensors import InductiveSensor
+from plant.devices.valve_driver import Duties, ValveDriver, ValveDriverConfig
+from plant.parameters import ParameterSet
+from sil.j1939.mapping import Meaning, Sender, SignalMapping
+from sil.log_replay.recorded_frames import OWN_IDS, Arrival, RecordedFrames, is_intact
+from sil.logs import LogFrame, open_log
+
+Floats = NDArray[np.float64]
+
+COMMANDS: Final = (ValveCommand, SafetyBlow)
+LEAD_S: Final = 0.05
+"""Simulated time of a shift before its first command."""
+VENTED_S: Final = 0.27
+"""Time after which the chambers of closed valves are at the atmosphere's pressure."""
+LONGEST_S: Final = 4.0
+MOST_PULSES: Final = 96
+FRAME_S: Final = 0.00026
+"""Time of a pulse's frame on a bus of 500 kbit/s; another bit rate is part of the delay's prior."""
+AIR1_PGN: Final = split_id(can_id_of(Air1)).pgn
+_NS: Final = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Shift:
+    """One shift as recorded; times in s from LEAD_S before its first command.
+
+    start, end: gears, N, B or F. commands: (time, chamber 0 to 2, duty). time_s, position_m: [n], the
+    instants that the pulses measured, if nothing delays them, and the positions that they report.
+    difference_rad_s: input minus output speed before the gear is engaged. supply_pa: absolute, NaN
+    if the log has none.
+    """
+
+    source: str
+    begin_s: float
+    start: str
+    end: str
+    commands: tuple[tuple[float, int, float], ...]
+    time_s: Floats
+    position_m: Floats
+    difference_rad_s: float
+    supply_pa: float
+
+
+@dataclass
+class _Episode:
+    """Commands, pulses and speeds from a first command until the chambers are vented again; ns."""
+
+    begin_ns: int
+    commands: list[tuple[int, int, float]] = field(default_factory=list)
+    pulses: list[tuple[int, Frame]] = field(default_factory=list)
+    speeds: list[tuple[int, Frame]] = field(default_factory=list)
+
+
+class ShiftCutter:
+    """Cuts shifts out of the frames of one log, as they come.
+
+    skipped: shifts that cannot be used, by the reason.
+    """
+
+    def __init__(self, source: str, parameters: ParameterSet) -> None:
+        value = parameters.value
+        self._source = source
+        self._sensor = InductiveSensor.from_parameters(parameters)
+        self._stroke_m = value("length.stroke")
+        self._atmosphere_pa = value("gas.P_atm")
+        self._duty_open = value("valve.duty_open")
+        self._driver = ValveDriver(
+            ValveDriverConfig(), value("valve.duty_nominal"), self._duty_open
+        )
+        self._duties: Duties = self._driver.duties
+        self._off_ns = -_NS
+        self._episode: _Episode | None = None
+        self._pulses: deque[tuple[int, Frame]] = deque(maxlen=40)
+        self._speeds: deque[tuple[int, Frame]] = deque(maxlen=8)
+        self._supply_pa = float("nan")
+        self.skipped: Counter[str] = Counter()
+        self.frames: Counter[type] = Counter()
+
+    def take(self, arrival: Arrival) -> Shift | None:
+        """Take a frame; return the shift that it completes."""
+        time_ns, kind, frame = arrival
+        if kind in COMMANDS:
+            for at_ns, duties in self._driver.advance(time_ns, [(time_ns, frame)]):
+                if (ended := self._command(at_ns, duties)) is not None:
+                    return ended
+        elif kind is PositionPulse:
+            self._pulses.append((time_ns, frame))
+            if self._episode is not None:
+                self._episode.pulses.append((time_ns, frame))
+        elif kind is DrivelineSpeeds:
+            self._speeds.append((time_ns, frame))
+            if self._episode is not None:
+                self._episode.speeds.append((time_ns, frame))
+        elif kind is None and split_id(frame.can_id).pgn == AIR1_PGN:
+            self._note_supply(frame)
+        if kind is not None:
+            self.frames[kind] += 1
+        return self._finished(time_ns)
+
+    def finish(self) -> Shift | None:
+        """Return the shift that the end of the log completes."""
+        if self._episode is None or not self._pulses:
+            return None
+        if self._is_energised or self._pulses[-1][0] < self._off_ns + 200_000_000:
+            self.skipped["without its end in the log"] += 1
+            return None
+        return self._closed()
+
+    @property
+    def _is_energised(self) -> bool:
+        return max(self._duties) >= self._duty_open
+
+    def _command(self, at_ns: int, duties: Duties) -> Shift | None:
+        """Take new duties; return the shift that a command out of its gear ends."""
+        was_off, before, ended = not self._is_energised, self._duties, None
+        self._duties = duties
+        if was_off and self._is_energised:
+            vented = at_ns >= self._off_ns + VENTED_S * _NS
+            if self._episode is not None and not vented and self._is_in_gear:
+                ended = self._closed()
+            if self._episode is None and vented:
+                self._episode = _Episode(at_ns, [], list(self._pulses), list(self._speeds))
+            elif self._episode is None:
+                self.skipped["begun before the chambers were vented"] += 1
+        if self._episode is not None:
+            self._episode.commands += [
+                (at_ns, chamber, duty)
+                for chamber, (duty, old) in enumerate(zip(duties, before, strict=True))
+                if duty != old
+            ]
+        if not self._is_energised:
+            self._off_ns = at_ns
+        return ended
+
+    @property
+    def _is_in_gear(self) -> bool:
+        """Whether the latest pulse is one of an engaged gear."""
+        message = decode(self._pulses[-1][1]) if self._pulses else None
+        if not isinstance(message, PositionPulse):
+            return False
+        position = self._sensor.position_m(message.pulse_s, message.coil_temperature_k)
+        return self._gear(float(position)) in ("B", "F")
+
+    def _note_supply(self, frame: Frame) -> None:
+        try:
+            message = decode(Frame(can_id_of(Air1), frame.data))
+        except CodecError:
+            return
+        if isinstance(message, Air1) and message.supply_gauge_pa is not None:
+            self._supply_pa = message.supply_gauge_pa + self._atmosphere_pa
+
+    def _finished(self, now_ns: int) -> Shift | None:
+        episode = self._episode
+        if episode is None:
+            return None
+        if now_ns - episode.begin_ns > LONGEST_S * _NS and self._is_energised:
+            self.skipped[f"energised for more than {LONGEST_S:g} s"] += 1
+            self._episode = None
+            return None
+        if self._is_energised or now_ns < self._off_ns + VENTED_S * _NS:
+            return None
+        return self._closed()
+
+    def _closed(self) -> Shift | None:
+        episode, self._episode = self._episode, None
+        assert episode is not None
+        found = self._shift(episode)
+        if isinstance(found, str):
+            self.skipped[found] += 1
+            return None
+        return found
+
+    def _shift(self, episode: _Episode) -> Shift | str:
+        """Return the shift of an episode, or why there is none."""
+        origin_ns = episode.begin_ns - round(LEAD_S * _NS)
+        readings = [
+            (time_ns - origin_ns, message.pulse_s, message.coil_temperature_k, message.sample_index)
+            for time_ns, frame in episode.pulses
+            if is_intact(PositionPulse, frame)
+            and isinstance(message := decode(frame), PositionPulse)
+        ]
+        if len(readings) < 12:
+            return "with too few pulses"
+        arrived, pulse, kelvin, number = np.array(readings, dtype=np.float64).T
+        index = np.concatenate([[0.0], np.cumsum(np.diff(number) % 256)])
+        if index[-1] < 1.0:
+            return "without numbered pulses"
+        arrived /= _NS
+        period = round(float(np.median(np.diff(arrived) / np.maximum(np.diff(index), 1.0))), 5)
+        begun = float(np.min(arrived - period * index)) + period * index
+        if begun[-1] < arrived[-1] - 0.5 * period:  # more than 255 pulses lost, or another period
+            return "with a gap in the pulses"
+        config = SensorConfig()
+        measured_s = begun - FRAME_S - config.capture_s + 0.5 * self._sensor.t_mid_s
+        warmth = 1.0 + self._sensor.temp_coeff_1_k * (kelvin - self._sensor.t_ref_k)
+        position = (pulse / warmth - self._sensor.t_mid_s) / self._sensor.slope_s_m
+        before = position[measured_s < LEAD_S]
+        gears = [self._gear(float(np.median(own))) for own in (before[-8:], position[-5:])]
+        if len(before) < 3 or gears[0] is None:
+            return "that do not begin in a gear"
+        moving = np.flatnonzero(np.abs(position - np.median(position[-5:])) > 3e-4)
+        first = max(int(np.searchsorted(measured_s, 0.0)), 1)
+        if gears[1] is None or not len(moving) or moving[-1] < first:
+            return "without motion, or without a gear at the end"
+        last = min(int(moving[-1]) + 7, len(position), first + MOST_PULSES)
+        used = slice(first, last)
+        return Shift(
+            self._source,
+            episode.begin_ns / _NS,
+            gears[0],
+            gears[1],
+            tuple(
+                ((at - origin_ns) / _NS, chamber, duty) for at, chamber, duty in episode.commands
+            ),
+            measured_s[used],
+            position[used],
+            self._difference(episode, origin_ns, measured_s[used], position[used]),
+            self._supply_pa,
+        )
+
+    def _gear(self, position_m: float) -> str | None:
+        for name, at_m in (("N", 0.0), ("B", self._stroke_m), ("F", -self._stroke_m)):
+            if abs(position_m - at_m) < 0.25 * self._stroke_m:
+                return name
+        return None
+
+    def _difference(
+        self, episode: _Episode, origin_ns: int, time_s: Floats, position_m: Floats
+    ) -> float:
+        """Return the speed difference at the last instant at which the stay was near neutral."""
+        near = np.flatnonzero(np.abs(position_m) < 0.25 * self._stroke_m)
+        if not len(near) or near[-1] == len(position_m) - 1:
+            return 0.0
+        until_ns = origin_ns + round((time_s[near[-1]] + 0.002) * _NS)
+        for time_ns, frame in reversed(episode.speeds):
+            if time_ns <= until_ns and is_intact(DrivelineSpeeds, frame):
+                message = decode(frame)
+                assert isinstance(message, DrivelineSpeeds)
+                return message.input_rad_s - message.output_rad_s
+        return 0.0
+
+
+def shifts_of(
+    path: str, parameters: ParameterSet, mapping: SignalMapping | None, skipped: Counter[str]
+) -> Iterator[Shift]:
+    """Yield the shifts of one log, in bounded memory; `skipped` counts the others by their reason.
+
+    mapping: what another layout's signals stand for.  Raises InputError for a file that is no log,
+    and for one without what a shift needs.
+    """
+    cutter = ShiftCutter(path, parameters)
+    log: Iterable[LogFrame] = open_log(path)
+    arrivals = (
+        iter(RecordedFrames(log, ids=OWN_IDS, path=path))
+        if mapping is None
+        else Translator(mapping).arrivals(log)
+    )
+    for arrival in arrivals:
+        if (shift := cutter.take(arrival)) is not None:
+            yield shift
+    if (shift := cutter.finish()) is not None:
+        yield shift
+    skipped.update(cutter.skipped)
+    for kind in (ValveCommand, PositionPulse):
+        if not cutter.frames[kind]:
+            hint = "the signals that FILE of --map names" if mapping else "those, or --map FILE"
+            raise InputError(
+                f"{path}: no {kind.__name__} ({can_id_of(kind):X}) in it; expected {hint}"
+            )
+
+
+DUTIES: Final[tuple[Meaning, ...]] = ("duty_b", "duty_n", "duty_f")
+
+
+class Translator:
+    """Frames of another layout as those of our contract; end-to-end protection is ours."""
+
+    def __init__(self, mapping: SignalMapping) -> None:
+        """Take what another layout's signals stand for.
+
+        Raises InputError if duties or pulses are not mapped.
+        """
+        for meaning in (*DUTIES, "pulse_s"):
+            if meaning not in {row.meaning for row in mapping.rows}:
+                raise InputError(
+                    f"{mapping.path}: no signal for {meaning}; expected duty_b, duty_n, duty_f, "
+                    "pulse_s, and where present coil_temperature_k, input_shaft_rad_s, "
+                    "output_shaft_rad_s, supply_pressure_pa"
+                )
+        self._mapping = mapping
+        self._known: dict[Meaning, float] = {"coil_temperature_k": 293.15}
+        self._pulses = 0
+        self._command, self._blow = Protector(ValveCommand), Protector(SafetyBlow)
+        self._pulse, self._speeds = Protector(PositionPulse), Protector(DrivelineSpeeds)
+
+    def arrivals(self, log: Iterable[LogFrame]) -> Iterator[Arrival]:
+        """Yield the frames of our contract that mapped frames [any layout] stand for."""
+        for entry in log:
+            sender = self._mapping.sender(entry)
+            if sender is not None and len(entry.data) >= self._mapping.length(sender.message):
+                yield from self._translated(entry, sender)
+
+    def _translated(self, entry: LogFrame, sender: Sender) -> Iterator[Arrival]:
+        values = self._mapping.values(sender, entry.data)
+        carried = {self._mapping.rows[k].meaning: value for k, value in values.items()}
+        self._known.update(carried)
+        known, at = self._known, entry.time_ns
+        if carried.keys() & set(DUTIES):
+            b, n, f = (min(max(known.get(name, 0.0), 0.0), 1.0) for name in DUTIES)
+            command = ValveCommand(b, n, f, Gear.UNKNOWN)
+            yield Arrival(at, ValveCommand, self._command.protect(command))
+            blow = SafetyBlow(Chamber.NONE, False, 0.0)
+            yield Arrival(at, SafetyBlow, self._blow.protect(blow))
+        if "pulse_s" in carried:
+            pulse = PositionPulse(carried["pulse_s"], known["coil_temperature_k"], self._pulses)
+            self._pulses = self._pulses + 1 & 0xFF
+            with suppress(CodecError):  # beyond what a pulse can be
+                yield Arrival(at, PositionPulse, self._pulse.protect(pulse))
+        if "input_shaft_rad_s" in carried or "output_shaft_rad_s" in carried:
+            pair = known.get("input_shaft_rad_s", 0.0), known.get("output_shaft_rad_s", 0.0)
+            yield Arrival(at, DrivelineSpeeds, self._speeds.protect(DrivelineSpeeds(*pair)))
+        if "supply_pressure_pa" in carried:
+            gauge = carried["supply_pressure_pa"] - 101325.0
+            yield Arrival(at, None, encode(Air1(min(max(gauge, 0.0), 1.9e6))))

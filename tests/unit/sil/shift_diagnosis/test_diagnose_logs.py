@@ -1,0 +1,51 @@
+"""From a truck's log to a verdict: what is hidden is found, a healthy truck is not accused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sil.cli import main
+
+
+def diagnosed(log: Path, out: Path) -> tuple[int, dict]:
+    code = main(["diagnose", str(log), "--out", str(out), "--quiet"])
+    return code, json.loads((out / "diagnosis.json").read_text())
+
+
+@pytest.mark.slow
+def test_late_valves_are_found_with_what_looks_alike(late_log: Path, tmp_path: Path) -> None:
+    code, found = diagnosed(late_log, tmp_path)
+    assert code == 1
+    assert found["verdict"] == "ambiguous"
+    causes = {cause["id"]: cause for cause in found["causes"]}
+    # a pulse that is late and a valve that is late are the same on this bus
+    assert set(causes) == {"valve_open_delay", "sensor_delay"}
+    delay = causes["valve_open_delay"]["parameters"]["delay_s"]
+    assert delay["low"] < 0.007 < delay["high"]
+    assert delay["high"] - delay["low"] < 0.004
+    groups = [g for g in found["groups"] if set(causes) <= set(g["causes"])]
+    assert any("pressures" in text for text in groups[0]["measure"])
+    assert (tmp_path / "report.html").stat().st_size > 20_000
+    assert (tmp_path / "shifts.png").exists()
+
+
+@pytest.mark.slow
+def test_a_healthy_truck_is_consistent(nominal_log: Path, tmp_path: Path) -> None:
+    code, found = diagnosed(nominal_log, tmp_path)
+    assert (code, found["verdict"], found["causes"]) == (0, "consistent", [])
+    assert found["probabilities"]["healthy"] > 0.5
+    assert found["chi2_per_number"]["healthy"] < 1.5
+
+
+def test_a_log_without_commands_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "other.log"
+    path.write_text("(1.0) can0 18FEF100#0102030405060708\n")
+    assert main(["diagnose", str(path), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert "no ValveCommand" in error and error.count("\n") == 1
+    assert not (tmp_path / "out").exists()

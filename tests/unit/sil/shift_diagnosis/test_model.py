@@ -1,0 +1,49 @@
+"""The model under recorded commands gives the recorded pulses, and its derivatives are differences."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from plant.parameters import load
+from sil.shift_diagnosis.linear import linearise, posterior, projected
+from sil.shift_diagnosis.model import PlantModel, Point, catalogue
+from sil.shift_diagnosis.shifts import Shift, shifts_of
+
+TICK_M = 1e-6 / 0.022
+
+
+@pytest.fixture(scope="module")
+def shifts(nominal_log: Path) -> list[Shift]:
+    return list(shifts_of(str(nominal_log), load("nominal"), None, Counter()))
+
+
+def test_the_nominal_truck_gives_the_recorded_pulses(shifts: list[Shift]) -> None:
+    model = PlantModel(load("nominal"), mounted=True)
+    x, v, done = model.predict(shifts, [Point(), Point({"rise": 0.002})])
+    assert done.all()
+    for k, shift in enumerate(shifts):
+        n = len(shift.time_s)
+        # half a timer tick, and the way of a frame on a bus with others at that speed
+        allowed = 0.6 * TICK_M + 1.5e-4 * np.abs(v[k, 0, :n])
+        assert (np.abs(shift.position_m - x[k, 0, :n]) < allowed).mean() > 0.97
+        assert np.max(np.abs(shift.position_m - x[k, 1, :n])) > 20 * TICK_M
+
+
+def test_a_linear_model_is_a_sum_over_shifts(shifts: list[Shift]) -> None:
+    model = PlantModel(load("nominal"), mounted=True)
+    causes = [c for c in catalogue() if c.effect.id in ("valve_open_delay", "sensor_delay")]
+    values = np.zeros(17)
+    whole = linearise(model, shifts, values, causes)
+    parts = [linearise(model, [shift], values, causes) for shift in shifts]
+    assert np.allclose(whole.information, np.concatenate([p.information for p in parts]))
+    assert np.allclose(whole.score, np.concatenate([p.score for p in parts]))
+    information, score = projected(whole)
+    assert information[0, 1] ** 2 > 0.9 * information[0, 0] * information[1, 1]
+    for j in (0, 1):  # the projection is the joint estimate's
+        joint = posterior(whole, [j])
+        estimate = score[j] / (information[j, j] + 1.0 / 9.0)
+        assert joint.estimate[-1] == pytest.approx(estimate, rel=1e-6, abs=1e-9)

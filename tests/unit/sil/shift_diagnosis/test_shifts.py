@@ -1,0 +1,96 @@
+"""Shifts cut out of logs; of another layout the same; what is missing is refused."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from can_dbc.contract import DBC_PATH
+from can_dbc.errors import InputError
+from plant.parameters import load
+from sil.j1939.mapping import SignalMapping
+from sil.logs import open_log, open_writer
+from sil.shift_diagnosis.shifts import Shift, shifts_of
+
+MAP = """
+[[signal]]
+meaning = "{meaning}"
+message = "{message}"
+signal = "{signal}"
+scale = {scale}
+"""
+ROWS = {
+    "duty_b": ("ValveCommand", "DutyB", 0.01),
+    "duty_n": ("ValveCommand", "DutyN", 0.01),
+    "duty_f": ("ValveCommand", "DutyF", 0.01),
+    "pulse_s": ("PositionPulse", "PulseDuration", 1e-6),
+    "coil_temperature_k": ("PositionPulse", "CoilTemperature", 1.0),
+    "input_shaft_rad_s": ("DrivelineSpeeds", "InputSpeed", 1.0),
+    "output_shaft_rad_s": ("DrivelineSpeeds", "OutputSpeed", 1.0),
+}
+
+
+def cut(path: Path, mapping: SignalMapping | None = None) -> list[Shift]:
+    return list(shifts_of(str(path), load("nominal"), mapping, Counter()))
+
+
+def test_a_shift_has_its_gears_commands_and_pulses(nominal_log: Path) -> None:
+    shifts = cut(nominal_log)
+    assert len(shifts) >= 4
+    assert shifts[0].start == "N" and shifts[0].end in "BF"
+    for shift in shifts:
+        assert shift.commands[0][0] == pytest.approx(0.05, abs=1e-9)
+        assert shift.commands[0][2] == pytest.approx(0.98)
+        assert np.allclose(np.diff(shift.time_s), 0.01, atol=1e-5)
+        assert np.isnan(shift.supply_pa)
+    assert len({s.begin_s for s in shifts}) == len(shifts)
+
+
+def test_pulses_lost_and_damaged_are_left_out(nominal_log: Path, tmp_path: Path) -> None:
+    whole, worse = cut(nominal_log), tmp_path / "worse.log"
+    with open_writer(str(worse)) as writer:
+        for number, frame in enumerate(open_log(str(nominal_log))):
+            if number % 41 != 5:
+                writer.write(frame)
+    shifts = cut(worse)
+    assert [(s.start, s.end) for s in shifts] == [(s.start, s.end) for s in whole]
+    for own, other in zip(shifts, whole, strict=True):
+        at = np.interp(own.time_s, other.time_s, other.position_m)
+        near = np.min(np.abs(own.time_s[:, None] - other.time_s[None]), axis=1) < 3e-4
+        assert near.all()
+        assert np.max(np.abs(own.position_m - at)) < 1e-3
+
+
+def test_a_log_of_something_else_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "other.log"
+    path.write_text("(1.0) can0 18FEF100#0102030405060708\n")
+    with pytest.raises(InputError, match="no ValveCommand"):
+        cut(path)
+
+
+def test_another_layout_needs_duties_and_pulses(tmp_path: Path, nominal_log: Path) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text(
+        MAP.format(meaning="duty_b", message="ValveCommand", signal="DutyB", scale=0.01)
+    )
+    with pytest.raises(InputError, match="no signal for duty_n"):
+        cut(nominal_log, SignalMapping(str(path), str(DBC_PATH)))
+
+
+def test_another_layout_gives_the_same_shifts(nominal_log: Path, tmp_path: Path) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text(
+        "".join(
+            MAP.format(meaning=meaning, message=message, signal=signal, scale=scale)
+            for meaning, (message, signal, scale) in ROWS.items()
+        )
+    )
+    whole, mapped = cut(nominal_log), cut(nominal_log, SignalMapping(str(path), str(DBC_PATH)))
+    assert [(s.start, s.end) for s in mapped] == [(s.start, s.end) for s in whole]
+    for own, other in zip(mapped, whole, strict=True):
+        assert own.difference_rad_s == pytest.approx(other.difference_rad_s)
+        n = min(len(own.position_m), len(other.position_m))
+        assert np.allclose(own.position_m[:n], other.position_m[:n], atol=1e-9)
