@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sil.cli.options import JSON, SELECTION, argument
@@ -46,12 +47,15 @@ ARGUMENTS = (
 
 def run(arguments: argparse.Namespace) -> int:
     """Print; return 1 if a message may be too late.  Raises InputError for bad input."""
+    from can_dbc.contract import DBC_PATH
     from can_dbc.errors import InputError
     from sil.coupling import response_times
     from sil.coupling.clock import to_seconds
 
     if arguments.dbc == OWN:
-        return _print_database(arguments.json)
+        text = Path(DBC_PATH).read_text(encoding="ascii")
+        print(json.dumps({"dbc": text}) if arguments.json else text.removesuffix("\n"))
+        return 0
     if arguments.scenario and (arguments.dbc or arguments.log):
         raise InputError("--scenario: given with --dbc or --log; expected one of them")
     bitrate = 500_000
@@ -72,7 +76,6 @@ def run(arguments: argparse.Namespace) -> int:
         messages = response_times.contract_messages()
     bitrate = arguments.bitrate or bitrate
     responses = response_times.response_times(messages, bitrate)
-    jitters = {message.name: message.jitter_ns for message in messages}
     figures: dict[str, Any] = {
         "transports": _transports(),
         "bitrate": bitrate,
@@ -80,14 +83,14 @@ def run(arguments: argparse.Namespace) -> int:
         "worst_case_load": float(response_times.utilisation(messages, bitrate)),
         "messages": [
             {
-                "name": r.name,
-                "can_id": f"{r.can_id:08X}",
-                "period_s": to_seconds(r.period_ns),
-                "jitter_s": to_seconds(jitters[r.name]),
+                "name": r.message.name,
+                "can_id": f"{r.message.can_id:08X}",
+                "period_s": to_seconds(r.message.period_ns),
+                "jitter_s": to_seconds(r.message.jitter_ns),
                 "transmission_s": to_seconds(r.transmission_ns),
                 "blocking_s": to_seconds(r.blocking_ns),
                 "worst_case_s": to_seconds(r.response_ns),
-                "deadline_s": to_seconds(r.deadline_ns),
+                "deadline_s": to_seconds(r.message.period_ns),
                 "in_time": r.in_time,
             }
             for r in responses
@@ -98,16 +101,6 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         _print(figures)
     return 0 if all(r.in_time for r in responses) else 1
-
-
-def _print_database(as_json: bool) -> int:
-    """Print the project's database as it is."""
-    from can_dbc.contract import DBC_PATH
-
-    with open(DBC_PATH, encoding="ascii") as file:
-        text = file.read()
-    print(json.dumps({"dbc": text}) if as_json else text.removesuffix("\n"))
-    return 0
 
 
 def _measured(arguments: argparse.Namespace) -> tuple[tuple[PeriodicMessage, ...], list[str]]:
@@ -156,18 +149,10 @@ def _measured(arguments: argparse.Namespace) -> tuple[tuple[PeriodicMessage, ...
 
 def _transports() -> dict[str, Any]:
     """Return what a run can use here: always one process, and what the system has."""
-    import socket
-
     from sil.coupling.transports.address import running_channels
 
-    interfaces = []
-    for _, name in socket.if_nameindex():
-        try:
-            with open(f"/sys/class/net/{name}/type", encoding="ascii") as file:
-                if file.read().strip() == "280":  # ARPHRD_CAN
-                    interfaces.append(name)
-        except OSError:
-            continue
+    kinds = Path("/sys/class/net").glob("*/type")  # 280: ARPHRD_CAN
+    interfaces = sorted(kind.parent.name for kind in kinds if kind.read_text().strip() == "280")
     return {"inproc": True, "local": True, "local_runs": running_channels(), "can": interfaces}
 
 

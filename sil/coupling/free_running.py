@@ -22,7 +22,6 @@ from can_dbc.errors import InputError, RunError
 from can_dbc.frame import MAX_ID, Frame
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.real_time import Lateness, Pacer
-from sil.coupling.transports import address
 from sil.coupling.transports.channel import Participant, silent
 from sil.coupling.transports.local import LocalBus, RunEnded
 
@@ -61,19 +60,10 @@ def open_bus(
                 f"channel {channel!r}: {why}; expected local:NAME or the name of a CAN interface "
                 "that is up"
             ) from None
-    path = address.socket_path(name)
-    deadline = time.monotonic() + wait_s
-    waiting = False
-    while True:
-        try:
-            return LocalBus(name, filters)
-        except can.CanInitializationError:
-            if time.monotonic() >= deadline:
-                raise RunError(f"no run on {channel} within {wait_s:g} s ({path})") from None
-            if not waiting:
-                waiting = True
-                say(f"waiting up to {wait_s:g} s for a run on {channel}")
-            time.sleep(0.02)
+    try:
+        return LocalBus(name, filters, wait_s=wait_s, say=say)
+    except can.CanInitializationError as error:
+        raise error.__cause__ or error from None
 
 
 def frame_of(message: can.Message) -> Frame | None:

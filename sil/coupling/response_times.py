@@ -41,7 +41,6 @@ class PeriodicMessage:
     """A message of the analysis; times in ns.
 
     `jitter_ns`: how much later than strictly periodic its frames may be released.
-    `deadline_ns`: None for the period.
     """
 
     name: str
@@ -49,7 +48,6 @@ class PeriodicMessage:
     period_ns: int
     length: int = 8
     jitter_ns: int = 0
-    deadline_ns: int | None = None
     extended: bool = True
 
     @property
@@ -68,18 +66,15 @@ class ResponseTime:
     intermission.
     """
 
-    name: str
-    can_id: int
-    period_ns: int
+    message: PeriodicMessage
     transmission_ns: int
     blocking_ns: int
     response_ns: int
-    deadline_ns: int
 
     @property
     def in_time(self) -> bool:
-        """Whether the message always meets its deadline."""
-        return self.response_ns <= self.deadline_ns
+        """Whether the message always meets its deadline, the end of its period."""
+        return self.response_ns <= self.message.period_ns
 
 
 def contract_messages(
@@ -213,12 +208,4 @@ def _response_time(
                 break
             queueing = longer
         response = max(response, message.jitter_ns + queueing - instance * message.period_ns + cost)
-    return ResponseTime(
-        name=message.name,
-        can_id=message.can_id,
-        period_ns=message.period_ns,
-        transmission_ns=cost,
-        blocking_ns=blocking,
-        response_ns=response,
-        deadline_ns=message.period_ns if message.deadline_ns is None else message.deadline_ns,
-    )
+    return ResponseTime(message, cost, blocking, response)

@@ -10,7 +10,7 @@ from typing import Any
 
 from pythonfmu3 import Float64, Fmi3Causality, Fmi3Initial, Fmi3Slave, Fmi3Variability
 
-from sil.simulation.scenario import Loaded, restore
+from sil.simulation.scenario import Loaded, from_table
 
 
 def prepare(slave: Fmi3Slave) -> Loaded:
@@ -29,7 +29,7 @@ def prepare(slave: Fmi3Slave) -> Loaded:
             variability=Fmi3Variability.continuous,
         )
     )
-    return restore(settings["scenario"], "settings.json")
+    return from_table(settings["scenario"], "settings.json")
 
 
 def declare(

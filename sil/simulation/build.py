@@ -8,7 +8,7 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Container
 from pathlib import Path
 from typing import TYPE_CHECKING
 from zlib import crc32
@@ -253,7 +253,7 @@ def open_channels(
     loaded: Loaded,
     folder: Path,
     transport: str,
-    external: Iterable[str],
+    external: Collection[str],
     say: Say,
     closing: contextlib.ExitStack,
 ) -> list[Channel]:
@@ -264,7 +264,6 @@ def open_channels(
     Raises InputError for a transport that this machine does not have, RunError for one in use.
     """
     names = participant_names(loaded.scenario)
-    external = set(external)
     if transport == "inproc":
         if external:
             raise InputError("--external: needs --transport local or a CAN interface")
@@ -281,43 +280,54 @@ def open_channels(
         from sil.nodes.own_firmware import STEP_S
 
         timeouts = dataclasses.replace(TIMEOUTS, answer_s=STEP_S + TIMEOUTS.answer_s)
-    kind, colon, name = transport.partition(":")
+    channel, local_name = channel_of(transport)
     opened: type[RemoteChannel]
-    if kind == "local":
+    if local_name is not None:
         from sil.coupling.transports.hub import Hub as opened
-
-        name = name if colon else f"run-{os.getpid()}"
-        channel = f"local:{name}"
     else:
         from sil.coupling.transports.socketcan import SocketCan as opened
-
-        channel = name = transport
-    remote = opened(name, remote_names, scenario=number, timeouts=timeouts, say=say)
+    where = channel if local_name is None else local_name
+    remote = opened(where, remote_names, scenario=number, timeouts=timeouts, say=say)
     closing.callback(remote.close, aborted=True)  # until the coordinator has it
     for name in remote_names:
         if name == GUEST:
             say(f"waiting for guest: start your program on channel {channel}")
-        elif name in external:
-            command = shlex.join(["opc4", *node_arguments(name, channel, folder.resolve())])
-            say(f"waiting for {name}: {command}")
-        else:
-            remote.spawn(name, node_command(name, channel, folder))
+        elif command := node_command(name, channel, folder, external, say):
+            remote.spawn(name, command)
     here = [make_participant(name, loaded, folder) for name in names if name not in remote_names]
     return [remote, InProcess(here)]
 
 
-def node_command(name: str, channel: str, folder: Path) -> list[str]:
+def channel_of(transport: str) -> tuple[str, str | None]:
+    """Return the channel of a transport, and the name of its local bus; None for a CAN interface."""
+    kind, colon, name = transport.partition(":")
+    if kind != "local":
+        return transport, None
+    name = name if colon else f"run-{os.getpid()}"
+    return f"local:{name}", name
+
+
+def node_command(
+    name: str,
+    channel: str,
+    folder: Path,
+    external: Container[str] = (),
+    say: Say = print,
+    *options: str,
+) -> list[str]:
     """Return the command that runs one participant of the run in `folder` in its own process.
 
-    The process runs this very code, whatever lies in the user's folder under the same names.
+    Empty for a participant in `external`: then `say` prints the command for the user. The process
+    runs this very code, whatever lies in the user's folder under the same names.
     """
+    folder = folder.resolve() if name in external else folder
+    recording = ["--out", str(folder), *(["--force"] if name == "plant" else [])]
+    scenario = str(folder / SCENARIO)
+    words = ["node", name, "--channel", channel, "--scenario", scenario, *recording, *options]
+    if name in external:
+        say(f"waiting for {name}: {shlex.join(['opc4', *words])}")
+        return []
     code = (
         f"import sys; sys.path.insert(0, {str(ROOT)!r}); from sil.cli import main; sys.exit(main())"
     )
-    return [sys.executable, "-P", "-c", code, *node_arguments(name, channel, folder)]
-
-
-def node_arguments(name: str, channel: str, folder: Path) -> list[str]:
-    """Return the arguments of `opc4` that run one participant of the run in `folder`."""
-    recording = ["--out", str(folder), *(["--force"] if name == "plant" else [])]
-    return ["node", name, "--channel", channel, "--scenario", str(folder / SCENARIO), *recording]
+    return [sys.executable, "-P", "-c", code, *words]

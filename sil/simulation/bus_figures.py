@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Callable
 from typing import Any
 
 from can_dbc.contract import contract
@@ -61,42 +63,51 @@ def scenario_messages(scenario: Scenario) -> tuple[PeriodicMessage, ...]:
     return (*periodic, faults, *claims)
 
 
-def worst_cases_ns(scenario: Scenario) -> dict[str, int]:
-    """Return the worst-case response time of each message; none when the bus is overloaded."""
-    try:
-        found = response_times(scenario_messages(scenario), scenario.bus.bitrate)
-    except InputError:
-        return {}
-    return {response.name: response.response_ns for response in found}
+def message_rows(
+    scenario: Scenario, figures: Callable[[int, int], dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Return name, sender, period and figures of each message, by identifier.
+
+    `figures` takes the identifier and the period in ns.
+    """
+    periods = periods_ns(scenario)
+    return [
+        {
+            "name": spec.name,
+            "can_id": f"{spec.can_id:08X}",
+            "sender": ", ".join(spec.senders),
+            "period_s": periods[spec.name] / NS_PER_S,
+            "longest_response_s": None,
+            "worst_case_s": None,
+            **figures(spec.can_id, periods[spec.name]),
+        }
+        for spec in sorted(contract().values(), key=lambda spec: spec.can_id)
+        if spec.name in periods
+    ]
 
 
 def bus_figures(scenario: Scenario, bus: BusModel, plan: FaultPlan) -> dict[str, Any]:
-    """Return load, counts, and per message: frames, longest response, worst case."""
+    """Return load, counts, and per message: frames, longest response, worst case if not overloaded."""
     statistics = bus.statistics
-    periods, worst = periods_ns(scenario), worst_cases_ns(scenario)
-    messages = []
-    for spec in contract().values():
-        if spec.name not in periods:
-            continue
-        longest = statistics.longest_wait_ns.get(spec.can_id)
-        bound = worst.get(spec.name)
-        messages.append(
-            {
-                "name": spec.name,
-                "can_id": f"{spec.can_id:08X}",
-                "sender": ", ".join(spec.senders),
-                "frames": statistics.sent.get(spec.can_id, 0),
-                "period_s": periods[spec.name] / NS_PER_S,
-                "longest_response_s": None if longest is None else longest / NS_PER_S,
-                "worst_case_s": None if bound is None else bound / NS_PER_S,
-            }
-        )
+    worst: dict[int, int] = {}
+    with contextlib.suppress(InputError):
+        responses = response_times(scenario_messages(scenario), scenario.bus.bitrate)
+        worst = {response.message.can_id: response.response_ns for response in responses}
+
+    def row(can_id: int, period_ns: int) -> dict[str, Any]:
+        longest, bound = statistics.longest_wait_ns.get(can_id), worst.get(can_id)
+        return {
+            "frames": statistics.sent.get(can_id, 0),
+            "longest_response_s": None if longest is None else longest / NS_PER_S,
+            "worst_case_s": None if bound is None else bound / NS_PER_S,
+        }
+
     return {
         "bitrate": scenario.bus.bitrate,
         "load": bus.load,
         **{name: getattr(statistics, name) for name in COUNTS},
         "fault_hits": {f"fault[{index}]": hits for index, hits in plan.hits.items()},
-        "messages": sorted(messages, key=lambda m: m["can_id"]),
+        "messages": message_rows(scenario, row),
     }
 
 

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 import os
-import shlex
 import signal
-import statistics
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
-from itertools import pairwise
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -31,12 +28,12 @@ from sil.coupling.processes import ChildProcess
 from sil.coupling.transports.channel import ParticipantLost
 from sil.coupling.transports.relay import Relay
 from sil.coupling.transports.wire import GUEST
-from sil.recording.recorder import EVENTS, PLANT_TRACE
-from sil.recording.run_reader import open_trace
+from sil.recording.recorder import EVENTS, PLANT_TRACE, EventLog, TraceWriter
+from sil.recording.run_reader import event_of, open_trace
 from sil.simulation import build
 from sil.simulation.build import REMOTE, TIMEOUTS, Say
-from sil.simulation.bus_figures import COUNTS, periods_ns
-from sil.simulation.scenario import Loaded, Scenario
+from sil.simulation.bus_figures import COUNTS, message_rows
+from sil.simulation.scenario import Loaded
 
 CLOCK_ZERO = "plant.zero"
 """File next to the plant's trace: the instant, ns since 1970, at which its clock is zero."""
@@ -52,6 +49,8 @@ PARTICIPANT = {
     "Driveline": "plant",
 }
 """Nodes of the DBC to the participants that send and receive for them."""
+
+_SENDERS = {s.can_id: PARTICIPANT.get(s.senders[0], GUEST) for s in contract().values()}
 
 SETTLING_S = 1.0
 """The run begins this long after the last node has come, when all have received the others' frames."""
@@ -71,60 +70,50 @@ def received(name: str) -> list[int]:
 
 
 class FreeRun:
-    """The nodes of a scenario on a bus, and what crosses it; use as a context manager."""
+    """The nodes of a scenario on a bus, and what crosses it."""
 
     def __init__(
         self,
         loaded: Loaded,
         folder: Path,
         transport: str,
-        external: Iterable[str],
+        external: Collection[str],
         say: Say,
+        closing: contextlib.ExitStack,
     ) -> None:
         """Open the bus and start the processes of plant and controller, unless they are external.
 
-        Raises InputError for what only a lockstep run has, or for a channel that cannot exist.
+        `closing` ends and closes them. Raises InputError for what only a lockstep run has, or for a
+        channel that cannot exist.
         """
-        _refuse_lockstep_only(loaded)
+        scenario = loaded.scenario
+        for key, given in (("fault", scenario.fault), ("bus.guest", scenario.bus.guest)):
+            if given:
+                raise InputError(
+                    f"{loaded.source}: {key}: of a lockstep run only; expected none on a free-running "
+                    "bus, or --speed 1, which paces a lockstep run"
+                )
         self._loaded, self._folder = loaded, folder
         self.warnings: list[str] = []
         self._children: list[ChildProcess] = []
         self._stop = threading.Event()
-        self._failures: list[BaseException] = []
-        self._threads: list[threading.Thread] = []
+        self._threads = ThreadPoolExecutor(thread_name_prefix="node")
+        self._nodes: list[Future[None]] = []
+        self._closing = closing
         self._zero_ns = 0
         self._arrivals: defaultdict[int, list[int]] = defaultdict(list)
-        self._bits = self._frames = 0
-        self._senders = {
-            spec.can_id: PARTICIPANT[spec.senders[0]]
-            for spec in contract().values()
-            if spec.senders[0] in PARTICIPANT
-        }
-        with contextlib.ExitStack() as opening:
-            if transport.partition(":")[0] == "local":
-                name = transport.partition(":")[2] or f"run-{os.getpid()}"
-                transport = f"local:{name}"
-                opening.callback(Relay(name).close)
-            self._channel = transport
-            self._bus = open_bus(transport)
-            opening.callback(self._bus.shutdown)
-            opening.callback(self._end_nodes)
-            for name in REMOTE:
-                if name in set(external):
-                    words = [*build.node_arguments(name, transport, folder.resolve()), "--realtime"]
-                    say(
-                        f"waiting for {name} on {transport}, for instance: {shlex.join(['opc4', *words])}"
-                    )
-                else:
-                    command = [*build.node_command(name, transport, folder), "--realtime"]
-                    self._children.append(ChildProcess(name, command))
-            self._closing = opening.pop_all()
-
-    def __enter__(self) -> FreeRun:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._closing.close()
+        self._bits = 0
+        self._channel, name = build.channel_of(transport)
+        if name is not None:
+            closing.callback(Relay(name).close)
+        self._bus = open_bus(self._channel)
+        closing.callback(self._bus.shutdown)
+        closing.callback(self._end_nodes)
+        for participant in REMOTE:
+            if command := build.node_command(
+                participant, self._channel, folder, external, say, "--realtime"
+            ):
+                self._children.append(ChildProcess(participant, command))
 
     def run(self, record: Callable[[list[Delivery]], None]) -> RunSummary:
         """Wait until plant and controller are on the bus, then run; `record` receives each frame.
@@ -135,7 +124,7 @@ class FreeRun:
         duration_ns = to_ns(self._loaded.scenario.duration_s)
         for name in build.participant_names(self._loaded.scenario):
             if name not in REMOTE:
-                self._start_thread(name)
+                self._start_node(name)
         begun = time.perf_counter()
         # Whole microseconds, so that canplayer reads the log.
         self._zero_ns = time.time_ns() // 1000 * 1000 + to_ns(SETTLING_S)
@@ -143,53 +132,39 @@ class FreeRun:
         while time.time_ns() < end_ns + to_ns(_LOOK_S):
             self._look_after_nodes()
             time.sleep(_LOOK_S)
-            found = self._deliveries(duration_ns)
-            if found:
+            if found := self._deliveries(duration_ns):
                 record(found)
         wall_s = time.perf_counter() - begun
         self._end_nodes()
         self._align_recordings()
-        for message in self.figures()["messages"]:
+        figures = self.figures()
+        for message in figures["messages"]:
             if (message["missing"] or 0) > MISSING_SHARE * message["frames"]:
                 self.warnings.append(
                     f"{message['name']}: {message['missing']} frames missing, {message['frames']} on "
                     "the bus; this machine was too busy, or its sender was away"
                 )
-        return RunSummary(0, self._frames, wall_s, None)
+        return RunSummary(0, figures["frames"], wall_s, None)
 
     def figures(self) -> dict[str, Any]:
         """Return load, counts, and per message: frames, period, gaps and jitter."""
         scenario = self._loaded.scenario
-        periods = periods_ns(scenario)
-        messages = []
-        for spec in contract().values():
-            if spec.name not in periods:
-                continue
-            arrivals = self._arrivals.get(spec.can_id, [])
-            messages.append(
-                {
-                    "name": spec.name,
-                    "can_id": f"{spec.can_id:08X}",
-                    "sender": ", ".join(spec.senders),
-                    "frames": len(arrivals),
-                    "period_s": periods[spec.name] / NS_PER_S,
-                    "longest_response_s": None,
-                    "worst_case_s": None,
-                    **jitter(arrivals, periods[spec.name]),
-                }
-            )
+
+        def row(can_id: int, period_ns: int) -> dict[str, Any]:
+            arrivals = self._arrivals.get(can_id, [])
+            return {"frames": len(arrivals), **jitter(arrivals, period_ns)}
+
         return {
             "mode": MODE,
             "clock": "every node ran by the wall clock; another run gives other times and bits",
             "bitrate": scenario.bus.bitrate,
             "load": self._bits / scenario.bus.bitrate / scenario.duration_s,
             **dict.fromkeys(COUNTS, 0),
-            "frames": self._frames,
+            "frames": sum(map(len, self._arrivals.values())),
             "fault_hits": {},
-            "messages": sorted(messages, key=lambda m: m["can_id"]),
+            "messages": message_rows(scenario, row),
         }
 
-    # --- nodes ------------------------------------------------------------------------------
     def _wait_for_all(self) -> None:
         missing = set(REMOTE)
         deadline = time.monotonic() + TIMEOUTS.start_s
@@ -201,18 +176,18 @@ class FreeRun:
                 )
             self._look_after_nodes()
             message = self._bus.recv(_LOOK_S)
-            frame = None if message is None else frame_of(message)
-            if frame is not None:
-                missing.discard(self._senders.get(frame.can_id, ""))
+            if message is not None and (frame := frame_of(message)):
+                missing.discard(_SENDERS.get(frame.can_id, ""))
 
     def _look_after_nodes(self) -> None:
         for child in self._children:
             if how := child.how_it_ended(0.0):
                 raise ParticipantLost(child.name, how)
-        if self._failures:
-            raise self._failures[0]
+        for node in self._nodes:
+            if node.done():
+                node.result()
 
-    def _start_thread(self, name: str) -> None:
+    def _start_node(self, name: str) -> None:
         scenario = self._loaded.scenario
         later = [replace(each, at_s=each.at_s + SETTLING_S) for each in scenario.request]
         loaded = dataclasses.replace(self._loaded, scenario=replace(scenario, request=later))
@@ -220,21 +195,11 @@ class FreeRun:
         bus = open_bus(self._channel, receives=received(name))
         self._closing.callback(bus.shutdown)
         node = FreeNode(participant, bus, catches_up=False)
-
-        def work() -> None:
-            try:
-                node.run(self._stop)
-            except BaseException as error:
-                self._failures.append(error)
-
-        thread = threading.Thread(target=work, name=name, daemon=True)
-        self._threads.append(thread)
-        thread.start()
+        self._nodes.append(self._threads.submit(node.run, self._stop))
 
     def _end_nodes(self) -> None:
         self._stop.set()
-        for thread in self._threads:
-            thread.join(_END_S)
+        self._threads.shutdown()
         for child in self._children:
             if child.how_it_ended(0.0) is None:
                 os.kill(child.pid, signal.SIGTERM)
@@ -242,51 +207,40 @@ class FreeRun:
             child.end(_END_S)
         self._children.clear()
 
-    # --- frames -----------------------------------------------------------------------------
     def _deliveries(self, duration_ns: int) -> list[Delivery]:
         """Return the frames that have arrived, of those within the duration of the run."""
         found = []
         while (message := self._bus.recv(0.0)) is not None:
-            arrival_ns, frame = (
-                1000 * round(message.timestamp * 1e6) - self._zero_ns,
-                frame_of(message),
-            )
+            arrival_ns = 1000 * round(message.timestamp * 1e6) - self._zero_ns
+            frame = frame_of(message)
             if frame is not None and 0 <= arrival_ns < duration_ns:
-                sender = self._senders.get(frame.can_id, GUEST)
+                sender = _SENDERS.get(frame.can_id, GUEST)
                 found.append(Delivery(arrival_ns, frame, sender, arrival_ns))
-                self._count(found[-1])
+                self._bits += frame_bits(frame.can_id, frame.data) + INTERMISSION_BITS
+                self._arrivals[frame.can_id].append(arrival_ns)
         return found
-
-    def _count(self, delivery: Delivery) -> None:
-        frame = delivery.frame
-        self._frames += 1
-        self._bits += frame_bits(frame.can_id, frame.data) + INTERMISSION_BITS
-        self._arrivals[frame.can_id].append(delivery.arrival_ns)
 
     def _align_recordings(self) -> None:
         """Count the plant's times from the beginning of the run; what was before is left out."""
-        zero, trace = self._folder / CLOCK_ZERO, self._folder / PLANT_TRACE
+        zero, trace, events = (self._folder / name for name in (CLOCK_ZERO, PLANT_TRACE, EVENTS))
         if not zero.exists():
             return
         late_s = (int(zero.read_text()) - self._zero_ns) / NS_PER_S
         rows = open_trace(trace)
+        first = rows.first_from(-late_s)
+        beyond = rows.first_from(np.nextafter(self._loaded.scenario.duration_s - late_s, np.inf))
         aligned = trace.with_suffix(".aligned")
-        with open(trace, "rb") as recorded, open(aligned, "wb") as file:
-            file.write(recorded.readline())
-            for begin in range(0, rows.rows, _ROWS_AT_ONCE):
-                block = rows.read(begin, min(begin + _ROWS_AT_ONCE, rows.rows))
+        with TraceWriter(aligned, rows.kind.names or ()) as file:
+            for begin in range(first, beyond, _ROWS_AT_ONCE):
+                block = rows.read(begin, min(begin + _ROWS_AT_ONCE, beyond))
                 block["time_s"] += late_s
-                duration_s = self._loaded.scenario.duration_s
-                inside = (block["time_s"] >= 0.0) & (block["time_s"] <= duration_s)
-                file.write(np.ascontiguousarray(block[inside]).tobytes())
+                file.append(block.tobytes())
         aligned.replace(trace)
-        events = []
-        for line in (self._folder / EVENTS).read_text().splitlines():
-            event = json.loads(line)
-            event["time_s"] += late_s
-            if event["time_s"] >= 0.0:
-                events.append(json.dumps(event) + "\n")
-        (self._folder / EVENTS).write_text("".join(events))
+        recorded = [event_of(line, str(events)) for line in events.read_bytes().splitlines()]
+        with EventLog(events) as log:
+            for event in recorded:
+                if event.time_s + late_s >= 0.0:
+                    log(event.time_s + late_s, event.name, event.values)
         zero.unlink()
 
 
@@ -297,16 +251,15 @@ def jitter(arrivals: Sequence[int], period_ns: int) -> dict[str, float | int | N
     """
     if len(arrivals) < 2:
         return dict.fromkeys(("missing", "jitter_p50_s", "jitter_p99_s", "jitter_max_s"))
-    steps = [after - before for before, after in pairwise(arrivals)]
-    missing = max(round(sum(steps) / period_ns) - len(steps), 0)
-    periods = [max(round(step / period_ns), 1) if missing else 1 for step in steps]
-    off = [abs(s - n * period_ns) / NS_PER_S for s, n in zip(steps, periods, strict=True)]
-    percentiles = statistics.quantiles(off, n=100, method="inclusive") if len(off) > 1 else off * 99
+    steps = np.diff(arrivals)
+    missing = max(round(steps.sum() / period_ns) - len(steps), 0)
+    periods = np.maximum(np.rint(steps / period_ns), 1) if missing else 1
+    p50, p99, most = np.percentile(np.abs(steps - periods * period_ns) / NS_PER_S, [50, 99, 100])
     return {
         "missing": missing,
-        "jitter_p50_s": percentiles[49],
-        "jitter_p99_s": percentiles[98],
-        "jitter_max_s": max(off),
+        "jitter_p50_s": float(p50),
+        "jitter_p99_s": float(p99),
+        "jitter_max_s": float(most),
     }
 
 
@@ -323,13 +276,3 @@ def jitter_lines(figures: dict[str, Any]) -> list[str]:
             f"  {m['name']} every {1e3 * m['period_s']:g} ms: {m['frames']} frames{lost}, {', '.join(off)}"
         )
     return lines
-
-
-def _refuse_lockstep_only(loaded: Loaded) -> None:
-    scenario: Scenario = loaded.scenario
-    for key, given in (("fault", scenario.fault), ("bus.guest", scenario.bus.guest)):
-        if given:
-            raise InputError(
-                f"{loaded.source}: {key}: of a lockstep run only; expected none on a free-running "
-                "bus, or --speed 1, which paces a lockstep run"
-            )

@@ -6,7 +6,7 @@ import contextlib
 import json
 import re
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,7 +68,7 @@ def run(
     transport: str = "inproc",
     speed: float | None = None,
     free_running: bool = False,
-    external: Iterable[str] = (),
+    external: Collection[str] = (),
     say: Say = lambda message: None,
 ) -> Finished:
     """Run a scenario into an empty folder and write everything but pictures there.
@@ -91,7 +91,10 @@ def run(
         scenario=expanded(scenario),
         model={path: loaded.parameters[path].value for path in loaded.parameters},
     )
-    coupled: FreeRun | LockstepRun
+    plan = FaultPlan(scenario.fault, scenario.seed)
+    bus = build.make_bus(scenario, plan)
+    free: FreeRun | None = None
+    lockstep: Lockstep | None = None
     summary: RunSummary | None = None
     why: str | None = None
     log: BusLog | None = None
@@ -101,9 +104,11 @@ def run(
             write_atomically(
                 folder / SCENARIO, json.dumps({"scenario": expanded(scenario)}, indent=1)
             )
-            arguments = (loaded, folder, transport, external, say)
-            coupled = FreeRun(*arguments) if free_running else LockstepRun(*arguments, pacer)
-            closing.enter_context(coupled)
+            arguments = (loaded, folder, transport, external, say, closing)
+            if free_running:
+                free = FreeRun(*arguments)
+            else:
+                channels = build.open_channels(*arguments)
             log = BusLog(folder / BUS_LOG)
             closing.callback(log.close)
             frames = closing.enter_context(FrameWriter(folder / BUS_FRAMES, SENDERS))
@@ -114,7 +119,19 @@ def run(
                 frames.record(deliveries)
                 progress(to_seconds(deliveries[-1].arrival_ns), scenario.duration_s)
 
-            summary = coupled.run(record)
+            if free is not None:
+                summary = free.run(record)
+            else:
+                lockstep = Lockstep(
+                    bus,
+                    channels,
+                    to_ns(scenario.duration_s),
+                    record=record,
+                    outages=plan if scenario.fault else None,
+                    pacer=pacer,
+                    order=SENDERS,
+                )
+                summary = closing.enter_context(lockstep).run()
     except InputError:
         _discard(folder)
         raise
@@ -133,64 +150,15 @@ def run(
             _discard(folder)
             raise
         why = os_error_text(error) if isinstance(error, OSError) else "interrupted"
-    if summary is not None:
-        for warning in coupled.warnings:
-            say(warning)
-    bus_result = coupled.figures()
+    bus_result = bus_figures(scenario, bus, plan) if free is None else free.figures()
     base = msgspec.structs.replace(
         base, warnings=[*contradictions(scenario), *overload(bus_result)]
     )
-    for warning in base.warnings:
-        say(f"warning: {warning}")
+    source = free or lockstep
+    lines = source.warnings if source is not None and summary is not None else []
+    for warning in (*lines, *(f"warning: {line}" for line in base.warnings)):
+        say(warning)
     return _judge(loaded, folder, base, why, log, bus_result, summary, begun)
-
-
-class LockstepRun:
-    """Participants, channels and simulated bus of a scenario in lockstep; use as a context manager."""
-
-    def __init__(
-        self,
-        loaded: Loaded,
-        folder: Path,
-        transport: str,
-        external: Iterable[str],
-        say: Say,
-        pacer: Pacer | None,
-    ) -> None:
-        scenario = self._scenario = loaded.scenario
-        self._pacer = pacer
-        self._plan = FaultPlan(scenario.fault, scenario.seed)
-        self._bus = build.make_bus(scenario, self._plan)
-        self.warnings: list[str] = []
-        with contextlib.ExitStack() as opening:
-            self._channels = build.open_channels(loaded, folder, transport, external, say, opening)
-            self._closing = opening.pop_all()
-
-    def __enter__(self) -> LockstepRun:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._closing.close()
-
-    def run(self, record: Callable[[list[Delivery]], None]) -> RunSummary:
-        """Run to the end.  Raises ParticipantLost, and RunError of the bus."""
-        scenario = self._scenario
-        with Lockstep(
-            self._bus,
-            self._channels,
-            to_ns(scenario.duration_s),
-            record=record,
-            outages=self._plan if scenario.fault else None,
-            pacer=self._pacer,
-            order=SENDERS,
-        ) as lockstep:
-            summary = lockstep.run()
-        self.warnings = lockstep.warnings
-        return summary
-
-    def figures(self) -> dict[str, Any]:
-        """Return load and response times of the simulated bus."""
-        return bus_figures(self._scenario, self._bus, self._plan)
 
 
 def _discard(folder: Path) -> None:

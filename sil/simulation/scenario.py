@@ -224,8 +224,7 @@ def from_table(
     model, seed = given.get("model"), given.get("seed")
     settings, effects = given.get("settings", ()), given.get("effects", ())
     raw = copy.deepcopy(dict(table))
-    _normalise(raw, source)
-    scenario = _build(raw, source)
+    scenario = _checked(raw, source)
     if model is not None:
         raw["model_set"] = model
     elif scenario.model_set.endswith(".toml"):
@@ -246,28 +245,13 @@ def from_table(
         if seed is not None:
             raw["seed"] = seed
         typed_toml.refuse_not_finite(raw, "--set")
-        _normalise(raw, "--set")
-        scenario = _build(raw, "--set")
+        scenario = _checked(raw, "--set")
         if scenario.firmware:
             raw["firmware"] = absolute(scenario.firmware, Path())
         if scenario.memory:
             raw["memory"] = embedded(scenario.memory, Path(), "--set")
-        scenario = _build(raw, "--set")
-    else:
-        scenario = _build(raw, source)
+    scenario = typed_toml.convert(raw, Scenario, source)
     _check_consistent(scenario, source)
-    return Loaded(scenario, _overridden(parameters, scenario.model, source), source)
-
-
-def restore(raw: Mapping[str, Any], source: str) -> Loaded:
-    """Return a scenario rebuilt from its expanded form (as in result.json). Raises InputError."""
-    scenario = _build(copy.deepcopy(dict(raw)), source)
-    if scenario.effects:
-        from plant.effects.user_file import load_effects
-
-        for file in scenario.effects:
-            load_effects(file)
-    parameters = _parameters(scenario.model_set, source)
     return Loaded(scenario, _overridden(parameters, scenario.model, source), source)
 
 
@@ -316,47 +300,37 @@ def _read(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: file: no scenario in it; expected a result.json") from None
     if not isinstance(table, dict):
         raise InputError(f"{path}: scenario: not a table; expected that of a result.json")
-    return _without_none(table)
+    return table
 
 
-def _without_none(table: dict[str, Any]) -> dict[str, Any]:
-    """Drop the nulls of an expanded scenario: TOML has none, and each means the default."""
-    return {
-        k: _without_none(v) if isinstance(v, dict) else v for k, v in table.items() if v is not None
-    }
+def _checked(raw: dict[str, Any], source: str) -> Scenario:
+    """Rewrite the short forms in place: filter = false, [model.valve] D_fall; return the scenario.
 
-
-def _normalise(raw: dict[str, Any], source: str) -> None:
-    """Rewrite the short forms: filter = false, [model.valve] D_fall, one sensor period for both.
-
-    The gears and ratios of [vehicle] become those of plant and controller.
+    One sensor period is both the sensor's and the firmware's; the gears and ratios of [vehicle] become
+    those of plant and controller.
     """
     controller = raw.get("controller")
     if isinstance(controller, dict) and isinstance(controller.get("filter"), bool):
         controller["filter"] = {"enabled": controller["filter"]}
-    model = raw.get("model")
-    if isinstance(model, dict):
+    if isinstance(model := raw.get("model"), dict):
         raw["model"] = dict(_flat(model, source, ""))
-    sensor = raw.get("sensor")
-    if isinstance(sensor, dict) and "period_s" in sensor:
-        controller = raw.setdefault("controller", {})
-        if isinstance(controller, dict):
-            own = controller.setdefault("sensor", {})
-            if isinstance(own, dict):
-                own["period_s"] = sensor["period_s"]
-    vehicle = raw.get("vehicle")
-    if isinstance(vehicle, dict):
+    scenario = typed_toml.convert(raw, Scenario, source)
+    if "period_s" in raw.get("sensor", {}):
+        _inside(raw, "controller", "sensor")["period_s"] = raw["sensor"]["period_s"]
+    if vehicle := raw.get("vehicle"):
         ratios = {key: vehicle[key] for key in vehicle if key.startswith("ratio_")}
         gears = {key: vehicle[key] for key in vehicle if key.startswith("gear_")}
-        driveline, broadcast = raw.setdefault("driveline", {}), {}
-        if isinstance(controller := raw.setdefault("controller", {}), dict):
-            broadcast = controller.setdefault("broadcast", {})
-        for table, default, same in (
-            (driveline, {"follows_requests": True}, ratios),
-            (broadcast, {"etc2_period_s": 0.1}, ratios | gears),
-        ):
-            if isinstance(table, dict):
-                table.update(default | table | same)
+        driveline, broadcast = _inside(raw, "driveline"), _inside(raw, "controller", "broadcast")
+        driveline.update({"follows_requests": True} | driveline | ratios)
+        broadcast.update({"etc2_period_s": 0.1} | broadcast | ratios | gears)
+    return scenario
+
+
+def _inside(raw: dict[str, Any], *keys: str) -> Any:
+    """Return the table inside tables that is reached by keys, each made if missing."""
+    for key in keys:
+        raw = raw.setdefault(key, {})
+    return raw
 
 
 def _flat(table: Mapping[str, Any], source: str, prefix: str) -> Iterable[tuple[str, Any]]:
@@ -370,13 +344,9 @@ def _flat(table: Mapping[str, Any], source: str, prefix: str) -> Iterable[tuple[
             yield prefix + key, value
 
 
-def _build(raw: dict[str, Any], source: str) -> Scenario:
-    return typed_toml.convert(raw, Scenario, source)
-
-
 def _parameters(model_set: str, source: str) -> ParameterSet:
     try:
-        return _shipped_parameters(model_set) if model_set == "nominal" else _load(model_set)
+        return _nominal() if model_set == "nominal" else _load(model_set)
     except InputError as error:
         raise InputError(f"{source}: model_set: {typed_toml.one_line(str(error))}") from None
 
@@ -387,8 +357,10 @@ def _load(model_set: str) -> ParameterSet:
     return load_parameters(model_set)
 
 
-_shipped_parameters = functools.cache(_load)
-"""Parameter sets cannot be changed, so the one that every scenario starts from is read once."""
+@functools.cache
+def _nominal() -> ParameterSet:
+    """Return the set that every scenario starts from, which cannot be changed and is read once."""
+    return _load("nominal")
 
 
 def _overridden(
@@ -434,11 +406,10 @@ _STRATEGY = "controller.strategy_parameters."
 def _set_strategy(raw: dict[str, Any], path: str, value: Any) -> bool:
     """Set a strategy's own setting, nested ones too; the firmware refuses names it does not have."""
     *tables, name = path.split(".")
-    at: Any = raw
-    for key in ("controller", "strategy_parameters", *tables):
-        if not isinstance(at, dict):
-            return False
-        at = at.setdefault(key, {})
+    try:
+        at = _inside(raw, "controller", "strategy_parameters", *tables)
+    except AttributeError:  # a value, not a table
+        return False
     if not isinstance(at, dict) or not name or "" in tables:
         return False
     at[name] = value

@@ -9,10 +9,12 @@ import re
 import socket
 import stat
 import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from can_dbc.errors import InputError, RunError
+from sil.coupling.transports.channel import silent
 
 _LONGEST_PATH = 107
 """sun_path holds 108 bytes, the last one zero."""
@@ -83,6 +85,38 @@ def listen(channel: str) -> tuple[socket.socket, Path]:
         listener.close()
         raise
     return listener, path
+
+
+def connect(
+    channel: str, wait_s: float = 0.0, say: Callable[[str], None] = silent
+) -> socket.socket:
+    """Return a connection to the hub of a channel; `say` takes the message that it is waited for.
+
+    Raises InputError for a channel that cannot exist, RunError when no hub comes in time.
+    """
+    path = socket_path(channel)
+    if not path.parent.is_dir():
+        raise InputError(f"channel {channel!r}: no folder {path.parent}; expected an existing one")
+    if path.exists() and not path.is_socket():
+        raise InputError(f"channel {channel!r}: is no socket; expected that of a run")
+    deadline = time.monotonic() + wait_s
+    while True:
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            connection.connect(str(path))
+            return connection
+        except (FileNotFoundError, ConnectionRefusedError):
+            connection.close()
+        except OSError as error:
+            connection.close()
+            raise RunError(f"{path}: {error.strerror}") from None
+        if time.monotonic() >= deadline:
+            raise RunError(f"no run on local:{channel} within {wait_s:g} s")
+        others = ", ".join(f"local:{name}" for name in running_channels())
+        found = f"; runs found: {others}" if others else ""
+        say(f"waiting up to {wait_s:g} s for a run on local:{channel}{found}")
+        say = silent
+        time.sleep(0.02)
 
 
 @contextlib.contextmanager

@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING
 from can_dbc.frame import EDP_BIT
 from sil.coupling.transports import address, wire
 from sil.coupling.transports.channel import NOBODY, ParticipantLost, Turn
-from sil.coupling.transports.remote import BUFFER_BYTES, Connection, Peer, RemoteChannel
+from sil.coupling.transports.remote import Peer, RemoteChannel
+from sil.coupling.transports.server import Connection
 from sil.coupling.transports.wire import Kind, Refusal
 
 if TYPE_CHECKING:
     from sil.coupling.bus import Delivery
 
 _FLUSH_RECORDS = 512
-MONITOR_BACKLOG_BYTES = 8 << 20
-"""A monitor for which more than this waits unread (some 250,000 frames) is disconnected."""
 
 
 class Hub(RemoteChannel):
@@ -52,7 +51,7 @@ class Hub(RemoteChannel):
         for connection in list(self._connections.values()):
             if connection.peer is None:  # one frame per datagram, hence per wake-up of its reader
                 for records in delivered:
-                    self._send_monitor(connection, records)
+                    self._pass(connection, records)
 
     def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
         """Send the grants."""
@@ -81,35 +80,10 @@ class Hub(RemoteChannel):
             except OSError:
                 self._lost(peer, "closed its connection: it ended or was killed")
 
-    def _send_monitor(self, monitor: Connection, records: bytes) -> None:
-        try:
-            if monitor.send(records):
-                return
-        except OSError:
-            self._disconnect(monitor)
-            return
-        if monitor.backlog_bytes > MONITOR_BACKLOG_BYTES:
-            self.warn(
-                f"a monitor that did not read was disconnected "
-                f"({monitor.backlog_bytes >> 20} MiB of frames waited for it)"
-            )
-            self._disconnect(monitor)
-        else:
-            self._poll.modify(monitor.fileno, select.EPOLLIN | select.EPOLLOUT)
-
-    def _receive(self, connection: Connection, length: int) -> None:
-        try:
-            if length > BUFFER_BYTES:
-                raise wire.WireError(f"more than {wire.LONGEST_BATCH} records in one datagram")
-            with memoryview(self._buffer) as view:
-                records = list(wire.split(view[:length]))
-            for can_id, payload in records:
-                self._take(connection, can_id, payload)
-        except wire.WireError as error:
-            if connection.peer is not None:
-                raise ParticipantLost(connection.peer.name, f"sent garbage: {error}") from None
-            self.warn(f"a connection that sent garbage was closed: {error}")
-            self._disconnect(connection)
+    def _refuse(self, connection: Connection, error: wire.WireError) -> None:
+        if connection.peer is not None:
+            raise ParticipantLost(connection.peer.name, f"sent garbage: {error}") from None
+        super()._refuse(connection, error)
 
     def _take(self, connection: Connection, can_id: int, payload: bytes) -> None:
         if connection.peer is not None:
@@ -120,17 +94,17 @@ class Hub(RemoteChannel):
             peer, answer = self._answer_hello(control)
             if peer is not None and peer.connection is None:
                 connection.peer, peer.connection = peer, connection
-            self._send_monitor(connection, answer)
+            self._pass(connection, answer)
         elif can_id & EDP_BIT:
             raise wire.WireError(f"0x{can_id:08X} from a connection that has not joined the run")
         else:
             self._warn_foreign()
             refused = wire.control(Kind.REFUSED, extra=Refusal.NO_PARTICIPANT)
-            self._send_monitor(connection, refused)
+            self._pass(connection, refused)
 
     def _send_stop(self, stop: bytes) -> None:
         self._ignore(self._listener.fileno())
         self.path.unlink(missing_ok=True)
         self._listener.close()
         for connection in list(self._connections.values()):
-            self._send_monitor(connection, stop)
+            self._pass(connection, stop)

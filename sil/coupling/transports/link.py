@@ -36,36 +36,9 @@ class LocalLink:
 
         Raises InputError for a name that no channel can have, RunError when no hub comes in time.
         """
-        path = self._path = address.socket_path(channel)
-        if not path.parent.is_dir():
-            raise InputError(
-                f"channel {channel!r}: no folder {path.parent}; expected an existing one"
-            )
-        if path.exists() and not path.is_socket():
-            raise InputError(f"channel {channel!r}: is no socket; expected that of a run")
+        self._path = address.socket_path(channel)
         self._buffer = bytearray(wire.LONGEST_BATCH * wire.RECORD_BYTES)
-        deadline = time.monotonic() + start_timeout_s
-        waiting = False
-        while True:
-            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            try:
-                self._socket.connect(str(self._path))
-                return
-            except (FileNotFoundError, ConnectionRefusedError):
-                self._socket.close()
-                if time.monotonic() > deadline:
-                    raise RunError(
-                        f"no run on local:{channel} within {start_timeout_s:g} s"
-                    ) from None
-                if not waiting:
-                    waiting = True
-                    others = ", ".join(f"local:{name}" for name in address.running_channels())
-                    found = f"; runs found: {others}" if others else ""
-                    say(f"waiting up to {start_timeout_s:g} s for a run on local:{channel}{found}")
-                time.sleep(0.02)
-            except OSError as error:
-                self._socket.close()
-                raise RunError(f"{self._path}: {error.strerror}") from None
+        self._socket = address.connect(channel, start_timeout_s, say)
 
     def read(self, timeout_s: float | None) -> list[tuple[int, bytes]]:
         """Return the next records (identifier, data), none when the time is up.

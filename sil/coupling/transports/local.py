@@ -6,7 +6,7 @@ import select
 import socket
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import can
@@ -17,6 +17,7 @@ from can_dbc.frame import Frame
 from can_dbc.messages import StopReason
 from sil.coupling.clock import to_seconds
 from sil.coupling.transports import address, wire
+from sil.coupling.transports.channel import silent
 from sil.coupling.transports.relay import epoch_ns
 from sil.coupling.transports.wire import Kind
 
@@ -43,29 +44,23 @@ class LocalBus(can.BusABC):
         channel: str = ONLY_CHANNEL,
         can_filters: can.typechecking.CanFilters | None = None,
         receive_own_messages: bool = False,
+        wait_s: float = 0.0,
+        say: Callable[[str], None] = silent,
         **ignored: Any,
     ) -> None:
         """Connect to the run on `channel`; "auto" means the only one there is.
 
+        `wait_s`: how long it is waited for; `say` takes the message that it is.
         Raises can.CanInitializationError when there is none.
         """
-        try:
-            self._path = address.socket_path(
-                _only_channel() if channel == ONLY_CHANNEL else str(channel)
-            )
-        except (InputError, RunError) as error:
-            raise can.CanInitializationError(str(error)) from None
         self._connection: socket.socket | None = None
-        connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
-            connection.connect(str(self._path))
-        except OSError as error:
-            connection.close()
-            raise can.CanInitializationError(
-                f"opc4local: no run on {self._path}: {error.strerror}"
-            ) from None
-        connection.setblocking(False)
-        self._connection = connection
+            name = _only_channel() if channel == ONLY_CHANNEL else str(channel)
+            self._path = address.socket_path(name)
+            self._connection = address.connect(name, wait_s, say)
+        except (InputError, RunError) as error:
+            raise can.CanInitializationError(f"opc4local: {error}") from error
+        self._connection.setblocking(False)
         self._buffer = bytearray(wire.LONGEST_BATCH * wire.RECORD_BYTES)
         self._received: deque[can.Message] = deque()
         self._arrival_ns = 0
@@ -186,7 +181,7 @@ def _only_channel() -> str:
     running = address.running_channels()
     if len(running) != 1:
         names = f" ({', '.join(running)}): name one" if running else ""
-        raise InputError(f"opc4local: {len(running)} runs found{names}")
+        raise InputError(f"{len(running)} runs found{names}")
     return running[0]
 
 

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import select
-import socket
 import time
 from abc import abstractmethod
-from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -16,52 +13,14 @@ from can_dbc.messages import StopReason
 from sil.coupling.processes import ChildProcess, sharing_one_core
 from sil.coupling.transports import wire
 from sil.coupling.transports.channel import Channel, ParticipantLost, Timeouts, Turn, silent
+from sil.coupling.transports.server import Connection, Server
 from sil.coupling.transports.wire import Kind, Refusal
 
 MOST_OFFERS = 100_000
 """Frames that a participant may offer in one turn."""
 
-MOST_CONNECTIONS = 250
-
 FAILED_ENDS_S = 2.0
 """How long a process that reported a failure may take to end with its reason."""
-
-BUFFER_BYTES = wire.LONGEST_BATCH * wire.RECORD_BYTES
-
-
-class Connection:
-    """An accepted connection, its participant, and the records that could not be sent on it yet."""
-
-    def __init__(self, accepted: socket.socket) -> None:
-        accepted.setblocking(False)
-        self.socket = accepted
-        self.fileno = accepted.fileno()
-        self.peer: Peer | None = None
-        self.backlog: deque[bytes] = deque()
-        self.backlog_bytes = 0
-
-    def send(self, records: bytes) -> bool:
-        """Send or queue records; return whether everything is sent.  Raises OSError."""
-        if not self.backlog:
-            try:
-                self.socket.send(records)
-            except BlockingIOError:
-                pass
-            else:
-                return True
-        self.backlog.append(records)
-        self.backlog_bytes += len(records)
-        return False
-
-    def drain(self) -> bool:
-        """Send queued records; return whether everything is sent.  Raises OSError."""
-        while self.backlog:
-            try:
-                self.socket.send(self.backlog[0])
-            except BlockingIOError:
-                return False
-            self.backlog_bytes -= len(self.backlog.popleft())
-        return True
 
 
 class Peer:
@@ -134,10 +93,9 @@ class Peer:
         return ParticipantLost(self.name, f"broke the lockstep protocol: it {what}")
 
 
-class RemoteChannel(Channel):
+class RemoteChannel(Channel, Server):
     """A `Channel` to other processes: handshake, turns, timeouts; subclasses move the records."""
 
-    _listener: socket.socket
     where: str
     """How a program joins this channel, for messages."""
 
@@ -158,11 +116,10 @@ class RemoteChannel(Channel):
         on one core once all have joined (`core` is its number, None without).
         Raises RunError when another run uses it, InputError when there can be no such channel.
         """
-        super().__init__(names)
+        Channel.__init__(self, names)
+        Server.__init__(self)
         self._by_name = {name: Peer(name, wire.PARTICIPANTS[name]) for name in names}
         self._peers = {peer.number: peer for peer in self._by_name.values()}
-        self._connections: dict[int, Connection] = {}
-        self._buffer = bytearray(BUFFER_BYTES + 1)
         self._scenario = scenario
         self._timeouts = timeouts or Timeouts()
         self._share_core = share_core
@@ -172,11 +129,8 @@ class RemoteChannel(Channel):
         self._granted: list[Peer] = []
         self._closed = False
         self._closing = contextlib.ExitStack()
-        self._poll = select.epoll()
-        self._handlers: dict[int, Callable[[int], None]] = {}
         self._open(channel)
         self._attend(self._listener.fileno(), self._accept)
-        self._served_first = self._listener.fileno()
 
     @abstractmethod
     def _open(self, channel: str) -> None:
@@ -185,10 +139,6 @@ class RemoteChannel(Channel):
     @abstractmethod
     def _send(self, records: bytes, *peers: Peer) -> None:
         """Send records to these participants (a CAN channel: to everybody)."""
-
-    @abstractmethod
-    def _receive(self, connection: Connection, length: int) -> None:
-        """Take a datagram, which the buffer holds."""
 
     @abstractmethod
     def _send_stop(self, stop: bytes) -> None:
@@ -276,24 +226,6 @@ class RemoteChannel(Channel):
     def _children(self) -> list[ChildProcess]:
         return [peer.child for peer in self._by_name.values() if peer.child is not None]
 
-    def _attend(self, fileno: int, handler: Callable[[int], None]) -> None:
-        self._handlers[fileno] = handler
-        self._poll.register(fileno, select.EPOLLIN)
-
-    def _ignore(self, fileno: int) -> None:
-        if self._handlers.pop(fileno, None) is not None:
-            self._poll.unregister(fileno)
-
-    def _pump(self, timeout_s: float) -> None:
-        """Serve whatever is ready, waiting at most `timeout_s` for the first."""
-        ready = self._poll.poll(timeout_s)
-        if len(ready) > 1:  # who connected before a frame was sent receives it
-            ready.sort(key=lambda entry: entry[0] != self._served_first)
-        for fileno, events in ready:
-            handler = self._handlers.get(fileno)
-            if handler is not None:
-                handler(events)
-
     def _await_answer(self, peer: Peer, deadline: float) -> Turn:
         """Wait until the participant is done.
 
@@ -334,42 +266,7 @@ class RemoteChannel(Channel):
         self.warn(f"a {name} was refused: {wire.reason(refusal)}")
         return None, wire.control(Kind.REFUSED, control.participant, refusal, nonce)
 
-    def _accept(self, events: int) -> None:
-        while True:
-            try:
-                accepted, _ = self._listener.accept()
-            except BlockingIOError:
-                return
-            if len(self._connections) >= MOST_CONNECTIONS:
-                self.warn(f"more than {MOST_CONNECTIONS} connections: further ones were closed")
-                accepted.close()
-                continue
-            connection = Connection(accepted)
-            self._connections[connection.fileno] = connection
-            self._attend(connection.fileno, partial(self._serve, connection))
-
-    def _serve(self, connection: Connection, events: int) -> None:
-        length = 0
-        try:
-            if events & select.EPOLLOUT and connection.drain():
-                self._poll.modify(connection.fileno, select.EPOLLIN)
-            if events == select.EPOLLOUT:
-                return
-            length = connection.socket.recv_into(self._buffer)
-        except BlockingIOError:
-            return
-        except OSError:
-            pass
-        if length == 0:
-            self._disconnect(connection)
-        else:
-            self._receive(connection, length)
-
-    def _disconnect(self, connection: Connection) -> None:
-        if self._connections.pop(connection.fileno, None) is None:
-            return
-        self._ignore(connection.fileno)
-        connection.socket.close()
+    def _gone(self, connection: Connection) -> None:
         if connection.peer is not None:
             self._lost(connection.peer, "closed its connection: it ended or was killed")
 

@@ -13,7 +13,8 @@ from can_dbc.errors import InputError, RunError
 from can_dbc.frame import DP_BIT, EDP_BIT, MAX_ID
 from sil.coupling.transports import wire
 from sil.coupling.transports.channel import NOBODY, ParticipantLost, Turn
-from sil.coupling.transports.remote import Connection, Peer, RemoteChannel
+from sil.coupling.transports.remote import Peer, RemoteChannel
+from sil.coupling.transports.server import Connection
 from sil.coupling.transports.wire import Kind
 
 if TYPE_CHECKING:
@@ -201,9 +202,9 @@ class SocketCan(RemoteChannel):
             received = self._can.receive()
             if received is None:
                 return
-            self._take(*received)
+            self._take_frame(*received)
 
-    def _take(self, can_id: int, payload: bytes) -> None:
+    def _take_frame(self, can_id: int, payload: bytes) -> None:
         try:
             control = wire.parse_control(can_id, payload)
         except wire.WireError:

@@ -47,7 +47,7 @@ def test_defaults_are_those_of_the_parts(tmp_path: Path) -> None:
     assert loaded.parameters.value("valve.D_fall") == 0.035
     expanded = scenario.expanded(loaded.scenario)
     assert expanded["controller"]["filter"]["fc_hz"] == 22.0
-    assert scenario.restore(expanded, "x").scenario == loaded.scenario
+    assert scenario.from_table(expanded, "x").scenario == loaded.scenario
 
 
 @pytest.mark.parametrize(
@@ -274,7 +274,9 @@ def check_taken_or_refused(table: dict[str, Any]) -> None:
         told = str(error)
         assert "\n" not in told and told.startswith("s.toml: ") and len(told) < 1000
     else:
-        assert scenario.restore(scenario.expanded(loaded.scenario), "x").scenario == loaded.scenario
+        assert (
+            scenario.from_table(scenario.expanded(loaded.scenario), "x").scenario == loaded.scenario
+        )
 
 
 @settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))

@@ -14,8 +14,7 @@ import pytest
 
 from can_dbc.frame import Frame
 from sil.coupling.bus import Delivery
-from sil.coupling.transports import hub as hub_module
-from sil.coupling.transports import wire
+from sil.coupling.transports import server, wire
 from sil.coupling.transports.hub import Hub
 from sil.coupling.transports.local import LocalBus
 
@@ -175,7 +174,7 @@ def test_sending_is_refused_and_a_foreign_frame_is_ignored() -> None:
 def test_a_monitor_that_does_not_read_is_disconnected_and_delays_no_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(hub_module, "MONITOR_BACKLOG_BYTES", 100_000)
+    monkeypatch.setattr(server, "MONITOR_BACKLOG_BYTES", 100_000)
     hub = run_hub("run")
     try:
         with LocalBus("run") as lazy, LocalBus("run") as busy:

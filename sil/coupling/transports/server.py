@@ -1,0 +1,164 @@
+"""A listening Unix socket and its connections, served without ever waiting for a reader."""
+
+from __future__ import annotations
+
+import select
+import socket
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+from sil.coupling.transports import wire
+
+if TYPE_CHECKING:
+    from sil.coupling.transports.remote import Peer
+
+MOST_CONNECTIONS = 250
+BUFFER_BYTES = wire.LONGEST_BATCH * wire.RECORD_BYTES
+
+MONITOR_BACKLOG_BYTES = 8 << 20
+"""A monitor for which more than this waits unread (some 250,000 frames) is disconnected."""
+
+
+class Connection:
+    """An accepted connection, its participant, and the records that could not be sent on it yet."""
+
+    def __init__(self, accepted: socket.socket) -> None:
+        accepted.setblocking(False)
+        self.socket = accepted
+        self.fileno = accepted.fileno()
+        self.peer: Peer | None = None
+        self.echo = False
+        """Whether it receives its own frames, too."""
+        self.backlog: deque[bytes] = deque()
+        self.backlog_bytes = 0
+
+    def send(self, records: bytes) -> bool:
+        """Send or queue records; return whether everything is sent.  Raises OSError."""
+        self.backlog.append(records)
+        self.backlog_bytes += len(records)
+        return self.drain()
+
+    def drain(self) -> bool:
+        """Send queued records; return whether everything is sent.  Raises OSError."""
+        while self.backlog:
+            try:
+                self.socket.send(self.backlog[0])
+            except BlockingIOError:
+                return False
+            self.backlog_bytes -= len(self.backlog.popleft())
+        return True
+
+
+class Server:
+    """Accepts connections, takes the records that they send, and queues what a slow one reads later."""
+
+    _listener: socket.socket
+
+    def __init__(self) -> None:
+        self._connections: dict[int, Connection] = {}
+        self._buffer = bytearray(BUFFER_BYTES + 1)
+        self._poll = select.epoll()
+        self._handlers: dict[int, Callable[[int], None]] = {}
+
+    def warn(self, message: str) -> None:
+        """Take a line for the user."""
+
+    def _take(self, connection: Connection, can_id: int, payload: bytes) -> None:
+        """Take one record.  Raises WireError for one that closes the connection."""
+
+    def _welcome(self, connection: Connection) -> None:
+        """Greet a new connection."""
+
+    def _gone(self, connection: Connection) -> None:
+        """Note that a connection is closed."""
+
+    def _attend(self, fileno: int, handler: Callable[[int], None]) -> None:
+        self._handlers[fileno] = handler
+        self._poll.register(fileno, select.EPOLLIN)
+
+    def _ignore(self, fileno: int) -> None:
+        if self._handlers.pop(fileno, None) is not None:
+            self._poll.unregister(fileno)
+
+    def _pump(self, timeout_s: float) -> None:
+        """Serve whatever is ready, waiting at most `timeout_s` for the first."""
+        ready = self._poll.poll(timeout_s)
+        if len(ready) > 1:  # who connected before a frame was sent receives it
+            ready.sort(key=lambda entry: entry[0] != self._listener.fileno())
+        for fileno, events in ready:
+            handler = self._handlers.get(fileno)
+            if handler is not None:
+                handler(events)
+
+    def _accept(self, events: int) -> None:
+        while True:
+            try:
+                accepted, _ = self._listener.accept()
+            except BlockingIOError:
+                return
+            if len(self._connections) >= MOST_CONNECTIONS:
+                self.warn(f"more than {MOST_CONNECTIONS} connections: further ones were closed")
+                accepted.close()
+                continue
+            connection = Connection(accepted)
+            self._connections[connection.fileno] = connection
+            self._attend(connection.fileno, partial(self._serve, connection))
+            self._welcome(connection)
+
+    def _serve(self, connection: Connection, events: int) -> None:
+        length = 0
+        try:
+            if events & select.EPOLLOUT and connection.drain():
+                self._poll.modify(connection.fileno, select.EPOLLIN)
+            if events == select.EPOLLOUT:
+                return
+            length = connection.socket.recv_into(self._buffer)
+        except BlockingIOError:
+            return
+        except OSError:
+            pass
+        if length == 0:
+            self._disconnect(connection)
+        else:
+            self._receive(connection, length)
+
+    def _receive(self, connection: Connection, length: int) -> None:
+        """Take a datagram, which the buffer holds."""
+        try:
+            if length > BUFFER_BYTES:
+                raise wire.WireError(f"more than {wire.LONGEST_BATCH} records in one datagram")
+            with memoryview(self._buffer) as view:
+                records = list(wire.split(view[:length]))
+            for can_id, payload in records:
+                self._take(connection, can_id, payload)
+        except wire.WireError as error:
+            self._refuse(connection, error)
+
+    def _refuse(self, connection: Connection, error: wire.WireError) -> None:
+        self.warn(f"a connection that sent garbage was closed: {error}")
+        self._disconnect(connection)
+
+    def _pass(self, connection: Connection, records: bytes) -> None:
+        """Send records to a monitor, which is disconnected when it does not read."""
+        try:
+            if connection.send(records):
+                return
+        except OSError:
+            self._disconnect(connection)
+            return
+        if connection.backlog_bytes > MONITOR_BACKLOG_BYTES:
+            self.warn(
+                f"a monitor that did not read was disconnected "
+                f"({connection.backlog_bytes >> 20} MiB of frames waited for it)"
+            )
+            self._disconnect(connection)
+        else:
+            self._poll.modify(connection.fileno, select.EPOLLIN | select.EPOLLOUT)
+
+    def _disconnect(self, connection: Connection) -> None:
+        if self._connections.pop(connection.fileno, None) is not None:
+            self._ignore(connection.fileno)
+            connection.socket.close()
+            self._gone(connection)
