@@ -49,7 +49,9 @@ class Hub(RemoteChannel):
             if len(peer.waiting) >= _FLUSH_RECORDS:
                 self._flush(peer)
         for connection in list(self._connections.values()):
-            if connection.peer is None:  # one frame per datagram, hence per wake-up of its reader
+            if (
+                connection.participant is None
+            ):  # one frame per datagram, hence per wake-up of its reader
                 for records in delivered:
                     self._pass(connection, records)
 
@@ -81,19 +83,20 @@ class Hub(RemoteChannel):
                 self._lost(peer, "closed its connection: it ended or was killed")
 
     def _refuse(self, connection: Connection, error: wire.WireError) -> None:
-        if connection.peer is not None:
-            raise ParticipantLost(connection.peer.name, f"sent garbage: {error}") from None
+        if connection.participant is not None:
+            name = self._peers[connection.participant].name
+            raise ParticipantLost(name, f"sent garbage: {error}") from None
         super()._refuse(connection, error)
 
     def _take(self, connection: Connection, can_id: int, payload: bytes) -> None:
-        if connection.peer is not None:
-            connection.peer.take(can_id, payload)
+        if connection.participant is not None:
+            self._peers[connection.participant].take(can_id, payload)
             return
         control = wire.parse_control(can_id, payload)
         if control is not None and control.kind == Kind.HELLO:
             peer, answer = self._answer_hello(control)
             if peer is not None and peer.connection is None:
-                connection.peer, peer.connection = peer, connection
+                connection.participant, peer.connection = peer.number, connection
             self._pass(connection, answer)
         elif can_id & EDP_BIT:
             raise wire.WireError(f"0x{can_id:08X} from a connection that has not joined the run")

@@ -205,7 +205,7 @@ class RemoteChannel(Channel, Server):
             self._send_stop(wire.control(Kind.STOP, stop, value=self._now_ns))
             deadline = time.monotonic() + (0.0 if aborted else self._timeouts.close_s)
             # A participant closes its connection once its files are complete.
-            while any(c.backlog or c.peer for c in self._connections.values()):
+            while any(c.backlog or c.participant for c in self._connections.values()):
                 left = deadline - time.monotonic()
                 if left <= 0.0:
                     break
@@ -267,8 +267,9 @@ class RemoteChannel(Channel, Server):
         return None, wire.control(Kind.REFUSED, control.participant, refusal, nonce)
 
     def _gone(self, connection: Connection) -> None:
-        if connection.peer is not None:
-            self._lost(connection.peer, "closed its connection: it ended or was killed")
+        if connection.participant is not None:
+            peer = self._peers[connection.participant]
+            self._lost(peer, "closed its connection: it ended or was killed")
 
     def _child_ended(self, child: ChildProcess, events: int) -> None:
         self._ignore(child.fileno())

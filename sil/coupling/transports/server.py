@@ -7,12 +7,8 @@ import socket
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
 
 from sil.coupling.transports import wire
-
-if TYPE_CHECKING:
-    from sil.coupling.transports.remote import Peer
 
 MOST_CONNECTIONS = 250
 BUFFER_BYTES = wire.LONGEST_BATCH * wire.RECORD_BYTES
@@ -22,13 +18,14 @@ MONITOR_BACKLOG_BYTES = 8 << 20
 
 
 class Connection:
-    """An accepted connection, its participant, and the records that could not be sent on it yet."""
+    """An accepted connection, and the records that could not be sent on it yet."""
 
     def __init__(self, accepted: socket.socket) -> None:
         accepted.setblocking(False)
         self.socket = accepted
         self.fileno = accepted.fileno()
-        self.peer: Peer | None = None
+        self.participant: int | None = None
+        """Its number, when it has joined."""
         self.echo = False
         """Whether it receives its own frames, too."""
         self.backlog: deque[bytes] = deque()

@@ -233,5 +233,5 @@ class SocketCan(RemoteChannel):
 
     def _receive(self, connection: Connection, length: int) -> None:
         """Take the number of the participant whose lifeline this is."""
-        if connection.peer is None and length == 1:
-            connection.peer = self._peers.get(self._buffer[0])
+        if length == 1 and self._buffer[0] in self._peers:
+            connection.participant = self._buffer[0]
