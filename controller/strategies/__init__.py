@@ -20,6 +20,7 @@ NAMES: Mapping[str, str] = {
     "blow_cut": "controller.strategies.blow_cut:BlowCut",
     "air_cushion": "controller.strategies.air_cushion:AirCushion",
     "synchro_brake": "controller.strategies.synchro_brake:SynchroBrake",
+    "fixed_programme": "controller.strategies.fixed_programme:FixedProgramme",
     "sliding_mode": "controller.strategies.sliding_mode:SlidingMode",
     "bang_bang": "controller.strategies.bang_bang:BangBang",
     "predictive": "controller.strategies.predictive:Predictive",

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
-from can_dbc.errors import InputError, unknown_name
+from can_dbc.errors import InputError
 
 BEGIN_S = 0.1
 """Request of a shift whose chambers are empty, after the firmware's first reports."""
@@ -26,6 +26,9 @@ T_REF_K = 293.15
 OIL_REF_K = 353.15
 BLOCK_FORCE_N = 1500.0
 """Typical force of the actuator on the synchronizer, by which a drag torque is compared."""
+SUPPLY_STEP_PA = 8000.0
+"""Resolution with which a truck reports its supply (J1939-71, SPN 1087)."""
+OWN = "controller.strategy_parameters"
 EXAM_N_S = tuple(float(each) for each in np.geomspace(18.0, 250.0, 14))
 """Nominal impulses of an examination."""
 
@@ -87,9 +90,11 @@ class TruckTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     inertia_forward: Assumed
     """Inertia of the input side in the forward gear, by that in the backward gear."""
     mesh_low_n: Assumed
-    """Least peak of the meshing force."""
+    """Least peak of the meshing force of a gear; between trucks it is uniform."""
     mesh_high_n: Assumed
-    """Greatest peak of the meshing force."""
+    """Greatest peak of the meshing force of a gear, and that of the examination."""
+    mesh_shift: Assumed
+    """Peak of the meshing force: sd between shifts."""
     supply_low_pa: Assumed
     """Supply pressure at which the compressor starts, absolute."""
     supply_high_pa: Assumed
@@ -144,10 +149,13 @@ class FleetTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 class Drawn:
     """One shift as drawn: settings of the scenario, and the impulses in N s.
 
-    expected_n_s follows from the speeds with the nominal friction; impulse_n_s is what it takes.
+    known: settings by which a strategy that learns is given what the truck knows besides the frames:
+    its supply, and how long ago the neutral chamber was filled. expected_n_s: follows from the
+    speeds with the nominal friction; impulse_n_s is what it takes.
     """
 
     settings: dict[str, Any]
+    known: dict[str, Any]
     expected_n_s: float
     impulse_n_s: float
 
@@ -172,6 +180,9 @@ class Truck:
         self.rise_s = of["rise_unit_s"] * rng.standard_normal()
         self.fall_s = of["fall_unit_s"] * rng.standard_normal()
         self.cones = {gear: self._factor("cone_unit") for gear in ("backward", "forward")}
+        self.mesh_n = {
+            gear: rng.uniform(of["mesh_low_n"], of["mesh_high_n"]) for gear in self.cones
+        }
         self.thermometer_k = of["thermometer_k"] * rng.standard_normal()
         self.ambient_k = of["ambient_k"] + of["ambient_sd_k"] * rng.standard_normal()
         self.warm_k = of["warm_k"] + of["warm_sd_k"] * rng.standard_normal()
@@ -240,7 +251,7 @@ class Truck:
             blow_s if direct < of["direct"] else None,
             {
                 "plant.supply_pressure_pa": self._supply_pa,
-                "plant.mesh_force_n": rng.uniform(of["mesh_low_n"], of["mesh_high_n"]),
+                "plant.mesh_force_n": self.mesh_n[gear] * self._factor("mesh_shift"),
             },
         )
 
@@ -249,7 +260,8 @@ class Truck:
         gain_m, inertia = (
             self._nominal[f"driveline.{name}"] for name in ("cone_gain_m", "inertia_kg_m2")
         )
-        fixed = {"plant.supply_pressure_pa": 9e5, "plant.mesh_force_n": self._of["mesh_high_n"]}
+        mesh_n = self._of["mesh_high_n"] * self._factor("mesh_shift")
+        fixed = {"plant.supply_pressure_pa": 9e5, "plant.mesh_force_n": mesh_n}
         speed_rad_s = impulse_n_s * gain_m / inertia
         gain_m = self._cone_gain_m(k, "backward")
         return self._settings(k, "backward", speed_rad_s, gain_m, T_REF_K, None, fixed)
@@ -297,16 +309,20 @@ class Truck:
             path: float(value) if isinstance(value, float) else value
             for path, value in settings.items()
         }
+        supply_pa = SUPPLY_STEP_PA * round(fixed["plant.supply_pressure_pa"] / SUPPLY_STEP_PA)
+        known = {f"{OWN}.supply_pa": supply_pa} | (
+            {} if blow_s is None else {f"{OWN}.rest_s": blow_s}
+        )
         size_n_s = inertia * abs(speed_rad_s)
-        return Drawn(settings, size_n_s / nominal["driveline.cone_gain_m"], size_n_s / gain_m)
+        return Drawn(
+            settings, known, size_n_s / nominal["driveline.cone_gain_m"], size_n_s / gain_m
+        )
 
 
 def truck_table(table: TruckTable, changed: Mapping[str, Any]) -> TruckTable:
     """Return a population with some of its numbers replaced. Raises InputError for wrong ones."""
     new = {}
     for name, value in changed.items():
-        if name not in table.__struct_fields__:
-            raise InputError(f"truck.{name}: {unknown_name(name, table.__struct_fields__)}")
         try:
             new[name] = msgspec.convert((value, "set by the study"), Assumed)
         except msgspec.ValidationError as error:

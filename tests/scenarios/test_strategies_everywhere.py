@@ -32,7 +32,7 @@ def test_same_bits_in_its_own_process(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", STRATEGIES)
 def test_same_bits_in_its_own_process_over_vcan(name: str, tmp_path: Path) -> None:
     """Up to the stop and a little beyond: there the strategy has done all that it does."""
-    duration_s = 0.4 if name in ("blow_cut", "synchro_brake") else 0.2
+    duration_s = 0.4 if name in ("blow_cut", "synchro_brake", "fixed_programme") else 0.2
     loaded = scenario.load(f"strategy_{name}", settings=[f"duration_s={duration_s}"])
     memory = run_in_memory(loaded)
     finished = runner.run(loaded, tmp_path, transport="vcan0")
@@ -52,6 +52,7 @@ def test_a_step_costs_no_more_operations_than_it_says(name: str) -> None:
         "air_cushion": 20,
         "sliding_mode": 20,
         "synchro_brake": 60,
+        "fixed_programme": 10,
         "bang_bang": 60_000,
         "predictive": 260_000,
     }

@@ -1,22 +1,21 @@
 """Rows that are bounds: the softest stop found for a family of loads at an information delay.
 
-A row sets `bound.family`, `bound.delay_s` and if wanted `bound.extra_s`, `bound.valves` and
-`bound.simulations`; all other settings change the model. `sil.studies.bound_search` searches, twice.
+A row sets `bound.family`, `bound.delay_s` and if wanted `bound.extra_s`, `bound.valves`,
+`bound.simulations` and `bound.known`, the share to which the impulse is known before the stroke; all other settings change the model. `sil.studies.bound_search` searches, twice.
 """
 
 from __future__ import annotations
 
 import csv
 import functools
-import math
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from can_dbc.errors import InputError
-from plant.parameters import load
+from plant.parameters import ParameterSet, load
 from sil.report.figure import MS, Figure, Floats, Panel, Rule, Series, Span, Stack
 from sil.studies.bound_search import (
     HALVINGS,
@@ -26,7 +25,7 @@ from sil.studies.bound_search import (
 )
 from sil.studies.figures import title_of
 from sil.studies.kinds.budget import THESIS_S
-from sil.studies.policies import FAMILIES, NOT_ARRIVED, FamilyModel
+from sil.studies.policies import FAMILIES, GEARBOX, NOT_ARRIVED, Arrivals, Family, FamilyModel
 from sil.studies.rows import RowResult
 from sil.studies.study import BoundsTable, LoadedStudy, Row, Setting
 from sil.studies.table import Table
@@ -43,6 +42,9 @@ LEAD_S = 0.03
 LAST_MS = 64.0
 """Right end of the figure."""
 
+
+SETTINGS = ("family", "delay_s", "extra_s", "valves", "simulations", "known")
+"""Settings `bound....` of a row."""
 
 COLUMNS = (
     "open_loop_m_s",
@@ -65,8 +67,11 @@ PARTS = [f"1/{1 << k}" for k in range(HALVINGS - 1, 0, -1)]
 HISTORY = tuple(f"search_{k}_m_s {part}" for k in (1, 2) for part in PARTS)
 KNOWN_SHARE = 20
 """The search for one known load has the budget of the family divided by this."""
+KNOWN = "impulse known before the stroke to +-, %"
 USELESS_S = 0.005
 """A branch that begins later than this before the latest arrival, under every load, is not searched."""
+NEARBY = 5
+"""Impulses that stand for one that is known to a share of itself."""
 VALVES = {"all": "BNF", "firmware": "BN"}
 """Valves that a policy may use. The firmware never fills F while B pushes: its interlock."""
 
@@ -78,57 +83,112 @@ def columns(study: LoadedStudy) -> tuple[str, ...]:
 
 def run(study: LoadedStudy, row: Row) -> RowResult:
     """Search the bounds of a row. Raises InputError for settings that are missing or wrong."""
-    own, model = row.split({"bound": ("family", "delay_s", "extra_s", "valves", "simulations")})
+    own, model = row.split({"bound": SETTINGS})
     for name, allowed in (("family", FAMILIES), ("valves", VALVES)):
         if own.setdefault(name, "all" if name == "valves" else "") not in allowed:
             raise InputError(f"bound.{name}: {own[name]!r}; expected {', '.join(allowed)}")
     table, family = study.study.bounds, FAMILIES[str(own["family"])]
-    delay_s = seconds("delay_s", own.get("delay_s"), -1.0)
-    extra_s = seconds("extra_s", own.get("extra_s", table.extra_s), 0.0)
+    delay_s = number("delay_s", own.get("delay_s"), -1.0)
+    extra_s = number("extra_s", own.get("extra_s", table.extra_s), 0.0)
     valves = VALVES[str(own["valves"])]
     parameters = load(study.study.model).override(model)  # type: ignore[arg-type]
     values = tuple(sorted(model.items()))
-    known_m_s = _known_loads_m_s(study.study.model, values, family.name, extra_s, valves, table)
-    family_model = FamilyModel(parameters, family, delay_s, extra_s)
-    late = family_model.plain.revealed_s + delay_s > family_model.limit_s - USELESS_S
     budget = own.get("simulations", table.simulations)
     if isinstance(budget, bool) or not isinstance(budget, int) or budget < 1:
         raise InputError(f"bound.simulations: {budget!r}; expected a whole number from 1")
-    pulses, branch = 1, 1
-    if late.all():
-        pulses, branch, budget = 4, 0, budget // 4
-    searches = [Search(family_model, valves, pulses, branch, table.seed + k) for k in range(2)]
-    first, second = (np.array(search.run(budget)) for search in searches)
-    best = min((search.best for search in searches), key=lambda policy: policy.cost_m_s)
-    arrivals = arrivals_of(family_model, best)
-    plain_s = family_model.plain.arrival_s[0, 0]
-    found = (
-        family_model.plain.impact_stay_m_s.max(),
-        FamilyModel(parameters, family.under(load="damper"), 0.0, 0.0).plain.impact_stay_m_s.max(),
-        min(known_m_s, best.cost_m_s),
-        best.cost_m_s,
-        arrivals.impact_stay_m_s.max(),
-        arrivals.impact_worst_m_s.max(),
-        (arrivals.arrival_s[0, 0] - plain_s).max(),
+    parts = [family]
+    if "known" in own:
+        if family is not GEARBOX:
+            raise InputError("bound.known: needs an impulse; expected bound.family gearbox")
+        parts = around(family, number("known", own["known"], 0.0, ""))
+    found = [
+        searched(parameters, each, delay_s, extra_s, valves, table, budget // len(parts))
+        for each in parts
+    ]
+    best_m_s = max(each.best_m_s for each in found)
+    first, second = (np.max([each.history[k] for each in found], axis=0) for k in range(2))
+    plain = FamilyModel(parameters, family, delay_s, extra_s).plain
+    damped = family.under(load="damper")
+    known_m_s = _known_loads_m_s(study.study.model, values, family.name, extra_s, valves, table)
+    figures = (
+        plain.impact_stay_m_s.max(),
+        FamilyModel(parameters, damped, 0.0, 0.0).plain.impact_stay_m_s.max(),
+        min(known_m_s, best_m_s),
+        best_m_s,
+        max(each.arrivals.impact_stay_m_s.max() for each in found),
+        max(each.arrivals.impact_worst_m_s.max() for each in found),
+        max(each.lost_s for each in found),
         first[-1],
         second[-1],
         abs(first[-1] - second[-1]),
-        min(first[-2], second[-2]) - best.cost_m_s,
-        stem_switches(best),
-        family_model.runs,
+        min(first[-2], second[-2]) - best_m_s,
+        max(each.stem_switches for each in found),
+        sum(each.runs for each in found),
         0.0,
         *first[:-1],
         *second[:-1],
     )
-    return RowResult(dict(zip(COLUMNS + HISTORY, map(float, found), strict=True)))
+    return RowResult(dict(zip(COLUMNS + HISTORY, map(float, figures), strict=True)))
 
 
-def seconds(name: str, value: Setting | None, low: float) -> float:
-    """Return a time of the row's settings, from `low` to 1 s. Raises InputError for anything else."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f"bound.{name}: {value!r}; expected a number of seconds")
-    if not (math.isfinite(value) and low <= value <= 1.0):
-        raise InputError(f"bound.{name}: {value!r}; expected {low:g} to 1 s")
+@dataclass(frozen=True)
+class Found:
+    """The best policy of two searches: hardest impact, arrivals, time lost, size of the search.
+
+    history: [2, parts], the best of each search at parts of its budget, in m/s.
+    """
+
+    best_m_s: float
+    history: Floats
+    arrivals: Arrivals
+    lost_s: float
+    stem_switches: int
+    runs: int
+
+
+def searched(
+    parameters: ParameterSet,
+    family: Family,
+    delay_s: float,
+    extra_s: float,
+    valves: str,
+    table: BoundsTable,
+    budget: int,
+) -> Found:
+    """Search the softest policy of a family twice, each with a budget of simulations."""
+    model = FamilyModel(parameters, family, delay_s, extra_s)
+    pulses, branch = 1, 1
+    if (model.plain.revealed_s + delay_s > model.limit_s - USELESS_S).all():
+        pulses, branch, budget = 4, 0, budget // 4
+    searches = [Search(model, valves, pulses, branch, table.seed + k) for k in range(2)]
+    history = np.array([search.run(max(budget, 1)) for search in searches])
+    best = min((search.best for search in searches), key=lambda policy: policy.cost_m_s)
+    arrivals = arrivals_of(model, best)
+    lost_s = float((arrivals.arrival_s[0, 0] - model.plain.arrival_s[0, 0]).max())
+    return Found(best.cost_m_s, history, arrivals, lost_s, stem_switches(best), model.runs)
+
+
+def around(family: Family, known: float) -> list[Family]:
+    """Return a family for each impulse of a family: it, and others up to `known` of it away.
+
+    A share of 1: nothing is known, and the family is one.
+    """
+    if known == 1.0:
+        return [family]
+    factors = 1.0 + known * np.linspace(-1.0, 1.0, NEARBY if known else 1)
+    found = []
+    for case in family.cases:
+        impulses = (float(factor) * case.sync_impulse_n_s for factor in factors)
+        cases = tuple(replace(case, sync_impulse_n_s=impulse) for impulse in impulses)
+        found.append(replace(family, cases=cases))
+    return found
+
+
+def number(name: str, value: Setting | None, low: float, unit: str = " s") -> float:
+    """Return a number of the row's settings, `low` to 1. Raises InputError for anything else."""
+    expected = f"bound.{name}: {value!r}; expected {low:g} to 1{unit}"
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= 1.0:
+        raise InputError(expected)
     return float(value)
 
 
@@ -153,7 +213,13 @@ def _known_loads_m_s(
 
 
 def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
-    """Return bounds and tuned strategies over the information delay, damper and plain push as levels."""
+    """Return bounds and tuned strategies over the information delay, damper and plain push as levels.
+
+    Bounds for loads that are known to a share are drawn over that share.
+    """
+    if "bound.known" in table.numbers:
+        panel = known_panel(table.numbers)
+        return {"bounds_known": Figure([Stack(KNOWN, [panel], width=9.0)], title_of(study))}
     delay_ms = MS * table.numbers["bound.delay_s"]
     families = np.array(table.texts.get("load", [study.study.name] * table.size))
     variants = np.array(_variants(table))
@@ -176,7 +242,7 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
         for k, (strategy, points) in enumerate(tuned.items(), start=3):
             x, y = np.array(sorted(points)).T
             lines.append(Series(strategy, MS * x, y, f"series{k % 8}", "dots", width=3.0))
-        rules = levels(table, first)
+        rules = levels(table.numbers, first)
         thesis = MS * sum(delay_s for _name, delay_s in THESIS_S)
         rules.append(Rule(thesis, f"thesis: {thesis:.0f} ms", "alarm", "x", "solid"))
         ahead = [Span(low, 0.0, "band")] if low < 0.0 else []
@@ -193,12 +259,42 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     }
 
 
-def levels(table: Table, row: int) -> list[Rule]:
-    """Return the impact speeds of plain push and oil damper in a row as lines across a panel."""
+def levels(columns: Mapping[str, Floats], row: int) -> list[Rule]:
+    """Return the impact speeds of plain push and oil damper in a row as lines across a panel.
+
+    columns: those of a study's table, [rows].
+    """
     known = (("open loop", "open_loop_m_s", "faint"), ("oil damper", "damper_m_s", "series2"))
     return [
-        Rule(table.numbers[column][row], name, role, "y", "solid") for name, column, role in known
+        Rule(float(columns[column][row]), name, role, "y", "solid") for name, column, role in known
     ]
+
+
+def known_panel(columns: Mapping[str, Floats]) -> Panel:
+    """Return bounds in m/s over the share to which a load is known, a line for each delay.
+
+    columns: those of a study's table, [rows]. Where nothing is known (a share of 1) the bound is
+    a level. What is reached with late information is also reached with earlier information.
+    """
+    known, delay_s = columns["bound.known"], columns["bound.delay_s"]
+    bound_m_s = columns["bound_m_s"].copy()
+    for each in np.unique(known):
+        rows = np.flatnonzero(known == each)
+        bound_m_s[rows] = envelope(delay_s[rows], bound_m_s[rows])
+    lines, rules = [], levels(columns, 0)
+    for k, delay in enumerate(np.unique(delay_s)[::-1]):
+        rows = np.flatnonzero((delay_s == delay) & (known < 1.0))
+        rows = rows[np.argsort(known[rows])]
+        name = "release known" + (f" {MS * delay:.0f} ms late" if delay > 0.0 else "")
+        name += f" {-MS * delay:.0f} ms ahead" if delay < 0.0 else ""
+        role = f"series{(0, 4, 6, 1)[k % 4]}"
+        x, y = 100.0 * known[rows], bound_m_s[rows]
+        lines.append(Series(f"bound: {name}", x, y, role, "marked", width=2.2))
+        rules += [
+            Rule(each, "nothing known" if k == 0 else "", role, "y", "dashed")
+            for each in bound_m_s[(delay_s == delay) & (known == 1.0)]
+        ]
+    return Panel("Worst impact", "m/s", lines, rules=rules, limits=(0.0, 1.5), height=400)
 
 
 def _convergence(study: LoadedStudy, table: Table) -> Figure:

@@ -19,9 +19,9 @@ from sil.report.figure import MS, Figure, Panel, Rule, Series, Stack
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.scenario import Loaded
 from sil.studies.figures import title_of
-from sil.studies.fleet import EXAM_N_S, Drawn, Truck, truck_table
+from sil.studies.fleet import EXAM_N_S, Drawn, Truck, TruckTable, truck_table
 from sil.studies.rows import FAILED, PASSED, RowResult
-from sil.studies.study import FLEET_TRUCK, LoadedStudy, Row, texts_of
+from sil.studies.study import LoadedStudy, Row, texts_of
 from sil.studies.table import Table, row_groups
 
 Floats = NDArray[np.float64]
@@ -48,8 +48,6 @@ LEARNED = "learned"
 HARDER_M_S = 0.05
 LONGER_S = 0.03
 """Limits against the open loop in the same shift."""
-SUPPLY_STEP_PA = 8000.0
-"""Resolution with which a truck reports its supply (J1939-71, SPN 1087)."""
 RELEARNING = 10
 """Shifts over which an impact is averaged to say that it is as before the exchange."""
 RELEARNED = 1.1
@@ -72,21 +70,22 @@ class Outcome:
 
 
 def run_shifts(
-    make: Make, settings: Mapping[str, Any], drawn: Sequence[Drawn], memory: bytes = b""
+    make: Make,
+    settings: Mapping[str, Any],
+    drawn: Sequence[Drawn],
+    memory: bytes = b"",
+    forgets: bool = False,
 ) -> Iterator[Outcome]:
     """Run drawn shifts one after another and yield what each did; the memory is handed on.
 
-    settings: of the control unit and of other hardware.
+    settings: of the control unit and of other hardware. forgets: the memory is erased instead.
     Raises InputError for settings that the scenario does not accept, RunError if a run cannot finish.
     """
-    known = {}
+    learns = settings.get("controller.strategy") == LEARNED
     for each in drawn:
-        if settings.get("controller.strategy") == LEARNED:
-            supply_pa = SUPPLY_STEP_PA * round(
-                each.settings["plant.supply_pressure_pa"] / SUPPLY_STEP_PA
-            )
-            known = {"controller.strategy_parameters.supply_pa": supply_pa}
-        run = run_in_memory(make(texts_of({**each.settings, **known, **settings})))
+        known = each.known if learns else {}
+        run = run_in_memory(make(texts_of({**each.settings, **known, **settings})), memory)
+        memory = b"" if forgets else run.memory
         shift = run.shifts[-1]
         lost = "" if shift.confirmed_s is not None else "was not confirmed"
         if shift.shift_time_s is None:
@@ -114,9 +113,8 @@ def columns(study: LoadedStudy) -> tuple[str, ...]:
 
 def run(study: LoadedStudy, row: Row) -> RowResult:
     """Run the shifts of the row's truck. Raises InputError for settings that are not accepted."""
-    own = dict(row.settings)
-    number = own.pop(FLEET_TRUCK)
-    changed = {name[6:]: own.pop(name) for name in list(own) if name.startswith("truck.")}
+    changed, own = row.split({"fleet": ("truck", "forgets"), "truck": TruckTable.__struct_fields__})
+    number, forgets = changed.pop("truck"), bool(changed.pop("forgets", False))
     hardware = {
         name: value
         for name, value in own.items()
@@ -131,10 +129,10 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
         own.pop(name, None)
         hardware.pop(name, None)
     plain = reference(study, hardware, drawn)
-    found = list(run_shifts(study.loaded, own, drawn))
+    found = list(run_shifts(study.loaded, own, drawn, forgets=forgets))
     at = fleet.examined_after
     examined = [
-        each.impact_m_s
+        math.inf if each.lost else each.impact_m_s
         for shift in exam
         for each in run_shifts(study.loaded, own, [shift], found[at - 1].memory)
     ]
@@ -176,16 +174,18 @@ def quantiles_of(values: Floats, shares: Sequence[float]) -> Floats:
     return np.quantile(known, shares) if len(known) else np.full(len(shares), math.nan)
 
 
+MOST_REFERENCES = 16
 _REFERENCE: dict[str, list[Outcome]] = {}
 
 
 def reference(
     study: LoadedStudy, hardware: Mapping[str, Any], drawn: Sequence[Drawn]
 ) -> list[Outcome]:
-    """Return what the open loop does in the drawn shifts, without a damper; the last one is stored."""
+    """Return what the open loop does in the drawn shifts, without a damper; the latest are stored."""
     key = f"{study.digest} {hardware} {[each.settings['seed'] for each in drawn]} {drawn[-1]}"
     if key not in _REFERENCE:
-        _REFERENCE.clear()
+        if len(_REFERENCE) >= MOST_REFERENCES:
+            _REFERENCE.clear()
         _REFERENCE[key] = list(run_shifts(study.loaded, hardware, drawn))
     return _REFERENCE[key]
 

@@ -15,7 +15,7 @@ import numpy as np
 from plant.parameters import load
 from sil.report.figure import MS, Figure, Panel, Series, Stack
 from sil.studies.figures import title_of
-from sil.studies.kinds.bounds import SHIPPED, levels, seconds
+from sil.studies.kinds.bounds import SHIPPED, levels, number
 from sil.studies.lower_bound import HeldModel, best_proof, certificate
 from sil.studies.policies import GEARBOX, FamilyModel
 from sil.studies.rows import RowResult
@@ -48,8 +48,8 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
 def _held_model(study: LoadedStudy, row: Row) -> HeldModel:
     """Return the model of a row. Raises InputError for settings that are wrong or not covered."""
     own, model = row.split({"bound": ("delay_s", "extra_s")})
-    delay_s = seconds("delay_s", own.get("delay_s"), 0.0)
-    extra_s = seconds("extra_s", own.get("extra_s", study.study.bounds.extra_s), 0.0)
+    delay_s = number("delay_s", own.get("delay_s"), 0.0)
+    extra_s = number("extra_s", own.get("extra_s", study.study.bounds.extra_s), 0.0)
     parameters = load(study.study.model).override(model)  # type: ignore[arg-type]
     return HeldModel(parameters, GEARBOX, delay_s, extra_s)
 
@@ -90,7 +90,7 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
             ("softest found, all valves", "found_m_s", "series1"),
         )
     ]
-    title, rules = "Impact speed at the stop", levels(table, 0)
+    title, rules = "Impact speed at the stop", levels(table.numbers, 0)
     panel = Panel(title, "m/s", lines, rules=rules, limits=(0.0, 1.5), height=380)
     proven = table.numbers["certified_m_s"] > table.numbers["damper_m_s"]
     from_ms = min(delay_ms[proven], default=math.inf)

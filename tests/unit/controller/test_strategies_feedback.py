@@ -114,6 +114,19 @@ def commanded(strategy: Strategy, fall: Fall, leg: Gear = Gear.BACKWARD) -> list
     return [strategy.command(t * MS, still, told(fall, t, leg)) for t in range(0, 150, 5)]
 
 
+def test_a_fixed_programme_acts_at_its_times_whatever_is_measured() -> None:
+    own = {"rest_begin_s": 0.02, "rest_s": 0.03, "brake_begin_s": 0.04, "brake_s": 0.02}
+    strategy = made("fixed_programme", **own)
+    strategy.reset()
+    for position_m, speed_m_s in ((0.0, 0.0), (0.012, 1.0)):
+        found = [
+            strategy.command(t * MS, seen(position_m, speed_m_s), push(Gear.FORWARD))
+            for t in range(0, 80, 10)
+        ]
+        assert [10 * k for k, duties in enumerate(found) if duties.f == 0.0] == [20, 30, 40]
+        assert [10 * k for k, duties in enumerate(found) if duties.n > 0.0] == [40, 50]
+
+
 @pytest.mark.parametrize("leg", [Gear.BACKWARD, Gear.FORWARD])
 def test_the_synchro_brake_acts_before_the_speeds_are_equal(leg: Gear) -> None:
     """55 = 500 t + 1000/2 t^2 at 0.1 s: brake from 0.08 for 0.02 s, rest from 0.06 for 0.01 s."""

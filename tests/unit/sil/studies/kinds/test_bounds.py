@@ -6,11 +6,13 @@ import csv
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
 from sil.cli import main
-from sil.studies import executor
+from sil.studies import executor, policies
+from sil.studies.kinds import bounds
 from sil.studies.kinds.bounds import PARTS, SHIPPED, TUNED, delay_of, worst_over
 from sil.studies.kinds.budget import BARS, closed, simulated
 from sil.studies.load_study import load_study
@@ -91,6 +93,8 @@ def test_a_study_of_bounds_and_the_same_bytes_by_two_workers(tmp_path: Path) -> 
         (BOUNDS.replace("bound.delay_s", "bound.delay"), "delay_s"),
         (BOUNDS.replace("[0.048, 0.06]", "[true]"), "number of seconds"),
         (BOUNDS.replace("bound.delay_s", "bound.valves"), "all, firmware"),
+        (BOUNDS.replace('"laboratory" }', '"laboratory", "bound.known" = 0.1 }'), "gearbox"),
+        (BOUNDS.replace('"laboratory" }', '"gearbox", "bound.known" = 1.1 }'), "0 to 1"),
         (
             BOUNDS.replace('"laboratory" }', '"laboratory", "bound.simulations" = 0 }'),
             "whole number",
@@ -187,3 +191,27 @@ def test_shipped_rows_come_out_again() -> None:
             else:
                 if column != "simulations":
                     assert float(found[column]) == pytest.approx(expected, rel=0.02, abs=2e-4)
+
+
+def test_a_load_that_is_known_to_a_share_stands_for_its_neighbours() -> None:
+    exact, near, unknown = (bounds.around(policies.GEARBOX, known) for known in (0.0, 0.1, 1.0))
+    assert unknown == [policies.GEARBOX]
+    assert [family.cases for family in exact] == [(case,) for case in policies.GEARBOX.cases]
+    found = [[case.sync_impulse_n_s for case in family.cases] for family in near]
+    assert found[0] == pytest.approx([16.2, 17.1, 18.0, 18.9, 19.8])
+    assert [each[2] for each in found] == [18.0, 40.0, 78.0, 140.0, 250.0]
+
+
+def test_bounds_over_the_share_are_drawn_with_what_earlier_information_reaches() -> None:
+    columns = {
+        "bound.known": np.array([0.0, 0.0, 0.1, 0.1, 1.0, 1.0]),
+        "bound.delay_s": np.array([0.048, -0.03] * 3),
+        "bound_m_s": np.array([0.4, 0.5, 0.8, 0.7, 1.1, 0.9]),
+        "open_loop_m_s": np.full(6, 1.37),
+        "damper_m_s": np.full(6, 0.6),
+    }
+    panel = bounds.known_panel(columns)
+    late, early = panel.series
+    assert late.y.tolist() == [0.4, 0.8]
+    assert early.y.tolist() == [0.4, 0.7]
+    assert [rule.at for rule in panel.rules] == [1.37, 0.6, 1.1, 0.9]

@@ -1,0 +1,36 @@
+"""One programme for every shift: what can be done without knowing anything of it."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+from controller.settings import bounded
+from controller.strategies.into_gear import Command, IntoGear, IntoGearParameters, Progress, within
+
+
+class FixedProgramme(IntoGear):
+    """Leave the driving chamber once and fill the neutral one once, at fixed times of the push.
+
+    Two comparisons a step.
+    """
+
+    class Parameters(IntoGearParameters, frozen=True):
+        """Begins and lengths, in seconds since the push began; the nearest steps act for them."""
+
+        rest_begin_s: Annotated[float, bounded(0.0, 0.5, "s")] = 0.0
+        rest_s: Annotated[float, bounded(0.0, 0.3, "s")] = 0.0
+        brake_begin_s: Annotated[float, bounded(0.0, 0.5, "s")] = 0.0
+        brake_s: Annotated[float, bounded(0.0, 0.3, "s")] = 0.0
+
+    name: ClassVar[str] = "fixed_programme"
+    parameters: FixedProgramme.Parameters
+
+    def reset(self) -> None:
+        """Nothing is remembered."""
+
+    def decide(self, progress: Progress) -> Command:
+        """Push but for the two intervals."""
+        own, now_s = self.parameters, progress.spent_s + 0.5 * self.config.period_s
+        rest = now_s >= own.rest_begin_s and within(own.rest_begin_s, now_s, own.rest_s)
+        brake = now_s >= own.brake_begin_s and within(own.brake_begin_s, now_s, own.brake_s)
+        return Command(not rest, brake)
