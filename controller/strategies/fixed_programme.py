@@ -11,7 +11,7 @@ from controller.strategies.into_gear import Command, IntoGear, IntoGearParameter
 class FixedProgramme(IntoGear):
     """Leave the driving chamber once and fill the neutral one once, at fixed times of the push.
 
-    Two comparisons a step.
+    At most 20 operations a step.
     """
 
     class Parameters(IntoGearParameters, frozen=True):

@@ -89,10 +89,10 @@ class TruckTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """sd of each reported shaft speed."""
     inertia_forward: Assumed
     """Inertia of the input side in the forward gear, by that in the backward gear."""
-    mesh_low_n: Assumed
-    """Least peak of the meshing force of a gear; between trucks it is uniform."""
-    mesh_high_n: Assumed
-    """Greatest peak of the meshing force of a gear, and that of the examination."""
+    mesh_n: Assumed
+    """Median of the peak of the meshing force, and that of the examination."""
+    mesh_unit: Assumed
+    """Peak of the meshing force: sd between gears and trucks."""
     mesh_shift: Assumed
     """Peak of the meshing force: sd between shifts."""
     supply_low_pa: Assumed
@@ -260,7 +260,7 @@ class Truck:
         gain_m, inertia = (
             self._nominal[f"driveline.{name}"] for name in ("cone_gain_m", "inertia_kg_m2")
         )
-        mesh_n = self._of["mesh_high_n"] * self._factor("mesh_shift")
+        mesh_n = self._of["mesh_n"] * self._factor("mesh_shift")
         fixed = {"plant.supply_pressure_pa": 9e5, "plant.mesh_force_n": mesh_n}
         speed_rad_s = impulse_n_s * gain_m / inertia
         gain_m = self._cone_gain_m(k, "backward")
