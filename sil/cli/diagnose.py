@@ -76,7 +76,8 @@ def run(arguments: argparse.Namespace) -> int:
     campaign = load_campaign(arguments.campaign)
     parameters = load(arguments.model)
     folder = prepare_folder(arguments.out, f"{campaign.name}-diagnosis", arguments.force)
-    with Progress(f"diagnosing {campaign.name}", "%") as progress:
+    with Progress(f"diagnosing {campaign.name}", "%", 0.0) as progress:
+        progress(0, 100)
         result = diagnose(
             campaign, parameters, workers=max(1, arguments.workers), progress=progress
         )

@@ -17,15 +17,19 @@ from can_dbc.errors import InputError
 from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record
+from sil.diagnosis.noise import estimated_noise
 from sil.diagnosis.phases import runs
 from sil.fitting.fit import FitResult
 from sil.fitting.model import CampaignModel, channel_parts
-from sil.fitting.observations import StrokeObservation, observe
+from sil.fitting.observations import StrokeObservation, kind_of, nominal_noise, observe
 
 LEAST_DURATION_S = 0.02
-FEWEST_SAMPLES = 50
+FEWEST_SAMPLES = 16
 SATURATED_SHARE = 0.005
 SHIFT_S = 0.002
+REVERSED = -0.8
+"""Correlation of a measured position with the predicted one below which its sign is reversed."""
+LEAST_MOTION_M = 1e-3
 SATURATED, SWAPPED = "saturated", "swapped"
 
 Signals = dict[str, tuple[Floats, Floats, Floats]]
@@ -52,16 +56,18 @@ def observed(
     Raises InputError for a stroke that cannot be compared, and if no stroke has a position or a
     pressure.
     """
-    strokes = []
     findings: list[Finding] = []
+    records = [campaign.record(entry) for entry in campaign.strokes]
     clipped: list[set[str]] = []
-    for entry in campaign.strokes:
-        record = campaign.record(entry)
+    for entry, record in zip(campaign.strokes, records, strict=True):
         odd = check_record(entry, record, parameters)
         findings += odd
         clipped.append({item.channel for item in odd if item.text.startswith(SATURATED)})
-        strokes.append(observe(entry, record, parameters, clipped[-1]))
-    odd, shifts = check_signals(strokes)
+    strokes = list(map(observe, campaign.strokes, records, itertools.repeat(parameters), clipped))
+    odd, shifts = check_signals(strokes, campaign)
+    findings += odd
+    nominal = nominal_noise(parameters)
+    noise = estimated_noise(strokes, records, nominal)
     for k, entry in enumerate(campaign.strokes):
         dead = {
             name
@@ -69,26 +75,23 @@ def observed(
             if item.file == entry.file and SWAPPED in item.text
             for name in item.channel.split(", ")
         }
-        if dead or k in shifts:
-            record = _moved(campaign.record(entry), shifts.get(k, 0.0))
-            strokes[k] = observe(entry, record, parameters, clipped[k], dead)
+        if dead or k in shifts or noise:
+            strokes[k] = observe(
+                entry,
+                records[k],
+                parameters,
+                clipped[k],
+                dead,
+                shift_s=shifts.get(k, 0.0),
+                noise=noise,
+            )
     if not any(stroke.channels or stroke.internal for stroke in strokes):
         raise InputError(f"{campaign.folder}: no position and no pressure in any stroke")
-    return strokes, findings + odd
-
-
-def _moved(record: Record, shift_s: float) -> Record:
-    """Return a record with a shift of its time base taken off; at rest before it begins."""
-    k = round(shift_s / float(np.median(np.diff(record.time_s))))
-    columns = {}
-    for name, values in record.columns.items():
-        if name == "time_s":
-            columns[name] = values[: len(values) - max(k, 0)]
-        elif k >= 0:
-            columns[name] = values[k:]
-        else:
-            columns[name] = np.concatenate([np.full(-k, values[0]), values[:k]])
-    return Record(record.path, columns)
+    for name, own in noise.items():
+        usual = nominal[kind_of(name)].sd
+        text = f"noise of {own.sd:.3g}, {own.sd / usual:.2g} times what is usual"
+        findings.append(Finding(campaign.name, name, f"{text}: estimated from the records"))
+    return strokes, findings
 
 
 # --- single records ---------------------------------------------------------------------------
@@ -223,11 +226,14 @@ def _unit_hint(ratio: float, units: tuple[tuple[float, str], ...]) -> str:
 
 
 # --- measured against predicted ---------------------------------------------------------------
-def check_signals(strokes: Sequence[StrokeObservation]) -> tuple[list[Finding], dict[int, float]]:
+def check_signals(
+    strokes: Sequence[StrokeObservation], campaign: Campaign
+) -> tuple[list[Finding], dict[int, float]]:
     """Return swapped gauges and shifted records, found by the unfitted model.
 
     Returns the findings and the shift [s] of each stroke that has one.  A late valve is no shift:
-    what comes after its closing would not fit then; nor is a plunger that crosses slowly.
+    what comes after its closing would not fit then; nor is a plunger that crosses slowly.  Raises
+    InputError for a position of reversed sign.
     """
     findings = []
     shifts: dict[int, float] = {}
@@ -238,6 +244,7 @@ def check_signals(strokes: Sequence[StrokeObservation]) -> tuple[list[Finding], 
         except IntegrationError:
             continue
         pressures, motion = (_signals(stroke, states, kind) for kind in ("pressure", "position"))
+        _refuse_reversed(stroke, states, motion, campaign)
         findings += [
             Finding(stroke.entry.file, pair, f"channels are {SWAPPED}; left out")
             for pair in _swapped(pressures, 1e9, 0.1)
@@ -252,6 +259,25 @@ def check_signals(strokes: Sequence[StrokeObservation]) -> tuple[list[Finding], 
         return findings, {}
     findings += [_shifted(strokes[k], shift, "; taken off") for k, shift in shifts.items()]
     return findings, shifts
+
+
+def _refuse_reversed(
+    stroke: StrokeObservation, states: Floats, motion: Signals, campaign: Campaign
+) -> None:
+    """Refuse a position that moves opposite to the commanded motion."""
+    signals = {name: (measured, predicted) for name, (measured, predicted, _t) in motion.items()}
+    if stroke.internal is not None:
+        about_s = stroke.internal.published_s - 2.0 * stroke.setup.chain.period_s
+        there = np.interp(about_s, stroke.time_s, states[:, 0])
+        signals["position_internal_m"] = stroke.internal.values_m, there
+    for name, (measured, predicted) in signals.items():
+        moves = np.ptp(predicted) > LEAST_MOTION_M and np.ptp(measured) > 0.3 * np.ptp(predicted)
+        if moves and np.corrcoef(measured, predicted)[0, 1] < REVERSED:
+            raise InputError(
+                f"{campaign.folder / stroke.entry.file}: {name}: moves opposite to the commanded "
+                "motion: its sign is reversed (state scale = -1 in [columns]), or kind or commands "
+                "are those of another stroke"
+            )
 
 
 def check_strokes(model: CampaignModel, fit: FitResult) -> list[Finding]:

@@ -25,7 +25,16 @@ from sil.diagnosis.search import Search
 from sil.diagnosis.split import odd_ones_in, split
 from sil.diagnosis.structure import Structure, structure_of
 from sil.diagnosis.terms import try_terms
-from sil.diagnosis.verdict import Judged, Verdict, acceptable, decide, judge, weigh
+from sil.diagnosis.verdict import (
+    CLAIM,
+    CLAIM_PER_STROKE,
+    Judged,
+    Verdict,
+    acceptable,
+    decide,
+    judge,
+    weigh,
+)
 from sil.files.html_table import html_table
 from sil.fitting.fit import FitResult, Fitter, Show, no_progress
 from sil.fitting.floor import misfit
@@ -57,6 +66,7 @@ class Diagnosis:
     judged: list[Judged]
     final: FitResult
     healthy: FitResult
+    noticed: dict[str, dict[str, float | str]]
 
     def as_json(self) -> dict[str, Any]:
         """Return the object written to diagnosis.json."""
@@ -71,6 +81,7 @@ class Diagnosis:
             gain=self.gain.as_json(),
             extended_model=None if self.extended is None else "extended_model.toml",
             detectability=self.structure.sentence(),
+            smallest_noticed=self.noticed,
         )
 
     def _repr_html_(self) -> str:
@@ -134,7 +145,32 @@ def diagnose(
         judged,
         final,
         healthy,
+        smallest_noticed(search, len(strokes)) if verdict.kind == "consistent" else {},
     )
+
+
+def smallest_noticed(search: Search, strokes: int) -> dict[str, dict[str, float | str]]:
+    """Return the smallest size of each cause that would have been claimed, by linear scores.
+
+    A cause that is missing would not have been noticed within its physical bounds.
+    """
+    least = max(CLAIM, CLAIM_PER_STROKE * strokes) * len(search.training) / strokes
+    found: dict[str, dict[str, float | str]] = {}
+    for score in search.scores:
+        value, main = score.smallest(least), score.candidate.parameters[0]
+        if value is None:
+            continue
+        size = abs(value - main.neutral) / main.typical
+        old = found.get(score.candidate.id)
+        if old is None or size < float(old["size"]):
+            found[score.candidate.id] = {
+                "parameter": main.name,
+                "value": value,
+                "neutral": main.neutral,
+                "unit": main.unit,
+                "size": size,
+            }
+    return found
 
 
 def _assigned(model: CampaignModel) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -5,36 +5,11 @@ Checked by: tests/unit/sil/diagnosis/test_force_rig.py
 
 from __future__ import annotations
 
-from math import comb
-
 import numpy as np
 from numpy.typing import NDArray
 
 from sil.campaign.campaign import Floats
-
-
-def noise_of(values: Floats) -> float:
-    """Return the standard deviation of the noise of a sample of values [n].
-
-    By sixth differences, which motion hardly changes, and by the quietest part of the upper half of
-    the spectrum; not less than the rounding of the values.
-    """
-    differences = np.diff(values, 6)
-    robust = float(np.median(np.abs(differences))) / (0.6745 * comb(12, 6) ** 0.5)
-    window = np.hanning(len(values))
-    power = np.abs(np.fft.rfft((values - values.mean()) * window)) ** 2 / np.sum(window**2)
-    bands = np.array_split(power[len(power) // 2 : -1], 8)
-    spectral = min(float(np.median(band)) for band in bands) / np.log(2.0)
-    return float(max(min(robust, spectral**0.5), rounding_of(values) / 12.0**0.5))
-
-
-def rounding_of(values: Floats) -> float:
-    """Return the step to which values [n] are rounded; 0 if that is not visible."""
-    distinct = np.unique(values)
-    if len(distinct) > 0.5 * len(values) or len(distinct) < 3:
-        return 0.0
-    steps = np.diff(distinct)
-    return float(np.median(steps[steps > 1e-9 * np.ptp(values)]))
+from sil.diagnosis.noise import rounding_of
 
 
 def odd_channels(file: str, signals: Floats, first: int) -> list[str]:

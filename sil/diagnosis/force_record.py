@@ -22,7 +22,8 @@ from can_dbc.errors import InputError
 from can_dbc.typed_toml import convert, read_toml
 from plant.effects.force_term import Motion
 from sil.campaign.campaign import ColumnMap, Floats, Rate, Record, Text, column_maps, read_record
-from sil.diagnosis.force_checks import noise_of, odd_channels
+from sil.diagnosis.force_checks import odd_channels
+from sil.diagnosis.noise import noise_of
 
 FOLDS = 24
 """Most groups of strokes that are held out in turn."""

@@ -52,10 +52,9 @@ def alone(model: CampaignModel, fit: FitResult, k: int) -> Alone:
 
     stroke = model.strokes[k]
     setup = model.setup(k, model.amounts(fit.shared, fit.stroke[k]), fit.candidates, fit.values)
-    time_s = stroke.time_s
-    whole = {
-        c.name: _cleared(model, fit, c) for c in stroke.channels if len(c.measured) == len(time_s)
-    }
+    rows = max((c.rows for c in stroke.channels), key=len, default=np.zeros(0, dtype=np.int64))
+    time_s = stroke.time_s[rows]
+    whole = {c.name: _cleared(model, fit, c) for c in stroke.channels if len(c.rows) == len(time_s)}
     columns = {name: f"pressure_{name}_pa" for name in stroke.conditions.chambers}
     position = whole.get("position_m")
     if position is None:

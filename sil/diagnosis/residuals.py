@@ -19,7 +19,6 @@ from sil.campaign.campaign import Floats
 from sil.diagnosis.phases import PHASES, phases
 from sil.diagnosis.verdict import Judged, Verdict
 from sil.fitting.fit import FitResult
-from sil.fitting.internal import INTERNAL_SD_M
 from sil.fitting.model import CampaignModel, channel_parts
 
 
@@ -158,7 +157,7 @@ def _channel_rms(model: CampaignModel, fit: FitResult) -> dict[str, float]:
         for channel, part in channel_parts(stroke, block.residual):
             parts.setdefault(channel.name, []).append(part * channel.sd)
         if stroke.internal is not None:
-            part = block.residual[stroke.size :] * INTERNAL_SD_M
+            part = block.residual[stroke.size :] * stroke.internal.sd_m
             parts.setdefault("position_internal_m", []).append(part)
     return {
         name: float(np.sqrt(sum(float(p @ p) for p in own) / max(1, sum(map(len, own)))))

@@ -26,13 +26,22 @@ from sil.fitting.model import CampaignModel
 class Score:
     """What a candidate would gain on top of a fit, by the linear estimate.
 
-    gain: in cost (half chi squared); amount: in multiples of the start tried; start: that start.
+    gain: in cost (half chi squared); amount: in multiples of the start tried; start: that start;
+    square: squared standardised change by that start, freed of what the fit could imitate.
     """
 
     candidate: Candidate
     start: tuple[float, ...]
     gain: float
     amount: float
+    square: float
+
+    def smallest(self, gain: float) -> float | None:
+        """Return the value of the main parameter that would gain so much; None if out of its bounds."""
+        main = self.candidate.parameters[0]
+        unit = self.start[0] - main.neutral
+        value = main.neutral + (2.0 * gain / self.square) ** 0.5 * unit
+        return value if main.low <= value <= main.high else None
 
 
 def _change_of(
@@ -86,7 +95,7 @@ def screen(model: CampaignModel, fit: FitResult, candidates: Sequence[Candidate]
             either = candidate.parameters[0].sign == 0
             gain = 0.5 * slope * amount if amount > 0.0 or either else 0.0
             if best is None or gain > best.gain:
-                best = Score(candidate, start, gain, amount)
+                best = Score(candidate, start, gain, amount, square)
         if best is not None:
             found.append(best)
     return sorted(found, key=lambda score: -score.gain)

@@ -105,6 +105,7 @@ class Search:
         self.fits = Fits()
         self.first: list[FitResult] = []
         self.known: dict[str, dict[int, Block]] = {}
+        self.scores: list[Score] = []
 
     def run(self) -> None:
         """Fit the healthy model, singles and pairs."""
@@ -203,8 +204,8 @@ class Search:
         chosen: list[Candidate] = self.candidates
         if misfit(self.model, healthy).per_number < NEAR and not strained(healthy):
             self.known[healthy.name] = healthy.blocks
-            scores = screen(self.model, healthy, self.candidates)
-            chosen = [s.candidate for s in scores if s.gain > WORTH][: 2 * MOST_SINGLES]
+            self.scores = screen(self.model, healthy, self.candidates)
+            chosen = [s.candidate for s in self.scores if s.gain > WORTH][: 2 * MOST_SINGLES]
         begin = (healthy.shared, healthy.stroke)
         tasks = []
         for item in chosen:

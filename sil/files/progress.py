@@ -1,6 +1,6 @@
 """Progress of long work on standard error: a bar on a terminal, a plain line now and then elsewhere.
 
-Nothing is shown of work that takes less than two seconds, nor after `silence()` (option --quiet).
+Usually nothing is shown of work that takes less than two seconds; nothing ever is after `silence()` (option --quiet).
 Checked by: tests/unit/sil/files/test_progress.py
 """
 
@@ -33,12 +33,12 @@ class Progress:
         progress(done, size)
     """
 
-    def __init__(self, what: str, unit: str = "") -> None:
+    def __init__(self, what: str, unit: str = "", first_after_s: float = FIRST_AFTER_S) -> None:
         """Name the work, and the unit of its amounts, e.g. "s"."""
         self._what = what
         self._unit = f" {unit}" if unit else ""
         self._began_s = time.monotonic()
-        self._next_s = self._began_s + FIRST_AFTER_S
+        self._next_s = self._began_s + first_after_s
         self._first: float | None = None
         self._shown = ""
 

@@ -1,9 +1,9 @@
 """How large residuals are when nothing is wrong: the floor that a fit is compared with.
 
-Pressures: their standardised residuals have mean square one.  Potentiometer and reported position
-are standardised conservatively (a resting wiper says one thing, not hundreds; a reported value
-depends on the recorder's step in time), so theirs are smaller, by factors found on clean simulated
-campaigns.
+Pressures: their standardised residuals have mean square one.  Position and reported position are
+standardised conservatively (a resting wiper says one thing, not hundreds; a reported value depends on
+the recorder's step in time), so theirs are smaller: by the weights of the samples, and by what clean
+simulated campaigns show.
 Checked by: tests/unit/sil/fitting/test_fit.py
 """
 
@@ -16,13 +16,17 @@ from scipy.special import chdtri
 
 from sil.campaign.campaign import Floats
 from sil.fitting.fit import FitResult
+from sil.fitting.internal import INTERNAL_SD_M
 from sil.fitting.model import CampaignModel, channel_parts
 
-FLOOR_RMS = {"position": 0.385, "pressure": 1.0, "oil": 1.0, "internal": 0.17}
-"""Root mean square of standardised residuals of a clean campaign, by kind of channel."""
+POSITION = 1.035
+"""Mean square of the position's residuals over the one that the weights of its samples give."""
+
+INTERNAL = (0.17, 0.7)
+"""Rms of the reported position's residuals: the usual recorder's, and of what a slow one adds."""
 
 FLOOR_SPREAD = {"position": 0.03, "pressure": 0.004, "oil": 0.008, "internal": 0.05}
-"""Its spread between clean campaigns, in addition to the one that counting gives."""
+"""Spread of the rms between clean campaigns, in addition to the one that counting gives."""
 
 
 EXPLAINED = 1.25
@@ -72,25 +76,31 @@ class Misfit:
 
 def misfit(model: CampaignModel, fit: FitResult) -> Misfit:
     """Compare a fit's residuals with the floor, channel by channel and in all."""
-    parts: dict[tuple[str, str], list[Floats]] = {}
+    parts: dict[str, list[tuple[Floats, float, float]]] = {}
     for k, block in fit.blocks.items():
         stroke = model.strokes[k]
         for channel, part in channel_parts(stroke, block.residual):
-            parts.setdefault((channel.name, channel.kind), []).append(part)
+            floor = float(np.sum((channel.noise.sd / channel.sd) ** 2))
+            floor *= POSITION if channel.kind == "position" else 1.0
+            spread = float(np.hypot(FLOOR_SPREAD[channel.kind], channel.noise.uncertainty))
+            parts.setdefault(channel.name, []).append((part, floor, spread))
         if stroke.internal is not None:
             part = block.residual[stroke.size :]
-            parts.setdefault(("position_internal_m", "internal"), []).append(part)
+            usual = (INTERNAL_SD_M / stroke.internal.sd_m) ** 2
+            slow = float(np.sum(1.0 - usual)) * INTERNAL[1] ** 2
+            floor = float(np.sum(usual)) * INTERNAL[0] ** 2 + slow
+            spread = FLOOR_SPREAD["internal"] + 0.5 * slow / floor
+            parts.setdefault("position_internal_m", []).append((part, floor, spread))
     channels = {}
     excess = variance = 0.0
-    for (name, kind), own in parts.items():
-        n = sum(map(len, own))
-        total = sum(float(part @ part) for part in own)
-        floor = FLOOR_RMS[kind] ** 2
-        share = float(np.hypot(FLOOR_SPREAD[kind] / FLOOR_RMS[kind], np.sqrt(0.5 / max(1, n))))
-        rms = float(np.sqrt(total / max(1, n) / floor))
-        channels[name] = ChannelMisfit(rms, n, 1.0 + 3.0 * share)
-        excess += total - floor * n
-        variance += (2.0 * share * floor * n) ** 2
+    for name, own in parts.items():
+        n = sum(len(part) for part, _floor, _spread in own)
+        total = sum(float(part @ part) for part, _floor, _spread in own)
+        floor = sum(item[1] for item in own)
+        share = float(np.hypot(own[0][2] / (floor / n) ** 0.5, np.sqrt(0.5 / n)))
+        channels[name] = ChannelMisfit(float(np.sqrt(total / floor)), n, 1.0 + 3.0 * share)
+        excess += total - floor
+        variance += (2.0 * share * floor) ** 2
     count = sum(channel.count for channel in channels.values())
     return Misfit(channels, excess, 3.0 * float(np.sqrt(variance)), count)
 

@@ -17,7 +17,11 @@ from plant.effects.setup import Setup
 from sil.campaign.campaign import Floats
 
 INTERNAL_SD_M = 3e-5
-"""Expected scatter of one published position: timer tick and the recorder's step in time."""
+"""Expected scatter of one published position: timer tick and a recorder's step of 0.1 ms."""
+
+USUAL_STEP_S = 1e-4
+SLOWEST_S = 0.005
+"""Longest step of a recorder that dates publications: half their period."""
 
 RESTING_M = 1e-7
 """A position that changes less from pulse to pulse is at rest."""
@@ -27,19 +31,31 @@ FEWEST_PUBLICATIONS = 4
 
 @dataclass(frozen=True)
 class InternalSamples:
-    """Published positions [m] and when they appeared on the recorder's clock [s], mid of the step."""
+    """Published positions [m], when they appeared on the recorder's clock [s], mid of the step.
+
+    sd_m: expected scatter; a slow recorder's step in time counts by how fast the position changes.
+    """
 
     published_s: Floats
     values_m: Floats
+    sd_m: Floats
 
 
 def internal_samples(time_s: Floats, values: Floats) -> InternalSamples | None:
-    """Return the publications in values [n] in m at time_s [n], by their steps; None if it hardly moves."""
+    """Return the publications in values [n] in m at time_s [n], by their steps.
+
+    None if it hardly moves, or is recorded too slowly to say when they appeared.
+    """
+    if float(time_s[1] - time_s[0]) > SLOWEST_S:
+        return None
     edges = np.flatnonzero(np.abs(np.diff(values)) > 1e-9) + 1
     if len(edges) < FEWEST_PUBLICATIONS:
         return None
-    half = 0.5 * float(time_s[1] - time_s[0])
-    return InternalSamples(time_s[edges] - half, values[edges])
+    step_s = float(time_s[1] - time_s[0])
+    slope_m_s = np.abs(np.gradient(values[edges], time_s[edges]))
+    late_s = (max(0.0, step_s**2 - USUAL_STEP_S**2) / 12.0) ** 0.5
+    sd_m = np.hypot(INTERNAL_SD_M, slope_m_s * late_s)
+    return InternalSamples(time_s[edges] - 0.5 * step_s, values[edges], sd_m)
 
 
 def internal_prediction(

@@ -21,7 +21,7 @@ from plant.errors import IntegrationError
 from plant.parameters import ParameterSet
 from sil.campaign.campaign import Floats
 from sil.fitting.hypotheses import Candidate, is_scale, log_size, precision, scaled_of, value_of
-from sil.fitting.internal import INTERNAL_SD_M, internal_prediction
+from sil.fitting.internal import internal_prediction
 from sil.fitting.observations import Channel, StrokeObservation
 
 NS = 1e9
@@ -201,7 +201,7 @@ class CampaignModel:
             reported = internal_prediction(
                 stroke.internal, stroke.time_s, states[:, 0], setup, rounded
             )
-            parts.append(reported / INTERNAL_SD_M)
+            parts.append(reported / stroke.internal.sd_m)
         return np.concatenate(parts)
 
     def _offsets_of(self, stroke: StrokeObservation) -> Floats:
@@ -379,7 +379,7 @@ class CampaignModel:
 def _standardised(stroke: StrokeObservation) -> Floats:
     parts = [channel.measured / channel.sd for channel in stroke.channels]
     if stroke.internal is not None:
-        parts.append(stroke.internal.values_m / INTERNAL_SD_M)
+        parts.append(stroke.internal.values_m / stroke.internal.sd_m)
     return np.concatenate(parts) if parts else np.zeros(0)
 
 

@@ -6,7 +6,7 @@ chambers fill; neighbouring samples of a resting potentiometer carry one piece o
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,22 @@ from sil.campaign.campaign import CampaignStroke, Floats, Record
 from sil.fitting.internal import InternalSamples, internal_samples
 
 NS = 1_000_000_000
+ROOT_12 = 12**0.5
+FINE_S = 2e-4
+SETTLED_S = 0.5
+"""So long after a command, chambers may still fill and vent."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of a channel: standard deviation, step of a wire or converter, and whether it was estimated.
+
+    uncertainty: of the standard deviation, relative.
+    """
+
+    sd: float
+    step: float
+    uncertainty: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -35,6 +51,7 @@ class Channel:
     measured: Floats
     sd: Floats
     rows: NDArray[np.int64]  # rows of the predictor's instants
+    noise: Noise
 
 
 @dataclass
@@ -80,75 +97,104 @@ def observe(
     parameters: ParameterSet,
     clipped: Collection[str] = (),
     dead: Collection[str] = (),
+    *,
+    shift_s: float = 0.0,
+    noise: Mapping[str, Noise] | None = None,
 ) -> StrokeObservation:
     """Thin one stroke's record and set the stroke up as its conditions say.
 
-    clipped: columns whose largest value is no measurement; dead: columns to leave out.
+    clipped: columns whose largest value is no measurement; dead: columns to leave out; shift_s: by
+    which the record runs late; noise: of each column, the parameters' own by default.
     """
     conditions = entry.conditions
     setup = make_setup(parameters, conditions)
-    time_s = record.time_s - record.time_s[0]
-    rows = _thinned(time_s, conditions, setup)
-    internal = None
+    nominal = nominal_noise(parameters)
+    time_s = record.time_s - record.time_s[0] - shift_s
+    step_s = float(np.median(np.diff(time_s)))
+    rows = _thinned(time_s, step_s, conditions, setup)
+    instants = np.rint(time_s[rows] * NS).astype(np.int64)
+    internal, grid = None, instants
     if "position_internal_m" in record:
         internal = internal_samples(time_s, record["position_internal_m"])
+    if internal is not None and step_s > FINE_S:
+        # the control unit samples between the instants of a slow recorder
+        fine_s = np.arange(0.0, time_s[-1], FINE_S)
+        thinned = _thinned(fine_s, FINE_S, conditions, setup)
+        grid = np.union1d(instants, np.rint(fine_s[thinned] * NS).astype(np.int64))
+    at = np.searchsorted(grid, instants)
     fixed = conditions.system == FIXED
     channels: list[Channel] = []
 
-    def add(column: str, kind: str, state: int, sd: float | Floats) -> None:
-        measured, use = record[column][rows], np.arange(len(rows))
+    def add(column: str, state: int) -> None:
+        kind = kind_of(column)
+        measured, use = record[column][rows], np.full(len(rows), True)
         if column in clipped and kind == "pressure":
-            use = use[measured < record[column].max() - 1e-9]
-        sds = np.full(len(use), sd)
-        channels.append(Channel(column, kind, state, measured[use], sds, use))
+            use = measured < record[column].max() - 1e-9
+        own = (noise or {}).get(column, nominal[kind])
+        weights = np.ones(len(rows))
+        if kind == "position":
+            # a resting wiper stays on one wire: its samples are one observation, not hundreds
+            weights = np.maximum(1.0, _run_lengths(measured, own.step) / 4.0)
+        sd = own.sd * np.sqrt(weights[use])
+        channels.append(Channel(column, kind, state, measured[use], sd, at[use], own))
 
-    value = parameters.value
     if "position_m" in record:
-        step = value("potentiometer.resolution") / 12**0.5
-        pot_sd = float(np.hypot(value("potentiometer.noise_sd"), step))
-        # a resting wiper stays on one wire: its samples are one observation, not hundreds
-        runs = _run_lengths(record["position_m"][rows])
-        add("position_m", "position", 0, pot_sd * np.sqrt(np.maximum(1.0, runs / 4.0)))
+        add("position_m", 0)
     first = FixedState.p_1 if fixed else LengthState.p_b
     for k, name in enumerate(conditions.chambers):
         column = f"pressure_{name}_pa"
         if column in record and column not in dead:
-            add(column, "pressure", first + k, air_noise_pa(parameters))
+            add(column, first + k)
     if "pressure_oil2_pa" in record and conditions.load == "damper":
-        state = FixedState.p_oil if fixed else LengthState.p_oil
-        add("pressure_oil2_pa", "oil", state, _gauge_noise_pa(parameters, "oil"))
-    predictor = Predictor(np.rint(time_s[rows] * NS).astype(np.int64))
-    return StrokeObservation(entry, setup, predictor, time_s[rows], tuple(channels), internal)
+        add("pressure_oil2_pa", FixedState.p_oil if fixed else LengthState.p_oil)
+    return StrokeObservation(entry, setup, Predictor(grid), grid / NS, tuple(channels), internal)
 
 
-def air_noise_pa(parameters: ParameterSet) -> float:
-    """Return the standard deviation of an air gauge's noise, its converter's step included [Pa]."""
-    return _gauge_noise_pa(parameters, "air")
+def kind_of(column: str) -> str:
+    """Return the kind of a channel, as in `Channel.kind`."""
+    if column.startswith("position"):
+        return "position"
+    return "oil" if column == "pressure_oil2_pa" else "pressure"
 
 
-def _gauge_noise_pa(parameters: ParameterSet, medium: str) -> float:
+def nominal_noise(parameters: ParameterSet) -> dict[str, Noise]:
+    """Return the noise of each kind of channel by the parameters, its converter's step included."""
     value = parameters.value
-    step = value(f"gauge.range_{medium}") / 2 ** value("gauge.adc_bits") / 12**0.5
-    return float(np.hypot(value(f"gauge.noise_sd_{medium}"), step))
+    pot = value("potentiometer.resolution")
+    found = {
+        "position": Noise(float(np.hypot(value("potentiometer.noise_sd"), pot / ROOT_12)), pot)
+    }
+    for kind, medium in (("pressure", "air"), ("oil", "oil")):
+        step = value(f"gauge.range_{medium}") / 2 ** value("gauge.adc_bits")
+        sd = float(np.hypot(value(f"gauge.noise_sd_{medium}"), step / ROOT_12))
+        found[kind] = Noise(sd, step)
+    return found
 
 
-def _thinned(time_s: Floats, conditions: StrokeConditions, setup: Setup) -> NDArray[np.int64]:
-    """Rows of the record to compare: every second while things happen, every tenth otherwise."""
+def _thinned(
+    time_s: Floats, step_s: float, conditions: StrokeConditions, setup: Setup
+) -> NDArray[np.int64]:
+    """Rows of the record to compare: 0.2 ms apart while things happen, 1 ms otherwise, 20 ms at rest."""
+    fine, coarse, rest = (max(1, round(apart / step_s)) for apart in (FINE_S, 1e-3, 0.02))
     keep = np.zeros(len(time_s), dtype=bool)
-    keep[::10] = True
-    for when, _valve, duty in conditions.commands:
+    keep[::rest] = True
+    for when, _valve, duty in (*conditions.commands, (0.0, "", 0.0)):
         opens = duty >= setup.timing.duty_open
         begin = when + 0.004 if opens else when + 0.02
         end = when + (0.11 if opens else 0.06)
-        dense = (time_s >= begin) & (time_s <= end)
-        keep[1::2] |= dense[1::2]
+        keep[::coarse] |= ((time_s >= when) & (time_s <= when + SETTLED_S))[::coarse]
+        if when:
+            keep[fine - 1 :: fine] |= ((time_s >= begin) & (time_s <= end))[fine - 1 :: fine]
     keep[-1] = True
-    return np.flatnonzero(keep)
+    return np.flatnonzero(keep & (time_s >= 0.0))
 
 
-def _run_lengths(values: Floats) -> Floats:
-    """Return the length of the run of near-equal neighbours that each sample belongs to."""
-    close = np.abs(np.diff(values)) < 0.7e-4
+def _run_lengths(values: Floats, step: float) -> Floats:
+    """Return the length of the run of near-equal neighbours that each sample belongs to.
+
+    step: of a wire or a converter.
+    """
+    close = np.abs(np.diff(values)) < 1.4 * step
     same = np.concatenate([[False], close])
     start = np.flatnonzero(~same)
     lengths = np.diff(np.concatenate([start, [len(values)]]))
@@ -157,6 +203,6 @@ def _run_lengths(values: Floats) -> Floats:
     for begin, length in zip(start, lengths, strict=True):
         stretch = values[begin : begin + length]
         if length > 8:
-            level = np.abs(stretch - np.median(stretch)) < 1.2e-4
+            level = np.abs(stretch - np.median(stretch)) < 2.4 * step
             out[begin : begin + length][level] = np.count_nonzero(level)
     return out

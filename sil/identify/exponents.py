@@ -14,7 +14,7 @@ from plant.systems.driven import pressures_along
 from plant.systems.setup import make_setup
 from sil.campaign.campaign import Campaign, Floats
 from sil.fitting.fit import Show, no_progress
-from sil.fitting.observations import air_noise_pa
+from sil.fitting.observations import nominal_noise
 from sil.identify.estimate import Estimate, Identified
 from sil.identify.friction import plain_strokes, pressures_from_rest
 from sil.report.figure import BAR, Figure, Panel, Series, Stack
@@ -125,7 +125,9 @@ def identify_alpha(
         for k, (_setup, _time_s, x, _measured) in enumerate(prepared)
     ]
     carried = [modelled(fit.x, k, error) - shown[k] for k, error in enumerate(errors)]
-    noise_pa = np.hypot(air_noise_pa(parameters), np.sqrt(np.mean(np.square(carried))))
+    noise_pa = np.hypot(
+        nominal_noise(parameters)["pressure"].sd, np.sqrt(np.mean(np.square(carried)))
+    )
     over_noise = rms_pa / float(noise_pa)
     notes = (f"rms of the fit {rms_pa:.0f} Pa",)
     return Identified(

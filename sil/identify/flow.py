@@ -23,7 +23,7 @@ from plant.systems.setup import make_setup
 from plant.systems.stroke import valve_moves
 from sil.campaign.campaign import Campaign, Floats, Record
 from sil.fitting.fit import Show, no_progress
-from sil.fitting.observations import air_noise_pa
+from sil.fitting.observations import nominal_noise
 from sil.identify.estimate import Estimate, Identified
 from sil.report.figure import Figure, Panel, Series, Stack
 
@@ -149,7 +149,7 @@ def _rate_misfit(record: RestRecord, parameters: ParameterSet, campaign: Campaig
     predicted = replace(record, pressure_pa=_predict(record, parameters, campaign))
     step, window = _smoothing(record)
     weights = savgol_coeffs(window, 2, deriv=1, delta=step)
-    noise_pa_s = air_noise_pa(parameters) * float(np.linalg.norm(weights))
+    noise_pa_s = nominal_noise(parameters)["pressure"].sd * float(np.linalg.norm(weights))
     return float(np.mean(((measured - _slope(predicted)[1]) / noise_pa_s) ** 2))
 
 
