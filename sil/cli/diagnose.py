@@ -154,7 +154,7 @@ def _finish(arguments: argparse.Namespace, folder: Path, found: dict[str, Any]) 
         for key, item in found.get("body", {}).items():
             limits = f"[{item['low']:.4g}, {item['high']:.4g}]"
             print(f"  {key} {item['value']:.4g} {item['unit']} {limits}")
-        for line in found["findings"] if "body" in found else ():
+        for line in found["findings"]:
             print(f"  {line}")
         print(f"  written to {folder}", file=sys.stderr)
     return 0 if found["verdict"] == "consistent" else 1

@@ -6,7 +6,7 @@ Checked by: tests/unit/sil/diagnosis/test_diagnose.py
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,7 +37,7 @@ from sil.diagnosis.verdict import (
 )
 from sil.files.html_table import html_table
 from sil.fitting.fit import FitResult, Fitter, Show, no_progress
-from sil.fitting.floor import misfit
+from sil.fitting.floor import EXPLAINED, Misfit, misfit
 from sil.fitting.hypotheses import Candidate, candidates
 from sil.fitting.model import CampaignModel, Spread
 from sil.fitting.observations import StrokeObservation
@@ -47,6 +47,9 @@ FALSE_ALARM_BASIS = (
     "often clean campaigns of an independent implementation pass that is measured by "
     "python -m tests.bench hidden_effects"
 )
+
+Noticed = dict[str, dict[str, float | str]]
+"""By cause: parameter, the smallest value noticed, neutral value, unit, size in typical sizes."""
 
 
 @dataclass
@@ -66,7 +69,7 @@ class Diagnosis:
     judged: list[Judged]
     final: FitResult
     healthy: FitResult
-    noticed: dict[str, dict[str, float | str]]
+    noticed: Noticed
 
     def as_json(self) -> dict[str, Any]:
         """Return the object written to diagnosis.json."""
@@ -121,7 +124,10 @@ def diagnose(
     judged = _judged(search, held_out, workers)
     verdict = decide(judged, len(strokes))
     search.stages.until(95.0)
-    if try_terms(search, verdict, judged):
+    alike = bool(verdict.claimed) and search.try_alike(
+        verdict.leader.training, min(verdict.gains.values())
+    )
+    if try_terms(search, verdict, judged) or alike:
         judged = _judged(search, held_out, workers)
         verdict = decide(judged, len(strokes))
     healthy = _whole_fit(search.fitter, verdict.healthy)
@@ -131,6 +137,11 @@ def diagnose(
     extended = extended_model(parameters, final, causes, campaign) if verdict.claimed else None
     following = next_experiment(model, verdict, judged)
     findings += check_strokes(model, final)
+    noticed = smallest_noticed(search, len(strokes)) if not verdict.claimed else {}
+    unable = "" if verdict.claimed else _unable(verdict.healthy.whole, noticed, search)
+    if unable:
+        verdict = replace(verdict, kind="cannot_tell")
+        findings.insert(0, Finding(campaign.name, "all", unable))
     return Diagnosis(
         campaign,
         verdict,
@@ -145,17 +156,35 @@ def diagnose(
         judged,
         final,
         healthy,
-        smallest_noticed(search, len(strokes)) if verdict.kind == "consistent" else {},
+        noticed,
     )
 
 
-def smallest_noticed(search: Search, strokes: int) -> dict[str, dict[str, float | str]]:
+def _unable(whole: Misfit, noticed: Noticed, search: Search) -> str:
+    """Return why nothing can be concluded from a campaign in which no cause is claimed, or nothing."""
+    if whole.rms > EXPLAINED and whole.beyond > 0.0:
+        name = max(whole.channels, key=lambda name: whole.channels[name].rms)
+        return (
+            f"residuals are {whole.rms:.3g} times their expected scatter, most in {name} "
+            f"({whole.channels[name].rms:.3g}), and no explanation removes half of that"
+        )
+    causes = {item.id for item in search.candidates}
+    sized = {name for name in noticed if float(noticed[name]["size"]) < 1.0}
+    if search.scores and 2 * len(sized) < len(causes):
+        return (
+            f"{len(sized)} of {len(causes)} causes would be noticed at their typical size: more "
+            "strokes, gauges, a higher sampling rate or less noise would tell"
+        )
+    return ""
+
+
+def smallest_noticed(search: Search, strokes: int) -> Noticed:
     """Return the smallest size of each cause that would have been claimed, by linear scores.
 
     A cause that is missing would not have been noticed within its physical bounds.
     """
     least = max(CLAIM, CLAIM_PER_STROKE * strokes) * len(search.training) / strokes
-    found: dict[str, dict[str, float | str]] = {}
+    found: Noticed = {}
     for score in search.scores:
         value, main = score.smallest(least), score.candidate.parameters[0]
         if value is None:

@@ -27,7 +27,8 @@ class Score:
     """What a candidate would gain on top of a fit, by the linear estimate.
 
     gain: in cost (half chi squared); amount: in multiples of the start tried; start: that start;
-    square: squared standardised change by that start, freed of what the fit could imitate.
+    square: squared standardised change by that start, freed of what the fit could imitate; free:
+    its share of the whole change.
     """
 
     candidate: Candidate
@@ -35,12 +36,14 @@ class Score:
     gain: float
     amount: float
     square: float
+    free: float
 
     def smallest(self, gain: float) -> float | None:
         """Return the value of the main parameter that would gain so much; None if out of its bounds."""
         main = self.candidate.parameters[0]
-        unit = self.start[0] - main.neutral
-        value = main.neutral + (2.0 * gain / self.square) ** 0.5 * unit
+        if self.free <= 0.0:
+            return None
+        value = main.neutral + (2.0 * gain / self.square) ** 0.5 * (self.start[0] - main.neutral)
         return value if main.low <= value <= main.high else None
 
 
@@ -89,13 +92,15 @@ def screen(model: CampaignModel, fit: FitResult, candidates: Sequence[Candidate]
                 cross += block.shared.T @ c - hus @ (inverse @ bc)
             slope -= float(cross @ solved @ gradient)
             square -= float(cross @ solved @ cross)
-            if square <= 1e-9 * max(1.0, float(sum(c @ c for c in changes.values()))):
+            free = square / max(1.0, float(sum(c @ c for c in changes.values())))
+            if free <= 1e-9:
+                best = best or Score(candidate, start, 0.0, 0.0, 0.0, 0.0)
                 continue
             amount = slope / square
             either = candidate.parameters[0].sign == 0
             gain = 0.5 * slope * amount if amount > 0.0 or either else 0.0
-            if best is None or gain > best.gain:
-                best = Score(candidate, start, gain, amount, square)
+            if best is None or gain > best.gain or best.free == 0.0:
+                best = Score(candidate, start, gain, amount, square, free)
         if best is not None:
             found.append(best)
     return sorted(found, key=lambda score: -score.gain)

@@ -48,6 +48,8 @@ FAR = 3.0
 EFFECTS_FIRST = 3
 """... for so many iterations."""
 CHILDREN = 3
+ALIKE = 4.0
+"""Log evidence below which the data cannot tell two causes apart."""
 
 
 @dataclass(frozen=True)
@@ -259,6 +261,25 @@ class Search:
                     begin = (best.shared, best.stroke)
                     tasks.append(Task(members, (best.point,), begin, FIRST_ITERATIONS))
         self.polish(self.run_tasks(tasks)[:1])
+
+    def try_alike(self, leader: FitResult, gain: float) -> bool:
+        """Fit what the leader's covariance cannot tell from its one cause; True if there is any.
+
+        gain: of that cause, in log evidence; another one of which the leader imitates so much that
+        less than ALIKE of it would remain is a rival, if it fits.
+        """
+        before = {score.candidate.name: score.free for score in self.scores}
+        if len(leader.candidates) != 1 or not before:
+            return False
+        others = [c for c in self.candidates if compatible(c, leader.candidates)]
+        tasks = [
+            Task((score.candidate,), tuple((start,) for start in score.candidate.starts), None, 6)
+            for score in screen(self.model, self.refine(leader, 0), others)
+            if gain * score.free < ALIKE * before.get(score.candidate.name, 0.0)
+            and score.candidate.name not in self.fits
+        ]
+        self.polish(self.run_tasks(tasks))
+        return bool(tasks)
 
     def parents(self) -> list[FitResult]:
         """Singles that a second cause may be added to: the best ones, one for each identifier."""

@@ -27,7 +27,7 @@ from plant.effects.term import term
 from plant.errors import IntegrationError
 from sil.diagnosis.workers import spread_out
 from sil.fitting.fit import FitResult, Fitter
-from sil.fitting.floor import Misfit, misfit
+from sil.fitting.floor import EXPLAINED, Misfit, misfit
 
 UNNAMED = term.id
 """The cause of a non-parametric term, and the verdict that one acts."""
@@ -66,6 +66,10 @@ the second on it is likelier that none of the named acts."""
 
 DOUBTED = 0.45
 """Most that a named cause is given then."""
+
+LEAST_SHARE = 0.5
+"""An explanation that leaves more than this share of the healthy model's misfit, not explained by
+noise, is none."""
 
 EFFECTIVE = 10.0
 """Effective observations nu of the model error."""
@@ -273,6 +277,9 @@ def decide(judged: Sequence[E], strokes: int) -> Verdict[E]:
     least = max(CLAIM, CLAIM_PER_STROKE * strokes)
 
     def is_accepted(item: E) -> bool:
+        most = LEAST_SHARE * healthy.whole.excess
+        if item.whole.excess > most and item.whole.rms > EXPLAINED:
+            return not item.ids
         needed = least
         if len(item.ids) > 1:
             needed = max(least, 0.5 * SECOND_SHARE * item.whole.beyond)

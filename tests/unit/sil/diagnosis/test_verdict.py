@@ -18,7 +18,9 @@ def entry(
         score=score,
         ids=ids,
         name="+".join(ids) or "healthy",
-        whole=SimpleNamespace(beyond=beyond, excess=excess, count=10000),
+        whole=SimpleNamespace(
+            beyond=beyond, excess=excess, count=10000, rms=(1.0 + excess / 10000) ** 0.5
+        ),
         held_cost=0.5 * held_chi2,
         slight=(),
         training=SimpleNamespace(candidates=[], scaled=[]),
@@ -152,3 +154,10 @@ def test_a_tiny_second_cause_that_gains_next_to_nothing_is_not_claimed() -> None
 
     assert found(0.01).claimed == ("seal_pressure_friction",)
     assert "external_force" in found(0.3).claimed
+
+
+@pytest.mark.parametrize(("left", "claimed"), [(60000.0, ()), (30000.0, ("exhaust_clog",))])
+def test_what_leaves_most_of_a_misfit_explains_nothing(left, claimed) -> None:
+    healthy = entry(60000.0, 20000.0, excess=100000.0, beyond=99000.0)
+    cause = entry(20000.0, 8000.0, "exhaust_clog", excess=left, beyond=left - 1000.0)
+    assert verdict(healthy, cause).claimed == claimed

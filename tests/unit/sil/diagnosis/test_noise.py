@@ -1,0 +1,47 @@
+"""Noise of channels estimated from the record, at any rate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from can_dbc.errors import InputError
+from plant.parameters import load
+from sil.campaign.campaign import Campaign, load_campaign, write_record
+from sil.diagnosis.checks import observed
+
+
+def changed(clean: Campaign, folder, every: int, change) -> Campaign:
+    """Two strokes of a campaign, every k-th sample, each column changed."""
+    for stroke in clean.strokes[:2]:
+        record = clean.record(stroke)
+        columns = {name: change(name, values[::every]) for name, values in record.columns.items()}
+        write_record(folder / stroke.file, columns)
+    text = (clean.folder / "campaign.toml").read_text(encoding="utf-8")
+    head, *strokes = text.split("[[stroke]]")
+    (folder / "campaign.toml").write_text("[[stroke]]".join([head, *strokes[:2]]), "utf-8")
+    return load_campaign(folder)
+
+
+@pytest.mark.parametrize("every", [1, 10, 40])
+def test_usual_noise_stays_nominal_and_larger_noise_is_measured(clean, tmp_path, every) -> None:
+    rng = np.random.default_rng(5)
+
+    def noisier(name: str, values: np.ndarray) -> np.ndarray:
+        return values + rng.normal(0.0, 1200.0, len(values)) if name.startswith("pressure") else values
+
+    plain = changed(clean, tmp_path, every, lambda _name, values: values)
+    strokes, findings = observed(plain, load())
+    assert findings == [] and all(c.noise.uncertainty == 0.0 for c in strokes[0].channels)
+    strokes, findings = observed(changed(clean, tmp_path, every, noisier), load())
+    (gauge, *_) = [c for c in strokes[0].channels if c.kind == "pressure"]
+    assert gauge.noise.sd == pytest.approx(1240.0, rel=0.05 + 2.0 * gauge.noise.uncertainty)
+    assert any("noise of" in str(item) and "estimated" in str(item) for item in findings)
+
+
+@pytest.mark.parametrize("name", ["position_m", "position_internal_m"])
+def test_a_reversed_sign_is_said_as_such(clean, tmp_path, name) -> None:
+    campaign = changed(clean, tmp_path, 1, lambda own, values: -values if own == name else values)
+    with pytest.raises(InputError, match=f"{name}: .* sign is reversed .state scale = -1") as error:
+        observed(campaign, load())
+    assert "\n" not in str(error.value)
