@@ -19,9 +19,6 @@ from sil.fitting.fit import FitResult
 from sil.fitting.internal import INTERNAL_SD_M
 from sil.fitting.model import CampaignModel, channel_parts
 
-POSITION = 1.035
-"""Mean square of the position's residuals over the one that the weights of its samples give."""
-
 INTERNAL = (0.17, 0.7)
 """Rms of the reported position's residuals: the usual recorder's, and of what a slow one adds."""
 
@@ -80,10 +77,8 @@ def misfit(model: CampaignModel, fit: FitResult) -> Misfit:
     for k, block in fit.blocks.items():
         stroke = model.strokes[k]
         for channel, part in channel_parts(stroke, block.residual):
-            floor = float(np.sum((channel.noise.sd / channel.sd) ** 2))
-            floor *= POSITION if channel.kind == "position" else 1.0
             spread = float(np.hypot(FLOOR_SPREAD[channel.kind], channel.noise.uncertainty))
-            parts.setdefault(channel.name, []).append((part, floor, spread))
+            parts.setdefault(channel.name, []).append((part, channel.floor, spread))
         if stroke.internal is not None:
             part = block.residual[stroke.size :]
             usual = (INTERNAL_SD_M / stroke.internal.sd_m) ** 2

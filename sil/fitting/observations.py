@@ -25,6 +25,10 @@ from sil.fitting.internal import InternalSamples, internal_samples
 NS = 1_000_000_000
 ROOT_12 = 12**0.5
 FINE_S = 2e-4
+POSITION = 1.035
+"""Mean square of the position's residuals over the one that the weights of its samples give ..."""
+POSITION_FLOOR = 0.385**2
+"""... and their mean square with usual noise and sampling, on clean simulated campaigns."""
 SETTLED_S = 0.5
 """So long after a command, chambers may still fill and vent."""
 
@@ -52,6 +56,7 @@ class Channel:
     sd: Floats
     rows: NDArray[np.int64]  # rows of the predictor's instants
     noise: Noise
+    floor: float  # expected sum of squares of standardised residuals
 
 
 @dataclass
@@ -131,12 +136,15 @@ def observe(
         if column in clipped and kind == "pressure":
             use = measured < record[column].max() - 1e-9
         own = (noise or {}).get(column, nominal[kind])
-        weights = np.ones(len(rows))
+        weights, floor = np.ones(len(rows)), 1.0
         if kind == "position":
             # a resting wiper stays on one wire: its samples are one observation, not hundreds
             weights = np.maximum(1.0, _run_lengths(measured, own.step) / 4.0)
+            usual = own is nominal[kind] and step_s <= FINE_S
+            floor = POSITION_FLOOR if usual else POSITION * float(np.mean(1.0 / weights))
         sd = own.sd * np.sqrt(weights[use])
-        channels.append(Channel(column, kind, state, measured[use], sd, at[use], own))
+        size = floor * np.count_nonzero(use)
+        channels.append(Channel(column, kind, state, measured[use], sd, at[use], own, size))
 
     if "position_m" in record:
         add("position_m", 0)

@@ -28,7 +28,9 @@ def test_usual_noise_stays_nominal_and_larger_noise_is_measured(clean, tmp_path,
     rng = np.random.default_rng(5)
 
     def noisier(name: str, values: np.ndarray) -> np.ndarray:
-        return values + rng.normal(0.0, 1200.0, len(values)) if name.startswith("pressure") else values
+        return (
+            values + rng.normal(0.0, 1200.0, len(values)) if name.startswith("pressure") else values
+        )
 
     plain = changed(clean, tmp_path, every, lambda _name, values: values)
     strokes, findings = observed(plain, load())
