@@ -180,9 +180,7 @@ class Truck:
         self.rise_s = of["rise_unit_s"] * rng.standard_normal()
         self.fall_s = of["fall_unit_s"] * rng.standard_normal()
         self.cones = {gear: self._factor("cone_unit") for gear in ("backward", "forward")}
-        self.mesh_n = {
-            gear: rng.uniform(of["mesh_low_n"], of["mesh_high_n"]) for gear in self.cones
-        }
+        self.mesh_n = {gear: of["mesh_n"] * self._factor("mesh_unit") for gear in self.cones}
         self.thermometer_k = of["thermometer_k"] * rng.standard_normal()
         self.ambient_k = of["ambient_k"] + of["ambient_sd_k"] * rng.standard_normal()
         self.warm_k = of["warm_k"] + of["warm_sd_k"] * rng.standard_normal()
