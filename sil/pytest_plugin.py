@@ -9,15 +9,14 @@ Checked by: tests/unit/sil/test_pytest_plugin.py
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
-    from sil.simulation.in_memory import MemoryRun
+    from sil.api import Run
     from sil.simulation.results import Check
     from sil.simulation.scenario import Loaded
 
@@ -64,11 +63,14 @@ class ScenarioItem(pytest.Item):
     def runtest(self) -> None:
         """Run the scenario. Raises Unmet with the expectations that were not met."""
         from sil.simulation import scenario
+        from sil.simulation.in_memory import run_in_memory
 
         loaded = scenario.load(str(self.path))
         out = self.config.getoption(OUT)
         checks = (
-            _in_memory(loaded).checks if out is None else _recorded(loaded, Path(out) / self.name)
+            run_in_memory(loaded).checks
+            if out is None
+            else _recorded(loaded, Path(out) / self.name)
         )
         failed = [c for c in checks if not c.passed]
         if failed:
@@ -85,27 +87,6 @@ class ScenarioItem(pytest.Item):
     def reportinfo(self) -> tuple[Path, int | None, str]:
         """Return the file of the test."""
         return self.path, None, f"scenario {self.name}"
-
-
-@dataclass(frozen=True)
-class ScenarioRun:
-    """A finished run in memory, and the checks of its scenario's expectations."""
-
-    loaded: Loaded
-    run: MemoryRun
-    checks: list[Check]
-
-    @property
-    def passed(self) -> bool:
-        """Return whether every expectation was met."""
-        return all(check.passed for check in self.checks)
-
-
-def _in_memory(loaded: Loaded) -> ScenarioRun:
-    from sil.simulation.in_memory import run_in_memory
-
-    run = run_in_memory(loaded)
-    return ScenarioRun(loaded, run, run.checks)
 
 
 def _recorded(loaded: Loaded, folder: Path) -> list[Check]:
@@ -127,16 +108,8 @@ def _recorded(loaded: Loaded, folder: Path) -> list[Check]:
 
 
 @pytest.fixture
-def opc4_run() -> Callable[..., ScenarioRun]:
+def opc4_run() -> Callable[..., Run]:
     """Run a scenario: `opc4_run("lab_n_b", "controller.filter=false")`, or a table of its values."""
+    from sil.api import run
 
-    def run(what: str | Path | Mapping[str, Any], *settings: str) -> ScenarioRun:
-        from sil.simulation import scenario
-
-        if isinstance(what, Mapping):
-            loaded = scenario.from_table(what, "scenario", settings=settings)
-        else:
-            loaded = scenario.load(str(what), settings=settings)
-        return _in_memory(loaded)
-
-    return run
+    return lambda scenario, *settings: run(scenario, settings)

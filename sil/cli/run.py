@@ -82,10 +82,9 @@ def run(arguments: argparse.Namespace) -> int:
         effects=arguments.effects,
         seed=arguments.seed,
     )
-    free_running = arguments.realtime and arguments.speed is None
-    free_running &= arguments.transport != "inproc"
-    speed = 1.0 if arguments.realtime and not free_running else None
-    speed = arguments.speed if arguments.speed is not None else speed
+    paced = arguments.speed is not None or arguments.transport == "inproc"
+    free_running = arguments.realtime and not paced
+    speed = 1.0 if arguments.speed is None and arguments.realtime and paced else arguments.speed
     folder = prepare_folder(arguments.out, loaded.scenario.name, arguments.force, True)
     from sil.simulation import runner
 
@@ -147,21 +146,16 @@ def _print_summary(finished: Finished, folder: Path, was_changed: bool) -> None:
     result = finished.result
     failed = [check for check in result.expectations if not check.passed]
     checks = len(result.expectations)
+    outcome = f"{result.status}, {checks - len(failed)} of {checks} checks met"
     if was_changed and failed and result.complete:
-        count = f"{len(failed)} of {checks} checks"
-        print(f"{result.scenario_name}: differs from the shipped expectations in {count}")
-    else:
-        print(
-            f"{result.scenario_name}: {result.status}, {checks - len(failed)} of {checks} checks met"
-        )
+        outcome = f"differs from the shipped expectations in {len(failed)} of {checks} checks"
+    print(f"{result.scenario_name}: {outcome}")
     for check in failed:
         print(f"  {'differs' if was_changed else 'not met'}: {check}")
     for shift in finished.shifts[:SHIFTS_PRINTED]:
-        line = f"  {shift.from_gear} to {shift.to_gear}: "
-        if shift.shift_time_s is None:
-            line += "never arrived"
-        else:
-            line += f"{1e3 * shift.shift_time_s:.0f} ms from request to stop"
+        took_s = shift.shift_time_s
+        took = "never arrived" if took_s is None else f"{1e3 * took_s:.0f} ms from request to stop"
+        line = f"  {shift.from_gear} to {shift.to_gear}: {took}"
         if shift.impact_speed_m_s is not None and shift.impact_energy_j is not None:
             line += f", impact {shift.impact_speed_m_s:.2f} m/s ({shift.impact_energy_j:.1f} J)"
         line += _harder_impact(shift)

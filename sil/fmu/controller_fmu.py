@@ -81,11 +81,8 @@ class Opc4Controller(Fmi3Slave):
                 speeds_state=state,
             ),
         )
-        self.duty_b, self.duty_n, self.duty_f = (
-            out.valves.duty_b,
-            out.valves.duty_n,
-            out.valves.duty_f,
-        )
+        for name in ("duty_b", "duty_n", "duty_f"):
+            setattr(self, name, getattr(out.valves, name))
         self.blow_chamber = int(out.blow.chamber)
         self.blow_remaining_s = out.blow.remaining_s if out.blow.active else 0.0
         self.estimate_m = out.status.estimate_m

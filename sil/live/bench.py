@@ -13,6 +13,8 @@ import functools
 import json
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
+from functools import reduce
+from operator import getitem
 from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
@@ -26,6 +28,7 @@ from sil.api import texts
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.recording.run_record import CHAMBERS, RunRecord
+from sil.recording.trace_csv import held
 from sil.report.figure import MS, Figure
 from sil.report.live_figure import bound_figure, comparison_figure
 from sil.report.plots import content, rounded
@@ -165,13 +168,8 @@ def _bounds() -> dict[tuple[float, float], list[dict[str, float]]]:
     found: dict[tuple[float, float], list[dict[str, float]]] = {}
     with STORED_BOUNDS.open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
-            values = {
-                name: float(row[column])
-                for name, column in (
-                    ("delay_s", "bound.delay_s"),
-                    *((name, name) for name in ("bound_m_s", "damper_m_s", "open_loop_m_s")),
-                )
-            }
+            names = ("bound_m_s", "damper_m_s", "open_loop_m_s")
+            values = {"delay_s": float(row["bound.delay_s"])} | {n: float(row[n]) for n in names}
             valves = (float(row["valve.D_rise"]), float(row["valve.D_fall"]))
             found.setdefault(valves, []).append(values)
     return found
@@ -190,11 +188,9 @@ def _cached(asked: bytes, known: tuple[tuple[str, str], ...]) -> tuple[Loaded, M
 
 def _again(asked: Asked, made: Loaded, done: MemoryRun) -> dict[str, Any]:
     """Return what makes the same run without the page, and its hash."""
-    words = ["opc4", "run", asked.scenario]
     changed = asked.requests is not None or asked.faults or asked.duration_s is not None
-    if not changed:
-        for text in texts(asked.settings):
-            words += ["--set", text]
+    words = ["opc4", "run", asked.scenario]
+    words += [word for text in texts(asked.settings) for word in ("--set", text)]
     return {
         "name": asked.scenario,
         "command": "" if changed else shlex.join(words),
@@ -211,11 +207,10 @@ def _load(record: RunRecord, scenario: Scenario) -> float:
 
 
 def _metrics(runs: Sequence[Mapping[str, Any]]) -> list[list[Any]]:
-    rows: list[list[Any]] = []
-    for key, name, factor, unit in METRICS:
-        values = [None if run[key] is None else factor * run[key] for run in runs]
-        rows.append([name, unit, *values])
-    return rows
+    return [
+        [name, unit, *(None if run[key] is None else factor * run[key] for run in runs)]
+        for key, name, factor, unit in METRICS
+    ]
 
 
 def _trace(record: RunRecord) -> Iterator[tuple[str, list[float | None]]]:
@@ -231,9 +226,7 @@ def _trace(record: RunRecord) -> Iterator[tuple[str, list[float | None]]]:
     ):
         yield name, rounded(factor * truth[column], 5)
     at_s, estimate_m = record.estimate
-    held = np.searchsorted(at_s, truth["time_s"], side="right") - 1
-    estimate = np.where(held >= 0, MS * estimate_m[np.maximum(held, 0)], np.nan)
-    yield "estimate_mm", rounded(estimate, 5)
+    yield "estimate_mm", rounded(MS * held(at_s, estimate_m, truth["time_s"]), 5)
 
 
 def heard(message: can.Message, start_s: float) -> list[Any]:
@@ -249,18 +242,15 @@ def heard(message: can.Message, start_s: float) -> list[Any]:
 
 def _frames(record: RunRecord) -> Iterator[list[Any]]:
     """Yield (released ms, arrival ms, sender, message, identifier, data, signals) of each frame."""
-    signals: dict[int, str] = {}
-    for entries in record.messages.values():
-        signals.update({id(entry): _signals(message) for entry, message in entries})
+    signals = {
+        id(entry): _signals(message)
+        for entries in record.messages.values()
+        for entry, message in entries
+    }
     for entry in record.frames:
         released, arrival = (round(MS * at / NS_PER_S, 4) for at in entry[:2])
-        yield [
-            released,
-            arrival,
-            entry.sender,
-            *_shown_frame(entry.frame),
-            signals.get(id(entry), ""),
-        ]
+        shown = _shown_frame(entry.frame)
+        yield [released, arrival, entry.sender, *shown, signals.get(id(entry), "")]
 
 
 def _signals(message: Any) -> str:
@@ -297,12 +287,18 @@ def values_of(asked: Asked, known: Mapping[str, str]) -> dict[str, Any]:
     """Return the values that sliders and choices have in a scenario. Raises InputError."""
     made = loaded(asked, known)
     table = scenarios.expanded(made.scenario)
-    sliders = []
-    for path, (name, low, high, factor, unit) in SLIDERS.items():
-        value = made.parameters[path].value if path in made.parameters else _at(table, path)
-        if path == "plant.supply_pressure_pa" and value is None:
-            value = made.parameters.value("supply.P_s")
-        sliders.append([path, name, low, high, factor, unit, value])
+    if table["plant"]["supply_pressure_pa"] is None:
+        table["plant"]["supply_pressure_pa"] = made.parameters.value("supply.P_s")
+    sliders = [
+        [
+            path,
+            *shown,
+            made.parameters[path].value
+            if path in made.parameters
+            else reduce(getitem, path.split("."), table),
+        ]
+        for path, shown in SLIDERS.items()
+    ]
     return {
         "sliders": sliders,
         "strategy": made.scenario.controller.strategy,
@@ -312,10 +308,3 @@ def values_of(asked: Asked, known: Mapping[str, str]) -> dict[str, Any]:
         "requests": msgspec.to_builtins(made.scenario.request),
         "duration_s": made.scenario.duration_s,
     }
-
-
-def _at(table: Mapping[str, Any], path: str) -> Any:
-    value: Any = table
-    for key in path.split("."):
-        value = value[key]
-    return value

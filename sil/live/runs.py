@@ -49,14 +49,13 @@ def _entry(path: Path) -> Iterator[dict[str, Any]]:
     unfinished = (path / INCOMPLETE).is_file()
     if kind is None and not unfinished:
         return
+    state = (path / INCOMPLETE).read_text(encoding="utf-8").strip() if unfinished else "complete"
     entry: dict[str, Any] = {
         "name": path.name,
         "kind": kind or "in progress",
-        "state": "complete",
+        "state": state or "in progress",
         "page": (path / "report.html").is_file(),
     }
-    if unfinished:
-        entry["state"] = (path / INCOMPLETE).read_text(encoding="utf-8").strip() or "in progress"
     if kind == "run":
         result = _json(path / "result.json")
         metrics = result.get("metrics") or {}

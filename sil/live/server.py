@@ -134,38 +134,29 @@ class _Page(_Handler):
         self.finish(page())
 
 
-class _Vocabulary(_Handler):
-    """What the page offers."""
+class _Api(_Handler):
+    """What the page offers, runs and compares."""
 
-    async def get(self) -> None:
-        await self.answer(lambda: bench.vocabulary(self.shared.known))
-
-
-class _Run(_Handler):
-    """A run, the values of a scenario, or two runs over each other."""
+    async def get(self, what: str) -> None:
+        works = {
+            "vocabulary": lambda: bench.vocabulary(self.shared.known),
+            "runs": lambda: runs.listed(self.shared.folder),
+        }
+        if what not in works:
+            raise web.HTTPError(405)
+        await self.answer(works[what])
 
     async def post(self, what: str) -> None:
-        body, known = self.request.body, self.shared.known
-
-        def work() -> Any:
-            if what == "compare":
-                before, after = msgspec.json.decode(body, type=tuple[Asked, Asked])
-                return bench.compare(before, after, known)
-            asked = msgspec.json.decode(body, type=Asked)
-            return (bench.run_shift if what == "run" else bench.values_of)(asked, known)
-
-        await self.answer(work)
-
-
-class _Runs(_Handler):
-    """The list of runs, and several of them over each other."""
-
-    async def get(self) -> None:
-        await self.answer(lambda: runs.listed(self.shared.folder))
-
-    async def post(self) -> None:
-        body, folder = self.request.body, self.shared.folder
-        await self.answer(lambda: runs.compared(folder, msgspec.json.decode(body, type=list[str])))
+        body, known, decode = self.request.body, self.shared.known, msgspec.json.decode
+        works: dict[str, Callable[[], Any]] = {
+            "run": lambda: bench.run_shift(decode(body, type=Asked), known),
+            "values": lambda: bench.values_of(decode(body, type=Asked), known),
+            "compare": lambda: bench.compare(*decode(body, type=tuple[Asked, Asked]), known),
+            "runs": lambda: runs.compared(self.shared.folder, decode(body, type=list[str])),
+        }
+        if what not in works:
+            raise web.HTTPError(405)
+        await self.answer(works[what])
 
 
 class _RunPage(_Handler):
@@ -255,9 +246,7 @@ def application(shared: Bench) -> web.Application:
     """Return the addresses of the bench."""
     handlers = [
         (r"/", _Page),
-        (r"/api/vocabulary", _Vocabulary),
-        (r"/api/(run|values|compare)", _Run),
-        (r"/api/runs", _Runs),
+        (r"/api/(vocabulary|runs|run|values|compare)", _Api),
         (r"/runs/([^/]+)/([^/]+)", _RunPage),
         (r"/bus", _Listener),
     ]

@@ -122,8 +122,7 @@ class RunReader:
 
     def __iter__(self) -> Iterator[RunRecord]:
         """Yield the pieces in order of time: each frame, row and event is in one of them."""
-        for number in range(self.pieces):
-            yield self.piece(number)
+        return map(self.piece, range(self.pieces))
 
     def piece(self, number: int) -> RunRecord:
         """Return one piece of the run; all of it, if it has but one."""

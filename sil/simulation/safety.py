@@ -17,7 +17,9 @@ Checked by: tests/unit/sil/simulation/test_safety.py, tests/faults/
 from __future__ import annotations
 
 import math
+from functools import reduce
 from itertools import zip_longest
+from operator import or_
 
 import numpy as np
 
@@ -84,18 +86,9 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     time_s, position = truth["time_s"], truth["position_m"]
     windows = scenario.controller.windows
     status = accepted_status(record)
-    before = Fault.NONE
-    bits, detected = 0, math.nan
-    for entry, message in status:
-        if message is None:
-            continue
-        at = entry.arrival_ns / NS_PER_S
-        if at < start:
-            before |= message.faults
-            continue
-        bits |= int(message.faults)
-        if math.isnan(detected) and message.faults & ~before:
-            detected = at - start
+    faults = [(e.arrival_ns / NS_PER_S, m.faults) for e, m in status if m is not None]
+    before = reduce(or_, (bits for at, bits in faults if at < start), Fault.NONE)
+    later = [(at, bits) for at, bits in faults if at >= start]
     duties = np.stack([truth[f"cmd_{c}"] for c in "BNF"])
     energised: np.ndarray = np.any(duties > ENERGISED, axis=0)
     late = np.flatnonzero(energised & (time_s >= start))
@@ -108,8 +101,8 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     both = (truth["pressure_B_pa"] > FILLED_PA) & (truth["pressure_F_pa"] > FILLED_PA)
     step = float(np.median(np.diff(time_s)))
     return {
-        "detected_after_s": detected,
-        "fault_bits": float(bits),
+        "detected_after_s": next((at - start for at, bits in later if bits & ~before), math.nan),
+        "fault_bits": float(reduce(or_, (bits for _, bits in later), Fault.NONE)),
         "coils_off_after_s": off,
         "end_position_m": end,
         "end_gear": float(end_gear),

@@ -18,7 +18,7 @@ def test_filter(opc4_run):
     slow = opc4_run("lab_n_b")
     fast = opc4_run("lab_n_b", "controller.filter=false")
     assert slow.passed
-    lag = lambda run: run.run.shifts[0].position_lag_90_s
+    lag = lambda run: run.shifts[0].position_lag_90_s
     assert lag(slow) > lag(fast) + 0.02
 """
 

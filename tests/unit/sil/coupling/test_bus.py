@@ -397,32 +397,6 @@ def test_the_limits_of_the_bit_rate_fit() -> None:
     assert BusModel(1_000_000).bit_ns == 1_000
 
 
-def test_the_past_is_refused() -> None:
-    bus = BusModel()
-    bus.advance(100)
-    with pytest.raises(
-        ValueError, match=r"at 99 ns, the bus is at 100 ns; expected .* not released in the past"
-    ):
-        bus.queue(99, USUAL, "a")
-    with pytest.raises(ValueError, match="not before 99 ns"):
-        bus.advance(99)
-    bus.queue(100, USUAL, "a")
-    assert bus.advance(100) == []
-
-
-@pytest.mark.parametrize(
-    "frame",
-    [
-        Frame(1 << 29, b""),
-        Frame(-1, b""),
-        Frame(1, bytes(9)),
-    ],
-)
-def test_other_frames_are_refused(frame: Frame) -> None:
-    with pytest.raises(ValueError, match="expected a classic 29-bit frame"):
-        BusModel().queue(0, frame, "a")
-
-
 def test_same_traffic_same_result() -> None:
     def once() -> list[Delivery]:
         rng = random.Random(5)

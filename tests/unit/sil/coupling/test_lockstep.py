@@ -211,16 +211,6 @@ def test_a_first_event_before_the_start_is_refused() -> None:
         coordinator.run()
 
 
-def test_every_participant_is_there_once() -> None:
-    with pytest.raises(ValueError, match="expected each once"):
-        lockstep(1, Node("plant", [], every(1)), Node("plant", [], every(1)))
-    channels = [InProcess([Node("plant", [], every(1))]) for _ in range(2)]
-    with pytest.raises(ValueError, match="expected each once"):
-        Lockstep(BusModel(), channels, 1, record=lambda deliveries: None)
-    with pytest.raises(ValueError, match="expected each once"):
-        lockstep(1, Node("gearbox", [], every(1)))
-
-
 def test_real_time_follows_the_wall_clock() -> None:
     def say(now: int) -> tuple[Said, int]:
         return [(now, frame(0x100))], now + 10_000 * US
