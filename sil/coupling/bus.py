@@ -154,18 +154,14 @@ class BusModel:
         self._is_off = is_off
         self._capacity = capacity
         self._mailboxes = mailboxes
-        self._now_ns = 0
+        self.now_ns = 0
+        """The instant up to which the bus has advanced."""
         self._free_ns = 0
         self._released_later: list[tuple[int, int, Frame, str]] = []
         self._ready: list[_Ready] = []
         self._arriving: list[tuple[int, int, Delivery]] = []
         self._waiting: Counter[str] = Counter()
         self._serial = 0
-
-    @property
-    def now_ns(self) -> int:
-        """The instant up to which the bus has advanced."""
-        return self._now_ns
 
     @property
     def waiting(self) -> int:
@@ -175,10 +171,10 @@ class BusModel:
     @property
     def load(self) -> float:
         """Share of the time up to now in which the bus was busy or in intermission, 0 to 1."""
-        if self._now_ns == 0:
+        if self.now_ns == 0:
             return 0.0
-        still_to_come = max(0, self._free_ns - self._now_ns)
-        return (self.statistics.busy_ns - still_to_come) / self._now_ns
+        still_to_come = max(0, self._free_ns - self.now_ns)
+        return (self.statistics.busy_ns - still_to_come) / self.now_ns
 
     def queue(self, release_ns: int, frame: Frame, sender: str) -> None:
         """Hand over a frame that its sender releases at `release_ns`, now or later.
@@ -198,7 +194,7 @@ class BusModel:
         The frame that starts at `until_ns` itself is chosen by the next call, when all frames
         released at that instant are known.
         """
-        self._now_ns = until_ns
+        self.now_ns = until_ns
         released_later, ready = self._released_later, self._ready
         while ready or released_later:
             start_ns = self._free_ns

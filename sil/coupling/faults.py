@@ -318,10 +318,8 @@ class FaultPlan:
     def frame_filter(self, transmission: Transmission) -> Iterable[Delivery] | ErrorFrame:
         """Decide what arrives of one transmission; a `sil.coupling.bus.FrameFilter`."""
         for node, window in self._off:
-            if (
-                node == transmission.sender
-                and transmission.start_ns < window.start_ns <= transmission.end_ns
-            ):
+            began = transmission.start_ns < window.start_ns <= transmission.end_ns
+            if began and node == transmission.sender:
                 return ErrorFrame(retransmit=False)
         for misfit in self._misfits:
             if error := misfit.verdict(transmission):
@@ -338,9 +336,9 @@ class FaultPlan:
 
     def is_off(self, sender: str, instant_ns: int) -> bool:
         """Return whether a sender is bus-off; a `sil.coupling.bus.IsOff`."""
-        return any(
-            node == sender and window.holds(instant_ns) for node, window in self._off
-        ) or any(m.node == sender and m.is_off and m.acts(instant_ns) for m in self._misfits)
+        off = any(node == sender and window.holds(instant_ns) for node, window in self._off)
+        misfits = (m for m in self._misfits if m.node == sender and m.is_off)
+        return off or any(m.acts(instant_ns) for m in misfits)
 
     def bus_off(self, instant_ns: int) -> frozenset[str]:
         """Return the nodes that do not receive a frame that arrives at this instant."""

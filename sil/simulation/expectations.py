@@ -162,8 +162,8 @@ def evaluate(
         for kind, count in observed.counts.items()
     ]
     if wanted.valves_opened is None and found:
-        opened = len(observed.opened)
-        checks.append(_check("a valve opened", opened, {"min": 1}, opened > 0))
+        count = len(observed.opened)
+        checks.append(_check("a valve opened", count, {"min": 1}, count > 0))
     if wanted.final_gear is not None:
         gear = gear_at(observed.position_m, observed.stroke_m).name.lower()
         checks.append(_check("final gear", gear, wanted.final_gear))
@@ -177,9 +177,8 @@ def evaluate(
         names = sorted(f.name or "" for f in Fault if f and f in observed.faults)
         checks.append(_check("faults reported", names, sorted(wanted.faults)))
     if wanted.valves_off_at_end is not None:
-        checks.append(
-            _check("valves off at the end", observed.valves_off, wanted.valves_off_at_end)
-        )
+        off = wanted.valves_off_at_end
+        checks.append(_check("valves off at the end", observed.valves_off, off))
     if wanted.states:
         complete = set(wanted.states) <= set(visited)
         checks.append(_check("states visited", visited, list(wanted.states), complete))
@@ -188,9 +187,8 @@ def evaluate(
         checks.append(_check("states never entered", visited, list(wanted.never_states), avoided))
     if wanted.valves_opened is not None:
         expected = sorted(wanted.valves_opened, key=CHAMBERS.index)
-        checks.append(
-            _check("valves opened", [c for c in CHAMBERS if c in observed.opened], expected)
-        )
+        opened = sorted(observed.opened, key=CHAMBERS.index)
+        checks.append(_check("valves opened", opened, expected))
     for name, limits in wanted.metrics.items():
         checks.append(limits.check(name, metrics[name], unit_of(name)))
     return checks + [_timing(t, found) for t in wanted.timing]
@@ -204,11 +202,7 @@ def _check(name: str, value: Any, limit: Any, passed: bool | None = None) -> Che
 
 def _timing(wanted: Timing, found: Sequence[Shift]) -> Check:
     name = f"shift {wanted.shift}: {wanted.start} to {wanted.to}"
-    limits = Limits(wanted.min_s, wanted.max_s)
-    value = None
-    if wanted.shift <= len(found):
-        shift = found[wanted.shift - 1]
-        start, end = getattr(shift, f"{wanted.start}_s"), getattr(shift, f"{wanted.to}_s")
-        if start is not None and end is not None:
-            value = end - start
-    return limits.check(name, value, "s")
+    shift = found[wanted.shift - 1] if wanted.shift <= len(found) else None
+    start, end = (getattr(shift, f"{instant}_s", None) for instant in (wanted.start, wanted.to))
+    value = None if start is None or end is None else end - start
+    return Limits(wanted.min_s, wanted.max_s).check(name, value, "s")

@@ -191,11 +191,8 @@ def shifts(record: RunRecord, initial: Gear) -> list[Shift]:
 def _first(
     record: RunRecord, kind: type[M], start: float, until: float, wanted: Callable[[M], bool]
 ) -> float | None:
-    for entry, message in record.of(kind):
-        at = entry.arrival_ns / NS_PER_S
-        if start <= at <= until and wanted(message):
-            return at
-    return None
+    times = ((entry.arrival_ns / NS_PER_S, message) for entry, message in record.of(kind))
+    return next((at for at, message in times if start <= at <= until and wanted(message)), None)
 
 
 def shift_figures(
@@ -212,7 +209,7 @@ def shift_figures(
     arrived = first_motion = stop = None
     if known:
         arrived = _arrival(t, np.abs(x - goal) <= ARRIVED_WITHIN_M, record.events, goal)
-        first_motion = _first_time(t, np.abs(x - origin) > ARRIVED_WITHIN_M)
+        first_motion = next(map(float, t[np.abs(x - origin) > ARRIVED_WITHIN_M]), None)
         stop = _stop_event(record.events, start, until, goal)
     found = _impacts(record, start, until, (source, target))
     speed = 0.0 if stop is None else abs(float(stop.values["speed_m_s"]))
@@ -256,11 +253,6 @@ def shift_figures(
     )
 
 
-def _first_time(times: Floats, where: NDArray[np.bool_]) -> float | None:
-    found = times[where]
-    return float(found[0]) if len(found) else None
-
-
 def _arrival(
     t: Floats, at_stop: NDArray[np.bool_], events: Sequence[PlantEvent], goal_m: float
 ) -> float | None:
@@ -276,22 +268,18 @@ def _arrival(
 def _impacts(record: RunRecord, start: float, until: float, way: tuple[Gear, Gear]) -> list[Impact]:
     """Return the impacts of a shift that count, in order of time."""
     events = [e for e in record.events if start <= e.time_s <= until and "energy_j" in e.values]
+    names = np.array([e.name for e in events])
     found = counted(
-        np.array([e.name for e in events]),
+        names,
         np.array([e.time_s for e in events]),
         np.array([float(e.values["energy_j"]) for e in events]),
-        np.array([e.name == "sync_block" for e in events], dtype=np.bool_),
+        np.asarray(names == "sync_block", dtype=np.bool_),
         PICK_UP.get((way[0].name.lower(), way[1].name.lower()), ()),
     )
+    figures = ("position_m", "energy_j", "peak_force_n")
     return [
-        Impact(
-            time_s=event.time_s,
-            name=event.name,
-            position_m=float(event.values["position_m"]),
-            energy_j=float(event.values["energy_j"]),
-            peak_force_n=float(event.values["peak_force_n"]),
-        )
-        for event, counts in zip(events, found, strict=True)
+        Impact(time_s=e.time_s, name=e.name, **{n: float(e.values[n]) for n in figures})
+        for e, counts in zip(events, found, strict=True)
         if counts
     ]
 
@@ -302,8 +290,7 @@ def _worst(found: Sequence[Impact], stay_m_s: float, mass_kg: float) -> dict[str
         return dict.fromkeys(WORST[:3])
     worst = max(found, key=lambda impact: impact.energy_j)
     speed_m_s = worst_speed_m_s(np.array(worst.energy_j), np.array(stay_m_s), mass_kg)
-    figures = float(speed_m_s), worst.energy_j, worst.peak_force_n
-    return dict(zip(WORST[:3], figures, strict=True))
+    return dict(zip(WORST, (float(speed_m_s), worst.energy_j, worst.peak_force_n), strict=False))
 
 
 def _within(times: Floats, start: float, until: float) -> NDArray[np.bool_]:
@@ -314,12 +301,9 @@ def _stop_event(
     events: Sequence[PlantEvent], start: float, until: float, goal_m: float
 ) -> PlantEvent | None:
     """Return the stay's first impact on the stop of the requested gear."""
-    for event in events:
-        if event.name != "stay_stop" or not start <= event.time_s <= until:
-            continue
-        if abs(float(event.values["position_m"]) - goal_m) <= ARRIVED_WITHIN_M:
-            return event
-    return None
+    stops = (e for e in events if e.name == "stay_stop" and start <= e.time_s <= until)
+    at_goal = (e for e in stops if abs(float(e.values["position_m"]) - goal_m) <= ARRIVED_WITHIN_M)
+    return next(at_goal, None)
 
 
 def _lags(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import re
@@ -78,12 +79,11 @@ def listen(channel: str) -> tuple[socket.socket, Path]:
             path.chmod(0o600)
             listener.listen(64)
             listener.setblocking(False)
-    except OSError as error:
+    except (OSError, RunError) as error:
         listener.close()
+        if isinstance(error, RunError):
+            raise
         raise RunError(f"channel {channel!r}: {path}: {error.strerror}") from None
-    except RunError:
-        listener.close()
-        raise
     return listener, path
 
 
@@ -131,14 +131,8 @@ def _folder_locked(path: Path) -> Iterator[None]:
 
 def _listened_to(path: Path) -> bool:
     probe = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    probe.setblocking(False)
     try:
-        probe.setblocking(False)
-        probe.connect(str(path))
-    except BlockingIOError:  # its queue of new connections is full: somebody is there
-        return True
-    except OSError:
-        return False
-    else:
-        return True
+        return probe.connect_ex(str(path)) in (0, errno.EAGAIN)  # EAGAIN: too busy to accept
     finally:
         probe.close()

@@ -107,13 +107,12 @@ class RemoteChannel(Channel, Server):
         scenario: int = 0,
         timeouts: Timeouts | None = None,
         say: Callable[[str], None] = silent,
-        share_core: bool = True,
     ) -> None:
         """Open the channel: the name of a local bus, or of a CAN interface.
 
         `scenario`: 32 bits that distinguish scenarios; 0 joins with any.  `say` takes messages for
-        the user while the run waits.  `share_core`: keep this thread and the processes spawned here
-        on one core once all have joined (`core` is its number, None without).
+        the user while the run waits.  Once all have joined, this thread and the processes spawned
+        here are kept on one core.
         Raises RunError when another run uses it, InputError when there can be no such channel.
         """
         Channel.__init__(self, names)
@@ -122,8 +121,6 @@ class RemoteChannel(Channel, Server):
         self._peers = {peer.number: peer for peer in self._by_name.values()}
         self._scenario = scenario
         self._timeouts = timeouts or Timeouts()
-        self._share_core = share_core
-        self.core: int | None = None
         self._say = say
         self._now_ns = 0
         self._granted: list[Peer] = []
@@ -169,8 +166,8 @@ class RemoteChannel(Channel, Server):
         for peer in peers:
             peer.grant(0)  # the turn that ends with the Done of the handshake
         pids = [child.pid for child in self._children()]
-        if self._share_core and pids:
-            self.core = self._closing.enter_context(sharing_one_core(pids))
+        if pids:
+            self._closing.enter_context(sharing_one_core(pids))
         self._send(wire.control(Kind.START, value=end_ns), *peers)
         answered = time.monotonic() + self._timeouts.answer_s
         return {p.name: self._await_answer(p, answered)[1] for p in peers}
