@@ -12,14 +12,9 @@ import argparse
 import contextlib
 import signal
 import threading
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from sil.cli.options import MODEL, SEED, SETTINGS, argument, say
-
-if TYPE_CHECKING:
-    from sil.simulation.scenario import Loaded
 
 EXAMPLE = """\
 example:
@@ -63,10 +58,13 @@ ARGUMENTS = (
 def run(arguments: argparse.Namespace) -> int:
     """Take part in the run.  Raises InputError for bad input, RunError when the run ends early."""
     from can_dbc.errors import InputError
+    from sil.coupling.free_running import FreeNode, open_bus
     from sil.coupling.transports.link import open_link, take_part
+    from sil.files.atomic import write_atomically
     from sil.files.output_folder import without_parent_steps
     from sil.recording.recorder import EVENTS, PLANT_TRACE
     from sil.simulation import build, scenario
+    from sil.simulation.free_run import CLOCK_ZERO, received
 
     wait_s: float = arguments.timeout
     if not 0.0 <= wait_s <= 86400.0:
@@ -89,47 +87,32 @@ def run(arguments: argparse.Namespace) -> int:
         for name in (PLANT_TRACE, EVENTS):
             if (out / name).exists():
                 raise InputError(f"{out / name}: exists; expected none, or --force")
-    if arguments.realtime:
-        _run_freely(arguments, loaded, out, notify)
-        return 0
-    with contextlib.ExitStack() as undoing:
-        link = open_link(arguments.channel, wait_s, notify)
-        undoing.callback(link.close)
-        if arguments.participant == "plant":
-            out.mkdir(parents=True, exist_ok=True)
-        participant = build.make_participant(arguments.participant, loaded, out)
-        undoing.pop_all()  # take_part closes both
-        number = build.scenario_number(loaded.scenario)
-        take_part(participant, link, scenario=number, start_timeout_s=wait_s, say=notify)
-    return 0
-
-
-def _run_freely(
-    arguments: argparse.Namespace, loaded: Loaded, out: Path, notify: Callable[[str], None]
-) -> None:
-    """Run the participant by the wall clock until it is interrupted."""
-    from sil.coupling.free_running import FreeNode, open_bus
-    from sil.files.atomic import write_atomically
-    from sil.simulation import build
-    from sil.simulation.free_run import CLOCK_ZERO, received
-
-    is_plant = arguments.participant == "plant"
+    name, channel = arguments.participant, arguments.channel
 
     def started(zero_ns: int) -> None:
-        if is_plant:
+        if name == "plant":
             write_atomically(out / CLOCK_ZERO, str(zero_ns))
-        notify(f"{arguments.participant} runs freely on {arguments.channel}")
+        notify(f"{name} runs freely on {channel}")
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     with contextlib.ExitStack() as closing:
-        receives = received(arguments.participant)
-        bus = open_bus(arguments.channel, arguments.timeout, notify, receives)
-        closing.callback(bus.shutdown)
-        if is_plant:
+        if arguments.realtime:
+            signal.signal(signal.SIGTERM, signal.default_int_handler)
+            bus = open_bus(channel, wait_s, notify, received(name))
+            closing.callback(bus.shutdown)
+        else:
+            link = open_link(channel, wait_s, notify)
+            closing.callback(link.close)
+        if name == "plant":
             out.mkdir(parents=True, exist_ok=True)
-        participant = build.make_participant(arguments.participant, loaded, out)
-        closing.callback(participant.close)
-        node = FreeNode(participant, bus, catches_up=is_plant, on_start=started)
-        with contextlib.suppress(KeyboardInterrupt):
-            node.run(threading.Event(), arguments.duration)
-        notify(node.report())
+        participant = build.make_participant(name, loaded, out)
+        if arguments.realtime:
+            closing.callback(participant.close)
+            node = FreeNode(participant, bus, catches_up=name == "plant", on_start=started)
+            with contextlib.suppress(KeyboardInterrupt):
+                node.run(threading.Event(), duration_s)
+            notify(node.report())
+        else:
+            closing.pop_all()  # take_part closes both
+            number = build.scenario_number(loaded.scenario)
+            take_part(participant, link, scenario=number, start_timeout_s=wait_s, say=notify)
+    return 0

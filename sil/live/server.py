@@ -78,15 +78,18 @@ class Bench:
         """Name of the cookie: several benches may run on one machine."""
         return f"opc4_live_{self.port}"
 
-    def fault_of(self, request: Any, token: str | None) -> str:
-        """Return why a request is refused, "" if it is not."""
+    def admit(self, request: Any, token: str | None) -> None:
+        """Refuse a request that is not our own page's. Raises web.HTTPError, after a line of log."""
+        why = ""
         if request.headers.get("Host") != f"{HOST}:{self.port}":
-            return "asked for another host"
-        if request.headers.get("Origin") not in (None, self.origin):
-            return f"came from another origin, {request.headers['Origin'][:60]!r}"
-        if not token or not hmac.compare_digest(token.encode(), self.token.encode()):
-            return "has no valid token"
-        return ""
+            why = "asked for another host"
+        elif request.headers.get("Origin") not in (None, self.origin):
+            why = f"came from another origin, {request.headers['Origin'][:60]!r}"
+        elif not token or not hmac.compare_digest(token.encode(), self.token.encode()):
+            why = "has no valid token"
+        if why:
+            self.log(f"refused: a request that {why}")
+            raise web.HTTPError(403)
 
 
 class _Handler(web.RequestHandler):
@@ -103,9 +106,7 @@ class _Handler(web.RequestHandler):
         return self.get_cookie(self.shared.cookie)
 
     def prepare(self) -> None:
-        if why := self.shared.fault_of(self.request, self.token()):
-            self.shared.log(f"refused: a request that {why}")
-            raise web.HTTPError(403)
+        self.shared.admit(self.request, self.token())
 
     def write_error(self, status_code: int, **_: Any) -> None:
         self.finish(f"opc4 live: {status_code}; open the address that opc4 live printed\n")
@@ -185,9 +186,7 @@ class _Listener(websocket.WebSocketHandler):
         return origin == self.shared.origin
 
     def prepare(self) -> None:
-        if why := self.shared.fault_of(self.request, self.get_cookie(self.shared.cookie)):
-            self.shared.log(f"refused: a connection that {why}")
-            raise web.HTTPError(403)
+        self.shared.admit(self.request, self.get_cookie(self.shared.cookie))
 
     def on_message(self, message: str | bytes) -> None:
         if self.ended.is_set() or not isinstance(message, str) or not message.isprintable():

@@ -94,10 +94,10 @@ def _run(connection: Connection, load: list[Any]) -> None:
                 connection.send_bytes(_packed("answer", (frames, next_ns)))
         except EOFError:
             pass
-        except Exception as error:
+        except BaseException as error:
+            # sys.exit, os._exit: the control unit is dead, not wrong
+            kind = kind if isinstance(error, Exception) else "failed"
             connection.send_bytes(_packed(kind, _described(path, line, error)))
-        except BaseException as error:  # sys.exit, os._exit: the control unit is dead, not wrong
-            connection.send_bytes(_packed("failed", _described(path, line, error)))
     except OSError:
         pass
 

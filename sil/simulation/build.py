@@ -168,8 +168,7 @@ def make_participant(
     unknown name, or if the participant refuses its settings.
     """
     participant = _on_time(name, loaded, folder, unit)
-    clock = loaded.scenario.clock
-    ppm = {"controller": clock.controller_ppm, "driver": clock.driver_ppm}.get(name, 0.0)
+    ppm = getattr(loaded.scenario.clock, f"{name}_ppm", 0.0)
     return participant if ppm == 0.0 else Drifting(participant, ppm)
 
 
@@ -177,16 +176,13 @@ def _on_time(name: str, loaded: Loaded, folder: Path, unit: Firmware | None) -> 
     scenario = loaded.scenario
     if name == "driver":
         schedule = [(to_ns(r.at_s), gear_of(r.gear)) for r in scenario.request]
-        driver = scenario.driver
+        driver, initial = scenario.driver, gear_of(scenario.initial_gear)
         if scenario.vehicle is not None:
             from sil.nodes.vehicle import VehicleNode
 
             supply_pa = constants(loaded)["supply_pressure_pa"]
-            initial = gear_of(scenario.initial_gear)
             return VehicleNode(scenario.vehicle, initial, schedule, supply_pa)
-        return DriverNode(
-            gear_of(scenario.initial_gear), schedule, to_ns(driver.period_s), to_ns(driver.phase_s)
-        )
+        return DriverNode(initial, schedule, to_ns(driver.period_s), to_ns(driver.phase_s))
     if name == "controller":
         if scenario.firmware:
             from sil.nodes.own_firmware import OwnController

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import functools
 import json
@@ -276,12 +277,9 @@ def contradictions(scenario: Scenario) -> list[str]:
 def find(where: str) -> Path:
     """Return the file of a scenario given by path or by shipped name. Raises InputError."""
     path = Path(where)
-    try:
-        exists = path.is_file()
-    except (OSError, ValueError):  # a name too long, or with a null byte
-        exists = False
-    if exists:
-        return path
+    with contextlib.suppress(OSError, ValueError):  # a name too long, or with a null byte
+        if path.is_file():
+            return path
     known = shipped()
     if where in known:
         return known[where]

@@ -170,10 +170,7 @@ class Session:
         deadline = time.monotonic() + timeout_s
         next_hello = 0.0
         say_at = time.monotonic() + _ANSWER_EXPECTED_S
-        while True:
-            now = time.monotonic()
-            if now > deadline:
-                raise RunError(f"{self.name}: no run answered within {timeout_s:g} s")
+        while (now := time.monotonic()) <= deadline:
             if now >= say_at:
                 say_at = math.inf
                 say(f"waiting up to {timeout_s:g} s for a run that needs {self.name}")
@@ -182,9 +179,8 @@ class Session:
                 next_hello = now + self._link.hello_again_s
             self._records.extend(self._link.read(max(0.0, min(deadline, next_hello, say_at) - now)))
             while self._records:
-                can_id, payload = self._records.popleft()
-                control = self._parse(can_id, payload)
-                if control is None or control.participant != self._number or control.value != nonce:
+                control = self._parse(*self._records.popleft())
+                if control is None or control[1::2] != (self._number, nonce):
                     continue
                 if control.kind == Kind.REFUSED:
                     raise InputError(f"{self.name}: refused: {wire.reason(control.extra)}")
@@ -192,6 +188,7 @@ class Session:
                     self._link.welcomed(self._number)
                     self._first_event_ns = first_event_ns
                     return
+        raise RunError(f"{self.name}: no run answered within {timeout_s:g} s")
 
     def next_grant(self) -> tuple[int, Received] | None:
         """Wait for a grant; return its instant (ns) and the frames since the last one, or None.

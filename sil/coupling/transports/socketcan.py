@@ -210,14 +210,14 @@ class SocketCan(RemoteChannel):
         except wire.WireError:
             self._warn_foreign()
             return
-        if control is None and can_id & EDP_BIT:
-            for peer in self._peers.values():
-                peer.unread += 1
-            if self._speaker is not None:
-                self._speaker.take(can_id, payload)
-                return
         if control is None:
-            self._warn_foreign()
+            offered = bool(can_id & EDP_BIT)
+            for peer in self._peers.values():
+                peer.unread += offered
+            if offered and self._speaker is not None:
+                self._speaker.take(can_id, payload)
+            else:
+                self._warn_foreign()
             return
         sender = self._peers.get(control.participant)
         if control.kind == Kind.HELLO:
