@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 from dataclasses import asdict
 
@@ -10,11 +11,11 @@ from sil.cli.options import JSON, argument, out
 
 EXAMPLE = "example: opc4 identify friction measured/ --out friction/"
 
-WHAT = ("flow", "friction", "alpha", "damper")
-
+WHAT = {"flow": "flow", "friction": "friction", "alpha": "exponents", "damper": "oil"}
+"""What is identified -> the module that does it."""
 
 ARGUMENTS = (
-    argument("what", ", ".join(WHAT), "WHAT", choices=WHAT),
+    argument("what", ", ".join(WHAT), "WHAT", choices=tuple(WHAT)),
     argument("campaign", "campaign folder", "CAMPAIGN"),
     argument("--model", "parameter set or model file", "MODEL", default="nominal"),
     *out("runs/CAMPAIGN-WHAT-N"),
@@ -34,18 +35,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     parameters = load(arguments.model)
     campaign = load_campaign(arguments.campaign)
-    found: Identified
-    if arguments.what == "flow":
-        from sil.identify.flow import identify_flow as method
-    elif arguments.what == "friction":
-        from sil.identify.friction import identify_friction as method
-    elif arguments.what == "alpha":
-        from sil.identify.exponents import identify_alpha as method
-    else:
-        from sil.identify.oil import identify_damper as method
+    module = importlib.import_module(f"sil.identify.{WHAT[arguments.what]}")
+    method = getattr(module, f"identify_{arguments.what}")
     name = f"{campaign.name}-{arguments.what}"
     with Progress(f"identifying {arguments.what}", "steps") as progress:
-        found = method(campaign, parameters, progress)
+        found: Identified = method(campaign, parameters, progress)
     folder = prepare_folder(arguments.out, name, arguments.force)
     write_atomically(folder / "model.toml", model_of(found, parameters))
     save(found.figure, folder, arguments.what)

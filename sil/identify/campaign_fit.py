@@ -68,14 +68,13 @@ def fit_factors(
     campaign: Campaign,
     strokes: Sequence[CampaignStroke],
     parameters: ParameterSet,
-    indices: dict[str, tuple[int, ...]],
-    known: Sequence[str],
-    source: str,
+    indices: Mapping[str, int],
+    known: Sequence[str] = (),
     progress: Show = no_progress,
 ) -> tuple[tuple[Estimate, ...], float]:
     """Fit factors on packed parameters; return estimates, and the residual over its expected noise.
 
-    indices: parameter path -> its indices in the packed array; known: healthy unit tolerances that
+    indices: parameter path -> its index in the packed array; known: healthy unit tolerances that
     the parameters themselves express (frozen at zero).
     """
     from scipy.stats import t as student
@@ -85,14 +84,13 @@ def fit_factors(
         for entry in strokes
     ]
     model = TangentModel(observed, Spread.of(parameters))
-    paths = tuple(indices)
+    source = f"whole-record fit of {len(strokes)} strokes with their scatter"
 
     def change(setup: Setup, values: dict[str, float]) -> None:
-        for path in paths:
-            for index in indices[path]:
-                setup.p[index] *= values[path]
+        for path, index in indices.items():
+            setup.p[index] *= values[path]
 
-    own = tuple(EffectParameter(path, "-", 1.0, 0.05, 20.0, 0.1) for path in paths)
+    own = tuple(EffectParameter(path, "-", 1.0, 0.05, 20.0, 0.1) for path in indices)
     effect = Effect("identified", "identified", "force", source, own, change)
     candidate = Candidate(effect, "", own, ())
     layout = model.layout((candidate,))
@@ -105,7 +103,7 @@ def fit_factors(
     # the prior of the scatter counts about as much as two strokes
     quantile = float(student.ppf(0.975, len(strokes) + 1))
     estimates = []
-    for k, path in enumerate(paths):
+    for k, path in enumerate(indices):
         row = free.index(layout.effect_slice.start + k)
         base = parameters.value(path)
         centre = base * found.values[0][path]

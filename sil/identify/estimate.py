@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,18 +68,6 @@ class Identified:
             f"the model does not fit: {size} (at most {EXPLAINED:g} if noise explains it); the values "
             "are its best fit, their intervals are withheld"
         )
-
-
-def interval(samples: Sequence[float]) -> tuple[float, float, float]:
-    """Return mean and 95 % interval of the mean (Student) of independent values."""
-    from scipy.stats import t as student
-
-    values = np.asarray(samples, dtype=np.float64)
-    mean = float(np.mean(values))
-    if len(values) < 2:
-        return mean, float("-inf"), float("inf")
-    half = float(student.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / len(values) ** 0.5)
-    return mean, mean - half, mean + half
 
 
 def model_of(found: Identified, parameters: ParameterSet) -> str:

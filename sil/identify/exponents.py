@@ -20,8 +20,7 @@ from sil.identify.friction import plain_strokes, pressures_from_rest
 from sil.report.figure import BAR, Figure, Panel, Series, Stack
 
 NAMES = ("alpha_m1", "alpha_1", "alpha_m2", "alpha_2")
-FIELDS = (Parameters.alpha_m1, Parameters.alpha_1, Parameters.alpha_m2, Parameters.alpha_2)
-
+FIELDS = [getattr(Parameters, name) for name in NAMES]
 
 SMOOTH_SAMPLES = 21
 """Width of the local cubic that smooths the measured position."""
@@ -82,9 +81,7 @@ def identify_alpha(
 
     def residual(x: Floats) -> Floats:
         progress(next(calls), 40 * len(x))
-        parts = [
-            ((modelled(x, k) - prepared[k][3]) / 500.0)[::5].ravel() for k in range(len(prepared))
-        ]
+        parts = [((modelled(x, k) - p[3]) / 500.0)[::5].ravel() for k, p in enumerate(prepared)]
         # delays scatter by a few tenths of a millisecond from stroke to stroke and unit to unit
         own = x[4:].reshape(-1, 3) - 1.0
         parts.append((own / np.array([0.36, 0.92, 1.0])).ravel())
@@ -102,19 +99,19 @@ def identify_alpha(
         f"least squares on both pressures of {len(prepared)} strokes with imposed position; "
         "interval includes 1 % of flow and of volume"
     )
-    estimates = []
-    for k, name in enumerate(NAMES):
-        centre = float(fit.x[k])
-        half = 1.96 * float(np.hypot(np.sqrt(covariance[k, k]), floor[k] * abs(centre)))
-        estimates.append(Estimate(f"alpha.{name}", centre, centre - half, centre + half, source))
+    centres = fit.x[:4]
+    halves = 1.96 * np.hypot(np.sqrt(np.diag(covariance)[:4]), floor * np.abs(centres))
+    estimates = [
+        Estimate(f"alpha.{name}", x, x - half, x + half, source)
+        for name, x, half in zip(NAMES, centres.tolist(), halves.tolist(), strict=True)
+    ]
     shown = [modelled(fit.x, k) for k in range(len(prepared))]
-    rms_pa = float(
-        np.sqrt(np.mean([(one - p[3]) ** 2 for one, p in zip(shown, prepared, strict=True)]))
-    )
+    squares = [(one - p[3]) ** 2 for one, p in zip(shown, prepared, strict=True)]
+    rms_pa = float(np.sqrt(np.mean(squares)))
     _setup, time_s, _position, measured = prepared[0]
-    lines = []
+    x, lines = time_s[::10], []
     for k, role in enumerate(("series0", "series1")):
-        x, points, fitted = (a[::10] for a in (time_s, BAR * measured[:, k], BAR * shown[0][:, k]))
+        points, fitted = (BAR * pressures[::10, k] for pressures in (measured, shown[0]))
         lines.append(Series(f"P{k + 1} measured", x, points, role, "dots"))
         lines.append(Series(f"P{k + 1} fitted", x, fitted, role))
     panel = Panel("Pressures with imposed position", "bar", lines, height=320)

@@ -104,17 +104,14 @@ def _loose_until(record: Record, time_s: Floats, driving: str, inside: NDArray[n
 def _resting_volume(kind: str, chamber: str, position: float, p: Parameters) -> float | None:
     """Volume of a chamber while everything rests after the motion; None where it is not known."""
     if kind == "fixed":
-        if chamber == "1":
-            return float(p.vol_b + p.area_p * position)
-        return float(p.vol_n - p.area_p2 * position)
-    driving = {"N-B": "B", "N-F": "F", "B-N": "N", "F-N": "N"}[kind]
-    if chamber != driving:
+        one, two = p.vol_b + p.area_p * position, p.vol_n - p.area_p2 * position
+        return float(one if chamber == "1" else two)
+    if chamber != ("N" if kind[0] != "N" else kind[-1]):
         return None
     if chamber == "N":
         return float(p.vol_n)
     outer = p.vol_b if chamber == "B" else p.vol_f
-    walked = p.x_free + abs(position)
-    return float(outer + p.area_p * walked + p.area_s * abs(position))
+    return float(outer + p.area_p * (p.x_free + abs(position)) + p.area_s * abs(position))
 
 
 def _smoothing(record: RestRecord) -> tuple[float, int]:

@@ -16,7 +16,7 @@ from plant.systems.setup import make_setup
 from sil.campaign.campaign import Campaign, CampaignStroke, Floats, Record
 from sil.fitting.fit import Show, no_progress
 from sil.identify.campaign_fit import fit_factors
-from sil.identify.estimate import Estimate, Identified, interval
+from sil.identify.estimate import Estimate, Identified
 from sil.report.figure import Figure, Panel, Series, Stack
 
 
@@ -62,8 +62,8 @@ def breakaway_s(time_s: Floats, position_m: Floats) -> tuple[float, float]:
     moves the instant; that belongs to the error as much as the potentiometer's steps.
     """
     found = [_beginning(time_s, position_m, share) for share in (0.08, 0.12, 0.18)]
-    instants = [instant for instant, _error in found]
-    return instants[1], float(np.hypot(found[1][1], np.ptp(instants)))
+    instants, errors = zip(*found, strict=True)
+    return instants[1], float(np.hypot(errors[1], np.ptp(instants)))
 
 
 def _beginning(time_s: Floats, position_m: Floats, share: float) -> tuple[float, float]:
@@ -99,6 +99,7 @@ def identify_friction(
     Raises InputError for too few strokes or samples.
     """
     from scipy.signal import savgol_filter
+    from scipy.stats import t as student
 
     strokes = plain_strokes(campaign)
     static, doubts, speeds, forces = [], [], [], []
@@ -131,11 +132,11 @@ def identify_friction(
         pick = generator.integers(0, len(speeds), len(speeds))
         some_v, some_f = (np.concatenate([parts[k] for k in pick]) for parts in (speeds, forces))
         lines.append(np.polyfit(some_v, some_f, 1))
-    mean, _low, high = interval(static)
+    n, mean = len(strokes), float(np.mean(static))
+    scatter = float(student.ppf(0.975, n - 1) * np.std(static, ddof=1) / n**0.5)
     # the instant is not known better than its fit, the same way in every stroke: no averaging out
-    half = float(np.hypot(high - mean, 1.96 * np.mean(doubts)))
+    half = float(np.hypot(scatter, 1.96 * np.mean(doubts)))
     lows, highs = np.percentile(lines, [2.5, 97.5], axis=0).tolist()
-    n = len(strokes)
     about = f"F - m a against v, {n} strokes"
     first = f"net force at first motion, {n} strokes"
     thesis = (
@@ -143,18 +144,14 @@ def identify_friction(
         Estimate("friction_fixed.F_rf", offset, lows[1], highs[1], about),
         Estimate("friction_fixed.beta", slope, lows[0], highs[0], about),
     )
+    factors = {
+        "friction_fixed.F_sf": Parameters.f_static_s,
+        "friction_fixed.F_rf": Parameters.f_run_s,
+        "friction_fixed.beta": Parameters.beta_s,
+    }
+    entries = [entry for entry, _record in strokes]
     fitted, over_noise = fit_factors(
-        campaign,
-        [entry for entry, _record in strokes],
-        parameters,
-        {
-            "friction_fixed.F_sf": (Parameters.f_static_s,),
-            "friction_fixed.F_rf": (Parameters.f_run_s,),
-            "friction_fixed.beta": (Parameters.beta_s,),
-        },
-        ("friction",),
-        f"whole-record fit of {n} strokes with their scatter",
-        progress,
+        campaign, entries, parameters, factors, known=("friction",), progress=progress
     )
     _static, level, rate = (item.numbers[0] for item in fitted)
     notes = (

@@ -37,19 +37,13 @@ def identify_damper(
             f"{campaign.folder}: no stroke of the fixed piston with damper, position_m and "
             "pressure_oil2_pa; expected at least one"
         )
-    fitted, over_noise = fit_factors(
-        campaign,
-        [entry for entry, _record in strokes],
-        parameters,
-        {
-            "damper.A_S": (Parameters.a_small,),
-            "damper.A_B0": (Parameters.a_large,),
-            "damper.kappa_effective": (Parameters.kappa,),
-        },
-        (),
-        f"whole-record fit of {len(strokes)} damper strokes with their scatter",
-        progress,
-    )
+    factors = {
+        "damper.A_S": Parameters.a_small,
+        "damper.A_B0": Parameters.a_large,
+        "damper.kappa_effective": Parameters.kappa,
+    }
+    entries = [entry for entry, _record in strokes]
+    fitted, over_noise = fit_factors(campaign, entries, parameters, factors, progress=progress)
     found = parameters.override({item.path: item.numbers[0] for item in fitted})
     entry, record = strokes[0]
     time_s = record.time_s - record.time_s[0]
