@@ -41,18 +41,10 @@ LEGEND = (
 
 def fault_table(study: LoadedStudy, table: Table) -> str:
     """Return the table as Markdown, one line for each row, after the counts of safe states."""
-    lines = [
-        f"# {study.study.name}",
-        "",
-        study.study.description,
-        "",
-        *safe_states(study, table),
-        "",
-    ]
-    lines += ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
-    lines += ["| " + " | ".join(cells) + " |" for cells in rows(study, table)]
-    lines += ["", *(f"- {line}" for line in LEGEND)]
-    return "\n".join(lines) + "\n"
+    cells = (HEAD, ("---",) * len(HEAD), *rows(study, table))
+    lines = [f"| {' | '.join(row)} |" for row in cells]
+    head = (f"# {study.study.name}", "", study.study.description, "", *safe_states(study, table))
+    return "\n".join([*head, "", *lines, "", *(f"- {line}" for line in LEGEND)]) + "\n"
 
 
 def safe_states(study: LoadedStudy, table: Table) -> list[str]:
@@ -83,25 +75,22 @@ def _where(study: LoadedStudy, table: Table, flags: NDArray[np.bool_]) -> str:
 
 def rows(study: LoadedStudy, table: Table) -> Iterator[tuple[str, ...]]:
     """Yield the cells of each row, as texts."""
-    number = table.numbers
-    names = list(study.groups)
     for i in range(table.size):
-        choices = [table.texts[name][i] for name in names]
+        *fault, shift = [table.texts[name][i] for name in study.groups] or [""]
+        number = {name: values[i] for name, values in table.numbers.items()}
+        silent = math.isnan(number["reported_gear"])
+        off_after = _milliseconds(number["coils_off_after_s"])
         yield (
-            ", ".join(choices[:-1]) or study.study.name,
-            choices[-1] if choices else "",
-            _milliseconds(number["detected_after_s"][i]),
-            _faults(number["fault_bits"][i]),
-            "never"
-            if number["energised_at_end"][i]
-            else _milliseconds(number["coils_off_after_s"][i]),
-            _gear(number["end_gear"][i]),
-            "nothing"
-            if math.isnan(number["reported_gear"][i])
-            else _gear(number["reported_gear"][i]),
-            _text(number["worst_impact_m_s"][i], "{:.2f} m/s"),
-            _milliseconds(number["both_filled_s"][i]) if number["both_filled_s"][i] else "no",
-            "yes" if number["half_engaged"][i] else "no",
+            ", ".join(fault) or study.study.name,
+            shift,
+            _milliseconds(number["detected_after_s"]),
+            _faults(number["fault_bits"]),
+            "never" if number["energised_at_end"] else off_after,
+            _gear(number["end_gear"]),
+            "nothing" if silent else _gear(number["reported_gear"]),
+            _text(number["worst_impact_m_s"], "{:.2f} m/s"),
+            _milliseconds(number["both_filled_s"]) if number["both_filled_s"] else "no",
+            "yes" if number["half_engaged"] else "no",
         )
 
 
@@ -149,19 +138,18 @@ def outcome(table: Table, i: int, sight_s: float) -> int:
 
 def outcomes_figure(study: LoadedStudy, table: Table) -> Figure:
     """Return a grid of faults and shifts, coloured by how each run ended; long ones in two halves."""
-    names = list(study.groups)
-    shifts = list(dict.fromkeys(table.texts[names[-1]]))
-    labels = [", ".join(table.texts[name][i] for name in names[:-1]) for i in range(table.size)]
+    *of_fault, of_shift = study.groups
+    shifts = list(dict.fromkeys(table.texts[of_shift]))
+    labels = [", ".join(table.texts[name][i] for name in of_fault) for i in range(table.size)]
     faults = list(dict.fromkeys(labels))
     half = len(faults) if len(faults) < 12 else -(-len(faults) // 2)
     stacks: list[Stack] = []
-    for part in (faults[:half], faults[half:]):
-        if not part:
-            continue
+    for begin in range(0, len(faults), half):
+        part = faults[begin : begin + half]
         spans = []
         for i, label in enumerate(labels):
             if label in part:
-                x, y = shifts.index(table.texts[names[-1]][i]), part.index(label)
+                x, y = shifts.index(table.texts[of_shift][i]), part.index(label)
                 colour = OUTCOMES[outcome(table, i, study.longest_sight_s)][1]
                 spans.append(Span(x - 0.46, x + 0.46, colour, "", y - 0.42, y + 0.42))
         panel = Panel(

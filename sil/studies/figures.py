@@ -8,16 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sil.report.figure import (
-    Band,
-    ColourScale,
-    Figure,
-    Floats,
-    Panel,
-    Series,
-    Span,
-    Stack,
-)
+from sil.report.figure import Band, ColourScale, Figure, Floats, Panel, Series, Span, Stack
 from sil.report.theme import SERIES
 from sil.studies.rows import columns
 from sil.studies.study import LoadedStudy, Sweep
@@ -40,6 +31,20 @@ def shown(metric: str) -> tuple[str, str, float]:
     return metric.replace("_", " "), "", 1.0
 
 
+def _scaled(table: Table, metric: str) -> tuple[str, str, Floats]:
+    title, unit, factor = shown(metric)
+    return title, unit, factor * table.numbers[metric]
+
+
+def _named(title: str, unit: str) -> str:
+    return f"{title}, {unit}" if unit else title
+
+
+def title_of(study: LoadedStudy) -> str:
+    """Return the name of a study as the title of a figure."""
+    return study.study.name.replace("_", " ")
+
+
 def read_metrics(study: LoadedStudy) -> list[str]:
     """Return the metrics to show first."""
     known = columns(study)
@@ -54,8 +59,8 @@ def swept_figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     has_values = np.isfinite(table.numbers[read_metrics(study)[0]]).any()
     is_grid = study.study.design.kind == "grid" and len(numeric) == len(study.study.sweep) == 2
     if is_grid and has_values:
-        found["map"] = map_figure(study, table)
-    stacks = [stack for sweep in numeric if (stack := lines_over(study, table, sweep)) is not None]
+        found["map"] = _map_figure(study, table)
+    stacks = [stack for sweep in numeric if (stack := _lines_over(study, table, sweep)) is not None]
     if study.study.design.kind in ("lhs", "sobol") and len(read_metrics(study)) > 1:
         found["pareto"] = pareto_figure(study, table)
     if stacks:
@@ -71,15 +76,12 @@ def pareto_figure(study: LoadedStudy, table: Table) -> Figure:
     A row is on the front if no other of its group is better in both.
     """
     first, *others = read_metrics(study)
-    title, unit, factor = shown(first)
-    y = factor * table.numbers[first]
-    groups = row_groups(study, table)
+    title, unit, y = _scaled(table, first)
     stacks = []
     for other in others:
-        name, other_unit, scale = shown(other)
-        x = scale * table.numbers[other]
+        name, other_unit, x = _scaled(table, other)
         lines = []
-        for k, (label, rows) in enumerate(groups.items()):
+        for k, (label, rows) in enumerate(row_groups(study, table).items()):
             rows = rows[np.isfinite(x[rows]) & np.isfinite(y[rows])]
             rows = rows[np.argsort(x[rows], kind="stable")]
             lowest = np.minimum.accumulate(y[rows])
@@ -88,14 +90,10 @@ def pareto_figure(study: LoadedStudy, table: Table) -> Figure:
             dots = rows[:: -(-len(rows) // MOST_DOTS) or 1]
             lines.append(Series("", x[dots], y[dots], role, "dots", width=1.5))
             lines.append(Series(label or "front", x[front], y[front], role, "stepped", width=2.4))
-        panel = Panel(title, unit, lines, height=320)
-        stacks.append(Stack(f"{name}, {other_unit}", [panel], width=5.5))
+        stacks.append(
+            Stack(f"{name}, {other_unit}", [Panel(title, unit, lines, height=320)], width=5.5)
+        )
     return Figure(stacks, title_of(study), "lines: the front, nothing is better in both")
-
-
-def title_of(study: LoadedStudy) -> str:
-    """Return the name of a study as the title of a figure."""
-    return study.study.name.replace("_", " ")
 
 
 def unit_of(sweep: Sweep) -> tuple[str, float]:
@@ -106,24 +104,23 @@ def unit_of(sweep: Sweep) -> tuple[str, float]:
 def axis_of(sweep: Sweep) -> tuple[str, float]:
     """Return the label of a swept value's axis with its unit, and the factor."""
     unit, factor = unit_of(sweep)
-    return f"{sweep.label or sweep.path}{f', {unit}' if unit else ''}", factor
+    return _named(sweep.label or sweep.path, unit), factor
 
 
 def row_labels(study: LoadedStudy, table: Table) -> list[str]:
     """Return the choices and swept values of each row as a label; the study's name without any."""
-    columns_of_text = [table.texts[name] for name in study.groups]
+    parts = [table.texts[name] for name in study.groups]
     for sweep in study.study.sweep:
         unit, factor = unit_of(sweep)
         if sweep.path in table.texts:
             values = [text.strip('"') for text in table.texts[sweep.path]]
         else:
             values = [f"{factor * value:g} {unit}".strip() for value in table.numbers[sweep.path]]
-        columns_of_text.append([f"{sweep.label or sweep.path} {value}" for value in values])
-    labels = [", ".join(parts) for parts in zip(*columns_of_text, strict=True)]
-    return labels or [study.study.name] * table.size
+        parts.append([f"{sweep.label or sweep.path} {value}" for value in values])
+    return [", ".join(each) for each in zip(*parts, strict=True)] or [study.study.name] * table.size
 
 
-def lines_over(study: LoadedStudy, table: Table, sweep: Sweep) -> Stack | None:
+def _lines_over(study: LoadedStudy, table: Table, sweep: Sweep) -> Stack | None:
     """Return each metric over a swept value, None where it has one value only.
 
     Where values repeat, a group of rows is a line of medians in a band from least to greatest;
@@ -133,26 +130,24 @@ def lines_over(study: LoadedStudy, table: Table, sweep: Sweep) -> Stack | None:
     at = factor * table.numbers[sweep.path]
     if len(np.unique(at)) < 2:
         return None
-    alone = len(study.study.sweep) == 1
     groups = row_groups(study, table)
-    looks = group_looks(list(groups))
+    looks = _group_looks(list(groups))
     panels = []
     for metric in read_metrics(study):
-        title, unit, scale = shown(metric)
-        y = scale * table.numbers[metric]
-        lines, bands, repeated = [], [], False
+        title, unit, y = _scaled(table, metric)
+        lines, bands = [], []
         for name, rows in groups.items():
             role, dashed = looks[name]
-            as_line = alone or len(np.unique(at[rows])) < 0.6 * len(rows)
+            as_line = len(study.study.sweep) == 1 or len(np.unique(at[rows])) < 0.6 * len(rows)
             rows = rows[~np.isnan(y[rows])]
-            levels = np.unique(at[rows])
             if as_line:
+                levels = np.unique(at[rows])
                 values = [y[rows][at[rows] == level] for level in levels]
-                middle = np.array([np.median(each) for each in values])
+                low, middle, high = (
+                    np.array([f(each) for each in values]) for f in (np.min, np.median, np.max)
+                )
                 lines.append(Series(name, levels, middle, role, "marked", dashed))
                 if len(levels) < len(rows):
-                    repeated = True
-                    low, high = (np.array([f(each) for each in values]) for f in (np.min, np.max))
                     bands.append(Band(levels, low, high, role))
             else:
                 rows = rows[rows % -(-table.size // MOST_DOTS) == 0]
@@ -160,26 +155,21 @@ def lines_over(study: LoadedStudy, table: Table, sweep: Sweep) -> Stack | None:
                 lines.append(Series(name, at[rows], y[rows], role, "dots"))
         lines = [line for line in lines if len(line.x)]
         if lines:
-            title += ", median" if repeated else ""
+            title += ", median" if bands else ""
             panels.append(Panel(title, unit, lines, bands, height=240))
     if not panels:
         return None
-    return Stack(
-        axis,
-        panels,
-        f"Over {sweep.label or sweep.path}",
-        logarithmic=sweep.scale == "log" and float(np.min(at)) > 0.0,
-        width=5.2,
-    )
+    logarithmic = sweep.scale == "log" and float(np.min(at)) > 0.0
+    name = f"Over {sweep.label or sweep.path}"
+    return Stack(axis, panels, name, logarithmic=logarithmic, width=5.2)
 
 
-def group_looks(names: Sequence[str]) -> dict[str, tuple[str, bool]]:
+def _group_looks(names: Sequence[str]) -> dict[str, tuple[str, bool]]:
     """Return colour and dashing of each group: of more than the colours, one for each last choice."""
     if len(names) <= COLOURS:
         return {name: (f"series{k}", False) for k, name in enumerate(names)}
     parts = [name.rpartition(" / ") for name in names]
-    first = list(dict.fromkeys(before for before, _slash, _last in parts))
-    last = list(dict.fromkeys(after for _before, _slash, after in parts))
+    first, _, last = (list(dict.fromkeys(each)) for each in zip(*parts, strict=True))
     return {
         name: (f"series{last.index(after) % COLOURS}", first.index(before) % 2 == 1)
         for name, (before, _slash, after) in zip(names, parts, strict=True)
@@ -223,40 +213,34 @@ def choices_figure(study: LoadedStudy, table: Table) -> Figure:
     offsets = np.linspace(-0.3, 0.3, len(by.series)) if len(by.series) > 1 else [0.0]
     panels = []
     for metric in read_metrics(study):
-        title, unit, factor = shown(metric)
+        title, unit, y = _scaled(table, metric)
         lines, spans, repeated = [], [], False
         for k, (name, rows) in enumerate(by.series.items()):
-            role, x, y = f"series{k}", [], []
+            role, medians = f"series{k}", {}
             for option in range(len(by.names)):
-                values = factor * table.numbers[metric][rows[by.option[rows] == option]]
-                values = values[~np.isnan(values)]
+                values = y[rows[(by.option[rows] == option) & ~np.isnan(y[rows])]]
                 if len(values):
                     repeated |= len(values) > 1
-                    x.append(option + offsets[k])
-                    y.append(float(np.median(values)))
+                    at = option + offsets[k]
+                    medians[at] = float(np.median(values))
                     ends = float(values.min()), float(values.max())
-                    spans.append(Span(x[-1] - 0.01, x[-1] + 0.01, role, "", *ends))
-            if x:
-                lines.append(Series(name, np.array(x), np.array(y), role, "dots", width=3.0))
+                    spans.append(Span(at - 0.01, at + 0.01, role, "", *ends))
+            if medians:
+                points = np.array(list(medians.items())).T
+                lines.append(Series(name, points[0], points[1], role, "dots", width=3.0))
         if lines:
             title += ", median" if repeated else ""
             panels.append(Panel(title, unit, lines, spans=spans, height=240))
-    stack = Stack(
-        by.kind,
-        panels,
-        f"By {by.kind}",
-        ticks=numbered(by.names),
-        width=max(6.0, 0.8 * len(by.names)),
-    )
+    ticks, width = numbered(by.names), max(6.0, 0.8 * len(by.names))
+    stack = Stack(by.kind, panels, f"By {by.kind}", ticks=ticks, width=width)
     return Figure([stack], title_of(study))
 
 
-def map_figure(study: LoadedStudy, table: Table) -> Figure:
+def _map_figure(study: LoadedStudy, table: Table) -> Figure:
     """Return the greatest value of the first metric over a grid, a map for each group of rows."""
-    title, unit, factor = shown(read_metrics(study)[0])
-    values = factor * table.numbers[read_metrics(study)[0]]
-    label = f"{title}, {unit}" if unit else title
-    scale = ColourScale(label, float(np.nanmin(values)), float(np.nanmax(values)))
+    title, unit, values = _scaled(table, read_metrics(study)[0])
+    ends = float(np.nanmin(values)), float(np.nanmax(values))
+    scale = ColourScale(_named(title, unit), *ends)
     stacks = []
     for name, rows in row_groups(study, table).items():
         panel = map_panel(study, table, grid_of(study, table, rows, values), scale)
@@ -271,8 +255,7 @@ def grid_of(study: LoadedStudy, table: Table, rows: Ints, values: Floats) -> Flo
     """
     i, j = cells_of(study, table)
     grid = np.full((i.max() + 1, j.max() + 1), np.nan)
-    for k in rows:
-        grid[i[k], j[k]] = np.fmax(grid[i[k], j[k]], values[k])
+    np.fmax.at(grid, (i[rows], j[rows]), values[rows])
     return grid
 
 
@@ -286,31 +269,24 @@ def map_panel(
     study: LoadedStudy, table: Table, grid: Floats, scale: ColourScale, frames: Sequence[Span] = ()
 ) -> Panel:
     """Return a map of a grid [second sweep, first sweep], in the unit of the scale."""
-    second = study.study.sweep[1]
-    axis, factor = axis_of(second)
-    text = "{:.2f}" if grid.size <= 100 else ""
-    return Panel(
-        axis,
-        spans=[*scale.cells(grid, text.format), *frames],
-        scale=scale,
-        ticks=ticks_of(factor * table.numbers[second.path]),
-        limits=(-0.5, grid.shape[0] - 0.5),
-        height=260,
-    )
+    axis, ticks = _swept_ticks(table, study.study.sweep[1])
+    spans = [*scale.cells(grid, ("{:.2f}" if grid.size <= 100 else "").format), *frames]
+    limits = (-0.5, grid.shape[0] - 0.5)
+    return Panel(axis, spans=spans, scale=scale, ticks=ticks, limits=limits, height=260)
 
 
 def map_stack(study: LoadedStudy, table: Table, panels: Sequence[Panel], title: str) -> Stack:
     """Return maps one above the other over the first swept value."""
-    axis, factor = axis_of(study.study.sweep[0])
-    ticks = ticks_of(factor * table.numbers[study.study.sweep[0].path])
+    axis, ticks = _swept_ticks(table, study.study.sweep[0])
     return Stack(axis, panels, title, ticks=ticks, width=3.6)
 
 
-def ticks_of(values: Floats) -> list[tuple[float, str]]:
-    """Return (index, text) for the different values [rows], at most about ten of them."""
-    levels = np.unique(values)
+def _swept_ticks(table: Table, sweep: Sweep) -> tuple[str, list[tuple[float, str]]]:
+    """Return the axis of a swept value and (index, text) for at most about ten of its values."""
+    axis, factor = axis_of(sweep)
+    levels = np.unique(factor * table.numbers[sweep.path])
     stride = -(-len(levels) // 10)
-    return [(float(k), f"{v:g}") for k, v in enumerate(levels) if k % stride == 0]
+    return axis, [(float(k), f"{v:g}") for k, v in enumerate(levels) if k % stride == 0]
 
 
 def numbered(names: Mapping[str, object] | Sequence[str]) -> list[tuple[float, str]]:

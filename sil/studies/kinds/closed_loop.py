@@ -120,4 +120,5 @@ def files(study: LoadedStudy, table: Table) -> Iterator[tuple[str, str]]:
 def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     """Return metrics over sweeps and choices, of a safety study how each fault ended."""
     found = swept_figures(study, table)
-    return found | ({"faults": outcomes_figure(study, table)} if study.study.safety else {})
+    has_faults = study.study.safety and study.groups
+    return found | ({"faults": outcomes_figure(study, table)} if has_faults else {})
