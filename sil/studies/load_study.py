@@ -84,8 +84,7 @@ def check_shape(study: Study, source: str) -> None:
             f"{source}: a study of trucks needs [truck] and [[strategy]]; expected both"
         )
     for index, sweep in enumerate(study.sweep):
-        wrong = wrong_sweep(sweep, study.design.kind)
-        if wrong:
+        if wrong := wrong_sweep(sweep, study.design.kind):
             raise InputError(f"{source}: sweep[{index}] {sweep.path}: {wrong}")
     if study.design.kind in DRAWN and study.design.samples < 1:
         raise InputError(f"{source}: design.samples: expected 1 or more")
@@ -115,9 +114,8 @@ def wrong_sweep(sweep: Sweep, design: str) -> str:
 def check_names(study: Study, source: str) -> None:
     """Refuse names that no file or table can hold, and values set twice. Raises InputError."""
     paths = [sweep.path for sweep in study.sweep]
-    twice = next((path for path in paths if paths.count(path) > 1), None)
-    if twice is not None:
-        raise InputError(f"{source}: sweep: {twice} is swept twice; expected each once")
+    if twice := [path for path in paths if paths.count(path) > 1]:
+        raise InputError(f"{source}: sweep: {twice[0]} is swept twice; expected each once")
     named = [("name", study.name)]
     for group in ("load", "strategy", "variant"):
         items = getattr(study, group)
@@ -125,11 +123,9 @@ def check_names(study: Study, source: str) -> None:
         if len({item.name for item in items}) != len(items):
             raise InputError(f"{source}: {group}: two have the same name; expected different ones")
         for item in items:
-            both = next((path for path in item.set if path in paths), None)
-            if both is not None:
-                raise InputError(
-                    f"{source}: {group} {item.name!r}: {both} is swept, too; expected one of them"
-                )
+            if both := [path for path in item.set if path in paths]:
+                where = f"{source}: {group} {item.name!r}"
+                raise InputError(f"{where}: {both[0]} is swept, too; expected one of them")
     for field, name in named:
         if not name.isprintable() or not name.strip():
             raise InputError(f"{source}: {field}: {name[:60]!r}; expected printable characters")
@@ -161,11 +157,8 @@ def check_metrics(loaded: LoadedStudy) -> None:
             unknown = unknown_name(name, known)
             raise InputError(f"{loaded.source}: reads[{k}]: {name!r} is {unknown}")
     stroke = loaded.study.stroke
-    if stroke is not None:
-        valves = ("1", "2") if stroke.kind == "fixed" else ("B", "N", "F")
-        for k, (_time_s, valve, _duty) in enumerate(stroke.commands):
-            if valve not in valves:
-                raise InputError(
-                    f"{loaded.source}: stroke.commands[{k}]: valve {valve!r}; "
-                    f"expected {', '.join(valves)}"
-                )
+    valves = "12" if stroke is not None and stroke.kind == "fixed" else "BNF"
+    for k, (_time_s, valve, _duty) in enumerate(stroke.commands if stroke is not None else ()):
+        if len(valve) != 1 or valve not in valves:
+            where = f"{loaded.source}: stroke.commands[{k}]"
+            raise InputError(f"{where}: valve {valve!r}; expected {', '.join(valves)}")

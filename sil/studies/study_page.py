@@ -30,11 +30,13 @@ def write_page(
     metrics = [name for name in metrics if any(name in entry for entry in entries.values())]
     failed = float(table.numbers["failed"].mean())
     counts, safety = found["outcomes"], study.study.safety
+    words = [f"{counts['failed']} failed"] if counts["failed"] else []
+    words += [f"{counts['not_run']} could not run"] if counts["not_run"] else []
     head = Head(
         command="whatif",
         name=study.study.name,
-        verdict=verdict(counts),
-        good=not counts["failed"] and not counts["not_run"],
+        verdict=", ".join(words) or "all rows passed",
+        good=not words,
         tiles=[
             (str(found["rows"]), "rows"),
             (str(len(entries)), "groups"),
@@ -72,13 +74,6 @@ def write_page(
         row_again=f"opc4 run {study.study.scenario} --set PATH=VALUE ..." if of_runs else "",
     )
     write_atomically(folder / "report.html", page)
-
-
-def verdict(counts: dict[str, int]) -> str:
-    """Return how many rows failed or could not run, for the head of the page."""
-    parts = [f"{counts[name]} {words}" for name, words in
-             (("failed", "failed"), ("not_run", "could not run")) if counts[name]]  # fmt: skip
-    return ", ".join(parts) or "all rows passed"
 
 
 def _cell(name: str, entry: dict[str, float] | None) -> str:

@@ -57,9 +57,9 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     stroke = _stroke_of(base, study, row)
     impact = stroke.impact
     driving, opposing = CHAMBERS[base.kind]
-    before = stroke.time_s < (impact.time_s if impact else stroke.time_s[-1])
-    charging_pa = stroke.pressure_pa(driving)[before]
-    drop_pa = np.max(np.maximum.accumulate(charging_pa) - charging_pa) if before.any() else 0.0
+    charging_pa = stroke.pressure_pa(driving)
+    charging_pa = charging_pa[stroke.time_s < (impact.time_s if impact else stroke.time_s[-1])]
+    drop_pa = np.max(np.maximum.accumulate(charging_pa) - charging_pa, initial=0.0)
     moved = np.flatnonzero(np.abs(stroke.position_m - stroke.position_m[0]) > 5e-5)
     turns_m = [e.position_m for e in stroke.events if e.name == "turn"]
     found = {

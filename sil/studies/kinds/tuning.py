@@ -111,13 +111,13 @@ def parameters(study: LoadedStudy) -> list[str]:
 
     Raises InputError for a strategy without ranges.
     """
-    found: dict[str, None] = {}
+    found: list[str] = []
     for choice in study.study.strategy:
         try:
-            found.update(dict.fromkeys(SPACES[strategy_of(choice.set)]))
+            found += SPACES[strategy_of(choice.set)]
         except InputError as error:
             raise InputError(f"{study.source}: strategy {choice.name!r}: {error}") from None
-    return list(found)
+    return list(dict.fromkeys(found))
 
 
 def columns(study: LoadedStudy) -> tuple[str, ...]:
@@ -164,28 +164,32 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     reasons = [
         f"{load.name}: {a.reason}" for load, a in zip(loads, best.arrivals, strict=True) if a.reason
     ]
-    found = {
-        "cost_m_s": best.cost_m_s,
-        "default_cost_m_s": next(each.cost_m_s for each in tuned if not each.parameters),
-        "worst_impact_m_s": max(each.speed_m_s for each in best.arrivals),
-        "worst_lost_s": max(lost_s),
-        "damper_m_s": sum(each.speed_m_s for each in damped) / len(damped),
-        "damper_worst_m_s": max(each.speed_m_s for each in damped),
-        "damper_worst_lost_s": max(damped_lost_s),
-        "failed": float(bool(reasons)),
-        "information_delay_s": information_delay_s(study.loaded(texts_of(settings))),
-    }
-    found |= {f"best.{name}": best.parameters.get(name, math.nan) for name in parameters(study)}
-    for k, load in enumerate(loads):
-        found[f"impact_m_s {load.name}"] = best.arrivals[k].speed_m_s
-        found[f"lost_s {load.name}"] = lost_s[k]
-        found[f"damper_m_s {load.name}"] = damped[k].speed_m_s
-    died = any(each.died for each in best.arrivals)
-    return RowResult(
-        {name: value if math.isfinite(value) else math.nan for name, value in found.items()},
-        NOT_RUN if died else FAILED if reasons else PASSED,
-        "; ".join(reasons),
+    default = next(each for each in tuned if not each.parameters)
+    speeds_m_s, damped_m_s = (
+        [each.speed_m_s for each in arrivals] for arrivals in (best.arrivals, damped)
     )
+    values = (
+        best.cost_m_s,
+        default.cost_m_s,
+        max(speeds_m_s),
+        max(lost_s),
+        sum(damped_m_s) / len(damped),
+        max(damped_m_s),
+        max(damped_lost_s),
+        float(bool(reasons)),
+        information_delay_s(study.loaded(texts_of(settings))),
+        *(best.parameters.get(name, math.nan) for name in parameters(study)),
+        *speeds_m_s,
+        *lost_s,
+        *damped_m_s,
+    )
+    figures = {
+        name: value if math.isfinite(value) else math.nan
+        for name, value in zip(columns(study), values, strict=True)
+    }
+    died = any(each.died for each in best.arrivals)
+    outcome = NOT_RUN if died else FAILED if reasons else PASSED
+    return RowResult(figures, outcome, "; ".join(reasons))
 
 
 def cost_m_s(arrival: Arrival, reference: Arrival, free_s: float, late_m_s2: float) -> float:
@@ -206,10 +210,8 @@ def candidates(strategy: str, count: int, seed: int) -> list[dict[str, float]]:
     sampler = qmc.Sobol(len(space), scramble=True, rng=seed)
     points = sampler.random_base2(math.ceil(math.log2(count - 1)))[: count - 1]
     low, high = np.array(list(space.values())).T
-    return [
-        {},
-        *(dict(zip(space, row.tolist(), strict=True)) for row in low + (high - low) * points),
-    ]
+    drawn = low + (high - low) * points
+    return [{}, *(dict(zip(space, row.tolist(), strict=True)) for row in drawn)]
 
 
 def _nearby(
@@ -228,13 +230,9 @@ def information_delay_s(hardware: Loaded) -> float:
 
     It includes the delay of the filter for slow signals, as the thesis counts it (4.2.1).
     """
-    controller = hardware.scenario.controller
-    return (
-        sample_age_s(hardware)
-        + filter_delay_s(controller.filter)
-        + controller.computation_s
-        + BUS_S
-    )
+    config = hardware.scenario.controller
+    filter_s = filter_delay_s(config.filter)
+    return sample_age_s(hardware) + filter_s + config.computation_s + BUS_S
 
 
 def sample_age_s(hardware: Loaded) -> float:
@@ -313,32 +311,28 @@ def tune(
 
 def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     """Return the worst impact of each row by family, and over a grid of two values also as maps."""
-    found = {}
-    if study.study.design.kind == "grid" and len(study.study.sweep) == 2:
-        found["map"] = maps_figure(study, table)
-    if table.size <= MOST_BARS:
-        found["tuning"] = worst_figure(study, table)
-    return found
+    is_grid = study.study.design.kind == "grid" and len(study.study.sweep) == 2
+    found = {"map": _maps_figure(study, table)} if is_grid else {}
+    return found | ({"tuning": _worst_figure(study, table)} if table.size <= MOST_BARS else {})
 
 
-def families_of(table: Table) -> list[str]:
+def _families(study: LoadedStudy) -> list[str]:
     """Return the part before the comma in the names of a tuning's loads, each once."""
-    names = [n.removeprefix("impact_m_s ") for n in table.numbers if n.startswith("impact_m_s ")]
-    return list(dict.fromkeys(name.split(",")[0] for name in names))
+    return list(dict.fromkeys(load.name.split(",")[0] for load in study.study.load))
 
 
-def impacts_m_s(table: Table, family: str, what: str = "impact_m_s") -> NDArray[np.float64]:
-    """Return the impact speed [loads, rows] in m/s under each load of a family, NaN for a failure."""
+def _impacts_m_s(table: Table, family: str, what: str = "impact_m_s") -> NDArray[np.float64]:
+    """Return the impact speed [loads, rows] under each load of a family, NaN for a failure."""
     return np.array([v for n, v in table.numbers.items() if n.startswith(f"{what} {family}")])
 
 
-def worst_figure(study: LoadedStudy, table: Table) -> Figure:
+def _worst_figure(study: LoadedStudy, table: Table) -> Figure:
     """Return the worst impact of each row over the loads of each family, as bars."""
-    families = families_of(table)
+    families = _families(study)
     spans = []
     for n, family in enumerate(families):
         low, width = 0.4 * (2 * n / len(families) - 1.0), 0.8 / len(families)
-        for k, worst in enumerate(np.max(impacts_m_s(table, family), axis=0)):
+        for k, worst in enumerate(np.max(_impacts_m_s(table, family), axis=0)):
             if np.isfinite(worst):
                 spans.append(Span(0.0, worst, f"series{n}", "", k + low, k + low + 0.9 * width))
     panel = Panel(
@@ -353,16 +347,16 @@ def worst_figure(study: LoadedStudy, table: Table) -> Figure:
     return Figure([stack], title_of(study))
 
 
-def maps_figure(study: LoadedStudy, table: Table) -> Figure:
+def _maps_figure(study: LoadedStudy, table: Table) -> Figure:
     """Return maps of the worst impact over the two swept values: a row a family, a column a variant."""
     scale = ColourScale("worst impact speed over the loads, m/s", 0.0, 1.4, VIRIDIS[::-1])
     i, j = cells_of(study, table)
     stacks = []
     for variant, rows in row_groups(study, table).items():
         panels = []
-        for family in families_of(table):
+        for family in _families(study):
             ours, damper = (
-                impacts_m_s(table, family, what) for what in ("impact_m_s", "damper_m_s")
+                _impacts_m_s(table, family, what) for what in ("impact_m_s", "damper_m_s")
             )
             soft: dict[Literal["frame", "dashed frame"], Any] = {
                 "frame": ours.max(axis=0) <= damper.max(axis=0),
@@ -379,7 +373,7 @@ def maps_figure(study: LoadedStudy, table: Table) -> Figure:
     return Figure(
         stacks,
         title_of(study),
-        f"{' above '.join(families_of(table))}; framed: as soft as the oil damper in the worst of "
+        f"{' above '.join(_families(study))}; framed: as soft as the oil damper in the worst of "
         "the loads (dashed: in their mean only); empty: failed",
         same_scale=True,
     )
