@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from sil.recording.run_record import CHAMBERS, Floats
+from sil.recording.run_record import CHAMBERS
 from sil.report.figure import BAR, MM, MS, Figure, Note, Panel, Rule, Series, Span, Stack, Zoom
 from sil.report.run_figure import shift_zooms, valve_spans
 from sil.simulation.in_memory import MemoryRun
@@ -19,7 +20,8 @@ def comparison_figure(before: MemoryRun, after: MemoryRun) -> Figure:
     """Return the figure of two runs: the first dashed, the second in full colours."""
     zooms = [zoom for run in (before, after) for zoom in shift_zooms(run.record, run.shifts)]
     low, high = min(zoom.low for zoom in zooms), max(zoom.high for zoom in zooms)
-    old, new = _Lines(before, low, high, dashed=True), _Lines(after, low, high, dashed=False)
+    old, new = _lines(before, low, high, before=True), _lines(after, low, high, before=False)
+    positions, speeds, pressures = ([*one, *other] for one, other in zip(old, new, strict=True))
     stroke = after.record.stroke_m * MM
     rules = [Rule(at, "", "grid", "y", "solid") for at in (-stroke, 0.0, stroke)]
     rules += [
@@ -28,10 +30,10 @@ def comparison_figure(before: MemoryRun, after: MemoryRun) -> Figure:
         if low <= shift.requested_s * MS <= high
     ]
     panels = [
-        Panel("Position", "mm", [*old.position(), *new.position()], rules=rules, height=240),
-        Panel("Speed of the stay", "m/s", [*old.speed(), *new.speed()], height=120),
+        Panel("Position", "mm", positions, rules=rules, height=240),
+        Panel("Speed of the stay", "m/s", speeds, height=120),
         _valves(before, after),
-        Panel("Chamber pressures", "bar", [*old.pressures(), *new.pressures()], height=170),
+        Panel("Chamber pressures", "bar", pressures, height=170),
     ]
     own = shift_zooms(after.record, after.shifts)
     named = [Zoom(zoom.name, max(zoom.low, low), min(zoom.high, high)) for zoom in own]
@@ -65,44 +67,32 @@ def bound_figure(
     return Figure([Stack("information delay, ms", [panel], limits=(0.0, 80.0))])
 
 
-class _Lines:
-    """The lines of one run between two instants in ms."""
+def _lines(
+    run: MemoryRun, low: float, high: float, *, before: bool
+) -> tuple[list[Series], list[Series], list[Series]]:
+    """Return positions, speed and pressures of a run between two instants in ms."""
+    truth, (at_s, estimate_m) = run.record.truth, run.record.estimate
+    rows = np.flatnonzero((truth["time_s"] * MS >= low) & (truth["time_s"] * MS <= high))
+    rows = rows[:: max(1, len(rows) // MOST_POINTS)]
+    x, role = truth["time_s"][rows] * MS, "faint" if before else "truth"
+    look: dict[str, Any] = {"dashed": before, "width": 1.2 if before else 2.0}
 
-    def __init__(self, run: MemoryRun, low: float, high: float, *, dashed: bool) -> None:
-        self._record = run.record
-        rows = np.flatnonzero(
-            (run.record.truth["time_s"] * MS >= low) & (run.record.truth["time_s"] * MS <= high)
+    def line(label: str, column: str, factor: float, role: str) -> Series:
+        name = f"{label}, before" if before else label
+        return Series(name, x, truth[column][rows] * factor, role, **look)
+
+    if before:
+        estimate = Series(
+            "estimate, before", at_s * MS, estimate_m * MM, "faint", "stepped", True, 1.0
         )
-        self._rows = rows[:: max(1, len(rows) // MOST_POINTS)]
-        self._dashed = dashed
-
-    def _of(self, label: str, column: str, factor: float, role: str) -> Series:
-        truth = self._record.truth
-        x: Floats = truth["time_s"][self._rows] * MS
-        name = f"{label}, before" if self._dashed else label
-        width = 1.2 if self._dashed else 2.0
-        return Series(
-            name, x, truth[column][self._rows] * factor, role, dashed=self._dashed, width=width
-        )
-
-    def position(self) -> Iterator[Series]:
-        """Yield the true position and the controller's estimate."""
-        yield self._of("true position", "position_m", MM, "faint" if self._dashed else "truth")
-        at_s, estimate_m = self._record.estimate
-        x, y = at_s * MS, estimate_m * MM
-        if self._dashed:
-            yield Series("estimate, before", x, y, "faint", "stepped", True, 1.0)
-        else:
-            yield Series("controller's estimate", x, y, "estimate", "sampled", width=1.8)
-
-    def speed(self) -> Iterator[Series]:
-        """Yield the true speed."""
-        yield self._of("true speed", "velocity_m_s", 1.0, "faint" if self._dashed else "truth")
-
-    def pressures(self) -> Iterator[Series]:
-        """Yield the pressures of the chambers."""
-        for chamber in CHAMBERS:
-            yield self._of(chamber, f"pressure_{chamber}_pa", BAR, chamber)
+    else:
+        name = "controller's estimate"
+        estimate = Series(name, at_s * MS, estimate_m * MM, "estimate", "sampled", width=1.8)
+    return (
+        [line("true position", "position_m", MM, role), estimate],
+        [line("true speed", "velocity_m_s", 1.0, role)],
+        [line(chamber, f"pressure_{chamber}_pa", BAR, chamber) for chamber in CHAMBERS],
+    )
 
 
 def _valves(before: MemoryRun, after: MemoryRun) -> Panel:

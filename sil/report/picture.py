@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from sil.files.atomic import write_atomically
 from sil.report.figure import Figure, Note, Panel, Rule, Span, Stack
-from sil.report.theme import LIGHT, Theme
+from sil.report.theme import LIGHT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,20 +26,25 @@ MOST_ZOOMS = 3
 
 DOTS_PER_INCH = 110
 DASHES: dict[str, Any] = {"solid": "-", "dashed": (0, (4, 2)), "dotted": ":"}
+STYLES: dict[str, dict[str, Any]] = {
+    "line": {},
+    "stepped": {"drawstyle": "steps-post"},
+    "sampled": {"drawstyle": "steps-post", "marker": "."},
+    "dots": {"linestyle": "none", "marker": "o"},
+    "marked": {"marker": "o"},
+}
 LETTER = 0.6
 """Mean width of a letter over the size of its font."""
 
 View = tuple[float, float]
 
 
-def save(
-    figure: Figure | Drawing, folder: Path, name: str, dots_per_inch: int = DOTS_PER_INCH
-) -> bytes:
+def save(figure: Figure, folder: Path, name: str, dots_per_inch: int = DOTS_PER_INCH) -> bytes:
     """Write `name`.png and `name`.svg into the folder and return the PNG's bytes."""
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    drawing = draw(figure) if isinstance(figure, Figure) else figure
+    drawing = draw(figure)
     FigureCanvasAgg(drawing)
     colour = drawing.get_facecolor()
     image, vectors = BytesIO(), BytesIO()
@@ -67,7 +72,7 @@ class _Column:
         return [panel for panel in self.stack.panels if not panel.page_only]
 
 
-def draw(figure: Figure, theme: Theme = LIGHT) -> Drawing:
+def draw(figure: Figure) -> Drawing:
     """Return the figure drawn by matplotlib."""
     from matplotlib.figure import Figure as Drawing
 
@@ -83,14 +88,14 @@ def draw(figure: Figure, theme: Theme = LIGHT) -> Drawing:
     head = (0.32 if figure.title else 0.08) + (0.2 if figure.subtitle else 0.0)
     width = sum(column.width for column in columns) + 1.2
     height = head + sum(heights) + 0.16 * len(heights) + 0.5
-    made = Drawing(figsize=(width, height), facecolor=theme.colour("paper"), layout="constrained")
+    made = Drawing(figsize=(width, height), facecolor=LIGHT.colour("paper"), layout="constrained")
     layout: Any = made.get_layout_engine()
     below_head = (0.0, 0.0, 1.0, 1.0 - head / height)
     layout.set(rect=below_head, h_pad=0.03, w_pad=0.06, hspace=0.0, wspace=0.0)
 
     def write(x: float, below: float, text: str, size: float, role: str, **style: Any) -> None:
         """Write a text `below` the upper edge, in inches."""
-        colour = theme.colour(role)
+        colour = LIGHT.colour(role)
         made.text(x, 1.0 - below / height, text, fontsize=size, color=colour, va="top", **style)
 
     write(0.12 / width, 0.1, figure.title, 15, "ink", weight="bold")
@@ -101,28 +106,28 @@ def draw(figure: Figure, theme: Theme = LIGHT) -> Drawing:
     if overview is not None:
         note = "top: the whole; shaded: enlarged below"
         write(1.0 - 0.12 / width, 0.38, note, 8.5, "faint", ha="right")
-        _overview(made.add_subplot(grid[0, :]), theme, overview, columns)
+        _overview(made.add_subplot(grid[0, :]), overview, columns)
     for number, column in enumerate(columns):
         shown: set[str] = set()
         for row, panel in enumerate(column.panels):
             axes = made.add_subplot(grid[row + (overview is not None), number])
             limits = _vertical(figure, columns, column, row)
             is_lowest = row == len(column.panels) - 1
-            _draw_panel(axes, theme, panel, column, limits, is_lowest)
+            _draw_panel(axes, panel, column, limits, is_lowest)
             names = {s.label for s in panel.series if s.label}
             legend_rows = 0
             if panel.legend and column.is_first and not (names and names <= shown):
-                legend_rows = _legend(axes, theme, panel, column.width)
+                legend_rows = _legend(axes, panel, column.width)
             shown |= names
             is_repeated = figure.same_scale or (not column.is_first and panel.limits is not None)
             if number > 0 and is_repeated:
                 axes.tick_params(labelleft=False)
             elif column.is_first:
-                _name(axes, theme, panel)
+                _name(axes, panel)
             if panel.scale is not None and number == len(columns) - 1:
                 _colour_bar(made, axes, panel)
             if row == 0 and column.stack.title and column.is_first:
-                pad, colour = 6 + 14 * legend_rows, theme.colour("ink")
+                pad, colour = 6 + 14 * legend_rows, LIGHT.colour("ink")
                 axes.set_title(column.stack.title, fontsize=10, loc="left", color=colour, pad=pad)
     return made
 
@@ -160,36 +165,34 @@ def _vertical(figure: Figure, columns: Sequence[_Column], column: _Column, row: 
     return low - room, high + room
 
 
-def _style(axes: Axes, theme: Theme) -> None:
-    axes.set_facecolor(theme.colour("paper"))
-    axes.grid(True, color=theme.colour("grid"), linewidth=0.6)
+def _style(axes: Axes) -> None:
+    axes.set_facecolor(LIGHT.colour("paper"))
+    axes.grid(True, color=LIGHT.colour("grid"), linewidth=0.6)
     axes.set_axisbelow(True)
-    axes.tick_params(colors=theme.colour("ink"), labelsize=8.5, length=0)
+    axes.tick_params(colors=LIGHT.colour("ink"), labelsize=8.5, length=0)
     for side, spine in axes.spines.items():
         spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(theme.colour("grid"))
+        spine.set_color(LIGHT.colour("grid"))
 
 
-def _draw_panel(
-    axes: Axes, theme: Theme, panel: Panel, column: _Column, limits: View, is_lowest: bool
-) -> None:
+def _draw_panel(axes: Axes, panel: Panel, column: _Column, limits: View, is_lowest: bool) -> None:
     """Draw the content of one panel, with the axes' limits and ticks."""
     stack, view = column.stack, column.view
-    _style(axes, theme)
+    _style(axes)
     if stack.logarithmic:
         axes.set_xscale("log")
     axes.set_xlim(*view)
     axes.set_ylim(*limits)
-    _spans(axes, theme, panel.spans, column.width)
+    _spans(axes, panel.spans, column.width)
     for band in panel.bands:
-        colour = theme.colour(band.role)
+        colour = LIGHT.colour(band.role)
         axes.fill_between(band.x, band.low, band.high, color=colour, alpha=0.15, lw=0)
     for rule in panel.rules:
-        _rule(axes, theme, rule)
-    _series(axes, theme, panel)
+        _rule(axes, rule)
+    _series(axes, panel)
     for note in panel.notes:
         if view[0] <= note.x <= view[1]:
-            _note(axes, theme, note)
+            _note(axes, note)
     if panel.ticks:
         axes.set_yticks([at for at, _ in panel.ticks], [name for _, name in panel.ticks])
         axes.tick_params(axis="y", labelsize=8.5 if len(panel.ticks) < 9 else 7.5)
@@ -202,26 +205,19 @@ def _draw_panel(
         axes.grid(False, axis="x")
     axes.tick_params(labelbottom=is_lowest)
     if is_lowest:
-        axes.set_xlabel(stack.axis, color=theme.colour("ink"), fontsize=9)
+        axes.set_xlabel(stack.axis, color=LIGHT.colour("ink"), fontsize=9)
 
 
-def _series(axes: Axes, theme: Theme, panel: Panel) -> None:
-    styles: dict[str, dict[str, Any]] = {
-        "line": {},
-        "stepped": {"drawstyle": "steps-post"},
-        "sampled": {"drawstyle": "steps-post", "marker": "."},
-        "dots": {"linestyle": "none", "marker": "o"},
-        "marked": {"marker": "o"},
-    }
+def _series(axes: Axes, panel: Panel) -> None:
     for order, s in enumerate(panel.series):
-        style = {"linestyle": DASHES["dashed" if s.dashed else "solid"]} | styles[s.style]
+        style = {"linestyle": DASHES["dashed" if s.dashed else "solid"]} | STYLES[s.style]
         axes.plot(
-            s.x, s.y, color=theme.colour(s.role), linewidth=s.width, markersize=2.0 + 1.2 * s.width,
+            s.x, s.y, color=LIGHT.colour(s.role), linewidth=s.width, markersize=2.0 + 1.2 * s.width,
             label=s.label or "_", zorder=3 + 0.01 * order, **style,
         )  # fmt: skip
 
 
-def _spans(axes: Axes, theme: Theme, spans: Sequence[Span], width: float) -> None:
+def _spans(axes: Axes, spans: Sequence[Span], width: float) -> None:
     """Draw rectangles of one look together, then the labels that have room."""
     from matplotlib.collections import PolyCollection
 
@@ -239,7 +235,7 @@ def _spans(axes: Axes, theme: Theme, spans: Sequence[Span], width: float) -> Non
         if span.label:
             labels.append((span, a, b))
     for (role, style, is_bounded), corners in looks.items():
-        colour = theme.colour(role)
+        colour = LIGHT.colour(role)
         frame: dict[str, Any] = {"facecolors": "none", "edgecolors": colour, "linewidths": 3}
         how: dict[str, Any] = {
             "solid": {"facecolors": colour, "edgecolors": colour, "linewidths": 0.7},
@@ -251,10 +247,10 @@ def _spans(axes: Axes, theme: Theme, spans: Sequence[Span], width: float) -> Non
         order = 2 if is_bounded else 0.5
         axes.add_collection(PolyCollection(corners, zorder=order, **how), autolim=False)
     for span, a, b in labels:
-        _span_label(axes, theme, span, (a, b), 72.0 * 0.9 * width / (right - left))
+        _span_label(axes, span, (a, b), 72.0 * 0.9 * width / (right - left))
 
 
-def _span_label(axes: Axes, theme: Theme, span: Span, view: View, points: float) -> None:
+def _span_label(axes: Axes, span: Span, view: View, points: float) -> None:
     """Write a label into a span: smaller, or upright, where there is little room.
 
     points: per unit of the horizontal axis.
@@ -264,26 +260,26 @@ def _span_label(axes: Axes, theme: Theme, span: Span, view: View, points: float)
     turned = LETTER * size * len(span.label) > room
     if turned and room < 6.5:
         return
-    box = {"facecolor": theme.colour("paper"), "edgecolor": "none", "pad": 0.8, "alpha": 0.8}
+    box = {"facecolor": LIGHT.colour("paper"), "edgecolor": "none", "pad": 0.8, "alpha": 0.8}
     axes.text(
         0.5 * (view[0] + view[1]), 0.5 * (span.low + span.high) if isfinite(span.low) else axes.get_ylim()[0],
         span.label, ha="center", va="center", fontsize=size, rotation=90 if turned else 0,
-        color=_ink_on(theme, span), clip_on=True, zorder=4, bbox=box if span.style == "hatched" else None,
+        color=_ink_on(span), clip_on=True, zorder=4, bbox=box if span.style == "hatched" else None,
     )  # fmt: skip
 
 
-def _ink_on(theme: Theme, span: Span) -> str:
+def _ink_on(span: Span) -> str:
     """Return black or white, whichever is easier to read on the span's colour."""
     if span.style != "solid":
-        return theme.colour("ink")
-    colour = theme.colour(span.role)
+        return LIGHT.colour("ink")
+    colour = LIGHT.colour(span.role)
     red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
     return "#1a1a1a" if 0.299 * red + 0.587 * green + 0.114 * blue > 110 else "#ffffff"
 
 
-def _rule(axes: Axes, theme: Theme, rule: Rule) -> None:
+def _rule(axes: Axes, rule: Rule) -> None:
     across = rule.axis == "y"
-    colour, width = theme.colour(rule.role), 1.4 if rule.style == "solid" else 0.9
+    colour, width = LIGHT.colour(rule.role), 1.4 if rule.style == "solid" else 0.9
     line = axes.axhline if across else axes.axvline
     line(rule.at, color=colour, linewidth=width, linestyle=DASHES[rule.style], zorder=1)
     if not rule.text:
@@ -297,42 +293,42 @@ def _rule(axes: Axes, theme: Theme, rule: Rule) -> None:
     )  # fmt: skip
 
 
-def _note(axes: Axes, theme: Theme, note: Note) -> None:
+def _note(axes: Axes, note: Note) -> None:
     from matplotlib.patheffects import withStroke
 
     axes.annotate(
         note.text, (note.x, note.y), xytext=({"left": 4, "center": 0, "right": -4}[note.align], note.up),
         textcoords="offset points", ha=note.align,
         va="center" if note.up == 0.0 else "bottom" if note.up > 0.0 else "top",
-        fontsize=8.5, weight="bold" if note.bold else "normal", color=theme.colour(note.role),
-        path_effects=[withStroke(linewidth=2.5, foreground=theme.colour("paper"))], zorder=7, annotation_clip=True,
+        fontsize=8.5, weight="bold" if note.bold else "normal", color=LIGHT.colour(note.role),
+        path_effects=[withStroke(linewidth=2.5, foreground=LIGHT.colour("paper"))], zorder=7, annotation_clip=True,
     )  # fmt: skip
 
 
-def _legend(axes: Axes, theme: Theme, panel: Panel, width: float) -> int:
+def _legend(axes: Axes, panel: Panel, width: float) -> int:
     """Put a legend above the panel if it has several things to name; return its rows."""
     from matplotlib.patches import Patch
 
     lines, _ = axes.get_legend_handles_labels()
     handles: list[Any] = list(lines)
-    handles += [Patch(color=theme.colour(role), label=text) for text, role in panel.keys]
+    handles += [Patch(color=LIGHT.colour(role), label=text) for text, role in panel.keys]
     if len(handles) < 2 and not panel.keys:
         return 0
     longest = max(len(h.get_label()) for h in handles)
     fits = max(1, int(72 * width / (LETTER * 8 * longest + 40)))
     axes.legend(
         handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(fits, len(handles)),
-        fontsize=8, frameon=False, labelcolor=theme.colour("ink"), borderaxespad=0.1, handlelength=1.6, borderpad=0.2,
+        fontsize=8, frameon=False, labelcolor=LIGHT.colour("ink"), borderaxespad=0.1, handlelength=1.6, borderpad=0.2,
     )  # fmt: skip
     return -(-len(handles) // fits)
 
 
-def _name(axes: Axes, theme: Theme, panel: Panel) -> None:
+def _name(axes: Axes, panel: Panel) -> None:
     """Name the vertical axis; named ticks without a unit need no name."""
     if panel.ticks and not panel.unit:
         return
     text = f"{panel.title}, {panel.unit}" if panel.unit else panel.title
-    axes.set_ylabel(fill(text, max(12, panel.height // 6)), color=theme.colour("ink"), fontsize=9)
+    axes.set_ylabel(fill(text, max(12, panel.height // 6)), color=LIGHT.colour("ink"), fontsize=9)
 
 
 def _colour_bar(made: Drawing, axes: Axes, panel: Panel) -> None:
@@ -346,13 +342,13 @@ def _colour_bar(made: Drawing, axes: Axes, panel: Panel) -> None:
     made.colorbar(mappable, ax=axes, label=scale.label)
 
 
-def _overview(axes: Axes, theme: Theme, panel: Panel, columns: Sequence[_Column]) -> None:
+def _overview(axes: Axes, panel: Panel, columns: Sequence[_Column]) -> None:
     """Draw the whole axis, with the parts that are enlarged below shaded."""
     stack = columns[0].stack
     whole = _Column(stack, stack.ends(), True, sum(column.width for column in columns))
     limits = panel.limits or (0.0, 1.0)
-    _draw_panel(axes, theme, panel, whole, limits, True)
+    _draw_panel(axes, panel, whole, limits, True)
     axes.set_xlabel("")
     for column in columns:
-        axes.axvspan(*column.view, color=theme.colour("band"), zorder=0)
+        axes.axvspan(*column.view, color=LIGHT.colour("band"), zorder=0)
     axes.tick_params(labeltop=True, labelbottom=False)

@@ -29,7 +29,7 @@ from sil.simulation.metrics import Shift
 SETTLED_S = 0.025
 """What is shown after everything has settled."""
 
-SILENT = "SILENT"
+SILENT, SHAFTS = "SILENT", "Shaft speeds, referred to the synchronizer"
 SENDERS = {"driver": "B", "controller": "estimate", "plant": "truth"}
 """Colour of each sender's frames."""
 
@@ -41,9 +41,8 @@ def run_figure(
 ) -> Figure:
     """Return the figure of a finished run, with a zoom for each shift."""
     zooms = shift_zooms(record, shifts)
-    truth = record.truth
+    truth, stroke = record.truth, record.stroke_m * MM
     time = truth["time_s"] * MS
-    stroke = record.stroke_m * MM
     speed = Series("true", time, truth["velocity_m_s"], "truth")
     shafts = [
         Series(name, time, truth[f"{name}_rad_s"], role, "stepped")
@@ -58,13 +57,7 @@ def run_figure(
         _pressures(record, zooms),
         _states(record),
         _bus(record, zooms),
-        Panel(
-            "Shaft speeds, referred to the synchronizer",
-            "rad/s",
-            shafts,
-            height=130,
-            page_only=True,
-        ),
+        Panel(SHAFTS, "rad/s", shafts, height=130, page_only=True),
     ]
     whole = [Series("", time, truth["position_m"] * MM, "truth", width=1.2)]
     ticks = [(-stroke, "forward"), (0.0, "neutral"), (stroke, "backward")]
@@ -80,13 +73,13 @@ def shift_zooms(record: RunRecord, shifts: Sequence[Shift]) -> list[Zoom]:
     Without a shift it is the whole run.
     """
     end = float(record.truth["time_s"][-1])
+    starts_s = [*(shift.requested_s for shift in shifts[1:]), end]
     found = []
-    for index, shift in enumerate(shifts):
-        until = shifts[index + 1].requested_s if index + 1 < len(shifts) else end
-        settled = [shift.arrived_s, shift.confirmed_s, shift.requested_s + 0.1]
-        closed = [e.time_s for e in record.events if e.name.endswith("_close")]
-        settled += [time_s for time_s in closed if shift.requested_s <= time_s <= until]
+    for shift, until in zip(shifts, starts_s, strict=False):
         first = shift.requested_s
+        settled = [shift.arrived_s, shift.confirmed_s, first + 0.1]
+        closed = [e.time_s for e in record.events if e.name.endswith("_close")]
+        settled += [time_s for time_s in closed if first <= time_s <= until]
         for begin, back in without_torque(record):
             if begin <= first <= back:
                 first = begin
@@ -178,12 +171,11 @@ def _lags(record: RunRecord, shift: Shift) -> Iterator[tuple[float, float, float
     if shift.arrived_s is None:
         return
     time, position = record.truth["time_s"], record.truth["position_m"]
-    start = float(np.interp(shift.requested_s, time, position))
-    goal = float(np.interp(shift.arrived_s, time, position))
+    start, goal = np.interp([shift.requested_s, shift.arrived_s], time, position)
+    within = (time >= shift.requested_s) & (time <= shift.arrived_s + 1e-3)
     for share, lag in ((0.1, shift.position_lag_10_s), (0.9, shift.position_lag_90_s)):
         level = start + share * (goal - start)
-        after = (time >= shift.requested_s) & (time <= shift.arrived_s + 1e-3)
-        beyond = after & ((position >= level) if goal > start else (position <= level))
+        beyond = within & ((position >= level) if goal > start else (position <= level))
         if lag is not None and beyond.any():
             yield float(time[int(np.argmax(beyond))]) * MS, lag * MS, level * MM
 
@@ -213,11 +205,12 @@ def _valves(record: RunRecord) -> Panel:
             [(a * MS, b * MS) for a, b in found] for found in valve_spans(record, chamber)
         )
         open_lane, coil_lane = (lane + 0.08, lane + 0.44), (lane + 0.54, lane + 0.90)
-        spans += [Span(a, b, chamber, "", *open_lane) for a, b in is_open]
-        spans += [Span(a, b, chamber, "", *coil_lane, style="pale") for a, b in coil]
-        spans += [
-            Span(a, b, chamber, "safety blow", *coil_lane, style="hatched") for a, b in blowing
-        ]
+        for found, text, between, style in (
+            (is_open, "", open_lane, "solid"),
+            (coil, "", coil_lane, "pale"),
+            (blowing, "safety blow", coil_lane, "hatched"),
+        ):
+            spans += [Span(a, b, chamber, text, *between, style) for a, b in found]  # type: ignore[arg-type]
         ticks += [(lane + 0.26, f"{chamber} valve"), (lane + 0.72, f"{chamber} command")]
         rules.append(Rule(float(lane), "", "grid", "y", "solid"))
         for opened, closed in is_open:
@@ -244,24 +237,25 @@ def valve_spans(
     times, active = record.series(SafetyBlow, "active")
     _, chambers = record.series(SafetyBlow, "chamber")
     blowing = [a and c == Chamber[chamber] for a, c in zip(active, chambers, strict=True)]
-    coil = _event_spans(record, f"coil_{chamber}_", ("on", "off"), False, end)
+    coil = _event_spans(record, f"coil_{chamber}_", ("on", "off"), False)
     is_open = bool(record.truth[f"valve_{chamber}"][0] > 0.5)
-    valve = _event_spans(record, f"valve_{chamber}_", ("open", "close"), is_open, end)
-    return coil, _overlap(spans_of(times, blowing, end), coil), valve
+    valve = _event_spans(record, f"valve_{chamber}_", ("open", "close"), is_open)
+    blown = [  # the coil energised by a blow
+        (max(a, c), min(b, d))
+        for a, b in spans_of(times, blowing, end)
+        for c, d in coil
+        if a < d and c < b
+    ]
+    return coil, blown, valve
 
 
 def _event_spans(
-    record: RunRecord, prefix: str, names: tuple[str, str], at_start: bool, end: float
+    record: RunRecord, prefix: str, names: tuple[str, str], at_start: bool
 ) -> list[Interval]:
     """Return the spans between a pair of plant events that switch something on and off."""
     moves = [(e.time_s, e.name) for e in record.events if e.name.startswith(prefix)]
     on = [at_start, *(name == prefix + names[0] for _, name in moves)]
-    return spans_of([0.0, *(t for t, _ in moves)], on, end)
-
-
-def _overlap(spans: list[Interval], others: list[Interval]) -> list[Interval]:
-    """Return the parts of spans that are within other spans."""
-    return [(max(a, c), min(b, d)) for a, b in spans for c, d in others if a < d and c < b]
+    return spans_of([0.0, *(t for t, _ in moves)], on, float(record.truth["time_s"][-1]))
 
 
 def _currents(record: RunRecord) -> Iterator[Panel]:
@@ -326,14 +320,10 @@ def state_spans(times: Floats, names: Sequence[str], end: float) -> list[tuple[f
         return [(0.0, end, SILENT)]
     step = float(np.median(np.diff(times))) if len(times) > 1 else end
     spans: list[tuple[float, float, str]] = []
-    for i, name in enumerate(names):
-        since = float(times[i])
-        until = float(times[i + 1]) if i + 1 < len(times) else end
+    for since, until, name in zip(times.tolist(), [*times[1:].tolist(), end], names, strict=True):
         heard = until if until - since < 3.5 * step else since + step
-        if spans and spans[-1][2] == name and spans[-1][1] == since:
-            spans[-1] = (spans[-1][0], heard, name)
-        else:
-            spans.append((since, heard, name))
+        continues = bool(spans) and spans[-1][1:] == (since, name)
+        spans.append((spans.pop()[0] if continues else since, heard, name))
         if heard < until:
             spans.append((heard, until, SILENT))
     return spans

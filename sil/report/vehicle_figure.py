@@ -59,19 +59,10 @@ def _gear(record: RunRecord) -> Panel:
     """Return the current gear of ETC2; where none is confirmed, nothing."""
     times, gears = record.series(Etc2, "current_gear")
     end = float(record.truth["time_s"][-1])
-    spans = [
-        Span(
-            begin * MS,
-            until * MS,
-            "N" if gear == 0 else "estimate",
-            f"{gear or 'neutral'}",
-            0.0,
-            1.0,
-        )
-        for gear in dict.fromkeys(gears)
-        if gear is not None
-        for begin, until in spans_of(times, [other == gear for other in gears], end)
-    ]
-    return Panel(
-        "Gear (ETC2)", spans=spans, ticks=[(0.5, "gear (ETC2)")], height=46, limits=(0.0, 1.0)
-    )
+    spans = []
+    for gear in dict.fromkeys(gear for gear in gears if gear is not None):
+        role, text = ("estimate", f"{gear}") if gear else ("N", "neutral")
+        for begin, until in spans_of(times, [other == gear for other in gears], end):
+            spans.append(Span(begin * MS, until * MS, role, text, 0.0, 1.0))
+    ticks = [(0.5, "gear (ETC2)")]
+    return Panel("Gear (ETC2)", spans=spans, ticks=ticks, height=46, limits=(0.0, 1.0))

@@ -9,7 +9,6 @@ import numpy as np
 
 from sil.report.figure import Figure, Panel, Series, Stack, Zoom
 from sil.report.picture import MOST_ZOOMS, draw, save
-from sil.report.theme import DARK
 from tests.unit.sil.report.test_figure import everything
 
 
@@ -33,7 +32,7 @@ def test_both_kinds_are_written_and_repeat_to_the_byte(tmp_path: Path) -> None:
 
 def test_all_content_is_drawn() -> None:
     assert {"inside", "level", "a note"} <= texts(everything())
-    names = [axes.get_ylabel() for axes in draw(everything(), DARK).axes]
+    names = [axes.get_ylabel() for axes in draw(everything()).axes]
     assert "Position, mm" in names and "Page only, m" not in names
 
 
