@@ -28,7 +28,7 @@ class Series:
     """A named line or set of points.
 
     x, y: [n] each, in the axes' units, x ascending; a NaN in y interrupts a line.
-    role: a colour of the theme (`Theme.colour`) or "#rrggbb". width: of the line in points.
+    role: a colour of the theme or "#rrggbb". width: of the line in points.
     style: "stepped" holds each value until the next x, "sampled" too, with a point at each x; "dots"
     has points only; "marked" has a line and points.
     """
@@ -236,12 +236,6 @@ def spans_of(
 
     times: [n] ascending, in any unit; on: [n], whether it is on from then.
     """
-    found: list[tuple[float, float]] = []
-    begun: float | None = None
-    for at, is_on in zip([*times, end], [*on, False], strict=True):
-        if is_on and begun is None:
-            begun = float(at)
-        elif not is_on and begun is not None:
-            found.append((begun, float(at)))
-            begun = None
-    return found
+    changes = np.flatnonzero(np.diff([False, *map(bool, on), False]))
+    edges = [*times, end]
+    return [(float(edges[a]), float(edges[b])) for a, b in changes.reshape(-1, 2)]

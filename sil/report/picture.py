@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from sil.files.atomic import write_atomically
 from sil.report.figure import Figure, Note, Panel, Rule, Span, Stack
-from sil.report.theme import LIGHT
+from sil.report.theme import colour_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -88,15 +88,15 @@ def draw(figure: Figure) -> Drawing:
     head = (0.32 if figure.title else 0.08) + (0.2 if figure.subtitle else 0.0)
     width = sum(column.width for column in columns) + 1.2
     height = head + sum(heights) + 0.16 * len(heights) + 0.5
-    made = Drawing(figsize=(width, height), facecolor=LIGHT.colour("paper"), layout="constrained")
+    made = Drawing(figsize=(width, height), facecolor=colour_of("paper"), layout="constrained")
     layout: Any = made.get_layout_engine()
     below_head = (0.0, 0.0, 1.0, 1.0 - head / height)
     layout.set(rect=below_head, h_pad=0.03, w_pad=0.06, hspace=0.0, wspace=0.0)
 
     def write(x: float, below: float, text: str, size: float, role: str, **style: Any) -> None:
         """Write a text `below` the upper edge, in inches."""
-        colour = LIGHT.colour(role)
-        made.text(x, 1.0 - below / height, text, fontsize=size, color=colour, va="top", **style)
+        style |= {"fontsize": size, "color": colour_of(role), "va": "top"}
+        made.text(x, 1.0 - below / height, text, **style)
 
     write(0.12 / width, 0.1, figure.title, 15, "ink", weight="bold")
     write(0.12 / width, 0.38, figure.subtitle, 9.5, "faint")
@@ -127,8 +127,13 @@ def draw(figure: Figure) -> Drawing:
             if panel.scale is not None and number == len(columns) - 1:
                 _colour_bar(made, axes, panel)
             if row == 0 and column.stack.title and column.is_first:
-                pad, colour = 6 + 14 * legend_rows, LIGHT.colour("ink")
-                axes.set_title(column.stack.title, fontsize=10, loc="left", color=colour, pad=pad)
+                axes.set_title(
+                    column.stack.title,
+                    fontsize=10,
+                    loc="left",
+                    color=colour_of("ink"),
+                    pad=6 + 14 * legend_rows,
+                )
     return made
 
 
@@ -166,13 +171,13 @@ def _vertical(figure: Figure, columns: Sequence[_Column], column: _Column, row: 
 
 
 def _style(axes: Axes) -> None:
-    axes.set_facecolor(LIGHT.colour("paper"))
-    axes.grid(True, color=LIGHT.colour("grid"), linewidth=0.6)
+    axes.set_facecolor(colour_of("paper"))
+    axes.grid(True, color=colour_of("grid"), linewidth=0.6)
     axes.set_axisbelow(True)
-    axes.tick_params(colors=LIGHT.colour("ink"), labelsize=8.5, length=0)
+    axes.tick_params(colors=colour_of("ink"), labelsize=8.5, length=0)
     for side, spine in axes.spines.items():
         spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(LIGHT.colour("grid"))
+        spine.set_color(colour_of("grid"))
 
 
 def _draw_panel(axes: Axes, panel: Panel, column: _Column, limits: View, is_lowest: bool) -> None:
@@ -185,8 +190,8 @@ def _draw_panel(axes: Axes, panel: Panel, column: _Column, limits: View, is_lowe
     axes.set_ylim(*limits)
     _spans(axes, panel.spans, column.width)
     for band in panel.bands:
-        colour = LIGHT.colour(band.role)
-        axes.fill_between(band.x, band.low, band.high, color=colour, alpha=0.15, lw=0)
+        look: dict[str, Any] = {"color": colour_of(band.role), "alpha": 0.15, "lw": 0}
+        axes.fill_between(band.x, band.low, band.high, **look)
     for rule in panel.rules:
         _rule(axes, rule)
     _series(axes, panel)
@@ -205,14 +210,14 @@ def _draw_panel(axes: Axes, panel: Panel, column: _Column, limits: View, is_lowe
         axes.grid(False, axis="x")
     axes.tick_params(labelbottom=is_lowest)
     if is_lowest:
-        axes.set_xlabel(stack.axis, color=LIGHT.colour("ink"), fontsize=9)
+        axes.set_xlabel(stack.axis, color=colour_of("ink"), fontsize=9)
 
 
 def _series(axes: Axes, panel: Panel) -> None:
     for order, s in enumerate(panel.series):
         style = {"linestyle": DASHES["dashed" if s.dashed else "solid"]} | STYLES[s.style]
         axes.plot(
-            s.x, s.y, color=LIGHT.colour(s.role), linewidth=s.width, markersize=2.0 + 1.2 * s.width,
+            s.x, s.y, color=colour_of(s.role), linewidth=s.width, markersize=2.0 + 1.2 * s.width,
             label=s.label or "_", zorder=3 + 0.01 * order, **style,
         )  # fmt: skip
 
@@ -235,7 +240,7 @@ def _spans(axes: Axes, spans: Sequence[Span], width: float) -> None:
         if span.label:
             labels.append((span, a, b))
     for (role, style, is_bounded), corners in looks.items():
-        colour = LIGHT.colour(role)
+        colour = colour_of(role)
         frame: dict[str, Any] = {"facecolors": "none", "edgecolors": colour, "linewidths": 3}
         how: dict[str, Any] = {
             "solid": {"facecolors": colour, "edgecolors": colour, "linewidths": 0.7},
@@ -260,7 +265,7 @@ def _span_label(axes: Axes, span: Span, view: View, points: float) -> None:
     turned = LETTER * size * len(span.label) > room
     if turned and room < 6.5:
         return
-    box = {"facecolor": LIGHT.colour("paper"), "edgecolor": "none", "pad": 0.8, "alpha": 0.8}
+    box = {"facecolor": colour_of("paper"), "edgecolor": "none", "pad": 0.8, "alpha": 0.8}
     axes.text(
         0.5 * (view[0] + view[1]), 0.5 * (span.low + span.high) if isfinite(span.low) else axes.get_ylim()[0],
         span.label, ha="center", va="center", fontsize=size, rotation=90 if turned else 0,
@@ -271,15 +276,15 @@ def _span_label(axes: Axes, span: Span, view: View, points: float) -> None:
 def _ink_on(span: Span) -> str:
     """Return black or white, whichever is easier to read on the span's colour."""
     if span.style != "solid":
-        return LIGHT.colour("ink")
-    colour = LIGHT.colour(span.role)
+        return colour_of("ink")
+    colour = colour_of(span.role)
     red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
     return "#1a1a1a" if 0.299 * red + 0.587 * green + 0.114 * blue > 110 else "#ffffff"
 
 
 def _rule(axes: Axes, rule: Rule) -> None:
     across = rule.axis == "y"
-    colour, width = LIGHT.colour(rule.role), 1.4 if rule.style == "solid" else 0.9
+    colour, width = colour_of(rule.role), 1.4 if rule.style == "solid" else 0.9
     line = axes.axhline if across else axes.axvline
     line(rule.at, color=colour, linewidth=width, linestyle=DASHES[rule.style], zorder=1)
     if not rule.text:
@@ -300,8 +305,8 @@ def _note(axes: Axes, note: Note) -> None:
         note.text, (note.x, note.y), xytext=({"left": 4, "center": 0, "right": -4}[note.align], note.up),
         textcoords="offset points", ha=note.align,
         va="center" if note.up == 0.0 else "bottom" if note.up > 0.0 else "top",
-        fontsize=8.5, weight="bold" if note.bold else "normal", color=LIGHT.colour(note.role),
-        path_effects=[withStroke(linewidth=2.5, foreground=LIGHT.colour("paper"))], zorder=7, annotation_clip=True,
+        fontsize=8.5, weight="bold" if note.bold else "normal", color=colour_of(note.role),
+        path_effects=[withStroke(linewidth=2.5, foreground=colour_of("paper"))], zorder=7, annotation_clip=True,
     )  # fmt: skip
 
 
@@ -311,14 +316,14 @@ def _legend(axes: Axes, panel: Panel, width: float) -> int:
 
     lines, _ = axes.get_legend_handles_labels()
     handles: list[Any] = list(lines)
-    handles += [Patch(color=LIGHT.colour(role), label=text) for text, role in panel.keys]
+    handles += [Patch(color=colour_of(role), label=text) for text, role in panel.keys]
     if len(handles) < 2 and not panel.keys:
         return 0
     longest = max(len(h.get_label()) for h in handles)
     fits = max(1, int(72 * width / (LETTER * 8 * longest + 40)))
     axes.legend(
         handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(fits, len(handles)),
-        fontsize=8, frameon=False, labelcolor=LIGHT.colour("ink"), borderaxespad=0.1, handlelength=1.6, borderpad=0.2,
+        fontsize=8, frameon=False, labelcolor=colour_of("ink"), borderaxespad=0.1, handlelength=1.6, borderpad=0.2,
     )  # fmt: skip
     return -(-len(handles) // fits)
 
@@ -328,7 +333,7 @@ def _name(axes: Axes, panel: Panel) -> None:
     if panel.ticks and not panel.unit:
         return
     text = f"{panel.title}, {panel.unit}" if panel.unit else panel.title
-    axes.set_ylabel(fill(text, max(12, panel.height // 6)), color=LIGHT.colour("ink"), fontsize=9)
+    axes.set_ylabel(fill(text, max(12, panel.height // 6)), color=colour_of("ink"), fontsize=9)
 
 
 def _colour_bar(made: Drawing, axes: Axes, panel: Panel) -> None:
@@ -350,5 +355,5 @@ def _overview(axes: Axes, panel: Panel, columns: Sequence[_Column]) -> None:
     _draw_panel(axes, panel, whole, limits, True)
     axes.set_xlabel("")
     for column in columns:
-        axes.axvspan(*column.view, color=LIGHT.colour("band"), zorder=0)
+        axes.axvspan(*column.view, color=colour_of("band"), zorder=0)
     axes.tick_params(labeltop=True, labelbottom=False)

@@ -14,7 +14,7 @@ from typing import Any
 
 from sil.files.quantity import limits, quantity
 from sil.report.plots import Group
-from sil.report.theme import DARK, LIGHT
+from sil.report.theme import THEMES
 
 HERE = Path(__file__).parent
 WIDE = 1000
@@ -82,13 +82,12 @@ def render(template: str, head: Head, groups: Sequence[Group] = (), **values: An
 def _library() -> dict[str, str]:
     """Return what plots need in the page, once."""
     uplot = (HERE / "uplot" / "uPlot.min.js").read_text(encoding="utf-8")
-    themes = {theme.name: theme.roles for theme in (LIGHT, DARK)}
     return {
         # its banner names its home; a page without any address clearly needs no network
         "uplot": uplot.replace("https://", ""),
         "style": (HERE / "uplot" / "uPlot.min.css").read_text(encoding="utf-8"),
         "script": (HERE / "plots.js").read_text(encoding="utf-8"),
-        "themes": json.dumps(themes, separators=(",", ":")),
+        "themes": json.dumps(THEMES, separators=(",", ":")),
     }
 
 

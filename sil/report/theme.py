@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 _COLOURS = {
     "paper": ("#ffffff", "#14171a"),
     "ink": ("#1a1a1a", "#eceff1"),
@@ -38,23 +36,14 @@ SERIES = 8
 """Number of the roles series0, series1, ... for whatever has no other role."""
 
 
-@dataclass(frozen=True)
-class Theme:
-    """The colours of one look by their role."""
-
-    name: str
-    roles: dict[str, str]
-
-    def colour(self, role: str) -> str:
-        """Return the colour of a role; "#rrggbb" is its own. Raises KeyError for an unknown role."""
-        return role if role.startswith("#") else self.roles[role]
-
-
-LIGHT, DARK = (
-    Theme(
-        name,
-        {role: colours[k] for role, colours in _COLOURS.items()}
-        | {f"series{n}": colour for n, colour in enumerate(_SERIES[name].split())},
-    )
+THEMES = {
+    name: {role: colours[k] for role, colours in _COLOURS.items()}
+    | {f"series{n}": colour for n, colour in enumerate(_SERIES[name].split())}
     for k, name in enumerate(("light", "dark"))
-)
+}
+"""The colours of each look by their role; pictures have the light one."""
+
+
+def colour_of(role: str) -> str:
+    """Return the colour of a role in pictures; "#rrggbb" is its own. Raises KeyError for another."""
+    return role if role.startswith("#") else THEMES["light"][role]

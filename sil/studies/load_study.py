@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from msgspec import structs
 
@@ -12,7 +13,7 @@ from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
 from sil.simulation import scenario
 from sil.studies.rows import columns
-from sil.studies.study import DRAWN, MOST_ROWS, Base, LoadedStudy, Study, Sweep, groups_of
+from sil.studies.study import DRAWN, MOST_ROWS, LoadedStudy, Study, Sweep, groups_of
 
 SHIPPED = Path(__file__).parent / "shipped"
 BASES = {
@@ -57,7 +58,7 @@ def load_study(where: str, effects: Sequence[str] = ()) -> LoadedStudy:
     return loaded
 
 
-def base_of(study: Study, path: Path) -> Base | None:
+def base_of(study: Study, path: Path) -> tuple[dict[str, Any], Path] | None:
     """Read the scenario that a study names: a file in the study's folder, else a shipped one.
 
     Raises InputError for a scenario that cannot be read.
@@ -69,7 +70,7 @@ def base_of(study: Study, path: Path) -> Base | None:
         table, found = scenario.read(str(near) if near.is_file() else study.scenario)
     except InputError as error:
         raise InputError(f"{path}: scenario: {error}") from None
-    return Base(table, str(found), str(found.parent))
+    return table, found
 
 
 def check_shape(study: Study, source: str) -> None:

@@ -28,7 +28,7 @@ from sil.studies.lower_bound_enclosures import (
     map_coefficients,
     stop_speed,
 )
-from sil.studies.policies import Family, FamilyModel
+from sil.studies.policies import GEARBOX, FamilyModel
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -78,27 +78,22 @@ class Leaf:
 
 
 class HeldModel:
-    """The held actuator of a family's loads, for enclosures; delay_s: of the information, from 0.
+    """The held actuator of the gearbox's loads, for enclosures; delay_s: of the information, from 0.
 
     extra_s: how much later than the plain push a load may arrive. Raises InputError for a model that
     the proof does not cover.
     """
 
-    def __init__(
-        self, parameters: ParameterSet, family: Family, delay_s: float, extra_s: float
-    ) -> None:
-        if parameters.effects or family.revealed_by != "unblock":
-            raise InputError(
-                "bound: expected the gearbox's loads and a model without effects, "
-                "which the proof of the lower bound covers"
-            )
+    def __init__(self, parameters: ParameterSet, delay_s: float, extra_s: float) -> None:
+        if parameters.effects:
+            raise InputError("bound: expected a model without effects, which the proof covers")
         alpha_1, alpha_2 = (parameters.value(f"alpha.alpha_{k}") for k in (1, 2))
         if not 0.0 < alpha_1 <= alpha_2:
             raise InputError("alpha: expected 0 < alpha_1 <= alpha_2, as the lower bound needs")
         self.parameters = parameters
         self.delay_s = delay_s
-        model = FamilyModel(parameters, family, delay_s, extra_s)
-        setups = [make_setup(parameters, case) for case in family.cases]
+        model = FamilyModel(parameters, GEARBOX, delay_s, extra_s)
+        setups = [make_setup(parameters, case) for case in GEARBOX.cases]
         p = setups[-1].p
         self.maps = map_coefficients(parameters, p)
         check_maps(self.maps)
@@ -122,12 +117,8 @@ class HeldModel:
         """Prepare volumes, barrier and the fastest motion over the position."""
         held_m = p.x_block
         counts = [round((b - a) / STEP_M) for a, b in ((held_m, p.x_mesh), (p.x_mesh, p.stroke))]
-        x = np.concatenate(
-            [
-                np.linspace(held_m, p.x_mesh, counts[0] + 1),
-                np.linspace(p.x_mesh, p.stroke, counts[1] + 1)[1:],
-            ]
-        )
+        to_mesh = np.linspace(held_m, p.x_mesh, counts[0] + 1)
+        x = np.append(to_mesh, np.linspace(p.x_mesh, p.stroke, counts[1] + 1)[1:])
         volume_b = p.vol_b + p.area_p * (x + p.x_free) + p.area_s * x
         volume_n = p.vol_n - p.area_p * (x + p.x_free)
         gas, gas_out = p.r_air * p.alpha_m1, p.r_air * p.alpha_m2

@@ -245,26 +245,18 @@ class Row:
         return own, others
 
 
-class Base(msgspec.Struct, frozen=True):
-    """The parsed scenario of a closed-loop study, its file's name and its folder."""
-
-    table: dict[str, Any]
-    source: str
-    folder: str
-
-
 @dataclass(frozen=True)
 class LoadedStudy:
     """A study with its file and its rows; `base` is its scenario, if it has one."""
 
     study: Study
     source: str
-    base: Base | None = None
+    base: tuple[dict[str, Any], Path] | None = None
 
     @cached_property
     def digest(self) -> str:
         """Return the hash of everything that decides the rows."""
-        table = None if self.base is None else self.base.table
+        table = self.base[0] if self.base else None
         text = json.dumps([msgspec.to_builtins(self.study), table], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -291,13 +283,14 @@ class LoadedStudy:
         from sil.simulation.scenario import from_table
 
         assert self.base is not None
+        table, path = self.base
         return from_table(
-            self.base.table,
-            self.base.source,
+            table,
+            str(path),
             model=None if self.study.model == "nominal" else self.study.model,
             settings=settings,
             seed=self.study.seed,
-            folder=Path(self.base.folder),
+            folder=path.parent,
         )
 
     @property

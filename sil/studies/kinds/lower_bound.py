@@ -51,7 +51,7 @@ def _held_model(study: LoadedStudy, row: Row) -> HeldModel:
     delay_s = number("delay_s", own.get("delay_s"), 0.0)
     extra_s = number("extra_s", own.get("extra_s", study.study.bounds.extra_s), 0.0)
     parameters = load(study.study.model).override(model)  # type: ignore[arg-type]
-    return HeldModel(parameters, GEARBOX, delay_s, extra_s)
+    return HeldModel(parameters, delay_s, extra_s)
 
 
 def _found_m_s(held: HeldModel, settings: Mapping[str, object]) -> float:

@@ -11,7 +11,7 @@ from jinja2 import UndefinedError
 import sil.report
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
-from sil.report.theme import DARK, LIGHT, Theme
+from sil.report.theme import THEMES
 from tests.unit.sil.report.test_figure import everything
 
 TEMPLATES = sorted(Path(sil.report.__path__[0]).glob("*.html"))
@@ -57,9 +57,9 @@ def contrast(one: str, other: str) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-@pytest.mark.parametrize("theme", [LIGHT, DARK], ids=lambda theme: theme.name)
-def test_text_and_lines_stand_out_from_the_paper(theme: Theme) -> None:
-    paper = theme.colour("paper")
+@pytest.mark.parametrize("theme", THEMES.values(), ids=list(THEMES))
+def test_text_and_lines_stand_out_from_the_paper(theme: dict[str, str]) -> None:
+    paper = theme["paper"]
     least = {"ink": 7.0, "faint": 4.5}
     for role in (
         "ink",
@@ -72,4 +72,4 @@ def test_text_and_lines_stand_out_from_the_paper(theme: Theme) -> None:
         "after",
         *"BNF",
     ):
-        assert contrast(theme.colour(role), paper) > least.get(role, 2.8), role
+        assert contrast(theme[role], paper) > least.get(role, 2.8), role

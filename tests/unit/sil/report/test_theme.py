@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sil.report.theme import DARK, LIGHT, SERIES, Theme
+from sil.report.theme import SERIES, THEMES
 
 # Machado, Oliveira, Fernandes 2009, severity 1; on linear light
 VISION = {
@@ -45,8 +45,8 @@ def lab(colour: str, vision: str) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("vision", VISION)
-@pytest.mark.parametrize("theme", [LIGHT, DARK], ids=lambda theme: theme.name)
-def test_lines_that_share_a_panel_stay_apart(theme: Theme, vision: str) -> None:
+@pytest.mark.parametrize("theme", THEMES.values(), ids=list(THEMES))
+def test_lines_that_share_a_panel_stay_apart(theme: dict[str, str], vision: str) -> None:
     panels = (
         ["truth", "estimate", "alarm"],
         list("BNF"),
@@ -54,7 +54,7 @@ def test_lines_that_share_a_panel_stay_apart(theme: Theme, vision: str) -> None:
         [f"series{k}" for k in range(SERIES)],
     )
     for roles in panels:
-        colours = [theme.colour(role) for role in roles]
+        colours = [theme[role] for role in roles]
         for one, other in combinations(colours, 2):
             apart = np.linalg.norm(lab(one, vision) - lab(other, vision))
             assert apart > LEAST_APART, (one, other)

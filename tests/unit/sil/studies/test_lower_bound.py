@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
+from plant.effects import overridden
 from plant.parameters import load as load_parameters
 from sil.studies.lower_bound import HeldModel, Node, certificate
 from sil.studies.lower_bound_enclosures import STEP_S, charge, check_maps, discharge, stop_speed
-from sil.studies.policies import GEARBOX, LABORATORY, FamilyModel, Layout
+from sil.studies.policies import GEARBOX, FamilyModel, Layout
 from tests.unit.sil.studies.lower_bound_checker import arrival, flow_in, flow_out, uncovered
 
 PARAMETERS = load_parameters("nominal")
@@ -24,7 +25,7 @@ CERTIFIED = {0.048: 0.83, 0.01: 0.76}
 
 @pytest.fixture(scope="module")
 def held() -> HeldModel:
-    return HeldModel(PARAMETERS, GEARBOX, 0.048, 0.03)
+    return HeldModel(PARAMETERS, 0.048, 0.03)
 
 
 @pytest.fixture(scope="module")
@@ -164,12 +165,13 @@ def test_nothing_is_proven_above_a_policy_that_exists(held: HeldModel) -> None:
 
 
 def test_less_is_proven_with_earlier_information() -> None:
-    early = HeldModel(PARAMETERS, GEARBOX, 0.01, 0.03)
+    early = HeldModel(PARAMETERS, 0.01, 0.03)
     assert early.prove(CERTIFIED[0.048], most=20_000) is None
 
 
 def test_what_the_proof_does_not_cover_is_refused() -> None:
-    with pytest.raises(InputError, match="gearbox's loads"):
-        HeldModel(PARAMETERS, LABORATORY, 0.048, 0.03)
+    changed = overridden(PARAMETERS, {"effect.exhaust_clog.factor": 0.5})
+    with pytest.raises(InputError, match="without effects"):
+        HeldModel(changed, 0.048, 0.03)
     with pytest.raises(InputError, match="alpha_1 <= alpha_2"):
-        HeldModel(PARAMETERS.override({"alpha.alpha_1": 1.2}), GEARBOX, 0.048, 0.03)
+        HeldModel(PARAMETERS.override({"alpha.alpha_1": 1.2}), 0.048, 0.03)
