@@ -58,7 +58,10 @@ def test_a_study_of_budgets(tmp_path: Path) -> None:
         for bar in BARS:
             measured, exact = float(row[simulated(bar)]), float(row[closed(bar)])
             assert measured == pytest.approx(exact, rel=0.03, abs=3e-4)
+        assert float(row["closed_spent_s"]) == pytest.approx(spent_s, rel=0.02)
     assert float(plain[simulated("filter")]) == 0.0 < float(today[simulated("filter")])
+    for name in map(simulated, set(BARS) - {"filter"}):
+        assert float(plain[name]) == pytest.approx(float(today[name]), abs=3e-4)
     assert (tmp_path / "out" / "budget.png").read_bytes()[:4] == b"\x89PNG"
 
 
