@@ -16,16 +16,17 @@ from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
 from plant.batch.batch import Strokes, simulate_batch
-from plant.kernel.layout import EventRow, LengthState, Parameters
+from plant.kernel.compiled import plain
+from plant.kernel.layout import EventRow, FlowMap, LengthState, Parameters
+from plant.kernel.packing import flow_coefficients
 from plant.parameters import ParameterSet
+from plant.parts.flow import discharge
 from plant.systems.setup import make_setup
 from sil.studies.lower_bound_enclosures import (
     SLACK_N,
     STEP_S,
     chamber_bounds,
     check_maps,
-    discharge,
-    map_coefficients,
     stop_speed,
 )
 from sil.studies.policies import GEARBOX, FamilyModel
@@ -95,8 +96,9 @@ class HeldModel:
         model = FamilyModel(parameters, GEARBOX, delay_s, extra_s)
         setups = [make_setup(parameters, case) for case in GEARBOX.cases]
         p = setups[-1].p
-        self.maps = map_coefficients(parameters, p)
-        check_maps(self.maps)
+        flow = flow_coefficients(parameters)
+        check_maps(FlowMap(flow), p.p_supply, p.p_atm)
+        self.air = p.p_supply, p.p_atm, flow
         self.impulse_n_s = [setup.p.sync_impulse for setup in setups]
         self.limit_s = model.limit_s + LATE_S
         delays_s = parameters.value("valve.D_fall"), parameters.value("valve.D_rise")
@@ -146,7 +148,8 @@ class HeldModel:
             ]
         )
         p_f = float(self.state[LengthState.p_f]) + 1.0
-        while gas_out * discharge(p_f, self.maps) < p.alpha_2 * p_f * p.area_s * speed.max():
+        squeezed, flow = p.alpha_2 * p.area_s * speed.max(), FlowMap(self.air[2])
+        while gas_out * plain(discharge)(p_f, p.p_atm, flow) < squeezed * p_f:
             p_f += 100.0
         self.body = (area, p.area_p, p.area_s, mass, run_n, p.beta_s + p.beta_p, static_n, p_f)
 
@@ -155,10 +158,9 @@ class HeldModel:
     ) -> tuple[Floats, Floats]:
         low, high = np.empty(self.steps + 1), np.empty(self.steps + 1)
         pressure_pa = float(self.state[index])
-        atmosphere = max(self.maps[12], pressure_pa - 10.0)
-        chamber_bounds(
-            surely, possibly, atmosphere, pressure_pa + 10.0, *rates, self.maps, low, high
-        )
+        atmosphere = max(self.air[1], pressure_pa - 10.0)
+        high_pa = pressure_pa + 10.0
+        chamber_bounds(surely, possibly, atmosphere, high_pa, *rates, self.air, low, high)
         return low, high
 
     def _opened(self, node: Node) -> tuple[Bools, Bools]:
@@ -183,7 +185,7 @@ class HeldModel:
         low_n, high_n = self._chamber(*self._opened(node), LengthState.p_n, self.rates)
         area, area_p, area_s = self.body[:3]
         most = area * np.maximum(high_b[1:], high_b[:-1])
-        most -= area_p * np.minimum(low_n[1:], low_n[:-1]) + area_s * self.maps[12]
+        most -= area_p * np.minimum(low_n[1:], low_n[:-1]) + area_s * self.air[1]
         least = area * np.minimum(low_b[1:], low_b[:-1])
         least -= area_p * np.maximum(high_n[1:], high_n[:-1]) + area_s * self.body[7]
         impulse = float(self.state[LengthState.impulse])
@@ -199,9 +201,8 @@ class HeldModel:
             end = max(begin, min(end, int(latest_s / STEP_S) + 1, self.steps))
             last = load == len(self.impulse_n_s) - 1
             own = 0 if last else min(self.own, self.steps)
-            speed = stop_speed(
-                low_b, high_n, begin, end, own, self.rates[0], self.maps, self.path, self.body
-            )
+            fixed = self.rates[0], self.air, self.path, self.body
+            speed = stop_speed(low_b, high_n, begin, end, own, *fixed)
             if speed > worst:
                 worst, which = speed, load
         return worst, which

@@ -7,15 +7,14 @@ Each function names the lemma of docs/explanation/lower_bound.md that it uses.
 
 from __future__ import annotations
 
-from typing import Any
-
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
-from plant.kernel.layout import Parameters
-from plant.parameters import ParameterSet
+from plant.kernel.compiled import kernel
+from plant.kernel.layout import FlowMap
+from plant.kernel.record_views import flow_map
+from plant.parts.flow import charge, discharge
 
 Floats = NDArray[np.float64]
 
@@ -25,61 +24,35 @@ SLACK_PA, SLACK_N = 1e-3, 1e-3
 MAP_SLACK = 2e-3
 """Share by which compared pressures may differ: f_out(P)/P is monotone but for a quarter of it."""
 
-compiled: Any = numba.njit(cache=True)
-"""All compiled functions are in this file, so that numba's cache notices every edit."""
 
-
-@compiled
-def charge(p_pa, maps):
-    """Return f_in(P) [K kg/s], 0 above the supply."""
-    y = max(p_pa / maps[0], maps[1])
-    if y > 1.0:
-        return 0.0
-    if y < maps[2]:
-        return maps[0] * (maps[3] + y * (maps[4] + y * (maps[5] + y * maps[6])))
-    return maps[0] * (maps[7] + y * (maps[8] + y * (maps[9] + y * (maps[10] + y * maps[11]))))
-
-
-@compiled
-def discharge(p_pa, maps):
-    """Return f_out(P) [K kg/s], 0 below the atmosphere."""
-    z = p_pa / maps[12]
-    if z < 1.0:
-        return 0.0
-    if z < maps[13]:
-        return maps[12] * (
-            maps[14] + z * (maps[15] + z * (maps[16] + z * (maps[17] + z * maps[18])))
-        )
-    return maps[12] * (maps[19] + z * (maps[20] + z * maps[21]))
-
-
-@compiled
-def chamber_bounds(surely, possibly, low_pa, high_pa, fill, vent, maps, low, high):
+@kernel
+def chamber_bounds(surely, possibly, low_pa, high_pa, fill, vent, air, low, high):
     """Enclose the pressure of a chamber of constant volume [Pa] -> low, high [steps + 1].
 
     surely, possibly: steps in which its valve is open under all, under some of the commands.
-    fill, vent: R alpha_m / V [1/(K kg) Pa]. f_in falls and f_out grows with the pressure (Lemma 1).
+    fill, vent: R alpha_m / V [1/(K kg) Pa]; air: supply, atmosphere [Pa], `FlowMap`. f_in falls and f_out grows with the pressure (Lemma 1).
     """
-    atmosphere = maps[12]
+    supply, atmosphere, c = air[0], air[1], flow_map(air[2])
     low[0], high[0] = low_pa, high_pa
     for i in range(len(surely)):
         if surely[i]:
-            top = low_pa + STEP_S * fill * charge(low_pa, maps)
-            low_pa += STEP_S * fill * charge(top, maps)
+            top = low_pa + STEP_S * fill * max(charge(low_pa, supply, c), 0.0)
+            low_pa += STEP_S * fill * max(charge(top, supply, c), 0.0)
         else:
-            low_pa -= STEP_S * vent * discharge(low_pa, maps)
+            low_pa -= STEP_S * vent * max(discharge(low_pa, atmosphere, c), 0.0)
         if possibly[i]:
-            high_pa += STEP_S * fill * charge(high_pa, maps)
+            high_pa += STEP_S * fill * max(charge(high_pa, supply, c), 0.0)
         else:
-            bottom = max(high_pa - STEP_S * vent * discharge(high_pa, maps), atmosphere)
-            high_pa -= STEP_S * vent * discharge(bottom, maps)
+            out = max(discharge(high_pa, atmosphere, c), 0.0)
+            bottom = max(high_pa - STEP_S * vent * out, atmosphere)
+            high_pa -= STEP_S * vent * max(discharge(bottom, atmosphere, c), 0.0)
         low_pa = max(low_pa - SLACK_PA, atmosphere)
         high_pa += SLACK_PA
         low[i + 1], high[i + 1] = low_pa, high_pa
 
 
-@compiled
-def extremes(low_b, high_n, begin, end, from_s, to_s, own, fill, maps):
+@kernel
+def extremes(low_b, high_n, begin, end, from_s, to_s, own, fill, air):
     """Return the lowest P_B and highest P_N [Pa] of the held actuator some time after the release.
 
     begin, end: first and last step of the release; from_s, to_s: time after it. own: steps after
@@ -96,12 +69,13 @@ def extremes(low_b, high_n, begin, end, from_s, to_s, own, fill, maps):
         for i in range(max(min(begin + own - 1, last), 0), min(end + own, last) + 1):
             p_b = min(p_b, low_b[i])
             p_n = max(p_n, high_n[i])
-        p_n += max(0.0, to_s - (own - 2) * STEP_S) * fill * charge(p_n, maps)
-    return max(p_b, maps[12]), p_n
+        alone_s = max(0.0, to_s - (own - 2) * STEP_S)
+        p_n += alone_s * fill * max(charge(p_n, air[0], flow_map(air[2])), 0.0)
+    return max(p_b, air[1]), p_n
 
 
-@compiled
-def stop_speed(low_b, high_n, begin, end, own, fill, maps, path, body):
+@kernel
+def stop_speed(low_b, high_n, begin, end, own, fill, air, path, body):
     """Return a speed [m/s] that the stay has at least at its stop; 0 if it may turn back (Lemma 4).
 
     path [6, x]: position, volume ratios of B and N to the power 1.05, barrier, earliest time, in SI
@@ -115,7 +89,7 @@ def stop_speed(low_b, high_n, begin, end, own, fill, maps, path, body):
         after = 0.0
         for _ in range(60):
             p_b, p_n = extremes(
-                low_b, high_n, begin, end, path[4, i], time_s + guess_s, own, fill, maps
+                low_b, high_n, begin, end, path[4, i], time_s + guess_s, own, fill, air
             )
             drive = (1.0 - MAP_SLACK) * path[1, i + 1] * area * p_b
             drive -= (1.0 + MAP_SLACK) * path[2, i + 1] * area_p * p_n + area_s * p_f + path[3, i]
@@ -137,44 +111,31 @@ def stop_speed(low_b, high_n, begin, end, own, fill, maps, path, body):
     return speed
 
 
-def map_coefficients(parameters: ParameterSet, p: Parameters) -> Floats:
-    """Return supply, limits and polynomials of both flow maps, in SI units, as `charge` takes them [22]."""
-    value, values = parameters.value, parameters.values
-    charging = ("flow_charge.y_min", "flow_charge.y_split")
-    return np.array(
-        [
-            p.p_supply,
-            *(value(name) for name in charging),
-            *values("flow_charge.c_high"),
-            *values("flow_charge.c_low"),
-            p.p_atm,
-            value("flow_discharge.z_split"),
-            *values("flow_discharge.c_low"),
-            *values("flow_discharge.c_high"),
-        ]
-    )
-
-
-def check_maps(maps: Floats) -> None:
-    """Refuse flow maps [22], in SI units, without the monotony that Lemma 1 and 2 need. Raises InputError.
+def check_maps(c: FlowMap, supply_pa: float, atmosphere_pa: float) -> None:
+    """Refuse flow maps without the monotony that Lemma 1 and 2 need. Raises InputError.
 
     The slope between the points of a fine grid is bounded by the greatest second derivative.
     """
-    supply, y_min, y_split, atmosphere, z_split = maps[[0, 1, 2, 12, 13]]
-    top = 1.1 * supply / atmosphere
+    top = 1.1 * supply_pa / atmosphere_pa
     pieces = (
-        (maps[3:7], y_min, y_split, -1.0),
-        (maps[7:12], y_split, 1.0, -1.0),
-        (maps[14:19], 1.0, z_split, 1.0),
-        (maps[19:22], z_split, top, 1.0),
+        (c.charge_high, c.y_min, c.y_split, -1.0),
+        (c.charge_low, c.y_split, 1.0, -1.0),
+        (c.discharge_low, 1.0, c.z_split, 1.0),
+        (c.discharge_high, c.z_split, top, 1.0),
     )
-    wrong = [k for k, piece in enumerate(pieces) if not is_monotone(*piece)]
-    joints = (maps[3:7], maps[7:12], y_split), (maps[14:19], maps[19:22], z_split)
-    jumps = [abs(np.polyval(a[::-1], at) / np.polyval(b[::-1], at) - 1.0) for a, b, at in joints]
+    monotone = all(is_monotone(*piece) for piece in pieces)
+    value = np.polynomial.polynomial.polyval
+    jumps = [
+        abs(value(at, a) / value(at, b) - 1.0)
+        for a, b, at in (
+            (c.charge_high, c.charge_low, c.y_split),
+            (c.discharge_low, c.discharge_high, c.z_split),
+        )
+    ]
     z = np.linspace(1.0, top, 20_000)
-    share = np.array([discharge(atmosphere * each, maps) for each in z]) / z
+    share = np.where(z < c.z_split, value(z, c.discharge_low), value(z, c.discharge_high)) / z
     falls = np.maximum.accumulate(share) > (1.0 + 0.25 * MAP_SLACK) * share
-    if wrong or max(jumps) > 1e-6 or falls[1:].any():
+    if not monotone or max(jumps) > 1e-6 or falls[1:].any():
         raise InputError(
             "bound: expected flow maps of which f_in falls and f_out and f_out/P grow with P, "
             "which the proof of the lower bound covers"

@@ -12,9 +12,12 @@ import pytest
 
 from can_dbc.errors import InputError
 from plant.effects import overridden
+from plant.kernel.compiled import plain
+from plant.kernel.layout import FlowMap
 from plant.parameters import load as load_parameters
+from plant.parts.flow import charge, discharge
 from sil.studies.lower_bound import HeldModel, Node, certificate
-from sil.studies.lower_bound_enclosures import STEP_S, charge, check_maps, discharge, stop_speed
+from sil.studies.lower_bound_enclosures import STEP_S, check_maps, stop_speed
 from sil.studies.policies import GEARBOX, FamilyModel, Layout
 from tests.unit.sil.studies.lower_bound_checker import arrival, flow_in, flow_out, uncovered
 
@@ -60,17 +63,16 @@ def commands_of(
 
 def test_a_constant_force_gives_the_closed_form(held: HeldModel) -> None:
     """Toy with a known answer: no flows, no change of pressure, no friction: v = sqrt(2 F s / m)."""
-    maps = held.maps.copy()
-    maps[3:12] = maps[14:] = 0.0
+    air = *held.air[:2], np.zeros_like(held.air[2])
     path = np.zeros((5, 201))
     path[0], path[1], path[2] = np.linspace(0.0, 0.008, 201), 1.0, 1.0
     low_b, high_n = np.full(400, 6e5), np.full(400, 2e5)
     body = (2e-3, 1e-3, 0.0, 10.0, 0.0, 0.0, 0.0, 1e5)
-    found = stop_speed(low_b, high_n, 0, 1, 0, held.rates[0], maps, path, body)
+    found = stop_speed(low_b, high_n, 0, 1, 0, held.rates[0], air, path, body)
     exact = math.sqrt(2.0 * (2e-3 * 6e5 - 1e-3 * 2e5) * 0.008 / 10.0)
     assert 0.99 * exact < found < exact
     body = (2e-3, 1e-3, 0.0, 10.0, 0.0, 0.0, 1001.0, 1e5)
-    assert stop_speed(low_b, high_n, 0, 1, 0, held.rates[0], maps, path, body) == 0.0
+    assert stop_speed(low_b, high_n, 0, 1, 0, held.rates[0], air, path, body) == 0.0
 
 
 def test_without_commands_the_plain_push_is_enclosed(held: HeldModel) -> None:
@@ -81,13 +83,14 @@ def test_without_commands_the_plain_push_is_enclosed(held: HeldModel) -> None:
 
 
 def test_maps_are_those_of_the_model_and_monotone(held: HeldModel) -> None:
+    supply_pa, atmosphere_pa, known = held.air
+    flow = FlowMap(known.copy())
     for pressure in np.linspace(1.02e5, 8.9e5, 50):
-        assert charge(pressure, held.maps) == pytest.approx(flow_in(pressure), rel=1e-9)
-        assert discharge(pressure, held.maps) == pytest.approx(flow_out(pressure), rel=1e-9)
-    wrong = held.maps.copy()
-    wrong[8] += 1e-5
+        assert plain(charge)(pressure, supply_pa, flow) == pytest.approx(flow_in(pressure))
+        assert plain(discharge)(pressure, atmosphere_pa, flow) == pytest.approx(flow_out(pressure))
+    flow.charge_low[1] += 1e-5
     with pytest.raises(InputError, match="expected flow maps"):
-        check_maps(wrong)
+        check_maps(flow, supply_pa, atmosphere_pa)
 
 
 def test_every_command_is_in_a_leaf(given: dict[str, Any]) -> None:
