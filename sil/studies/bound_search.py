@@ -272,9 +272,9 @@ class Search:
     def refine(self, member: Member, steps: int) -> Member:
         """Return a member after some steps of the sequential linear programme."""
         reach = 0.1
-        if not (member.segments[..., 1::2] > 0.0).any():
-            return member
         for _step in range(steps):
+            if not (member.segments[..., 1::2] > 0.0).any():
+                return member
             active, first, second = self.slopes(member)
             if not np.isfinite(second.late_s[0]).all():
                 return member

@@ -51,6 +51,8 @@ def load_study(where: str, effects: Sequence[str] = ()) -> LoadedStudy:
         from plant.effects.user_file import load_effects
 
         study = structs.replace(study, effects=[load_effects(file) for file in files])
+    if study.kind == "learned" and study.truck is None:
+        study = structs.replace(study, truck=load_study("learned").study.truck)
     for check in (check_shape, check_names, check_size):
         check(study, str(path))
     loaded = LoadedStudy(study, str(path), base_of(study, path))
@@ -80,10 +82,8 @@ def check_shape(study: Study, source: str) -> None:
         raise InputError(f"{source}: expected {expected}, where kind is {study.kind}")
     if study.kind == "tuning" and not (study.load and study.strategy):
         raise InputError(f"{source}: a tuning needs [[load]] and [[strategy]]; expected both")
-    if study.kind == "learned" and not (study.truck and study.strategy):
-        raise InputError(
-            f"{source}: a study of trucks needs [truck] and [[strategy]]; expected both"
-        )
+    if study.kind == "learned" and not study.strategy:
+        raise InputError(f"{source}: a study of trucks needs [[strategy]]; expected at least one")
     for index, sweep in enumerate(study.sweep):
         if wrong := wrong_sweep(sweep, study.design.kind):
             raise InputError(f"{source}: sweep[{index}] {sweep.path}: {wrong}")

@@ -165,7 +165,7 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     bounds: BoundsTable = BoundsTable()
     tuning: TuningTable = TuningTable()
     truck: TruckTable | None = None
-    """The population of a study of kind learned."""
+    """The population of a study of kind learned; if left out, that of the shipped study learned."""
     fleet: FleetTable = FleetTable()
     scenario: str | None = None
     """Scenario that is run: a file or a shipped name."""

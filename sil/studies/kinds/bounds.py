@@ -158,7 +158,8 @@ def searched(
     """Search the softest policy of a family twice, each with a budget of simulations."""
     model = FamilyModel(parameters, family, delay_s, extra_s)
     pulses, branch = 1, 1
-    if (model.plain.revealed_s + delay_s > model.limit_s - USELESS_S).all():
+    late = (model.plain.revealed_s + delay_s > model.limit_s - USELESS_S).all()
+    if late or model.loads == 1:
         pulses, branch, budget = 4, 0, budget // 4
     searches = [Search(model, valves, pulses, branch, table.seed + k) for k in range(2)]
     history = np.array([search.run(max(budget, 1)) for search in searches])

@@ -6,9 +6,10 @@ with the open loop's in the same shift. The control unit's memory goes from each
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -20,6 +21,7 @@ from sil.simulation.in_memory import run_in_memory
 from sil.simulation.scenario import Loaded
 from sil.studies.figures import title_of
 from sil.studies.fleet import EXAM_N_S, Drawn, Truck, TruckTable, truck_table
+from sil.studies.kinds.bounds import KNOWN, SHIPPED, known_panel
 from sil.studies.rows import FAILED, PASSED, RowResult
 from sil.studies.study import LoadedStudy, Row, texts_of
 from sil.studies.table import Table, row_groups
@@ -168,7 +170,7 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     )
 
 
-def quantiles_of(values: Floats, shares: Sequence[float]) -> Floats:
+def quantiles_of(values: Floats, shares: Sequence[float] | Floats) -> Floats:
     """Return quantiles [shares] of the values that are known, in their unit; NaN if none is."""
     known = values[np.isfinite(values)]
     return np.quantile(known, shares) if len(known) else np.full(len(shares), math.nan)
@@ -253,36 +255,65 @@ def _markdown(study: LoadedStudy, table: Table) -> str:
 
 
 def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
-    """Return how the impacts fall from shift to shift, and how often each impact and lost time is."""
-    learning: list[Series] = []
-    impacts: list[Series] = []
-    losses: list[Series] = []
+    """Return what is possible and how fast it is learned; how often each impact and lost time is."""
+    fleet, groups = study.study.fleet, row_groups(study, table)
+    text = f"{fleet.trucks} trucks, {fleet.shifts} shifts each"
+    stacks = [Stack("shift", [_learning(study, table)], width=7.0)]
+    if fleet.examined_after:
+        stacks.insert(0, Stack(KNOWN, [_possible(study, table)], width=7.0))
+    often = []
+    for name, title, axis, factor in (
+        ("impact_m_s", "Shifts with a softer impact", "hardest impact, m/s", 1.0),
+        ("lost_s", "Shifts that lose less time", "time lost against the open loop, ms", MS),
+    ):
+        shares = np.linspace(0.0, 100.0, 201)
+        lines = [
+            Series(label, factor * quantiles_of(series(table, name, rows), 0.01 * shares), shares,
+                   f"series{k % 8}", width=2.0)
+            for k, (label, rows) in enumerate(groups.items())
+        ]  # fmt: skip
+        panel = Panel(title, "%", lines, limits=(0.0, 100.0), height=380)
+        often.append(Stack(axis, [panel], width=6.0))
+    title = title_of(study)
+    return {"learned": Figure(stacks, title, text), "how_often": Figure(often, title, text)}
+
+
+def _learning(study: LoadedStudy, table: Table) -> Panel:
+    """Return median and 95 % quantile of the impacts over the shifts."""
+    lines: list[Series] = []
     for k, (label, rows) in enumerate(row_groups(study, table).items()):
-        role = f"series{k % 8}"
-        impact_m_s = series(table, "impact_m_s", rows)
-        x, parts = blocks(impact_m_s)
+        x, parts = blocks(series(table, "impact_m_s", rows))
         for name, share, dashed in ((label, 0.5, False), (f"{label}, 95 %", 0.95, True)):
             y = np.array([np.quantile(part, share) for part in parts])
-            learning.append(Series(name, x, y, role, dashed=dashed, width=1.2 if dashed else 2.2))
-        for found, values in (
-            (impacts, impact_m_s.ravel()),
-            (losses, MS * series(table, "lost_s", rows).ravel()),
-        ):
-            ordered = np.sort(values[np.isfinite(values)])
-            shares = np.linspace(0.0, 100.0, 201)
-            if len(ordered):
-                found.append(Series(label, np.percentile(ordered, shares), shares, role, width=2.0))
+            width = 1.2 if dashed else 2.2
+            lines.append(Series(name, x, y, f"series{k % 8}", dashed=dashed, width=width))
     at = study.study.fleet.exchanged_at
     rules = [Rule(float(at), "valves of every second truck exchanged", "alarm")] if at else []
-    text = f"{study.study.fleet.trucks} trucks, {study.study.fleet.shifts} shifts each"
-    panels = [
-        Panel("Hardest impact, median and 95 %", "m/s", learning, rules=rules, height=380),
-        Panel("Shifts with a softer impact", "%", impacts, limits=(0.0, 100.0), height=380),
-        Panel("Shifts that lose less time", "%", losses, limits=(0.0, 100.0), height=380),
-    ]
-    axes = "shift", "hardest impact, m/s", "time lost against the open loop, ms"
-    stacks = [Stack(axis, [each], width=5.6) for axis, each in zip(axes, panels, strict=True)]
-    return {"learned": Figure(stacks, title_of(study), text)}
+    return Panel("Hardest impact, median and 95 %", "m/s", lines, rules=rules, height=400)
+
+
+def _possible(study: LoadedStudy, table: Table) -> Panel:
+    """Return the bounds over how well an impulse is known, and on them the trucks' examinations.
+
+    A strategy is drawn at two standard deviations of the scatter between shifts: 95 % of them.
+    """
+    with open(SHIPPED.with_name("bounds_known.csv"), encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    names = "bound.known", "bound.delay_s", "bound_m_s", "open_loop_m_s", "damper_m_s"
+    panel = known_panel({name: np.array([float(row[name]) for row in rows]) for name in names})
+    assert study.study.truck is not None
+    scatter = {choice.name: choice.set.get("truck.cone_shift") for choice in study.study.load}
+    points = []
+    for k, (label, which) in enumerate(row_groups(study, table).items()):
+        sd = scatter.get(label.split(" / ")[-1]) or study.study.truck.cone_shift[0]
+        x = 200.0 * float(sd)  # type: ignore[arg-type]
+        exam_m_s = table.numbers["examined_worst_m_s"][which]
+        ends = np.array([np.median(exam_m_s), exam_m_s.max()])
+        points.append(Series(label, np.full(2, x), ends, f"series{k % 8}", "marked", width=4.0))
+    text = "scatter between shifts, 2 sd: assumed"
+    rule = Rule(200.0 * study.study.truck.cone_shift[0], text, "faint")
+    title = "Worst of the impulses; strategies: median truck and worst truck"
+    return replace(panel, title=title, series=[*panel.series, *points], rules=[*panel.rules, rule])
 
 
 def blocks(values: Floats) -> tuple[Floats, list[Floats]]:

@@ -87,15 +87,19 @@ def test_numbers_of_the_population_are_checked(changed: dict[str, float], messag
         truck_table(TABLE, changed)
 
 
-def test_a_study_needs_its_population(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_study_has_a_population_and_needs_strategies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = small(tmp_path)
     whole = path.read_text()
     path.write_text(whole.replace("cone_shift =", "cone_shfit ="))
     assert main(["whatif", str(path)]) == 2
     assert "truck" in capsys.readouterr().err
-    path.write_text(whole.split("[truck]")[0] + '[[strategy]]\nname = "open loop"\n')
+    path.write_text(whole.split("[[strategy]]")[0])
     assert main(["whatif", str(path)]) == 2
-    assert "needs [truck] and [[strategy]]" in capsys.readouterr().err
+    assert "needs [[strategy]]" in capsys.readouterr().err
+    path.write_text(whole.split("[truck]")[0] + '[[strategy]]\nname = "open loop"\n')
+    assert load_study(str(path)).study.truck == TABLE
 
 
 def test_relearned_is_when_the_impacts_are_as_before() -> None:
@@ -106,6 +110,21 @@ def test_relearned_is_when_the_impacts_are_as_before() -> None:
     assert 0.0 < learned.relearned(np.append(before, after), 21) <= 8.0
     after[:] = 0.6
     assert learned.relearned(np.append(before, after), 21) == math.inf
+
+
+def test_the_memory_is_handed_on_or_erased() -> None:
+    """Each shift of the strategy that learns adds to its memory."""
+    study = load_study(str(SHIPPED_STUDY))
+    shifts, _exam = Truck(TABLE, FleetTable(shifts=2), 1, NOMINAL).shifts()
+    own = {"controller.strategy": "learned"}
+    kept, erased = (
+        [each.memory for each in learned.run_shifts(study.loaded, own, shifts, forgets=forgets)]
+        for forgets in (False, True)
+    )
+    assert len({b"", *kept}) == 3
+    assert erased == [b"", b""]
+    again = learned.run_shifts(study.loaded, own, shifts[1:], kept[0])
+    assert [each.memory for each in again] == kept[1:]
 
 
 @pytest.mark.slow
