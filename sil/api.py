@@ -188,7 +188,7 @@ def run(
         shifts=done.shifts,
         signals=dict(done.record.truth),
         estimate=done.record.estimate,
-        frames=done.record.frames,
+        frames=list(done.record.frames),
         trace_sha256=done.trace_sha256,
         warnings=scenarios.contradictions(loaded.scenario),
     )

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable, Sequence
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import msgspec
 from msgspec import Meta
 
 from can_dbc import messages
 from can_dbc.codec import can_id_of
+from can_dbc.contract import contract
 from can_dbc.e2e import COUNTERS, PROTECTED, with_counter
 from can_dbc.errors import InputError
 from can_dbc.frame import DP_BIT, EDP_BIT, Frame
@@ -22,23 +23,10 @@ from sil.coupling.bus import Delivery, ErrorFrame, Transmission
 from sil.coupling.clock import NEVER_NS, to_ns
 from sil.coupling.other_bit_rate import MisfitNode
 
-MessageName = Literal[
-    "ShiftRequest",
-    "ValveCommand",
-    "SafetyBlow",
-    "PositionPulse",
-    "DrivelineSpeeds",
-    "ControllerStatus",
-    "Etc1",
-    "Etc2",
-    "Tsc1",
-    "Tc1",
-    "Eec1",
-    "Eec2",
-    "Air1",
-    "PlantMotion",
-    "PlantPressures",
-]
+if TYPE_CHECKING:
+    MessageName = str
+else:
+    MessageName = Literal[tuple(s.name for s in contract().values() if not s.can_id & EDP_BIT)]
 NodeName = Literal["driver", "controller", "plant"]
 FirmwareName = Literal["driver", "controller"]
 INTRUDER = "intruder"

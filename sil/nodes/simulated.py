@@ -161,7 +161,6 @@ class _Intrusion:
         self._fault = fault
         self._window = window_of(fault)
         self._random = draw
-        self._sent = 0
         if isinstance(fault, Babbling):
             can_id = join_id(fault.priority, BABBLED_PGN, INTRUDER_SOURCE)
             self._load = _Load(fault.load, INTRUDER_STEP_NS, bitrate, draw, lambda: can_id)
@@ -187,15 +186,14 @@ class _Intrusion:
 
     def _forged(self, fault: Spoofed, begin_ns: int) -> Released:
         kind = getattr(messages, fault.message)
-        period_ns, end_ns = to_ns(fault.period_s), begin_ns + INTRUDER_STEP_NS
-        found = []
-        while (at := self._window.start_ns + self._sent * period_ns) < end_ns:
-            self._sent += 1
-            if at >= begin_ns and self._window.holds(at):
-                found.append(
-                    (at, Frame(can_id_of(kind), self._random.randbytes(spec_of(kind).length)))
-                )
-        return found
+        start_ns, period_ns = self._window.start_ns, to_ns(fault.period_s)
+        first_ns = start_ns + max(0, -((start_ns - begin_ns) // period_ns)) * period_ns
+        draw, length = self._random.randbytes, spec_of(kind).length
+        return [
+            (at, Frame(can_id_of(kind), draw(length)))
+            for at in range(first_ns, begin_ns + INTRUDER_STEP_NS, period_ns)
+            if self._window.holds(at)
+        ]
 
 
 class Drifting:

@@ -114,7 +114,6 @@ class TraceWriter(AppendedFile):
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
         """Create the file with its header."""
         super().__init__(path)
-        self._width = len(columns)
         try:
             self.append(trace_header(columns))
         except OSError:
@@ -122,9 +121,7 @@ class TraceWriter(AppendedFile):
             raise
 
     def write(self, rows: NDArray[np.float64]) -> None:
-        """Append rows: [n, columns].  Raises ValueError for another shape."""
-        if rows.ndim != 2 or rows.shape[1] != self._width:
-            raise ValueError(f"rows of shape {rows.shape}; expected (n, {self._width})")
+        """Append rows: [n, columns]."""
         self.append(np.ascontiguousarray(rows, dtype="<f8").tobytes())
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar, overload
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,7 @@ STORED_FRAME = np.dtype(
 )
 
 
-class StoredFrames(Sequence[BusFrame]):
+class StoredFrames(Collection[BusFrame]):
     """Frames in their form on disk, each made into an object on access.
 
     A minute of a bus is some 60,000 frames: as objects they would cost the garbage collector more
@@ -68,14 +68,8 @@ class StoredFrames(Sequence[BusFrame]):
         ):
             yield BusFrame(released, arrival, senders[sender], Frame(can_id, data[:length]))
 
-    @overload
-    def __getitem__(self, index: int) -> BusFrame: ...
-    @overload
-    def __getitem__(self, index: slice) -> StoredFrames: ...
-    def __getitem__(self, index: int | slice) -> BusFrame | StoredFrames:
-        if isinstance(index, slice):
-            return StoredFrames(self._stored[index], self._senders)
-        return next(iter(StoredFrames(self._stored[[index]], self._senders)))
+    def __contains__(self, frame: object) -> bool:
+        return any(frame == each for each in self)
 
     def by_id(self) -> dict[int, StoredFrames]:
         """Return the frames by identifier, in order."""
@@ -98,7 +92,7 @@ class RunRecord:
 
     truth: Mapping[str, Floats]
     events: Sequence[PlantEvent]
-    frames: Sequence[BusFrame]
+    frames: Collection[BusFrame]
     stroke_m: float
     free_travel_m: float
     supply_pressure_pa: float
@@ -110,13 +104,11 @@ class RunRecord:
 
         Frames of other identifiers and damaged ones are only in `frames`.
         """
-        kinds = [codec.message_type_of(can_id) for can_id in sorted(self._by_id)]
-        found: dict[type, list[tuple[BusFrame, Any]]]
-        found = {kind: self.of(kind) for kind in kinds if kind is not None}
-        return {kind: entries for kind, entries in found.items() if entries}
+        kinds = map(codec.message_type_of, sorted(self._by_id))
+        return {kind: self.of(kind) for kind in kinds if kind and self.of(kind)}
 
     @cached_property
-    def _by_id(self) -> Mapping[int, Sequence[BusFrame]]:
+    def _by_id(self) -> Mapping[int, Collection[BusFrame]]:
         if isinstance(self.frames, StoredFrames):
             return self.frames.by_id()
         found: dict[int, list[BusFrame]] = {}
@@ -128,7 +120,7 @@ class RunRecord:
     def _decoded(self) -> dict[type, list[tuple[BusFrame, Any]]]:
         return {}
 
-    def frames_of(self, can_id: int) -> Sequence[BusFrame]:
+    def frames_of(self, can_id: int) -> Collection[BusFrame]:
         """Return the frames of one identifier, in order of arrival."""
         return self._by_id.get(can_id, ())
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 
@@ -24,16 +24,10 @@ from sil.simulation.results import Check
 GearName = Literal["neutral", "backward", "forward"]
 ChamberName = Literal["B", "N", "F"]
 StateName = Literal["INIT", "IDLE", "PUSH", "CONFIRM", "BLOW", "HOLD", "VENT", "FAULT"]
-FaultName = Literal[
-    "POSITION_LOST",
-    "POSITION_IMPLAUSIBLE",
-    "REQUEST_LOST",
-    "SPEEDS_LOST",
-    "SHIFT_TIMEOUT",
-    "SENSOR_STUCK",
-    "REQUEST_INVALID",
-    "INTERNAL",
-]
+if TYPE_CHECKING:
+    FaultName = str
+else:
+    FaultName = Literal[tuple(fault.name for fault in Fault if fault)]
 Instant = Literal[
     "requested", "commanded", "valve_open", "first_motion", "arrived", "confirmed", "blow_end"
 ]

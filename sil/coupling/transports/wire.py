@@ -193,7 +193,7 @@ def announced(sender: int, arrival_ns: int, frame: Frame) -> bytes:
 
 def checksum(can_id: int, payload: bytes) -> int:
     """Return the checksum that BusTime carries for this frame."""
-    return crc32(RECORD.pack(can_id | EXTENDED, len(payload), payload)) & 0xFF
+    return crc32(real(Frame(can_id, payload))) & 0xFF
 
 
 def split(records: bytes | memoryview) -> Iterator[tuple[int, bytes]]:

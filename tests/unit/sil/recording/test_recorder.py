@@ -108,15 +108,6 @@ def test_a_torn_last_row_is_ignored(tmp_path: Path) -> None:
         assert stored(path) == rows(4).tobytes()
 
 
-@pytest.mark.parametrize("shape", [(3,), (2, 2), (1, 4), (1, 3, 1)])
-def test_rows_of_another_shape_are_refused(shape: tuple[int, ...], tmp_path: Path) -> None:
-    with (
-        TraceWriter(tmp_path / "plant.trace", COLUMNS) as writer,
-        pytest.raises(ValueError, match="expected"),
-    ):
-        writer.write(np.zeros(shape))
-
-
 @pytest.mark.parametrize(
     "content",
     [

