@@ -25,6 +25,7 @@ COMMANDS = {
     "run": "run one scenario: plant and controller over CAN",
     "simulate": "the plant alone, under the conditions of a measurement campaign",
     "diagnose": "measured against simulated: what is wrong, why, what it gains to know",
+    "watch": "many logs over time: parameters tracked, changes dated, drifts extrapolated",
     "replay": "recorded inputs into the firmware alone; shifts of any truck's log",
     "whatif": "a sweep over any values of model, firmware, sensor and bus",
     "identify": "flow maps, friction, exponents or oil damper from a campaign",

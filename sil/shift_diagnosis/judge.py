@@ -1,8 +1,8 @@
 """The verdict on a truck's shifts: which cause, how sure, and what the bus cannot separate.
 
 Every hypothesis, none or one cause, is fitted together with all in which healthy trucks differ, and
-scored by its evidence (Laplace). The priors of the truck's quantities are a mixture of a narrow
-and a wide one, so that an unusual truck is not called a faulty one. Where the best hypothesis
+scored by its evidence (Laplace). The priors of the truck's quantities have heavy tails, so that an
+unusual truck is not called a faulty one. Where the best hypothesis
 leaves more than noise, all scores count less in proportion.
 Checked by: tests/unit/sil/shift_diagnosis/test_diagnose_logs.py
 """
@@ -19,7 +19,7 @@ import numpy as np
 from plant.parameters import ParameterSet
 from sil.files.progress import Progress
 from sil.shift_diagnosis.fit import Fit, Fitter
-from sil.shift_diagnosis.linear import Floats, linearise, posterior, projected
+from sil.shift_diagnosis.linear import Floats, linearise, projected
 from sil.shift_diagnosis.model import LEAST_NOISE_M, Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import LEAD_S, Shift
 
@@ -29,12 +29,10 @@ FIT_SHIFTS: Final = 12
 """Shifts that a hypothesis is fitted to before all judge it."""
 FITTED: Final = 14
 """Causes that are fitted, those that the linear model and a coarse search favour."""
-WORTH_A_FIT: Final = 0.7
+WORTH_A_FIT: Final = 3.0
 """Gain in log evidence by the linear model from which a cause is fitted, if nothing is unexplained."""
 SIZES: Final = (0.7, 2.5)
 """Sizes at which the coarse search looks, in typical ones."""
-WIDE, WIDE_SHARE = 2.5, 0.15
-"""The wide prior: factor on the standard deviations, and its share."""
 HEALTHY_PRIOR: Final = 0.5
 ALARM: Final = 0.01
 """Probability of a healthy truck below which something is claimed to be wrong."""
@@ -42,6 +40,8 @@ CERTAIN: Final = 0.8
 """Probability from which a cause is named."""
 EXPLAINED: Final = 1.5
 """Chi squared per number up to which noise explains the rest."""
+RESTARTS: Final = 3
+"""Causes from whose fits the healthy truck is fitted again."""
 SAME: Final = 0.995
 """Correlation of what two causes do from which one of them is not offered."""
 SEPARABLE: Final = 9.0
@@ -74,7 +74,7 @@ class Judged:
     @property
     def size(self) -> tuple[float, float]:
         """Size of the cause and its standard deviation, in typical sizes."""
-        found = self.fit.posterior
+        found = self.fit
         return float(found.estimate[-1]), float(
             np.sqrt(found.covariance[-1, -1] * max(1.0, self.chi2))
         )
@@ -150,20 +150,22 @@ def judge_shifts(
     whole = Fitter(fitter.model, used, noise)
     causes = catalogue()
     linear = linearise(whole.model, used, healthy.values, causes, noise_m=noise)
-    information, score = projected(linear, WIDE)
+    information, score = projected(linear)
     alone = linear.information.sum(axis=0)[linear.units :, linear.units :]
     offered = [k for k in range(len(causes)) if not _repeats(k, causes, alone)]
     causes = [causes[k] for k in offered]
     information, score = information[np.ix_(offered, offered)], score[offered]
     say(40.0, 100.0)
-    judged = [_judged(whole, healthy)]
+    judged = [_judged(whole, None, healthy.values, 0.0)]
     chosen = _promising(fitter, healthy, causes, information, score)
     for number, (cause, at) in enumerate(chosen):
-        judged.append(_judged(whole, fitter.fit(cause, at[:-1], float(at[-1]))))
+        few_fit = fitter.fit(cause, at[:-1], float(at[-1]))
+        judged.append(_judged(whole, cause, few_fit.values, few_fit.size))
         say(40.0 + 60.0 * (number + 1) / len(chosen), 100.0)
     ids = len({cause.effect.id for cause in causes})
     judged = _weighed(judged, ids)
     judged = _weighed(_with_rivals(whole, fitter, judged, causes), ids)
+    judged = _weighed(_healthy_again(whole, judged), ids)
     probabilities: dict[str, float] = {}
     for item in judged:
         probabilities[item.id] = probabilities.get(item.id, 0.0) + item.probability
@@ -191,22 +193,11 @@ def _spread(shifts: Sequence[Shift], most: int) -> list[Shift]:
     return [shifts[k] for k in np.linspace(0, len(shifts) - 1, most).round().astype(int)]
 
 
-def _judged(whole: Fitter, fit: Fit) -> Judged:
-    """Return a hypothesis, fitted to some shifts, as all of them judge it."""
-    at = np.append(fit.values, fit.size) if fit.cause is not None else fit.values
-    final = (
-        whole.fit(fit.cause, fit.values, fit.size, rounds=3)
-        if len(whole.shifts) <= 3 * FIT_SHIFTS
-        else whole.at(fit.cause, at)
-    )
-    used = range(len(final.linear.causes))
-    costs = [posterior(final.linear, used, wide).cost for wide in (1.0, WIDE)]
-    shares = np.log([1.0 - WIDE_SHARE, WIDE_SHARE])
-    cost = -float(np.logaddexp(*(shares - np.array(costs))))
-    if fit.cause is not None and fit.cause.sign != 0:
-        cost -= log(2.0)  # the prior's other half is not physical
+def _judged(whole: Fitter, cause: Cause | None, values: Floats, size: float) -> Judged:
+    """Return a hypothesis fitted to all shifts, from where some of them left it."""
+    final = whole.fit(cause, values, size, rounds=5)
     count = max(1, int(final.linear.count.sum()) - final.linear.units)
-    return Judged(final, cost, posterior(final.linear, used, WIDE).chi2 / count)
+    return Judged(final, final.cost, float(final.linear.misfit.sum()) / count)
 
 
 def _promising(
@@ -254,7 +245,7 @@ def _with_rivals(
         whole.model, fitter.shifts, best.fit.values, causes, {cause: best.fit.size}, whole.noise_m
     )
     share = len(whole.shifts) / len(fitter.shifts)
-    information = projected(linear, WIDE)[0] * share
+    information = projected(linear)[0] * share
     found = {item.fit.cause: item for item in judged}
     k = list(causes).index(cause)
     for j, other in enumerate(causes):
@@ -263,10 +254,23 @@ def _with_rivals(
         left = size**2 * float(information[k, k]) - start**2 * own
         if j == k or left > 4.0 * SEPARABLE or other.sign * start < 0.0:
             continue
-        item = _judged(whole, fitter.fit(other, best.fit.values, start))
+        item = _judged(whole, other, best.fit.values, start)
         if other not in found or item.cost < found[other].cost:
             found[other] = item
     return list(found.values())
+
+
+def _healthy_again(whole: Fitter, judged: Sequence[Judged]) -> list[Judged]:
+    """Return the hypotheses, the healthy truck fitted from where the best causes are, too.
+
+    The residual has several minima: what a cause gained by another start is not its merit.
+    """
+    best = next(item for item in judged if item.fit.cause is None)
+    causes = [item for item in judged if item.fit.cause is not None]
+    for item in [item for item in causes if item.probability > ALARM][:RESTARTS]:
+        again = _judged(whole, None, item.fit.values, 0.0)
+        best = again if again.cost < best.cost else best
+    return [best, *causes]
 
 
 def _repeats(k: int, causes: Sequence[Cause], information: Floats) -> bool:

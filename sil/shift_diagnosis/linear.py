@@ -27,6 +27,8 @@ from sil.shift_diagnosis.shifts import Shift
 
 Floats = NDArray[np.float64]
 
+TAIL: Final = 4.0
+"""Degrees of freedom of the prior of every quantity in which trucks differ."""
 SIZE_PRIOR: Final = 3.0
 """Standard deviation of a cause's size, in typical ones."""
 
@@ -36,8 +38,8 @@ class Linear:
     """Shifts linearised at a point; parameters are the unit's quantities, then the causes' sizes.
 
     names: of the unit's quantities; values: the point, in prior standard deviations and typical
-    sizes [p]. information [n, p, p], score [n, p], misfit [n] (chi squared), count [n] of each
-    shift; residual_m: [n, pulses], NaN behind a shift's last; weights: of each shift, the inverse
+    sizes [p]. information [n, p, p], score [n, p], misfit [n] (chi squared), count [n], volume [n]
+    (log determinant of the noise) of each shift; residual_m: [n, pulses], NaN behind a shift's last; weights: of each shift, the inverse
     covariance of its pulses. Shifts that could not be simulated have count 0.
     """
 
@@ -48,6 +50,7 @@ class Linear:
     score: Floats
     misfit: Floats
     count: NDArray[np.int64]
+    volume: Floats
     residual_m: Floats
     weights: tuple[Floats, ...]
 
@@ -75,15 +78,19 @@ def linearise(
     causes: Sequence[Cause] = (),
     active: Mapping[Cause, float] | None = None,
     noise_m: float = LEAST_NOISE_M,
+    difference: float = DIFFERENCE,
 ) -> Linear:
-    """Linearise shifts around the unit's `values` [units] (prior deviations) and active causes' sizes."""
+    """Linearise shifts around the unit's `values` [units] (prior deviations) and active causes' sizes.
+
+    difference: step of the differences, in prior deviations and typical sizes.
+    """
     names = unit_names(model)
     active = active or {}
     here = Point(point_of(model, names, values), tuple(active.items()))
     moved = [name for name in names if name not in SHOWN]
     points = [here]
-    points += [here.moved(name, DIFFERENCE * model.unit[name]) for name in moved]
-    steps = [DIFFERENCE if cause.sign >= 0 else -DIFFERENCE for cause in causes]
+    points += [here.moved(name, difference * model.unit[name]) for name in moved]
+    steps = [difference if cause.sign >= 0 else -difference for cause in causes]
     points += [
         here.with_cause(cause, active.get(cause, 0.0) + step)
         for cause, step in zip(causes, steps, strict=True)
@@ -91,7 +98,7 @@ def linearise(
     x, v, done = model.predict(shifts, points)
     base, speed = x[:, 0], v[:, 0]
     columns = dict(zip(moved, np.moveaxis(x[:, 1 : 1 + len(moved)], 1, 0), strict=True))
-    by = {name: (column - base) / DIFFERENCE for name, column in columns.items()}
+    by = {name: (column - base) / difference for name, column in columns.items()}
     by["latency"] = -speed * model.unit["latency"]
     by["offset"] = np.full_like(base, model.unit["offset"])
     by["gain"] = base * model.unit["gain"]
@@ -99,7 +106,7 @@ def linearise(
     size = len(names) + len(causes)
     information = np.zeros((len(shifts), size, size))
     score, misfit = np.zeros((len(shifts), size)), np.zeros(len(shifts))
-    count = np.zeros(len(shifts), dtype=np.int64)
+    volume, count = np.zeros(len(shifts)), np.zeros(len(shifts), dtype=np.int64)
     residuals = np.full(base.shape, np.nan)
     weights = []
     scatter = {name: model.each[name] / model.unit[name] for name in model.each if name in names}
@@ -120,11 +127,12 @@ def linearise(
         information[k] = own.T @ weight @ own
         score[k] = own.T @ (weight @ residual)
         misfit[k] = residual @ weight @ residual
+        volume[k] = np.linalg.slogdet(covariance / noise_m**2)[1]
         count[k] = n
     sizes = np.array([active.get(cause, 0.0) for cause in causes])
     return Linear(
         names, tuple(causes), np.concatenate([values, sizes]), information, score, misfit, count,
-        residuals, tuple(weights),
+        volume, residuals, tuple(weights),
     )  # fmt: skip
 
 
@@ -136,49 +144,40 @@ def _useful(
     return np.array([own.get(name, True) for name in names] + done[1 + len(moved) :].tolist())
 
 
-@dataclass(frozen=True)
-class Posterior:
-    """A hypothesis in the linear model: estimate [p] and covariance [p, p] of its parameters.
+def prior_cost(values: Floats) -> float:
+    """Return minus the log prior of the unit's quantities [units] in prior deviations.
 
-    chi2: of the residuals at the estimate; cost: minus the log evidence, without constants.
+    Student's, of TAIL degrees of freedom: unusual trucks are not that rare.
     """
-
-    index: tuple[int, ...]
-    estimate: Floats
-    covariance: Floats
-    chi2: float
-    cost: float
+    return float(0.5 * (TAIL + 1.0) * np.sum(np.log1p(values**2 / TAIL)))
 
 
-def posterior(linear: Linear, used: Sequence[int] = (), wide: float = 1.0) -> Posterior:
-    """Return what all shifts say about the unit's quantities and the causes numbered `used`.
+def prior_weight(linear: Linear) -> Floats:
+    """Return the precision [p] of the priors of unit and sizes at the point, as a normal one's."""
+    units = (TAIL + 1.0) / (TAIL + linear.values[: linear.units] ** 2)
+    return np.append(units, np.full(len(linear.causes), 1.0 / SIZE_PRIOR**2))
 
-    wide: factor on the standard deviations of the unit's priors.
+
+def estimates(linear: Linear, damping: float = 0.0) -> tuple[Floats, Floats]:
+    """Return estimate [p] and covariance [p, p] of all parameters in the linear model.
+
+    damping: of the step, as a share of the information's diagonal.
     """
-    index = np.array([*range(linear.units), *(linear.units + j for j in used)])
-    h = linear.information.sum(axis=0)[np.ix_(index, index)]
-    g = linear.score.sum(axis=0)[index]
-    at = linear.values[index]
-    weight = np.full(len(index), 1.0 / wide**2)
-    weight[linear.units :] = 1.0 / SIZE_PRIOR**2
-    precision = h + np.diag(weight)
-    step = np.linalg.solve(precision, g - weight * at)
-    estimate = at + step
-    misfit = float(linear.misfit.sum())
-    chi2 = misfit - 2.0 * float(g @ step) + float(step @ h @ step)
-    volume = float(np.linalg.slogdet(precision)[1] - np.sum(np.log(weight)))
-    cost = 0.5 * (chi2 + float(np.sum(weight * estimate**2)) + volume)
-    return Posterior(tuple(index.tolist()), estimate, np.linalg.inv(precision), chi2, cost)
+    h, g = linear.information.sum(axis=0), linear.score.sum(axis=0)
+    weight = prior_weight(linear)
+    precision = h + np.diag(weight + damping * np.diag(h))
+    covariance = np.linalg.inv(precision)
+    return linear.values + covariance @ (g - weight * linear.values), covariance
 
 
-def projected(linear: Linear, wide: float = 1.0) -> tuple[Floats, Floats]:
+def projected(linear: Linear) -> tuple[Floats, Floats]:
     """Return information [causes, causes] and score [causes] of the causes' sizes at the point.
 
     The unit's quantities are marginalised with their priors.
     """
     n = linear.units
     h, g = linear.information.sum(axis=0), linear.score.sum(axis=0)
-    inner = h[:n, :n] + np.eye(n) / wide**2
-    gain = np.linalg.solve(inner, h[:n, n:]).T
-    pull = g[:n] - linear.values[:n] / wide**2
+    weight = prior_weight(linear)[:n]
+    gain = np.linalg.solve(h[:n, :n] + np.diag(weight), h[:n, n:]).T
+    pull = g[:n] - linear.values[:n] * weight
     return h[n:, n:] - gain @ h[:n, n:], g[n:] - gain @ pull

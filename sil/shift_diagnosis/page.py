@@ -160,11 +160,11 @@ def truck_rows(found: ShiftDiagnosis) -> list[dict[str, Any]]:
     if not found.judged:
         return []
     fit = found.best.fit
-    deviation = np.sqrt(np.diag(fit.posterior.covariance))
+    deviation = np.sqrt(np.diag(fit.covariance))
     rows = []
     for k, name in enumerate(fit.linear.names):
         prior = found.priors[name]
-        value, sd = float(fit.posterior.estimate[k]) * prior, float(deviation[k]) * prior
+        value, sd = float(fit.estimate[k]) * prior, float(deviation[k]) * prior
         unit = UNITS.get(name, ("s", "s") if name in ("rise", "fall") else ("-", "share"))[0]
         rows.append(
             {"name": NAMES[name], "unit": unit, "deviation": value, "low": value - 1.96 * sd,

@@ -216,11 +216,13 @@ class ShiftCutter:
         if index[-1] < 1.0:
             return "without numbered pulses"
         arrived /= _NS
-        period = round(float(np.median(np.diff(arrived) / np.maximum(np.diff(index), 1.0))), 5)
+        config = SensorConfig()
+        period = float(np.polyfit(index, arrived, 1)[0])
+        if abs(period / config.period_s - 1.0) < 0.002:  # what a few late frames can do
+            period = config.period_s
         begun = float(np.min(arrived - period * index)) + period * index
         if begun[-1] < arrived[-1] - 0.5 * period:  # more than 255 pulses lost, or another period
             return "with a gap in the pulses"
-        config = SensorConfig()
         measured_s = begun - FRAME_S - config.capture_s + 0.5 * self._sensor.t_mid_s
         warmth = 1.0 + self._sensor.temp_coeff_1_k * (kelvin - self._sensor.t_ref_k)
         position = (pulse / warmth - self._sensor.t_mid_s) / self._sensor.slope_s_m

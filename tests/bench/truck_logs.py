@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import json
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from plant.parameters import load
 from sil.logs import LogFrame, open_writer
+from sil.shift_diagnosis.judge import judge_shifts
+from sil.shift_diagnosis.shifts import shifts_of
 from sil.simulation import scenario
 from sil.simulation.in_memory import run_in_memory
 
@@ -85,3 +92,108 @@ def truck_log(
         for entry in run.record.frames:
             writer.write(LogFrame(entry.arrival_ns, entry.frame.can_id, entry.frame.data))
     return raw
+
+
+CAUSES: dict[str, tuple[str, float, float]] = {
+    "valve_open_delay": ("effect.valve_open_delay.delay_s", 0.001, 0.012),
+    "valve_slow_close": ("effect.valve_slow_close.delay_s", 0.004, 0.06),
+    "sensor_delay": ("sensor.delay_s", 0.001, 0.012),
+    "dynamic_friction": ("effect.dynamic_friction.factor", 1.2, 4.0),
+    "inlet_clog": ("effect.inlet_clog.factor", 0.9, 0.4),
+    "exhaust_clog": ("effect.exhaust_clog.factor", 0.9, 0.3),
+    "piston_leak": ("effect.piston_leak.cda_m2", 5e-8, 1e-6),
+    "leak_to_atmosphere": ("effect.leak_to_atmosphere.cda_m2", 1e-7, 2e-6),
+    "supply_low": ("effect.supply_low.deficit", 0.03, 0.4),
+    "back_pressure": ("effect.back_pressure.pressure_pa", 5e3, 8e4),
+    "friction_asymmetry": ("effect.friction_asymmetry.asymmetry", 0.1, 0.8),
+    "detent": ("effect.detent.force_n", 30.0, 400.0),
+    "free_play": ("effect.free_play.travel_m", 2e-4, 3e-3),
+    "seal_pressure_friction": ("effect.seal_pressure_friction.mu", 0.02, 0.2),
+}
+"""Settings of a cause, and the sizes between which its severity, 0 to 1, lies on a logarithmic scale."""
+OPTIONAL = {"effect.detent.force_n": {"effect.detent.width_m": 0.002}}
+
+
+def drawn_cause(severity: float, generator: np.random.Generator) -> tuple[str, dict[str, float]]:
+    """Return the id and the settings of a drawn cause of a severity."""
+    name = str(generator.choice(list(CAUSES)))
+    path, low, high = CAUSES[name]
+    return name, {path: float(low * (high / low) ** severity), **OPTIONAL.get(path, {})}
+
+
+def one(seed: int, shifts: int, severity: float | None, folder: Path) -> dict[str, Any]:
+    """Draw a log, diagnose it, and return what was hidden and what was found."""
+    generator = np.random.default_rng([seed, 7])
+    name, cause = ("", {}) if severity is None else drawn_cause(severity, generator)
+    path = folder / f"{seed}.log"
+    began = perf_counter()
+    truck_log(path, seed, shifts, cause)
+    ran = perf_counter()
+    found = judge_shifts(
+        list(shifts_of(str(path), load("nominal"), None, Counter())), load("nominal")
+    )
+    path.unlink()
+    best = found.named[0].id if found.named else ""
+    return {
+        "seed": seed,
+        "shifts": shifts,
+        "severity": severity,
+        "hidden": name,
+        "size": list(cause.values())[:1],
+        "verdict": found.verdict,
+        "reported": {item.id: round(found.probabilities[item.id], 3) for item in found.named},
+        "best": best,
+        "healthy": round(found.probabilities.get("healthy", 1.0), 4),
+        "chi2": [round(found.healthy.chi2, 2), round(found.best.chi2, 2)],
+        "mounted": found.mounted,
+        "seconds": [round(ran - began, 1), round(perf_counter() - ran, 1)],
+    }
+
+
+def interval(hits: int, count: int) -> str:
+    """Return a share with its 95 % interval (Jeffreys)."""
+    from scipy.stats import beta
+
+    if count == 0:
+        return "-"
+    low, high = beta.ppf([0.025, 0.975], hits + 0.5, count - hits + 0.5)
+    return f"{hits}/{count} ({100 * low:.0f}-{100 * high:.0f} %)"
+
+
+def table(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield the lines of the table of all results."""
+    clean = [row for row in rows if not row["hidden"]]
+    faulty = [row for row in rows if row["hidden"]]
+    alarms = sum(row["verdict"] in ("named", "ambiguous", "unnamed") for row in clean)
+    yield f"healthy trucks with an alarm: {interval(alarms, len(clean))}"
+    wrong = [r for r in rows if r["verdict"] == "named" and r["best"] != r["hidden"]]
+    yield f"a wrong cause above 0.8: {interval(len(wrong), len(rows))}"
+    yield "| severity | shifts | alarm | hidden cause in what is reported | named alone |"
+    yield "|---|---|---|---|---|"
+    for low in (0.0, 1 / 3, 2 / 3):
+        for least, most in ((0, 20), (20, 80), (80, 600)):
+            own = [
+                row
+                for row in faulty
+                if low <= row["severity"] < low + 1 / 3 and least <= row["shifts"] < most
+            ]
+            alarm = sum(row["verdict"] in ("named", "ambiguous", "unnamed") for row in own)
+            held = sum(row["hidden"] in row["reported"] for row in own)
+            named = sum(row["verdict"] == "named" and row["best"] == row["hidden"] for row in own)
+            yield (
+                f"| {low:.2f} to {low + 1 / 3:.2f} | {least} to {most} | {interval(alarm, len(own))} "
+                f"| {interval(held, len(own))} | {interval(named, len(own))} |"
+            )
+
+
+def measure(
+    logs: int = 200, first: int = 1000, store: Path = Path("truck_logs.jsonl"), shifts: int = 0
+) -> Iterator[str]:
+    """Judge drawn logs, a third of them healthy; results are added to `store` as they come."""
+    for seed in range(first, first + logs):
+        generator = np.random.default_rng([seed, 3])
+        severity = None if seed % 3 == 0 else float(generator.uniform())
+        count = shifts or int(10.0 * 50.0 ** float(generator.uniform()))
+        with TemporaryDirectory() as folder, store.open("a") as file:
+            file.write(json.dumps(one(seed, count, severity, Path(folder))) + "\n")
+    yield from table([json.loads(line) for line in store.read_text().splitlines()])

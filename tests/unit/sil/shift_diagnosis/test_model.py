@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from plant.parameters import load
-from sil.shift_diagnosis.linear import linearise, posterior, projected
+from sil.shift_diagnosis.linear import estimates, linearise, projected
 from sil.shift_diagnosis.model import PlantModel, Point, catalogue
 from sil.shift_diagnosis.shifts import Shift, shifts_of
 
@@ -43,7 +43,8 @@ def test_a_linear_model_is_a_sum_over_shifts(shifts: list[Shift]) -> None:
     assert np.allclose(whole.score, np.concatenate([p.score for p in parts]))
     information, score = projected(whole)
     assert information[0, 1] ** 2 > 0.9 * information[0, 0] * information[1, 1]
-    for j in (0, 1):  # the projection is the joint estimate's
-        joint = posterior(whole, [j])
-        estimate = score[j] / (information[j, j] + 1.0 / 9.0)
-        assert joint.estimate[-1] == pytest.approx(estimate, rel=1e-6, abs=1e-9)
+    alone = linearise(model, shifts, values, causes[:1])
+    joint, covariance = estimates(alone)  # the projection is the joint estimate's
+    precision = information[0, 0] + 1.0 / 9.0
+    assert joint[-1] == pytest.approx(score[0] / precision, rel=1e-6, abs=1e-9)
+    assert covariance[-1, -1] == pytest.approx(1.0 / precision, rel=1e-6)

@@ -1,0 +1,90 @@
+"""Watch trucks over months: each shift judged as it comes, changes dated, drifts extrapolated.
+
+A truck is a folder: under DIR the first folder below it, of a LOG the folder that it is in. DIR/OUT
+holds the store; called again, with more logs or after it was killed, it takes the logs that the store
+does not have. A CSV file that begins with time_s,NAME,NAME_sd holds per-shift estimates of any names.
+Exit 1: a change or a drift was found.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+from pathlib import Path
+
+from can_dbc.errors import InputError
+from sil.cli.options import JSON, argument
+
+EXAMPLE = """\
+example:
+  opc4 watch fleet/ --out fleet-watch --limit valve_open_delay=0.006
+"""
+
+ARGUMENTS = (
+    argument("target", "logs, or folders of logs", "DIR|LOG", nargs="+"),
+    argument(
+        "--limit",
+        "extrapolate a drift to this value, in the parameter's unit; repeatable [two typical sizes]",
+        "NAME=VALUE",
+        action="append",
+        default=[],
+    ),
+    argument("--model", "parameter set or model file", default="nominal", metavar="MODEL"),
+    argument("--map", "what the signals of another layout stand for (TOML)", "FILE"),
+    argument("--dbc", "the layout that --map names signals of", "FILE"),
+    argument("--out", "folder of store and page [runs/NAME-watch]", "DIR", type=Path),
+    JSON,
+)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Take the logs; write watch.json and report.html; 1 if anything has changed.
+
+    Raises InputError for a log that cannot be used and a limit that is none.
+    """
+    from plant.parameters import load
+    from sil.files.output_folder import finite, locked_folder
+    from sil.files.progress import Progress
+    from sil.j1939.mapping import SignalMapping
+    from sil.shift_diagnosis.watch import STORE, Watch, log_files
+    from sil.shift_diagnosis.watch_page import write_watch
+
+    limits = dict(map(_limit, arguments.limit))
+    files = list(log_files(arguments.target))
+    layout = arguments.map, arguments.dbc
+    mapping = SignalMapping(*layout) if any(layout) else None
+    out = arguments.out or Path("runs") / f"{Path(arguments.target[0]).resolve().stem}-watch"
+    with locked_folder(out) as folder:
+        watch = Watch(folder / STORE, load(arguments.model), mapping)
+        try:
+            with Progress("watching", "logs") as progress:
+                found = watch.take(files, progress)
+            again = shlex.join(["opc4", *sys.argv[1:]])
+            values = finite(write_watch(list(watch.trucks()), limits, folder, again))
+        finally:
+            watch.close()
+    if arguments.json:
+        print(json.dumps(values, ensure_ascii=False))
+    else:
+        _print(values)
+        print(f"  {len(found)} changes in new logs; written to {folder}", file=sys.stderr)
+    return int(any(truck["verdict"] != "steady" for truck in values["trucks"]))
+
+
+def _limit(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        return name, float(value)
+    except ValueError:
+        raise InputError(f"--limit {text}: expected NAME=VALUE") from None
+
+
+def _print(values: dict) -> None:  # type: ignore[type-arg]
+    for truck in values["trucks"]:
+        print(
+            f"{truck['truck']}: {truck['verdict']}, {truck['shifts']} shifts of {truck['logs']} logs"
+        )
+        for line in truck["lines"]:
+            print(f"  {line}")

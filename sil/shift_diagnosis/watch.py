@@ -1,0 +1,372 @@
+"""Trucks watched over months: logs taken once, each in one transaction of an SQLite store.
+
+Checked by: tests/unit/sil/shift_diagnosis/test_watch.py
+"""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from can_dbc.errors import InputError
+from plant.parameters import ParameterSet
+from sil.files.progress import Progress
+from sil.j1939.mapping import SignalMapping
+from sil.logs import FORMATS
+from sil.shift_diagnosis.fit import Fitter
+from sil.shift_diagnosis.judge import FIT_SHIFTS, rest_noise_m
+from sil.shift_diagnosis.linear import Floats, linearise
+from sil.shift_diagnosis.model import Cause, PlantModel, catalogue
+from sil.shift_diagnosis.shifts import Shift, shifts_of
+from sil.shift_diagnosis.track import Change, Track
+
+STORE: Final = "watch.sqlite"
+AT_ONCE: Final = 200
+"""Shifts that are simulated in one call."""
+ODD: Final = 8.0
+"""Chi squared by that of the truck's usual shifts from which a shift is odd: reported, not tracked."""
+MOST_ODD: Final = 200
+OBSERVATIONS: Final = "time_s,"
+"""How a file of per-shift observations begins: time_s, then NAME and NAME_sd of every parameter."""
+
+_TABLES: Final = """
+create table if not exists log (truck text, path text, size integer, shifts integer, skipped integer,
+  primary key (truck, path));
+create table if not exists truck (name text primary key, reference blob, track blob);
+create table if not exists odd (truck text, number integer, time_s real, path text, chi2 real);
+"""
+
+
+class Reference(msgspec.Struct):
+    """Where a truck's shifts are linearised: its own quantities, as its first log shows them.
+
+    values: in prior standard deviations; chi2: per number, of its usual shifts.
+    """
+
+    mounted: bool
+    values: list[float]
+    noise_m: float
+    chi2: float
+    shifts: int
+
+
+@dataclass(frozen=True)
+class Watched:
+    """One truck as the store has it."""
+
+    name: str
+    track: Track
+    logs: int
+    skipped: int
+    odd: list[tuple[int, float, str, float]]
+
+
+def tracked_causes() -> list[Cause]:
+    """Return the causes that are tracked: each effect that healthy trucks differ in, leaks, sensor."""
+    found: dict[str, Cause] = {}
+    for cause in catalogue():
+        own = cause.effect
+        if own.tolerance or own.cause_class in ("leak", "internal sensor"):
+            found.setdefault(own.id, cause)
+    return list(found.values())
+
+
+def log_files(targets: Sequence[str]) -> Iterator[tuple[str, Path]]:
+    """Yield (truck, log): a file's truck is its folder; under a folder, the first folder below it.
+
+    Raises InputError for what does not exist, or a folder without logs.
+    """
+    suffixes = {suffix for one in FORMATS.values() for suffix in one.suffixes}
+    for target in targets:
+        path = Path(target)
+        if path.is_file():
+            yield path.resolve().parent.name, path
+            continue
+        if not path.is_dir():
+            raise InputError(f"{target}: no such file or folder; expected logs or a folder of them")
+        files = sorted(
+            file
+            for file in path.rglob("*")
+            if file.is_file() and Path(file.name.removesuffix(".gz")).suffix.lower() in suffixes
+        )
+        if not files:
+            raise InputError(f"{target}: no log in it; expected {', '.join(sorted(suffixes))}")
+        for file in files:
+            inside = file.relative_to(path).parts
+            yield inside[0] if len(inside) > 1 else path.resolve().name, file
+
+
+class Watch:
+    """The store of a watch, and the model that its trucks' shifts are compared with."""
+
+    def __init__(
+        self, store: Path, parameters: ParameterSet, mapping: SignalMapping | None = None
+    ) -> None:
+        self._parameters, self._mapping = parameters, mapping
+        self._causes = tracked_causes()
+        self._models: dict[bool, PlantModel] = {}
+        self._connection = sqlite3.connect(store, isolation_level=None)
+        self._connection.executescript(_TABLES)
+
+    def close(self) -> None:
+        """Close the store."""
+        self._connection.close()
+
+    def take(
+        self, files: Sequence[tuple[str, Path]], progress: Progress
+    ) -> list[tuple[str, Change]]:
+        """Take the logs that the store does not have; return the changes found, by truck.
+
+        Raises InputError for a log that cannot be read; those before it are stored.
+        """
+        found: list[tuple[str, Change]] = []
+        for number, (truck, path) in enumerate(files):
+            progress(float(number), float(len(files)))
+            found += [(truck, change) for change in self._take_log(truck, path)]
+        return found
+
+    def _take_log(self, truck: str, path: Path) -> list[Change]:
+        run, name = self._connection.execute, os.path.relpath(path)
+        size = path.stat().st_size
+        have = run("select size from log where truck = ? and path = ?", (truck, name)).fetchone()
+        if have is not None:
+            if have[0] != size:
+                raise InputError(
+                    f"{name}: {size} bytes, {have[0]} when it was taken; expected a log that is "
+                    "complete, or another name for what follows"
+                )
+            return []
+        row = run("select reference, track from truck where name = ?", (truck,)).fetchone()
+        track = None if row is None else Track.from_bytes(row[1])
+        reference = None
+        if row is not None and row[0] is not None:
+            reference = msgspec.msgpack.decode(row[0], type=Reference)
+        run("begin")
+        try:
+            if _is_observations(path):
+                track, changes, count = _observations(path, track)
+                skipped = 0
+            else:
+                track, reference, changes, count, skipped = self._shifts(
+                    truck, name, track, reference
+                )
+            stored = None if reference is None else msgspec.msgpack.encode(reference)
+            run("insert into log values (?, ?, ?, ?, ?)", (truck, name, size, count, skipped))
+            run("insert or replace into truck values (?, ?, ?)", (truck, stored, track.to_bytes()))
+            run("commit")
+        except BaseException:
+            run("rollback")
+            raise
+        return changes
+
+    def _shifts(
+        self, truck: str, path: str, track: Track | None, reference: Reference | None
+    ) -> tuple[Track, Reference | None, list[Change], int, int]:
+        """Judge the shifts of a log in the order in which they come."""
+        track = track or Track.of(tuple(cause.effect.id for cause in self._causes))
+        _require_names(path, track, [cause.effect.id for cause in self._causes])
+        skipped = Counter[str]()
+        shifts = shifts_of(path, self._parameters, self._mapping, skipped)
+        changes: list[Change] = []
+        count = 0
+        while some := list(islice(shifts, AT_ONCE)):
+            reference = reference or self._reference(some)
+            count += len(some)
+            model = self._model(reference.mounted)
+            linear = linearise(
+                model, some, np.array(reference.values), self._causes, noise_m=reference.noise_m
+            )
+            chi2 = linear.misfit / np.maximum(linear.count, 1)
+            odd = (chi2 > ODD * reference.chi2) & (chi2 > ODD) | (linear.count == 0)
+            # after a lasting change every shift is far from the first ones: then none is odd
+            odd &= bool(np.mean(odd) < 0.1)
+            for k in np.flatnonzero(odd).tolist()[:MOST_ODD]:
+                values = truck, track.shifts, some[k].begin_s, path, float(chi2[k])
+                self._connection.execute("insert into odd values (?, ?, ?, ?, ?)", values)
+            n = linear.units
+            usual = ~odd
+            times = np.array([shift.begin_s for shift in some])
+            information = linear.information[usual][:, n:, n:]
+            changes += track.take(information, linear.score[usual][:, n:], times[usual])
+        return track, reference, changes, count, sum(skipped.values())
+
+    def _model(self, mounted: bool) -> PlantModel:
+        if mounted not in self._models:
+            self._models[mounted] = PlantModel(self._parameters, mounted)
+        return self._models[mounted]
+
+    def _reference(self, shifts: Sequence[Shift]) -> Reference:
+        """Fit a truck's own quantities to its first shifts."""
+        few = list(shifts[: 2 * FIT_SHIFTS])
+        noise = rest_noise_m(few)
+        fits = []
+        for mounted in (True, False):
+            fitter = Fitter(self._model(mounted), few[:FIT_SHIFTS], noise)
+            fits.append((mounted, fitter.fit(None, np.zeros(len(fitter.names)), 0.0)))
+        mounted, best = min(fits, key=lambda pair: pair[1].half_chi2)
+        linear = linearise(self._model(mounted), few, best.values, noise_m=noise)
+        chi2 = float(np.median(linear.misfit / np.maximum(linear.count, 1)))
+        return Reference(mounted, best.values.tolist(), noise, max(chi2, 0.1), len(few))
+
+    def trucks(self) -> Iterator[Watched]:
+        """Yield every truck of the store, by name."""
+        run = self._connection.execute
+        for name, track in run("select name, track from truck order by name").fetchall():
+            logs, skipped = run(
+                "select count(*), sum(skipped) from log where truck = ?", (name,)
+            ).fetchone()
+            odd = run(
+                "select number, time_s, path, chi2 from odd where truck = ? order by number desc limit 20",
+                (name,),
+            ).fetchall()
+            yield Watched(name, Track.from_bytes(track), logs, skipped, odd)
+
+
+def _is_observations(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(len(OBSERVATIONS)) == OBSERVATIONS.encode()
+
+
+def _require_names(path: str, track: Track, names: Sequence[str]) -> None:
+    if list(track.names) != list(names):
+        raise InputError(
+            f"{path}: parameters {', '.join(names)}; expected those that the truck has in the store: "
+            f"{', '.join(track.names)}"
+        )
+
+
+def _observations(path: Path, track: Track | None) -> tuple[Track, list[Change], int]:
+    """Take a file of per-shift observations: estimates with standard deviations."""
+    changes: list[Change] = []
+    count = 0
+    with path.open(encoding="utf-8-sig") as file:
+        head = [word.strip() for word in file.readline().split(",")]
+        names = tuple(head[1::2])
+        if not names or head[2::2] != [f"{name}_sd" for name in names]:
+            raise InputError(
+                f"{path}: line 1: {','.join(head)[:80]}; expected time_s, then NAME and NAME_sd"
+            )
+        track = track or Track.of(names)
+        _require_names(str(path), track, names)
+        while lines := list(islice(file, 5000)):
+            rows = _rows(path, lines, len(head), count + 2)
+            count += len(rows)
+            weight = rows[:, 2::2] ** -2.0
+            information = np.zeros((len(rows), len(names), len(names)))
+            information[:, range(len(names)), range(len(names))] = weight
+            changes += track.take(information, weight * rows[:, 1::2], rows[:, 0])
+    return track, changes, count
+
+
+def _rows(path: Path, lines: Sequence[str], columns: int, first: int) -> Floats:
+    rows = np.empty((len(lines), columns))
+    for k, line in enumerate(lines):
+        try:
+            rows[k] = [float(word) for word in line.split(",")]
+        except ValueError:
+            raise InputError(
+                f"{path}: line {first + k}: {line.strip()[:60]!r}; expected {columns} numbers"
+            ) from None
+    if not np.isfinite(rows).all() or not (rows[:, 2::2] > 0.0).all():
+        raise InputError(
+            f"{path}: from line {first}: expected finite numbers and standard deviations above 0"
+        )
+    return rows
+
+
+def as_json(watched: Watched, limits: dict[str, float]) -> dict[str, Any]:
+    """Return one truck's object in watch.json; limits: by parameter, in its unit."""
+    track, causes = watched.track, {c.effect.id: c for c in tracked_causes()}
+    changes = [_change_json(track, number, causes) for number in range(len(track.changes))]
+    parameters = []
+    for k, name in enumerate(track.names):
+        size, deviation = track.level(k, track.since)
+        parameters.append(
+            {"name": name, **_valued(causes.get(name), size, deviation), "since_shift": track.since}
+        )
+    return {
+        "truck": watched.name,
+        "verdict": "drifting" if track.drifting else "changed" if changes else "steady",
+        "logs": watched.logs,
+        "shifts": track.shifts,
+        "left_out": watched.skipped,
+        "odd_shifts": [
+            dict(zip(("shift", "time_s", "log", "chi2"), row, strict=True)) for row in watched.odd
+        ],
+        "parameters": parameters,
+        "changes": changes,
+        "forecast": [
+            forecast(track, name, causes.get(name), limits.get(name))
+            for name in sorted(track.drifting)
+        ],
+    }
+
+
+def _change_json(track: Track, number: int, causes: dict[str, Cause]) -> dict[str, Any]:
+    change = track.changes[number]
+    k = track.names.index(change.name)
+    before = max([0, *(c.shift for c in track.changes[:number])])
+    after = next((c.shift for c in track.changes[number + 1 :]), None)
+    cause = causes.get(change.name)
+    found = msgspec.to_builtins(change)
+    found["before"] = _valued(cause, *track.level(k, before, change.shift))
+    found["after"] = _valued(cause, *track.level(k, change.shift, after))
+    return dict(found)
+
+
+def _valued(cause: Cause | None, size: float, deviation: float) -> dict[str, Any]:
+    """Return a size with its 95 % interval, in the parameter's unit."""
+    if not np.isfinite(size):
+        return {"value": None, "low": None, "high": None, "unit": "-"}
+    ends = [size + k * deviation for k in (0.0, -1.96, 1.96)]
+    if cause is not None and np.isfinite(deviation):
+        ends = [_unbounded(cause, end) for end in ends]
+    unit = "-" if cause is None else cause.parameter.unit
+    return {"value": ends[0], "low": min(ends[1:]), "high": max(ends[1:]), "unit": unit}
+
+
+def _unbounded(cause: Cause, size: float) -> float:
+    """Return a parameter's value at a size, relative to the first shifts: of either sign."""
+    own = cause.parameter
+    if own.neutral > 0.0:
+        return cause.value(size)
+    return own.neutral + size * own.typical
+
+
+def forecast(track: Track, name: str, cause: Cause | None, limit: float | None) -> dict[str, Any]:
+    """Return when a drifting parameter reaches its limit, with a 95 % interval, or why that is open.
+
+    limit: in the parameter's unit; None: two typical sizes in the drift's direction.
+    """
+    now, slope, covariance = track.drift(track.names.index(name))
+    goal = 2.0 * float(np.sign(slope))
+    stated = _unbounded(cause, goal) if cause is not None else goal
+    if limit is not None:
+        stated, goal = limit, limit
+        if cause is not None:
+            own = cause.parameter
+            goal = (limit - own.neutral) / own.typical
+            if own.neutral > 0.0:
+                grid = np.linspace(-20.0, 20.0, 4001)
+                goal = float(np.interp(limit, [cause.value(g) for g in grid], grid))
+    found: dict[str, Any] = {"name": name, "limit": stated, "per_1000_shifts": 1000.0 * slope}
+    draws = np.random.default_rng(1).multivariate_normal([now, slope], covariance, 4000)
+    left = (goal - draws[:, 0]) / draws[:, 1]
+    low, middle, high = np.quantile(np.where(left < 0.0, np.inf, left), [0.025, 0.5, 0.975])
+    seen = track.shifts - track.since
+    if (goal - now) * np.sign(slope) <= 0.0:
+        return found | {"shifts_left": 0, "low": 0, "high": 0, "why": "the limit is passed"}
+    if not np.isfinite(high) or high > 10.0 * seen:
+        why = f"not extrapolated: {seen} shifts of drift do not bound it"
+        return found | {"shifts_left": None, "low": None, "high": None, "why": why}
+    ends = (int(middle), int(low), int(high))
+    return found | dict(zip(("shifts_left", "low", "high"), ends, strict=True)) | {"why": ""}

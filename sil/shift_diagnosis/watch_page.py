@@ -1,0 +1,128 @@
+"""watch.json and report.html of trucks that are watched: what changed, when, how sure, what next.
+
+Checked by: tests/unit/sil/shift_diagnosis/test_watch.py
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from plant.effects import CATALOGUE
+from sil.files.atomic import write_atomically
+from sil.files.output_folder import finite
+from sil.report.figure import Band, Figure, Panel, Rule, Series, Stack
+from sil.report.plots import plots
+from sil.report.shell import Head, render
+from sil.shift_diagnosis.page import MEASURE
+from sil.shift_diagnosis.track import BLOCK, THRESHOLD
+from sil.shift_diagnosis.watch import Watched, as_json
+
+MOST_DRAWN: Final = 12
+"""Trucks with changes whose parameters are drawn."""
+ABSOLUTE_S: Final = 315_532_800.0
+"""Times after this, 1980, count from 1970."""
+BASIS: Final = (
+    f"a change is reported from {THRESHOLD:g} standard deviations on; simulated with independent shifts "
+    "of normal scatter (docs, truck-diagnosis)"
+)
+
+
+def write_watch(
+    trucks: Sequence[Watched], limits: dict[str, float], folder: Path, again: str
+) -> dict[str, Any]:
+    """Write watch.json and report.html; return what watch.json holds."""
+    values: dict[str, Any] = {
+        "format": 1,
+        "false_alarm": {"per_shifts": 100_000, "at_most": 1, "basis": BASIS},
+        "block_shifts": BLOCK,
+        "trucks": [as_json(truck, limits) for truck in trucks],
+    }
+    for truck in values["trucks"]:
+        truck["lines"] = list(_lines(truck))
+    text = json.dumps(finite(values), indent=1, ensure_ascii=False)
+    write_atomically(folder / "watch.json", text + "\n")
+    found = [t for t in values["trucks"] if t["verdict"] != "steady"]
+    changed = [w for w in trucks if w.track.changes][:MOST_DRAWN]
+    head = Head(
+        command="watch",
+        name=folder.name,
+        verdict=f"{len(found)} of {len(trucks)} trucks have changed" if found else "steady",
+        good=not found,
+        tiles=[
+            (str(len(trucks)), "trucks"),
+            (str(sum(t["shifts"] for t in values["trucks"])), "shifts"),
+            (str(sum(len(t["changes"]) for t in values["trucks"])), "changes"),
+            ("1e-5", "false alarms a shift, at most"),
+        ],
+        again=again,
+    )
+    figure = Figure([_figure(watched) for watched in changed])
+    page = render("watch.html", head, plots(figure) if changed else [], values=values)
+    write_atomically(folder / "report.html", page)
+    return values
+
+
+def _lines(truck: dict[str, Any]) -> list[str]:
+    """Return what happened to a truck, and what to do next."""
+    lines = []
+    for change in truck["changes"]:
+        before, after = change["before"], change["after"]
+        when = f"shift {change['shift']} [{change['low']}, {change['high']}], {_when(change['time_s'])}"
+        unit = "" if after["unit"] == "-" else f" {after['unit']}"
+        if change["kind"] == "drift":
+            lines.append(f"{change['name']} drifts from {when} on ({change['sigma']:.1f} sigma)")
+        else:
+            lines.append(
+                f"{change['name']}: {_text(before)} to {_text(after)}{unit} at {when} "
+                f"({change['sigma']:.1f} sigma)"
+            )
+        if change["alike"]:
+            lines.append(f"  these shifts cannot tell it from {', '.join(change['alike'])}")
+        ids = [change["name"], *change["alike"]]
+        kinds = {CATALOGUE[name].cause_class for name in ids if name in CATALOGUE}
+        for kind in sorted(kinds & MEASURE.keys()):
+            lines.append(f"  next: measure {MEASURE[kind]}")
+    for item in truck["forecast"]:
+        goal = f"{item['name']} reaches {item['limit']:.4g}"
+        if item["why"]:
+            lines.append(f"{goal}: {item['why']}")
+        else:
+            lines.append(f"{goal} in {item['shifts_left']} shifts [{item['low']}, {item['high']}]")
+    if truck["odd_shifts"]:
+        lines.append(f"{len(truck['odd_shifts'])} odd shifts among the latest, not tracked")
+    return lines
+
+
+def _text(item: dict[str, Any]) -> str:
+    if item["value"] is None:
+        return "unknown"
+    return f"{item['value']:.4g} [{item['low']:.4g}, {item['high']:.4g}]"
+
+
+def _when(time_s: float) -> str:
+    if time_s < ABSOLUTE_S:
+        return f"{time_s:.0f} s"
+    return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def _figure(watched: Watched) -> Stack:
+    """Return the changed parameters of a truck over its shifts, in typical sizes."""
+    track, panels = watched.track, []
+    at = track.first + 0.5 * track.count
+    for name in dict.fromkeys(change.name for change in track.changes):
+        k = track.names.index(name)
+        h = np.maximum(track.information[:, k, k] / track.scatter2[k], 1e-12)
+        size, deviation = track.score[:, k] / track.scatter2[k] / h, h**-0.5
+        rules = [
+            Rule(float(c.shift), c.kind, style="dashed") for c in track.changes if c.name == name
+        ]
+        line = Series(name, at, size, "measured", "dots")
+        band = Band(at, size - 1.96 * deviation, size + 1.96 * deviation, "measured")
+        panels.append(Panel(name, "typical sizes", [line], bands=[band], rules=rules, height=140))
+    return Stack("shift", panels, watched.name, width=12.0)

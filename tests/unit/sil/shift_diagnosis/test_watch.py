@@ -1,0 +1,125 @@
+"""`opc4 watch`: a fleet by folders, resumed without loss, refused in one line."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from can_dbc.errors import InputError
+from sil.cli import main
+from sil.shift_diagnosis import watch as watching
+
+
+def observations(path: Path, sizes: np.ndarray, seed: int, begin: int = 0) -> None:
+    generator = np.random.default_rng(seed)
+    lines = ["time_s,valve_open_delay,valve_open_delay_sd,play,play_sd"]
+    for k, (a, b) in enumerate(sizes + generator.normal(0.0, 0.5, sizes.shape)):
+        lines.append(f"{(begin + k) * 60.0},{a:.5f},0.5,{b:.5f},0.5")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(lines) + "\n")
+
+
+def fleet(folder: Path) -> None:
+    sizes = np.zeros((2000, 2))
+    for part in range(3):
+        observations(folder / "one" / f"{part}.csv", sizes, part, 2000 * part)
+    sizes[700:, 0] = 0.5
+    observations(folder / "two" / "0.csv", 0.0 * sizes, 7)
+    observations(folder / "two" / "1.csv", sizes, 8, 2000)
+
+
+def test_a_fleet_is_watched(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fleet(tmp_path / "fleet")
+    assert main(["watch", str(tmp_path / "fleet"), "--out", str(tmp_path / "out"), "--json"]) == 1
+    one, two = json.loads(capsys.readouterr().out)["trucks"]
+    assert (one["truck"], one["verdict"], one["shifts"]) == ("one", "steady", 6000)
+    assert two["verdict"] == "changed"
+    (change,) = two["changes"]
+    assert abs(change["shift"] - 2700) <= 40
+    assert change["before"]["high"] < 0.0004 < 0.001 < change["after"]["low"]  # s: 3 ms a size
+    assert any("next: measure" in line for line in two["lines"])
+    assert "valve_open_delay" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_killed_and_resumed_nothing_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet(tmp_path / "fleet")
+    target = str(tmp_path / "fleet")
+    main(["watch", target, "--out", str(tmp_path / "whole")])
+    taken = watching._observations
+    calls = []
+
+    def killed(path: Path, track: object) -> object:
+        calls.append(path)
+        found = taken(path, track)  # type: ignore[arg-type]
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return found
+
+    monkeypatch.setattr(watching, "_observations", killed)
+    with pytest.raises(BaseException):  # noqa: B017 - however the command ends
+        assert main(["watch", target, "--out", str(tmp_path / "out")]) == 0
+    store = sqlite3.connect(tmp_path / "out" / watching.STORE)
+    assert store.execute("select count(*) from log").fetchone() == (2,)
+    main(["watch", target, "--out", str(tmp_path / "out")])
+    assert len(calls) == 6  # two were not read again
+    whole, resumed = (
+        json.loads((tmp_path / name / "watch.json").read_text()) for name in ("whole", "out")
+    )
+    assert whole == resumed
+
+
+def test_a_drift_is_extrapolated_to_the_stated_limit(tmp_path: Path) -> None:
+    sizes = np.zeros((8000, 2))
+    sizes[3000:, 0] = np.arange(5000) / 5000.0
+    observations(tmp_path / "truck" / "a.csv", sizes, 3)
+    out = tmp_path / "out"
+    limit = "valve_open_delay=0.006"
+    assert main(["watch", str(tmp_path / "truck"), "--out", str(out), "--limit", limit]) == 1
+    (truck,) = json.loads((out / "watch.json").read_text())["trucks"]
+    (forecast,) = truck["forecast"]
+    assert truck["verdict"] == "drifting"
+    assert forecast["limit"] == 0.006
+    assert forecast["low"] < 5000 < forecast["high"]
+    assert forecast["low"] > 4000 and forecast["high"] < 6000
+
+
+@pytest.mark.slow
+def test_a_truck_whose_valves_become_late(
+    late_log: Path, nominal_log: Path, tmp_path: Path
+) -> None:
+    for name in ("a", "b"):
+        (tmp_path / "truck").mkdir(exist_ok=True)
+        (tmp_path / "truck" / f"{name}.log").write_bytes(nominal_log.read_bytes())
+    out = tmp_path / "out"
+    assert main(["watch", str(tmp_path / "truck"), "--out", str(out)]) == 0
+    (truck,) = json.loads((out / "watch.json").read_text())["trucks"]
+    assert truck["shifts"] >= 8 and truck["logs"] == 2
+    delays = {row["name"]: row for row in truck["parameters"]}["valve_open_delay"]
+    assert delays["low"] < 0.0005 and delays["high"] > -0.0005
+
+
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [
+        ("time_s,a\n1,2\n", "line 1"),
+        ("time_s,a,a_sd\n1,2,x\n", "line 2"),
+        ("time_s,a,a_sd\n1,2,0\n", "above 0"),
+    ],
+)
+def test_bad_observations_are_refused(tmp_path: Path, text: str, wrong: str) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(InputError, match=wrong):
+        watching._observations(tmp_path / "a.csv", None)
+
+
+def test_a_folder_without_logs_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["watch", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
