@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from array import array
+from bisect import bisect_left, bisect_right
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
+from dataclasses import dataclass
+from operator import le
 from statistics import median
-from typing import Final, NamedTuple
+from typing import Final
 
 from sil.j1939.shift_flag import word_at
 
@@ -15,17 +16,10 @@ PGN_EEC1: Final = 61444
 _TORQUE_OFFSET: Final = 125
 _LAST_TORQUE_BYTE: Final = 250
 _BEFORE_NS: Final = 500_000_000
+_KEPT_BEFORE_NS: Final = 3_000_000_000
 _KEPT_AFTER_NS: Final = 2_000_000_000
 _HELD: Final = 512
 _MOST_KEPT: Final = 1_000_000
-
-
-class EngineSample(NamedTuple):
-    """Actual torque in % of the reference torque (SPN 513), and speed in rpm (SPN 190)."""
-
-    time_ns: int
-    torque_percent: int
-    speed_rpm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,51 +51,69 @@ class EngineFigures:
         return f"engine {', '.join(parts)}, {speeds} rpm"
 
 
-@dataclass(slots=True)
 class EngineTrace:
-    """Samples of one engine, of which those around shifts are kept."""
+    """Samples of one engine, of which those around shifts are kept.
 
-    kept: list[EngineSample] = field(default_factory=list)
-    _held: deque[EngineSample] = field(default_factory=lambda: deque(maxlen=_HELD))
-    _until_ns: int = -(2**63)
+    time_ns, torque_percent (SPN 513), speed_rpm (SPN 190): [n] the samples kept, by time after `sort`.
+    """
+
+    def __init__(self) -> None:
+        self.time_ns = array("q")
+        self.torque_percent = array("h")
+        self.speed_rpm = array("d")
+        self._held: deque[tuple[int, bytes]] = deque(maxlen=_HELD)
+        self._until_ns = -(2**63)
 
     def take(self, time_ns: int, data: bytes) -> None:
-        """Take one EEC1 of eight bytes."""
-        speed = word_at(data, 3)
-        if speed is None or data[2] > _LAST_TORQUE_BYTE:
-            return
-        sample = EngineSample(time_ns, data[2] - _TORQUE_OFFSET, speed / 8)
-        if time_ns <= self._until_ns and len(self.kept) < _MOST_KEPT:
-            self.kept.append(sample)
+        """Take one EEC1."""
+        if time_ns <= self._until_ns:
+            self._add(time_ns, data)
         else:
-            self._held.append(sample)
+            self._held.append((time_ns, data))
 
     def keep(self, time_ns: int) -> None:
         """Keep the samples shortly before and after a time: there may be a shift."""
-        self.kept += self._held
+        for sample in self._held:
+            if sample[0] >= time_ns - _KEPT_BEFORE_NS:
+                self._add(*sample)
         self._held.clear()
         self._until_ns = time_ns + _KEPT_AFTER_NS
 
+    def _add(self, time_ns: int, data: bytes) -> None:
+        speed = word_at(data, 3)
+        if speed is not None and data[2] <= _LAST_TORQUE_BYTE and len(self.time_ns) < _MOST_KEPT:
+            self.time_ns.append(time_ns)
+            self.torque_percent.append(data[2] - _TORQUE_OFFSET)
+            self.speed_rpm.append(speed / 8)
+
+    def sort(self) -> None:
+        """Put the samples in order after the end of the log, whose clock may step backwards."""
+        if all(map(le, self.time_ns, self.time_ns[1:])):
+            return
+        order = sorted(range(len(self.time_ns)), key=self.time_ns.__getitem__)
+        for name in ("time_ns", "torque_percent", "speed_rpm"):
+            column = getattr(self, name)
+            setattr(self, name, array(column.typecode, map(column.__getitem__, order)))
+
     def figures(self, start_ns: int, end_ns: int) -> EngineFigures | None:
         """Return the figures of a shift, None if the log has no samples before and during it."""
-        near = [s for s in self.kept if start_ns - _BEFORE_NS <= s.time_ns <= end_ns + _BEFORE_NS]
-        before = [s for s in near if s.time_ns < start_ns]
-        during = [s for s in near if start_ns <= s.time_ns <= end_ns]
-        after = [s for s in near if s.time_ns > end_ns]
-        if not before or not during:
+        begin = bisect_left(self.time_ns, start_ns - _BEFORE_NS)
+        first, last = bisect_left(self.time_ns, start_ns), bisect_right(self.time_ns, end_ns)
+        end = bisect_right(self.time_ns, end_ns + _BEFORE_NS)
+        if begin == first or first >= last:
             return None
-        torque = median(s.torque_percent for s in before)
+        torques, speeds = self.torque_percent, self.speed_rpm
+        torque = median(torques[begin:first])
         return EngineFigures(
             torque,
-            min(s.torque_percent for s in during),
-            median(s.torque_percent for s in after) if after else None,
-            _time_below(near, torque / 2) if torque >= 10 else None,
-            median(s.speed_rpm for s in before),
-            median(s.speed_rpm for s in after) if after else None,
+            min(torques[first:last]),
+            median(torques[last:end]) if last < end else None,
+            self._time_below(begin, end, torque / 2) if torque >= 10 else None,
+            median(speeds[begin:first]),
+            median(speeds[last:end]) if last < end else None,
         )
 
-
-def _time_below(samples: Sequence[EngineSample], limit_percent: float) -> float:
-    """Return how long the torque was below a limit, in s; each sample counts up to the next."""
-    low = (b.time_ns - a.time_ns for a, b in pairwise(samples) if a.torque_percent < limit_percent)
-    return sum(low) / 1e9
+    def _time_below(self, begin: int, end: int, limit_percent: float) -> float:
+        """Return how long the torque was below a limit, in s; each sample counts up to the next."""
+        low = [n for n in range(begin, end - 1) if self.torque_percent[n] < limit_percent]
+        return sum(self.time_ns[n + 1] - self.time_ns[n] for n in low) / 1e9

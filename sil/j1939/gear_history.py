@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from sil.j1939.silences import Silences
+from sil.j1939.silences import SILENCE_NS, Silences
 
 PGN_ETC2: Final = 61445
 _GEAR_OFFSET: Final = 125
@@ -68,19 +68,23 @@ class GearHistory:
     chatter: int = 0
     runs: list[Run] = field(default_factory=list)
     silences: Silences = field(default_factory=Silences)
+    _last_ns: int = 0
 
-    def take(self, time_ns: int, data: bytes) -> None:
-        """Take one ETC2."""
-        self.silences.take(time_ns)
+    def take(self, time_ns: int, data: bytes) -> bool:
+        """Take one ETC2; return whether its gears differ from those before."""
+        self.silences.samples += 1
+        if self.silences.samples > 1 and time_ns - self._last_ns > SILENCE_NS:
+            self.silences.add(self._last_ns, time_ns)
+        self._last_ns = time_ns
         current, selected = gear_at(data, 3), gear_at(data, 0)
-        if self.runs:
-            last = self.runs[-1]
-            if last.current == current and last.selected == selected and time_ns >= last.last_ns:
-                last.last_ns = time_ns
-                last.samples += 1
-                return
-        if len(self.runs) < MOST_RUNS:
+        last = self.runs[-1] if self.runs else None
+        same = last is not None and (last.current, last.selected) == (current, selected)
+        if last is not None and same and time_ns >= last.last_ns:
+            last.last_ns = time_ns
+            last.samples += 1
+        elif len(self.runs) < MOST_RUNS:
             self.runs.append(Run(current, selected, time_ns, time_ns))
+        return last is not None and not same
 
     def gear_before(self, time_ns: int) -> int | None:
         """Return the last valid current gear reported before a time."""

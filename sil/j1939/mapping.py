@@ -14,7 +14,6 @@ from msgspec import Meta
 from can_dbc import typed_toml
 from can_dbc.errors import InputError, unknown_name
 from can_dbc.frame import split_id
-from sil.logs.frame import LogFrame
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
@@ -43,7 +42,6 @@ _LAST_VALID_BYTE: Final = 0xFB
 """Above it the highest byte of a J1939 parameter means error or not available."""
 
 _LONGEST: Final = 64
-_MOST_IDS: Final = 20_000
 
 
 class MappedSignal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -109,7 +107,6 @@ class SignalMapping:
         self._signals: list[Signal] = []
         for index, row in enumerate(self.rows):
             self._bind(row, f"{self.path}: signal[{index}]", known)
-        self._found: dict[tuple[int, bool], tuple[str, int] | None] = {}
 
     def _bind(self, row: MappedSignal, where: str, known: dict[str, Message]) -> None:
         if row.message not in known:
@@ -150,30 +147,19 @@ class SignalMapping:
             return f"PGN {split_id(found.frame_id).pgn}"
         return f"identifier {found.frame_id:03X}"
 
-    def sender(self, frame: LogFrame) -> Sender | None:
-        """Return which mapped message a data frame is, and whose; None for others."""
-        key = frame.can_id, frame.extended
-        if key not in self._found:
-            if len(self._found) >= _MOST_IDS:
-                self._found.clear()
-            self._found[key] = self._find(*key)
-        found = self._found[key]
-        if found is None or frame.remote or frame.error:
-            return None
-        return Sender(found[0], frame.channel, found[1])
-
-    def _find(self, can_id: int, extended: bool) -> tuple[str, int] | None:
+    def sender(self, channel: str, can_id: int, extended: bool) -> Sender | None:
+        """Return which mapped message the frames of an identifier are, and whose; None for others."""
         for name, message in self._messages.items():
             if message.is_extended_frame != extended:
                 continue
             if not extended:
                 if message.frame_id == can_id:
-                    return name, ANY_SOURCE
+                    return Sender(name, channel, ANY_SOURCE)
                 continue
             theirs, ours = split_id(can_id), split_id(message.frame_id)
             anyone = ours.source == ANY_SOURCE or message.protocol == "j1939"
             if theirs.pgn == ours.pgn and (anyone or theirs.source == ours.source):
-                return name, theirs.source
+                return Sender(name, channel, theirs.source)
         return None
 
     def values(self, sender: Sender, data: bytes) -> dict[int, float]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Final
 
-from sil.j1939.silences import Silences
+from sil.j1939.silences import SILENCE_NS, Silences
 
 PGN_ETC1: Final = 61442
 _LAST_VALID_WORD: Final = 0xFAFF
@@ -26,11 +26,13 @@ _LEAST_OUTPUT: Final = 160
 """Output shaft speed (0.125 rpm) below which the ratio of two speeds is not used: 20 rpm."""
 
 _MOST_SAMPLES: Final = 1024
+_FLAGS: Final = (False, True, None, None)
+"""By the two bits of a state: off, on, error, not available."""
 
 
-def flag_at(data: bytes, byte: int, bit: int) -> bool | None:
-    """Return a two-bit state, bytes and bits from 0; None for error and not available."""
-    return (False, True, None, None)[data[byte] >> bit & 3]
+def shift_in_process(data: bytes) -> bool | None:
+    """Return SPN 574 of an ETC1, None for error and not available."""
+    return _FLAGS[data[0] >> 4 & 3]
 
 
 def word_at(data: bytes, byte: int) -> int | None:
@@ -74,25 +76,31 @@ class FlagTracker:
     _doubt_ns: int | None = None
     _shift_chatter: int = 0
     _from_ratio: float | None = None
-    _last_ns: int | None = None
-    _last_data: bytes = b""
-    _ratios: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=_MOST_SAMPLES))
-    _after: list[float] = field(default_factory=list)
+    _last_ns: int = -(2**63)
+    _samples: deque[tuple[int, bytes]] = field(default_factory=lambda: deque(maxlen=_MOST_SAMPLES))
+    _settled_ns: int = 2**63
     _settling: FlaggedShift | None = None
 
-    def take(self, time_ns: int, data: bytes) -> None:
-        """Take one ETC1; one that is there twice at the same instant counts once."""
-        if (time_ns, data) == (self._last_ns, self._last_data):
-            return
-        if self._last_ns is not None and time_ns < self._last_ns:
-            self._restart()
-        self._last_ns, self._last_data = time_ns, data
-        self.silences.take(time_ns)
-        self._ratio(time_ns, data)
-        flag = flag_at(data, 0, 4)
-        if flag is not None:
+    def take(self, time_ns: int, data: bytes) -> bool | None:
+        """Take one ETC1 and return its flag; one that is there twice at an instant counts once."""
+        last_ns = self._last_ns
+        if not last_ns < time_ns <= last_ns + SILENCE_NS and self._samples:
+            if time_ns > last_ns:
+                self.silences.add(last_ns, time_ns)
+            elif time_ns < last_ns:
+                self._restart()
+            elif data == self._samples[-1][1]:
+                return None
+        self._last_ns = time_ns
+        self.silences.samples += 1
+        self._samples.append((time_ns, data))
+        if time_ns > self._settled_ns:
+            self._settle()
+        flag = shift_in_process(data)
+        if flag is not None and (flag is not self._state or self._doubt_ns is not None):
             self.flagged = True
             self._flag(time_ns, flag)
+        return flag
 
     def _restart(self) -> None:
         """Begin anew after a step of the clock backwards."""
@@ -101,7 +109,7 @@ class FlagTracker:
         if self._state:
             self.unfinished += 1
         self._state = self._begun_ns = self._doubt_ns = None
-        self._ratios.clear()
+        self._samples.clear()
 
     def _flag(self, time_ns: int, flag: bool) -> None:
         doubt_ns = self._doubt_ns
@@ -137,25 +145,22 @@ class FlagTracker:
         shift = FlaggedShift(self._begun_ns, time_ns, self._shift_chatter, self._from_ratio)
         self.shifts.append(shift)
         self._settling = shift
+        self._settled_ns = time_ns + RATIO_SETTLE_NS + RATIO_WINDOW_NS
         self._begun_ns = None
-
-    def _ratio(self, time_ns: int, data: bytes) -> None:
-        output, shaft_in = word_at(data, 1), word_at(data, 5)
-        if output is not None and shaft_in is not None and output >= _LEAST_OUTPUT:
-            self._ratios.append((time_ns, shaft_in / output))
-        shift = self._settling
-        if shift is not None and time_ns > shift.end_ns + RATIO_SETTLE_NS + RATIO_WINDOW_NS:
-            self._settle()
 
     def _settle(self) -> None:
         """Take the ratio after the last shift, from the samples that there are by now."""
-        shift, self._settling = self._settling, None
+        shift, self._settling, self._settled_ns = self._settling, None, 2**63
         if shift is not None:
             begin_ns = shift.end_ns + RATIO_SETTLE_NS
             shift.to_ratio = self._median(begin_ns, begin_ns + RATIO_WINDOW_NS)
 
     def _median(self, begin_ns: int, end_ns: int) -> float | None:
-        found = [ratio for time_ns, ratio in self._ratios if begin_ns <= time_ns < end_ns]
+        found = []
+        for data in (data for time_ns, data in self._samples if begin_ns <= time_ns < end_ns):
+            output, shaft_in = word_at(data, 1), word_at(data, 5)
+            if output is not None and shaft_in is not None and output >= _LEAST_OUTPUT:
+                found.append(shaft_in / output)
         return median(found) if found else None
 
     def finish(self) -> None:

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
-from sil.j1939.engine import PGN_EEC1, EngineFigures, EngineSample, EngineTrace
+from can_dbc.frame import split_id
+from sil.j1939.engine import PGN_EEC1, EngineFigures, EngineTrace
 from sil.j1939.gear_history import PGN_ETC2, SETTLE_NS, GearHistory
-from sil.j1939.shift_flag import PGN_ETC1, FlagTracker, flag_at
+from sil.j1939.shift_flag import PGN_ETC1, FlagTracker
 from sil.logs.frame import LogFrame
 from sil.logs.times import format_ns
 
 _GEAR_NAMES: Final = {0: "N", 126: "P"}
 RATIO_TOLERANCE: Final = 0.05
-_PGN_MASK: Final = 0x3FFFF00
-_ETC1_BITS: Final = PGN_ETC1 << 8
-_ETC2_BITS: Final = PGN_ETC2 << 8
-_EEC1_BITS: Final = PGN_EEC1 << 8
 _MOST_NOTES: Final = 20
 _GATEWAY_NS: Final = 100_000_000
 """A gateway forwards within this; the same shift of the same sender on two channels is one."""
@@ -84,47 +81,43 @@ def gear_name(gear: int | None) -> str:
 
 
 class ShiftFinder:
-    """Finds the shifts in a stream of frames: `take` each, then `finish`.
+    """Finds the shifts in a log: `follow` each identifier, then `finish`.
 
     Senders (channel and source address) are followed apart, of engines the first on each channel.
-    Error, remote and standard frames and all other parameter groups are passed over.
     """
 
     def __init__(self) -> None:
         self._flags: dict[tuple[str, int], FlagTracker] = defaultdict(FlagTracker)
         self._gears: dict[tuple[str, int], GearHistory] = defaultdict(GearHistory)
         self._engines: dict[str, tuple[int, EngineTrace]] = {}
-        self._gear_bytes: dict[tuple[str, int], bytes] = {}
         self._short = 0
         self.unflagged: list[Shift] = []
         self.notes: list[str] = []
 
-    def take(self, frame: LogFrame) -> None:
-        """Take one frame."""
-        group = frame.can_id & _PGN_MASK
-        if group not in (_ETC1_BITS, _ETC2_BITS, _EEC1_BITS):
-            return
-        if not frame.extended or frame.remote or frame.error:
-            return
-        if len(frame.data) < 8:
-            self._short += 1
-            return
-        sender = frame.channel, frame.can_id & 0xFF
-        if group == _EEC1_BITS:
-            engine = self._engines.setdefault(frame.channel, (sender[1], EngineTrace()))
-            if engine[0] == sender[1]:
-                engine[1].take(frame.time_ns, frame.data)
-            return
-        if group == _ETC1_BITS:
-            self._flags[sender].take(frame.time_ns, frame.data)
-            shifting = flag_at(frame.data, 0, 4)
+    def follow(self, channel: str, can_id: int) -> Callable[[LogFrame], None] | None:
+        """Return what takes the data frames of an extended identifier, None if they show no shift."""
+        _, pgn, source, _ = split_id(can_id)
+        take: Callable[[int, bytes], bool | None]
+        if pgn == PGN_ETC1:
+            take = self._flags[channel, source].take
+        elif pgn == PGN_ETC2:
+            take = self._gears[channel, source].take
+        elif pgn == PGN_EEC1:
+            first, engine = self._engines.setdefault(channel, (source, EngineTrace()))
+            if first != source:
+                return None
+            take = engine.take
         else:
-            self._gears[sender].take(frame.time_ns, frame.data)
-            gears = frame.data[:4:3]
-            shifting = self._gear_bytes.get(sender) not in (None, gears)
-            self._gear_bytes[sender] = gears
-        if shifting and frame.channel in self._engines:
-            self._engines[frame.channel][1].keep(frame.time_ns)
+            return None
+
+        def take_frame(frame: LogFrame) -> None:
+            data = frame[2]
+            if len(data) < 8:
+                self._short += 1
+            elif take(frame[0], data) and channel in self._engines:
+                self._engines[channel][1].keep(frame[0])
+
+        return take_frame
 
     @property
     def chatter(self) -> int:
@@ -138,12 +131,14 @@ class ShiftFinder:
         return sum(tracker.unfinished for tracker in self._flags.values())
 
     @property
-    def engine_samples(self) -> dict[str, Sequence[EngineSample]]:
+    def engines(self) -> dict[str, EngineTrace]:
         """Torque and speed around shifts, of the engine on each channel."""
-        return {channel: trace.kept for channel, (_, trace) in self._engines.items()}
+        return {channel: trace for channel, (_, trace) in self._engines.items()}
 
     def finish(self) -> list[Shift]:
         """All shifts, by their start."""
+        for trace in self.engines.values():
+            trace.sort()
         found: list[Shift] = []
         for sender, tracker in self._flags.items():
             tracker.finish()

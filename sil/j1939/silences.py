@@ -14,18 +14,14 @@ _MOST_SILENT: Final = 10
 
 @dataclass(slots=True)
 class Silences:
-    """The times in which a sender was not recorded."""
+    """The times in which a sender was not recorded: `add` each, and count its samples."""
 
     samples: int = 0
-    _last_ns: int | None = None
     _found: list[tuple[int, int]] = field(default_factory=list)
 
-    def take(self, time_ns: int) -> None:
-        """Take the time of a sample."""
-        self.samples += 1
-        if self._last_ns is not None and time_ns - self._last_ns > SILENCE_NS:
-            self._found.append((self._last_ns, time_ns))
-        self._last_ns = time_ns
+    def add(self, last_ns: int, time_ns: int) -> None:
+        """Take the times of two samples in a row that are farther apart than `SILENCE_NS`."""
+        self._found.append((last_ns, time_ns))
 
     def within(self, begin_ns: int, end_ns: int) -> int:
         """Return for how many ns in all the sender was silent at some time in between or until `begin_ns`."""

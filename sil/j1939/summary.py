@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 from can_dbc.frame import split_id
-from sil.j1939.engine import PGN_EEC1, EngineSample
-from sil.j1939.gear_history import PGN_ETC2
-from sil.j1939.shift_flag import PGN_ETC1
+from sil.j1939.engine import EngineTrace
 from sil.j1939.shifts import Shift, ShiftFinder
 from sil.j1939.transport import PGN_CONTROL, PGN_DATA, Assembler
 from sil.logs.frame import LogFrame
 from sil.logs.registry import open_log
 
 _MOST_GROUPS: Final = 20_000
-_FOLLOWED: Final = frozenset((PGN_ETC1, PGN_ETC2, PGN_EEC1, PGN_CONTROL, PGN_DATA))
+
+
+@dataclass(slots=True)
+class _Identifier:
+    """How often an identifier came, and who takes its frames."""
+
+    take: Callable[[LogFrame], object] | None
+    frames: int = 0
 
 
 @dataclass(slots=True)
@@ -44,8 +49,8 @@ class J1939Summary:
     transport: Assembler = field(default_factory=Assembler)
     """What became of the messages of the transport protocol."""
 
-    engine_samples: Mapping[str, Sequence[EngineSample]] = field(default_factory=dict)
-    """By channel, those around shifts."""
+    engines: Mapping[str, EngineTrace] = field(default_factory=dict)
+    """By channel, with the samples around shifts."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it as plain JSON values."""
@@ -91,34 +96,33 @@ def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
     """
     finder = ShiftFinder()
     transport = Assembler()
-    identifiers: Counter[int] = Counter()
+    identifiers: dict[tuple[str, int], _Identifier] = {}
     frames = 0
     first_ns: int | None = None
-    followed: dict[int, bool] = {}
     for frame in open_log(log) if isinstance(log, (str, os.PathLike)) else log:
         frames += 1
         if first_ns is None:
-            first_ns = frame.time_ns
-        if frame.extended and not frame.error and not frame.remote:
-            if len(identifiers) < _MOST_GROUPS or frame.can_id in identifiers:
-                identifiers[frame.can_id] += 1
-            wanted = followed.get(frame.can_id)
-            if wanted is None:
-                wanted = split_id(frame.can_id).pgn in _FOLLOWED
-                if len(followed) < _MOST_GROUPS:
-                    followed[frame.can_id] = wanted
-            if wanted:
-                finder.take(frame)
-                transport.take(frame)
+            first_ns = frame[0]
+        if frame[3] and not frame[4] and not frame[5]:  # extended, not remote, no error
+            key = frame[9], frame[1]
+            identifier = identifiers.get(key)
+            if identifier is None:
+                is_long = split_id(frame[1]).pgn in (PGN_CONTROL, PGN_DATA)
+                identifier = _Identifier(transport.take if is_long else finder.follow(*key))
+                if len(identifiers) < _MOST_GROUPS:
+                    identifiers[key] = identifier
+            identifier.frames += 1
+            if identifier.take is not None:
+                identifier.take(frame)
     transport.finish()
     groups: Counter[tuple[int, int]] = Counter()
-    for can_id, count in identifiers.items():
+    for (_, can_id), identifier in identifiers.items():
         parts = split_id(can_id)
-        groups[parts.pgn, parts.source] += count
+        groups[parts.pgn, parts.source] += identifier.frames
     found = finder.finish()
     return J1939Summary(
         frames,
-        sum(identifiers.values()),
+        groups.total(),
         dict(groups),
         found,
         finder.unflagged,
@@ -127,5 +131,5 @@ def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
         finder.notes,
         first_ns,
         transport,
-        finder.engine_samples,
+        finder.engines,
     )

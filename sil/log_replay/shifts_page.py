@@ -8,16 +8,16 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from sil.files.atomic import write_atomically
 from sil.files.output_folder import close_folders, prepare_folder
-from sil.j1939.engine import EngineSample
+from sil.j1939.engine import EngineTrace
 from sil.j1939.shifts import Shift, gear_name
 from sil.j1939.summary import J1939Summary
-from sil.report.figure import Figure, Panel, Series, Span, Stack, Zoom
+from sil.report.figure import Figure, Floats, Panel, Series, Span, Stack, Zoom
 from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
@@ -25,6 +25,10 @@ from sil.report.shell import Head, Picture, render
 MOST_PICTURES = 12
 _AROUND_MS = 1000.0
 _BREAK_MS = 500.0
+_ENGINE: Final = (
+    ("Engine torque (actual)", "%", "torque_percent", "after"),
+    ("Engine speed", "rpm", "speed_rpm", "truth"),
+)
 
 
 def write_shifts(
@@ -82,33 +86,33 @@ def _overview(found: J1939Summary) -> Figure:
 
 def _around(found: J1939Summary, shifts: Sequence[Shift]) -> Figure:
     """Return torque and speed of the engine, the shifts as spans, with a zoom for each."""
-    channels = {shift.channel for shift in shifts}
-    samples = sorted(s for c in channels for s in found.engine_samples.get(c, ()))
     views = [
         (_ms(found, s.start_ns) - _AROUND_MS, _ms(found, s.end_ns) + _AROUND_MS) for s in shifts
     ]
-    near = [s for s in samples if any(a <= _ms(found, s.time_ns) <= b for a, b in views)]
     spans = [Span(_ms(found, s.start_ns), _ms(found, s.end_ns), "band") for s in shifts]
     zooms = [
         Zoom(f"{n}. {_name(s)}", *view)
         for n, (s, view) in enumerate(zip(shifts, views, strict=True), 1)
     ]
+    channels = sorted({shift.channel for shift in shifts} & found.engines.keys())
     panels = []
-    for title, unit, index in (("Engine torque (actual)", "%", 1), ("Engine speed", "rpm", 2)):
-        series = [_line(found, near, index, title.lower())] if near else []
+    for title, unit, column, role in _ENGINE:
+        lines = [_line(found, found.engines[channel], column, views) for channel in channels]
+        series = [Series(title.lower(), *line, role) for line in lines if len(line[0])]
         panels.append(Panel(title, unit, series, spans=spans, height=190))
     title = _name(shifts[0]) if len(shifts) == 1 else ""
     return Figure([Stack("time of the log, ms", panels, zooms=zooms, width=10.8)], title)
 
 
-def _line(found: J1939Summary, samples: Sequence[EngineSample], index: int, label: str) -> Series:
-    """Return a line that is interrupted where samples are missing."""
-    x, y = [_ms(found, samples[0].time_ns)], [float(samples[0][index])]
-    for sample in samples[1:]:
-        at_ms = _ms(found, sample.time_ns)
-        if at_ms - x[-1] > _BREAK_MS:
-            x.append(x[-1] + 1e-3)
-            y.append(np.nan)
-        x.append(at_ms)
-        y.append(float(sample[index]))
-    return Series(label, np.array(x), np.array(y), "after" if index == 1 else "truth")
+def _line(
+    found: J1939Summary, engine: EngineTrace, column: str, views: Sequence[tuple[float, float]]
+) -> tuple[Floats, Floats]:
+    """Return times in ms and values [n] within any view, NaN where samples are missing."""
+    x = (np.array(engine.time_ns) - (found.first_ns or 0)) / 1e6
+    y = np.array(getattr(engine, column), dtype=np.float64)
+    near = np.zeros(len(x), dtype=bool)
+    for begin, end in np.searchsorted(x, views).tolist():
+        near[begin:end] = True
+    x, y = x[near], y[near]
+    breaks = np.flatnonzero(np.diff(x) > _BREAK_MS) + 1
+    return np.insert(x, breaks, x[breaks - 1] + 1e-3), np.insert(y, breaks, np.nan)

@@ -30,6 +30,8 @@ _FLAG_AND_SPEEDS: Final[tuple[Meaning, ...]] = ("shift_in_process", *SHAFT_SPEED
 _ETC_SPEED_RAD_S: Final = 0.125 * pi / 30.0
 _ETC_NOT_AVAILABLE: Final = 0xFFFF
 _NS_PER_S: Final = 1_000_000_000
+_MOST_IDENTIFIERS: Final = 20_000
+_Taker = Callable[[LogFrame], None]
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,7 @@ class TruckLog:
         self.notes: list[str] = []
         self.report: LogReport | None = None
         self._series: dict[Sender, _Series] = {}
+        self._known: dict[tuple[str, int], dict[Meaning, float]] = {}
         self._short = 0
         self._times: dict[Sender, NDArray[np.int64]] = {}
         self._pieces: dict[Sender, NDArray[np.int64]] = {}
@@ -87,27 +90,76 @@ class TruckLog:
     def read(self, frames: Iterable[LogFrame], stop_id: int | None = None) -> bool:
         """Read all frames; return False at a frame with the identifier `stop_id`, not having read on."""
         finder = ShiftFinder()
-        translated = None if self.mapping.is_standard else _Translator(self.mapping, finder.take)
+        takers: dict[tuple[str, int, bool], list[_Taker]] = {}
         for frame in frames:
             self.frames += 1
-            if is_data_of(frame, stop_id):
-                return False
-            if translated is None:
-                finder.take(frame)
-            sender = self.mapping.sender(frame)
-            if sender is None:
+            if frame[4] or frame[5]:  # remote or error
                 continue
-            length = self.mapping.length(sender.message)
-            if len(frame.data) < length:
-                self._short += 1
-                continue
-            series = self._series.setdefault(sender, _Series())
-            series.times_ns.append(frame.time_ns)
-            series.content += frame.data[:length]
-            if translated is not None:
-                translated.take(sender, frame)
+            key = frame[9], frame[1], frame[3]
+            of_frame = takers.get(key)
+            if of_frame is None:
+                if is_data_of(frame, stop_id):
+                    return False
+                of_frame = self._takers(finder, *key)
+                if len(takers) < _MOST_IDENTIFIERS:
+                    takers[key] = of_frame
+            for take in of_frame:
+                take(frame)
         self._finish(finder)
         return True
+
+    def _takers(
+        self, finder: ShiftFinder, channel: str, can_id: int, extended: bool
+    ) -> list[_Taker]:
+        """Return what takes the data frames of an identifier."""
+        found: list[_Taker | None] = []
+        if self.mapping.is_standard and extended:
+            found.append(finder.follow(channel, can_id))
+        sender = self.mapping.sender(channel, can_id, extended)
+        if sender is not None:
+            length = self.mapping.length(sender.message)
+            series = self._series.setdefault(sender, _Series())
+            translate = None if self.mapping.is_standard else self._translator(sender, finder)
+
+            def take(frame: LogFrame) -> None:
+                if len(frame.data) < length:
+                    self._short += 1
+                    return
+                series.times_ns.append(frame.time_ns)
+                series.content += frame.data[:length]
+                if translate is not None:
+                    translate(frame)
+
+            found.append(take)
+        return [take for take in found if take is not None]
+
+    def _translator(self, sender: Sender, finder: ShiftFinder) -> _Taker:
+        """Return what passes frames of another layout to the finder, as ETC1 and ETC2.
+
+        What a frame does not carry has the sender's latest value.
+        """
+        rows = self.mapping.rows
+        known = self._known.setdefault((sender.channel, sender.source), {})
+        carried = {row.meaning for row in rows if row.message == sender.message}
+        followed: list[tuple[_Taker, int, Callable[[dict[Meaning, float]], bytes]]] = []
+        for meanings, pgn, encode in (
+            (_FLAG_AND_SPEEDS, PGN_ETC1, _etc1),
+            (GEARS, PGN_ETC2, _etc2),
+        ):
+            can_id = join_id(6, pgn, sender.source)
+            take = finder.follow(sender.channel, can_id) if carried.intersection(meanings) else None
+            if take is not None:
+                followed.append((take, can_id, encode))
+
+        def translate(frame: LogFrame) -> None:
+            for meaning in carried:
+                known.pop(meaning, None)
+            for index, value in self.mapping.values(sender, frame.data).items():
+                known.setdefault(rows[index].meaning, value)
+            for take, can_id, encode in followed:
+                take(LogFrame(frame.time_ns, can_id, encode(known), channel=frame.channel))
+
+        return translate
 
     def _finish(self, finder: ShiftFinder) -> None:
         self.shifts = finder.finish()
@@ -119,6 +171,9 @@ class TruckLog:
         if finder.unflagged:
             count = len(finder.unflagged)
             self.notes.append(f"{count} changes of gear outside of flagged shifts, not compared")
+        self._series = {
+            sender: series for sender, series in self._series.items() if series.times_ns
+        }
         self._times = {
             sender: np.array(series.times_ns, dtype=np.int64)
             for sender, series in self._series.items()
@@ -201,33 +256,6 @@ class TruckLog:
             (series.times_ns[i], bytes(series.content[i * length : (i + 1) * length]))
             for i in inside
         ]
-
-
-class _Translator:
-    """Messages of another layout as ETC1 and ETC2, in which the shifts are found."""
-
-    def __init__(self, mapping: SignalMapping, take: Callable[[LogFrame], None]) -> None:
-        self._mapping = mapping
-        self._take = take
-        self._known: dict[tuple[str, int], dict[Meaning, float]] = {}
-
-    def take(self, sender: Sender, frame: LogFrame) -> None:
-        """Pass a mapped frame on, with the sender's latest values of what it does not carry."""
-        rows = self._mapping.rows
-        known = self._known.setdefault((sender.channel, sender.source), {})
-        carried = {row.meaning for row in rows if row.message == sender.message}
-        for meaning in carried:
-            known.pop(meaning, None)
-        for index, value in self._mapping.values(sender, frame.data).items():
-            known.setdefault(rows[index].meaning, value)
-        if carried.intersection(_FLAG_AND_SPEEDS):
-            self._send(frame, sender.source, PGN_ETC1, _etc1(known))
-        if carried.intersection(GEARS):
-            self._send(frame, sender.source, PGN_ETC2, _etc2(known))
-
-    def _send(self, frame: LogFrame, source: int, pgn: int, data: bytes) -> None:
-        can_id = join_id(6, pgn, source)
-        self._take(LogFrame(frame.time_ns, can_id, data, channel=frame.channel))
 
 
 def _etc1(known: dict[Meaning, float]) -> bytes:

@@ -338,7 +338,7 @@ class CandumpReader(TextReader):
         if frames is None:
             return None
         self._timed = True
-        return Batch(frames, range(chunk.line, chunk.line + count))
+        return Batch(frames, range(chunk.line, chunk.line + count), ordinary=True)
 
     def _line(self, line: Line) -> LogFrame:
         parsed = parse_line(line.text)

@@ -19,10 +19,14 @@ ZONE_NOTE: Final = "the start in the header names no time zone; it is taken as U
 
 
 class Batch(NamedTuple):
-    """Frames in the log's order and where each begins: line, byte or number of the frame."""
+    """Frames in the log's order and where each begins: line, byte or number of the frame.
+
+    ordinary: all are known to be classic data frames.
+    """
 
     frames: list[LogFrame]
     locations: Sequence[int]
+    ordinary: bool = False
 
 
 class Format(NamedTuple):

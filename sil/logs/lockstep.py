@@ -44,7 +44,7 @@ class LockstepFilter:
     def take(self, batch: Batch) -> Batch:
         """Return the batch without the frames of the protocol."""
         if not self._active:
-            if not any(frame[1] & _BOTH == _BOTH for frame in batch.frames):
+            if not any(can_id & _BOTH == _BOTH for can_id in {frame[1] for frame in batch.frames}):
                 return batch
             self._load_contract()
             self._active = any(

@@ -8,17 +8,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from heapq import heappop, heappush, heapreplace
 from itertools import chain, count
+from operator import itemgetter
 
 from can_dbc.errors import InputError
 from sil.files.progress import Progress
 from sil.logs.frame import MAX_TIME_NS, LogFrame
-from sil.logs.reader import LogReader, unseen
+from sil.logs.reader import LogReader
 from sil.logs.registry import open_log
 from sil.logs.report import LogReport
 from sil.logs.selection import Selection
 from sil.logs.times import NS_PER_S, RELATIVE_BELOW_NS, format_ns
 
 _BYTES_PER_MB = 1e6
+_TIME = itemgetter(0)
 
 
 @dataclass
@@ -29,19 +31,34 @@ class _Part:
     offset_ns: int = 0
     first_ns: int = MAX_TIME_NS
 
-    def frames(self) -> Iterator[LogFrame]:
+    def blocks(self) -> Iterator[list[LogFrame]]:
         """Begin a reading, after which `offset_ns` and `first_ns` are known."""
-        frames = iter(self.reader)
-        first = next(frames, None)
+        blocks: Iterator[list[LogFrame]] = filter(None, self.reader.blocks())
+        first = next(blocks, None)
         if first is None:
-            return frames
+            return blocks
         report = self.reader.report
         offset_ns = (report.start_ns or 0) if report.time_base in ("relative", "delta") else 0
-        self.offset_ns, self.first_ns = offset_ns, offset_ns + first.time_ns
-        frames = chain((first,), frames)
+        self.offset_ns, self.first_ns = offset_ns, offset_ns + first[0].time_ns
+        blocks = chain((first,), blocks)
         if not offset_ns:
-            return frames
-        return (frame._replace(time_ns=frame.time_ns + offset_ns) for frame in frames)
+            return blocks
+        return ([frame._replace(time_ns=frame[0] + offset_ns) for frame in b] for b in blocks)
+
+
+@dataclass
+class _Open:
+    """A file under way: the rest of its block, and its further blocks."""
+
+    rest: Iterator[LogFrame]
+    blocks: Iterator[list[LogFrame]]
+
+    def next(self) -> LogFrame | None:
+        """Return the next frame, None after the last one."""
+        for frame in self.rest:
+            return frame
+        self.rest = iter(next(self.blocks, ()))
+        return next(self.rest, None)
 
 
 class Logs:
@@ -79,17 +96,17 @@ class Logs:
         return found
 
     def __iter__(self) -> Iterator[LogFrame]:
-        frames = self._parts[0].frames() if len(self._parts) == 1 else self._in_order()
+        blocks = self._parts[0].blocks() if len(self._parts) == 1 else self._in_order()
         if self._selection:
-            frames = self._selection.select(frames)
-        return self._with_progress(frames) if self._show_progress else frames
+            blocks = self._selection.select(blocks)
+        return chain.from_iterable(self._with_progress(blocks) if self._show_progress else blocks)
 
     def _prepare(self) -> None:
         """Look at the beginning of each file, and order the files by it."""
         if self._ready:
             return
         for part in self._parts:
-            part.frames()
+            part.blocks()
             if part.reader.report.time_base == "none":
                 raise InputError(
                     f"{part.reader.path}: has no times; expected logs with times, to put them in order"
@@ -103,45 +120,36 @@ class Logs:
             )
         self._ready = True
 
-    def _in_order(self) -> Iterator[LogFrame]:
+    def _in_order(self) -> Iterator[list[LogFrame]]:
         self._prepare()
         self.repeated = 0
         waiting = deque(self._parts)
         numbers = count()
-        open_files: list[tuple[int, int, LogFrame, Iterator[LogFrame]]] = []
+        files: list[tuple[int, int, LogFrame, _Open]] = []
         at_once: dict[LogFrame, int] = {}
         instant_ns = -MAX_TIME_NS
-        while waiting or open_files:
-            while waiting and (not open_files or waiting[0].first_ns <= open_files[0][0]):
-                frames = waiting.popleft().frames()
-                for frame in frames:
-                    heappush(open_files, (frame.time_ns, next(numbers), frame, frames))
-                    break
-            if len(open_files) == 1:
-                ((_, number, frame, frames),) = open_files
-                next_ns = waiting[0].first_ns if waiting else 2 * MAX_TIME_NS
-                yield frame
-                open_files.clear()
-                for frame in frames:
-                    if frame[0] >= next_ns:
-                        open_files.append((frame[0], number, frame, frames))
-                        break
-                    yield frame
+        while waiting or files:
+            while waiting and (not files or waiting[0].first_ns <= files[0][0]):
+                file = _Open(iter(()), waiting.popleft().blocks())
+                if (frame := file.next()) is not None:
+                    heappush(files, (frame.time_ns, next(numbers), frame, file))
+            if len(files) == 1:
+                yield from _alone(files, waiting[0].first_ns if waiting else 2 * MAX_TIME_NS)
                 continue
-            if not open_files:
+            if not files:
                 continue
-            time_ns, number, frame, frames = open_files[0]
+            time_ns, number, frame, file = files[0]
             if time_ns != instant_ns:
                 at_once, instant_ns = {}, time_ns
             if at_once.setdefault(frame, number) == number:
-                yield frame
+                yield [frame]
             else:
                 self.repeated += 1
-            following = next(frames, None)
+            following = file.next()
             if following is None:
-                heappop(open_files)
+                heappop(files)
             else:
-                heapreplace(open_files, (following[0], number, following, frames))
+                heapreplace(files, (following[0], number, following, file))
 
     def _file_lines(self) -> Iterator[str]:
         end_ns: int | None = None
@@ -161,30 +169,31 @@ class Logs:
         if self.repeated:
             yield f"{self.repeated} frames are in several files and were taken once"
 
-    def _with_progress(self, frames: Iterator[LogFrame]) -> Iterator[LogFrame]:
-        passed: dict[str, tuple[float, float]] = {}
-        sizes = {part.reader.path: _size(part.reader.path) for part in self._parts}
+    def _with_progress(self, blocks: Iterator[list[LogFrame]]) -> Iterator[list[LogFrame]]:
+        readers = [part.reader for part in self._parts]
+        for reader in readers:
+            reader.passed_bytes = 0.0
         with Progress(f"reading {self.path[:60]}", "MB") as progress:
-            for part in self._parts:
-
-                def show(done: float, size: float, path: str = part.reader.path) -> None:
-                    passed[path], sizes[path] = (done, size), size
-                    done_bytes = sum(done for done, _ in passed.values())
-                    progress(done_bytes / _BYTES_PER_MB, sum(sizes.values()) / _BYTES_PER_MB)
-
-                part.reader.on_read = show
-            try:
-                yield from frames
-            finally:  # else the next reading would show its first frame as progress of this one
-                for part in self._parts:
-                    part.reader.on_read = unseen
+            for block in blocks:
+                passed = sum(reader.passed_bytes for reader in readers)
+                progress(passed / _BYTES_PER_MB, sum(r.size for r in readers) / _BYTES_PER_MB)
+                yield block
 
 
-def _size(path: str) -> float:
-    try:
-        return os.path.getsize(path)
-    except OSError:  # standard input
-        return 0.0
+def _alone(files: list[tuple[int, int, LogFrame, _Open]], next_ns: int) -> Iterator[list[LogFrame]]:
+    """Yield the frames of the only file under way up to when the next one begins."""
+    _, number, frame, file = files.pop()
+    block = [frame, *file.rest]
+    while block:
+        if max(map(_TIME, block)) < next_ns:
+            yield block
+            block = next(file.blocks, [])
+            continue
+        end = next(n for n, frame in enumerate(block) if frame[0] >= next_ns)
+        yield block[:end]
+        file.rest = iter(block[end + 1 :])
+        files.append((block[end][0], number, block[end], file))
+        return
 
 
 def open_logs(

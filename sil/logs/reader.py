@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Iterator
+from itertools import chain
 from operator import lt
 
 from can_dbc.errors import InputError
@@ -17,10 +19,6 @@ _WATCHED_INSTANT = 64
 """Frames of one instant among which duplicates are searched."""
 
 
-def unseen(passed: float, size: float) -> None:
-    """Show no progress."""
-
-
 class LogReader:
     """Frames of a log, in its order, in bounded memory; `report` states what was found.
 
@@ -33,9 +31,10 @@ class LogReader:
 
     def __init__(self, path: str, format: Format, *, strict: bool, times: str) -> None:
         self.path = path
-        self.on_read: Callable[[float, float], None] = unseen
-        """Called now and then with the bytes of the file that were read, and all of them."""
+        self.passed_bytes = 0.0
+        """How much of the file the reading under way has read."""
 
+        self.size = os.path.getsize(path) if os.path.isfile(path) else 0
         self.format = format.name
         self._format = format
         self._strict = strict
@@ -43,6 +42,13 @@ class LogReader:
         self.report = LogReport(path, format.name, strict=strict)
 
     def __iter__(self) -> Iterator[LogFrame]:
+        return chain.from_iterable(self.blocks())
+
+    def blocks(self) -> Iterator[list[LogFrame]]:
+        """Begin a reading; yield the frames some hundreds at a time.
+
+        Raises InputError as iteration does.
+        """
         report = self.report = LogReport(self.path, self.format, strict=self._strict)
         lockstep = LockstepFilter(report)
         watch = _Watch(report, self._format.location)
@@ -50,8 +56,8 @@ class LogReader:
         try:
             for batch in map(lockstep.take, self._format.read(source, report, self._times)):
                 watch.take(batch)
-                self.on_read(source.passed_bytes, source.size)
-                yield from batch.frames
+                self.passed_bytes, self.size = source.passed_bytes, source.size
+                yield batch.frames
         finally:
             source.close()
         self._refuse_silence(report)
@@ -85,10 +91,10 @@ class _Watch:
         if not frames:
             return
         report.frames += len(frames)
-        for frame in [frame for frame in frames if frame[4] or frame[5] or frame[6]]:
-            report.remote += frame.remote
-            report.error += frame.error
-            report.fd += frame.fd
+        if not batch.ordinary:
+            report.remote += sum(frame[4] for frame in frames)
+            report.error += sum(frame[5] for frame in frames)
+            report.fd += sum(frame[6] for frame in frames)
         times_ns = [frame[0] for frame in frames]
         if report.first_ns is None:
             report.first_ns = times_ns[0]

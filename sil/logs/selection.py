@@ -15,7 +15,6 @@ from sil.logs.frame import MAX_STANDARD_ID, MAX_TIME_NS, LogFrame
 from sil.logs.times import RELATIVE_BELOW_NS, parse_decimal_ns, utc_ns
 
 _HEX: Final = re.compile(r"(?:0x)?([0-9A-Fa-f]{1,8})\Z")
-_MOST_KNOWN: Final = 100_000
 
 
 @dataclass(frozen=True)
@@ -58,31 +57,28 @@ class Selection:
     def __bool__(self) -> bool:
         return self != Selection()
 
-    def select(self, frames: Iterator[LogFrame]) -> Iterator[LogFrame]:
-        """Yield the frames of the selection, in their order.
+    def select(self, blocks: Iterator[list[LogFrame]]) -> Iterator[list[LogFrame]]:
+        """Yield what the selection has of each block, in order.
 
         Raises InputError for a date if the log's times are not absolute.
         """
-        first = next(frames, None)
-        if first is None:
+        first = next(blocks, None)
+        if not first:
             return
-        low_ns = self._bound(self.since_ns, first.time_ns, -MAX_TIME_NS)
-        high_ns = self._bound(self.until_ns, first.time_ns, MAX_TIME_NS)
-        channels, any_identifier = self.channels, not (self.ids or self.pgns)
-        known: dict[tuple[int, bool], bool] = {}
-        for frame in chain((first,), frames):
-            if not low_ns <= frame[0] <= high_ns or (channels and frame[9] not in channels):
-                continue
-            if not any_identifier:
-                key = frame[1], frame[3]
-                wanted = known.get(key)
-                if wanted is None:
-                    wanted = self._wanted(key)
-                    if len(known) < _MOST_KNOWN:
-                        known[key] = wanted
-                if not wanted or frame[5]:
-                    continue
-            yield frame
+        low_ns = self._bound(self.since_ns, first[0].time_ns, -MAX_TIME_NS)
+        high_ns = self._bound(self.until_ns, first[0].time_ns, MAX_TIME_NS)
+        timed = self.since_ns is not None or self.until_ns is not None
+        for block in chain((first,), blocks):
+            found = block
+            if timed:
+                found = [frame for frame in found if low_ns <= frame[0] <= high_ns]
+            if self.channels:
+                found = [frame for frame in found if frame[9] in self.channels]
+            if self.ids or self.pgns:
+                keys = {(frame[1], frame[3]) for frame in found}
+                wanted = {key for key in keys if self._wanted(key)}
+                found = [f for f in found if (f[1], f[3]) in wanted and not f[5]]
+            yield found
 
     def _bound(self, bound_ns: int | None, first_ns: int, default_ns: int) -> int:
         if bound_ns is None:

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from can_dbc.codec import encode
 from can_dbc.messages import GEAR_PARK, Etc1, Etc2
 from sil.j1939.gear_history import gear_at
-from sil.j1939.shift_flag import flag_at, word_at
+from sil.j1939.shift_flag import shift_in_process, word_at
 
 
 def test_flags_have_two_bits() -> None:
-    data = bytes((0b11_10_01_00,))
-    assert [flag_at(data, 0, bit) for bit in (0, 2, 4, 6)] == [False, True, None, None]
+    flags = [shift_in_process(bytes((0xCF | state << 4,))) for state in range(4)]
+    assert flags == [False, True, None, None]
 
 
 def test_words_above_the_valid_range_are_none() -> None:
@@ -35,6 +35,6 @@ def test_reverse_neutral_and_park() -> None:
 def test_our_own_messages_are_read(shifting: bool, bits: int, gear: int) -> None:
     speed_rad_s = bits * 0.125 * 2.0 * math.pi / 60.0
     etc1 = encode(Etc1(shift_in_process=shifting, input_shaft_rad_s=speed_rad_s)).data
-    assert flag_at(etc1, 0, 4) is shifting
+    assert shift_in_process(etc1) is shifting
     assert word_at(etc1, 5) == pytest.approx(bits, abs=1)
     assert gear_at(encode(Etc2(current_gear=gear)).data, 3) == gear

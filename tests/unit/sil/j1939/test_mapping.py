@@ -9,7 +9,6 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil.j1939.mapping import ANY_SOURCE, LAYOUT, SHIPPED, SignalMapping
-from sil.logs import LogFrame
 
 DBC = """VERSION ""
 NS_ :
@@ -39,10 +38,10 @@ def mapping(tmp_path: Path, *rows: tuple[str, str, str, str]) -> SignalMapping:
 
 
 def values(found: SignalMapping, can_id: int, data: str, extended: bool = True) -> dict[str, float]:
-    frame = LogFrame(0, can_id, bytes.fromhex(data), extended=extended)
-    sender = found.sender(frame)
+    sender = found.sender("", can_id, extended)
     assert sender is not None
-    return {found.rows[k].meaning: value for k, value in found.values(sender, frame.data).items()}
+    read = found.values(sender, bytes.fromhex(data))
+    return {found.rows[k].meaning: value for k, value in read.items()}
 
 
 def test_the_shipped_mapping_reads_the_standard() -> None:
@@ -81,16 +80,10 @@ def test_frames_are_found_whatever_priority_and_source() -> None:
     found = SignalMapping()
     for priority in range(8):
         for source in (0, 3, 0x85, 0xFD):
-            frame = LogFrame(0, priority << 26 | 61442 << 8 | source, bytes(8), channel="b")
-            assert found.sender(frame) == ("ETC1", "b", source)
-    odd = LogFrame(0, 0x0CF00203, bytes(8))
-    for other in (
-        odd._replace(extended=False, can_id=0x203),
-        odd._replace(remote=True, data=b""),
-        odd._replace(error=True),
-        odd._replace(can_id=0x0DF00203),  # the same group in another data page
-    ):
-        assert found.sender(other) is None
+            can_id = priority << 26 | 61442 << 8 | source
+            assert found.sender("b", can_id, True) == ("ETC1", "b", source)
+    assert found.sender("b", 0x203, False) is None
+    assert found.sender("b", 0x0DF00203, True) is None  # the same group in another data page
 
 
 def test_other_layouts_with_their_own_numbers(tmp_path: Path) -> None:
@@ -110,10 +103,10 @@ def test_other_layouts_with_their_own_numbers(tmp_path: Path) -> None:
     assert values(found, 0x100, "FFFF007000000000", extended=False) == {
         "output_shaft_rad_s": 65536.0  # no J1939 message, so no value means "not available"
     }
-    shafts = found.sender(LogFrame(0, 0x100, bytes(8), extended=False))
+    shafts = found.sender("", 0x100, False)
     assert shafts is not None and shafts.source == ANY_SOURCE
     assert values(found, 0x04FEF103, "7E00")["current_gear"] == 1.0  # another priority
-    assert found.sender(LogFrame(0, 0x18FEF104, bytes(2))) is None  # another source
+    assert found.sender("", 0x18FEF104, True) is None  # another source
     assert values(found, 0x18F00607, "0A000000 0000C03F".replace(" ", "")) == {
         "supply_pressure_pa": 80_000.0,
         "engine_rad_s": 1.5,
