@@ -9,6 +9,7 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -301,6 +302,7 @@ def shifts_of(
             )
 
 
+_MOST_IDENTIFIERS: Final = 20_000
 DUTIES: Final[tuple[Meaning, ...]] = ("duty_b", "duty_n", "duty_f")
 
 
@@ -327,8 +329,11 @@ class Translator:
 
     def arrivals(self, log: Iterable[LogFrame]) -> Iterator[Arrival]:
         """Yield the frames of our contract that mapped frames [any layout] stand for."""
+        find = lru_cache(_MOST_IDENTIFIERS)(self._mapping.sender)
         for entry in log:
-            sender = self._mapping.sender(entry)
+            if entry.remote or entry.error:
+                continue
+            sender = find(entry.channel, entry.can_id, entry.extended)
             if sender is not None and len(entry.data) >= self._mapping.length(sender.message):
                 yield from self._translated(entry, sender)
 
