@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Annotated, Literal
 
 import msgspec
@@ -430,18 +430,8 @@ def refuse_delays(config: PlantConfig, timing: ValveTiming, nominal: ValveTiming
 
 def _flat(balance: Balance) -> dict[str, float]:
     """Numbers of the balances, those of the chambers under their names."""
-    numbers: dict[str, float] = {"closed": float(balance.closed)}
-    for name in (
-        "energy_residual_j",
-        "energy_scale_j",
-        "gas_scale_j",
-        "air_in_kg",
-        "air_out_kg",
-        "friction_j",
-        "damper_j",
-        "impact_j",
-    ):
-        numbers[name] = getattr(balance, name)
+    numbers: dict[str, float] = {"closed": float(balance.closed), **asdict(balance)}
+    del numbers["gas_residual_j"]
     for chamber, residual in zip(CHAMBERS, balance.gas_residual_j, strict=True):
         numbers[f"gas_residual_{chamber}_j"] = residual
     return numbers

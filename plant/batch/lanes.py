@@ -173,15 +173,6 @@ def finish(one, k, stroke, status, batch, found, n):
             found.out[stroke, i, c] = found.final[stroke, batch.columns[c]]
 
 
-@inlined
-def empty(one, n):
-    """Leave a lane without a stroke: it takes steps of no length."""
-    for i in range(n):
-        one.rate_0[i] = 0.0
-    one.accepted = 0.0
-    one.step = 0.0
-
-
 @called
 def run_order(batch, found, room, table, order, tolerance, system, n, pace, width):
     """Simulate the strokes `order` of a batch, in lanes; arguments as of `run_lanes`.
@@ -225,7 +216,10 @@ def run_order(batch, found, room, table, order, tolerance, system, n, pace, widt
                     k.stroke = IDLE
                 if k.stroke == IDLE:
                     if upcoming >= order.shape[0]:
-                        empty(one, n)
+                        for i in range(n):  # no stroke: steps of no length
+                            one.rate_0[i] = 0.0
+                        one.accepted = 0.0
+                        one.step = 0.0
                         break
                     stroke = order[upcoming]
                     fill_lane(one, stroke, batch, n, starting)

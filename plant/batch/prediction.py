@@ -90,10 +90,10 @@ class Predictor:
         return self._events[: self._happened]
 
     def _prepared(self, setup: Setup) -> _Ready:
-        # the conditions by identity, which `_Ready` keeps from being another's: they are slow to compare
+        # the conditions by identity: they are slow to compare
         key = (id(setup.conditions), setup.timing, setup.creep_s, setup.has_line)
         ready = self._ready.get(key)
-        if ready is None:
+        if ready is None or ready.conditions is not setup.conditions:
             if len(self._ready) == MOST_READY:
                 self._ready.clear()
             ready = _Ready.of(setup, int(self.sample_ns[-1]), self.tolerance)

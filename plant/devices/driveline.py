@@ -213,16 +213,10 @@ class Driveline:
 
     def _stated_impulse_n_s(self, direction: int) -> float | None:
         config = self.config
-        if direction == BACKWARD:
-            return config.impulse_backward_n_s
-        if direction == FORWARD:
-            return config.impulse_forward_n_s
-        stated = [
-            impulse
-            for impulse in (config.impulse_backward_n_s, config.impulse_forward_n_s)
-            if impulse is not None
-        ]
-        return max(stated) if stated else None
+        stated = {BACKWARD: config.impulse_backward_n_s, FORWARD: config.impulse_forward_n_s}
+        if direction in stated:
+            return stated[direction]
+        return max((impulse for impulse in stated.values() if impulse is not None), default=None)
 
     def _set_open(self, difference_rad_s: float) -> None:
         self.difference_rad_s = difference_rad_s

@@ -10,7 +10,7 @@ from msgspec import Meta
 from numpy.random import Generator
 
 from plant.devices.sensors import InductiveSensor, named_generator
-from plant.devices.signal_faults import FaultMemory, FaultWindow, Thermometer
+from plant.devices.signal_faults import ActiveFault, FaultWindow, Thermometer
 from plant.devices.valve import seconds_to_ns
 from plant.errors import InputError
 
@@ -121,7 +121,7 @@ class PositionCircuit:
         self._noise_sd_s = config.noise_sd_s
         self._noise = named_generator(seed, "position sensor", "noise")
         self._faults = [
-            _ActiveFault(fault, sensor.tick_s, named_generator(seed, "position sensor", i))
+            _active(fault, sensor.tick_s, named_generator(seed, "position sensor", i))
             for i, fault in enumerate(faults)
         ]
         self.period_ns = seconds_to_ns(config.period_s)
@@ -143,9 +143,12 @@ class PositionCircuit:
         index, self._count = self._count & 0xFF, self._count + 1
         noise_s = float(self._noise.normal(0.0, self._noise_sd_s)) if self._noise_sd_s else 0.0
         pulse: float | None = self.sensor.pulse_s(position_m, self._coil_k, noise_s)
-        for fault in self._faults:
+        for active in self._faults:
             if pulse is not None:
-                pulse = fault.apply(start_ns, pulse, self._last_pulse_s)
+                fixed = active.fault.pulse_s
+                pulse = active.apply(
+                    start_ns, pulse, self._last_pulse_s if fixed is None else fixed
+                )
         if pulse is None:
             self._waiting.append(None)
             return
@@ -159,28 +162,13 @@ class PositionCircuit:
         return self._waiting.popleft()
 
 
-class _ActiveFault(FaultMemory[float]):
-    """A fault of the circuit with its memory."""
+def _active(fault: SensorFault, tick_s: float, generator: Generator) -> ActiveFault[float]:
+    def counted(pulse_s: float) -> float:
+        return max(0, round(pulse_s / tick_s)) * tick_s
 
-    def __init__(self, fault: SensorFault, tick_s: float, generator: Generator) -> None:
-        super().__init__(fault, generator)
-        self._tick_s = tick_s
-        self._stuck_s: float | None = None
-
-    def apply(self, start_ns: int, pulse_s: float, last_s: float | None) -> float | None:
-        """Return the reported duration of a pulse begun at `start_ns`; None: not reported."""
-        fault: SensorFault = self.fault
-        if not fault.holds(start_ns):
-            return pulse_s
-        match fault.kind:
-            case "stuck":
-                if self._stuck_s is None:
-                    held = pulse_s if last_s is None else last_s
-                    self._stuck_s = held if fault.pulse_s is None else fault.pulse_s
-                return self._stuck_s
-            case "garbage":
-                duration_s = float(self.generator.uniform(0.0, fault.garbage_s))
-                return round(duration_s / self._tick_s) * self._tick_s
-            case "wrong":
-                return max(0, round((pulse_s + fault.offset_s) / self._tick_s)) * self._tick_s
-        return self.pass_on(pulse_s)
+    return ActiveFault(
+        fault,
+        generator,
+        lambda pulse_s: counted(pulse_s + fault.offset_s),
+        lambda generator: counted(float(generator.uniform(0.0, fault.garbage_s))),
+    )

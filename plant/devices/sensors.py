@@ -120,18 +120,18 @@ def butterworth_sections(order: int, cutoff_hz: float, rate_hz: float) -> Floats
 
 
 def filter_from_rest(sections: Floats, samples: Floats) -> Floats:
-    """Filter samples [..., n] through second-order sections [m, 5] that were settled at the first one."""
+    """Filter samples [n] through second-order sections [m, 5] that were settled at the first one."""
     signal = samples.astype(np.float64, copy=True)
     for b0, b1, b2, a1, a2 in sections:
-        rest = signal[..., 0].copy()
+        rest = signal[0]
         z2 = (b2 - a2) * rest
         z1 = (b1 - a1) * rest + z2
-        for i in range(signal.shape[-1]):
-            sample = signal[..., i].copy()
+        for i in range(len(signal)):
+            sample = signal[i]
             out = b0 * sample + z1
             z1 = b1 * sample - a1 * out + z2
             z2 = b2 * sample - a2 * out
-            signal[..., i] = out
+            signal[i] = out
     return signal
 
 
@@ -194,56 +194,22 @@ class InternalChain:
         started = np.rint(self.ticks_s(end_s, phase_s) * NS_PER_S).astype(np.int64)
         return np.maximum(started + self.sensor.measurement_offset_ns, 0)
 
-    def published(
-        self, tick_s: Floats, measured_m: Floats, quantise: bool = True
-    ) -> tuple[Floats, Floats]:
-        """Publication instants [s] and values [m], both [..., k], of positions measured [..., k].
+    def held_m(self, time_s: Floats, tick_s: Floats, measured_m: Floats) -> Floats:
+        """Return the reported position [n] in m at `time_s` [n] of positions measured [k] at ticks [k].
 
-        `quantise=False` leaves the timer out, so that the values depend smoothly on the positions.
+        Before the first publication the value is that of the first measurement. A value
+        published at the very instant of a record is in it, within the rounding of seconds.
         """
-        pulse_s = self.sensor.duration_s(measured_m, self.coil_temperature_k)
-        if quantise:
-            pulse_s = self.sensor.ticks(pulse_s) * self.sensor.tick_s
+        duration_s = self.sensor.duration_s(measured_m, self.coil_temperature_k)
+        pulse_s = self.sensor.ticks(duration_s) * self.sensor.tick_s
         values = self.calibration.position_m(pulse_s, self.measured_temperature_k)
         if self.filter_order:
             rate_hz = 1.0 / self.period_s
             sections = butterworth_sections(self.filter_order, self.cutoff_hz, rate_hz)
             values = filter_from_rest(sections, values)
-        return tick_s + self.latency_s + pulse_s, values
-
-    def held_m(
-        self, time_s: Floats, tick_s: Floats, measured_m: Floats, quantise: bool = True
-    ) -> Floats:
-        """Return the reported position [..., n] in m at `time_s` [n] of positions measured [..., k] at ticks [k].
-
-        Before the first publication the value is that of the first measurement. A value
-        published at the very instant of a record is in it, within the rounding of seconds.
-        """
-        instants, values = self.published(tick_s, measured_m, quantise)
-        rows = instants.reshape(-1, instants.shape[-1])
-        held = values.reshape(rows.shape)
-        out = np.empty((len(rows), len(time_s)))
-        for row, (at, value) in enumerate(zip(rows, held, strict=True)):
-            index = np.searchsorted(at, time_s, side="right") - 1
-            out[row] = value[np.maximum(index, 0)]
-        return out.reshape((*instants.shape[:-1], len(time_s)))
-
-    def reported_m(self, time_s: Floats, position_m: Floats, phase_s: float = 0.0) -> Floats:
-        """Return the reported position [..., n] in m from the true one [..., n] recorded at `time_s` [n].
-
-        The measured positions are interpolated linearly between records; where the integrator can
-        give them exactly, pass those to `held_m`.
-        Assumption: at rest before the record.
-        """
-        end_s = float(time_s[-1])
-        tick_s = self.ticks_s(end_s, phase_s)
-        at_s = self.measurement_instants_ns(end_s, phase_s) / NS_PER_S
-        at_s = np.clip(at_s, time_s[0], end_s)
-        upper = np.clip(np.searchsorted(time_s, at_s, side="right"), 1, len(time_s) - 1)
-        lower = upper - 1
-        share = (at_s - time_s[lower]) / (time_s[upper] - time_s[lower])
-        measured = position_m[..., lower] * (1.0 - share) + position_m[..., upper] * share
-        return self.held_m(time_s, tick_s, measured)
+        published_s = tick_s + self.latency_s + pulse_s
+        index = np.searchsorted(published_s, time_s, side="right") - 1
+        return np.asarray(values[np.maximum(index, 0)])
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import msgspec
@@ -77,31 +77,73 @@ class SpeedFault(FaultWindow, frozen=True, kw_only=True):
     """Probability that a report is missing."""
 
 
+class ActiveFault(Generic[Report]):
+    """A fault of reports with its memory.
+
+    `wrong`: what it makes of a report; `garbage`: draws one.
+    """
+
+    def __init__(
+        self,
+        fault: Any,
+        generator: Generator,
+        wrong: Callable[[Report], Report],
+        garbage: Callable[[Generator], Report],
+    ) -> None:
+        self.fault = fault
+        self._generator = generator
+        self._wrong, self._garbage = wrong, garbage
+        self._stuck: Report | None = None
+        self._count = 0
+        self._past: deque[Report] = deque(maxlen=getattr(fault, "late", 0) + 1)
+
+    def apply(self, now_ns: int, report: Report, stuck: Report | None = None) -> Report | None:
+        """Return what is sent in place of a report, None for nothing.
+
+        `stuck`: what is sent from the first report on that is stuck; None for that report.
+        """
+        fault = self.fault
+        if not fault.holds(now_ns):
+            return report
+        match fault.kind:
+            case "stuck":
+                if self._stuck is None:
+                    self._stuck = report if stuck is None else stuck
+                return self._stuck
+            case "wrong":
+                return self._wrong(report)
+            case "garbage":
+                return self._garbage(self._generator)
+            case "slow":
+                number, self._count = self._count, self._count + 1
+                return report if number % fault.every == 0 else None
+            case "delayed":
+                self._past.append(report)
+                return self._past[0]
+            case "intermittent":
+                return None if self._generator.random() < fault.probability else report
+        return None  # off
+
+
 class Thermometer:
     """The reported coil temperature behind its faults."""
 
     def __init__(self, faults: Sequence[TemperatureFault], seed: int) -> None:
         self._faults = [
-            (fault, named_generator(seed, "thermometer", i)) for i, fault in enumerate(faults)
+            ActiveFault[float](
+                fault,
+                named_generator(seed, "thermometer", i),
+                fault.offset_k.__add__,
+                lambda generator: float(generator.uniform(200.0, 450.0)),
+            )
+            for i, fault in enumerate(faults)
         ]
 
     def reading_k(self, start_ns: int, temperature_k: float) -> float:
         """Temperature [K] reported with the pulse begun at `start_ns`, within 200..450 K."""
-        for fault, generator in self._faults:
-            if not fault.holds(start_ns):
-                continue
-            match fault.kind:
-                case "off":
-                    temperature_k = OPEN_LINE_K
-                case "stuck":
-                    temperature_k = fault.value_k
-                case "wrong":
-                    temperature_k += fault.offset_k
-                case "garbage":
-                    temperature_k = float(generator.uniform(200.0, 450.0))
-                case "intermittent":
-                    if generator.random() < fault.probability:
-                        temperature_k = OPEN_LINE_K
+        for active in self._faults:
+            reading = active.apply(start_ns, temperature_k, active.fault.value_k)
+            temperature_k = OPEN_LINE_K if reading is None else reading
         return min(max(temperature_k, 200.0), 450.0)
 
 
@@ -113,7 +155,7 @@ class SpeedSensors:
     ) -> None:
         """`wheels`: of input and output shaft; if left out, the speeds are exact."""
         self._wheels = wheels
-        self._faults = [_ActiveSpeedFault(fault, seed, i) for i, fault in enumerate(faults)]
+        self._faults = [_active(fault, seed, i) for i, fault in enumerate(faults)]
 
     def report(
         self, now_ns: int, input_rad_s: float, output_rad_s: float, ratio: float = 1.0
@@ -127,60 +169,26 @@ class SpeedSensors:
             of_input, of_output = self._wheels
             measured_rad_s = of_input.measure(now_ns, input_rad_s * ratio)
             speeds = measured_rad_s / ratio, of_output.measure(now_ns, output_rad_s)
-        for memory in self._faults:
-            if speeds is not None and memory.fault.holds(now_ns):
-                speeds = memory.apply(speeds)
+        for active in self._faults:
+            if speeds is not None:
+                speeds = active.apply(now_ns, speeds)
         if speeds is None or not self._faults:
             return speeds
         return _in_range(speeds[0]), _in_range(speeds[1])
 
 
+def _active(fault: SpeedFault, seed: int, index: int) -> ActiveFault[Speeds]:
+    def garbage(generator: Generator) -> Speeds:
+        drawn = generator.uniform(0.0, fault.garbage_rad_s, 2)
+        return float(drawn[0]), float(drawn[1])
+
+    return ActiveFault(
+        fault,
+        named_generator(seed, "shaft speeds", index),
+        lambda speeds: (speeds[0] + fault.offset_rad_s, speeds[1]),
+        garbage,
+    )
+
+
 def _in_range(speed_rad_s: float) -> float:
     return min(max(speed_rad_s, -RANGE_RAD_S), RANGE_RAD_S)
-
-
-class FaultMemory(Generic[Report]):
-    """A fault of reports that are passed on late, at times, or not at all."""
-
-    def __init__(self, fault: Any, generator: Generator) -> None:
-        """`fault`: its kind, `every`, `late` and `probability` as in `SpeedFault`."""
-        self.fault = fault
-        self.generator = generator
-        self._count = 0
-        self._past: deque[Report] = deque(maxlen=fault.late + 1)
-
-    def pass_on(self, report: Report) -> Report | None:
-        """Return what is sent in place of a report; None for nothing."""
-        fault = self.fault
-        number, self._count = self._count, self._count + 1
-        match fault.kind:
-            case "slow":
-                return report if number % fault.every == 0 else None
-            case "delayed":
-                self._past.append(report)
-                return self._past[0]
-            case "intermittent":
-                return None if self.generator.random() < fault.probability else report
-        return None  # off
-
-
-class _ActiveSpeedFault(FaultMemory[Speeds]):
-    """A fault of the shaft speeds with its memory."""
-
-    def __init__(self, fault: SpeedFault, seed: int, index: int) -> None:
-        super().__init__(fault, named_generator(seed, "shaft speeds", index))
-        self._stuck: Speeds | None = None
-
-    def apply(self, speeds: Speeds) -> Speeds | None:
-        """Return the speeds to send; None for none."""
-        fault = self.fault
-        match fault.kind:
-            case "stuck":
-                self._stuck = self._stuck or speeds
-                return self._stuck
-            case "wrong":
-                return speeds[0] + fault.offset_rad_s, speeds[1]
-            case "garbage":
-                drawn = self.generator.uniform(0.0, fault.garbage_rad_s, 2)
-                return float(drawn[0]), float(drawn[1])
-        return self.pass_on(speeds)

@@ -99,7 +99,7 @@ class FaultyValve:
         stuck = False
         factor = 1.0
         for window in self._faults:
-            if not window.holds(now_ns):
+            if not window.fault.holds(now_ns):
                 if window.held is not None:  # what was still on its way is overtaken
                     window.held = None
                     self._late.clear()
@@ -154,10 +154,6 @@ class _Window:
         self._draws = fault.kind in ("garbage", "intermittent")
         self._slot = -1
         self._value = 0.0
-
-    def holds(self, now_ns: int) -> bool:
-        """Whether the fault acts at an instant."""
-        return self.start_ns <= now_ns < self.end_ns
 
     def next_ns(self, after_ns: int) -> int:
         """Return the first instant later than `after_ns` at which this fault changes something."""

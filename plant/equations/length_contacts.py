@@ -7,7 +7,17 @@ nut 2: piston 2 behind, stay ahead; collar 2: stay behind, piston 2 ahead.
 
 from __future__ import annotations
 
-from plant.equations.length_stroke import TOUCH_M, accelerations, net_forces
+from plant.equations.length_stroke import (
+    JOINED,
+    STATUS,
+    TOUCH_M,
+    accelerations,
+    across,
+    gap,
+    net_forces,
+    piston_of,
+    sense,
+)
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import COLLAR, COMPRESSIBLE, FREE, GUARDS, NUT, Guard
 from plant.parts.damper import damper_borders
@@ -44,19 +54,21 @@ def note_side(y, m, p):
 
 
 @inlined
-def sign_ahead(which, contact):
-    """+1 if piston `which` is the body ahead in its contact with the stay, -1 if behind."""
-    if which == 1:
-        return 1 if contact == NUT else -1
-    return 1 if contact == COLLAR else -1
+def sign_ahead(k, contact):
+    """+1 if piston k is the body ahead in its contact with the stay, -1 if behind."""
+    return 1 if (contact == NUT) == (k == 0) else -1
 
 
 @inlined
-def piston_holds(direction, which, y):
-    """Return True if a piston cannot move in `direction` (of x_s): it stands on its outer stop."""
-    if which == 1:
-        return direction < 0 and y.x_1 <= TOUCH_M
-    return direction > 0 and y.x_2 <= TOUCH_M
+def at_outer_stop(y, k):
+    """Return True if piston k stands on its outer stop."""
+    return piston_of(y, k).x <= TOUCH_M
+
+
+@inlined
+def piston_holds(direction, k, y):
+    """Return True if piston k cannot move in `direction` (of x_s): it stands on its outer stop."""
+    return sense(k) * direction < 0.0 and at_outer_stop(y, k)
 
 
 @inlined
@@ -73,63 +85,63 @@ def bond(contact, y, p):
 
 
 @inlined
+def in_the_way(d, k, y, m, p):
+    """Return True if piston k rests where the stay touches it on its way in direction d (1, -1)."""
+    touches = gap(y, k) <= TOUCH_M if sense(k) * d > 0.0 else gap(y, k) >= p.x_free - TOUCH_M
+    return touches and m[STATUS + k] == 0
+
+
+@inlined
+def leaving_margin(d, k, y, m, p, force, caps):
+    """Margin before the stay, with the other piston, leaves its contact with piston k [N].
+
+    caps: static friction of stay, piston 1, piston 2 in direction d; FAR if it cannot leave.
+    """
+    contact = m[JOINED + k]
+    if contact == FREE or d != -sign_ahead(k, contact):
+        return FAR
+    away = d * force[0]
+    cap = caps[0]
+    if m[JOINED + 1 - k] != FREE:
+        if piston_holds(d, 1 - k, y):
+            return FAR
+        away += d * (force[2] if k == 0 else force[1])
+        cap += caps[2] if k == 0 else caps[1]
+    return cap - away + bond(contact, y, p)
+
+
+@inlined
 def stay_margin(d, y, m, p, force, static1, static2):
     """Margin before the stay, at rest, moves in direction d (1, -1) with what it takes along [N].
 
     static1, static2: static friction of the pistons that way.
     """
     high, low = stay_limits(y, m, p)
-    c1 = m.joined_1
-    c2 = m.joined_2
-    hold = FAR
     own = stay_static(y.x_s, d, p)
-    stopped = (d > 0 and y.x_s >= high - TOUCH_M) or (d < 0 and y.x_s <= low + TOUCH_M)
+    if (d > 0 and y.x_s >= high - TOUCH_M) or (d < 0 and y.x_s <= low + TOUCH_M):
+        return FAR
     # the stay with everything joined to it, or only touching it at rest and in the way
-    blocked = stopped
+    blocked = False
     total = d * force[0]
     cap = own
-    gap = y.x_1 - y.x_s
-    ahead = gap <= TOUCH_M if d > 0 else gap >= p.x_free - TOUCH_M
-    if c1 != FREE or (not blocked and ahead and m.piston_1 == 0):
-        blocked = blocked or piston_holds(d, 1, y)
+    if m.joined_1 != FREE or in_the_way(d, 0, y, m, p):
+        blocked = piston_holds(d, 0, y)
         total += d * force[1]
         cap += static1
-    gap = y.x_2 + y.x_s
-    ahead = gap <= TOUCH_M if d < 0 else gap >= p.x_free - TOUCH_M
-    if c2 != FREE or (not blocked and ahead and m.piston_2 == 0):
-        blocked = blocked or piston_holds(d, 2, y)
+    if m.joined_2 != FREE or (not blocked and in_the_way(d, 1, y, m, p)):
+        blocked = blocked or piston_holds(d, 1, y)
         total += d * force[2]
         cap += static2
-    if not blocked:
-        hold = cap - total
-    # leaving a contact: the stay (with the other piston) away from piston 1, 2
-    if c1 != FREE and d == -sign_ahead(1, c1):
-        away = d * force[0]
-        cap = own
-        blocked = stopped
-        if c2 != FREE:
-            away += d * force[2]
-            cap += static2
-            blocked = blocked or piston_holds(d, 2, y)
-        if not blocked:
-            hold = min(hold, cap - away + bond(c1, y, p))
-    if c2 != FREE and d == -sign_ahead(2, c2):
-        away = d * force[0]
-        cap = own
-        blocked = stopped
-        if c1 != FREE:
-            away += d * force[1]
-            cap += static1
-            blocked = blocked or piston_holds(d, 1, y)
-        if not blocked:
-            hold = min(hold, cap - away + bond(c2, y, p))
-    return hold
+    hold = FAR if blocked else cap - total
+    caps = (own, static1, static2)
+    one = leaving_margin(d, 0, y, m, p, force, caps)
+    return min(hold, one, leaving_margin(d, 1, y, m, p, force, caps))
 
 
 @inlined
-def piston_margin(d, which, contact, y, static, force):
-    """Margin before piston `which`, at rest, moves in direction d (1, -1) [N]."""
-    if (contact != FREE and d != sign_ahead(which, contact)) or piston_holds(d, which, y):
+def piston_margin(d, k, contact, y, static, force):
+    """Margin before piston k, at rest, moves in direction d (1, -1) [N]."""
+    if (contact != FREE and d != sign_ahead(k, contact)) or piston_holds(d, k, y):
         return FAR
     return static - d * force
 
@@ -137,33 +149,31 @@ def piston_margin(d, which, contact, y, static, force):
 @inlined
 def rest_margins(y, m, p, force):
     """Margins before stay, piston 1, piston 2 leave their rest [N]: friction less driving force."""
-    c1 = m.joined_1
-    c2 = m.joined_2
-    plus1 = piston_static(1.0, y.p_b - y.p_n, p)
-    minus1 = piston_static(-1.0, y.p_b - y.p_n, p)
-    plus2 = piston_static(1.0, y.p_f - y.p_n, p)
-    minus2 = piston_static(-1.0, y.p_f - y.p_n, p)
-    pull1 = bond(c1, y, p)
-    pull2 = bond(c2, y, p)
+    plus1 = piston_static(1.0, across(y, 0), p)
+    minus1 = piston_static(-1.0, across(y, 0), p)
+    plus2 = piston_static(1.0, across(y, 1), p)
+    minus2 = piston_static(-1.0, across(y, 1), p)
     hold = FAR
-    hold1 = FAR
-    hold2 = FAR
     if m.stay == 0:
         hold = min(
             stay_margin(1, y, m, p, force, plus1, plus2),
             stay_margin(-1, y, m, p, force, minus1, minus2),
         )
-    if m.piston_1 == 0:
-        hold1 = min(
-            piston_margin(1, 1, c1, y, plus1 + pull1, force[1]),
-            piston_margin(-1, 1, c1, y, minus1 + pull1, force[1]),
-        )
-    if m.piston_2 == 0:
-        hold2 = min(
-            piston_margin(1, 2, c2, y, plus2 + pull2, force[2]),
-            piston_margin(-1, 2, c2, y, minus2 + pull2, force[2]),
-        )
-    return hold + EPS_N, hold1 + EPS_N, hold2 + EPS_N
+    one = piston_rest(y, m, p, 0, plus1, minus1, force[1])
+    return hold + EPS_N, one + EPS_N, piston_rest(y, m, p, 1, plus2, minus2, force[2]) + EPS_N
+
+
+@inlined
+def piston_rest(y, m, p, k, plus, minus, force):
+    """Margin before piston k leaves its rest [N]; plus, minus: its static friction both ways."""
+    if m[STATUS + k] != 0:
+        return FAR
+    contact = m[JOINED + k]
+    pull = bond(contact, y, p)
+    return min(
+        piston_margin(1, k, contact, y, plus + pull, force),
+        piston_margin(-1, k, contact, y, minus + pull, force),
+    )
 
 
 @inlined
@@ -192,8 +202,8 @@ def note_corners(distance, speed, m, p):
 
 
 @inlined
-def guard_speeds(y, m, p, g, low):
-    """Guards of bodies in motion: turning, and reaching their stops; returns the lowest so far."""
+def guard_stay(y, m, p, g, low):
+    """Guards of the stay in motion: turning, and reaching its stop; returns the lowest so far."""
     d = m.stay
     if d != 0:
         low = put(g, Guard.STAY_SPEED, d * y.v_s + EPS_M_S, low)
@@ -202,45 +212,38 @@ def guard_speeds(y, m, p, g, low):
             low = put(g, Guard.STAY_HIGH, highest - y.x_s + EPS_M, low)
         else:
             low = put(g, Guard.STAY_LOW, y.x_s - lowest + EPS_M, low)
-    d1 = m.piston_1
-    if d1 != 0:
-        if m.joined_1 == FREE:
-            low = put(g, Guard.SPEED_1, d1 * y.v_1 + EPS_M_S, low)
-        if d1 < 0:
-            low = put(g, Guard.OUTER_1, y.x_1 + EPS_M, low)
-    d2 = m.piston_2
-    if d2 != 0:
-        if m.joined_2 == FREE:
-            low = put(g, Guard.SPEED_2, d2 * -y.v_2 + EPS_M_S, low)
-        if d2 > 0:
-            low = put(g, Guard.OUTER_2, y.x_2 + EPS_M, low)
     return low
 
 
 @inlined
-def guard_gap(gap, nut, collar, p, g, low):
-    """Guard of the contact that a free piston is nearer to; returns the lowest so far."""
-    if gap < 0.5 * p.x_free:
-        return put(g, nut, gap + EPS_M, low)
-    return put(g, collar, p.x_free - gap + EPS_M, low)
+def guard_piston(y, m, p, k, g, low):
+    """Guards of piston k: turning, its outer stop, the contact it is nearer to; returns the lowest."""
+    d = m[STATUS + k]
+    piston = piston_of(y, k)
+    free = m[JOINED + k] == FREE
+    if d != 0:
+        if free:
+            low = put(g, Guard.SPEED_1 + k, d * (sense(k) * piston.v) + EPS_M_S, low)
+        if sense(k) * d < 0.0:
+            low = put(g, Guard.OUTER_1 + k, piston.x + EPS_M, low)
+    if free and (d != 0 or m.stay != 0):
+        if gap(y, k) < 0.5 * p.x_free:
+            low = put(g, Guard.NUT_1 + 2 * k, gap(y, k) + EPS_M, low)
+        else:
+            low = put(g, Guard.COLLAR_1 + 2 * k, p.x_free - gap(y, k) + EPS_M, low)
+    return low
 
 
 @inlined
-def guard_contacts(y, m, p, force, g, low):
-    """Guards of contacts of stay and pistons, that close or open; returns the lowest so far."""
-    moves = m.stay != 0
-    if m.joined_1 == FREE and (m.piston_1 != 0 or moves):
-        low = guard_gap(y.x_1 - y.x_s, Guard.NUT_1, Guard.COLLAR_1, p, g, low)
-    if m.joined_2 == FREE and (m.piston_2 != 0 or moves):
-        low = guard_gap(y.x_2 + y.x_s, Guard.NUT_2, Guard.COLLAR_2, p, g, low)
-    if moves and (m.joined_1 != FREE or m.joined_2 != FREE):
-        need = p.m_p * accelerations(m, p, force)[0]
-        if m.joined_1 != FREE:
-            push = sign_ahead(1, m.joined_1) * (need - force[1]) + bond(m.joined_1, y, p)
-            low = put(g, Guard.CONTACT_1, push + EPS_N, low)
-        if m.joined_2 != FREE:
-            push = sign_ahead(2, m.joined_2) * (need - force[2]) + bond(m.joined_2, y, p)
-            low = put(g, Guard.CONTACT_2, push + EPS_N, low)
+def guard_contact(y, m, p, k, need, force, g, low):
+    """Guard of the contact of stay and piston k, that opens; returns the lowest so far.
+
+    need: force that the piston needs to move as the stay does [N].
+    """
+    contact = m[JOINED + k]
+    if contact != FREE:
+        push = sign_ahead(k, contact) * (need - force) + bond(contact, y, p)
+        low = put(g, Guard.CONTACT_1 + k, push + EPS_N, low)
     return low
 
 
@@ -272,8 +275,13 @@ def guards(t, y, m, p, g):
     for k in range(GUARDS):
         g[k] = low
     force = net_forces(y, m, p, t)
-    low = guard_speeds(y, m, p, g, low)
-    low = guard_contacts(y, m, p, force, g, low)
+    low = guard_stay(y, m, p, g, low)
+    low = guard_piston(y, m, p, 0, g, low)
+    low = guard_piston(y, m, p, 1, g, low)
+    if m.stay != 0 and (m.joined_1 != FREE or m.joined_2 != FREE):
+        need = p.m_p * accelerations(m, p, force)[0]
+        low = guard_contact(y, m, p, 0, need, force[1], g, low)
+        low = guard_contact(y, m, p, 1, need, force[2], g, low)
     if m.stay == 0 or m.piston_1 == 0 or m.piston_2 == 0:
         hold, hold1, hold2 = rest_margins(y, m, p, force)
         low = put(g, Guard.HOLD_STAY, hold, low)

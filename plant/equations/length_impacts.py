@@ -4,14 +4,25 @@ from __future__ import annotations
 
 from plant.equations.length_contacts import (
     EPS_PA,
+    at_outer_stop,
     bond,
     end_stop,
     note_corners,
     note_side,
+    piston_holds,
     sign_ahead,
     stay_limits,
 )
-from plant.equations.length_stroke import TOUCH_M, net_forces, touching
+from plant.equations.length_stroke import (
+    TOUCH_M,
+    across,
+    gap,
+    net_forces,
+    opening,
+    piston_of,
+    sense,
+    touching,
+)
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import COLLAR, COMPRESSIBLE, FREE, NUT
 from plant.parts.friction import (
@@ -42,30 +53,22 @@ def meets(contact, relative, slow):
 
 
 @inlined
-def join_velocity(y, p, which, slow):
-    """Inelastic contact of the stay and one piston; returns the kinetic energy lost [J].
+def join_velocity(y, p, k, slow):
+    """Inelastic contact of the stay and piston k; returns the kinetic energy lost [J].
 
     Conserves momentum.  The other piston takes part if it touches and does not part (faster than
     `slow` [m/s]).
     """
     vs = y.v_s
-    w1 = y.v_1
-    w2 = -y.v_2
-    before = p.m_s * vs * vs + p.m_p * (w1 * w1 + w2 * w2)
-    if which == 1:
-        v = (p.m_s * vs + p.m_p * w1) / (p.m_s + p.m_p)
-        contact = touching(y.x_2 + y.x_s, p)
-        both = contact != FREE and sign_ahead(2, contact) * (w2 - v) < slow
-    else:
-        v = (p.m_s * vs + p.m_p * w2) / (p.m_s + p.m_p)
-        contact = touching(y.x_1 - y.x_s, p)
-        both = contact != FREE and sign_ahead(1, contact) * (w1 - v) < slow
-    if both:
-        v = (p.m_s * vs + p.m_p * (w1 + w2)) / (p.m_s + 2.0 * p.m_p)
-    if both or which == 1:
-        y.v_1 = v
-    if both or which == 2:
-        y.v_2 = -v
+    one = sense(k) * piston_of(y, k).v
+    other = sense(1 - k) * piston_of(y, 1 - k).v
+    before = p.m_s * vs * vs + p.m_p * (one * one + other * other)
+    v = (p.m_s * vs + p.m_p * one) / (p.m_s + p.m_p)
+    contact = touching(y, 1 - k, p)
+    if contact != FREE and sign_ahead(1 - k, contact) * (other - v) < slow:
+        v = (p.m_s * vs + p.m_p * (one + other)) / (p.m_s + 2.0 * p.m_p)
+        piston_of(y, 1 - k).v = sense(1 - k) * v
+    piston_of(y, k).v = sense(k) * v
     y.v_s = v
     after = p.m_s * v * v + p.m_p * (y.v_1 * y.v_1 + y.v_2 * y.v_2)
     return 0.5 * (before - after)
@@ -95,19 +98,44 @@ def group_acceleration(
 
 
 @inlined
-def lone_piston(v, drive, pressure, stop_plus, stop_minus, p):
-    """Acceleration of a piston that touches nothing but its outer stop [m/s^2], as x_s counts."""
+def lone_stay(y, p, force, high, low):
+    """Acceleration of the stay alone [m/s^2]; high, low: its limits."""
+    return group_acceleration(
+        y.v_s,
+        force,
+        stay_static(y.x_s, 1.0, p),
+        stay_static(y.x_s, -1.0, p),
+        stay_sliding(y.x_s, y.v_s, 1.0, p),
+        stay_sliding(y.x_s, y.v_s, -1.0, p),
+        p.m_s,
+        y.x_s >= high - TOUCH_M,
+        y.x_s <= low + TOUCH_M,
+    )
+
+
+@inlined
+def lone_piston(y, k, force, p):
+    """Acceleration of piston k if it touches nothing but its outer stop [m/s^2], as x_s counts."""
+    v = sense(k) * piston_of(y, k).v
+    pressure = across(y, k)
     return group_acceleration(
         v,
-        drive,
+        force,
         piston_static(1.0, pressure, p),
         piston_static(-1.0, pressure, p),
         piston_sliding(v, 1.0, pressure, p),
         piston_sliding(v, -1.0, pressure, p),
         p.m_p,
-        stop_plus,
-        stop_minus,
+        piston_holds(1.0, k, y),
+        piston_holds(-1.0, k, y),
     )
+
+
+@inlined
+def slow_parting(y, k, relative, p):
+    """Speed below which piston k does not count as parting, by its acceleration relative to the stay."""
+    contact = touching(y, k, p)
+    return SLOW_M_S if contact != FREE and sign_ahead(k, contact) * relative < 0.0 else 0.0
 
 
 @called
@@ -121,24 +149,9 @@ def slow_partings(t, y, m, p):
     m.piston_2 = 0
     force = net_forces(y, m, p, t)
     high, low = stay_limits(y, m, p)
-    a = group_acceleration(
-        y.v_s,
-        force[0],
-        stay_static(y.x_s, 1.0, p),
-        stay_static(y.x_s, -1.0, p),
-        stay_sliding(y.x_s, y.v_s, 1.0, p),
-        stay_sliding(y.x_s, y.v_s, -1.0, p),
-        p.m_s,
-        y.x_s >= high - TOUCH_M,
-        y.x_s <= low + TOUCH_M,
-    )
-    a1 = lone_piston(y.v_1, force[1], y.p_b - y.p_n, False, y.x_1 <= TOUCH_M, p)
-    a2 = lone_piston(-y.v_2, force[2], y.p_f - y.p_n, y.x_2 <= TOUCH_M, False, p)
-    c1 = touching(y.x_1 - y.x_s, p)
-    c2 = touching(y.x_2 + y.x_s, p)
-    slow1 = SLOW_M_S if c1 != FREE and sign_ahead(1, c1) * (a1 - a) < 0.0 else 0.0
-    slow2 = SLOW_M_S if c2 != FREE and sign_ahead(2, c2) * (a2 - a) < 0.0 else 0.0
-    return slow1, slow2
+    a = lone_stay(y, p, force[0], high, low)
+    slow1 = slow_parting(y, 0, lone_piston(y, 0, force[1], p) - a, p)
+    return slow1, slow_parting(y, 1, lone_piston(y, 1, force[2], p) - a, p)
 
 
 @called
@@ -152,29 +165,25 @@ def impacts(t, y, m, p, impact):
     impact.speed = 0.0
     impact.at_block = 0.0
     for _ in range(12):
-        again = stop_pistons(y, p, impact)
+        again = stop_piston(y, 0, p, impact)
+        again = stop_piston(y, 1, p, impact) or again
         again = stop_stay(y, m, p, impact) or again
-        again = meet_pistons(y, m, p, slow1, slow2, impact) or again
+        again = meet_piston(y, m, p, 0, slow1, slow2, impact) or again
+        again = meet_piston(y, m, p, 1, slow2, slow1, impact) or again
         if not again:
             break
 
 
 @inlined
-def stop_pistons(y, p, impact):
-    """Stop pistons on their outer stops; True if one has met its stop."""
-    hit = False
-    if y.x_1 <= TOUCH_M and y.v_1 < 0.0:
-        y.x_1 = 0.0
-        after = rebound(y.v_1, p)
-        impact.lost += 0.5 * p.m_p * (y.v_1 * y.v_1 - after * after)
-        y.v_1 = after
-        hit = True
-    if y.x_2 <= TOUCH_M and y.v_2 < 0.0:
-        y.x_2 = 0.0
-        after = rebound(y.v_2, p)
-        impact.lost += 0.5 * p.m_p * (y.v_2 * y.v_2 - after * after)
-        y.v_2 = after
-        hit = True
+def stop_piston(y, k, p, impact):
+    """Stop piston k on its outer stop; True if it has met it."""
+    piston = piston_of(y, k)
+    hit = piston.x <= TOUCH_M and piston.v < 0.0
+    if hit:
+        piston.x = 0.0
+        after = rebound(piston.v, p)
+        impact.lost += 0.5 * p.m_p * (piston.v * piston.v - after * after)
+        piston.v = after
     return hit
 
 
@@ -190,11 +199,11 @@ def stop_stay(y, m, p, impact):
         held = -1.0
         y.x_s = low
     # neutral: a piston at rest on its outer stop is as fixed as the housing
-    elif y.v_s < 0.0 and y.x_2 + y.x_s <= TOUCH_M and y.x_2 <= TOUCH_M and y.v_2 <= 0.0:
+    elif y.v_s < 0.0 and gap(y, 1) <= TOUCH_M and y.x_2 <= TOUCH_M and y.v_2 <= 0.0:
         held = -2.0
         y.x_s = 0.0
         y.x_2 = 0.0
-    elif y.v_s > 0.0 and y.x_1 - y.x_s <= TOUCH_M and y.x_1 <= TOUCH_M and y.v_1 <= 0.0:
+    elif y.v_s > 0.0 and gap(y, 0) <= TOUCH_M and y.x_1 <= TOUCH_M and y.v_1 <= 0.0:
         held = 2.0
         y.x_s = 0.0
         y.x_1 = 0.0
@@ -211,39 +220,26 @@ def stop_stay(y, m, p, impact):
 
 
 @inlined
-def meet_pistons(y, m, p, slow1, slow2, impact):
-    """Resolve closing contacts of stay and pistons; True if there was one."""
+def meet_piston(y, m, p, k, slow, slow_other, impact):
+    """Resolve a closing contact of stay and piston k; True if it closes."""
     high, low = stay_limits(y, m, p)
-    met = False
-    relative = y.v_1 - y.v_s
-    if meets(touching(y.x_1 - y.x_s, p), relative, slow1):
+    relative = opening(y, k)
+    closes = meets(touching(y, k, p), relative, slow)
+    if closes:
+        push = sense(k) * relative
         stopped = (
-            (y.x_s >= high - TOUCH_M and relative > 0.0)
-            or (y.x_s <= low + TOUCH_M and relative < 0.0)
-            or (relative < 0.0 and y.x_2 + y.x_s <= TOUCH_M and y.x_2 <= TOUCH_M)
-            or abs(relative) < slow1
+            (y.x_s >= high - TOUCH_M and push > 0.0)
+            or (y.x_s <= low + TOUCH_M and push < 0.0)
+            or (relative < 0.0 and gap(y, 1 - k) <= TOUCH_M and at_outer_stop(y, 1 - k))
+            or abs(relative) < slow
         ) and y.v_s == 0.0
         if stopped:
-            impact.lost += 0.5 * p.m_p * y.v_1 * y.v_1
-            y.v_1 = 0.0
+            piston = piston_of(y, k)
+            impact.lost += 0.5 * p.m_p * piston.v * piston.v
+            piston.v = 0.0
         else:
-            impact.lost += join_velocity(y, p, 1, slow2)
-        met = True
-    relative = y.v_s + y.v_2
-    if meets(touching(y.x_2 + y.x_s, p), relative, slow2):
-        stopped = (
-            (y.x_s <= low + TOUCH_M and relative > 0.0)
-            or (y.x_s >= high - TOUCH_M and relative < 0.0)
-            or (relative < 0.0 and y.x_1 - y.x_s <= TOUCH_M and y.x_1 <= TOUCH_M)
-            or abs(relative) < slow2
-        ) and y.v_s == 0.0
-        if stopped:
-            impact.lost += 0.5 * p.m_p * y.v_2 * y.v_2
-            y.v_2 = 0.0
-        else:
-            impact.lost += join_velocity(y, p, 2, slow1)
-        met = True
-    return met
+            impact.lost += join_velocity(y, p, k, slow_other)
+    return closes
 
 
 @inlined
@@ -291,8 +287,6 @@ def joined_acceleration(y, p, force, c1, c2, high, low):
 
     c1, c2: contacts of pistons 1 and 2; high, low: limits of the stay.
     """
-    pressure1 = y.p_b - y.p_n
-    pressure2 = y.p_f - y.p_n
     drive = force[0]
     mass = p.m_s
     cap_plus = stay_static(y.x_s, 1.0, p)
@@ -301,25 +295,27 @@ def joined_acceleration(y, p, force, c1, c2, high, low):
     stop_minus = y.x_s <= low + TOUCH_M
     run_plus = stay_sliding(y.x_s, y.v_s, 1.0, p)
     run_minus = stay_sliding(y.x_s, y.v_s, -1.0, p)
-    if c1 != FREE:
-        drive += force[1]
-        mass += p.m_p
-        cap_plus += piston_static(1.0, pressure1, p)
-        cap_minus += piston_static(-1.0, pressure1, p)
-        run_plus += piston_sliding(y.v_s, 1.0, pressure1, p)
-        run_minus += piston_sliding(y.v_s, -1.0, pressure1, p)
-        stop_minus = stop_minus or y.x_1 <= TOUCH_M
-    if c2 != FREE:
-        drive += force[2]
-        mass += p.m_p
-        cap_plus += piston_static(1.0, pressure2, p)
-        cap_minus += piston_static(-1.0, pressure2, p)
-        run_plus += piston_sliding(y.v_s, 1.0, pressure2, p)
-        run_minus += piston_sliding(y.v_s, -1.0, pressure2, p)
-        stop_plus = stop_plus or y.x_2 <= TOUCH_M
+    for k in range(2):
+        if (c1 if k == 0 else c2) != FREE:
+            pressure = across(y, k)
+            drive += force[1] if k == 0 else force[2]
+            mass += p.m_p
+            cap_plus += piston_static(1.0, pressure, p)
+            cap_minus += piston_static(-1.0, pressure, p)
+            run_plus += piston_sliding(y.v_s, 1.0, pressure, p)
+            run_minus += piston_sliding(y.v_s, -1.0, pressure, p)
+            stop_plus = stop_plus or piston_holds(1.0, k, y)
+            stop_minus = stop_minus or piston_holds(-1.0, k, y)
     return group_acceleration(
         y.v_s, drive, cap_plus, cap_minus, run_plus, run_minus, mass, stop_plus, stop_minus
     )
+
+
+@inlined
+def closing(y, k, p, joined, touch, relative):
+    """Return True if piston k touches the stay and would close the contact; relative: accelerations."""
+    push = p.m_p * sign_ahead(k, touch) * relative
+    return joined == FREE and touch != FREE and push < bond(touch, y, p)
 
 
 @inlined
@@ -330,10 +326,8 @@ def join(y, m, p, force):
     contact are joined, until none closes.
     """
     high, low = stay_limits(y, m, p)
-    same1 = abs(y.v_1 - y.v_s) <= SAME_M_S
-    same2 = abs(y.v_2 + y.v_s) <= SAME_M_S
-    touch1 = touching(y.x_1 - y.x_s, p) if same1 else FREE
-    touch2 = touching(y.x_2 + y.x_s, p) if same2 else FREE
+    touch1 = touching(y, 0, p) if abs(opening(y, 0)) <= SAME_M_S else FREE
+    touch2 = touching(y, 1, p) if abs(opening(y, 1)) <= SAME_M_S else FREE
     c1 = FREE
     c2 = FREE
     a = 0.0
@@ -341,23 +335,11 @@ def join(y, m, p, force):
     a2 = 0.0
     for _ in range(3):
         a = joined_acceleration(y, p, force, c1, c2, high, low)
-        a1 = lone_piston(y.v_1, force[1], y.p_b - y.p_n, False, y.x_1 <= TOUCH_M, p)
-        if c1 != FREE:
-            a1 = a
-        a2 = lone_piston(-y.v_2, force[2], y.p_f - y.p_n, y.x_2 <= TOUCH_M, False, p)
-        if c2 != FREE:
-            a2 = a
-        if (
-            c1 == FREE
-            and touch1 != FREE
-            and p.m_p * sign_ahead(1, touch1) * (a1 - a) < bond(touch1, y, p)
-        ):
+        a1 = a if c1 != FREE else lone_piston(y, 0, force[1], p)
+        a2 = a if c2 != FREE else lone_piston(y, 1, force[2], p)
+        if closing(y, 0, p, c1, touch1, a1 - a):
             c1 = touch1
-        elif (
-            c2 == FREE
-            and touch2 != FREE
-            and p.m_p * sign_ahead(2, touch2) * (a2 - a) < bond(touch2, y, p)
-        ):
+        elif closing(y, 1, p, c2, touch2, a2 - a):
             c2 = touch2
         else:
             break
@@ -372,12 +354,12 @@ def part(y, p, force, joined):
     for _ in range(2):
         if d == 0 or (c1 == FREE and c2 == FREE):
             break
-        alone1 = (force[1] - d * piston_sliding(y.v_s, d, y.p_b - y.p_n, p)) / p.m_p
-        alone2 = (force[2] - d * piston_sliding(y.v_s, d, y.p_f - y.p_n, p)) / p.m_p
-        if c1 != FREE and p.m_p * sign_ahead(1, c1) * (alone1 - a) > bond(c1, y, p):
+        alone1 = (force[1] - d * piston_sliding(y.v_s, d, across(y, 0), p)) / p.m_p
+        alone2 = (force[2] - d * piston_sliding(y.v_s, d, across(y, 1), p)) / p.m_p
+        if c1 != FREE and p.m_p * sign_ahead(0, c1) * (alone1 - a) > bond(c1, y, p):
             a1 = alone1
             c1 = FREE
-        elif c2 != FREE and p.m_p * sign_ahead(2, c2) * (alone2 - a) > bond(c2, y, p):
+        elif c2 != FREE and p.m_p * sign_ahead(1, c2) * (alone2 - a) > bond(c2, y, p):
             a2 = alone2
             c2 = FREE
         else:
@@ -419,7 +401,8 @@ def settle(t, y, m, p):
     m.stay = direction_of(y.v_s, a)
     m.piston_1 = m.stay if c1 != FREE else direction_of(y.v_1, a1)
     m.piston_2 = m.stay if c2 != FREE else direction_of(-y.v_2, a2)
-    place_pistons(y, p, c1, c2)
+    place_piston(y, p, 0, c1)
+    place_piston(y, p, 1, c2)
     if m.stay == 0 and y.impulse < p.sync_impulse:
         if abs(y.x_s - p.x_block) <= TOUCH_M:
             m.blocked = 1
@@ -430,14 +413,12 @@ def settle(t, y, m, p):
 
 
 @inlined
-def place_pistons(y, p, c1, c2):
-    """Give joined pistons the place and the velocity of the stay, and none a place inside it."""
-    if c1 != FREE:
-        y.x_1 = y.x_s + (p.x_free if c1 == COLLAR else 0.0)
-        y.v_1 = y.v_s
-    if c2 != FREE:
-        y.x_2 = (p.x_free if c2 == COLLAR else 0.0) - y.x_s
-        y.v_2 = -y.v_s
+def place_piston(y, p, k, contact):
+    """Give a joined piston the place and the velocity of the stay, and none a place inside it."""
+    piston = piston_of(y, k)
+    nut = sense(k) * y.x_s
+    if contact != FREE:
+        piston.x = nut + (p.x_free if contact == COLLAR else 0.0)
+        piston.v = sense(k) * y.v_s
     # the stay was put on its stop: a piston that is just leaving it must not stand inside it
-    y.x_1 = min(max(y.x_1, y.x_s), y.x_s + p.x_free)
-    y.x_2 = min(max(y.x_2, -y.x_s), p.x_free - y.x_s)
+    piston.x = min(max(piston.x, nut), nut + p.x_free)

@@ -7,8 +7,8 @@ count inward from each piston's outer stop.  Forces below are in the direction o
 from __future__ import annotations
 
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import COLLAR, COMPRESSIBLE, FREE, NUT, LengthState, Slot
-from plant.kernel.record_views import quadratures_of
+from plant.kernel.layout import COLLAR, COMPRESSIBLE, FREE, NUT, LengthState, Modes, Slot
+from plant.kernel.record_views import piston_state, quadratures_of
 from plant.kernel.views import unlikely
 from plant.parts.chamber import (
     all_leaks,
@@ -24,6 +24,8 @@ from plant.parts.loads import conservative_force
 from plant.parts.term import added
 
 STATES = LengthState.size
+# Where the pistons' states and modes begin.
+PISTONS, STATUS, JOINED = LengthState.x_1, Modes.piston_1, Modes.joined_1
 # Bodies nearer than this touch.
 TOUCH_M = 1e-9
 
@@ -41,6 +43,47 @@ def stay_force(y, m, p, t):
     return force
 
 
+@inlined
+def piston_of(y, k):
+    """State of piston k: 0 between B and N, 1 between N and F."""
+    return piston_state(y[PISTONS + 2 * k :])
+
+
+@inlined
+def sense(k):
+    """+1 if piston k counts its position in the direction of x_s, -1 if against it."""
+    return 1.0 - 2.0 * k
+
+
+@inlined
+def gap(y, k):
+    """Distance of piston k from the nut of the stay [m]."""
+    return piston_of(y, k).x - sense(k) * y.x_s
+
+
+@inlined
+def opening(y, k):
+    """Rate at which the gap of piston k grows [m/s]."""
+    return piston_of(y, k).v - sense(k) * y.v_s
+
+
+@inlined
+def across(y, k):
+    """Pressure difference across piston k, positive towards N [Pa]."""
+    return (y.p_b if k == 0 else y.p_f) - y.p_n
+
+
+@inlined
+def piston_force(y, m, k, p):
+    """Driving force minus sliding friction of piston k [N]."""
+    pressure = across(y, k)
+    force = sense(k) * pressure * p.area_p
+    d = m[STATUS + k]
+    if d != 0:
+        force -= d * piston_sliding(sense(k) * piston_of(y, k).v, d, pressure, p)
+    return force
+
+
 @called
 def net_forces(y, m, p, t):
     """Driving forces minus sliding friction of stay, piston 1, piston 2 [N].
@@ -51,17 +94,7 @@ def net_forces(y, m, p, t):
     stay = stay_force(y, m, p, t)
     if d != 0:
         stay -= d * stay_sliding(y.x_s, y.v_s, d, p)
-    dp1 = y.p_b - y.p_n
-    one = dp1 * p.area_p
-    d1 = m.piston_1
-    if d1 != 0:
-        one -= d1 * piston_sliding(y.v_1, d1, dp1, p)
-    dp2 = y.p_f - y.p_n
-    two = -dp2 * p.area_p
-    d2 = m.piston_2
-    if d2 != 0:
-        two -= d2 * piston_sliding(-y.v_2, d2, dp2, p)
-    return stay, one, two
+    return stay, piston_force(y, m, 0, p), piston_force(y, m, 1, p)
 
 
 @inlined
@@ -85,11 +118,21 @@ def accelerations(m, p, force):
 
 
 @inlined
-def touching(gap, p):
-    """Contact of stay and piston at this gap: NUT, COLLAR or FREE."""
-    if gap <= TOUCH_M:
+def touching(y, k, p):
+    """Contact of stay and piston k where they are: NUT, COLLAR or FREE."""
+    if gap(y, k) <= TOUCH_M:
         return NUT
-    return COLLAR if gap >= p.x_free - TOUCH_M else FREE
+    return COLLAR if gap(y, k) >= p.x_free - TOUCH_M else FREE
+
+
+@inlined
+def pushing(y, m, k, force, p):
+    """Force of piston k [N] if it rests on the stay and pushes, or is bonded to it; else 0."""
+    contact = touching(y, k, p)
+    push = sense(k) * force
+    pushes = (contact == NUT and push < 0.0) or (contact == COLLAR and push > 0.0)
+    bonded = p.bond > 0.0 and contact != FREE
+    return force if m[STATUS + k] == 0 and (pushes or bonded) else 0.0
 
 
 @inlined
@@ -98,18 +141,7 @@ def blocked_force(y, m, p, force):
 
     Positive outward; without friction, as the static friction's share is not determined.
     """
-    total = force[0]
-    bonded = p.bond > 0.0
-    if m.piston_1 == 0:
-        contact = touching(y.x_1 - y.x_s, p)
-        pushes = (contact == NUT and force[1] < 0.0) or (contact == COLLAR and force[1] > 0.0)
-        if pushes or (bonded and contact != FREE):
-            total += force[1]
-    if m.piston_2 == 0:
-        contact = touching(y.x_2 + y.x_s, p)
-        pushes = (contact == NUT and force[2] > 0.0) or (contact == COLLAR and force[2] < 0.0)
-        if pushes or (bonded and contact != FREE):
-            total += force[2]
+    total = force[0] + pushing(y, m, 0, force[1], p) + pushing(y, m, 1, force[2], p)
     return total * m.blocked
 
 
@@ -198,10 +230,12 @@ def friction_power(y, m, p):
     """Power that friction turns to heat [W]."""
     d = m.stay
     loss = stay_sliding(y.x_s, y.v_s, d, p) * d * y.v_s if d != 0 else 0.0
-    d = m.piston_1
-    if d != 0:
-        loss += piston_sliding(y.v_1, d, y.p_b - y.p_n, p) * d * y.v_1
-    d = m.piston_2
-    if d != 0:
-        loss -= piston_sliding(-y.v_2, d, y.p_f - y.p_n, p) * d * y.v_2
-    return loss
+    return loss + piston_loss(y, m, 0, p) + piston_loss(y, m, 1, p)
+
+
+@inlined
+def piston_loss(y, m, k, p):
+    """Power that the friction of piston k turns to heat [W]."""
+    d = m[STATUS + k]
+    v = sense(k) * piston_of(y, k).v
+    return piston_sliding(v, d, across(y, k), p) * d * v if d != 0 else 0.0

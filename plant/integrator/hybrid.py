@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from plant.equations.volumes import emptied, refuse_empty, volumes_m3
 from plant.errors import IntegrationError, NoVolumeError
 from plant.integrator.filling import NO_CURVES
-from plant.integrator.integrate import advance, start
+from plant.integrator.integrate import advance
 from plant.integrator.loop import DONE, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_EVENTS
 from plant.integrator.workspace import Control, Run
 from plant.kernel.layout import (
@@ -29,7 +29,7 @@ from plant.kernel.layout import (
     Parameters,
     Quadratures,
 )
-from plant.kernel.packing import FIRST_STEP_S, Floats, Load, damper_mode, scales, state_record
+from plant.kernel.packing import FIRST_STEP_S, Floats, Load, fresh_modes, scales, state_record
 
 NS = 1_000_000_000
 DEFAULT_TOLERANCE = 1e-8
@@ -142,9 +142,8 @@ class HybridSystem:
         self._y = self._run.array[: len(y)]
         self._state: Any = state_record(system)(self._y)
         self._n = self._state.size
+        self._control.modes = fresh_modes(system, load).array
         self._m = Modes(self._control.modes)
-        self._m.system = system
-        self._m.damper = damper_mode(load)
         self._m.line = 1 if has_line else 0
         run, control = self._run, self._control
         run.tolerance = tolerance
@@ -174,11 +173,6 @@ class HybridSystem:
         return float(self._y[1])
 
     @property
-    def valve_positions(self) -> tuple[float, ...]:
-        """Actual positions of the valves, 1 = supply, 0 = atmosphere, in chamber order."""
-        return tuple(float(u) for u in self._run.u0[: len(self.chambers)])
-
-    @property
     def packed(self) -> Parameters:
         """A copy of the parameters."""
         return self._p.copy()
@@ -189,7 +183,8 @@ class HybridSystem:
         return int(self._control.steps), int(self._control.rejected)
 
     def _choose_modes(self) -> None:
-        start(self._run.array, self._control.array, self._p.array)
+        self._control.starting = 1
+        self.advance(self.now_ns)
 
     # --- motion -----------------------------------------------------------------------------
     def advance(
@@ -231,17 +226,10 @@ class HybridSystem:
         self._control.events = 0
         self._run.end = (until_ns - self.now_ns) / NS
         code = advance(
-            self._run.array,
-            self._control.array,
-            self._p.array,
-            self._c,
-            rows,
-            samples,
-            out,
-            self._record,
-            NO_CURVES,
-            NO_GRID,
-        )
+            self._run.array, self._control.array, self._p.array, self._c, rows, samples, out,
+            self._record, NO_CURVES, NO_GRID,
+        )  # fmt: skip
+        self._control.starting = 0
         self._note_events()
         if code != DONE:
             message = f"integration stopped after {self.now_ns / NS:.6f} s: {REASONS[code]}"

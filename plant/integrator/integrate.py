@@ -41,7 +41,6 @@ from plant.integrator.loop import (
     choose_step,
     expects_event,
     follow_or_write,
-    is_corner,
     sample_rest,
     sample_step,
     store_event,
@@ -59,7 +58,7 @@ from plant.integrator.steppers import (
 )
 from plant.integrator.workspace import Motion, control_of, run_of, scratch_of
 from plant.kernel.compiled import called, kernel
-from plant.kernel.layout import COMPRESSIBLE, FIXED, GUARDS
+from plant.kernel.layout import COMPRESSIBLE, FIXED, GUARDS, Guard
 from plant.kernel.record_views import flow_map, impact_of, length_state, modes, parameters
 from plant.kernel.views import view
 
@@ -87,7 +86,7 @@ def handle_event(index, r, k, o, task):
     """
     after_event(r.time, index, o)
     k.fresh = 1
-    if is_corner(index):
+    if index >= Guard.CAPPED:
         k.corners += 1
         return AGAIN if k.events + k.corners < k.most_events else TOO_MANY_EVENTS
     if k.events >= task.room or k.events + k.corners >= k.most_events:
@@ -272,15 +271,6 @@ def next_event(r, k, o, task, leaping):
     if status != STEPPING:
         return status
     return finish_step(r, k, o, task)
-
-
-@kernel
-def start(run, control, p):
-    """Choose the modes of an initial state."""
-    r = run_of(run)
-    m = modes(control_of(control).modes)
-    u = r.u0
-    choose_modes(0.0, Motion(r.y, m, u, u, parameters(p), u, scratch_of(r.scratch)))
 
 
 @kernel

@@ -21,7 +21,7 @@ from plant.integrator.filling import (
 )
 from plant.integrator.steppers import interpolated
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import CHAMBERS, FIRST_PRESSURE, FIXED, EventRow, GridRow, Guard
+from plant.kernel.layout import CHAMBERS, FIRST_PRESSURE, FIXED, EventRow, GridRow
 from plant.kernel.record_views import event_row, grid_row
 
 # Why a loop stopped.
@@ -136,28 +136,17 @@ def follow_or_write(r, task, number, last, happened):
 
 
 @inlined
-def write_event(t, index, impact, y, row):
-    """Store an event."""
-    row.time = t
-    row.guard = index
-    row.lost = impact.lost
-    row.speed = impact.speed
-    row.at_block = impact.at_block
-    row.x = y[0]
-    row.v = y[1]
-
-
-@inlined
 def store_event(t, index, impact, y, count, task):
     """Store an event as number `count` if there is room for it."""
     if count < task.room:
-        write_event(t, index, impact, y, event_row(task.events[count * EVENT_COLUMNS :]))
-
-
-@inlined
-def is_corner(index):
-    """Return True for the corner of a law: nothing happens there but a new step."""
-    return index >= Guard.CAPPED
+        row = event_row(task.events[count * EVENT_COLUMNS :])
+        row.time = t
+        row.guard = index
+        row.lost = impact.lost
+        row.speed = impact.speed
+        row.at_block = impact.at_block
+        row.x = y[0]
+        row.v = y[1]
 
 
 @called

@@ -42,6 +42,13 @@ class LengthState(Record):
     p_line: Value  # pressure of the supply line [Pa]
 
 
+class PistonState(Record):
+    """One piston within the state of the length stroke."""
+
+    x: Value
+    v: Value
+
+
 MAX_STATES = LengthState.size
 FIRST_PRESSURE = (FixedState.p_1, LengthState.p_b)
 CHAMBERS = (2, 3)
@@ -85,7 +92,7 @@ class Modes(Record):
     line: Value  # 1: the supply line has a volume and a restriction
     inside: Value  # 1 while the stay is between the synchronizer's two blocking positions
     side: Value  # +1 / -1: side of neutral on which the length stroke's damper acts
-    # sides of the corners of the damper's law: 1 before them (`plant.parts.damper.borders`)
+    # sides of the corners of the damper's law: 1 before them (`plant.parts.damper.damper_borders`)
     capped: Value
     opened: Value
     lifted: Value
@@ -279,7 +286,7 @@ class Guard(IntEnum):
     OIL_EMPTY = 17  # the damper's oil comes to the pressure of the atmosphere, or leaves it
     OIL_FILL = 18
     NEUTRAL = 19  # the stay comes to the damper's other side
-    CAPPED = 20  # see `plant.parts.damper.borders`
+    CAPPED = 20  # see `plant.parts.damper.damper_borders`
     OPEN = 21
     LIFTED = 22
 

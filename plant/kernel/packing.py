@@ -27,6 +27,9 @@ Ints = NDArray[np.int64]
 FIRST_STEP_S = 1e-4
 """First step of an integration."""
 
+DAMPERS = {None: 0, "incompressible": INCOMPRESSIBLE, "compressible": COMPRESSIBLE}
+P_ATM, P_SUPPLY = Parameters.p_atm, Parameters.p_supply
+P_OIL = FixedState.p_oil, LengthState.p_oil
 FIXED_SCALE = (0.01, 1.0, 1e5, 1e5, 1e5, 1e5)
 CHAMBER_NAMES = (("1", "2"), ("B", "N", "F"))
 # Leading states that are integrated: without oil and supply line, with oil, with the line.
@@ -160,16 +163,11 @@ def scales(system: int) -> Floats:
     return np.array(FIXED_SCALE if system == FIXED else LENGTH_SCALE)
 
 
-def damper_mode(load: Load) -> int:
-    """Return the mode of the damper's model."""
-    return {None: 0, "incompressible": INCOMPRESSIBLE, "compressible": COMPRESSIBLE}[load.damper]
-
-
 def fresh_modes(system: int, load: Load) -> Modes:
     """Return modes with the system and the damper's model set."""
     m = Modes.zeros(np.int64)
     m.system = system
-    m.damper = damper_mode(load)
+    m.damper = DAMPERS[load.damper]
     return m
 
 
@@ -191,23 +189,25 @@ def initial_state(
 ) -> Floats:
     """State at rest [states] in SI units: fixed piston at a position [m], length stroke in gear N, B or F.
 
-    p: of one stroke, or of several for states [strokes, states].  Chambers named in `charged` are at the supply pressure, the others at the atmosphere's.
+    p: of one stroke, or of several for states [strokes, states].  Chambers named in `charged` are at
+    the supply pressure, the others at the atmosphere's.
     """
-    record = state_record(system)
-    y = np.zeros((*p.array.shape[:-1], record.size + quadratures))
-    state = y.T
-    atmosphere, supply = p.p_atm, p.p_supply
+    size = FixedState.size if system == FIXED else LengthState.size
+    given = p.array.T
+    atmosphere, supply = given[P_ATM], given[P_SUPPLY]
+    single = p.array.ndim == 1
+    state = np.zeros(size + quadratures if single else (size + quadratures, len(p.array)))
     if system == FIXED:
-        state[FixedState.x] = float(position)
+        state[0] = position
     elif position in ("B", "F"):
         stroke = np.minimum(p.stroke + p.stop_offset, p.x_free)
         state[LengthState.x_s] = stroke if position == "B" else -stroke
         state[LengthState.x_1 if position == "B" else LengthState.x_2] = stroke + p.x_free
+    state[P_OIL[system]] = atmosphere
+    state[size - 1] = supply
     for index, name in enumerate(CHAMBER_NAMES[system], FIRST_PRESSURE[system]):
         state[index] = supply if name in charged else atmosphere
-    state[record.p_oil] = atmosphere
-    state[record.p_line] = supply
-    return y
+    return state if single else np.ascontiguousarray(state.T)
 
 
 def state_record(system: int) -> type[FixedState | LengthState]:

@@ -15,6 +15,7 @@ from plant.kernel.layout import (
     LengthState,
     Modes,
     Parameters,
+    PistonState,
     Quadratures,
 )
 from plant.kernel.views import named
@@ -24,6 +25,7 @@ modes = named(Modes)
 flow_map = named(FlowMap)
 fixed_state = named(FixedState)
 length_state = named(LengthState)
+piston_state = named(PistonState)
 quadratures_of = named(Quadratures)
 impact_of = named(Impact)
 event_row = named(EventRow)

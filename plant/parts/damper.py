@@ -33,18 +33,18 @@ def large_area(x_m, area_cap, r_hole, x_hole):
 
 
 @inlined
-def borders(x_m, speed_m_s, area_cap, r_hole, x_hole, floor, slope):
+def damper_borders(distance, speed, p):
     """Return where the damper's law has corners; each is positive before its corner.
 
     Zero where the holes' area leaves its cap [m^2], where they are covered [m], and where C_D reaches
     its floor [-].
     """
-    c = min(max(x_m - x_hole, 0.0), 2.0 * r_hole) - r_hole
-    large = large_area(x_m, area_cap, r_hole, x_hole)
+    c = min(max(distance - p.x_hole, 0.0), 2.0 * p.r_hole) - p.r_hole
+    large = large_area(distance, p.a_large, p.r_hole, p.x_hole)
     return (
-        holes_area(c, r_hole) - area_cap,
-        x_hole + 2.0 * r_hole - x_m,
-        large / area_cap + slope * speed_m_s - floor,
+        holes_area(c, p.r_hole) - p.a_large,
+        p.x_hole + 2.0 * p.r_hole - distance,
+        large / p.a_large + p.cd_slope * speed - p.cd_floor,
     )
 
 
@@ -106,12 +106,6 @@ def damper_difference(distance, speed, oil_pa, m, p):
         outlet = mode_outlet(distance, speed, m, p)
         return steady_difference(speed, p.a_oil, outlet, 1.0, p.rho_oil)
     return oil_pa - p.p_atm
-
-
-@inlined
-def damper_borders(distance, speed, p):
-    """`plant.parts.damper.borders` of this stroke's damper."""
-    return borders(distance, speed, p.a_large, p.r_hole, p.x_hole, p.cd_floor, p.cd_slope)
 
 
 @inlined

@@ -95,7 +95,7 @@ class ImposedSystem(StrokeSystem):
             opening = y[v] + away * speed_m_s
             if (gap <= TOUCH_M and opening < 0.0) or (gap >= far and opening > 0.0):
                 y[v] = -away * speed_m_s
-        self._choose_modes()
+        self._control.starting = 1
 
     def hold_pressures(self) -> None:
         """Take the chambers' equations away."""
@@ -116,14 +116,7 @@ def intervals(setup: Setup, time_s: Floats) -> list[tuple[int, list[Any]]]:
     """For every interval between samples: its end [ns] and the valves' moves within it."""
     ends = np.rint(np.asarray(time_s) * NS).astype(np.int64)
     moves = valve_moves(setup, int(ends[-1]))
-    found = []
-    k = 0
-    while k < len(moves) and moves[k][0] < ends[0]:
-        k += 1
-    for begin, end in pairwise(ends):
-        inside = []
-        while k < len(moves) and begin <= moves[k][0] < end:
-            inside.append(moves[k])
-            k += 1
-        found.append((int(end), inside))
-    return found
+    return [
+        (int(end), [move for move in moves if begin <= move[0] < end])
+        for begin, end in pairwise(ends.tolist())
+    ]

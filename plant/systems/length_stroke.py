@@ -123,11 +123,6 @@ class LengthStroke(HybridSystem):
         """Impulse given to the synchronizer since it was armed [N s]."""
         return float(self._state.impulse)
 
-    @property
-    def synchronizer_blocked(self) -> bool:
-        """True while the synchronizer holds the stay at its blocking position."""
-        return bool(self._m.blocked != 0)
-
     def set_sync_impulse(self, impulse_n_s: float) -> None:
         """Arm the synchronizer for the next engagement; call while the stay is near neutral.
 
@@ -138,10 +133,6 @@ class LengthStroke(HybridSystem):
         self._p.sync_impulse = impulse_n_s
         self._state.impulse = 0.0
         self._choose_modes()
-
-    def set_supply_pressure(self, supply_pa: float) -> None:
-        """Change the supply pressure from now on (absolute) [Pa]."""
-        self._p.p_supply = supply_pa
 
     def row(self) -> np.ndarray:
         """Return the present state [states] in SI units, in the order of `columns`."""

@@ -110,18 +110,7 @@ def test_the_starting_place_and_the_properties() -> None:
     assert actuator.position_m == -STROKE
     assert actuator.pistons_m == (0.0, pytest.approx(STROKE + FREE))
     assert actuator.pressures_pa == (101325.0, 101325.0, 6e5)
-    assert actuator.valve_positions == (0.0, 0.0, 1.0)
-    assert not actuator.synchronizer_blocked
     row = dict(zip(actuator.columns, actuator.row(), strict=True))
     assert row["position_m"] == -STROKE and row["pressure_F_pa"] == 6e5
     with pytest.raises(InputError, match="initial gear 'R'"):
         LengthStroke(NOMINAL, initial="R")
-
-
-def test_a_lower_supply_from_now_on_lowers_the_chamber() -> None:
-    actuator = LengthStroke(NOMINAL)
-    actuator.advance(200 * MS, [(10 * MS, 0, 1.0)])
-    assert actuator.pressures_pa[0] > 7e5
-    actuator.set_supply_pressure(5e5)
-    actuator.advance(600 * MS)
-    assert actuator.pressures_pa[0] == pytest.approx(5e5, rel=0.01)

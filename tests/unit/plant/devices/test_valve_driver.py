@@ -18,7 +18,14 @@ PUSH_B = ValveCommand(0.984375, 0.0, 0.0, Gear.BACKWARD)
 NO_BLOW = SafetyBlow(Chamber.NONE, False, 0.0)
 ON_B: Duties = (0.984375, 0.0, 0.0)
 
+ON_N = ValveCommand(0.0, 0.98, 0.0, Gear.NEUTRAL)
+MIXED = ValveCommand(0.0, 0.5, 0.25, Gear.NEUTRAL)
+FULL = ValveCommand(1.0, 0.0, 0.5, Gear.BACKWARD)
+FIRST = range(0, 20, 10)
+BLOWN = (0.0, 0.98, 0.0)
+
 Delivery = tuple[int, Frame]
+Part = tuple[range | int, ValveCommand, SafetyBlow]
 
 
 class Controller:
@@ -85,58 +92,70 @@ def test_either_channel_falling_silent_de_energises() -> None:
         assert unit.advance(200 * MS, kept)[1] == (last + 50 * MS, DE_ENERGISED)
 
 
-def test_duties_pass_as_commanded() -> None:
-    unit, sender = driver(), Controller()
-    frames = sender.ticks(range(0, 20, 10))
-    frames += sender.tick(20, ValveCommand(0.0, 0.5, 0.25, Gear.NEUTRAL))
-    assert unit.advance(21 * MS, frames)[-1] == (20_300_000, (0.0, 0.5, 0.25))
-    assert unit.target is Gear.NEUTRAL
+def blow(chamber: Chamber, left_s: float, active: bool = True) -> SafetyBlow:
+    return SafetyBlow(chamber, active, left_s)
 
 
-# --- the blow --------------------------------------------------------------------------------
-def test_blow_energises_its_chamber_until_its_own_clock_has_run_out() -> None:
-    unit, sender = driver(), Controller()
-    frames = sender.ticks(range(0, 20, 10), OFF)
-    frames += sender.tick(20, OFF, SafetyBlow(Chamber.N, True, 0.015))
-    frames += sender.tick(30, OFF, SafetyBlow(Chamber.N, True, 0.005))
-    changes = unit.advance(50 * MS, frames)
-    assert changes == [(20_500_000, (0.0, 0.98, 0.0)), (35_500_000, DE_ENERGISED)]
+N, B, F = Chamber.N, Chamber.B, Chamber.F
+SEQUENCES: dict[str, tuple[dict[str, float], list[Part], int, list[tuple[int, Duties]]]] = {
+    "duties as commanded": (
+        {}, [(FIRST, PUSH_B, NO_BLOW), (20, MIXED, NO_BLOW)], 21,
+        [(10_500_000, ON_B), (20_300_000, (0.0, 0.5, 0.25))],
+    ),
+    "a blow until its own clock has run out": (
+        {}, [(FIRST, OFF, NO_BLOW), (20, OFF, blow(N, 0.015)), (30, OFF, blow(N, 0.005))], 50,
+        [(20_500_000, BLOWN), (35_500_000, DE_ENERGISED)],
+    ),
+    "a blow whose frames are delayed": (
+        {}, [(FIRST, OFF, NO_BLOW), (20, OFF, blow(F, 0.0125))], 60,
+        [(20_500_000, (0.0, 0.0, 0.98)), (33_000_000, DE_ENERGISED)],
+    ),
+    "a larger commanded duty and other chambers stay": (
+        {}, [(FIRST, FULL, blow(B, 0.1))], 20, [(10_500_000, (1.0, 0.0, 0.5))],
+    ),
+    "a blow without chamber": ({}, [(range(0, 50, 10), OFF, blow(Chamber.NONE, 0.1))], 50, []),
+    "a blow not active": ({}, [(range(0, 50, 10), OFF, blow(N, 0.1, False))], 50, []),
+    "a blow cut by an inactive frame": (
+        {}, [(FIRST, OFF, blow(N, 0.15)), (20, OFF, NO_BLOW)], 30,
+        [(10_500_000, BLOWN), (20_500_000, DE_ENERGISED)],
+    ),
+    "a blow cut by the limit": (
+        {"blow_limit_s": 0.005}, [(FIRST, OFF, blow(N, 4.0))], 30,
+        [(10_500_000, BLOWN), (15_500_000, DE_ENERGISED)],
+    ),
+    "a blow cut by a dead controller": (
+        {}, [(FIRST, OFF, blow(N, 0.15))], 300, [(10_500_000, BLOWN), (60_300_000, DE_ENERGISED)],
+    ),
+    "a new command outlasts the blow": (
+        {}, [(FIRST, OFF, NO_BLOW), (20, OFF, blow(N, 0.015)), (30, ON_N, blow(N, 0.003)),
+             (40, ON_N, NO_BLOW)], 49, [(20_500_000, BLOWN)],
+    ),
+    "a blow that changes its chamber takes over the new one": (
+        {}, [(FIRST, ON_N, blow(B, 0.1)), (20, ON_N, blow(N, 0.005))], 29,
+        [(10_500_000, (0.98, 0.98, 0.0)), (20_500_000, BLOWN), (25_500_000, DE_ENERGISED)],
+    ),
+    "peak and hold, and a new peak": (
+        {"hold_duty": 0.4, "peak_s": 0.02},
+        [(range(0, 60, 10), PUSH_B, NO_BLOW), (60, OFF, NO_BLOW), (70, PUSH_B, NO_BLOW)], 80,
+        [(10_500_000, ON_B), (30_500_000, (0.4, 0.0, 0.0)), (60_300_000, DE_ENERGISED),
+         (70_300_000, ON_B)],
+    ),
+    "blow duty as configured": (
+        {"blow_duty": 0.36}, [(range(0, 30, 10), OFF, blow(N, 0.1))], 30,
+        [(10_500_000, (0.0, 0.36, 0.0))],
+    ),
+}  # fmt: skip
 
 
-def test_blow_ends_by_itself_when_its_frames_are_delayed() -> None:
-    unit, sender = driver(), Controller()
-    frames = sender.ticks(range(0, 20, 10), OFF)
-    frames += sender.tick(20, OFF, SafetyBlow(Chamber.F, True, 0.0125))
-    assert unit.advance(60 * MS, frames)[-1] == (33_000_000, DE_ENERGISED)
-
-
-def test_blow_keeps_a_larger_commanded_duty_and_other_chambers() -> None:
-    unit, sender = driver(), Controller()
-    blow = SafetyBlow(Chamber.B, True, 0.1)
-    command = ValveCommand(1.0, 0.0, 0.5, Gear.BACKWARD)
-    changes = unit.advance(20 * MS, sender.ticks(range(0, 20, 10), command, blow))
-    assert changes == [(10_500_000, (1.0, 0.0, 0.5))]
-
-
-def test_blow_without_chamber_or_not_active_does_nothing() -> None:
-    for blow in (SafetyBlow(Chamber.NONE, True, 0.1), SafetyBlow(Chamber.N, False, 0.1)):
-        assert driver().advance(50 * MS, Controller().ticks(range(0, 50, 10), OFF, blow)) == []
-
-
-def test_blow_is_cut_by_an_inactive_frame_by_the_limit_and_by_a_dead_controller() -> None:
-    unit, sender = driver(), Controller()
-    blow = SafetyBlow(Chamber.N, True, 0.15)
-    frames = sender.ticks(range(0, 20, 10), OFF, blow) + sender.tick(20, OFF, NO_BLOW)
-    assert unit.advance(30 * MS, frames)[-1] == (20_500_000, DE_ENERGISED)
-    capped = driver(ValveDriverConfig(blow_limit_s=0.005))
-    frames = Controller().ticks(range(0, 20, 10), OFF, SafetyBlow(Chamber.N, True, 4.0))
-    assert capped.advance(30 * MS, frames)[-1] == (15_500_000, DE_ENERGISED)
-    dead = driver()
-    frames = Controller().ticks(range(0, 20, 10), OFF, blow)
-    assert dead.advance(300 * MS, frames)[-1] == (60_300_000, DE_ENERGISED)
-
-
-ON_N = ValveCommand(0.0, 0.98, 0.0, Gear.NEUTRAL)
+@pytest.mark.parametrize("name", SEQUENCES)
+def test_sequences(name: str) -> None:
+    config, parts, until_ms, expected = SEQUENCES[name]
+    unit, sender = driver(ValveDriverConfig(**config)), Controller()
+    frames = []
+    for when, command, blown in parts:
+        times = when if isinstance(when, range) else range(when, when + 1)
+        frames += sender.ticks(times, command, blown)
+    assert unit.advance(until_ms * MS, frames) == expected
 
 
 @pytest.mark.parametrize("blow_s", [0.003, 0.0125, 0.025])
@@ -155,29 +174,12 @@ def test_a_coil_stays_energised_from_command_to_blow_and_no_longer_than_the_blow
     assert changes == [(10_500_000, (0.0, 0.98, 0.0)), (end_ns, DE_ENERGISED)]
 
 
-def test_a_new_command_outlasts_the_blow() -> None:
-    unit, sender = driver(), Controller()
-    frames = sender.ticks(range(0, 20, 10), OFF)
-    frames += sender.tick(20, OFF, SafetyBlow(Chamber.N, True, 0.015))
-    frames += sender.tick(30, ON_N, SafetyBlow(Chamber.N, True, 0.003))
-    frames += sender.tick(40, ON_N)
-    assert unit.advance(49 * MS, frames) == [(20_500_000, (0.0, 0.98, 0.0))]
-
-
 def test_a_command_lost_after_a_blow_that_was_cut_does_not_energise_again() -> None:
     unit, sender = driver(), Controller()
     frames = sender.ticks(range(0, 20, 10), ON_N)
     frames += sender.tick(20, ON_N, SafetyBlow(Chamber.N, True, 0.15))
     frames += sender.tick(30, OFF)[1:]
     assert unit.advance(39 * MS, frames)[-1] == (30_500_000, DE_ENERGISED)
-
-
-def test_a_blow_that_changes_its_chamber_takes_over_the_new_one() -> None:
-    unit, sender = driver(), Controller()
-    frames = sender.ticks(range(0, 20, 10), ON_N, SafetyBlow(Chamber.B, True, 0.1))
-    frames += sender.tick(20, ON_N, SafetyBlow(Chamber.N, True, 0.005))
-    changes = unit.advance(29 * MS, frames)
-    assert changes[-2:] == [(20_500_000, (0.0, 0.98, 0.0)), (25_500_000, DE_ENERGISED)]
 
 
 # --- damage ------------------------------------------------------------------------------------
@@ -301,25 +303,6 @@ def test_instants_out_of_order_are_refused() -> None:
         unit.advance(60 * MS, sender.tick(0))
     with pytest.raises(ValueError, match="go back"):
         unit.advance(10 * MS, [])
-
-
-def test_peak_and_hold_limits_the_duty_after_the_peak() -> None:
-    unit, sender = driver(ValveDriverConfig(hold_duty=0.4, peak_s=0.02)), Controller()
-    frames = sender.ticks(range(0, 60, 10)) + sender.tick(60, OFF) + sender.tick(70)
-    changes = unit.advance(80 * MS, frames)
-    assert changes == [
-        (10_500_000, ON_B),
-        (30_500_000, (0.4, 0.0, 0.0)),
-        (60_300_000, DE_ENERGISED),
-        (70_300_000, ON_B),  # a new peak
-    ]
-
-
-def test_blow_duty_as_configured() -> None:
-    unit, sender = driver(ValveDriverConfig(blow_duty=0.36)), Controller()
-    blow = SafetyBlow(Chamber.N, True, 0.1)
-    unit.advance(30 * MS, sender.ticks(range(0, 30, 10), OFF, blow))
-    assert unit.duties == (0.0, 0.36, 0.0)
 
 
 def test_blow_goes_on_with_the_duty_that_was_commanded() -> None:
