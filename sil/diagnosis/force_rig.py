@@ -28,6 +28,7 @@ from sil.diagnosis.force_fit import (
     difference,
     gain_in_errors,
 )
+from sil.diagnosis.force_gas import enclosed_gas
 from sil.diagnosis.force_record import Recorded, read_motion
 from sil.diagnosis.intervals import Interval
 from sil.diagnosis.residuals import Gain
@@ -249,6 +250,7 @@ def diagnose_force(path: str | Path) -> ForceDiagnosis:
     rest = ("", "", 0.0)
     robust: tuple[str, ...] = ()
     leader = verdict.leader
+    doubts = tuple(filter(None, (*doubts, enclosed_gas(bank, leader))))
     if leader.whole.beyond > 0.0:
         rest = _described(bank, leader, smooth)
         if 1.0 - leader.whole.excess / plain.whole.excess >= LEAST_SHARE:

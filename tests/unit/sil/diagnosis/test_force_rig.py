@@ -208,6 +208,28 @@ def test_a_motion_of_one_frequency_or_one_way_cannot_tell(tmp_path) -> None:
     assert once["verdict"] == "cannot_tell" and "one way only" in once["findings"][0]
 
 
+@pytest.mark.parametrize("cubic", [False, True])
+def test_dead_volume_and_exponent_that_move_together_cannot_be_told(tmp_path, cubic) -> None:
+    rng = np.random.default_rng(4)
+    t = np.arange(12000) / 500.0
+    size = 1.0 if cubic else 0.5
+    x = size * (0.03 * np.sin(2.1 * t) + 0.015 * np.sin(5.7 * t))
+    v = size * (0.063 * np.cos(2.1 * t) + 0.0855 * np.cos(5.7 * t))
+    a = -size * (0.1323 * np.sin(2.1 * t) + 0.48735 * np.sin(5.7 * t))
+    gas = 600.0 * ((0.15 / (0.15 - x)) ** 1.3 - 1.0)
+    force = 5.0 * a + 15.0 * np.sign(v) + 80.0 * v + (3e6 * x**3 if cubic else gas)
+    noise = rng.normal(0.0, 1.0, (2, len(t)))
+    found = diagnose_force(
+        written(tmp_path / "a", "", position_m=x + 1e-6 * noise[0], force_n=force + 2.0 * noise[1])
+    ).as_json()
+    if cubic:
+        assert found["verdict"] == "named"
+        assert "stiffness_cubic" in [cause["id"] for cause in found["causes"]]
+    else:
+        assert found["verdict"] == "cannot_tell" and not found["causes"]
+        assert "dead volume and exponent move together" in found["findings"][0]
+
+
 def test_a_rotary_axis_has_its_units(tmp_path) -> None:
     folder = rig(
         tmp_path / "a",
