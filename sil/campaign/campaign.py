@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
+from msgspec.structs import asdict
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
@@ -22,10 +23,15 @@ from sil.campaign.tables import formula, read_columns
 
 Floats = NDArray[np.float64]
 
+TOP = ("name", "rig", "atmosphere_pa", "temperature_k", "sample_rate_hz")
 DECIMALS = {"time_s": 4, "position_m": 7, "position_internal_m": 7}
 
 Text = Annotated[str, Meta(min_length=1)]
 Rate = Annotated[float, Meta(ge=1.0, le=1e8)]
+
+
+NOT_CONDITIONS = ("file", "label", "flow_model")
+"""Keys of a stroke that the plant does not know by this name."""
 
 
 class ColumnMap(Struct, frozen=True, forbid_unknown_fields=True):
@@ -81,22 +87,13 @@ class StrokeTable(Struct, frozen=True, forbid_unknown_fields=True):
         self, atmosphere_pa: float, temperature_k: float, progress: float
     ) -> StrokeConditions:
         """Return what the plant has to know; `progress` as in `StrokeConditions`."""
+        own = {key: value for key, value in asdict(self).items() if key not in NOT_CONDITIONS}
+        own["commands"] = tuple(sorted(self.commands, key=lambda command: command[0]))
         return StrokeConditions(
-            kind=self.kind,
-            supply_pressure_pa=self.supply_pressure_pa,
-            commands=tuple(sorted(self.commands, key=lambda command: command[0])),
+            **own,
             atmosphere_pa=atmosphere_pa,
             temperature_k=temperature_k,
-            load=self.load,
-            spring_n_per_m=self.spring_n_per_m,
-            start_offset_m=self.start_offset_m,
-            charged_before=self.charged_before,
-            damper_model=self.damper_model,
             theoretical_flow=self.flow_model == "theoretical",
-            mounted=self.mounted,
-            mesh_force_n=self.mesh_force_n,
-            sync_impulse_n_s=self.sync_impulse_n_s,
-            rest_s=self.rest_s,
             progress=progress,
         )
 
@@ -189,25 +186,16 @@ def load_campaign(path: str | Path) -> Campaign:
     table = convert(read_toml(file), CampaignTable, str(file))
     last = max(len(table.stroke) - 1, 1)
     single = len(table.stroke) == 1
-    return Campaign(
-        folder=file.parent,
-        name=table.name,
-        rig=table.rig,
-        atmosphere_pa=table.atmosphere_pa,
-        temperature_k=table.temperature_k,
-        sample_rate_hz=table.sample_rate_hz,
-        strokes=tuple(
-            CampaignStroke(
-                entry.file,
-                entry.label or entry.kind,
-                entry.conditions(
-                    table.atmosphere_pa, table.temperature_k, 1.0 if single else number / last
-                ),
-            )
-            for number, entry in enumerate(table.stroke)
-        ),
-        columns=column_maps(table.columns),
+    conditions = [
+        entry.conditions(table.atmosphere_pa, table.temperature_k, 1.0 if single else number / last)
+        for number, entry in enumerate(table.stroke)
+    ]
+    strokes = tuple(
+        CampaignStroke(entry.file, entry.label or entry.kind, own)
+        for entry, own in zip(table.stroke, conditions, strict=True)
     )
+    top = {key: getattr(table, key) for key in TOP}
+    return Campaign(file.parent, **top, strokes=strokes, columns=column_maps(table.columns))
 
 
 def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> Record:
@@ -262,10 +250,8 @@ def write_record(path: Path, columns: Mapping[str, Floats]) -> None:
 
     columns: [n] each, in SI units.
     """
-    formats = []
-    for name in columns:
-        decimals = DECIMALS.get(name, 3 if name.startswith("cmd_") else 1)
-        formats.append(f"%.{decimals}f")
+    usual = {name: 3 if name.startswith("cmd_") else 1 for name in columns}
+    formats = [f"%.{DECIMALS.get(name, decimals)}f" for name, decimals in usual.items()]
     table = np.column_stack(list(columns.values()))
     row = ",".join(formats) + "\n"
     # one formatting call for the whole table: np.savetxt makes one a row and takes twice as long
@@ -276,27 +262,21 @@ def write_record(path: Path, columns: Mapping[str, Floats]) -> None:
 
 def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
     """Return the text of campaign.toml for a campaign."""
-    top = ("name", "rig", "atmosphere_pa", "temperature_k", "sample_rate_hz")
     keys = ("kind", "supply_pressure_pa", "load", "spring_n_per_m", "start_offset_m", "rest_s")
-    lines = [f"{key} = {toml_value(getattr(campaign, key))}" for key in top]
+    keys = (*keys, "commands", "charged_before")
+    lines = [f"{key} = {toml_value(getattr(campaign, key))}" for key in TOP]
     for stroke in strokes:
         c = stroke.conditions
-        values = {
-            "file": stroke.file,
-            "label": stroke.label,
-            **{key: getattr(c, key) for key in (*keys, "commands", "charged_before")},
-        }
+        values = {"file": stroke.file, "label": stroke.label}
+        values |= {key: getattr(c, key) for key in keys}
         if c.load == "damper":
             values["damper_model"] = c.damper_model
         if c.theoretical_flow:
             values["flow_model"] = "theoretical"
         optional = ("mounted", "mesh_force_n", "sync_impulse_n_s")
         values |= {key: getattr(c, key) for key in optional if getattr(c, key)}
-        lines += [
-            "",
-            "[[stroke]]",
-            *(f"{key} = {toml_value(value)}" for key, value in values.items()),
-        ]
+        lines += ["", "[[stroke]]"]
+        lines += [f"{key} = {toml_value(value)}" for key, value in values.items()]
     return "\n".join(lines) + "\n"
 
 

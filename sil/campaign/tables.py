@@ -13,7 +13,6 @@ import math
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,18 +27,9 @@ PREAMBLE = 200
 """Lines within which the numbers of a text begin."""
 
 
-@dataclass(frozen=True)
-class TextTable:
-    """A text as lines of numbers in our dialect.
-
-    header: names of the columns; lines: cells separated by commas, dots in numbers; first: number of
-    the first of them in the file; dialect: in words, empty for our own.
-    """
-
-    header: list[str]
-    lines: list[str]
-    first: int
-    dialect: str
+TextTable = tuple[list[str], list[str], int, str]
+"""A text as lines of numbers in our dialect: names of the columns; lines of cells separated by commas,
+with dots in numbers; number of the first of them in the file; dialect in words, empty for our own."""
 
 
 def _numeric(cell: str) -> bool:
@@ -87,7 +77,7 @@ def sniff(path: Path, text: str, encoding: str) -> TextTable:
         "" if number else "no header row",
         f"{number - 1} lines above the header" if number > 1 + bool(units) else "",
     ]
-    return TextTable(header, rows, number + 1, ", ".join(filter(None, features)))
+    return header, rows, number + 1, ", ".join(filter(None, features))
 
 
 def _delimiter(line: str) -> tuple[str, bool] | None:
@@ -123,54 +113,16 @@ def _is_unit(cell: str) -> bool:
     return cell == "" or cell.strip("[]() ") in SCALES or cell.strip("[]() ") in ("-", "1")
 
 
-SCALES: dict[str, tuple[str, float]] = {
-    **{
-        unit: ("time_s", scale)
-        for unit, scale in (
-            ("s", 1.0),
-            ("ms", 1e-3),
-            ("us", 1e-6),
-            ("µs", 1e-6),
-            ("min", 60.0),
-            ("sec", 1.0),
-        )
-    },
-    **{
-        unit: ("position_m", scale)
-        for unit, scale in (
-            ("m", 1.0),
-            ("mm", 1e-3),
-            ("cm", 1e-2),
-            ("µm", 1e-6),
-            ("um", 1e-6),
-            ("in", 0.0254),
-        )
-    },
-    **{
-        unit: ("force_n", scale)
-        for unit, scale in (("N", 1.0), ("kN", 1e3), ("lbf", 4.4482216), ("kgf", 9.80665))
-    },
-    **{
-        unit: ("pressure_pa", scale)
-        for unit, scale in (
-            ("Pa", 1.0),
-            ("kPa", 1e3),
-            ("hPa", 100.0),
-            ("MPa", 1e6),
-            ("bar", 1e5),
-            ("mbar", 100.0),
-            ("psi", 6894.757),
-        )
-    },
-    **{
-        unit: ("angle_rad", scale)
-        for unit, scale in (("rad", 1.0), ("deg", np.pi / 180.0), ("°", np.pi / 180.0))
-    },
-    **{
-        unit: ("torque_n_m", scale)
-        for unit, scale in (("Nm", 1.0), ("N m", 1.0), ("N·m", 1.0), ("mNm", 1e-3))
-    },
+UNITS = {
+    "time_s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0, "sec": 1.0},
+    "position_m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "µm": 1e-6, "um": 1e-6, "in": 0.0254},
+    "force_n": {"N": 1.0, "kN": 1e3, "lbf": 4.4482216, "kgf": 9.80665},
+    "pressure_pa": {"Pa": 1.0, "hPa": 100.0, "mbar": 100.0, "kPa": 1e3, "bar": 1e5, "MPa": 1e6}
+    | {"psi": 6894.757},
+    "angle_rad": {"rad": 1.0, "deg": np.pi / 180.0, "°": np.pi / 180.0},
+    "torque_n_m": {"Nm": 1.0, "N m": 1.0, "N·m": 1.0, "mNm": 1e-3},
 }
+SCALES = {unit: (ours, scale) for ours, table in UNITS.items() for unit, scale in table.items()}
 """Our column and the factor to its unit, by unit."""
 
 
@@ -201,7 +153,7 @@ def read_columns(path: Path) -> tuple[dict[str, Floats], str]:
     return {name: table[:, k] for k, name in enumerate(header)}, dialect
 
 
-def read_text(path: Path) -> tuple[list[str], list[str], int, str]:
+def read_text(path: Path) -> TextTable:
     """Return header, lines of cells, number of the first line, and the dialect of a delimited text.
 
     Raises InputError for a file that cannot be read, or that holds no table.
@@ -224,8 +176,7 @@ def read_text(path: Path) -> tuple[list[str], list[str], int, str]:
                 f"expected {len(header)}"
             )
         return header, body, 2, ""
-    found = sniff(path, text, encoding)
-    return found.header, found.lines, found.first, found.dialect
+    return sniff(path, text, encoding)
 
 
 def parse_cells(path: Path, body: Sequence[str], width: int, first: int = 2) -> Floats:
