@@ -262,8 +262,8 @@ def write_record(path: Path, columns: Mapping[str, Floats]) -> None:
 
 def campaign_toml(campaign: Campaign, strokes: Iterable[CampaignStroke]) -> str:
     """Return the text of campaign.toml for a campaign."""
-    keys = ("kind", "supply_pressure_pa", "load", "spring_n_per_m", "start_offset_m", "rest_s")
-    keys = (*keys, "commands", "charged_before")
+    keys = ["kind", "supply_pressure_pa", "load", "spring_n_per_m", "start_offset_m", "rest_s"]
+    keys += ["commands", "charged_before"]
     lines = [f"{key} = {toml_value(getattr(campaign, key))}" for key in TOP]
     for stroke in strokes:
         c = stroke.conditions

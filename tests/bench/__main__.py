@@ -8,7 +8,7 @@ import sys
 
 import tests.bench
 
-HOURS = ("hidden_effects", "soak")
+HOURS = ("hidden_effects", "instruments", "soak")
 
 
 def main(wanted: list[str]) -> int:

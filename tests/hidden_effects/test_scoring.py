@@ -8,6 +8,7 @@ from dataclasses import asdict, replace
 import pytest
 
 from tests.bench.hidden_effects import Row, interval, read_rows, tables
+from tests.bench.instruments import outcome
 
 
 def row(names: tuple[str, ...], found: tuple[tuple[str, str, float], ...], **more) -> Row:
@@ -81,3 +82,30 @@ def test_rows_come_back_from_disk(tmp_path) -> None:
     stored = row(("supply_low",), RIVALS, rivals=(("inlet_clog", "supply_low"),))
     path.write_text(json.dumps(asdict(stored)) + "\n", encoding="utf-8")
     assert read_rows(path) == [stored]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "found", "rivals", "expected"),
+    [
+        ("named", [("free_play", 0.98)], [], "right"),
+        ("ambiguous", [("detent", 0.6), ("free_play", 0.4)], [["detent", "free_play"]], "unable"),
+        ("unnamed", [("unnamed", 0.98)], [], "unable"),
+        ("cannot_tell", [], [], "unable"),
+        ("named", [("detent", 0.98)], [], "wrong"),
+        ("consistent", [], [], "wrong"),
+    ],
+)
+def test_an_answer_with_other_instruments_is_right_unable_or_wrong(
+    verdict, found, rivals, expected
+) -> None:
+    def cause(name: str, p: float = 1.0) -> dict:
+        value = {"travel_m": {"value": 2e-4}}
+        return {"id": name, "class": "mechanics", "probability": p, "parameters": value}
+
+    limit = {"parameter": "travel_m", "value": 1e-4, "neutral": 0.0, "size": 0.1}
+    answer = {"verdict": verdict, "rivals": rivals, "causes": [cause(*item) for item in found]}
+    hidden = [cause("free_play")]
+    assert outcome(hidden, answer | {"smallest_noticed": {"free_play": limit}}) == expected
+    small = answer | {"smallest_noticed": {"free_play": limit | {"value": 3e-4}}}
+    assert outcome(hidden, small) == ("unable" if verdict == "consistent" else expected)
+    assert (outcome([], answer) == "wrong") == bool(found)

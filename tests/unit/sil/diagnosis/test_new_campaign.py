@@ -63,5 +63,5 @@ def test_files_that_differ_and_several_campaigns_are_refused(
     files = [str(tmp_path / "a.csv"), str(tmp_path / "b.csv")]
     assert main(["diagnose", "--new", str(tmp_path / "c"), *files]) == 2
     assert "other columns than" in capsys.readouterr().err
-    assert main(["diagnose", *files]) == 2
+    assert main(["diagnose", str(tmp_path), str(tmp_path)]) == 2
     assert "several campaigns" in capsys.readouterr().err
