@@ -158,11 +158,12 @@ class Panel:
         for b in self.bands:
             inside = (b.x >= view[0]) & (b.x <= view[1])
             yield from _ends(np.concatenate([b.low[inside], b.high[inside]]))
-        yield from self.fixed_heights()
+        yield from self.fixed_heights(view)
 
-    def fixed_heights(self) -> Iterator[float]:
-        """Yield the vertical extremes of spans, and of horizontal rules that have a text."""
-        yield from (v for s in self.spans for v in (s.low, s.high) if isfinite(v))
+    def fixed_heights(self, view: tuple[float, float] = (-inf, inf)) -> Iterator[float]:
+        """Yield the vertical extremes of spans in a view, and of horizontal rules that have a text."""
+        spans = [s for s in self.spans if s.start <= view[1] and s.end >= view[0]]
+        yield from (v for s in spans for v in (s.low, s.high) if isfinite(v))
         yield from (rule.at for rule in self.rules if rule.axis == "y" and rule.text)
 
 
