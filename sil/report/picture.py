@@ -46,6 +46,12 @@ def save(figure: Figure, folder: Path, name: str, dots_per_inch: int = DOTS_PER_
 
     drawing = draw(figure)
     FigureCanvasAgg(drawing)
+    layout: Any = drawing.get_layout_engine()
+    layout.execute(drawing)
+    drawing.set_layout_engine("none")
+    for axes in drawing.axes:  # the solver's last digits are not the same in each process
+        x, y, width, height = (round(each, 6) for each in axes.get_position(True).bounds)
+        axes.set_position((x, y, width, height))
     colour = drawing.get_facecolor()
     image, vectors = BytesIO(), BytesIO()
     metadata = {"Software": None}
