@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -272,14 +273,11 @@ def _new_numbered(parent: Path, name: str) -> tuple[Path, int]:
     try:
         parent.mkdir(parents=True, exist_ok=True)
         taken = [int(m[1]) for p in parent.iterdir() if (m := pattern.fullmatch(p.name))]
-        number = max(taken, default=0) + 1
-        while True:
+        for number in count(max(taken, default=0) + 1):
             folder = parent / f"{stem}-{number}"
-            try:
+            with contextlib.suppress(FileExistsError):  # another run took the number meanwhile
                 folder.mkdir()
-            except FileExistsError:  # another run took the number meanwhile
-                number += 1
-            else:
-                return folder, _lock(folder)
+                break
+        return folder, _lock(folder)
     except OSError as error:
         raise InputError(f"{parent}: {error.strerror}; expected a folder, or --out DIR") from None

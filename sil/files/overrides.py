@@ -8,27 +8,31 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from can_dbc.errors import InputError
-from can_dbc.typed_toml import child_type, dotted, field_types
+from can_dbc.typed_toml import child_type, dotted, field_types, one_line
 
 
-def parse_value(text: str) -> Any:
-    """Read the VALUE of --set: a TOML value, or else the text itself."""
+def parse_setting(text: str) -> tuple[str, Any]:
+    """Return path and value of a text PATH=VALUE; VALUE is one of TOML, or else text itself.
+
+    Raises InputError for a text without path or value.
+    """
+    path, sign, written = (part.strip() for part in text.partition("="))
+    if not sign or not path:
+        raise InputError(f"--set {one_line(text)}: no value; expected PATH=VALUE")
+    if written in ("True", "False"):
+        raise InputError(f"--set {path}: {written}; expected true or false, as TOML has it")
     try:
-        value = tomllib.loads(f"v = {text}")
+        value = tomllib.loads(f"v = {written}")
     except (ValueError, RecursionError):
-        return text
-    return value["v"] if set(value) == {"v"} else text
+        return path, written
+    return path, value["v"] if set(value) == {"v"} else written
 
 
 def model_settings(settings: Iterable[str]) -> dict[str, float | list[float]]:
     """Return texts PATH=VALUE as path -> value. Raises InputError unless VALUE is TOML numbers."""
-    changes: dict[str, float | list[float]] = {}
-    for text in settings:
-        path, equals, value = text.partition("=")
-        if not equals or not path.strip():
-            raise InputError(f"--set {text!r}: expected PATH=VALUE")
-        changes[path.strip()] = parse_value(value)
-        if isinstance(changes[path.strip()], str):
+    changes = dict(map(parse_setting, settings))
+    for path, value in changes.items():
+        if isinstance(value, str):
             raise InputError(f"--set {path}: {value!r}; expected a number")
     return changes
 

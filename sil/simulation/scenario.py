@@ -376,13 +376,7 @@ def _overridden(
 
 def _apply(raw: dict[str, Any], text: str, parameters: ParameterSet) -> None:
     """Apply one PATH=VALUE to the raw scenario."""
-    path, sign, written = text.partition("=")
-    path = path.strip()
-    if not sign or not path:
-        raise InputError(f"--set {typed_toml.one_line(text)}: no value; expected PATH=VALUE")
-    if written.strip() in ("True", "False"):
-        raise InputError(f"--set {path}: {written.strip()}; expected true or false, as TOML has it")
-    value = overrides.parse_value(written.strip())
+    path, value = overrides.parse_setting(text)
     if path in parameters or path.startswith("effect."):
         raw.setdefault("model", {})[path] = value
         return

@@ -49,10 +49,8 @@ class Hub(RemoteChannel):
             if len(peer.waiting) >= _FLUSH_RECORDS:
                 self._flush(peer)
         for connection in list(self._connections.values()):
-            if (
-                connection.participant is None
-            ):  # one frame per datagram, hence per wake-up of its reader
-                for records in delivered:
+            if connection.participant is None:
+                for records in delivered:  # one datagram each, hence one wake-up of its reader
                     self._pass(connection, records)
 
     def begin_turn(self, now_ns: int, names: Sequence[str]) -> None:
