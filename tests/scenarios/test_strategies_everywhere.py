@@ -53,6 +53,7 @@ def test_a_step_costs_no_more_operations_than_it_says(name: str) -> None:
         "sliding_mode": 20,
         "synchro_brake": 60,
         "fixed_programme": 20,
+        "learned": 100,
         "bang_bang": 60_000,
         "predictive": 260_000,
     }

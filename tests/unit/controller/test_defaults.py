@@ -108,7 +108,7 @@ def test_commands_and_defaults_of_a_push() -> None:
     nobody = ShiftContext(
         Gear.NEUTRAL, Gear.NEUTRAL, Chamber.N, Chamber.B, 0, 0, (None, None, None)
     )
-    assert nobody[-2:] == (None, 0)
+    assert nobody[-3:] == (None, 0, None)
     assert OFF == (0.0, 0.0, 0.0)
 
 

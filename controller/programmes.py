@@ -1,0 +1,157 @@
+"""Programmes of the valves over the expected release of the synchronizer, computed off line.
+
+`programmes.csv` holds, for some supply pressures and closing delays, a row for each of a series of
+impulses: when the plain push would be released, when the programme is, how the one follows the
+other, and the programme in steps of the firmware.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from math import log
+from typing import NamedTuple
+
+NEVER = 1 << 30
+"""A step that never comes."""
+
+
+class Pulse(NamedTuple):
+    """Steps from `start` on, before `end`, counted from the start of the push."""
+
+    start: int
+    end: int
+
+
+class Programme(NamedTuple):
+    """A row: plain_s, released_s: release under the plain push and under this programme.
+
+    gain: change of the latter by the former. vents: steps without filling the driving chamber;
+    brakes: steps of filling the neutral one. begin: the first step of either.
+    """
+
+    plain_s: float
+    released_s: float
+    gain: float
+    vents: tuple[Pulse, ...]
+    brakes: tuple[Pulse, ...]
+    begin: int
+
+
+class Table(NamedTuple):
+    """Programmes for one supply pressure and closing delay, over ascending impulses.
+
+    log_impulse: logarithm of the first impulse in N s, and the step from row to row.
+    """
+
+    supply_pa: float
+    close_s: float
+    log_impulse: tuple[float, float]
+    rows: tuple[Programme, ...]
+    plain_s: tuple[float, ...]
+
+    def row(self, plain_s: float, step: int) -> Programme | None:
+        """Return the programme that can still begin whose release under the plain push is nearest.
+
+        None if none of the two nearest ones can, or the release is beyond the table.
+        """
+        times = self.plain_s
+        after = bisect_right(times, plain_s)
+        if not 0 < after < len(times):
+            return None
+        nearer = plain_s - times[after - 1] < times[after] - plain_s
+        first, second = (after - 1, after) if nearer else (after, after - 1)
+        if step <= self.rows[first].begin:
+            return self.rows[first]
+        return self.rows[second] if step <= self.rows[second].begin else None
+
+    def release(self, log_impulse: float) -> tuple[float, float]:
+        """Return when the plain push is released, s, and its slope over the logarithm, s."""
+        first, step = self.log_impulse
+        at = (log_impulse - first) / step
+        before = int(min(max(at, 0.0), len(self.plain_s) - 2))
+        rise_s = self.plain_s[before + 1] - self.plain_s[before]
+        return self.plain_s[before] + (at - before) * rise_s, rise_s / step
+
+    def spent(self, after_s: float) -> tuple[float, float]:
+        """Return the logarithm of the impulse given by a time, and the slope of `release` there."""
+        times = self.plain_s
+        before = min(max(bisect_right(times, after_s), 1), len(times) - 1) - 1
+        rise_s = times[before + 1] - times[before]
+        first, step = self.log_impulse
+        return first + step * (before + (after_s - times[before]) / rise_s), rise_s / step
+
+
+class Nearby(NamedTuple):
+    """The tables around a supply pressure: `low` and `high`, and `between`, 0 at the lower one.
+
+    nearest: the table whose programmes are used.
+    """
+
+    nearest: Table
+    low: Table
+    high: Table
+    between: float
+
+    def release(self, log_impulse: float) -> tuple[float, float]:
+        """Return when the plain push is released, s, and its slope over the logarithm, s."""
+        low_s, low_slope_s = self.low.release(log_impulse)
+        high_s, high_slope_s = self.high.release(log_impulse)
+        share = self.between
+        return low_s + share * (high_s - low_s), low_slope_s + share * (high_slope_s - low_slope_s)
+
+
+class Library:
+    """All tables, for closing delays and, for each, ascending supply pressures."""
+
+    def __init__(self, tables: Mapping[float, Sequence[Table]]) -> None:
+        self._tables = tables
+
+    def near(self, supply_pa: float, close_s: float) -> Nearby:
+        """Return the tables around a supply pressure, for the nearest closing delay."""
+        column = self._tables[min(self._tables, key=lambda delay_s: abs(delay_s - close_s))]
+        above = 1
+        while above < len(column) - 1 and column[above].supply_pa <= supply_pa:
+            above += 1
+        low, high = column[above - 1], column[above]
+        between = (supply_pa - low.supply_pa) / (high.supply_pa - low.supply_pa)
+        return Nearby(high if between > 0.5 else low, low, high, between)
+
+
+def _pulses(fields: list[str]) -> tuple[Pulse, ...]:
+    numbers = [int(field) for field in fields]
+    pairs = zip(numbers[::2], numbers[1::2], strict=True)
+    return tuple(Pulse(start, start + length) for start, length in pairs if length > 0)
+
+
+@cache
+def library() -> Library:
+    """Return the tables that come with the firmware."""
+    rows: dict[tuple[float, float], list[tuple[float, Programme]]] = {}
+    text = files("controller").joinpath("programmes.csv").read_text(encoding="utf-8")
+    for line in text.splitlines():
+        if line.startswith("#"):
+            continue
+        supply, close, impulse, plain, released, gain, *steps = line.split(",")
+        vents, brakes = _pulses(steps[:4]), _pulses(steps[4:])
+        acts = [*vents, *brakes]
+        row = Programme(
+            1e-4 * int(plain),
+            1e-4 * int(released),
+            float(gain),
+            vents,
+            brakes,
+            min((act.start for act in acts), default=NEVER),
+        )
+        table = 1e-3 * float(close), 1e5 * float(supply)
+        rows.setdefault(table, []).append((log(float(impulse)), row))
+    tables: dict[float, list[Table]] = {}
+    for (close_s, supply_pa), pairs in sorted(rows.items()):
+        logs, programmes = zip(*pairs, strict=True)
+        axis = (logs[0], (logs[-1] - logs[0]) / (len(logs) - 1))
+        plain_s = tuple(row.plain_s for row in programmes)
+        made = Table(supply_pa, close_s, axis, programmes, plain_s)
+        tables.setdefault(close_s, []).append(made)
+    return Library(tables)
