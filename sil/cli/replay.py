@@ -14,13 +14,13 @@ import argparse
 import json
 import shlex
 import sys
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sil.cli.options import JSON, SELECTION, SETTINGS, STRICT, TIMES, argument, out, selection
 
 if TYPE_CHECKING:
-    from sil.log_replay.replay import ReplayRequest
     from sil.logs import Logs
 
 EXAMPLE = """\
@@ -79,6 +79,20 @@ ARGUMENTS = (
 )
 
 
+_PASSED_ON = (
+    "log",
+    "more_logs",
+    "firmware",
+    "run",
+    "dbc",
+    "plant",
+    "closed_loop",
+    "strict",
+    "times",
+)
+_FIGURES = ("scene_", "positions", "shift")
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Replay a log, or list its gear shifts. Raises InputError for options that exclude each other."""
     from can_dbc.errors import InputError
@@ -92,92 +106,78 @@ def run(arguments: argparse.Namespace) -> int:
         return code
     if arguments.against is not None and (arguments.plant or arguments.closed_loop):
         raise InputError("--against: not together with --plant or --closed-loop; expected one")
-    from sil.log_replay.replay import ReplayRequest
+    from sil.log_replay import summary
+    from sil.log_replay.checkout import checkout
+    from sil.log_replay.page import replay_page
+    from sil.log_replay.replay import ReplayRequest, replay
     from sil.log_replay.signals import Options, load_options
 
-    names = (
-        "log",
-        "more_logs",
-        "firmware",
-        "run",
-        "dbc",
-        "plant",
-        "closed_loop",
-        "strict",
-        "times",
-    )
-    request = ReplayRequest(
-        settings=tuple(arguments.settings),
-        selection=selection(arguments),
-        show_progress=True,
-        options=load_options(arguments.options) if arguments.options else Options(),
-        **{name: getattr(arguments, name) for name in names},
-    )
-    if arguments.against is None:
-        return _finish(arguments, request)
-    import dataclasses
-
-    from sil.log_replay.checkout import checkout
-
-    with checkout(arguments.against) as tree:
-        return _finish(arguments, dataclasses.replace(request, reference=(tree, arguments.against)))
-
-
-def _finish(arguments: argparse.Namespace, request: ReplayRequest) -> int:
-    """Replay, then write the files and report: a log that is refused leaves no folder behind."""
-    from sil.log_replay.page import replay_page
-    from sil.log_replay.replay import replay
-    from sil.log_replay.summary import as_dict, summary_lines, text
-
-    outcome = replay(request)
-    values = as_dict(outcome)
-    folder = _prepared(arguments)
-    page = replay_page(outcome, values, shlex.join(["opc4", *sys.argv[1:]]), folder)
-    _complete(folder, text(outcome), page, values)
-    _report(arguments, folder, values, summary_lines(outcome))
+    with ExitStack() as stack:
+        reference = None
+        if arguments.against is not None:
+            reference = stack.enter_context(checkout(arguments.against)), arguments.against
+        request = ReplayRequest(
+            settings=tuple(arguments.settings),
+            selection=selection(arguments),
+            show_progress=True,
+            options=load_options(arguments.options) if arguments.options else Options(),
+            reference=reference,
+            **{name: getattr(arguments, name) for name in _PASSED_ON},
+        )
+        outcome = replay(request)
+    _report(arguments, outcome, summary, replay_page)
     return 1 if outcome.differs else 0
 
 
-def _prepared(arguments: argparse.Namespace) -> Path:
-    """Return the output folder, without the figures of a replay that --force replaces."""
-    from sil.files.output_folder import prepare_folder
+def _report(arguments: argparse.Namespace, found: Any, summary: Any, page: Any) -> None:
+    """Write the files of a replay and print it: a log that is refused leaves no folder behind.
 
+    `summary`: module with text, as_dict and summary_lines of what was found; `page`: its page.
+    """
+    values = summary.as_dict(found)
     stem = Path(arguments.log).name.removesuffix(".gz").rsplit(".", 1)[0]
     parent = Path(arguments.log).resolve().parent.name
     name = f"replay-{parent}" if stem == "bus" else f"replay-{stem}"
+    folder = _prepared(arguments, name)
+    files = {
+        "diff.txt": summary.text(found),
+        "report.html": page(found, values, shlex.join(["opc4", *sys.argv[1:]]), folder),
+        "diff.json": json.dumps(values, ensure_ascii=False, indent=1) + "\n",
+    }
+    _complete(folder, files)
+    if arguments.json:
+        print(json.dumps(values | {"out": str(folder)}, ensure_ascii=False, indent=1))
+    else:
+        print("\n".join([*summary.summary_lines(found), f"  {_listing(folder)}"]))
+
+
+def _prepared(arguments: argparse.Namespace, name: str) -> Path:
+    """Return the output folder, without the figures of a replay that --force replaces."""
+    from sil.files.output_folder import prepare_folder
+
     folder = prepare_folder(arguments.out, name, arguments.force)
-    for figure in (
-        *folder.glob("scene_*.*"),
-        *folder.glob("positions.*"),
-        *folder.glob("shift*.*"),
-    ):
-        if figure.suffix in (".png", ".svg"):
+    for figure in folder.glob("*.*"):
+        if figure.stem.startswith(_FIGURES) and figure.suffix in (".png", ".svg"):
             figure.unlink()
     return folder
 
 
-def _complete(folder: Path, text: str, page: str, values: dict[str, object]) -> None:
+def _complete(folder: Path, files: dict[str, str]) -> None:
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import close_folders
 
-    write_atomically(folder / "diff.txt", text)
-    write_atomically(folder / "report.html", page)
-    write_atomically(folder / "diff.json", json.dumps(values, ensure_ascii=False, indent=1) + "\n")
+    for name, content in files.items():
+        write_atomically(folder / name, content)
     close_folders(None)  # complete: the mark INCOMPLETE goes before the files are listed
 
 
-def _report(
-    arguments: argparse.Namespace, folder: Path, values: dict[str, object], lines: list[str]
-) -> None:
-    if arguments.json:
-        print(json.dumps(values | {"out": str(folder)}, ensure_ascii=False, indent=1))
-    else:
-        print("\n".join(lines))
-        names = sorted(path.name for path in folder.iterdir())
-        if pictures := sum(name.startswith("shift_") for name in names):
-            names = [name for name in names if not name.startswith("shift_")]
-            names.append(f"and {pictures} pictures shift_N.png, shift_N.svg")
-        print(f"  {folder}: {' '.join(names)}")
+def _listing(folder: Path) -> str:
+    """Return the folder and the files in it, the pictures of single shifts counted."""
+    names = sorted(path.name for path in folder.iterdir())
+    if pictures := sum(name.startswith("shift_") for name in names):
+        names = [name for name in names if not name.startswith("shift_")]
+        names.append(f"and {pictures} pictures shift_N.png, shift_N.svg")
+    return f"{folder}: {' '.join(names)}"
 
 
 OWN_LOG_ONLY = ("run", "plant", "closed_loop", "against", "options")
@@ -187,7 +187,7 @@ OWN_LOG_ONLY = ("run", "plant", "closed_loop", "against", "options")
 def _truck(arguments: argparse.Namespace) -> int | None:
     """Compare a truck's log with our firmware and plant; return None for a log of our own unit."""
     from can_dbc.errors import InputError
-    from sil.log_replay.truck_replay import as_dict, replay_truck, summary_lines, text
+    from sil.log_replay import truck_replay
 
     given = [name for name in OWN_LOG_ONLY if getattr(arguments, name)]
     if given and arguments.map is not None:
@@ -195,7 +195,7 @@ def _truck(arguments: argparse.Namespace) -> int | None:
         raise InputError(f"--map: a truck's log has no commands for --{name}; expected one of them")
     if given or (arguments.dbc is not None and arguments.map is None):
         return None
-    found = replay_truck(
+    found = truck_replay.replay_truck(
         _open(arguments),
         map=arguments.map,
         dbc=arguments.dbc,
@@ -206,11 +206,7 @@ def _truck(arguments: argparse.Namespace) -> int | None:
         return None
     from sil.log_replay.truck_page import truck_page
 
-    values = as_dict(found)
-    folder = _prepared(arguments)
-    page = truck_page(found, values, shlex.join(["opc4", *sys.argv[1:]]), folder)
-    _complete(folder, text(found), page, values)
-    _report(arguments, folder, values, summary_lines(found))
+    _report(arguments, found, truck_replay, truck_page)
     return 1 if found.failed else 0
 
 
@@ -235,30 +231,31 @@ def _summary(arguments: argparse.Namespace) -> int:
 
     reader = _open(arguments)
     found = summarize(reader)
+    report = reader.report
     if not any(pgn in (PGN_ETC1, PGN_ETC2) for pgn, _ in found.groups):
         raise InputError(
             f"{reader.path}: no ETC1 (PGN 61442) and no ETC2 (PGN 61445) among {found.frames} "
             "frames; expected a log of a truck's transmission"
         )
-    report = reader.report
     if report.time_base == "none":
         raise InputError(
             f"{reader.path}: has no times, so that no shift time is known; expected a log with times "
             "(candump -L or -ta)"
         )
     values = found.as_dict() | {"log_report": report.as_dict()}
-    folder = None
-    if arguments.out is not None:
-        from sil.log_replay.shifts_page import write_shifts
-
-        folder = write_shifts(found, values, reader.path, arguments.out, arguments.force)
-        values["out"] = str(folder)
-    if arguments.json:
-        print(json.dumps(values, indent=1))
-        return 0
-    print(f"{reader.path}: " + "\n".join(found.lines()))
+    lines = [f"{reader.path}: " + "\n".join(found.lines())]
     if report.files or report.notes or not report.clean:
-        print("\n".join(f"log: {line}" for line in report.lines()[1:]))
-    if folder is not None:
-        print(f"{folder}: {' '.join(sorted(path.name for path in folder.iterdir()))}")
+        lines += [f"log: {line}" for line in report.lines()[1:]]
+    if arguments.out is not None:
+        from sil.log_replay.shifts_page import shifts_page
+
+        folder = _prepared(arguments, "summary")
+        call = shlex.join(["opc4", *sys.argv[1:]])
+        page = shifts_page(found, reader.path, call, folder)
+        values["out"] = str(folder)
+        _complete(
+            folder, {"report.html": page, "summary.json": json.dumps(values, indent=1) + "\n"}
+        )
+        lines.append(_listing(folder))
+    print(json.dumps(values, indent=1) if arguments.json else "\n".join(lines))
     return 0

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import shlex
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from sil.files.atomic import write_atomically
-from sil.files.output_folder import close_folders, prepare_folder
 from sil.j1939.engine import EngineTrace
 from sil.j1939.shifts import Shift, gear_name
 from sil.j1939.summary import J1939Summary
@@ -31,14 +26,11 @@ _ENGINE: Final = (
 )
 
 
-def write_shifts(
-    found: J1939Summary, values: dict[str, Any], log: str, out: Path, force: bool
-) -> Path:
-    """Write report.html, summary.json and pictures of the first shifts; return the folder.
+def shifts_page(found: J1939Summary, log: str, command: str, folder: Path) -> str:
+    """Return the page, pictures of the first shifts written into the folder.
 
-    `values` is what summary.json holds. Raises InputError if the folder cannot be used.
+    `command` is the call that made it.
     """
-    folder = prepare_folder(out, "summary", force)
     pictures = []
     caption = "Shift time of each shift over the time of the log."
     pictures.append(Picture(save(_overview(found), folder, "shifts"), "Shift times", caption))
@@ -59,13 +51,9 @@ def write_shifts(
             (f"{len(found.shifts)}", "shifts"),
             (f"{median(times_s):.3f} s" if times_s else "none", "median shift time"),
         ],
-        again=shlex.join(["opc4", *sys.argv[1:]]),
+        again=command,
     )
-    page = render("shifts.html", head, groups, lines=found.lines()[1:], pictures=pictures)
-    write_atomically(folder / "report.html", page)
-    write_atomically(folder / "summary.json", json.dumps(values, indent=1) + "\n")
-    close_folders(None)
-    return folder
+    return render("shifts.html", head, groups, lines=found.lines()[1:], pictures=pictures)
 
 
 def _ms(found: J1939Summary, time_ns: int) -> float:
