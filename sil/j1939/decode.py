@@ -68,16 +68,10 @@ class DecodeReport:
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it as plain JSON values."""
-        names = ("source", "target", "database", "values")
-        counts = {name: dict(getattr(self, name)) for name in ("messages", "broken", "unknown")}
-        long = {
+        names = ("source", "target", "database", "values", "messages", "broken", "unknown")
+        return {name: getattr(self, name) for name in names} | {
             "long_messages": self.transport.assembled,
-            "long_messages_lost": dict(self.transport.lost),
-        }
-        return {
-            **{name: getattr(self, name) for name in names},
-            **counts,
-            **long,
+            "long_messages_lost": self.transport.lost,
             "read": self.read.as_dict(),
         }
 

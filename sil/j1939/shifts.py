@@ -243,8 +243,8 @@ class ShiftFinder:
             before = history.gear_before(flagged.start_ns) if history else None
             after = history.gear_after(flagged.end_ns, until_ns) if history else None
             shift = Shift(flagged.start_ns, flagged.end_ns, before, after, source, channel, "flag")
-            shift = replace(shift, chatter=flagged.chatter, silent_ns=flagged.silent_ns)
-            found.append(replace(shift, from_ratio=flagged.from_ratio, to_ratio=flagged.to_ratio))
+            names = ("chatter", "from_ratio", "to_ratio", "silent_ns")
+            found.append(replace(shift, **{name: getattr(flagged, name) for name in names}))
         return self._gears_by_ratio(found)
 
     def _gears_by_ratio(self, found: list[Shift]) -> list[Shift]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
@@ -116,10 +116,9 @@ class Container(NamedTuple):
 
 
 class Unfinished(NamedTuple):
-    """The data ends inside an object that begins here and needs so many bytes."""
+    """The data ends inside an object that begins here."""
 
     start: int
-    size: int
 
 
 Item = LogFrame | Other | Container | Broken | Unfinished
@@ -184,13 +183,13 @@ def _located(data: bytes, start_ns: int) -> Iterator[tuple[int, Item]]:
         begin, found = pos, data.find(b"LOBJ", pos, pos + 8)
         if found < 0 and end - pos < 8:
             if data[pos:].strip(b"\x00"):
-                yield pos, Unfinished(pos, OBJECT.size)
+                yield pos, Unfinished(pos)
             return
         problem: str | None = "no object begins here"
         if found >= 0:
             pos = found
             if end - pos < OBJECT.size:
-                yield pos, Unfinished(pos, OBJECT.size)
+                yield pos, Unfinished(pos)
                 return
             problem = plausible_header(data, pos)
         if problem is not None:
@@ -199,7 +198,7 @@ def _located(data: bytes, start_ns: int) -> Iterator[tuple[int, Item]]:
             continue
         _, header_size, version, size, kind = OBJECT.unpack_from(data, pos)
         if pos + size > end:
-            yield pos, Unfinished(pos, size)
+            yield pos, Unfinished(pos)
             return
         if kind == TYPE_CONTAINER:
             yield pos, Container(data[pos : pos + size], header_size)
@@ -320,36 +319,51 @@ class BlfReader:
     def __iter__(self) -> Iterator[Batch]:
         report = self._report
         offset, stated_size = self._header()
-        data, wanted = b"", _BLOCK
-        while block := self._source.read(max(wanted, _BLOCK)):
+        data = b""
+        while block := self._source.read(max(_BLOCK, len(data))):
             data += block
-            rest, wanted = len(data), _BLOCK
-            frames: list[LogFrame] = []
-            locations: list[int] = []
-            for pos, item in _located(data, self._start_ns):
-                if isinstance(item, LogFrame):
-                    frames.append(item)
-                    locations.append(offset + pos)
-                elif isinstance(item, Container):
-                    yield Batch(frames, locations)
-                    frames, locations = [], []
-                    yield self._inside(item, offset + pos)
-                elif isinstance(item, Unfinished):
-                    rest, wanted = pos, item.size - (len(data) - pos)
-                else:
-                    self._count(item, offset + pos)
-                    if isinstance(item, Broken):
-                        self._drop_tail()
-            yield Batch(frames, locations)
+            rest = yield from self._take(data, offset)
             data, offset = data[rest:], offset + rest
         if data:
-            yield self._cut_off(data, offset)
+            yield from self._cut_off(data, offset)
             offset += len(data)
         if self._tail.strip(b"\x00"):
             report.cut(Location("the log ends inside an object", byte=offset))
         if stated_size > offset:
             reason = f"the header states {stated_size} bytes, more than there are"
             report.cut(Location(reason, byte=offset))
+
+    def _take(
+        self, data: bytes, offset: int, container: int | None = None
+    ) -> Generator[Batch, None, int]:
+        """Yield the frames in data; return where the last object begins if it is not whole.
+
+        offset: of the data in the file. container: that of the container that the data are from.
+        """
+        rest = len(data)
+        frames: list[LogFrame] = []
+        locations: list[int] = []
+        for pos, item in _located(data, self._start_ns):
+            location = offset + pos if container is None else container
+            if isinstance(item, LogFrame):
+                frames.append(item)
+                locations.append(location)
+            elif isinstance(item, Unfinished):
+                rest = item.start
+            elif isinstance(item, Container) and container is None:
+                yield Batch(frames, locations)
+                frames, locations = [], []
+                yield from self._inside(item, location)
+            elif isinstance(item, Broken):
+                reason = f"{item.reason}, {item.passed} bytes left out"
+                self._report.skip(Location(reason, byte=location))
+                if container is None:
+                    self._drop_tail()
+            else:
+                name = item.name if isinstance(item, Other) else _other(TYPE_CONTAINER).name
+                self._report.other[name] += 1
+        yield Batch(frames, locations)
+        return rest
 
     def _header(self) -> tuple[int, int]:
         """Read the file header; return its size, and the stated size of the file."""
@@ -376,44 +390,29 @@ class BlfReader:
             found += block
         return found
 
-    def _count(self, item: Other | Broken, offset: int) -> None:
-        if isinstance(item, Other):
-            self._report.other[item.name] += 1
-        else:
-            reason = f"{item.reason}, {item.passed} bytes left out"
-            self._report.skip(Location(reason, byte=offset))
-
-    def _cut_off(self, data: bytes, offset: int) -> Batch:
-        """Return the frames of the last object, which is cut off."""
+    def _cut_off(self, data: bytes, offset: int) -> Iterator[Batch]:
+        """Yield the frames of the last object, which is cut off."""
         if len(data) >= OBJECT.size and data[:4] == b"LOBJ":
             _, header_size, _, _, kind = OBJECT.unpack_from(data)
             if kind == TYPE_CONTAINER:
-                return self._inside(Container(data, header_size, whole=False), offset)
+                yield from self._inside(Container(data, header_size, whole=False), offset)
+                return
         self._report.cut(Location("the log ends inside an object", byte=offset))
-        return Batch([], [])
 
     def _drop_tail(self) -> None:
         if self._tail.strip(b"\x00"):
             self._report.note("an object that went on in a damaged container is lost")
         self._tail = b""
 
-    def _inside(self, container: Container, offset: int) -> Batch:
-        """Return the frames of a container, which may go on an object of an earlier one."""
+    def _inside(self, container: Container, offset: int) -> Iterator[Batch]:
+        """Yield the frames of a container, which may go on an object of an earlier one."""
         content = self._unpack(container, offset)
         if content is None:
             self._drop_tail()
-            return Batch([], [])
+            return
         data, self._tail = self._tail + content, b""
-        frames: list[LogFrame] = []
-        for item in objects(data, self._start_ns):
-            if isinstance(item, LogFrame):
-                frames.append(item)
-            elif isinstance(item, Unfinished):
-                self._tail = data[item.start :]
-            else:
-                found = _other(TYPE_CONTAINER) if isinstance(item, Container) else item
-                self._count(found, offset)
-        return Batch(frames, [offset] * len(frames))
+        rest = yield from self._take(data, 0, container=offset)
+        self._tail = data[rest:]
 
     def _unpack(self, container: Container, offset: int) -> bytes | None:
         """Return the content of a container, of a cut-off one as much as there is; None if damaged."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from can_dbc.errors import InputError
@@ -43,7 +43,7 @@ class ConvertReport:
             "written": self.written,
             "losses": dict(sorted(self.losses.items())),
             "read": self.read.as_dict() if self.read is not None else None,
-            "signals": self.signals.as_dict() if self.signals is not None else None,
+            "signals": asdict(self.signals) if self.signals is not None else None,
         }
 
     def lines(self) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
 from can_dbc.errors import InputError
@@ -98,11 +98,8 @@ class LogReport:
         found = cls(
             "+".join(r.path for r in reports), "+".join(dict.fromkeys(r.format for r in reports))
         )
-        found.first_ns, found.last_ns, found.time_base = (
-            first.first_ns,
-            last.last_ns,
-            first.time_base,
-        )
+        found.first_ns, found.last_ns = first.first_ns, last.last_ns
+        found.time_base = first.time_base
         for report in reports:
             for name in ("frames", "error", "remote", "fd", "skipped", "backwards", "duplicates"):
                 setattr(found, name, getattr(found, name) + getattr(report, name))
@@ -151,29 +148,10 @@ class LogReport:
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it as plain JSON values."""
-        return {
-            "path": self.path,
-            "format": self.format,
-            "frames": self.frames,
-            "error": self.error,
-            "remote": self.remote,
-            "fd": self.fd,
-            "other": dict(sorted(self.other.items())),
-            "lockstep": dict(sorted(self.lockstep.items())),
-            "skipped": self.skipped,
-            "skipped_places": [str(location) for location in self.skipped_locations],
-            "backwards": self.backwards,
-            "backwards_places": list(self.backwards_locations),
-            "duplicates": self.duplicates,
-            "duplicate_places": list(self.duplicate_locations),
-            "truncated": self.truncated,
-            "files": list(self.files),
-            "notes": list(self.notes),
-            "first_ns": self.first_ns,
-            "last_ns": self.last_ns,
-            "start_ns": self.start_ns,
-            "time_base": self.time_base,
-        }
+        found = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "strict"}
+        for name in ("skipped", "backwards", "duplicate"):
+            found[f"{name}_places"] = [str(location) for location in found.pop(f"{name}_locations")]
+        return found
 
     def lines(self) -> list[str]:
         """Return the report as text: one fact per line, only what is there."""

@@ -10,7 +10,7 @@ import sys
 import tempfile
 import zlib
 from collections.abc import Callable, Iterator
-from typing import BinaryIO, Final, NamedTuple, Protocol
+from typing import BinaryIO, Final, NamedTuple
 
 from can_dbc.errors import InputError
 from sil.logs.report import Location, LogReport
@@ -121,14 +121,6 @@ def _standard_input() -> tempfile._TemporaryFileWrapper[bytes]:
     return copy
 
 
-class Readable(Protocol):
-    """Anything that gives bytes, in order."""
-
-    def read(self, size: int, /) -> bytes:
-        """Return up to `size` bytes, b"" at the end."""
-        ...
-
-
 class Chunk(NamedTuple):
     """Whole lines of a log, some hundreds: what a processor's cache holds is read fastest.
 
@@ -152,7 +144,7 @@ class Line(NamedTuple):
     unterminated: bool
 
 
-def chunks(stream: Readable) -> Iterator[Chunk]:
+def chunks(stream: ByteSource | BinaryIO) -> Iterator[Chunk]:
     """Split a stream into chunks of whole lines; a carriage return alone ends no line."""
     line = 1
     offset = 0
@@ -178,7 +170,7 @@ def chunks(stream: Readable) -> Iterator[Chunk]:
         yield Chunk(rest.decode("latin-1") + "\n", line, offset, True)
 
 
-def _skip_to_newline(stream: Readable, passed: int) -> tuple[int, bytes]:
+def _skip_to_newline(stream: ByteSource | BinaryIO, passed: int) -> tuple[int, bytes]:
     """Read on to the next newline; return the bytes passed, and those after it already read."""
     while block := stream.read(CHUNK_BYTES):
         end = block.find(b"\n")
@@ -197,7 +189,7 @@ def chunk_lines(chunk: Chunk) -> Iterator[Line]:
         byte += len(text) + 1
 
 
-def lines(stream: Readable) -> Iterator[Line]:
+def lines(stream: ByteSource | BinaryIO) -> Iterator[Line]:
     """Yield the lines of a stream."""
     for chunk in chunks(stream):
         yield from chunk_lines(chunk)

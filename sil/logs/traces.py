@@ -55,10 +55,6 @@ class TraceReport:
     names: tuple[str, ...]
     units: tuple[str, ...]
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return all of it as plain JSON values."""
-        return {"rows": self.rows, "names": list(self.names), "units": list(self.units)}
-
 
 def _unit(name: str) -> str:
     """Return the unit that a name ends in, as MDF tools write it, e.g. N·s; "" for none."""

@@ -230,4 +230,4 @@ def test_a_bomb_is_no_memory(tmp_path: Path) -> None:
 def test_unfinished_is_named() -> None:
     found = list(objects(can(0) + can(1)[:20], 0))
     assert isinstance(found[0], LogFrame)
-    assert found[1:] == [Unfinished(48, 48)]
+    assert found[1:] == [Unfinished(48)]
