@@ -42,23 +42,13 @@ class Run:
     samples: int = 1
 
 
-@dataclass(slots=True)
-class Stay:
-    """Samples in a row with the same valid current gear."""
-
-    current: int
-    first_ns: int
-    last_ns: int
-    samples: int
-
-
 class GearChange(NamedTuple):
     """A change of the reported current gear: last sample of the old, first of the new one."""
 
     start_ns: int
     end_ns: int
-    from_gear: int
-    to_gear: int
+    from_gear: int | None
+    to_gear: int | None
 
 
 @dataclass(slots=True)
@@ -137,10 +127,10 @@ class GearHistory:
             index += step
         return found
 
-    def _stays(self) -> list[Stay]:
+    def _stays(self) -> list[Run]:
         """Return the runs by the current gear alone, without invalid ones and without chatter."""
         self.chatter = 0
-        joined: list[Stay] = []
+        joined: list[Run] = []
         for run in self.runs:
             if run.current is None:
                 continue
@@ -148,7 +138,7 @@ class GearHistory:
                 joined[-1].last_ns = run.last_ns
                 joined[-1].samples += run.samples
                 continue
-            joined.append(Stay(run.current, run.first_ns, run.last_ns, run.samples))
+            joined.append(Run(run.current, None, run.first_ns, run.last_ns, run.samples))
             if len(joined) < 3:
                 continue
             before, odd, after = joined[-3:]
