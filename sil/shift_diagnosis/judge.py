@@ -10,7 +10,7 @@ Checked by: tests/unit/sil/shift_diagnosis/test_diagnose_logs.py
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log
 from typing import Final
 
@@ -27,10 +27,15 @@ MOST_SHIFTS: Final = 120
 """Shifts that are judged; of more, as many spread evenly over the logs."""
 FIT_SHIFTS: Final = 12
 """Shifts that a hypothesis is fitted to before all judge it."""
-FITTED: Final = 14
+HOPELESS: Final = 12.0
+"""Log evidence behind the best on some shifts from which a cause is not fitted to all."""
+FITTED: Final = 10
 """Causes that are fitted, those that the linear model and a coarse search favour."""
-WORTH_A_FIT: Final = 3.0
-"""Gain in log evidence by the linear model from which a cause is fitted, if nothing is unexplained."""
+STRAINED: Final = 2.3
+"""Deviation of a truck's own quantity, in standard deviations, that a cause might explain."""
+WORTH_A_FIT: Final = 0.5
+"""Gain in log evidence by the linear model from which a cause is fitted to a strained truck; a
+truck that is explained without strain needs 3."""
 SIZES: Final = (0.7, 2.5)
 """Sizes at which the coarse search looks, in typical ones."""
 HEALTHY_PRIOR: Final = 0.5
@@ -158,10 +163,15 @@ def judge_shifts(
     say(40.0, 100.0)
     judged = [_judged(whole, None, healthy.values, 0.0)]
     chosen = _promising(fitter, healthy, causes, information, score)
+    fits = []
     for number, (cause, at) in enumerate(chosen):
-        few_fit = fitter.fit(cause, at[:-1], float(at[-1]))
-        judged.append(_judged(whole, cause, few_fit.values, few_fit.size))
-        say(40.0 + 60.0 * (number + 1) / len(chosen), 100.0)
+        fits.append(fitter.fit(cause, at[:-1], float(at[-1])))
+        say(40.0 + 30.0 * (number + 1) / len(chosen), 100.0)
+    fits = sorted(fits, key=lambda fit: fit.cost)
+    for fit in fits:
+        if fit.cost < fits[0].cost + HOPELESS:
+            judged.append(_judged(whole, fit.cause, fit.values, fit.size))
+    say(80.0, 100.0)
     ids = len({cause.effect.id for cause in causes})
     judged = _weighed(judged, ids)
     judged = _weighed(_with_rivals(whole, fitter, judged, causes), ids)
@@ -208,10 +218,11 @@ def _promising(
     size = score / (diagonal + 1.0)
     found: list[tuple[float, Cause, Floats]] = []
     explained = healthy.half_chi2 < 0.5 * EXPLAINED * healthy.linear.count.sum()
+    strained = float(np.max(np.abs(healthy.values))) > STRAINED
     for k, cause in enumerate(causes):
         if cause.sign * size[k] >= 0.0:
             gain = 0.5 * score[k] ** 2 / (diagonal[k] + 1.0)
-            if explained and gain < WORTH_A_FIT:
+            if explained and gain < (WORTH_A_FIT if strained else 3.0):
                 continue
             start = float(np.clip(size[k], -5.0, 5.0))
             found.append((healthy.half_chi2 - gain, cause, np.append(healthy.values, start)))
@@ -255,6 +266,10 @@ def _with_rivals(
         if j == k or left > 4.0 * SEPARABLE or other.sign * start < 0.0:
             continue
         item = _judged(whole, other, best.fit.values, start)
+        if (
+            left < SEPARABLE
+        ):  # one of several minima does not tell apart what the information cannot
+            item = replace(item, cost=min(item.cost, best.cost + 0.5 * left))
         if other not in found or item.cost < found[other].cost:
             found[other] = item
     return list(found.values())

@@ -27,7 +27,7 @@ from sil.shift_diagnosis.shifts import Shift
 
 Floats = NDArray[np.float64]
 
-TAIL: Final = 4.0
+TAIL: Final = 6.0
 """Degrees of freedom of the prior of every quantity in which trucks differ."""
 SIZE_PRIOR: Final = 3.0
 """Standard deviation of a cause's size, in typical ones."""
