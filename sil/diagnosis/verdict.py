@@ -17,7 +17,7 @@ Checked by: tests/unit/sil/diagnosis/test_verdict.py
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, TypeVar
 
@@ -25,9 +25,11 @@ import numpy as np
 
 from plant.effects.term import term
 from plant.errors import IntegrationError
+from sil.campaign.campaign import Floats
 from sil.diagnosis.workers import spread_out
 from sil.fitting.fit import FitResult, Fitter
 from sil.fitting.floor import EXPLAINED, Misfit, misfit
+from sil.fitting.hypotheses import Candidate
 
 UNNAMED = term.id
 """The cause of a non-parametric term, and the verdict that one acts."""
@@ -235,40 +237,34 @@ class Verdict(Generic[E]):
     rivals: tuple[tuple[str, ...], ...] = ()
 
 
+def _sizes_of(fit: FitResult, of: Floats) -> Iterator[tuple[Candidate, dict[str, float], float]]:
+    """Yield each named cause of a fit, its values, and the size of its main parameter in `of` [own]."""
+    k = 0
+    for candidate, own in zip(fit.candidates, fit.values, strict=True):
+        count = len(candidate.parameters)
+        main = count if candidate.effect.sized_by == "any" else 1
+        if not candidate.is_term:
+            yield candidate, own, float(np.abs(of[k : k + main]).max())
+        k += count
+
+
 def acceptable(item: Judged) -> bool:
     """Return whether a hypothesis' main parameters have physical signs and exclude neutral."""
     fit = item.training
-    deviation = np.diag(fit.covariance) ** 0.5
-    k = fit.layout.healthy
-    for candidate, own in zip(fit.candidates, fit.values, strict=True):
-        if not candidate.is_term:
-            if not candidate.physical(own):
-                return False
-            main = len(candidate.parameters) if candidate.effect.sized_by == "any" else 1
-            sizes = np.abs(fit.shared[k : k + main]) / deviation[k : k + main]
-            if sizes.max() < 2.0:
-                return False
-        k += len(candidate.parameters)
-    return True
+    own = fit.layout.effect_slice
+    deviation = np.diag(fit.covariance)[own] ** 0.5
+    sizes = _sizes_of(fit, fit.scaled / deviation)
+    return all(candidate.physical(values) and size >= 2.0 for candidate, values, size in sizes)
 
 
-def _without(leader: E, judged: Sequence[E], name: str) -> E:
-    """Return the best hypothesis of the leader's other causes."""
+def _gains_of(leader: E, judged: Sequence[E], name: str) -> tuple[float, float]:
+    """Return what leaving a cause out loses: score, and cost on the held-out strokes alone."""
     rest = set(leader.ids) - {name}
-    return min((i for i in judged if set(i.ids) <= rest), key=lambda item: item.score)
-
-
-def _gain_of(leader: E, judged: Sequence[E], name: str) -> float:
-    """Return the score lost by leaving a cause out."""
-    return _without(leader, judged, name).score - leader.score
-
-
-def _held_gain(leader: E, judged: Sequence[E], name: str) -> float:
-    """Return the gain on the held-out strokes alone."""
-    without = _without(leader, judged, name)
+    without = min((i for i in judged if set(i.ids) <= rest), key=lambda item: item.score)
+    gain = without.score - leader.score
     if leader.held_cost is None or without.held_cost is None:
-        return without.score - leader.score
-    return without.held_cost - leader.held_cost
+        return gain, gain
+    return gain, without.held_cost - leader.held_cost
 
 
 def decide(judged: Sequence[E], strokes: int) -> Verdict[E]:
@@ -284,8 +280,8 @@ def decide(judged: Sequence[E], strokes: int) -> Verdict[E]:
         if len(item.ids) > 1:
             needed = max(least, 0.5 * SECOND_SHARE * item.whole.beyond)
         for name in item.ids:
-            gain = _gain_of(item, judged, name)
-            if gain < needed or _held_gain(item, judged, name) <= 0.0:
+            gain, held = _gains_of(item, judged, name)
+            if gain < needed or held <= 0.0:
                 return False
             if gain < 0.5 * SLIGHT_SHARE * healthy.whole.excess and name in item.slight:
                 return False
@@ -295,7 +291,7 @@ def decide(judged: Sequence[E], strokes: int) -> Verdict[E]:
     if not leader.ids:
         return Verdict("consistent", healthy, healthy)
     probabilities = by_cause(judged)
-    gains = {name: _gain_of(leader, judged, name) for name in leader.ids}
+    gains = {name: _gains_of(leader, judged, name)[0] for name in leader.ids}
     groups = _rivals_of(leader, judged, probabilities)
     most = _surest_of(leader, healthy)
     stated = {
@@ -337,17 +333,11 @@ def slight_causes(item: Judged) -> tuple[str, ...]:
     """Return the causes that are tiny and not alone."""
     if len(item.ids) < 2:
         return ()
-    fit = item.training
-    found = []
-    k = 0
-    for candidate in fit.candidates:
-        sizes = np.abs(fit.scaled[k : k + len(candidate.parameters)])
-        sized_by = candidate.effect.sized_by
-        size = sizes.max() if sized_by == "any" else sizes[0]
-        if not candidate.is_term and sized_by != "none" and size < SLIGHT:
-            found.append(candidate.id)
-        k += len(candidate.parameters)
-    return tuple(found)
+    return tuple(
+        candidate.id
+        for candidate, _values, size in _sizes_of(item.training, item.training.scaled)
+        if candidate.effect.sized_by != "none" and size < SLIGHT
+    )
 
 
 def _rivals_of(

@@ -128,7 +128,8 @@ def test_a_cause_that_leaves_much_is_doubted() -> None:
 
 def with_sizes(item: SimpleNamespace, *sizes: float) -> SimpleNamespace:
     """Give a pair the fitted sizes of its causes."""
-    item.training = SimpleNamespace(candidates=[named(name) for name in item.ids], scaled=sizes)
+    own = [named(name) for name in item.ids]
+    item.training = SimpleNamespace(candidates=own, values=[{}] * len(own), scaled=sizes)
     item.slight = slight_causes(item)
     return item
 
