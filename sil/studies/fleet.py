@@ -9,7 +9,7 @@ not say of a shift is the friction of its synchronizer: J = I |dw| / (friction t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -39,18 +39,25 @@ Assumed = tuple[
 """A number of the population, with its source or the reason for it."""
 
 
+class Factor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A factor of the plant that is 1 in the median, as the settings of many effects are."""
+
+    path: Annotated[str, msgspec.Meta(min_length=3, max_length=80)]
+    """Value that is set, by the path that --set takes."""
+    unit: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0
+    """sd between units."""
+    shift: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0
+    """sd between shifts."""
+    source: Annotated[str, msgspec.Meta(min_length=8)]
+    """Source or reason."""
+
+
 class TruckTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What differs between trucks and shifts: each number with its source or reason.
 
     sd is a standard deviation, relative where the key has no unit.
     """
 
-    friction_unit: Assumed
-    """Friction of the actuator: sd between units."""
-    friction_shift: Assumed
-    """Friction of the actuator: sd between shifts."""
-    flow_unit: Assumed
-    """Inlet flow, and outlet flow: sd between units."""
     rise_unit_s: Assumed
     """Opening delay: sd between units."""
     fall_unit_s: Assumed
@@ -169,14 +176,18 @@ class Truck:
     NOMINAL = ("valve.D_rise", "valve.D_fall", "driveline.cone_gain_m", "driveline.inertia_kg_m2")
 
     def __init__(
-        self, table: TruckTable, fleet: FleetTable, number: int, nominal: Mapping[str, float]
+        self,
+        table: TruckTable,
+        factors: Sequence[Factor],
+        fleet: FleetTable,
+        number: int,
+        nominal: Mapping[str, float],
     ) -> None:
         self._of = {name: getattr(table, name)[0] for name in table.__struct_fields__}
         self._fleet, self._number, self._nominal = fleet, number, nominal
         self._rng = rng = np.random.default_rng([fleet.seed, number])
         of = self._of
-        self.friction = self._factor("friction_unit")
-        self.flows = self._factor("flow_unit"), self._factor("flow_unit")
+        self.factors = [(each, self._drawn(each.unit)) for each in factors]
         self.rise_s = of["rise_unit_s"] * rng.standard_normal()
         self.fall_s = of["fall_unit_s"] * rng.standard_normal()
         self.cones = {gear: self._factor("cone_unit") for gear in ("backward", "forward")}
@@ -201,7 +212,11 @@ class Truck:
 
     def _factor(self, name: str) -> float:
         """Return a factor around 1 whose logarithm has the standard deviation of that name."""
-        return math.exp(self._of[name] * self._rng.standard_normal())
+        return self._drawn(self._of[name])
+
+    def _drawn(self, sd: float) -> float:
+        """Return a factor around 1 whose logarithm has a standard deviation."""
+        return math.exp(sd * self._rng.standard_normal())
 
     def _cone_gain_m(self, k: int, gear: str) -> float:
         """Return the friction term of a synchronizer at shift `k`."""
@@ -295,9 +310,7 @@ class Truck:
             "sensor.coil_temperature_k": unit_k,
             "sensor.measured_temperature_k": unit_k + self.thermometer_k,
             "sensor.phase_s": self.phase_s,
-            "effect.dynamic_friction.factor": self.friction * self._factor("friction_shift"),
-            "effect.inlet_clog.factor": self.flows[0],
-            "effect.exhaust_clog.factor": self.flows[1],
+            **{each.path: size * self._drawn(each.shift) for each, size in self.factors},
             "seed": int(rng.integers(1 << 32)),
             **fixed,
         }

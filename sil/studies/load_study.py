@@ -52,7 +52,8 @@ def load_study(where: str, effects: Sequence[str] = ()) -> LoadedStudy:
 
         study = structs.replace(study, effects=[load_effects(file) for file in files])
     if study.kind == "learned" and study.truck is None:
-        study = structs.replace(study, truck=load_study("learned").study.truck)
+        shipped_one = load_study("learned").study
+        study = structs.replace(study, truck=shipped_one.truck, factor=shipped_one.factor)
     for check in (check_shape, check_names, check_size):
         check(study, str(path))
     loaded = LoadedStudy(study, str(path), base_of(study, path))

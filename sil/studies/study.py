@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
-from sil.studies.fleet import FleetTable, TruckTable
+from sil.studies.fleet import Factor, FleetTable, TruckTable
 
 if TYPE_CHECKING:
     from sil.simulation.scenario import Loaded
@@ -166,6 +166,8 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     tuning: TuningTable = TuningTable()
     truck: TruckTable | None = None
     """The population of a study of kind learned; if left out, that of the shipped study learned."""
+    factor: list[Factor] = []
+    """Factors that differ between the trucks and their shifts, too; left out together with [truck]."""
     fleet: FleetTable = FleetTable()
     scenario: str | None = None
     """Scenario that is run: a file or a shipped name."""

@@ -102,7 +102,9 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
             raise InputError("bound.known: needs an impulse; expected bound.family gearbox")
         parts = around(family, number("known", own["known"], 0.0, ""))
     found = [
-        searched(parameters, each, delay_s, extra_s, valves, table, budget // len(parts))
+        searched(
+            parameters, each, delay_s, extra_s, valves, table, budget // len(parts), len(parts) > 1
+        )
         for each in parts
     ]
     best_m_s = max(each.best_m_s for each in found)
@@ -154,12 +156,18 @@ def searched(
     valves: str,
     table: BoundsTable,
     budget: int,
+    nearby: bool,
 ) -> Found:
-    """Search the softest policy of a family twice, each with a budget of simulations."""
+    """Search the softest policy of a family twice, each with a budget of simulations.
+
+    nearby: its loads are nearly the same, so that few pulses serve them all.
+    """
     model = FamilyModel(parameters, family, delay_s, extra_s)
     pulses, branch = 1, 1
     late = (model.plain.revealed_s + delay_s > model.limit_s - USELESS_S).all()
-    if late or model.loads == 1:
+    if nearby and (late or model.loads == 1):
+        pulses, branch = 2, 0
+    elif late:
         pulses, branch, budget = 4, 0, budget // 4
     searches = [Search(model, valves, pulses, branch, table.seed + k) for k in range(2)]
     history = np.array([search.run(max(budget, 1)) for search in searches])

@@ -126,12 +126,15 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     assert study.study.truck is not None
     assert isinstance(number, int)
     table = truck_table(study.study.truck, changed)
-    drawn, exam = Truck(table, fleet, number, nominal(study, hardware)).shifts()
+    values = nominal(study, hardware)
+    drawn, exam = Truck(table, study.study.factor, fleet, number, values).shifts()
     for name in Truck.NOMINAL:
         own.pop(name, None)
         hardware.pop(name, None)
     plain = reference(study, hardware, drawn)
-    found = list(run_shifts(study.loaded, own, drawn, forgets=forgets))
+    found = plain
+    if own != hardware:
+        found = list(run_shifts(study.loaded, own, drawn, forgets=forgets))
     at = fleet.examined_after
     examined = [
         math.inf if each.lost else each.impact_m_s

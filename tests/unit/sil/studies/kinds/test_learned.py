@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
 from sil.cli import main
-from sil.studies.fleet import FleetTable, Truck, TruckTable, truck_table
+from sil.studies.fleet import FleetTable, Truck, truck_table
 from sil.studies.kinds import learned
 from sil.studies.load_study import SHIPPED, load_study
 from sil.studies.table import read_table, row_groups
 
 SHIPPED_STUDY = SHIPPED / "learned.toml"
 NOMINAL = dict(zip(Truck.NOMINAL, (0.008, 0.035, 0.09, 0.25), strict=True))
-TABLE = msgspec.convert(tomllib.loads(SHIPPED_STUDY.read_text())["truck"], TruckTable)
+POPULATION = load_study("learned").study
+TABLE = POPULATION.truck
 
 
 def small(folder: Path, **fleet: int) -> Path:
@@ -33,7 +32,7 @@ def small(folder: Path, **fleet: int) -> Path:
 
 
 def impulses(fleet: FleetTable, number: int, **changed: float) -> np.ndarray:
-    shifts, _exam = Truck(truck_table(TABLE, changed), fleet, number, NOMINAL).shifts()
+    shifts, _exam = Truck(truck_table(TABLE, changed), [], fleet, number, NOMINAL).shifts()
     return np.array([[each.expected_n_s, each.impulse_n_s] for each in shifts])
 
 
@@ -55,7 +54,7 @@ def test_the_scatter_of_the_friction_is_what_the_speeds_do_not_say() -> None:
 
 
 def test_state_is_carried_from_shift_to_shift() -> None:
-    shifts, _exam = Truck(TABLE, FleetTable(shifts=400), 1, NOMINAL).shifts()
+    shifts, _exam = Truck(TABLE, POPULATION.factor, FleetTable(shifts=400), 1, NOMINAL).shifts()
     unit_k = np.array([each.settings["sensor.coil_temperature_k"] for each in shifts])
     supply_pa = np.array([each.settings["plant.supply_pressure_pa"] for each in shifts])
     assert np.median(np.abs(np.diff(unit_k))) < 1.0 < np.ptp(unit_k)
@@ -68,7 +67,7 @@ def test_exchanged_valves_open_later_in_every_second_truck() -> None:
         with_s, without_s = (
             [
                 each.settings["valve.D_rise"]
-                for each in Truck(TABLE, fleet, number, NOMINAL).shifts()[0]
+                for each in Truck(TABLE, POPULATION.factor, fleet, number, NOMINAL).shifts()[0]
             ]
             for fleet in (FleetTable(shifts=6, exchanged_at=4), FleetTable(shifts=6))
         )
@@ -100,6 +99,7 @@ def test_a_study_has_a_population_and_needs_strategies(
     assert "needs [[strategy]]" in capsys.readouterr().err
     path.write_text(whole.split("[truck]")[0] + '[[strategy]]\nname = "open loop"\n')
     assert load_study(str(path)).study.truck == TABLE
+    assert load_study(str(path)).study.factor == POPULATION.factor
 
 
 def test_relearned_is_when_the_impacts_are_as_before() -> None:
@@ -115,7 +115,8 @@ def test_relearned_is_when_the_impacts_are_as_before() -> None:
 def test_the_memory_is_handed_on_or_erased() -> None:
     """Each shift of the strategy that learns adds to its memory."""
     study = load_study(str(SHIPPED_STUDY))
-    shifts, _exam = Truck(TABLE, FleetTable(shifts=2), 1, NOMINAL).shifts()
+    shifts, _exam = Truck(TABLE, POPULATION.factor, FleetTable(shifts=8), 1, NOMINAL).shifts()
+    shifts = [each for each in shifts if "plant.charged" not in each.settings][:2]
     own = {"controller.strategy": "learned"}
     kept, erased = (
         [each.memory for each in learned.run_shifts(study.loaded, own, shifts, forgets=forgets)]
