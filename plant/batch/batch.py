@@ -21,7 +21,7 @@ from plant.batch.singles import run_singles
 from plant.effects.setup import Setup
 from plant.integrator.filling import NO_CURVES, filling_curves
 from plant.integrator.hybrid import NS
-from plant.kernel.layout import FIRST_PRESSURE, FlowMap, Modes, Parameters
+from plant.kernel.layout import FlowMap, Modes, Parameters
 from plant.kernel.packing import Floats, Ints, fresh_modes, scales, state_record
 from plant.systems.stroke import valve_moves
 
@@ -128,22 +128,14 @@ class Strokes:
     ) -> Strokes:
         """One stroke with some packed parameters changed: index in plant.kernel.layout -> values [n].
 
-        Chambers that stand at the supply or at the atmosphere at the start follow their pressure.
+        What stands at the supply or at the atmosphere at the start follows their pressure.
         """
         base = cls.from_setups([setup], duration_s)
         n = max((np.size(value) for value in changes.values()), default=1)
         packed = np.repeat(base.packed, n, axis=0)
         for index, value in changes.items():
             packed[:, index] = value
-        first = FIRST_PRESSURE[base.system]
-        initial = base.initial
-        if Parameters.p_supply in changes or Parameters.p_atm in changes:
-            initial = np.repeat(initial, n, axis=0)
-            for place in range(first, first + len(setup.conditions.chambers)):
-                for index in (Parameters.p_supply, Parameters.p_atm):
-                    if base.initial[0, place] == base.packed[0, index]:
-                        initial[:, place] = packed[:, index]
-        return replace(base, packed=packed, initial=initial)
+        return replace(base, packed=packed, initial=setup.initial_state(Parameters(packed)))
 
     @property
     def in_lanes(self) -> Bools:

@@ -32,7 +32,7 @@ from plant.kernel.compiled import called, inlined, plain
 from plant.kernel.layout import MAX_STATES, FlowMap, Modes, Parameters
 from plant.kernel.record_views import fixed_state, flow_map, length_state
 from plant.kernel.records import Record, Value, block
-from plant.kernel.views import copy_row, discarding, lane, named
+from plant.kernel.views import copy_row, discarding, lane, named, rows
 
 WIDTH = 8
 
@@ -100,62 +100,48 @@ STEP, NORM, ACCEPTED = (WIDTH * Lane.fields[name].start for name in ("step", "no
 lane_record = named(Lane)
 
 
-class Increments(Record):
-    """Steps times rates of all lanes, of the stages."""
-
-    k: Value = block(7, LANE_STATES)
-
-
-increments_of = named(Increments)
-
-
 @inlined
 def lane_of(f, j):
     """Lane j of the flat array."""
     return lane_record(lane(f, j, WIDTH))
 
 
-def rates_with(rates, state, parameters):
-    """Return the loop over all lanes with these rates, view of a state and view of the parameters."""
-    inner = inlined(plain(rates))
-
-    @inlined
-    def loop(f, fraction, width):
-        for j in range(width):
-            one = lane_of(f, j)
-            inner(
-                one.time + fraction * one.step, state(one.stage), state(one.rate),
-                lane_modes(one.modes), one.valve, one.valve_rate, parameters(one.parameters),
-                flow_map(one.flow), False,
-            )  # fmt: skip
-
-    return loop
+lane_fixed_rates = inlined(plain(fixed_rates))
+lane_length_rates = inlined(plain(rates))
+lane_fixed_guards = inlined(plain(fixed_guards))
+lane_length_guards = inlined(plain(guards))
 
 
-def guards_with(guards, hiding, state):
-    """Return the loop over all lanes with these guards, `may_hide` and view of a state."""
-    inner = inlined(plain(guards))
-
-    @inlined
-    def loop(f, width):
-        for j in range(width):
-            one = lane_of(f, j)
-            m = lane_modes(one.modes)
-            p = lane_parameters(one.parameters)
-            y1 = state(one.stage)
-            one.lowest = inner(one.time + one.step, y1, m, p, discarding(lane(f, j, WIDTH)))
-            hides = hiding(state(one.y), y1, state(one.rate_0), state(one.rate), m, p)
-            one.hides = 1.0 if hides else 0.0
-
-    return loop
+@inlined
+def fixed_rates_of_lane(one, fraction, p):
+    """Rates of a lane of fixed-piston strokes."""
+    lane_fixed_rates(
+        one.time + fraction * one.step,
+        fixed_state(one.stage),
+        fixed_state(one.rate),
+        lane_modes(one.modes),
+        one.valve,
+        one.valve_rate,
+        p,
+        flow_map(one.flow),
+        False,
+    )
 
 
-fixed_curved = rates_with(fixed_rates, fixed_state, lane_parameters)
-fixed_plain = rates_with(fixed_rates, fixed_state, plain_parameters)
-length_curved = rates_with(rates, length_state, lane_parameters)
-length_plain = rates_with(rates, length_state, plain_parameters)
-all_fixed_guards = guards_with(fixed_guards, fixed_may_hide, fixed_state)
-all_length_guards = guards_with(guards, may_hide, length_state)
+@inlined
+def length_rates_of_lane(one, fraction, p):
+    """Rates of a lane of length strokes."""
+    lane_length_rates(
+        one.time + fraction * one.step,
+        length_state(one.stage),
+        length_state(one.rate),
+        lane_modes(one.modes),
+        one.valve,
+        one.valve_rate,
+        p,
+        flow_map(one.flow),
+        False,
+    )
 
 
 @called
@@ -166,32 +152,70 @@ def rates_of_lanes(f, fixed, curved, fraction, width):
     be called for one lane after the other.
     """
     if fixed and curved:
-        fixed_curved(f, fraction, width)
+        for j in range(width):
+            one = lane_of(f, j)
+            fixed_rates_of_lane(one, fraction, lane_parameters(one.parameters))
     elif fixed:
-        fixed_plain(f, fraction, width)
+        for j in range(width):
+            one = lane_of(f, j)
+            fixed_rates_of_lane(one, fraction, plain_parameters(one.parameters))
     elif curved:
-        length_curved(f, fraction, width)
+        for j in range(width):
+            one = lane_of(f, j)
+            length_rates_of_lane(one, fraction, lane_parameters(one.parameters))
     else:
-        length_plain(f, fraction, width)
+        for j in range(width):
+            one = lane_of(f, j)
+            length_rates_of_lane(one, fraction, plain_parameters(one.parameters))
 
 
 @called
 def guards_of_lanes(f, fixed, width):
     """Of all lanes: lowest guard at the end of the step -> lowest, something hidden in it -> hides."""
     if fixed:
-        all_fixed_guards(f, width)
+        for j in range(width):
+            one = lane_of(f, j)
+            m = lane_modes(one.modes)
+            one.lowest = lane_fixed_guards(
+                one.time + one.step,
+                fixed_state(one.stage),
+                m,
+                lane_parameters(one.parameters),
+                discarding(lane(f, j, WIDTH)),
+            )
+            hides = fixed_may_hide(fixed_state(one.rate_0), fixed_state(one.rate), m)
+            one.hides = 1.0 if hides else 0.0
     else:
-        all_length_guards(f, width)
+        for j in range(width):
+            one = lane_of(f, j)
+            m = lane_modes(one.modes)
+            p = lane_parameters(one.parameters)
+            one.lowest = lane_length_guards(
+                one.time + one.step,
+                length_state(one.stage),
+                m,
+                p,
+                discarding(lane(f, j, WIDTH)),
+            )
+            hides = may_hide(
+                length_state(one.y),
+                length_state(one.stage),
+                length_state(one.rate_0),
+                length_state(one.rate),
+                m,
+                p,
+            )
+            one.hides = 1.0 if hides else 0.0
 
 
 @inlined
 def increments(f, source, stage, count):
     """Step times rates of all lanes -> row `stage` of K."""
-    k = increments_of(f[K:]).k
+    k = f[K + stage * LANE_STATES :]
     rate = f[source:]
     steps = f[STEPS:]
     for e in range(count):
-        k[stage, e] = steps[e] * rate[e]
+        k[e] = steps[e] * rate[e]
 
 
 @called
@@ -208,7 +232,7 @@ def step_of_lanes(f, fixed, curved, n, tolerance, width):
     y = f[Y:]
     out = f[STAGE:]
     error = f[SPARE:]
-    k = increments_of(f[K:]).k
+    k = rows(f[K:], LANE_STATES)
     for i in range(n):
         copy_row(f, STEP, STEPS + i * WIDTH, WIDTH)
         copy_row(f, ACCEPTED, TAKE + i * WIDTH, WIDTH)

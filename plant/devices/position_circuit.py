@@ -103,16 +103,12 @@ class PositionCircuit:
         longest_s = max(
             sensor.pulse_s(side * reach_m, config.coil_temperature_k) for side in (-1, 1)
         )
-        if config.capture_s < longest_s:
-            raise InputError(
-                f"sensor.capture_s: {config.capture_s}; expected at least the longest pulse, "
-                f"{longest_s:.6g} s at {config.coil_temperature_k:g} K"
-            )
-        if config.period_s < longest_s:
-            raise InputError(
-                f"sensor.period_s: {config.period_s}; expected at least the longest pulse, "
-                f"{longest_s:.6g} s at {config.coil_temperature_k:g} K"
-            )
+        for name in ("capture_s", "period_s"):
+            if getattr(config, name) < longest_s:
+                raise InputError(
+                    f"sensor.{name}: {getattr(config, name)}; expected at least the longest pulse, "
+                    f"{longest_s:.6g} s at {config.coil_temperature_k:g} K"
+                )
         self.sensor = sensor
         self._coil_k = config.coil_temperature_k
         measured_k = config.measured_temperature_k

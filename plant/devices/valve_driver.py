@@ -51,32 +51,26 @@ class _Channel(Generic[Input]):
     def __init__(self, message_type: type[Input], timeout_ns: int) -> None:
         self.can_id = codec.can_id_of(message_type)
         self._timeout_ns = timeout_ns
-        self._receiver: Receiver[Input] = Receiver(message_type, E2eConfig(timeout_ns=timeout_ns))
-
-    @property
-    def message_ns(self) -> int:
-        """Arrival [ns] of the latest message; -1 before the first."""
-        return self._receiver.message_ns
+        self.receiver: Receiver[Input] = Receiver(message_type, E2eConfig(timeout_ns=timeout_ns))
 
     @property
     def end_ns(self) -> int | None:
         """Instant [ns] at which the latest message is too old; None before the first."""
-        if self._receiver.message is None:
+        if self.receiver.message is None:
             return None
-        return self._receiver.message_ns + self._timeout_ns
+        return self.receiver.message_ns + self._timeout_ns
 
     def receive(self, now_ns: int, frame: Frame) -> Input | None:
         """Return the message of a frame that passed every check, otherwise None."""
-        accepted = self._receiver.receive(now_ns, frame) in ACCEPTED
-        return self._receiver.message if accepted else None
+        accepted = self.receiver.receive(now_ns, frame) in ACCEPTED
+        return self.receiver.message if accepted else None
 
     def message(self, now_ns: int) -> Input | None:
         """Return the message in force at `now_ns`; None while the channel is not valid."""
-        receiver = self._receiver
-        message = receiver.message
-        if message is None or now_ns >= receiver.message_ns + self._timeout_ns:
+        end_ns = self.end_ns
+        if end_ns is None or now_ns >= end_ns:
             return None
-        return message if receiver.state(now_ns) is E2eState.VALID else None
+        return self.receiver.message if self.receiver.state(now_ns) is E2eState.VALID else None
 
 
 class ValveDriver:
@@ -201,7 +195,7 @@ class ValveDriver:
         duties = [command.duty_b, command.duty_n, command.duty_f]
         if self._blow_end_ns is not None:
             duties[self._blown] = max(duties[self._blown], self._blow_duty)
-        elif self._commands.message_ns < self._blow_start_ns:
+        elif self._commands.receiver.message_ns < self._blow_start_ns:
             duties[self._blown] = 0.0
         return (duties[0], duties[1], duties[2])
 

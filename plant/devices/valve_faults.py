@@ -9,15 +9,13 @@ from msgspec import Meta
 
 from plant.devices.sensors import named_generator
 from plant.devices.signal_faults import FaultWindow
-from plant.devices.valve import Valve, seconds_to_ns
+from plant.devices.valve import NEVER_NS, Valve, seconds_to_ns
 from plant.errors import InputError
 
 Command = tuple[int, float]  # instant in ns, duty 0..1
 
 SLOT_NS = 10_000_000
 """Period of the draws of garbage and intermittent faults."""
-
-LATEST_NS = 1 << 62
 
 
 class ValveFault(FaultWindow, frozen=True, kw_only=True):
@@ -143,7 +141,7 @@ class _Window:
     def __init__(self, fault: ValveFault, seed: int, index: int) -> None:
         self.fault = fault
         self.start_ns = seconds_to_ns(fault.start_s)
-        self.end_ns = LATEST_NS if fault.end_s is None else seconds_to_ns(fault.end_s)
+        self.end_ns = NEVER_NS if fault.end_s is None else seconds_to_ns(fault.end_s)
         if self.end_ns <= self.start_ns:
             raise InputError(
                 f"valve_fault: {fault.kind} on valve {fault.valve} ends at {fault.end_s} s; "
@@ -160,7 +158,7 @@ class _Window:
         if after_ns < self.start_ns:
             return self.start_ns
         if after_ns >= self.end_ns:
-            return LATEST_NS
+            return NEVER_NS
         if not self._draws:
             return self.end_ns
         slots = (after_ns - self.start_ns) // SLOT_NS + 1
@@ -179,9 +177,8 @@ def faulty_valves(
     valves: Sequence[Valve], names: Sequence[str], faults: Sequence[ValveFault], seed: int
 ) -> dict[int, FaultyValve]:
     """Return the valves that have faults, by their number."""
-    found = {}
-    for number, (valve, name) in enumerate(zip(valves, names, strict=True)):
-        own = [fault for fault in faults if fault.valve == name]
-        if own:
-            found[number] = FaultyValve(valve, own, seed)
-    return found
+    return {
+        number: FaultyValve(valve, own, seed)
+        for number, (valve, name) in enumerate(zip(valves, names, strict=True))
+        if (own := [fault for fault in faults if fault.valve == name])
+    }

@@ -10,7 +10,6 @@ from math import sqrt
 from plant.equations.fixed_piston import fixed_guards, fixed_impacts, fixed_settle
 from plant.equations.length_contacts import guards as length_guards
 from plant.equations.length_impacts import impacts, settle
-from plant.equations.length_stroke import JOINED, STATUS, gap, opening, piston_of, sense
 from plant.integrator.steppers import interpolate
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import FIXED, FREE, GUARDS, Guard
@@ -80,27 +79,25 @@ def lowest_fraction(v0, v1, s0, s1):
 
 
 @inlined
-def piston_may_hide(y, y1, rate0, rate1, m, k, p):
-    """Return True if piston k may turn, or meet the stay, within a step of the length stroke."""
-    if m[JOINED + k] != FREE:
-        return False
-    d = m[STATUS + k] * sense(k)
-    sign = 1.0 if gap(y, k) < 0.5 * p.x_free else -1.0
-    turns = d != 0.0 and dips(d * piston_of(rate0, k).v, d * piston_of(rate1, k).v)
-    return turns or dips(sign * opening(y, k), sign * opening(y1, k))
-
-
-@inlined
 def may_hide(y, y1, rate0, rate1, m, p):
     """Return True if `hidden_turn` or `hidden_meeting` may find something in a step of the length stroke."""
     d = m.stay
     found = d != 0 and dips(d * rate0.v_s, d * rate1.v_s)
-    found = found or piston_may_hide(y, y1, rate0, rate1, m, 0, p)
-    return found or piston_may_hide(y, y1, rate0, rate1, m, 1, p)
+    if m.joined_1 == FREE:
+        d = m.piston_1
+        found = found or (d != 0 and dips(d * rate0.v_1, d * rate1.v_1))
+        sign = 1.0 if y.x_1 - y.x_s < 0.5 * p.x_free else -1.0
+        found = found or dips(sign * (y.v_1 - y.v_s), sign * (y1.v_1 - y1.v_s))
+    if m.joined_2 == FREE:
+        d = -m.piston_2
+        found = found or (d != 0 and dips(d * rate0.v_2, d * rate1.v_2))
+        sign = 1.0 if y.x_2 + y.x_s < 0.5 * p.x_free else -1.0
+        found = found or dips(sign * (y.v_2 + y.v_s), sign * (y1.v_2 + y1.v_s))
+    return found
 
 
 @inlined
-def fixed_may_hide(y, y1, rate0, rate1, m, p):
+def fixed_may_hide(rate0, rate1, m):
     """Return True if `hidden_turn` may find something in a step of the fixed piston."""
     d = m.stay
     return d != 0 and dips(d * rate0.v, d * rate1.v)
@@ -131,27 +128,23 @@ def hidden_turn(h, y1, rate0, rate1, o):
     y1 = length_state(y1)
     rate0 = length_state(rate0)
     rate1 = length_state(rate1)
-    found = turn_fraction(m.stay, h, y.v_s, y1.v_s, rate0.v_s, rate1.v_s)
+    stay = turn_fraction(m.stay, h, y.v_s, y1.v_s, rate0.v_s, rate1.v_s)
+    one = 1.0
     if m.joined_1 == FREE:
         one = turn_fraction(m.piston_1, h, y.v_1, y1.v_1, rate0.v_1, rate1.v_1)
-        found = min(found, one)
+    two = 1.0
     if m.joined_2 == FREE:
-        found = min(found, turn_fraction(-m.piston_2, h, y.v_2, y1.v_2, rate0.v_2, rate1.v_2))
-    return found
+        two = turn_fraction(-m.piston_2, h, y.v_2, y1.v_2, rate0.v_2, rate1.v_2)
+    return min(stay, one, two)
 
 
 @inlined
-def meeting_fraction(h, y, y1, m, k, p):
-    """`lowest_fraction` of the distance of stay and piston k from the contact they are nearer to."""
-    if m[JOINED + k] != FREE:
-        return 1.0
-    low = 0.0 if gap(y, k) < 0.5 * p.x_free else p.x_free
+def meeting_fraction(h, gap, gap1, opening, opening1, p):
+    """`lowest_fraction` of the distance of stay and piston from the contact they are nearer to."""
+    low = 0.0 if gap < 0.5 * p.x_free else p.x_free
     sign = 1.0 if low == 0.0 else -1.0
     return lowest_fraction(
-        sign * (gap(y, k) - low),
-        sign * (gap(y1, k) - low),
-        h * sign * opening(y, k),
-        h * sign * opening(y1, k),
+        sign * (gap - low), sign * (gap1 - low), h * sign * opening, h * sign * opening1
     )
 
 
@@ -161,12 +154,19 @@ def hidden_meeting(h, y1, o):
 
     Two bodies that graze each other close and part again within one step.
     """
-    if o.m.system == FIXED:
+    m = o.m
+    p = o.p
+    if m.system == FIXED:
         return 1.0
     y = length_state(o.y)
     y1 = length_state(y1)
-    one = meeting_fraction(h, y, y1, o.m, 0, o.p)
-    return min(one, meeting_fraction(h, y, y1, o.m, 1, o.p))
+    one = 1.0
+    if m.joined_1 == FREE:
+        one = meeting_fraction(h, y.x_1 - y.x_s, y1.x_1 - y1.x_s, y.v_1 - y.v_s, y1.v_1 - y1.v_s, p)
+    two = 1.0
+    if m.joined_2 == FREE:
+        two = meeting_fraction(h, y.x_2 + y.x_s, y1.x_2 + y1.x_s, y.v_2 + y.v_s, y1.v_2 + y1.v_s, p)
+    return min(one, two)
 
 
 @inlined

@@ -321,27 +321,44 @@ def chamber_pressure(dt, row, table):
 def chamber_samples(row, table, t, samples, begin, end, out, stride):
     """Pressures of a chamber at the samples from `begin` to `end` -> out[i * stride].
 
-    t: when its row was written.  The same numbers as `chamber_pressure`.
+    t: when its row was written.  The same numbers as `chamber_pressure`, region by region.
     """
     kind = row.kind
-    curve = curve_for(kind == ON_CHARGE, table)
     reference = row.reference
+    if kind in (STILL, DECAY):
+        for i in range(begin, end):
+            out[i * stride] = chamber_pressure(max(samples[i] - t, 0.0), row, table)
+        return
+    curve = curve_for(kind == ON_CHARGE, table)
     start = row.tau
     rate = row.rate
+    i = begin
+    while i < end and start + rate * max(samples[i] - t, 0.0) < 0.0:
+        tau = start + rate * max(samples[i] - t, 0.0)
+        out[i * stride] = reference * curve_value(curve, tau)
+        i += 1
+    cells = curve.far
+    density = curve.cells_far
+    while i < end:
+        place = (start + rate * max(samples[i] - t, 0.0)) * density
+        if not place < CELLS_FAR:
+            break
+        out[i * stride] = reference * cubic(cells, place)
+        i += 1
     far = curve.step_far * CELLS_FAR
-    for i in range(begin, end):
-        dt = max(samples[i] - t, 0.0)
-        tau = start + rate * dt
-        place = tau * curve.cells_far
-        near = (tau - far) * curve.cells_near
-        if kind in (STILL, DECAY):
-            out[i * stride] = chamber_pressure(dt, row, table)
-        elif 0.0 <= place < CELLS_FAR:
-            out[i * stride] = reference * cubic(curve.far, place)
-        elif place > 0.0 and near < CELLS_NEAR:
-            out[i * stride] = reference * cubic(curve.near, max(near, 0.0))
-        else:
-            out[i * stride] = reference * curve_value(curve, tau)
+    cells = curve.near
+    density = curve.cells_near
+    while i < end:
+        tau = start + rate * max(samples[i] - t, 0.0) - far
+        place = tau * density
+        if not place < CELLS_NEAR:
+            break
+        out[i * stride] = reference * cubic(cells, max(place, 0.0))
+        i += 1
+    while i < end:
+        tau = start + rate * max(samples[i] - t, 0.0) - far
+        out[i * stride] = reference * (1.0 + (curve.end - 1.0) * faded(tau - NEAR_REACH))
+        i += 1
 
 
 @called

@@ -86,6 +86,11 @@ def view(array, offset):
     return CheckedView(flat, offset, flat.size)
 
 
+def rows(v, length):
+    """Return the same view, read as rows of `length` elements."""
+    return CheckedView(v._array, v._start, v._end, v._width, length)
+
+
 def lane(v, index, width):
     """Return lane `index` of `width` interleaved copies."""
     return CheckedView(v._array, v._start + index, v._end, width)

@@ -90,6 +90,17 @@ def _view(typing_context, array, offset):
 
 
 @intrinsic(prefer_literal=True)
+def _rows(typing_context, v, length):
+    """Return the same view, read as rows of `length` elements (a constant)."""
+    result = View(v.dtype, v.width, length.literal_value)
+
+    def generate(context, builder, signature, arguments):
+        return arguments[0]
+
+    return result(v, length), generate
+
+
+@intrinsic(prefer_literal=True)
 def _lane(typing_context, v, index, width):
     """Lane `index` of `width` (a constant) interleaved copies: element i is v[i width + index]."""
     result = View(v.dtype, width.literal_value)
@@ -296,9 +307,12 @@ if CHECKED:
         discarding,
         lane,
         named,
+        rows,
         unlikely,
         view,
     )  # fmt: skip
 else:
-    view, lane, discarding, copy_row, named = _view, _lane, _discarding, _copy_row, _named
+    view, rows, lane, discarding, copy_row, named = (
+        _view, _rows, _lane, _discarding, _copy_row, _named
+    )  # fmt: skip
     call_at, unlikely = call_compiled, _unlikely

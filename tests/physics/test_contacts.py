@@ -55,33 +55,17 @@ def test_two_pistons_that_meet_the_stay_together_share_their_momentum() -> None:
 
 
 def test_joined_bodies_part_when_one_is_braked() -> None:
+    moving = dict.fromkeys((LengthState.v_s, LengthState.v_1), 0.5)
+    together = moving | dict.fromkeys((LengthState.x_s, LengthState.x_1), 0.001)
     # friction on the stay alone: the piston ahead of it at its nut flies on
     changes = {**FREE, Parameters.f_run_s: 10.0, Parameters.f_static_s: 10.0}
-    rig = Bare(
-        LENGTH,
-        changes,
-        {
-            LengthState.v_s: 0.5,
-            LengthState.v_1: 0.5,
-            LengthState.x_s: 0.001,
-            LengthState.x_1: 0.001,
-        },
-    )
+    rig = Bare(LENGTH, changes, together)
     rig.advance(5 * MS)
     assert rig.state(LengthState.v_1) == pytest.approx(0.5, rel=1e-12)
     assert rig.velocity_m_s == pytest.approx(0.5 - 10.0 / STAY * 5e-3, rel=1e-9)
     # friction on the piston ahead: the stay pushes it, both are braked together
     changes = {**FREE, Parameters.f_run_p: 10.0, Parameters.f_static_p: 10.0}
-    rig = Bare(
-        LENGTH,
-        changes,
-        {
-            LengthState.v_s: 0.5,
-            LengthState.v_1: 0.5,
-            LengthState.x_s: 0.001,
-            LengthState.x_1: 0.001,
-        },
-    )
+    rig = Bare(LENGTH, changes, together)
     rig.advance(5 * MS)
     assert rig.velocity_m_s == pytest.approx(0.5 - 10.0 / (STAY + PISTON) * 5e-3, rel=1e-9)
     assert rig.state(LengthState.v_1) == rig.velocity_m_s

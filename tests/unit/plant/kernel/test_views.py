@@ -9,7 +9,7 @@ from numba.core.errors import TypingError
 
 from plant.kernel import checked, views
 from plant.kernel.records import Record, Value, block
-from plant.kernel.views import discarding, lane, named, view
+from plant.kernel.views import discarding, lane, named, rows, view
 
 WIDTH = 4
 
@@ -22,17 +22,6 @@ class Sample(Record):
 
 
 sample = named(Sample)
-
-
-class Wide(Record):
-    cells: Value = block(2, 3)
-
-
-class Tall(Record):
-    cells: Value = block(3, 2)
-
-
-wide, tall = named(Wide), named(Tall)
 sample_without_last = named(Sample, ("last",))
 
 
@@ -47,8 +36,8 @@ def double_from(array, offset):
 
 @numba.njit
 def transpose(array, out):
-    a = wide(array).cells
-    b = tall(out).cells
+    a = rows(view(array, 0), 3)
+    b = rows(view(out, 0), 2)
     for i in range(2):
         row = a[i]
         for j in range(3):
@@ -158,7 +147,7 @@ def test_checked_views_read_as_compiled_ones():
     array, lanes = np.arange(10.0), np.zeros((Sample.size, WIDTH))
     expected, expected_lanes = array.copy(), lanes.copy()
     shuffle(expected, expected_lanes)
-    plain = {name: getattr(checked, name) for name in ("view", "lane")}
+    plain = {name: getattr(checked, name) for name in ("view", "rows", "lane")}
     body = shuffle.py_func
     scope = {**body.__globals__, **plain, "sample": checked.named(Sample)}
     type(body)(body.__code__, scope)(array, lanes)
