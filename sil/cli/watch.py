@@ -19,7 +19,7 @@ from sil.cli.options import JSON, argument
 
 EXAMPLE = """\
 example:
-  opc4 watch fleet/ --out fleet-watch --limit valve_open_delay=0.006
+  opc4 watch fleet/ --out fleet-watch
 """
 
 ARGUMENTS = (

@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 
 from plant.parameters import ParameterSet
+from sil.diagnosis.verdict import UNNAMED
 from sil.files.progress import Progress
 from sil.shift_diagnosis.fit import Fit, Fitter
 from sil.shift_diagnosis.linear import Floats, linearise, projected
@@ -368,10 +369,10 @@ def _verdict(
             f"the best explanation, {best.name}, leaves {best.chi2:.1f} times the noise (in chi "
             f"squared); {EXPLAINED:g} is the limit"
         )
-        return "unnamed", [text, *_where(best)]
+        return UNNAMED, [text, *_where(best)]
     if probabilities["healthy"] > ALARM:
         if healthy.chi2 > EXPLAINED:
-            return "unnamed", [f"without a cause {healthy.chi2:.1f} times the noise remain"]
+            return UNNAMED, [f"without a cause {healthy.chi2:.1f} times the noise remain"]
         suspected = f"the most probable cause, {top}, has {wrong.get(top, 0.0):.2f}"
         return "consistent", [suspected] if wrong.get(top, 0.0) > 0.2 else []
     if wrong[top] >= CERTAIN:

@@ -24,7 +24,7 @@ from sil.report.figure import MM, MS, Figure, Panel, Series, Stack
 from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
-from sil.shift_diagnosis.judge import Judged, ShiftDiagnosis, judge_shifts
+from sil.shift_diagnosis.judge import EXPLAINED, Judged, ShiftDiagnosis, judge_shifts
 from sil.shift_diagnosis.linear import Floats
 from sil.shift_diagnosis.model import Cause
 from sil.shift_diagnosis.shifts import LEAD_S, shifts_of
@@ -130,7 +130,7 @@ def as_json(found: ShiftDiagnosis, logs: list[str], skipped: dict[str, int]) -> 
             "on a gearbox" if found.mounted else "on a rig without gearbox, by its mass"
         )
     shown = found.judged and {
-        "healthy": found.healthy.chi2, "best": found.best.chi2, "limit": 1.5,
+        "healthy": found.healthy.chi2, "best": found.best.chi2, "limit": EXPLAINED,
     }  # fmt: skip
     return diagnosis_json(
         Path(logs[0]).name + (f" and {len(logs) - 1} more" if len(logs) > 1 else ""),

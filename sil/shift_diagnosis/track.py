@@ -188,7 +188,7 @@ class Track:
     ) -> Change:
         """Date a change of parameter k, found at cell j of the segment, and begin a new segment."""
         name, offset = self.names[k], whole.start
-        steps = _ramp_costs(t, a, h)[0]
+        steps = _ramp_costs(t, a, h)
         ramp, kind = int(np.argmin(steps)), "step"
         mean_gain = gain[:, k]
         base = float(np.sum(h * (a - np.average(a, weights=h)) ** 2))
@@ -229,13 +229,13 @@ class Track:
             _step_cost(h[middle:j], a[middle:j]) + _step_cost(h[j:], a[j:])
             for j in range(middle + 1, len(t))
         )
-        ramps = _ramp_costs(t, a, h)[0]
+        ramps = _ramp_costs(t, a, h)
         ramp = int(np.argmin(ramps))
         if ramps[ramp] > two + RAMP_GAIN:
             return None
         near = np.flatnonzero(ramps <= ramps[ramp] + WITHIN)
         first = self.first[-len(t) :]
-        change = replace_struct(
+        change = msgspec.structs.replace(
             last, kind="drift", shift=int(first[ramp]), low=int(first[near[0]]),
             high=int(first[near[-1]]), time_s=float(self.time_s[-len(t) :][ramp]),
             found=self.shifts,
@@ -308,11 +308,6 @@ _ARRAYS: Final = {
 }  # fmt: skip
 
 
-def replace_struct(change: Change, **values: Any) -> Change:
-    """Return a change with some fields replaced."""
-    return msgspec.structs.replace(change, **values)
-
-
 def _step_gains(h: Floats, a: Floats) -> Floats:
     """Return chi squared gained by a step before each cell [m, p]; 0 before the first."""
     score = h * a
@@ -340,10 +335,10 @@ def _line(t: Floats, a: Floats, h: Floats) -> tuple[Floats, Floats, Floats]:
     return design @ estimate, estimate * scale, covariance * np.outer(scale, scale)
 
 
-def _ramp_costs(t: Floats, a: Floats, h: Floats) -> tuple[Floats, Floats]:
-    """Return chi squared [m] and slopes [m] of a level that becomes a line at each cell."""
-    costs, slopes = np.full(len(t), np.inf), np.zeros(len(t))
+def _ramp_costs(t: Floats, a: Floats, h: Floats) -> Floats:
+    """Return chi squared [m] of a level that becomes a line at each cell."""
+    costs = np.full(len(t), np.inf)
     for k in range(len(t) - 2):
-        fitted, estimate, _covariance = _line(np.maximum(0.0, t - t[k]), a, h)
-        costs[k], slopes[k] = float(np.sum(h * (a - fitted) ** 2)), estimate[1]
-    return costs, slopes
+        fitted = _line(np.maximum(0.0, t - t[k]), a, h)[0]
+        costs[k] = float(np.sum(h * (a - fitted) ** 2))
+    return costs
