@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import importlib
 import os
-from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
@@ -156,22 +155,8 @@ class Decoder:
         return Decoded(frame.time_ns, frame.channel, message, source, values)
 
 
-class _Table(ABC):
-    """Writes decoded messages into a file, batch by batch."""
-
-    def __init__(self, path: str) -> None:
-        self.path = path
-
-    @abstractmethod
-    def take(self, batch: Sequence[Decoded]) -> None:
-        """Write messages, in order."""
-
-    @abstractmethod
-    def finish(self, file: BinaryIO) -> None:
-        """Complete the file."""
-
-    def close(self) -> None:  # noqa: B027 optional
-        """Give back what is open, also after an error."""
+_Take = Callable[[Sequence[Decoded]], None]
+"""Writes a batch of decoded messages into a table, in order."""
 
 
 def _rows(
@@ -185,76 +170,79 @@ def _rows(
             yield time_ns, channel, message.name, source, name, value, signal.unit or "", text
 
 
-class _Csv(_Table):
-    def __init__(self, path: str, file: BinaryIO) -> None:
-        super().__init__(path)
-        self._out = packer(file) if path.endswith(".gz") else file
-        self._out.write((",".join(COLUMNS) + "\n").encode())
+@contextmanager
+def _csv(path: str, file: BinaryIO) -> Iterator[_Take]:
+    out = packer(file) if path.endswith(".gz") else file
+    out.write((",".join(COLUMNS) + "\n").encode())
 
-    def take(self, batch: Sequence[Decoded]) -> None:
+    def take(batch: Sequence[Decoded]) -> None:
         lines = [
             f"{format_ns(time_ns, 9)},{_quoted(channel)},{message},{'' if source is None else source},"
             f"{name},{value!r},{_quoted(unit)},{_quoted(text)}\n"
             for time_ns, channel, message, source, name, value, unit, text in _rows(batch)
         ]
-        self._out.write("".join(lines).encode())
+        out.write("".join(lines).encode())
 
-    def finish(self, file: BinaryIO) -> None:
-        if self._out is not file:
-            self._out.close()
+    yield take
+    if out is not file:
+        out.close()
 
 
 def _quoted(text: str) -> str:
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
 
 
-class _Parquet(_Table):
-    def __init__(self, path: str, file: BinaryIO) -> None:
-        super().__init__(path)
-        try:
-            self._arrow = importlib.import_module("pyarrow")
-            importlib.import_module("pyarrow.parquet")
-        except ImportError:
-            raise InputError(
-                f"{path}: parquet needs pyarrow, which is not installed; expected it after: "
-                "pip install pyarrow (or OUT .csv or .mf4)"
-            ) from None
-        arrow, text = self._arrow, self._arrow.dictionary(self._arrow.int32(), self._arrow.string())
-        kinds = (arrow.int64(), text, text, arrow.int16(), text, arrow.float64(), text, text)
-        self._schema = arrow.schema(list(zip(("time_ns", *COLUMNS[1:]), kinds, strict=True)))
-        self._writer = arrow.parquet.ParquetWriter(file, self._schema)
+@contextmanager
+def _parquet(path: str, file: BinaryIO) -> Iterator[_Take]:
+    try:
+        arrow = importlib.import_module("pyarrow")
+        importlib.import_module("pyarrow.parquet")
+    except ImportError:
+        raise InputError(
+            f"{path}: parquet needs pyarrow, which is not installed; expected it after: "
+            "pip install pyarrow (or OUT .csv or .mf4)"
+        ) from None
+    text = arrow.dictionary(arrow.int32(), arrow.string())
+    kinds = (arrow.int64(), text, text, arrow.int16(), text, arrow.float64(), text, text)
+    schema = arrow.schema(list(zip(("time_ns", *COLUMNS[1:]), kinds, strict=True)))
+    with arrow.parquet.ParquetWriter(file, schema) as writer:
 
-    def take(self, batch: Sequence[Decoded]) -> None:
-        columns = list(zip(*_rows(batch), strict=True)) or [()] * len(COLUMNS)
-        arrays = [
-            self._arrow.array(c, kind) for c, kind in zip(columns, self._schema.types, strict=True)
-        ]
-        self._writer.write_table(self._arrow.Table.from_arrays(arrays, schema=self._schema))
+        def take(batch: Sequence[Decoded]) -> None:
+            columns = list(zip(*_rows(batch), strict=True)) or [()] * len(COLUMNS)
+            arrays = [arrow.array(c, kind) for c, kind in zip(columns, kinds, strict=True)]
+            writer.write_table(arrow.Table.from_arrays(arrays, schema=schema))
 
-    def finish(self, file: BinaryIO) -> None:
-        self.close()
-
-    def close(self) -> None:
-        self._writer.close()
+        yield take
 
 
-class _Mf4(_Table):
+@contextmanager
+def _mf4(path: str, file: BinaryIO) -> Iterator[_Take]:
+    table = _Mf4(path)
+    try:
+        yield table.take
+        save(table.measurement, file)
+    finally:
+        if table.measurement is not None:
+            table.measurement.close()
+
+
+class _Mf4:
     """A group of its own for each message, sender and channel; a missing value is not a number."""
 
     def __init__(self, path: str) -> None:
-        super().__init__(path)
+        self._path = path
         self._asammdf = import_asammdf(path)
-        self._measurement: Any = None
+        self.measurement: Any = None
         self._start_ns = 0
         self._groups: dict[tuple[str, int | None, str], int] = {}
 
     def take(self, batch: Sequence[Decoded]) -> None:
         import numpy as np
 
-        if self._measurement is None:
+        if self.measurement is None:
             if (first_ns := batch[0].time_ns) >= RELATIVE_BELOW_NS:
                 self._start_ns = first_ns // NS_PER_MS * NS_PER_MS
-            self._measurement = new_measurement(self.path, self._start_ns)
+            self.measurement = new_measurement(self._path, self._start_ns)
         parts: dict[tuple[str, int | None, str], list[Decoded]] = {}
         for one in batch:
             parts.setdefault((one.message.name, one.source, one.channel), []).append(one)
@@ -264,7 +252,7 @@ class _Mf4(_Table):
             columns = [np.array([one.values.get(s.name, np.nan) for one in part]) for s in signals]
             if key in self._groups:
                 samples = [(column, None) for column in (times_s, *columns)]
-                self._measurement.extend(self._groups[key], samples)
+                self.measurement.extend(self._groups[key], samples)
                 continue
             name, source, channel = key
             title = name + ("" if source is None else f" of {source:#04x}")
@@ -276,14 +264,10 @@ class _Mf4(_Table):
                 for s, column in zip(signals, columns, strict=True)
             ]
             self._groups[key] = len(self._groups)
-            self._measurement.append(made, acq_name=title, comment=title, common_timebase=True)
+            self.measurement.append(made, acq_name=title, comment=title, common_timebase=True)
 
-    def finish(self, file: BinaryIO) -> None:
-        save(self._measurement, file)
 
-    def close(self) -> None:
-        if self._measurement is not None:
-            self._measurement.close()
+_TABLES: Final = {".csv": _csv, ".mf4": _mf4, ".parquet": _parquet}
 
 
 def decode(
@@ -315,7 +299,7 @@ def decode(
     """
     path = os.fspath(target)
     kind = os.path.splitext(path.removesuffix(".gz"))[1].lower()
-    if kind not in (".csv", ".mf4", ".parquet") or (path.endswith(".gz") and kind != ".csv"):
+    if kind not in _TABLES or (path.endswith(".gz") and kind != ".csv"):
         raise InputError(
             f"{path}: --dbc decodes signals; expected OUT .csv, .csv.gz, .mf4 or .parquet"
         )
@@ -329,13 +313,10 @@ def decode(
     )
     report = DecodeReport(log.path, path, os.fspath(database), log.report)
     decoder = Decoder(load_dbc(database, strict=False), report)
-    with written(path) as file, ExitStack() as stack:
-        makers = {".csv": lambda: _Csv(path, file), ".parquet": lambda: _Parquet(path, file)}
-        table: _Table = makers[kind]() if kind in makers else _Mf4(path)
-        stack.callback(table.close)
+    with written(path) as file, _TABLES[kind](path, file) as take:
         decoded = (one for frame in log if (one := decoder.decode(frame)) is not None)
         while batch := list(islice(decoded, _BATCH)):
-            table.take(batch)
+            take(batch)
         report.transport.finish()
         report.read = log.report
         if not report.messages:
@@ -343,5 +324,4 @@ def decode(
                 f"{log.path}: none of its {report.read.frames} frames is of a message in "
                 f"{report.database}; expected a DBC of this bus"
             )
-        table.finish(file)
     return report

@@ -59,3 +59,17 @@ def test_no_torque_no_cut_and_no_values() -> None:
     engine = trace.figures(1_000 * MS, 1_500 * MS)
     assert engine is not None and engine.torque_cut_s is None
     assert trace.figures(-1, -1) is None
+
+
+def test_samples_are_by_time_whatever_the_clock_did() -> None:
+    traces = EngineTrace(), EngineTrace()
+    frames = [eec1(n * 10, 60 - n % 7, 1000 + n) for n in range(400)]
+    for trace, order in zip(traces, (frames, [*frames[200:], *frames[:200]]), strict=True):
+        trace.keep(2**62)
+        for frame in order:
+            trace.take(frame.time_ns, frame.data)
+        trace.sort()
+    ours, stepped = (
+        trace.figures(START_NS + 1_000 * MS, START_NS + 2_500 * MS) for trace in traces
+    )
+    assert ours is not None and ours == stepped

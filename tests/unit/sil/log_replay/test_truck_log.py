@@ -150,3 +150,16 @@ def test_a_clock_that_steps_back_and_short_frames_are_no_trap() -> None:
     log = read(SignalMapping(), short)
     assert [s.to_gear for s in log.shifts] == [4, 5, 4]
     assert any("fewer than 8 bytes" in note for note in log.notes)
+
+
+def test_remote_and_error_frames_show_nothing(tmp_path: Path) -> None:
+    for mapping, frames in (
+        (SignalMapping(), FRAMES),
+        (proprietary(tmp_path), as_proprietary(FRAMES)),
+    ):
+        odd = [f._replace(error=True) for f in frames]
+        odd += [f._replace(remote=True, data=b"") for f in frames]
+        log = read(mapping, odd)
+        assert log.shifts == [] and log.frames == 2 * len(frames)
+        with pytest.raises(InputError, match=r"no ETC1|no Shafts"):
+            log.require_shifts()
