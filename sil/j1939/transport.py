@@ -7,7 +7,6 @@ A message to all is announced once (BAM). One to a single receiver is negotiated
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
@@ -34,7 +33,7 @@ _MOST_LOCATIONS: Final = 10
 
 
 class Message(NamedTuple):
-    """A J1939 message, of one frame or put together; `time_ns` is when its last frame arrived."""
+    """A message put together; `time_ns` is when its last frame arrived."""
 
     time_ns: int
     pgn: int
@@ -178,22 +177,6 @@ class Assembler:
             sender = f"source {source:#04x} to {destination:#04x}"
             sender += f" on {channel}" if channel else ""
             self.locations.append(f"at {format_ns(self._now_ns)} s: {what}{sender}: {reason}")
-
-
-def messages(frames: Iterable[LogFrame], assembler: Assembler) -> Iterator[Message]:
-    """Yield the J1939 messages of a log: single frames as they are, long ones put together.
-
-    What could not be put together is counted in `assembler`.
-    """
-    for frame in frames:
-        if not frame.extended or frame.remote or frame.error or frame.fd:
-            continue
-        _, pgn, source, destination = split_id(frame.can_id)
-        if pgn not in (PGN_CONTROL, PGN_DATA):
-            yield Message(frame.time_ns, pgn, source, destination, frame.data, frame.channel)
-        elif (message := assembler.take(frame)) is not None:
-            yield message
-    assembler.finish()
 
 
 def split_message(

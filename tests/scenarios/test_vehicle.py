@@ -26,7 +26,7 @@ from can_dbc.messages import (
 )
 from sil.cli import main
 from sil.j1939.management import PGN_CLAIM, PGN_DM1, TROUBLE_CODES, active_faults
-from sil.j1939.transport import Assembler, messages
+from sil.j1939.transport import Assembler
 from sil.logs.frame import LogFrame
 from sil.report.run_figure import run_figure
 from sil.report.vehicle_figure import without_torque
@@ -168,16 +168,18 @@ def test_two_faults_go_over_the_transport_protocol() -> None:
         "duration_s=2.0",
     ]
     faulty = run_in_memory(load(NAME, settings=settings))
-    found = [m for m in messages(logged(faulty), Assembler()) if m.pgn == PGN_DM1]
-    assert len(found[-1].data) > 8 and found[-1].source == 3
+    assembler = Assembler()
+    long = [m for frame in logged(faulty) if (m := assembler.take(frame)) and m.pgn == PGN_DM1]
+    assert len(long[-1].data) > 8 and long[-1].source == 3
+    short = [f.data for f in logged(faulty) if split_id(f.can_id).pgn == PGN_DM1]
     codes = {
         (m[0] | m[1] << 8 | m[2] >> 5 << 16, m[2] & 31)
-        for m in (found[-1].data[k : k + 4] for k in range(2, len(found[-1].data), 4))
+        for m in (long[-1].data[k : k + 4] for k in range(2, len(long[-1].data), 4))
     }
     assert TROUBLE_CODES[Fault.SPEEDS_LOST] in codes and TROUBLE_CODES[Fault.POSITION_LOST] in codes
-    assert found[-1].data[0] == 0x04
-    single = next(m for m in found if m.data[0] and len(m.data) == 8)
-    assert single.data[2:6] == bytes((161, 0, 9, 1))
+    assert long[-1].data[0] == 0x04
+    single = next(data for data in short if data[0])
+    assert single[2:6] == bytes((161, 0, 9, 1))
 
 
 def test_every_fault_has_a_code_of_its_own() -> None:

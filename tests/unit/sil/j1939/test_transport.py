@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.frame import Frame
-from sil.j1939.transport import Assembler, Message, messages, split_message
+from sil.j1939.transport import Assembler, Message, split_message
 from sil.logs.frame import LogFrame
 
 ENGINE, TRANSMISSION, TOOL = 0x00, 0x03, 0xF9
@@ -27,7 +27,9 @@ def recorded(
 
 def assembled(frames: Sequence[LogFrame]) -> tuple[list[Message], Assembler]:
     assembler = Assembler()
-    return list(messages(frames, assembler)), assembler
+    found = [message for frame in frames if (message := assembler.take(frame))]
+    assembler.finish()
+    return found, assembler
 
 
 def test_a_broadcast_recorded_elsewhere_is_put_together() -> None:
@@ -86,11 +88,11 @@ def test_interleaved_senders_receivers_and_channels() -> None:
     assert not assembler.lost
 
 
-def test_ordinary_messages_pass_and_frames_of_the_protocol_do_not() -> None:
-    plain = LogFrame(5, 0x0CF00400, bytes(8), channel="a")
-    found, _ = assembled([plain, *recorded(split_message(DM1, ENGINE, bytes(9)))])
-    assert found[0] == Message(5, 61444, 0, 255, bytes(8), "a")
-    assert len(found) == 2
+def test_frames_of_other_groups_and_kinds_are_passed_over() -> None:
+    long = recorded(split_message(DM1, ENGINE, bytes(9)))
+    odd = [LogFrame(5, 0x0CF00400, bytes(8)), long[0]._replace(remote=True, data=b"")]
+    found, assembler = assembled([*odd, *long])
+    assert [message.pgn for message in found] == [DM1] and not assembler.lost
 
 
 def lost(frames: Sequence[LogFrame]) -> dict[str, int]:
