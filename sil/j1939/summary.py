@@ -6,6 +6,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, Final
 
 from can_dbc.frame import split_id
@@ -97,23 +98,25 @@ def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
     finder = ShiftFinder()
     transport = Assembler()
     identifiers: dict[tuple[str, int], _Identifier] = {}
-    frames = 0
-    first_ns: int | None = None
-    for frame in open_log(log) if isinstance(log, (str, os.PathLike)) else log:
-        frames += 1
-        if first_ns is None:
-            first_ns = frame[0]
-        if frame[3] and not frame[4] and not frame[5]:  # extended, not remote, no error
-            key = frame[9], frame[1]
-            identifier = identifiers.get(key)
-            if identifier is None:
-                is_long = split_id(frame[1]).pgn in (PGN_CONTROL, PGN_DATA)
-                identifier = _Identifier(transport.take if is_long else finder.follow(*key))
-                if len(identifiers) < _MOST_GROUPS:
-                    identifiers[key] = identifier
-            identifier.frames += 1
-            if identifier.take is not None:
-                identifier.take(frame)
+    others = 0
+    frames = iter(open_log(log) if isinstance(log, (str, os.PathLike)) else log)
+    first = next(frames, None)
+    for frame in () if first is None else chain((first,), frames):
+        if not frame[3] or frame[4] or frame[5]:  # standard, remote or error
+            others += 1
+            continue
+        key = frame[9], frame[1]
+        identifier = identifiers.get(key)
+        if identifier is None:
+            is_long = split_id(frame[1]).pgn in (PGN_CONTROL, PGN_DATA)
+            identifier = _Identifier(transport.take if is_long else finder.follow(*key))
+            if len(identifiers) < _MOST_GROUPS:
+                identifiers[key] = identifier
+            else:
+                others += 1
+        identifier.frames += 1
+        if identifier.take is not None:
+            identifier.take(frame)
     transport.finish()
     groups: Counter[tuple[int, int]] = Counter()
     for (_, can_id), identifier in identifiers.items():
@@ -121,7 +124,7 @@ def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
         groups[parts.pgn, parts.source] += identifier.frames
     found = finder.finish()
     return J1939Summary(
-        frames,
+        groups.total() + others,
         groups.total(),
         dict(groups),
         found,
@@ -129,7 +132,7 @@ def summarize(log: Iterable[LogFrame] | str | os.PathLike[str]) -> J1939Summary:
         finder.chatter,
         finder.unfinished,
         finder.notes,
-        first_ns,
+        None if first is None else first.time_ns,
         transport,
         finder.engines,
     )
