@@ -55,7 +55,8 @@ class Table(NamedTuple):
     def row(self, plain_s: float, step: int) -> Programme | None:
         """Return the programme that can still begin whose release under the plain push is nearest.
 
-        None if none of the two nearest ones can, or the release is beyond the table.
+        The two nearest ones are tried, then two for later releases: they vent later, which is harder
+        and never stalls. None if none of them can begin, or the release is beyond the table.
         """
         times = self.plain_s
         after = bisect_right(times, plain_s)
@@ -63,9 +64,10 @@ class Table(NamedTuple):
             return None
         nearer = plain_s - times[after - 1] < times[after] - plain_s
         first, second = (after - 1, after) if nearer else (after, after - 1)
-        if step <= self.rows[first].begin:
-            return self.rows[first]
-        return self.rows[second] if step <= self.rows[second].begin else None
+        for index in (first, second, after + 1, after + 2):
+            if index < len(times) and step <= self.rows[index].begin:
+                return self.rows[index]
+        return None
 
     def release(self, log_impulse: float) -> tuple[float, float]:
         """Return when the plain push is released, s, and its slope over the logarithm, s."""

@@ -186,6 +186,9 @@ class Learned(IntoGear):
             self._expect(self._sum_rad_s / self._count)
         elif self._expected is not None and self._released_s is None:
             before_rad_s = self._sum_rad_s / self._count
+            if before_rad_s < 4.0 * REPORT_RAD_S:
+                self._plain = True
+                return
             self._measure(apart_s, apart_rad_s, before_rad_s)
             if apart_s - self.parameters.speeds_age_s < self._undisturbed_s:
                 self._follow(self._expected, apart_s, 1.0 - apart_rad_s / before_rad_s)

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from controller.learning import METHODS
 from controller.strategies import NAMES
 from sil.simulation import runner, scenario
 from sil.simulation.in_memory import run_in_memory
-from tests.bench.strategies import cost
+from tests.bench.strategies import cost, learning_cost
 
 STRATEGIES = [name for name in NAMES if name != "open_loop"]
 
@@ -61,3 +62,11 @@ def test_a_step_costs_no_more_operations_than_it_says(name: str) -> None:
     assert 0 <= counted <= stated[name]
     assert counted > 0 or name == "blow_cut"
     assert worst_us > 0.0
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_what_a_shift_teaches_costs_little(method: str) -> None:
+    """100 ms at 40 MHz would be four million cycles; the memory may have 4 kB."""
+    counted, size = learning_cost(method)
+    assert 0 < counted <= 100
+    assert 0 < size <= 4096

@@ -33,6 +33,7 @@ def push(
     friction: float = 1.0,
     until_ms: int = 350,
     lost_ms: int = 10_000,
+    report_ms: int = 10,
     healthy: bool = True,
     confirmed: bool = True,
     **shift: Any,
@@ -52,14 +53,15 @@ def push(
         acted = strategy._programme
         at_s = 1e-3 * ms - 0.0035 - 0.0004
         at_s -= 0.0 if acted is None else acted.released_s - acted.plain_s
-        share = exp(TABLE.spent(at_s)[0]) / (friction * impulse_n_s) if ms > 60 else 0.0
+        share = exp(TABLE.spent(at_s)[0]) / (friction * impulse_n_s + 1e-9) if ms > 60 else 0.0
         apart_rad_s = before_rad_s * max(0.0, 1.0 - share) if ms < lost_ms else None
         position_m = 0.012 if share > 1.0 else 0.005
         estimate = Estimate(
             True, position_m, position_m, 0.0, (Sample(position_m, position_m, 0.0),)
         )
         now_ns = start_ns + ms * MS
-        context = context._replace(apart_rad_s=apart_rad_s, apart_ns=now_ns)
+        if ms % report_ms == 0 or apart_rad_s is None:
+            context = context._replace(apart_rad_s=apart_rad_s, apart_ns=now_ns)
         given.append(strategy.command(now_ns, estimate, context))
     strategy.ended(start_ns + until_ms * MS, estimate, confirmed, healthy)
     return given
@@ -76,8 +78,10 @@ def test_it_vents_and_brakes_by_the_programme_and_pushes_again(impulse_n_s: floa
     assert any(duties.n > 0.9 for duties in given)
     assert given[-1] == PUSHES
     assert all(duties.f == 0.0 for duties in given)
-    programme = TABLE.row(TABLE.release(log(impulse_n_s))[0], 0)
+    programme = strategy._programme
     assert programme is not None
+    release_s, slope_s = TABLE.release(log(impulse_n_s))
+    assert abs(programme.plain_s - release_s) < 0.05 * slope_s
     brakes = [k for k, duties in enumerate(given) if duties.n > 0.9]
     assert brakes == sorted({k for act in programme.brakes for k in range(act.start, act.end)})
     assert strategy.correction.shifts == 1
@@ -129,10 +133,21 @@ def test_filled_before_power_on() -> None:
 def test_without_speeds_and_without_a_fall_of_them() -> None:
     assert plain(push(learned(), 140.0, lost_ms=0))
     assert plain(push(learned(), 1e-6))
+    assert plain(push(learned(), 0.0))
+    assert plain(push(learned(still_s=0.065), 5.0)), "gone between two reports"
+    strategy = learned()
+    assert plain(push(strategy, 5.0))
+    assert strategy.correction.values == learned().correction.values
     strategy = learned()
     given = push(strategy, 140.0, lost_ms=150)
     assert given[15:] == [PUSHES] * len(given[15:])
     assert strategy.correction.values == learned().correction.values
+
+
+def test_reports_at_every_second_step_are_enough() -> None:
+    strategy = learned()
+    assert not plain(push(strategy, 140.0, report_ms=20))
+    assert strategy.correction.values != learned().correction.values
 
 
 def test_beyond_the_tables_it_pushes() -> None:

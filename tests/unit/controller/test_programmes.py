@@ -69,7 +69,8 @@ def test_a_programme_that_can_no_longer_begin_is_not_taken() -> None:
     assert own.row(0.109, 5) == own.rows[1]
     assert own.row(0.109, 6) == own.rows[0], "the other neighbour still can"
     assert own.row(0.112, 6) == own.rows[2]
-    assert own.row(0.104, 8) is None
+    assert own.row(0.104, 8) == own.rows[2], "a later one still can"
+    assert own.row(0.104, 9) is None
     assert own.row(0.099, 0) is None
     assert own.row(0.121, 0) is None
 
