@@ -24,7 +24,7 @@ class SynchroBrake(IntoGear):
     While the synchronizer blocks, the difference of the speeds falls; the parabola through its
     last three reports says when it will be zero, which is when the stay is let go. The neutral
     chamber is filled from `brake_lead_s` before that instant for `burst_s`, the driving one is left
-    from `rest_lead_s` before it for `rest_s`. The forecast is made anew with every report until
+    from `rest_lead_s` before it for `rest_s` (a valve follows only if it closes in less than that). The forecast is made anew with every report until
     the first of the two begins; no brake if the release is too near or the force too small.
     Some 50 additions, multiplications and comparisons a step, and a square root.
     Assumes that the engine gives no torque meanwhile. Without a synchronizer, or without speeds,
