@@ -14,7 +14,7 @@ from can_dbc.errors import InputError
 from sil.cli.options import EFFECTS, JSON, argument, out
 
 EXAMPLE = """\
-examples:
+example:
   opc4 diagnose measured/ --out diagnosis/
   opc4 diagnose truck-monday.asc truck-tuesday.asc --out truck-diagnosis/
 """
@@ -76,8 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
     campaign = load_campaign(arguments.campaign)
     parameters = load(arguments.model)
     folder = prepare_folder(arguments.out, f"{campaign.name}-diagnosis", arguments.force)
-    with Progress(f"diagnosing {campaign.name}", "%", 0.0) as progress:
-        progress(0, 100)
+    with Progress(f"diagnosing {campaign.name}", "%", at_once=True) as progress:
         result = diagnose(
             campaign, parameters, workers=max(1, arguments.workers), progress=progress
         )

@@ -110,6 +110,7 @@ def diagnose(
     InputError : a campaign that cannot be read or compared, named in one line
     """
     strokes, findings = observed(campaign, parameters)
+    progress(0.0, 100.0)
     model = CampaignModel(strokes, Spread.of(parameters))
     structure = structure_of(strokes)
     training, held_out = _assigned(model)

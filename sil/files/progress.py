@@ -33,12 +33,12 @@ class Progress:
         progress(done, size)
     """
 
-    def __init__(self, what: str, unit: str = "", first_after_s: float = FIRST_AFTER_S) -> None:
-        """Name the work, and the unit of its amounts, e.g. "s"."""
+    def __init__(self, what: str, unit: str = "", *, at_once: bool = False) -> None:
+        """Name the work, and the unit of its amounts, e.g. "s"; at_once: show it from the first call on."""
         self._what = what
         self._unit = f" {unit}" if unit else ""
         self._began_s = time.monotonic()
-        self._next_s = self._began_s + first_after_s
+        self._next_s = self._began_s + (0.0 if at_once else FIRST_AFTER_S)
         self._first: float | None = None
         self._shown = ""
 

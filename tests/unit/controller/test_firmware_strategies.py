@@ -72,7 +72,9 @@ class TestStrategies:
         rig.run(600)
         legs = [c for _, _, c in strategy.seen]
         first, second = legs[0], next(c for c in legs if c.leg is F)
-        assert first == ShiftContext(N, F, Chamber.N, Chamber.B, 100 * MS, 0, (None, None, None))
+        assert first == ShiftContext(
+            N, F, Chamber.N, Chamber.B, 100 * MS, 0, (None, None, None), coil_k=293.15
+        )
         assert second.charged is Chamber.F
         assert second.passive is Chamber.N
         assert second.start_ns == rig.when(S.PUSH, 1)
