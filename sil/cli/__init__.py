@@ -14,6 +14,7 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from types import FrameType
 from typing import Any, NoReturn
 
 PASSED, FAILED, BAD_INPUT, NOT_FINISHED = 0, 1, 2, 3
@@ -87,11 +88,16 @@ def _interrupt_again(unraisable: Any) -> None:
         sys.__unraisablehook__(unraisable)
         return
 
-    def interrupt(thread: int) -> None:
-        time.sleep(0.001)  # until the callback has ended, where it would be discarded again
+    def interrupt(thread: int, hook: FrameType) -> None:
+        frame: FrameType | None = hook
+        while frame is hook:  # within the hook it would be discarded again
+            time.sleep(0.001)
+            frame = sys._current_frames()[thread]
+            while frame is not None and frame is not hook:
+                frame = frame.f_back
         signal.pthread_kill(thread, signal.SIGINT)
 
-    _thread.start_new_thread(interrupt, (_thread.get_ident(),))
+    _thread.start_new_thread(interrupt, (_thread.get_ident(), sys._getframe()))
 
 
 class _Output(io.FileIO):

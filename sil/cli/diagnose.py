@@ -55,10 +55,15 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.new is not None:
         return new_campaign(arguments)
+    for item in arguments.campaign:
+        if not Path(item).exists():
+            raise InputError(f"{item}: does not exist; expected a campaign folder or CAN logs")
     if all(Path(item).is_file() and Path(item).suffix != ".toml" for item in arguments.campaign):
         return run_logs(arguments)
     if len(arguments.campaign) > 1:
-        raise InputError("several campaigns: expected one, or --new DIR with measured files")
+        raise InputError(
+            "several campaigns; expected one, or CAN logs, or --new DIR and measured files"
+        )
     (arguments.campaign,) = arguments.campaign
     # before the modules below, which list what the catalogue holds
     stamps = [load_effects(file) for file in arguments.effects]
