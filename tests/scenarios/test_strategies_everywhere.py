@@ -33,8 +33,10 @@ def test_same_bits_in_its_own_process(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", STRATEGIES)
 def test_same_bits_in_its_own_process_over_vcan(name: str, tmp_path: Path) -> None:
     """Up to the stop and a little beyond: there the strategy has done all that it does."""
-    duration_s = 0.4 if name in ("blow_cut", "synchro_brake", "fixed_programme") else 0.2
-    loaded = scenario.load(f"strategy_{name}", settings=[f"duration_s={duration_s}"])
+    gearbox = name in ("blow_cut", "synchro_brake", "fixed_programme", "learned")
+    table, _path = scenario.read(f"strategy_{name}")
+    table["duration_s"], table["request"] = 0.4 if gearbox else 0.2, table["request"][:1]
+    loaded = scenario.from_table(table, name)
     memory = run_in_memory(loaded)
     finished = runner.run(loaded, tmp_path, transport="vcan0")
     assert memory.shifts[-1].arrived_s is not None
