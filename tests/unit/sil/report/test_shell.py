@@ -15,7 +15,7 @@ from sil.report.theme import THEMES
 from tests.unit.sil.report.test_figure import everything
 
 TEMPLATES = sorted(Path(sil.report.__path__[0]).glob("*.html"))
-PARTS = {"shell.html", "plots.html"}
+PARTS = {"shell.html", "plots.html", "causes.html"}
 
 
 def test_every_page_extends_the_shell_and_has_no_style_of_its_own() -> None:
