@@ -8,8 +8,12 @@ from collections.abc import Iterable
 class InputError(ValueError):
     """An input is wrong; the one-line message names file, location and remedy.
 
-    The command line prints the message and exits with code 2.
+    The command line prints the message and exits with code 2. A name from the input may hold line
+    breaks or other control characters: the message shows them escaped.
     """
+
+    def __str__(self) -> str:
+        return escaped(super().__str__())
 
 
 class CodecError(InputError):
@@ -21,6 +25,11 @@ class RunError(RuntimeError):
 
     The command line prints the message and exits with code 3.
     """
+
+
+def escaped(text: str) -> str:
+    """Return the text with every character that cannot be printed as its escape sequence."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def os_error_text(error: OSError) -> str:

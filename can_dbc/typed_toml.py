@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from can_dbc.errors import InputError, unknown_name
+from can_dbc.errors import InputError, escaped, unknown_name
 from can_dbc.user_file import read_user_file
 
 T = TypeVar("T")
@@ -80,8 +80,7 @@ def refuse_not_finite(value: Any, source: str) -> None:
 
 def one_line(text: str, width: int = 200) -> str:
     """Return text with line breaks and control characters made visible, cut to a width."""
-    clean = " ".join(text.split())
-    clean = "".join(c if c.isprintable() else repr(c)[1:-1] for c in clean)
+    clean = escaped(" ".join(text.split()))
     return clean if len(clean) <= width else clean[: width - 3] + "..."
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -23,6 +24,7 @@ pytestmark = pytest.mark.vcan
 ROOT = Path(__file__).resolve().parents[2]
 FOREIGN = ROOT / "tests" / "foreign_controller" / "free_controller.py"
 HELD_S = 0.05
+TICK_S = 0.01
 EDGES = 2
 """Of each valve and blow in a shift: on and off."""
 
@@ -38,9 +40,18 @@ def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def held_real_time(folder: Path) -> bool:
+def largest_jitter_s(folder: Path) -> float:
     messages = json.loads((folder / "result.json").read_text())["bus"]["messages"]
-    return all(not m["missing"] and (m["jitter_max_s"] or 1.0) < HELD_S for m in messages)
+    if any(m["missing"] or not m["jitter_max_s"] for m in messages):
+        return math.inf
+    return max(m["jitter_max_s"] for m in messages)
+
+
+def require_replay(log: Path, names: tuple[str, ...], ticks: int) -> None:
+    found = replay(ReplayRequest(str(log)))
+    assert found.comparison.engaged
+    for name, signal in found.comparison.signals.items():
+        assert not name.startswith(names) or signal.differing <= ticks, f"{log}: {name}"
 
 
 def test_a_capture_of_a_lockstep_run_replays_without_a_difference(tmp_path: Path) -> None:
@@ -58,38 +69,48 @@ def test_a_capture_of_a_lockstep_run_replays_without_a_difference(tmp_path: Path
 
 
 def test_a_recorded_shift_in_real_time_has_each_message_once_and_replays(tmp_path: Path) -> None:
+    jitters = []
     for attempt in range(3):
         log, folder = tmp_path / f"{attempt}.log", tmp_path / f"run{attempt}"
         with candump(log, "vcan0"):
             done = run(folder, "full_shift", "--transport", "vcan0", "--realtime")
         assert done.returncode in (0, 1), done.stderr
-        recorded, bus = frames_of(log), frames_of(folder / "bus.log")
+        recorded = frames_of(log)
         assert {can_id for can_id, _ in recorded} <= OWN_IDS.keys()
-        require_part(bus, recorded)
+        require_part(frames_of(folder / "bus.log"), recorded)
         for kind in PROTECTED:
             seen = [counter_of(a.frame) for a in RecordedFrames(open_log(log)) if a.kind is kind]
             assert seen and all(a != b for a, b in pairwise(seen)), f"{kind.__name__} twice"
-        if held_real_time(folder):
+        jitters.append(largest_jitter_s(folder))
+        if jitters[-1] < HELD_S:
+            require_replay(folder / "bus.log", ("ValveCommand.", "SafetyBlow."), 0)
+        if jitters[-1] < TICK_S:
             break
     else:
-        pytest.skip("this machine is too busy for real time: nodes stood still in each run")
+        # by candump's times, a step that was executed a tick late read frames that came after it
+        pytest.skip(f"this machine is too busy to replay candump's log: jitter {jitters} s")
     # candump's log also holds the start of the control unit, when nobody has requested anything yet, and
     # by its times an input near a tick may count one tick later: each edge may be one tick apart
-    whole_run = ("ValveCommand.", "SafetyBlow.")
-    for path, names, ticks in (
-        (folder / "bus.log", whole_run, 0),
-        (log, ("ValveCommand.duty", *whole_run[1:]), EDGES),
-    ):
-        found = replay(ReplayRequest(str(path)))
-        assert found.comparison.engaged
-        for name, signal in found.comparison.signals.items():
-            assert not name.startswith(names) or signal.differing <= ticks, f"{path}: {name}"
+    require_replay(log, ("ValveCommand.duty", "SafetyBlow."), EDGES)
 
 
 def require_part(part: Frames, whole: Frames) -> None:
-    """Require that candump recorded the frames of the run in the same order, without others."""
-    begin = next(k for k in range(len(whole)) if whole[k : k + 20] == part[:20])
-    assert whole[begin : begin + len(part)] == part
+    """Require that candump recorded all frames of the run and no others between them.
+
+    Two nodes that send at the same instant may reach two readers in either order.
+    """
+    data, all_data = by_identifier(part), by_identifier(whole)
+    assert len(data) > 4
+    for can_id, sent in data.items():
+        at = [k for k, first in enumerate(all_data[can_id]) if first == sent[0]]
+        assert any(all_data[can_id][k : k + len(sent)] == sent for k in at), f"{can_id:08X}"
+
+
+def by_identifier(frames: Frames) -> dict[int, list[bytes]]:
+    found: dict[int, list[bytes]] = {}
+    for can_id, data in frames:
+        found.setdefault(can_id, []).append(data)
+    return found
 
 
 def test_a_controller_of_python_can_and_cantools_shifts_on_vcan0(tmp_path: Path) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import pickle
 
-from can_dbc.errors import nearest, os_error_text, unknown_name
+from can_dbc.errors import InputError, nearest, os_error_text, unknown_name
 
 
 def test_the_path_and_the_reason_without_python_s_words() -> None:
@@ -15,6 +16,13 @@ def test_the_path_and_the_reason_without_python_s_words() -> None:
     )
     assert os_error_text(OSError(errno.ENOSPC, full)) == full
     assert os_error_text(OSError("no reply")) == "no reply"
+
+
+def test_a_name_with_line_breaks_stays_on_one_line() -> None:
+    error = InputError("s.toml: model: a\nb\x1b[31m\udc80: no such parameter")
+    assert str(error) == r"s.toml: model: a\nb\x1b[31m\udc80: no such parameter"
+    assert str(InputError(f"x: {error}")) == f"x: {error}"
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
 
 
 def test_unknown_names_are_answered_with_the_nearest() -> None:

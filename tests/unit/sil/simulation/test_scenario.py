@@ -292,6 +292,12 @@ def test_very_many_mutated_scenarios(table: dict[str, Any]) -> None:
     check_taken_or_refused(table)
 
 
+def test_a_model_parameter_with_a_line_break_is_refused_in_one_line() -> None:
+    table = {**tomllib.loads(GOOD), "model": {"\n": 0.005}}
+    with pytest.raises(InputError, match=r"^s.toml: model: nominal: \\n: no such parameter"):
+        scenario.from_table(table, "s.toml")
+
+
 @settings(max_examples=200, deadline=None)
 @given(raw=st.binary(max_size=200) | st.sampled_from([b"[" * 5000, b"a=" + b"[" * 3000]))
 def test_any_bytes_are_refused_in_one_line(raw: bytes) -> None:
