@@ -7,7 +7,7 @@ path.  It is the same, bit for bit, for any number of workers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.batch.lane_control import Result
-from plant.batch.lane_steps import FREE_OF, MODES_FREE_OF, WIDTH
-from plant.batch.lanes import MOVING, Batch, Room, room_for_results, run_in_lanes
+from plant.batch.lane_steps import WIDTH
+from plant.batch.lanes import MOVING, Batch, Room, find_covered, room_for_results, run_lanes
 from plant.batch.singles import run_singles
 from plant.effects.setup import Setup
 from plant.integrator.filling import NO_CURVES, filling_curves
@@ -26,8 +26,6 @@ from plant.kernel.packing import Floats, Ints, fresh_modes, scales, state_record
 from plant.systems.stroke import valve_moves
 
 BATCH_TOLERANCE = 1e-6
-NOT_IN_LANES = np.array([getattr(Parameters, name) for name in FREE_OF])
-MODES_NOT_IN_LANES = np.array([getattr(Modes, name) for name in MODES_FREE_OF])
 Bools = NDArray[np.bool_]
 Drive = tuple[Ints, Floats, Floats]
 """Modes, valves and switches of one stroke, as in `Strokes`."""
@@ -140,8 +138,9 @@ class Strokes:
     @property
     def in_lanes(self) -> Bools:
         """Return which strokes [n] the lanes cover (True or False, no unit)."""
-        used = self.packed.take(NOT_IN_LANES, axis=1).any(axis=1)
-        return np.logical_not(used | self.modes.take(MODES_NOT_IN_LANES, axis=1).any(axis=1))
+        covered = np.empty(len(self.packed), dtype=np.bool_)
+        find_covered(self.packed, self.modes, covered)
+        return covered
 
 
 def drive_of(setup: Setup, end_ns: int) -> Drive:
@@ -172,14 +171,15 @@ def shared(arrays: Sequence[NDArray]) -> NDArray:
     return rows[:1] if (rows == rows[:1]).all() else rows
 
 
-def fill_still(out: Floats, strokes: Strokes, columns: Ints, covered: Bools) -> None:
+def fill_still(out: Floats, strokes: Strokes, columns: Iterable[int], covered: Bools) -> None:
     """Write the states that do not move in a lane into samples [n, s, columns] of the covered strokes [n].
 
     In their SI units.
     """
-    for place in np.flatnonzero(columns >= MOVING[strokes.system]):
-        still = np.broadcast_to(strokes.initial[:, columns[place], None], out.shape[:2])
-        out[covered, :, place] = still[covered]
+    for place, column in enumerate(columns):
+        if column >= MOVING[strokes.system]:
+            still = np.broadcast_to(strokes.initial[:, column, None], out.shape[:2])
+            out[covered, :, place] = still[covered]
 
 
 @dataclass(frozen=True)
@@ -261,7 +261,7 @@ def simulate_batch(
         room = Room.of(1, 1)
         inside, outside = order[covered[order]], order[~covered[order]]
         if len(inside):
-            run_in_lanes(batch, found, room, curves, inside, tolerance, strokes.system, False)
+            run_lanes(batch, found, room, curves, inside, tolerance, strokes.system, False)
         if len(outside):
             table = curves if lanes else NO_CURVES
             run_singles(batch, found, room, table, outside, tolerance, strokes.system, False)

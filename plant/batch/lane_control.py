@@ -68,13 +68,13 @@ class Result(Record):
     """What became of one stroke of a batch."""
 
     status: Value  # DONE or why it stopped
-    arrival: Value  # first impact of the stay on a stop: time, speed, energy; nan if none
-    speed: Value
-    energy: Value
     events: Value
     steps: Value
     rejected: Value
     jumps: Value  # rests passed in closed form
+    arrival: Value  # first impact of the stay on a stop: time, speed, energy; nan if none
+    speed: Value
+    energy: Value
 
 
 memory_record = named(Memory)

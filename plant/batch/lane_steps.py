@@ -106,42 +106,53 @@ def lane_of(f, j):
     return lane_record(lane(f, j, WIDTH))
 
 
-lane_fixed_rates = inlined(plain(fixed_rates))
-lane_length_rates = inlined(plain(rates))
-lane_fixed_guards = inlined(plain(fixed_guards))
-lane_length_guards = inlined(plain(guards))
+def rates_over_lanes(rates_of_system, state, parameters):
+    """Return the function that computes the rates of all lanes from a system's equations."""
+    rates_of = inlined(plain(rates_of_system))
+
+    @called
+    def over_lanes(f, fraction, width):
+        for j in range(width):
+            one = lane_of(f, j)
+            rates_of(
+                one.time + fraction * one.step,
+                state(one.stage),
+                state(one.rate),
+                lane_modes(one.modes),
+                one.valve,
+                one.valve_rate,
+                parameters(one.parameters),
+                flow_map(one.flow),
+                False,
+            )
+
+    return over_lanes
 
 
-@inlined
-def fixed_rates_of_lane(one, fraction, p):
-    """Rates of a lane of fixed-piston strokes."""
-    lane_fixed_rates(
-        one.time + fraction * one.step,
-        fixed_state(one.stage),
-        fixed_state(one.rate),
-        lane_modes(one.modes),
-        one.valve,
-        one.valve_rate,
-        p,
-        flow_map(one.flow),
-        False,
-    )
+def guards_over_lanes(guards_of_system, state, may_hide_in_system):
+    """Return the function that computes the lowest guard of all lanes, and what a step may hide."""
+    guards_of = inlined(plain(guards_of_system))
+
+    @called
+    def over_lanes(f, width):
+        for j in range(width):
+            one = lane_of(f, j)
+            m = lane_modes(one.modes)
+            p = lane_parameters(one.parameters)
+            end = state(one.stage)
+            one.lowest = guards_of(one.time + one.step, end, m, p, discarding(lane(f, j, WIDTH)))
+            hides = may_hide_in_system(state(one.y), end, state(one.rate_0), state(one.rate), m, p)
+            one.hides = 1.0 if hides else 0.0
+
+    return over_lanes
 
 
-@inlined
-def length_rates_of_lane(one, fraction, p):
-    """Rates of a lane of length strokes."""
-    lane_length_rates(
-        one.time + fraction * one.step,
-        length_state(one.stage),
-        length_state(one.rate),
-        lane_modes(one.modes),
-        one.valve,
-        one.valve_rate,
-        p,
-        flow_map(one.flow),
-        False,
-    )
+fixed_lanes = rates_over_lanes(fixed_rates, fixed_state, plain_parameters)
+length_lanes = rates_over_lanes(rates, length_state, plain_parameters)
+curved_fixed_lanes = rates_over_lanes(fixed_rates, fixed_state, lane_parameters)
+curved_length_lanes = rates_over_lanes(rates, length_state, lane_parameters)
+fixed_lane_guards = guards_over_lanes(fixed_guards, fixed_state, fixed_may_hide)
+length_lane_guards = guards_over_lanes(guards, length_state, may_hide)
 
 
 @called
@@ -152,60 +163,13 @@ def rates_of_lanes(f, fixed, curved, fraction, width):
     be called for one lane after the other.
     """
     if fixed and curved:
-        for j in range(width):
-            one = lane_of(f, j)
-            fixed_rates_of_lane(one, fraction, lane_parameters(one.parameters))
+        curved_fixed_lanes(f, fraction, width)
     elif fixed:
-        for j in range(width):
-            one = lane_of(f, j)
-            fixed_rates_of_lane(one, fraction, plain_parameters(one.parameters))
+        fixed_lanes(f, fraction, width)
     elif curved:
-        for j in range(width):
-            one = lane_of(f, j)
-            length_rates_of_lane(one, fraction, lane_parameters(one.parameters))
+        curved_length_lanes(f, fraction, width)
     else:
-        for j in range(width):
-            one = lane_of(f, j)
-            length_rates_of_lane(one, fraction, plain_parameters(one.parameters))
-
-
-@called
-def guards_of_lanes(f, fixed, width):
-    """Of all lanes: lowest guard at the end of the step -> lowest, something hidden in it -> hides."""
-    if fixed:
-        for j in range(width):
-            one = lane_of(f, j)
-            m = lane_modes(one.modes)
-            one.lowest = lane_fixed_guards(
-                one.time + one.step,
-                fixed_state(one.stage),
-                m,
-                lane_parameters(one.parameters),
-                discarding(lane(f, j, WIDTH)),
-            )
-            hides = fixed_may_hide(fixed_state(one.rate_0), fixed_state(one.rate), m)
-            one.hides = 1.0 if hides else 0.0
-    else:
-        for j in range(width):
-            one = lane_of(f, j)
-            m = lane_modes(one.modes)
-            p = lane_parameters(one.parameters)
-            one.lowest = lane_length_guards(
-                one.time + one.step,
-                length_state(one.stage),
-                m,
-                p,
-                discarding(lane(f, j, WIDTH)),
-            )
-            hides = may_hide(
-                length_state(one.y),
-                length_state(one.stage),
-                length_state(one.rate_0),
-                length_state(one.rate),
-                m,
-                p,
-            )
-            one.hides = 1.0 if hides else 0.0
+        length_lanes(f, fraction, width)
 
 
 @inlined
@@ -266,7 +230,10 @@ def step_of_lanes(f, fixed, curved, n, tolerance, width):
     stage_6(1.0, y, k, out, count)
     rates_of_lanes(f, fixed, curved, 1.0, width)
     increments(f, RATE, 6, count)
-    guards_of_lanes(f, fixed, width)
+    if fixed:
+        fixed_lane_guards(f, width)
+    else:
+        length_lane_guards(f, width)
     local_error(1.0, k, error, count)
     share = 1.0 / n
     scale = f[SCALE:]

@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plant.batch.lane_control import (
     COPIED,
@@ -26,7 +25,14 @@ from plant.batch.lane_control import (
     prepare,
     result_of,
 )
-from plant.batch.lane_steps import WIDTH, Lane, lane_of, step_of_lanes
+from plant.batch.lane_steps import (
+    FREE_OF,
+    MODES_FREE_OF,
+    WIDTH,
+    Lane,
+    lane_of,
+    step_of_lanes,
+)
 from plant.integrator.filling import FOLLOW_GRID, KNOWN, OWN_STEPS, WRITE_GRID
 from plant.integrator.loop import DONE, EVENT_COLUMNS, STEPPING, Task
 from plant.integrator.workspace import Scratch, scratch_of
@@ -38,12 +44,15 @@ from plant.kernel.layout import (
     FlowMap,
     GridRow,
     LengthState,
+    Modes,
     Parameters,
 )
 from plant.kernel.views import view
 
 ALPHA_V0, FLOW_SIZE, PARAMETERS = Parameters.fields["alpha_v0"].start, FlowMap.size, Parameters.size
-RESULTS = Result.size
+RESULTS, COUNTERS = Result.size, Memory.size
+NOT_IN_LANES = tuple(Parameters.fields[name].start for name in FREE_OF)
+MODES_NOT_IN_LANES = tuple(Modes.fields[name].start for name in MODES_FREE_OF)
 FLAT = Lane.size * WIDTH
 MOVING = (FixedState.p_2 + 1, LengthState.p_f + 1)
 """How many leading states of either system move in a lane."""
@@ -236,7 +245,7 @@ def run_order(batch, found, room, table, order, tolerance, system, n, pace, widt
 
 
 @kernel
-def run_lanes(batch, found, room, table, order, tolerance, system, n, follow, width):
+def run_lanes(batch, found, room, table, order, tolerance, system, follow):
     """Simulate the strokes `order` of a batch, in lanes.
 
     Parameters
@@ -244,10 +253,12 @@ def run_lanes(batch, found, room, table, order, tolerance, system, n, follow, wi
     batch, found, room : `Batch`, `Found`, `Room`
     table : filling curves of the only flow map, to pass rests in closed form; shorter if there are none
     order : int64, numbers of the strokes to simulate
-    system, n : FIXED or LENGTH, and how many leading states move
+    system : FIXED or LENGTH
     follow : True if the first stroke writes the grid and the others take its steps
-    width : WIDTH; as a variable it keeps the compiler from unrolling the lanes
     """
+    n = MOVING[system]
+    # WIDTH; as a variable it keeps the compiler from unrolling the lanes
+    width = room.counters.shape[0] // COUNTERS
     if not follow:
         run_order(batch, found, room, table, order, tolerance, system, n, (OWN_STEPS, 1), width)
         return
@@ -261,15 +272,12 @@ def run_lanes(batch, found, room, table, order, tolerance, system, n, follow, wi
     )
 
 
-def run_in_lanes(
-    batch: Batch,
-    found: Found,
-    room: Room,
-    table: NDArray[np.float64],
-    order: NDArray[np.int64],
-    tolerance: float,
-    system: int,
-    follow: bool,
-) -> None:
-    """Call `run_lanes`; table [TABLE] without unit, order [strokes] numbers of strokes."""
-    run_lanes(batch, found, room, table, order, tolerance, system, MOVING[system], follow, WIDTH)
+@kernel
+def find_covered(packed, modes, covered):
+    """Find which strokes the lanes cover, by their parameters and modes -> covered."""
+    for i in range(len(covered)):
+        covered[i] = True
+        for k in NOT_IN_LANES:
+            covered[i] = covered[i] and packed[i, k] == 0.0
+        for k in MODES_NOT_IN_LANES:
+            covered[i] = covered[i] and modes[min(i, len(modes) - 1), k] == 0

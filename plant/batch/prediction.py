@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from plant.batch.batch import BATCH_TOLERANCE, Drive, Strokes, drive_of
 from plant.batch.singles import MOST_EVENTS
-from plant.batch.tangents import Followers
+from plant.batch.tangents import Followers, to_quotients
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.errors import IntegrationError
@@ -159,8 +159,7 @@ class Predictor:
             pressures = [place for place, column in enumerate(wanted) if column in measured]
             for one, own in zip(setups, samples, strict=True):
                 own[:, pressures] = gauged(one, self._sample_s, own[:, pressures])
-        base = samples[0]
-        rates = samples[1:]
-        rates -= base
-        rates *= (1.0 / np.array(steps)).reshape(-1, 1, 1)
-        return base, [rate if same else None for rate, same in zip(rates, alike[1:], strict=True)]
+        to_quotients(samples.reshape(len(setups), -1), np.array(steps, dtype=np.float64))
+        base, *rates = samples
+        same = alike[1:].tolist()
+        return base, [rate if one else None for rate, one in zip(rates, same, strict=True)]

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from plant.batch.batch import Strokes, fill_still
 from plant.batch.lane_control import Result
-from plant.batch.lanes import Batch, Room, room_for_results, run_in_lanes
+from plant.batch.lanes import Batch, Room, room_for_results, run_lanes
 from plant.batch.singles import run_singles
 from plant.integrator.filling import filling_curves
-from plant.integrator.loop import DONE
+from plant.kernel.compiled import kernel
 from plant.kernel.packing import Floats, scales
 
 MOVE = 1e-6
@@ -54,18 +54,25 @@ class Followers:
         wanted = np.array(columns, dtype=np.int64)
         batch = Batch._make((*strokes.arrays, self._instants, wanted, scales(strokes.system)))
         found = room_for_results(n, states, self._instants.shape[1], len(wanted), 0)
-        run = run_in_lanes if covered[0] else run_singles
+        run = run_lanes if covered[0] else run_singles
         run(
             batch, found, self._room, filling_curves(strokes.flow), np.arange(n), tolerance,
             strokes.system, True,
         )  # fmt: skip
         if covered[0]:
-            fill_still(found.out, strokes, wanted, covered)
-        results = Result(found.results)
-        alike = (
-            (covered == covered[0])
-            & (results.status == DONE)
-            & (results.steps == results.steps[0])
-            & (results.events == results.events[0])
-        )
-        return int(results.status[0]), found.out, alike
+            fill_still(found.out, strokes, columns, covered)
+        same = found.results[:, : Result.rejected]  # status, events and steps
+        alike = (same == same[0]).all(axis=1) & (covered == covered[0])
+        return int(same[0, 0]), found.out, alike
+
+
+@kernel
+def to_quotients(samples, steps):
+    """Turn samples [n + 1, k] of a stroke and its n neighbours into differences from the first, by their steps.
+
+    The first row stays.
+    """
+    for i in range(len(steps)):
+        per_step = 1.0 / steps[i]
+        for k in range(samples.shape[1]):
+            samples[i + 1, k] = (samples[i + 1, k] - samples[0, k]) * per_step

@@ -97,8 +97,8 @@ def may_hide(y, y1, rate0, rate1, m, p):
 
 
 @inlined
-def fixed_may_hide(rate0, rate1, m):
-    """Return True if `hidden_turn` may find something in a step of the fixed piston."""
+def fixed_may_hide(y, y1, rate0, rate1, m, p):
+    """Return the same for a step of the fixed piston."""
     d = m.stay
     return d != 0 and dips(d * rate0.v, d * rate1.v)
 
