@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sil.files.html_table import html_table
-from sil.files.quantity import quantity
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,9 +23,7 @@ if TYPE_CHECKING:
     from sil.campaign.simulate import SimulatedStroke
     from sil.diagnosis.diagnosis import Diagnosis
     from sil.log_replay.replay import ReplayResult
-    from sil.recording.run_record import BusFrame
-    from sil.simulation.metrics import Shift
-    from sil.simulation.results import Check
+    from sil.simulation.in_memory import Run
 
 Where = str | Path
 Value = float | int | bool | str
@@ -36,65 +33,6 @@ Settings = Mapping[str, Value] | Sequence[str]
 
 ROWS_SHOWN = 20
 """Rows of a sweep that a notebook shows."""
-
-
-@dataclass(frozen=True)
-class Run:
-    """A finished run.
-
-    Attributes
-    ----------
-    passed : bool
-        Whether all expectations of the scenario were met.
-    checks : list of Check
-        The expectations with their values and limits.
-    metrics : dict
-        The metrics of result.json.
-    shifts : list of Shift
-        The instants and figures of each shift.
-    signals : dict of arrays [n]
-        The plant's true states and valves by name, over signals["time_s"]; units as in the names.
-    estimate : two arrays [m]
-        Times in s and positions in m that the controller reported.
-    frames : sequence of BusFrame
-        All frames in order of arrival.
-    trace_sha256 : str
-        The hash of all frames and of the plant's trace.
-    warnings : list of str
-        What is likely to be a mistake in the scenario.
-    """
-
-    passed: bool
-    checks: list[Check]
-    metrics: dict[str, Any]
-    shifts: list[Shift]
-    signals: dict[str, NDArray[np.float64]]
-    estimate: tuple[NDArray[np.float64], NDArray[np.float64]]
-    frames: Sequence[BusFrame]
-    trace_sha256: str
-    warnings: list[str]
-
-    def __repr__(self) -> str:
-        met = sum(check.passed for check in self.checks)
-        time = quantity(self.metrics["shift_time_s"], "s")
-        return (
-            f"Run({'passed' if self.passed else 'failed'}, {met} of {len(self.checks)} checks met, "
-            f"{len(self.shifts)} shifts in {time}, {len(self.frames)} frames, "
-            f"trace {self.trace_sha256[:12]})"
-        )
-
-    def _repr_html_(self) -> str:
-        checks = (
-            ("met" if check.passed else "not met", check.name, quantity(check.value, check.unit))
-            for check in self.checks
-        )
-        return html_table(repr(self), ("", "expectation", "found"), checks)
-
-    def to_pandas(self) -> pandas.DataFrame:
-        """Return the signals as a table over time_s. Needs pandas."""
-        import pandas
-
-        return pandas.DataFrame(self.signals).set_index("time_s")
 
 
 @dataclass(frozen=True)
@@ -180,18 +118,7 @@ def run(
         loaded = scenarios.from_table(scenario, "scenario", **options)
     else:
         loaded = scenarios.load(str(scenario), **options)
-    done = run_in_memory(loaded)
-    return Run(
-        passed=all(check.passed for check in done.checks),
-        checks=done.checks,
-        metrics=done.figures,
-        shifts=done.shifts,
-        signals=dict(done.record.truth),
-        estimate=done.record.estimate,
-        frames=list(done.record.frames),
-        trace_sha256=done.trace_sha256,
-        warnings=scenarios.contradictions(loaded.scenario),
-    )
+    return run_in_memory(loaded)
 
 
 def simulate(

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from sil.api import Run
+    from sil.simulation.in_memory import Run
     from sil.simulation.results import Check
     from sil.simulation.scenario import Loaded
 

@@ -15,7 +15,7 @@ from plant.parameters import ParameterSet, load
 from plant.systems.setup import make_setup
 from plant.systems.stroke import Stroke, run_setup
 from sil.campaign.campaign import Floats
-from sil.simulation.in_memory import MemoryRun, run_in_memory
+from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.scenario import load as load_scenario
 
 SUPPLY_PA = 900000.0
@@ -72,7 +72,7 @@ def plain(kind: str) -> Stroke:
 
 
 @cache
-def loop(name: str, *settings: str) -> MemoryRun:
+def loop(name: str, *settings: str) -> Run:
     """Return a shipped scenario run in memory."""
     return run_in_memory(load_scenario(name, settings=list(settings)))
 

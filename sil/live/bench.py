@@ -34,7 +34,7 @@ from sil.report.live_figure import bound_figure, comparison_figure
 from sil.report.plots import content, rounded
 from sil.report.run_figure import run_figure
 from sil.simulation import scenario as scenarios
-from sil.simulation.in_memory import MemoryRun, run_in_memory
+from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.scenario import Loaded, Request, Scenario
 from sil.simulation.scenario_text import scenario_toml
 from sil.studies.kinds.bounds import SHIPPED as STORED_BOUNDS
@@ -137,7 +137,7 @@ def run_shift(asked: Asked, known: Mapping[str, str]) -> dict[str, Any]:
         "trace": dict(_trace(record)),
         "frames": list(_frames(record)),
         "requests": msgspec.to_builtins(made.scenario.request),
-        "metrics": _metrics([done.figures]),
+        "metrics": _metrics([done.metrics]),
         "plots": content(stacks[0]),
     }
 
@@ -148,13 +148,13 @@ def compare(before: Asked, after: Asked, known: Mapping[str, str]) -> dict[str, 
     figure = comparison_figure(first[1], second[1])
     return {
         **_again(after, *second),
-        "metrics": _metrics([first[1].figures, second[1].figures]),
+        "metrics": _metrics([first[1].metrics, second[1].metrics]),
         "plots": content(figure.stacks[0]),
         "bounds": content(_among_bounds(second[0], [first[1], second[1]]).stacks[0]),
     }
 
 
-def _among_bounds(made: Loaded, runs: Sequence[MemoryRun]) -> Figure:
+def _among_bounds(made: Loaded, runs: Sequence[Run]) -> Figure:
     """Return the runs in the figure of the bounds, for the stored hardware whose valves are nearest."""
     valves = [made.parameters.value(f"valve.{name}") for name in ("D_rise", "D_fall")]
     nearest = min(_bounds(), key=lambda stored: abs(np.log(np.divide(stored, valves))).sum())
@@ -181,12 +181,12 @@ def json_of(asked: Asked) -> bytes:
 
 
 @functools.lru_cache(CACHED)
-def _cached(asked: bytes, known: tuple[tuple[str, str], ...]) -> tuple[Loaded, MemoryRun]:
+def _cached(asked: bytes, known: tuple[tuple[str, str], ...]) -> tuple[Loaded, Run]:
     made = loaded(msgspec.json.decode(asked, type=Asked), dict(known))
     return made, run_in_memory(made)
 
 
-def _again(asked: Asked, made: Loaded, done: MemoryRun) -> dict[str, Any]:
+def _again(asked: Asked, made: Loaded, done: Run) -> dict[str, Any]:
     """Return what makes the same run without the page, and its hash."""
     changed = asked.requests is not None or asked.faults or asked.duration_s is not None
     words = ["opc4", "run", asked.scenario]

@@ -20,7 +20,7 @@ from can_dbc.messages import ControllerStatus, Fault
 from sil.log_replay.truck_shift import SYNCHRONISED_RAD_S, RecordedShift, peak_rate
 from sil.report.figure import Floats
 from sil.simulation import scenario
-from sil.simulation.in_memory import MemoryRun, run_in_memory
+from sil.simulation.in_memory import Run, run_in_memory
 
 REQUEST_S: Final = 0.4
 """Simulated time of our request: the firmware is ready, and a request frame is due."""
@@ -232,7 +232,7 @@ def simulate(
 
 
 def _measured(
-    recorded: RecordedShift, run: MemoryRun, offset_s: float, block_m: float, n_s_per_rad_s: float
+    recorded: RecordedShift, run: Run, offset_s: float, block_m: float, n_s_per_rad_s: float
 ) -> OurShift:
     truth, figures = run.record.truth, run.shifts[0]
     time, position = truth["time_s"], truth["position_m"]

@@ -10,13 +10,13 @@ import numpy as np
 from sil.recording.run_record import CHAMBERS
 from sil.report.figure import BAR, MM, MS, Figure, Note, Panel, Rule, Series, Span, Stack, Zoom
 from sil.report.run_figure import shift_zooms, valve_spans
-from sil.simulation.in_memory import MemoryRun
+from sil.simulation.in_memory import Run
 
 MOST_POINTS = 900
 """Points of a line: as many as a screen has, so that a change is drawn at once."""
 
 
-def comparison_figure(before: MemoryRun, after: MemoryRun) -> Figure:
+def comparison_figure(before: Run, after: Run) -> Figure:
     """Return the figure of two runs: the first dashed, the second in full colours."""
     zooms = [zoom for run in (before, after) for zoom in shift_zooms(run.record, run.shifts)]
     low, high = min(zoom.low for zoom in zooms), max(zoom.high for zoom in zooms)
@@ -42,7 +42,7 @@ def comparison_figure(before: MemoryRun, after: MemoryRun) -> Figure:
 
 
 def bound_figure(
-    runs: Sequence[MemoryRun], bounds: Sequence[Mapping[str, float]], hardware: str
+    runs: Sequence[Run], bounds: Sequence[Mapping[str, float]], hardware: str
 ) -> Figure:
     """Return the figure of runs among the softest stops found for what a controller knows, and when.
 
@@ -55,7 +55,7 @@ def bound_figure(
     series = [Series(f"softest found, {hardware}", delays, found, "N", "marked")]
     notes = []
     for run, label, role in zip(runs, ("before", "now"), ("faint", "estimate"), strict=True):
-        lag_s, impact_m_s = (run.figures[k] for k in ("position_lag_10_s", "impact_speed_m_s"))
+        lag_s, impact_m_s = (run.metrics[k] for k in ("position_lag_10_s", "impact_speed_m_s"))
         if lag_s is not None and impact_m_s is not None:
             notes.append(Note(lag_s * MS, impact_m_s, f"\u25cf {label}", role, "left", bold=True))
     rules = [
@@ -68,7 +68,7 @@ def bound_figure(
 
 
 def _lines(
-    run: MemoryRun, low: float, high: float, *, before: bool
+    run: Run, low: float, high: float, *, before: bool
 ) -> tuple[list[Series], list[Series], list[Series]]:
     """Return positions, speed and pressures of a run between two instants in ms."""
     truth, (at_s, estimate_m) = run.record.truth, run.record.estimate
@@ -95,7 +95,7 @@ def _lines(
     )
 
 
-def _valves(before: MemoryRun, after: MemoryRun) -> Panel:
+def _valves(before: Run, after: Run) -> Panel:
     spans, ticks = [], []
     for lane, chamber in enumerate(reversed(CHAMBERS)):
         for run, low, high, style in (

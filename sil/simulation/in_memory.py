@@ -7,11 +7,11 @@ Checked by: tests/unit/sil/simulation/test_in_memory.py
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,27 +21,34 @@ from sil.coupling.clock import to_ns
 from sil.coupling.faults import FaultPlan
 from sil.coupling.lockstep import Lockstep
 from sil.coupling.transports.channel import InProcess, Participant
+from sil.files.html_table import html_table
+from sil.files.quantity import quantity
 from sil.recording.recorder import hashed_frame, run_sha256, trace_header
-from sil.recording.run_record import BusFrame, PlantEvent, RunRecord
+from sil.recording.run_record import BusFrame, Floats, PlantEvent, RunRecord
 from sil.simulation import build, metrics
 from sil.simulation.closed_loop_kernel import run_quickly
-from sil.simulation.expectations import Expectations, Observed, evaluate
+from sil.simulation.expectations import Observed, evaluate
 from sil.simulation.results import Check
-from sil.simulation.scenario import Loaded, Scenario
+from sil.simulation.scenario import Loaded, Scenario, contradictions
 from sil.simulation.unit_memory import content
+
+if TYPE_CHECKING:
+    import pandas
 
 ROWS_AT_ONCE = 1 << 14
 """Trace rows that are made together: they are read only after the run."""
 
 
-@dataclass
-class MemoryRun:
-    """A finished run: record, shifts, metrics, balances."""
+@dataclass(frozen=True)
+class Run:
+    """A finished run of `scenario`."""
 
-    expected: Expectations
+    scenario: Scenario
     record: RunRecord
+    """The plant's true states, its events and every frame."""
     shifts: list[metrics.Shift]
-    figures: dict[str, Any]
+    metrics: dict[str, Any]
+    """The metrics of result.json."""
     balances: dict[str, Any]
     rows: np.ndarray
     memory: bytes
@@ -49,17 +56,64 @@ class MemoryRun:
 
     @cached_property
     def checks(self) -> list[Check]:
-        """The expectations of the scenario with their values."""
-        return evaluate(self.expected, Observed(self.record), self.shifts, self.figures)
+        """The expectations of the scenario with their values and limits."""
+        return evaluate(self.scenario.expect, Observed(self.record), self.shifts, self.metrics)
+
+    @property
+    def passed(self) -> bool:
+        """Whether all expectations of the scenario were met."""
+        return all(check.passed for check in self.checks)
+
+    @property
+    def signals(self) -> Mapping[str, Floats]:
+        """The plant's true states and valves by name, [n] over signals["time_s"], SI units."""
+        return self.record.truth
+
+    @property
+    def estimate(self) -> tuple[Floats, Floats]:
+        """Times [m] in s, and the positions [m] in m that the controller reported."""
+        return self.record.estimate
+
+    @property
+    def frames(self) -> Collection[BusFrame]:
+        """All frames in order of arrival."""
+        return self.record.frames
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is likely to be a mistake in the scenario."""
+        return contradictions(self.scenario)
 
     @cached_property
     def trace_sha256(self) -> str:
-        """The run's hash, as `opc4 run` gives it."""
+        """The hash of all frames and of the plant's trace, as `opc4 run` gives it."""
         digest = hashlib.sha256()
         for entry in self.record.frames:
             digest.update(hashed_frame(entry.arrival_ns, entry.frame))
         pieces = [trace_header(list(self.record.truth)), self.rows.tobytes()]
         return run_sha256(digest.digest(), pieces)
+
+    def __repr__(self) -> str:
+        met = sum(check.passed for check in self.checks)
+        time = quantity(self.metrics["shift_time_s"], "s")
+        return (
+            f"Run({'passed' if self.passed else 'failed'}, {met} of {len(self.checks)} checks met, "
+            f"{len(self.shifts)} shifts in {time}, {len(self.frames)} frames, "
+            f"trace {self.trace_sha256[:12]})"
+        )
+
+    def _repr_html_(self) -> str:
+        checks = (
+            ("met" if check.passed else "not met", check.name, quantity(check.value, check.unit))
+            for check in self.checks
+        )
+        return html_table(repr(self), ("", "expectation", "found"), checks)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return the signals as a table over time_s. Needs pandas."""
+        import pandas
+
+        return pandas.DataFrame(self.signals).set_index("time_s")
 
 
 class _TraceRows(list[np.ndarray]):
@@ -68,10 +122,10 @@ class _TraceRows(list[np.ndarray]):
     write = list.append
 
 
-def run_in_memory(loaded: Loaded, memory: bytes | None = None) -> MemoryRun:
+def run_in_memory(loaded: Loaded, memory_before: bytes | None = None) -> Run:
     """Run a scenario as `opc4 run --transport inproc` does; nothing is written.
 
-    `memory`: of the firmware at power-on; if not given, the scenario's.
+    `memory_before`: of the firmware at power-on; if not given, the scenario's.
     Raises InputError if the scenario is not valid, RunError if a participant fails.
     """
     from plant.node import PlantNode, trace_columns
@@ -91,7 +145,7 @@ def run_in_memory(loaded: Loaded, memory: bytes | None = None) -> MemoryRun:
     )
     unit = None
     if not scenario.firmware:
-        held = content(scenario.memory) if memory is None else memory
+        held = content(scenario.memory) if memory_before is None else memory_before
         unit = Firmware(scenario.controller, held)
     participants = [
         node if name == "plant" else build.make_participant(name, loaded, Path(), unit)
@@ -114,15 +168,9 @@ def run_in_memory(loaded: Loaded, memory: bytes | None = None) -> MemoryRun:
     found = metrics.shifts(record, build.gear_of(scenario.initial_gear))
     balances = next((dict(e.values) for e in events if e.name == "balance"), {})
     switchings = metrics.valve_switchings(record)
-    return MemoryRun(
-        expected=scenario.expect,
-        record=record,
-        shifts=found,
-        figures=metrics.summary(found, balances.get("air_in_kg"), switchings, len(frames)),
-        balances=balances,
-        rows=rows,
-        memory=b"" if unit is None else unit.memory,
-    )
+    figures = metrics.summary(found, balances.get("air_in_kg"), switchings, len(frames))
+    memory = b"" if unit is None else unit.memory
+    return Run(scenario, record, found, figures, balances, rows, memory)
 
 
 def _coordinated(

@@ -8,13 +8,13 @@ import pytest
 from can_dbc.errors import InputError
 from plant.parameters import load as load_set
 from plant.parameters import parse
-from sil.simulation.in_memory import MemoryRun, run_in_memory
+from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.scenario import load
 
 JOINED = "length.F_bond=1e6"
 
 
-def shift(name: str, *settings: str) -> MemoryRun:
+def shift(name: str, *settings: str) -> Run:
     return run_in_memory(load(name, settings=["duration_s=0.4", *settings]))
 
 

@@ -9,20 +9,20 @@ import pytest
 
 from sil.claims.claim import MET, PARTLY, check, chosen
 from sil.report.run_figure import run_figure
-from sil.simulation.in_memory import MemoryRun, run_in_memory
+from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.runner import run
 from sil.simulation.scenario import load
 
 
-def shift(*settings: str) -> MemoryRun:
+def shift(*settings: str) -> Run:
     return run_in_memory(load("lab_n_b", settings=["plant.drive=coil", *settings]))
 
 
-def instants(found: MemoryRun, name: str) -> list[float]:
+def instants(found: Run, name: str) -> list[float]:
     return [event.time_s for event in found.record.events if event.name == name]
 
 
-def closing_s(found: MemoryRun) -> float:
+def closing_s(found: Run) -> float:
     (off,), (closed,) = instants(found, "coil_B_off"), instants(found, "valve_B_close")
     return closed - off
 

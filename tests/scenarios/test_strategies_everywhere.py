@@ -40,7 +40,7 @@ def test_same_bits_in_its_own_process_over_vcan(name: str, tmp_path: Path) -> No
     memory = run_in_memory(loaded)
     finished = runner.run(loaded, tmp_path, transport="vcan0")
     assert memory.shifts[-1].arrived_s is not None
-    assert finished.result.metrics == memory.figures
+    assert finished.result.metrics == memory.metrics
     assert finished.result.trace_sha256 == memory.trace_sha256
 
 

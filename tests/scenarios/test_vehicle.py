@@ -30,7 +30,7 @@ from sil.j1939.transport import Assembler
 from sil.logs.frame import LogFrame
 from sil.report.run_figure import run_figure
 from sil.report.vehicle_figure import without_torque
-from sil.simulation.in_memory import MemoryRun, run_in_memory
+from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.runner import run
 from sil.simulation.scenario import load
 
@@ -39,16 +39,16 @@ RPM = 30.0 / np.pi
 
 
 @pytest.fixture(scope="module")
-def found() -> MemoryRun:
+def found() -> Run:
     return run_in_memory(load(NAME))
 
 
-def first_s(of: MemoryRun, kind: type, field: str, value: object) -> float:
+def first_s(of: Run, kind: type, field: str, value: object) -> float:
     times, values = of.record.series(kind, field)
     return float(times[[v == value for v in values].index(True)])
 
 
-def test_order_of_a_shift_from_torque_to_torque(found: MemoryRun) -> None:
+def test_order_of_a_shift_from_torque_to_torque(found: Run) -> None:
     ((begin, back),) = without_torque(found.record)
     times, torques = found.record.series(Eec1, "torque")
     order = {
@@ -69,7 +69,7 @@ def test_order_of_a_shift_from_torque_to_torque(found: MemoryRun) -> None:
     assert found.record.series(Tsc1, "mode")[1].count(OverrideMode.NONE) == 1
 
 
-def test_rates_are_those_of_j1939(found: MemoryRun) -> None:
+def test_rates_are_those_of_j1939(found: Run) -> None:
     for kind, period_s in (
         (Etc1, 0.01),
         (Etc2, 0.1),
@@ -82,7 +82,7 @@ def test_rates_are_those_of_j1939(found: MemoryRun) -> None:
         assert np.diff(times) == pytest.approx(period_s, abs=0.003), kind
 
 
-def test_ratios_speeds_and_pressure_agree(found: MemoryRun) -> None:
+def test_ratios_speeds_and_pressure_agree(found: Run) -> None:
     _, into = found.record.series(Etc1, "input_shaft_rad_s")
     times, out = found.record.series(Etc1, "output_shaft_rad_s")
     ratio = np.array([i / o if i and o else np.nan for i, o in zip(into, out, strict=True)])
@@ -100,7 +100,7 @@ def test_ratios_speeds_and_pressure_agree(found: MemoryRun) -> None:
 
 
 def test_engine_without_requests_leaves_the_synchronizer_the_whole_difference(
-    found: MemoryRun,
+    found: Run,
 ) -> None:
     lost = run_in_memory(load(NAME, settings=["driveline.follows_requests=false"]))
     assert lost.shifts[0].arrived_s == pytest.approx(found.shifts[0].arrived_s, abs=0.1)
@@ -114,7 +114,7 @@ def test_engine_without_requests_leaves_the_synchronizer_the_whole_difference(
     assert "sync_block" not in {e.name for e in found.record.events} or _held_s(found) < 0.01
 
 
-def _held_s(of: MemoryRun) -> float:
+def _held_s(of: Run) -> float:
     times = {e.name: e.time_s for e in of.record.events}
     return times["sync_unblock"] - times["sync_block"]
 
@@ -133,7 +133,7 @@ def test_replay_finds_the_shift_and_no_difference(
     assert "no difference in 300 ticks" in capsys.readouterr().out
 
 
-def test_picture_has_torque_speed_gear_and_stay(found: MemoryRun) -> None:
+def test_picture_has_torque_speed_gear_and_stay(found: Run) -> None:
     figure = run_figure(found.record, found.shifts)
     titles = [panel.title for panel in figure.stacks[0].panels]
     assert titles[:4] == ["Engine torque", "Engine speed", "Gear (ETC2)", "Position"]
@@ -144,14 +144,14 @@ def test_picture_has_torque_speed_gear_and_stay(found: MemoryRun) -> None:
     assert run_figure(plain.record, plain.shifts).stacks[0].panels[0].title == "Position"
 
 
-def logged(of: MemoryRun) -> list[LogFrame]:
+def logged(of: Run) -> list[LogFrame]:
     return [
         LogFrame(entry.arrival_ns, entry.frame.can_id, entry.frame.data)
         for entry in of.record.frames
     ]
 
 
-def test_addresses_are_claimed_and_no_fault_is_active(found: MemoryRun) -> None:
+def test_addresses_are_claimed_and_no_fault_is_active(found: Run) -> None:
     sent = [(split_id(frame.can_id), frame) for frame in logged(found)]
     claims = [(parts.source, frame) for parts, frame in sent if parts.pgn == PGN_CLAIM]
     assert [source for source, _ in claims] == [0, 3, 5, 48]

@@ -26,7 +26,7 @@ from sil.coupling.clock import NS_PER_S
 from sil.coupling.frame_bits import frame_bits
 from sil.recording.run_record import BusFrame
 from sil.report.figure import MS, Figure, Note, Panel, Span, Stack
-from sil.simulation.in_memory import MemoryRun, run_in_memory
+from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.scenario import Loaded
 from sil.studies.figures import numbered, row_labels
 from sil.studies.rows import FAILED, RowResult
@@ -115,7 +115,7 @@ def filling_simulated_s(parameters: ParameterSet, supply_pa: float, rise_pa: flo
     return float(np.interp(parameters.value("gas.P_atm") + rise_pa, pressure_pa, times))
 
 
-def _report_age_s(run: MemoryRun, parameters: ParameterSet) -> float:
+def _report_age_s(run: Run, parameters: ParameterSet) -> float:
     """Return the time from a pulse's measurement to the release of its report, read from the run.
 
     The report whose position moved most is searched in the true positions.

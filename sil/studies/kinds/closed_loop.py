@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from can_dbc.messages import ControllerStatus, Fault
 from sil.report.figure import Figure
 from sil.simulation import safety
-from sil.simulation.in_memory import MemoryRun, run_in_memory
+from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.scenario import Loaded
 from sil.studies.fault_table import fault_table, outcomes_figure
 from sil.studies.figures import swept_figures
@@ -52,8 +52,8 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     last = done.shifts[-1] if done.shifts else None
     overshoot, oscillations = _after_arrival(done.record.truth, last.arrived_s if last else None)
     reason = _why_not_done(done, loaded)
-    found = {name: math.nan if done.figures[name] is None else float(done.figures[name])
-             for name in COLUMNS if name in done.figures}  # fmt: skip
+    found = {name: math.nan if done.metrics[name] is None else float(done.metrics[name])
+             for name in COLUMNS if name in done.metrics}  # fmt: skip
     found |= {"overshoot_m": overshoot, "oscillations": oscillations, "failed": float(bool(reason))}
     outcome = FAILED if reason else PASSED
     if study.study.safety:
@@ -64,7 +64,7 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     return RowResult({name: found[name] for name in columns(study)}, outcome, reason)
 
 
-def _why_not_done(done: MemoryRun, loaded: Loaded) -> str:
+def _why_not_done(done: Run, loaded: Loaded) -> str:
     """Return why the last shift of a run was not done, empty if it was."""
     if not done.shifts:
         return "the driver requested no shift"

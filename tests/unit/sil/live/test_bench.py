@@ -15,9 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
-from sil.api import Run, run
+from sil.api import run
 from sil.live import bench
 from sil.live.bench import SLIDERS, Asked
+from sil.simulation.in_memory import Run
 from sil.simulation.scenario import Request, shipped
 
 KNOWN = {name: name for name in shipped()}

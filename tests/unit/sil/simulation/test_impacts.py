@@ -8,7 +8,7 @@ import pytest
 from can_dbc.messages import Gear
 from sil.simulation import metrics, scenario
 from sil.simulation.impacts import counted, worst_speed_m_s
-from sil.simulation.in_memory import MemoryRun, run_in_memory
+from sil.simulation.in_memory import Run, run_in_memory
 from tests.unit.sil import made_run
 
 BLOW_INSIDE = [
@@ -22,7 +22,7 @@ BLOW_INSIDE = [
 
 
 @pytest.fixture(scope="module")
-def cushion() -> MemoryRun:
+def cushion() -> Run:
     return run_in_memory(scenario.load("strategy_air_cushion", settings=BLOW_INSIDE))
 
 
@@ -45,7 +45,7 @@ def test_the_hardest_impact_as_a_speed_of_the_stay() -> None:
     assert worst_speed_m_s(np.array(0.0), np.array(0.2), 1.1) == 0.2
 
 
-def test_a_blow_inside_is_counted(cushion: MemoryRun) -> None:
+def test_a_blow_inside_is_counted(cushion: Run) -> None:
     shift = cushion.shifts[0]
     assert shift.impact_energy_j == pytest.approx(0.0106, abs=1e-4)
     assert shift.impact_worst_energy_j == pytest.approx(0.281, abs=1e-3)
@@ -59,7 +59,7 @@ def test_a_blow_inside_is_counted(cushion: MemoryRun) -> None:
     assert pick_up_j == pytest.approx(0.1197, abs=1e-3)
 
 
-def test_a_gear_confirmed_before_the_stay_arrives_fails_the_scenario(cushion: MemoryRun) -> None:
+def test_a_gear_confirmed_before_the_stay_arrives_fails_the_scenario(cushion: Run) -> None:
     assert cushion.shifts[0].confirmed_early_s == pytest.approx(0.0138, abs=5e-4)
     failed = {check.name for check in cushion.checks if not check.passed}
     assert "confirmed before arrival" in failed
