@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Generator, Iterator
-from typing import Final, NamedTuple
+from typing import Final
 
 from can_dbc.errors import InputError
 from sil.logs.format import ZONE_NOTE, Batch, Format, time_base
@@ -94,36 +94,6 @@ _FRAME_TYPES: Final = {
 SystemTime = tuple[int, int, int, int, int, int, int, int]
 
 
-class Broken(NamedTuple):
-    """Bytes that are no object: why, and how many were passed over."""
-
-    reason: str
-    passed: int
-
-
-class Other(NamedTuple):
-    """An object that is no CAN frame."""
-
-    name: str
-
-
-class Container(NamedTuple):
-    """A container as a whole (of one that is cut off, what there is) and the size of its header."""
-
-    data: bytes
-    header_size: int
-    whole: bool = True
-
-
-class Unfinished(NamedTuple):
-    """The data ends inside an object that begins here."""
-
-    start: int
-
-
-Item = LogFrame | Other | Container | Broken | Unfinished
-
-
 def read_systemtime(fields: SystemTime) -> int:
     """Nanoseconds since 1970 of a Windows SYSTEMTIME (taken as UTC); 0 for none."""
     year, month, _weekday, day, hour, minute, second, milliseconds = fields
@@ -168,54 +138,6 @@ def plausible_header(data: bytes | memoryview, pos: int) -> str | None:
     return None
 
 
-def objects(data: bytes, start_ns: int) -> Iterator[Item]:
-    """Yield what is in data, in order; at most one `Unfinished`, as the last."""
-    return (item for _, item in _located(data, start_ns))
-
-
-def _located(data: bytes, start_ns: int) -> Iterator[tuple[int, Item]]:
-    """Yield what is in data, in order, and where it begins."""
-    pos, end = 0, len(data)
-    while True:
-        for frame in _run_of_plain(data, pos, start_ns):
-            yield pos, frame
-            pos += PLAIN.size
-        begin, found = pos, data.find(b"LOBJ", pos, pos + 8)
-        if found < 0 and end - pos < 8:
-            if data[pos:].strip(b"\x00"):
-                yield pos, Unfinished(pos)
-            return
-        problem: str | None = "no object begins here"
-        if found >= 0:
-            pos = found
-            if end - pos < OBJECT.size:
-                yield pos, Unfinished(pos)
-                return
-            problem = plausible_header(data, pos)
-        if problem is not None:
-            pos = _next_object(data, pos + (4 if found >= 0 else 0))
-            yield begin, Broken(problem, pos - begin)
-            continue
-        _, header_size, version, size, kind = OBJECT.unpack_from(data, pos)
-        if pos + size > end:
-            yield pos, Unfinished(pos)
-            return
-        if kind == TYPE_CONTAINER:
-            yield pos, Container(data[pos : pos + size], header_size)
-        elif kind not in _FRAME_TYPES:
-            yield pos, _other(kind)
-        else:
-            times = TIMES_V1 if version == 1 else TIMES_V2
-            flags, _, _, ticks = times.unpack_from(data, pos + OBJECT.size)
-            tick_ns = TICK_NS.get(flags & 3)
-            if tick_ns is None:
-                yield pos, Broken(f"time flag {flags}", size)
-            else:
-                body = data[pos + header_size : pos + size]
-                yield pos, _frame(kind, body, start_ns + ticks * tick_ns, header_size)
-        pos += size
-
-
 def _run_of_plain(data: bytes, pos: int, start_ns: int) -> Iterator[LogFrame]:
     """Yield classic data frames, one after the other, as long as there is nothing else."""
     end = pos + (len(data) - pos) // PLAIN.size * PLAIN.size
@@ -241,14 +163,15 @@ def _next_object(data: bytes, pos: int) -> int:
     return len(data) - next((n for n in (3, 2, 1) if data.endswith(b"LOBJ"[:n])), 0)
 
 
-def _other(kind: int) -> Other:
-    if kind in _LIN_TYPES:
-        return Other("LIN event")
-    return Other(OTHER_TYPES.get(kind, f"BLF object of type {kind}"))
+def _name(kind: int) -> str:
+    """Return the name of objects that are no CAN frames."""
+    return (
+        "LIN event" if kind in _LIN_TYPES else OTHER_TYPES.get(kind, f"BLF object of type {kind}")
+    )
 
 
-def _frame(kind: int, body: bytes, time_ns: int, header_size: int) -> LogFrame | Broken:
-    """Return the frame of an object."""
+def _frame(kind: int, body: bytes, time_ns: int, header_size: int) -> LogFrame:
+    """Return the frame of an object. Raises ValueError for one that no bus can carry."""
     if kind in (TYPE_CAN, TYPE_CAN_2):
         channel, flags, dlc, word, data = CAN.unpack_from(body)
         frame = _built(time_ns, word, data[:dlc], channel, flags & 0x0F, dlc, bool(flags & REMOTE))
@@ -273,8 +196,9 @@ def _frame(kind: int, body: bytes, time_ns: int, header_size: int) -> LogFrame |
         fd = kind == TYPE_CAN_FD_ERROR_64
         channel = (CAN_FD_ERROR_64 if fd else CAN_ERROR_OLD).unpack_from(body)[0]
         frame = LogFrame(time_ns, 0, b"", False, error=True, fd=fd, channel=str(channel))
-    problem = frame_problem(frame)
-    return frame if problem is None else Broken(problem, len(body))
+    if problem := frame_problem(frame):
+        raise ValueError(f"{problem}, {len(body)} bytes left out")
+    return frame
 
 
 def _built(
@@ -322,48 +246,78 @@ class BlfReader:
         data = b""
         while block := self._source.read(max(_BLOCK, len(data))):
             data += block
-            rest = yield from self._take(data, offset)
+            rest = yield from self._objects(data, offset)
             data, offset = data[rest:], offset + rest
-        if data:
-            yield from self._cut_off(data, offset)
-            offset += len(data)
+        if len(data) >= OBJECT.size and OBJECT.unpack_from(data)[::4] == (b"LOBJ", TYPE_CONTAINER):
+            yield from self._inside(data, offset, whole=False)
+        elif data:
+            report.cut(Location("the log ends inside an object", byte=offset))
+        offset += len(data)
         if self._tail.strip(b"\x00"):
             report.cut(Location("the log ends inside an object", byte=offset))
         if stated_size > offset:
             reason = f"the header states {stated_size} bytes, more than there are"
             report.cut(Location(reason, byte=offset))
 
-    def _take(
-        self, data: bytes, offset: int, container: int | None = None
-    ) -> Generator[Batch, None, int]:
+    def _objects(self, data: bytes, offset: int, container: int = 0) -> Generator[Batch, None, int]:
         """Yield the frames in data; return where the last object begins if it is not whole.
 
-        offset: of the data in the file. container: that of the container that the data are from.
+        offset: of the data in the file. container: that of the container that the data are from; 0: they are from none.
         """
-        rest = len(data)
         frames: list[LogFrame] = []
         locations: list[int] = []
-        for pos, item in _located(data, self._start_ns):
-            location = offset + pos if container is None else container
-            if isinstance(item, LogFrame):
-                frames.append(item)
-                locations.append(location)
-            elif isinstance(item, Unfinished):
-                rest = item.start
-            elif isinstance(item, Container) and container is None:
+        pos, end = 0, len(data)
+        while True:
+            for frame in _run_of_plain(data, pos, self._start_ns):
+                frames.append(frame)
+                locations.append(container or offset + pos)
+                pos += PLAIN.size
+            begin, found = pos, data.find(b"LOBJ", pos, pos + 8)
+            if found < 0 and end - pos < 8:
+                pos = pos if data[pos:].strip(b"\x00") else end
+                break
+            pos = max(pos, found)
+            if found >= 0 and end - pos < OBJECT.size:
+                break
+            problem = plausible_header(data, pos) if found >= 0 else "no object begins here"
+            location = container or offset + (pos if problem is None else begin)
+            if problem is not None:
+                pos = _next_object(data, pos + (4 if found >= 0 else 0))
+                self._skip(f"{problem}, {pos - begin} bytes left out", location, container)
+                continue
+            header_size, version, size, kind = OBJECT.unpack_from(data, pos)[1:]
+            if pos + size > end:
+                break
+            body = data[pos : pos + size]
+            pos += size
+            if kind == TYPE_CONTAINER and not container:
                 yield Batch(frames, locations)
                 frames, locations = [], []
-                yield from self._inside(item, location)
-            elif isinstance(item, Broken):
-                reason = f"{item.reason}, {item.passed} bytes left out"
-                self._report.skip(Location(reason, byte=location))
-                if container is None:
-                    self._drop_tail()
+                yield from self._inside(body, location)
+            elif kind not in _FRAME_TYPES:
+                self._report.other[_name(kind)] += 1
             else:
-                name = item.name if isinstance(item, Other) else _other(TYPE_CONTAINER).name
-                self._report.other[name] += 1
+                try:
+                    frames.append(self._read(kind, version, header_size, body))
+                    locations.append(location)
+                except ValueError as broken:
+                    self._skip(str(broken), location, container)
         yield Batch(frames, locations)
-        return rest
+        return pos
+
+    def _read(self, kind: int, version: int, header_size: int, body: bytes) -> LogFrame:
+        """Return the frame of a whole object. Raises ValueError for a broken one."""
+        times = TIMES_V1 if version == 1 else TIMES_V2
+        flags, _, _, ticks = times.unpack_from(body, OBJECT.size)
+        tick_ns = TICK_NS.get(flags & 3)
+        if tick_ns is None:
+            raise ValueError(f"time flag {flags}, {len(body)} bytes left out")
+        return _frame(kind, body[header_size:], self._start_ns + ticks * tick_ns, header_size)
+
+    def _skip(self, reason: str, location: int, container: int) -> None:
+        self._report.skip(Location(reason, byte=location))
+        if not container:
+            self._drop_tail()
 
     def _header(self) -> tuple[int, int]:
         """Read the file header; return its size, and the stated size of the file."""
@@ -390,38 +344,30 @@ class BlfReader:
             found += block
         return found
 
-    def _cut_off(self, data: bytes, offset: int) -> Iterator[Batch]:
-        """Yield the frames of the last object, which is cut off."""
-        if len(data) >= OBJECT.size and data[:4] == b"LOBJ":
-            _, header_size, _, _, kind = OBJECT.unpack_from(data)
-            if kind == TYPE_CONTAINER:
-                yield from self._inside(Container(data, header_size, whole=False), offset)
-                return
-        self._report.cut(Location("the log ends inside an object", byte=offset))
-
     def _drop_tail(self) -> None:
         if self._tail.strip(b"\x00"):
             self._report.note("an object that went on in a damaged container is lost")
         self._tail = b""
 
-    def _inside(self, container: Container, offset: int) -> Iterator[Batch]:
+    def _inside(self, container: bytes, offset: int, whole: bool = True) -> Iterator[Batch]:
         """Yield the frames of a container, which may go on an object of an earlier one."""
-        content = self._unpack(container, offset)
+        content = self._unpack(container, offset, whole)
         if content is None:
             self._drop_tail()
             return
         data, self._tail = self._tail + content, b""
-        rest = yield from self._take(data, 0, container=offset)
+        rest = yield from self._objects(data, 0, container=offset)
         self._tail = data[rest:]
 
-    def _unpack(self, container: Container, offset: int) -> bytes | None:
+    def _unpack(self, container: bytes, offset: int, whole: bool) -> bytes | None:
         """Return the content of a container, of a cut-off one as much as there is; None if damaged."""
-        report, begin = self._report, container.header_size + CONTAINER.size
-        if len(container.data) < begin:
+        report, header_size = self._report, OBJECT.unpack_from(container)[1]
+        begin = header_size + CONTAINER.size
+        if len(container) < begin:
             report.cut(Location("the log ends inside a container", byte=offset))
             return None
-        method, size = CONTAINER.unpack_from(container.data, container.header_size)
-        content, damage = container.data[begin:], ""
+        method, size = CONTAINER.unpack_from(container, header_size)
+        content, damage = container[begin:], ""
         if method == 2 and size <= _LARGEST_CONTAINER:
             inflate = zlib.decompressobj()
             try:
@@ -429,7 +375,7 @@ class BlfReader:
             except zlib.error as error:
                 damage = f"damaged container ({error})"
             else:
-                if container.whole and (not inflate.eof or len(content) != size):
+                if whole and (not inflate.eof or len(content) != size):
                     damage = "damaged container (its size is another)"
         elif method == 2:
             damage = f"container of {size} unpacked bytes"
@@ -438,7 +384,7 @@ class BlfReader:
         if damage:
             report.skip(Location(damage, byte=offset))
             return None
-        if not container.whole:
+        if not whole:
             report.cut(Location("the log ends inside a container", byte=offset))
         return content
 

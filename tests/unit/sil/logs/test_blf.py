@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -12,7 +14,7 @@ from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, blf, open_log
-from sil.logs.blf import Broken, Other, Unfinished, objects
+from sil.logs.report import LogReport
 
 START_NS = 1_700_000_000_123 * 10**6
 
@@ -58,9 +60,18 @@ def read(blob: bytes, tmp_path: Path, *, strict: bool = False):  # type: ignore[
     return list(reader), reader.report
 
 
-def one(body: bytes, kind: int, **header: int) -> object:
-    (found,) = objects(as_object(kind, body, **header), START_NS)
-    return found
+def objects(data: bytes) -> tuple[list[LogFrame], LogReport]:
+    """The frames in data as they are in a file, and the report of them."""
+    report = LogReport("log.blf", "blf")
+    source: Any = io.BytesIO(file_of(data))
+    return [
+        frame for batch in blf.BlfReader(source, report, "auto") for frame in batch.frames
+    ], report
+
+
+def one(body: bytes, kind: int, **header: int) -> LogFrame | None:
+    found, _ = objects(as_object(kind, body, **header))
+    return found[0] if found else None
 
 
 CLASSIC = LogFrame(START_NS + 5, 0x123, b"\x01\x02\x03", False, channel="2", direction="Rx")
@@ -91,9 +102,8 @@ def test_objects_of_every_kind() -> None:
     assert one(bytes([2]) + bytes(60), blf.TYPE_CAN_FD_ERROR_64) == LogFrame(
         START_NS + 5, 0, b"", False, error=True, fd=True, channel="2"
     )
-    assert one(bytes(20), 65) == Other("text")
-    assert one(bytes(20), 12) == Other("LIN event")
-    assert one(bytes(20), 4711) == Other("BLF object of type 4711")
+    for kind, name in ((65, "text"), (12, "LIN event"), (4711, "BLF object of type 4711")):
+        assert objects(as_object(kind, bytes(20)))[1].other == {name: 1}
 
 
 def test_trailing_zero_bytes_that_vector_leaves_out() -> None:
@@ -108,7 +118,8 @@ def test_times_in_both_units_and_header_versions() -> None:
     body = blf.CAN.pack(2, 0, 3, 0x123, b"\x01\x02\x03")
     assert one(body, blf.TYPE_CAN, flags=1) == CLASSIC._replace(time_ns=START_NS + 50_000)
     assert one(body, blf.TYPE_CAN, version=2) == CLASSIC
-    assert isinstance(one(body, blf.TYPE_CAN, flags=0), Broken)
+    found, report = objects(as_object(blf.TYPE_CAN, body, flags=0))
+    assert not found and str(report.skipped_locations[0]).startswith("byte 144: time flag 0, 48 ")
 
 
 @given(
@@ -132,8 +143,10 @@ def test_runs_of_plain_frames_are_read_as_each_by_itself(
     for ticks, flags, dlc, word, kind, unit in rows:
         body = blf.CAN.pack(7, flags, dlc, word, bytes(range(8)))
         blobs.append(as_object(kind, body, ticks % 2**40, flags=unit))
-    together = list(objects(b"".join(blobs), START_NS))
-    assert together == [item for blob in blobs for item in objects(blob, START_NS)]
+    found, report = objects(b"".join(blobs))
+    alone = [objects(blob) for blob in blobs]
+    assert found == [frame for frames, _ in alone for frame in frames]
+    assert report.skipped == sum(each.skipped for _, each in alone)
 
 
 def test_objects_may_go_on_in_the_next_container(tmp_path: Path) -> None:
@@ -228,6 +241,6 @@ def test_a_bomb_is_no_memory(tmp_path: Path) -> None:
 
 
 def test_unfinished_is_named() -> None:
-    found = list(objects(can(0) + can(1)[:20], 0))
-    assert isinstance(found[0], LogFrame)
-    assert found[1:] == [Unfinished(48)]
+    found, report = objects(can(0) + can(1)[:20])
+    assert len(found) == 1
+    assert report.notes[-1] == "cut off at byte 192: the log ends inside an object"
