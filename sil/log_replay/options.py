@@ -52,25 +52,26 @@ def find_settings(
     PATH=VALUE; those of the plant need `with_plant`.
     Raises InputError. Checked by: tests/unit/sil/log_replay/test_options.py
     """
-    result = Path(log).with_name(RESULT)
-    own_run = run is not None or _holds_scenario(result)
+    path = Path(log).with_name(RESULT)
+    result = _read_result(path) if path.is_file() else {}
+    own_run = run is not None or bool(result)
     if own_run:
-        source = str(scenario.find(run)) if run is not None else str(result)
-        raw = scenario.expanded(scenario.load(source).scenario)
+        given = scenario.load(run or str(path))
+        source, raw = given.source, scenario.expanded(given.scenario)
         description = f"as in {source}"
     else:
         source, raw = log, _defaults(found)
         description = f"defaults, {_periods(raw)} from the log"
-    raw = _without_none(raw)
     recorded_ns = round(raw["controller"]["period_s"] * 1e9)
-    if firmware is not None and _is_program(firmware):
-        raw |= firmware_of(firmware)
-        description = f"of {firmware}, settings {description}"
-    elif firmware is not None:
-        table = firmware_of(firmware)["controller"]
-        raw["controller"] = {"period_s": raw["controller"]["period_s"], **table}
-        raw.pop("sensor" if not own_run else "", None)
-        source, description = firmware, f"as in {firmware}"
+    if firmware is not None:
+        table = firmware_of(firmware)
+        if "firmware" in table:
+            description = f"of {firmware}, settings {description}"
+        else:
+            table["controller"] = {"period_s": recorded_ns / 1e9, **table["controller"]}
+            raw.pop("sensor" if not own_run else "", None)
+            source, description = firmware, f"as in {firmware}"
+        raw |= table
     if not with_plant:
         _refuse_plant_settings(settings)
     if not own_run and firmware is None:
@@ -78,31 +79,39 @@ def find_settings(
     loaded = scenario.from_table(raw, source, settings=settings)
     if settings:
         description += " with " + ", ".join(settings)
-    free_running = own_run and run is None and "mode" in _read_result(result).get("bus", {})
+    free_running = run is None and "mode" in result.get("bus", {})
     return ReplaySettings(loaded, description, own_run, recorded_ns, free_running)
 
 
 def firmware_of(firmware: str) -> dict[str, Any]:
     """Return a scenario's keys for the program or settings of --firmware. Raises InputError."""
-    if _is_program(firmware):
+    if firmware.partition(":")[0].endswith(".py"):
         return {"firmware": absolute(firmware, Path())}
-    return {"controller": _firmware_table(firmware)}
+    if firmware.endswith(".json"):
+        table = _read_result(firmware).get("scenario", {}).get("controller")
+        if table is None:
+            raise InputError(
+                f"{firmware}: no firmware settings in it; expected a result.json, or a TOML file"
+            )
+    else:
+        table = typed_toml.read_toml(firmware)
+        if "controller" in table:
+            table = table["controller"]
+        elif "request" in table and "duration_s" in table:  # a scenario with the default firmware
+            table = {}
+    if not isinstance(table, dict):
+        raise InputError(f"{firmware}: controller: not a table; expected the firmware's settings")
+    return {"controller": table}
 
 
-def _is_program(firmware: str) -> bool:
-    return firmware.partition(":")[0].endswith(".py")
-
-
-def _holds_scenario(path: Path) -> bool:
+def _read_result(path: str | Path) -> dict[str, Any]:
+    """Return the content of a result.json, nothing if there is no scenario in it. Raises InputError."""
+    text = read_user_text(path, "a result.json", LARGEST_RESULT)
     try:
-        return isinstance(_read_result(path)["scenario"], dict)
+        result: dict[str, Any] = json.loads(text)
+        return result if isinstance(result["scenario"], dict) else {}
     except (ValueError, KeyError, TypeError, RecursionError):
-        return False
-
-
-def _read_result(path: str | Path) -> Any:
-    """Return the content of a result.json. Raises InputError or ValueError."""
-    return json.loads(read_user_text(path, "a result.json", LARGEST_RESULT))
+        return {}
 
 
 def _defaults(found: Survey) -> dict[str, Any]:
@@ -135,34 +144,6 @@ def _refuse_impossible_periods(raw: dict[str, Any], log: str) -> None:
             f"{log}: the log shows {_periods(raw)}, with which the firmware does not work; "
             "expected a recording in real time, or its settings by --firmware or --run"
         ) from None
-
-
-def _firmware_table(path: str) -> dict[str, Any]:
-    """Read the firmware's settings out of any of the files that hold them."""
-    if path.endswith(".json"):
-        try:
-            table = _read_result(path)["scenario"]["controller"]
-        except InputError:
-            raise
-        except (ValueError, KeyError, TypeError, RecursionError):
-            raise InputError(
-                f"{path}: no firmware settings in it; expected a result.json, or a TOML file"
-            ) from None
-    else:
-        table = typed_toml.read_toml(Path(path))
-        if "controller" in table:
-            table = table["controller"]
-        elif "request" in table and "duration_s" in table:  # a scenario with the default firmware
-            table = {}
-    if not isinstance(table, dict):
-        raise InputError(f"{path}: controller: not a table; expected the firmware's settings")
-    return _without_none(table)
-
-
-def _without_none(table: dict[str, Any]) -> dict[str, Any]:
-    return {
-        k: _without_none(v) if isinstance(v, dict) else v for k, v in table.items() if v is not None
-    }
 
 
 def _refuse_plant_settings(settings: Sequence[str]) -> None:
