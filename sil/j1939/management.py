@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from can_dbc.frame import Frame, join_id
 from can_dbc.messages import Fault
-from sil.j1939.transport import BAM_PERIOD_NS, split_message
+from sil.j1939.transport import BAM_PERIOD_NS, broadcast
 
 ENGINE, TRANSMISSION, SHIFT_CONSOLE, PNEUMATICS = 0, 3, 5, 48
 """Source addresses (SAE J1939, table B2)."""
@@ -44,7 +44,7 @@ def active_faults(faults: Fault) -> list[Frame]:
     if not faults:
         data += bytes(4)
     if len(data) > 8:
-        return split_message(PGN_DM1, TRANSMISSION, data)
+        return broadcast(PGN_DM1, TRANSMISSION, data)
     return [Frame(join_id(6, PGN_DM1, TRANSMISSION), data.ljust(8, b"\xff"))]
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Final
 
-from sil.j1939.silences import SILENCE_NS, Silences
+from sil.j1939.gear_history import SILENCE_NS, Silences
 
 PGN_ETC1: Final = 61442
 _LAST_VALID_WORD: Final = 0xFAFF

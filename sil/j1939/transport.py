@@ -179,30 +179,21 @@ class Assembler:
             self.locations.append(f"at {format_ns(self._now_ns)} s: {what}{sender}: {reason}")
 
 
-def split_message(
-    pgn: int, source: int, data: bytes, destination: int = GLOBAL, *, packets_per_cts: int = 16
-) -> list[Frame]:
-    """Return the frames that carry a long message, in order.
+def broadcast(pgn: int, source: int, data: bytes) -> list[Frame]:
+    """Return the frames that carry a long message to all, `BAM_PERIOD_NS` or more apart.
 
-    A message to all needs `BAM_PERIOD_NS` or more from frame to frame. To a single destination,
-    the frames of the receiver (CTS, acknowledgement) are among them: see their source addresses.
     Raises ValueError for fewer than 9 or more than 1785 bytes, and for no J1939 addresses.
     """
     if not LEAST_BYTES <= len(data) <= MOST_BYTES:
         raise ValueError(f"{len(data)} bytes; expected {LEAST_BYTES} to {MOST_BYTES}")
     packets = [data[n : n + _PACKET_BYTES] for n in range(0, len(data), _PACKET_BYTES)]
-    count, size, group = len(packets), len(data).to_bytes(2, "little"), pgn.to_bytes(3, "little")
-    control = join_id(_PRIORITY, PGN_CONTROL, source, destination)
-    answer = join_id(_PRIORITY, PGN_CONTROL, destination, source)
-    packet_id = join_id(_PRIORITY, PGN_DATA, source, destination)
-    frames = [
-        Frame(packet_id, bytes((number,)) + packet.ljust(_PACKET_BYTES, b"\xff"))
-        for number, packet in enumerate(packets, 1)
+    size, group = len(data).to_bytes(2, "little"), pgn.to_bytes(3, "little")
+    announcement = bytes((_BAM, *size, len(packets), 0xFF, *group))
+    packet_id = join_id(_PRIORITY, PGN_DATA, source, GLOBAL)
+    return [
+        Frame(join_id(_PRIORITY, PGN_CONTROL, source, GLOBAL), announcement),
+        *(
+            Frame(packet_id, bytes((number,)) + packet.ljust(_PACKET_BYTES, b"\xff"))
+            for number, packet in enumerate(packets, 1)
+        ),
     ]
-    if destination == GLOBAL:
-        return [Frame(control, bytes((_BAM, *size, count, 0xFF, *group))), *frames]
-    found = [Frame(control, bytes((_RTS, *size, count, packets_per_cts, *group)))]
-    for begin in range(0, count, packets_per_cts):
-        part = frames[begin : begin + packets_per_cts]
-        found += [Frame(answer, bytes((_CTS, len(part), begin + 1, 0xFF, 0xFF, *group))), *part]
-    return [*found, Frame(answer, bytes((_ACKNOWLEDGE, *size, count, 0xFF, *group)))]

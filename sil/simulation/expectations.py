@@ -18,7 +18,7 @@ from can_dbc.messages import (
 )
 from sil.files.quantity import unit_of
 from sil.recording.run_record import CHAMBERS, RunRecord
-from sil.simulation.metrics import Shift, gear_at
+from sil.simulation.metrics import METRICS, Shift, gear_at
 from sil.simulation.results import Check
 
 GearName = Literal["neutral", "backward", "forward"]
@@ -26,28 +26,13 @@ ChamberName = Literal["B", "N", "F"]
 StateName = Literal["INIT", "IDLE", "PUSH", "CONFIRM", "BLOW", "HOLD", "VENT", "FAULT"]
 if TYPE_CHECKING:
     FaultName = str
+    MetricName = str
 else:
     FaultName = Literal[tuple(fault.name for fault in Fault if fault)]
+    MetricName = Literal[METRICS]
 Instant = Literal[
     "requested", "commanded", "valve_open", "first_motion", "arrived", "confirmed", "blow_end"
 ]
-MetricName = Literal[
-    "shift_time_s",
-    "impact_speed_m_s",
-    "impact_energy_j",
-    "impact_worst_m_s",
-    "impact_worst_energy_j",
-    "impact_worst_force_n",
-    "confirmed_early_s",
-    "position_lag_10_s",
-    "position_lag_90_s",
-    "bus_lag_10_s",
-    "bus_lag_90_s",
-    "air_used_kg",
-    "valve_switchings",
-    "frames",
-]
-
 _NEVER_NONE = (ShiftRequest, ValveCommand, ControllerStatus, PlantMotion)
 """Messages that every run must have on the bus, or nothing was tested."""
 

@@ -49,6 +49,13 @@ WORST = (
 )
 """Figures of a shift of which the summary gives the largest."""
 
+LAST = tuple(name for name in LAGS if "held" not in name)
+METRICS = (
+    *("shift_time_s", "impact_speed_m_s", "impact_energy_j", *WORST, *LAST),
+    *("air_used_kg", "valve_switchings", "frames"),
+)
+"""Numbers of the summary: of all shifts, of the last one (`LAST`), of the run as a whole."""
+
 GEAR_CHAMBER = {Gear.BACKWARD: "B", Gear.NEUTRAL: "N", Gear.FORWARD: "F"}
 
 
@@ -371,7 +378,7 @@ def summary(
             name: max((v for s in found if (v := getattr(s, name)) is not None), default=None)
             for name in WORST
         },
-        **{name: last and getattr(last, name) for name in LAGS if "held" not in name},
+        **{name: last and getattr(last, name) for name in LAST},
         "air_used_kg": air_used_kg,
         "valve_switchings": switchings,
         "frames": frames,

@@ -12,7 +12,7 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil.j1939.decode import decode
-from sil.j1939.transport import split_message
+from sil.j1939.transport import broadcast
 from sil.logs import LogFrame, open_writer
 
 START_NS = 1_600_000_000 * 10**9
@@ -50,10 +50,7 @@ def log(tmp_path: Path) -> Path:
         LogFrame(0, 0x123, bytes((1, 0x02)), False),
         LogFrame(0, 0x124, b"", False),
         LogFrame(0, 0x18FEF100, bytes(8)),
-        *(
-            LogFrame(0, frame.can_id, frame.data)
-            for frame in split_message(65240, 3, bytes(range(12)))
-        ),
+        *(LogFrame(0, frame.can_id, frame.data) for frame in broadcast(65240, 3, bytes(range(12)))),
         LogFrame(0, *eec1(0x00, 710.0, 140)),
     ]
     with open_writer(tmp_path / "a.log") as writer:

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from can_dbc.frame import Frame
-from sil.j1939.transport import Assembler, Message, split_message
+from can_dbc.frame import Frame, join_id
+from sil.j1939.transport import PGN_CONTROL, PGN_DATA, Assembler, Message, broadcast
 from sil.logs.frame import LogFrame
 
 ENGINE, TRANSMISSION, TOOL = 0x00, 0x03, 0xF9
@@ -23,6 +23,19 @@ def recorded(
         LogFrame(index * step_ns, frame.can_id, frame.data, channel=channel)
         for index, frame in enumerate(frames)
     ]
+
+
+def negotiated(data: bytes, at_once: int = 16) -> list[Frame]:
+    """The frames of ENGINE and TOOL that carry a message from the one to the other."""
+    announcement, *packets = broadcast(DM1, ENGINE, data)
+    to_tool, answer = (join_id(7, PGN_CONTROL, *way) for way in ((ENGINE, TOOL), (TOOL, ENGINE)))
+    size, group = announcement.data[1:4], announcement.data[5:]
+    found = [Frame(to_tool, bytes((16, *size, at_once, *group)))]
+    for begin in range(0, len(packets), at_once):
+        part = packets[begin : begin + at_once]
+        found.append(Frame(answer, bytes((17, len(part), begin + 1, 0xFF, 0xFF, *group))))
+        found += [Frame(join_id(7, PGN_DATA, ENGINE, TOOL), packet.data) for packet in part]
+    return [*found, Frame(answer, bytes((19, *size, 0xFF, *group)))]
 
 
 def assembled(frames: Sequence[LogFrame]) -> tuple[list[Message], Assembler]:
@@ -47,18 +60,18 @@ def test_a_broadcast_recorded_elsewhere_is_put_together() -> None:
     data = "5014bb7a44b6201cd16022e1e02ee1c044ffff7509c0440341dc7de17a440000ffff"
     assert found == [Message(50_000_000, 65251, 0, 255, bytes.fromhex(data)[:34])]
     assert assembler.lines() == ["1 messages of the transport protocol put together"]
-    assert split_message(65251, 0, found[0].data) == frames
+    assert broadcast(65251, 0, found[0].data) == frames
 
 
 @given(
     data=st.binary(min_size=9, max_size=1785),
-    destination=st.sampled_from((255, TOOL)),
-    at_once=st.integers(1, 255),
+    at_once=st.integers(0, 255),
 )
 @settings(max_examples=30)
-def test_every_payload_comes_back(data: bytes, destination: int, at_once: int) -> None:
-    frames = split_message(DM1, ENGINE, data, destination, packets_per_cts=at_once)
+def test_every_payload_comes_back(data: bytes, at_once: int) -> None:
+    frames = negotiated(data, at_once) if at_once else broadcast(DM1, ENGINE, data)
     found, assembler = assembled(recorded(frames))
+    destination = TOOL if at_once else 255
     assert [message.data for message in found] == [data]
     assert (found[0].pgn, found[0].source, found[0].destination) == (DM1, ENGINE, destination)
     assert not assembler.lost
@@ -67,15 +80,15 @@ def test_every_payload_comes_back(data: bytes, destination: int, at_once: int) -
 @pytest.mark.parametrize("size", [0, 8, 1786])
 def test_payloads_that_the_protocol_does_not_carry(size: int) -> None:
     with pytest.raises(ValueError, match=f"{size} bytes; expected 9 to 1785"):
-        split_message(DM1, ENGINE, bytes(size))
+        broadcast(DM1, ENGINE, bytes(size))
 
 
 def test_interleaved_senders_receivers_and_channels() -> None:
     transfers = [
-        recorded(split_message(DM1, ENGINE, b"engine to all"), channel="1"),
-        recorded(split_message(DM1, TRANSMISSION, b"transmission to all"), channel="1"),
-        recorded(split_message(DM1, ENGINE, b"engine to the tool", TOOL), channel="1"),
-        recorded(split_message(DM1, ENGINE, b"engine of the other bus"), channel="2"),
+        recorded(broadcast(DM1, ENGINE, b"engine to all"), channel="1"),
+        recorded(broadcast(DM1, TRANSMISSION, b"transmission to all"), channel="1"),
+        recorded(negotiated(b"engine to the tool"), channel="1"),
+        recorded(broadcast(DM1, ENGINE, b"engine of the other bus"), channel="2"),
     ]
     frames = sorted((frame for one in transfers for frame in one), key=lambda frame: frame.time_ns)
     found, assembler = assembled(frames)
@@ -89,7 +102,7 @@ def test_interleaved_senders_receivers_and_channels() -> None:
 
 
 def test_frames_of_other_groups_and_kinds_are_passed_over() -> None:
-    long = recorded(split_message(DM1, ENGINE, bytes(9)))
+    long = recorded(broadcast(DM1, ENGINE, bytes(9)))
     odd = [LogFrame(5, 0x0CF00400, bytes(8)), long[0]._replace(remote=True, data=b"")]
     found, assembler = assembled([*odd, *long])
     assert [message.pgn for message in found] == [DM1] and not assembler.lost
@@ -103,8 +116,8 @@ def lost(frames: Sequence[LogFrame]) -> dict[str, int]:
     return dict(assembler.lost)
 
 
-BROADCAST = recorded(split_message(DM1, ENGINE, bytes(range(30))))
-NEGOTIATED = recorded(split_message(DM1, ENGINE, bytes(range(30)), TOOL))
+BROADCAST = recorded(broadcast(DM1, ENGINE, bytes(range(30))))
+NEGOTIATED = recorded(negotiated(bytes(range(30))))
 
 
 def test_a_lost_packet_is_reported_with_time_and_sender() -> None:
