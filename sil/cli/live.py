@@ -28,6 +28,7 @@ ARGUMENTS = (
 def run(arguments: argparse.Namespace) -> int:
     """Serve until interrupted. Raises InputError for a port in use or a scenario that is not valid."""
     import asyncio
+    import signal
     import webbrowser
 
     from can_dbc.errors import InputError
@@ -51,9 +52,18 @@ def run(arguments: argparse.Namespace) -> int:
         if not arguments.no_browser:
             webbrowser.open(address)
 
+    async def until_ended() -> None:
+        # by the loop: a signal just before the loop begins to wait would not wake it otherwise
+        loop, task = asyncio.get_running_loop(), asyncio.current_task()
+        assert task is not None
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                loop.add_signal_handler(number, task.cancel)
+        await serve(shared, arguments.port, ready)
+
     try:
-        asyncio.run(serve(shared, arguments.port, ready))
-    except KeyboardInterrupt:
+        asyncio.run(until_ended())
+    except (KeyboardInterrupt, asyncio.CancelledError):
         say("opc4 live: ended")
     return 0
 

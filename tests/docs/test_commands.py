@@ -45,10 +45,13 @@ def serve_and_end(folder: Path, arguments: list[str]) -> None:
     """Start the live bench, and end it as Ctrl-C does once it has its address."""
     command = [sys.executable, "-m", "sil.cli", "live", "--no-browser", *arguments]
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith("http://127.0.0.1:")
-        process.send_signal(signal.SIGINT)
-        assert process.wait(60.0) == 0
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline().startswith("http://127.0.0.1:")
+            process.send_signal(signal.SIGINT)
+            assert process.wait(240.0) == 0
+        finally:
+            process.kill()
 
 
 def test_guides_are_found() -> None:
