@@ -4,7 +4,6 @@ With the event loop's own functions (`plant.integrator.loop`), on one lane of th
 
 Checked by: tests/unit/plant/batch/test_batch.py
 """
-# mypy: disallow-untyped-defs=False
 
 from __future__ import annotations
 
@@ -37,12 +36,11 @@ from plant.integrator.loop import (
     choose_step,
     expects_event,
     follow_or_write,
-    sample_rest,
     sample_step,
     store_event,
     valves_stand,
 )
-from plant.integrator.rest import rest_jump
+from plant.integrator.rest import pass_rest
 from plant.integrator.steppers import dense_element, derivative, explicit_dense, interpolate
 from plant.integrator.workspace import Motion
 from plant.kernel.compiled import called, inlined
@@ -60,8 +58,6 @@ class Memory(Record):
     next_sample: Value
     events: Value
     steps: Value
-    rejected: Value
-    jumps: Value
 
 
 class Result(Record):
@@ -70,8 +66,6 @@ class Result(Record):
     status: Value  # DONE or why it stopped
     events: Value
     steps: Value
-    rejected: Value
-    jumps: Value  # rests passed in closed form
     arrival: Value  # first impact of the stay on a stop: time, speed, energy; nan if none
     speed: Value
     energy: Value
@@ -123,37 +117,6 @@ def handle_event(index, one, k, o, task, result):
 
 
 @called
-def finite(y, n):
-    """Return True if every state is a finite number."""
-    total = 0.0
-    for k in range(n):
-        total += 0.0 * y[k]
-    return total == 0.0
-
-
-@called
-def pass_rest(one, k, o, task, result, n):
-    """Pass a rest in one step; AGAIN, NOT_FINITE, or STEPPING if there is no closed form."""
-    t = one.time
-    span = one.next - t
-    dt, index = rest_jump(t, span, one.stage, one.spare, o, task.table, n)
-    if not (dt > 0.0 or index >= 0):
-        return STEPPING
-    k.jumps += 1
-    if not finite(one.stage, n):
-        return NOT_FINITE
-    until = one.next if dt == span and index < 0 else t + dt
-    for i in range(n):
-        o.y[i] = one.stage[i]
-    sample_rest(one, k, o, one.stage, until, task)
-    one.time = until
-    if index >= 0:
-        handle_event(index, one, k, o, task, result)
-        one.wanted = STEP_AFTER_REST_S
-    return AGAIN
-
-
-@called
 def prepare(one, k, o, task, result, n):
     """Bring a lane to its next step, over switches, events at this instant and rests.
 
@@ -170,7 +133,10 @@ def prepare(one, k, o, task, result, n):
             continue
         status = STEPPING
         if task.tabulated and valves_stand(o) and at_rest(o.m):
-            status = pass_rest(one, k, o, task, result, n)
+            status, index = pass_rest(one, k, o, one.stage, one.spare, task, n)
+            if index >= 0:
+                handle_event(index, one, k, o, task, result)
+                one.wanted = STEP_AFTER_REST_S
         if status == STEPPING:
             derivative(one.time, o.y, one.rate_0, o, False)
             return choose_step(one, k, task)
@@ -190,7 +156,6 @@ def grown(one, h, norm, factor):
 @called
 def reject(one, k, follow):
     """Repeat a step with a smaller one; STEPPING, or the reason to stop."""
-    k.rejected += 1
     finite_norm = one.norm <= 1.0e300
     h = one.step * (min(max(one.factor, 0.2), 0.9) if finite_norm else 0.1)
     one.step = h
@@ -292,8 +257,6 @@ def begin(one, k, o, n, duration, result):
     k.next_sample = 0
     k.events = 0
     k.steps = 0
-    k.rejected = 0
-    k.jumps = 0
     result.arrival = np.nan
     result.speed = np.nan
     result.energy = np.nan

@@ -9,7 +9,6 @@ Covered: mapped flow without leaks, line, damper, synchronizer, barriers or non-
 
 Checked by: tests/unit/plant/batch/test_batch.py
 """
-# mypy: disallow-untyped-defs=False
 
 from __future__ import annotations
 

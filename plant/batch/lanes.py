@@ -4,7 +4,6 @@ A lane that is done takes the next stroke.  A stroke's result does not depend on
 
 Checked by: tests/unit/plant/batch/test_batch.py
 """
-# mypy: disallow-untyped-defs=False
 
 from __future__ import annotations
 
@@ -172,8 +171,6 @@ def finish(one, k, stroke, status, batch, found, n):
     result.status = status
     result.events = k.events
     result.steps = k.steps
-    result.rejected = k.rejected
-    result.jumps = k.jumps
     initial = batch.initial[min(stroke, batch.initial.shape[0] - 1)]
     for i in range(found.final.shape[1]):
         found.final[stroke, i] = one.y[i] if i < n else initial[i]

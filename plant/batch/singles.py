@@ -2,7 +2,6 @@
 
 Checked by: tests/unit/plant/batch/test_batch.py
 """
-# mypy: disallow-untyped-defs=False
 
 from __future__ import annotations
 
@@ -57,8 +56,6 @@ def finish_single(run, control, stroke, status, batch, found, record, sampled):
     result.energy = np.nan
     result.events = k.events
     result.steps = k.steps
-    result.rejected = k.rejected
-    result.jumps = 0.0
     for e in range(min(k.events, MOST_EVENTS)):
         if e < found.events.shape[1]:
             found.events[stroke, e] = record[e]

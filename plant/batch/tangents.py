@@ -61,7 +61,7 @@ class Followers:
         )  # fmt: skip
         if covered[0]:
             fill_still(found.out, strokes, columns, covered)
-        same = found.results[:, : Result.rejected]  # status, events and steps
+        same = found.results[:, : Result.arrival]  # status, events and steps
         alike = (same == same[0]).all(axis=1) & (covered == covered[0])
         return int(same[0, 0]), found.out, alike
 

@@ -9,18 +9,21 @@ from plant.equations.length_contacts import (
     EPS_M,
     EPS_M_S,
     EPS_N,
-    EPS_PA,
     FAR,
     TOUCH_M,
-    damper_corners,
+    damper_guards,
     note_corners,
     put,
 )
-from plant.equations.length_impacts import direction_of, group_acceleration, rebound
+from plant.equations.length_impacts import (
+    direction_of,
+    group_acceleration,
+    rebound,
+    settle_oil,
+)
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import COMPRESSIBLE, GUARDS, FixedState, Guard, Slot
 from plant.kernel.record_views import quadratures_of
-from plant.kernel.views import unlikely
 from plant.parts.chamber import (
     all_leaks,
     chamber,
@@ -29,10 +32,9 @@ from plant.parts.chamber import (
     piston_leak,
     store_chamber,
 )
-from plant.parts.damper import damper_difference, oil_rate
+from plant.parts.damper import oil_rate
 from plant.parts.friction import seal_drag, stay_sliding, stay_static
-from plant.parts.loads import conservative_force
-from plant.parts.term import added
+from plant.parts.loads import loaded, store_loads
 
 STATES = FixedState.size
 
@@ -41,12 +43,7 @@ STATES = FixedState.size
 def fixed_drive(y, m, p, t):
     """Driving force on the piston without friction [N]: P1 A1 - P2 A2 - P_atm A_s + loads."""
     force = y.p_1 * p.area_p - y.p_2 * p.area_p2 - p.p_atm * p.area_s
-    force += conservative_force(y.x, p)
-    if m.damper != 0:
-        force -= p.a_oil * damper_difference(y.x, y.v, y.p_oil, m, p)
-    if unlikely(p.adder != 0.0):
-        force += added(Slot.FORCE, t, y.x, y.v, 0.0, 0.0, p)
-    return force
+    return loaded(force, t, y.x, y.v, 1.0, y.p_oil, m, p)
 
 
 @inlined
@@ -99,12 +96,7 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
         store_chamber(q, 0, one, y.p_1, u_1, dv_1, p)
         store_chamber(q, 1, two, y.p_2, u_2, dv_2, p)
         q.friction = fixed_friction(y, d, p) * d * v if d != 0 else 0.0
-        q.damper = 0.0
-        if m.damper != 0:
-            q.damper = v * p.a_oil * damper_difference(y.x, v, y.p_oil, m, p)
-        q.external = conservative_force(y.x, p) * v
-        if unlikely(p.adder != 0.0):
-            q.external += added(Slot.FORCE, t, y.x, v, 0.0, 0.0, p) * v
+        store_loads(q, t, y.x, v, 1.0, y.p_oil, m, p)
         q.atmosphere = -p.p_atm * p.area_s * v
 
 
@@ -117,11 +109,11 @@ def fixed_guards(t, y, m, p, g):
     high = p.stroke + p.stop_offset
     d = m.stay
     if d != 0:
-        low = put(g, Guard.STAY_SPEED, d * y.v + EPS_M_S, low)
+        low = put(g, Guard.TURN, d * y.v + EPS_M_S, low)
         if d > 0:
-            low = put(g, Guard.STAY_HIGH, high - y.x + EPS_M, low)
+            low = put(g, Guard.STOP_HIGH, high - y.x + EPS_M, low)
         else:
-            low = put(g, Guard.STAY_LOW, y.x + EPS_M, low)
+            low = put(g, Guard.STOP_LOW, y.x + EPS_M, low)
     else:
         drive = fixed_drive(y, m, p, t)
         hold = FAR
@@ -129,15 +121,9 @@ def fixed_guards(t, y, m, p, g):
             hold = stay_static(y.x, 1.0, p) + seal_drag(y.p_1 - y.p_2, p) - drive
         if y.x > TOUCH_M:
             hold = min(hold, stay_static(y.x, -1.0, p) + seal_drag(y.p_1 - y.p_2, p) + drive)
-        low = put(g, Guard.HOLD_STAY, hold + EPS_N, low)
-    if m.damper != 0 and d != 0:
-        low = damper_corners(y.x, y.v, m, p, g, low)
-    if m.damper == COMPRESSIBLE:
-        if m.oil_rest != 0:
-            if d != 0:
-                low = put(g, Guard.OIL_FILL, EPS_M_S - y.v, low)
-        else:
-            low = put(g, Guard.OIL_EMPTY, y.p_oil - p.p_atm + EPS_PA, low)
+        low = put(g, Guard.BREAKAWAY, hold + EPS_N, low)
+    if m.damper != 0:
+        low = damper_guards(y.x, y.v, y.p_oil, m, p, g, low)
     return low
 
 
@@ -184,7 +170,4 @@ def fixed_settle(t, y, m, p):
     )
     m.stay = direction_of(y.v, a)
     if m.damper == COMPRESSIBLE:
-        m.oil_rest = 0
-        if y.p_oil <= p.p_atm + EPS_PA:
-            y.p_oil = p.p_atm
-            m.oil_rest = 0 if m.stay > 0 else 1
+        settle_oil(y, m.stay, m, p)

@@ -184,12 +184,19 @@ def put(g, k, value, low):
 
 
 @inlined
-def damper_corners(distance, speed, m, p, g, low):
-    """Guards of the corners of the damper's law; returns the lowest guard so far."""
-    capped, opened, lifted = damper_borders(distance, speed, p)
-    low = put(g, Guard.CAPPED, (capped if m.capped != 0 else -capped) + EPS_M2, low)
-    low = put(g, Guard.OPEN, (opened if m.opened != 0 else -opened) + EPS_M, low)
-    return put(g, Guard.LIFTED, (lifted if m.lifted != 0 else -lifted) + EPS_CD, low)
+def damper_guards(distance, speed, oil_pa, m, p, g, low):
+    """Guards of the corners of the damper's law, and of its oil; returns the lowest guard so far."""
+    if m.stay != 0:
+        capped, opened, lifted = damper_borders(distance, speed, p)
+        low = put(g, Guard.CAPPED, (capped if m.capped != 0 else -capped) + EPS_M2, low)
+        low = put(g, Guard.OPENED, (opened if m.opened != 0 else -opened) + EPS_M, low)
+        low = put(g, Guard.LIFTED, (lifted if m.lifted != 0 else -lifted) + EPS_CD, low)
+    if m.damper == COMPRESSIBLE:
+        if m.oil_rest == 0:
+            low = put(g, Guard.OIL_EMPTY, oil_pa - p.p_atm + EPS_PA, low)
+        elif m.stay != 0:
+            low = put(g, Guard.OIL_FILL, EPS_M_S - speed, low)
+    return low
 
 
 @inlined
@@ -206,12 +213,12 @@ def guard_stay(y, m, p, g, low):
     """Guards of the stay in motion: turning, and reaching its stop; returns the lowest so far."""
     d = m.stay
     if d != 0:
-        low = put(g, Guard.STAY_SPEED, d * y.v_s + EPS_M_S, low)
+        low = put(g, Guard.TURN, d * y.v_s + EPS_M_S, low)
         highest, lowest = stay_limits(y, m, p)
         if d > 0:
-            low = put(g, Guard.STAY_HIGH, highest - y.x_s + EPS_M, low)
+            low = put(g, Guard.STOP_HIGH, highest - y.x_s + EPS_M, low)
         else:
-            low = put(g, Guard.STAY_LOW, y.x_s - lowest + EPS_M, low)
+            low = put(g, Guard.STOP_LOW, y.x_s - lowest + EPS_M, low)
     return low
 
 
@@ -223,14 +230,14 @@ def guard_piston(y, m, p, k, g, low):
     free = m[JOINED + k] == FREE
     if d != 0:
         if free:
-            low = put(g, Guard.SPEED_1 + k, d * (sense(k) * piston.v) + EPS_M_S, low)
+            low = put(g, Guard.PISTON_1_TURN + k, d * (sense(k) * piston.v) + EPS_M_S, low)
         if sense(k) * d < 0.0:
-            low = put(g, Guard.OUTER_1 + k, piston.x + EPS_M, low)
+            low = put(g, Guard.PISTON_1_STOP + k, piston.x + EPS_M, low)
     if free and (d != 0 or m.stay != 0):
         if gap(y, k) < 0.5 * p.x_free:
-            low = put(g, Guard.NUT_1 + 2 * k, gap(y, k) + EPS_M, low)
+            low = put(g, Guard.NUT_1_CONTACT + 2 * k, gap(y, k) + EPS_M, low)
         else:
-            low = put(g, Guard.COLLAR_1 + 2 * k, p.x_free - gap(y, k) + EPS_M, low)
+            low = put(g, Guard.COLLAR_1_CONTACT + 2 * k, p.x_free - gap(y, k) + EPS_M, low)
     return low
 
 
@@ -243,7 +250,7 @@ def guard_contact(y, m, p, k, need, force, g, low):
     contact = m[JOINED + k]
     if contact != FREE:
         push = sign_ahead(k, contact) * (need - force) + bond(contact, y, p)
-        low = put(g, Guard.CONTACT_1 + k, push + EPS_N, low)
+        low = put(g, Guard.PISTON_1_SEPARATION + k, push + EPS_N, low)
     return low
 
 
@@ -254,15 +261,8 @@ def guard_damper(y, m, p, g, low):
     side = float(m.side)
     if d * side < 0:
         # crossing neutral: the damper acts on the other side from there
-        low = put(g, Guard.NEUTRAL, side * y.x_s + EPS_M, low)
-    if d != 0:
-        low = damper_corners(side * y.x_s, side * y.v_s, m, p, g, low)
-    if m.damper == COMPRESSIBLE:
-        if m.oil_rest == 0:
-            low = put(g, Guard.OIL_EMPTY, y.p_oil - p.p_atm + EPS_PA, low)
-        elif d != 0:
-            low = put(g, Guard.OIL_FILL, EPS_M_S - side * y.v_s, low)
-    return low
+        low = put(g, Guard.DAMPER_SIDE, side * y.x_s + EPS_M, low)
+    return damper_guards(side * y.x_s, side * y.v_s, y.p_oil, m, p, g, low)
 
 
 @called
@@ -284,11 +284,11 @@ def guards(t, y, m, p, g):
         low = guard_contact(y, m, p, 1, need, force[2], g, low)
     if m.stay == 0 or m.piston_1 == 0 or m.piston_2 == 0:
         hold, hold1, hold2 = rest_margins(y, m, p, force)
-        low = put(g, Guard.HOLD_STAY, hold, low)
-        low = put(g, Guard.HOLD_1, hold1, low)
-        low = put(g, Guard.HOLD_2, hold2, low)
+        low = put(g, Guard.BREAKAWAY, hold, low)
+        low = put(g, Guard.PISTON_1_BREAKAWAY, hold1, low)
+        low = put(g, Guard.PISTON_2_BREAKAWAY, hold2, low)
     if m.blocked != 0:
-        low = put(g, Guard.SYNC, p.sync_impulse - y.impulse, low)
+        low = put(g, Guard.UNBLOCK, p.sync_impulse - y.impulse, low)
     if m.damper != 0:
         low = guard_damper(y, m, p, g, low)
     return low

@@ -257,6 +257,15 @@ def direction_of(v, a):
 
 
 @inlined
+def settle_oil(y, outward, m, p):
+    """Choose whether the damper's oil rests; outward: 1 if the stay goes to it, 0 or -1 if not."""
+    m.oil_rest = 0
+    if y.p_oil <= p.p_atm + EPS_PA:
+        y.p_oil = p.p_atm
+        m.oil_rest = 0 if outward > 0 else 1
+
+
+@inlined
 def settle_damper(y, m, p):
     """Choose the side on which the damper acts, and whether its oil rests.
 
@@ -275,10 +284,7 @@ def settle_damper(y, m, p):
     if m.damper == COMPRESSIBLE:
         if before != 0 and m.side != before:
             y.p_oil = p.p_atm
-        m.oil_rest = 0
-        if y.p_oil <= p.p_atm + EPS_PA:
-            y.p_oil = p.p_atm
-            m.oil_rest = 0 if m.stay * m.side > 0 else 1
+        settle_oil(y, m.stay * m.side, m, p)
 
 
 @inlined

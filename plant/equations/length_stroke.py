@@ -9,7 +9,6 @@ from __future__ import annotations
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import COLLAR, COMPRESSIBLE, FREE, NUT, LengthState, Modes, Slot
 from plant.kernel.record_views import piston_state, quadratures_of
-from plant.kernel.views import unlikely
 from plant.parts.chamber import (
     all_leaks,
     chamber,
@@ -18,10 +17,9 @@ from plant.parts.chamber import (
     piston_leak,
     store_chamber,
 )
-from plant.parts.damper import damper_difference, oil_rate
+from plant.parts.damper import oil_rate
 from plant.parts.friction import piston_sliding, stay_sliding
-from plant.parts.loads import conservative_force
-from plant.parts.term import added
+from plant.parts.loads import loaded, store_loads
 
 STATES = LengthState.size
 # Where the pistons' states and modes begin.
@@ -33,14 +31,8 @@ TOUCH_M = 1e-9
 @inlined
 def stay_force(y, m, p, t):
     """Net driving force on the stay without friction and contacts [N]."""
-    x = y.x_s
-    force = (y.p_b - y.p_f) * p.area_s + conservative_force(x, p)
-    if m.damper != 0:
-        side = float(m.side)
-        force -= side * p.a_oil * damper_difference(side * x, side * y.v_s, y.p_oil, m, p)
-    if unlikely(p.adder != 0.0):
-        force += added(Slot.FORCE, t, x, y.v_s, 0.0, 0.0, p)
-    return force
+    force = (y.p_b - y.p_f) * p.area_s
+    return loaded(force, t, y.x_s, y.v_s, float(m.side), y.p_oil, m, p)
 
 
 @inlined
@@ -215,13 +207,7 @@ def rates(t, y, dy, m, u0, du, p, c, quadratures):
         store_chamber(q, 1, in_n, y.p_n, u_n, rate_n, p)
         store_chamber(q, 2, in_f, y.p_f, u_f, rate_f, p)
         q.friction = friction_power(y, m, p)
-        q.damper = 0.0
-        if m.damper != 0:
-            difference = damper_difference(side * y.x_s, side * v_s, y.p_oil, m, p)
-            q.damper = side * v_s * p.a_oil * difference
-        q.external = conservative_force(y.x_s, p) * v_s
-        if unlikely(p.adder != 0.0):
-            q.external += added(Slot.FORCE, t, y.x_s, v_s, 0.0, 0.0, p) * v_s
+        store_loads(q, t, y.x_s, v_s, side, y.p_oil, m, p)
         q.atmosphere = 0.0
 
 

@@ -11,17 +11,10 @@ from plant.equations.fixed_piston import fixed_volumes
 from plant.equations.length_stroke import length_volumes
 from plant.errors import NoVolumeError
 from plant.kernel.compiled import plain
-from plant.kernel.layout import FIXED, LENGTH, Parameters
-from plant.kernel.packing import Floats, initial_state, state_record
+from plant.kernel.layout import FIXED, Parameters
+from plant.kernel.packing import CHAMBER_NAMES, Floats, initial_state, state_record
 
-HELD = {
-    FIXED: (("1", "fixed.V10", Parameters.vol_b), ("2", "fixed.V20", Parameters.vol_n)),
-    LENGTH: (
-        ("B", "length.V_B0", Parameters.vol_b),
-        ("N", "length.V_N0", Parameters.vol_n),
-        ("F", "length.V_F0", Parameters.vol_f),
-    ),
-}
+VOLUMES = ("vol_b", "vol_n", "vol_f")
 
 
 def volumes_m3(system: int, p: Parameters, y: Floats) -> list[float]:
@@ -62,13 +55,14 @@ def emptied(
     """
     listed = list(states)
     held = [volumes_m3(system, p, y) for y in listed]
-    for k, (chamber, path, place) in enumerate(HELD[system]):
+    for k, chamber in enumerate(CHAMBER_NAMES[system]):
+        given_m3 = float(getattr(p, VOLUMES[k]))
         volume, worst = min((volumes[k], j) for j, volumes in enumerate(held))
-        if chamber in chambers and not volume > share * abs(float(p[place])):
+        if chamber in chambers and not volume > share * abs(given_m3):
             body = "piston" if system == FIXED else "stay"
             return (
-                f"{path}: {float(p[place]):.6g} m^3 leaves chamber {chamber} no volume with the "
-                f"{body} at {1e3 * float(listed[worst][0]):.2f} mm; "
-                f"expected more than {max(float(p[place]) - volume, 0.0):.6g}"
+                f"{Parameters.fields[VOLUMES[k]].paths[system]}: {given_m3:.6g} m^3 leaves chamber "
+                f"{chamber} no volume with the {body} at {1e3 * float(listed[worst][0]):.2f} mm; "
+                f"expected more than {max(given_m3 - volume, 0.0):.6g}"
             )
     return ""

@@ -256,7 +256,7 @@ def after_event(t, index, o):
 @called
 def fixed_reset(t, index, y, m, p, impact):
     """`after_event` of the fixed piston."""
-    if index == Guard.STAY_SPEED:
+    if index == Guard.TURN:
         y.v = 0.0
     if index == Guard.OIL_EMPTY:
         y.p_oil = p.p_atm
@@ -268,17 +268,17 @@ def fixed_reset(t, index, y, m, p, impact):
 @called
 def length_reset(t, index, y, m, p, impact):
     """`after_event` of the length stroke."""
-    if index == Guard.STAY_SPEED:
+    if index == Guard.TURN:
         if m.joined_1 != FREE:
             y.v_1 = 0.0
         if m.joined_2 != FREE:
             y.v_2 = 0.0
         y.v_s = 0.0
-    elif index == Guard.SPEED_1:
+    elif index == Guard.PISTON_1_TURN:
         y.v_1 = 0.0
-    elif index == Guard.SPEED_2:
+    elif index == Guard.PISTON_2_TURN:
         y.v_2 = 0.0
-    elif index == Guard.SYNC:
+    elif index == Guard.UNBLOCK:
         y.impulse = p.sync_impulse
     elif index == Guard.OIL_EMPTY:
         y.p_oil = p.p_atm

@@ -35,29 +35,6 @@ NS = 1_000_000_000
 DEFAULT_TOLERANCE = 1e-8
 NO_GRID = np.zeros((1, GridRow.size))
 
-GUARD_NAMES = {
-    Guard.STAY_SPEED: "turn",
-    Guard.SPEED_1: "piston 1 turn",
-    Guard.SPEED_2: "piston 2 turn",
-    Guard.STAY_HIGH: "stop",
-    Guard.STAY_LOW: "stop",
-    Guard.OUTER_1: "piston 1 stop",
-    Guard.OUTER_2: "piston 2 stop",
-    Guard.NUT_1: "nut 1 contact",
-    Guard.COLLAR_1: "collar 1 contact",
-    Guard.NUT_2: "nut 2 contact",
-    Guard.COLLAR_2: "collar 2 contact",
-    Guard.CONTACT_1: "piston 1 separation",
-    Guard.CONTACT_2: "piston 2 separation",
-    Guard.HOLD_STAY: "breakaway",
-    Guard.HOLD_1: "piston 1 breakaway",
-    Guard.HOLD_2: "piston 2 breakaway",
-    Guard.SYNC: "unblock",
-    Guard.OIL_EMPTY: "oil empty",
-    Guard.OIL_FILL: "oil fill",
-    Guard.NEUTRAL: "damper side",
-}
-
 MOST_EVENTS = 2000
 """Of one call of `advance`: stick-slip between closed chambers makes hundreds in a quarter second."""
 
@@ -177,11 +154,6 @@ class HybridSystem:
         """A copy of the parameters."""
         return self._p.copy()
 
-    @property
-    def steps(self) -> tuple[int, int]:
-        """Accepted and rejected integration steps so far."""
-        return int(self._control.steps), int(self._control.rejected)
-
     def _choose_modes(self) -> None:
         self._control.starting = 1
         self.advance(self.now_ns)
@@ -242,8 +214,7 @@ class HybridSystem:
 
     def _note_events(self) -> None:
         for row in map(EventRow, self._record[: self._control.events]):
-            guard = Guard(int(row.guard))
-            name = GUARD_NAMES[guard]
+            name = Guard(int(row.guard)).event
             speed = float(row.speed)
             if row.at_block == 1.0:
                 name = "block"

@@ -7,7 +7,6 @@ which the modes are chosen anew.  Nothing is smoothed.
 
 Checked by: tests/physics/
 """
-# mypy: disallow-untyped-defs=False
 
 from __future__ import annotations
 
@@ -41,12 +40,11 @@ from plant.integrator.loop import (
     choose_step,
     expects_event,
     follow_or_write,
-    sample_rest,
     sample_step,
     store_event,
     valves_stand,
 )
-from plant.integrator.rest import rest_jump
+from plant.integrator.rest import pass_rest
 from plant.integrator.steppers import (
     derivative,
     differentiate,
@@ -113,20 +111,11 @@ def begin_piece(r, k, o, task, leaping):
         return STEPPING
     if m.damper == COMPRESSIBLE and m.oil_rest == 0:
         return STEPPING
-    left = r.next - r.time
-    dt, index = rest_jump(r.time, left, r.y1, r.stage, o, task.table, k.states)
-    if not (dt > 0.0 or index >= 0):
-        return STEPPING
-    until = r.next if dt == left and index < 0 else r.time + dt
-    for i in range(k.states):
-        o.y[i] = r.y1[i]
-        if not abs(o.y[i]) < 1e300:
-            return NOT_FINITE
-    sample_rest(r, k, o, r.y1, until, task)
-    r.time = until
-    r.wanted = STEP_AFTER_REST_S
-    k.fresh = 1
-    return handle_event(index, r, k, o, task) if index >= 0 else AGAIN
+    status, index = pass_rest(r, k, o, r.y1, r.stage, task, k.states)
+    if status == AGAIN:
+        r.wanted = STEP_AFTER_REST_S
+        k.fresh = 1
+    return handle_event(index, r, k, o, task) if index >= 0 else status
 
 
 @called
@@ -151,7 +140,6 @@ def reject(r, k, h, explicit):
     if explicit:
         for i in range(k.states + k.quadratures):
             r.k[6, i] = r.k[0, i]
-    k.rejected += 1
 
 
 @called

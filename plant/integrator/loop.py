@@ -4,7 +4,6 @@ A loop goes from event to event.  `r` has time, end, next, wanted and step, `k` 
 stroke (`plant.integrator.workspace.Run` and `Control`) or of a lane (`plant.batch.lane_steps.Lane` and
 `Memory`).
 """
-# mypy: disallow-untyped-defs=False
 
 from __future__ import annotations
 

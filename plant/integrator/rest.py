@@ -2,12 +2,12 @@
 
 Checked by: tests/unit/plant/integrator/test_filling.py, tests/unit/plant/batch/test_batch.py
 """
-# mypy: disallow-untyped-defs=False
 
 from __future__ import annotations
 
 from plant.integrator.events import all_guards, smallest
 from plant.integrator.filling import STILL, chamber_curves, chamber_of, chamber_pressure
+from plant.integrator.loop import AGAIN, NOT_FINITE, STEPPING, sample_rest
 from plant.kernel.compiled import called
 from plant.kernel.layout import FIXED
 from plant.kernel.record_views import pressures
@@ -86,6 +86,26 @@ def rest_jump(t, span, y1, corner, o, table, n):
             return dt, smallest(g)
         span = 0.5 * dt
     return 0.0, -1
+
+
+@called
+def pass_rest(s, k, o, end, corner, task, n):
+    """Pass a rest in one step: AGAIN, NOT_FINITE, or STEPPING without a closed form; and its guard or -1.
+
+    s, k: as in `plant.integrator.loop`; end, corner: room for two states of n values.
+    """
+    left = s.next - s.time
+    dt, index = rest_jump(s.time, left, end, corner, o, task.table, n)
+    if not (dt > 0.0 or index >= 0):
+        return STEPPING, -1
+    until = s.next if dt == left and index < 0 else s.time + dt
+    for i in range(n):
+        o.y[i] = end[i]
+        if not abs(o.y[i]) < 1e300:
+            return NOT_FINITE, -1
+    sample_rest(s, k, o, end, until, task)
+    s.time = until
+    return AGAIN, index
 
 
 @called

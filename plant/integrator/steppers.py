@@ -10,13 +10,32 @@ Checked by: tests/physics/test_steppers.py (order of convergence, dense output, 
 
 from __future__ import annotations
 
+import numpy as np
+
 from plant.equations.fixed_piston import fixed_rates
 from plant.equations.length_stroke import rates
 from plant.kernel.compiled import called, inlined
 from plant.kernel.layout import FIXED
 from plant.kernel.record_views import fixed_state, length_state
 
-GAMMA = 0.25  # of Rodas4
+# Coefficients of Rodas4; rows: stages (of TO_DENSE: of the interpolant), columns: stages before.
+GAMMA = 0.25
+AT = np.array([0.0, 0.386, 0.21, 0.63, 1.0, 1.0])
+BY_TIME = np.array([0.25, -0.1043, 0.1035, -0.0362, 0.0, 0.0])
+TO_STATE, TO_RATE, TO_DENSE = np.zeros((6, 5)), np.zeros((6, 5)), np.zeros((2, 5))
+TO_STATE[2, :2] = 0.9466785280815826, 0.2557011698983284
+TO_STATE[3, :3] = 3.314825187068521, 2.896124015972201, 0.9986419139977817
+TO_STATE[4, :4] = 1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950
+TO_STATE[5] = *TO_STATE[4, :4], 1.0
+TO_RATE[2, :2] = -2.430093356833875, -0.2063599157091915
+TO_RATE[3, :3] = -0.1073529058151375, -9.594562251023355, -20.47028614809616
+TO_RATE[4, :4] = 7.496443313967647, -10.24680431464352, -33.99990352819905, 11.70890893206160
+TO_RATE[5, :3] = 8.083246795921522, -7.981132988064893, -31.52159432874371
+TO_RATE[5, 3:] = 16.31930543123136, -6.058818238834054
+TO_DENSE[0, :3] = 10.12623508344586, -7.487995877610167, -34.80091861555747
+TO_DENSE[0, 3:] = -7.992771707568823, 1.025137723295662
+TO_DENSE[1, :3] = -0.6762803392806898, 6.087714651680015, 16.43084320892478
+TO_DENSE[1, 3:] = 24.76722511418386, -6.594389125716872
 
 
 @called
@@ -261,13 +280,36 @@ def solve(r, x, n, n_all, diagonal):
         x[i] /= diagonal
 
 
+@inlined
+def combined(total, weights, count, k, i):
+    """Return a total and elements i of the first `count` rows of k, times their weights."""
+    for j in range(count):
+        total += weights[j] * k[j, i]
+    return total
+
+
+@called
+def stiff_stage(number, o, r, n, n_all, quadratures):
+    """Stage 2 to 5 of Rodas4 -> k[number]; stage: the state at which it is taken."""
+    h = r.step
+    k = r.k
+    stage = r.stage
+    to_state, to_rate = TO_STATE[number], TO_RATE[number]
+    for i in range(n_all):
+        stage[i] = combined(o.y[i], to_state, number, k, i)
+    derivative(r.time + AT[number] * h, stage, k[number], o, quadratures)
+    by_time = h * BY_TIME[number]
+    for i in range(n_all):
+        k[number, i] += combined(0.0, to_rate, number, k, i) / h + by_time * r.time_rate[i]
+    solve(r, k[number], n, n_all, 1.0 / (h * GAMMA))
+
+
 @called
 def stiff_step(o, r, n, n_all, quadratures):
     """Rodas4 from y (k[6] must hold f(t, y)) -> y1, stages in k[0:6]; returns error norm.
 
     `differentiate` must have been called at (t, y).
     """
-    t = r.time
     h = r.step
     y = o.y
     k = r.k
@@ -280,34 +322,12 @@ def stiff_step(o, r, n, n_all, quadratures):
     solve(r, k[0], n, n_all, diagonal)
     for i in range(n_all):
         stage[i] = y[i] + 1.544 * k[0, i]
-    derivative(t + 0.386 * h, stage, k[1], o, quadratures)
+    derivative(r.time + 0.386 * h, stage, k[1], o, quadratures)
     for i in range(n_all):
         k[1, i] += -5.6688 / h * k[0, i] - h * 0.1043 * ft[i]
     solve(r, k[1], n, n_all, diagonal)
-    for i in range(n_all):
-        stage[i] = y[i] + 0.9466785280815826 * k[0, i] + 0.2557011698983284 * k[1, i]
-    derivative(t + 0.21 * h, stage, k[2], o, quadratures)
-    for i in range(n_all):
-        k[2, i] += (
-            -2.430093356833875 * k[0, i] - 0.2063599157091915 * k[1, i]
-        ) / h + h * 0.1035 * ft[i]
-    solve(r, k[2], n, n_all, diagonal)
-    for i in range(n_all):
-        stage[i] = (
-            y[i]
-            + 3.314825187068521 * k[0, i]
-            + 2.896124015972201 * k[1, i]
-            + 0.9986419139977817 * k[2, i]
-        )
-    derivative(t + 0.63 * h, stage, k[3], o, quadratures)
-    for i in range(n_all):
-        k[3, i] += (
-            -0.1073529058151375 * k[0, i]
-            - 9.594562251023355 * k[1, i]
-            - 20.47028614809616 * k[2, i]
-        ) / h - h * 0.0362 * ft[i]
-    solve(r, k[3], n, n_all, diagonal)
-    last_stages(o, r, n, n_all, quadratures)
+    for number in range(2, 6):
+        stiff_stage(number, o, r, n, n_all, quadratures)
     for i in range(n_all):
         r.y1[i] = stage[i] + k[5, i]
     for i in range(n):
@@ -316,65 +336,11 @@ def stiff_step(o, r, n, n_all, quadratures):
 
 
 @called
-def last_stages(o, r, n, n_all, quadratures):
-    """Stages 4 and 5 of Rodas4, both at the end of the step -> k[4], k[5]."""
-    t = r.time
-    h = r.step
-    y = o.y
-    k = r.k
-    stage = r.stage
-    diagonal = 1.0 / (h * GAMMA)
-    for i in range(n_all):
-        stage[i] = (
-            y[i]
-            + 1.221224509226641 * k[0, i]
-            + 6.019134481288629 * k[1, i]
-            + 12.53708332932087 * k[2, i]
-            - 0.6878860361058950 * k[3, i]
-        )
-    derivative(t + h, stage, k[4], o, quadratures)
-    for i in range(n_all):
-        k[4, i] += (
-            7.496443313967647 * k[0, i]
-            - 10.24680431464352 * k[1, i]
-            - 33.99990352819905 * k[2, i]
-            + 11.70890893206160 * k[3, i]
-        ) / h
-    solve(r, k[4], n, n_all, diagonal)
-    for i in range(n_all):
-        stage[i] += k[4, i]
-    derivative(t + h, stage, k[5], o, quadratures)
-    for i in range(n_all):
-        k[5, i] += (
-            8.083246795921522 * k[0, i]
-            - 7.981132988064893 * k[1, i]
-            - 31.52159432874371 * k[2, i]
-            + 16.31930543123136 * k[3, i]
-            - 6.058818238834054 * k[4, i]
-        ) / h
-    solve(r, k[5], n, n_all, diagonal)
-
-
-@called
 def stiff_dense(y, y1, k, dense, n_all):
     """Coefficients of the order-4 interpolant of the last stiff step -> dense[0:5]."""
     for i in range(n_all):
-        a = (
-            10.12623508344586 * k[0, i]
-            - 7.487995877610167 * k[1, i]
-            - 34.80091861555747 * k[2, i]
-            - 7.992771707568823 * k[3, i]
-            + 1.025137723295662 * k[4, i]
-        )
-        b = (
-            -0.6762803392806898 * k[0, i]
-            + 6.087714651680015 * k[1, i]
-            + 16.43084320892478 * k[2, i]
-            + 24.76722511418386 * k[3, i]
-            - 6.594389125716872 * k[4, i]
-        )
         dense[0, i] = y[i]
         dense[1, i] = y1[i] - y[i]
-        dense[2, i] = a
-        dense[3, i] = b
+        dense[2, i] = combined(0.0, TO_DENSE[0], 5, k, i)
+        dense[3, i] = combined(0.0, TO_DENSE[1], 5, k, i)
         dense[4, i] = 0.0

@@ -77,7 +77,6 @@ class Control(Record):
     # counted up
     events: Value
     steps: Value
-    rejected: Value
     corners: Value  # of a law passed, which are no events
     # of the loop
     next_switch: Value

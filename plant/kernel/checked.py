@@ -2,7 +2,6 @@
 
 The same interface as the compiled views of `plant.kernel.views`.
 """
-# mypy: disallow-untyped-defs=False
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from plant.kernel.records import Record, Value, block
+from plant.kernel.records import Record, Value, block, given
 
 # The two actuators.
 FIXED, LENGTH = 0, 1
@@ -109,42 +109,45 @@ ADDED_VALUES = 40
 
 
 class Parameters(Record):
-    """Parameters of one stroke."""
+    """Parameters of one stroke.
+
+    `given` by a parameter set at the path of the actuator, fixed piston or length stroke.
+    """
 
     # gas
-    r_air: Value
-    t_gas: Value
+    r_air: Value = given("gas.R_air")
+    t_gas: Value = given("gas.T")
     p_atm: Value
     p_supply: Value
-    alpha_m1: Value  # process exponents: charge flow, volume at u = 1,
-    alpha_1: Value
-    alpha_m2: Value  # discharge flow, volume at u = 0
-    alpha_2: Value
+    alpha_m1: Value = given("alpha.alpha_m1")  # process exponents: charge flow, volume at u = 1,
+    alpha_1: Value = given("alpha.alpha_1")
+    alpha_m2: Value = given("alpha.alpha_m2")  # discharge flow, volume at u = 0
+    alpha_2: Value = given("alpha.alpha_2")
     k_in: Value  # factor on all charge flows
     k_out: Value  # factor on all discharge flows
     flow_model: Value  # 0 mapped, 1 orifice (3.13, 3.20)
     cda_in: Value
     cda_out: Value
-    gamma: Value
+    gamma: Value = given("gas.gamma")
     # geometry
-    stroke: Value
-    x_free: Value
-    area_p: Value  # length stroke: annulus A_p; fixed piston: A1
-    area_p2: Value  # fixed piston: A2
-    area_s: Value
-    vol_b: Value  # length stroke: V_B0; fixed piston: V10
-    vol_n: Value  # length stroke: V_N0; fixed piston: V20
-    vol_f: Value
-    m_s: Value  # mass of the stay with everything that moves with it
-    m_p: Value
-    bond: Value  # pull that a contact of stay and piston bears between the gears
+    stroke: Value = given("fixed.stroke", "length.stroke")
+    x_free: Value = given("", "length.x_free_total")
+    area_p: Value = given("fixed.A1", "length.A_p")  # length stroke: annulus
+    area_p2: Value = given("fixed.A2", "")
+    area_s: Value = given("fixed.A_s", "length.A_s")
+    vol_b: Value = given("fixed.V10", "length.V_B0")
+    vol_n: Value = given("fixed.V20", "length.V_N0")
+    vol_f: Value = given("", "length.V_F0")
+    m_s: Value = given("fixed.m_s", "length.m_s")  # stay with everything that moves with it
+    m_p: Value = given("", "length.m_p")
+    bond: Value = given("", "length.F_bond")  # pull that a contact bears between the gears
     # friction of the stay (fixed piston: of the whole) and of a piston
-    f_static_s: Value
-    f_run_s: Value
-    beta_s: Value
-    f_static_p: Value
-    f_run_p: Value
-    beta_p: Value
+    f_static_s: Value = given("friction_fixed.F_sf", "friction_length.F_sf_s")
+    f_run_s: Value = given("friction_fixed.F_rf", "friction_length.F_rf_s")
+    beta_s: Value = given("friction_fixed.beta", "friction_length.beta_s")
+    f_static_p: Value = given("", "friction_length.F_sf_p")
+    f_run_p: Value = given("", "friction_length.F_rf_p")
+    beta_p: Value = given("", "friction_length.beta_p")
     f_linkage: Value  # added to the stay's static and sliding friction
     stribeck_v: Value  # 0: the friction falls at once
     asymmetry: Value  # friction times (1 + a) towards +, (1 - a) towards -
@@ -156,10 +159,10 @@ class Parameters(Record):
     # loads on the stay
     mesh_force: Value
     pull_force: Value
-    x_mesh: Value
-    w_mesh: Value
-    w_pull: Value
-    x_block: Value
+    x_mesh: Value = given("synchronizer.x_mesh")
+    w_mesh: Value = given("synchronizer.w_mesh")
+    w_pull: Value = given("synchronizer.w_pull")
+    x_block: Value = given("synchronizer.x_block")
     sync_impulse: Value
     spring_k: Value
     spring_x0: Value
@@ -167,7 +170,7 @@ class Parameters(Record):
     detent_force: Value
     detent_width: Value
     # stops
-    restitution: Value
+    restitution: Value = given("stops.restitution")
     stop_offset: Value  # the engaged stop has moved outward by this much
     # leaks, as orifice areas C_d A
     leak_piston: Value
@@ -182,17 +185,17 @@ class Parameters(Record):
     alpha_speed_2: Value
     alpha_v0: Value  # speed beyond which the exponents change no further; 0: they go on
     # oil damper
-    a_oil: Value
-    a_small: Value
-    a_large: Value
-    r_hole: Value
-    x_hole: Value
-    rho_oil: Value
-    kappa: Value
+    a_oil: Value = given("damper.A_oil")
+    a_small: Value = given("damper.A_S")
+    a_large: Value = given("damper.A_B0")
+    r_hole: Value = given("damper.r_hole")
+    x_hole: Value = given("damper.x_B")
+    rho_oil: Value = given("damper.rho")
+    kappa: Value = given("damper.kappa_effective")
     air_fraction: Value
-    v_oil: Value
-    cd_floor: Value
-    cd_slope: Value
+    v_oil: Value = given("damper.V_oil2_0")
+    cd_floor: Value = given("damper.C_D_floor")
+    cd_slope: Value = given("damper.C_D_slope")
     # terms that effects add: address of `plant.parts.term.sum_of_terms` (0: none), how many terms and
     # values there are, and of each term its slot, its function's address and its first value's index
     adder: Value
@@ -261,34 +264,39 @@ class FlowMap(Record):
 
 
 class Guard(IntEnum):
-    """Guards of the modes: each is positive until its event.
+    """Guards of the modes: each is positive until its event, after which it is named.
 
     From CAPPED on: corners of a law, at which nothing happens but a new step.
     """
 
-    STAY_SPEED = 0  # the stay turns; pistons 1 and 2 turn
-    SPEED_1 = 1
-    SPEED_2 = 2
-    STAY_HIGH = 3  # the stay meets its upper or lower stop
-    STAY_LOW = 4
-    OUTER_1 = 5  # a piston meets its outer stop
-    OUTER_2 = 6
-    NUT_1 = 7  # a free piston meets the stay
-    COLLAR_1 = 8
-    NUT_2 = 9
-    COLLAR_2 = 10
-    CONTACT_1 = 11  # a joined piston parts from the stay
-    CONTACT_2 = 12
-    HOLD_STAY = 13  # a body at rest breaks away
-    HOLD_1 = 14
-    HOLD_2 = 15
-    SYNC = 16  # the synchronizer lets the stay pass
+    TURN = 0
+    PISTON_1_TURN = 1
+    PISTON_2_TURN = 2
+    STOP_HIGH = 3  # the stay meets its upper or lower stop
+    STOP_LOW = 4
+    PISTON_1_STOP = 5  # the outer stop
+    PISTON_2_STOP = 6
+    NUT_1_CONTACT = 7  # a free piston meets the stay
+    COLLAR_1_CONTACT = 8
+    NUT_2_CONTACT = 9
+    COLLAR_2_CONTACT = 10
+    PISTON_1_SEPARATION = 11  # a joined piston parts from the stay
+    PISTON_2_SEPARATION = 12
+    BREAKAWAY = 13
+    PISTON_1_BREAKAWAY = 14
+    PISTON_2_BREAKAWAY = 15
+    UNBLOCK = 16  # the synchronizer lets the stay pass
     OIL_EMPTY = 17  # the damper's oil comes to the pressure of the atmosphere, or leaves it
     OIL_FILL = 18
-    NEUTRAL = 19  # the stay comes to the damper's other side
+    DAMPER_SIDE = 19  # the stay comes to the damper's other side
     CAPPED = 20  # see `plant.parts.damper.damper_borders`
-    OPEN = 21
+    OPENED = 21
     LIFTED = 22
+
+    @property
+    def event(self) -> str:
+        """Name of the event."""
+        return self.name.removesuffix("_HIGH").removesuffix("_LOW").replace("_", " ").lower()
 
 
 GUARDS = len(Guard)

@@ -87,74 +87,30 @@ def pack(
     """Return the parameters of one stroke."""
     value = parameters.value
     p = Parameters.zeros()
-    p.r_air = value("gas.R_air")
-    p.t_gas = value("gas.T")
+    for name, field in Parameters.fields.items():
+        path = field.paths[system if len(field.paths) > 1 else 0] if field.paths else ""
+        if path:
+            setattr(p, name, value(path))
     p.p_atm = atmosphere_pa
     p.p_supply = supply_pressure_pa
-    p.alpha_m1 = value("alpha.alpha_m1")
-    p.alpha_1 = value("alpha.alpha_1")
-    p.alpha_m2 = value("alpha.alpha_m2")
-    p.alpha_2 = value("alpha.alpha_2")
     p.k_in = 1.0
     p.k_out = 1.0
     p.flow_model = 1.0 if theoretical_flow else 0.0
     p.cda_in = value("orifice.A_valve") * value("orifice.C_d_in")
     p.cda_out = value("orifice.A_valve") * value("orifice.C_d_out")
-    p.gamma = value("gas.gamma")
     if system == FIXED:
-        p.stroke = value("fixed.stroke")
-        p.area_p = value("fixed.A1")
-        p.area_p2 = value("fixed.A2")
-        p.area_s = value("fixed.A_s")
-        p.vol_b = value("fixed.V10")
-        p.vol_n = value("fixed.V20")
-        p.m_s = value("fixed.m_s") + value("fixed.m_p")
-        p.f_static_s = value("friction_fixed.F_sf")
-        p.f_run_s = value("friction_fixed.F_rf")
-        p.beta_s = value("friction_fixed.beta")
-    else:
-        p.stroke = value("length.stroke")
-        p.x_free = value("length.x_free_total")
-        p.area_p = value("length.A_p")
-        p.area_s = value("length.A_s")
-        p.vol_b = value("length.V_B0")
-        p.vol_n = value("length.V_N0")
-        p.vol_f = value("length.V_F0")
-        p.m_s = value("length.m_s")
-        p.m_p = value("length.m_p")
-        p.bond = value("length.F_bond")
-        p.f_static_s = value("friction_length.F_sf_s")
-        p.f_run_s = value("friction_length.F_rf_s")
-        p.beta_s = value("friction_length.beta_s")
-        p.f_static_p = value("friction_length.F_sf_p")
-        p.f_run_p = value("friction_length.F_rf_p")
-        p.beta_p = value("friction_length.beta_p")
+        p.m_s += value("fixed.m_p")
     if load.mounted:
         p.m_s += value("truck.m_gearbox")
         p.f_linkage = value("truck.F_gearbox")
     p.mesh_force = load.mesh_force_n
     p.pull_force = load.pull_force_n
-    p.x_mesh = value("synchronizer.x_mesh")
-    p.w_mesh = value("synchronizer.w_mesh")
-    p.w_pull = value("synchronizer.w_pull")
-    p.x_block = value("synchronizer.x_block")
     p.sync_impulse = load.sync_impulse_n_s
     p.spring_k = load.spring_n_per_m
     p.spring_x0 = load.spring_x0_m
     p.bump_width = 1.0
     p.detent_width = 1.0
-    p.restitution = value("stops.restitution")
     p.line_volume = 1.0
-    p.a_oil = value("damper.A_oil")
-    p.a_small = value("damper.A_S")
-    p.a_large = value("damper.A_B0")
-    p.r_hole = value("damper.r_hole")
-    p.x_hole = value("damper.x_B")
-    p.rho_oil = value("damper.rho")
-    p.kappa = value("damper.kappa_effective")
-    p.v_oil = value("damper.V_oil2_0")
-    p.cd_floor = value("damper.C_D_floor")
-    p.cd_slope = value("damper.C_D_slope")
     return p
 
 

@@ -1,7 +1,5 @@
 """The views of the records: `p = parameters(p)` makes an array or a plain view one with names."""
 
-# mypy: disallow-untyped-defs=False
-
 from __future__ import annotations
 
 from plant.kernel.compiled import inlined

@@ -19,15 +19,24 @@ Value: TypeAlias = Any
 
 
 class Block(NamedTuple):
-    """Shape of a field of several elements: `length` in all, in rows of `row` (0: no rows)."""
+    """Shape of a field of several elements: `length` in all, in rows of `row` (0: no rows).
+
+    paths: see `given`.
+    """
 
     length: int
     row: int = 0
+    paths: tuple[str, ...] = ()
 
 
 def block(length: int, row: int = 0) -> Value:
     """Declare a field of `length` elements, or of `length` rows of `row` elements."""
     return Block(length * max(row, 1), row)
+
+
+def given(*paths: str) -> Value:
+    """Declare a field that a parameter set gives, `section.key`: of both actuators, or of either."""
+    return Block(0, 0, paths)
 
 
 @dataclass(frozen=True)
@@ -37,6 +46,7 @@ class Field:
     start: int
     length: int
     row: int
+    paths: tuple[str, ...]
 
     @property
     def index(self) -> int | slice:
@@ -81,10 +91,10 @@ class Record:
         start = 0
         cls.fields = {}
         for name in cls.__annotations__:
-            length, row = cls.__dict__.get(name, Block(0))
-            cls.fields[name] = Field(start, length, row)
+            shape = cls.__dict__.get(name, Block(0))
+            cls.fields[name] = Field(start, *shape)
             setattr(cls, name, Access(cls.fields[name]))
-            start += max(length, 1)
+            start += max(shape.length, 1)
         cls.size = start
         RECORDS[cls.__name__] = cls
 

@@ -10,7 +10,6 @@ views check no bounds; with OPC4_CHECKED_KERNELS=1 the kernels run as plain Pyth
 
 Checked by: tests/unit/plant/kernel/test_views.py
 """
-# mypy: disallow-untyped-defs=False
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from math import exp
 from plant.kernel.compiled import inlined
 from plant.kernel.layout import Slot
 from plant.kernel.views import unlikely
-from plant.parts.synchronizer import barrier
+from plant.parts.loads import barrier
 from plant.parts.term import added
 
 

@@ -4,8 +4,6 @@ The equations call `sum_of_terms` by an address in the stroke's parameters, so t
 compiled again for a term, and a stroke without terms pays one comparison for each slot.
 """
 
-# mypy: disallow-untyped-defs=False
-
 from __future__ import annotations
 
 from plant.kernel.compiled import inlined

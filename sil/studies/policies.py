@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from plant.batch.batch import Strokes, simulate_batch
 from plant.effects.stroke_conditions import FULL_DUTY, StrokeConditions
-from plant.integrator.hybrid import GUARD_NAMES
 from plant.integrator.loop import DONE
-from plant.kernel.layout import EventRow, LengthState
+from plant.kernel.layout import EventRow, Guard, LengthState
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
 from sil.simulation.impacts import HOLD_S, counted, worst_speed_m_s
@@ -29,8 +28,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-GUARDS = {name: number for number, name in GUARD_NAMES.items()}
-IMPACTS = [kind for kind, name in GUARD_NAMES.items() if name.endswith(("contact", "stop"))]
+GUARDS = {guard.event: guard for guard in Guard}
+IMPACTS = [guard for guard in Guard if guard.event.endswith(("contact", "stop"))]
 MOST_EVENTS = 96
 TOLERANCE = 1e-5
 AT_STOP_M = 1e-4

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import quad
 
 from plant.kernel.layout import LENGTH, LengthState, Parameters
-from plant.parts.synchronizer import barrier
+from plant.parts.loads import barrier
 from plant.systems.length_stroke import LengthStroke
 from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import AIRLESS, MS, NOMINAL, SMOOTH, Bare
