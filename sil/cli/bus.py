@@ -113,7 +113,7 @@ def _measured(arguments: argparse.Namespace) -> tuple[tuple[PeriodicMessage, ...
     chosen = Selection.parse(
         since=arguments.since, until=arguments.until, channels=arguments.channel
     )
-    log = open_logs(arguments.log, chosen, show_progress=True)
+    log = open_logs(arguments.log, selection=chosen, show_progress=True)
     measured = measure_bus(log, log.path)
     names: dict[tuple[int, bool], str] = {}
     stated: dict[tuple[int, bool], int] = {}

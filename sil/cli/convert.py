@@ -12,7 +12,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sil.cli.options import JSON, SELECTION, STRICT, TIMES, argument, selection
+from sil.cli.options import JSON, SELECTION, STRICT, TIMES, argument, reading
 
 if TYPE_CHECKING:
     from sil.j1939.decode import DecodeReport
@@ -46,19 +46,13 @@ def run(arguments: argparse.Namespace) -> int:
 
     if Path(arguments.target).exists() and not arguments.force:
         raise InputError(f"{arguments.target}: exists; expected a new name, or --force")
-    common = {
-        "strict": arguments.strict,
-        "times": arguments.times,
-        "source_format": arguments.source_format,
-        "selection": selection(arguments),
-        "show_progress": True,
-    }
+    how = reading(arguments) | {"format": arguments.source_format}
     report: ConvertReport | DecodeReport
     if arguments.dbc is not None:
-        report = decode(arguments.source, arguments.target, arguments.dbc, **common)
+        report = decode(arguments.source, arguments.target, arguments.dbc, **how)
     else:
         target_format = arguments.target_format
-        report = convert(arguments.source, arguments.target, target_format=target_format, **common)
+        report = convert(arguments.source, arguments.target, target_format=target_format, **how)
     if arguments.json:
         print(json.dumps(report.as_dict(), ensure_ascii=False))
     else:

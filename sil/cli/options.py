@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sil.logs.selection import Selection
+    from sil.logs.merged import Reading
 
 Argument = tuple[str, dict[str, Any]]
 """Name, and how argparse takes it."""
@@ -74,20 +74,26 @@ SELECTION = (
         )
     ),
 )
-"""The filters of a log; `selection(arguments)` takes them."""
+"""The filters of a log."""
 
 
-def selection(arguments: argparse.Namespace) -> Selection:
-    """Return the filters of a log that were given. Raises InputError for a bad one."""
+def reading(arguments: argparse.Namespace) -> Reading:
+    """Return how logs are to be read, by SELECTION, STRICT and TIMES. Raises InputError for a bad filter."""
     from sil.logs.selection import Selection
 
-    return Selection.parse(
+    chosen = Selection.parse(
         since=arguments.since,
         until=arguments.until,
         ids=arguments.id,
         pgns=arguments.pgn,
         channels=arguments.channel,
     )
+    return {
+        "selection": chosen,
+        "strict": arguments.strict,
+        "times": arguments.times,
+        "show_progress": True,
+    }
 
 
 def say(message: str) -> None:

@@ -18,7 +18,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sil.cli.options import JSON, SELECTION, SETTINGS, STRICT, TIMES, argument, out, selection
+from sil.cli.options import JSON, SELECTION, SETTINGS, STRICT, TIMES, argument, out, reading
 
 if TYPE_CHECKING:
     from sil.logs import Logs
@@ -79,17 +79,7 @@ ARGUMENTS = (
 )
 
 
-_PASSED_ON = (
-    "log",
-    "more_logs",
-    "firmware",
-    "run",
-    "dbc",
-    "plant",
-    "closed_loop",
-    "strict",
-    "times",
-)
+_PASSED_ON = ("log", "firmware", "run", "dbc", "plant", "closed_loop")
 _FIGURES = ("scene_", "positions", "shift")
 
 
@@ -118,8 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
             reference = stack.enter_context(checkout(arguments.against)), arguments.against
         request = ReplayRequest(
             settings=tuple(arguments.settings),
-            selection=selection(arguments),
-            show_progress=True,
+            reader=_open(arguments),
             options=load_options(arguments.options) if arguments.options else Options(),
             reference=reference,
             **{name: getattr(arguments, name) for name in _PASSED_ON},
@@ -214,13 +203,7 @@ def _open(arguments: argparse.Namespace) -> Logs:
     """Return all files of the log, of which the filters select."""
     from sil.logs import open_logs
 
-    return open_logs(
-        [arguments.log, *arguments.more_logs],
-        selection(arguments),
-        strict=arguments.strict,
-        times=arguments.times,
-        show_progress=True,
-    )
+    return open_logs([arguments.log, *arguments.more_logs], **reading(arguments))
 
 
 def _summary(arguments: argparse.Namespace) -> int:

@@ -13,17 +13,16 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, Unpack
 
 from can_dbc.dbc import load_dbc
 from can_dbc.errors import InputError
 from can_dbc.frame import split_id
 from sil.j1939.transport import PGN_CONTROL, PGN_DATA, Assembler
 from sil.logs.frame import LogFrame
-from sil.logs.merged import open_logs
+from sil.logs.merged import Reading, open_logs
 from sil.logs.mf4 import import_asammdf, new_measurement, save
 from sil.logs.report import LogReport
-from sil.logs.selection import Selection
 from sil.logs.times import NS_PER_MS, RELATIVE_BELOW_NS, format_ns
 from sil.logs.traces import written
 from sil.logs.writer import packer
@@ -274,19 +273,14 @@ def decode(
     sources: Sequence[str | os.PathLike[str]],
     target: str | os.PathLike[str],
     database: str | os.PathLike[str],
-    *,
-    selection: Selection | None = None,
-    source_format: str | None = None,
-    strict: bool = False,
-    times: str = "auto",
-    show_progress: bool = False,
+    **how: Unpack[Reading],
 ) -> DecodeReport:
     """Decode the signals of logs by a DBC into .csv, .csv.gz, .mf4 or .parquet, in bounded memory.
 
     Parameters
     ----------
-    sources, selection, strict, times, show_progress
-        As in `open_logs`; `source_format` is its `format`.
+    sources, **how
+        As in `open_logs`.
     target
         The file to write; it appears when it is complete.
     database
@@ -303,14 +297,7 @@ def decode(
         raise InputError(
             f"{path}: --dbc decodes signals; expected OUT .csv, .csv.gz, .mf4 or .parquet"
         )
-    log = open_logs(
-        sources,
-        selection,
-        format=source_format,
-        strict=strict,
-        times=times,
-        show_progress=show_progress,
-    )
+    log = open_logs(sources, **how)
     report = DecodeReport(log.path, path, os.fspath(database), log.report)
     decoder = Decoder(load_dbc(database, strict=False), report)
     with written(path) as file, _TABLES[kind](path, file) as take:

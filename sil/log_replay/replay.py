@@ -26,7 +26,7 @@ from sil.log_replay.recorded_frames import OWN_IDS, Arrival, RecordedFrames, ids
 from sil.log_replay.signals import Options
 from sil.log_replay.tick_grid import HEAD_FRAMES, NOMINAL, Grid, make_grid, survey
 from sil.log_replay.ticks import TickMap, map_ticks
-from sil.logs import LogFrame, LogReport, Selection, open_logs
+from sil.logs import LogFrame, LogReport, Logs, open_logs
 
 ESTIMATE = "ControllerStatus.estimate_m"
 FORGOTTEN_M = 1e-6
@@ -48,11 +48,8 @@ class ReplayRequest:
     dbc: str | None = None
     plant: bool = False
     closed_loop: bool = False
-    strict: bool = False
-    times: str = "auto"
-    more_logs: Sequence[str] = ()
-    selection: Selection = Selection()  # noqa: RUF009 immutable
-    show_progress: bool = False
+    reader: Logs | None = None
+    """The log, opened; None: the one file `log`."""
     reference: tuple[Path, str] | None = None
     """Checkout and name of the control unit whose answers stand in for the recorded ones."""
 
@@ -196,13 +193,7 @@ class _Log:
         self._ids: Mapping[int, type] = OWN_IDS
         if request.dbc is not None:
             self._ids, self.names = ids_of_database(request.dbc)
-        self.reader = open_logs(
-            [request.log, *request.more_logs],
-            request.selection,
-            strict=request.strict,
-            times=request.times,
-            show_progress=request.show_progress,
-        )
+        self.reader = request.reader or open_logs([request.log])
         self.channel: str | None = None
         self.channels: Counter[str] = Counter()
         self.skew = (0, 0.0)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from can_dbc.errors import InputError
-from sil.logs.merged import open_logs
+from sil.logs.merged import Reading, open_logs
 from sil.logs.registry import open_writer
 from sil.logs.report import LogReport
-from sil.logs.selection import Selection
 from sil.logs.source import STANDARD_INPUT
 
 if TYPE_CHECKING:
@@ -65,18 +64,14 @@ def convert(
     src: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     dst: str | os.PathLike[str],
     *,
-    strict: bool = False,
-    times: str = "auto",
-    source_format: str | None = None,
     target_format: str | None = None,
-    selection: Selection | None = None,
-    show_progress: bool = False,
+    **how: Unpack[Reading],
 ) -> ConvertReport:
     """Read a log, or several as one, and write it in another format in constant memory.
 
     A table of signals (a CSV that begins with time_s) goes to MF4 with units, and an MF4 of such
     signals to CSV. Times that count from a date in the log's header become absolute. The target
-    appears only when it is complete. `selection`: the frames that are wanted [all].
+    appears only when it is complete. `how`: the log is read.
     Raises InputError for what cannot be read (with `strict` also for anything broken) or written.
     """
     sources = [src] if isinstance(src, (str, os.PathLike)) else list(src)
@@ -85,18 +80,11 @@ def convert(
         if os.path.exists(target) and os.path.exists(source) and os.path.samefile(source, target):
             raise InputError(f"{target}: is the source itself; expected another name")
     name = ", ".join(names)
-    if source_format is None and len(names) == 1 and name != STANDARD_INPUT:
+    if how.get("format") is None and len(names) == 1 and name != STANDARD_INPUT:
         signals = _signals(name, target)
         if signals is not None:
             return ConvertReport(name, target, signals=signals, written=signals.rows)
-    log = open_logs(
-        names,
-        selection,
-        format=source_format,
-        strict=strict,
-        times=times,
-        show_progress=show_progress,
-    )
+    log = open_logs(names, **how)
     with open_writer(target, format=target_format) as writer:
         for frame in log:
             writer.write(frame)

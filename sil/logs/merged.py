@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from heapq import heappop, heappush, heapreplace
 from itertools import chain, count
 from operator import itemgetter
+from typing import Any, TypedDict, Unpack
 
 from can_dbc.errors import InputError
 from sil.files.progress import Progress
@@ -196,27 +197,27 @@ def _alone(files: list[tuple[int, int, LogFrame, _Open]], next_ns: int) -> Itera
         return
 
 
-def open_logs(
-    paths: Sequence[str | os.PathLike[str]],
-    selection: Selection | None = None,
-    *,
-    format: str | None = None,
-    strict: bool = False,
-    times: str = "auto",
-    show_progress: bool = False,
-) -> Logs:
+class Reading(TypedDict, total=False):
+    """How logs are read; format, strict and times as in `open_log`."""
+
+    selection: Selection
+    """The frames that are wanted [all]."""
+    format: str | None
+    strict: bool
+    times: str
+    show_progress: bool
+    """Show on standard error how far it is read, if that takes more than two seconds."""
+
+
+def open_logs(paths: Sequence[str | os.PathLike[str]], **how: Unpack[Reading]) -> Logs:
     """Open recorded CAN logs as one, ordered by time.
 
     Parameters
     ----------
     paths
         One or several logs; "-" is standard input.
-    selection
-        The frames that are wanted; None: all.
-    format, strict, times
-        As in `open_log`.
-    show_progress
-        Show on standard error how far it is read, if that takes more than two seconds.
+    **how
+        See `Reading`.
 
     Raises
     ------
@@ -226,5 +227,7 @@ def open_logs(
     names = [os.fspath(path) for path in paths]
     if len(set(names)) < len(names):
         raise InputError(f"{', '.join(names)}: a file given twice; expected each once")
-    readers = [open_log(path, format=format, strict=strict, times=times) for path in names]
-    return Logs(readers, selection or Selection(), show_progress=show_progress)
+    of_each: dict[str, Any] = {**how}
+    selection, shown = of_each.pop("selection", Selection()), of_each.pop("show_progress", False)
+    readers = [open_log(path, **of_each) for path in names]
+    return Logs(readers, selection, show_progress=shown)

@@ -55,7 +55,7 @@ def test_unknown_targets_and_missing_sources(tmp_path: Path) -> None:
 def test_formats_may_be_stated(tmp_path: Path) -> None:
     source, target = tmp_path / "a", tmp_path / "b"
     source.write_text("(1.000000) can0 123#11\n")
-    report = convert(source, target, source_format="candump", target_format="csv")
+    report = convert(source, target, format="candump", target_format="csv")
     assert report.format == "csv"
     assert [frame.data for frame in open_log(target)] == [b"\x11"]
 

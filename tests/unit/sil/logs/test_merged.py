@@ -91,9 +91,8 @@ def test_what_is_broken_is_located_in_its_file(tmp_path: Path) -> None:
 def test_a_selection_of_several_files(tmp_path: Path) -> None:
     made(tmp_path / "a.log", range(10))
     made(tmp_path / "b.log", range(20, 30), 0x200)
-    log = open_logs(
-        [tmp_path / "b.log", tmp_path / "a.log"], Selection.parse(since="0.008", until="0.021")
-    )
+    chosen = Selection.parse(since="0.008", until="0.021")
+    log = open_logs([tmp_path / "b.log", tmp_path / "a.log"], selection=chosen)
     assert [frame.time_ns // MS % 1000 for frame in log] == [8, 9, 20, 21]
 
 
