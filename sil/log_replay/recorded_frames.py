@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
 from can_dbc.codec import can_id_of, spec_of
@@ -47,6 +48,7 @@ class Arrival(NamedTuple):
     frame: Frame
 
 
+@dataclass
 class RecordedFrames:
     """Sorts the frames of a log and counts every one of them.
 
@@ -57,34 +59,25 @@ class RecordedFrames:
     Checked by: tests/unit/sil/log_replay/test_recorded_frames.py
     """
 
-    def __init__(
-        self,
-        log: Iterable[LogFrame],
-        *,
-        channel: str | None = None,
-        ids: Mapping[int, type] = OWN_IDS,
-        path: str = "log",
-        skew: tuple[int, float] = (0, 0.0),
-    ) -> None:
-        self._log = log
-        self._skew = skew
-        self._channel = channel
-        self._ids = ids
-        self._path = path
-        self.total = 0
-        self.counts: Counter[str] = Counter()
-        """Frames that are not passed on, by the reason."""
-        self.kinds: Counter[type] = Counter()
-        self.foreign: Counter[int] = Counter()
-        self.reordered = 0
-        self.last_ns: int | None = None
+    log: Iterable[LogFrame]
+    channel: str | None = None
+    ids: Mapping[int, type] = field(default_factory=lambda: OWN_IDS)
+    path: str = "log"
+    skew: tuple[int, float] = (0, 0.0)
+    total: int = 0
+    counts: Counter[str] = field(default_factory=Counter)
+    """Frames that are not passed on, by the reason."""
+    kinds: Counter[type] = field(default_factory=Counter)
+    foreign: Counter[int] = field(default_factory=Counter)
+    reordered: int = 0
+    last_ns: int | None = None
 
     def __iter__(self) -> Iterator[Arrival]:
-        ids, channel = self._ids, self._channel
+        ids, channel = self.ids, self.channel
         last_ns: int | None = None
         instant: list[LogFrame] = []
-        begin_ns, share = self._skew
-        for entry in self._log:
+        begin_ns, share = self.skew
+        for entry in self.log:
             self.total += 1
             time_ns = entry.time_ns
             if share:
@@ -116,7 +109,7 @@ class RecordedFrames:
     def _clamped(self, time_ns: int, last_ns: int) -> int:
         if last_ns - time_ns > REORDERED_NS:
             raise InputError(
-                f"{self._path}: frame {self.total}: the clock steps back by "
+                f"{self.path}: frame {self.total}: the clock steps back by "
                 f"{(last_ns - time_ns) / 1e9:.3f} s; expected one recording, cut the log there"
             )
         self.reordered += 1

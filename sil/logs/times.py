@@ -6,6 +6,7 @@ import calendar
 import re
 from collections.abc import Iterable
 from datetime import UTC, datetime
+from decimal import ROUND_HALF_UP, Context, Decimal, InvalidOperation
 from typing import Final
 
 NS_PER_S: Final = 1_000_000_000
@@ -22,8 +23,8 @@ _TEXT: Final = re.compile(
 RELATIVE_BELOW_NS: Final = 315_532_800 * NS_PER_S
 """Times before 1980 are taken as counted from the start of a log, not from 1970."""
 
-_DECIMAL = re.compile(r"([+-]?)(\d{0,19})(?:\.(\d{0,40}))?\Z", re.ASCII)
-_EXPONENT = re.compile(r"([+-]?\d{0,15}(?:\.\d{0,40})?)[eE]([+-]?\d{1,2})\Z", re.ASCII)
+_NUMBER = re.compile(r"[+-]?\d{0,19}(?:\.\d{0,40})?(?:[eE][+-]?\d{1,2})?\Z", re.ASCII)
+_EXACTLY: Final = Context(prec=200, rounding=ROUND_HALF_UP)
 
 
 def parse_decimal_ns(text: str, unit_ns: int = NS_PER_S) -> int:
@@ -31,27 +32,15 @@ def parse_decimal_ns(text: str, unit_ns: int = NS_PER_S) -> int:
 
     Raises ValueError if it is no decimal number or out of the 64-bit range.
     """
-    match = _DECIMAL.match(text)
-    shift = 0
-    if match is None:
-        power = _EXPONENT.match(text)
-        match = _DECIMAL.match(power[1]) if power is not None else None
-        if power is None or match is None:
-            raise ValueError(f"{text[:40]!r} is no decimal time")
-        shift = int(power[2])
-    sign, whole, fraction = match[1], match[2], match[3] or ""
-    if not whole and not fraction:
-        raise ValueError(f"{text[:40]!r} is no decimal time")
-    scaled = int(whole + fraction or "0") * unit_ns
-    places = len(fraction) - shift
-    if places > 0:
-        divisor = 10**places
-        scaled = (2 * scaled + divisor) // (2 * divisor)
-    else:
-        scaled *= 10**-places
-    if scaled >= 2**63:
+    try:
+        if not _NUMBER.match(text):
+            raise InvalidOperation
+        time_ns = int(_EXACTLY.multiply(Decimal(text), unit_ns).to_integral_value(ROUND_HALF_UP))
+    except InvalidOperation:
+        raise ValueError(f"{text[:40]!r} is no decimal time") from None
+    if abs(time_ns) >= 2**63:
         raise ValueError(f"time {text[:40]} is out of range")
-    return int(-scaled if sign == "-" else scaled)
+    return time_ns
 
 
 def format_ns(time_ns: int, decimals: int | None = None) -> str:
