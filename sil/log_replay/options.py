@@ -85,7 +85,7 @@ def find_settings(
 
 def firmware_of(firmware: str) -> dict[str, Any]:
     """Return a scenario's keys for the program or settings of --firmware. Raises InputError."""
-    if firmware.partition(":")[0].endswith(".py"):
+    if firmware.partition(":")[0].endswith(".py") or Path(firmware).is_dir():
         return {"firmware": absolute(firmware, Path())}
     if firmware.endswith(".json"):
         table = _read_result(firmware).get("scenario", {}).get("controller")

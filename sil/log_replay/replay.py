@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -15,9 +14,9 @@ import msgspec
 
 from can_dbc.errors import InputError
 from can_dbc.messages import ShiftRequest, ValveCommand
+from controller.node import ControllerNode
 from sil.coupling.transports.channel import Participant
 from sil.files.html_table import html_table
-from sil.log_replay.checkout import CheckoutController
 from sil.log_replay.comparison import Comparison
 from sil.log_replay.executor import Account, ReplayExecutor, Unit
 from sil.log_replay.options import ReplaySettings, find_settings
@@ -27,6 +26,7 @@ from sil.log_replay.signals import Options
 from sil.log_replay.tick_grid import HEAD_FRAMES, NOMINAL, Grid, make_grid, survey
 from sil.log_replay.ticks import TickMap, map_ticks
 from sil.logs import LogFrame, LogReport, Logs, open_logs
+from sil.nodes.own_firmware import OwnController
 
 ESTIMATE = "ControllerStatus.estimate_m"
 FORGOTTEN_M = 1e-6
@@ -102,14 +102,11 @@ def replay(request: ReplayRequest) -> ReplayResult:
     ready = find_settings(
         request.log,
         found,
-        firmware=None if _is_folder(request.firmware) else request.firmware,
+        firmware=request.firmware,
         settings=request.settings,
         run=request.run,
         with_plant=request.plant or request.closed_loop,
     )
-    if _is_folder(request.firmware):
-        description = f"of {request.firmware}, settings {ready.description}"
-        ready = dataclasses.replace(ready, description=description)
     scene = ready.loaded.scenario
     if found.skew and not ready.own_run:
         log.skew = (found.first_ns, found.skew)
@@ -142,10 +139,11 @@ def replay(request: ReplayRequest) -> ReplayResult:
         )
     receives = _receiving(ready, grid, ticks, "controller")
     with ExitStack() as stack:
-        firmware = stack.enter_context(closing(Unit(_firmware(request, ready))))
+        firmware = stack.enter_context(closing(Unit(_firmware(ready))))
         reference = None
         if request.reference is not None:
-            make = partial(CheckoutController, request.reference[0], config, request.reference[1])
+            tree, name = request.reference
+            make = partial(OwnController, str(tree), config, name)
             reference = stack.enter_context(closing(Unit(make)))
         plant = _plant(request, ready, grid, plant_receives=_receiving(ready, grid, ticks, "plant"))
         executor = ReplayExecutor(ticks, firmware, config.period_ns, receives, plant, reference)
@@ -248,25 +246,11 @@ def _options(options: Options, grid: Grid, ticks: TickMap) -> Options:
     return msgspec.structs.replace(options, tolerance=tolerance)
 
 
-def _is_folder(firmware: str | None) -> bool:
-    return firmware is not None and Path(firmware).is_dir()
-
-
-def _firmware(request: ReplayRequest, ready: ReplaySettings) -> Callable[[], Participant]:
+def _firmware(ready: ReplaySettings) -> Callable[[], Participant]:
     """Return what starts the control unit under replay."""
     config, program = ready.loaded.scenario.controller, ready.loaded.scenario.firmware
-    if request.firmware is not None and _is_folder(request.firmware):
-        folder = Path(request.firmware).resolve()
-        if not (folder / "controller" / "node.py").is_file():
-            name = request.firmware
-            raise InputError(f"{name}: no controller/node.py in it; expected a checkout")
-        return partial(CheckoutController, folder, config, request.firmware)
     if program:
-        from sil.nodes.own_firmware import OwnController
-
         return partial(OwnController, program, config)
-    from controller.node import ControllerNode
-
     return partial(ControllerNode, config)
 
 

@@ -43,18 +43,22 @@ _SERVER = Path(__file__).with_name("own_firmware_process.py")
 class OwnController:
     """The controller with the firmware that `where`, FILE.py or FILE.py:CLASS, holds; a participant.
 
+    Or that of another checkout of this project, if `where` is its folder. `name`: of the controller
+    in messages.
+
     Raises InputError naming file, line and what is wrong with a file that cannot be loaded, and
     ParticipantLost (also from `advance`) when its code ends the process or hangs.
     """
 
-    name = "controller"
-
-    def __init__(self, where: str, config: FirmwareConfig) -> None:
+    def __init__(self, where: str, config: FirmwareConfig, name: str = "controller") -> None:
+        self.name = name
         file, _, class_name = where.partition(":")
         self._path = Path(file)
         if self._path.is_dir():
-            raise InputError(f"firmware: {file}: is a folder; expected FILE.py or FILE.py:CLASS")
-        if self._path.suffix != ".py" or not self._path.is_file():
+            if not (self._path / "controller" / "node.py").is_file():
+                what = "is a folder; expected FILE.py, FILE.py:CLASS, or a checkout"
+                raise InputError(f"firmware: {file}: {what}")
+        elif self._path.suffix != ".py" or not self._path.is_file():
             raise InputError(f"firmware: {file}: no such file; expected FILE.py or FILE.py:CLASS")
         self._server: _Server | None = _take_server()
         settings = msgspec.to_builtins(config)
@@ -102,7 +106,7 @@ class OwnController:
             if kind == "answer":
                 return found
             if kind == "refused":
-                raise InputError(found)
+                raise InputError(found if self.name == "controller" else f"{self.name}: {found}")
             if kind == "ended":
                 name = f"killed by {signal.Signals(-found).name}" if found < 0 else f"exit({found})"
                 found = f"{self._place()}: its process ended: {name}"

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import faulthandler
+import importlib
 import importlib.util
 import os
 import signal
@@ -81,9 +82,12 @@ def _run(connection: Connection, load: list[Any]) -> None:
     line, kind = 1, "refused"
     try:
         try:
-            firmware = _load(path, class_name, settings)
-            line = getattr(getattr(firmware.step, "__code__", None), "co_firstlineno", line)
-            node = ControllerNode(msgspec.convert(settings, FirmwareConfig), _Checked(firmware))
+            if path.is_dir():
+                node = _of_checkout(path, settings)
+            else:
+                firmware = _load(path, class_name, settings)
+                line = getattr(getattr(firmware.step, "__code__", None), "co_firstlineno", line)
+                node = ControllerNode(msgspec.convert(settings, FirmwareConfig), _Checked(firmware))
             kind = "failed"
             connection.send_bytes(_packed("answer", 0))
             while message := connection.recv_bytes():
@@ -115,16 +119,30 @@ def _load(path: Path, class_name: str, settings: Any) -> Steps:
     return made
 
 
+def _of_checkout(folder: Path, settings: Any) -> ControllerNode:
+    """Return the node of a checkout, made of its own packages in place of ours."""
+    for name in [
+        name for name in sys.modules if name.partition(".")[0] in ("can_dbc", "controller")
+    ]:
+        del sys.modules[name]
+    sys.path.insert(0, str(folder))
+    sys.dont_write_bytecode = True
+    config, node = (importlib.import_module(f"controller.{name}") for name in ("config", "node"))
+    made: ControllerNode = node.ControllerNode(config.load_config(settings, "settings"))
+    return made
+
+
 def _described(path: Path, line: int, error: BaseException) -> str:
-    """Return FILE:LINE: TYPE: TEXT; without a call of the file on the stack, the line given."""
-    calls = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)]
+    """Return FILE:LINE: TYPE: TEXT; without a call of the user's code on the stack, the line given."""
+    stack, file = traceback.extract_tb(error.__traceback__), str(path)
+    calls = [f for f in stack if f.filename == file or path in Path(f.filename).parents]
     if calls:
-        line = calls[-1].lineno or line
+        file, line = calls[-1].filename, calls[-1].lineno or line
     text = str(error)
-    if isinstance(error, SyntaxError) and error.filename == str(path):
+    if isinstance(error, SyntaxError) and error.filename == file:
         line, text = error.lineno or line, error.msg
     text = " ".join(text.split())
-    return f"{path}:{line}: {type(error).__name__}" + (f": {text}" if text else "")
+    return f"{file}:{line}: {type(error).__name__}" + (f": {text}" if text else "")
 
 
 def _exit_in(process: int, leave: Callable[[int], Any]) -> Callable[[int], Any]:

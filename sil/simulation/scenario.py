@@ -140,8 +140,8 @@ class Scenario(_Table, frozen=True, kw_only=True):
     sensor: SensorConfig = SensorConfig()
     controller: FirmwareConfig = FirmwareConfig()
     firmware: str = ""
-    """FILE.py or FILE.py:CLASS of a user's own firmware in place of ours, relative to the
-    scenario; empty for ours."""
+    """FILE.py or FILE.py:CLASS of a user's own firmware in place of ours, or the folder of another
+    checkout of this project with its firmware, relative to the scenario; empty for ours."""
     memory: str = ""
     """Memory with which our firmware is powered on: a file of at most 4096 bytes, relative to the
     scenario, as the memory.bin that a run with a learning strategy leaves; empty for none. A

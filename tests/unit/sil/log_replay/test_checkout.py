@@ -13,10 +13,11 @@ from can_dbc.errors import InputError, RunError
 from can_dbc.messages import ValveCommand
 from controller.config import FirmwareConfig
 from controller.node import ControllerNode
-from sil.log_replay.checkout import CheckoutController, checkout
+from sil.log_replay.checkout import checkout
 from sil.log_replay.executor import Unit
 from sil.log_replay.recorded_frames import OWN_IDS
 from sil.log_replay.replay import ReplayRequest, replay
+from sil.nodes.own_firmware import OwnController
 from tests.conftest import ROOT
 from tests.unit.sil.log_replay.golden_logs import arrivals, golden
 
@@ -82,7 +83,7 @@ def test_a_commit_without_a_firmware_is_refused(repository: Path) -> None:
 def test_the_controller_of_a_checkout_answers_as_our_own_does() -> None:
     log = [a for a in arrivals("lab_n_b") if a.kind is not None]
     own = Unit(lambda: ControllerNode(FirmwareConfig()))
-    with closing(Unit(lambda: CheckoutController(ROOT, FirmwareConfig(), "here"))) as foreign:
+    with closing(Unit(lambda: OwnController(str(ROOT), FirmwareConfig(), "here"))) as foreign:
         for tick in range(40):
             now = tick * 10_000_000
             heard = [(a.time_ns, a.frame) for a in log if now - 10_000_000 < a.time_ns <= now]
@@ -98,12 +99,15 @@ def test_a_checkout_without_a_controller_is_refused(tmp_path: Path) -> None:
     package = tmp_path / "controller"
     package.mkdir()
     (package / "__init__.py").write_text("raise RuntimeError('an older world')\n")
-    with pytest.raises(InputError, match=r"cannot be used: .*an older world"):
-        CheckoutController(tmp_path, FirmwareConfig(), "old")
+    with pytest.raises(InputError, match=r"is a folder; expected .* or a checkout"):
+        OwnController(str(tmp_path), FirmwareConfig())
+    (package / "node.py").touch()
+    with pytest.raises(InputError, match=r"^old: .*/__init__.py:1: RuntimeError: an older"):
+        OwnController(str(tmp_path), FirmwareConfig(), "old")
 
 
 def test_the_error_that_ends_a_checkouts_controller_is_named() -> None:
-    with closing(CheckoutController(ROOT, FirmwareConfig(), "here")) as node:
+    with closing(OwnController(str(ROOT), FirmwareConfig(), "here")) as node:
         node.advance(0, [])
-        with pytest.raises(RunError, match=r"here: its firmware ended: .*skips the tick"):
+        with pytest.raises(RunError, match=r"here failed: .*skips the tick"):
             node.advance(10_000_001, [])
