@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.output_folder import without_parent_steps
     from sil.recording.recorder import EVENTS, PLANT_TRACE
     from sil.simulation import build, scenario
-    from sil.simulation.free_run import CLOCK_ZERO, received
+    from sil.simulation.free_run import CLOCK_ZERO
 
     wait_s: float = arguments.timeout
     if not 0.0 <= wait_s <= 86400.0:
@@ -97,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
     with contextlib.ExitStack() as closing:
         if arguments.realtime:
             signal.signal(signal.SIGTERM, signal.default_int_handler)
-            bus = open_bus(channel, wait_s, notify, received(name))
+            bus = open_bus(channel, wait_s, notify, build.received(name))
             closing.callback(bus.shutdown)
         else:
             link = open_link(channel, wait_s, notify)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import json
 import os
 import shlex
@@ -48,6 +49,17 @@ SCENARIO = "scenario.json"
 MEMORY = "memory.bin"
 REMOTE = ("controller", "plant")
 """Participants that have a process of their own on every transport but inproc."""
+
+PARTICIPANT = {
+    "Opc4": "controller",
+    "ShiftConsole": "driver",
+    "Engine": "driver",
+    "Pneumatics": "driver",
+    "ValveDriver": "plant",
+    "PositionSensor": "plant",
+    "Driveline": "plant",
+}
+"""Nodes of the DBC to the participants that send and receive for them."""
 
 SENDERS = (*TURN_ORDER, "traffic", "intruder", GUEST)
 """All who may be on the bus, in the order of their turns."""
@@ -213,6 +225,13 @@ def warm_up(loaded: Loaded) -> None:
 
     stroke = LengthStroke(loaded.parameters)
     stroke.advance(1_000_000, [(500_000, 0, 1.0)], np.array([1_000_000], dtype=np.int64))
+
+
+@functools.cache
+def received(name: str) -> tuple[int, ...]:
+    """Return the identifiers of the messages that a participant receives by the DBC, at least one."""
+    nodes = {node for node, participant in PARTICIPANT.items() if participant == name}
+    return tuple(s.can_id for s in contract().values() if nodes & s.receivers) or (0,)
 
 
 def participant_names(scenario: Scenario) -> tuple[str, ...]:

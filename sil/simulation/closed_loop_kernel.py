@@ -10,36 +10,19 @@ It exists for speed: studies run tens of thousands of shifts.  With `Lockstep`, 
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Sequence
 from functools import lru_cache
 from heapq import heappop, heappush
 
-from can_dbc.codec import can_id_of
 from can_dbc.errors import InputError, RunError
 from can_dbc.frame import Frame
-from can_dbc.messages import (
-    ControllerStatus,
-    DrivelineSpeeds,
-    PositionPulse,
-    SafetyBlow,
-    ShiftRequest,
-    Tsc1,
-    ValveCommand,
-)
 from sil.coupling.bus import overwritten
 from sil.coupling.clock import NS_PER_S, to_seconds
 from sil.coupling.frame_bits import INTERMISSION_BITS, frame_bits
 from sil.coupling.lockstep import TURN_ORDER
 from sil.coupling.transports.channel import Participant, ParticipantLost
 from sil.recording.run_record import BusFrame
-
-HEARD: Mapping[str, frozenset[int]] = {
-    "driver": frozenset(map(can_id_of, (ControllerStatus, DrivelineSpeeds))),
-    "controller": frozenset(map(can_id_of, (PositionPulse, ShiftRequest, DrivelineSpeeds))),
-    "plant": frozenset(map(can_id_of, (ValveCommand, SafetyBlow, Tsc1))),
-    "traffic": frozenset(),
-}
-"""Identifiers of the messages that each participant uses."""
+from sil.simulation.build import received
 
 _bits = lru_cache(maxsize=1 << 15)(frame_bits)
 
@@ -71,7 +54,7 @@ def _loop(  # noqa: C901 - a call per step would cost what the loop saves
     names = [one.name for one in ranked]
     hearers: dict[int, list[int]] = {}
     for k, name in enumerate(names):
-        for can_id in HEARD[name]:
+        for can_id in received(name):
             hearers.setdefault(can_id, []).append(k)
     turns = [one.advance for one in ranked]
     following = [one.start() for one in ranked]

@@ -39,18 +39,7 @@ CLOCK_ZERO = "plant.zero"
 """File next to the plant's trace: the instant, ns since 1970, at which its clock is zero."""
 
 MODE = "free-running"
-PARTICIPANT = {
-    "Opc4": "controller",
-    "ShiftConsole": "driver",
-    "Engine": "driver",
-    "Pneumatics": "driver",
-    "ValveDriver": "plant",
-    "PositionSensor": "plant",
-    "Driveline": "plant",
-}
-"""Nodes of the DBC to the participants that send and receive for them."""
-
-_SENDERS = {s.can_id: PARTICIPANT.get(s.senders[0], GUEST) for s in contract().values()}
+_SENDERS = {s.can_id: build.PARTICIPANT.get(s.senders[0], GUEST) for s in contract().values()}
 
 SETTLING_S = 1.0
 """The run begins this long after the last node has come, when all have received the others' frames."""
@@ -61,12 +50,6 @@ MISSING_SHARE = 0.05
 _LOOK_S = 0.05
 _END_S = 10.0
 _ROWS_AT_ONCE = 1 << 16
-
-
-def received(name: str) -> list[int]:
-    """Return the identifiers of the messages that a participant receives by the DBC, at least one."""
-    nodes = {node for node, participant in PARTICIPANT.items() if participant == name}
-    return [s.can_id for s in contract().values() if nodes & s.receivers] or [0]
 
 
 class FreeRun:
@@ -192,7 +175,7 @@ class FreeRun:
         later = [replace(each, at_s=each.at_s + SETTLING_S) for each in scenario.request]
         loaded = dataclasses.replace(self._loaded, scenario=replace(scenario, request=later))
         participant = build.make_participant(name, loaded, self._folder)
-        bus = open_bus(self._channel, receives=received(name))
+        bus = open_bus(self._channel, receives=build.received(name))
         self._closing.callback(bus.shutdown)
         node = FreeNode(participant, bus, catches_up=False)
         self._nodes.append(self._threads.submit(node.run, self._stop))

@@ -25,7 +25,8 @@ from sil.coupling.transports import address
 from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames, counter_of
 from sil.log_replay.replay import ReplayRequest, replay
 from sil.logs import open_log
-from sil.simulation.free_run import jitter, received
+from sil.simulation.build import received
+from sil.simulation.free_run import jitter
 
 ROOT = Path(__file__).resolve().parents[2]
 FOREIGN = ROOT / "tests" / "foreign_controller" / "free_controller.py"
@@ -136,7 +137,7 @@ def test_participants_receive_what_the_dbc_says() -> None:
     assert names == {"ShiftRequest", "PositionPulse", "DrivelineSpeeds"}
     names = {OWN_IDS[can_id].__name__ for can_id in received("plant") if can_id in OWN_IDS}
     assert names == {"ValveCommand", "SafetyBlow"}
-    assert received("traffic") == [0]
+    assert received("traffic") == (0,)
 
 
 def test_faults_of_lockstep_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
