@@ -6,16 +6,18 @@ Checked by: tests/unit/sil/shift_diagnosis/test_diagnose_logs.py
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log, log1p
 from typing import Final
 
 import numpy as np
 
 from sil.shift_diagnosis.linear import (
+    NOISE,
     SIZE_PRIOR,
     Floats,
     Linear,
+    Noise,
     estimates,
     linearise,
     point_of,
@@ -23,13 +25,17 @@ from sil.shift_diagnosis.linear import (
     projected,
     unit_names,
 )
-from sil.shift_diagnosis.model import DIFFERENCE, LEAST_NOISE_M, Cause, PlantModel, Point
+from sil.shift_diagnosis.model import DIFFERENCE, Cause, PlantModel, Point
 from sil.shift_diagnosis.shifts import Shift
 
-DAMPINGS: Final = (0.0, 0.03, 0.3, 3.0, 30.0)
+DAMPINGS: Final = (0.0, 0.003, 0.03, 0.3, 3.0)
 """Dampings of a step that are tried, as shares of the information's diagonal."""
-DIFFERENCES: Final = (0.02, 0.5)
+SHARES: Final = (0.5, 0.2)
+"""Shares of the undamped step that are tried: along a ridge, damping stops."""
+DIFFERENCES: Final = (0.5,)
 """Other steps of the differences, tried in turn where a fit stalls: positions have kinks."""
+LEAST_SCATTER: Final = 0.1
+"""Share of the model's scatter between shifts below which none is assumed."""
 COARSE_M: Final = (1e-3, 1e-4)
 """Noise with which a fit begins."""
 NEAR: Final = 5.0
@@ -55,6 +61,11 @@ class Fit:
     covariance: Floats
 
     @property
+    def point(self) -> Floats:
+        """The quantities, then the size [units + 1]."""
+        return np.append(self.values, self.size)
+
+    @property
     def half_chi2(self) -> float:
         """Half chi squared of residuals and priors at the point."""
         unable = UNABLE * np.count_nonzero(self.linear.count == 0)
@@ -78,52 +89,76 @@ class Fit:
 class Fitter:
     """Fits hypotheses to the same shifts of one truck."""
 
-    def __init__(
-        self, model: PlantModel, shifts: Sequence[Shift], noise_m: float = LEAST_NOISE_M
-    ) -> None:
-        self.model, self.shifts, self.noise_m = model, list(shifts), noise_m
+    def __init__(self, model: PlantModel, shifts: Sequence[Shift], noise: Noise = NOISE) -> None:
+        self.model, self.shifts, self.noise = model, list(shifts), noise
         self.names = unit_names(model)
 
-    def fit(self, cause: Cause | None, values: Floats, size: float, rounds: int = 12) -> Fit:
-        """Fit the unit's quantities and a cause's size, from `values` [units] and `size`.
+    def fit(self, cause: Cause | None, start: Floats, rounds: int = 16) -> Fit:
+        """Fit the unit's quantities, and a cause's size, from a point [units, or units + 1].
 
         At first coarsely: with little noise, the residual of a start far away has many minima.
+        Derivatives are computed again only where steps by those of an earlier point gain nothing.
         """
-        at = np.append(values, size) if cause is not None else values
-        now = self.at(cause, at)
-        coarse = COARSE_M if now.half_chi2 > NEAR * now.linear.count.sum() else ()
-        for noise_m in (*coarse, self.noise_m):
-            now = self.at(cause, np.append(now.values, now.size)[: len(at)], noise_m)
-            steps = list(DIFFERENCES)
+        now = self.at(cause, start)
+        noises = [self.noise]
+        if not self.noise.weights and now.half_chi2 > NEAR * now.linear.count.sum():
+            noises = [replace(self.noise, position_m=m) for m in COARSE_M] + noises
+        for noise in noises:
+            now = now if len(noises) == 1 else self.at(cause, now.point, noise)
+            steps, fresh = list(DIFFERENCES), True
             for _ in range(rounds):
                 trials = [estimates(now.linear, damping)[0] for damping in DAMPINGS]
-                costs = self.costs(cause, trials, now.linear)
+                ahead, here = trials[0], now.linear.values
+                trials += [here + share * (ahead - here) for share in SHARES]
+                costs, x = self.costs(cause, trials, now.linear)
                 best = int(np.argmin(costs))
-                stalls = bool(costs[best] > now.half_chi2 - CONVERGED)
-                if stalls and not steps:
+                if costs[best] <= now.half_chi2 - CONVERGED:
+                    now, fresh = self._moved(now, trials[best], x[:, best]), False
+                elif not fresh or steps:
+                    step = steps.pop(0) if fresh else DIFFERENCE
+                    now, fresh = self.at(cause, now.point, noise, step), True
+                else:
                     break
-                goal = np.append(now.values, now.size)[: len(at)] if stalls else trials[best]
-                step = steps.pop(0) if stalls else DIFFERENCE
-                now = self.at(cause, goal, noise_m, step)
+            now = self.at(cause, now.point, noise)
         return now
+
+    def settle(self, fit: Fit) -> Fit:
+        """Estimate how much the shifts scatter by the likelihood; return the fit with that."""
+        while (scatter := 0.5 * self.noise.scatter) > LEAST_SCATTER:
+            before, self.noise = self.noise, replace(self.noise, scatter=scatter)
+            closer = self.fit(fit.cause, fit.point)
+            if closer.cost > fit.cost:
+                self.noise = before
+                break
+            fit = closer
+        return fit
 
     def at(
         self,
         cause: Cause | None,
-        at: Floats,
-        noise_m: float | None = None,
+        point: Floats,
+        noise: Noise | None = None,
         difference: float = DIFFERENCE,
     ) -> Fit:
-        """Return the hypothesis linearised at a point [units, or units + 1]."""
-        values, size = self._split(cause, at)
+        """Return the hypothesis linearised at a point [units, or more: then the cause's size]."""
+        values, size = self._split(cause, point)
         causes = () if cause is None else (cause,)
         active = {} if cause is None else {cause: size}
-        noise_m = noise_m or self.noise_m
-        linear = linearise(self.model, self.shifts, values, causes, active, noise_m, difference)
+        linear = linearise(
+            self.model, self.shifts, values, causes, active, noise or self.noise, difference
+        )
         return Fit(values, cause, size, linear, *estimates(linear))
 
-    def costs(self, cause: Cause | None, trials: Sequence[Floats], near: Linear) -> Floats:
-        """Return half chi squared with the priors [trials], with the weights of `near`.
+    def _moved(self, now: Fit, trial: Floats, position_m: Floats) -> Fit:
+        """Return a fit at another point, its positions [shifts, pulses] simulated, slopes as before."""
+        values, size = self._split(now.cause, trial)
+        linear = now.linear.moved(np.append(values, size)[: len(trial)], self.shifts, position_m)
+        return Fit(values, now.cause, size, linear, *estimates(linear))
+
+    def costs(
+        self, cause: Cause | None, trials: Sequence[Floats], near: Linear
+    ) -> tuple[Floats, Floats]:
+        """Return half chi squared with the priors [trials] by the weights of `near`, and positions.
 
         trials: [units] or [units + 1] each, the last the cause's size.
         """
@@ -135,15 +170,16 @@ class Fitter:
             total[k] = prior_cost(values) + 0.5 * (size / SIZE_PRIOR) ** 2
         x, _v, done = self.model.predict(self.shifts, points)
         for k, (shift, weight) in enumerate(zip(self.shifts, near.weights, strict=True)):
-            r = shift.position_m - x[k, :, : len(shift.time_s)]
-            squares = 0.5 * np.sum((r @ weight) * r, axis=1)
-            total += np.where(done[k] & np.isfinite(squares), squares, UNABLE)
-        return total
+            if near.count[k]:
+                r = shift.position_m - x[k, :, : len(shift.time_s)]
+                squares = 0.5 * np.sum((r @ weight) * r, axis=1)
+                total += np.where(done[k] & np.isfinite(squares), squares, UNABLE)
+        return total, x
 
     def _split(self, cause: Cause | None, at: Floats) -> tuple[Floats, float]:
         """Return the unit's quantities, and the cause's size not on its unphysical side."""
         values = at[: len(self.names)]
-        if cause is None:
+        if cause is None or len(at) == len(values):
             return values, 0.0
         size, sign = float(at[-1]), cause.sign
         return values, size if sign == 0 else sign * max(0.0, sign * size)

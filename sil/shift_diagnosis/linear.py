@@ -8,7 +8,8 @@ Checked by: tests/unit/sil/shift_diagnosis/test_model.py
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -19,6 +20,7 @@ from sil.shift_diagnosis.model import (
     JITTER_S,
     LEAST_NOISE_M,
     SHOWN,
+    SPEED_NOISE_RAD_S,
     Cause,
     PlantModel,
     Point,
@@ -29,6 +31,8 @@ Floats = NDArray[np.float64]
 
 TAIL: Final = 6.0
 """Degrees of freedom of the prior of every quantity in which trucks differ."""
+REWEIGHTED: Final = 12
+"""Rounds of reweighting by the priors' tails."""
 SIZE_PRIOR: Final = 3.0
 """Standard deviation of a cause's size, in typical ones."""
 
@@ -38,26 +42,93 @@ class Linear:
     """Shifts linearised at a point; parameters are the unit's quantities, then the causes' sizes.
 
     names: of the unit's quantities; values: the point, in prior standard deviations and typical
-    sizes [p]. information [n, p, p], score [n, p], misfit [n] (chi squared), count [n], volume [n]
-    (log determinant of the noise) of each shift; residual_m: [n, pulses], NaN behind a shift's last; weights: of each shift, the inverse
-    covariance of its pulses. Shifts that could not be simulated have count 0.
+    sizes [p]. Of each shift, residuals [pulses, m], slopes [pulses, p], weights [pulses, pulses],
+    the inverse covariance, and volume, the log determinant of the noise. Shifts that could not be
+    simulated have weight 0.
     """
 
     names: tuple[str, ...]
     causes: tuple[Cause, ...]
     values: Floats
-    information: Floats
-    score: Floats
-    misfit: Floats
-    count: NDArray[np.int64]
-    volume: Floats
-    residual_m: Floats
+    residuals: tuple[Floats, ...]
+    slopes: tuple[Floats, ...]
     weights: tuple[Floats, ...]
+    volume: Floats
 
     @property
     def units(self) -> int:
         """How many parameters are the unit's."""
         return len(self.names)
+
+    @cached_property
+    def information(self) -> Floats:
+        """Information [n, p, p] of each shift."""
+        return np.array([a.T @ w @ a for a, w in zip(self.slopes, self.weights, strict=True)])
+
+    @cached_property
+    def score(self) -> Floats:
+        """Score [n, p] of each shift."""
+        three = zip(self.slopes, self.weights, self.residuals, strict=True)
+        return np.array([a.T @ (w @ r) for a, w, r in three])
+
+    @cached_property
+    def misfit(self) -> Floats:
+        """Chi squared [n] of each shift."""
+        return np.array([r @ w @ r for w, r in zip(self.weights, self.residuals, strict=True)])
+
+    @cached_property
+    def count(self) -> NDArray[np.int64]:
+        """Compared numbers [n] of each shift."""
+        return np.array([len(w) if w.any() else 0 for w in self.weights])
+
+    def restricted(self, offered: Sequence[int]) -> Linear:
+        """Return the same with some of its causes, by index."""
+        n = self.units
+        own = np.append(np.arange(n), n + np.array(offered, dtype=int))
+        causes = tuple(self.causes[k] for k in offered)
+        slopes = tuple(slope[:, own] for slope in self.slopes)
+        return replace(self, causes=causes, values=self.values[own], slopes=slopes)
+
+    def moved(self, values: Floats, shifts: Sequence[Shift], position_m: Floats) -> Linear:
+        """Return the same at another point [p] with its positions [n, pulses, m], slopes as here."""
+        return replace(self, values=values, residuals=residuals_of(shifts, position_m))
+
+
+def residuals_of(shifts: Sequence[Shift], position_m: Floats) -> tuple[Floats, ...]:
+    """Return recorded minus simulated positions [n, pulses, m] of each shift, 0 without a simulation."""
+    pairs = zip(shifts, position_m, strict=True)
+    return tuple(np.nan_to_num(s.position_m - x[: len(s.time_s)]) for s, x in pairs)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What makes two equal shifts differ on the bus.
+
+    position_m: of a pulse. scatter: that of the shifts, as a share of the model's. weights: if given,
+    of each shift [pulses, pulses], instead of those that follow at a point.
+    """
+
+    position_m: float = LEAST_NOISE_M
+    scatter: float = 1.0
+    weights: tuple[Floats, ...] = ()
+
+    def covariance(
+        self, model: PlantModel, shift: Shift, speed_m_s: Floats, slopes: Mapping[str, Floats]
+    ) -> Floats:
+        """Return the covariance [pulses, pulses, m^2] of a shift, by its slopes [pulses] per unit."""
+        shares = {name: self.scatter * sd for name, sd in model.each.items()}
+        if shift.end in "BF":
+            error = SPEED_NOISE_RAD_S / max(abs(shift.difference_rad_s), SPEED_NOISE_RAD_S)
+            shares[f"cone_{shift.end}"] = float(np.hypot(shares[f"cone_{shift.end}"], error))
+        spread = np.stack(
+            [slopes[name] * sd / model.unit[name] for name, sd in shares.items() if name in slopes],
+            1,
+        )
+        own = np.diag(self.position_m**2 + (JITTER_S * speed_m_s) ** 2)
+        return np.asarray(own + spread @ spread.T)
+
+
+NOISE: Final = Noise()
 
 
 def point_of(model: PlantModel, names: Sequence[str], values: Floats) -> dict[str, float]:
@@ -77,7 +148,7 @@ def linearise(
     values: Floats,
     causes: Sequence[Cause] = (),
     active: Mapping[Cause, float] | None = None,
-    noise_m: float = LEAST_NOISE_M,
+    noise: Noise = NOISE,
     difference: float = DIFFERENCE,
 ) -> Linear:
     """Linearise shifts around the unit's `values` [units] (prior deviations) and active causes' sizes.
@@ -97,51 +168,35 @@ def linearise(
     ]
     x, v, done = model.predict(shifts, points)
     base, speed = x[:, 0], v[:, 0]
-    columns = dict(zip(moved, np.moveaxis(x[:, 1 : 1 + len(moved)], 1, 0), strict=True))
-    by = {name: (column - base) / difference for name, column in columns.items()}
-    by["latency"] = -speed * model.unit["latency"]
-    by["offset"] = np.full_like(base, model.unit["offset"])
-    by["gain"] = base * model.unit["gain"]
-    by_cause = [(x[:, 1 + len(moved) + j] - base) / step for j, step in enumerate(steps)]
-    size = len(names) + len(causes)
-    information = np.zeros((len(shifts), size, size))
-    score, misfit = np.zeros((len(shifts), size)), np.zeros(len(shifts))
-    volume, count = np.zeros(len(shifts)), np.zeros(len(shifts), dtype=np.int64)
-    residuals = np.full(base.shape, np.nan)
-    weights = []
-    scatter = {name: model.each[name] / model.unit[name] for name in model.each if name in names}
+    scale = np.array([difference] * len(moved) + steps)
+    by = np.where(done[:, 1:, None], x[:, 1:] - base[:, None], 0.0) / scale[:, None]
+    column = {name: by[:, k] for k, name in enumerate(moved)} | {
+        "latency": -speed * model.unit["latency"],
+        "offset": np.full_like(base, model.unit["offset"]),
+        "gain": base * model.unit["gain"],
+    }
+    columns = np.stack([column[name] for name in names] + list(by.swapaxes(0, 1)[len(moved) :]), -1)
+    slopes, weights, volume = [], [], np.zeros(len(shifts))
     for k, shift in enumerate(shifts):
         n = len(shift.time_s)
-        residual = shift.position_m - base[k, :n]
-        residuals[k, :n] = residual
-        own = np.stack([by[name][k, :n] for name in names] + [c[k, :n] for c in by_cause], axis=1)
-        own[:, ~np.isfinite(own).all(axis=0)] = 0.0
-        if not done[k, 0] or not np.isfinite(residual).all():
+        own = columns[k, :n]
+        usable = done[k, 0] and np.isfinite(base[k, :n]).all()
+        slopes.append(np.where(np.isfinite(own).all(axis=0) & usable, own, 0.0))
+        if noise.weights:
+            weights.append(noise.weights[k] * usable)
+            continue
+        if not usable:
             weights.append(np.zeros((n, n)))
             continue
-        own[:, ~_useful(done[k], len(names), names, moved)] = 0.0
-        spread = np.stack([by[name][k, :n] * share for name, share in scatter.items()], axis=1)
-        covariance = np.diag(noise_m**2 + (JITTER_S * speed[k, :n]) ** 2) + spread @ spread.T
-        weight = np.linalg.inv(covariance)
-        weights.append(weight)
-        information[k] = own.T @ weight @ own
-        score[k] = own.T @ (weight @ residual)
-        misfit[k] = residual @ weight @ residual
-        volume[k] = np.linalg.slogdet(covariance / noise_m**2)[1]
-        count[k] = n
+        units = dict(zip(names, slopes[k].T[: len(names)], strict=True))
+        covariance = noise.covariance(model, shift, speed[k, :n], units)
+        weights.append(np.linalg.inv(covariance))
+        volume[k] = np.linalg.slogdet(covariance / LEAST_NOISE_M**2)[1]
     sizes = np.array([active.get(cause, 0.0) for cause in causes])
     return Linear(
-        names, tuple(causes), np.concatenate([values, sizes]), information, score, misfit, count,
-        volume, residuals, tuple(weights),
+        names, tuple(causes), np.concatenate([values, sizes]), residuals_of(shifts, base),
+        tuple(slopes), tuple(weights), volume,
     )  # fmt: skip
-
-
-def _useful(
-    done: NDArray[np.bool_], units: int, names: Sequence[str], moved: Sequence[str]
-) -> NDArray[np.bool_]:
-    """Return which columns of a shift come from simulations that went through."""
-    own = dict(zip(moved, done[1 : 1 + len(moved)].tolist(), strict=True))
-    return np.array([own.get(name, True) for name in names] + done[1 + len(moved) :].tolist())
 
 
 def prior_cost(values: Floats) -> float:
@@ -152,10 +207,10 @@ def prior_cost(values: Floats) -> float:
     return float(0.5 * (TAIL + 1.0) * np.sum(np.log1p(values**2 / TAIL)))
 
 
-def prior_weight(linear: Linear) -> Floats:
-    """Return the precision [p] of the priors of unit and sizes at the point, as a normal one's."""
-    units = (TAIL + 1.0) / (TAIL + linear.values[: linear.units] ** 2)
-    return np.append(units, np.full(len(linear.causes), 1.0 / SIZE_PRIOR**2))
+def weight_of(point: Floats, units: int) -> Floats:
+    """Return the precision [p] of the priors of unit and sizes at a point [p], as a normal one's."""
+    weight = (TAIL + 1.0) / (TAIL + point[:units] ** 2)
+    return np.append(weight, np.full(len(point) - units, 1.0 / SIZE_PRIOR**2))
 
 
 def estimates(linear: Linear, damping: float = 0.0) -> tuple[Floats, Floats]:
@@ -164,7 +219,7 @@ def estimates(linear: Linear, damping: float = 0.0) -> tuple[Floats, Floats]:
     damping: of the step, as a share of the information's diagonal.
     """
     h, g = linear.information.sum(axis=0), linear.score.sum(axis=0)
-    weight = prior_weight(linear)
+    weight = weight_of(linear.values, linear.units)
     precision = h + np.diag(weight + damping * np.diag(h))
     covariance = np.linalg.inv(precision)
     return linear.values + covariance @ (g - weight * linear.values), covariance
@@ -177,7 +232,46 @@ def projected(linear: Linear) -> tuple[Floats, Floats]:
     """
     n = linear.units
     h, g = linear.information.sum(axis=0), linear.score.sum(axis=0)
-    weight = prior_weight(linear)[:n]
+    weight = weight_of(linear.values, linear.units)[:n]
     gain = np.linalg.solve(h[:n, :n] + np.diag(weight), h[:n, n:]).T
     pull = g[:n] - linear.values[:n] * weight
     return h[n:, n:] - gain @ h[:n, n:], g[n:] - gain @ pull
+
+
+def explained(linear: Linear, k: int | None = None) -> tuple[float, Floats]:
+    """Return half chi squared and the point [units, or units + 1] that explain the linear model best.
+
+    k: the cause that acts alone.  The priors' tails are followed by reweighting, from usual trucks.
+    """
+    n = linear.units
+    own = np.append(np.arange(n), [] if k is None else [n + k]).astype(int)
+    h, g = linear.information.sum(axis=0)[np.ix_(own, own)], linear.score.sum(axis=0)[own]
+    at, best = linear.values[own], (np.inf, linear.values[own])
+    for start in (0.0 * at, at):
+        point = start
+        for _ in range(REWEIGHTED):
+            point = np.linalg.solve(h + np.diag(weight_of(point, n)), g + h @ at)
+        by = point - at
+        cost = 0.5 * float(linear.misfit.sum()) - g @ by + 0.5 * by @ h @ by
+        cost += prior_cost(point[:n]) + 0.5 * float(np.sum((point[n:] / SIZE_PRIOR) ** 2))
+        best = min(best, (float(cost), point), key=lambda item: item[0])
+    return best
+
+
+def hidden_cost(linear: Linear, sizes: Floats) -> Floats:
+    """Return half chi squared [causes, sizes] of a usual truck with one cause, called healthy.
+
+    sizes: [sizes], ascending, in typical ones.
+    """
+    n = linear.units
+    h = linear.information.sum(axis=0)
+    units, across, alone = h[:n, :n], h[n:, :n], np.diag(h)[n:]
+    found, u = np.zeros((len(alone), len(sizes))), np.zeros_like(across)
+    for j, size in enumerate(sizes):
+        for _ in range(REWEIGHTED):
+            weight = (TAIL + 1.0) / (TAIL + u**2)
+            matrix = units + weight[:, :, None] * np.eye(n)
+            u = np.linalg.solve(matrix, size * across[..., None])[..., 0]
+        left = 0.5 * size**2 * alone - size * (across * u).sum(1) + 0.5 * (u @ units * u).sum(1)
+        found[:, j] = left + 0.5 * (TAIL + 1.0) * np.log1p(u**2 / TAIL).sum(1)
+    return found

@@ -39,6 +39,8 @@ MESH_N, PULL_N = (600.0, 500.0), (300.0, 400.0)
 """Barriers into and out of gear: guess and standard deviation."""
 JITTER_S: Final = 5e-5
 """Jitter of a pulse that its frame does not show."""
+SPEED_NOISE_RAD_S: Final = 0.1
+"""Noise of a speed difference."""
 LEAST_NOISE_M: Final = 1.4e-5
 """Standard deviation of a position by the timer's resolution alone."""
 DIFFERENCE: Final = 0.1

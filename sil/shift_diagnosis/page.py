@@ -25,7 +25,6 @@ from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 from sil.shift_diagnosis.judge import EXPLAINED, Judged, ShiftDiagnosis, judge_shifts
-from sil.shift_diagnosis.linear import Floats
 from sil.shift_diagnosis.model import Cause
 from sil.shift_diagnosis.shifts import LEAD_S, shifts_of
 
@@ -142,12 +141,19 @@ def as_json(found: ShiftDiagnosis, logs: list[str], skipped: dict[str, int]) -> 
         extended_model="extended_model.toml" if found.verdict == "named" else None,
         logs=logs,
         shifts=len(found.shifts),
-        noise_m=found.noise_m,
+        noise_m=found.noise.position_m,
+        scatter=found.noise.scatter,
         probabilities={name: round(p, 4) for name, p in found.probabilities.items()},
         chi2_per_number=shown or None,
         groups=groups_of(found),
         detectable=[
-            {"cause": i.cause.name, "typical_sizes": i.size, "alike": list(i.alike)}
+            {
+                "cause": i.cause.name,
+                "typical_sizes": i.size,
+                "value": i.value,
+                "unit": i.cause.parameter.unit,
+                "alike": list(i.alike),
+            }
             for i in found.detectable
         ],
         truck=truck_rows(found),
@@ -202,7 +208,6 @@ def shifts_figure(found: ShiftDiagnosis) -> Figure:
         if (shift.start, shift.end) in kinds or len(stacks) == 4:
             continue
         kinds.add((shift.start, shift.end))
-        n = len(shift.time_s)
         ms = MS * (shift.time_s - LEAD_S)
         lines = [Series("recorded", ms, MM * shift.position_m, "measured", "marked", width=2.0)]
         residuals = []
@@ -210,7 +215,7 @@ def shifts_figure(found: ShiftDiagnosis) -> Figure:
             ("healthy truck", before, "before"),
             (found.best.name, after, "after"),
         ):
-            rest: Floats = linear.residual_m[k, :n]
+            rest = linear.residuals[k]
             lines.append(Series(label, ms, MM * (shift.position_m - rest), role, width=0.9))
             residuals.append(Series(label, ms, MM * rest, role, width=0.8))
         panels = [

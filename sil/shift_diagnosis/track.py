@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 BLOCK: Final = 20
 """Shifts that are summed before anything is tested."""
 CELLS: Final = 256
-"""Cells that a truck has at most; then the older half of them are merged in pairs."""
+"""Cells that a truck has at most; then two neighbours are merged for every new one."""
 FEWEST_CELLS: Final = 5
 """Cells before a change that make its baseline."""
 THRESHOLD: Final = 5.5
@@ -31,10 +31,8 @@ simulation (`python -m tests.bench watch_rates`)."""
 PSEUDO_BLOCKS: Final = 5.0
 """Blocks that the stated scatter of a shift counts as, when the scatter is estimated."""
 RAMP_GAIN: Final = 4.0
-"""Chi squared by which a drift may be worse than two steps; twice that, and it is better than one."""
+"""Half chi squared by which a drift must be better than a step."""
 SEPARABLE: Final = 9.0
-WITHIN: Final = 3.84
-"""Chi squared within which a date is in its 95 % interval."""
 
 
 class Change(msgspec.Struct, kw_only=True):
@@ -42,7 +40,7 @@ class Change(msgspec.Struct, kw_only=True):
 
     shift: the first one after the change, low to high its 95 % interval; time_s: when that was;
     found: the shift after which it was found. sigma: standard deviations. alike: parameters whose
-    change the shifts cannot tell from this one.
+    change the shifts cannot tell from this one. since: from which shift on it is dated; -1: not again.
     """
 
     name: str
@@ -54,6 +52,7 @@ class Change(msgspec.Struct, kw_only=True):
     found: int
     sigma: float
     alike: list[str]
+    since: int = 0
 
 
 @dataclass
@@ -146,15 +145,14 @@ class Track:
         return freedom * float(np.expm1(THRESHOLD**2 / freedom))
 
     def _merge(self) -> None:
-        """Merge the older half of the cells in pairs, never over the date of a change."""
+        """Merge two neighbours, the finest for their distance from now and from the last change."""
         if len(self.count) < CELLS:
             return
-        borders = {0, self.since, *(change.shift for change in self.changes)}
-        groups, k = [], 0
-        while k < len(self.count):
-            mergeable = k + 1 < CELLS // 2 and int(self.first[k + 1]) not in borders
-            groups.append(k)
-            k += 2 if mergeable else 1
+        second = self.first[1:]
+        reach = np.minimum(self.shifts - second, np.abs(second - self.since)) + BLOCK
+        width = (self.count[:-1] + self.count[1:]) / reach
+        width[np.isin(second, [self.since, *(change.shift for change in self.changes)])] = np.inf
+        groups = np.delete(np.arange(len(self.count)), int(np.argmin(width)) + 1)
         for name in ("count", "information", "score"):
             setattr(self, name, np.add.reduceat(getattr(self, name), groups, axis=0))
         self.first, self.time_s = self.first[groups], self.time_s[groups]
@@ -180,69 +178,53 @@ class Track:
         j, k = divmod(int(np.argmax(gain[FEWEST_CELLS:])), len(self.names))
         j += FEWEST_CELLS
         if gain[j, k] < self._limit2:
+            self._date(self.shifts)
             return None
-        return self._changed(whole, h[:, k], a[:, k], t, j, k, gain)
-
-    def _changed(
-        self, whole: slice, h: Floats, a: Floats, t: Floats, j: int, k: int, gain: Floats
-    ) -> Change:
-        """Date a change of parameter k, found at cell j of the segment, and begin a new segment."""
-        name, offset = self.names[k], whole.start
-        steps = _ramp_costs(t, a, h)
-        ramp, kind = int(np.argmin(steps)), "step"
-        mean_gain = gain[:, k]
-        base = float(np.sum(h * (a - np.average(a, weights=h)) ** 2))
-        profile = base - mean_gain
-        profile[:FEWEST_CELLS] = np.inf
-        alike = self._alike(offset, offset + j, k)
-        last = self.changes[-1] if self.changes else None
-        if last is not None and last.name in (name, *alike):
-            replaced = self._as_drift(last, self.names.index(last.name))
-            if replaced is not None:
-                return replaced
-        if len(t) - j >= FEWEST_CELLS and steps[ramp] < profile[j] - 2.0 * RAMP_GAIN:
-            kind, j, profile = "drift", ramp, steps
-        near = np.flatnonzero(profile <= profile[j] + WITHIN)
-        cell = offset + j
+        shift = int(self.first[whole.start + j])
+        self._date(shift)
         change = Change(
-            name=name, kind=kind, shift=int(self.first[cell]),
-            low=int(self.first[offset + near[0]]) - (BLOCK if near[0] else 0),
-            high=int(self.first[offset + near[-1]] + self.count[offset + near[-1]]),
-            time_s=float(self.time_s[cell]), found=self.shifts,
-            sigma=float(np.sqrt(np.max(gain[FEWEST_CELLS:, k]))), alike=alike,
+            name=self.names[k], kind="step", shift=shift, low=shift, high=shift,
+            time_s=float(self.time_s[whole.start + j]), found=self.shifts,
+            sigma=float(np.sqrt(gain[j, k])), alike=self._alike(whole.start, whole.start + j, k),
+            since=-1 if self.drifting else self.since,
         )  # fmt: skip
-        self._begin(change)
-        return change
-
-    def _begin(self, change: Change) -> None:
         self.changes.append(change)
-        self.since = change.shift
-        self.drifting = {change.name} if change.kind == "drift" else set()
-
-    def _as_drift(self, last: Change, k: int) -> Change | None:
-        """Return a drift instead of a step and another one after it, if it explains both as well."""
-        before = [c.shift for c in self.changes[:-1] if c.shift < last.shift]
-        _whole, h, a, t = self._segment(before[-1] if before else 0)
-        h, a = h[:, k], a[:, k]
-        middle = int(np.searchsorted(t, last.shift))
-        two = _step_cost(h[:middle], a[:middle]) + min(
-            _step_cost(h[middle:j], a[middle:j]) + _step_cost(h[j:], a[j:])
-            for j in range(middle + 1, len(t))
-        )
-        ramps = _ramp_costs(t, a, h)
-        ramp = int(np.argmin(ramps))
-        if ramps[ramp] > two + RAMP_GAIN:
-            return None
-        near = np.flatnonzero(ramps <= ramps[ramp] + WITHIN)
-        first = self.first[-len(t) :]
-        change = msgspec.structs.replace(
-            last, kind="drift", shift=int(first[ramp]), low=int(first[near[0]]),
-            high=int(first[near[-1]]), time_s=float(self.time_s[-len(t) :][ramp]),
-            found=self.shifts,
-        )  # fmt: skip
-        self.changes.pop()
-        self._begin(change)
+        self.since, self.drifting = shift, set()
+        self._date(self.shifts)
         return change
+
+    def _date(self, until: int) -> None:
+        """Date the last change again by all shifts until one, as a step or the begin of a drift.
+
+        A date's interval holds 95 % of its probability under both.
+        """
+        change = self.changes[-1] if self.changes else None
+        if change is None or change.since < 0:
+            return
+        k = self.names.index(change.name)
+        whole, h, a, t = self._segment(change.since)
+        own = t < until
+        h, a, t = h[own, k], a[own, k], t[own]
+        if len(t) < FEWEST_CELLS + 1:
+            return
+        steps = float(np.sum(h * (a - np.average(a, weights=h)) ** 2)) - _step_gains(h, a)
+        ramps = _ramp_costs(t, a, h)
+        steps[:FEWEST_CELLS], ramps[:FEWEST_CELLS] = np.inf, np.inf
+        is_drift = bool(np.min(ramps) < np.min(steps) - 2.0 * RAMP_GAIN)
+        chance = np.exp(0.5 * (min(steps.min(), ramps.min()) - steps))
+        chance += np.exp(0.5 * (min(steps.min(), ramps.min()) - ramps))
+        sure = np.cumsum(chance * self.count[whole][own]) / np.sum(chance * self.count[whole][own])
+        low, high = np.searchsorted(sure, [0.025, 0.975]).tolist()
+        cell = int(np.argmin(ramps if is_drift else steps))
+        first = self.first[whole][own]
+        self.changes[-1] = msgspec.structs.replace(
+            change, kind="drift" if is_drift else "step", shift=int(first[cell]),
+            low=int(first[max(low - 1, 0)]), high=int(first[high] + self.count[whole][own][high]),
+            time_s=float(self.time_s[whole][own][cell]),
+        )  # fmt: skip
+        if self.since == change.shift:
+            self.since = self.changes[-1].shift
+            self.drifting = {change.name} if is_drift else set()
 
     def _alike(self, begin: int, at: int, k: int) -> list[str]:
         """Return the parameters whose step the shifts cannot tell from that of parameter k."""
@@ -309,7 +291,7 @@ _ARRAYS: Final = {
 
 
 def _step_gains(h: Floats, a: Floats) -> Floats:
-    """Return chi squared gained by a step before each cell [m, p]; 0 before the first."""
+    """Return chi squared gained by a step before each cell [m] or [m, p]; 0 before the first."""
     score = h * a
     before_h = np.cumsum(h, axis=0) - h
     before = np.cumsum(score, axis=0) - score
@@ -318,11 +300,6 @@ def _step_gains(h: Floats, a: Floats) -> Floats:
     mean = after[1:] / after_h[1:] - before[1:] / before_h[1:]
     gains[1:] = mean**2 / (1.0 / after_h[1:] + 1.0 / before_h[1:])
     return gains
-
-
-def _step_cost(h: Floats, a: Floats) -> float:
-    """Return chi squared of cells [m] around their mean."""
-    return float(np.sum(h * (a - np.average(a, weights=h)) ** 2)) if len(h) else 0.0
 
 
 def _line(t: Floats, a: Floats, h: Floats) -> tuple[Floats, Floats, Floats]:
@@ -337,8 +314,8 @@ def _line(t: Floats, a: Floats, h: Floats) -> tuple[Floats, Floats, Floats]:
 
 def _ramp_costs(t: Floats, a: Floats, h: Floats) -> Floats:
     """Return chi squared [m] of a level that becomes a line at each cell."""
-    costs = np.full(len(t), np.inf)
-    for k in range(len(t) - 2):
-        fitted = _line(np.maximum(0.0, t - t[k]), a, h)[0]
-        costs[k] = float(np.sum(h * (a - fitted) ** 2))
-    return costs
+    rest = a - np.average(a, weights=h)
+    ramps = np.maximum(0.0, t - t[:, None])
+    ramps -= (ramps @ h / h.sum())[:, None]
+    gains = (ramps @ (h * rest)) ** 2 / np.maximum(ramps**2 @ h, 1e-12)
+    return np.asarray(np.sum(h * rest**2) - gains)

@@ -22,9 +22,8 @@ from plant.parameters import ParameterSet
 from sil.files.progress import Progress
 from sil.j1939.mapping import SignalMapping
 from sil.logs import FORMATS
-from sil.shift_diagnosis.fit import Fitter
-from sil.shift_diagnosis.judge import FIT_SHIFTS, rest_noise_m
-from sil.shift_diagnosis.linear import Floats, linearise
+from sil.shift_diagnosis.judge import FIT_SHIFTS, healthy_fit, rest_noise_m
+from sil.shift_diagnosis.linear import Floats, Noise, linearise
 from sil.shift_diagnosis.model import Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import Shift, shifts_of
 from sil.shift_diagnosis.track import Change, Track
@@ -55,6 +54,7 @@ class Reference(msgspec.Struct):
     mounted: bool
     values: list[float]
     noise_m: float
+    scatter: float
     chi2: float
     shifts: int
 
@@ -182,9 +182,8 @@ class Watch:
             reference = reference or self._reference(some)
             count += len(some)
             model = self._model(reference.mounted)
-            linear = linearise(
-                model, some, np.array(reference.values), self._causes, noise_m=reference.noise_m
-            )
+            noise = Noise(reference.noise_m, reference.scatter)
+            linear = linearise(model, some, np.array(reference.values), self._causes, noise=noise)
             chi2 = linear.misfit / np.maximum(linear.count, 1)
             odd = (chi2 > ODD * reference.chi2) & (chi2 > ODD) | (linear.count == 0)
             # after a lasting change every shift is far from the first ones: then none is odd
@@ -207,15 +206,15 @@ class Watch:
     def _reference(self, shifts: Sequence[Shift]) -> Reference:
         """Fit a truck's own quantities to its first shifts."""
         few = list(shifts[: 2 * FIT_SHIFTS])
-        noise = rest_noise_m(few)
-        fits = []
-        for mounted in (True, False):
-            fitter = Fitter(self._model(mounted), few[:FIT_SHIFTS], noise)
-            fits.append((mounted, fitter.fit(None, np.zeros(len(fitter.names)), 0.0)))
-        mounted, best = min(fits, key=lambda pair: pair[1].half_chi2)
-        linear = linearise(self._model(mounted), few, best.values, noise_m=noise)
+        models = [self._model(mounted) for mounted in (True, False)]
+        fitter, best = healthy_fit(models, few[:FIT_SHIFTS], Noise(rest_noise_m(few)))
+        linear = linearise(fitter.model, few, best.values, noise=fitter.noise)
         chi2 = float(np.median(linear.misfit / np.maximum(linear.count, 1)))
-        return Reference(mounted, best.values.tolist(), noise, max(chi2, 0.1), len(few))
+        mounted = fitter.model.mounted
+        noise = fitter.noise
+        return Reference(
+            mounted, best.values.tolist(), noise.position_m, noise.scatter, max(chi2, 0.1), len(few)
+        )
 
     def trucks(self) -> Iterator[Watched]:
         """Yield every truck of the store, by name."""
@@ -318,6 +317,7 @@ def _change_json(track: Track, number: int, causes: dict[str, Cause]) -> dict[st
     after = next((c.shift for c in track.changes[number + 1 :]), None)
     cause = causes.get(change.name)
     found = msgspec.to_builtins(change)
+    del found["since"]
     found["before"] = _valued(cause, *track.level(k, before, change.shift))
     found["after"] = _valued(cause, *track.level(k, change.shift, after))
     return dict(found)

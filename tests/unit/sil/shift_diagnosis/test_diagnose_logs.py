@@ -38,6 +38,12 @@ def test_a_healthy_truck_is_consistent(nominal_log: Path, tmp_path: Path) -> Non
     assert (code, found["verdict"], found["causes"]) == (0, "consistent", [])
     assert found["probabilities"]["healthy"] > 0.5
     assert found["chi2_per_number"]["healthy"] < 1.5
+    # what would not have been noticed is stated, and it is what the information says
+    (timing,) = [line for line in found["findings"] if "(valve timing)" in line]
+    noticed = {row["cause"]: row for row in found["detectable"]}
+    assert f"valve_open_delay {noticed['valve_open_delay']['value']:.2g} s" in timing
+    assert 0.0005 < noticed["valve_open_delay"]["value"] < 0.007
+    assert noticed["end_stop_bounce"]["value"] is None
 
 
 def test_a_log_without_commands_is_one_line(

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from plant.parameters import load
-from sil.shift_diagnosis.linear import estimates, linearise, projected
+from sil.shift_diagnosis.linear import (
+    Noise,
+    estimates,
+    explained,
+    hidden_cost,
+    linearise,
+    projected,
+)
 from sil.shift_diagnosis.model import PlantModel, Point, catalogue
 from sil.shift_diagnosis.shifts import Shift, shifts_of
 
@@ -48,3 +56,23 @@ def test_a_linear_model_is_a_sum_over_shifts(shifts: list[Shift]) -> None:
     precision = information[0, 0] + 1.0 / 9.0
     assert joint[-1] == pytest.approx(score[0] / precision, rel=1e-6, abs=1e-9)
     assert covariance[-1, -1] == pytest.approx(1.0 / precision, rel=1e-6)
+
+
+def test_a_cause_is_hidden_by_what_trucks_differ_in(shifts: list[Shift]) -> None:
+    model = PlantModel(load("nominal"), mounted=True)
+    causes = [c for c in catalogue() if c.effect.id in ("valve_open_delay", "dynamic_friction")]
+    linear = linearise(model, shifts, np.zeros(17), causes, noise=Noise(scatter=0.25))
+    sizes = np.array([0.5, 1.0, 2.0])
+    hidden = hidden_cost(linear, sizes)
+    alone = np.diag(linear.information.sum(axis=0))[17:]
+    assert (np.diff(hidden, axis=1) > 0.0).all()
+    assert (hidden < 0.2 * 0.5 * sizes**2 * alone[:, None]).all()
+    # a usual truck needs no cause, and with one in its score the cause is found again
+    _cost, point = explained(linear)
+    assert np.abs(point).max() < 2.0
+    k = [cause.effect.id for cause in causes].index("valve_open_delay")
+    pairs = zip(linear.residuals, linear.slopes, strict=True)
+    delayed = replace(linear, residuals=tuple(r + 3.0 * a[:, 17 + k] for r, a in pairs))
+    best, point = explained(delayed, k)
+    assert best < explained(delayed)[0] - 3.0
+    assert point[-1] == pytest.approx(3.0, abs=1.0)
