@@ -35,7 +35,7 @@ from sil.report.plots import content, rounded
 from sil.report.run_figure import run_figure
 from sil.simulation import scenario as scenarios
 from sil.simulation.in_memory import Run, run_in_memory
-from sil.simulation.scenario import Loaded, Request, Scenario
+from sil.simulation.scenario import FAULT_TABLES, Loaded, Request, Scenario
 from sil.simulation.scenario_text import scenario_toml
 from sil.studies.kinds.bounds import SHIPPED as STORED_BOUNDS
 
@@ -46,7 +46,6 @@ LONGEST_S = 20.0
 """Longest run of the page: a request is answered by a run from its beginning."""
 MOST_ROWS = 200_000
 
-FAULT_TABLES = ("fault", "sensor_fault", "temperature_fault", "speed_fault", "valve_fault")
 FIXED = ("firmware", "model_set", "effects", "bus.guest", "duration_s")
 """Values that a page may not set: they name files or other programs, or are set otherwise."""
 

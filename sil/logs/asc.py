@@ -12,8 +12,7 @@ from typing import Final, NamedTuple
 
 from sil.logs.format import ZONE_NOTE, Batch, Format, NotAFrame, TextReader
 from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame
-from sil.logs.report import LogReport
-from sil.logs.source import ByteSource, Chunk, Line
+from sil.logs.source import Chunk, Line
 from sil.logs.times import (
     NS_PER_S,
     enough_decimals,
@@ -200,14 +199,10 @@ def _fd(text: str) -> _Event:
 class AscReader(TextReader):
     """State of one reading: number base, kind of times, and where they count from."""
 
-    def __init__(self, source: ByteSource, report: LogReport, times: str) -> None:
-        super().__init__(source, report, times)
-        report.time_base = "relative"
-        self._decimal = False
-        self._deltas = False
-        self._origin_ns = 0
-        self._last_ns = 0
-        self._block_ns: int | None = None
+    time_base = "relative"
+    _decimal = _deltas = False
+    _origin_ns = _last_ns = 0
+    _block_ns: int | None = None
 
     def _quick(self, chunk: Chunk) -> Batch | None:
         """Return the frames if the header came before and has hex numbers and plain times."""

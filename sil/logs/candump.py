@@ -9,7 +9,7 @@ Source: can-utils' own printing (lib.c, candump.c).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import pairwise, repeat
 from operator import add
@@ -18,8 +18,7 @@ from typing import Final, NamedTuple
 from can_dbc.errors import InputError
 from sil.logs.format import Batch, Format, NotAFrame, TextReader, time_base
 from sil.logs.frame import MAX_TIME_NS, LogFrame
-from sil.logs.report import LogReport
-from sil.logs.source import ByteSource, Chunk, Line
+from sil.logs.source import Chunk, Line
 from sil.logs.times import NS_PER_S, enough_decimals, format_ns, parse_decimal_ns, utc_ns
 from sil.logs.writer import LogWriter
 
@@ -205,7 +204,7 @@ def _other(time_ns: int, line: str) -> tuple[LogFrame, bool]:
     raise ValueError(f"{line[:40]!r} is no candump line")
 
 
-def surely_whole(parsed: Parsed, earlier: list[LogFrame]) -> bool:
+def surely_whole(parsed: Parsed, earlier: Sequence[LogFrame]) -> bool:
     """Return whether a last line without a line end can be taken for whole.
 
     A cut can shorten data without a trace. A line is whole if it states its length, has as many
@@ -310,12 +309,10 @@ def _words(text: str, count: int, first: str, step: int) -> list[str] | None:
 class CandumpReader(TextReader):
     """State of one reading: what the times of the log are."""
 
-    def __init__(self, source: ByteSource, report: LogReport, times: str) -> None:
-        super().__init__(source, report, times)
-        self._decided = False
-        self._timed: bool | None = None
-        self._sum_ns = 0
-        self._earlier: list[LogFrame] = []
+    _decided = False
+    _timed: bool | None = None
+    _sum_ns = 0
+    _earlier: Sequence[LogFrame] = ()
 
     def __iter__(self) -> Iterator[Batch]:
         held = Batch([], [])

@@ -63,9 +63,13 @@ class NotAFrame(Exception):
 class TextReader(ABC):
     """Reads a log of lines; a format says how a line becomes a frame."""
 
+    time_base = "absolute"
+    """What the times of a log are until its lines say otherwise."""
+
     def __init__(self, source: ByteSource, report: LogReport, times: str) -> None:
         self._source = source
         self._report = report
+        report.time_base = self.time_base
         self._times = times
         self._ids: dict[str, tuple[int, bool]] = {}
 

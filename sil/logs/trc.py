@@ -6,13 +6,13 @@ Source: PEAK CAN TRC file format, as the files of PCAN-View and PEAK-Converter s
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Final
 
 from can_dbc.errors import InputError
 from sil.logs.format import ZONE_NOTE, Batch, Format, NotAFrame, TextReader, time_base
 from sil.logs.frame import DLC_LENGTHS, MAX_TIME_NS, LogFrame
-from sil.logs.report import LogReport
-from sil.logs.source import ByteSource, Chunk, Line
+from sil.logs.source import Chunk, Line
 from sil.logs.times import NS_PER_MS, NS_PER_S, parse_decimal_ns, utc_calendar, utc_ns
 from sil.logs.writer import RelativeWriter
 
@@ -59,12 +59,10 @@ _IDENTIFIER: Final = re.compile(r"[0-9A-F]{1,8}\Z", re.IGNORECASE)
 class TrcReader(TextReader):
     """State of one reading: version, columns, and the instant the offsets count from."""
 
-    def __init__(self, source: ByteSource, report: LogReport, times: str) -> None:
-        super().__init__(source, report, times)
-        self._version = ""
-        self._columns: list[str] = []
-        report.time_base = "relative"
-        self._origin_ns: int | None = None
+    time_base = "relative"
+    _version = ""
+    _columns: Sequence[str] = ()
+    _origin_ns: int | None = None
 
     def _quick(self, chunk: Chunk) -> Batch | None:
         if self._version == "2.1" and ",".join(self._columns) != _DEFAULT_COLUMNS["2.1"]:

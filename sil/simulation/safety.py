@@ -28,15 +28,12 @@ from can_dbc.e2e import E2eConfig, E2eStatus, Receiver
 from can_dbc.messages import ControllerStatus, E2eState, Fault, Gear, ValveCommand
 from sil.coupling.clock import NS_PER_S
 from sil.coupling.faults import BusOff, Dead, Delay, Stalled
-from sil.recording.run_record import BusFrame, RunRecord
-from sil.simulation.metrics import gear_at, gear_position_m
-from sil.simulation.scenario import Scenario
+from sil.recording.run_record import CHAMBERS, BusFrame, RunRecord
+from sil.simulation.metrics import OPEN_ABOVE, gear_at, gear_position_m
+from sil.simulation.scenario import FAULT_TABLES, Scenario
 
 FILLED_PA = 3e5
 """A chamber at this absolute pressure can move the stay against its friction."""
-
-ENERGISED = 0.34
-"""Duty above which a coil is meant to be energised."""
 
 REPORT_HOLDS_S = 0.05
 """A status frame is valid for this long."""
@@ -66,10 +63,7 @@ def fault_start_s(scenario: Scenario) -> float:
     clock = scenario.clock
     if scenario.bus.extra_load or clock.controller_ppm or clock.driver_ppm:
         return 0.0
-    faults = [
-        *(*scenario.fault, *scenario.sensor_fault, *scenario.temperature_fault),
-        *(*scenario.speed_fault, *scenario.valve_fault),
-    ]
+    faults = (fault for table in FAULT_TABLES for fault in getattr(scenario, table))
     return min((fault.start_s for fault in faults), default=math.inf)
 
 
@@ -89,8 +83,7 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
     faults = [(e.arrival_ns / NS_PER_S, m.faults) for e, m in status if m is not None]
     before = reduce(or_, (bits for at, bits in faults if at < start), Fault.NONE)
     later = [(at, bits) for at, bits in faults if at >= start]
-    duties = np.stack([truth[f"cmd_{c}"] for c in "BNF"])
-    energised: np.ndarray = np.any(duties > ENERGISED, axis=0)
+    energised = _energised(record)
     late = np.flatnonzero(energised & (time_s >= start))
     off = math.nan
     if len(late) and late[-1] + 1 < len(time_s):
@@ -114,6 +107,12 @@ def figures(record: RunRecord, scenario: Scenario) -> dict[str, float]:
         "orphan_energised_s": orphan_energised_s(record, scenario),
         "false_gear_s": false_gear_s(record, scenario),
     }
+
+
+def _energised(record: RunRecord) -> np.ndarray:
+    """Return at which rows of the trace a coil was meant to be energised."""
+    found: np.ndarray = np.any([record.truth[f"cmd_{c}"] > OPEN_ABOVE for c in CHAMBERS], axis=0)
+    return found
 
 
 Reports = list[tuple[BusFrame, ControllerStatus | None]]
@@ -158,19 +157,16 @@ def orphan_energised_s(record: RunRecord, scenario: Scenario) -> float:
     """
     time_s = record.truth["time_s"]
     under_way = 0.005 + _stated_delays_s(scenario)
-    duties = np.stack([record.truth[f"cmd_{c}"] for c in "BNF"])
-    energised = (duties > ENERGISED).any(axis=0)
     commanded_s = [-math.inf] + [
         entry.arrival_ns / NS_PER_S
         for entry in record.frames_of(can_id_of(ValveCommand))
         if entry.sender == "controller"
     ]
     last_s = np.array(commanded_s)[np.searchsorted(commanded_s, time_s, side="right") - 1]
-    orphaned = energised & (time_s - last_s > scenario.valve_driver.timeout_s + 0.001)
+    orphaned = _energised(record) & (time_s - last_s > scenario.valve_driver.timeout_s + 0.001)
     for start_s, end_s in controller_down_s(scenario):
         begin_s = start_s + scenario.valve_driver.timeout_s + under_way
-        down = (time_s > begin_s) & (time_s < end_s)
-        orphaned |= down & energised
+        orphaned |= _energised(record) & (time_s > begin_s) & (time_s < end_s)
     return float(np.count_nonzero(orphaned)) * float(np.median(np.diff(time_s)))
 
 
