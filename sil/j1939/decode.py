@@ -6,7 +6,9 @@ ones put together. What a sender reports as not available (all bits set, SAE J19
 
 from __future__ import annotations
 
+import csv
 import importlib
+import io
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -172,23 +174,13 @@ def _rows(
 @contextmanager
 def _csv(path: str, file: BinaryIO) -> Iterator[_Take]:
     out = packer(file) if path.endswith(".gz") else file
-    out.write((",".join(COLUMNS) + "\n").encode())
-
-    def take(batch: Sequence[Decoded]) -> None:
-        lines = [
-            f"{format_ns(time_ns, 9)},{_quoted(channel)},{message},{'' if source is None else source},"
-            f"{name},{value!r},{_quoted(unit)},{_quoted(text)}\n"
-            for time_ns, channel, message, source, name, value, unit, text in _rows(batch)
-        ]
-        out.write("".join(lines).encode())
-
-    yield take
+    text = io.TextIOWrapper(out, "utf-8", newline="", write_through=True)
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(COLUMNS)
+    yield lambda batch: table.writerows((format_ns(row[0], 9), *row[1:]) for row in _rows(batch))
+    text.detach()
     if out is not file:
         out.close()
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
 
 
 @contextmanager

@@ -35,7 +35,7 @@ def parse_decimal_ns(text: str, unit_ns: int = NS_PER_S) -> int:
     try:
         if not _NUMBER.match(text):
             raise InvalidOperation
-        time_ns = int(_EXACTLY.multiply(Decimal(text), unit_ns).to_integral_value(ROUND_HALF_UP))
+        time_ns = int(_EXACTLY.to_integral_value(_EXACTLY.multiply(Decimal(text), unit_ns)))
     except InvalidOperation:
         raise ValueError(f"{text[:40]!r} is no decimal time") from None
     if abs(time_ns) >= 2**63:
