@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 
-from plant.devices.valve import seconds_to_ns
+from plant.devices.valve import ValveTiming, seconds_to_ns
 from plant.effects.setup import Setup
 from plant.kernel.layout import Parameters
 
@@ -41,17 +42,24 @@ def shift(setup: Setup, name: str, amount: float) -> None:
         shift_fall(setup, amount)
     else:
         factor = math.exp(amount)
+        values = setup.p.array.T
         for index in FACTORS[name]:
-            setup.p[index] *= factor
+            values[index] *= factor
 
 
 def shift_rise(setup: Setup, delay_s: float) -> None:
     """Change the opening delay, never below zero."""
     rise = max(0, setup.timing.rise_ns + seconds_to_ns(delay_s))
-    setup.timing = replace(setup.timing, rise_ns=rise)
+    setup.timing = _delayed(setup.timing, rise, setup.timing.fall_ns)
 
 
 def shift_fall(setup: Setup, delay_s: float) -> None:
     """Change the closing delay, never below zero."""
     fall = max(0, setup.timing.fall_ns + seconds_to_ns(delay_s))
-    setup.timing = replace(setup.timing, fall_ns=fall)
+    setup.timing = _delayed(setup.timing, setup.timing.rise_ns, fall)
+
+
+@lru_cache(maxsize=1024)
+def _delayed(timing: ValveTiming, rise_ns: int, fall_ns: int) -> ValveTiming:
+    # a fit asks for the same delays again with every other quantity it moves
+    return replace(timing, rise_ns=rise_ns, fall_ns=fall_ns)

@@ -35,6 +35,7 @@ from sil.diagnosis.verdict import (
     judge,
     weigh,
 )
+from sil.diagnosis.workers import spread_out
 from sil.files.html_table import html_table
 from sil.fitting.fit import FitResult, Fitter, Show, no_progress
 from sil.fitting.floor import EXPLAINED, Misfit, misfit
@@ -131,8 +132,11 @@ def diagnose(
     if try_terms(search, verdict, judged) or alike:
         judged = _judged(search, held_out, workers)
         verdict = decide(judged, len(strokes))
-    healthy = _whole_fit(search.fitter, verdict.healthy)
-    final = healthy if not verdict.claimed else _whole_fit(search.fitter, verdict.leader)
+    wanted = [verdict.healthy, verdict.leader][: 2 if verdict.claimed else 1]
+    healthy, *claimed = spread_out(
+        lambda j: _whole_fit(search.fitter, wanted[j]).light(), range(len(wanted)), workers
+    )
+    (final,) = claimed or [healthy]
     gain = gain_between(model, verdict, held_out)
     causes = causes_of(search.fitter, verdict, judged, final, workers)
     extended = extended_model(parameters, final, causes, campaign) if verdict.claimed else None

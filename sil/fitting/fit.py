@@ -169,8 +169,8 @@ class Fitter:
         start, scatter
             Where to begin: [shared] and [strokes, scatter], in prior standard deviations.
         freeze
-            Indices of shared parameters that stay where they start. With all of them, only the
-            scatter of the strokes is fitted, as for held-out strokes.
+            Indices of shared parameters that stay where they start; `normal` says nothing of them.
+            With all of them, only the scatter of the strokes is fitted, as for held-out strokes.
         effects_first
             So many iterations move the hypothesis' own parameters alone: far from the optimum,
             tolerances and scatter would run to their bounds instead.
@@ -237,6 +237,7 @@ class _Descent:
         self.low = np.array([*-far, *(scaled_of(p, p.low) for p in parameters)])
         self.high = np.array([*far, *(scaled_of(p, p.high) for p in parameters)])
         self.use = tuple(range(len(model.strokes))) if use is None else tuple(use)
+        self.frozen = frozenset(freeze)
         self.free = np.ones(n, dtype=bool)
         self.free[list(freeze)] = False
         self.shared = np.zeros(n) if start is None else start.copy()
@@ -258,9 +259,10 @@ class _Descent:
         the priors and send tolerances along valleys in which effects can replace them. So the
         weighted mean square of the residuals is at most one.
         """
+        model, shared, causes = self.model, self.shared, self.candidates
         self.blocks = {
-            k: self.model.linearise(
-                k, self.shared, self.spread[k], self.candidates, central, own_only, reused.get(k)
+            k: model.linearise(
+                k, shared, self.spread[k], causes, central, own_only, reused.get(k), self.frozen
             )
             for k in self.use
         }

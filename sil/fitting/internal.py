@@ -7,12 +7,11 @@ Checked by: tests/unit/sil/fitting/test_internal.py
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from plant.devices.sensors import InternalChain
 from plant.effects.setup import Setup
 from sil.campaign.campaign import Floats
 
@@ -90,22 +89,21 @@ def internal_prediction(
         resting = np.abs(np.diff(true_m, prepend=true_m[0])) < RESTING_M
         warm = np.where(resting, chain.sensor.ticks(warm) * chain.sensor.tick_s, warm)
     observed = chain.calibration.position_m(warm, chain.measured_temperature_k)
-    response = _impulse_response(replace(chain, latency_s=0.0), count)
+    response = _impulse_response(chain.filter_order, chain.cutoff_hz, period, count)
     values = observed[0] + np.convolve(observed - observed[0], response)[:count]
-    index = np.clip(pulses - first, 0, count - 1)
-    return setup.reported_m(values[index])
+    return setup.reported_m(values[np.minimum(np.maximum(pulses - first, 0), count - 1)])
 
 
 @lru_cache(maxsize=64)
-def _impulse_response(chain: InternalChain, count: int) -> Floats:
-    """Response of the chain's filter to one unit value, `count` periods long."""
-    if not chain.filter_order:
+def _impulse_response(order: int, cutoff_hz: float, period_s: float, count: int) -> Floats:
+    """Response of a chain's filter to one unit value, `count` periods long."""
+    if not order:
         response = np.zeros(count)
         response[0] = 1.0
         return response
     from plant.devices.sensors import butterworth_sections, filter_from_rest
 
-    sections = butterworth_sections(chain.filter_order, chain.cutoff_hz, 1.0 / chain.period_s)
+    sections = butterworth_sections(order, cutoff_hz, 1.0 / period_s)
     impulse = np.zeros(count + 1)
     impulse[1] = 1.0
     return np.asarray(filter_from_rest(sections, impulse)[1:])

@@ -6,7 +6,7 @@ Checked by: tests/unit/sil/fitting/test_fit.py
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -154,6 +154,7 @@ class CampaignModel:
         self.offset_columns = [self._offsets_of(stroke) for stroke in self.strokes]
         # where each stroke was simulated last: a step that is accepted is linearised there
         self._last: dict[int, tuple[tuple[Any, ...], Setup, Floats]] = {}
+        self._residual: dict[int, Floats] = {}
 
     def layout(self, candidates: Sequence[Candidate]) -> Shared:
         """Layout of the shared parameters under a hypothesis."""
@@ -190,19 +191,22 @@ class CampaignModel:
     def numbers_of(self, k: int, setup: Setup, states: Floats, rounded: bool) -> Floats:
         """Return the compared numbers [n] of stroke k in the states [instants, states], SI units."""
         stroke = self.strokes[k]
-        parts = []
+        out = np.empty(stroke.total)
+        begin = 0
         for channel in stroke.channels:
             if channel.kind == "oil":
                 values = stroke.oil_pressure_pa(states, setup)[channel.rows]
             else:
                 values = states[channel.rows, channel.state]
-            parts.append(values / channel.sd)
+            end = begin + len(values)
+            np.divide(values, channel.sd, out=out[begin:end])
+            begin = end
         if stroke.internal is not None:
             reported = internal_prediction(
                 stroke.internal, stroke.time_s, states[:, 0], setup, rounded
             )
-            parts.append(reported / stroke.internal.sd_m)
-        return np.concatenate(parts)
+            np.divide(reported, stroke.internal.sd_m, out=out[begin:])
+        return out
 
     def _offsets_of(self, stroke: StrokeObservation) -> Floats:
         columns = np.zeros((stroke.total, len(self.offsets)))
@@ -249,9 +253,11 @@ class CampaignModel:
     ) -> Floats:
         """Return the standardised residual (measured - predicted) [n] of stroke k."""
         setup, states = self.here(k, shared, scatter, candidates)
-        offsets = shared[len(self.unit) : len(self.unit) + len(self.offsets)]
-        predicted = self.numbers_of(k, setup, states, True)
-        return self.measured[k] - predicted - self.offset_columns[k] @ offsets
+        if k not in self._residual:
+            offsets = shared[len(self.unit) : len(self.unit) + len(self.offsets)]
+            predicted = self.numbers_of(k, setup, states, True)
+            self._residual[k] = self.measured[k] - predicted - self.offset_columns[k] @ offsets
+        return self._residual[k]
 
     def here(
         self, k: int, shared: Floats, scatter: Floats, candidates: Sequence[Candidate]
@@ -264,6 +270,7 @@ class CampaignModel:
             setup = self.setup(k, self.amounts(shared, scatter), candidates, values)
             last = (spot, setup, self.strokes[k].predictor.states(setup))
             self._last[k] = last
+            self._residual.pop(k, None)
         return last[1], last[2]
 
     def linearise(
@@ -275,11 +282,13 @@ class CampaignModel:
         central: bool = False,
         own_only: bool = False,
         reuse: Block | None = None,
+        frozen: Collection[int] = (),
     ) -> Block:
         """Return stroke k linearised at shared [shared] and its own scatter.
 
         own_only: by the hypothesis' own parameters alone, the other derivatives are zero; reuse: a
-        block whose derivatives by tolerances and scatter are taken over.
+        block whose derivatives by tolerances and scatter are taken over; frozen: indices of shared
+        parameters by which the derivatives are not needed: zero.
         """
         layout = self.layout(candidates)
         healthy, tolerances = layout.healthy, len(self.unit)
@@ -298,10 +307,14 @@ class CampaignModel:
 
         steps: dict[str, float] = {}
         if not own_only and reuse is None:
-            steps = {name: DIFFERENCE * self.spread.size(name) for name in SIMULATED}
+            needed = {*self.scatter, *(n for j, n in enumerate(self.unit) if j not in frozen)}
+            steps = {n: DIFFERENCE * self.spread.size(n) for n in SIMULATED if n in needed}
         own = [(item.effect, p) for item in candidates for p in item.parameters]
         delays: dict[str, tuple[str, float]] = {}
-        for name, (effect, parameter), value in zip(layout.effects, own, scaled, strict=True):
+        wanted = zip(layout.effects, own, scaled, strict=True)
+        for name, (effect, parameter), value in (
+            item for j, item in enumerate(wanted, healthy) if j not in frozen
+        ):
             step = self.effect_step(effect.tolerance, parameter)
             if scaled_of(parameter, parameter.high) - value < step:
                 step = -step
@@ -320,7 +333,8 @@ class CampaignModel:
             by_scatter = np.zeros((len(base), len(self.scatter)))
             if not own_only:
                 for j, name in enumerate(self.unit):
-                    by_shared[:, j] = columns[name] * self.spread.unit[name]
+                    if name in columns:
+                        by_shared[:, j] = columns[name] * self.spread.unit[name]
                 for j, name in enumerate(self.scatter):
                     by_scatter[:, j] = columns[name] * self.spread.stroke[name]
         by_shared[:, tolerances:healthy] = self.offset_columns[k]
@@ -334,8 +348,9 @@ class CampaignModel:
         )
         for name, (instant, by_step) in delays.items():
             columns[name] = by_second[instant] * by_step
-        for j, name in enumerate(layout.effects):
-            by_shared[:, healthy + j] = columns[name]
+        for j, name in enumerate(layout.effects, healthy):
+            if name in columns:
+                by_shared[:, j] = columns[name]
         return Block(residual, by_shared, by_scatter, base)
 
     def derivatives(
