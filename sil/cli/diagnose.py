@@ -81,13 +81,12 @@ def run(arguments: argparse.Namespace) -> int:
     campaign = load_campaign(arguments.campaign)
     parameters = load(arguments.model)
     folder = prepare_folder(arguments.out, f"{campaign.name}-diagnosis", arguments.force)
+    workers = max(1, arguments.workers)
     with Progress(f"diagnosing {campaign.name}", "%", at_once=True) as progress:
-        result = diagnose(
-            campaign, parameters, workers=max(1, arguments.workers), progress=progress
-        )
+        result = diagnose(campaign, parameters, workers=workers, progress=progress)
     if result.extended is not None:
         write_atomically(folder / "extended_model.toml", result.extended)
-    beyond = write_report(result, folder, arguments.campaign, arguments.model)
+    beyond = write_report(result, folder, arguments.campaign, arguments.model, workers)
     return _finish(arguments, folder, finite(result.as_json() | beyond | {"effects": stamps}))
 
 

@@ -28,6 +28,7 @@ from sil.diagnosis.residuals import Shown, show
 from sil.diagnosis.structure import FAULTS
 from sil.diagnosis.terms import form_of
 from sil.diagnosis.verdict import Judged
+from sil.diagnosis.workers import spread_out
 from sil.files.atomic import write_atomically
 from sil.report.picture import save
 from sil.report.plots import plots
@@ -60,7 +61,9 @@ PICTURES = {
 """What each picture shows, and its caption."""
 
 
-def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> dict[str, Any]:
+def write_report(
+    result: Diagnosis, folder: Path, campaign: str, model: str, workers: int = 1
+) -> dict[str, Any]:
     """Write report.html and its figures for a diagnosis of the campaign at `campaign`.
 
     An extended model that was claimed is in the folder already. Returns the page's numbers beyond
@@ -80,10 +83,11 @@ def write_report(result: Diagnosis, folder: Path, campaign: str, model: str) -> 
         if candidate is not None:
             figures["term"] = term_figure(form_of(candidate), list(cause.parameters.values()))
     where = "held out" if result.held_out else "measured"
+    images = spread_out(lambda name: save(figures[name], folder, name), list(figures), workers)
     pictures = {}
-    for name, figure in figures.items():
+    for name, image in zip(figures, images, strict=True):
         alt, caption = PICTURES[name]
-        pictures[name] = Picture(save(figure, folder, name), alt, caption.format(where=where))
+        pictures[name] = Picture(image, alt, caption.format(where=where))
     loop = None
     if result.extended is not None:
         loop = consequence(model, folder / "extended_model.toml")

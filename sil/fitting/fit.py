@@ -308,9 +308,11 @@ class _Descent:
         if own_only:
             normal: Floats = self.layout.prior
             gradient: Floats = -normal @ self.shared
+            own = self.layout.effect_slice
             for block in self.blocks.values():
-                normal = normal + self.weight * block.shared.T @ block.shared
-                gradient = gradient + self.weight * block.shared.T @ block.residual
+                a = block.shared[:, own]
+                normal[own, own] += self.weight * (a.T @ a)
+                gradient[own] += self.weight * (a.T @ block.residual)
             yield normal, gradient, {}, self.spread, 7
             return
         on = self.bounds_met(moving)
@@ -393,29 +395,26 @@ def arrow(
     priors; on: by default what is on its bound and presses outward. Result [shared, shared],
     [shared] and what each stroke's scatter needs.
     """
-    root = weight**0.5
     n = len(layout.names)
     normal: Floats = np.zeros((n, n))
     gradient: Floats = np.zeros(n)
     inner: Inner = {}
     for k, block in blocks.items():
-        r, a, b = root * block.residual, root * block.shared, root * block.scatter
+        aa, ab, bb, ar, br = (weight * product for product in block.products)
         if on is None:
-            gs: Floats = b.T @ r - spread[k]
-            held = (np.abs(spread[k]) >= FARTHEST_SD) & (gs * spread[k] > 0.0)
+            held = (np.abs(spread[k]) >= FARTHEST_SD) & ((br - spread[k]) * spread[k] > 0.0)
         else:
-            held = np.zeros(b.shape[1], dtype=bool)
+            held = np.zeros(len(bb), dtype=bool)
             if k in on:
                 held, moved = on[k]
-                r = r - b @ np.where(held, moved, 0.0)
-            gs = b.T @ r - spread[k]
-        if held.any():
-            b = np.where(held, 0.0, b)
-            gs = np.where(held, 0.0, gs)
-        inverse = np.asarray(np.linalg.inv(b.T @ b + np.eye(b.shape[1])), dtype=np.float64)
-        hus: Floats = a.T @ b
-        normal += a.T @ a - hus @ inverse @ hus.T
-        gradient += a.T @ r - hus @ (inverse @ gs)
+                there = np.where(held, moved, 0.0)
+                ar, br = ar - ab @ there, br - bb @ there
+        gs: Floats = np.where(held, 0.0, br - spread[k])
+        hus: Floats = np.where(held, 0.0, ab)
+        inside = np.where(held | held[:, None], 0.0, bb) + np.eye(len(bb))
+        inverse = np.asarray(np.linalg.inv(inside), dtype=np.float64)
+        normal += aa - hus @ inverse @ hus.T
+        gradient += ar - hus @ (inverse @ gs)
         inner[k] = (inverse, hus, gs)
     normal += layout.prior
     gradient -= layout.prior @ shared

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -130,6 +130,15 @@ class Block:
     shared: Floats
     scatter: Floats
     base: Floats
+
+    @cached_property
+    def products(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """Products of shared and scatter with themselves, each other and the residual, no unit.
+
+        [shared, shared], [shared, scatter], [scatter, scatter], [shared], [scatter].
+        """
+        a, b, r = self.shared, self.scatter, self.residual
+        return a.T @ a, a.T @ b, b.T @ b, a.T @ r, b.T @ r
 
 
 class CampaignModel:
@@ -325,12 +334,12 @@ class CampaignModel:
             else:
                 steps[name] = step
         base, columns = self.derivatives(k, here, moved, steps, central)
-        by_shared = np.zeros((len(base), len(layout.names)))
+        by_shared = np.zeros((len(base), len(layout.names)), order="F")
         if reuse is not None:
             by_shared[:, :tolerances] = reuse.shared[:, :tolerances]
             by_scatter = reuse.scatter
         else:
-            by_scatter = np.zeros((len(base), len(self.scatter)))
+            by_scatter = np.zeros((len(base), len(self.scatter)), order="F")
             if not own_only:
                 for j, name in enumerate(self.unit):
                     if name in columns:
