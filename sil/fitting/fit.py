@@ -308,11 +308,9 @@ class _Descent:
         if own_only:
             normal: Floats = self.layout.prior
             gradient: Floats = -normal @ self.shared
-            own = self.layout.effect_slice
             for block in self.blocks.values():
-                a = block.shared[:, own]
-                normal[own, own] += self.weight * (a.T @ a)
-                gradient[own] += self.weight * (a.T @ block.residual)
+                normal = normal + self.weight * block.shared.T @ block.shared
+                gradient = gradient + self.weight * block.shared.T @ block.residual
             yield normal, gradient, {}, self.spread, 7
             return
         on = self.bounds_met(moving)
@@ -400,25 +398,36 @@ def arrow(
     gradient: Floats = np.zeros(n)
     inner: Inner = {}
     for k, block in blocks.items():
-        aa, ab, bb, ar, br = (weight * product for product in block.products)
+        r, a, b, aa, hus, bb = _weighted(block, weight)
         if on is None:
-            held = (np.abs(spread[k]) >= FARTHEST_SD) & ((br - spread[k]) * spread[k] > 0.0)
+            gs: Floats = b.T @ r - spread[k]
+            held = (np.abs(spread[k]) >= FARTHEST_SD) & (gs * spread[k] > 0.0)
         else:
-            held = np.zeros(len(bb), dtype=bool)
+            held = np.zeros(b.shape[1], dtype=bool)
             if k in on:
                 held, moved = on[k]
-                there = np.where(held, moved, 0.0)
-                ar, br = ar - ab @ there, br - bb @ there
-        gs: Floats = np.where(held, 0.0, br - spread[k])
-        hus: Floats = np.where(held, 0.0, ab)
-        inside = np.where(held | held[:, None], 0.0, bb) + np.eye(len(bb))
-        inverse = np.asarray(np.linalg.inv(inside), dtype=np.float64)
+                r = r - b @ np.where(held, moved, 0.0)
+            gs = b.T @ r - spread[k]
+        if held.any():
+            hus, bb = np.where(held, 0.0, hus), np.where(held | held[:, None], 0.0, bb)
+            gs = np.where(held, 0.0, gs)
+        inverse = np.asarray(np.linalg.inv(bb + np.eye(b.shape[1])), dtype=np.float64)
         normal += aa - hus @ inverse @ hus.T
-        gradient += ar - hus @ (inverse @ gs)
+        gradient += a.T @ r - hus @ (inverse @ gs)
         inner[k] = (inverse, hus, gs)
     normal += layout.prior
     gradient -= layout.prior @ shared
     return normal, gradient, inner
+
+
+def _weighted(block: Block, weight: float) -> tuple[Floats, ...]:
+    """Return residual, derivatives by shared and scatter, and the products of these, weighted."""
+    if weight not in block.weighted:
+        root = weight**0.5
+        a, b = root * block.shared, root * block.scatter
+        block.weighted.clear()
+        block.weighted[weight] = root * block.residual, a, b, a.T @ a, a.T @ b, b.T @ b
+    return block.weighted[weight]
 
 
 def _scattered(spread: Floats, inner: Inner, moved: Floats) -> Floats:

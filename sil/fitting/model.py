@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import cached_property, partial
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -123,22 +123,15 @@ class Shared:
 class Block:
     """One stroke, linearised: residual, derivatives of the prediction by shared and scatter.
 
-    base: the smooth prediction that the derivatives belong to.
+    base: the smooth prediction that the derivatives belong to; weighted: by weight, what the normal
+    equations need of the rest.
     """
 
     residual: Floats
     shared: Floats
     scatter: Floats
     base: Floats
-
-    @cached_property
-    def products(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        """Products of shared and scatter with themselves, each other and the residual, no unit.
-
-        [shared, shared], [shared, scatter], [scatter, scatter], [shared], [scatter].
-        """
-        a, b, r = self.shared, self.scatter, self.residual
-        return a.T @ a, a.T @ b, b.T @ b, a.T @ r, b.T @ r
+    weighted: dict[float, tuple[Floats, ...]] = field(default_factory=dict, repr=False)
 
 
 class CampaignModel:
@@ -334,12 +327,12 @@ class CampaignModel:
             else:
                 steps[name] = step
         base, columns = self.derivatives(k, here, moved, steps, central)
-        by_shared = np.zeros((len(base), len(layout.names)), order="F")
+        by_shared = np.zeros((len(base), len(layout.names)))
         if reuse is not None:
             by_shared[:, :tolerances] = reuse.shared[:, :tolerances]
             by_scatter = reuse.scatter
         else:
-            by_scatter = np.zeros((len(base), len(self.scatter)), order="F")
+            by_scatter = np.zeros((len(base), len(self.scatter)))
             if not own_only:
                 for j, name in enumerate(self.unit):
                     if name in columns:
