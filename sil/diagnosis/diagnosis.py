@@ -40,8 +40,9 @@ from sil.files.html_table import html_table
 from sil.fitting.fit import FitResult, Fitter, Show, no_progress
 from sil.fitting.floor import EXPLAINED, Misfit, misfit
 from sil.fitting.hypotheses import Candidate, candidates
-from sil.fitting.model import CampaignModel, Spread
+from sil.fitting.model import CampaignModel
 from sil.fitting.observations import StrokeObservation
+from sil.fitting.spread import Spread
 
 FALSE_ALARM_BASIS = (
     "a cause must gain max(15, 1.5 a stroke) in log evidence and gain on held-out strokes too; how "

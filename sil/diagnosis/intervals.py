@@ -18,7 +18,8 @@ import numpy as np
 from plant.effects import EffectParameter
 from plant.errors import IntegrationError
 from sil.diagnosis.workers import spread_out
-from sil.fitting.fit import FARTHEST_SD, FitResult, Fitter
+from sil.fitting.arrow import FARTHEST_SD
+from sil.fitting.fit import FitResult, Fitter
 from sil.fitting.floor import Misfit
 from sil.fitting.hypotheses import scaled_of, value_of
 

@@ -17,7 +17,8 @@ import numpy as np
 
 from plant.errors import IntegrationError
 from sil.campaign.campaign import Floats
-from sil.fitting.fit import FARTHEST_SD, FitResult, arrow
+from sil.fitting.arrow import FARTHEST_SD, arrow
+from sil.fitting.fit import FitResult
 from sil.fitting.hypotheses import Candidate
 from sil.fitting.model import CampaignModel
 

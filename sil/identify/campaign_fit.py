@@ -24,8 +24,9 @@ from sil.campaign.campaign import Campaign, CampaignStroke, Floats
 from sil.fitting.fit import Fitter, Show, no_progress
 from sil.fitting.floor import misfit
 from sil.fitting.hypotheses import Candidate
-from sil.fitting.model import CampaignModel, Moved, Spread
+from sil.fitting.model import CampaignModel, Moved
 from sil.fitting.observations import observe
+from sil.fitting.spread import Spread
 from sil.identify.estimate import Estimate
 
 DELAYS = {"rise": "rise_ns", "fall": "fall_ns"}

@@ -25,7 +25,8 @@ def measure() -> Iterator[str]:
     from sil.diagnosis.checks import observed
     from sil.diagnosis.diagnosis import available
     from sil.fitting.fit import Fitter
-    from sil.fitting.model import CampaignModel, Spread
+    from sil.fitting.model import CampaignModel
+    from sil.fitting.spread import Spread
     from tests.hidden_effects.campaign import hide, write_campaign
     from tests.reference.actuator import Case, actuator
 

@@ -28,7 +28,8 @@ from sil.diagnosis.diagnosis import available, diagnose
 from sil.diagnosis.search import Search, Task
 from sil.fitting.fit import FitResult
 from sil.fitting.hypotheses import Candidate, compatible, scaled_of
-from sil.fitting.model import CampaignModel, Floats, Spread
+from sil.fitting.model import CampaignModel, Floats
+from sil.fitting.spread import Spread
 from tests.hidden_effects import effects
 from tests.hidden_effects.campaign import hide, write_campaign
 

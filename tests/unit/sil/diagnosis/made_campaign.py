@@ -22,8 +22,9 @@ from sil.campaign.campaign import (
     load_campaign,
     write_record,
 )
-from sil.fitting.model import CampaignModel, Spread
+from sil.fitting.model import CampaignModel
 from sil.fitting.observations import observe
+from sil.fitting.spread import Spread
 
 KINDS = (
     ("fixed", 900000.0),
