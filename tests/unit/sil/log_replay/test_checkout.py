@@ -18,6 +18,8 @@ from sil.log_replay.executor import Unit
 from sil.log_replay.recorded_frames import OWN_IDS
 from sil.log_replay.replay import ReplayRequest, replay
 from sil.nodes.own_firmware import OwnController
+from sil.simulation.in_memory import run_in_memory
+from sil.simulation.scenario import load
 from tests.conftest import ROOT
 from tests.unit.sil.log_replay.golden_logs import arrivals, golden
 
@@ -93,6 +95,15 @@ def test_the_controller_of_a_checkout_answers_as_our_own_does() -> None:
             ours = own.step(now, heard)
             assert foreign.step(now, heard) == ours
             assert OWN_IDS[ours[0].can_id] is ValveCommand
+
+
+def test_a_scenario_runs_with_the_firmware_of_a_checkout() -> None:
+    ours, theirs = (
+        run_in_memory(load("lab_n_b", settings=settings))
+        for settings in ((), [f'firmware="{ROOT}"'])
+    )
+    assert theirs.scenario.firmware == str(ROOT)
+    assert theirs.trace_sha256 == ours.trace_sha256
 
 
 def test_a_checkout_without_a_controller_is_refused(tmp_path: Path) -> None:
