@@ -38,6 +38,7 @@ WIDTH = 8
 # Parameters and modes that must be 0 in a lane; what depends on them is not compiled.
 FREE_OF = (
     "flow_model",
+    "closed_centre",
     "stribeck_v",
     "bump_force",
     "seal_mu",

@@ -64,7 +64,8 @@ class _Ready(NamedTuple):
 def _driven_alike(one: Setup, other: Setup) -> bool:
     """Return True if modes and valves of two strokes are the same."""
     if one.conditions is other.conditions and one.timing is other.timing:
-        return one.creep_s == other.creep_s and one.has_line == other.has_line
+        same_valves = one.creep_s == other.creep_s and one.spool is other.spool
+        return same_valves and one.has_line == other.has_line
     return one.driven_by == other.driven_by
 
 
@@ -91,7 +92,7 @@ class Predictor:
 
     def _prepared(self, setup: Setup) -> _Ready:
         # the conditions by identity: they are slow to compare
-        key = (id(setup.conditions), setup.timing, setup.creep_s, setup.has_line)
+        key = (id(setup.conditions), setup.timing, setup.creep_s, setup.has_line, setup.spool)
         ready = self._ready.get(key)
         if ready is None or ready.conditions is not setup.conditions:
             if len(self._ready) == MOST_READY:

@@ -11,11 +11,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from plant.devices.sensors import InternalChain
+from plant.devices.spool import Spool
 from plant.devices.valve import ValveTiming
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.kernel.layout import FIRST_PRESSURE, FIXED, Parameters
 from plant.kernel.packing import Floats, flow_coefficients, initial_state, pack
-from plant.parameters import ParameterSet
+from plant.parameters import ParameterSet, cylinder
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Setup:
     and its clock running `clock_offset_s + clock_drift t` late; gauge_lag_s: time constant of the
     pressure lines [s]; internal_error_m, gauge_error_pa: what the sensors report too much at a
     position [m] and a pressure [Pa]; has_line: the supply line has a volume and a restriction of its
-    own.
+    own; spool: of proportional valves.
     """
 
     conditions: StrokeConditions
@@ -63,6 +64,7 @@ class Setup:
     internal_error_m: Curve | None = None
     gauge_error_pa: Curve | None = None
     has_line: bool = False
+    spool: Spool | None = None
 
     def copy(self) -> Setup:
         """Return a setup that can be changed without changing this one."""
@@ -87,12 +89,17 @@ class Setup:
             rate = parameters.value("cylinder.spring_rate")
             p.f_external -= parameters.value("cylinder.spring_preload") + rate * p.spring_x0
             p.spring_k += rate
+        spool = None
+        if is_cylinder and "cylinder.valve_frequency" in parameters:
+            spool = Spool(*map(parameters.value, cylinder.PROPORTIONAL))
+            p.closed_centre = 1.0
         return cls(
             conditions=conditions,
             p=p,
             c=flow_coefficients(parameters),
             timing=ValveTiming.from_parameters(parameters),
             chain=InternalChain.from_parameters(parameters),
+            spool=spool,
         )
 
     def initial_state(self, p: Parameters | None = None, quadratures: int = 0) -> Floats:
@@ -114,9 +121,9 @@ class Setup:
         return y
 
     @property
-    def driven_by(self) -> tuple[StrokeConditions, ValveTiming, float, bool]:
+    def driven_by(self) -> tuple[object, ...]:
         """What decides modes and valves of the stroke."""
-        return self.conditions, self.timing, self.creep_s, self.has_line
+        return self.conditions, self.timing, self.creep_s, self.has_line, self.spool
 
     @property
     def exact_gauges(self) -> bool:

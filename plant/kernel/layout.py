@@ -128,6 +128,7 @@ class Parameters(Record):
     flow_model: Value  # 0 mapped, 1 orifice (3.13, 3.20)
     cda_in: Value
     cda_out: Value
+    closed_centre: Value  # 1: proportional valves, closed at u = 0.5
     gamma: Value = given("gas.gamma")
     # geometry
     stroke: Value = given("fixed.stroke", "length.stroke")

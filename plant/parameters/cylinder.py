@@ -28,14 +28,20 @@ UNITS = {
     "cylinder.valve_cda_out": "m^2",
     "cylinder.tube_length": "m",
     "cylinder.tube_diameter": "m",
+    "cylinder.valve_frequency": "Hz",
+    "cylinder.valve_damping": "-",
+    "cylinder.valve_dead_zone": "-",
 }
-"""Every value of the section, all required.
+"""Every value of the section, all required but those of `PROPORTIONAL`.
 
 acting: 1 single (the rod's side is open to the air, spring return), 2 double; bore, rod: diameters;
 dead volumes: of chamber 1 (behind the piston) and 2 (on the rod's side) at the retracted end, without
 tubes; spring: pushes back with preload + rate x; valve_cda: C_d A of the valve's inlet and outlet;
-tube: from the valve to each chamber, length 0 for none.
+tube: from the valve to each chamber, length 0 for none; valve_frequency, damping (0: first order) and
+dead_zone: of a proportional valve's spool (`plant.devices.spool`), without them the valves are on/off.
 """
+
+PROPORTIONAL = ("cylinder.valve_frequency", "cylinder.valve_damping", "cylinder.valve_dead_zone")
 
 TUBE_FRICTION = 0.02
 """Friction factor of a smooth tube in turbulent flow (Moody chart, Reynolds numbers about 3e4)."""
@@ -62,9 +68,13 @@ def derived(values: Mapping[str, float], name: str) -> dict[str, float]:
 
     Raises InputError for a section that is not complete or impossible; `name` is the set's.
     """
-    for path in UNITS:
-        if path not in values:
-            raise InputError(f"{name}: no {path}; expected all of {', '.join(UNITS)}")
+    stated = [path for path in UNITS if path in values]
+    expected = [
+        path for path in UNITS if path not in PROPORTIONAL or set(stated) & set(PROPORTIONAL)
+    ]
+    for path in expected:
+        if path not in stated:
+            raise InputError(f"{name}: no {path}; expected all of {', '.join(expected)}")
     v = {path.removeprefix("cylinder."): value for path, value in values.items()}
     positive = ("bore", "stroke", "dead_volume_1", "valve_cda_in", "valve_cda_out")
     for key in (*positive, *(("tube_diameter",) if v["tube_length"] > 0.0 else ())):
@@ -72,6 +82,10 @@ def derived(values: Mapping[str, float], name: str) -> dict[str, float]:
             raise InputError(f"{name}: cylinder.{key}: {v[key]:g}; expected more than 0")
     if v["acting"] not in (1.0, 2.0):
         raise InputError(f"{name}: cylinder.acting: {v['acting']:g}; expected 1 or 2")
+    if not v.get("valve_dead_zone", 0.0) < 1.0:
+        raise InputError(
+            f"{name}: cylinder.valve_dead_zone: {v['valve_dead_zone']:g}; expected less than 1"
+        )
     if not v["rod"] < v["bore"]:
         raise InputError(
             f"{name}: cylinder.rod: {v['rod']:g}; expected less than bore, {v['bore']:g}"

@@ -5,10 +5,12 @@ The same kernel and parts as the run over the bus; here the valve commands are a
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from plant.devices.spool import spool_moves
 from plant.devices.valve import seconds_to_ns, switch_schedule
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import FULL_DUTY, KINDS, StrokeConditions
@@ -107,6 +109,8 @@ def valve_moves(setup: Setup, until_ns: int) -> list[tuple[int, int, float, floa
     """
     conditions = setup.conditions
     names = conditions.chambers
+    if setup.spool is not None:
+        return sorted(_proportional_moves(setup, until_ns), key=lambda move: move[:2])
     switches = switch_schedule(
         [(time_s, names.index(valve), duty) for time_s, valve, duty in conditions.commands],
         setup.timing,
@@ -124,6 +128,21 @@ def valve_moves(setup: Setup, until_ns: int) -> list[tuple[int, int, float, floa
         else:
             moves.append((instant, chamber, target, 0.0))
     return sorted(move for move in moves if move[0] <= until_ns)
+
+
+def _proportional_moves(setup: Setup, until_ns: int) -> Iterator[tuple[int, int, float, float]]:
+    """Yield the moves of proportional valves, valve by valve."""
+    conditions = setup.conditions
+    assert setup.spool is not None
+    for index, name in enumerate(conditions.chambers):
+        signals = [
+            (seconds_to_ns(at), value) for at, valve, value in conditions.commands if valve == name
+        ]
+        start = 1.0 if name in conditions.charged_before else 0.0
+        for instant, opening, slope in spool_moves(
+            setup.spool, setup.timing, sorted(signals), start, until_ns, setup.creep_s
+        ):
+            yield instant, index, opening, slope
 
 
 def duty_at(conditions: StrokeConditions, time_s: Floats) -> Floats:

@@ -65,6 +65,7 @@ def test_commands_do_what_the_page_says(page: str, tmp_path: Path) -> None:
     background: list[subprocess.Popen[bytes]] = []
     for block in blocks(PAGES[page]):
         if block.file is not None:
+            (tmp_path / block.file).parent.mkdir(exist_ok=True)
             (tmp_path / block.file).write_text(block.text, encoding="utf-8")
         if block.language not in SHELL:
             continue

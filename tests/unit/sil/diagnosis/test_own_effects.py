@@ -11,6 +11,7 @@ from plant.effects.user_file import _LOADED, load_effects
 from plant.parameters import load
 from sil.diagnosis.diagnosis import diagnose
 from tests.physics.test_cylinder import model
+from tests.physics.test_proportional_valve import proportional
 from tests.unit.sil.diagnosis.made_campaign import made
 
 pytestmark = pytest.mark.slow
@@ -49,8 +50,9 @@ def test_a_hidden_effect_is_named(tmp_path, seal, hidden) -> None:
     assert found.gain.before > 1.2 and found.gain.after < 1.1
 
 
-def test_a_hidden_effect_of_a_users_cylinder_is_named(tmp_path) -> None:
-    base = load(model(tmp_path, acting=2.0))
+@pytest.mark.parametrize("valves", [model, proportional])
+def test_a_hidden_effect_of_a_users_cylinder_is_named(tmp_path, valves) -> None:
+    base = load(valves(tmp_path, acting=2.0))
     hidden = overridden(base, {"effect.exhaust_clog.factor": 0.7})
     campaign = made(tmp_path / "campaign", hidden, seed=11, count=6, kinds=CYLINDER)
     found = diagnose(campaign, base, workers=1)
@@ -58,7 +60,8 @@ def test_a_hidden_effect_of_a_users_cylinder_is_named(tmp_path) -> None:
     assert found.causes[0].parameters["factor"].value == pytest.approx(0.7, abs=0.05)
 
 
-def test_a_clean_campaign_of_a_users_cylinder_is_consistent(tmp_path) -> None:
-    base = load(model(tmp_path))
+@pytest.mark.parametrize("valves", [model, proportional])
+def test_a_clean_campaign_of_a_users_cylinder_is_consistent(tmp_path, valves) -> None:
+    base = load(valves(tmp_path))
     campaign = made(tmp_path / "campaign", base, seed=12, count=6, kinds=CYLINDER)
     assert diagnose(campaign, base, workers=1).verdict.kind == "consistent"
