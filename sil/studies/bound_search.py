@@ -4,11 +4,16 @@ A policy is a stem with a branch for each load, see `sil.studies.policies`. Here
 segments: segment k is timed from where the branch of the load before it begins, so a change of an
 early segment moves all later ones along with the releases.
 
-Two parts work together. The global one is evolutionary: new policies join the segments and branches
-up to some load of one parent with those after it of another, then change one segment. The local one
-is a sequential linear programme: slopes of every impact and arrival by finite differences, then the
-step that lowers the worst load most while all arrive in time. Every value found belongs to a policy
-that exists: it is an upper estimate of the true bound.
+Two parts work together. The global one is evolutionary. Every policy of a population has a child:
+one segment is drawn anew or moved, or the later segments of another policy are taken. With the stem
+given each load has a problem of its own, so each load takes the best of several branches: its own,
+near ones, those of other policies and new ones. A child that is softer replaces its parent. The
+population becomes smaller as the budget is spent. New pulses are long enough to move a plunger and
+few, because each one costs time. Several populations are searched one after the other, because a
+single one may end far above the best; a last one begins with their best. The local part is a sequential linear programme: slopes of every
+impact and arrival by finite differences, then the step that lowers the worst load most while all
+arrive in time. Every value found belongs to a policy that exists: it is an upper estimate of the true
+bound.
 """
 
 from __future__ import annotations
@@ -17,26 +22,36 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sil.studies.minimax import DIFFERENCE, MEAN_WEIGHT, merits, programme, screened
+from sil.studies.minimax import DIFFERENCE, MEAN_WEIGHT, merits, programme
 from sil.studies.policies import Arrivals, Bools, FamilyModel, Floats, Ints, Layout
 from sil.studies.pulses import changes, stem_spans
 
 UNITS_PER_S = 100.0
 ABSENT = -0.2
 """Length of a pulse that is not there, in 10 ms."""
-NO_CUT = 30.0
-"""Time, in 10 ms after a branch begins, that is later than any arrival."""
-POPULATION = 12
-CHILDREN = 60
-KEPT = 8
-"""New policies of a generation."""
-TRIES = 12
-"""Branches tried for each load of a new policy."""
-NEAR_M_S = 0.05
-"""A new policy that is harder than its parent by more than this is not refined further."""
-LEAST_LINES = 2
-"""Policies with descendants at the end of a search."""
-STEPS = 5
+LONGER = 1.002
+"""Length of the shortest new pulse, as a share of the delay of its valve."""
+POPULATIONS, LARGE = 10, 50_000
+"""Populations of a search at most, and simulations for each of them."""
+LAST_SHARE = 0.2
+"""Share of the simulations for the last population, which begins with the best of the others."""
+FEWEST = 4
+"""Policies of a population at its end."""
+BATCH = 24
+"""Least number of new policies of a generation."""
+A_POLICY = 2000
+"""Simulations for each policy with which a population begins."""
+FIRST_TRIES = 12
+TRIES = 8
+"""Branches tried for each load of a first policy, and of a new one."""
+SHARE = 0.25, 0.5, 0.65
+"""New policies: up to the first share by crossing, up to the next with a new segment, then with a new
+valve of a segment; of the others one segment is moved."""
+PULSES = 0.1, 0.55, 0.25, 0.1
+"""How often a new segment has no pulse, one, two and three."""
+REFINED = 16
+"""Of this many policies of a population, one is refined in each generation."""
+STEPS = 3
 """Steps of a refinement."""
 HALVINGS = 5
 """Budgets at which the best so far is reported: the whole, a half, a quarter ..."""
@@ -64,11 +79,6 @@ class Member:
     def merit_m_s(self) -> float:
         """The worst load, and a little of the others."""
         return float(self.cost_m_s.max() + MEAN_WEIGHT * self.cost_m_s.sum())
-
-    @property
-    def screened_m_s(self) -> float:
-        """A smooth mean near the worst load."""
-        return float(screened(self.cost_m_s))
 
 
 class Search:
@@ -136,16 +146,14 @@ class Search:
         cost_m_s = merits(self.fly(segments, branches[:, None]))[:, 0]
         return [Member(*each) for each in zip(segments, branches, cost_m_s, strict=True)]
 
-    def best_members(self, segments: Floats, branches: Floats, count: int) -> list[Member]:
-        """Return the best of segments [n, ...], each load with the best of its branches [n, tries, ...].
+    def best_tries(self, segments: Floats, branches: Floats) -> list[Member]:
+        """Return members of segments [n, ...], each load with the best of its branches [n, tries, ...].
 
         Branches of different tries may need the same coil at the same time, so they are tried together.
         """
-        cost_m_s = merits(self.fly(segments, branches))
-        chosen = np.argsort(screened(cost_m_s.min(axis=1)))[:count]
-        rows, loads = chosen[:, None], np.arange(self.model.loads)
-        tries = cost_m_s.argmin(axis=1)[chosen]
-        return self.members(segments[chosen], branches[rows, tries, loads])
+        tries = merits(self.fly(segments, branches)).argmin(axis=1)
+        rows, loads = np.arange(len(segments))[:, None], np.arange(self.model.loads)
+        return self.members(segments, branches[rows, tries, loads])
 
     def note(self, member: Member) -> None:
         """Make a member the best policy if it is one, as `FamilyModel.fly` judges it."""
@@ -158,79 +166,72 @@ class Search:
             self.best = replace(policy, cost_m_s=cost_m_s)
 
     def random_segments(self, n: int) -> Floats:
-        """Return random segments [n, k, valves, variables]."""
-        shape = n, self.count, len(self.lead), self.pulses
-        start = self.rng.uniform(0.0, 1.0, shape) * (self.spans[:, None, None] + 0.5)
-        length = self.rng.exponential(1.2, shape)
-        length = np.where(self.rng.random(shape) < 0.6 / self.pulses, length, ABSENT)
-        early = self.rng.random(shape) * self.lead[:, None]
-        start[:, 1:] -= early[:, 1:]
-        return np.stack([start, length], axis=-1).reshape(*shape[:-1], -1)
+        """Return random segments [n, k, valves, variables] of few pulses that move a plunger."""
+        rng, shape = self.rng, (n, self.count, len(self.lead), self.pulses)
+        start = rng.uniform(-0.1, 1.0, shape) * (self.spans[:, None, None] + 0.3)
+        length = rng.exponential(0.8, shape) * (rng.random(shape) < 0.5)
+        drawn = rng.random((n, self.count, len(self.lead) * self.pulses))
+        rank = drawn.argsort(axis=2).argsort(axis=2).reshape(shape)
+        number = rng.choice(len(PULSES), p=PULSES, size=(n, self.count, 1, 1))
+        return self._pulses(start, np.where(rank < number, length, np.nan))
 
-    def random_branches(self, n: int) -> Floats:
-        """Return random branches [n, loads, valves, variables]; half of the pulses are armed."""
-        shape = n, self.model.loads, len(self.lead), max(self.layout.branch, 0)
-        start = self.rng.uniform(0.0, 1.0, shape)
-        length = np.where(self.rng.random(shape) < 0.6, self.rng.exponential(1.2, shape), ABSENT)
-        early = self.lead[:, None] * self.rng.uniform(0.2, 1.0, shape)
-        armed = self.rng.random(shape) < 0.6
-        start = np.where(armed, -early, start)
-        length = np.where(armed & (length > 0.0), length + early, length)
-        cut = np.where(
-            self.rng.random(shape[:3]) < 0.5, self.rng.uniform(0, 1.5, shape[:3]), NO_CUT
-        )
-        return np.concatenate(
-            [np.stack([start, length], axis=-1).reshape(*shape[:3], -1), cut[..., None]], axis=-1
-        )
+    def random_branches(self, n: int, tries: int) -> Floats:
+        """Return random branches [n, tries, loads, valves, variables]; they cut the stem's pulses."""
+        rng = self.rng
+        shape = n, tries, self.model.loads, len(self.lead), self.layout.branch
+        start = np.where(rng.random(shape) < 0.3, 0.0, rng.uniform(0.0, 1.5, shape))
+        length = np.where(rng.random(shape) < 0.6, rng.exponential(1.0, shape), np.nan)
+        pulses = self._pulses(start, length)
+        return np.concatenate([pulses, np.zeros((*shape[:-1], 1))], axis=-1)
 
-    def crossed(self, one: Member, other: Member) -> Member:
-        """Return a policy of one's segments and branches up to some load, and the other's after it."""
-        cut = self.rng.integers(1, self.count)
-        later = (self.rank >= cut)[:, None, None]
-        (member,) = self.members(
-            np.concatenate([one.segments[:cut], other.segments[cut:]])[None],
-            np.where(later, other.branches, one.branches)[None],
-        )
-        return member
+    def _pulses(self, start: Floats, length: Floats) -> Floats:
+        """Return pulses [..., variables] whose plungers leave at start [..., pulses], in 10 ms.
 
-    def changed(self, member: Member, k: int) -> tuple[Floats, Floats]:
-        """Return segments [n, k, ...] of which the k-th is changed, and how far [n, 1, 1], in 10 ms."""
-        rng, n = self.rng, CHILDREN
-        segments = np.repeat(member.segments[None], n, axis=0)
-        width = 10.0 ** rng.uniform(-2.0, 0.3, (n, 1, 1))
-        fresh = rng.random((n, len(self.lead), self.pulses)) < rng.uniform(0.0, 0.6, (n, 1, 1))
-        part = np.where(np.repeat(fresh, 2, axis=2), self.random_segments(n)[:, k], segments[:, k])
-        segments[:, k] = part + width * rng.standard_normal(part.shape) * (part > ABSENT)
-        return segments, width
-
-    def children(self, member: Member) -> list[Member]:
-        """Return new policies with another segment, and another branch of the load that it serves.
-
-        Half of the time that is the worst load. They are chosen by that load alone.
+        length: by how much a pulse is longer than what moves a plunger, NaN for no pulse.
         """
-        rng, n = self.rng, CHILDREN
-        worst = int(member.cost_m_s.argmax())
-        load = worst if rng.random() < 0.5 else int(rng.integers(self.model.loads))
-        rank = int(self.rank[load]) if self.layout.branch else 0
-        k = max(0, rank - int(rng.random() < 0.25))
-        segments, width = self.changed(member, k)
+        lead = self.lead[:, None]
+        length = np.where(np.isnan(length), ABSENT, LONGER * lead + length)
+        return np.stack([start - lead, length], axis=-1).reshape(*start.shape[:-1], -1)
+
+    def children(self, population: list[Member], parents: Ints) -> list[Member]:
+        """Return a new policy of each of the parents [n], numbers in the population."""
+        rng, n, loads = self.rng, len(parents), np.arange(self.model.loads)
+        all_segments = np.array([member.segments for member in population])
+        all_branches = np.array([member.branches for member in population])
+        worst = np.array([population[number].cost_m_s.argmax() for number in parents])
+        segments, branches = all_segments[parents], all_branches[parents]
+        fresh, width = self.random_segments(n), 10.0 ** rng.uniform(-2.0, 0.3, n)
+        rank = np.minimum(self.rank[worst], self.count - 1)
+        near = np.maximum(rank - (rng.random(n) < 0.3), 0)
+        chosen = np.where(rng.random(n) < 0.6, near, rng.integers(self.count, size=n))
+        for child, kind in enumerate(rng.random(n)):
+            k = int(chosen[child])
+            if kind < SHARE[0] and self.count > 1:
+                other, cut = rng.integers(len(population)), rng.integers(1, self.count)
+                segments[child, cut:] = all_segments[other, cut:]
+                branches[child, self.rank >= cut] = all_branches[other, self.rank >= cut]
+                if rng.random() < 0.5:
+                    continue
+            elif kind < SHARE[1]:
+                segments[child, k] = fresh[child, k]
+            elif kind < SHARE[2]:
+                valve = rng.integers(len(self.lead))
+                segments[child, k, valve] = fresh[child, k, valve]
+            moved = (k, int(rng.integers(self.count))) if rng.random() < 0.3 else (k,)
+            for part in (segments[child, each] for each in moved):
+                part += width[child] * rng.standard_normal(part.shape) * (part > ABSENT)
         if not self.layout.branch:
-            return self.best_members(segments, member.branches[None, None].repeat(n, axis=0), KEPT)
-        branches = np.repeat(member.branches[None, None], TRIES, axis=1).repeat(n, axis=0)
-        near = width * rng.standard_normal((n, TRIES, *self.layout.branch_shape))[:, :, None]
-        branches[:, 1 : TRIES // 2, load] += near[:, 1 : TRIES // 2, 0]
-        branches[:, TRIES // 2 :, load] = self.random_branches(n * TRIES).reshape(
-            n, TRIES, self.model.loads, *self.layout.branch_shape
-        )[:, TRIES // 2 :, load]
-        _stem, known_s = self.stems(member.segments[None])
-        stems, revealed_s = self.stems(segments, np.full(n, k), known_s, rank + 1)
-        which = np.zeros((n, self.model.loads), dtype=np.bool_)
-        which[:, load] = True
-        found = self.model.branched(stems, branches, self.layout, revealed_s, which)
-        cost_m_s = merits(found)[:, :, load]
-        tries = cost_m_s.argmin(axis=1)
-        chosen = cost_m_s.min(axis=1).argsort()[:KEPT]
-        return self.members(segments[chosen], branches[chosen, tries[chosen]])
+            return self.members(segments, branches)
+        tries = np.repeat(branches[:, None], TRIES, axis=1)
+        step = width[:, None, None, None, None] * rng.standard_normal(tries[:, 1:3].shape)
+        step[..., -1] = 0.0
+        tries[:, 1:3] += step * (rng.random(step.shape) < 0.5)
+        for number in (3, 4, 5):  # the last one: of any load
+            others = rng.integers(len(population), size=(n, len(loads)))
+            whose = loads if number < 5 else rng.integers(len(loads), size=others.shape)
+            tries[:, number] = all_branches[others, whose]
+        tries[:, 6:] = self.random_branches(n, TRIES - 6)
+        return self.best_tries(segments, tries)
 
     def slopes(self, member: Member) -> tuple[Ints, Arrivals, Arrivals]:
         """Return the segments' variables that act, and arrivals after a step in each variable.
@@ -299,42 +300,49 @@ class Search:
         return member
 
     def run(self, budget: int) -> list[float]:
-        """Search with a number of simulations; return the best in m/s at parts of it, the whole last."""
+        """Search with a number of simulations; return the best in m/s at parts of it, the whole last.
+
+        Some populations one after the other, then one of the best of them all.
+        """
         history: list[float] = []
         parts = [budget >> k for k in range(HALVINGS - 1, -1, -1)]
-        begin = self.model.runs
-        population = self.first()
-        turn = 0
-        while len(history) < HALVINGS:
-            spent = self.model.runs - begin
-            allowed = max(LEAST_LINES, round(POPULATION * (1.0 - 1.5 * spent / budget)))
-            population = sorted(population, key=lambda m: m.merit_m_s)[:allowed]
-            turn = (turn + 1) % len(population)
-            parent = population[turn]
-            if self.count > 1 and self.rng.random() < 0.1:
-                other = population[self.rng.integers(len(population))]
-                found = [self.crossed(parent, other), self.crossed(other, parent)]
-            else:
-                found = sorted(self.children(parent), key=lambda m: m.screened_m_s)
-            for k in (0, int(self.rng.integers(1, len(found)))):
-                new = self.refine(found[k], 2)
-                if new.merit_m_s < population[turn].merit_m_s + NEAR_M_S:
-                    new = self.refine(new, STEPS)
-                self.note(new)
-                if new.merit_m_s < population[turn].merit_m_s:
-                    population[turn] = new
-            spent = self.model.runs - begin
-            while len(history) < HALVINGS and spent >= parts[len(history)]:
-                history.append(self.best.cost_m_s)
+        begin, spent = self.model.runs, 0
+        count = min(POPULATIONS, max(1, budget // LARGE))
+        each = int((1.0 - LAST_SHARE) * budget / count)
+        most = max(2 * FEWEST, each // A_POLICY)
+        best: list[Member] = []
+        for number in range(count + 1):
+            population = self.first(most) if number < count else best
+            start, until = spent, each * (number + 1) if number < count else budget
+            size = len(population)
+            while spent < until:
+                share = (spent - start) / (until - start)
+                population = self.generation(population, round(size * (1.0 - 1.3 * share)))
+                spent = self.model.runs - begin
+                while len(history) < HALVINGS and spent >= parts[len(history)]:
+                    history.append(self.best.cost_m_s)
+            best += sorted(population, key=lambda member: member.merit_m_s)[:FEWEST]
         return history
 
-    def first(self) -> list[Member]:
+    def generation(self, population: list[Member], allowed: int) -> list[Member]:
+        """Return the best policies of a population, of them and their children the softer ones."""
+        population = sorted(population, key=lambda member: member.merit_m_s)[: max(FEWEST, allowed)]
+        parents = np.resize(np.arange(len(population)), max(len(population), BATCH))
+        for number, child in zip(parents, self.children(population, parents), strict=True):
+            population[number] = min(population[number], child, key=lambda m: m.merit_m_s)
+        for _time in range(max(1, len(population) // REFINED)):
+            k = int(self.rng.integers(len(population)) * self.rng.random())
+            new = self.refine(population[k], STEPS)
+            population[k] = min(population[k], new, key=lambda m: m.merit_m_s)
+            self.note(population[k])
+        self.note(min(population, key=lambda member: member.merit_m_s))
+        return population
+
+    def first(self, count: int) -> list[Member]:
         """Return the first population: the best of many random policies."""
-        n = 6 * POPULATION
-        branches = self.random_branches(n * TRIES).reshape(
-            n, TRIES, self.model.loads, *self.layout.branch_shape
-        )
-        return self.best_members(self.random_segments(n), branches, POPULATION)
+        n = 4 * count
+        found = self.best_tries(self.random_segments(n), self.random_branches(n, FIRST_TRIES))
+        return sorted(found, key=lambda member: member.merit_m_s)[:count]
 
 
 def joined(segments: Floats) -> Floats:

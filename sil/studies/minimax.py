@@ -12,6 +12,8 @@ LATE_M_S_PER_S = 300.0
 """What a late arrival costs while a policy is refined."""
 MEAN_WEIGHT = 0.05
 """Weight of the loads that are not the worst."""
+EASY = 0.8
+"""Branches of loads below this share of the worst load are left as they are."""
 LOST_M_S = 6.0
 """Cost of a load that does not arrive."""
 
@@ -21,12 +23,6 @@ def merits(arrivals: Arrivals) -> Floats:
     late_s = np.where(np.isfinite(arrivals.late_s), arrivals.late_s, 0.0)
     cost = arrivals.parts_m_s.max(axis=-1) + LATE_M_S_PER_S * np.maximum(late_s, 0.0)
     found: Floats = np.where(np.isfinite(arrivals.late_s), cost, LOST_M_S)
-    return found
-
-
-def screened(cost_m_s: Floats) -> Floats:
-    """Return a smooth mean [...] near the worst of the loads [..., loads], m/s."""
-    found: Floats = np.mean(np.minimum(cost_m_s, LOST_M_S) ** 6, axis=-1) ** (1.0 / 6.0)
     return found
 
 
@@ -86,6 +82,8 @@ def programme(active: Ints, first: Arrivals, second: Arrivals, reach: float) -> 
     price[width + loads + 1 :] = 1e-3 * LATE_M_S_PER_S
     bounds = np.zeros((len(price), 2))
     bounds[:width] = -reach, reach
+    easy = base.max(axis=1) < EASY * base.max()
+    bounds[n:width][np.repeat(easy, size)] = 0.0
     bounds[width:, 1] = np.inf
     result = linprog(price, np.array(matrix), np.array(limits), bounds=bounds, method="highs")
     return None if result.x is None else result.x[:width]

@@ -72,7 +72,7 @@ USELESS_S = 0.005
 """A branch that begins later than this before the latest arrival, under every load, is not searched."""
 NEARBY = 5
 """Impulses that stand for one that is known to a share of itself."""
-VALVES = {"all": "BNF", "firmware": "BN"}
+VALVES = {"all": "BNF", "firmware": "BN", "neutral": "N"}
 """Valves that a policy may use. The firmware never fills F while B pushes: its interlock."""
 
 

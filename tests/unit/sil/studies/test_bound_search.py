@@ -78,8 +78,8 @@ def test_searches_by_other_seeds_find_the_same() -> None:
 
 
 def test_a_refined_policy_is_softer_and_in_time() -> None:
-    search = Search(FamilyModel(PARAMETERS, GEARBOX, 0.0, 0.03), "BNF", 1, 1, 3)
-    before = search.first()[0]
+    search = Search(FamilyModel(PARAMETERS, GEARBOX, 0.048, 0.03), "BNF", 4, 0, 3)
+    before = search.first(8)[0]
     after = search.refine(before, 3)
     assert after.merit_m_s < before.merit_m_s - 0.01
     search.note(after)
@@ -108,6 +108,6 @@ def test_no_random_policy_is_below_the_bound(point: dict[str, str]) -> None:
     valves = ("valve.D_rise", "valve.D_fall")
     parameters = PARAMETERS.override({path: float(point[path]) for path in valves})
     model = FamilyModel(parameters, FAMILIES[point["load"]], float(point["bound.delay_s"]), 0.03)
-    random = Search(model, "BNF", 1, 1, 11).first()
+    random = Search(model, "BNF", 1, 1, 11).first(8)
     least_m_s = min(member.cost_m_s.max() for member in random)
     assert float(point["bound_m_s"]) <= least_m_s < 2.0

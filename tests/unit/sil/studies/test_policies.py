@@ -100,7 +100,7 @@ def test_a_load_that_is_not_revealed_yet_does_not_act_on_the_commands(delay_s: f
     model = FamilyModel(PARAMETERS, GEARBOX, delay_s, 0.03)
     search = Search(model, "BNF", 2, 1, 3)
     layout, (stems, _revealed_s) = search.layout, search.stems(search.random_segments(6))
-    branches = search.random_branches(36).reshape(6, 6, model.loads, *layout.branch_shape)
+    branches = search.random_branches(6, 6)
     found = model.fly(stems, branches, layout)
     begin_s = np.minimum(found.revealed_s, model.limit_s) + delay_s
     coils = model.changes(layout, *model.spans(layout, stems, branches, begin_s))

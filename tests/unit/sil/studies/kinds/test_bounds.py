@@ -95,7 +95,7 @@ def test_a_study_of_bounds_and_the_same_bytes_by_two_workers(tmp_path: Path) -> 
         (BOUNDS.replace('"laboratory" }', '"gear box" }'), "laboratory"),
         (BOUNDS.replace("bound.delay_s", "bound.delay"), "delay_s"),
         (BOUNDS.replace("[0.048, 0.06]", "[true]"), "-1 to 1 s"),
-        (BOUNDS.replace("bound.delay_s", "bound.valves"), "all, firmware"),
+        (BOUNDS.replace("bound.delay_s", "bound.valves"), "all, firmware, neutral"),
         (BOUNDS.replace('"laboratory" }', '"laboratory", "bound.known" = 0.1 }'), "gearbox"),
         (BOUNDS.replace('"laboratory" }', '"gearbox", "bound.known" = 1.1 }'), "0 to 1"),
         (
