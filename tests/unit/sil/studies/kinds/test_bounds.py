@@ -179,7 +179,8 @@ def test_what_the_shipped_tuning_says() -> None:
 
 @pytest.mark.slow
 def test_shipped_rows_come_out_again() -> None:
-    """One tuned row and one of the bounds, as the studies make them now."""
+    """One tuned row as the study makes it now, and what does not depend on the path of a search of one bound."""
+    certain = {"open_loop_m_s", "damper_m_s", "bound_m_s"}
     for path, name, number in ((TUNED, "tuning", 15), (SHIPPED, "bounds", 0)):
         study = load_study(name)
         text = executor.header(study) + "".join(executor.run_chunk(study, (number, number + 1)))
@@ -187,13 +188,14 @@ def test_shipped_rows_come_out_again() -> None:
         shipped = rows_of(path)[number]
         assert list(found) == list(shipped)
         for column, value in shipped.items():
+            if name == "bounds" and column not in certain:
+                continue
             try:
                 expected = float(value)
             except ValueError:
                 assert found[column] == value
             else:
-                if column != "simulations":
-                    assert float(found[column]) == pytest.approx(expected, rel=0.02, abs=2e-4)
+                assert float(found[column]) == pytest.approx(expected, rel=0.02, abs=2e-4)
 
 
 def test_a_load_that_is_known_to_a_share_stands_for_its_neighbours() -> None:
