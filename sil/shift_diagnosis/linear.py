@@ -81,14 +81,6 @@ class Linear:
         """Compared numbers [n] of each shift."""
         return np.array([len(w) if w.any() else 0 for w in self.weights])
 
-    def restricted(self, offered: Sequence[int]) -> Linear:
-        """Return the same with some of its causes, by index."""
-        n = self.units
-        own = np.append(np.arange(n), n + np.array(offered, dtype=int))
-        causes = tuple(self.causes[k] for k in offered)
-        slopes = tuple(slope[:, own] for slope in self.slopes)
-        return replace(self, causes=causes, values=self.values[own], slopes=slopes)
-
     def moved(self, values: Floats, shifts: Sequence[Shift], position_m: Floats) -> Linear:
         """Return the same at another point [p] with its positions [n, pulses, m], slopes as here."""
         return replace(self, values=values, residuals=residuals_of(shifts, position_m))

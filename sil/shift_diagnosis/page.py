@@ -24,9 +24,10 @@ from sil.report.figure import MM, MS, Figure, Panel, Series, Stack
 from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
-from sil.shift_diagnosis.judge import EXPLAINED, Judged, ShiftDiagnosis, judge_shifts
+from sil.shift_diagnosis.judge import judge_shifts
 from sil.shift_diagnosis.model import Cause
 from sil.shift_diagnosis.shifts import LEAD_S, shifts_of
+from sil.shift_diagnosis.verdict import EXPLAINED, Judged, ShiftDiagnosis
 
 FALSE_ALARM_BASIS: Final = (
     "posterior of a healthy truck at most 0.01, with priors on what differs between healthy trucks; "

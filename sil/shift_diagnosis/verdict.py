@@ -1,0 +1,246 @@
+"""The verdict on fitted hypotheses: which cause, how sure, and what would not have been noticed.
+
+Checked by: tests/unit/sil/shift_diagnosis/test_diagnose_logs.py
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import log, log1p
+from typing import Final
+
+import numpy as np
+
+from sil.diagnosis.verdict import RIVAL_SHARE, UNNAMED
+from sil.shift_diagnosis.fit import Fit
+from sil.shift_diagnosis.linear import (
+    SIZE_PRIOR,
+    Floats,
+    Linear,
+    Noise,
+    hidden_cost,
+    projected,
+)
+from sil.shift_diagnosis.model import Cause
+from sil.shift_diagnosis.shifts import Shift
+
+HEALTHY_PRIOR: Final = 0.5
+EFFECTIVE: Final = 4.0
+"""Effective observations of the error that a fit's minimum has, in log evidence between causes."""
+ALARM: Final = 0.01
+"""Probability of a healthy truck below which something is claimed to be wrong."""
+CERTAIN: Final = 0.8
+"""Probability from which a cause is named."""
+EXPLAINED: Final = 1.5
+"""Chi squared per number up to which noise explains the rest."""
+SEPARABLE: Final = 9.0
+"""Chi squared by which two causes must differ to count as separable: three standard deviations."""
+STRANGE: Final = 3.0
+"""Deviation of a truck's own quantity that is not called healthy without doubt."""
+DOUBTED: Final = 0.2
+"""Probability of a healthy truck below which it is not called consistent."""
+SCANNED: Final[Floats] = 0.05 * 1.15 ** np.arange(50.0)
+"""Sizes that are tried for being noticed, in typical ones."""
+NOTICED: Final = 1.28
+"""Standard deviations of the evidence for 90 % certainty to notice."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A hypothesis over all shifts: evidence with both priors, and how probable it is.
+
+    chi2: per compared number.
+    """
+
+    fit: Fit
+    cost: float
+    chi2: float
+    probability: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Name of the cause."""
+        return self.fit.cause.name if self.fit.cause else "healthy"
+
+    @property
+    def id(self) -> str:
+        """Id of the cause's effect."""
+        return self.fit.cause.effect.id if self.fit.cause else "healthy"
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Size of the cause and its standard deviation, in typical sizes."""
+        found = self.fit
+        return float(found.estimate[-1]), float(
+            np.sqrt(found.covariance[-1, -1] * max(1.0, self.chi2))
+        )
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """What the bus shows of a cause: the smallest size it would show, and what looks the same.
+
+    size: in typical ones, noticed in nine of ten trucks; None: at no size. alike: causes that cannot
+    be told apart from it at that size or the typical one, whichever is larger.
+    """
+
+    cause: Cause
+    size: float | None
+    alike: tuple[str, ...]
+
+    @property
+    def value(self) -> float | None:
+        """The size in the unit of the cause's parameter."""
+        return None if self.size is None else self.cause.value(self.size)
+
+
+@dataclass(frozen=True)
+class ShiftDiagnosis:
+    """All that was found of the shifts of one truck."""
+
+    verdict: str
+    shifts: tuple[Shift, ...]
+    judged: tuple[Judged, ...]
+    probabilities: dict[str, float]
+    detectable: tuple[Detectable, ...]
+    mounted: bool
+    noise: Noise
+    findings: tuple[str, ...]
+    priors: dict[str, float]
+
+    @property
+    def healthy(self) -> Judged:
+        """The hypothesis without a cause."""
+        return next(item for item in self.judged if item.fit.cause is None)
+
+    @property
+    def best(self) -> Judged:
+        """The most probable hypothesis."""
+        return self.judged[0]
+
+    @property
+    def named(self) -> list[Judged]:
+        """The causes reported: the one named, or all that cannot be excluded."""
+        if self.verdict not in ("named", "ambiguous"):
+            return []
+        least = CERTAIN if self.verdict == "named" else RIVAL_SHARE
+        found: dict[str, Judged] = {}
+        for item in self.judged:
+            if item.fit.cause is not None and self.probabilities.get(item.id, 0.0) >= least:
+                found.setdefault(item.id, item)
+        return list(found.values())
+
+
+def weighed(judged: Sequence[Judged], ids: int) -> list[Judged]:
+    """Return the hypotheses with their probabilities, the most probable first.
+
+    A cause that is behind another counts by Student's form: their fits end in one of many minima.
+    """
+    scale = max(1.0, min(item.chi2 for item in judged))
+    variants = Counter(item.id for item in judged)
+    least = min((item.cost for item in judged if item.fit.cause), default=0.0)
+    logs = np.zeros(len(judged))
+    for k, item in enumerate(judged):
+        if item.fit.cause is None:
+            logs[k] = log(HEALTHY_PRIOR) - item.cost / scale
+        else:
+            prior = log((1.0 - HEALTHY_PRIOR) / ids / variants[item.id])
+            behind = 0.5 * EFFECTIVE * log1p(2.0 * (item.cost - least) / scale / EFFECTIVE)
+            logs[k] = prior - least / scale - behind
+    weights = np.exp(logs - np.max(logs))
+    weights /= weights.sum()
+    pairs = zip(judged, weights.tolist(), strict=True)
+    return sorted((replace(i, probability=w) for i, w in pairs), key=lambda i: -i.probability)
+
+
+def detectable_of(linear: Linear, ids: int) -> tuple[Detectable, ...]:
+    """Return what the shifts show of each cause, from their Fisher information.
+
+    A cause is noticed if the evidence that it leaves in a truck called healthy is enough for an
+    alarm. Two causes of sizes a and b differ by |a x - b y|^2 in units of the noise, with the truck's
+    own quantities marginalised; of b the best physical one is taken.
+    """
+    causes, (information, _score) = linear.causes, projected(linear)
+    diagonal = np.maximum(np.diag(information), 1e-12)
+    gain = hidden_cost(linear, SCANNED)
+    volume = 0.5 * np.log1p(diagonal * SIZE_PRIOR**2)[:, None]
+    needed = log(ids * (1.0 - ALARM) / ALARM) + volume + 0.5 * (SCANNED / SIZE_PRIOR) ** 2
+    noticed = gain - NOTICED * np.sqrt(2.0 * gain) > needed
+    found = []
+    for k, cause in enumerate(causes):
+        first = int(np.argmax(noticed[k]))
+        size = float(SCANNED[first]) * (cause.sign or 1)
+        shown = noticed[k, first] and cause.value(size) != cause.value(0.9 * size)
+        tested = max(abs(size), 1.0) if shown else 1.0
+        alike = []
+        for j, other in enumerate(causes):
+            if other.effect.id == cause.effect.id:
+                continue
+            across = float(information[k, j])
+            reachable = cause.sign * other.sign * across >= 0.0
+            same = across**2 / diagonal[j] if reachable else 0.0
+            if tested**2 * (diagonal[k] - same) < SEPARABLE:
+                alike.append(other.effect.id)
+        found.append(Detectable(cause, size if shown else None, tuple(dict.fromkeys(alike))))
+    return tuple(found)
+
+
+def verdict_of(
+    judged: Sequence[Judged], probabilities: dict[str, float], detectable: Sequence[Detectable]
+) -> tuple[str, list[str]]:
+    """Return the verdict and what is to be said of it."""
+    best, healthy = judged[0], next(item for item in judged if item.fit.cause is None)
+    wrong = {name: p for name, p in probabilities.items() if name != "healthy"}
+    top = max(wrong, key=lambda name: wrong[name], default="")
+    if all(item.size is None for item in detectable):
+        return "cannot_tell", ["no cause of the catalogue would show in these shifts"]
+    if min(item.chi2 for item in judged) > EXPLAINED:
+        text = (
+            f"the best explanation, {best.name}, leaves {best.chi2:.1f} times the noise (in chi "
+            f"squared); {EXPLAINED:g} is the limit"
+        )
+        return UNNAMED, [text, *_where(best)]
+    if probabilities["healthy"] <= ALARM:
+        return ("named" if wrong[top] >= CERTAIN else "ambiguous"), []
+    if healthy.chi2 > EXPLAINED:
+        return UNNAMED, [f"without a cause {healthy.chi2:.1f} times the noise remain"]
+    unseen = list(_unnoticed(detectable))
+    odd = [
+        f"{name} {value:+.1f}"
+        for name, value in zip(healthy.fit.linear.names, healthy.fit.values, strict=True)
+        if abs(value) > STRANGE
+    ]
+    if odd:
+        unseen.insert(0, f"healthy only if unusual, in standard deviations: {', '.join(odd)}")
+    if probabilities["healthy"] < DOUBTED:
+        shown = ", ".join(f"{name} {p:.2f}" for name, p in wrong.items() if p > 0.05)
+        unseen.insert(0, f"too much for a healthy truck, too little for an alarm: {shown}")
+    return ("cannot_tell" if odd or probabilities["healthy"] < DOUBTED else "consistent"), unseen
+
+
+def _unnoticed(detectable: Sequence[Detectable]) -> Iterator[str]:
+    """Yield, class by class, up to which size causes would not have been noticed in these shifts."""
+    classes: dict[str, dict[str, str]] = {}
+    for item in detectable:
+        own = item.cause.effect
+        text = "any size"
+        if item.value is not None:
+            text = f"{item.value:.2g} {item.cause.parameter.unit}".removesuffix(" -")
+        classes.setdefault(own.cause_class, {}).setdefault(own.id, f"{own.id} {text}")
+    for name, texts in classes.items():
+        yield f"not noticed up to ({name}): {', '.join(texts.values())}"
+
+
+def _where(best: Judged) -> list[str]:
+    """Return where in its shifts the best explanation fails most."""
+    residuals = best.fit.linear.residuals
+    mean = np.zeros(max(map(len, residuals)))
+    for own in residuals:
+        mean[: len(own)] += own**2 / len(residuals)
+    worst = int(np.argmax(mean))
+    return [
+        f"largest deviation {1e3 * float(np.sqrt(mean[worst])):.2f} mm (rms over shifts), "
+        f"{10 * worst - 50:d} ms after the first command"
+    ]
