@@ -24,11 +24,12 @@ from sil.shift_diagnosis.linear import (
     Floats,
     Linear,
     Noise,
+    estimates,
     explained,
     linearise,
     projected,
 )
-from sil.shift_diagnosis.model import LEAST_NOISE_M, Cause, PlantModel, catalogue
+from sil.shift_diagnosis.model import DIFFERENCE, LEAST_NOISE_M, Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import LEAD_S, Shift
 from sil.shift_diagnosis.verdict import (
     ALARM,
@@ -55,6 +56,10 @@ WORTH_A_FIT: Final = 2.0
 """Gain in log evidence by the linear model from which a cause is fitted."""
 FARTHEST: Final = 8.0
 """Largest value from which a fit begins, in standard deviations and typical sizes."""
+AS_GOOD: Final = 5.0
+"""Log evidence within which another minimum of a fit is as good: its size is in the interval."""
+SECANT: Final = 0.5
+"""Step of the differences for intervals and for what would show: positions have kinks."""
 QUICK_SHIFTS: Final = 6
 """Shifts that a cause is fitted to in a first search."""
 RESTARTS: Final = 3
@@ -77,14 +82,16 @@ def judge_shifts(
     fitter, healthy = healthy_fit(models, _spread(used, FIT_SHIFTS), Noise(rest_noise_m(used)))
     say(20.0, 100.0)
     causes = catalogue()
-    linear = _linear(fitter, used, healthy, causes)
+    linear = _linear(fitter, used, healthy, causes, DIFFERENCE)
     alone = linear.information.sum(axis=0)[linear.units :, linear.units :]
     causes = [cause for k, cause in enumerate(causes) if not _repeats(k, causes, alone)]
     say(40.0, 100.0)
-    fits = [healthy]
+    fits, minima = [healthy], dict[Cause | None, tuple[float, ...]]()
     chosen = _promising(fitter, healthy, linear, causes)
     for number, (cause, points) in enumerate(chosen):
-        fits.append(min((fitter.fit(cause, at) for at in points), key=lambda fit: fit.cost))
+        own = sorted((fitter.fit(cause, at) for at in points), key=lambda fit: fit.cost)
+        fits.append(own[0])
+        minima[cause] = tuple(f.size for f in own if f.cost < own[0].cost + AS_GOOD)
         say(40.0 + 30.0 * (number + 1) / len(chosen), 100.0)
     best = fitter.settle(min(fits, key=lambda fit: fit.cost))
     whole = Fitter(fitter.model, used, fitter.noise)
@@ -100,10 +107,11 @@ def judge_shifts(
     judged = weighed(judged, ids)
     judged = weighed(_with_rivals(whole, fitter, judged, causes), ids)
     judged = weighed(_healthy_again(whole, judged), ids)
+    judged = [replace(item, minima=minima.get(item.fit.cause, ())) for item in judged]
     probabilities: dict[str, float] = {}
     for item in judged:
         probabilities[item.id] = probabilities.get(item.id, 0.0) + item.probability
-    detectable = detectable_of(_linear(whole, used, judged[0].fit, causes), ids)
+    detectable = detectable_of(_linear(whole, used, judged[0].fit, causes, SECANT), ids)
     verdict, findings = verdict_of(judged, probabilities, detectable)
     return ShiftDiagnosis(
         verdict, tuple(used), tuple(judged), probabilities, detectable, fitter.model.mounted,
@@ -111,11 +119,14 @@ def judge_shifts(
     )  # fmt: skip
 
 
-def _linear(fitter: Fitter, shifts: Sequence[Shift], at: Fit, causes: Sequence[Cause]) -> Linear:
+def _linear(
+    fitter: Fitter, shifts: Sequence[Shift], at: Fit, causes: Sequence[Cause], difference: float
+) -> Linear:
     """Return shifts linearised around a hypothesis' truck, with the causes' sizes at 0."""
     return linearise(
-        fitter.model, shifts, at.values, causes, noise=replace(fitter.noise, weights=())
-    )
+        fitter.model, shifts, at.values, causes, noise=replace(fitter.noise, weights=()),
+        difference=difference,
+    )  # fmt: skip
 
 
 def healthy_fit(
@@ -149,6 +160,10 @@ def _spread(shifts: Sequence[Shift], most: int) -> list[Shift]:
 def _judged(whole: Fitter, cause: Cause | None, start: Floats) -> Judged:
     """Return a hypothesis fitted to all shifts, from where some of them left it."""
     final = whole.fit(cause, start, rounds=8)
+    wide = whole.at(cause, final.point, difference=SECANT).linear
+    covariance = estimates(wide.without_cliffs())[1]  # near a kink, slopes claim too much
+    if covariance[-1, -1] > final.covariance[-1, -1]:
+        final = replace(final, covariance=covariance)
     count = max(1, int(final.linear.count.sum()) - final.linear.units)
     return Judged(final, final.cost, float(final.linear.misfit.sum()) / count)
 

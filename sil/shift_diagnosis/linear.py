@@ -31,6 +31,8 @@ Floats = NDArray[np.float64]
 
 TAIL: Final = 6.0
 """Degrees of freedom of the prior of every quantity in which trucks differ."""
+CLIFF_M: Final = 5e-3
+"""Motion of a pulse by one standard deviation of a truck's quantity that is no longer linear."""
 REWEIGHTED: Final = 12
 """Rounds of reweighting by the priors' tails."""
 SIZE_PRIOR: Final = 3.0
@@ -80,6 +82,14 @@ class Linear:
     def count(self) -> NDArray[np.int64]:
         """Compared numbers [n] of each shift."""
         return np.array([len(w) if w.any() else 0 for w in self.weights])
+
+    def without_cliffs(self) -> Linear:
+        """Return the same without shifts that are about to stick or to release: they are not linear."""
+        steep = [float(np.abs(a[:, : self.units]).max()) > CLIFF_M for a in self.slopes]
+        if all(steep):
+            return self
+        pairs = zip(self.weights, steep, strict=True)
+        return replace(self, weights=tuple(0.0 * w if cliff else w for w, cliff in pairs))
 
     def moved(self, values: Floats, shifts: Sequence[Shift], position_m: Floats) -> Linear:
         """Return the same at another point [p] with its positions [n, pulses, m], slopes as here."""

@@ -10,7 +10,7 @@ Checked by: tests/unit/sil/shift_diagnosis/test_track.py
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import msgspec
@@ -259,35 +259,21 @@ class Track:
     # --- storing --------------------------------------------------------------------------------
     def to_bytes(self) -> bytes:
         """Return the state as it is stored."""
-        return msgspec.msgpack.encode(
-            {
-                "names": self.names, "shifts": self.shifts, "since": self.since,
-                "drifting": sorted(self.drifting), "changes": self.changes, "pairs": self.pairs,
-                "arrays": {n: getattr(self, n).astype(d).tobytes() for n, d in _ARRAYS.items()},
-            }
-        )  # fmt: skip
+        return msgspec.msgpack.encode(vars(self), enc_hook=np.ndarray.tolist)
 
     @classmethod
     def from_bytes(cls, stored: bytes) -> Track:
         """Return the state that was stored."""
         found: dict[str, Any] = msgspec.msgpack.decode(stored)
         track = cls.of(tuple(found["names"]))
-        p = len(track.names)
-        for name, kind in _ARRAYS.items():
-            shape = {"information": (-1, p, p), "score": (-1, p)}.get(name, (-1,))
-            array = np.frombuffer(found["arrays"][name], dtype=kind).reshape(shape)
-            setattr(track, name, array.copy())
-        changes = [msgspec.convert(item, Change) for item in found["changes"]]
-        return replace(
-            track, shifts=found["shifts"], since=found["since"], pairs=found["pairs"],
-            drifting=set(found["drifting"]), changes=changes,
-        )  # fmt: skip
-
-
-_ARRAYS: Final = {
-    "count": "<i8", "first": "<i8", "time_s": "<f8", "information": "<f8", "score": "<f8",
-    "squares": "<f8",
-}  # fmt: skip
+        for name, empty in vars(track).items():
+            value = found[name]
+            if isinstance(empty, np.ndarray):
+                value = np.array(value, empty.dtype).reshape(-1, *empty.shape[1:])
+            elif name == "changes":
+                value = msgspec.convert(value, list[Change])
+            setattr(track, name, type(empty)(value) if isinstance(empty, set | tuple) else value)
+        return track
 
 
 def _step_gains(h: Floats, a: Floats) -> Floats:

@@ -51,12 +51,13 @@ NOTICED: Final = 1.28
 class Judged:
     """A hypothesis over all shifts: evidence with both priors, and how probable it is.
 
-    chi2: per compared number.
+    chi2: per compared number. minima: sizes at which fits from other starts ended, about as good.
     """
 
     fit: Fit
     cost: float
     chi2: float
+    minima: tuple[float, ...] = ()
     probability: float = 0.0
 
     @property
@@ -72,10 +73,9 @@ class Judged:
     @property
     def size(self) -> tuple[float, float]:
         """Size of the cause and its standard deviation, in typical sizes."""
-        found = self.fit
-        return float(found.estimate[-1]), float(
-            np.sqrt(found.covariance[-1, -1] * max(1.0, self.chi2))
-        )
+        estimate, variance = self.fit.estimate[-1], self.fit.covariance[-1, -1]
+        spread = np.mean([(size - estimate) ** 2 for size in self.minima]) if self.minima else 0.0
+        return float(estimate), float(np.sqrt(variance * max(1.0, self.chi2) + spread))
 
 
 @dataclass(frozen=True)
@@ -162,6 +162,7 @@ def detectable_of(linear: Linear, ids: int) -> tuple[Detectable, ...]:
     alarm. Two causes of sizes a and b differ by |a x - b y|^2 in units of the noise, with the truck's
     own quantities marginalised; of b the best physical one is taken.
     """
+    linear = linear.without_cliffs()
     causes, (information, _score) = linear.causes, projected(linear)
     diagonal = np.maximum(np.diag(information), 1e-12)
     gain = hidden_cost(linear, SCANNED)

@@ -20,6 +20,7 @@ import numpy as np
 from can_dbc.errors import InputError
 from plant.parameters import ParameterSet
 from sil.files.progress import Progress
+from sil.fitting.hypotheses import scaled_of
 from sil.j1939.mapping import SignalMapping
 from sil.logs import FORMATS
 from sil.shift_diagnosis.judge import FIT_SHIFTS, healthy_fit, rest_noise_m
@@ -354,10 +355,7 @@ def forecast(track: Track, name: str, cause: Cause | None, limit: float | None) 
         stated, goal = limit, limit
         if cause is not None:
             own = cause.parameter
-            goal = (limit - own.neutral) / own.typical
-            if own.neutral > 0.0:
-                grid = np.linspace(-20.0, 20.0, 4001)
-                goal = float(np.interp(limit, [cause.value(g) for g in grid], grid))
+            goal = scaled_of(own, min(max(limit, own.low), own.high))
     found: dict[str, Any] = {"name": name, "limit": stated, "per_1000_shifts": 1000.0 * slope}
     draws = np.random.default_rng(1).multivariate_normal([now, slope], covariance, 4000)
     left = (goal - draws[:, 0]) / draws[:, 1]

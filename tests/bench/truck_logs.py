@@ -15,6 +15,7 @@ import numpy as np
 from plant.parameters import load
 from sil.logs import LogFrame, open_writer
 from sil.shift_diagnosis.judge import judge_shifts
+from sil.shift_diagnosis.page import interval
 from sil.shift_diagnosis.shifts import shifts_of
 from sil.simulation import scenario
 from sil.simulation.in_memory import run_in_memory
@@ -134,6 +135,8 @@ def one(seed: int, shifts: int, severity: float | None, folder: Path) -> dict[st
     )
     path.unlink()
     best = found.named[0].id if found.named else ""
+    own = next((interval(item) for item in found.named if item.id == name), None)
+    noticed = [item.value for item in found.detectable if item.cause.effect.id == name]
     return {
         "seed": seed,
         "shifts": shifts,
@@ -144,13 +147,15 @@ def one(seed: int, shifts: int, severity: float | None, folder: Path) -> dict[st
         "reported": {item.id: round(found.probabilities[item.id], 3) for item in found.named},
         "best": best,
         "healthy": round(found.probabilities.get("healthy", 1.0), 4),
+        "interval": own and [own.low, own.value, own.high],
+        "noticed_from": noticed,
         "chi2": [round(found.healthy.chi2, 2), round(found.best.chi2, 2)],
         "mounted": found.mounted,
         "seconds": [round(ran - began, 1), round(perf_counter() - ran, 1)],
     }
 
 
-def interval(hits: int, count: int) -> str:
+def share(hits: int, count: int) -> str:
     """Return a share with its 95 % interval (Jeffreys)."""
     from scipy.stats import beta
 
@@ -165,9 +170,12 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
     clean = [row for row in rows if not row["hidden"]]
     faulty = [row for row in rows if row["hidden"]]
     alarms = sum(row["verdict"] in ("named", "ambiguous", "unnamed") for row in clean)
-    yield f"healthy trucks with an alarm: {interval(alarms, len(clean))}"
+    yield f"healthy trucks with an alarm: {share(alarms, len(clean))}"
     wrong = [r for r in rows if r["verdict"] == "named" and r["best"] != r["hidden"]]
-    yield f"a wrong cause above 0.8: {interval(len(wrong), len(rows))}"
+    yield f"a wrong cause above 0.8: {share(len(wrong), len(rows))}"
+    sure = [r for r in rows if r["interval"]]
+    held = sum(r["interval"][0] <= r["size"][0] <= r["interval"][2] for r in sure)
+    yield f"sizes of reported hidden causes in their 95 % interval: {share(held, len(sure))}"
     yield "| severity | shifts | alarm | hidden cause in what is reported | named alone |"
     yield "|---|---|---|---|---|"
     for low in (0.0, 1 / 3, 2 / 3):
@@ -181,8 +189,8 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
             held = sum(row["hidden"] in row["reported"] for row in own)
             named = sum(row["verdict"] == "named" and row["best"] == row["hidden"] for row in own)
             yield (
-                f"| {low:.2f} to {low + 1 / 3:.2f} | {least} to {most} | {interval(alarm, len(own))} "
-                f"| {interval(held, len(own))} | {interval(named, len(own))} |"
+                f"| {low:.2f} to {low + 1 / 3:.2f} | {least} to {most} | {share(alarm, len(own))} "
+                f"| {share(held, len(own))} | {share(named, len(own))} |"
             )
 
 
