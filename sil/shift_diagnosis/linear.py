@@ -31,8 +31,8 @@ Floats = NDArray[np.float64]
 
 TAIL: Final = 6.0
 """Degrees of freedom of the prior of every quantity in which trucks differ."""
-CLIFF_M: Final = 5e-3
-"""Motion of a pulse by one standard deviation of a truck's quantity that is no longer linear."""
+CLIFF_M: Final = 15e-3
+"""Motion of a pulse by one standard deviation or typical size that is no longer linear."""
 REWEIGHTED: Final = 12
 """Rounds of reweighting by the priors' tails."""
 SIZE_PRIOR: Final = 3.0
@@ -84,12 +84,15 @@ class Linear:
         return np.array([len(w) if w.any() else 0 for w in self.weights])
 
     def without_cliffs(self) -> Linear:
-        """Return the same without shifts that are about to stick or to release: they are not linear."""
-        steep = [float(np.abs(a[:, : self.units]).max()) > CLIFF_M for a in self.slopes]
-        if all(steep):
-            return self
-        pairs = zip(self.weights, steep, strict=True)
-        return replace(self, weights=tuple(0.0 * w if cliff else w for w, cliff in pairs))
+        """Return the same without what is about to stick or to release: it is not linear.
+
+        These are shifts, by the truck's quantities, and causes in shifts.
+        """
+        steep = [np.abs(a).max(axis=0) > CLIFF_M for a in self.slopes]
+        sticks = [bool(own[: self.units].any()) for own in steep]
+        slopes = [np.where(own, 0.0, a) for a, own in zip(self.slopes, steep, strict=True)]
+        weights = [0.0 * w if out else w for w, out in zip(self.weights, sticks, strict=True)]
+        return self if all(sticks) else replace(self, slopes=tuple(slopes), weights=tuple(weights))
 
     def moved(self, values: Floats, shifts: Sequence[Shift], position_m: Floats) -> Linear:
         """Return the same at another point [p] with its positions [n, pulses, m], slopes as here."""
