@@ -28,8 +28,8 @@ from plant.parts.chamber import (
     all_leaks,
     chamber,
     exponents,
-    inlet,
     line_feed,
+    openings,
     piston_leak,
     store_chamber,
 )
@@ -88,7 +88,7 @@ def fixed_rates(t, y, dy, m, u0, du, p, c, quadratures):
         dy.p_oil = oil_rate(y.x, v, y.p_oil, m, p)
     dy.p_line = 0.0
     if m.line != 0:
-        left = line_feed(y.p_line, p) - inlet(u_1, p) * one[1] - inlet(u_2, p) * two[1]
+        left = line_feed(y.p_line, p) - openings(u_1, p)[0] * one[1] - openings(u_2, p)[0] * two[1]
         dy.p_line = p.r_air / p.line_volume * left
     if quadratures:
         q = quadratures_of(dy[STATES:])

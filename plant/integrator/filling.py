@@ -320,24 +320,44 @@ def chamber_pressure(dt, row, table):
 def chamber_samples(row, table, t, samples, begin, end, out, stride):
     """Pressures of a chamber at the samples from `begin` to `end` -> out[i * stride].
 
-    t: when its row was written.  The same numbers as `chamber_pressure`, which reads more of the curve.
+    t: when its row was written.  The same numbers as `chamber_pressure`, region by region.
     """
-    if row.kind in (STILL, DECAY):
+    kind = row.kind
+    reference = row.reference
+    if kind in (STILL, DECAY):
         for i in range(begin, end):
             out[i * stride] = chamber_pressure(max(samples[i] - t, 0.0), row, table)
         return
-    curve = curve_for(row.kind == ON_CHARGE, table)
-    reference, start, rate = row.reference, row.tau, row.rate
-    far, near, length = curve.cells_far, curve.cells_near, curve.step_far * CELLS_FAR
-    for i in range(begin, end):
+    curve = curve_for(kind == ON_CHARGE, table)
+    start = row.tau
+    rate = row.rate
+    i = begin
+    while i < end and start + rate * max(samples[i] - t, 0.0) < 0.0:
         tau = start + rate * max(samples[i] - t, 0.0)
-        if 0.0 <= tau * far < CELLS_FAR:
-            value = cubic(curve.far, tau * far)
-        elif tau > 0.0 and 0.0 <= (tau - length) * near < CELLS_NEAR:
-            value = cubic(curve.near, (tau - length) * near)
-        else:
-            value = curve_value(curve, tau)
-        out[i * stride] = reference * value
+        out[i * stride] = reference * curve_value(curve, tau)
+        i += 1
+    cells = curve.far
+    density = curve.cells_far
+    while i < end:
+        place = (start + rate * max(samples[i] - t, 0.0)) * density
+        if not place < CELLS_FAR:
+            break
+        out[i * stride] = reference * cubic(cells, place)
+        i += 1
+    far = curve.step_far * CELLS_FAR
+    cells = curve.near
+    density = curve.cells_near
+    while i < end:
+        tau = start + rate * max(samples[i] - t, 0.0) - far
+        place = tau * density
+        if not place < CELLS_NEAR:
+            break
+        out[i * stride] = reference * cubic(cells, max(place, 0.0))
+        i += 1
+    while i < end:
+        tau = start + rate * max(samples[i] - t, 0.0) - far
+        out[i * stride] = reference * (1.0 + (curve.end - 1.0) * faded(tau - NEAR_REACH))
+        i += 1
 
 
 @called

@@ -288,7 +288,7 @@ def combined(total, weights, count, k, i):
     return total
 
 
-@called
+@inlined
 def stiff_stage(number, o, r, n, n_all, quadratures):
     """Stage 2 to 5 of Rodas4 -> k[number]; stage: the state at which it is taken."""
     h = r.step

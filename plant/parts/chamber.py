@@ -86,15 +86,17 @@ def pressure_rate(pressure, gas, alpha, volume, volume_rate):
 
 
 @inlined
-def inlet(u, p):
-    """Return the share of the inlet that is open at a valve's position: u, or 2 u - 1 from a closed centre."""
-    return u if p.closed_centre == 0.0 else max(0.0, 2.0 * u - 1.0)
+def openings(u, p):
+    """Return the shares of inlet and outlet that are open at a valve's position.
 
-
-@inlined
-def outlet(u, p):
-    """Return the share of the outlet that is open at a valve's position."""
-    return 1.0 - u if p.closed_centre == 0.0 else max(0.0, 1.0 - 2.0 * u)
+    u and 1 - u; from a closed centre 2 u - 1 or 1 - 2 u.
+    """
+    opened = u
+    vented = 1.0 - u
+    if unlikely(p.closed_centre != 0.0):
+        opened = max(0.0, 2.0 * u - 1.0)
+        vented = max(0.0, 1.0 - 2.0 * u)
+    return opened, vented
 
 
 @inlined
@@ -102,13 +104,11 @@ def chamber(pressure, u, leak, volume, volume_rate, supply, alphas, p, c):
     """Return dP/dt = (R (am1 u f_in - am2 (1-u) f_out + leak) - alpha P dV/dt) / V   [Pa/s].
 
     Also f_in and f_out [K kg/s], R times the sum of flows [W], and alpha = u a1 + (1-u) a2.
-    `u` is the actual valve position, 1 = supply, 0 = atmosphere; the exponents follow it.  With a closed
-    centre the openings are `inlet` and `outlet` instead of u and 1 - u.
+    `u` is the actual valve position, 1 = supply, 0 = atmosphere; the exponents follow it.
     Source: thesis 3.23, 3.57-3.60.  Checked by: tests/physics/test_chamber.py
     """
     am1, a1, am2, a2 = alphas
-    opened = inlet(u, p)
-    vented = outlet(u, p)
+    opened, vented = openings(u, p)
     flow_in = valve_flow_in(pressure, supply, p, c) if opened > 0.0 else 0.0
     flow_out = valve_flow_out(pressure, p, c) if vented > 0.0 else 0.0
     gas = p.r_air * (am1 * opened * flow_in - am2 * vented * flow_out + leak)
@@ -124,8 +124,9 @@ def store_chamber(q, j, found, pressure, u, volume_rate, p):
     q.gas[j] = gas
     q.heat[j] = (1.0 - alpha) * pressure * volume_rate
     q.work[j] = pressure * volume_rate
-    q.mass_in[j] = inlet(u, p) * flow_in / p.t_gas
-    q.mass_out[j] = outlet(u, p) * flow_out / p.t_gas
+    opened, vented = openings(u, p)
+    q.mass_in[j] = opened * flow_in / p.t_gas
+    q.mass_out[j] = vented * flow_out / p.t_gas
 
 
 @inlined
