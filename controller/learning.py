@@ -13,12 +13,14 @@ import abc
 import struct
 import zlib
 from collections.abc import Callable, Mapping
-from math import isfinite
+from math import isfinite, sqrt
 from typing import ClassVar, NamedTuple
 
 MAGIC = b"OPC4"
-VERSION = 1
-HEADER = struct.Struct("<4sBBIB")
+VERSION = 2
+UNKNOWN_MESH = 0.054
+"""Scatter of the meshing force between gears, relative."""
+HEADER = struct.Struct("<4sBBIBbb")
 CHECKSUM = struct.Struct("<I")
 
 
@@ -26,12 +28,32 @@ class Context(NamedTuple):
     """What a shift has in common with others: direction 0 or 1, and the impulse to expect.
 
     slope_s: change of the release by the logarithm of the impulse. share: where that logarithm is
-    between the ends of the tables, 0 to 1.
+    between the ends of the tables, 0 to 1. drag: by how much more a drag torque adds to the impulse
+    than it does when warm, negative where it takes from it. scatter: of the impulse from shift to
+    shift and of the speeds before it, relative.
     """
 
     direction: int
     slope_s: float
     share: float
+    drag: float = 0.0
+    scatter: float = 0.02
+
+
+class Offset(NamedTuple):
+    """How much later than in the tables a release comes, and how well that is known.
+
+    later_s: of the release; delay_s: the part of it that is delay. age_s: how much older than assumed
+    the speeds are by which it is measured. variance: of the release; of what is measured, and its
+    covariance with the release, s2.
+    """
+
+    later_s: float
+    delay_s: float
+    age_s: float
+    variance: float
+    measured: float
+    common: float
 
 
 class Correction(abc.ABC):
@@ -51,12 +73,19 @@ class Correction(abc.ABC):
         self._outliers = [0, 0]
 
     @abc.abstractmethod
-    def offset_s(self, context: Context) -> tuple[float, float]:
-        """Return how much later than in the tables the release comes, and which part is delay."""
+    def offset(self, context: Context) -> Offset:
+        """Return how much later than in the tables the release comes."""
 
     @abc.abstractmethod
     def learn(self, context: Context, error_s: float, impact_m_s: float) -> None:
         """Take how much later than expected a release came, and how hard the stop was."""
+
+    def heavier(self, direction: int) -> tuple[float, float]:
+        """Return by which share the teeth resist more than those of the tables, and its variance."""
+        return 0.0, UNKNOWN_MESH * UNKNOWN_MESH
+
+    def resisted(self, direction: int, share: float, variance: float) -> None:  # noqa: B027
+        """Take by which share the teeth resisted more, and how well that was measured."""
 
     def is_evidence(self, direction: int, error_s: float, needed: int) -> bool:
         """Count an outlier; `needed` in a row on the same side make the method forget the direction.
@@ -69,14 +98,18 @@ class Correction(abc.ABC):
         self._outliers[direction] = 0 if abs(count) >= needed else count
         if abs(count) < needed:
             return False
+        self.forget(direction)
+        return True
+
+    def forget(self, direction: int) -> None:
+        """Begin anew with a direction."""
         size = len(self.fresh) // 2
         begin = direction * size
         self.values[begin : begin + size] = self.fresh[begin : begin + size]
-        return True
 
     def dump(self) -> bytes:
         """Return the memory: version, method, shifts, numbers, checksum."""
-        body = HEADER.pack(MAGIC, VERSION, self.number, self.shifts, self.plain)
+        body = HEADER.pack(MAGIC, VERSION, self.number, self.shifts, self.plain, *self._outliers)
         body += struct.pack(f"<{len(self.values)}f", *self.values)
         return body + CHECKSUM.pack(zlib.crc32(body))
 
@@ -88,53 +121,99 @@ class Correction(abc.ABC):
         body = memory[:size]
         if CHECKSUM.unpack(memory[size:])[0] != zlib.crc32(body):
             return
-        magic, version, number, shifts, plain = HEADER.unpack(body[: HEADER.size])
+        magic, version, number, shifts, plain, *outliers = HEADER.unpack(body[: HEADER.size])
         values = struct.unpack(f"<{len(self.fresh)}f", body[HEADER.size :])
         if (magic, version, number) != (MAGIC, VERSION, self.number):
             return
         pairs = zip(values, self.largest, strict=True)
         if all(isfinite(value) and abs(value) <= most for value, most in pairs):
-            self.shifts, self.plain, self.values = shifts, plain, list(values)
+            self.shifts, self.plain, self._outliers = shifts, plain, outliers
+            self.values = list(values)
+
+
+def _diagonal(*sd: float) -> list[float]:
+    size = len(sd)
+    return [sd[k % size] ** 2 if k % (size + 1) == 0 else 0.0 for k in range(size * size)]
 
 
 class Sensitivities(Correction):
-    """Friction level and delay of each direction, by the sensitivities of the tables.
+    """Friction of each synchronizer, drag, delay, and age of the speeds.
 
-    release = table + slope * gain + delay: a Kalman filter of two numbers that drift. What one shift
-    tells counts by its scatter: of the friction from shift to shift and of the measured release.
+    release = table + slope * (friction + drag * its factor) + delay; measured as much later as the
+    speeds are older: a Kalman filter of five numbers that drift. What one shift says counts by its
+    scatter: of the friction from shift to shift and of the measured release. Errors that lean to one
+    side make all but the age uncertain again: a valve was exchanged, or the oil.
     """
 
     number = 1
-    fresh = (0.0, 0.0, 0.08**2, 0.0, 0.0015**2) * 2
-    largest = (0.5, 0.02, 1.0, 1.0, 1.0) * 2
-    scatter = 0.022
-    measured_s = 0.0008
-    drift = (0.004**2, 0.00015**2)
+    fresh = (0.0, 0.0, 0.015, 0.0, 0.0, *_diagonal(0.065, 0.065, 0.007, 0.0006, 0.003), 0.0)
+    fresh += (0.0, UNKNOWN_MESH**2) * 2
+    largest = (0.5, 0.5, 0.2, 0.02, 0.02, *(1.0,) * 25, 20.0, *(1.0,) * 4)
+    mesh_drift = 0.002**2
+    measured_s = 0.0012
+    drift = (0.0045**2, 0.0045**2, 0.0003**2, 0.00005**2, 0.0)
+    again = (0.03**2, 0.03**2, 0.003**2, 0.002**2, 0.0)
+    """Added to the variances when the errors lean to one side."""
+    leaning, forgets = 4.0, 0.75
 
-    def offset_s(self, context: Context) -> tuple[float, float]:
-        """Return slope * gain + delay, and the delay."""
-        at = 5 * context.direction
-        gain, delay_s = self.values[at : at + 2]
-        return context.slope_s * gain + delay_s, delay_s
+    def offset(self, context: Context) -> Offset:
+        """Return slope * (friction + drag) + delay, and what is known of it with the scatter."""
+        own, slope_s, drag = context.direction, context.slope_s, context.drag
+        by = self.values
+        first = 5 + 5 * own
+        of_own, with_drag, delay, age = by[first + own], by[first + 2], by[first + 3], by[first + 4]
+        of_own += drag * (with_drag + with_drag + drag * by[17]) + context.scatter * context.scatter
+        delay += drag * by[18]
+        variance = slope_s * (slope_s * of_own + delay + delay) + by[23]
+        common = variance + slope_s * (age + drag * by[19]) + by[24]
+        measured = common + common - variance + by[29]
+        later_s = slope_s * (by[own] + drag * by[2]) + by[3]
+        return Offset(later_s, by[3], by[4], variance, measured, common)
 
     def learn(self, context: Context, error_s: float, impact_m_s: float) -> None:
-        """Update the two numbers and their covariances."""
-        at = 5 * context.direction
-        gain, delay_s, gg, gd, dd = self.values[at : at + 5]
-        gg, dd = gg + self.drift[0], dd + self.drift[1]
-        slope_s = context.slope_s
-        of_gain, of_delay = slope_s * gg + gd, slope_s * gd + dd
-        scatter_s = slope_s * self.scatter
-        noise = scatter_s * scatter_s + self.measured_s * self.measured_s
-        total = slope_s * of_gain + of_delay + noise
-        k_gain, k_delay = of_gain / total, of_delay / total
-        gain = min(max(gain + k_gain * error_s, -0.5), 0.5)
-        delay_s = min(max(delay_s + k_delay * error_s, -0.02), 0.02)
-        gg, gd, dd = gg - k_gain * of_gain, gd - k_gain * of_delay, dd - k_delay * of_delay
-        self.values[at : at + 5] = (gain, delay_s, gg, gd, dd)
+        """Update the numbers and their covariances."""
+        for k, added in enumerate(self.drift):
+            self.values[5 + 6 * k] += added
+        total = self.offset(context).measured + self.measured_s * self.measured_s
+        slope_s, own = context.slope_s, context.direction
+        of = [
+            slope_s * row[own] + slope_s * context.drag * row[2] + row[3] + row[4]
+            for row in (self.values[at : at + 5] for at in range(5, 30, 5))
+        ]
+        for k in range(5):
+            moved = self.values[k] + of[k] / total * error_s
+            self.values[k] = min(max(moved, -self.largest[k]), self.largest[k])
+            for j in range(5):
+                self.values[5 + 5 * k + j] -= of[k] * of[j] / total
+        leans = self.forgets * self.values[30] + error_s / sqrt(total)
+        if abs(leans) > self.leaning:
+            leans = 0.0
+            for k, added in enumerate(self.again):
+                self.values[5 + 6 * k] += added
+        self.values[30] = leans
+
+    def heavier(self, direction: int) -> tuple[float, float]:
+        """Return what the pushes of this direction have shown."""
+        at = 31 + 2 * direction
+        return self.values[at], self.values[at + 1]
+
+    def resisted(self, direction: int, share: float, variance: float) -> None:
+        """Move to what was measured, by how well it is known."""
+        at = 31 + 2 * direction
+        mean, known = self.values[at : at + 2]
+        known = min(known + self.mesh_drift, UNKNOWN_MESH * UNKNOWN_MESH)
+        weight = known / (known + variance)
+        moved = mean + weight * (share - mean)
+        self.values[at : at + 2] = min(max(moved, -0.5), 0.5), (1.0 - weight) * known
+
+    def forget(self, direction: int) -> None:
+        """Begin anew: what both directions have in common is in doubt as well."""
+        self.values = list(self.fresh)
 
 
 BINS = 8
+UNKNOWN, WELL_KNOWN, KNOWN_AFTER = 0.065, 0.04, 4.0
+"""Scatter of the impulse, relative, before and after so many shifts of a context."""
 
 
 class Map(Correction):
@@ -152,18 +231,22 @@ class Map(Correction):
         index = min(int(context.share * BINS), BINS - 1)
         return 2 * (BINS * context.direction + index)
 
-    def offset_s(self, context: Context) -> tuple[float, float]:
-        """Return the offset of the context, none of it as delay."""
+    def offset(self, context: Context) -> Offset:
+        """Return the offset of the context, none of it as delay; it is well known after some shifts."""
+        own = self._at(context)
+        sd_s = context.slope_s * (WELL_KNOWN if self.values[own + 1] >= KNOWN_AFTER else UNKNOWN)
+        variance = sd_s * sd_s
+        return Offset(self._later_s(context), 0.0, 0.0, variance, variance, variance)
+
+    def _later_s(self, context: Context) -> float:
         own, first = self._at(context), 2 * BINS * context.direction
         met = [at for at in range(first, first + 2 * BINS, 2) if self.values[at + 1] > 0.0]
-        if not met:
-            return 0.0, 0.0
-        return self.values[min(met, key=lambda at: abs(at - own))], 0.0
+        return self.values[min(met, key=lambda at: abs(at - own))] if met else 0.0
 
     def learn(self, context: Context, error_s: float, impact_m_s: float) -> None:
         """Move the offset of the context towards what would have been right."""
         at = self._at(context)
-        right_s = self.offset_s(context)[0] + error_s
+        right_s = self._later_s(context) + error_s
         count = self.values[at + 1]
         share = self._share(count)
         moved_s = right_s if count == 0.0 else self.values[at] + share * (right_s - self.values[at])
@@ -194,10 +277,10 @@ class Search(Map):
     probe_s = 0.001
     step_s = 0.001
 
-    def offset_s(self, context: Context) -> tuple[float, float]:
+    def _later_s(self, context: Context) -> float:
         """Return the offset of the context and the probe of this shift."""
         offset_s, last = self.values[self._at(context) : self._at(context) + 2]
-        return offset_s + (-self.probe_s if last < 0.0 else self.probe_s), 0.0
+        return offset_s + (-self.probe_s if last < 0.0 else self.probe_s)
 
     def learn(self, context: Context, error_s: float, impact_m_s: float) -> None:
         """Compare with the trial on the other side."""

@@ -1,8 +1,8 @@
 """Programmes of the valves over the expected release of the synchronizer, computed off line.
 
 `programmes.csv` holds, for some supply pressures and closing delays, a row for each of a series of
-impulses: when the plain push would be released, when the programme is, how the one follows the
-other, and the programme in steps of the firmware.
+impulses and for each strength: when the plain push would be released, when the programme is, how the
+one follows the other, and the programme in steps of the firmware.
 """
 
 from __future__ import annotations
@@ -16,6 +16,10 @@ from typing import NamedTuple
 
 NEVER = 1 << 30
 """A step that never comes."""
+CAREFUL, STRONG, SLOW = range(3)
+"""Strengths: for what a new unit knows; for a release and a meshing force that are well known;
+for a new unit whose valves open `SLOW_S` later."""
+SLOW_S = 0.003
 
 
 class Pulse(NamedTuple):
@@ -43,30 +47,29 @@ class Programme(NamedTuple):
 class Table(NamedTuple):
     """Programmes for one supply pressure and closing delay, over ascending impulses.
 
-    log_impulse: logarithm of the first impulse in N s, and the step from row to row.
+    log_impulse: logarithm of the first impulse in N s, and the step from row to row. rows: by
+    strength.
     """
 
     supply_pa: float
     close_s: float
     log_impulse: tuple[float, float]
-    rows: tuple[Programme, ...]
+    rows: tuple[tuple[Programme, ...], ...]
     plain_s: tuple[float, ...]
 
-    def row(self, plain_s: float, step: int) -> Programme | None:
-        """Return the programme that can still begin whose release under the plain push is nearest.
+    def row(self, plain_s: float, step: int, strength: int) -> Programme | None:
+        """Return the programme of a strength whose release under the plain push is nearest.
 
-        The two nearest ones are tried, then two for later releases: they vent later, which is harder
-        and never stalls. None if none of them can begin, or the release is beyond the table.
+        The second nearest if only that can still begin; None if neither can, or beyond the table.
         """
-        times = self.plain_s
+        times, rows = self.plain_s, self.rows[strength]
         after = bisect_right(times, plain_s)
         if not 0 < after < len(times):
             return None
         nearer = plain_s - times[after - 1] < times[after] - plain_s
-        first, second = (after - 1, after) if nearer else (after, after - 1)
-        for index in (first, second, after + 1, after + 2):
-            if index < len(times) and step <= self.rows[index].begin:
-                return self.rows[index]
+        for index in (after - 1, after) if nearer else (after, after - 1):
+            if step <= rows[index].begin:
+                return rows[index]
         return None
 
     def release(self, log_impulse: float) -> tuple[float, float]:
@@ -128,32 +131,31 @@ def _pulses(fields: list[str]) -> tuple[Pulse, ...]:
     return tuple(Pulse(start, start + length) for start, length in pairs if length > 0)
 
 
+def _programme(plain_s: float, fields: list[str]) -> Programme:
+    released, gain, *steps = fields
+    vents, brakes = _pulses(steps[:4]), _pulses(steps[4:])
+    begin = min((act.start for act in (*vents, *brakes)), default=NEVER)
+    return Programme(plain_s, 1e-4 * int(released), float(gain), vents, brakes, begin)
+
+
 @cache
 def library() -> Library:
     """Return the tables that come with the firmware."""
-    rows: dict[tuple[float, float], list[tuple[float, Programme]]] = {}
+    rows: dict[tuple[float, float], list[tuple[float, list[Programme]]]] = {}
     text = files("controller").joinpath("programmes.csv").read_text(encoding="utf-8")
     for line in text.splitlines():
         if line.startswith("#"):
             continue
-        supply, close, impulse, plain, released, gain, *steps = line.split(",")
-        vents, brakes = _pulses(steps[:4]), _pulses(steps[4:])
-        acts = [*vents, *brakes]
-        row = Programme(
-            1e-4 * int(plain),
-            1e-4 * int(released),
-            float(gain),
-            vents,
-            brakes,
-            min((act.start for act in acts), default=NEVER),
-        )
+        head, *strengths = line.split(";")
+        supply, close, impulse, plain = head.split(",")
+        found = [_programme(1e-4 * int(plain), each.split(",")) for each in strengths]
         table = 1e-3 * float(close), 1e5 * float(supply)
-        rows.setdefault(table, []).append((log(float(impulse)), row))
+        rows.setdefault(table, []).append((log(float(impulse)), found))
     tables: dict[float, list[Table]] = {}
     for (close_s, supply_pa), pairs in sorted(rows.items()):
-        logs, programmes = zip(*pairs, strict=True)
+        logs, found_of = zip(*pairs, strict=True)
         axis = (logs[0], (logs[-1] - logs[0]) / (len(logs) - 1))
-        plain_s = tuple(row.plain_s for row in programmes)
-        made = Table(supply_pa, close_s, axis, programmes, plain_s)
-        tables.setdefault(close_s, []).append(made)
+        programmes = tuple(zip(*found_of, strict=True))
+        plain_s = tuple(row.plain_s for row in programmes[CAREFUL])
+        tables.setdefault(close_s, []).append(Table(supply_pa, close_s, axis, programmes, plain_s))
     return Library(tables)

@@ -2,28 +2,49 @@
 
 from __future__ import annotations
 
-from math import exp, log
+from math import copysign, exp, log, sqrt
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from msgspec import Struct
 
 from can_dbc.messages import Gear
-from controller.learning import METHODS, Context, Correction
+from controller.learning import METHODS, Context, Correction, Offset
 from controller.position import Estimate
-from controller.programmes import Nearby, Programme, library
+from controller.programmes import CAREFUL, SLOW, SLOW_S, STRONG, Nearby, Programme, library
 from controller.settings import ControlConfig, bounded
 from controller.strategies import Duties, ShiftContext
 from controller.strategies.into_gear import PUSH, Command, IntoGear, IntoGearParameters, Progress
 
 COLDEST_K, REFERENCE_K, WARMEST_K = 253.15, 293.15, 343.15
+CLOSE_NEAR_S = 0.0025
+"""A closing delay that is further from those of the tables has no programmes: cold valves."""
 OPEN_S = 0.008
 """Opening delay of the valves (thesis 3.1.3)."""
-REPORT_RAD_S = 0.25
+WARM_K, DRAG_FOLD_K = 328.15, 26.0
+"""A warm unit, and its cooling by which the drag of the oil, which is colder then, grows e-fold."""
+REPORT_RAD_S = 0.28
 """Scatter of a reported difference of the speeds; one below four times this is none."""
 TIMING_S = 0.0007
 """Scatter of the time to which a report belongs."""
-KNOWN = 0.03
-"""Scatter of the impulse before the synchronizer works, relative."""
+SCATTER = 0.02
+"""Scatter of the friction from shift to shift, relative: assumed."""
+KNOWN, KNOWN_LARGE, WELL = 0.065, 0.043, 0.37
+"""Scatter, relative, of small impulses and of large ones (which the speeds of the shift tell) for which
+the careful programmes were made; the share of its square for which the strong ones were."""
+SMALL_SHARE, PER_SHARE = 0.465, 4.7
+HEAVIEST, MESH_SCATTER = 0.1225, 0.02
+"""Meshing force, by that of the tables, up to which strong programmes pass the teeth; and its scatter
+from shift to shift: assumed."""
+STOPS, LIGHT, LIGHT_PER_PA = 0.33, 2.72, 2.6e-6
+PASSES_S, STOPPED_S, STOPPED_AT_S, STOPPED_PER_S = 0.0215, 0.04, 0.045, 2.2
+NEAR_S, FREE_S, WEIGHED = 0.00012, 0.0195, 0.026
+"""Fitted to plain pushes of 14 to 28 N s, 8 to 9 bar, from -11 to 11 % of meshing force: by how much
+more force than that of the tables a push stops at the teeth, over the logarithm of its impulse; by how
+much more or less it was, over the time from release to arrival; and how well that is known."""
+ARRIVED = 0.9
+"""Share of the stroke at which the stay has passed the teeth."""
+UNLIKELY = 4.0
+"""Standard deviations from which on something else is wrong."""
 MEASURED_S = 0.002
 """Scatter of a release that was found between two reports."""
 LONGEST_S = 1e9
@@ -32,13 +53,17 @@ LONGEST_S = 1e9
 class Expected(NamedTuple):
     """When the plain push would be released, s after its start: before and after this shift's reports.
 
-    delay_s: the part of the correction that is a delay.
+    age_s: of a report of the speeds. variance: of the release now. limit: what a careful programme
+    bears of it.
     """
 
     context: Context
     prior_s: float
-    delay_s: float
     used_s: float
+    age_s: float
+    offset: Offset
+    variance: float
+    limit: float
 
 
 class Learned(IntoGear):
@@ -71,13 +96,13 @@ class Learned(IntoGear):
         """Relative change of the closing delay with the temperature."""
         late_s: Annotated[float, bounded(-0.02, 0.02, "s")] = 0.0004
         """From a step to its command at the coil."""
-        speeds_age_s: Annotated[float, bounded(0.0, 0.1, "s")] = 0.0035
-        """Age of a report of the speeds in the step that has it first."""
+        speeds_age_s: Annotated[float, bounded(0.0, 0.1, "s")] = 0.0065
+        """Age of a report of the speeds in the step that has it first, if nothing is learned."""
         still_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.055
         """So long after the start of a push, reports are of the speeds before it."""
         outlier_s: Annotated[float, bounded(0.001, 0.1, "s")] = 0.006
-        """A release that is further from the expected one than this, and a tenth of its change with
-        the logarithm of the impulse, is an outlier: it teaches nothing."""
+        """A release that is further from the expected one than this, and than four standard
+        deviations, is an outlier: it teaches nothing."""
         outliers: Annotated[int, bounded(1, 100, "")] = 3
         """So many outliers in a row on the same side are evidence: the direction is learned anew."""
         plain_pushes: Annotated[int, bounded(0, 100, "")] = 2
@@ -105,9 +130,9 @@ class Learned(IntoGear):
     def reset(self) -> None:
         """Forget the push; what was learned stays."""
         self._direction: int | None = None  # none before the first step
-        self._plain = False
+        self._plain, self._passes = False, False
         self._tables: Nearby
-        self._close_s = 0.0
+        self._close_s, self._cold, self._drag = 0.0, 0.0, 0.0
         self._sum_rad_s, self._count = 0.0, 0
         self._reported_s = -LONGEST_S
         self._falling: tuple[tuple[float, float], ...] = ()
@@ -118,16 +143,23 @@ class Learned(IntoGear):
         self._undisturbed_s = LONGEST_S
         self._released_s: float | None = None
         self._before_m: float | None = None
+        self._arrived_s: float | None = None
         self._fastest_m_s = 0.0
 
     def command(self, now_ns: int, estimate: Estimate, shift: ShiftContext) -> Duties:
         """Return the duties of the programme, or the open loop's."""
         if self._direction is None:
             self._prepare(now_ns, shift)
+        if self._expected is None and shift.apart_rad_s is not None:
+            self._drag = copysign(self._cold, -shift.apart_rad_s)
         for sample in estimate.samples:
             if self._before_m is not None and self._falling:
                 way_m = abs(sample.raw_m - self._before_m)
                 self._fastest_m_s = max(self._fastest_m_s, way_m / self.config.sensor.period_s)
+                over_m = abs(sample.raw_m) - ARRIVED * self.config.windows.stroke_m
+                if over_m > 0.0 and self._arrived_s is None and way_m > 0.0:
+                    back_s = min(over_m / way_m, 1.0) * self.config.sensor.period_s
+                    self._arrived_s = 1e-9 * (now_ns - shift.start_ns) - back_s
             self._before_m = sample.raw_m
         return super().command(now_ns, estimate, shift)
 
@@ -141,10 +173,16 @@ class Learned(IntoGear):
         if self.correction.plain and not self._plain:
             self.correction.plain -= 1
             self._plain = True
+        heavier, variance = self.correction.heavier(self._direction)
+        margin = max(HEAVIEST - heavier, 0.0)
+        scatter = UNLIKELY * UNLIKELY * (variance + MESH_SCATTER * MESH_SCATTER)
+        self._passes = margin * margin > scatter
         coil_k = REFERENCE_K if shift.coil_k is None else shift.coil_k
         warmer_k = min(max(coil_k, COLDEST_K), WARMEST_K) - REFERENCE_K
         self._close_s = own.close_s * exp(own.close_per_k * warmer_k)
+        self._cold = exp((WARM_K - REFERENCE_K - warmer_k) / DRAG_FOLD_K)
         self._tables = self._library.near(own.supply_pa, self._close_s)
+        self._plain |= abs(self._close_s - self._tables.nearest.close_s) > CLOSE_NEAR_S
 
     def decide(self, progress: Progress) -> Command:
         """Follow the programme that is expected to fit; its first act decides for it."""
@@ -167,9 +205,14 @@ class Learned(IntoGear):
 
     def _choose(self, expected: Expected, step: int) -> None:
         """Take the programme that fits best if this is the step at which it begins."""
+        strength = self._strength(expected)
+        if strength is None:
+            return
         table = self._tables.nearest
         target_s = expected.used_s - (self._close_s - table.close_s)
-        programme = table.row(target_s, step)
+        if strength == SLOW:
+            target_s -= SLOW_S
+        programme = table.row(target_s, step, strength)
         if programme is None or step < programme.begin:
             return
         self._programme, self._target_s = programme, target_s
@@ -178,19 +221,28 @@ class Learned(IntoGear):
         acts += [pulse.start * period_s + OPEN_S for pulse in programme.brakes]
         self._undisturbed_s = min(acts)
 
+    def _strength(self, expected: Expected) -> int | None:
+        """Return which programmes are safe by what is known of the release and the meshing force."""
+        if expected.variance > expected.limit:
+            return None
+        if expected.offset.delay_s > 0.5 * SLOW_S:
+            return SLOW
+        return STRONG if self._passes and expected.variance <= WELL * expected.limit else CAREFUL
+
     def _note(self, spent_s: float, apart_s: float, apart_rad_s: float) -> None:
         """Take a report: of the speeds before the push, or while the synchronizer works."""
         if spent_s <= self.parameters.still_s:
             self._sum_rad_s += apart_rad_s
             self._count += 1
-            self._expect(self._sum_rad_s / self._count)
+            if self._count > 1:  # the first step has enough to do
+                self._expect(self._sum_rad_s / self._count)
         elif self._expected is not None and self._released_s is None:
             before_rad_s = self._sum_rad_s / self._count
             if before_rad_s < 4.0 * REPORT_RAD_S:
                 self._plain = True
                 return
-            self._measure(apart_s, apart_rad_s, before_rad_s)
-            if apart_s - self.parameters.speeds_age_s < self._undisturbed_s:
+            self._measure(apart_s - self._expected.age_s, apart_rad_s, before_rad_s)
+            if apart_s - self._expected.age_s < self._undisturbed_s:
                 self._follow(self._expected, apart_s, 1.0 - apart_rad_s / before_rad_s)
 
     def _expect(self, before_rad_s: float) -> None:
@@ -202,10 +254,17 @@ class Learned(IntoGear):
         release_s, slope_s = tables.release(log_impulse)
         first, step = tables.low.log_impulse
         share = (log_impulse - first) / (step * len(tables.low.rows))
-        context = Context(self._direction, slope_s, min(max(share, 0.0), 1.0))
-        offset_s, delay_s = self.correction.offset_s(context)
-        prior_s = release_s + offset_s + own.late_s
-        self._expected = Expected(context, prior_s, delay_s + own.late_s, prior_s)
+        noise = REPORT_RAD_S / max(before_rad_s, REPORT_RAD_S)
+        scatter = sqrt(SCATTER * SCATTER + noise * noise / self._count)
+        share = min(max(share, 0.0), 1.0)
+        context = Context(self._direction, slope_s, share, self._drag, scatter)
+        offset = self.correction.offset(context)
+        prior_s = release_s + offset.later_s + own.late_s
+        age_s = own.speeds_age_s + offset.age_s
+        large = min(max((share - SMALL_SHARE) * PER_SHARE, 0.0), 1.0)
+        unit_s = slope_s * (KNOWN - (KNOWN - KNOWN_LARGE) * large)
+        limit, variance = unit_s * unit_s, offset.variance
+        self._expected = Expected(context, prior_s, prior_s, age_s, offset, variance, limit)
 
     def _follow(self, expected: Expected, apart_s: float, given: float) -> None:
         """Correct the expected release by the share of the impulse that has been `given`.
@@ -215,18 +274,28 @@ class Learned(IntoGear):
         """
         if not 0.1 < given < 0.9:
             return
-        at_s = apart_s - self.parameters.speeds_age_s - expected.delay_s
+        offset = expected.offset
+        delay_s = offset.delay_s + self.parameters.late_s
         table = self._tables.nearest
-        spent, rate_s = table.spent(at_s)
-        found_s = table.release(spent - log(given))[0] + expected.delay_s
+        spent, rate_s = table.spent(apart_s - expected.age_s - delay_s)
+        found_s = table.release(spent - log(given))[0] + delay_s
         noise = REPORT_RAD_S * self._count / (given * self._sum_rad_s)
         timing = TIMING_S / rate_s
-        variance = noise * noise + timing * timing
-        self._found = found_s, variance * expected.context.slope_s * expected.context.slope_s
+        slope_s = expected.context.slope_s
+        variance = (noise * noise + timing * timing) * slope_s * slope_s
+        self._found = found_s, variance
         if self._programme is None:
-            weight = KNOWN * KNOWN / (KNOWN * KNOWN + variance)
-            used_s = expected.prior_s + weight * (found_s - expected.prior_s)
-            self._expected = expected._replace(used_s=used_s)
+            total = offset.measured + variance
+            later_s = found_s - expected.prior_s
+            weight, least = (
+                offset.common / total,
+                offset.variance - offset.common / total * offset.common,
+            )
+            unlikely = later_s * later_s > UNLIKELY * UNLIKELY * total
+            self._expected = expected._replace(
+                used_s=expected.prior_s + weight * later_s,
+                variance=LONGEST_S if unlikely else least,
+            )
 
     def _measure(self, apart_s: float, apart_rad_s: float, before_rad_s: float) -> None:
         """Find the release between the last report of a difference and the first of none.
@@ -245,7 +314,7 @@ class Learned(IntoGear):
         if len(self._falling) == 3:
             fall += 0.7 * (fall - (differences[-3] - differences[-2]))
         share = rest_rad_s / fall if fall > rest_rad_s else 1.0
-        self._released_s = last_s + share * (apart_s - last_s) - self.parameters.speeds_age_s
+        self._released_s = last_s + share * (apart_s - last_s)
 
     def ended(self, now_ns: int, estimate: Estimate, confirmed: bool, healthy: bool) -> None:
         """Compare the release with what was expected, and pass the difference to the method."""
@@ -257,11 +326,32 @@ class Learned(IntoGear):
         if self._plain or expected is None or self._released_s is None:
             return
         error_s = self._error_s(expected, self._released_s)
-        limit_s = self.parameters.outlier_s + 0.1 * expected.context.slope_s
+        limit_s = max(self.parameters.outlier_s, UNLIKELY * sqrt(expected.offset.measured))
         if abs(error_s) <= limit_s or correction.is_evidence(
             expected.context.direction, error_s, self.parameters.outliers
         ):
             correction.learn(expected.context, error_s, self._fastest_m_s)
+            if self._programme is None and self._arrived_s is not None:
+                travel_s = self._arrived_s - self._released_s - expected.age_s
+                self._weigh(expected, expected.prior_s + error_s, travel_s)
+
+    def _weigh(self, expected: Expected, released_s: float, travel_s: float) -> None:
+        """Find the meshing force from how long a plain push of a light shift took to arrive.
+
+        Such a push hardly passes the teeth, or stops at them until the chamber is full. By how much
+        more force it would stop is nearly linear in the logarithm of its impulse and the pressure.
+        """
+        if travel_s < PASSES_S:
+            return
+        spent, _ = self._tables.nearest.spent(released_s - expected.offset.delay_s)
+        stops = STOPS * (spent - LIGHT + LIGHT_PER_PA * (self.parameters.supply_pa - 9e5))
+        if stops > HEAVIEST:
+            return
+        if travel_s > STOPPED_S:
+            stops += STOPPED_PER_S * (travel_s - STOPPED_AT_S)
+        else:
+            stops -= NEAR_S / (travel_s - FREE_S)
+        self.correction.resisted(expected.context.direction, stops, WEIGHED * WEIGHED)
 
     def _error_s(self, expected: Expected, released_s: float) -> float:
         """Return how much later than expected beforehand the plain push would have been released."""
@@ -273,7 +363,10 @@ class Learned(IntoGear):
         late_s += expected.used_s - expected.prior_s
         if self._found is not None:
             found_s, variance = self._found
-            measured = MEASURED_S * MEASURED_S
+            measured_s = MEASURED_S + (
+                0.0 if programme is None else 0.5 * abs(programme.released_s - programme.plain_s)
+            )
+            measured = measured_s * measured_s
             share = measured / (measured + variance)
             late_s += share * (found_s - expected.prior_s - late_s)
         return late_s

@@ -157,7 +157,7 @@ class Drawn:
     """One shift as drawn: settings of the scenario, and the impulses in N s.
 
     known: settings by which a strategy that learns is given what the truck knows besides the frames:
-    its supply, and how long ago the neutral chamber was filled. expected_n_s: follows from the
+    its supply, its gear pairs, and how long ago the neutral chamber was filled. expected_n_s: follows from the
     speeds with the nominal friction; impulse_n_s is what it takes.
     """
 
@@ -321,7 +321,8 @@ class Truck:
             for path, value in settings.items()
         }
         supply_pa = SUPPLY_STEP_PA * round(fixed["plant.supply_pressure_pa"] / SUPPLY_STEP_PA)
-        known = {f"{OWN}.supply_pa": supply_pa} | (
+        per_rad_s = inertia / nominal["driveline.cone_gain_m"]
+        known = {f"{OWN}.supply_pa": supply_pa, f"{OWN}.impulse_per_rad_s": per_rad_s} | (
             {} if blow_s is None else {f"{OWN}.rest_s": blow_s}
         )
         size_n_s = inertia * abs(speed_rad_s)
