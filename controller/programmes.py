@@ -16,10 +16,8 @@ from typing import NamedTuple
 
 NEVER = 1 << 30
 """A step that never comes."""
-CAREFUL, STRONG, SLOW = range(3)
-"""Strengths: for what a new unit knows; for a release and a meshing force that are well known;
-for a new unit whose valves open `SLOW_S` later."""
-SLOW_S = 0.003
+CAREFUL, STRONG = range(2)
+"""Strengths: for what a new unit knows; for a release and a meshing force that are well known."""
 
 
 class Pulse(NamedTuple):

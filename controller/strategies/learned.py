@@ -10,14 +10,17 @@ from msgspec import Struct
 from can_dbc.messages import Gear
 from controller.learning import METHODS, Context, Correction, Offset
 from controller.position import Estimate
-from controller.programmes import CAREFUL, SLOW, SLOW_S, STRONG, Nearby, Programme, library
+from controller.programmes import CAREFUL, STRONG, Nearby, Programme, library
 from controller.settings import ControlConfig, bounded
 from controller.strategies import Duties, ShiftContext
 from controller.strategies.into_gear import PUSH, Command, IntoGear, IntoGearParameters, Progress
 
 COLDEST_K, REFERENCE_K, WARMEST_K = 253.15, 293.15, 343.15
-CLOSE_NEAR_S = 0.0025
-"""A closing delay that is further from those of the tables has no programmes: cold valves."""
+SLOW_S, SLOWEST_S = 0.0015, 0.0045
+"""Valves that open so much later take the careful programmes of their impulse, which are proven for
+such valves as well; those that open later than the second have none."""
+CLOSE_NEAR_S, SUPPLY_NEAR_PA = 0.0025, 0.3e5
+"""A closing delay or supply further from those of the tables has no programmes: cold valves."""
 OPEN_S = 0.008
 """Opening delay of the valves (thesis 3.1.3)."""
 WARM_K, DRAG_FOLD_K = 328.15, 26.0
@@ -73,7 +76,7 @@ class Learned(IntoGear):
     earlier shifts taught; while the synchronizer works, the fall of the difference corrects it until
     the programme begins. Afterwards the release that was measured teaches the next shift. Without
     valid speeds, with air left in the neutral chamber, and after a fault it is the open loop.
-    At most 100 additions, multiplications and comparisons a step and after a shift.
+    At most 100 additions, multiplications and comparisons a step, 400 after a shift.
     Assumes that the engine gives no torque meanwhile.
     """
 
@@ -182,7 +185,9 @@ class Learned(IntoGear):
         self._close_s = own.close_s * exp(own.close_per_k * warmer_k)
         self._cold = exp((WARM_K - REFERENCE_K - warmer_k) / DRAG_FOLD_K)
         self._tables = self._library.near(own.supply_pa, self._close_s)
-        self._plain |= abs(self._close_s - self._tables.nearest.close_s) > CLOSE_NEAR_S
+        nearest = self._tables.nearest
+        self._plain |= abs(self._close_s - nearest.close_s) > CLOSE_NEAR_S
+        self._plain |= abs(own.supply_pa - nearest.supply_pa) > SUPPLY_NEAR_PA
 
     def decide(self, progress: Progress) -> Command:
         """Follow the programme that is expected to fit; its first act decides for it."""
@@ -210,8 +215,8 @@ class Learned(IntoGear):
             return
         table = self._tables.nearest
         target_s = expected.used_s - (self._close_s - table.close_s)
-        if strength == SLOW:
-            target_s -= SLOW_S
+        if expected.offset.delay_s > SLOW_S:
+            target_s -= expected.offset.delay_s
         programme = table.row(target_s, step, strength)
         if programme is None or step < programme.begin:
             return
@@ -223,11 +228,11 @@ class Learned(IntoGear):
 
     def _strength(self, expected: Expected) -> int | None:
         """Return which programmes are safe by what is known of the release and the meshing force."""
-        if expected.variance > expected.limit:
+        delay_s = expected.offset.delay_s
+        if expected.variance > expected.limit or delay_s > SLOWEST_S:
             return None
-        if expected.offset.delay_s > 0.5 * SLOW_S:
-            return SLOW
-        return STRONG if self._passes and expected.variance <= WELL * expected.limit else CAREFUL
+        sure = self._passes and expected.variance <= WELL * expected.limit and delay_s <= SLOW_S
+        return STRONG if sure else CAREFUL
 
     def _note(self, spent_s: float, apart_s: float, apart_rad_s: float) -> None:
         """Take a report: of the speeds before the push, or while the synchronizer works."""

@@ -7,7 +7,7 @@ from math import exp, log
 
 import pytest
 
-from controller.programmes import NEVER, SLOW, STRONG, Programme, Pulse, Table, library
+from controller.programmes import NEVER, STRONG, Programme, Pulse, Table, library
 
 SUPPLIES, DELAYS = (8e5, 8.5e5, 9e5), (0.027, 0.031, 0.035, 0.039)
 
@@ -18,7 +18,7 @@ def row(plain_s: float, begin: int) -> Programme:
 
 def table(*begins: int) -> Table:
     rows = tuple(row(0.1 + 0.01 * k, begin) for k, begin in enumerate(begins))
-    return Table(9e5, 0.035, (log(20.0), 0.1), (rows,) * 3, tuple(each.plain_s for each in rows))
+    return Table(9e5, 0.035, (log(20.0), 0.1), (rows,) * 2, tuple(each.plain_s for each in rows))
 
 
 @pytest.mark.parametrize("supply_pa", SUPPLIES)
@@ -39,7 +39,7 @@ def test_every_table_is_there_and_consistent(supply_pa: float, close_s: float) -
             assert all(2 <= act.start < act.end < 40 for act in acts)
             assert each.begin == min((act.start for act in acts), default=NEVER)
         acting = sum(bool(each.brakes or each.vents) for each in rows)
-        assert acting > 0.6 * len(rows) or strength == SLOW
+        assert acting > 0.4 * len(rows), strength
 
 
 def test_between_pressures_and_beyond_them() -> None:
