@@ -35,9 +35,9 @@ KNOWN, KNOWN_LARGE, WELL = 0.065, 0.043, 0.37
 """Scatter, relative, of small impulses and of large ones (which the speeds of the shift tell) for which
 the careful programmes were made; the share of its square for which the strong ones were."""
 SMALL_SHARE, PER_SHARE = 0.465, 4.7
-HEAVIEST, MESH_SCATTER = 0.1225, 0.02
-"""Meshing force, by that of the tables, up to which strong programmes pass the teeth; and its scatter
-from shift to shift: assumed."""
+HEAVY, HEAVIEST, MESH_SCATTER = 0.06, 0.1225, 0.02
+"""By which share more meshing force than that of the tables a push stays plain; up to which strong
+programmes pass the teeth; and its scatter from shift to shift: assumed."""
 STOPS, LIGHT, LIGHT_PER_PA = 0.33, 2.72, 2.6e-6
 PASSES_S, STOPPED_S, STOPPED_AT_S, STOPPED_PER_S = 0.0215, 0.04, 0.045, 2.2
 NEAR_S, FREE_S, WEIGHED = 0.00012, 0.0195, 0.026
@@ -133,7 +133,7 @@ class Learned(IntoGear):
     def reset(self) -> None:
         """Forget the push; what was learned stays."""
         self._direction: int | None = None  # none before the first step
-        self._plain, self._passes = False, False
+        self._plain, self._heavy, self._passes = False, False, False
         self._tables: Nearby
         self._close_s, self._cold, self._drag = 0.0, 0.0, 0.0
         self._sum_rad_s, self._count = 0.0, 0
@@ -177,6 +177,7 @@ class Learned(IntoGear):
             self.correction.plain -= 1
             self._plain = True
         heavier, variance = self.correction.heavier(self._direction)
+        self._heavy = heavier > HEAVY
         margin = max(HEAVIEST - heavier, 0.0)
         scatter = UNLIKELY * UNLIKELY * (variance + MESH_SCATTER * MESH_SCATTER)
         self._passes = margin * margin > scatter
@@ -229,7 +230,7 @@ class Learned(IntoGear):
     def _strength(self, expected: Expected) -> int | None:
         """Return which programmes are safe by what is known of the release and the meshing force."""
         delay_s = expected.offset.delay_s
-        if expected.variance > expected.limit or delay_s > SLOWEST_S:
+        if self._heavy or expected.variance > expected.limit or delay_s > SLOWEST_S:
             return None
         sure = self._passes and expected.variance <= WELL * expected.limit and delay_s <= SLOW_S
         return STRONG if sure else CAREFUL

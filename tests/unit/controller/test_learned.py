@@ -126,7 +126,9 @@ def test_the_speeds_of_this_shift_correct_what_is_expected() -> None:
         assert expected is not None
         assert least_s < expected.used_s - expected.prior_s < least_s + 0.002
         assert expected.variance < 0.5 * expected.offset.variance
-    assert push(practised(), 40.0, friction=1.01) == push(practised(), 40.0), "too early to be noticed"
+    assert push(practised(), 40.0, friction=1.01) == push(practised(), 40.0), (
+        "too early to be noticed"
+    )
 
 
 @pytest.mark.parametrize(
@@ -185,6 +187,32 @@ def test_after_a_fault_two_pushes_are_plain_and_nothing_is_practised(end: dict[s
     for _ in range(2):
         assert plain(push(again, 60.0))
     assert not plain(push(again, 60.0))
+
+
+def test_known_to_be_light_strong_known_to_be_heavy_plain() -> None:
+    """The meshing force decides; light shifts that stop at the teeth, or do not, teach it."""
+    given = []
+    for mesh in (0.0, -0.05, 0.09):
+        strategy = practised()
+        strategy.correction.resisted(0, mesh, 1e-5)
+        given.append([push(strategy, n_s) for n_s in (65.0, 95.0, 150.0, 230.0)])
+    strong, lighter, heavy = given
+    assert strong == lighter != [push(practised(), n_s) for n_s in (65.0, 95.0, 150.0, 230.0)]
+    assert all(plain(each) for each in heavy)
+
+
+@pytest.mark.parametrize(("travel_s", "sign"), [(0.021, 0), (0.025, -1), (0.08, 1)])
+def test_a_light_push_weighs_the_teeth(travel_s: float, sign: int) -> None:
+    strategy = practised()
+    push(strategy, 17.0)
+    expected = strategy._expected
+    assert expected is not None
+    strategy._weigh(expected, TABLE.release(log(16.0))[0], travel_s)
+    heavier, variance = strategy.correction.heavier(0)
+    assert (heavier > 0.0) - (heavier < 0.0) == sign
+    assert (variance < 0.001) == bool(sign)
+    strategy._weigh(expected, TABLE.release(log(60.0))[0], travel_s)
+    assert strategy.correction.heavier(0) == (heavier, variance), "not a light one"
 
 
 def test_an_outlier_teaches_nothing_and_three_do() -> None:
