@@ -48,10 +48,13 @@ class Score:
         return value if main.low <= value <= main.high else None
 
 
-def _change_of(
+def change_of(
     model: CampaignModel, fit: FitResult, candidate: Candidate, start: tuple[float, ...]
 ) -> dict[int, Floats]:
-    """Return what the candidate at `start` changes in the standardised prediction of each stroke."""
+    """Return by stroke what the candidate at `start` changes in the standardised prediction [n].
+
+    Raises IntegrationError if one of them cannot be simulated.
+    """
     changes = {}
     own = {p.name: v for p, v in zip(candidate.parameters, start, strict=True)}
     for k, block in fit.blocks.items():
@@ -79,7 +82,7 @@ def screen(model: CampaignModel, fit: FitResult, candidates: Sequence[Candidate]
         best: Score | None = None
         for start in candidate.starts[::2]:
             try:
-                changes = _change_of(model, fit, candidate, start)
+                changes = change_of(model, fit, candidate, start)
             except IntegrationError:
                 continue
             slope = square = 0.0

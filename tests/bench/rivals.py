@@ -19,12 +19,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from plant.errors import IntegrationError
 from plant.parameters import load
 from sil.campaign.campaign import load_campaign
 from sil.diagnosis.checks import observed
 from sil.diagnosis.diagnosis import available, diagnose
+from sil.diagnosis.screening import change_of
 from sil.diagnosis.search import Search, Task
 from sil.fitting.fit import FitResult
 from sil.fitting.hypotheses import Candidate, compatible, scaled_of
@@ -121,45 +123,26 @@ def stepwise(problem: Problem) -> Found:
 
 def responses(problem: Problem) -> tuple[list[Candidate], Floats, Floats]:
     """Return causes, their unit responses, and the residual, all freed of what healthy units may do."""
-    model, healthy = problem.model, problem.healthy
-    nuisance = np.zeros(
-        (healthy.size, healthy.layout.healthy + len(model.scatter) * len(healthy.use))
-    )
-    residual = np.concatenate([healthy.blocks[k].residual for k in healthy.use])
-    begin = 0
-    for j, k in enumerate(healthy.use):
-        block = healthy.blocks[k]
-        rows = slice(begin, begin + len(block.residual))
-        nuisance[rows, : healthy.layout.healthy] = block.shared
-        first = healthy.layout.healthy + j * len(model.scatter)
-        nuisance[rows, first : first + len(model.scatter)] = block.scatter
-        begin = rows.stop
+    healthy = problem.healthy
+    blocks = list(healthy.blocks.values())
+    shared = np.vstack([block.shared for block in blocks])
+    nuisance = np.hstack([shared, block_diag(*(block.scatter for block in blocks))])
     inverse = np.linalg.inv(nuisance.T @ nuisance + np.eye(nuisance.shape[1]))
     causes, columns = [], []
     for cause in problem.causes:
-        own = {p.name: v for p, v in zip(cause.parameters, cause.starts[0], strict=True)}
         try:
-            parts = [
-                model.predict(
-                    k,
-                    model.setup(
-                        k, model.amounts(healthy.shared, healthy.stroke[k]), (cause,), (own,)
-                    ),
-                )
-                - healthy.blocks[k].base
-                for k in healthy.use
-            ]
+            changes = change_of(problem.model, healthy, cause, cause.starts[0])
         except IntegrationError:
             continue
-        column = np.concatenate(parts)
-        size = abs(scaled_of(cause.parameters[0], cause.starts[0][0]))
         causes.append(cause)
-        columns.append(column / size)
+        size = abs(scaled_of(cause.parameters[0], cause.starts[0][0]))
+        columns.append(np.concatenate(list(changes.values())) / size)
 
     def freed(values: Floats) -> Floats:
         return np.asarray(values - nuisance @ (inverse @ (nuisance.T @ values)))
 
-    return causes, np.column_stack([freed(column) for column in columns]), freed(residual)
+    residual = np.concatenate([block.residual for block in blocks])
+    return causes, freed(np.column_stack(columns)), freed(residual)
 
 
 def sparse(problem: Problem, threshold: float = 0.1) -> Found:
