@@ -65,6 +65,7 @@ def test_exponents_follow_the_valves_actual_position(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(chamber, "valve_flow_in", lambda *_: 0.5)
     monkeypatch.setattr(chamber, "valve_flow_out", lambda *_: 0.7)
     monkeypatch.setattr(chamber, "pressure_rate", pressure_rate.py_func)
+    monkeypatch.setattr(chamber, "openings", lambda u, _: (u, 1.0 - u))
     gas = SimpleNamespace(r_air=287.05)
 
     def rate(u: float) -> float:
