@@ -244,3 +244,15 @@ def test_every_method_runs(method: str) -> None:
     for _ in range(5):
         push(strategy, 60.0, friction=1.05)
     assert strategy.correction.values != learned(method=method).correction.values
+
+
+def test_slow_valves_take_the_programmes_of_their_impulse_slower_ones_none() -> None:
+    for delay_s, acts in ((0.003, True), (0.005, False)):
+        strategy = practised()
+        strategy.correction.values[3] = delay_s
+        given = push(strategy, 140.0)
+        assert plain(given) != acts
+        programme = strategy._programme
+        assert (programme is not None) == acts
+        if programme is not None:
+            assert programme.plain_s < TABLE.release(log(140.0))[0] + 0.003

@@ -159,3 +159,12 @@ def test_outliers_on_one_side_are_evidence_and_others_are_not() -> None:
     assert method.is_evidence(0, 0.02, 3)
     assert method.offset(LARGE).later_s == 0.0
     assert not method.is_evidence(0, 0.02, 3), "counted anew"
+
+
+def test_outliers_make_a_map_forget_one_direction() -> None:
+    method = METHODS["map"]()
+    for direction in (0, 1):
+        method.learn(LARGE._replace(direction=direction), 0.004, 0.5)
+    assert method.is_evidence(0, 0.02, 1)
+    assert method.offset(LARGE).later_s == 0.0
+    assert method.offset(LARGE._replace(direction=1)).later_s == pytest.approx(0.004)
