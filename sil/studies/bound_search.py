@@ -31,7 +31,7 @@ ABSENT = -0.2
 """Length of a pulse that is not there, in 10 ms."""
 LONGER = 1.002
 """Length of the shortest new pulse, as a share of the delay of its valve."""
-POPULATIONS, LARGE = 8, 100_000
+POPULATIONS, LARGE = 8, 300_000
 """Populations of a search at most, and simulations for each of them."""
 LAST_SHARE = 0.2
 """Share of the simulations for the last population, which begins with the best of the others."""
