@@ -65,7 +65,7 @@ def test_a_sample_request_does_not_change_the_motion(load: dict[str, object]) ->
     unseen, seen = pieces(bounds, load), pieces(bounds, load, samples=97)
     assert seen.row().tobytes() == unseen.row().tobytes()
     assert seen.events == unseen.events
-    assert seen.steps == unseen.steps
+    assert seen._control.steps == unseen._control.steps
 
 
 def test_switches_and_instants_out_of_order_are_refused() -> None:
