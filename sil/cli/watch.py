@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import shlex
 import sys
 from pathlib import Path
 
-from can_dbc.errors import InputError
+from can_dbc.errors import InputError, unknown_name
 from sil.cli.options import JSON, argument
 
 EXAMPLE = """\
@@ -61,6 +62,10 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             with Progress("watching", "logs") as progress:
                 found = watch.take(files, progress)
+            known = {name for truck in watch.trucks() for name in truck.track.names}
+            for name in limits:
+                if name not in known:
+                    raise InputError(f"--limit {name}: {unknown_name(name, sorted(known))}")
             again = shlex.join(["opc4", *sys.argv[1:]])
             values = finite(write_watch(list(watch.trucks()), limits, folder, again))
         finally:
@@ -76,9 +81,12 @@ def run(arguments: argparse.Namespace) -> int:
 def _limit(text: str) -> tuple[str, float]:
     name, _, value = text.partition("=")
     try:
-        return name, float(value)
+        limit = float(value)
     except ValueError:
-        raise InputError(f"--limit {text}: expected NAME=VALUE") from None
+        limit = math.nan
+    if not math.isfinite(limit):
+        raise InputError(f"--limit {text}: expected NAME=VALUE, a finite number")
+    return name, limit
 
 
 def _print(values: dict) -> None:  # type: ignore[type-arg]

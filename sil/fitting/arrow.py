@@ -74,7 +74,10 @@ def _weighted(block: Block, weight: float) -> tuple[Floats, ...]:
 
 
 def scattered(spread: Floats, inner: Inner, moved: Floats) -> Floats:
-    """Return the strokes' scatter that goes with a step of the shared parameters."""
+    """Return the scatter of strokes that goes with a step `moved` of the shared parameters.
+
+    spread: [strokes, scatters], moved: [shared], both in steps of the fit's scaled parameters.
+    """
     there = spread.copy()
     for k, (inverse, hus, gs) in inner.items():
         there[k] += inverse @ (gs - hus.T @ moved)

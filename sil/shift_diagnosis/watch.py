@@ -30,6 +30,7 @@ from sil.shift_diagnosis.shifts import Shift, shifts_of
 from sil.shift_diagnosis.track import Change, Track
 
 STORE: Final = "watch.sqlite"
+STORE_VERSION: Final = 2
 AT_ONCE: Final = 200
 """Shifts that are simulated in one call."""
 ODD: Final = 8.0
@@ -107,7 +108,10 @@ def log_files(targets: Sequence[str]) -> Iterator[tuple[str, Path]]:
 
 
 class Watch:
-    """The store of a watch, and the model that its trucks' shifts are compared with."""
+    """The store of a watch, and the model that its trucks' shifts are compared with.
+
+    Raises InputError for a store that is none, or of another version.
+    """
 
     def __init__(
         self, store: Path, parameters: ParameterSet, mapping: SignalMapping | None = None
@@ -116,7 +120,25 @@ class Watch:
         self._causes = tracked_causes()
         self._models: dict[bool, PlantModel] = {}
         self._connection = sqlite3.connect(store, isolation_level=None)
-        self._connection.executescript(_TABLES)
+        try:
+            self._require_version(store)
+        except InputError:
+            self.close()
+            raise
+        self._connection.executescript(_TABLES + f"pragma user_version = {STORE_VERSION};")
+
+    def _require_version(self, store: Path) -> None:
+        run = self._connection.execute
+        try:
+            (tables,) = run("select count(*) from sqlite_schema").fetchone()
+            (version,) = run("pragma user_version").fetchone()
+        except sqlite3.DatabaseError as error:
+            raise InputError(f"{store}: {error}; expected the store of a watch") from None
+        if tables and version != STORE_VERSION:
+            raise InputError(
+                f"{store}: a store of version {version}; expected version {STORE_VERSION}: choose "
+                "another folder by --out, where all logs are taken anew"
+            )
 
     def close(self) -> None:
         """Close the store."""

@@ -74,6 +74,36 @@ def test_killed_and_resumed_nothing_is_lost(
     assert whole == resumed
 
 
+def test_a_store_of_another_version_or_kind_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    observations(tmp_path / "truck" / "a.csv", np.zeros((50, 2)), 3)
+    command = ["watch", str(tmp_path / "truck"), "--out", str(tmp_path / "out")]
+    assert main(command) == 0
+    store = tmp_path / "out" / watching.STORE
+    with sqlite3.connect(store) as connection:
+        connection.execute("pragma user_version = 1")
+    connection.close()
+    before = store.read_bytes()
+    capsys.readouterr()
+    assert main(command) == 2
+    assert "watch.sqlite: a store of version 1; expected" in capsys.readouterr().err
+    assert store.read_bytes() == before
+    store.write_text("no database, but long enough to be read as one " * 40)
+    assert main(command) == 2
+    assert "expected the store of a watch" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("limit", ["play=nan", "play", "pley=0.001"])
+def test_a_limit_that_is_none_is_refused(
+    limit: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    observations(tmp_path / "truck" / "a.csv", np.zeros((50, 2)), 3)
+    command = ["watch", str(tmp_path / "truck"), "--out", str(tmp_path / "out"), "--limit", limit]
+    assert main(command) == 2
+    assert f"--limit {limit.partition('=')[0]}" in capsys.readouterr().err
+
+
 def test_a_drift_is_extrapolated_to_the_stated_limit(tmp_path: Path) -> None:
     sizes = np.zeros((8000, 2))
     sizes[3000:, 0] = np.arange(5000) / 5000.0
