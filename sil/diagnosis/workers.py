@@ -6,10 +6,12 @@ Checked by: tests/unit/sil/diagnosis/test_workers.py
 from __future__ import annotations
 
 import multiprocessing
+import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any, TypeVar
 
+from sil.files.worker import begin_worker
 from sil.fitting.fit import Show, no_progress
 
 Item = TypeVar("Item")
@@ -67,7 +69,8 @@ def spread_out(
     _WORK.append(work)
     try:
         context = multiprocessing.get_context("fork")
-        with ProcessPoolExecutor(min(workers, len(items)), mp_context=context) as pool:
+        number, own = min(workers, len(items)), (os.getpid(),)
+        with ProcessPoolExecutor(number, context, initializer=begin_worker, initargs=own) as pool:
             return collect(pool.map(_call, items))
     finally:
         _WORK.pop()

@@ -13,7 +13,6 @@ import io
 import json
 import math
 import os
-import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import islice
@@ -21,6 +20,7 @@ from pathlib import Path
 
 from can_dbc.errors import InputError, RunError
 from sil.files.atomic import write_atomically
+from sil.files.worker import begin_worker
 from sil.studies.rows import RowResult, columns, run_row
 from sil.studies.study import LoadedStudy, Row, toml_value
 from sil.studies.table import RESULTS
@@ -127,18 +127,8 @@ _STUDY: list[LoadedStudy] = []
 
 
 def _begin_worker(study: LoadedStudy, parent: int) -> None:
-    """Store the study, leave interrupts to the parent, and end when the parent is gone."""
-    import signal
-    import threading
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
-        os._exit(1)
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     _STUDY[:] = [study]
-    threading.Thread(target=watch, daemon=True).start()
+    begin_worker(parent)
 
 
 def _run_worker_chunk(numbers: tuple[int, int]) -> list[str]:

@@ -2,7 +2,22 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 from sil.diagnosis.workers import spread_out
+from tests.conftest import ROOT
+
+WAITING = """
+import os, time
+from sil.diagnosis.workers import spread_out
+
+def work(item):
+    print(os.getpid(), flush=True)
+    time.sleep(600.0)
+
+spread_out(work, [0, 1], 2)
+"""
 
 
 def test_answers_keep_their_order_and_do_not_depend_on_the_workers() -> None:
@@ -15,3 +30,14 @@ def test_answers_keep_their_order_and_do_not_depend_on_the_workers() -> None:
     assert alone == [k * k + 3 for k in items]
     assert spread_out(work, items, 2) == alone
     assert spread_out(work, [], 2) == []
+
+
+def test_workers_end_when_their_parent_is_killed() -> None:
+    command = [sys.executable, "-c", WAITING]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        pids = [int(parent.stdout.readline()) for _ in range(2)]
+        assert len({*pids, parent.pid}) == 3
+        parent.kill()
+        # ends when no worker holds the pipe any more
+        assert parent.communicate(timeout=60.0) == ("", None)
