@@ -216,9 +216,10 @@ def _period(instants: Sequence[tuple[int, int]]) -> int | None:
         passed = (b - a) % COUNTERS  # and whole rounds of the counter, or one less if overtaken
         periods += passed + COUNTERS * round(((b_ns - a_ns) / usual_ns - passed) / COUNTERS)
     mean_ns = (instants[-1][1] - instants[0][1]) / max(periods, 1)
-    nominal_ns = max(round(mean_ns / 500_000), 1) * 500_000
-    if abs(nominal_ns - mean_ns) <= NOMINAL * nominal_ns:  # clocks that drift apart, no odd period
-        return nominal_ns
+    for found_ns in (mean_ns, _mean_of_spans(instants)):
+        nominal_ns = max(round((found_ns or 1.0) / 500_000), 1) * 500_000
+        if found_ns and abs(nominal_ns - found_ns) <= NOMINAL * nominal_ns:
+            return nominal_ns  # clocks that drift apart, no odd period
     best = _rounded(mean_ns, 2 * jitter_ns / max(periods, 1))
     most = _on_grid(instants, best)
     for step_ns in (500_000, 100_000):
@@ -227,6 +228,20 @@ def _period(instants: Sequence[tuple[int, int]]) -> int | None:
         if count >= max(2 * most, len(instants) // 5):
             best, most = usual, count
     return best
+
+
+def _mean_of_spans(instants: Sequence[tuple[int, int]]) -> float | None:
+    """Return the median of the mean steps over 15 counters in a row, None with fewer than 40 of them.
+
+    A stop of the unit is in few of these spans, and jitter nearly cancels in each.
+    """
+    size = COUNTERS - 1
+    spans = [
+        (b_ns - a_ns) / size
+        for (a, a_ns), (b, b_ns) in zip(instants, instants[size:], strict=False)
+        if (b - a) % COUNTERS == size
+    ]
+    return median(spans) if len(spans) >= 40 else None
 
 
 def _rounded(value_ns: float, within_ns: float) -> int:

@@ -80,6 +80,18 @@ def test_a_unit_that_stood_still_keeps_its_period() -> None:
     assert survey(paused).period_ns == 10_000_000
 
 
+def test_a_recording_in_real_time_with_a_stop_keeps_its_periods() -> None:
+    rng = random.Random(7)
+    log = [
+        a._replace(
+            time_ns=a.time_ns + rng.randrange(400_000) + (a.time_ns > 200_000_000) * 47_000_000
+        )
+        for a in arrivals("full_shift")
+    ]
+    found = survey(sorted(log, key=lambda a: a.time_ns))
+    assert (found.period_ns, found.sensor_period_ns) == (10_000_000, 10_000_000)
+
+
 def test_pulses_that_arrive_late_and_overtake_each_other_keep_their_period() -> None:
     rng = random.Random(5)
     log = [
