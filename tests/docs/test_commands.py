@@ -43,8 +43,14 @@ def make_measured(folder: Path) -> None:
 
 def serve_and_end(folder: Path, arguments: list[str]) -> None:
     """Start the live bench, and end it as Ctrl-C does once it has its address."""
+
+    def prepare() -> None:  # tests in the background of a shell inherit that interrupts are ignored
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
     command = [sys.executable, "-m", "sil.cli", "live", "--no-browser", *arguments]
-    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.PIPE, text=True, preexec_fn=prepare
+    ) as process:
         try:
             assert process.stdout is not None
             assert process.stdout.readline().startswith("http://127.0.0.1:")
