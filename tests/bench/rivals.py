@@ -77,10 +77,10 @@ def ours(problem: Problem) -> Found:
     found = diagnose(problem.campaign, problem.parameters, workers=1)
     verdict = found.verdict
     best = min(item.score for item in found.judged)
-    told = {cause.id: cause.probability for cause in found.causes}
+    stated = {cause.id: cause.probability for cause in found.causes}
     if verdict.kind == "consistent":
         return {NONE: 1.0}, 0.0
-    return told, verdict.healthy.score - best if told else 0.0
+    return stated, verdict.healthy.score - best if stated else 0.0
 
 
 def stepwise(problem: Problem) -> Found:
@@ -113,12 +113,12 @@ def stepwise(problem: Problem) -> Found:
         own = np.exp(-0.5 * min(700.0, bic(fit) - bic(singles[0])))
         weights[name] = max(weights.get(name, 0.0), own)
     total = sum(weights.values())
-    told = {
+    stated = {
         name: float(weight / total) for name, weight in weights.items() if weight > 1e-6 * total
     }
     # what was added to the best single is selected as surely as that one
-    told |= {cause.id: told.get(best.candidates[0].id, 1.0) for cause in best.candidates[1:]}
-    return told, bic(healthy) - bic(best)
+    stated |= {cause.id: stated.get(best.candidates[0].id, 1.0) for cause in best.candidates[1:]}
+    return stated, bic(healthy) - bic(best)
 
 
 def responses(problem: Problem) -> tuple[list[Candidate], Floats, Floats]:
@@ -168,10 +168,10 @@ def sparse(problem: Problem, threshold: float = 0.1) -> Found:
         return {NONE: 1.0}, 0.0
     gains = amounts**2 * np.sum(library**2, axis=0)
     gains[~active] = 0.0
-    told: dict[str, float] = {}
+    stated: dict[str, float] = {}
     for j in np.argsort(-gains)[: np.count_nonzero(active)]:
-        told.setdefault(causes[j].id, 1.0)
-    return told, float(residual @ residual - np.sum((residual - library @ amounts) ** 2))
+        stated.setdefault(causes[j].id, 1.0)
+    return stated, float(residual @ residual - np.sum((residual - library @ amounts) ** 2))
 
 
 def summary(problem: Problem, k: int, numbers: Floats) -> Floats:
@@ -256,8 +256,8 @@ def classifier(problem: Problem, count: int = 2500) -> Found:
                 rate = 3e-3 * (1.0 - 0.999**step) ** 0.5 / (1.0 - 0.9**step)
                 w -= rate * mean / (square**0.5 + 1e-8)
     probabilities = _forward(weights, ((real - centre) / width @ axes.T / scale)[None])[1][0]
-    told = {name: float(p) for name, p in zip(names, probabilities, strict=True)}
-    return told, 1.0 - told.get(NONE, 0.0)
+    stated = {name: float(p) for name, p in zip(names, probabilities, strict=True)}
+    return stated, 1.0 - stated.get(NONE, 0.0)
 
 
 def _with_one(x: Floats) -> Floats:
@@ -279,9 +279,9 @@ WAYS: dict[str, Callable[[Problem], Found]] = {
 }
 
 
-def brier(told: dict[str, float], true: str) -> float:
-    """Return the sum of squared errors of all probabilities told, the true cause's included."""
-    return sum((told.get(n, 0.0) - (n == true)) ** 2 for n in {*told, true})
+def brier(stated: dict[str, float], true: str) -> float:
+    """Return the sum of squared errors of all stated probabilities, the true cause's included."""
+    return sum((stated.get(n, 0.0) - (n == true)) ** 2 for n in {*stated, true})
 
 
 def measure() -> Iterator[str]:
@@ -301,8 +301,8 @@ def measure() -> Iterator[str]:
         row: dict[str, Any] = {"number": number, "true": true, "level": level, "found": {}}
         for name, way in WAYS.items():
             begun = time.process_time()
-            told, score = way(problem)
-            row["found"][name] = [told, score, time.process_time() - begun]
+            stated, score = way(problem)
+            row["found"][name] = [stated, score, time.process_time() - begun]
         shutil.rmtree(place)
         rows.append(row)
         with path.open("a", encoding="utf-8") as out:

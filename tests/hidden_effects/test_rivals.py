@@ -8,16 +8,16 @@ from tests.bench.rivals import NONE, WAYS, brier, table
 
 
 @pytest.mark.parametrize(
-    ("told", "expected"),
+    ("stated", "expected"),
     [({"a": 1.0}, 0.0), ({"b": 1.0}, 2.0), ({}, 1.0), ({"a": 0.5, NONE: 0.5}, 0.5)],
 )
-def test_brier_score_of_a_cause(told, expected) -> None:
-    assert brier(told, "a") == pytest.approx(expected)
+def test_brier_score_of_a_cause(stated, expected) -> None:
+    assert brier(stated, "a") == pytest.approx(expected)
 
 
 def test_only_what_exceeds_every_clean_campaign_counts_as_detected() -> None:
-    def row(true, told, score):
-        return {"true": true, "found": {way: [told, score, 1.0] for way in WAYS}}
+    def row(true, stated, score):
+        return {"true": true, "found": {way: [stated, score, 1.0] for way in WAYS}}
 
     rows = [
         row(NONE, {NONE: 1.0}, 2.0),
