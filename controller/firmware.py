@@ -1,4 +1,4 @@
-"""The control unit's program: one pure step from inputs to outputs."""
+"""The control unit's program: one step from inputs to outputs, without clock, input or output."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from controller.config import FirmwareConfig, create_strategy
 from controller.position import Estimate, GearWindows, PositionEstimator
 from controller.settings import nanoseconds
 from controller.shift import Event, Observation, ShiftMachine
+from controller.speeds import SpeedsWatch
 from controller.strategies import OFF, Duties, ShiftContext, one_chamber
 
 BROADCAST_NS = 10_000_000
@@ -115,6 +116,7 @@ class Firmware:
         self._passive = Chamber.NONE
         self._speeds: DrivelineSpeeds | None = None
         self._speeds_ns = 0  # the step that saw them first
+        self._watch = SpeedsWatch(config.shift.sync_tolerance_rad_s)
         self._duties = OFF  # of the latest step
 
     @property
@@ -143,6 +145,8 @@ class Firmware:
         self._run_machine(now_ns, estimate, requested, speeds)
         if speeds is not self._speeds:
             self._speeds, self._speeds_ns = speeds, now_ns
+            at_rest = not self._machine.driving or self._machine.event is Event.LEG_STARTED
+            self._watch.update(now_ns, speeds, self._windows.gear if at_rest else Gear.UNKNOWN)
         duties = self._drive(now_ns, estimate)
 
         machine = self._machine
@@ -270,6 +274,7 @@ class Firmware:
                 apart_rad_s=None if speeds is None else speeds.input_rad_s - speeds.output_rad_s,
                 apart_ns=self._speeds_ns,
                 coil_k=self._coil_k,
+                steady=self._watch.steady,
             )
             duties = self._strategy.command(now_ns, estimate, shift)
             if not self._allowed(now_ns, duties):

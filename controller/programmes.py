@@ -64,8 +64,9 @@ class Table(NamedTuple):
         after = bisect_right(times, plain_s)
         if not 0 < after < len(times):
             return None
-        nearer = plain_s - times[after - 1] < times[after] - plain_s
-        for index in (after - 1, after) if nearer else (after, after - 1):
+        before = after - 1
+        nearer = plain_s - times[before] < times[after] - plain_s
+        for index in (before, after) if nearer else (after, before):
             if step <= rows[index].begin:
                 return rows[index]
         return None
@@ -98,12 +99,21 @@ class Nearby(NamedTuple):
     high: Table
     between: float
 
-    def release(self, log_impulse: float) -> tuple[float, float]:
-        """Return when the plain push is released, s, and its slope over the logarithm, s."""
-        low_s, low_slope_s = self.low.release(log_impulse)
-        high_s, high_slope_s = self.high.release(log_impulse)
-        share = self.between
-        return low_s + share * (high_s - low_s), low_slope_s + share * (high_slope_s - low_slope_s)
+    def release(self, log_impulse: float) -> tuple[float, float, float]:
+        """Return when the plain push is released, s, its slope over the logarithm, s, and the row.
+
+        The row is that of the impulse, as a share of the last one. Both tables have the same impulses.
+        """
+        low, high, share = self.low.plain_s, self.high.plain_s, self.between
+        first, step = self.low.log_impulse
+        last = len(low) - 1
+        at = (log_impulse - first) / step
+        before = min(int(max(at, 0.0)), last - 1)
+        after = before + 1
+        begin_s, rise_s = low[before], low[after] - low[before]
+        rise_s += share * (high[after] - high[before] - rise_s)
+        begin_s += share * (high[before] - begin_s)
+        return begin_s + (at - before) * rise_s, rise_s / step, at / last
 
 
 class Library:

@@ -60,8 +60,8 @@ def layers_svg() -> str:
         for number, row in enumerate(rows):
             y = top + 30 + number * (box_height + gap)
             each = (wide - 2 * 12 - (len(row) - 1) * gap) / len(row)
-            for place, name in enumerate(row):
-                left = x + 12 + place * (each + gap)
+            for index, name in enumerate(row):
+                left = x + 12 + index * (each + gap)
                 parts.append(
                     f'<rect x="{left:.1f}" y="{y}" width="{each:.1f}" height="{box_height}" rx="4"/>'
                     f'<text x="{left + each / 2:.1f}" y="{y + 18}" class="name">{name}</text>'
@@ -121,8 +121,8 @@ def keys() -> Iterator[str]:
                 values = (f"`{row.key}`", row.type, row.unit, f"`{row.default}`", row.range)
                 yield f"| {' | '.join(map(cell, values))} | {cell(row.description)} |"
             yield ""
-            if kind:
-                yield from ("```toml", shown[kind][table].strip(), "```", "")
+            if example := shown.get(kind, {}).get(table):
+                yield from ("```toml", example.strip(), "```", "")
 
 
 STATES = {

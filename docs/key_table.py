@@ -123,7 +123,7 @@ def _range(kind: Any) -> str:
     """Return what a value has to be, in words; empty when its type says it all."""
     if isinstance(kind, types.LiteralType):
         return ", ".join(json.dumps(value) for value in kind.values)
-    if isinstance(kind, types.ListType):
+    if isinstance(kind, types.ListType | types.VarTupleType):
         return _range(_without_none(kind.item_type))
     if isinstance(kind, types.UnionType):
         return ", ".join(filter(None, (_range(_without_none(t)) for t in kind.types)))
@@ -132,9 +132,13 @@ def _range(kind: Any) -> str:
     if not isinstance(kind, types.FloatType | types.IntType):
         return ""
     if kind.ge is not None and kind.le is not None:
-        return f"{kind.ge:g} to {kind.le:g}"
+        return f"{_number(kind.ge)} to {_number(kind.le)}"
     bounds = (("above", kind.gt), ("at least", kind.ge), ("below", kind.lt), ("at most", kind.le))
-    return ", ".join(f"{word} {bound:g}" for word, bound in bounds if bound is not None)
+    return ", ".join(f"{word} {_number(bound)}" for word, bound in bounds if bound is not None)
+
+
+def _number(bound: float) -> str:
+    return str(bound) if isinstance(bound, int) else f"{bound:g}"
 
 
 def _default(field: Any) -> str:

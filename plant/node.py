@@ -6,9 +6,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
-from typing import Annotated, Literal
+from typing import Annotated
 
-import msgspec
 import numpy as np
 from msgspec import Meta
 
@@ -25,7 +24,8 @@ from can_dbc.messages import (
     PositionPulse,
     Tsc1,
 )
-from plant.devices.coil import CoilValve, make_valve
+from plant.devices.coil import make_valve
+from plant.devices.conditions import ChamberName, Conditions
 from plant.devices.driveline import BACKWARD, FORWARD, NO_GEAR, Driveline, DrivelineConfig
 from plant.devices.position_circuit import PositionCircuit, SensorConfig, SensorFault
 from plant.devices.sensors import InductiveSensor
@@ -36,31 +36,18 @@ from plant.devices.signal_faults import (
     Thermometer,
 )
 from plant.devices.toothed_wheel import toothed_wheels
-from plant.devices.valve import NS_PER_S, CoilConfig, Drive, ValveTiming, seconds_to_ns
-from plant.devices.valve_driver import ValveDriver, ValveDriverConfig
-from plant.devices.valve_faults import ValveFault, faulty_valves
+from plant.devices.valve import NS_PER_S, CoilConfig, ValveTiming, seconds_to_ns
+from plant.devices.valve_driver import Duties, ValveDriver, ValveDriverConfig
+from plant.devices.valve_faults import ValveFault
+from plant.devices.valve_group import Switch, ValveGroup
 from plant.errors import InputError
 from plant.integrator.hybrid import Balance
+from plant.kernel.packing import Load
 from plant.parameters import ParameterSet
 from plant.systems.length_stroke import LengthStroke
-from plant.trace import (
-    CMD,
-    CURRENT,
-    PULSE,
-    SPEEDS,
-    TRACE_COLUMNS,
-    VALVE,
-    TraceRows,
-    TraceSink,
-    Update,
-    trace_columns,
-)
+from plant.trace import CMD, CURRENT, PULSE, SPEEDS, VALVE, TraceRows, TraceSink, Update
 
-ChamberName = Literal["B", "N", "F"]
 Released = list[tuple[int, Frame]]
-Switch = tuple[int, int, float]  # instant in ns, chamber, 1 on or open, 0 off or closed
-
-__all__ = ["TRACE_COLUMNS", "EventSink", "PlantConfig", "PlantNode", "TraceSink", "trace_columns"]
 
 CHAMBERS: tuple[ChamberName, ...] = ("B", "N", "F")
 OVERTRAVEL_M = (
@@ -80,28 +67,15 @@ EventSink = Callable[[float, str, Mapping[str, float]], None]
 """Takes (time in s, name, values) of an event located inside the run; see `PlantNode`."""
 
 
-class PlantConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PlantConfig(Conditions, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The actuator's conditions and the schedule of its frames; the numbers are in the model set.
 
-    initial: gear at time 0. charged: chambers at supply pressure then, valves open but
-    no longer energised. supply_pressure_pa: absolute, left out the set's supply.P_s. mounted: on
-    the gearbox. mesh_force_n, pull_force_n: peaks of the barriers into and out of gear.
-    drive: valves as time delays, or with the current of their coils. closing_follows_duty: closing
-    delay of the former by their duty instead of D_fall.
-    speeds_period_s, truth_period_s: of DrivelineSpeeds, and of PlantMotion and PlantPressures;
-    broadcast_phase_s: of both, left out together with the pulse report. trace_period_s: of the
-    trace rows, None for none. seed: of the sensor's noise and of the faults.
+    initial: gear at time 0; the valves of chambers charged then are open but no longer energised.
+    broadcast_phase_s: of the speeds and of the truth, left out together with the pulse report.
+    trace_period_s: of the trace rows, None for none. seed: of the sensor's noise and of the faults.
     """
 
     initial: ChamberName = "N"
-    charged: tuple[ChamberName, ...] = ()
-    supply_pressure_pa: Annotated[float, Meta(ge=1e5, le=2e6)] | None = None
-    mounted: bool = False
-    damper: Literal["none", "incompressible", "compressible"] = "none"
-    mesh_force_n: Annotated[float, Meta(ge=0.0, le=1e5)] = 0.0
-    pull_force_n: Annotated[float, Meta(ge=0.0, le=1e5)] = 0.0
-    drive: Drive = "delays"
-    closing_follows_duty: bool = False
     coil: CoilConfig = CoilConfig()
     driveline: DrivelineConfig = DrivelineConfig()
     valve_driver: ValveDriverConfig = ValveDriverConfig()
@@ -110,8 +84,6 @@ class PlantConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     temperature_faults: tuple[TemperatureFault, ...] = ()
     speed_faults: tuple[SpeedFault, ...] = ()
     valve_faults: tuple[ValveFault, ...] = ()
-    speeds_period_s: Annotated[float, Meta(ge=0.001, le=0.02)] = 0.01
-    truth_period_s: Annotated[float, Meta(ge=0.001, le=1.0)] = 0.01
     broadcast_phase_s: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     trace_period_s: Annotated[float, Meta(ge=1e-5, le=1.0)] | None = 0.001
     seed: Annotated[int, Meta(ge=0)] = 0
@@ -163,35 +135,30 @@ class PlantNode:
         self._on_event = on_event
         self._contact_n_m = parameters.value("stops.soft_k")
         duty = parameters.value("valve.duty_nominal")
-        if not 0.0 <= duty <= 1.0:
-            raise InputError(f"valve.duty_nominal: {duty:g}; expected 0 to 1")
-        timing = ValveTiming.from_parameters(parameters, config.closing_follows_duty)
-        if config.charged and duty < timing.duty_open:
-            raise InputError(
-                f"valve.duty_nominal: {duty:g}; expected at least valve.duty_open, "
-                f"{timing.duty_open:g}, where a chamber is charged"
-            )
+        timing = _timing(config, parameters, duty)
         self.stroke = LengthStroke(
             parameters,
             initial=config.initial,
             supply_pressure_pa=config.supply_pressure_pa,
             charged=config.charged,
-            mounted=config.mounted,
-            damper=None if config.damper == "none" else config.damper,
-            mesh_force_n=config.mesh_force_n,
-            pull_force_n=config.pull_force_n,
+            load=Load(
+                damper=config.damper,
+                mounted=config.mounted,
+                mesh_force_n=config.mesh_force_n,
+                pull_force_n=config.pull_force_n,
+            ),
         )
         if self.stroke.valve_delays_ns is not None:
             rise_ns, fall_ns = self.stroke.valve_delays_ns
             timing = replace(timing, rise_ns=rise_ns, fall_ns=fall_ns)
         if config.drive == "coil":
-            refuse_delays(config, timing, ValveTiming.from_parameters(parameters))
+            _refuse_delays(config, timing, ValveTiming.from_parameters(parameters))
         trace_ns = 0 if trace is None else seconds_to_ns(config.trace_period_s or 0.0)
-        self.valves = tuple(
+        valves = [
             make_valve(config.drive, timing, config.coil, is_open, duty * is_open, trace_ns)
             for is_open in (c in config.charged for c in CHAMBERS)
-        )
-        self._faulty = faulty_valves(self.valves, CHAMBERS, config.valve_faults, config.seed)
+        ]
+        self.valve_group = ValveGroup(valves, CHAMBERS, config.valve_faults, config.seed)
         self.driver = ValveDriver(config.valve_driver, duty, timing.duty_open)
         self.supply_pressure_pa = float(self.stroke.packed.p_supply)
         self.circuit = PositionCircuit(
@@ -235,10 +202,12 @@ class PlantNode:
         """Settle time 0 and return the simulated instant [ns] of the first event."""
         self.stroke.advance(0)  # loads the compiled kernel before anybody waits for a grant
         updates: list[Update] = []
-        for chamber, valve in enumerate(self.valves):
+        for chamber, valve in enumerate(self.valve_group.valves):
             updates.append((0, VALVE + chamber, float(valve.is_open)))
             valve.command(0, 0.0)
-        self._note_currents(updates)
+        updates += (
+            (at, CURRENT + chamber, amps) for at, chamber, amps in self.valve_group.currents()
+        )
         self._arm_synchronizer(0)
         updates.append((0, SPEEDS, self.driveline.input_rad_s))
         updates.append((0, SPEEDS + 1, self.driveline.output_rad_s))
@@ -254,11 +223,11 @@ class PlantNode:
         """
         if until_ns > self._next_event_ns():
             raise ValueError(f"advance to {until_ns} ns skips the event at {self._next_event_ns()}")
-        updates: list[Update] = []
-        coils: list[Switch] = []
         if self.config.driveline.follows_requests:
             self._take_engine_requests(deliveries)
-        switches = self._drive_valves(until_ns, deliveries, updates, coils)
+        commands = self.driver.advance(until_ns, deliveries)
+        coils, switches = self.valve_group.drive(until_ns, commands)
+        updates = self._valve_updates(commands, switches)
         measured = self.circuit.measurement_instants_ns(until_ns)
         rows = self._rows.instants_ns(until_ns)
         samples = np.array(sorted((*rows, *measured)) if measured else rows, dtype=np.int64)
@@ -293,47 +262,19 @@ class PlantNode:
     def _next_event_ns(self) -> int:
         return min(self.circuit.next_report_ns, self._speeds.next_ns, self._truth.next_ns)
 
-    def _drive_valves(
-        self,
-        until_ns: int,
-        deliveries: Sequence[tuple[int, Frame]],
-        updates: list[Update],
-        coils: list[Switch],
-    ) -> list[Switch]:
-        """Commands through driver and coils; returns the moves of the plungers, ordered."""
-        for instant, duties in self.driver.advance(until_ns, deliveries):
-            for chamber, duty in enumerate(duties):
-                if chamber in self._faulty:
-                    self._faulty[chamber].hand_over(instant, duty)
-                else:
-                    self._energise(instant, chamber, duty, coils)
-                updates.append((instant, CMD + chamber, duty))
-        for chamber, faulty in self._faulty.items():
-            for instant, duty in faulty.until(until_ns):
-                self._energise(instant, chamber, duty, coils)
-        switches = [
-            (instant, chamber, u)
-            for chamber, valve in enumerate(self.valves)
-            for instant, u in valve.moves(until_ns)
+    def _valve_updates(
+        self, commands: Sequence[tuple[int, Duties]], switches: Sequence[Switch]
+    ) -> list[Update]:
+        updates = [
+            (at, CMD + chamber, duty)
+            for at, duties in commands
+            for chamber, duty in enumerate(duties)
         ]
-        if len(switches) > 1:
-            switches.sort()
-        updates.extend((instant, VALVE + chamber, u) for instant, chamber, u in switches)
-        self._note_currents(updates)
-        return switches
-
-    def _note_currents(self, updates: list[Update]) -> None:
-        for chamber, valve in enumerate(self.valves):
-            if isinstance(valve, CoilValve):
-                updates.extend((at, CURRENT + chamber, amps) for at, amps in valve.currents)
-                valve.currents.clear()
-
-    def _energise(self, now_ns: int, chamber: int, duty: float, coils: list[Switch]) -> None:
-        valve = self.valves[chamber]
-        before = valve.is_energised
-        valve.command(now_ns, duty)
-        if valve.is_energised != before:
-            coils.append((now_ns, chamber, float(valve.is_energised)))
+        updates += ((at, VALVE + chamber, u) for at, chamber, u in switches)
+        updates += (
+            (at, CURRENT + chamber, amps) for at, chamber, amps in self.valve_group.currents()
+        )
+        return updates
 
     def _publish(self, now_ns: int, updates: list[Update]) -> list[Frame]:
         """Frames of the events due at `now_ns`."""
@@ -413,7 +354,20 @@ class PlantNode:
             self._on_event(time_s, name, values)
 
 
-def refuse_delays(config: PlantConfig, timing: ValveTiming, nominal: ValveTiming) -> None:
+def _timing(config: PlantConfig, parameters: ParameterSet, duty: float) -> ValveTiming:
+    """Return the timing of the valves. Raises InputError for a duty that contradicts the conditions."""
+    if not 0.0 <= duty <= 1.0:
+        raise InputError(f"valve.duty_nominal: {duty:g}; expected 0 to 1")
+    timing = ValveTiming.from_parameters(parameters, config.closing_follows_duty)
+    if config.charged and duty < timing.duty_open:
+        raise InputError(
+            f"valve.duty_nominal: {duty:g}; expected at least valve.duty_open, "
+            f"{timing.duty_open:g}, where a chamber is charged"
+        )
+    return timing
+
+
+def _refuse_delays(config: PlantConfig, timing: ValveTiming, nominal: ValveTiming) -> None:
     """Raise InputError for settings of the delays that a valve with its coil would not follow."""
     if config.closing_follows_duty:
         raise InputError(

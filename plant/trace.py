@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant.devices.valve import NS_PER_S, Drive
-from plant.equations.damper_pressure import steady_oil_pressure
+from plant.parts.damper import steady_oil_pressure
 from plant.systems.length_stroke import LengthStroke
 
 Floats = NDArray[np.float64]

@@ -106,7 +106,7 @@ def run(
     RunError
         If a participant fails.
     """
-    from sil.simulation import scenario as scenarios
+    from sil.simulation import load_scenario
     from sil.simulation.in_memory import run_in_memory
 
     options: dict[str, Any] = {
@@ -115,9 +115,9 @@ def run(
         "seed": seed,
     }
     if isinstance(scenario, Mapping):
-        loaded = scenarios.from_table(scenario, "scenario", **options)
+        loaded = load_scenario.from_table(scenario, "scenario", **options)
     else:
-        loaded = scenarios.load(str(scenario), **options)
+        loaded = load_scenario.load(str(scenario), **options)
     return run_in_memory(loaded)
 
 

@@ -17,8 +17,8 @@ import pytest
 
 if TYPE_CHECKING:
     from sil.simulation.in_memory import Run
+    from sil.simulation.load_scenario import Loaded
     from sil.simulation.results import Check
-    from sil.simulation.scenario import Loaded
 
 PATTERNS, OUT = "opc4_scenarios", "--opc4-out"
 
@@ -62,10 +62,10 @@ class ScenarioItem(pytest.Item):
 
     def runtest(self) -> None:
         """Run the scenario. Raises Unmet with the expectations that were not met."""
-        from sil.simulation import scenario
+        from sil.simulation import load_scenario
         from sil.simulation.in_memory import run_in_memory
 
-        loaded = scenario.load(str(self.path))
+        loaded = load_scenario.load(str(self.path))
         out = self.config.getoption(OUT)
         checks = (
             run_in_memory(loaded).checks

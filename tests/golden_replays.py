@@ -16,7 +16,7 @@ from can_dbc.frame import Frame
 from sil.log_replay.recorded_frames import INPUTS, OUTPUTS, OWN_IDS
 from sil.log_replay.replay import ReplayRequest, ReplayResult, replay
 from sil.log_replay.summary import summary_lines
-from sil.simulation import scenario
+from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
 
 SUFFIX = ".log.gz"
@@ -38,7 +38,7 @@ def record(name: str) -> bytes:
     Equal runs give equal bytes. Checked by: tests/scenarios/test_golden.py
     """
     lines = []
-    for entry in run_in_memory(scenario.load(name)).record.frames:
+    for entry in run_in_memory(load_scenario.load(name)).record.frames:
         if OWN_IDS.get(entry.frame.can_id) in (*INPUTS, *OUTPUTS):
             lines.append(_line(entry.arrival_ns, entry.frame))
     return gzip.compress("".join(lines).encode(), compresslevel=9, mtime=0)
@@ -72,8 +72,8 @@ def update(folder: Path, name: str) -> list[str]:
     lines = [f"{name}: {_changed(old, new)}"]
     try:
         outcome = check(folder, name)
-        told = summary_lines(outcome)
-        lines += ["  the firmware on the old inputs:", *(f"    {line}" for line in told)]
+        output = summary_lines(outcome)
+        lines += ["  the firmware on the old inputs:", *(f"    {line}" for line in output)]
     except InputError as error:
         lines.append(f"  the old one cannot be replayed: {error}")
     path.write_bytes(new)
@@ -88,7 +88,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--update", action="store_true")
     arguments = parser.parse_args(argv)
     folder: Path = arguments.folder
-    shipped = scenario.shipped()
+    shipped = load_scenario.shipped()
     for name in arguments.names:
         if name not in shipped:
             print(f"{name}: no shipped scenario; there are {', '.join(shipped)}", file=sys.stderr)
@@ -121,7 +121,7 @@ def _update_all(folder: Path, names: list[str]) -> int:
         changed += bool(lines)
         if lines:
             print("\n".join(lines), flush=True)
-    known = scenario.shipped()
+    known = load_scenario.shipped()
     for path in sorted(folder.glob(f"*{SUFFIX}")):
         if path.name.removesuffix(SUFFIX) not in known:
             path.unlink()

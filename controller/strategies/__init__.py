@@ -50,6 +50,7 @@ class ShiftContext(NamedTuple):
     the first), so that an estimator knows which chambers may still hold air. `apart_rad_s`
     is input minus output speed as last reported, None without a valid report, and `apart_ns` the
     step that received it first. `coil_k` is the temperature of the sensor's coil as last reported.
+    `steady`: the speeds have not jumped (`SpeedsWatch`).
     """
 
     leg: Gear
@@ -62,6 +63,7 @@ class ShiftContext(NamedTuple):
     apart_rad_s: float | None = None
     apart_ns: int = 0
     coil_k: float | None = None
+    steady: bool = True
 
 
 def one_chamber(chamber: Chamber, duty: float) -> Duties:

@@ -8,7 +8,14 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 from msgspec import Struct
 
 from can_dbc.messages import Gear
-from controller.learning import METHODS, Context, Correction, Offset
+from controller.learning import (
+    METHODS,
+    WEIGHED,
+    Context,
+    Correction,
+    Offset,
+    heavier_by,
+)
 from controller.position import Estimate
 from controller.programmes import CAREFUL, STRONG, Nearby, Programme, library
 from controller.settings import ControlConfig, bounded
@@ -27,27 +34,26 @@ WARM_K, DRAG_FOLD_K = 328.15, 26.0
 """A warm unit, and its cooling by which the drag of the oil, which is colder then, grows e-fold."""
 REPORT_RAD_S = 0.28
 """Scatter of a reported difference of the speeds; one below four times this is none."""
+UNSTEADY_RAD_S = 12.0 * REPORT_RAD_S
+"""A difference before the push that is further from the one before it is no speed."""
 TIMING_S = 0.0007
 """Scatter of the time to which a report belongs."""
-SCATTER = 0.02
-"""Scatter of the friction from shift to shift, relative: assumed."""
-KNOWN, KNOWN_LARGE, WELL = 0.065, 0.043, 0.37
-"""Scatter, relative, of small impulses and of large ones (which the speeds of the shift tell) for which
-the careful programmes were made; the share of its square for which the strong ones were."""
+KNOWN, KNOWN_LESS, WELL = 0.065, 0.065 - 0.048, 0.37
+"""Scatter, relative, of small impulses for which the careful programmes were made, and by how much less
+of large ones (which the speeds of the shift show); the share of its square of the strong ones."""
 SMALL_SHARE, PER_SHARE = 0.465, 4.7
-HEAVY, HEAVIEST, MESH_SCATTER = 0.06, 0.1225, 0.02
-"""By which share more meshing force than that of the tables a push stays plain; up to which strong
-programmes pass the teeth; and its scatter from shift to shift: assumed."""
-STOPS, LIGHT, LIGHT_PER_PA = 0.33, 2.72, 2.6e-6
-PASSES_S, STOPPED_S, STOPPED_AT_S, STOPPED_PER_S = 0.0215, 0.04, 0.045, 2.2
-NEAR_S, FREE_S, WEIGHED = 0.00012, 0.0195, 0.026
-"""Fitted to plain pushes of 14 to 28 N s, 8 to 9 bar, from -11 to 11 % of meshing force: by how much
-more force than that of the tables a push stops at the teeth, over the logarithm of its impulse; by how
-much more or less it was, over the time from release to arrival; and how well that is known."""
+MESH_VARIANCE = 0.02 * 0.02
+"""Square of the scatter of the meshing force from shift to shift: assumed."""
+HEAVIEST = ((0.16, 0.2315), (0.095, 0.147))
+"""By which share more meshing force than that of the tables the programmes of each strength are made
+to bear, at `LIKELY` and at `UNLIKELY` standard deviations."""
 ARRIVED = 0.9
 """Share of the stroke at which the stay has passed the teeth."""
-UNLIKELY = 4.0
-"""Standard deviations from which on something else is wrong."""
+LIKELY, UNLIKELY = 2.2, 4.0
+"""Standard deviations that happen together with others; from which on something else is wrong."""
+REST_S, REST_CLOSE_S, AIR_S, AIR_FOLD_S = 0.2, 0.035, 0.001, 0.0265
+"""So long after neutral was filled through a valve with this closing delay, its air delays a release by
+so much, and less e-fold with every last; fitted to plain pushes of 25 to 230 N s, 0.16 to 0.3 s after."""
 MEASURED_S = 0.002
 """Scatter of a release that was found between two reports."""
 LONGEST_S = 1e9
@@ -76,8 +82,7 @@ class Learned(IntoGear):
     earlier shifts taught; while the synchronizer works, the fall of the difference corrects it until
     the programme begins. Afterwards the release that was measured teaches the next shift. Without
     valid speeds, with air left in the neutral chamber, and after a fault it is the open loop.
-    At most 100 additions, multiplications and comparisons a step, 400 after a shift.
-    Assumes that the engine gives no torque meanwhile.
+    At most 100 operations a step, 400 after a shift. Assumes an engine without torque meanwhile.
     """
 
     class Parameters(IntoGearParameters, frozen=True):
@@ -88,9 +93,11 @@ class Learned(IntoGear):
         supply_pa: Annotated[float, bounded(1e5, 2e6, "Pa")] = 9e5
         """Supply pressure as reported (AIR1) before the shift."""
         rest_s: Annotated[float, bounded(0.0, 1e6, "s")] = 60.0
-        """How long before power-on the neutral chamber was last filled."""
-        least_rest_s: Annotated[float, bounded(0.0, 10.0, "s")] = 0.3
-        """Filled a shorter time ago, the neutral chamber may hold air."""
+        """How long before the first push the neutral chamber was last filled, if not by this unit."""
+        least_rest_s: Annotated[float, bounded(0.0, 10.0, "s")] = 0.2
+        """Filled a shorter time ago, the neutral chamber holds too much air for a programme."""
+        scatter: Annotated[float, bounded(0.0, 0.5, "")] = 0.02
+        """Scatter of the synchronizer's friction from shift to shift, relative: assumed."""
         impulse_per_rad_s: Annotated[float, bounded(0.01, 1000.0, "N s2/rad")] = 0.25 / 0.09
         """Impulse that the synchronizer needs for each rad/s: inertia by torque per force."""
         close_s: Annotated[float, bounded(0.0, 0.2, "s")] = 0.035
@@ -109,7 +116,7 @@ class Learned(IntoGear):
         outliers: Annotated[int, bounded(1, 100, "")] = 3
         """So many outliers in a row on the same side are evidence: the direction is learned anew."""
         plain_pushes: Annotated[int, bounded(0, 100, "")] = 2
-        """Plain pushes after a fault or a failed attempt."""
+        """Plain pushes after a fault, a failed attempt or an outlier."""
 
     name: ClassVar[str] = "learned"
     has_memory: ClassVar[bool] = True
@@ -133,10 +140,12 @@ class Learned(IntoGear):
     def reset(self) -> None:
         """Forget the push; what was learned stays."""
         self._direction: int | None = None  # none before the first step
-        self._plain, self._heavy, self._passes = False, False, False
+        self._plain, self._waits = False, False
+        self._mesh = 0.0, 0.0
         self._tables: Nearby
-        self._close_s, self._cold, self._drag = 0.0, 0.0, 0.0
+        self._close_s, self._cold, self._drag, self._late_s = 0.0, 0.0, 0.0, 0.0
         self._sum_rad_s, self._count = 0.0, 0
+        self._last_rad_s: float | None = None
         self._reported_s = -LONGEST_S
         self._falling: tuple[tuple[float, float], ...] = ()
         self._expected: Expected | None = None
@@ -171,20 +180,22 @@ class Learned(IntoGear):
         own = self.parameters
         self._direction = int(shift.leg is Gear.FORWARD)
         filled_ns = shift.energised_ns[1]
-        rest_s = own.rest_s if filled_ns is None else 1e-9 * (now_ns - filled_ns)
-        self._plain = rest_s < own.least_rest_s or shift.leg is Gear.NEUTRAL or shift.attempt > 0
-        if self.correction.plain and not self._plain:
+        period_s = self.config.period_s
+        rest_s = own.rest_s if filled_ns is None else 1e-9 * (now_ns - filled_ns) - period_s
+        self._plain = rest_s < own.least_rest_s or shift.leg is Gear.NEUTRAL
+        self._plain |= shift.attempt > 0 or not shift.steady
+        self._waits = self.correction.plain > 0
+        if self._waits and not self._plain:
             self.correction.plain -= 1
-            self._plain = True
         heavier, variance = self.correction.heavier(self._direction)
-        self._heavy = heavier > HEAVY
-        margin = max(HEAVIEST - heavier, 0.0)
-        scatter = UNLIKELY * UNLIKELY * (variance + MESH_SCATTER * MESH_SCATTER)
-        self._passes = margin * margin > scatter
+        sd = sqrt(variance + MESH_VARIANCE)
+        self._mesh = heavier + LIKELY * sd, heavier + UNLIKELY * sd
         coil_k = REFERENCE_K if shift.coil_k is None else shift.coil_k
         warmer_k = min(max(coil_k, COLDEST_K), WARMEST_K) - REFERENCE_K
         self._close_s = own.close_s * exp(own.close_per_k * warmer_k)
         self._cold = exp((WARM_K - REFERENCE_K - warmer_k) / DRAG_FOLD_K)
+        later_s = REST_S + self._close_s - REST_CLOSE_S - rest_s
+        self._late_s = own.late_s + AIR_S * exp(min(later_s / AIR_FOLD_S, 3.0))
         self._tables = self._library.near(own.supply_pa, self._close_s)
         nearest = self._tables.nearest
         self._plain |= abs(self._close_s - nearest.close_s) > CLOSE_NEAR_S
@@ -197,7 +208,7 @@ class Learned(IntoGear):
         elif progress.apart_s > self._reported_s:
             self._reported_s = progress.apart_s
             self._note(progress.spent_s, progress.apart_s, progress.apart_rad_s)
-        if self._plain or self._expected is None:
+        if self._plain or self._waits or self._expected is None:
             return PUSH
         step = round(progress.spent_s / self.config.period_s)
         if self._programme is None:
@@ -230,14 +241,23 @@ class Learned(IntoGear):
     def _strength(self, expected: Expected) -> int | None:
         """Return which programmes are safe by what is known of the release and the meshing force."""
         delay_s = expected.offset.delay_s
-        if self._heavy or expected.variance > expected.limit or delay_s > SLOWEST_S:
-            return None
-        sure = self._passes and expected.variance <= WELL * expected.limit and delay_s <= SLOW_S
-        return STRONG if sure else CAREFUL
+        if delay_s <= SLOW_S and expected.variance <= WELL * expected.limit and self._bears(STRONG):
+            return STRONG
+        careful = delay_s <= SLOWEST_S and expected.variance <= expected.limit
+        return CAREFUL if careful and self._bears(CAREFUL) else None
+
+    def _bears(self, strength: int) -> bool:
+        """Return whether programmes of a strength bear the meshing force that is to be expected."""
+        (likely, unlikely), (most_likely, most) = self._mesh, HEAVIEST[strength]
+        return likely <= most_likely and unlikely <= most
 
     def _note(self, spent_s: float, apart_s: float, apart_rad_s: float) -> None:
         """Take a report: of the speeds before the push, or while the synchronizer works."""
         if spent_s <= self.parameters.still_s:
+            before_rad_s = self._last_rad_s
+            if before_rad_s is not None and abs(apart_rad_s - before_rad_s) > UNSTEADY_RAD_S:
+                self._plain = True
+            self._last_rad_s = apart_rad_s
             self._sum_rad_s += apart_rad_s
             self._count += 1
             if self._count > 1:  # the first step has enough to do
@@ -257,18 +277,16 @@ class Learned(IntoGear):
         own = self.parameters
         tables = self._tables
         log_impulse = log(max(own.impulse_per_rad_s * before_rad_s, 1.0))
-        release_s, slope_s = tables.release(log_impulse)
-        first, step = tables.low.log_impulse
-        share = (log_impulse - first) / (step * len(tables.low.rows))
+        release_s, slope_s, share = tables.release(log_impulse)
         noise = REPORT_RAD_S / max(before_rad_s, REPORT_RAD_S)
-        scatter = sqrt(SCATTER * SCATTER + noise * noise / self._count)
+        scatter = sqrt(own.scatter * own.scatter + noise * noise / self._count)
         share = min(max(share, 0.0), 1.0)
         context = Context(self._direction, slope_s, share, self._drag, scatter)
         offset = self.correction.offset(context)
-        prior_s = release_s + offset.later_s + own.late_s
+        prior_s = release_s + offset.later_s + self._late_s
         age_s = own.speeds_age_s + offset.age_s
         large = min(max((share - SMALL_SHARE) * PER_SHARE, 0.0), 1.0)
-        unit_s = slope_s * (KNOWN - (KNOWN - KNOWN_LARGE) * large)
+        unit_s = slope_s * (KNOWN - KNOWN_LESS * large)
         limit, variance = unit_s * unit_s, offset.variance
         self._expected = Expected(context, prior_s, prior_s, age_s, offset, variance, limit)
 
@@ -277,11 +295,13 @@ class Learned(IntoGear):
 
         Until the programme acts, the impulse grows as under the plain push. One table is enough:
         under another pressure the impulse of every time is larger by nearly the same factor.
+        A share below a tenth says only that the release is later than a tenth would say.
         """
-        if not 0.1 < given < 0.9:
+        if given >= 0.9:
             return
+        is_measured, given = given > 0.1, max(given, 0.1)
         offset = expected.offset
-        delay_s = offset.delay_s + self.parameters.late_s
+        delay_s = offset.delay_s + self._late_s
         table = self._tables.nearest
         spent, rate_s = table.spent(apart_s - expected.age_s - delay_s)
         found_s = table.release(spent - log(given))[0] + delay_s
@@ -289,18 +309,17 @@ class Learned(IntoGear):
         timing = TIMING_S / rate_s
         slope_s = expected.context.slope_s
         variance = (noise * noise + timing * timing) * slope_s * slope_s
+        total = offset.measured + variance
+        later_s = found_s - expected.prior_s
+        unlikely = later_s * later_s > UNLIKELY * UNLIKELY * total
+        if not is_measured and (later_s < 0.0 or not unlikely):
+            return
         self._found = found_s, variance
         if self._programme is None:
-            total = offset.measured + variance
-            later_s = found_s - expected.prior_s
-            weight, least = (
-                offset.common / total,
-                offset.variance - offset.common / total * offset.common,
-            )
-            unlikely = later_s * later_s > UNLIKELY * UNLIKELY * total
+            weight = offset.common / total
             self._expected = expected._replace(
                 used_s=expected.prior_s + weight * later_s,
-                variance=LONGEST_S if unlikely else least,
+                variance=LONGEST_S if unlikely else offset.variance - weight * offset.common,
             )
 
     def _measure(self, apart_s: float, apart_rad_s: float, before_rad_s: float) -> None:
@@ -325,7 +344,8 @@ class Learned(IntoGear):
     def ended(self, now_ns: int, estimate: Estimate, confirmed: bool, healthy: bool) -> None:
         """Compare the release with what was expected, and pass the difference to the method."""
         correction, expected = self.correction, self._expected
-        if not (confirmed and healthy):
+        still_apart = self._falling and self._released_s is None  # in gear: the speeds are wrong
+        if still_apart or not (confirmed and healthy):
             correction.plain = self.parameters.plain_pushes
             return
         correction.shifts = min(correction.shifts + 1, 0xFFFFFFFF)
@@ -333,7 +353,12 @@ class Learned(IntoGear):
             return
         error_s = self._error_s(expected, self._released_s)
         limit_s = max(self.parameters.outlier_s, UNLIKELY * sqrt(expected.offset.measured))
-        if abs(error_s) <= limit_s or correction.is_evidence(
+        is_outlier = abs(error_s) > limit_s
+        if is_outlier:
+            correction.plain = self.parameters.plain_pushes
+        else:
+            correction.outliers[expected.context.direction] = 0
+        if not is_outlier or correction.is_evidence(
             expected.context.direction, error_s, self.parameters.outliers
         ):
             correction.learn(expected.context, error_s, self._fastest_m_s)
@@ -342,22 +367,12 @@ class Learned(IntoGear):
                 self._weigh(expected, expected.prior_s + error_s, travel_s)
 
     def _weigh(self, expected: Expected, released_s: float, travel_s: float) -> None:
-        """Find the meshing force from how long a plain push of a light shift took to arrive.
-
-        Such a push hardly passes the teeth, or stops at them until the chamber is full. By how much
-        more force it would stop is nearly linear in the logarithm of its impulse and the pressure.
-        """
-        if travel_s < PASSES_S:
-            return
-        spent, _ = self._tables.nearest.spent(released_s - expected.offset.delay_s)
-        stops = STOPS * (spent - LIGHT + LIGHT_PER_PA * (self.parameters.supply_pa - 9e5))
-        if stops > HEAVIEST:
-            return
-        if travel_s > STOPPED_S:
-            stops += STOPPED_PER_S * (travel_s - STOPPED_AT_S)
-        else:
-            stops -= NEAR_S / (travel_s - FREE_S)
-        self.correction.resisted(expected.context.direction, stops, WEIGHED * WEIGHED)
+        """Find the meshing force from how long a plain push of a light shift took to arrive."""
+        air_s = self._late_s - self.parameters.late_s
+        spent, _ = self._tables.nearest.spent(released_s - expected.offset.delay_s - air_s)
+        found = heavier_by(spent, travel_s, self.parameters.supply_pa)
+        if found is not None:
+            self.correction.resisted(expected.context.direction, found, WEIGHED * WEIGHED)
 
     def _error_s(self, expected: Expected, released_s: float) -> float:
         """Return how much later than expected beforehand the plain push would have been released."""

@@ -19,7 +19,7 @@ from plant.batch.lane_steps import WIDTH
 from plant.batch.lanes import MOVING, Batch, Room, find_covered, room_for_results, run_lanes
 from plant.batch.singles import run_singles
 from plant.effects.setup import Setup
-from plant.integrator.filling import NO_CURVES, filling_curves
+from plant.integrator.filling_curves import NO_CURVES, filling_curves
 from plant.integrator.hybrid import NS
 from plant.kernel.layout import FlowMap, Modes, Parameters
 from plant.kernel.packing import Floats, Ints, fresh_modes, scales, state_record
@@ -126,7 +126,7 @@ class Strokes:
     ) -> Strokes:
         """One stroke with some packed parameters changed: index in plant.kernel.layout -> values [n].
 
-        What stands at the supply or at the atmosphere at the start follows their pressure.
+        What is at supply or atmospheric pressure at the start follows that pressure.
         """
         base = cls.from_setups([setup], duration_s)
         n = max((np.size(value) for value in changes.values()), default=1)

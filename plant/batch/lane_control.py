@@ -17,17 +17,16 @@ from plant.integrator.events import (
     choose_modes,
     hidden_meeting,
     hidden_turn,
-    locate,
     smallest,
 )
 from plant.integrator.filling import FOLLOW_GRID
 from plant.integrator.loop import (
     AGAIN,
     DONE,
-    FIRST_STEP_S,
     LONGEST_STEP_S,
     NOT_FINITE,
     OFF_GRID,
+    STEP_AFTER_EVENT_S,
     STEP_AFTER_REST_S,
     STEP_TOO_SMALL,
     STEPPING,
@@ -35,17 +34,17 @@ from plant.integrator.loop import (
     apply_switches,
     choose_step,
     expects_event,
+    first_event,
     follow_or_write,
     sample_step,
     store_event,
     valves_stand,
 )
 from plant.integrator.rest import pass_rest
-from plant.integrator.steppers import dense_element, derivative, explicit_dense, interpolate
+from plant.integrator.steppers import dense_element, derivative, explicit_dense
 from plant.integrator.workspace import Motion
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import Modes, Parameters
-from plant.kernel.record_views import flow_map, impact_of
+from plant.kernel.layout import Modes, Parameters, flow_map, impact_of
 from plant.kernel.records import Record, Value
 from plant.kernel.views import lane, named
 
@@ -92,7 +91,7 @@ def memory_of(memory, j):
 def motion_of(one, scratch):
     """Return the views of the stroke in a lane."""
     return Motion(
-        one.y, lane_modes(one.modes), one.valve, one.valve_rate,
+        one.y, lane_modes(one.modes), one.u0, one.du,
         lane_parameters(one.parameters), flow_map(one.flow), scratch,
     )  # fmt: skip
 
@@ -167,20 +166,17 @@ def reject(one, k, follow):
 
 @called
 def find_event(one, k, o, task, until, n):
-    """Find the first event within the step: its fraction of the step, and its guard or -1.
+    """Find the first event within the step, as `first_event` does; stage: the state there.
 
-    stage: the state there; dense: the interpolant, of the sampled columns only if that is enough.
-    Guard -2: a guard was negative at the step's start.
+    dense: the interpolant, of the sampled columns only if that is enough.
     """
-    t = one.time
     h = one.step
     y1 = one.stage
-    g = o.scratch.guards
     theta = 1.0
     fired = False
     if expects_event(task, k.steps - 1):
         fired = one.lowest < 0.0
-        if not fired and one.hides != 0.0:
+        if not fired:
             theta = hidden_turn(h, y1, one.rate_0, one.rate, o)
             theta = min(theta, hidden_meeting(h, y1, o))
     dense = one.dense
@@ -189,19 +185,9 @@ def find_event(one, k, o, task, until, n):
     elif k.next_sample < task.n_sample and task.samples[k.next_sample] <= until:
         for i in range(task.n_columns):
             dense_element(1.0, o.y, y1, one.k, dense, task.columns[i])
-    if theta < 1.0:
-        interpolate(theta, dense, one.spare, n)
-        fired = all_guards(t + theta * h, one.spare, o, g) < 0.0
-        if not fired:
-            theta = 1.0
-    if not fired:
-        return theta, -1
-    if theta == 1.0:
-        all_guards(t + h, y1, o, g)
-    begun = all_guards(t, o.y, o, o.scratch.before)
-    if task.use == FOLLOW_GRID and begun < 0.0:
-        return theta, -2
-    return locate(t, h, theta, dense, y1, o, n)
+    if fired:
+        all_guards(one.time + h, y1, o, o.scratch.guards)
+    return first_event(one, theta, fired, y1, one.spare, o, task, n)
 
 
 @called
@@ -238,19 +224,15 @@ def judge(one, k, o, task, result, n):
         o.y[e] = one.stage[e]
     if index >= 0:
         handle_event(index, one, k, o, task, result)
-        one.wanted = min(one.wanted, max(FIRST_STEP_S, 0.3 * h))
+        one.wanted = min(one.wanted, max(STEP_AFTER_EVENT_S, 0.3 * h))
         one.before = 1.0
     return DONE
 
 
 @called
-def begin(one, k, o, n, duration, result):
-    """Begin the stroke that was put into a lane, at time 0."""
-    for i in range(3):
-        one.valve_rate[i] = 0.0
+def begin(one, k, o, result):
+    """Begin the stroke that was put into a lane."""
     one.accepted = 0.0
-    one.time = 0.0
-    one.end = duration
     one.wanted = STEP_AFTER_REST_S
     one.before = 1.0
     k.next_switch = 0

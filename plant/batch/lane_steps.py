@@ -1,6 +1,6 @@
 """Eight lanes side by side: one Runge-Kutta step of all of them as vector instructions.
 
-All numbers of a lane stand `WIDTH` apart in one flat array; the equations are those of the scalar
+All numbers of a lane are `WIDTH` apart in one flat array; the equations are those of the scalar
 kernel.  With constant distances inside one array the compiler proves that nothing overlaps, which
 it needs to turn eight lanes into one instruction.
 
@@ -17,7 +17,6 @@ from math import sqrt
 from plant.equations.fixed_piston import fixed_guards, fixed_rates
 from plant.equations.length_contacts import guards
 from plant.equations.length_stroke import rates
-from plant.integrator.events import fixed_may_hide, may_hide
 from plant.integrator.steppers import (
     local_error,
     stage_1,
@@ -28,10 +27,17 @@ from plant.integrator.steppers import (
     stage_6,
 )
 from plant.kernel.compiled import called, inlined, plain
-from plant.kernel.layout import MAX_STATES, FlowMap, Modes, Parameters
-from plant.kernel.record_views import fixed_state, flow_map, length_state
-from plant.kernel.records import Record, Value, block
-from plant.kernel.views import copy_row, discarding, lane, named, rows
+from plant.kernel.layout import (
+    MAX_STATES,
+    FlowMap,
+    Modes,
+    Parameters,
+    fixed_state,
+    flow_map,
+    length_state,
+)
+from plant.kernel.records import Record, Value, block, interleaved
+from plant.kernel.views import discarding, lane, named
 
 WIDTH = 8
 
@@ -68,8 +74,8 @@ class Lane(Record):
     k: Value = block(7, MAX_STATES)  # step times rates
     dense: Value = block(5, MAX_STATES)
     modes: Value = block(Modes.size)
-    valve: Value = block(3)
-    valve_rate: Value = block(3)
+    u0: Value = block(3)  # valve positions u0 + du t
+    du: Value = block(3)
     time: Value
     step: Value
     wanted: Value  # step that the error control would take
@@ -80,7 +86,6 @@ class Lane(Record):
     root: Value  # sixteenth root of the norm
     before: Value  # the same of the last step taken, at least LEAST_ROOT
     lowest: Value  # guard at the end of the step
-    hides: Value  # 1: a body may have turned or met another within the step
     flow: Value = block(FlowMap.size)
     parameters: Value = block(Parameters.fields["added_count"].start)  # no term is added here
     steps: Value = block(MAX_STATES)  # step sizes again, once for every state
@@ -89,14 +94,8 @@ class Lane(Record):
     accepted: Value  # 1: the state at the end of the last step is to be taken
 
 
-ROWS = Lane.size
-LANE_STATES = MAX_STATES * WIDTH
-# Where the rows of all lanes begin in the flat array.
-Y, STAGE, RATE, RATE_0, SPARE, K, STEPS, SCALE, TAKE = (
-    WIDTH * Lane.fields[name].start
-    for name in ("y", "stage", "rate", "rate_0", "spare", "k", "steps", "scale", "take")
-)
-STEP, NORM, ACCEPTED = (WIDTH * Lane.fields[name].start for name in ("step", "norm", "accepted"))
+Lanes = interleaved(Lane, WIDTH)
+all_lanes = named(Lanes)
 lane_record = named(Lane)
 
 
@@ -119,8 +118,8 @@ def rates_over_lanes(rates_of_system, state, parameters):
                 state(one.stage),
                 state(one.rate),
                 lane_modes(one.modes),
-                one.valve,
-                one.valve_rate,
+                one.u0,
+                one.du,
                 parameters(one.parameters),
                 flow_map(one.flow),
                 False,
@@ -129,8 +128,8 @@ def rates_over_lanes(rates_of_system, state, parameters):
     return over_lanes
 
 
-def guards_over_lanes(guards_of_system, state, may_hide_in_system):
-    """Return the function that computes the lowest guard of all lanes, and what a step may hide."""
+def guards_over_lanes(guards_of_system, state):
+    """Return the function that computes the lowest guard of all lanes at the end of their steps."""
     guards_of = inlined(plain(guards_of_system))
 
     @called
@@ -141,8 +140,6 @@ def guards_over_lanes(guards_of_system, state, may_hide_in_system):
             p = lane_parameters(one.parameters)
             end = state(one.stage)
             one.lowest = guards_of(one.time + one.step, end, m, p, discarding(lane(f, j, WIDTH)))
-            hides = may_hide_in_system(state(one.y), end, state(one.rate_0), state(one.rate), m, p)
-            one.hides = 1.0 if hides else 0.0
 
     return over_lanes
 
@@ -151,8 +148,8 @@ fixed_lanes = rates_over_lanes(fixed_rates, fixed_state, plain_parameters)
 length_lanes = rates_over_lanes(rates, length_state, plain_parameters)
 curved_fixed_lanes = rates_over_lanes(fixed_rates, fixed_state, lane_parameters)
 curved_length_lanes = rates_over_lanes(rates, length_state, lane_parameters)
-fixed_lane_guards = guards_over_lanes(fixed_guards, fixed_state, fixed_may_hide)
-length_lane_guards = guards_over_lanes(guards, length_state, may_hide)
+fixed_lane_guards = guards_over_lanes(fixed_guards, fixed_state)
+length_lane_guards = guards_over_lanes(guards, length_state)
 
 
 @called
@@ -173,11 +170,8 @@ def rates_of_lanes(f, fixed, curved, fraction, width):
 
 
 @inlined
-def increments(f, source, stage, count):
-    """Step times rates of all lanes -> row `stage` of K."""
-    k = f[K + stage * LANE_STATES :]
-    rate = f[source:]
-    steps = f[STEPS:]
+def increments(steps, rate, k, count):
+    """Step times rates of all lanes -> k."""
     for e in range(count):
         k[e] = steps[e] * rate[e]
 
@@ -186,23 +180,26 @@ def increments(f, source, stage, count):
 def step_of_lanes(f, fixed, curved, n, tolerance, width):
     """One Dormand-Prince step of every lane, each with its own step size.
 
-    First, lanes whose last step was ACCEPTED take its end as their state.  Then
-    Y, RATE_0, TIME, STEP -> STAGE (new state), RATE (rates there), K (increments), LOWEST (guard
-    there), HIDES, NORM (of the error), ROOT and FACTOR, by which the error lets the step grow; SCALE holds
-    the states' typical sizes.
+    First, lanes whose last step was `accepted` take its end as their state.  Then
+    y, rate_0, time, step -> stage (new state), rate (rates there), k (increments), lowest (guard
+    there), norm (of the error), root and factor, by which the error lets the step grow; scale
+    holds the states' typical sizes.
     `width` must be WIDTH; as a variable it keeps the compiler from unrolling the lanes.
     """
     count = n * WIDTH
-    y = f[Y:]
-    out = f[STAGE:]
-    error = f[SPARE:]
-    k = rows(f[K:], LANE_STATES)
+    a = all_lanes(f)
+    y = a.y
+    out = a.stage
+    error = a.spare
+    k = a.k
+    steps = a.steps
+    take = a.take
+    first = a.rate_0
+    last = a.rate
     for i in range(n):
-        copy_row(f, STEP, STEPS + i * WIDTH, WIDTH)
-        copy_row(f, ACCEPTED, TAKE + i * WIDTH, WIDTH)
-    take = f[TAKE:]
-    first = f[RATE_0:]
-    last = f[RATE:]
+        for j in range(WIDTH):
+            steps[i * WIDTH + j] = a.step[j]
+            take[i * WIDTH + j] = a.accepted[j]
     for e in range(count):
         old = y[e]
         new = out[e]
@@ -211,46 +208,46 @@ def step_of_lanes(f, fixed, curved, n, tolerance, width):
         old = first[e]
         new = last[e]
         first[e] = new if take[e] != 0.0 else old
-    increments(f, RATE_0, 0, count)
+    increments(steps, first, k[0], count)
     stage_1(1.0, y, k, out, count)
     rates_of_lanes(f, fixed, curved, 0.2, width)
-    increments(f, RATE, 1, count)
+    increments(steps, last, k[1], count)
     stage_2(1.0, y, k, out, count)
     rates_of_lanes(f, fixed, curved, 0.3, width)
-    increments(f, RATE, 2, count)
+    increments(steps, last, k[2], count)
     stage_3(1.0, y, k, out, count)
     rates_of_lanes(f, fixed, curved, 0.8, width)
-    increments(f, RATE, 3, count)
+    increments(steps, last, k[3], count)
     stage_4(1.0, y, k, out, count)
     rates_of_lanes(f, fixed, curved, 8.0 / 9.0, width)
-    increments(f, RATE, 4, count)
+    increments(steps, last, k[4], count)
     stage_5(1.0, y, k, out, count)
     rates_of_lanes(f, fixed, curved, 1.0, width)
-    increments(f, RATE, 5, count)
+    increments(steps, last, k[5], count)
     stage_6(1.0, y, k, out, count)
     rates_of_lanes(f, fixed, curved, 1.0, width)
-    increments(f, RATE, 6, count)
+    increments(steps, last, k[6], count)
     if fixed:
         fixed_lane_guards(f, width)
     else:
         length_lane_guards(f, width)
     local_error(1.0, k, error, count)
     share = 1.0 / n
-    scale = f[SCALE:]
+    scale = a.scale
+    norm = a.norm
     for e in range(count):
         ratio = error[e] / (tolerance * (scale[e] + max(abs(y[e]), abs(out[e]))))
         error[e] = ratio * ratio
     for j in range(WIDTH):
-        f[NORM + j] = 0.0
+        norm[j] = 0.0
     for i in range(n):
         for j in range(WIDTH):
-            f[NORM + j] += error[i * WIDTH + j]
+            norm[j] += error[i * WIDTH + j]
     for j in range(width):
         # a proportional-integral controller by square roots alone: norm^(-1/8), times the last
         # norm's power 1/16 (see `grown`), which keeps the steps from swinging
         one = lane_of(f, j)
-        norm = one.norm * share
-        eighth = sqrt(sqrt(sqrt(sqrt(norm))))
-        one.norm = norm
+        one.norm *= share
+        eighth = sqrt(sqrt(sqrt(sqrt(one.norm))))
         one.root = sqrt(eighth)
         one.factor = 0.95 / max(eighth, 0.1)

@@ -33,7 +33,7 @@ from plant.batch.lane_steps import (
     step_of_lanes,
 )
 from plant.integrator.filling import FOLLOW_GRID, KNOWN, OWN_STEPS, WRITE_GRID
-from plant.integrator.loop import DONE, EVENT_COLUMNS, STEPPING, Task
+from plant.integrator.loop import DONE, STEPPING, Task
 from plant.integrator.workspace import Scratch, scratch_of
 from plant.kernel.compiled import called, inlined, kernel
 from plant.kernel.layout import (
@@ -48,8 +48,8 @@ from plant.kernel.layout import (
 )
 from plant.kernel.views import view
 
-ALPHA_V0, FLOW_SIZE, PARAMETERS = Parameters.fields["alpha_v0"].start, FlowMap.size, Parameters.size
-RESULTS, COUNTERS = Result.size, Memory.size
+ALPHA_V0, FLOW_SIZE = Parameters.fields["alpha_v0"].start, FlowMap.size
+COUNTERS = Memory.size
 NOT_IN_LANES = tuple(Parameters.fields[name].start for name in FREE_OF)
 MODES_NOT_IN_LANES = tuple(Modes.fields[name].start for name in MODES_FREE_OF)
 FLAT = Lane.size * WIDTH
@@ -80,8 +80,8 @@ class Batch(NamedTuple):
 class Found(NamedTuple):
     """Arrays that a batch writes.
 
-    results [strokes, RESULTS]; final [strokes, states]; out [strokes, s, columns];
-    events [strokes, room, EVENT_COLUMNS].
+    results [strokes, Result.size]; final [strokes, states]; out [strokes, s, columns];
+    events [strokes, room, EventRow.size].
     """
 
     results: Any
@@ -116,7 +116,7 @@ class Room(NamedTuple):
 def room_for_results(strokes: int, states: int, samples: int, columns: int, events: int) -> Found:
     """Return the arrays that a batch of so many strokes writes."""
     return Found(
-        np.zeros((strokes, RESULTS)),
+        np.zeros((strokes, Result.size)),
         np.zeros((strokes, states)),
         np.zeros((strokes, samples, columns)),
         np.zeros((strokes, events, EventRow.size)),
@@ -124,19 +124,19 @@ def room_for_results(strokes: int, states: int, samples: int, columns: int, even
 
 
 @inlined
+def row_of(array, stroke):
+    """View of a stroke's row, of an array with one for each stroke or one for all."""
+    return view(array, min(stroke, array.shape[0] - 1) * (array.strides[0] // 8))
+
+
+@inlined
 def task_of(stroke, batch, found, room, table, use, steps):
     """Return the task of one stroke of a batch."""
-    n_switch = batch.switches.shape[1]
-    n_sample = batch.samples.shape[1]
-    n_columns = batch.columns.shape[0]
-    n_events = found.events.shape[1]
-    row = 0 if batch.switches.shape[0] == 1 else stroke
-    sample_row = 0 if batch.samples.shape[0] == 1 else stroke
     return Task(
-        view(batch.switches, row * n_switch * 4), n_switch,
-        view(batch.samples, sample_row * n_sample), n_sample,
-        view(batch.columns, 0), n_columns, view(found.out, stroke * n_sample * n_columns),
-        view(found.events, stroke * n_events * EVENT_COLUMNS), n_events,
+        row_of(batch.switches, stroke), batch.switches.shape[1],
+        row_of(batch.samples, stroke), batch.samples.shape[1],
+        view(batch.columns, 0), batch.columns.shape[0], row_of(found.out, stroke),
+        row_of(found.events, stroke), found.events.shape[1],
         view(table, 0), table.shape[0] > 1,
         view(room.grid, 0), steps, use, view(room.known, 0), True,
     )  # fmt: skip
@@ -145,33 +145,39 @@ def task_of(stroke, batch, found, room, table, use, steps):
 @called
 def fill_lane(one, stroke, batch, n, first):
     """Copy a stroke's inputs into a lane; the flow map only if it is not the one there."""
-    flow = view(batch.flow, 0 if batch.flow.shape[0] == 1 else stroke * FLOW_SIZE)
     if first or batch.flow.shape[0] != 1:
-        for i in range(FLOW_SIZE):
-            one.flow[i] = flow[i]
-    packed = view(batch.packed, stroke * PARAMETERS)
-    for i in range(COPIED):
-        one.parameters[i] = packed[i]
-    modes = view(batch.modes, 0 if batch.modes.shape[0] == 1 else stroke * batch.modes.shape[1])
-    for i in range(MODES):
-        one.modes[i] = modes[i]
-    states = batch.initial.shape[1]
-    initial = view(batch.initial, 0 if batch.initial.shape[0] == 1 else stroke * states)
-    for i in range(n):
-        one.y[i] = initial[i]
-    valves = view(batch.valves, 0 if batch.valves.shape[0] == 1 else stroke * 3)
+        copy(one.flow, row_of(batch.flow, stroke), FLOW_SIZE)
+    copy(one.parameters, row_of(batch.packed, stroke), COPIED)
+    put_at_start(one, one.modes, stroke, batch, n)
+
+
+@inlined
+def copy(target, source, count):
+    """Copy the first elements of a view."""
+    for i in range(count):
+        target[i] = source[i]
+
+
+@inlined
+def put_at_start(r, modes, stroke, batch, n):
+    """Put the first n states of a stroke, its modes and its valves to time 0."""
+    copy(r.y, row_of(batch.initial, stroke), n)
+    copy(modes, row_of(batch.modes, stroke), MODES)
+    copy(r.u0, row_of(batch.valves, stroke), 3)
     for i in range(3):
-        one.valve[i] = valves[i]
+        r.du[i] = 0.0
+    r.time = 0.0
+    r.end = row_of(batch.duration, stroke)[0]
 
 
 @called
 def finish(one, k, stroke, status, batch, found, n):
     """Write what became of a stroke."""
-    result = result_of(view(found.results, stroke * RESULTS))
+    result = result_of(row_of(found.results, stroke))
     result.status = status
     result.events = k.events
     result.steps = k.steps
-    initial = batch.initial[min(stroke, batch.initial.shape[0] - 1)]
+    initial = row_of(batch.initial, stroke)
     for i in range(found.final.shape[1]):
         found.final[stroke, i] = one.y[i] if i < n else initial[i]
     for i in range(k.next_sample, batch.samples.shape[1]):
@@ -180,12 +186,15 @@ def finish(one, k, stroke, status, batch, found, n):
 
 
 @called
-def run_order(batch, found, room, table, order, tolerance, system, n, pace, width):
+def run_order(batch, found, room, table, order, tolerance, system, pace):
     """Simulate the strokes `order` of a batch, in lanes; arguments as of `run_lanes`.
 
     pace: OWN_STEPS, WRITE_GRID or FOLLOW_GRID, and how many steps the grid holds.
     """
     use, steps = pace
+    n = MOVING[system]
+    # WIDTH; as a variable it keeps the compiler from unrolling the lanes
+    width = room.counters.shape[0] // COUNTERS
     fixed = system == FIXED
     f = view(room.flat, 0)
     counters = view(room.counters, 0)
@@ -211,7 +220,7 @@ def run_order(batch, found, room, table, order, tolerance, system, n, pace, widt
             o = motion_of(one, scratch)
             status = DONE
             if not starting:
-                result = result_of(view(found.results, k.stroke * RESULTS))
+                result = result_of(row_of(found.results, k.stroke))
                 task = task_of(k.stroke, batch, found, room, table, use, steps)
                 status = judge(one, k, o, task, result, n)
             while status != STEPPING:
@@ -229,13 +238,11 @@ def run_order(batch, found, room, table, order, tolerance, system, n, pace, widt
                         break
                     stroke = order[upcoming]
                     fill_lane(one, stroke, batch, n, starting)
-                    duration = batch.duration[min(stroke, batch.duration.shape[0] - 1)]
-                    result = result_of(view(found.results, stroke * RESULTS))
-                    begin(one, k, o, n, duration, result)
+                    begin(one, k, o, result_of(row_of(found.results, stroke)))
                     k.stroke = stroke
                     upcoming += 1
                     active += 1
-                result = result_of(view(found.results, k.stroke * RESULTS))
+                result = result_of(row_of(found.results, k.stroke))
                 task = task_of(k.stroke, batch, found, room, table, use, steps)
                 status = prepare(one, k, o, task, result, n)
         starting = False
@@ -253,20 +260,13 @@ def run_lanes(batch, found, room, table, order, tolerance, system, follow):
     system : FIXED or LENGTH
     follow : True if the first stroke writes the grid and the others take its steps
     """
-    n = MOVING[system]
-    # WIDTH; as a variable it keeps the compiler from unrolling the lanes
-    width = room.counters.shape[0] // COUNTERS
     if not follow:
-        run_order(batch, found, room, table, order, tolerance, system, n, (OWN_STEPS, 1), width)
+        run_order(batch, found, room, table, order, tolerance, system, (OWN_STEPS, 1))
         return
     longest = room.grid.shape[0]
-    run_order(
-        batch, found, room, table, order[:1], tolerance, system, n, (WRITE_GRID, longest), width
-    )
-    steps = min(int(result_of(view(found.results, order[0] * RESULTS)).steps), longest)
-    run_order(
-        batch, found, room, table, order[1:], tolerance, system, n, (FOLLOW_GRID, steps), width
-    )
+    run_order(batch, found, room, table, order[:1], tolerance, system, (WRITE_GRID, longest))
+    steps = min(int(result_of(row_of(found.results, order[0])).steps), longest)
+    run_order(batch, found, room, table, order[1:], tolerance, system, (FOLLOW_GRID, steps))
 
 
 @kernel

@@ -18,7 +18,7 @@ from plant.batch.tangents import Followers, to_quotients
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.errors import IntegrationError
-from plant.integrator.filling import filling_curves
+from plant.integrator.filling_curves import filling_curves
 from plant.integrator.hybrid import NO_GRID, NS, REASONS
 from plant.integrator.integrate import advance
 from plant.integrator.loop import DONE

@@ -8,13 +8,14 @@ from __future__ import annotations
 import numpy as np
 
 from plant.batch.lane_control import result_of, store_arrival
+from plant.batch.lanes import copy, put_at_start
 from plant.integrator.filling import FOLLOW_GRID, OWN_STEPS, WRITE_GRID
 from plant.integrator.integrate import advance
 from plant.integrator.workspace import Control, Run, control_of, run_of
 from plant.kernel.compiled import called, kernel
-from plant.kernel.layout import EventRow
+from plant.kernel.layout import EventRow, event_row, modes
 from plant.kernel.packing import FIRST_STEP_S, active_states
-from plant.kernel.record_views import event_row, modes
+from plant.kernel.views import view
 
 RUN, CONTROL, EVENT_COLUMNS = Run.size, Control.size, EventRow.size
 MOST_EVENTS = 512
@@ -27,19 +28,9 @@ def begin_single(run, control, stroke, batch, tolerance, system):
     r = run_of(run)
     k = control_of(control)
     control[:] = 0
-    y = batch.initial[min(stroke, batch.initial.shape[0] - 1)]
-    m = batch.modes[min(stroke, batch.modes.shape[0] - 1)]
-    u = batch.valves[min(stroke, batch.valves.shape[0] - 1)]
-    for i in range(y.shape[0]):
-        r.y[i] = y[i]
-        r.scale[i] = batch.scale[i]
-    for i in range(m.shape[0]):
-        k.modes[i] = m[i]
-    for i in range(3):
-        r.u0[i] = u[i]
-        r.du[i] = 0.0
+    put_at_start(r, k.modes, stroke, batch, len(batch.scale))
+    copy(r.scale, view(batch.scale, 0), len(batch.scale))
     r.tolerance = tolerance
-    r.end = batch.duration[min(stroke, batch.duration.shape[0] - 1)]
     r.wanted = FIRST_STEP_S
     k.states = active(system, modes(k.modes))
     k.starting = 1

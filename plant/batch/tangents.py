@@ -20,7 +20,7 @@ from plant.batch.batch import Strokes, fill_still
 from plant.batch.lane_control import Result
 from plant.batch.lanes import Batch, Room, room_for_results, run_lanes
 from plant.batch.singles import run_singles
-from plant.integrator.filling import filling_curves
+from plant.integrator.filling_curves import filling_curves
 from plant.kernel.compiled import kernel
 from plant.kernel.packing import Floats, scales
 

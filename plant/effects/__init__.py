@@ -50,7 +50,7 @@ def effect(name: str) -> Effect:
 
 
 def look_alikes(name: str) -> tuple[str, ...]:
-    """Return the effects that are hard to tell from this one, in the order of the catalogue."""
+    """Return the effects that are hard to distinguish from this one, in the order of the catalogue."""
     item = effect(name)
     return tuple(
         other.id

@@ -12,7 +12,8 @@ import dis
 import functools
 import inspect
 import re
-from collections.abc import Callable, Iterator, Sequence
+import threading
+from collections.abc import Callable, Sequence
 from itertools import product
 from typing import Any
 
@@ -52,6 +53,9 @@ TRIED: dict[str, tuple[float, ...]] = {
     "pressure_ratio": (0.05, 0.5, 1.0, 1.0001, 10.0),
 }
 """Values of each argument at which a term must be a finite number."""
+
+LONGEST_S = 20.0
+"""A term that takes this long for its values all over the ranges never ends."""
 
 RAISES = {"RAISE_VARARGS", "LOAD_ASSERTION_ERROR"}
 """Instructions of `raise` and `assert`, which the equations cannot pass on."""
@@ -119,17 +123,47 @@ class AddedTerm:
             )
         write_term(setup, self.slot, self.compiled.address, [values[n] for n in self.values])
 
-    def tried(self, values: list[float]) -> Iterator[tuple[dict[str, float], float]]:
-        """Yield arguments all over their ranges, and the term there, for these values."""
+    def tried(self, values: list[float]) -> list[tuple[dict[str, float], float]]:
+        """Return arguments all over their ranges, and the term there, for these values.
+
+        Raises InputError for a call that does not return.
+        """
         own = np.array(values)
         call = self.compiled.ctypes
         pointer = own.ctypes.data_as(call.argtypes[-1])
-        for chosen in product(*(TRIED[name] for name in self.arguments)):
-            at = dict(zip(self.arguments, chosen, strict=True))
-            six = [0.0] * 6
-            for name, value in at.items():
-                six[ARGUMENTS[self.slot][name]] = value
-            yield at, float(call(*six, pointer))
+        found: list[tuple[dict[str, float], float]] = []
+        trials = [
+            dict(zip(self.arguments, chosen, strict=True))
+            for chosen in product(*(TRIED[name] for name in self.arguments))
+        ]
+
+        def call_all() -> None:
+            for at in trials:
+                six = [0.0] * 6
+                for name, value in at.items():
+                    six[ARGUMENTS[self.slot][name]] = value
+                found.append((at, float(call(*six, pointer))))
+
+        # not even Ctrl-C ends compiled code; a daemon ends with the process
+        thread = threading.Thread(target=call_all, daemon=True)
+        thread.start()
+        thread.join(LONGEST_S)
+        if thread.is_alive():
+            call_now = self.called(trials[len(found)], values)
+            trials.clear()  # so that a slow term is not called again
+            raise InputError(
+                f"{call_now} does not return within {LONGEST_S:g} s; expected a number at once"
+            )
+        return found
+
+    def called(self, at: dict[str, float], values: list[float]) -> str:
+        """Return a call of the term as its user would write it, after FILE:LINE."""
+        return f"{self.where}({shown(at | dict(zip(self.values, values, strict=True)))})"
+
+
+def shown(values: dict[str, float]) -> str:
+    """Return values as arguments."""
+    return ", ".join(f"{name}={value:g}" for name, value in values.items())
 
 
 def write_term(setup: Setup, slot: float, address: int, values: Sequence[float]) -> None:

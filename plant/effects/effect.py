@@ -54,7 +54,8 @@ class Variant:
 
     fixed: the parameters that make the variant; starts: values of the fitted parameters to begin a
     search from (none: several multiples of the typical size); needs: beyond those of the effect;
-    fills_table: it takes the one tabulated term that the equations have.
+    fills_table: it takes the one tabulated term that the equations have; prior: its probability before
+    any data, against 1 of a cause without variants.
     """
 
     name: str = ""
@@ -62,6 +63,7 @@ class Variant:
     starts: Starts = ()
     needs: tuple[Need, ...] = ()
     fills_table: bool = False
+    prior: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class Effect:
     tolerance: the tolerance of healthy units that acts the same way; switching: the instant of a
     valve ("rise" or "fall") that it moves; sized_by: the fitted parameters that say how large it is;
     rugged: a fit has several minima, so each start is followed separately; look_alikes: effects that
-    are hard to tell from it (stated on either side); force: the same as a term of the force balance
+    are hard to distinguish from it (stated on either side); force: the same as a term of the force balance
     of a body of which only force and position are known.
     """
 

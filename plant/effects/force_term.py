@@ -16,8 +16,7 @@ class Motion:
     """Samples in which the body moves.
 
     Arrays [n]: driving force in N, speed in m/s, acceleration in m/s^2, position in m, pressure in
-    Pa (None: not measured) and number of the block of time. noise_n: standard deviation of the noise
-    of a sample of the force balance [N].
+    Pa (None: not measured) and number of the block of time.
     """
 
     force_n: Floats
@@ -26,8 +25,6 @@ class Motion:
     position_m: Floats
     pressure_pa: Floats | None
     block: NDArray[np.int64]
-    rate_hz: float
-    noise_n: float
 
 
 def no_shape(motion: Motion) -> tuple[float, ...]:

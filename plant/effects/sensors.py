@@ -63,8 +63,13 @@ def delay(setup: Setup, values: dict[str, float]) -> None:
     EffectParameter("drift", "-", 0.0, -0.1, 0.1, 0.005, optional=True),
     scope="instrument",
     needs=("internal position",),
+    # an offset alone is as simple as a delay of the sensor, which looks the same
     variants=(
-        Variant(starts=((0.003, 0.0), (-0.003, 0.0), (0.0, 0.005), (0.01, 0.0), (0.003, 0.01))),
+        Variant(
+            starts=((0.003, 0.0), (-0.003, 0.0), (0.0, 0.005), (0.01, 0.0), (0.003, 0.01)),
+            prior=0.5,
+        ),
+        Variant("offset alone", {"drift": 0.0}, prior=0.5),
     ),
     sized_by="any",  # a clock may drift without being off at the start
 )

@@ -63,7 +63,7 @@ class StrokeConditions:
     def loads(self) -> Load:
         """Return the loads on the stay, as the equations take them."""
         return Load(
-            damper=self.damper_model if self.load == "damper" else None,
+            damper=self.damper_model if self.load == "damper" else "none",
             spring_n_per_m=self.spring_n_per_m if self.load == "spring" else 0.0,
             spring_x0_m=self.start_offset_m,
             mounted=self.mounted,

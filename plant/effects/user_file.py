@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import inspect
 import math
 import sys
 import traceback
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import ModuleType
@@ -24,7 +26,7 @@ import numpy as np
 from can_dbc.errors import nearest
 from can_dbc.user_file import read_user_text
 from plant import effects as catalogue
-from plant.effects.added_term import ALL_TERMS
+from plant.effects.added_term import ALL_TERMS, shown
 from plant.effects.effect import Effect, EffectParameter, Need, Scope, Variant
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import KINDS, StrokeConditions
@@ -98,6 +100,7 @@ def effects_of(name: str, file: str, text: str) -> tuple[Effect, ...]:
         if not isinstance(effects, tuple | list) or not effects:
             raise InputError(f"{file}: no EFFECTS; expected EFFECTS = (effect, ...)")
         known = set(catalogue.CATALOGUE)
+        effects = tuple(guarded(item, file) for item in effects)
         for item in effects:
             check_effect(item, file, known)
             known.add(item.id)
@@ -106,37 +109,64 @@ def effects_of(name: str, file: str, text: str) -> tuple[Effect, ...]:
         if isinstance(error, KeyboardInterrupt | MemoryError):
             raise
         raise InputError(described(error, file).replace(file, name)) from None
-    return tuple(effects)
+    return effects
 
 
-def described(error: BaseException, file: str) -> str:
+def guarded(item: Any, file: str) -> Any:
+    """Return an effect whose errors, at any values, are of one line.
+
+    Raises InputError for something else than an effect.
+    """
+    if not isinstance(item, Effect):
+        raise InputError(f"{file}: EFFECTS: {item!r}; expected functions under @effect(...)")
+
+    @functools.wraps(item.change)
+    def change(setup: Setup, values: dict[str, float]) -> None:
+        try:
+            item.change(setup, values)
+        except (Exception, SystemExit) as error:
+            expected = f"no error at {shown(values)}"
+            raise InputError(described(error, file, expected)) from None
+        if not np.isfinite(setup.p.array).all():
+            raise InputError(
+                f"{where_of(item, file)}: at {shown(values)} it sets a parameter that is not finite"
+            )
+
+    return replace(item, change=change)
+
+
+def where_of(item: Effect, file: str) -> str:
+    """Return FILE:LINE: and the effect, of the file in which its function is."""
+    code = getattr(inspect.unwrap(item.change), "__code__", None)
+    begin = f"{code.co_filename}:{code.co_firstlineno}" if code else f"{file}:1"
+    return f"{begin}: effect {item.id!r}"
+
+
+def described(error: BaseException, file: str, expected: str = EXPECTED) -> str:
     """Return an error of a user's file as FILE:LINE: what is wrong; expected ..."""
     if isinstance(error, SyntaxError):
         return f"{file}:{error.lineno}: not valid Python: {error.msg}; expected {EXPECTED}"
     frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
     said = " ".join(str(error).split())
-    if isinstance(error, InputError):
-        return said if said.startswith(file) else f"{file}:{frames[-1].lineno}: {said}"
     line = f":{frames[-1].lineno}" if frames else ""
+    if isinstance(error, InputError):
+        return said if said.startswith(file) else f"{file}{line}: {said}"
     said = said.replace("EffectParameter.__init__()", "EffectParameter()")
-    return f"{file}{line}: {type(error).__name__}: {said}; expected {EXPECTED}"
+    return f"{file}{line}: {type(error).__name__}: {said}; expected {expected}"
 
 
-def check_effect(item: Any, file: str, known: set[str]) -> None:
+def check_effect(item: Effect, file: str, known: set[str]) -> None:
     """Check one effect: what it states, its terms, and that it is neutral at its neutral parameters.
 
     Raises InputError with file and line.
     """
-    if not isinstance(item, Effect):
-        raise InputError(f"{file}: EFFECTS: {item!r}; expected functions under @effect(...)")
-    line = getattr(getattr(item.change, "__code__", None), "co_firstlineno", 1)
-    where = f"{file}:{line}: effect {item.id!r}"
+    where = where_of(item, file)
     for wrong in statement_errors(item, known):
         raise InputError(f"{where}: {wrong}")
     for setup in probe_setups(item):
         check_neutral(item, setup, where)
         for values in tried_values(item):
-            check_terms(item, setup, values, where)
+            list(evaluated(changed(item, setup, values)))
 
 
 def statement_errors(item: Effect, known: set[str]) -> Iterator[str]:
@@ -160,21 +190,32 @@ def statement_errors(item: Effect, known: set[str]) -> Iterator[str]:
     names = [p.name for p in item.parameters]
     if len(set(names)) != len(names):
         yield f"parameters {', '.join(names)}; expected different names"
-    choices = {p.name for p in item.parameters if not p.fitted}
-    for variant in item.variants:
-        if not isinstance(variant, Variant) or not set(variant.fixed) <= choices:
-            yield f"variant {variant!r}; expected fixed to name choices: {', '.join(choices) or 'none'}"
-            return
-        if any(len(start) != len(fitted) for start in variant.starts):
-            yield f"variant {variant.name!r}: starts; expected {len(fitted)} values each"
-        yield from need_errors(variant.needs)
+    yield from variant_errors(item, len(fitted))
     yield from need_errors(item.needs)
     if not callable(item.scope) and item.scope not in get_args(Scope):
         yield f"scope {item.scope!r}; expected {', '.join(get_args(Scope))}"
+    if isinstance(item.look_alikes, str):
+        yield f"look_alikes: {item.look_alikes!r}; expected a tuple of ids, as ({item.look_alikes!r},)"
+        return
     for other in item.look_alikes:
         if other not in known:
             near = ", ".join(nearest(other, known, cutoff=0.3))
             yield f"look_alikes: {other!r} is no effect; expected ids; nearest: {near}"
+
+
+def variant_errors(item: Effect, fitted: int) -> Iterator[str]:
+    """Yield what is wrong with the variants of an effect that has so many fitted parameters."""
+    choices = {p.name for p in item.parameters if not p.fitted}
+    for variant in item.variants:
+        if not isinstance(variant, Variant) or not set(variant.fixed) <= choices:
+            yield f"variant {variant!r}; expected fixed to name choices: {', '.join(choices) or 'none'}"
+            continue
+        if any(len(start) != fitted for start in variant.starts):
+            yield f"variant {variant.name!r}: starts; expected {fitted} values each"
+        prior = variant.prior
+        if isinstance(prior, bool) or not isinstance(prior, int | float) or not 0.0 < prior <= 1.0:
+            yield f"variant {variant.name!r}: prior {prior!r}; expected more than 0, at most 1"
+        yield from need_errors(variant.needs)
 
 
 def parameter_errors(p: EffectParameter) -> Iterator[str]:
@@ -265,14 +306,6 @@ def check_neutral(item: Effect, setup: Setup, where: str) -> None:
             )
 
 
-def check_terms(item: Effect, setup: Setup, values: dict[str, float], where: str) -> None:
-    """Check that setup and terms are finite at these values. Raises InputError."""
-    twin = changed(item, setup, values)
-    list(evaluated(twin))
-    if not np.isfinite(twin.p.array).all():
-        raise InputError(f"{where}: at {shown(values)} it sets a parameter that is not finite")
-
-
 def evaluated(setup: Setup) -> Iterator[tuple[str, float]]:
     """Yield the calls of the terms added to a setup, all over their ranges, and what they return.
 
@@ -284,12 +317,7 @@ def evaluated(setup: Setup) -> Iterator[tuple[str, float]]:
             continue
         own = setup.p.added_values[int(first) : int(first) + len(term.values)].tolist()
         for at, value in term.tried(own):
-            call = f"{term.where}({shown(at | dict(zip(term.values, own, strict=True)))})"
+            call = term.called(at, own)
             if not math.isfinite(value):
                 raise InputError(f"{call} = {value}; expected a finite number")
             yield call, value
-
-
-def shown(values: dict[str, float]) -> str:
-    """Return values as arguments."""
-    return ", ".join(f"{name}={value:g}" for name, value in values.items())

@@ -1,6 +1,8 @@
 """The fixed-piston actuator: right-hand side, guards and resets (thesis 3.46-3.52 with errata).
 
-V1 = V10 + A1 x, V2 = V20 - A2 x, 0 <= x <= stroke; the parts are those of the length stroke.
+V1 = V10 + A1 x, V2 = V20 - A2 x, 0 <= x <= stroke; the parts are those of the length stroke.  Here
+`fixed_rates` has 3.46 (position), 3.47 (force balance, with `fixed_drive` and `fixed_friction`) and
+3.48, 3.49 (P_1, P_2); `plant.parts.chamber.chamber` 3.50, 3.51 (flows); `plant.parts.friction` 3.52.
 """
 
 from __future__ import annotations
@@ -15,15 +17,10 @@ from plant.equations.length_contacts import (
     note_corners,
     put,
 )
-from plant.equations.length_impacts import (
-    direction_of,
-    group_acceleration,
-    rebound,
-    settle_oil,
-)
+from plant.equations.length_impacts import rebound
+from plant.equations.length_modes import direction_of, group_acceleration, settle_oil
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import COMPRESSIBLE, GUARDS, FixedState, Guard, Slot
-from plant.kernel.record_views import quadratures_of
+from plant.kernel.layout import COMPRESSIBLE, GUARDS, FixedState, Guard, Slot, quadratures_of
 from plant.parts.chamber import (
     all_leaks,
     chamber,

@@ -49,7 +49,7 @@ def stay_limits(y, m, p):
 
 @inlined
 def note_side(y, m, p):
-    """Remember on which side of the blocking position the stay stands (a step must not jump it)."""
+    """Remember on which side of the blocking position the stay is (a step must not jump it)."""
     m.inside = 1 if abs(y.x_s) <= p.x_block + TOUCH_M else 0
 
 
@@ -61,13 +61,13 @@ def sign_ahead(k, contact):
 
 @inlined
 def at_outer_stop(y, k):
-    """Return True if piston k stands on its outer stop."""
+    """Return True if piston k is on its outer stop."""
     return piston_of(y, k).x <= TOUCH_M
 
 
 @inlined
 def piston_holds(direction, k, y):
-    """Return True if piston k cannot move in `direction` (of x_s): it stands on its outer stop."""
+    """Return True if piston k cannot move in `direction` (of x_s): it is on its outer stop."""
     return sense(k) * direction < 0.0 and at_outer_stop(y, k)
 
 
@@ -201,7 +201,7 @@ def damper_guards(distance, speed, oil_pa, m, p, g, low):
 
 @inlined
 def note_corners(distance, speed, m, p):
-    """Remember on which sides of the damper's corners the stay stands."""
+    """Remember on which sides of the damper's corners the stay is."""
     capped, opened, lifted = damper_borders(distance, speed, p)
     m.capped = 1 if capped > 0.0 else 0
     m.opened = 1 if opened > 0.0 else 0

@@ -2,13 +2,32 @@
 
 Chambers in a row B | piston 1 | N | piston 2 | F.  x_s is positive towards backward; x_1 and x_2
 count inward from each piston's outer stop.  Forces below are in the direction of x_s.
+
+======================  ==========  =====================================================
+thesis, piston 1 free   joined      here
+======================  ==========  =====================================================
+3.53, 3.54 positions    3.62        `rates`
+3.55 piston, 3.56 stay  3.63        `net_forces`, `accelerations`
+3.57 P_B, 3.58 P_N      3.64, 3.65  `length_volumes`, `rates`, `plant.parts.chamber.chamber`
+3.59, 3.60 flows        3.66, 3.67  `plant.parts.chamber.chamber`
+3.61 friction           3.68        `plant.parts.friction`; at rest: `length_contacts`
+======================  ==========  =====================================================
 """
 
 from __future__ import annotations
 
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import COLLAR, COMPRESSIBLE, FREE, NUT, LengthState, Modes, Slot
-from plant.kernel.record_views import piston_state, quadratures_of
+from plant.kernel.layout import (
+    COLLAR,
+    COMPRESSIBLE,
+    FREE,
+    NUT,
+    LengthState,
+    Modes,
+    Slot,
+    piston_state,
+    quadratures_of,
+)
 from plant.parts.chamber import (
     all_leaks,
     chamber,
@@ -26,13 +45,6 @@ STATES = LengthState.size
 PISTONS, STATUS, JOINED = LengthState.x_1, Modes.piston_1, Modes.joined_1
 # Bodies nearer than this touch.
 TOUCH_M = 1e-9
-
-
-@inlined
-def stay_force(y, m, p, t):
-    """Net driving force on the stay without friction and contacts [N]."""
-    force = (y.p_b - y.p_f) * p.area_s
-    return loaded(force, t, y.x_s, y.v_s, float(m.side), y.p_oil, m, p)
 
 
 @inlined
@@ -83,7 +95,7 @@ def net_forces(y, m, p, t):
     A body at rest gets its driving force alone.
     """
     d = m.stay
-    stay = stay_force(y, m, p, t)
+    stay = loaded((y.p_b - y.p_f) * p.area_s, t, y.x_s, y.v_s, float(m.side), y.p_oil, m, p)
     if d != 0:
         stay -= d * stay_sliding(y.x_s, y.v_s, d, p)
     return stay, piston_force(y, m, 0, p), piston_force(y, m, 1, p)
@@ -165,11 +177,11 @@ def length_leaks(t, y, u_b, u_n, u_f, p):
 @called
 def rates(t, y, dy, m, u0, du, p, c, quadratures):
     """Time derivatives of the length stroke -> dy; with `quadratures`, those behind the states."""
-    force = net_forces(y, m, p, t)
-    acc = accelerations(m, p, force)
     v_s = y.v_s
     v_1 = y.v_1
     v_2 = y.v_2
+    force = net_forces(y, m, p, t)
+    a_s, a_1, a_2 = accelerations(m, p, force)
     vol_b, vol_n, vol_f = length_volumes(y, p)
     rate_b = p.area_p * v_1 + p.area_s * v_s
     rate_n = -p.area_p * (v_1 + v_2)
@@ -184,11 +196,11 @@ def rates(t, y, dy, m, u0, du, p, c, quadratures):
     in_n = chamber(y.p_n, u_n, leak_n, vol_n, rate_n, supply, alphas, p, c)
     in_f = chamber(y.p_f, u_f, leak_f, vol_f, rate_f, supply, alphas, p, c)
     dy.x_s = v_s
-    dy.v_s = acc[0]
+    dy.v_s = a_s
     dy.x_1 = v_1
-    dy.v_1 = acc[1]
+    dy.v_1 = a_1
     dy.x_2 = v_2
-    dy.v_2 = -acc[2]
+    dy.v_2 = -a_2
     dy.p_b = in_b[0]
     dy.p_n = in_n[0]
     dy.p_f = in_f[0]
@@ -206,17 +218,11 @@ def rates(t, y, dy, m, u0, du, p, c, quadratures):
         store_chamber(q, 0, in_b, y.p_b, u_b, rate_b, p)
         store_chamber(q, 1, in_n, y.p_n, u_n, rate_n, p)
         store_chamber(q, 2, in_f, y.p_f, u_f, rate_f, p)
-        q.friction = friction_power(y, m, p)
+        d = m.stay
+        loss = stay_sliding(y.x_s, v_s, d, p) * d * v_s if d != 0 else 0.0
+        q.friction = loss + piston_loss(y, m, 0, p) + piston_loss(y, m, 1, p)
         store_loads(q, t, y.x_s, v_s, side, y.p_oil, m, p)
         q.atmosphere = 0.0
-
-
-@inlined
-def friction_power(y, m, p):
-    """Power that friction turns to heat [W]."""
-    d = m.stay
-    loss = stay_sliding(y.x_s, y.v_s, d, p) * d * y.v_s if d != 0 else 0.0
-    return loss + piston_loss(y, m, 0, p) + piston_loss(y, m, 1, p)
 
 
 @inlined

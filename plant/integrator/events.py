@@ -9,11 +9,11 @@ from math import sqrt
 
 from plant.equations.fixed_piston import fixed_guards, fixed_impacts, fixed_settle
 from plant.equations.length_contacts import guards as length_guards
-from plant.equations.length_impacts import impacts, settle
+from plant.equations.length_impacts import impacts
+from plant.equations.length_modes import settle
 from plant.integrator.steppers import interpolate
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import FIXED, FREE, GUARDS, Guard
-from plant.kernel.record_views import fixed_state, impact_of, length_state
+from plant.kernel.layout import FIXED, FREE, GUARDS, Guard, fixed_state, impact_of, length_state
 
 # A velocity below this after an event is rounding, and ends a Zeno sequence of stops.
 ZERO_M_S = 1e-10
@@ -55,18 +55,12 @@ def smallest(g):
 
 
 @inlined
-def dips(s0, s1):
-    """Return True if a quantity with these slopes at both ends may be lower in between: see `lowest_fraction`."""
-    return s0 < 0.0 and s1 > 0.0
-
-
-@inlined
 def lowest_fraction(v0, v1, s0, s1):
     """Where in 0..1 a quantity that ends as it began comes below zero, 1 if nowhere.
 
     Asked of the cubic through both ends with the slopes s0, s1 there (per step).
     """
-    if not dips(s0, s1):
+    if not (s0 < 0.0 and s1 > 0.0):
         return 1.0
     d = v1 - v0
     b = 3.0 * d - 2.0 * s0 - s1
@@ -76,31 +70,6 @@ def lowest_fraction(v0, v1, s0, s1):
         return 1.0
     lowest = v0 + fraction * (s0 + fraction * (b + fraction * a))
     return fraction if lowest < 0.0 else 1.0
-
-
-@inlined
-def may_hide(y, y1, rate0, rate1, m, p):
-    """Return True if `hidden_turn` or `hidden_meeting` may find something in a step of the length stroke."""
-    d = m.stay
-    found = d != 0 and dips(d * rate0.v_s, d * rate1.v_s)
-    if m.joined_1 == FREE:
-        d = m.piston_1
-        found = found or (d != 0 and dips(d * rate0.v_1, d * rate1.v_1))
-        sign = 1.0 if y.x_1 - y.x_s < 0.5 * p.x_free else -1.0
-        found = found or dips(sign * (y.v_1 - y.v_s), sign * (y1.v_1 - y1.v_s))
-    if m.joined_2 == FREE:
-        d = -m.piston_2
-        found = found or (d != 0 and dips(d * rate0.v_2, d * rate1.v_2))
-        sign = 1.0 if y.x_2 + y.x_s < 0.5 * p.x_free else -1.0
-        found = found or dips(sign * (y.v_2 + y.v_s), sign * (y1.v_2 + y1.v_s))
-    return found
-
-
-@inlined
-def fixed_may_hide(y, y1, rate0, rate1, m, p):
-    """Return the same for a step of the fixed piston."""
-    d = m.stay
-    return d != 0 and dips(d * rate0.v, d * rate1.v)
 
 
 @inlined
@@ -119,11 +88,7 @@ def hidden_turn(h, y1, rate0, rate1, o):
     not see it.
     """
     m = o.m
-    if m.system == FIXED:
-        before, after = fixed_state(o.y), fixed_state(y1)
-        return turn_fraction(
-            m.stay, h, before.v, after.v, fixed_state(rate0).v, fixed_state(rate1).v
-        )
+    # also of the fixed piston: its velocity has the index of the stay's, and no piston moves
     y = length_state(o.y)
     y1 = length_state(y1)
     rate0 = length_state(rate0)

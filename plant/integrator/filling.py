@@ -1,73 +1,45 @@
-"""Chambers that fill or empty while nothing moves: time and pressure in closed form.
-
-With the volume at rest, mapped flow and no leaks, every chamber follows one of two curves, the same
-for all volumes and supplies: with r = P/P_s (charging) or P/P_atm (discharging) and
-d tau = |phi'(1)| alpha_m R k dt / V,   dr/d tau = +-phi(r)/|phi'(1)|.
-Each curve is tabulated once per flow map, from the flow functions themselves; then a pressure is
-a look-up at any later time.  Between the nodes: cubic Hermite, error below 1e-9.  Beyond the
-table the flow is constant (below y_min) or the deviation decays as exp(-tau).
+"""Chambers that fill or empty while nothing moves: their pressures by `filling_curves`.
 
 Checked by: tests/unit/plant/integrator/test_filling.py
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
 from math import exp
-
-import numpy as np
-from numpy.typing import NDArray
 
 from plant.equations.fixed_piston import fixed_volumes
 from plant.equations.length_stroke import length_volumes
-from plant.kernel.compiled import called, inlined, kernel
-from plant.kernel.record_views import fixed_state, flow_map, length_state, pressures
-from plant.kernel.records import Record, Value, block
-from plant.kernel.views import named, view
-from plant.parts.flow import charge, discharge
+from plant.integrator.filling_curves import (
+    CELLS_FAR,
+    CELLS_NEAR,
+    NEAR_REACH,
+    Z_TOP,
+    cubic,
+    curve_for,
+    curve_tau,
+    curve_value,
+    faded,
+    slope_of,
+)
+from plant.kernel.compiled import called, inlined
+from plant.kernel.layout import fixed_state, length_state, pressures
+from plant.kernel.records import Record, Value
+from plant.kernel.views import named
 
-CELLS_FAR, CELLS_NEAR = 256, 1536
-CUBIC = 4
-
-
-class Curve(Record):
-    """One curve: head, then the cells of its two regions, each a cubic's coefficients."""
-
-    start: Value  # ratio and slope dr/d tau at the start
-    slope: Value
-    split: Value  # ratio at which the near region begins
-    end: Value  # ratio at the end of the table
-    step_far: Value  # length of a cell in tau
-    step_near: Value
-    cells_far: Value  # cells per unit of tau
-    cells_near: Value
-    rate: Value
-    spare: Value = block(3)
-    far: Value = block(CELLS_FAR, CUBIC)
-    near: Value = block(CELLS_NEAR, CUBIC)
-
-
-CURVE = Curve.size
-TABLE = 2 * CURVE
-curve_of = named(Curve)
-# Ratio P/P_atm at which the discharge curve starts, and how far the near regions reach.
-Z_TOP = 16.0
-NEAR_REACH = 20.0
-SUBSTEPS = 8
-# Places on a curve nearer than this share its tangent: an error of 1e-4 of their distance.
+# Positions on a curve nearer than this share its tangent: an error of 1e-4 of their distance.
 NEXT_TO = 1e-4
 # A grid of steps is written by one stroke and followed by others.
 OWN_STEPS, WRITE_GRID, FOLLOW_GRID = range(3)
 
 # How a chamber at rest goes on: constant, on a curve, or a deviation decaying to its reference.
-STILL, ON_CHARGE, ON_DISCHARGE, DECAY, UNKNOWN = range(5)
+STILL, ON_CHARGE, ON_DISCHARGE, DECAY = range(4)
 
 
 class ChamberCurve(Record):
     """How one chamber at rest goes on."""
 
     kind: Value
-    tau: Value  # place on the curve, or the deviation that decays
+    tau: Value  # position on the curve, or the deviation that decays
     rate: Value  # d tau / dt
     reference: Value
 
@@ -76,7 +48,7 @@ class Stored(Record):
     """What the grid's stroke stores of one chamber at one sample."""
 
     kind: Value
-    place: Value
+    position: Value
     value: Value
     slope: Value
 
@@ -94,193 +66,9 @@ def chamber_of(w, j):
     return chamber_row(w[CHAMBER_ROW * j :])
 
 
-@inlined
-def curve_for(charging, table):
-    """Return the charge or the discharge curve of a table."""
-    return curve_of(table[0:] if charging else table[CURVE:])
-
-
-@inlined
-def slope_of(r, charging, c):
-    """dr/d tau of the charge or the discharge curve, times its head's rate."""
-    return charge(r, 1.0, c) if charging else -discharge(r, 1.0, c)
-
-
-@called
-def fill_cells(start, step, cells, charging, c, rate, out):
-    """Cells of one region -> out, by classical Runge-Kutta; its end, 0 if the flow stops or turns.
-
-    Cubic Hermite: r = c0 + w (c1 + w (c2 + w c3)) at the fraction w of a cell.
-    """
-    r = start
-    h = step / SUBSTEPS
-    sign = 1.0 if charging else -1.0
-    left = 0.0
-    left_slope = 0.0
-    for node in range(cells + 1):
-        slope = slope_of(r, charging, c) / rate
-        if not (slope * sign > 0.0 and sign * (1.0 - r) > 0.0):
-            return 0.0
-        if node > 0:
-            cubic = out[node - 1]
-            d = r - left
-            s0 = step * left_slope
-            s1 = step * slope
-            cubic[0] = left
-            cubic[1] = s0
-            cubic[2] = 3.0 * d - 2.0 * s0 - s1
-            cubic[3] = s0 + s1 - 2.0 * d
-        left = r
-        left_slope = slope
-        if node == cells:
-            break
-        for _ in range(SUBSTEPS):
-            k1 = slope_of(r, charging, c) / rate
-            k2 = slope_of(r + 0.5 * h * k1, charging, c) / rate
-            k3 = slope_of(r + 0.5 * h * k2, charging, c) / rate
-            k4 = slope_of(r + h * k3, charging, c) / rate
-            r += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-    return r
-
-
-@called
-def fill_curve(charging, c, curve):
-    """One curve -> curve; False if the map is not a flow that ends at equal pressures."""
-    start = c.y_min if charging else Z_TOP
-    split = c.y_split if charging else c.z_split
-    rate = abs(c.charge_slope if charging else c.discharge_slope)
-    if not (rate > 0.0 and (start < split < 1.0 if charging else start > split > 1.0)):
-        return False
-    # length of the far region: Simpson's rule on d tau = rate dr / phi
-    panels = 2048
-    width = (split - start) / panels
-    total = 0.0
-    for k in range(panels):
-        left = start + k * width
-        # the last node belongs to the far region's polynomial
-        right = min(left + width, split) if charging else max(left + width, split)
-        right -= 1e-12 * width
-        total += (
-            width
-            / 6.0
-            * (
-                1.0 / slope_of(left, charging, c)
-                + 4.0 / slope_of(left + 0.5 * width, charging, c)
-                + 1.0 / slope_of(right, charging, c)
-            )
-        )
-    length = total * rate
-    if not 0.0 < length < 1e3:
-        return False
-    curve.start = start
-    curve.split = split
-    curve.step_far = length / CELLS_FAR
-    curve.step_near = NEAR_REACH / CELLS_NEAR
-    curve.cells_far = CELLS_FAR / length
-    curve.cells_near = CELLS_NEAR / NEAR_REACH
-    curve.rate = rate
-    curve.slope = slope_of(start, charging, c) / rate
-    far = fill_cells(start, length / CELLS_FAR, CELLS_FAR, charging, c, rate, curve.far)
-    near = fill_cells(split, NEAR_REACH / CELLS_NEAR, CELLS_NEAR, charging, c, rate, curve.near)
-    curve.end = near
-    # the far region ends at the border itself, up to integration error
-    return abs(far - split) < 1e-9 and near > 0.0
-
-
-@kernel
-def tabulate(c, table):
-    """Both curves of a flow map -> table [TABLE]; False if it has no such curves.
-
-    c : float64 [FlowMap.size]
-    """
-    coefficients = flow_map(c)
-    out = view(table, 0)
-    return fill_curve(True, coefficients, curve_of(out)) and fill_curve(
-        False, coefficients, curve_of(out[CURVE:])
-    )
-
-
-NO_CURVES = np.zeros(1)
-
-
-@lru_cache(maxsize=64)
-def _filling_curves(flow: bytes) -> NDArray[np.float64]:
-    table = np.zeros(TABLE)
-    return table if tabulate(np.frombuffer(flow).copy(), table) else NO_CURVES
-
-
-def filling_curves(c: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the filling curves [TABLE] of a flow map [FlowMap.size]; NO_CURVES if it has none.
-
-    Tabulated once per map; several maps [strokes, FlowMap.size] have none in common.
-    """
-    return NO_CURVES if c.ndim == 2 and len(c) > 1 else _filling_curves(c.tobytes())
-
-
-@inlined
-def cubic(cells, place):
-    """Ratio at a place, counted in cells."""
-    cell = int(place)
-    w = place - cell
-    q = cells[cell]
-    return q[0] + w * (q[1] + w * (q[2] + w * q[3]))
-
-
-@called
-def curve_value(curve, tau):
-    """Pressure ratio at tau; tau = 0 at the head of the table."""
-    if tau < 0.0:
-        return curve.start + tau * curve.slope
-    place = tau * curve.cells_far
-    if place < CELLS_FAR:
-        return cubic(curve.far, place)
-    tau -= curve.step_far * CELLS_FAR
-    place = tau * curve.cells_near
-    if place < CELLS_NEAR:
-        return cubic(curve.near, max(place, 0.0))
-    return 1.0 + (curve.end - 1.0) * faded(tau - NEAR_REACH)
-
-
-@inlined
-def faded(x):
-    """exp(-x) for x >= 0 to 2e-3, by its reciprocal's series: what is left behind the table is 2e-9."""
-    return 1.0 / (
-        1.0 + x * (1.0 + x * (1 / 2 + x * (1 / 6 + x * (1 / 24 + x * (1 / 120 + x / 720)))))
-    )
-
-
-@called
-def curve_place(curve, r):
-    """Return tau at which the curve passes the ratio r: the inverse of curve_value.
-
-    r must lie between the start of the curve (any lower for charging) and the end of its table.
-    """
-    start = curve.start
-    split = curve.split
-    sign = 1.0 if split > start else -1.0
-    if sign * (r - start) < 0.0:
-        return (r - start) / curve.slope
-    far = sign * (split - r) > 0.0
-    cells = curve.far if far else curve.near
-    step = curve.step_far if far else curve.step_near
-    low = 0
-    size = CELLS_FAR if far else CELLS_NEAR
-    while size > 1:
-        half = size // 2
-        low = low + half if sign * (r - cells[low + half, 0]) >= 0.0 else low
-        size -= half
-    q = cells[low]
-    w = (r - q[0]) / (q[1] + q[2] + q[3])
-    for _ in range(3):
-        w -= (q[0] + w * (q[1] + w * (q[2] + w * q[3])) - r) / (
-            q[1] + w * (2.0 * q[2] + w * 3.0 * q[3])
-        )
-    return (low + w) * step + (0.0 if far else curve.step_far * CELLS_FAR)
-
-
 @called
 def chamber_curve(pressure, u, volume, p, table, out):
-    """How one chamber at rest goes on -> out[0:CHAMBER_ROW]."""
+    """How one chamber at rest goes on -> out; True if it is known."""
     charging = u == 1.0
     curve = curve_for(charging, table)
     reference = p.p_supply if charging else p.p_atm
@@ -289,10 +77,9 @@ def chamber_curve(pressure, u, volume, p, table, out):
     deviation = ratio - 1.0 if charging else 1.0 - ratio
     out.reference = reference
     out.rate = curve.rate * factor * p.r_air / volume
-    out.kind = UNKNOWN
     out.tau = 0.0
     if u != 1.0 and u != 0.0:
-        return
+        return False
     if abs(deviation) < 1e-14:
         out.kind = STILL
         out.reference = pressure
@@ -301,7 +88,10 @@ def chamber_curve(pressure, u, volume, p, table, out):
         out.tau = ratio - 1.0
     elif charging or ratio <= Z_TOP:
         out.kind = ON_CHARGE if charging else ON_DISCHARGE
-        out.tau = curve_place(curve, ratio)
+        out.tau = curve_tau(curve, ratio)
+    else:
+        return False
+    return True
 
 
 @inlined
@@ -324,7 +114,7 @@ def chamber_samples(row, table, t, samples, begin, end, out, stride):
     """
     kind = row.kind
     reference = row.reference
-    if kind in (STILL, DECAY):
+    if kind == DECAY:
         for i in range(begin, end):
             out[i * stride] = chamber_pressure(max(samples[i] - t, 0.0), row, table)
         return
@@ -339,20 +129,20 @@ def chamber_samples(row, table, t, samples, begin, end, out, stride):
     cells = curve.far
     density = curve.cells_far
     while i < end:
-        place = (start + rate * max(samples[i] - t, 0.0)) * density
-        if not place < CELLS_FAR:
+        position = (start + rate * max(samples[i] - t, 0.0)) * density
+        if not position < CELLS_FAR:
             break
-        out[i * stride] = reference * cubic(cells, place)
+        out[i * stride] = reference * cubic(cells, position)
         i += 1
     far = curve.step_far * CELLS_FAR
     cells = curve.near
     density = curve.cells_near
     while i < end:
         tau = start + rate * max(samples[i] - t, 0.0) - far
-        place = tau * density
-        if not place < CELLS_NEAR:
+        position = tau * density
+        if not position < CELLS_NEAR:
             break
-        out[i * stride] = reference * cubic(cells, max(place, 0.0))
+        out[i * stride] = reference * cubic(cells, max(position, 0.0))
         i += 1
     while i < end:
         tau = start + rate * max(samples[i] - t, 0.0) - far
@@ -364,7 +154,7 @@ def chamber_samples(row, table, t, samples, begin, end, out, stride):
 def neighbour_samples(row, t, c, known, begin, end, out, task):
     """Pressures of a chamber at the samples from `begin` to `end` -> out, stored values reused.
 
-    The stroke that writes the grid evaluates its curve and stores kind, place, value and slope in
+    The stroke that writes the grid evaluates its curve and stores kind, position, value and slope in
     known[i * KNOWN :]; the others, next to it, go along that slope.
     """
     kind = row.kind
@@ -377,17 +167,17 @@ def neighbour_samples(row, t, c, known, begin, end, out, task):
     offset = reference if decays else 0.0
     first = task.use == WRITE_GRID
     for i in range(begin, end):
-        place = start + row.rate * max(task.samples[i] - t, 0.0)
+        position = start + row.rate * max(task.samples[i] - t, 0.0)
         stored = stored_of(known[i * KNOWN :])
-        apart = place - stored.place
+        apart = position - stored.position
         if not first and stored.kind == kind and abs(apart) < NEXT_TO:
             value = stored.value + apart * stored.slope
         else:
-            value = exp(-place) if decays else curve_value(curve, place)
+            value = exp(-position) if decays else curve_value(curve, position)
         if first:
             slope = -value if decays else slope_of(value, charging, c) / curve.rate
             stored.kind = kind
-            stored.place = place
+            stored.position = position
             stored.value = value
             stored.slope = slope
         out[i * task.n_columns] = offset + scale * value
@@ -397,17 +187,10 @@ def neighbour_samples(row, t, c, known, begin, end, out, task):
 def chamber_curves(fixed, y, u0, p, table, w):
     """How every chamber goes on -> w; True if all are known."""
     pressure = pressures(fixed, y)
-    if fixed:
-        v_1, v_2 = fixed_volumes(fixed_state(y), p)
-        chamber_curve(pressure[0], u0[0], v_1, p, table, chamber_of(w, 0))
-        chamber_curve(pressure[1], u0[1], v_2, p, table, chamber_of(w, 1))
-        return chamber_of(w, 0).kind != UNKNOWN and chamber_of(w, 1).kind != UNKNOWN
-    v_b, v_n, v_f = length_volumes(length_state(y), p)
-    chamber_curve(pressure[0], u0[0], v_b, p, table, chamber_of(w, 0))
-    chamber_curve(pressure[1], u0[1], v_n, p, table, chamber_of(w, 1))
-    chamber_curve(pressure[2], u0[2], v_f, p, table, chamber_of(w, 2))
-    return (
-        chamber_of(w, 0).kind != UNKNOWN
-        and chamber_of(w, 1).kind != UNKNOWN
-        and chamber_of(w, 2).kind != UNKNOWN
+    volumes = (
+        (*fixed_volumes(fixed_state(y), p), 0.0) if fixed else length_volumes(length_state(y), p)
     )
+    for j in range(2 if fixed else 3):
+        if not chamber_curve(pressure[j], u0[j], volumes[j], p, table, chamber_of(w, j)):
+            return False
+    return True

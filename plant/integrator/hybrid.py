@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from plant.equations.volumes import emptied, refuse_empty, volumes_m3
 from plant.errors import IntegrationError, NoVolumeError
-from plant.integrator.filling import NO_CURVES
+from plant.integrator.filling_curves import NO_CURVES
 from plant.integrator.integrate import advance
 from plant.integrator.loop import DONE, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_EVENTS
 from plant.integrator.workspace import Control, Run
 from plant.kernel.layout import (
-    FIRST_PRESSURE,
     LENGTH,
     EventRow,
     GridRow,
@@ -28,6 +27,7 @@ from plant.kernel.layout import (
     Modes,
     Parameters,
     Quadratures,
+    pressure_slice,
 )
 from plant.kernel.packing import FIRST_STEP_S, Floats, Load, fresh_modes, scales, state_record
 
@@ -150,6 +150,11 @@ class HybridSystem:
         return float(self._y[1])
 
     @property
+    def pressures_pa(self) -> tuple[float, ...]:
+        """Pressures of the chambers, in their order, absolute [Pa]."""
+        return tuple(self._y[pressure_slice(self._system)].tolist())
+
+    @property
     def packed(self) -> Parameters:
         """A copy of the parameters."""
         return self._p.copy()
@@ -204,7 +209,8 @@ class HybridSystem:
         self._control.starting = 0
         self._note_events()
         if code != DONE:
-            message = f"integration stopped after {self.now_ns / NS:.6f} s: {REASONS[code]}"
+            stopped_s = self.now_ns / NS + float(self._run.time)
+            message = f"integration stopped after {stopped_s:.6f} s: {REASONS[code]}"
             shut = emptied(self._system, self._p, [self._y], share=NOTHING_LEFT)
             if shut:
                 raise NoVolumeError(f"{shut} ({message})")
@@ -232,13 +238,9 @@ class HybridSystem:
             )
 
     # --- balances -----------------------------------------------------------------------------
-    def _pressures(self) -> list[float]:
-        first = FIRST_PRESSURE[self._system]
-        return [float(self._y[first + k]) for k in range(len(self.chambers))]
-
     def _pv(self) -> list[float]:
         volumes = volumes_m3(self._system, self._p, self._y)
-        return [float(p * v) for p, v in zip(self._pressures(), volumes, strict=True)]
+        return [p * v for p, v in zip(self.pressures_pa, volumes, strict=True)]
 
     def _kinetic(self) -> float:
         p, y = self._p, self._y

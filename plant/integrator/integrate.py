@@ -18,18 +18,17 @@ from plant.integrator.events import (
     choose_modes,
     hidden_meeting,
     hidden_turn,
-    locate,
     smallest,
 )
 from plant.integrator.filling import FOLLOW_GRID
 from plant.integrator.loop import (
     AGAIN,
     DONE,
-    FIRST_STEP_S,
     LONGEST_REST_STEP_S,
     LONGEST_STEP_S,
     NOT_FINITE,
     OFF_GRID,
+    STEP_AFTER_EVENT_S,
     STEP_AFTER_REST_S,
     STEP_TOO_SMALL,
     STEPPING,
@@ -39,6 +38,7 @@ from plant.integrator.loop import (
     apply_switches,
     choose_step,
     expects_event,
+    first_event,
     follow_or_write,
     sample_step,
     store_event,
@@ -50,14 +50,21 @@ from plant.integrator.steppers import (
     differentiate,
     explicit_dense,
     explicit_step,
-    interpolate,
     stiff_dense,
     stiff_step,
 )
 from plant.integrator.workspace import Motion, control_of, run_of, scratch_of
 from plant.kernel.compiled import called, kernel
-from plant.kernel.layout import COMPRESSIBLE, FIXED, GUARDS, Guard
-from plant.kernel.record_views import flow_map, impact_of, length_state, modes, parameters
+from plant.kernel.layout import (
+    COMPRESSIBLE,
+    FIXED,
+    Guard,
+    flow_map,
+    impact_of,
+    length_state,
+    modes,
+    parameters,
+)
 from plant.kernel.views import view
 
 LIMIT_EVENTS = 4000
@@ -101,9 +108,9 @@ def begin_piece(r, k, o, task, leaping):
     Returns STEPPING, AGAIN after an event or a rest, or the reason to stop.
     """
     derivative(r.time, o.y, r.k[6], o, k.quadratures > 0)
-    if all_guards(r.time, o.y, o, o.scratch.before) < 0.0:
+    if all_guards(r.time, o.y, o, o.scratch.guards) < 0.0:
         # a jump of input or parameters has already passed a guard
-        return handle_event(smallest(o.scratch.before), r, k, o, task)
+        return handle_event(smallest(o.scratch.guards), r, k, o, task)
     k.fresh = 0
     k.has_jacobian = 0
     m = o.m
@@ -169,41 +176,26 @@ def judge_step(r, k, o, norm, power, follow):
 
 @called
 def find_event(r, k, o, task):
-    """Find the first event within the step just taken: its fraction of the step, and its guard or -1.
-
-    y1: the state there; dense: the interpolant if it is needed.  Guard -2: the grid's stroke had
-    passed no guard where this one has.
-    """
-    t = r.time
+    """Find the first event within the step just taken, as `first_event` does; dense: its interpolant."""
     h = r.step
+    end = r.time + h
     n_all = k.states + k.quadratures
-    g = o.scratch.guards
     explicit = o.m.damper != COMPRESSIBLE
     fired = False
     theta = 1.0
     if expects_event(task, k.steps - 1):
-        fired = all_guards(t + h, r.y1, o, g) < 0.0
+        fired = all_guards(end, r.y1, o, o.scratch.guards) < 0.0
         if not fired:
             theta = hidden_meeting(h, r.y1, o)
             if explicit:
                 theta = min(theta, hidden_turn(h, r.y1, r.k[0], r.k[6], o))
-    sampled = k.next_sample < task.n_sample and task.samples[k.next_sample] <= t + h
+    sampled = k.next_sample < task.n_sample and task.samples[k.next_sample] <= end
     if fired or theta < 1.0 or sampled:
         if explicit:
             explicit_dense(h, o.y, r.y1, r.k, r.dense, n_all)
         else:
             stiff_dense(o.y, r.y1, r.k, r.dense, n_all)
-    if theta < 1.0:
-        interpolate(theta, r.dense, r.stage, n_all)
-        fired = all_guards(t + theta * h, r.stage, o, g) < 0.0
-        if not fired:
-            theta = 1.0
-            all_guards(t + h, r.y1, o, g)
-    if not fired:
-        return theta, -1
-    if task.use == FOLLOW_GRID and all_guards(t, o.y, o, o.scratch.before) < 0.0:
-        return theta, -2
-    return locate(t, h, theta, r.dense, r.y1, o, n_all)
+    return first_event(r, theta, fired, r.y1, r.stage, o, task, n_all)
 
 
 @called
@@ -224,13 +216,11 @@ def finish_step(r, k, o, task):
     r.time = until
     if index >= 0:
         status = handle_event(index, r, k, o, task)
-        r.wanted = min(r.wanted, max(FIRST_STEP_S, 0.3 * h))
+        r.wanted = min(r.wanted, max(STEP_AFTER_EVENT_S, 0.3 * h))
         return status
     if o.m.damper == COMPRESSIBLE:
         derivative(r.time, o.y, r.k[6], o, k.quadratures > 0)
     k.has_jacobian = 0
-    for i in range(GUARDS):
-        o.scratch.before[i] = o.scratch.guards[i]
     return STEPPING
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from plant.integrator.events import all_guards, locate
 from plant.integrator.filling import (
     FOLLOW_GRID,
     KNOWN_COLUMNS,
@@ -18,10 +19,16 @@ from plant.integrator.filling import (
     chamber_samples,
     neighbour_samples,
 )
-from plant.integrator.steppers import interpolated
+from plant.integrator.steppers import interpolate, interpolated
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import CHAMBERS, FIRST_PRESSURE, FIXED, EventRow, GridRow
-from plant.kernel.record_views import event_row, grid_row
+from plant.kernel.layout import (
+    CHAMBERS,
+    FIRST_PRESSURE,
+    EventRow,
+    GridRow,
+    event_row,
+    grid_row,
+)
 
 # Why a loop stopped.
 DONE, TOO_MANY_EVENTS, STEP_TOO_SMALL, NOT_FINITE = 0, 1, 2, 3
@@ -34,7 +41,7 @@ GRID_COLUMNS, EVENT_COLUMNS = GridRow.size, EventRow.size
 LONGEST_STEP_S = 5e-3
 LONGEST_REST_STEP_S = 1e-2
 SWITCH_STEP_S = 1e-3
-FIRST_STEP_S = 2e-5
+STEP_AFTER_EVENT_S = 2e-5
 STEP_AFTER_REST_S = 4e-4
 
 
@@ -120,6 +127,25 @@ def expects_event(task, number):
     return task.use != FOLLOW_GRID or grid_step(task, number).guard >= 0.0
 
 
+@inlined
+def first_event(r, theta, fired, y1, spare, o, task, n):
+    """Find the first event within a step: its fraction of the step, and its guard or -1.
+
+    theta: fraction at which a body may have turned or met another one, 1 if none; fired: a guard of
+    scratch.guards is negative at the step's end.  y1: the state at the event.  Guard -2: the grid's
+    stroke had passed no guard where this one has.
+    """
+    t = r.time
+    if theta < 1.0:
+        interpolate(theta, r.dense, spare, n)
+        fired = all_guards(t + theta * r.step, spare, o, o.scratch.guards) < 0.0
+    if not fired:
+        return 1.0, -1
+    if all_guards(t, o.y, o, o.scratch.before) < 0.0 and task.use == FOLLOW_GRID:
+        return theta, -2
+    return locate(t, r.step, theta, r.dense, y1, o, n)
+
+
 @called
 def follow_or_write(r, task, number, last, happened):
     """Write a step to the grid, or compare it; False if something else happened (-1: nothing)."""
@@ -159,9 +185,8 @@ def sample_rest(r, k, o, y1, until, task):
     while end < task.n_sample and samples[end] <= until:
         end += 1
     k.next_sample = end
-    fixed = o.m.system == FIXED
-    first = FIRST_PRESSURE[0] if fixed else FIRST_PRESSURE[1]
-    count = CHAMBERS[0] if fixed else CHAMBERS[1]
+    first = FIRST_PRESSURE[int(o.m.system)]
+    count = CHAMBERS[int(o.m.system)]
     for i in range(n_columns):
         chamber = task.columns[i] - first
         row = chamber_of(o.scratch.rest, max(chamber, 0))

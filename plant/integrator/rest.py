@@ -9,8 +9,7 @@ from plant.integrator.events import all_guards, smallest
 from plant.integrator.filling import STILL, chamber_curves, chamber_of, chamber_pressure
 from plant.integrator.loop import AGAIN, NOT_FINITE, STEPPING, sample_rest
 from plant.kernel.compiled import called
-from plant.kernel.layout import FIXED
-from plant.kernel.record_views import pressures
+from plant.kernel.layout import FIXED, pressures
 
 # Within this time a crossing needs no proof that it is the first: the scalar kernel looks at its
 # guards no more often.

@@ -15,8 +15,7 @@ import numpy as np
 from plant.equations.fixed_piston import fixed_rates
 from plant.equations.length_stroke import rates
 from plant.kernel.compiled import called, inlined
-from plant.kernel.layout import FIXED
-from plant.kernel.record_views import fixed_state, length_state
+from plant.kernel.layout import FIXED, fixed_state, length_state
 
 # Coefficients of Rodas4; rows: stages (of TO_DENSE: of the interpolant), columns: stages before.
 GAMMA = 0.25
@@ -159,19 +158,6 @@ def explicit_step(o, r, n, n_all, quadratures):
 
 
 @inlined
-def dense_quartic(h, k, i):
-    """Last coefficient of element i of the order-4 interpolant."""
-    return h * (
-        -12715105075.0 / 11282082432.0 * k[0, i]
-        + 87487479700.0 / 32700410799.0 * k[2, i]
-        - 10690763975.0 / 1880347072.0 * k[3, i]
-        + 701980252875.0 / 199316789632.0 * k[4, i]
-        - 1453857185.0 / 822651844.0 * k[5, i]
-        + 69997945.0 / 29380423.0 * k[6, i]
-    )
-
-
-@inlined
 def dense_element(h, y, y1, k, dense, i):
     """Coefficients of element i of the order-4 interpolant of the last explicit step."""
     d = y1[i] - y[i]
@@ -180,7 +166,14 @@ def dense_element(h, y, y1, k, dense, i):
     dense[1, i] = d
     dense[2, i] = b
     dense[3, i] = d - h * k[6, i] - b
-    dense[4, i] = dense_quartic(h, k, i)
+    dense[4, i] = h * (
+        -12715105075.0 / 11282082432.0 * k[0, i]
+        + 87487479700.0 / 32700410799.0 * k[2, i]
+        - 10690763975.0 / 1880347072.0 * k[3, i]
+        + 701980252875.0 / 199316789632.0 * k[4, i]
+        - 1453857185.0 / 822651844.0 * k[5, i]
+        + 69997945.0 / 29380423.0 * k[6, i]
+    )
 
 
 @called

@@ -85,11 +85,6 @@ def view(array, offset):
     return CheckedView(flat, offset, flat.size)
 
 
-def rows(v, length):
-    """Return the same view, read as rows of `length` elements."""
-    return CheckedView(v._array, v._start, v._end, v._width, length)
-
-
 def lane(v, index, width):
     """Return lane `index` of `width` interleaved copies."""
     return CheckedView(v._array, v._start + index, v._end, width)
@@ -98,13 +93,6 @@ def lane(v, index, width):
 def discarding(v):
     """Return the same view, to which nothing is written."""
     return CheckedView(v._array, v._start, v._end, v._width, v._length, discards=True)
-
-
-def copy_row(v, source, target, width) -> None:
-    """Copy `width` neighbours from element `source` on to `target` on."""
-    v._at(source + width - 1), v._at(target + width - 1)
-    from_, to = v._start + source, v._start + target
-    v._array[to : to + width] = v._array[from_ : from_ + width]
 
 
 def call_at(address, slot, t, x, v, direction, pressure, p) -> float:

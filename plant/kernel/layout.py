@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from enum import IntEnum
 
+from plant.kernel.compiled import inlined
 from plant.kernel.records import Record, Value, block, given
+from plant.kernel.views import named
 
 # The two actuators.
 FIXED, LENGTH = 0, 1
@@ -51,7 +53,14 @@ class PistonState(Record):
 
 MAX_STATES = LengthState.size
 FIRST_PRESSURE = (FixedState.p_1, LengthState.p_b)
+FIRST_FIXED, FIRST_LENGTH = FIRST_PRESSURE
 CHAMBERS = (2, 3)
+
+
+@inlined
+def pressures(fixed, y):
+    """Return the view of the chambers' pressures in a state."""
+    return y[FIRST_FIXED:] if fixed else y[FIRST_LENGTH:]
 
 
 def pressure_slice(system: int) -> slice:
@@ -329,3 +338,16 @@ class GridRow(Record):
     end: Value  # time at which the step was to end [s]
     switch: Value  # 1 if that was the next switch
     guard: Value  # that ended it before, -1 if none did
+
+
+# `p = parameters(p)` makes an array, or a view without names, one with the names of the record.
+parameters = named(Parameters)
+modes = named(Modes)
+flow_map = named(FlowMap)
+fixed_state = named(FixedState)
+length_state = named(LengthState)
+piston_state = named(PistonState)
+quadratures_of = named(Quadratures)
+impact_of = named(Impact)
+event_row = named(EventRow)
+grid_row = named(GridRow)

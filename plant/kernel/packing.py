@@ -27,7 +27,7 @@ Ints = NDArray[np.int64]
 FIRST_STEP_S = 1e-4
 """First step of an integration."""
 
-DAMPERS = {None: 0, "incompressible": INCOMPRESSIBLE, "compressible": COMPRESSIBLE}
+DAMPERS = {"none": 0, "incompressible": INCOMPRESSIBLE, "compressible": COMPRESSIBLE}
 P_ATM, P_SUPPLY = Parameters.p_atm, Parameters.p_supply
 P_OIL = FixedState.p_oil, LengthState.p_oil
 FIXED_SCALE = (0.01, 1.0, 1e5, 1e5, 1e5, 1e5)
@@ -40,20 +40,23 @@ LENGTH_SCALE = (0.01, 1.0, 0.01, 1.0, 0.01, 1.0, 1e5, 1e5, 1e5, 1.0, 1e5, 1e5)
 
 @dataclass(frozen=True)
 class Load:
-    """What stands against the stay besides air and friction.
+    """What acts on the stay besides air and friction.
 
-    damper: None, "incompressible" or "compressible"; spring rate [N/m] and its unloaded position
+    damper: "none", "incompressible" or "compressible"; spring rate [N/m] and its unloaded position
     [m]; mounted on the gearbox or not; force barriers into and out of gear [N]; synchronizer
     impulse [N s] for the next engagement, 0 for none.
     """
 
-    damper: str | None = None
+    damper: str = "none"
     spring_n_per_m: float = 0.0
     spring_x0_m: float = 0.0
     mounted: bool = False
     mesh_force_n: float = 0.0
     pull_force_n: float = 0.0
     sync_impulse_n_s: float = 0.0
+
+
+NO_LOAD = Load()
 
 
 def flow_coefficients(parameters: ParameterSet) -> Floats:

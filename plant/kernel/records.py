@@ -9,7 +9,7 @@ record: `p.leak_atm` is the element (or the column, of an array with one row per
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
+from typing import Any, ClassVar, NamedTuple, Self, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,3 +120,13 @@ class Record:
 
     def __setitem__(self, index: int | slice, value: Value) -> None:
         self.array.T[index] = value
+
+
+def interleaved(record: type[Record], width: int) -> type[Record]:
+    """Return the record of `width` interleaved copies: each of its fields holds that of all copies."""
+    fields: dict[str, Any] = {
+        name: Block(max(field.length, 1) * width, field.row * width)
+        for name, field in record.fields.items()
+    }
+    space = fields | {"__annotations__": fields}
+    return cast(type[Record], type(f"{record.__name__}{width}", (Record,), space))

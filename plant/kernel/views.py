@@ -89,17 +89,6 @@ def _view(typing_context, array, offset):
 
 
 @intrinsic(prefer_literal=True)
-def _rows(typing_context, v, length):
-    """Return the same view, read as rows of `length` elements (a constant)."""
-    result = View(v.dtype, v.width, length.literal_value)
-
-    def generate(context, builder, signature, arguments):
-        return arguments[0]
-
-    return result(v, length), generate
-
-
-@intrinsic(prefer_literal=True)
 def _lane(typing_context, v, index, width):
     """Lane `index` of `width` (a constant) interleaved copies: element i is v[i width + index]."""
     result = View(v.dtype, width.literal_value)
@@ -118,21 +107,6 @@ def _discarding(typing_context, v):
         return arguments[0]
 
     return View(v.dtype, v.width, v.length, discards=True)(v), generate
-
-
-@intrinsic(prefer_literal=True)
-def _copy_row(typing_context, v, source, target, width):
-    """Copy `width` (a constant) neighbours from element `source` on to `target` on, as one vector."""
-    lanes = width.literal_value
-
-    def generate(context, builder, signature, arguments):
-        pointer, source, target, _ = arguments
-        row = ir.VectorType(pointer.type.pointee, lanes).as_pointer()
-        values = builder.load(builder.bitcast(builder.gep(pointer, [source]), row), align=8)
-        builder.store(values, builder.bitcast(builder.gep(pointer, [target]), row), align=8)
-        return context.get_dummy_value()
-
-    return types.void(v, types.intp, types.intp, width), generate
 
 
 def _named(record: type[Record], zeros: tuple[str, ...] = ()):
@@ -300,18 +274,7 @@ def _enumerated(context, builder, member, number, value):
 
 
 if CHECKED:
-    from plant.kernel.checked import (
-        call_at,
-        copy_row,
-        discarding,
-        lane,
-        named,
-        rows,
-        unlikely,
-        view,
-    )  # fmt: skip
+    from plant.kernel.checked import call_at, discarding, lane, named, unlikely, view
 else:
-    view, rows, lane, discarding, copy_row, named = (
-        _view, _rows, _lane, _discarding, _copy_row, _named
-    )  # fmt: skip
+    view, lane, discarding, named = _view, _lane, _discarding, _named
     call_at, unlikely = call_compiled, _unlikely

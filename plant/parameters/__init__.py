@@ -8,6 +8,7 @@ A set is a TOML file of sections with entries `key = { value, unit, source }`.  
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -133,32 +134,47 @@ def shipped() -> list[str]:
     return sorted(path.stem for path in Path(__file__).parent.glob("*.toml"))
 
 
-def load(model: str | Path = "nominal") -> ParameterSet:
+def load(model: str | Path = "nominal", based_on: tuple[str, ...] = ()) -> ParameterSet:
     """Load a shipped set by name, or a model file by path.
 
     A file may be a full set, or start with `[base] model = "nominal"` and change or add to it;
     every key it sets must exist in the base, with the same unit.  `[effect.<id>]` tables become
-    `effects`. Raises InputError for an unknown name and for whatever is wrong in the file.
+    `effects`. based_on: the files whose [base] led here. Raises InputError for an unknown name and for whatever is wrong in the file.
     """
     text = str(model)
     path = Path(text)
     if not text.endswith(".toml"):
         path = Path(__file__).parent / f"{text}.toml"
         if text not in shipped():
-            near = nearest(text, shipped(), cutoff=0.3) or shipped()
             raise InputError(
-                f"model {text!r}: no such parameter set; shipped: {', '.join(near)}, "
+                f"model {text!r}: no such parameter set; shipped: {', '.join(shipped())}, "
                 "or give the path of a .toml file"
             )
-    return parse(read_toml(path), path.stem if path.parent == Path(__file__).parent else str(path))
+    if (real := os.path.realpath(path)) in based_on:
+        raise InputError(
+            f"{path}: base.model: leads back to this file; expected a full set at its end"
+        )
+    name = path.stem if path.parent == Path(__file__).parent else str(path)
+    return parse(read_toml(path), name, (*based_on, real))
 
 
-def parse(raw: Mapping[str, Any], name: str) -> ParameterSet:
+def load_actuator(model: str) -> ParameterSet:
+    """Load the parameters of an actuator that shifts gears. Raises InputError as `load`, and for a [cylinder]."""
+    found = load(model)
+    if "cylinder.bore" in found:
+        what = "states a [cylinder], which shifts no gears; expected a model of the actuator"
+        raise InputError(f"{found.name}: {what}")
+    return found
+
+
+def parse(raw: Mapping[str, Any], name: str, based_on: tuple[str, ...] = ()) -> ParameterSet:
     """Return a parsed model file as a ParameterSet (see `load`). Raises InputError as `load` does."""
     sections = dict(raw)
     base = None
     if "base" in sections:
-        base = load(convert(sections.pop("base"), _Base, name, "base").model)
+        model = convert(sections.pop("base"), _Base, name, "base").model
+        near = Path(name).parent / model  # a model file may lie next to the one that it is based on
+        base = load(near if model.endswith(".toml") and near.is_file() else model, based_on)
     tables = dict[str, dict[str, Parameter]]
     effects = convert(sections.pop("effect", {}), tables, name, "effect")
     given = {

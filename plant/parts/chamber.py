@@ -11,7 +11,7 @@ from plant.kernel.compiled import inlined
 from plant.kernel.layout import Slot
 from plant.kernel.views import unlikely
 from plant.parts.flow import charge, discharge, orifice
-from plant.parts.term import added
+from plant.parts.term import added, not_negative
 
 
 @inlined
@@ -20,7 +20,7 @@ def valve_flow_in(pressure, supply, p, c):
     factor = p.k_in
     if unlikely(p.adder != 0.0):
         share = added(Slot.CHARGE, 0.0, 0.0, 0.0, 0.0, pressure / supply, p)
-        factor *= max(0.0, 1.0 + share)
+        factor *= not_negative(1.0 + share)
     if p.flow_model == 0.0:
         return factor * charge(pressure, supply, c)
     return factor * orifice(supply, pressure, p.cda_in, p.t_gas, p.gamma, p.r_air)
@@ -32,7 +32,7 @@ def valve_flow_out(pressure, p, c):
     factor = p.k_out
     if unlikely(p.adder != 0.0):
         share = added(Slot.DISCHARGE, 0.0, 0.0, 0.0, 0.0, pressure / p.p_atm, p)
-        factor *= max(0.0, 1.0 + share)
+        factor *= not_negative(1.0 + share)
     if p.flow_model == 0.0:
         return factor * discharge(pressure, p.p_atm, c)
     return factor * orifice(pressure, p.p_atm, p.cda_out, p.t_gas, p.gamma, p.r_air)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from math import acos, sqrt
 
-from plant.kernel.compiled import inlined
-from plant.kernel.layout import INCOMPRESSIBLE
+from plant.kernel.compiled import inlined, kernel
+from plant.kernel.layout import INCOMPRESSIBLE, parameters
 
 # Below this pressure difference the orifice is laminar; the root's infinite slope ends there.
 LAMINAR_PA = 10.0
@@ -17,7 +17,7 @@ LAMINAR_PA = 10.0
 
 @inlined
 def holes_area(c, r_hole):
-    """Open area of two bolt holes whose covered edge stands c beyond their centre [m^2]."""
+    """Open area of two bolt holes whose covered edge is c beyond their centre [m^2]."""
     return 2.0 * (r_hole * r_hole * acos(c / r_hole) - c * sqrt(max(r_hole * r_hole - c * c, 0.0)))
 
 
@@ -89,7 +89,7 @@ def damper_outlet(distance, speed, p):
 
 @inlined
 def mode_outlet(distance, speed, m, p):
-    """Return the same on the sides of the law's corners where the modes stand, goes on smoothly beyond them."""
+    """Return the same on the sides of the law's corners that the modes state, smooth beyond them."""
     r = p.r_hole
     c = min(max(distance - p.x_hole, 0.0), 2.0 * r) - r
     large = p.a_large
@@ -115,3 +115,18 @@ def oil_rate(distance, speed, oil_pa, m, p):
     outlet = mode_outlet(distance, speed, m, p)
     out = outflow(oil_pa - p.p_atm, outlet, 1.0, p.rho_oil)
     return kappa / (p.v_oil - p.a_oil * distance) * (p.a_oil * speed - out)
+
+
+@kernel
+def steady_oil_pressure(position, velocity, p, out):
+    """Absolute pressure of the incompressible damper's chamber two [Pa] along a motion -> out.
+
+    position [m] and velocity [m/s] of the stay; it acts on the way out from 0 (3.34).
+    Checked by: tests/physics/test_one_equation.py
+    """
+    p = parameters(p)
+    for i in range(len(position)):
+        side = 1.0 if position[i] > 0.0 or (position[i] == 0.0 and velocity[i] >= 0.0) else -1.0
+        speed = side * velocity[i]
+        outlet = damper_outlet(abs(position[i]), speed, p)
+        out[i] = p.p_atm + steady_difference(speed, p.a_oil, outlet, 1.0, p.rho_oil)

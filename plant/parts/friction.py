@@ -8,7 +8,7 @@ from plant.kernel.compiled import inlined
 from plant.kernel.layout import Slot
 from plant.kernel.views import unlikely
 from plant.parts.loads import barrier
-from plant.parts.term import added
+from plant.parts.term import added, not_negative
 
 
 @inlined
@@ -61,7 +61,7 @@ def stay_sliding(x, v, direction, p):
     level = sliding(direction * v, p.f_static_s, p.f_run_s, p.beta_s, p.stribeck_v)
     level = level * direction_factor(direction, p) + extra_drag(x, direction, p)
     if unlikely(p.adder != 0.0):
-        level = max(0.0, level + added(Slot.RESISTANCE, 0.0, x, abs(v), direction, 0.0, p))
+        level = not_negative(level + added(Slot.RESISTANCE, 0.0, x, abs(v), direction, 0.0, p))
     return level
 
 
@@ -71,7 +71,7 @@ def stay_static(x, direction, p):
     level = breakaway(p.f_static_s, p.f_run_s) * direction_factor(direction, p)
     level += extra_drag(x, direction, p)
     if unlikely(p.adder != 0.0):
-        level = max(0.0, level + added(Slot.RESISTANCE, 0.0, x, 0.0, direction, 0.0, p))
+        level = not_negative(level + added(Slot.RESISTANCE, 0.0, x, 0.0, direction, 0.0, p))
     return level
 
 

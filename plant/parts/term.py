@@ -26,6 +26,12 @@ def added(slot, t, x, v, direction, pressure, p):
     return call_at(int(p.adder), slot, t, x, v, direction, pressure, p)
 
 
+@inlined
+def not_negative(value):
+    """Return a value, 0 for a negative one; a term that is not a number must end the stroke."""
+    return 0.0 if value < 0.0 else value
+
+
 def sum_of_terms(slot, t, x, v, direction, pressure, p):
     """Return the sum of the terms in a slot; p: pointer to the stroke's parameters."""
     total = 0.0

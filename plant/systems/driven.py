@@ -11,8 +11,8 @@ import numpy as np
 
 from plant.effects.setup import Setup
 from plant.kernel.compiled import kernel
+from plant.kernel.layout import flow_map, parameters
 from plant.kernel.packing import Floats
-from plant.kernel.record_views import flow_map, parameters
 from plant.parts.chamber import chamber
 from plant.systems.stroke import valve_moves
 
@@ -70,32 +70,20 @@ def chamber_along(time, volume, start, moves, p, c, out):
 def pressures_along(setup: Setup, time_s: Floats, position_m: Floats) -> Floats:
     """Pressures [n, 2] of the fixed piston's chambers along a measured position [Pa].
 
-    Raises ValueError for the length stroke, whose pistons the position does not tell.
+    Raises ValueError for the length stroke, whose pistons the position does not determine.
     """
     conditions = setup.conditions
     if conditions.kind != "fixed":
-        raise ValueError("the position of the stay does not tell where the pistons are")
+        raise ValueError("the position of the stay does not determine where the pistons are")
     p = setup.p
+    time_s = np.asarray(time_s, dtype=np.float64)
     moves = valve_moves(setup, round(float(time_s[-1]) * 1e9))
-    out = np.zeros((len(time_s), 2))
-    volumes = (
-        p.vol_b + p.area_p * position_m,
-        p.vol_n - p.area_p2 * position_m,
-    )
+    out = np.zeros((2, len(time_s)))
+    volumes = (p.vol_b + p.area_p * position_m, p.vol_n - p.area_p2 * position_m)
     for index, volume in enumerate(volumes):
         charged = conditions.chambers[index] in conditions.charged_before
-        rows = [(0.0, 1.0 if charged else 0.0, 0.0)]
+        rows = [(0.0, float(charged), 0.0)]
         rows += [(t * 1e-9, u, slope) for t, which, u, slope in moves if which == index]
         begin = p.p_supply if charged else p.p_atm
-        column = np.zeros(len(time_s))
-        chamber_along(
-            np.asarray(time_s, dtype=np.float64),
-            volume,
-            begin,
-            np.array(rows),
-            p.array,
-            setup.c,
-            column,
-        )
-        out[:, index] = column
-    return out
+        chamber_along(time_s, volume, begin, np.array(rows), p.array, setup.c, out[index])
+    return np.ascontiguousarray(out.T)

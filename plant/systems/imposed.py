@@ -18,7 +18,7 @@ import numpy as np
 from plant.effects.setup import Setup
 from plant.equations.length_stroke import TOUCH_M
 from plant.integrator.hybrid import NS
-from plant.kernel.layout import FIRST_PRESSURE, LengthState
+from plant.kernel.layout import LengthState, pressure_slice
 from plant.kernel.packing import Floats
 from plant.systems import driven
 from plant.systems.stroke import StrokeSystem, valve_moves
@@ -34,8 +34,8 @@ VAST_M3 = 1e9
 def pressures_along(setup: Setup, time_s: Floats, position_m: Floats) -> Floats:
     """Pressures [n, chambers] along a measured position of the stay, smoothed before [Pa].
 
-    From rest at time 0; the position is straight between samples.  The length stroke's pistons, which
-    it does not tell, move as the pressures and the moving stay drive them.
+    From rest at time 0; the position is straight between samples.  The length stroke's
+    pistons move as the pressures and the moving stay drive them.
     """
     if setup.conditions.kind == "fixed":
         return driven.pressures_along(setup, time_s, position_m)
@@ -54,12 +54,11 @@ def pressures_along(setup: Setup, time_s: Floats, position_m: Floats) -> Floats:
 def motion_along(setup: Setup, time_s: Floats, pressures_pa: Floats) -> Floats:
     """Position of the stay [n] driven by measured pressures [n, chambers], from rest at time 0 [m].
 
-    Raises ValueError if the shapes differ.  Between two samples the chambers stand at the mean of both.
+    Raises ValueError if the shapes differ.  Between two samples the pressures are the mean of both.
     """
     if pressures_pa.shape != (len(time_s), len(setup.conditions.chambers)):
         raise ValueError(f"pressures: shape {pressures_pa.shape}; expected samples x chambers")
     system = ImposedSystem(setup)
-    system.hold_pressures()
     out = np.zeros(len(time_s))
     out[0] = system.position_m
     for k, (end_ns, _moves) in enumerate(intervals(setup, time_s)):
@@ -97,19 +96,10 @@ class ImposedSystem(StrokeSystem):
                 y[v] = -away * speed_m_s
         self._control.starting = 1
 
-    def hold_pressures(self) -> None:
-        """Take the chambers' equations away."""
-        self._p.vol_b = self._p.vol_n = self._p.vol_f = VAST_M3
-
     def impose_pressures(self, pressures_pa: Floats) -> None:
-        """Give the chambers their pressures [chambers], in their order [Pa]."""
-        first = FIRST_PRESSURE[self._system]
-        self._y[first : first + len(self.chambers)] = pressures_pa
-
-    @property
-    def pressures_pa(self) -> Floats:
-        """Pressures of the chambers [chambers], in their order [Pa]."""
-        return np.array(self._pressures())
+        """Give the chambers their pressures [chambers], in their order [Pa], instead of equations."""
+        self._p.vol_b = self._p.vol_n = self._p.vol_f = VAST_M3
+        self._y[pressure_slice(self._system)] = pressures_pa
 
 
 def intervals(setup: Setup, time_s: Floats) -> list[tuple[int, list[Any]]]:

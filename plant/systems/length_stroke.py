@@ -13,7 +13,7 @@ from plant.equations.volumes import ends_of_travel, refuse_empty
 from plant.errors import InputError
 from plant.integrator.hybrid import DEFAULT_TOLERANCE, HybridSystem
 from plant.kernel.layout import LENGTH, Quadratures
-from plant.kernel.packing import Load, flow_coefficients, initial_state, pack
+from plant.kernel.packing import NO_LOAD, Load, flow_coefficients, initial_state, pack
 from plant.parameters import ParameterSet
 from plant.systems.run_effects import applied
 
@@ -26,12 +26,8 @@ class LengthStroke(HybridSystem):
     parameters : the parameter set
     initial : gear at time 0, "N", "B" or "F"
     supply_pressure_pa : absolute; None takes the set's
-    atmosphere_pa : absolute; None takes the set's
-    charged : chambers that stand at the supply pressure with open valves
-    mounted : on the gearbox (mass, linkage friction)
-    damper : None, "incompressible" or "compressible"
-    mesh_force_n, pull_force_n : peaks of the barriers into and out of gear
-    sync_impulse_n_s : impulse that the synchronizer asks of the next engagement
+    charged : chambers at the supply pressure with open valves
+    load : on the stay
     tolerance : of the integrator, relative to each state's scale
 
     Raises
@@ -57,39 +53,25 @@ class LengthStroke(HybridSystem):
         "line_pressure_pa",
     )
 
-    def __init__(  # noqa: PLR0913 - the conditions of a run, all by name
+    def __init__(
         self,
         parameters: ParameterSet,
         *,
         initial: str = "N",
         supply_pressure_pa: float | None = None,
-        atmosphere_pa: float | None = None,
         charged: Sequence[str] = (),
-        mounted: bool = False,
-        damper: str | None = None,
-        mesh_force_n: float = 0.0,
-        pull_force_n: float = 0.0,
-        sync_impulse_n_s: float = 0.0,
+        load: Load = NO_LOAD,
         tolerance: float = DEFAULT_TOLERANCE,
     ) -> None:
         if initial not in self.chambers:
             raise InputError(f"initial gear {initial!r}: expected N, B or F")
-        load = Load(
-            damper=damper,
-            mounted=mounted,
-            mesh_force_n=mesh_force_n,
-            pull_force_n=pull_force_n,
-            sync_impulse_n_s=sync_impulse_n_s,
-        )
+        if supply_pressure_pa is None:
+            supply_pressure_pa = parameters.value("supply.P_s")
         p = pack(
             parameters,
             LENGTH,
-            supply_pressure_pa=(
-                parameters.value("supply.P_s") if supply_pressure_pa is None else supply_pressure_pa
-            ),
-            atmosphere_pa=(
-                parameters.value("gas.P_atm") if atmosphere_pa is None else atmosphere_pa
-            ),
+            supply_pressure_pa=supply_pressure_pa,
+            atmosphere_pa=parameters.value("gas.P_atm"),
             load=load,
         )
         c = flow_coefficients(parameters)
@@ -97,7 +79,7 @@ class LengthStroke(HybridSystem):
         self.valve_delays_ns: tuple[int, int] | None = None
         has_line = False
         if parameters.effects:
-            setup = applied(parameters, p, c, float(p.p_supply), damper is not None)
+            setup = applied(parameters, p, c, supply_pressure_pa, load.damper != "none")
             self.valve_delays_ns = (setup.timing.rise_ns, setup.timing.fall_ns)
             has_line = setup.has_line
         # every shift sweeps chamber N; the others shrink in one gear only, which may never come
@@ -106,12 +88,6 @@ class LengthStroke(HybridSystem):
             LENGTH, p, position=initial, charged=charged, quadratures=Quadratures.size
         )
         super().__init__(LENGTH, p, c, y, load, charged, tolerance, has_line=has_line)
-
-    @property
-    def pressures_pa(self) -> tuple[float, float, float]:
-        """Pressures of the chambers B, N, F, absolute [Pa]."""
-        y = self._state
-        return (float(y.p_b), float(y.p_n), float(y.p_f))
 
     @property
     def pistons_m(self) -> tuple[float, float]:

@@ -28,7 +28,7 @@ def applied(
 ) -> Setup:
     """Return the packed parameters `p` of a run changed by the set's effects, as part of a setup.
 
-    c: flow map [FlowMap.size], no unit.  Raises InputError for unknown effects, bad values, and effects that a run has no place for.
+    c: flow map [FlowMap.size], no unit.  Raises InputError for unknown effects, bad values, and effects that a run cannot apply.
     """
     check_effects(parameters.effects, parameters.name)
     given = {

@@ -14,13 +14,13 @@ from plant.devices.spool import spool_moves
 from plant.devices.valve import seconds_to_ns, switch_schedule
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import FULL_DUTY, KINDS, StrokeConditions
-from plant.equations.damper_pressure import steady_oil_pressure
 from plant.equations.volumes import ends_of_travel, refuse_empty
 from plant.errors import InputError
 from plant.integrator.hybrid import DEFAULT_TOLERANCE, NS, Balance, Event, HybridSystem
 from plant.kernel.layout import FIRST_PRESSURE, FIXED, Parameters, Quadratures, pressure_slice
 from plant.kernel.packing import Floats, state_record
 from plant.parameters import ParameterSet
+from plant.parts.damper import steady_oil_pressure
 from plant.systems.setup import make_setup
 
 __all__ = ["KINDS", "Stroke", "StrokeConditions", "run_setup", "simulate"]
@@ -177,11 +177,11 @@ def lagged(time_s: Floats, values: Floats, lag_s: float) -> Floats:
 
 
 def gauged(setup: Setup, time_s: Floats, pressures_pa: Floats) -> Floats:
-    """Chamber pressures [n, k] as the gauges tell them: behind their lines, with their error."""
-    told = lagged(time_s, pressures_pa, setup.gauge_lag_s)
+    """Chamber pressures [n, k] as the gauges show them: behind their lines, with their error."""
+    shown = lagged(time_s, pressures_pa, setup.gauge_lag_s)
     if setup.gauge_error_pa is not None:
-        told = told + setup.gauge_error_pa.at(told)
-    return told
+        shown = shown + setup.gauge_error_pa.at(shown)
+    return shown
 
 
 def simulate(

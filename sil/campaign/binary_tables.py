@@ -22,22 +22,35 @@ Floats = NDArray[np.float64]
 
 @dataclass
 class Channels:
-    """Channels of a file as they come: values [n] and instants [n] in s, None if none are stored."""
+    """Channels of a file as they come: values [n], instants [n] in s and units, if they are stored."""
 
     values: dict[str, Floats] = field(default_factory=dict)
     times: dict[str, Floats] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
 
-    def add(self, name: str, values: Any, time_s: Any = None) -> None:
-        """Add a channel of numbers; others are left out, tables become one channel a column."""
+    def add(self, name: str, values: Any, time_s: Any = None, unit: Any = "") -> None:
+        """Add a channel of numbers or dates; others are left out, tables become one channel a column.
+
+        unit: text, or bytes; anything else is ignored.
+        """
         array = np.asarray(values)
+        if array.dtype.kind == "M":
+            array = (array - array[:1]) / np.timedelta64(1, "s")
         if array.dtype.kind not in "biuf" or array.size < 1 or array.ndim > 2:
             return
         array = np.squeeze(array).astype(np.float64)
         if array.ndim == 2:
             array = array if array.shape[0] >= array.shape[1] else array.T
             for k in range(array.shape[1]):
-                self.add(f"{name}_{k + 1}", array[:, k], time_s)
+                self.add(f"{name}_{k + 1}", array[:, k], time_s, unit)
             return
+        if isinstance(unit, bytes):
+            unit = unit.decode(errors="replace")
+        unit = unit if isinstance(unit, str) else ""
+        if name in self.values and unit != self.units.get(name, ""):
+            name = f"{name} [{unit or 'no unit'}]"
+        if unit:
+            self.units[name] = unit
         self.values[name] = np.atleast_1d(array)
         if time_s is not None:
             self.times[name] = np.asarray(time_s, dtype=np.float64)
@@ -101,17 +114,21 @@ def _hdf5(path: Path) -> Channels:
     h5py = import_extra("h5py", "lab", f"{path}: HDF5")
     found = Channels()
     with h5py.File(path, "r") as file:
-        file.visititems(
-            lambda name, item: found.add(name, item[()]) if isinstance(item, h5py.Dataset) else None
-        )
+
+        def visit(name: str, item: Any) -> None:
+            if isinstance(item, h5py.Dataset):
+                found.add(name, item[()], None, item.attrs.get("unit", item.attrs.get("units", "")))
+
+        file.visititems(visit)
     return found
 
 
 def _parquet(path: Path) -> Channels:
     parquet = import_extra("pyarrow.parquet", "lab", f"{path}: parquet")
     found = Channels()
-    for name, column in parquet.read_table(path).to_pydict().items():
-        found.add(name, column)
+    table = parquet.read_table(path)
+    for name in table.column_names:
+        found.add(name, table[name].to_numpy())
     return found
 
 
@@ -121,7 +138,8 @@ def _tdms(path: Path) -> Channels:
     for group in nptdms.TdmsFile.read(path).groups():
         for channel in group.channels():
             timed = "wf_increment" in channel.properties
-            found.add(channel.name, channel[:], channel.time_track() if timed else None)
+            time_s = channel.time_track() if timed else None
+            found.add(channel.name, channel[:], time_s, channel.properties.get("unit_string", ""))
     return found
 
 
@@ -130,7 +148,7 @@ def _mf4(path: Path) -> Channels:
     found = Channels()
     with asammdf.MDF(path) as file:
         for signal in file.iter_channels():
-            found.add(signal.name, signal.samples, signal.timestamps)
+            found.add(signal.name, signal.samples, signal.timestamps, signal.unit)
     return found
 
 
@@ -145,21 +163,18 @@ BINARY: dict[str, Callable[[Path], Channels]] = {
 """Readers by suffix."""
 
 
-def read_binary(path: Path) -> tuple[dict[str, Floats], str]:
-    """Return the columns [n] of a binary file, in its units, and what it is in words.
+def read_binary(path: Path) -> tuple[dict[str, Floats], str, dict[str, str]]:
+    """Return the columns [n] of a binary file, what it is in words, and its units by column.
 
     Raises InputError for a missing extra, a file that is not what its suffix says, no channels.
     """
     suffix = path.suffix.lower()
     try:
-        columns, note = BINARY[suffix](path).table(path)
+        channels = BINARY[suffix](path)
+        columns, note = channels.table(path)
     except InputError:
         raise
     except Exception as error:  # each library has errors of its own
         text = str(error).partition("\n")[0]
         raise InputError(f"{path}: cannot be read as {suffix[1:]}: {text}") from None
-    for name, values in columns.items():
-        if not np.all(np.isfinite(values)):
-            row = int(np.argmin(np.isfinite(values)))
-            raise InputError(f"{path}: {name}: row {row + 1}: {values[row]} is not finite")
-    return columns, ", ".join(filter(None, (suffix[1:].upper(), note)))
+    return columns, ", ".join(filter(None, (suffix[1:].upper(), note))), channels.units

@@ -6,7 +6,8 @@ The same format holds measured strokes and simulated ones.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from can_dbc.errors import InputError
 from can_dbc.typed_toml import convert, read_toml
 from plant.systems.stroke import Stroke, StrokeConditions
-from sil.campaign.tables import formula, read_columns
+from sil.campaign.tables import SCALES, formula, read_columns
 
 Floats = NDArray[np.float64]
 
@@ -29,6 +30,15 @@ DECIMALS = {"time_s": 4, "position_m": 7, "position_internal_m": 7}
 Text = Annotated[str, Meta(min_length=1)]
 Rate = Annotated[float, Meta(ge=1.0, le=1e8)]
 
+
+LARGEST = 1e30
+"""Least size of a value that no channel has."""
+
+OWN = re.compile(
+    r"(time_s|position_m|position_internal_m|angle_rad|force_n|torque_n_m|pressure_pa|cmd_[12BNF]|"
+    r"pressure_(1|2|B|N|F|oil2)_pa)"
+)
+"""Names of the format's columns."""
 
 NOT_CONDITIONS = ("file", "label", "flow_model")
 """Keys of a stroke that the plant does not know by this name."""
@@ -118,6 +128,14 @@ def column_maps(columns: Mapping[str, str | ColumnMap]) -> dict[str, ColumnMap]:
     }
 
 
+def check_files(files: Sequence[str], source: Path) -> None:
+    """Refuse a file of two strokes, however written: it would count twice. Raises InputError."""
+    places = [(source.parent / name).resolve() for name in files]
+    for number, name in enumerate(files):
+        if places[number] in places[:number]:
+            raise InputError(f"{source}: stroke[{number}].file: {name!r} twice; expected each once")
+
+
 @dataclass(frozen=True)
 class CampaignStroke:
     """One stroke's conditions and the file that holds it."""
@@ -184,6 +202,7 @@ def load_campaign(path: str | Path) -> Campaign:
     if not file.is_file():
         raise InputError(f"{path}: no campaign.toml; expected a campaign folder")
     table = convert(read_toml(file), CampaignTable, str(file))
+    check_files([entry.file for entry in table.stroke], file)
     last = max(len(table.stroke) - 1, 1)
     single = len(table.stroke) == 1
     conditions = [
@@ -201,31 +220,62 @@ def load_campaign(path: str | Path) -> Campaign:
 def read_record(path: Path, columns: Mapping[str, ColumnMap] | None = None) -> Record:
     """Read a stroke's file: CSV with header row, comma, dot, or what `sil.campaign.tables` reads.
 
-    Raises InputError with the line of a torn row, a cell that is no finite number, time that does
-    not increase, or a missing time_s.
+    A stored unit may follow a name in [columns]: `x` or `x [mm]`. Columns that are neither ours nor
+    mapped are left out if they hold values that are not finite. Raises InputError with the line of a
+    torn row, a cell that is no finite number, time that does not increase, or a missing time_s.
     """
-    found, dialect = read_columns(path)
+    found, dialect, units = read_columns(path)
     header = list(found)
+    sources = {f"{n} [{unit}]": found[n] for n, unit in units.items() if n in found} | found
+    used: set[str] = set()
     for ours, source in (columns or {}).items():
         try:
-            own = found[source.column] if source.column in header else formula(source.column, found)
+            column = source.column
+            own = sources[column] if column in sources else formula(column, sources)
         except (KeyError, ValueError):
             raise InputError(
-                f"{path}: line 1: no column {source.column!r} (mapped to {ours}); "
+                f"{path}: no column {source.column!r} (mapped to {ours}); "
                 f"there are {', '.join(header)}"
             ) from None
-        found[ours] = own * source.scale + source.offset
+        found[ours] = sources[ours] = own * source.scale + source.offset
+        used |= {ours, source.column}
+    for name in sorted(units.keys() & found.keys() - set(columns or ())):
+        if OWN.fullmatch(name) and SCALES.get(units[name], (name, 1.0))[1] != 1.0:
+            raise InputError(
+                f"{path}: {name}: stored in {units[name]}; expected SI, or its scale in [columns]"
+            )
     if "time_s" not in found:
-        raise InputError(f"{path}: line 1: no column time_s; there are {', '.join(found)}")
+        raise InputError(f"{path}: no column time_s; there are {', '.join(found)}")
+    left_out = []
+    for name in list(found):
+        finite = np.abs(found[name]) < LARGEST
+        if np.all(finite):
+            continue
+        if name in used or OWN.fullmatch(name):
+            row = int(np.argmin(finite))
+            raise InputError(
+                f"{path}: {name}: sample {row + 1}: {found[name][row]:g}; "
+                "expected a number below 1e30"
+            )
+        left_out.append(name)
+        del found[name]
     steps = np.diff(found["time_s"])
     if np.any(steps <= 0.0):
-        line = int(np.argmax(steps <= 0.0)) + 3
-        raise InputError(f"{path}: line {line}: time_s does not increase")
+        row = int(np.argmax(steps <= 0.0))
+        where = f"sample {row + 2}" if dialect else f"line {row + 3}"
+        raise InputError(f"{path}: {where}: time_s does not increase")
+    time_s = found["time_s"]
+    inside = np.ones(len(time_s), dtype=bool)
     for ours, source in (columns or {}).items():
         if source.delay_s:
-            time_s = found["time_s"]
-            found[ours] = np.interp(time_s + source.delay_s, time_s, found[ours])
-    return Record(path, found, dialect)
+            own_s = time_s + source.delay_s
+            inside &= (own_s >= time_s[0]) & (own_s <= time_s[-1])
+            found[ours] = np.interp(own_s, time_s, found[ours])
+    if not np.any(inside):
+        raise InputError(f"{path}: delay_s: longer than the record of {np.ptp(time_s):.4g} s")
+    found = {name: values[inside] for name, values in found.items()}
+    note = f"columns with values that are not finite left out: {', '.join(left_out)}"
+    return Record(path, found, ", ".join(filter(None, (dialect, note if left_out else ""))))
 
 
 def stroke_columns(stroke: Stroke) -> dict[str, Floats]:

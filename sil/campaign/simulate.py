@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from can_dbc.errors import InputError
+from can_dbc.errors import InputError, RunError
+from plant.errors import IntegrationError, NoVolumeError
 from plant.parameters import ParameterSet
 from plant.systems.stroke import Stroke, simulate
 from sil.campaign.campaign import (
@@ -52,7 +53,10 @@ class SimulatedStroke:
 
 
 def simulate_campaign(campaign: Campaign, parameters: ParameterSet) -> Iterable[SimulatedStroke]:
-    """Simulate every stroke of a campaign, sampled as its record (or at the stated rate)."""
+    """Simulate every stroke of a campaign, sampled as its record (or at the stated rate).
+
+    Raises RunError for a stroke whose motion cannot be continued.
+    """
     for entry in campaign.strokes:
         path = campaign.folder / entry.file
         recorded = campaign.record(entry) if path.exists() else None
@@ -61,7 +65,12 @@ def simulate_campaign(campaign: Campaign, parameters: ParameterSet) -> Iterable[
         else:
             end = max((command[0] for command in entry.conditions.commands), default=0.0) + TAIL_S
             time_s = np.arange(round(end * campaign.sample_rate_hz) + 1) / campaign.sample_rate_hz
-        stroke = simulate(parameters, entry.conditions, time_s)
+        try:
+            stroke = simulate(parameters, entry.conditions, time_s)
+        except NoVolumeError:
+            raise
+        except IntegrationError as error:
+            raise RunError(f"{entry.file}: {error}") from None
         rms = {}
         if recorded is not None:
             for name, values in stroke_columns(stroke).items():

@@ -13,6 +13,7 @@ import math
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,10 @@ from can_dbc.errors import InputError
 from sil.campaign.binary_tables import BINARY, Floats, read_binary
 
 DELIMITERS = {"semicolon": ";", "tab": "\t", "comma": ",", "blank": " "}
-NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?|[nN]a[nN]|[+-]?[iI]nf")
+NUMBER = re.compile(
+    r"[+-]?(\d+([.,]\d*)?|[.,]\d+|\d{1,3}(\.\d{3})+,\d*)([eEdD][+-]?\d+)?|[nN]a[nN]|[+-]?[iI]nf"
+)
+THOUSANDS = re.compile(r"(?<=\d)\.(?=\d{3}(\.\d{3})*,)")
 PREAMBLE = 200
 """Lines within which the numbers of a text begin."""
 
@@ -44,14 +48,26 @@ def sniff(path: Path, text: str, encoding: str) -> TextTable:
     lines = text.splitlines()
     while lines and not lines[-1].strip():
         lines.pop()
-    shapes = [_delimiter(line) for line in lines[:PREAMBLE]]
-    number = next((k for k, shape in enumerate(shapes) if shape is not None), -1)
-    shape = shapes[number] if shapes else None
-    if shape is None:
+    number, name = next(
+        (
+            (k, name)
+            for text_too in (False, True)
+            for k, line in enumerate(lines[:PREAMBLE])
+            if (name := _delimiter(line, text_too))
+        ),
+        (-1, ""),
+    )
+    if number < 0:
         raise InputError(f"{path}: no rows of numbers; expected a table with a header row")
-    name, comma = shape
     sign = DELIMITERS[name]
-    rows = [_clean(row, sign, comma) for row in lines[number:]]
+    while number and _alike(_split(lines[number - 1], sign), _split(lines[number], sign)):
+        number -= 1
+    comma = any(
+        re.search(r"\d,\d", "".join(_split(line, sign)) if sign == "," else line)
+        for line in lines[number:]
+        if sign != "," or '"' in line
+    )
+    rows = [_clean(row, sign) for row in lines[number:]]
     width = rows[0].count(",") + 1
     header, units = [f"column_{k + 1}" for k in range(width)], ""
     for above in reversed(lines[:number]):
@@ -80,33 +96,37 @@ def sniff(path: Path, text: str, encoding: str) -> TextTable:
     return header, rows, number + 1, ", ".join(filter(None, features))
 
 
-def _delimiter(line: str) -> tuple[str, bool] | None:
-    """Return the name of the delimiter of a row of numbers, and whether decimals have commas."""
+def _delimiter(line: str, text_too: bool) -> str:
+    """Return the name of the delimiter of a row of numbers, with cells of text too; empty if none."""
     for name, sign in DELIMITERS.items():
-        cells = _split(line, sign)
-        filled = [cell for cell in cells if cell.strip()]
-        if len(cells) < 2 or len(filled) < 2 or not all(map(_numeric, filled)):
-            continue
-        if name == "comma" and any("," in cell for cell in filled):
-            continue
-        return name, any("," in cell for cell in filled)
-    return None
+        filled = [cell for cell in _split(line, sign) if cell.strip()]
+        numbers = sum(map(_numeric, filled))
+        if numbers >= 2 and (text_too or numbers == len(filled)):
+            return name
+    return ""
+
+
+def _alike(above: list[str], row: list[str]) -> bool:
+    """Return whether the cells of a line are numbers where those of a row of numbers are."""
+    cells = [cell for cell, own in zip(above, row, strict=False) if _numeric(own) and cell.strip()]
+    return len(above) == len(row) and bool(cells) and all(map(_numeric, cells))
 
 
 def _split(line: str, sign: str) -> list[str]:
     if sign == " ":
         return line.split()
+    if '"' not in line:
+        return line.split(sign)
     return next(csv.reader([line], delimiter=sign, skipinitialspace=True), [])
 
 
-def _clean(line: str, sign: str, comma: bool) -> str:
-    if sign == " ":
-        return ",".join(part.replace(",", ".") for part in line.split())
-    line = line.replace('"', "")
-    if sign != ",":
-        line = line.replace(",", ".") if comma else line
-        line = line.replace(sign, ",")
-    return line
+def _clean(line: str, sign: str) -> str:
+    if sign == "," and '"' not in line:
+        return line
+    cells = _split(line, sign)
+    if "," in line:
+        cells = [THOUSANDS.sub("", cell).replace(",", ".") for cell in cells]
+    return ",".join(cells)
 
 
 def _is_unit(cell: str) -> bool:
@@ -126,31 +146,31 @@ SCALES = {unit: (ours, scale) for ours, table in UNITS.items() for unit, scale i
 """Our column and the factor to its unit, by unit."""
 
 
-def read_columns(path: Path) -> tuple[dict[str, Floats], str]:
-    """Return the columns [n] of a file by its own names, in its units, and its dialect in words.
+def read_columns(path: Path) -> tuple[dict[str, Floats], str, dict[str, str]]:
+    """Return the columns [n] of a file by its own names, its dialect in words, and stored units.
+
+    The columns are in the file's units; a text has none but those in its names.
 
     Raises InputError with the line of what is wrong.
     """
     if path.suffix.lower() in BINARY:
         return read_binary(path)
     header, body, first, dialect = read_text(path)
-    if len(set(header)) != len(header):
-        raise InputError(f"{path}: line {first - 1}: a column name occurs twice")
+    notes: list[str] = []
     try:
         table = parse_cells(path, body, len(header), first)
+        columns = dict(zip(header, table.T, strict=True))
     except InputError:
-        try:
-            body, slower = filled(body)
-        except ValueError:
-            slower = 0
-        if not slower:
+        columns, notes = _converted(header, body)
+        if not notes:
             raise
-        note = f"{slower} columns of a slower rate interpolated"
-        dialect = ", ".join(filter(None, (dialect, note)))
-        table = parse_cells(path, body, len(header), first)
-    if len(table) < 2:
-        raise InputError(f"{path}: {len(table)} samples; expected at least 2")
-    return {name: table[:, k] for k, name in enumerate(header)}, dialect
+    named = [name for name in header if name]
+    if len(set(named)) != len(named):
+        raise InputError(f"{path}: line {first - 1}: a column name occurs twice")
+    count = len(next(iter(columns.values()), ()))
+    if count < 2:
+        raise InputError(f"{path}: {count} samples; expected at least 2")
+    return columns, ", ".join(filter(None, (dialect, *notes))), {}
 
 
 def read_text(path: Path) -> TextTable:
@@ -166,7 +186,9 @@ def read_text(path: Path) -> TextTable:
     lines = text.splitlines()
     if not lines or not lines[0].strip():
         raise InputError(f"{path}: line 1: empty; expected a header row")
-    foreign = encoding or set(lines[0]) & set(';\t"#%') or "," not in lines[0]
+    foreign = encoding or set(lines[0]) & set(";\t#%") or "," not in lines[0] or '"' in text
+    if len(lines) > 1 and lines[1].strip():
+        foreign = foreign or not any(map(_numeric, lines[1].split(",")))
     if not foreign and not _numeric(lines[0].split(",")[0]):
         header = [name.strip() for name in lines[0].split(",")]
         body = lines[1:]
@@ -224,24 +246,50 @@ def _decoded(raw: bytes) -> tuple[str, str]:
     return raw.decode("latin-1"), "Latin-1"
 
 
-def filled(lines: list[str]) -> tuple[list[str], int]:
-    """Return lines in which channels of a slower rate have values in every row, and their number.
+def _converted(header: list[str], lines: list[str]) -> tuple[dict[str, Floats], list[str]]:
+    """Return columns [n] of lines with cells that are no numbers, and what was done; none if unclear.
 
-    Such a channel has a value in every k-th row only; between them it is interpolated.
+    Stamps with date and time of day become seconds. Columns of text or without values are left out. A slower channel, with
+    values in every k-th row only, is interpolated between them.
     """
-    table = np.array([[cell.strip() or "nan" for cell in line.split(",")] for line in lines])
-    values = table.astype(np.float64)
-    slower = []
-    for k, column in enumerate(values.T):
-        rows = np.flatnonzero(~np.isnan(column))
-        if len(rows) == len(column):
+    cells = [line.split(",") for line in lines if line.strip()]
+    if any(len(row) != len(header) for row in cells):
+        return {}, []
+    found: dict[str, Floats] = {}
+    left_out, notes = [], []
+    for name, column in zip(header, np.char.strip(np.array(cells)).T, strict=True):
+        rows = np.flatnonzero(column != "")
+        if not any(map(_numeric, column)):
+            stamps = [stamp for cell in column if (stamp := _stamp(cell)) is not None]
+            if not stamps:
+                left_out.append(name or "without a name")
+                continue
+            if len(stamps) < len(column) or len({s.tzinfo is None for s in stamps}) > 1:
+                return {}, []
+            found[name] = np.array([(s - stamps[0]).total_seconds() for s in stamps])
+            notes.append(f"{name} in seconds from {column[0]}")
             continue
+        try:
+            values = column[rows].astype(np.float64)
+        except ValueError:
+            return {}, []
         steps = np.diff(rows)
-        if len(rows) < 10 or steps.min() < 2 or steps.max() > 2 * np.median(steps):
-            return lines, 0
-        values[:, k] = np.interp(np.arange(len(column)), rows, column[rows])
-        slower.append(k)
-    return [",".join(map(repr, row)) for row in values.tolist()], len(slower)
+        if len(rows) < len(column):
+            if len(rows) < 10 or steps.min() < 2 or steps.max() > 2 * np.median(steps):
+                return {}, []
+            notes.append(f"{name} interpolated from a slower rate")
+        found[name] = np.interp(np.arange(len(column)), rows, values)
+    if left_out:
+        notes.append(f"columns without numbers left out: {', '.join(left_out)}")
+    return found, notes if all(np.all(np.isfinite(v)) for v in found.values()) else []
+
+
+def _stamp(cell: str) -> datetime | None:
+    """Return a date with its time of day, None for any other text."""
+    try:
+        return datetime.fromisoformat(cell) if ":" in cell else None
+    except ValueError:
+        return None
 
 
 # --- columns computed from others -------------------------------------------------------------
@@ -282,6 +330,6 @@ def formula(text: str, columns: Mapping[str, Floats]) -> Floats:
         tree = ast.parse(text, mode="eval")
         with np.errstate(all="ignore"):
             result = np.asarray(value(tree), dtype=np.float64)
-    except (SyntaxError, TypeError) as error:
+    except (SyntaxError, TypeError, ArithmeticError) as error:
         raise ValueError(text) from error
     return np.array(np.broadcast_to(result, count))

@@ -15,7 +15,7 @@ from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
 from sil.simulation.in_memory import run_in_memory
-from sil.simulation.scenario import load
+from sil.simulation.load_scenario import load
 
 SCENARIO = "lab_n_b"
 WINDOW_MS = (80.0, 320.0)

@@ -16,7 +16,7 @@ from plant.systems.setup import make_setup
 from plant.systems.stroke import Stroke, run_setup
 from sil.campaign.campaign import Floats
 from sil.simulation.in_memory import Run, run_in_memory
-from sil.simulation.scenario import load as load_scenario
+from sil.simulation.load_scenario import load as load_scenario
 
 SUPPLY_PA = 900000.0
 ATMOSPHERE_PA = 101325.0

@@ -13,7 +13,7 @@ from plant.systems.stroke import Stroke
 from sil.claims.claim import GIVEN, MET, NOT_MET, PARTLY, Outcome, judged
 from sil.claims.equipment import lags
 from sil.claims.strokes import ATMOSPHERE_PA, SUPPLY_PA, arrival, loop, ms, nominal, run, value
-from sil.simulation import scenario
+from sil.simulation import load_scenario
 
 
 @cache
@@ -107,6 +107,6 @@ def _f49_spread() -> Outcome:
 
 
 def _f50_truck_channels() -> Outcome:
-    plant = scenario.load("full_shift").scenario.plant
+    plant = load_scenario.load("full_shift").scenario.plant
     arrived = all(s.arrived_s is not None for s in loop("full_shift").shifts)
     return judged(plant.mounted and plant.damper == "none" and arrived)

@@ -190,8 +190,17 @@ def _unwritable(error: OSError) -> int:
 
 
 def _main(arguments: list[str]) -> int:
+    refused = ""
     if any("\0" in word for word in arguments):  # no system has such files
-        print("opc4: a null byte in an argument; expected none", file=sys.stderr)
+        refused = "a null byte in an argument; expected none"
+    elif (
+        "" in arguments
+    ):  # as of an unset variable of a shell; Path("") would be the current folder
+        refused = "an empty argument; expected none"
+    if refused:
+        print(f"opc4: {refused}", file=sys.stderr)
+        if "--json" in arguments:
+            print(json.dumps({"error": refused, "exit_code": BAD_INPUT}))
         return BAD_INPUT
     if not arguments or arguments[0] in ("-h", "--help"):
         rows = "\n".join(f"  {name:<10} {summary}" for name, summary in COMMANDS.items())

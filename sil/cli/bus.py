@@ -67,14 +67,14 @@ def run(arguments: argparse.Namespace) -> int:
 
         messages = response_times.database_messages(load_dbc(arguments.dbc), arguments.dbc)
     elif arguments.scenario:
-        from sil.simulation import scenario
+        from sil.simulation import load_scenario
         from sil.simulation.bus_figures import scenario_messages
 
-        loaded = scenario.load(arguments.scenario).scenario
+        loaded = load_scenario.load(arguments.scenario).scenario
         bitrate, messages = loaded.bus.bitrate, scenario_messages(loaded)
     else:
         messages = response_times.contract_messages()
-    bitrate = arguments.bitrate or bitrate
+    bitrate = bitrate if arguments.bitrate is None else arguments.bitrate
     responses = response_times.response_times(messages, bitrate)
     figures: dict[str, Any] = {
         "transports": _transports(),

@@ -67,9 +67,9 @@ def _options(name: str) -> dict[str, str]:
 def _names(name: str) -> list[str]:
     """Return the shipped scenarios or studies that a command takes."""
     if name == "run":
-        from sil.simulation import scenario
+        from sil.simulation import load_scenario
 
-        return list(scenario.shipped())
+        return list(load_scenario.shipped())
     if name == "whatif":
         from sil.studies import load_study
 

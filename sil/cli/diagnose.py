@@ -91,12 +91,33 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def new_campaign(arguments: argparse.Namespace) -> int:
-    """Draft a campaign from measured files; print what they do not say."""
-    from sil.diagnosis.new_campaign import draft
-    from sil.files.output_folder import prepare_folder
+    """Draft a campaign from measured files; print what they do not say.
 
-    folder = prepare_folder(arguments.new, "campaign", arguments.force)
-    asked = draft(folder, [Path(file) for file in arguments.campaign])
+    Raises InputError for files that cannot be read or copied, and a campaign that is there already.
+    """
+    from sil.diagnosis.new_campaign import draft
+    from sil.files.output_folder import locked_folder
+
+    for option, unset in (
+        ("out", None),
+        ("map", None),
+        ("dbc", None),
+        ("model", "nominal"),
+        ("effects", []),
+    ):
+        if getattr(arguments, option) != unset:
+            raise InputError(f"--{option}: not together with --new, which only drafts a campaign")
+    if (arguments.new / "campaign.toml").exists() and not arguments.force:
+        what = "exists; expected a new folder, or --force to draft it anew"
+        raise InputError(f"{arguments.new / 'campaign.toml'}: {what}")
+    is_new = not arguments.new.exists()
+    with locked_folder(arguments.new, "--new") as folder:
+        try:
+            asked = draft(folder, [Path(file) for file in arguments.campaign], arguments.force)
+        except InputError:
+            if is_new:
+                folder.rmdir()
+            raise
     if arguments.json:
         print(json.dumps({"campaign": str(folder), "questions": asked}, ensure_ascii=False))
         return 0

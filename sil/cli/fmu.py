@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     from can_dbc.errors import InputError
     from sil.files.extras import import_extra
     from sil.fmu.export import export
-    from sil.simulation import scenario
+    from sil.simulation import load_scenario
 
     out: Path = arguments.out
     if out.suffix != ".fmu":
@@ -40,7 +40,9 @@ def run(arguments: argparse.Namespace) -> int:
     if out.exists() and not arguments.force:
         raise InputError(f"{out}: exists; expected a new file, or --force")
     import_extra("pythonfmu3", "fmu", "opc4 fmu")
-    loaded = scenario.load(arguments.scenario, model=arguments.model, settings=arguments.settings)
+    loaded = load_scenario.load(
+        arguments.scenario, model=arguments.model, settings=arguments.settings
+    )
     export(arguments.what, loaded, out)
     say(f"{out}: {arguments.what} of {loaded.scenario.name}, FMI 3.0 co-simulation")
     return 0

@@ -48,14 +48,14 @@ def run(arguments: argparse.Namespace) -> int:
             "what": found.what,
             "out": str(folder),
             "estimates": [asdict(item) for item in found.estimates],
-            "beside": [asdict(item) for item in found.beside],
+            "by_thesis": [asdict(item) for item in found.by_thesis],
             "notes": list(found.notes),
             "fits": found.fits,
             "over_noise": found.over_noise,
         }
         print(json.dumps(finite(table)))
         return 0 if found.fits else 1
-    for title, items in (("", found.estimates), ("the thesis's way:", found.beside)):
+    for title, items in (("", found.estimates), ("the thesis's way:", found.by_thesis)):
         if title and items:
             print(title)
         for item in items:

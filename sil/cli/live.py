@@ -33,13 +33,13 @@ def run(arguments: argparse.Namespace) -> int:
 
     from can_dbc.errors import InputError
     from sil.live.server import Bench, serve
-    from sil.simulation import scenario
+    from sil.simulation import load_scenario
 
     if not 0 <= arguments.port <= 65535:
         raise InputError(f"--port {arguments.port}: expected 0 to 65535")
-    known = {name: name for name in scenario.shipped()}
+    known = {name: name for name in load_scenario.shipped()}
     for file in arguments.scenarios:
-        known[scenario.load(file).scenario.name] = file
+        known[load_scenario.load(file).scenario.name] = file
     folder = arguments.runs or Path("runs")
     if arguments.runs is not None and not folder.is_dir():
         raise InputError(f"{folder}: --runs: no such folder; expected one that exists")
@@ -70,6 +70,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def warm_up() -> None:
     """Load or compile the plant's equations while the page opens."""
-    from sil.simulation import build, scenario
+    from sil.simulation import build, load_scenario
 
-    build.warm_up(scenario.load("lab_n_b"))
+    build.warm_up(load_scenario.load("lab_n_b"))

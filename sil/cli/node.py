@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import without_parent_steps
     from sil.recording.recorder import EVENTS, PLANT_TRACE
-    from sil.simulation import build, scenario
+    from sil.simulation import build, load_scenario
     from sil.simulation.free_run import CLOCK_ZERO
 
     wait_s: float = arguments.timeout
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     def notify(message: str) -> None:
         say(f"opc4 node: {message}")
 
-    loaded = scenario.load(
+    loaded = load_scenario.load(
         arguments.scenario,
         model=arguments.model,
         settings=arguments.settings,

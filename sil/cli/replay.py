@@ -51,7 +51,7 @@ class _PrintMap(argparse.Action):
 
 ARGUMENTS = (
     argument("log", "recorded log of the bus, - for standard input", "LOG"),
-    argument("more_logs", "more files of the same log", "LOG", nargs="*"),
+    argument("more_logs", "more files of the same log", "LOG", nargs="*", default=[]),
     argument(
         "--firmware",
         "settings of the firmware (TOML, a scenario, a result.json), a firmware of your own "

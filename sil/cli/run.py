@@ -69,13 +69,15 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("no SCENARIO; expected a file or a shipped name, see opc4 run --list")
     if arguments.junit is not None and not arguments.junit.parent.is_dir():
         raise InputError(f"{arguments.junit}: --junit: no such folder; expected one that exists")
+    if arguments.junit is not None and arguments.junit.is_dir():
+        raise InputError(f"{arguments.junit}: --junit: is a folder; expected a file")
     from sil.files.atomic import write_atomically
     from sil.files.output_folder import prepare_folder
-    from sil.simulation import scenario
+    from sil.simulation import load_scenario
     from sil.simulation.free_run import jitter_lines
     from sil.simulation.results import as_json, junit_xml
 
-    loaded = scenario.load(
+    loaded = load_scenario.load(
         arguments.scenario,
         model=arguments.model,
         settings=arguments.settings,
@@ -110,7 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(as_json(finished.result))
     else:
         was_changed = bool(arguments.settings or arguments.model or arguments.seed is not None)
-        is_shipped = loaded.source == str(scenario.shipped().get(arguments.scenario))
+        is_shipped = loaded.source == str(load_scenario.shipped().get(arguments.scenario))
         _print_summary(finished, folder, is_shipped and was_changed)
     if not finished.result.complete:
         say(f"opc4 run: {finished.result.why}; what was recorded is in {folder}")
@@ -119,10 +121,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _list() -> int:
-    from sil.simulation import scenario
+    from sil.simulation import load_scenario
 
-    for name in scenario.shipped():
-        loaded = scenario.load(name)
+    for name in load_scenario.shipped():
+        loaded = load_scenario.load(name)
         first = loaded.scenario.description.strip().split("\n")[0]
         print(f"{name:<24} {first}")
     return 0

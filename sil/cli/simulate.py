@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -57,8 +58,13 @@ def run(arguments: argparse.Namespace) -> int:
             deviations = "  ".join(shown(name, value) for name, value in item.rms.items())
             print(
                 f"{item.entry.file}  {item.entry.label:<24} "
-                f"arrival {1e3 * item.arrival_s:8.3f} ms  "
-                f"impact {item.impact_speed_m_s:7.4f} m/s  {deviations}"
+                + (
+                    f"{'no arrival':39}"
+                    if math.isnan(item.arrival_s)
+                    else f"arrival {1e3 * item.arrival_s:8.3f} ms  "
+                    f"impact {item.impact_speed_m_s:7.4f} m/s"
+                )
+                + f"  {deviations}".rstrip()
             )
 
     with Progress(f"simulating {campaign.name}", "strokes") as progress:

@@ -45,10 +45,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     Raises InputError for a log that cannot be used and a limit that is none.
     """
-    from plant.parameters import load
+    from plant.parameters import load_actuator
     from sil.files.output_folder import finite, locked_folder
     from sil.files.progress import Progress
     from sil.j1939.mapping import SignalMapping
+    from sil.shift_diagnosis.track import CHANGED
     from sil.shift_diagnosis.watch import STORE, Watch, log_files
     from sil.shift_diagnosis.watch_page import write_watch
 
@@ -58,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     mapping = SignalMapping(*layout) if any(layout) else None
     out = arguments.out or Path("runs") / f"{Path(arguments.target[0]).resolve().stem}-watch"
     with locked_folder(out) as folder:
-        watch = Watch(folder / STORE, load(arguments.model), mapping)
+        watch = Watch(folder / STORE, load_actuator(arguments.model), mapping)
         try:
             with Progress("watching", "logs") as progress:
                 found = watch.take(files, progress)
@@ -75,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         _print(values)
         print(f"  {len(found)} changes in new logs; written to {folder}", file=sys.stderr)
-    return int(any(truck["verdict"] != "steady" for truck in values["trucks"]))
+    return int(any(truck["verdict"] in CHANGED for truck in values["trucks"]))
 
 
 def _limit(text: str) -> tuple[str, float]:

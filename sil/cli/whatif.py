@@ -149,4 +149,4 @@ def _metrics_line(entry: dict[str, Any], metrics: list[str]) -> str:
         if name in entry:
             low, high = entry[name]["min"], entry[name]["max"]
             parts.append(f"{name} {low:.3g}" + (f" to {high:.3g}" if high > low else ""))
-    return ", ".join(parts) or "no figures"
+    return ", ".join(parts) or f"{entry['rows']} row"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -21,7 +21,7 @@ from can_dbc.errors import InputError
 from can_dbc.frame import DP_BIT, EDP_BIT, Frame
 from sil.coupling.bus import Delivery, ErrorFrame, Transmission
 from sil.coupling.clock import NEVER_NS, to_ns
-from sil.coupling.other_bit_rate import MisfitNode
+from sil.coupling.other_bit_rate import MisfitNode, Window
 
 if TYPE_CHECKING:
     MessageName = str
@@ -193,17 +193,6 @@ Intrusion = Babbling | Replayed | Spoofed | Sent
 """Faults that put frames on the bus; `sil.nodes.simulated` has the node that sends them."""
 
 
-class Window(NamedTuple):
-    """From one instant to before another, ns."""
-
-    start_ns: int
-    end_ns: int
-
-    def holds(self, instant_ns: int) -> bool:
-        """Return whether the instant is inside."""
-        return self.start_ns <= instant_ns < self.end_ns
-
-
 class _Selection:
     """Selects the frames that one frame fault hits, and changes what arrives of them."""
 
@@ -277,7 +266,7 @@ class FaultPlan:
             if isinstance(fault, BusOff):
                 self._off.append((fault.node, window))
             elif isinstance(fault, OtherBitRate):
-                self._misfits.append(MisfitNode(fault.node, window.start_ns, window.end_ns))
+                self._misfits.append(MisfitNode(fault.node, window))
             elif isinstance(fault, Dead | Stalled):
                 self._down.append((fault.node, window))
             else:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from sil.coupling.bus import ErrorFrame, Transmission
 
 FLAGS_UNTIL_PASSIVE = 15
@@ -12,27 +14,33 @@ TRIES_UNTIL_OFF = 32
 """Each failed transmission adds 8 to a sender's error counter; from 256 on it is bus-off."""
 
 
+class Window(NamedTuple):
+    """From one instant to before another, ns."""
+
+    start_ns: int
+    end_ns: int
+
+    def holds(self, instant_ns: int) -> bool:
+        """Return whether the instant is inside."""
+        return self.start_ns <= instant_ns < self.end_ns
+
+
 class MisfitNode:
-    """A node on another bit rate from one instant to before another, ns, with its error counters.
+    """A node on another bit rate within a window of time, with its error counters.
 
     Assumptions: none of the frames that it receives or sends passes by chance; bus-off is not
     recovered from.
     """
 
-    def __init__(self, node: str, start_ns: int, end_ns: int) -> None:
+    def __init__(self, node: str, window: Window) -> None:
         self.node = node
-        self._start_ns = start_ns
-        self._end_ns = end_ns
+        self.acts = window.holds
         self._flags = self._tries = 0
 
     @property
     def is_off(self) -> bool:
         """Whether the node is bus-off."""
         return self._tries >= TRIES_UNTIL_OFF
-
-    def acts(self, instant_ns: int) -> bool:
-        """Return whether the node has the other bit rate at an instant."""
-        return self._start_ns <= instant_ns < self._end_ns
 
     def verdict(self, transmission: Transmission) -> ErrorFrame | None:
         """Return the error frame in which a transmission ends, None if it does not."""

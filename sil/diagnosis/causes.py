@@ -96,7 +96,7 @@ def causes_of(
         add(
             candidate,
             own,
-            f"cannot be told apart: {item.name} is {behind:.1f} behind in log evidence",
+            f"cannot be distinguished: {item.name} is {behind:.1f} behind in log evidence",
         )
     gains = verdict.gains
     return sorted(causes, key=lambda cause: (-cause.probability, -gains.get(cause.id, 0.0)))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from can_dbc.errors import InputError, RunError
 from sil.simulation.in_memory import run_in_memory
-from sil.simulation.scenario import load
+from sil.simulation.load_scenario import load
 
 SCENARIOS = ("lab_n_b", "lab_b_n", "lab_n_f", "lab_f_n", "oil_damper", "full_shift")
 

@@ -42,6 +42,7 @@ from sil.fitting.floor import EXPLAINED, Misfit, misfit
 from sil.fitting.hypotheses import Candidate, candidates
 from sil.fitting.model import CampaignModel
 from sil.fitting.observations import StrokeObservation
+from sil.fitting.refused import Refusals
 from sil.fitting.spread import Spread
 
 FALSE_ALARM_BASIS = (
@@ -72,6 +73,7 @@ class Diagnosis:
     final: FitResult
     healthy: FitResult
     noticed: Noticed
+    refusals: Refusals
 
     def as_json(self) -> dict[str, Any]:
         """Return the object written to diagnosis.json."""
@@ -111,8 +113,8 @@ def diagnose(
     ------
     InputError : a campaign that cannot be read or compared, named in one line
     """
-    strokes, findings = observed(campaign, parameters)
     progress(0.0, 100.0)
+    strokes, findings = observed(campaign, parameters)
     model = CampaignModel(strokes, Spread.of(parameters))
     structure = structure_of(strokes)
     training, held_out = _assigned(model)
@@ -133,6 +135,8 @@ def diagnose(
     if try_terms(search, verdict, judged) or alike:
         judged = _judged(search, held_out, workers)
         verdict = decide(judged, len(strokes))
+    # what follows counts in the processes that it runs in
+    refusals = Refusals(search.fitter.refusals)
     wanted = [verdict.healthy, verdict.leader][: 2 if verdict.claimed else 1]
     healthy, *claimed = spread_out(
         lambda j: _whole_fit(search.fitter, wanted[j]).light(), range(len(wanted)), workers
@@ -142,7 +146,7 @@ def diagnose(
     causes = causes_of(search.fitter, verdict, judged, final, workers)
     extended = extended_model(parameters, final, causes, campaign) if verdict.claimed else None
     following = next_experiment(model, verdict, judged)
-    findings += check_strokes(model, final)
+    findings += check_strokes(model, final) + left_out(refusals, search, verdict, campaign.name)
     noticed = smallest_noticed(search, len(strokes)) if not verdict.claimed else {}
     unable = "" if verdict.claimed else _unable(verdict.healthy.whole, noticed, search)
     if unable:
@@ -163,7 +167,32 @@ def diagnose(
         final,
         healthy,
         noticed,
+        refusals,
     )
+
+
+def left_out(
+    refusals: Refusals, search: Search, verdict: Verdict[Judged], campaign: str
+) -> list[Finding]:
+    """Return what could not be simulated of the leading causes, and what was not judged therefore.
+
+    Not judged is a cause of which no value was, and a better explanation than the leader that was
+    given up on the held-out strokes.
+    """
+    done = {c.id for fit in [*search.first, *search.fits.values()] for c in fit.candidates}
+    scored = {score.candidate.id for score in search.scores}
+    leading = {*verdict.claimed, *verdict.probabilities}
+    best = verdict.leader.training.evidence()
+    findings = []
+    for name, tried in refusals.items():
+        alone = tried.ids[0] if len(tried.ids) == 1 else ""
+        never = alone and alone not in done and (tried.lost or alone not in scored)
+        better = tried.lost and name in search.fits and search.fits[name].evidence() < best
+        if (never and (tried.lost or tried.refused)) or better:
+            findings.append(Finding(campaign, name, f"not judged: {tried}"))
+        elif tried.refused and tried.ids and leading.issuperset(tried.ids):
+            findings.append(Finding(campaign, name, str(tried)))
+    return findings
 
 
 def _unable(whole: Misfit, noticed: Noticed, search: Search) -> str:
@@ -179,7 +208,7 @@ def _unable(whole: Misfit, noticed: Noticed, search: Search) -> str:
     if search.scores and 2 * len(sized) < len(causes):
         return (
             f"{len(sized)} of {len(causes)} causes would be noticed at their typical size: more "
-            "strokes, gauges, a higher sampling rate or less noise would tell"
+            "strokes, gauges, a higher sampling rate or less noise would help"
         )
     return ""
 

@@ -21,6 +21,9 @@ def odd_channels(file: str, signals: Floats, first: int) -> list[str]:
         flaws = {"spikes": _spikes(values)}
         if name == "position":
             flaws["jumps"] = _jumps(values)
+        elif name == "force" and not np.any(_moves(signals[0])[flaws["spikes"]]):
+            # where the body turns, a drive may change its sign for a sample or two
+            flaws = {}
         for what, rows in flaws.items():
             if len(rows):
                 where = f"the first at sample {first + rows[0] + 1}"
@@ -50,6 +53,12 @@ def _spikes(values: Floats) -> NDArray[np.int64]:
             found.append(row)
     rows = np.array(found, dtype=np.int64)
     return rows[np.diff(rows, prepend=-2) > 1]
+
+
+def _moves(position: Floats) -> NDArray[np.bool_]:
+    """Return where a position [n] changes over 13 samples by a tenth of the most it does."""
+    travels = np.abs(np.convolve(position, [1.0, *[0.0] * 11, -1.0], "same"))
+    return np.asarray(travels > 0.1 * np.quantile(travels, 0.99))
 
 
 def _jumps(position: Floats) -> NDArray[np.int64]:

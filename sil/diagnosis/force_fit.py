@@ -25,7 +25,7 @@ from sil.diagnosis.force_terms import (
     hats,
     named_terms,
 )
-from sil.diagnosis.verdict import UNNAMED
+from sil.diagnosis.verdict import UNNAMED, Explanation
 from sil.fitting.floor import EXPLAINED, ChannelMisfit, Misfit
 
 VISCOUS = "viscous_n_s_m"
@@ -59,7 +59,7 @@ class Group:
 
 
 @dataclass
-class Tried:
+class Tried(Explanation):
     """A hypothesis, fitted.
 
     values, deviations: [k] of the body's and the groups' columns; squares: held-out sum of squares
@@ -103,16 +103,6 @@ class Tried:
         """Held-out cost in log evidence."""
         return 0.5 * self.count * (self.rms_n / self.noise_n) ** 2
 
-    @property
-    def held_cost(self) -> float | None:
-        """None: all of the score is held out."""
-        return None
-
-    @property
-    def slight(self) -> tuple[str, ...]:
-        """None is: the forms of these causes are linear."""
-        return ()
-
     @cached_property
     def whole(self) -> Misfit:
         """Misfit against noise and the scatter between strokes."""
@@ -145,10 +135,17 @@ class Tried:
 
 
 def gain_in_errors(item: Tried, other: Tried) -> float:
-    """Return how much less `item` leaves of held-out squares than `other`, in standard errors."""
-    differences = other.squares - item.squares
-    error = float(np.std(differences, ddof=1) * np.sqrt(len(differences))) + 1e-300
-    return float(differences.sum() / error)
+    """Return how much less `item` leaves of held-out squares than `other`, in standard errors.
+
+    Of the squares themselves or of their shares, whichever is surer: where strokes differ much, a
+    gain in every one of them shows in the shares.
+    """
+    gains = other.squares - item.squares
+    shares = gains / (np.maximum(other.squares, item.squares) + 1e-300)
+    return max(
+        float(own.sum() / (np.std(own, ddof=1) * np.sqrt(len(own)) + 1e-300))
+        for own in (gains, shares)
+    )
 
 
 class Bank:
@@ -182,6 +179,10 @@ class Bank:
             self._add(FLEXIBLE, UNNAMED, "flexibility", None, snap)
         self._reduce()
 
+    def is_constant(self) -> bool:
+        """Return whether the driving force, less the stated mass's, is constant: nothing to explain."""
+        return bool(np.ptp(self.target) <= 1e-6 * np.max(np.abs(self.target)))
+
     def _add_body(self, raw: Motion, free_mass: bool) -> tuple[str, ...]:
         record, rows = self.record, self.record.judged
         # the mean sign over a sampling step in which the motion turns
@@ -198,7 +199,7 @@ class Bank:
         if free_mass and np.std(table["mass_kg"]) < SURE * noise:
             del table["mass_kg"]
             self.missing["mass_kg"] = (
-                "not determined: the acceleration stays within its noise; faster strokes would tell"
+                "not determined: the acceleration stays within its noise; faster strokes would determine it"
             )
         found: list[str] = []
         for name, column in table.items():
@@ -208,9 +209,11 @@ class Bank:
                 < ALIKE
             ):
                 self.missing[name] = {
-                    VISCOUS: "not determined: the speed hardly varies; strokes at several speeds would tell",
-                    "offset_n": "not determined: the body moves one way only; strokes both ways would tell it from friction",
-                }.get(name, "not determined: moves with the others; other speeds would tell")
+                    VISCOUS: "not determined: the speed hardly varies; strokes at several speeds would determine it",
+                    "offset_n": "not determined: the body moves one way only; strokes both ways would separate it from friction",
+                }.get(
+                    name, "not determined: moves with the others; other speeds would separate them"
+                )
             else:
                 found.append(name)
         self._columns += [table[name] for name in found]
@@ -230,7 +233,7 @@ class Bank:
         if len(self._columns) == before:
             what = "pressure" if term.form.needs_pressure else "motion"
             self.missing[name] = (
-                f"not judged: cannot be told from the plain body here; strokes with other {what} would tell"
+                f"not judged: cannot be distinguished from the plain body here; strokes with other {what} would show it"
             )
 
     def _add(
@@ -282,13 +285,13 @@ class Bank:
         both = np.column_stack([self.columns, self.target]) * sign[:, None]
         self._means = np.add.reduceat(both[order], first) / self._sizes[:, None]
 
-    def _own(self, groups: Sequence[Group]) -> list[int]:
+    def own(self, groups: Sequence[Group]) -> list[int]:
         """Return the columns of a hypothesis, the body's first."""
         return [*range(len(self.body)), *(c for group in groups for c in group.columns)]
 
     def attempt(self, groups: Sequence[Group]) -> Tried:
         """Fit a hypothesis with every group of strokes held out in turn; deviations by jackknife."""
-        own = self._own(groups)
+        own = self.own(groups)
         values, without = self._solved(own)
         free = _jackknife(without - values)
         # mass and friction are not negative: what comes out so is left out
@@ -318,12 +321,16 @@ class Bank:
             self.body,
         )
 
-    def free_body(self, groups: Sequence[Group]) -> tuple[Floats, Floats]:
-        """Return the body's parameters [k] without bounds, fitted with groups, and their deviations."""
-        own = self._own(groups)
+    def free_combination(self, weights: Floats, groups: Sequence[Group]) -> tuple[float, float]:
+        """Return a combination of the body's parameters without bounds, fitted with groups, and its deviation.
+
+        weights: [k], for each parameter of the body.
+        """
+        own = self.own(groups)
         values, without = self._solved(own)
-        k = len(self.body)
-        return (values / self.scale[own])[:k], (_jackknife(without - values) / self.scale[own])[:k]
+        shares = np.zeros(len(own))
+        shares[: len(weights)] = weights / self.scale[own][: len(weights)]
+        return float(shares @ values), float(_jackknife((without - values) @ shares))
 
     def _solved(self, own: Sequence[int]) -> tuple[Floats, Floats]:
         """Return the solution for these columns [k], and with every group held out [f, k]."""
@@ -336,7 +343,7 @@ class Bank:
 
     def model_n(self, item: Tried) -> Floats:
         """Return the force of a hypothesis [n] in N, without the stated mass's."""
-        own = self._own(item.groups)
+        own = self.own(item.groups)
         return np.asarray(self.columns[:, own] @ (item.values * self.scale[own]))
 
     def all_tried(self) -> list[Tried]:
@@ -360,7 +367,7 @@ class Bank:
         return list(found.values())
 
     def _alike(self, groups: Sequence[Group]) -> bool:
-        """Return whether the data hardly tell single columns apart."""
+        """Return whether the data hardly separate single columns."""
         pairs = itertools.combinations([group.columns[0] for group in groups], 2)
         return any(abs(self._correlation[i, j]) > (1.0 - TOGETHER**2) ** 0.5 for i, j in pairs)
 
@@ -371,11 +378,11 @@ class Bank:
         mass = best.value("mass_kg")[0] if "mass_kg" in self.body else (stated or 0.0)
         viscous = best.value(VISCOUS)[0] if VISCOUS in self.body else 0.0
         noise = self.record.balance_sd_n(mass, viscous)
-        noise = max(noise, LEAST_NOISE * float(np.sqrt(np.mean(self.target**2))))
+        noise = max(noise, LEAST_NOISE * float(np.sqrt(np.mean(self.target**2))), 1e-300)
         correlated = max(1.0, 2.0 * np.pi**0.5 * self.record.width / self.record.stride)
         sizes = self._sizes
         for item in tried:
-            own = self._own(item.groups)
+            own = self.own(item.groups)
             means = self._means[:, -1] - self._means[:, own] @ (item.values * self.scale[own])
             spread = float(np.average(means**2 - noise**2 * correlated / sizes, weights=sizes))
             coulomb = item.value("coulomb_n")[0] if "coulomb_n" in self.body else 0.0

@@ -1,4 +1,4 @@
-"""Enclosed gas as a spring: whether its dead volume and its exponent can be told apart.
+"""Enclosed gas as a spring: whether its dead volume and its exponent can be determined separately.
 
 F ~ ((L + 1) / (L + d))^n: d is the distance to the closed end over the travel, L the dead length over
 it.  A short stroke shows n / (L + d) alone.
@@ -24,11 +24,11 @@ ALIKE = 4.0
 
 
 def enclosed_gas(bank: Bank, leader: Tried) -> str:
-    """Return why dead volume and exponent cannot be told apart; empty if no gas acts, or they can."""
+    """Return why dead volume and exponent cannot be separated; empty if no gas acts, or they can."""
     if not set(leader.names) & set(SPRINGS):
         return ""
-    others = [c for g in leader.groups if g.name not in SPRINGS for c in g.columns]
-    base = np.linalg.qr(bank.columns[:, [*range(len(bank.body)), *others]])[0]
+    others = bank.own([group for group in leader.groups if group.name not in SPRINGS])
+    base = np.linalg.qr(bank.columns[:, others])[0]
     record = bank.record
     x = record.filtered(record.raw.position_m)[record.judged]
     low, high = float(x.min()), float(x.max())
@@ -63,5 +63,5 @@ def enclosed_gas(bank: Bank, leader: Tried) -> str:
         "a spring that enclosed gas explains: its dead volume and exponent move together (exponents "
         f"{n.min():.1f} to {n.max():.1f} with dead lengths of {dead_m.min():.3g} to {dead_m.max():.3g} m "
         "explain it alike): a stroke over most of the volume, or the gas pressure at two dead volumes, "
-        "would tell"
+        "would separate them"
     )

@@ -21,7 +21,16 @@ from numpy.typing import NDArray
 from can_dbc.errors import InputError
 from can_dbc.typed_toml import convert, read_toml
 from plant.effects.force_term import Motion
-from sil.campaign.campaign import ColumnMap, Floats, Rate, Record, Text, column_maps, read_record
+from sil.campaign.campaign import (
+    ColumnMap,
+    Floats,
+    Rate,
+    Record,
+    Text,
+    check_files,
+    column_maps,
+    read_record,
+)
 from sil.diagnosis.force_checks import odd_channels
 from sil.diagnosis.noise import noise_of
 
@@ -43,6 +52,7 @@ MARGIN = 50.0
 GAP_STEPS = 8.0
 """A longer pause, in sampling steps, is a gap."""
 
+FORCES = ("force_n", "torque_n_m")
 ROTARY = {"N": "N m", "kg": "kg m^2", "N s/m": "N m s", "N/m": "N m", "N/Pa": "N m/Pa", "m": "rad"}
 
 
@@ -80,17 +90,18 @@ class ForceRig(Struct, frozen=True, forbid_unknown_fields=True):
 class Recorded:
     """All samples of a campaign, and which of them are judged.
 
-    raw: position, force and pressure as measured, speed and acceleration filtered, all [n]; its
-    block is the number of the group of strokes that is held out together. judged: [n]; stroke: [n];
-    width: of the filter, in samples; step_s: sampling step; force_sd_n, position_sd_m: noise of a
-    sample; files: [n] number of the file; stride: distance of judged samples.
+    raw: position, force and pressure as measured (the force, and a pressure that it comes from, less
+    a delay within a sampling step), speed and acceleration filtered, all [n]; its block is the number
+    of the group of strokes that is held out together. starts: first sample of each part of a file
+    without gaps; judged: [n]; stroke: [n]; width: of the filter, in samples; step_s: sampling step; force_sd_n, position_sd_m: noise of a
+    sample; stride: distance of judged samples.
     """
 
     name: str
     raw: Motion
+    starts: NDArray[np.int64]
     judged: NDArray[np.bool_]
     stroke: NDArray[np.int64]
-    files: NDArray[np.int64]
     width: float
     step_s: float
     force_sd_n: float
@@ -155,6 +166,7 @@ def read_motion(path: str | Path) -> Recorded:
     """
     file = description(path)
     rig = convert(read_toml(file), ForceRig, str(file))
+    check_files([entry.file for entry in rig.stroke], file)
     columns = column_maps(rig.columns)
     records = [read_record(file.parent / entry.file, columns) for entry in rig.stroke]
     rotary = any("angle_rad" in record for record in records)
@@ -164,18 +176,19 @@ def read_motion(path: str | Path) -> Recorded:
     doubts: list[str] = []
     parts: list[Floats] = []
     noise: list[tuple[float, float, int]] = []
-    for number, record in enumerate(records):
+    for record in records:
         signals = _signals(record, rig.body)
         if record.dialect:
             findings.append(f"{record.path.name}: read as {record.dialect}")
-        findings += _gaps(record)
+        # a stuck force is hidden by the pressures that are added to it
+        own = next((record[name] for name in FORCES if name in record), signals[1])
+        checked = np.vstack([signals[0], own, signals[2]])
         noise.append((noise_of(signals[1]), noise_of(signals[0]), len(record)))
-        for rows in _without_gaps(record.time_s):
+        for rows in _parts(record, findings):
             if (record.time_s[rows[-1]] - record.time_s[rows[0]]) / step < MARGIN:
                 continue
-            doubts += odd_channels(record.path.name, signals[:, rows], int(rows[0]))
-            part = _even(record.time_s[rows], signals[:, rows], step)
-            parts.append(np.vstack([part, np.full(part.shape[1], number)]))
+            doubts += odd_channels(record.path.name, checked[:, rows], int(rows[0]))
+            parts.append(_even(record.time_s[rows], signals[:, rows], step))
     if not parts:
         raise InputError(
             f"{file.parent}: no {FEWEST_SAMPLES} samples without a gap; expected strokes"
@@ -193,7 +206,7 @@ def _signals(record: Record, body: Body) -> Floats:
     position = next((record[name] for name in ("position_m", "angle_rad") if name in record), None)
     if position is None:
         raise InputError(f"{path}: no position_m; expected position and a driving force")
-    force = next((record[name] for name in ("force_n", "torque_n_m") if name in record), None)
+    force = next((record[name] for name in FORCES if name in record), None)
     areas = {"pressure_pa": body.piston_area_m2, "pressure_2_pa": body.area_2_m2}
     for name, area in areas.items():
         if area and name not in record:
@@ -212,24 +225,16 @@ def _signals(record: Record, body: Body) -> Floats:
     return np.vstack([position, force, pressure])
 
 
-def _gaps(record: Record) -> list[str]:
-    """Return a finding if time_s has gaps."""
+def _parts(record: Record, findings: list[str]) -> list[NDArray[np.int64]]:
+    """Return the rows of each part without gaps; gaps are added to the findings."""
     steps = np.diff(record.time_s)
     gaps = np.flatnonzero(steps > GAP_STEPS * np.median(steps))
-    if not len(gaps):
-        return []
-    first = gaps[0]
-    return [
-        f"{record.path.name}: time_s: {len(gaps)} gaps, the first of {steps[first]:.3g} s at "
-        f"{record.time_s[first]:.4g} s; nothing is concluded across them"
-    ]
-
-
-def _without_gaps(time_s: Floats) -> list[NDArray[np.int64]]:
-    """Return the rows of each part without gaps."""
-    steps = np.diff(time_s)
-    cuts = np.flatnonzero(steps > GAP_STEPS * np.median(steps)) + 1
-    return np.split(np.arange(len(time_s)), cuts)
+    if len(gaps):
+        findings.append(
+            f"{record.path.name}: time_s: {len(gaps)} gaps, the first of {steps[gaps[0]]:.3g} s at "
+            f"{record.time_s[gaps[0]]:.4g} s; nothing is concluded across them"
+        )
+    return np.split(np.arange(len(record)), gaps + 1)
 
 
 def _even(time_s: Floats, signals: Floats, step: float) -> Floats:
@@ -239,7 +244,10 @@ def _even(time_s: Floats, signals: Floats, step: float) -> Floats:
     if np.max(np.abs(np.diff(time_s) - step)) <= 0.01 * step:
         return signals
     grid = np.arange(time_s[0], time_s[-1], step)
-    return np.asarray(make_interp_spline(time_s, signals.T, k=3)(grid).T)
+    even = np.full((len(signals), len(grid)), np.nan)
+    there = ~np.isnan(signals[:, 0])  # a rig without pressure has none at all
+    even[there] = make_interp_spline(time_s, signals[there].T, k=3)(grid).T
+    return even
 
 
 def _judged(
@@ -251,12 +259,12 @@ def _judged(
     findings: list[str],
     doubts: list[str],
 ) -> Recorded:
-    """Return the parts [4, m] as one record: filtered, its strokes found, slow samples left out."""
+    """Return the parts [3, m] as one record: filtered, its strokes found, slow samples left out."""
     width = (
         _width(parts, noise[1]) if rig.body.smooth_s is None else max(1.0, rig.body.smooth_s / step)
     )
     speeds = [smoothed(part[0], width, 1) / step for part in parts]
-    x, f, p, files = np.concatenate(parts, axis=1)
+    x, f, p = np.concatenate(parts, axis=1)
     v = np.concatenate(speeds)
     a = np.concatenate([smoothed(part[0], width, 2) / step**2 for part in parts])
     fast = float(np.quantile(np.abs(v), 0.99))
@@ -270,7 +278,9 @@ def _judged(
     if np.count_nonzero(away) > 0.5 * np.count_nonzero(judged):
         judged = away
     if np.count_nonzero(judged) < 0.5 * FEWEST_SAMPLES:
-        raise InputError(f"{rig.name}: position_m: hardly moves; expected strokes")
+        raise InputError(
+            f"{rig.name}: position_m: hardly moves, or slow_m_s or smooth_s of [body] is too large; expected strokes"
+        )
     # filtered samples next to each other say the same
     stride = max(1, int(0.6 * width))
     judged &= np.arange(len(judged)) % stride == 0
@@ -285,13 +295,13 @@ def _judged(
     else:
         block = np.arange(len(x)) * FOLDS // len(x)
     pressure = None if np.isnan(p).any() else p
-    raw = Motion(f, v, a, x, pressure, block.astype(np.int64), 1.0 / step, 0.0)
+    raw = Motion(f, v, a, x, pressure, block.astype(np.int64))
     return Recorded(
         rig.name,
         raw,
+        np.flatnonzero(starts),
         judged,
         stroke,
-        files.astype(np.int64),
         width,
         step,
         *noise,

@@ -2,7 +2,7 @@
 
 The hypotheses of `force_fit` go through the verdict of all rigs. What no cause explains is described
 by functions without a form: of speed, position, pressure, direction. Whether the record is sound,
-signs and time base agree and the motion tells anything is judged first.
+signs and time base agree and the motion is informative is judged first.
 
 Source: inverse dynamic identification, e.g. Gautier, Janot, Vandanjon 2013.
 Checked by: tests/unit/sil/diagnosis/test_force_rig.py
@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from sil.campaign.campaign import Floats
 from sil.diagnosis.causes import Cause, diagnosis_json
 from sil.diagnosis.force_fit import (
     BODY,
@@ -46,15 +47,16 @@ GIVING_BACK = ("position", "pressure_gain", "pressure times position")
 """Forces that do no work on the whole when a motion returns."""
 CONTAINED = 0.5
 """A function contains a cause if less than this share of the cause differs from it."""
-LEAST_OF_EXCESS = (0.1, 0.5)
-"""A cause explains at least this share of the misfit that is there without it; next to a residual that
-noise does not explain, at least the second."""
+LEAST_OF_EXCESS = 0.5
+"""A cause explains at least this share of the misfit that is there without it ..."""
+LEAST_OF_LATE = 0.2
+"""... and a delay within a sampling step this share."""
 DESCRIBED = 0.2
 """A function describes a residual if it removes this share of its squares."""
 
 DETECTABILITY = (
     "with driving force and position alone: causes in the balance of forces; a constant force cannot be "
-    "told from Coulomb friction that differs with direction, gauge pressure not from absolute pressure"
+    "distinguished from Coulomb friction that differs with direction, gauge pressure not from absolute pressure"
 )
 
 
@@ -88,7 +90,7 @@ class ForceDiagnosis:
 
     def error(self, item: Tried) -> float:
         """Return the relative force error: held-out rms over the rms of the driving force."""
-        return item.rms_n / float(np.sqrt(np.mean(self.bank.target**2)))
+        return item.rms_n / (float(np.sqrt(np.mean(self.bank.target**2))) + 1e-300)
 
     @property
     def verdict(self) -> str:
@@ -152,7 +154,7 @@ class ForceDiagnosis:
             f"{self.error(without):.2%} before, {self.error(item):.2%} after"
         )
         if name not in self.leader.ids:
-            text = f"cannot be told apart from {self.leader.name}: {text}"
+            text = f"cannot be distinguished from {self.leader.name}: {text}"
         return Cause(
             name,
             group.cause_class,
@@ -235,9 +237,11 @@ def diagnose_force(path: str | Path) -> ForceDiagnosis:
     Raises InputError as `read_motion` does.
     """
     record = read_motion(path)
-    bank = Bank(record)
-    tried = bank.all_tried()
-    bank.calibrate(tried)
+    bank, tried = _tried(record)
+    late_s = _late_within_a_step_s(bank, min(tried, key=lambda item: item.rms_n))
+    if late_s:
+        record = _sooner(record, late_s)
+        bank, tried = _tried(record)
     plain = tried[0]
     singles = [item for item in tried if len(item.groups) == 1]
     by_names = {frozenset(item.names): item for item in tried}
@@ -259,6 +263,53 @@ def diagnose_force(path: str | Path) -> ForceDiagnosis:
     return ForceDiagnosis(record, bank, plain, verdict, judged, singles, doubts, rest, robust)
 
 
+def _tried(record: Recorded) -> tuple[Bank, list[Tried]]:
+    bank = Bank(record)
+    tried = [bank.attempt(())] if bank.is_constant() else bank.all_tried()
+    bank.calibrate(tried)
+    return bank, tried
+
+
+def _late_within_a_step_s(bank: Bank, best: Tried) -> float:
+    """Return by how much the force is late against the position [s], 0 unless that explains a residual.
+
+    A command that is held from sample to sample acts half a step before it is recorded.
+    """
+    ratio = best.rms_n / best.noise_n
+    if ratio <= EXPLAINED:
+        return 0.0
+    record = bank.record
+    base = np.linalg.qr(bank.columns[:, bank.own(best.groups)])[0]
+    rate = record.filtered(record.raw.force_n, 1)[record.judged]
+    rest, moved = (values - base @ (base.T @ values) for values in (bank.target, rate))
+    late_s = -float(rest @ moved / (moved @ moved))
+    left = ratio**2 * float(np.mean((rest + late_s * moved) ** 2) / np.mean(rest**2))
+    explains = left - 1.0 < (1.0 - LEAST_OF_LATE) * (ratio**2 - 1.0)
+    return late_s if explains and abs(late_s) <= record.step_s else 0.0
+
+
+def _sooner(record: Recorded, late_s: float) -> Recorded:
+    """Return a record with its driving force taken so much earlier, and a finding that says so.
+
+    A pressure that the force comes from is moved with it.
+    """
+    from scipy.ndimage import shift
+
+    def moved(values: Floats) -> Floats:
+        parts = np.split(values, record.starts[1:])
+        return np.concatenate([shift(p, -late_s / record.step_s, mode="nearest") for p in parts])
+
+    pressure = record.raw.pressure_pa
+    if pressure is not None and (record.body.piston_area_m2 or record.body.area_2_m2):
+        pressure = moved(pressure)
+    text = (
+        f"the driving force is {abs(late_s):.3g} s {'late' if late_s > 0 else 'early'} against the "
+        "position, within a sampling step (a command that is held from sample to sample?): taken off"
+    )
+    raw = replace(record.raw, force_n=moved(record.raw.force_n), pressure_pa=pressure)
+    return replace(record, raw=raw, findings=(*record.findings, text))
+
+
 def _acceptable(item: Tried, by_names: dict[frozenset[str], Tried]) -> bool:
     """Return whether a hypothesis is physical and gains by each of its causes."""
     if not item.groups:
@@ -269,8 +320,7 @@ def _acceptable(item: Tried, by_names: dict[frozenset[str], Tried]) -> bool:
         without = by_names[frozenset(item.names) - {name}]
         if gain_in_errors(item, without) < SURE:
             return False
-        least = LEAST_OF_EXCESS[item.whole.beyond > 0.0]
-        if item.whole.excess > (1.0 - least) * max(without.whole.excess, 0.0):
+        if item.whole.excess > (1.0 - LEAST_OF_EXCESS) * max(without.whole.excess, 0.0):
             return False
     return True
 
@@ -291,14 +341,13 @@ def _is_robust(bank: Bank, leader: Tried, group: Group) -> bool:
 
     Descriptions that contain the cause itself say nothing about it.
     """
-    at = [*range(len(leader.body)), *(c for g in leader.groups for c in g.columns)]
-    k = at.index(group.columns[0])
+    k = bank.own(leader.groups).index(group.columns[0])
     thin = slice(None, None, max(1, len(bank.target) // 5000))
     own = bank.columns[thin, group.columns[0]]
     for other in bank.groups:
         if other.name in {g.name for g in leader.groups}:
             continue
-        described = bank.columns[thin][:, [*range(len(leader.body)), *other.columns]]
+        described = bank.columns[thin][:, bank.own([other])]
         if difference(np.linalg.qr(described)[0], own) < CONTAINED:
             continue
         item = bank.attempt((*leader.groups, other))
@@ -333,23 +382,24 @@ def _doubts(bank: Bank, plain: Tried) -> list[str]:
         found.append(f"offset_n: {bank.missing.pop('offset_n')}")
     if "stiffness" in bank.missing and "mass_kg" in bank.body and plain.value("mass_kg")[0] == 0.0:
         found.append(
-            "mass and stiffness move together: motion at another frequency would tell them apart"
+            "mass and stiffness move together: motion at another frequency would separate them"
         )
-    if float(np.sqrt(np.mean(bank.target**2))) < SURE * plain.noise_n:
+    rms = float(np.sqrt(np.mean(bank.target**2)))
+    if rms < SURE * plain.noise_n or bank.is_constant():
         found.append(
-            "the driving force hardly exceeds its noise: larger or faster strokes would tell"
+            "the driving force is constant, or hardly exceeds its noise: larger or faster strokes would help"
         )
     return found
 
 
 def _friction(bank: Bank, groups: Sequence[Group]) -> tuple[float, float, bool]:
     """Return friction's power [W] and the mass [kg] without bounds, and whether they are negative."""
-    values, deviations = (dict(zip(bank.body, v, strict=True)) for v in bank.free_body(groups))
     speed = np.abs(bank.record.raw.speed_m_s[bank.record.judged])
     size = {"coulomb_n": float(np.mean(speed)), "viscous_n_s_m": float(np.mean(speed**2))}
-    power = sum(values[name] * s for name, s in size.items() if name in values)
-    spread = sum(deviations[name] * s for name, s in size.items() if name in values)
-    mass, mass_spread = values.get("mass_kg", 0.0), deviations.get("mass_kg", 0.0)
+    (power, spread), (mass, mass_spread) = (
+        bank.free_combination(np.array([weights.get(name, 0.0) for name in bank.body]), groups)
+        for weights in (size, {"mass_kg": 1.0})
+    )
     negative = power < -2.0 * spread or (power < 2.0 * spread and mass < -2.0 * mass_spread)
     return power, mass, negative
 

@@ -46,7 +46,7 @@ MORE = (
         ForceTerm(
             "stiffness_n_m",
             "N/m",
-            "a spring, or enclosed gas, whose dead volume and exponent cannot be told apart",
+            "a spring, or enclosed gas, whose dead volume and exponent cannot be separated",
             lambda m, _s: centred(m),
         ),
     ),

@@ -1,6 +1,6 @@
 """A draft of campaign.toml from measured files: columns found by name and unit, channels drawn.
 
-What the files do not say stands in the draft as a comment and is returned as a question.
+What the files do not say is in the draft as a comment and is returned as a question.
 Checked by: tests/unit/sil/diagnosis/test_new_campaign.py
 """
 
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from can_dbc.errors import InputError
-from sil.campaign.campaign import Floats, toml_value
+from sil.campaign.campaign import LARGEST, Floats, toml_value
 from sil.campaign.tables import SCALES, read_columns
 from sil.files.atomic import write_atomically
 from sil.report.figure import Figure, Panel, Series, Stack
@@ -28,7 +28,7 @@ NAMES = {
     "torque_n_m": r"torque|tau|moment|drehmoment",
     "pressure_pa": r"p\d?|pressure|druck|.*press(ure)?",
 }
-"""Names by which a channel is recognised if no unit tells it."""
+"""Names by which a channel is recognised if no unit identifies it."""
 
 ASKED = {
     "position_m": "no position was found: state position_m (m) or angle_rad (rad)",
@@ -54,22 +54,28 @@ def unit_of(name: str) -> str:
     return found.group(1) if found and found.group(1) in SCALES else ""
 
 
-def guess(columns: Mapping[str, Floats]) -> dict[str, tuple[str, float, bool]]:
+def guess(
+    columns: Mapping[str, Floats], units: Mapping[str, str]
+) -> dict[str, tuple[str, float, bool]]:
     """Return column, scale and whether a unit was stated, by our name, of what the names and values show.
 
-    columns: [n] each, in the file's units.
+    columns: [n] each, in the file's units; units: those stored apart from the names.
     """
     found: dict[str, tuple[str, float, bool]] = {}
     for name, values in columns.items():
+        stored = units[name] if units.get(name) in SCALES else ""
         if name in NAMES:
-            found[name] = (name, 1.0, True)
+            fits = stored and SCALES[stored][0] == name
+            found[name] = (name, SCALES[stored][1] if fits else 1.0, True)
             continue
-        unit = unit_of(name)
+        bare = re.split(r"[./]", name)[-1].strip()
+        unit = stored or unit_of(name) or unit_of(bare)
+        if units.get(name) and not unit:
+            continue  # volts, say: neither a position nor a force, whatever its name
         if unit:
             ours, scale = SCALES[unit]
         else:
-            bare = name.strip().lower()
-            ours = next((o for o, form in NAMES.items() if re.fullmatch(form, bare)), "")
+            ours = next((o for o, form in NAMES.items() if re.fullmatch(form, bare.lower())), "")
             scale = 1.0
         if ours == "time_s" and np.any(np.diff(values) <= 0.0):
             continue
@@ -80,19 +86,39 @@ def guess(columns: Mapping[str, Floats]) -> dict[str, tuple[str, float, bool]]:
     return found
 
 
-def draft(folder: Path, files: Sequence[Path]) -> list[str]:
+def draft(folder: Path, files: Sequence[Path], force: bool = False) -> list[str]:
     """Copy files into a folder with a draft of campaign.toml and a picture of the channels.
 
     Returns what the files do not say, as questions. Raises InputError for a file that cannot be
-    read, and for files whose columns differ.
+    read, for files whose columns differ, for two of the same name and, without `force`, where the
+    folder has another file of that name.
     """
+    names = [file.name for file in files]
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            raise InputError(f"{files[number]}: a second file {name}; expected different names")
     tables = [read_columns(file) for file in files]
-    columns = tables[0][0]
-    for file, (other, _dialect) in zip(files, tables, strict=True):
-        if set(other) != set(columns):
-            odd = ", ".join(sorted(set(other) ^ set(columns)))
+    for file in files:
+        copy = folder / file.name
+        if copy.exists() and not force and not file.samefile(copy):
+            raise InputError(f"{copy}: exists, and is not {file}; expected none, or --force")
+    columns, _dialect, units = tables[0]
+    shown = {f"{name} [{units[name]}]" if name in units else name for name in columns}
+    for file, (other, _, others) in zip(files, tables, strict=True):
+        own = {f"{name} [{others[name]}]" if name in others else name for name in other}
+        if own != shown:
+            odd = ", ".join(sorted(own ^ shown))
             raise InputError(f"{file}: other columns than {files[0]}: {odd}; expected the same")
-    found = guess(columns)
+    odd_ones = {
+        name
+        for table, *_rest in tables
+        for name, values in table.items()
+        if not np.all(np.abs(values) < LARGEST)
+    }
+    columns = {name: values for name, values in columns.items() if name not in odd_ones}
+    found = guess(columns, units)
+    if not set(columns) - {found.get("time_s", ("",))[0]}:
+        raise InputError(f"{files[0]}: no channel but time; expected position and force")
     asked = [text for name, text in ASKED.items() if not _has(found, name)]
     asked += ALWAYS + (PRESSURE if "pressure_pa" in found else ())
     vague = [source for source, _scale, stated in found.values() if not stated]
@@ -111,16 +137,19 @@ def draft(folder: Path, files: Sequence[Path]) -> list[str]:
         "[columns]",
     ]
     for ours, (source, scale, _stated) in found.items():
-        if ours != source:
+        if ours != source or scale != 1.0:
             lines.append(f"{ours} = {{ column = {toml_value(source)}, scale = {scale!r} }}")
     used = {source for source, _scale, _stated in found.values()}
     lines += [f"# not used: {toml_value(name)}" for name in columns if name not in used]
-    for file, (_columns, dialect) in zip(files, tables, strict=True):
+    lines += [f"# not used, not finite: {toml_value(name)}" for name in sorted(odd_ones)]
+    for file, (_columns, dialect, _units) in zip(files, tables, strict=True):
         lines += ["", "[[stroke]]", f"file = {toml_value(file.name)}"]
         lines += [f"# read as {dialect}"] if dialect else []
-        shutil.copyfile(file, folder / file.name)
+        if not (folder / file.name).exists() or not file.samefile(folder / file.name):
+            shutil.copyfile(file, folder / file.name)
     write_atomically(folder / "campaign.toml", "\n".join(lines) + "\n")
-    save(_figure(files, [table for table, _dialect in tables], found), folder, "channels")
+    drawn = [{name: table[name] for name in columns} for table, *_rest in tables]
+    save(_figure(files, drawn, found), folder, "channels")
     return asked
 
 

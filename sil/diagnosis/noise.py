@@ -24,20 +24,27 @@ UNCERTAINTY = 2.5
 AGREES = {"position": 0.45, "pressure": 0.03, "oil": 0.05}
 """An estimate this near to what is known already, standard errors aside, does not replace it."""
 FEWEST = 12
+CHANCE = 4.0
+"""Log ratio of the medians of two parts of a white spectrum of a windowed record, at most, times the root of
+their numbers."""
 
 
 def noise_of(values: Floats) -> float:
     """Return the standard deviation of the noise of a sample of values [n].
 
-    By sixth differences, which motion hardly changes, and by the quietest part of the upper half of
-    the spectrum; not less than the rounding of the values.
+    By sixth differences, which motion hardly changes, and by the quiet parts of the upper half of the
+    spectrum; not less than the rounding of the values. The quietest part alone would be too quiet in
+    a short record: parts that differ from it by chance count with it.
     """
     differences = np.diff(values, 6)
     robust = float(np.median(np.abs(differences))) / (0.6745 * comb(12, 6) ** 0.5)
     window = np.hanning(len(values))
     power = np.abs(np.fft.rfft((values - values.mean()) * window)) ** 2 / np.sum(window**2)
     bands = np.array_split(power[len(power) // 2 : -1], 8)
-    spectral = min(float(np.median(band)) for band in bands) / np.log(2.0)
+    levels = np.array([np.median(band) for band in bands])
+    chance = np.exp(CHANCE / len(bands[-1]) ** 0.5)
+    quiet = [b for b, level in zip(bands, levels, strict=True) if level <= chance * levels.min()]
+    spectral = float(np.median(np.concatenate(quiet))) / np.log(2.0)
     return float(max(min(robust, spectral**0.5), rounding_of(values) / 12.0**0.5))
 
 

@@ -30,6 +30,7 @@ from sil.diagnosis.terms import form_of
 from sil.diagnosis.verdict import Judged
 from sil.diagnosis.workers import spread_out
 from sil.files.atomic import write_atomically
+from sil.fitting.refused import Tried
 from sil.report.picture import save
 from sil.report.plots import plots
 from sil.report.shell import Head, Picture, render
@@ -108,7 +109,10 @@ def write_report(
         causes=[(c, _parameter_lines(c), _look_alikes(c, result)) for c in result.causes],
         pictures=pictures,
         alone=[] if found is None else _rms_rows(*found[1:]),
-        judged=[(item, _fitted_values(item)) for item in result.judged[:12]],
+        judged=[
+            (item, _fitted_values(item), result.refusals.get(item.name, Tried(item.ids)))
+            for item in result.judged[:12]
+        ],
         before=before,
         after=after,
         changed=loop,
@@ -118,20 +122,26 @@ def write_report(
     )
     write_atomically(folder / "report.html", page)
     return {
-        "explanations": [_explanation(item, result.judged[0]) for item in result.judged],
+        "explanations": [_explanation(item, result) for item in result.judged],
         "residuals": {"before": _plain(before), "after": _plain(after)},
         "loop": None if loop is None else asdict(loop),
     }
 
 
-def _explanation(item: Judged, best: Judged) -> dict[str, Any]:
-    """Return one explanation in plain numbers: behind is in log evidence, left_over an rms."""
+def _explanation(item: Judged, result: Diagnosis) -> dict[str, Any]:
+    """Return one explanation in plain numbers: behind is in log evidence, left_over an rms.
+
+    tried, refused: how many of its values were tried, and could not be simulated.
+    """
+    counts = result.refusals.get(item.name, Tried(item.ids))
     pairs = zip(item.training.candidates, item.training.values, strict=True)
     return {
         "name": item.name,
-        "behind": item.score - best.score,
+        "behind": item.score - result.judged[0].score,
         "probability": item.probability,
         "left_over": item.misfit.rms,
+        "tried": counts.tried,
+        "refused": counts.refused,
         "parameters": {candidate.name: dict(own) for candidate, own in pairs},
     }
 

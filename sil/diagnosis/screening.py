@@ -18,9 +18,10 @@ import numpy as np
 from plant.errors import IntegrationError
 from sil.campaign.campaign import Floats
 from sil.fitting.arrow import FARTHEST_SD, arrow
-from sil.fitting.fit import FitResult
+from sil.fitting.fit import FitResult, Fitter
 from sil.fitting.hypotheses import Candidate
 from sil.fitting.model import CampaignModel
+from sil.fitting.refused import shown
 
 
 @dataclass(frozen=True)
@@ -60,15 +61,20 @@ def change_of(
     for k, block in fit.blocks.items():
         amounts = model.amounts(fit.shared, fit.stroke[k])
         setup = model.setup(k, amounts, (*fit.candidates, candidate), (*fit.values, own))
-        changes[k] = model.predict(k, setup) - block.base
+        try:
+            changes[k] = model.predict(k, setup) - block.base
+        except IntegrationError as error:
+            where = f"{shown((candidate,), (own,))}{model.strokes[k].entry.file}"
+            raise IntegrationError(f"{where}: {error}") from None
     return changes
 
 
-def screen(model: CampaignModel, fit: FitResult, candidates: Sequence[Candidate]) -> list[Score]:
+def screen(fitter: Fitter, fit: FitResult, candidates: Sequence[Candidate]) -> list[Score]:
     """Score of every candidate on top of a fit, largest gain first.
 
-    A candidate whose start cannot be simulated scores nothing.
+    A start that cannot be simulated scores nothing; the fitter's refusals count it.
     """
+    model = fitter.model
     blocks = fit.blocks
     normal, gradient, inner = arrow(blocks, fit.stroke, fit.shared, fit.layout)
     # what is at its bound and presses outward imitates nothing
@@ -83,8 +89,10 @@ def screen(model: CampaignModel, fit: FitResult, candidates: Sequence[Candidate]
         for start in candidate.starts[::2]:
             try:
                 changes = change_of(model, fit, candidate, start)
-            except IntegrationError:
+            except IntegrationError as error:
+                fitter.refusals.add((*fit.candidates, candidate), error)
                 continue
+            fitter.refusals.add((*fit.candidates, candidate), None)
             slope = square = 0.0
             cross = np.zeros(len(normal))
             for k, c in changes.items():

@@ -17,7 +17,7 @@ from plant.errors import IntegrationError
 from sil.campaign.campaign import Floats
 from sil.diagnosis.screening import Score, screen
 from sil.diagnosis.split import stratum
-from sil.diagnosis.workers import Stages, spread_out
+from sil.diagnosis.workers import Stages, fitted
 from sil.fitting.fit import FitResult, Fitter, Show, no_progress
 from sil.fitting.floor import misfit, strained
 from sil.fitting.hypotheses import Candidate, compatible, scaled_of
@@ -49,7 +49,7 @@ EFFECTS_FIRST = 3
 """... for so many iterations."""
 CHILDREN = 3
 ALIKE = 4.0
-"""Log evidence below which the data cannot tell two causes apart."""
+"""Log evidence below which the data cannot distinguish two causes."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,8 @@ class Search:
                 effects_first=first,
                 reuse=self.known.get(task.parent, {}),
             ).light()
-        except IntegrationError:
+        except IntegrationError as error:
+            self.fitter.refusals.lose(task.candidates, error)
             return None
 
     def refine(self, fit: FitResult, iterations: int = LAST_ITERATIONS) -> FitResult:
@@ -174,7 +175,7 @@ class Search:
     def run_tasks(self, tasks: Sequence[Task]) -> list[FitResult]:
         """First fits, side by side, on the sample of the training strokes; best first."""
         done = Fits()
-        for fit in spread_out(self.attempt, tasks, self.workers, self.stages):
+        for fit in fitted(self.fitter, self.attempt, tasks, self.workers, self.stages):
             if fit is not None:
                 done.add(fit)
         return done.ordered()
@@ -186,10 +187,11 @@ class Search:
         def work(fit: FitResult) -> FitResult | None:
             try:
                 return self.refine(fit, most).light()
-            except IntegrationError:
+            except IntegrationError as error:
+                self.fitter.refusals.lose(fit.candidates, error)
                 return None
 
-        for fit in spread_out(work, fits, self.workers):
+        for fit in fitted(self.fitter, work, fits, self.workers):
             if fit is not None:
                 self.fits.add(fit)
         best = self.fits.ordered()[:1]
@@ -206,7 +208,7 @@ class Search:
         chosen: list[Candidate] = self.candidates
         if misfit(self.model, healthy).per_number < NEAR and not strained(healthy):
             self.known[healthy.name] = healthy.blocks
-            self.scores = screen(self.model, healthy, self.candidates)
+            self.scores = screen(self.fitter, healthy, self.candidates)
             chosen = [s.candidate for s in self.scores if s.gain > WORTH][: 2 * MOST_SINGLES]
         begin = (healthy.shared, healthy.stroke)
         tasks = []
@@ -221,7 +223,7 @@ class Search:
     def pairs(self) -> None:
         """Try a second cause on top of the best singles, by score; then finish the best pairs."""
         tasks: list[Task] = []
-        for parent, scores in spread_out(self.scored, self.parents(), self.workers):
+        for parent, scores in fitted(self.fitter, self.scored, self.parents(), self.workers):
             self.known[parent.name] = parent.blocks
             tasks += [self.pair_task(parent, score) for score in scores[:CHILDREN]]
         unique: dict[frozenset[str], Task] = {}
@@ -263,7 +265,7 @@ class Search:
         self.polish(self.run_tasks(tasks)[:1])
 
     def try_alike(self, leader: FitResult, gain: float) -> bool:
-        """Fit what the leader's covariance cannot tell from its one cause; True if there is any.
+        """Fit what the leader's covariance cannot distinguish from its one cause; True if there is any.
 
         gain: of that cause, in log evidence; another one of which the leader imitates so much that
         less than ALIKE of it would remain is a rival, if it fits.
@@ -274,7 +276,7 @@ class Search:
         others = [c for c in self.candidates if compatible(c, leader.candidates)]
         tasks = [
             Task((score.candidate,), tuple((start,) for start in score.candidate.starts), None, 6)
-            for score in screen(self.model, self.refine(leader, 0), others)
+            for score in screen(self.fitter, self.refine(leader, 0), others)
             if gain * score.free < ALIKE * before.get(score.candidate.name, 0.0)
             and score.candidate.name not in self.fits
         ]
@@ -289,7 +291,7 @@ class Search:
         """Scores of every compatible candidate on top of a single."""
         full = self.refine(parent, 0)
         others = [c for c in self.candidates if compatible(c, parent.candidates)]
-        return full, [s for s in screen(self.model, full, others) if s.gain > WORTH]
+        return full, [s for s in screen(self.fitter, full, others) if s.gain > WORTH]
 
     def pair_task(self, parent: FitResult, score: Score) -> Task:
         """Return the fit of a pair, beginning at the single's optimum and the score's amount."""

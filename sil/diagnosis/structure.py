@@ -120,11 +120,11 @@ class Structure:
         text = f"channels {', '.join(self.channels)}: "
         text += "everything can be detected" if not hidden else f"not {', '.join(hidden)}"
         if len(groups) == 1 and len(groups[0]) == len(self.detectable):
-            return text + ", but nothing can be told apart"
+            return text + ", but no two can be distinguished"
         if groups:
             pairs = "; ".join(" / ".join(FAULTS[f] for f in group) for group in groups)
-            return text + f"; not told apart by structure: {pairs}"
-        return text + " and told apart"
+            return text + f"; not distinguished by structure: {pairs}"
+        return text + " and distinguished"
 
 
 def analyse(channels: Sequence[str], has_damper: bool) -> Structure:

@@ -17,6 +17,7 @@ Checked by: tests/unit/sil/diagnosis/test_verdict.py
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, TypeVar
@@ -26,7 +27,7 @@ import numpy as np
 from plant.effects.term import term
 from plant.errors import IntegrationError
 from sil.campaign.campaign import Floats
-from sil.diagnosis.workers import spread_out
+from sil.diagnosis.workers import fitted
 from sil.fitting.fit import FitResult, Fitter
 from sil.fitting.floor import EXPLAINED, Misfit, misfit
 from sil.fitting.hypotheses import Candidate
@@ -100,6 +101,7 @@ class Explanation(Protocol):
     @property
     def held_cost(self) -> float | None:
         """Cost on held-out strokes alone."""
+        return None
 
     @property
     def whole(self) -> Misfit:
@@ -108,6 +110,7 @@ class Explanation(Protocol):
     @property
     def slight(self) -> tuple[str, ...]:
         """Causes that are tiny and not alone."""
+        return ()
 
 
 E = TypeVar("E", bound=Explanation)
@@ -168,15 +171,17 @@ def judge(
             return fitter.fit(
                 fit.candidates, start=fit.shared, use=held_out, iterations=4, freeze=frozen
             ).light()
-        except IntegrationError:
+        except IntegrationError as error:
+            fitter.refusals.lose(fit.candidates, error)
             return None
 
     found = []
-    answers = spread_out(work, fits, workers) if held_out else [None] * len(fits)
+    answers = fitted(fitter, work, fits, workers) if held_out else [None] * len(fits)
     for fit, held in zip(fits, answers, strict=True):
         if held_out and held is None:
             continue
         score, both = 0.5 * fit.evidence(), fit
+        score -= sum(math.log(item.prior) for item in fit.candidates)
         if held is not None:
             # the priors of the shared parameters are counted once, with the training strokes
             score += 0.5 * held.chi2
@@ -343,7 +348,7 @@ def slight_causes(item: Judged) -> tuple[str, ...]:
 def _rivals_of(
     leader: Explanation, judged: Sequence[Explanation], probabilities: dict[str, float]
 ) -> tuple[tuple[str, ...], ...]:
-    """Return groups that the data cannot tell apart: each claimed cause with what may replace it."""
+    """Return groups that the data cannot distinguish: each claimed cause with what may replace it."""
     groups = []
     least = CONTEST * max(item.probability for item in judged)
     for name in leader.ids:

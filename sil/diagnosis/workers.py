@@ -12,7 +12,8 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import Any, TypeVar
 
 from sil.files.worker import begin_worker
-from sil.fitting.fit import Show, no_progress
+from sil.fitting.fit import Fitter, Show, no_progress
+from sil.fitting.refused import Refusals
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -74,3 +75,25 @@ def spread_out(
             return collect(pool.map(_call, items))
     finally:
         _WORK.pop()
+
+
+def fitted(
+    fitter: Fitter,
+    work: Callable[[Item], Answer],
+    items: Sequence[Item],
+    workers: int,
+    progress: Show = no_progress,
+) -> list[Answer]:
+    """Return what `spread_out` does of work with a fitter, whose refusals of all processes are joined."""
+
+    def counted(item: Item) -> tuple[Answer, Refusals]:
+        before, fitter.refusals = fitter.refusals, Refusals()
+        try:
+            return work(item), fitter.refusals
+        finally:
+            fitter.refusals = before
+
+    answers = spread_out(counted, items, workers, progress)
+    for _answer, refusals in answers:
+        fitter.refusals.join(refusals)
+    return [answer for answer, _refusals in answers]

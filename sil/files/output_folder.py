@@ -95,12 +95,12 @@ def reopen_folder(out: Path) -> Path:
 
 
 @contextlib.contextmanager
-def locked_folder(out: Path) -> Iterator[Path]:
-    """Lock a folder, made if missing, while the block runs.
+def locked_folder(out: Path, option: str = "--out") -> Iterator[Path]:
+    """Lock a folder, made if missing, while the block runs; errors name the option that gave it.
 
     Raises InputError for one to which another process writes, or that cannot be made.
     """
-    folder, lock = _made(out)
+    folder, lock = _made(out, option)
     try:
         yield folder
     finally:
@@ -156,17 +156,17 @@ def _mark_incomplete(folder: Path) -> None:
     write_atomically(folder / INCOMPLETE, "cut off before it could say why\n")
 
 
-def _made(out: Path) -> tuple[Path, int]:
+def _made(out: Path, option: str = "--out") -> tuple[Path, int]:
     """Return the folder, made if missing, and the descriptor of its lock."""
     folder = without_parent_steps(out)
     while True:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except FileExistsError:
-            raise InputError(f"{folder}: --out: is a file; expected a folder") from None
+            raise InputError(f"{folder}: {option}: is a file; expected a folder") from None
         except OSError as error:
-            raise _unusable(folder, error) from None
-        lock = _lock(folder)
+            raise _unusable(folder, error, option) from None
+        lock = _lock(folder, option)
         if _is_at(folder, lock):
             return folder, lock
         os.close(lock)  # the run that held it has just removed the folder
@@ -180,11 +180,11 @@ def _is_at(folder: Path, lock: int) -> bool:
         return False
 
 
-def _unusable(folder: Path, error: OSError) -> InputError:
-    return InputError(f"{folder}: --out: {error.strerror}; expected a folder to write in")
+def _unusable(folder: Path, error: OSError, option: str = "--out") -> InputError:
+    return InputError(f"{folder}: {option}: {error.strerror}; expected a folder to write in")
 
 
-def _lock(folder: Path) -> int:
+def _lock(folder: Path, option: str = "--out") -> int:
     """Return a descriptor of the folder that holds its lock until it is closed or the process ends.
 
     A file system that cannot lock folders (some network ones) goes without.
@@ -193,13 +193,13 @@ def _lock(folder: Path) -> int:
     try:
         lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError as error:
-        raise _unusable(folder, error) from None
+        raise _unusable(folder, error, option) from None
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(lock)
         raise InputError(
-            f"{folder}: --out: another run is writing here; expected another folder, or its end"
+            f"{folder}: {option}: another run is writing here; expected another folder, or its end"
         ) from None
     except OSError:
         pass

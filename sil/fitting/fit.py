@@ -24,6 +24,7 @@ from sil.campaign.campaign import Floats
 from sil.fitting.arrow import FARTHEST_SD, Bounds, Inner, arrow, scattered
 from sil.fitting.hypotheses import Candidate, precision, scaled_of
 from sil.fitting.model import Block, CampaignModel, Shared
+from sil.fitting.refused import Refusals, shown
 
 Show = Callable[[float, float], None]
 """Shows that so much of so much is done."""
@@ -105,12 +106,16 @@ class FitResult:
 
 
 class Fitter:
-    """Fits hypotheses to the strokes of a campaign."""
+    """Fits hypotheses to the strokes of a campaign.
+
+    refusals: what was tried of each hypothesis, and what could not be simulated.
+    """
 
     def __init__(self, model: CampaignModel, progress: Show = no_progress) -> None:
         """progress(done, size) is called at every iteration."""
         self.model = model
         self.progress = progress
+        self.refusals = Refusals()
 
     def cost(
         self,
@@ -126,6 +131,27 @@ class Fitter:
         shared: [shared], scatter: [strokes, scatter], in prior standard deviations; the sum ends
         once `limit` is passed; weight: of the residuals against the priors.
         """
+        try:
+            total = self.total(shared, scatter, candidates, use, limit, weight)
+        except IntegrationError as error:
+            self.refusals.add(candidates, error)
+            return float("inf")
+        self.refusals.add(candidates, None)
+        return total
+
+    def total(
+        self,
+        shared: Floats,
+        scatter: Floats,
+        candidates: Sequence[Candidate],
+        use: Sequence[int],
+        limit: float = np.inf,
+        weight: float = 1.0,
+    ) -> float:
+        """Return what `cost` does at shared [shared], scatter [strokes, scatter] in deviations, uncounted.
+
+        Raises IntegrationError, with the stroke and the value, where motion cannot be continued.
+        """
         model = self.model
         healthy = len(model.unit) + len(model.offsets)
         total = 0.5 * float(shared[:healthy] @ shared[:healthy])
@@ -134,8 +160,11 @@ class Fitter:
         for k in use:
             try:
                 r = model.residual(k, shared, scatter[k], candidates)
-            except IntegrationError:
-                return float("inf")
+            except IntegrationError as error:
+                values = model.effect_values(candidates, own)
+                raise IntegrationError(
+                    f"{shown(candidates, values)}{model.strokes[k].entry.file}: {error}"
+                ) from None
             total += 0.5 * weight * float(r @ r) + 0.5 * float(scatter[k] @ scatter[k])
             if not total < limit:
                 return float("inf") if np.isnan(total) else total
@@ -236,7 +265,7 @@ class _Descent:
         self.spread = np.zeros((len(model.strokes), len(model.scatter)))
         if scatter is not None:
             self.spread[:] = scatter
-        self.cost = fitter.cost(self.shared, self.spread, candidates, self.use)
+        self.cost = fitter.total(self.shared, self.spread, candidates, self.use)
         if not np.isfinite(self.cost):
             raise IntegrationError("the start of the fit cannot be simulated")
         self.damping = FIRST_DAMPING
@@ -282,7 +311,7 @@ class _Descent:
                 cost = self.fitter.cost(trial, spread, self.candidates, self.use, here, self.weight)
                 if cost < here:
                     self.shared, self.spread = trial, spread
-                    self.cost = self.fitter.cost(trial, spread, self.candidates, self.use)
+                    self.cost = self.fitter.total(trial, spread, self.candidates, self.use)
                     self.damping = max(damping * 0.05, 1e-13)
                     return "small" if here - cost < 0.05 + 1e-6 * here else "large"
                 damping = max(damping * 30.0, FIRST_DAMPING)

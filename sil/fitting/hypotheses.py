@@ -30,7 +30,7 @@ class Candidate:
     parameters: those that are fitted; fixed: the others, that make the variant; starts: values of
     the fitted ones to begin from; roughness: by how much a parameter, where they are a function's
     values on a grid, may leave the line of its neighbours, in typical sizes (0: they are none);
-    fills_table: it takes the one tabulated term of the equations.
+    fills_table: it takes the one tabulated term of the equations; prior: see `Variant`.
     """
 
     effect: Effect
@@ -40,6 +40,7 @@ class Candidate:
     fixed: Mapping[str, float] = field(default_factory=dict)
     roughness: float = 0.0
     fills_table: bool = False
+    prior: float = 1.0
 
     def __post_init__(self) -> None:
         KNOWN[self.name] = self
@@ -164,12 +165,19 @@ def candidates(has: Collection[Need]) -> list[Candidate]:
     for effect in CATALOGUE.values():
         if effect.nonparametric:
             continue
-        free = tuple(p for p in effect.parameters if p.fitted)
-        usual = starts_of(free)
+        fitted = [p for p in effect.parameters if p.fitted]
         for variant in effect.variants:
             if set(has) >= {*effect.needs, *variant.needs}:
-                starts, table = variant.starts or usual, variant.fills_table
+                free = tuple(p for p in fitted if p.name not in variant.fixed)
                 found.append(
-                    Candidate(effect, variant.name, free, starts, variant.fixed, fills_table=table)
+                    Candidate(
+                        effect,
+                        variant.name,
+                        free,
+                        variant.starts or starts_of(free),
+                        variant.fixed,
+                        fills_table=variant.fills_table,
+                        prior=variant.prior,
+                    )
                 )
     return found

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from plant.batch.prediction import Predictor
 from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
-from plant.equations.damper_pressure import steady_oil_pressure
 from plant.kernel.layout import FIXED, FixedState, LengthState
 from plant.parameters import ParameterSet
+from plant.parts.damper import steady_oil_pressure
 from plant.systems.setup import make_setup
 from sil.campaign.campaign import CampaignStroke, Floats, Record
 from sil.fitting.internal import InternalSamples, internal_samples

@@ -1,6 +1,6 @@
 """The firmware as a co-simulation unit: sensor pulses, request and speeds in, commands out.
 
-Runs inside the importing tool's Python, where this package must be installed; settings.json beside
+Runs inside the importing tool's Python, where this package must be installed; settings.json next to
 this file is the scenario it was exported from. The firmware steps at every multiple of its period
 inside a communication step, its end excluded, with the inputs of that step; a new sample_index
 announces a new pulse.

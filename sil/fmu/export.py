@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from sil.files.atomic import write_atomically
-from sil.simulation.scenario import Loaded, expanded
+from sil.simulation.load_scenario import Loaded
+from sil.simulation.scenario import expanded
 
 SCRIPTS = {"plant": "plant_fmu.py", "controller": "controller_fmu.py"}
 

@@ -1,6 +1,6 @@
 """The actuator as a co-simulation unit: coil duties in, true states out.
 
-Runs inside the importing tool's Python, where this package must be installed; settings.json beside
+Runs inside the importing tool's Python, where this package must be installed; settings.json next to
 this file is the scenario it was exported from. The duties hold from the beginning of each step.
 Checked by: tests/unit/sil/fmu/test_export.py
 """
@@ -37,6 +37,7 @@ class Opc4Plant(Fmi3Slave):
         super().__init__(**kwargs)
         from plant.devices.coil import make_valve
         from plant.devices.valve import ValveTiming
+        from plant.kernel.packing import Load
         from plant.systems.length_stroke import LengthStroke
         from sil.fmu.slave import declare, prepare
         from sil.simulation.build import INITIAL
@@ -52,11 +53,13 @@ class Opc4Plant(Fmi3Slave):
             initial=INITIAL[self.loaded.scenario.initial_gear],
             supply_pressure_pa=table.supply_pressure_pa,
             charged=charged,
-            mounted=table.mounted,
-            damper=None if table.damper == "none" else table.damper,
-            mesh_force_n=table.mesh_force_n,
-            pull_force_n=table.pull_force_n,
-            sync_impulse_n_s=max(i or 0.0 for i in impulses),
+            load=Load(
+                damper=table.damper,
+                mounted=table.mounted,
+                mesh_force_n=table.mesh_force_n,
+                pull_force_n=table.pull_force_n,
+                sync_impulse_n_s=max(i or 0.0 for i in impulses),
+            ),
         )
         timing = ValveTiming.from_parameters(parameters, table.closing_follows_duty)
         duty = parameters.value("valve.duty_nominal")

@@ -10,7 +10,7 @@ from typing import Any
 
 from pythonfmu3 import Float64, Fmi3Causality, Fmi3Initial, Fmi3Slave, Fmi3Variability
 
-from sil.simulation.scenario import Loaded, from_table
+from sil.simulation.load_scenario import Loaded, from_table
 
 
 def prepare(slave: Fmi3Slave) -> Loaded:

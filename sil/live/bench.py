@@ -33,9 +33,10 @@ from sil.report.figure import MS, Figure
 from sil.report.live_figure import bound_figure, comparison_figure
 from sil.report.plots import content, rounded
 from sil.report.run_figure import run_figure
-from sil.simulation import scenario as scenarios
+from sil.simulation import load_scenario
 from sil.simulation.in_memory import Run, run_in_memory
-from sil.simulation.scenario import FAULT_TABLES, Loaded, Request, Scenario
+from sil.simulation.load_scenario import Loaded
+from sil.simulation.scenario import FAULT_TABLES, Request, Scenario, expanded
 from sil.simulation.scenario_text import scenario_toml
 from sil.studies.kinds.bounds import SHIPPED as STORED_BOUNDS
 
@@ -100,14 +101,14 @@ def loaded(asked: Asked, known: Mapping[str, str]) -> Loaded:
     for path in asked.settings:
         if path.split(".")[0] in FIXED or path in FIXED:
             raise InputError(f"settings: {path}: cannot be set from the page; expected another")
-    table, path_of_file = scenarios.read(known[asked.scenario])
+    table, path_of_file = load_scenario.read(known[asked.scenario])
     if asked.requests is not None:
         table["request"] = msgspec.to_builtins(asked.requests)
     for name, faults in asked.faults.items():
         table[name] = [*table.get(name, []), *faults]
     if asked.duration_s is not None:
         table["duration_s"] = asked.duration_s
-    made = scenarios.from_table(
+    made = load_scenario.from_table(
         table, asked.scenario, folder=path_of_file.parent, settings=texts(asked.settings)
     )
     duration_s, period_s = made.scenario.duration_s, made.scenario.trace_period_s
@@ -268,7 +269,7 @@ def _shown(value: Any) -> str:
 
 def vocabulary(known: Mapping[str, str]) -> dict[str, Any]:
     """Return what the page offers: scenarios, sliders with their present values, faults, strategies."""
-    schema = json.loads(json.dumps(msgspec.json.schema(scenarios.Scenario)))
+    schema = json.loads(json.dumps(msgspec.json.schema(Scenario)))
     kinds = schema["$defs"]
     faults = {}
     for table in FAULT_TABLES:
@@ -285,7 +286,7 @@ def vocabulary(known: Mapping[str, str]) -> dict[str, Any]:
 def values_of(asked: Asked, known: Mapping[str, str]) -> dict[str, Any]:
     """Return the values that sliders and choices have in a scenario. Raises InputError."""
     made = loaded(asked, known)
-    table = scenarios.expanded(made.scenario)
+    table = expanded(made.scenario)
     if table["plant"]["supply_pressure_pa"] is None:
         table["plant"]["supply_pressure_pa"] = made.parameters.value("supply.P_s")
     sliders = [

@@ -39,6 +39,11 @@ class Difference(NamedTuple):
     signals: list[tuple[str, str, str]]
     inputs: list[str]
 
+    def as_dict(self, base_ns: int) -> dict[str, Any]:
+        """Return time and signals as plain JSON values; the time on the log's clock."""
+        named = [{"name": name, "recorded": a, "replayed": b} for name, a, b in self.signals]
+        return {"time_s": (self.time_ns + base_ns) / 1e9, "signals": named}
+
 
 @dataclass
 class StateHistory:

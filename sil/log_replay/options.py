@@ -13,8 +13,8 @@ from can_dbc.errors import InputError
 from can_dbc.user_file import read_user_text
 from sil.log_replay.tick_grid import Survey
 from sil.nodes.own_firmware import absolute
-from sil.simulation import scenario
-from sil.simulation.scenario import Loaded
+from sil.simulation import load_scenario, scenario
+from sil.simulation.load_scenario import Loaded
 
 RESULT = "result.json"
 LARGEST_RESULT = 64 << 20
@@ -56,7 +56,7 @@ def find_settings(
     result = _read_result(path) if path.is_file() else {}
     own_run = run is not None or bool(result)
     if own_run:
-        given = scenario.load(run or str(path))
+        given = load_scenario.load(run or str(path))
         source, raw = given.source, scenario.expanded(given.scenario)
         description = f"as in {source}"
     else:
@@ -76,7 +76,7 @@ def find_settings(
         _refuse_plant_settings(settings)
     if not own_run and firmware is None:
         _refuse_impossible_periods(raw, log)
-    loaded = scenario.from_table(raw, source, settings=settings)
+    loaded = load_scenario.from_table(raw, source, settings=settings)
     if settings:
         description += " with " + ", ".join(settings)
     free_running = run is None and "mode" in result.get("bus", {})
@@ -138,7 +138,7 @@ def _periods(raw: Mapping[str, Any]) -> str:
 def _refuse_impossible_periods(raw: dict[str, Any], log: str) -> None:
     """Refuse a log whose periods the firmware cannot have, without naming parameters of ours."""
     try:
-        scenario.from_table(raw, log)
+        load_scenario.from_table(raw, log)
     except InputError:
         raise InputError(
             f"{log}: the log shows {_periods(raw)}, with which the firmware does not work; "

@@ -13,6 +13,7 @@ from can_dbc.frame import Frame
 from can_dbc.messages import PlantMotion, SafetyBlow, Tsc1, ValveCommand
 from sil.coupling.bus import BusModel
 from sil.coupling.frame_bits import frame_bits
+from sil.log_replay.comparison import Difference
 from sil.log_replay.recorded_frames import (
     FROM_PLANT,
     ID_OF,
@@ -22,7 +23,7 @@ from sil.log_replay.recorded_frames import (
     Arrival,
     is_intact,
 )
-from sil.log_replay.signals import Options, SignalComparer, plain, value_text, values
+from sil.log_replay.signals import Options, SignalComparer, value_text, values
 
 if TYPE_CHECKING:
     from plant.node import PlantNode
@@ -82,7 +83,7 @@ class PlantSide:
         self.compared = 0
         self.differing = 0
         self.unmatched = 0
-        self.first: tuple[int, list[tuple[str, str, str]]] | None = None
+        self.first: Difference | None = None
         self.largest: dict[str, float] = {}
         self.positions: list[Position] = []
 
@@ -206,7 +207,7 @@ class PlantSide:
             self.differing += 1
             parts = [(name, value_text(recorded[i]), value_text(replayed[i])) for i, name in found]
             if self.first is None:
-                self.first = (time_ns, parts)
+                self.first = Difference(time_ns, parts, [])
             for index, name in found:
                 a, b = recorded[index], replayed[index]
                 if isinstance(a, float) and isinstance(b, float):
@@ -245,15 +246,11 @@ class PlantSide:
 
     def as_dict(self, base_ns: int) -> dict[str, object]:
         """All of it as plain JSON values; times on the log's clock."""
-        first = self.first and {
-            "time_s": (self.first[0] + base_ns) / 1e9,
-            "signals": [{"name": n, "recorded": a, "replayed": b} for n, a, b in self.first[1]],
-        }
         return {
             "compared": self.compared,
             "differing": self.differing,
             "unmatched": self.unmatched,
-            "first": first,
-            "largest": {name: plain(value) for name, value in sorted(self.largest.items())},
+            "first": self.first and self.first.as_dict(base_ns),
+            "largest": dict(sorted(self.largest.items())),
             "closed_at_s": None if self.closed_ns is None else (self.closed_ns + base_ns) / 1e9,
         }

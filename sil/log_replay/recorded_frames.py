@@ -11,24 +11,15 @@ from can_dbc.codec import can_id_of, spec_of
 from can_dbc.e2e import PROTECTED, with_counter
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
-from can_dbc.messages import (
-    ControllerStatus,
-    DrivelineSpeeds,
-    Etc1,
-    Etc2,
-    PlantMotion,
-    PlantPressures,
-    PositionPulse,
-    SafetyBlow,
-    ShiftRequest,
-    ValveCommand,
-)
+from can_dbc.messages import SIGNALS, TRUCK
 from sil.logs import LogFrame
 
-INPUTS: Final = (ShiftRequest, PositionPulse, DrivelineSpeeds)
-OUTPUTS: Final = (ValveCommand, SafetyBlow, ControllerStatus, Etc1, Etc2)
-FROM_PLANT: Final = (PositionPulse, DrivelineSpeeds, PlantMotion, PlantPressures)
-KINDS: Final[tuple[type, ...]] = (*INPUTS, *OUTPUTS, PlantMotion, PlantPressures)
+_UNIT, _PLANT = {"Opc4"}, {"ValveDriver", "PositionSensor", "Driveline"}
+KINDS: Final = tuple(kind for kind in SIGNALS if kind not in TRUCK)
+INPUTS: Final = tuple(kind for kind in KINDS if _UNIT & spec_of(kind).receivers)
+OUTPUTS: Final = tuple(kind for kind in KINDS if _UNIT.intersection(spec_of(kind).senders))
+FROM_PLANT: Final = tuple(kind for kind in KINDS if _PLANT.intersection(spec_of(kind).senders))
+"""Messages of the contract by the nodes that receive and send them."""
 
 OWN_IDS: Final[dict[int, type]] = {can_id_of(kind): kind for kind in KINDS}
 ID_OF: Final[dict[type, int]] = {kind: can_id for can_id, kind in OWN_IDS.items()}

@@ -98,33 +98,8 @@ def replay(request: ReplayRequest) -> ReplayResult:
     Checked by: tests/scenarios/test_replay.py
     """
     log = _Log(request)
-    found = survey(log.head())
-    ready = find_settings(
-        request.log,
-        found,
-        firmware=request.firmware,
-        settings=request.settings,
-        run=request.run,
-        with_plant=request.plant or request.closed_loop,
-    )
-    scene = ready.loaded.scenario
-    if found.skew and not ready.own_run:
-        log.skew = (found.first_ns, found.skew)
-        found = survey(log.head())
-    if ready.free_running:
-        found = survey(log.head(), period_ns=ready.recorded_ns)
-    elif found.bitrate is None and ready.own_run:
-        found = survey(log.head(), scene.bus.bitrate)
-    config = scene.controller
-    period_ns = found.period_ns or ready.recorded_ns
-    if abs(period_ns - ready.recorded_ns) <= NOMINAL * period_ns:
-        period_ns = ready.recorded_ns
-    if found.release_ns is None:
-        raise InputError(
-            f"{request.log}: the steps of the recorded control unit cannot be found; expected its valve commands "
-            "and status at regular times"
-        )
-    grid = make_grid(found, period_ns, config.computation_ns, ready.free_running)
+    ready, grid = _timing(request, log)
+    config = ready.loaded.scenario.controller
     frames = log.recorded_frames()
     ticks = map_ticks(frames, grid)
     if not frames.kinds[ShiftRequest]:
@@ -236,6 +211,37 @@ class _Log:
         if len({frame.channel for frame in frames}) > 1:
             self.channel = self.channels.most_common(1)[0][0]
         return sorted(frames, key=lambda frame: frame.time_ns)
+
+
+def _timing(request: ReplayRequest, log: _Log) -> tuple[ReplaySettings, Grid]:
+    """Return the settings, and the ticks of the recorded control unit. Raises InputError without any."""
+    found = survey(log.head())
+    ready = find_settings(
+        request.log,
+        found,
+        firmware=request.firmware,
+        settings=request.settings,
+        run=request.run,
+        with_plant=request.plant or request.closed_loop,
+    )
+    scene = ready.loaded.scenario
+    if found.skew and not ready.own_run:
+        log.skew = (found.first_ns, found.skew)
+        found = survey(log.head())
+    if ready.free_running:
+        found = survey(log.head(), period_ns=ready.recorded_ns)
+    elif found.bitrate is None and ready.own_run:
+        found = survey(log.head(), scene.bus.bitrate)
+    period_ns = found.period_ns or ready.recorded_ns
+    if abs(period_ns - ready.recorded_ns) <= NOMINAL * period_ns:
+        period_ns = ready.recorded_ns
+    if found.release_ns is None:
+        raise InputError(
+            f"{request.log}: the steps of the recorded control unit cannot be found; expected its valve commands "
+            "and status at regular times"
+        )
+    grid = make_grid(found, period_ns, scene.controller.computation_ns, ready.free_running)
+    return ready, grid
 
 
 def _options(options: Options, grid: Grid, ticks: TickMap) -> Options:

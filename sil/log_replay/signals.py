@@ -75,7 +75,7 @@ def load_options(path: str | Path) -> Options:
 
 
 class SignalComparer:
-    """Tells whether two values of a signal are the same under the options."""
+    """Find the signals whose values differ under the options."""
 
     def __init__(self, options: Options) -> None:
         self._compared: dict[type, tuple[tuple[int, str, float], ...]] = {
@@ -133,10 +133,3 @@ def value_text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def plain(value: Any) -> Any:
-    """Return a value for JSON: names for enums, numbers as they are."""
-    if isinstance(value, IntEnum | IntFlag):
-        return value_text(value)
-    return value

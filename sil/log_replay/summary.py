@@ -33,7 +33,7 @@ def attribution(outcome: ReplayResult) -> str:
     """Say which side differs from the recording."""
     assert outcome.plant is not None
     unit, plant = outcome.comparison.differs, outcome.plant.differing > 0
-    by_default = " (as set by default: --run tells the run's own settings)"
+    by_default = " (as set by default: --run gives the run's own settings)"
     known = "" if outcome.settings.own_run else by_default
     if plant and unit:
         return f"both the control unit and the plant{known} differ from the recording"
@@ -127,13 +127,13 @@ def as_dict(outcome: ReplayResult) -> dict[str, Any]:
             "computation_s": grid.computation_ns / 1e9,
             "bitrate": grid.bitrate,
             "exact": grid.exact,
-            "told": grid.description,
+            "text": grid.description,
         },
         "ticks": found.ticks,
         "differing_ticks": found.differing_ticks,
         "warm_up_ticks": found.warm_up_ticks,
         "edges": [
-            result.as_dict(base_ns) | {"told": result.lines(grid.period_ns, base_ns)}
+            result.as_dict(base_ns) | {"text": result.lines(grid.period_ns, base_ns)}
             for result in found.matched_edges()
         ],
         "states": [_history(history, base_ns) for history in found.states],
@@ -220,8 +220,8 @@ def plant_lines(outcome: ReplayResult) -> list[str]:
             lines.append(f"{plant.unmatched} recorded frames of the plant without a counterpart")
         lines += [f"{name}: at most {x:.6g} apart" for name, x in sorted(plant.largest.items())]
         if plant.first is not None:
-            time_ns, ((name, a, b), *_) = plant.first
-            lines.append(f"first at {_when(outcome, time_ns)}: {name} recorded {a}, replayed {b}")
+            when, (name, a, b) = _when(outcome, plant.first.time_ns), plant.first.signals[0]
+            lines.append(f"first at {when}: {name} recorded {a}, replayed {b}")
         lines.append(attribution(outcome))
     if outcome.request.closed_loop and plant.closed_ns is None:
         lines.append("no command differs, so the loop stayed open")
@@ -285,8 +285,4 @@ def _history(history: StateHistory, base_ns: int) -> dict[str, Any]:
 def _difference_dict(parting: Difference | None, base_ns: int) -> dict[str, Any] | None:
     if parting is None:
         return None
-    return {
-        "time_s": (parting.time_ns + base_ns) / 1e9,
-        "signals": [{"name": name, "recorded": a, "replayed": b} for name, a, b in parting.signals],
-        "inputs": parting.inputs,
-    }
+    return parting.as_dict(base_ns) | {"inputs": parting.inputs}

@@ -1,6 +1,6 @@
 """Which ticks the recorded unit ran, and which tick each of its frames belongs to.
 
-The end-to-end counters tell. When nothing of the control unit was on the bus for a while, counters that
+The end-to-end counters show it. When nothing of the control unit was on the bus for a while, counters that
 went on by the ticks that passed mean that it ran and was off the bus, so that it received nothing;
 counters that did not change mean that it did not run. A hole in which nobody was on the bus is none
 of the control unit's: the recorder was off, and the replay starts anew behind it.

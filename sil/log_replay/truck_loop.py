@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from can_dbc.messages import ControllerStatus, Fault
 from sil.log_replay.truck_shift import SYNCHRONISED_RAD_S, RecordedShift, peak_rate
 from sil.report.figure import Floats
-from sil.simulation import scenario
+from sil.simulation import load_scenario
 from sil.simulation.in_memory import Run, run_in_memory
 
 REQUEST_S: Final = 0.4
@@ -216,7 +216,7 @@ def simulate(
     `table`: keys of the scenario that replace those of the shift. Raises InputError for a wrong
     setting.
     """
-    loaded = scenario.from_table(scenario_of(inputs) | dict(table), source, settings=settings)
+    loaded = load_scenario.from_table(scenario_of(inputs) | dict(table), source, settings=settings)
     run = run_in_memory(loaded)
     after = next(entry.value for entry in inputs if entry.path == "request.after_s")
     driveline = loaded.scenario.driveline

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
-from itertools import pairwise, repeat
-from operator import add
+from contextlib import suppress
+from itertools import accumulate, chain, pairwise, repeat
 from typing import Final, NamedTuple
 
 from can_dbc.errors import InputError
@@ -22,19 +21,25 @@ from sil.logs.source import Chunk, Line
 from sil.logs.times import NS_PER_S, enough_decimals, format_ns, parse_decimal_ns, utc_ns
 from sil.logs.writer import LogWriter
 
-_MOST_KNOWN_IDS: Final = 100_000
 _ERROR_FLAG: Final = 0x20000000
-_DROPPED_NAME: Final = "frame dropped by the recorder"
+_DIRECTIONS: Final = {"": "", "R": "Rx", "T": "Tx"}
 _LETTER: Final = {"": "", "Rx": " R", "Tx": " T"}
 _DECIDED_BY: Final = 256
 """Frames from which (if there are so many) times and differences of time are distinguished."""
 
 _BUS_ERROR: Final = 0x80
-"""SocketCAN's class of an error seen on the bus (CAN_ERR_BUSERROR)."""
+"""SocketCAN's class of an error on the bus (CAN_ERR_BUSERROR)."""
 _ANSI = re.compile(r"\x1b\[[0-9;]*m")
 _TIME = re.compile(r"(?:\d{1,12}\s+)?\(([^()]{1,48})\)\s+")
 _DATE = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)\.(\d{6}|\d{9})\Z")
 _COMPACT = re.compile(r"([!-~]{1,64})\s+([0-9A-Fa-f]{1,8})#(\S*)(?:\s+([RT]))?\s*(?:\s;.*)?\Z")
+_PLAIN: Final = re.compile(
+    r"^\((\d{1,10}+)\.(\d++)\) ([!-~]{1,64}+) ([01][0-9A-Fa-f]{7}|[0-7][0-9A-Fa-f]{2})"
+    r"#([0-9A-Fa-f]{0,16}+)(?: ([RT]))?+\r?+$",
+    re.MULTILINE | re.ASCII,
+)
+"""A classic data frame as `candump -l` writes it, which most lines are."""
+
 _SCREEN = re.compile(
     r"([!-~]{1,64})\s+(?:(RX|TX) ([BS-]) ([ER-])\s+)?([0-9A-F]{3}|[0-9A-F]{8})\s+"
     r"(?:\[(\d{1,2})\]|\{([0-9A-F])\})(.*)\Z"
@@ -50,13 +55,8 @@ _TRUCKDEVIL = re.compile(
 )
 _XL = re.compile(r"[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{8}#")
 _REMOTE = re.compile(r"[Rr](?:([0-8])(?:_([9A-Fa-f]))?)?\Z")
-_DATA = re.compile(r"((?:\.?[0-9A-Fa-f]{2})*)(?:_([9A-Fa-f]))?\Z")
+_DATA = re.compile(r"(?:#([0-9A-Fa-f]))?((?:\.?[0-9A-Fa-f]{2})*)(?:_([9A-Fa-f]))?\Z")
 _DROPPED = re.compile(r"DROPCOUNT: dropped (\d+) CAN frame")
-_PLAIN_IDENTIFIER: Final = re.compile(r"[01][0-9A-Fa-f]{7}\Z|[0-7][0-9A-Fa-f]{2}\Z")
-_PLAIN_CHANNEL: Final = re.compile(r"[!-~]{1,64}\Z")
-_DATA_LENGTHS: Final = frozenset(range(0, 17, 2))
-_MOST_SECONDS: Final = 9_223_372_035
-_LETTERS: Final = {"R": "Rx", "T": "Tx"}
 
 
 class Parsed(NamedTuple):
@@ -82,24 +82,20 @@ def parse_line(text: str) -> Parsed:
         raise NotAFrame("")
     if text[0] == "\t":
         raise NotAFrame("error frame explanation line")
-    dropped = _DROPPED.match(line)
-    if dropped:
-        raise NotAFrame(_DROPPED_NAME, int(dropped[1][:9]))
+    if dropped := _DROPPED.match(line):
+        raise NotAFrame("frame dropped by the recorder", int(dropped[1][:9]))
     timed = _TIME.match(line)
     time_ns = 0
     if timed:
         time_ns = _time(timed[1])
         line = line[timed.end() :]
-    compact = _COMPACT.match(line)
-    if compact:
-        frame, has_length = _compact(time_ns, compact)
-    else:
-        screen = _SCREEN.match(line)
-        if screen:
-            frame, has_length = _screen(time_ns, screen)
-        else:
-            frame, has_length = _other(time_ns, line)
-    return Parsed(frame, timed is not None, has_length)
+    for pattern, parse in ((_COMPACT, _compact), (_SCREEN, _screen), (_TRUCKDEVIL, _truckdevil)):
+        if found := pattern.match(line):
+            frame, has_length = parse(found)
+            return Parsed(frame._replace(time_ns=time_ns), timed is not None, has_length)
+    if _SCREEN_XL.match(line):
+        raise NotAFrame("CAN XL frame")
+    raise ValueError(f"{line[:40]!r} is no candump line")
 
 
 def _time(text: str) -> int:
@@ -109,9 +105,9 @@ def _time(text: str) -> int:
         if time_ns < 0:
             raise ValueError(f"time {text} is negative")
         return time_ns
-    year, month, day, hour, minute, second = (int(date[i]) for i in range(1, 7))
+    *moment, fraction = date.groups()
     try:
-        return utc_ns(year, month, day, hour, minute, second, int(date[7].ljust(9, "0")))
+        return utc_ns(*map(int, moment)) + int(fraction.ljust(9, "0"))
     except (ValueError, OverflowError):
         raise ValueError(f"there is no date {text}") from None
 
@@ -121,87 +117,69 @@ def _identifier(digits: str) -> tuple[int, bool, bool]:
     if len(digits) not in (3, 8):
         raise ValueError(f"identifier {digits} has {len(digits)} digits; candump writes 3 or 8")
     number = int(digits, 16)
-    if len(digits) == 3:
-        return number, False, False
-    if number & _ERROR_FLAG:
-        if number > 0x3FFFFFFF:
-            raise ValueError(f"identifier {digits} has more than 29 bits")
-        return number & ~_ERROR_FLAG, False, True
-    return number, True, False
+    error = bool(number & _ERROR_FLAG)
+    return number & ~_ERROR_FLAG, len(digits) == 8 and not error, error
 
 
-def _compact(time_ns: int, match: re.Match[str]) -> tuple[LogFrame, bool]:
+def _compact(match: re.Match[str]) -> tuple[LogFrame, bool]:
     channel, digits, body, letter = match.groups()
-    direction = _LETTERS.get(letter, "")
     if _XL.match(body):
         raise NotAFrame("CAN XL frame")
     can_id, extended, error = _identifier(digits)
-    frame = LogFrame(time_ns, can_id, b"", extended, error=error, channel=channel)
-    frame = frame._replace(direction=direction)
-    remote = _REMOTE.match(body)
-    if remote:
-        raw_dlc = int(remote[2] or remote[1] or "0", 16)
-        return frame._replace(remote=True, raw_dlc=raw_dlc), bool(direction or remote[2])
-    fd = body.startswith("#")
-    flags = 0
-    if fd:
-        if len(body) < 2 or body[1] not in "0123456789ABCDEFabcdef":
-            raise ValueError("no flags after ## of a CAN FD frame")
-        flags, body = int(body[1], 16), body[2:]
+    direction = _DIRECTIONS[letter or ""]
+    if remote := _REMOTE.match(body):
+        code = int(remote[2] or remote[1] or "0", 16)
+        flags = extended, True, error, False, False, False
+        frame = LogFrame(0, can_id, b"", *flags, channel, direction, code)
+        return frame, bool(direction or remote[2])
     data = _DATA.match(body)
     if data is None:
         raise ValueError(f"data {body[:24]!r} is not pairs of hex digits")
-    payload = bytes.fromhex(data[1].replace(".", ""))
-    if data[2] and (fd or len(payload) != 8):
-        raise ValueError(f"raw length code _{data[2]} with {len(payload)} bytes; expected 8")
-    brs, esi, raw_dlc = bool(flags & 1), bool(flags & 2), int(data[2] or "0", 16)
-    frame = frame._replace(data=payload, fd=fd, brs=brs, esi=esi, raw_dlc=raw_dlc)
-    return frame, bool(direction or data[2]) or len(payload) == 64
+    payload = bytes.fromhex(data[2].replace(".", ""))
+    fd, fd_flags = data[1] is not None, int(data[1] or "0", 16)
+    if data[3] and (fd or len(payload) != 8):
+        raise ValueError(f"raw length code _{data[3]} with {len(payload)} bytes; expected 8")
+    flags = extended, False, error, fd, bool(fd_flags & 1), bool(fd_flags & 2)
+    frame = LogFrame(0, can_id, payload, *flags, channel, direction, int(data[3] or "0", 16))
+    return frame, bool(direction or data[3]) or len(payload) == 64
 
 
-def _screen(time_ns: int, match: re.Match[str]) -> tuple[LogFrame, bool]:
+def _screen(match: re.Match[str]) -> tuple[LogFrame, bool]:
     channel, way, brs, esi, digits, length_text, code_text, rest = match.groups()
     can_id, extended, error = _identifier(digits)
+    direction = (way or "").capitalize()
     fd = length_text is not None and len(length_text) == 2
-    raw_dlc = int(code_text, 16) if code_text else 0
-    length = int(length_text) if length_text else min(raw_dlc, 8)
-    frame = LogFrame(time_ns, can_id, b"", extended, error=error, channel=channel)
-    frame = frame._replace(direction=(way or "").capitalize())
+    code = int(code_text or "0", 16)
+    length = int(length_text) if length_text else min(code, 8)
     if rest.strip() == "remote request":
-        return frame._replace(remote=True, error=False, raw_dlc=raw_dlc or length), True
+        flags = extended, True, False, False, False, False
+        return LogFrame(0, can_id, b"", *flags, channel, direction, code or length), True
     body = _SCREEN_DATA.match(rest)
     if body is None:
         raise ValueError(f"data {rest.strip()[:24]!r} is not bytes")
     words = re.split("[ `]", body[1]) if body[1] else []
     if len(words) != length:
         raise ValueError(f"{len(words)} bytes of data; expected [{length}]")
-    base = 2 if words and len(words[0]) == 8 else 16
-    if any(len(word) != len(words[0]) for word in words):
+    if len(set(map(len, words))) > 1:
         raise ValueError("bytes in two notations")
-    payload = bytes(int(word, base) for word in words)
+    payload = bytes(int(word, 2 if len(word) == 8 else 16) for word in words)
     if body[1] and "`" in body[1]:
         payload = payload[::-1]
-    if not fd and length > 8:
-        raise ValueError(f"length [{length}] of a classic frame")
-    brs, esi = fd and brs == "B", fd and esi == "E"
-    raw_dlc = raw_dlc if raw_dlc > 8 else 0
-    return frame._replace(data=payload, fd=fd, brs=brs, esi=esi, raw_dlc=raw_dlc), True
+    flags = extended, False, error, fd, fd and brs == "B", fd and esi == "E"
+    raw_dlc = code if code > 8 else 0
+    return LogFrame(0, can_id, payload, *flags, channel, direction, raw_dlc), True
 
 
-def _other(time_ns: int, line: str) -> tuple[LogFrame, bool]:
-    truck = _TRUCKDEVIL.match(line)
-    if truck:
-        can_id = int(truck[1], 16)
-        if len(truck[7]) != 2 * int(truck[6]):
-            raise ValueError(f"{len(truck[7])} hex digits; expected [{truck[6]}] bytes")
-        if int(truck[6]) > 8:
-            raise NotAFrame("reassembled J1939 message")
-        if (can_id >> 26 & 7, can_id & 0xFF) != (int(truck[2], 16), int(truck[4], 16)):
-            raise ValueError("priority and source do not match the identifier")
-        return LogFrame(time_ns, can_id, bytes.fromhex(truck[7])), True
-    if _SCREEN_XL.match(line):
-        raise NotAFrame("CAN XL frame")
-    raise ValueError(f"{line[:40]!r} is no candump line")
+def _truckdevil(match: re.Match[str]) -> tuple[LogFrame, bool]:
+    digits, priority, _group, source, _destination, length, data = match.groups()
+    can_id = int(digits, 16)
+    if len(data) != 2 * int(length):
+        raise ValueError(f"{len(data)} hex digits; expected [{length}] bytes")
+    if int(length) > 8:
+        raise NotAFrame("reassembled J1939 message")
+    if (can_id >> 26 & 7, can_id & 0xFF) != (int(priority, 16), int(source, 16)):
+        raise ValueError("priority and source do not match the identifier")
+    return LogFrame(0, can_id, bytes.fromhex(data)), True
 
 
 def surely_whole(parsed: Parsed, earlier: Sequence[LogFrame]) -> bool:
@@ -216,116 +194,66 @@ def surely_whole(parsed: Parsed, earlier: Sequence[LogFrame]) -> bool:
         return False
     if parsed.has_length or (len(frame.data) == 8 and not frame.fd):
         return True
-    for before in reversed(earlier):
-        if before.can_id == frame.can_id and before.extended == frame.extended:
-            return (
-                len(before.data) == len(frame.data)
-                and before.remote == frame.remote
-                and before.raw_dlc == frame.raw_dlc
-            )
-    return False
-
-
-@lru_cache(_MOST_KNOWN_IDS)
-def _plain_identifier(digits: str) -> tuple[int, bool] | None:
-    """Return number and extended flag of a data frame's identifier, None for other words."""
-    return (int(digits, 16), len(digits) == 8) if _PLAIN_IDENTIFIER.match(digits) else None
+    same = (f for f in reversed(earlier) if f[1] == frame[1] and f.extended == frame.extended)
+    before = next(same, None)
+    return (
+        before is not None
+        and len(before.data) == len(frame.data)
+        and (before.remote, before.raw_dlc) == (frame.remote, frame.raw_dlc)
+    )
 
 
 def plain_frames(text: str, count: int) -> list[LogFrame] | None:
     """Return the frames of `count` lines of text, None when one of them is not a common line."""
-    if "\r" in text:
-        text = text.replace("\r\n", "\n")
-    first = text[: text.find("\n")]
-    directed = first.endswith((" R", " T"))
-    step = 10 if directed else 9
-    words = _words(text, count, first, step)
-    if words is None:
+    rows = _PLAIN.findall(text)
+    if len(rows) != count:
         return None
-    whole, fractions, channels = words[1::step], words[3::step], words[5::step]
-    digits, data = words[6::step], words[8::step]
-    ways = words[9::step] if directed else []
-    seconds = set(whole)
-    known = {word: _plain_identifier(word) for word in set(digits)}
-    ids = {word: item[0] for word, item in known.items() if item is not None}
-    extended = {word: item[1] for word, item in known.items() if item is not None}
-    if not (
-        all(word.isdigit() and len(word) <= 10 and int(word) <= _MOST_SECONDS for word in seconds)
-        and set(map(len, fractions)) == {9}
-        and "".join(fractions).isdigit()
-        and _DATA_LENGTHS.issuperset(map(len, data))
-        and all(map(_PLAIN_CHANNEL.match, set(channels)))
-        and len(ids) == len(known)
-        and _LETTERS.keys() >= set(ways)
-    ):
+    seconds, fractions, channels, digits, data, letters = zip(*rows, strict=True)
+    units = {6: 1000, 9: 1}.get(len(fractions[0]))
+    if units is None or len(set(map(len, fractions))) > 1:
         return None
+    times_ns = [int(a + b) * units for a, b in zip(seconds, fractions, strict=True)]
     try:
         payloads = list(map(bytes.fromhex, data))
     except ValueError:
         return None
-    seconds_ns = {word: int(word) * NS_PER_S for word in seconds}
+    if max(times_ns) > MAX_TIME_NS:
+        return None
+    ids = {word: int(word, 16) for word in set(digits)}
+    extended = {word: len(word) == 8 for word in ids}
     no = repeat(False)
-    rows = zip(
-        map(add, map(seconds_ns.__getitem__, whole), map(int, fractions)),
+    columns = zip(
+        times_ns,
         map(ids.__getitem__, digits),
         payloads,
         map(extended.__getitem__, digits),
         *(no, no, no, no, no),
         channels,
-        map(_LETTERS.__getitem__, ways) if directed else repeat(""),
+        map(_DIRECTIONS.__getitem__, letters),
         repeat(0),
         strict=False,
     )
-    return list(map(tuple.__new__, repeat(LogFrame), rows))
-
-
-def _words(text: str, count: int, first: str, step: int) -> list[str] | None:
-    """Return the words of the lines, `step` of each, None if the marks are not where they belong.
-
-    The words are ( seconds . fraction ) channel identifier # data and, of ten, the direction.
-    """
-    point, closing = first.find("."), first.find(") ")
-    if closing - point == 7:
-        padding = "000 ) "
-    elif closing - point == 10:
-        padding = " ) "
-    else:
-        return None
-    if first[:1] != "(":
-        return None
-    text = "( " + text[1:-1].replace("\n(", " ( ").replace(") ", padding)
-    if not (text.isascii() and text.isprintable()):
-        return None
-    text = text.replace(".", " . ").replace("#", " # ")
-    words = text.split(" ")
-    if len(words) != step * count:
-        return None
-    marks = (("(", 0), (".", 2), (")", 4), ("#", 7))
-    if all(words[at::step].count(mark) == count for mark, at in marks):
-        return words
-    return None
+    return list(map(tuple.__new__, repeat(LogFrame), columns))
 
 
 class CandumpReader(TextReader):
     """State of one reading: what the times of the log are."""
 
-    _decided = False
     _timed: bool | None = None
     _sum_ns = 0
     _earlier: Sequence[LogFrame] = ()
 
     def __iter__(self) -> Iterator[Batch]:
+        batches = super().__iter__()
         held = Batch([], [])
-        for batch in super().__iter__():
-            self._earlier = batch.frames
-            if not self._decided:
-                held = Batch(held.frames + batch.frames, [*held.locations, *batch.locations])
-                if len(held.frames) < _DECIDED_BY:
-                    continue
-                batch, held = held, Batch([], [])
-            yield self._with_times(batch)
+        for batch in batches:
+            held = Batch(held.frames + batch.frames, [*held.locations, *batch.locations])
+            self._earlier = held.frames
+            if len(held.frames) >= _DECIDED_BY:
+                break
         if held.frames:
-            yield self._with_times(held)
+            self._decide(held.frames)
+            yield from map(self._with_times, chain((held,), batches))
 
     def _quick(self, chunk: Chunk) -> Batch | None:
         if self._timed is False:
@@ -349,26 +277,22 @@ class CandumpReader(TextReader):
         return parsed.frame
 
     def _with_times(self, batch: Batch) -> Batch:
-        if not self._decided:
-            self._decide(batch.frames)
+        self._earlier = batch.frames
         if self._times != "delta":
             return batch
-        total = self._sum_ns
-        summed = []
-        for frame in batch.frames:
-            total += frame.time_ns
-            summed.append(frame._replace(time_ns=total))
-        if total > MAX_TIME_NS:
+        steps = (frame.time_ns for frame in batch.frames)
+        _, *times_ns = accumulate(steps, initial=self._sum_ns)
+        self._sum_ns = times_ns[-1]
+        if self._sum_ns > MAX_TIME_NS:
             raise InputError(
                 f"{self._report.path}: line {batch.locations[-1]}: the differences add up to "
-                f"{total // NS_PER_S} s; expected times within 292 years"
+                f"{self._sum_ns // NS_PER_S} s; expected times within 292 years"
             )
-        self._sum_ns = total
-        return Batch(summed, batch.locations)
+        pairs = zip(batch.frames, times_ns, strict=True)
+        return Batch([frame._replace(time_ns=t) for frame, t in pairs], batch.locations)
 
     def _decide(self, frames: list[LogFrame]) -> None:
         """Find out from the first frames what the times of this log are."""
-        self._decided = True
         report = self._report
         if not self._timed:
             report.time_base = "none"
@@ -425,26 +349,22 @@ class CandumpWriter(LogWriter):
         seconds, nano = divmod(time_ns, NS_PER_S)
         exact = self._decimals == 9 or nano % 1000
         stamp = f"{seconds:010d}.{nano:09d}" if exact else f"{seconds:010d}.{nano // 1000:06d}"
-        name = self._names.get(channel)
-        if name is None:
-            name = self._names[channel] = self._interface(channel)
+        if channel not in self._names:
+            self._names[channel] = self._interface(channel)
         digits = f"{can_id:08X}" if extended else f"{can_id:03X}"
         if remote or error or fd or raw:
             body = self._special(frame, digits)
         else:
             body = f"{digits}#{data.hex().upper()}"
-        return f"({stamp}) {name} {body}{_LETTER[direction]}\n"
+        return f"({stamp}) {self._names[channel]} {body}{_LETTER[direction]}\n"
 
     def _interface(self, channel: str) -> str:
         """Return the network interface name of a channel; numbered channels count from can0."""
-        if not channel:
-            self.losses["unnamed channel written as can0"] += 1
-            return "can0"
-        if channel.isdecimal() and channel.isascii():
-            name = f"can{max(int(channel[:6]) - 1, 0)}"
-            self.losses[f"channel {channel} written as {name}"] += 1
-            return name
-        return channel
+        if channel and not (channel.isdecimal() and channel.isascii()):
+            return channel
+        name = f"can{max(int(channel[:6] or 0) - 1, 0)}"
+        self.losses[f"channel {channel or '(unnamed)'} written as {name}"] += 1
+        return name
 
     def _special(self, frame: LogFrame, digits: str) -> str:
         if frame.error:
@@ -467,18 +387,12 @@ class CandumpWriter(LogWriter):
 
 
 def _recognise(head: bytes) -> bool:
-    """Return whether one of the first lines is a candump line."""
-    for text in head.decode("latin-1").split("\n")[:200]:
-        try:
-            parse_line(text.removesuffix("\r"))
-        except NotAFrame as known:
-            if known.name == _DROPPED_NAME:
-                return True
-        except ValueError:
-            continue
-        else:
-            return True
-    return False
+    """Return whether one of the first lines is a candump line, or only losses are recorded."""
+    lines = head.decode("latin-1").split("\n")
+    for text in lines[:200]:
+        with suppress(NotAFrame, ValueError):
+            return bool(parse_line(text.removesuffix("\r")))
+    return any(map(_DROPPED.match, lines))
 
 
 FORMAT: Final = Format(

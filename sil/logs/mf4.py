@@ -13,7 +13,7 @@ import logging
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import islice
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
@@ -21,33 +21,24 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
 from can_dbc.errors import InputError
 from sil.files.extras import import_extra
 from sil.logs.format import Batch, Format, time_base
-from sil.logs.frame import (
-    DLC_LENGTHS,
-    MAX_EXTENDED_ID,
-    MAX_STANDARD_ID,
-    MAX_TIME_NS,
-    LogFrame,
-    frame_problem,
-)
-from sil.logs.mf4_blocks import LARGEST_RECORD, VARIABLE_LENGTH, Blocks
+from sil.logs.frame import LogFrame, frame_problem
+from sil.logs.mf4_blocks import VARIABLE_LENGTH, Blocks
+from sil.logs.mf4_columns import NO_VALUE, Values, frames_of, numbers, stored_bytes, zero_rows
 from sil.logs.mf4_writer import Mf4Writer
 from sil.logs.report import Location, LogReport, printable
 from sil.logs.source import ByteSource
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
 _FRAME_KINDS: Final = ("CAN_DataFrame", "CAN_ErrorFrame", "CAN_RemoteFrame")
 _OTHER_BUSES: Final = ("LIN", "FLEXRAY", "ETH", "MOST", "K-LINE", "CAN")
-_TRUE_TEXTS: Final = ("tx", "true", "yes")
 _ROWS: Final = 2048
 """Rows that become frames at once."""
 
 _FRAGMENT_BYTES: Final = 1 << 18
 """Bytes of records that asammdf takes from the file at once."""
 
-_NO_VALUE: Final = "its data is missing"
 _FLAGS_AT, _LEFT_TO_ASAMMDF = 60, 0b1100001
 """Flags of what is unfinished in a file; of these, asammdf is left to count the records."""
 
@@ -125,9 +116,6 @@ class Mf4File:
             for address, content in blocks.patches:
                 file.seek(address)
                 file.write(content)
-            for address, length in blocks.resized:
-                file.seek(address + 8)
-                file.write(length.to_bytes(8, "little"))
             if self.open_end:
                 file.seek(_FLAGS_AT)
                 file.write(bytes((flags & _LEFT_TO_ASAMMDF, 0)))
@@ -224,7 +212,7 @@ class Mf4File:
                 used += count * (size + id_size)
             for index in range(len(group.channels)):
                 if group.signal_data[index]:
-                    used += _stored_bytes(group, index) + count * id_size
+                    used += stored_bytes(group, index) + count * id_size
         rest = self._record_bytes - used
         if rest > 0:
             size = self._file.seek(0, os.SEEK_END)
@@ -233,45 +221,6 @@ class Mf4File:
                 self.report.cut(Location("the data ends inside a record", byte=size - rest))
             else:
                 self.report.note("zero bytes after the last record")
-
-
-def _stored_bytes(group: Any, index: int) -> int:
-    """Return the bytes of a channel's values of variable length, their lengths included."""
-    return sum(block.original_size for block in group.get_signal_data_blocks(index))
-
-
-class _Values:
-    """Data of variable length: the values at the offsets that records give.
-
-    asammdf's own extraction reads outside of its memory if an offset is damaged.
-    """
-
-    def __init__(self, file: Mf4File, group: Any, index: int | None) -> None:
-        """index: the channel of the data in the group, None if there is none."""
-        self._file, self._group, self._index = file, group, index
-        self.used = False
-        if index is not None and group.channels[index].channel_type == VARIABLE_LENGTH:
-            self.used = True
-            group.channels[index].channel_type = 0  # the offsets, as plain numbers
-            self._size = _stored_bytes(group, index)
-
-    def at(self, offsets: Sequence[int]) -> list[bytes | None]:
-        """Return the values at offsets in bytes, None where there is no whole one."""
-        inside = [offset for offset in offsets if 0 <= offset <= self._size - 4]
-        if not inside:
-            return [None] * len(offsets)
-        first = min(inside)
-        with self._file.guard():
-            stored = self._file.mdf._mdf._load_signal_data(
-                self._group, self._index, offsets=(first, max(inside))
-            )
-        found: list[bytes | None] = []
-        for offset in offsets:
-            begin = offset - first + 4
-            length = int.from_bytes(stored[begin - 4 : begin], "little") if begin >= 4 else -1
-            value = stored[begin : begin + length] if 0 <= length <= LARGEST_RECORD else b""
-            found.append(value if len(value) == length else None)
-        return found
 
 
 def _read(source: ByteSource, report: LogReport, times: str) -> Iterator[Batch]:
@@ -330,17 +279,17 @@ def _frames(file: Mf4File, stream: _Stream, ordered: bool) -> Iterator[tuple[int
         report.skip(Location(f"{kind} without {missing}", byte=address))
         return
     expected, count, lost = group.channel_group.cycles_nr, 0, 0
-    values = _Values(file, group, stream.parts.get("DataBytes"))
+    values = Values(file.mdf, file.guard, group, stream.parts.get("DataBytes"))
     for columns, times_s in file.tables(stream) if expected else ():
-        rows = _rows(kind, columns, times_s, values, file.mdf.header.abs_time)
-        order = _numbers(columns["Order"], len(times_s)).tolist() if ordered else None
-        zeros = _zero_rows(columns, times_s) if file.lost else None
+        rows = frames_of(kind, columns, times_s, values, file.mdf.header.abs_time)
+        order = numbers(columns["Order"], len(times_s)).tolist() if ordered else None
+        zeros = zero_rows(columns, times_s) if file.lost else None
         for index, (frame, problem) in enumerate(rows):
             count += 1
             if zeros is not None and zeros[index]:
                 lost += 1
                 continue
-            if problem == _NO_VALUE and (file.cut or file.open_end):
+            if problem == NO_VALUE and (file.cut or file.open_end):
                 report.cut(Location(f"{kind} record {count}: {problem}"))
                 return
             problem = problem or frame_problem(frame)
@@ -357,93 +306,6 @@ def _frames(file: Mf4File, stream: _Stream, ordered: bool) -> Iterator[tuple[int
         report.cut(
             Location(f"{kind} record {count + 1} and {expected - count - 1} more are missing")
         )
-
-
-def _zero_rows(columns: dict[str, NDArray[Any]], times_s: NDArray[np.float64]) -> list[bool]:
-    """Return of which rows nothing but zeros is there: they were in a block that is lost."""
-    import numpy as np
-
-    empty = times_s == 0
-    for column in columns.values():
-        if column.dtype.kind in "iu":
-            empty &= ~np.any(column.reshape(len(times_s), -1), axis=1)
-    found: list[bool] = empty.tolist()
-    return found
-
-
-def _rows(
-    kind: str,
-    columns: dict[str, NDArray[Any]],
-    times_s: NDArray[np.float64],
-    values: _Values,
-    start_ns: int,
-) -> Iterator[tuple[LogFrame, str | None]]:
-    """Yield frames, and what is wrong with each.
-
-    columns: [n] or [n, bytes] by part of a frame; times_s: [n] in s from the start of the file.
-    """
-    import numpy as np
-
-    count = len(times_s)
-    error, remote = kind == "CAN_ErrorFrame", kind == "CAN_RemoteFrame"
-    valid = np.abs(times_s) < MAX_TIME_NS / 1e9
-    seconds = np.floor(np.where(valid, times_s, 0.0))
-    parts_ns = np.rint((np.where(valid, times_s, 0.0) - seconds) * 1e9)
-    times_ns = seconds.astype(np.int64) * 10**9 + parts_ns.astype(np.int64)
-    flags = {name: _numbers(columns.get(name), count) != 0 for name in ("EDL", "BRS", "ESI", "Dir")}
-    code, word = _numbers(columns.get("DLC"), count) & 15, _numbers(columns.get("ID"), count)
-    fd, can_id = flags["EDL"], word & MAX_EXTENDED_ID
-    extended = (word >> 31 != 0) | (can_id > MAX_STANDARD_ID)
-    if "IDE" in columns:
-        extended = _numbers(columns["IDE"], count) != 0
-    length = np.where(fd, np.array(DLC_LENGTHS)[code], np.minimum(code, 8))
-    if "DataLength" in columns:
-        length = np.maximum(_numbers(columns["DataLength"], count), 0)
-    if remote:
-        length = np.zeros(count, np.int64)
-    raw_dlc = np.where(remote | (~fd & (code > 8) & (length == 8)), code, 0)
-    data = _data(None if remote else columns.get("DataBytes"), count, values)
-    channel = [""] * count
-    if "BusChannel" in columns:
-        channel = list(map(str, _numbers(columns["BusChannel"], count).tolist()))
-    way = np.where(flags["Dir"], "Tx", "Rx" if "Dir" in columns else "").tolist()
-    arrays = (times_ns, can_id, extended, fd, flags["BRS"], flags["ESI"], raw_dlc, length, valid)
-    for time_ns, number, long, is_fd, brs, esi, raw, wanted, timed, content, name, direction in zip(
-        *(array.tolist() for array in arrays), data, channel, way, strict=True
-    ):
-        problem = None if timed else "a time that is no number"
-        if content is None:
-            problem, content = problem or _NO_VALUE, b""
-        elif len(content) < wanted and not error:
-            problem = problem or f"{len(content)} bytes of data; expected {wanted}"
-        flags_and_names = long, remote, error, is_fd, brs, esi, name, direction, raw
-        yield LogFrame(start_ns + time_ns, number, content[:wanted], *flags_and_names), problem
-
-
-def _numbers(column: NDArray[Any] | None, count: int) -> NDArray[np.int64]:
-    """Return a column [n] as whole numbers, zeros if there is none."""
-    import numpy as np
-
-    if column is None:
-        return np.zeros(count, np.int64)
-    if column.dtype.kind in "SUO":
-        words = [w.decode("latin-1") if isinstance(w, bytes) else str(w) for w in column.tolist()]
-        return np.array([word.strip("\x00 ").lower() in _TRUE_TEXTS for word in words], np.int64)
-    if column.dtype.kind == "f":
-        column = np.where(np.abs(column) < 2.0**62, column, -1.0)  # also what is not a number
-    return column.astype(np.int64)
-
-
-def _data(column: NDArray[Any] | None, count: int, values: _Values) -> Sequence[bytes | None]:
-    """Return the data bytes of each row."""
-    import numpy as np
-
-    if column is not None and values.used:
-        return values.at(column.tolist())
-    if column is None or column.ndim != 2:
-        return [b""] * count
-    width, content = column.shape[1], np.ascontiguousarray(column).tobytes()
-    return [content[i : i + width] for i in range(0, count * width, width)]
 
 
 def new_measurement(path: str, start_ns: int) -> Any:

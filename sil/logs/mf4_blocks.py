@@ -39,8 +39,7 @@ _MIXED: Final = -1
 class Blocks:
     """The blocks of a file that asammdf follows: links, sizes, and where the file is cut off.
 
-    record_bytes: bytes in all blocks of records. resized: address and available length of each
-    data block that is longer than the file, or whose length an unfinished file does not state yet.
+    record_bytes: bytes in all blocks of records.
     cut_at: the byte of the first one that is longer than the file, or is missing.
     lost: address and bytes of each packed block of records that is damaged or missing.
     patches: address and content of what has to be written over the file to read the rest of it.
@@ -53,7 +52,6 @@ class Blocks:
         self._size = file.seek(0, os.SEEK_END)
         self._open_end = open_end
         self.record_bytes = 0
-        self.resized: list[tuple[int, int]] = []
         self.cut_at: int | None = None
         self.lost: list[tuple[int, int]] = []
         self.patches: list[tuple[int, bytes]] = []
@@ -197,7 +195,8 @@ class Blocks:
         elif length > available or (self._open_end and length <= _HEADER.size):
             if length > available and self.cut_at is None:
                 self.cut_at = address
-            self.resized.append((address, available))
+            # longer than the file, or of a length that an unfinished file does not state yet
+            self.patches.append((address + 8, available.to_bytes(8, "little")))
             length = available
         of_kind, size = kind.encode(), max(length - _HEADER.size, 0)
         if kind == "DZ":

@@ -89,8 +89,8 @@ class Mf4Writer(LogWriter):
     """Writes groups of data, CAN FD, error and remote frames; `Order` keeps their common order."""
 
     format = "mf4"
-    patched = True
     batch = 1 << 14
+    patched = True
 
     def __init__(self, path: str) -> None:
         super().__init__(path)

@@ -46,9 +46,15 @@ class Selection:
 
         Raises InputError that names the option.
         """
+        since_ns = None if since is None else _time("--since", since)
+        until_ns = None if until is None else _time("--until", until)
+        if since_ns is not None and until_ns is not None:
+            alike = (since_ns < RELATIVE_BELOW_NS) == (until_ns < RELATIVE_BELOW_NS)
+            if alike and until_ns < since_ns:
+                raise InputError(f"--until: {until}; expected a time after --since, {since}")
         return cls(
-            None if since is None else _time("--since", since),
-            None if until is None else _time("--until", until),
+            since_ns,
+            until_ns,
             frozenset(_identifier(word) for word in _words(ids)),
             frozenset(_group(word) for word in _words(pgns)),
             frozenset(_words(channels)),

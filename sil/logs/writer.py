@@ -55,14 +55,21 @@ class LogWriter(ABC):
             raise InputError(f"{path}: is {kind}; expected the name of a file")
         try:
             self._new = NewFile(Path(path))
+            self._out = self._opened()
         except OSError as error:
             raise InputError(f"{path}: {error.strerror}; expected a folder to write in") from None
-        self._out: BinaryIO = self._new.file
-        if path.endswith(".gz"):
-            if self.patched:
-                self._out = tempfile.NamedTemporaryFile()  # type: ignore[assignment]  # noqa: SIM115
-            else:
-                self._out = packer(self._new.file)
+
+    def _opened(self) -> BinaryIO:
+        """Return the file to write in: the new one, what packs into it, or one to be packed."""
+        if not self.path.endswith(".gz"):
+            return self._new.file
+        if not self.patched:
+            return packer(self._new.file)
+        try:
+            return tempfile.TemporaryFile(dir=Path(self.path).parent)
+        except OSError:
+            self._new.discard()
+            raise
 
     @property
     def frames(self) -> int:

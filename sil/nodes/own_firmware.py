@@ -59,7 +59,8 @@ class OwnController:
                 what = "is a folder; expected FILE.py, FILE.py:CLASS, or a checkout"
                 raise InputError(f"firmware: {file}: {what}")
         elif self._path.suffix != ".py" or not self._path.is_file():
-            raise InputError(f"firmware: {file}: no such file; expected FILE.py or FILE.py:CLASS")
+            what = "not a Python file" if self._path.exists() else "no such file"
+            raise InputError(f"firmware: {file}: {what}; expected FILE.py or FILE.py:CLASS")
         self._server: _Server | None = _take_server()
         settings = msgspec.to_builtins(config)
         try:

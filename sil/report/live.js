@@ -377,7 +377,7 @@
         if (input.value !== "") made[input.name] = input.dataset.number ? Number(input.value) : input.value;
       });
       const faults = { ...state.faults, [table]: [...(state.faults[table] || []), made] };
-      await ask("/api/values", { ...asked(), faults }); // refused with its line before it is kept
+      await ask("/api/values", { ...asked(), faults }); // refused with its line before it is added
       state.faults = faults;
       faultList();
       refresh();

@@ -193,7 +193,8 @@ def _draw_panel(axes: Axes, panel: Panel, column: _Column, limits: View, is_lowe
     if stack.logarithmic:
         axes.set_xscale("log")
     axes.set_xlim(*view)
-    axes.set_ylim(*limits)
+    low, high = limits
+    axes.set_ylim(low, high if high > low else low + 1.0)
     _spans(axes, panel.spans, column.width)
     for band in panel.bands:
         look: dict[str, Any] = {"color": colour_of(band.role), "alpha": 0.15, "lw": 0}
@@ -295,12 +296,15 @@ def _rule(axes: Axes, rule: Rule) -> None:
     line(rule.at, color=colour, linewidth=width, linestyle=DASHES[rule.style], zorder=1)
     if not rule.text:
         return
+    from matplotlib.patheffects import withStroke
+
     axes.annotate(
         rule.text, (0.005, rule.at) if across else (rule.at, 0.5),
         xycoords=("axes fraction", "data") if across else ("data", "axes fraction"),
-        xytext=(0, -3) if across else (-2, 0), textcoords="offset points",
+        xytext=(0, -3) if across else (-4, 0), textcoords="offset points",
         ha="left" if across else "right", va="top" if across else "center",
         rotation=0 if across else 90, fontsize=8, color=colour, annotation_clip=True,
+        path_effects=[withStroke(linewidth=2.5, foreground=colour_of("paper"))], zorder=6,
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from plant.parameters import ParameterSet
 from sil.files.progress import Progress
-from sil.shift_diagnosis.fit import Fit, Fitter
+from sil.shift_diagnosis.fit import COARSE_M, Fit, Fitter
 from sil.shift_diagnosis.linear import (
     NOISE,
     Floats,
@@ -31,6 +31,7 @@ from sil.shift_diagnosis.linear import (
 )
 from sil.shift_diagnosis.model import DIFFERENCE, LEAST_NOISE_M, Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import LEAD_S, Shift
+from sil.shift_diagnosis.starts import usual_starts
 from sil.shift_diagnosis.verdict import (
     ALARM,
     EXPLAINED,
@@ -46,6 +47,8 @@ MOST_SHIFTS: Final = 120
 """Shifts that are judged; of more, as many spread evenly over the logs."""
 FIT_SHIFTS: Final = 12
 """Shifts that a hypothesis is fitted to before all judge it."""
+LEADING: Final = 3
+"""Hypotheses, the best on these, of which the best on all shifts says how the shifts scatter."""
 HOPELESS: Final = 12.0
 """Log evidence behind the best on some shifts from which a cause is not fitted to all."""
 FITTED: Final = 8
@@ -60,6 +63,8 @@ AS_GOOD: Final = 5.0
 """Log evidence within which another minimum of a fit is as good: its size is in the interval."""
 SECANT: Final = 0.5
 """Step of the differences for intervals and for what would show: positions have kinks."""
+NEAREST: Final = 6
+"""Causes that come nearest to the shifts in a usual truck and are fitted from there, too."""
 QUICK_SHIFTS: Final = 6
 """Shifts that a cause is fitted to in a first search."""
 RESTARTS: Final = 3
@@ -93,19 +98,20 @@ def judge_shifts(
         fits.append(own[0])
         minima[cause] = tuple(f.size for f in own if f.cost < own[0].cost + AS_GOOD)
         say(40.0 + 30.0 * (number + 1) / len(chosen), 100.0)
-    best = fitter.settle(min(fits, key=lambda fit: fit.cost))
+    fits.sort(key=lambda fit: fit.cost)
+    leading = [fitter.settle(fits[0]), *fits[1:LEADING]]
     whole = Fitter(fitter.model, used, fitter.noise)
-    weights = whole.at(best.cause, best.point).linear.weights
-    whole.noise = replace(whole.noise, weights=weights)
+    best = min((whole.fit(f.cause, f.point, rounds=8) for f in leading), key=lambda fit: fit.cost)
+    whole.noise = replace(whole.noise, weights=best.linear.weights)
     judged = [
         _judged(whole, fit.cause, fit.point)
         for fit in fits
-        if fit.cause is None or fit.cost < min(f.cost for f in fits) + HOPELESS
+        if fit.cause is None or fit.cost < fits[0].cost + HOPELESS
     ]
     say(80.0, 100.0)
     ids = len({cause.effect.id for cause in causes})
     judged = weighed(judged, ids)
-    judged = weighed(_with_rivals(whole, fitter, judged, causes), ids)
+    judged = weighed(_with_rivals(whole, judged, causes), ids)
     judged = weighed(_healthy_again(whole, judged), ids)
     judged = [replace(item, minima=minima.get(item.fit.cause, ())) for item in judged]
     probabilities: dict[str, float] = {}
@@ -173,11 +179,13 @@ def _promising(
 ) -> list[tuple[Cause, list[Floats]]]:
     """Return the causes worth a fit, each with the points [units + 1] to begin from.
 
-    By the linear model; where a healthy truck is not enough or a strange one, by fits to a few shifts.
+    By the linear model; where a healthy truck is not enough or a strange one, by fits to a few shifts
+    from there, and by the sizes that come near in a usual truck.
     """
     enough = healthy.half_chi2 < 0.5 * EXPLAINED * int(healthy.linear.count.sum())
     strained = not enough or np.max(np.abs(healthy.values)) > STRAINED
     quick = Fitter(fitter.model, _spread(fitter.shifts, QUICK_SHIFTS), fitter.noise)
+    usual = usual_starts(quick, causes, COARSE_M[0]) if strained else {}
     base, _point = explained(linear)
     found: list[tuple[float, Cause, list[Floats]]] = []
     for cause in causes:
@@ -198,23 +206,23 @@ def _promising(
         if len(chosen) < FITTED and ids[cause.effect.id] < 2:
             chosen.append((cause, starts))
             ids[cause.effect.id] += 1
-    return chosen
+    near = sorted(usual, key=lambda cause: usual[cause][0])[:NEAREST]
+    starts_of = dict(chosen) | {cause: [] for cause in near if cause not in dict(chosen)}
+    return [(c, [*own, *([usual[c][1]] if c in near else [])]) for c, own in starts_of.items()]
 
 
-def _with_rivals(
-    whole: Fitter, fitter: Fitter, judged: Sequence[Judged], causes: Sequence[Cause]
-) -> list[Judged]:
+def _with_rivals(whole: Fitter, judged: Sequence[Judged], causes: Sequence[Cause]) -> list[Judged]:
     """Return the hypotheses, those that look like the best cause fitted from where that one is."""
     best = next((item for item in judged if item.fit.cause is not None), None)
     if best is None or best.probability < ALARM:
         return list(judged)
     cause, size = best.fit.cause, best.size[0]
     assert cause is not None
+    # some of the shifts need not show at all what only a few do, such as a valve that closes late
     linear = linearise(
-        whole.model, fitter.shifts, best.fit.values, causes, {cause: best.fit.size}, fitter.noise
+        whole.model, whole.shifts, best.fit.values, causes, {cause: best.fit.size}, whole.noise
     )
-    share = len(whole.shifts) / len(fitter.shifts)
-    information = projected(linear)[0] * share
+    information = projected(linear)[0]
     found = {item.fit.cause: item for item in judged}
     k = list(causes).index(cause)
     for j, other in enumerate(causes):
@@ -224,7 +232,7 @@ def _with_rivals(
         if j == k or left > 4.0 * SEPARABLE or other.sign * start < 0.0:
             continue
         item = _judged(whole, other, np.append(best.fit.values, start))
-        if left < SEPARABLE:  # a minimum does not tell apart what the information cannot
+        if left < SEPARABLE:  # a minimum does not separate what the information cannot
             item = replace(item, cost=min(item.cost, best.cost + 0.5 * left))
         if other not in found or item.cost < found[other].cost:
             found[other] = item

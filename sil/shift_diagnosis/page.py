@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from plant.parameters import Parameter, load
+from plant.parameters import Parameter, load_actuator
 from sil.diagnosis.causes import Cause as Reported
 from sil.diagnosis.causes import diagnosis_json
 from sil.diagnosis.intervals import Interval
@@ -84,7 +84,7 @@ def reported(found: ShiftDiagnosis) -> list[Reported]:
         text += f"squared per number falls from {found.healthy.chi2:.2f} to {item.chi2:.2f}"
         ids = {other.id for other in found.named}
         if alike := [name for name in alike_of(found, cause) if name in ids]:
-            text += f"; the bus cannot tell it from {', '.join(alike)}"
+            text += f"; the bus cannot distinguish it from {', '.join(alike)}"
         effect = cause.effect
         own = {cause.parameter.name: interval(item)}
         causes.append(
@@ -102,7 +102,7 @@ def interval(item: Judged) -> Interval:
 
 
 def alike_of(found: ShiftDiagnosis, cause: Cause) -> tuple[str, ...]:
-    """Return the ids of the causes that these shifts cannot tell from one."""
+    """Return the ids of the causes that these shifts cannot distinguish from one."""
     return next((item.alike for item in found.detectable if item.cause.name == cause.name), ())
 
 
@@ -239,7 +239,7 @@ def diagnosed(
 
     layout: mapping file and DBC of another layout.  Raises InputError for bad files.
     """
-    parameters = load(model)
+    parameters = load_actuator(model)
     mapping = SignalMapping(*layout) if any(layout) else None
     shifts = [s for path in logs for s in shifts_of(path, parameters, mapping, skipped)]
     return judge_shifts(shifts, parameters, progress)

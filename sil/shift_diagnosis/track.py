@@ -25,6 +25,10 @@ CELLS: Final = 256
 """Cells that a truck has at most; then two neighbours are merged for every new one."""
 FEWEST_CELLS: Final = 5
 """Cells before a change that make its baseline."""
+FEWEST_SHIFTS: Final = BLOCK * (FEWEST_CELLS + 1)
+"""Shifts of a truck before any change can be found."""
+CHANGED: Final = "changed", "drifting"
+"""Verdicts of a truck in which something was found."""
 THRESHOLD: Final = 5.5
 """Standard deviations by which means must differ: at most one false alarm in 1e5 shifts, by
 simulation (`python -m tests.bench watch_rates`)."""
@@ -40,7 +44,7 @@ class Change(msgspec.Struct, kw_only=True):
 
     shift: the first one after the change, low to high its 95 % interval; time_s: when that was;
     found: the shift after which it was found. sigma: standard deviations. alike: parameters whose
-    change the shifts cannot tell from this one. since: from which shift on it is dated; -1: not again.
+    change the shifts cannot distinguish from this one. since: from which shift on it is dated; -1: not again.
     """
 
     name: str
@@ -85,6 +89,15 @@ class Track:
             names, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0),
             np.zeros((0, p, p)), np.zeros((0, p)), squares=np.zeros(p),
         )  # fmt: skip
+
+    @property
+    def verdict(self) -> str:
+        """Whether the truck is drifting, changed or steady, or has too few shifts to tell."""
+        if self.drifting:
+            return "drifting"
+        if self.changes:
+            return "changed"
+        return "steady" if self.shifts >= FEWEST_SHIFTS else "cannot_tell"
 
     # --- taking shifts ------------------------------------------------------------------------
     def take(self, information: Floats, score: Floats, time_s: Floats) -> list[Change]:
@@ -227,7 +240,7 @@ class Track:
             self.drifting = {change.name} if is_drift else set()
 
     def _alike(self, begin: int, at: int, k: int) -> list[str]:
-        """Return the parameters whose step the shifts cannot tell from that of parameter k."""
+        """Return the parameters whose step the shifts cannot distinguish from that of parameter k."""
         pieces = []
         for part in (slice(begin, at), slice(at, None)):
             h = self.information[part].sum(axis=0) + 1e-9 * np.eye(len(self.names))

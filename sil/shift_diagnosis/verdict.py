@@ -83,7 +83,7 @@ class Detectable:
     """What the bus shows of a cause: the smallest size it would show, and what looks the same.
 
     size: in typical ones, noticed in nine of ten trucks; None: at no size. alike: causes that cannot
-    be told apart from it at that size or the typical one, whichever is larger.
+    be distinguished from it at that size or the typical one, whichever is larger.
     """
 
     cause: Cause
@@ -125,10 +125,12 @@ class ShiftDiagnosis:
         """The causes reported: the one named, or all that cannot be excluded."""
         if self.verdict not in ("named", "ambiguous"):
             return []
-        least = CERTAIN if self.verdict == "named" else RIVAL_SHARE
+        wrong = {name: p for name, p in self.probabilities.items() if name != "healthy"}
+        # of many causes that are alike, none may reach the usual share
+        least = CERTAIN if self.verdict == "named" else min(RIVAL_SHARE, 0.5 * max(wrong.values()))
         found: dict[str, Judged] = {}
         for item in self.judged:
-            if item.fit.cause is not None and self.probabilities.get(item.id, 0.0) >= least:
+            if wrong.get(item.id, 0.0) >= least:
                 found.setdefault(item.id, item)
         return list(found.values())
 

@@ -317,7 +317,7 @@ def as_json(watched: Watched, limits: dict[str, float]) -> dict[str, Any]:
         )
     return {
         "truck": watched.name,
-        "verdict": "drifting" if track.drifting else "changed" if changes else "steady",
+        "verdict": track.verdict,
         "logs": watched.logs,
         "shifts": track.shifts,
         "left_out": watched.skipped,

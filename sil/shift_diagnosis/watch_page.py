@@ -20,7 +20,7 @@ from sil.report.figure import Band, Figure, Panel, Rule, Series, Stack
 from sil.report.plots import plots
 from sil.report.shell import Head, render
 from sil.shift_diagnosis.page import MEASURE
-from sil.shift_diagnosis.track import BLOCK, THRESHOLD
+from sil.shift_diagnosis.track import BLOCK, CHANGED, FEWEST_SHIFTS, THRESHOLD
 from sil.shift_diagnosis.watch import Watched, as_json
 
 MOST_DRAWN: Final = 12
@@ -47,13 +47,19 @@ def write_watch(
         truck["lines"] = list(_lines(truck))
     text = json.dumps(finite(values), indent=1, ensure_ascii=False)
     write_atomically(folder / "watch.json", text + "\n")
-    found = [t for t in values["trucks"] if t["verdict"] != "steady"]
+    found = [t for t in values["trucks"] if t["verdict"] in CHANGED]
+    unknown = sum(t["verdict"] == "cannot_tell" for t in values["trucks"])
+    few = f"no change found; {unknown} of {len(trucks)} trucks have too few shifts to tell"
     changed = [w for w in trucks if w.track.changes][:MOST_DRAWN]
     head = Head(
         command="watch",
         name=folder.name,
-        verdict=f"{len(found)} of {len(trucks)} trucks have changed" if found else "steady",
-        good=not found,
+        verdict=f"{len(found)} of {len(trucks)} trucks have changed"
+        if found
+        else few
+        if unknown
+        else "steady",
+        good=not found and not unknown,
         tiles=[
             (str(len(trucks)), "trucks"),
             (str(sum(t["shifts"] for t in values["trucks"])), "shifts"),
@@ -71,6 +77,8 @@ def write_watch(
 def _lines(truck: dict[str, Any]) -> list[str]:
     """Return what happened to a truck, and what to do next."""
     lines = []
+    if truck["verdict"] == "cannot_tell":
+        lines.append(f"a change can be found from {FEWEST_SHIFTS} shifts on")
     for change in truck["changes"]:
         before, after = change["before"], change["after"]
         when = f"shift {change['shift']} [{change['low']}, {change['high']}], {_when(change['time_s'])}"
@@ -83,7 +91,7 @@ def _lines(truck: dict[str, Any]) -> list[str]:
                 f"({change['sigma']:.1f} sigma)"
             )
         if change["alike"]:
-            lines.append(f"  these shifts cannot tell it from {', '.join(change['alike'])}")
+            lines.append(f"  these shifts cannot distinguish it from {', '.join(change['alike'])}")
         ids = [change["name"], *change["alike"]]
         kinds = {CATALOGUE[name].cause_class for name in ids if name in CATALOGUE}
         for kind in sorted(kinds & MEASURE.keys()):

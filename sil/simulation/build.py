@@ -37,7 +37,8 @@ from sil.coupling.transports.channel import (
 from sil.coupling.transports.wire import GUEST
 from sil.files.atomic import write_atomically
 from sil.nodes.simulated import Drifting, DriverNode, IntruderNode, TrafficNode
-from sil.simulation.scenario import Loaded, Scenario, expanded
+from sil.simulation.load_scenario import Loaded
+from sil.simulation.scenario import Scenario, expanded
 from sil.simulation.unit_memory import content
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def plant_config(scenario: Scenario) -> PlantConfig:
     from plant.node import PlantConfig
 
     return PlantConfig(
-        **msgspec.structs.asdict(scenario.plant) | {"charged": tuple(scenario.plant.charged)},
+        **msgspec.structs.asdict(scenario.plant),
         initial=INITIAL[scenario.initial_gear],  # type: ignore[arg-type]
         driveline=scenario.driveline,
         valve_driver=scenario.valve_driver,
@@ -121,7 +122,8 @@ class RecordedPlant:
     def __init__(self, loaded: Loaded, folder: Path) -> None:
         """Open the files.  Raises InputError if the plant refuses its settings."""
         from plant.errors import IntegrationError
-        from plant.node import PlantNode, trace_columns
+        from plant.node import PlantNode
+        from plant.trace import trace_columns
         from sil.recording.recorder import EVENTS, PLANT_TRACE, EventLog, TraceWriter
 
         with contextlib.ExitStack() as on_error:

@@ -27,7 +27,7 @@ _BROADCAST_NS = 10_000_000
 
 
 def periods_ns(scenario: Scenario) -> dict[str, int]:
-    """Return the period of each message as the scenario sets it."""
+    """Return the period of each message that the scenario sets; other periods are those of the DBC."""
     controller = scenario.controller.period_ns
     etc2_ns = to_ns(scenario.controller.broadcast.etc2_period_s)
     return {
@@ -70,19 +70,18 @@ def message_rows(
 
     `figures` takes the identifier and the period in ns.
     """
-    periods = periods_ns(scenario)
+    messages = contract_messages(periods_ns(scenario))
     return [
         {
-            "name": spec.name,
-            "can_id": f"{spec.can_id:08X}",
-            "sender": ", ".join(spec.senders),
-            "period_s": periods[spec.name] / NS_PER_S,
+            "name": message.name,
+            "can_id": f"{message.can_id:08X}",
+            "sender": ", ".join(contract()[message.name].senders),
+            "period_s": message.period_ns / NS_PER_S,
             "longest_response_s": None,
             "worst_case_s": None,
-            **figures(spec.can_id, periods[spec.name]),
+            **figures(message.can_id, message.period_ns),
         }
-        for spec in sorted(contract().values(), key=lambda spec: spec.can_id)
-        if spec.name in periods
+        for message in sorted(messages, key=lambda message: message.can_id)
     ]
 
 

@@ -16,13 +16,13 @@ from can_dbc.messages import (
     ShiftRequest,
     ValveCommand,
 )
+from plant.devices.conditions import ChamberName
 from sil.files.quantity import unit_of
 from sil.recording.run_record import CHAMBERS, RunRecord
 from sil.simulation.metrics import METRICS, Shift, gear_at
 from sil.simulation.results import Check
 
 GearName = Literal["neutral", "backward", "forward"]
-ChamberName = Literal["B", "N", "F"]
 StateName = Literal["INIT", "IDLE", "PUSH", "CONFIRM", "BLOW", "HOLD", "VENT", "FAULT"]
 if TYPE_CHECKING:
     FaultName = str

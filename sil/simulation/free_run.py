@@ -33,7 +33,7 @@ from sil.recording.run_reader import event_of, open_trace
 from sil.simulation import build
 from sil.simulation.build import REMOTE, TIMEOUTS, Say
 from sil.simulation.bus_figures import COUNTS, message_rows
-from sil.simulation.scenario import Loaded
+from sil.simulation.load_scenario import Loaded
 
 CLOCK_ZERO = "plant.zero"
 """File next to the plant's trace: the instant, ns since 1970, at which its clock is zero."""

@@ -28,8 +28,9 @@ from sil.recording.run_record import BusFrame, Floats, PlantEvent, RunRecord
 from sil.simulation import build, metrics
 from sil.simulation.closed_loop_kernel import run_quickly
 from sil.simulation.expectations import Observed, evaluate
+from sil.simulation.load_scenario import Loaded
 from sil.simulation.results import Check
-from sil.simulation.scenario import Loaded, Scenario, contradictions
+from sil.simulation.scenario import Scenario, contradictions
 from sil.simulation.unit_memory import content
 
 if TYPE_CHECKING:
@@ -128,7 +129,8 @@ def run_in_memory(loaded: Loaded, memory_before: bytes | None = None) -> Run:
     `memory_before`: of the firmware at power-on; if not given, the scenario's.
     Raises InputError if the scenario is not valid, RunError if a participant fails.
     """
-    from plant.node import PlantNode, trace_columns
+    from plant.node import PlantNode
+    from plant.trace import trace_columns
 
     scenario = loaded.scenario
     trace, events = _TraceRows(), list[PlantEvent]()

@@ -39,8 +39,9 @@ from sil.simulation import build, expectations, metrics
 from sil.simulation.build import MEMORY, SCENARIO, SENDERS, Say
 from sil.simulation.bus_figures import bus_figures, overload, response_check
 from sil.simulation.free_run import CLOCK_ZERO, FreeRun
+from sil.simulation.load_scenario import Loaded
 from sil.simulation.results import Check, Result, versions, write_result
-from sil.simulation.scenario import Loaded, Scenario, contradictions, expanded
+from sil.simulation.scenario import Scenario, contradictions, expanded
 
 _SAID_BY_A_PARTICIPANT = re.compile(r"\w+ ended with exit status (?P<code>[23]): opc4 node: ")
 """What precedes a participant's own words; with 2 its settings were refused, as bad input here."""
@@ -83,14 +84,6 @@ def run(
     scenario = loaded.scenario
     begun = time.perf_counter()
     pacer = None if speed is None else Pacer(speed)
-    base = Result(
-        scenario_name=scenario.name,
-        seed=scenario.seed,
-        transport=transport,
-        versions=versions(),
-        scenario=expanded(scenario),
-        model={path: loaded.parameters[path].value for path in loaded.parameters},
-    )
     plan = FaultPlan(scenario.fault, scenario.seed)
     bus = build.make_bus(scenario, plan)
     free: FreeRun | None = None
@@ -100,10 +93,7 @@ def run(
     log: BusLog | None = None
     try:
         with contextlib.ExitStack() as closing:
-            write_result(msgspec.structs.replace(base, why=CUT_OFF), folder)
-            write_atomically(
-                folder / SCENARIO, json.dumps({"scenario": expanded(scenario)}, indent=1)
-            )
+            base = _begin(loaded, folder, transport)
             arguments = (loaded, folder, transport, external, say, closing)
             if free_running:
                 free = FreeRun(*arguments)
@@ -135,21 +125,11 @@ def run(
     except InputError:
         _discard(folder)
         raise
-    except RunError as error:
+    except (RunError, KeyboardInterrupt, OSError) as error:  # OSError: disk full and the like
         if log is None:
             _discard(folder)
             raise
-        why = str(error)
-        if said := _SAID_BY_A_PARTICIPANT.match(why):
-            why = why[said.end() :].replace(str(folder / SCENARIO), loaded.source)
-            if said["code"] == "2" and not log.frames:
-                _discard(folder)
-                raise InputError(why) from None
-    except (KeyboardInterrupt, OSError) as error:  # disk full and the like
-        if log is None:
-            _discard(folder)
-            raise
-        why = os_error_text(error) if isinstance(error, OSError) else "interrupted"
+        why = _reason(error, loaded, folder, bool(log.frames))
     bus_result = bus_figures(scenario, bus, plan) if free is None else free.figures()
     base = msgspec.structs.replace(
         base, warnings=[*contradictions(scenario), *overload(bus_result)]
@@ -159,6 +139,40 @@ def run(
     for warning in (*lines, *(f"warning: {line}" for line in base.warnings)):
         say(warning)
     return _judge(loaded, folder, base, why, log, bus_result, summary, begun)
+
+
+def _begin(loaded: Loaded, folder: Path, transport: str) -> Result:
+    """Write the scenario, and a result.json marked as incomplete; return the result so far."""
+    scenario = loaded.scenario
+    base = Result(
+        scenario_name=scenario.name,
+        seed=scenario.seed,
+        transport=transport,
+        versions=versions(),
+        scenario=expanded(scenario),
+        model={path: loaded.parameters[path].value for path in loaded.parameters},
+    )
+    write_result(msgspec.structs.replace(base, why=CUT_OFF), folder)
+    write_atomically(folder / SCENARIO, json.dumps({"scenario": base.scenario}, indent=1))
+    return base
+
+
+def _reason(error: BaseException, loaded: Loaded, folder: Path, has_frames: bool) -> str:
+    """Return why a run ended early.
+
+    Raises InputError, with the folder emptied, for input that a participant refused at the start.
+    """
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    if isinstance(error, OSError):
+        return os_error_text(error)
+    why = str(error)
+    if said := _SAID_BY_A_PARTICIPANT.match(why):
+        why = why[said.end() :].replace(str(folder / SCENARIO), loaded.source)
+        if said["code"] == "2" and not has_frames:
+            _discard(folder)
+            raise InputError(why) from None
+    return why
 
 
 def _discard(folder: Path) -> None:

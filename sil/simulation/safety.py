@@ -5,7 +5,7 @@ no coil stays energised by a dead controller (longer than the driver's timeout),
 reported that the stay is not in (longer than a motion takes to be observed).
 
 Two limits. A single position sensor whose error looks like a motion (it or its thermometer stuck,
-or wrong by a constant) cannot be told from one. End-to-end protection carries no time and no secret:
+or wrong by a constant) cannot be distinguished from one. End-to-end protection carries no time and no secret:
 frames repeated a whole round of the counter later (15 to 16 periods), or repeated of a sender that
 is silent, pass as new. A report is then as old as the repetition; a coil is not held on by one
 repeated message, because the driver needs both commands and blows to be good. ETC2 carries the gear

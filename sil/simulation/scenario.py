@@ -1,45 +1,32 @@
-"""Scenarios as typed TOML: every value has a name, bounds and a default, and can be overridden."""
+"""The keys of a scenario, each with its type, bounds and default, and what contradicts what."""
 
 from __future__ import annotations
 
-import contextlib
-import copy
-import functools
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, Unpack
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
-from can_dbc import typed_toml
-from can_dbc.errors import InputError, nearest, unknown_name
+from can_dbc.errors import InputError
+from can_dbc.typed_toml import one_line
 from controller.config import FirmwareConfig
+from plant.devices.conditions import Conditions
 from plant.devices.driveline import DrivelineConfig
 from plant.devices.position_circuit import SensorConfig, SensorFault
 from plant.devices.signal_faults import SpeedFault, TemperatureFault
-from plant.devices.valve import CoilConfig, Drive
+from plant.devices.valve import CoilConfig
 from plant.devices.valve_driver import ValveDriverConfig
 from plant.devices.valve_faults import ValveFault
 from sil.coupling.faults import BusFault, FaultPlan
-from sil.files import overrides
 from sil.files.quantity import quantity
-from sil.nodes.own_firmware import absolute
 from sil.nodes.vehicle import VehicleConfig
-from sil.simulation.expectations import ChamberName, Expectations, GearName
-from sil.simulation.unit_memory import embedded
-
-if TYPE_CHECKING:
-    from plant.parameters import ParameterSet
-
-SHIPPED = Path(__file__).parent / "scenarios"
+from sil.simulation.expectations import Expectations, GearName
 
 FAULT_TABLES = ("fault", "sensor_fault", "temperature_fault", "speed_fault", "valve_fault")
 
 Seconds = Annotated[float, Meta(ge=0.0, le=86400.0)]
-Newtons = Annotated[float, Meta(ge=0.0, le=1e5)]
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -53,31 +40,6 @@ class Request(_Table, frozen=True, kw_only=True):
     """Time from which the driver requests the gear, until the next request."""
     gear: GearName
     """The gear requested."""
-
-
-class PlantTable(_Table, frozen=True, kw_only=True):
-    """Conditions of the actuator: where it is mounted, what it is fed with, what resists it."""
-
-    mounted: bool = False
-    """Mounted on the gearbox, with its masses, teeth and synchronizer; otherwise in the lab."""
-    supply_pressure_pa: Annotated[float, Meta(ge=1e5, le=2e6)] | None = None
-    """Supply pressure, absolute; if left out, the model's supply.P_s."""
-    charged: list[ChamberName] = []
-    """Chambers at supply pressure at the start; the others are at atmospheric pressure."""
-    damper: Literal["none", "incompressible", "compressible"] = "none"
-    """Oil damper on the stay, and how its oil is modelled."""
-    mesh_force_n: Newtons = 0.0
-    """Peak of the force against meshing, on the way into a gear."""
-    pull_force_n: Newtons = 0.0
-    """Peak of the force that holds the teeth, on the way out of a gear."""
-    drive: Drive = "delays"
-    """Valves as time delays, or with the current of their coils (see [coil])."""
-    closing_follows_duty: bool = False
-    """A valve closes sooner after a smaller duty; with drive = "delays"."""
-    speeds_period_s: Annotated[float, Meta(ge=0.001, le=0.02)] = 0.01
-    """Period of the DrivelineSpeeds frames."""
-    truth_period_s: Annotated[float, Meta(ge=0.001, le=1.0)] = 0.01
-    """Period of the frames that carry the true motion and pressures."""
 
 
 class DriverTable(_Table, frozen=True, kw_only=True):
@@ -135,7 +97,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     driver: DriverTable = DriverTable()
     vehicle: VehicleConfig | None = None
     """A truck around the actuator; without it the driver asks the controller for gears directly."""
-    plant: PlantTable = PlantTable()
+    plant: Conditions = Conditions()
     driveline: DrivelineConfig = DrivelineConfig()
     valve_driver: ValveDriverConfig = ValveDriverConfig()
     coil: CoilConfig = CoilConfig()
@@ -173,94 +135,9 @@ class Scenario(_Table, frozen=True, kw_only=True):
     expect: Expectations = Expectations()
 
 
-@dataclass(frozen=True)
-class Loaded:
-    """A scenario with its model parameters, overrides applied."""
-
-    scenario: Scenario
-    parameters: ParameterSet
-    source: str
-
-
-def shipped() -> dict[str, Path]:
-    """Return the scenarios that come with the package, by name."""
-    return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
-
-
-class Overrides(TypedDict, total=False):
-    """What replaces values of a scenario file."""
-
-    model: str | None
-    """Parameter set or model file of the plant."""
-    settings: Sequence[str]
-    """Texts PATH=VALUE; PATH names a value of the scenario, the firmware (controller...), sensor,
-    bus, or model (valve.D_fall)."""
-    effects: Sequence[str]
-    """Files of a user's own effects."""
-    seed: int | None
-    """Seed of all random numbers."""
-
-
-def load(where: str, **given: Unpack[Overrides]) -> Loaded:
-    """Load a scenario file, or a shipped scenario by name, and apply overrides.
-
-    A result.json is loaded as the scenario that it holds.
-    Raises InputError naming file and key, what is wrong and what was expected.
-    """
-    table, path = read(where)
-    return from_table(table, str(path), folder=path.parent, **given)
-
-
-def read(where: str) -> tuple[dict[str, Any], Path]:
-    """Return a scenario file, or a shipped scenario by name, as parsed, and its path."""
-    path = find(where)
-    return _read(path), path
-
-
-def from_table(
-    table: Mapping[str, Any], source: str, *, folder: Path = Path(), **given: Unpack[Overrides]
-) -> Loaded:
-    """Build a scenario from a parsed file; `source` names it, `folder` holds its model files.
-
-    Raises InputError as `load` does.
-    """
-    model, seed = given.get("model"), given.get("seed")
-    settings, effects = given.get("settings", ()), given.get("effects", ())
-    raw = copy.deepcopy(dict(table))
-    scenario = _checked(raw, source)
-    if model is not None:
-        raw["model_set"] = model
-    elif scenario.model_set.endswith(".toml"):
-        raw["model_set"] = str(folder / scenario.model_set)
-    if scenario.firmware:
-        raw["firmware"] = absolute(scenario.firmware, folder)
-    if scenario.memory:
-        raw["memory"] = embedded(scenario.memory, folder, source)
-    if scenario.effects or effects:
-        from plant.effects.user_file import load_effects
-
-        files = [str(folder / file) for file in scenario.effects] + list(effects)
-        raw["effects"] = list(dict.fromkeys(load_effects(file) for file in files))
-    parameters = _parameters(raw.get("model_set", scenario.model_set), source)
-    if settings or seed is not None:
-        for text in settings:
-            _apply(raw, text, parameters)
-        if seed is not None:
-            raw["seed"] = seed
-        typed_toml.refuse_not_finite(raw, "--set")
-        scenario = _checked(raw, "--set")
-        if scenario.firmware:
-            raw["firmware"] = absolute(scenario.firmware, Path())
-        if scenario.memory:
-            raw["memory"] = embedded(scenario.memory, Path(), "--set")
-    scenario = typed_toml.convert(raw, Scenario, source)
-    _check_consistent(scenario, source)
-    return Loaded(scenario, _overridden(parameters, scenario.model, source), source)
-
-
 def expanded(scenario: Scenario) -> dict[str, Any]:
-    """Return every value of a scenario, defaults included, as plain tables."""
-    found: dict[str, Any] = msgspec.to_builtins(scenario)
+    """Return every value of a scenario, defaults included, as plain tables and lists."""
+    found: dict[str, Any] = json.loads(json.dumps(msgspec.to_builtins(scenario)))
     return found
 
 
@@ -276,142 +153,8 @@ def contradictions(scenario: Scenario) -> list[str]:
     ]
 
 
-def find(where: str) -> Path:
-    """Return the file of a scenario given by path or by shipped name. Raises InputError."""
-    path = Path(where)
-    with contextlib.suppress(OSError, ValueError):  # a name too long, or with a null byte
-        if path.is_file():
-            return path
-    known = shipped()
-    if where in known:
-        return known[where]
-    if "/" in where or where.endswith((".toml", ".json")):
-        raise InputError(f"{typed_toml.one_line(where)}: file: not found; expected a scenario")
-    raise InputError(f"{typed_toml.one_line(where)}: scenario: {unknown_name(where, known)}")
-
-
-def _read(path: Path) -> dict[str, Any]:
-    if path.suffix != ".json":
-        return typed_toml.read_toml(path)
-    try:
-        held = json.loads(path.read_text(encoding="utf-8"))
-        table = held["scenario"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        raise InputError(f"{path}: file: no scenario in it; expected a result.json") from None
-    if not isinstance(table, dict):
-        raise InputError(f"{path}: scenario: not a table; expected that of a result.json")
-    return table
-
-
-def _checked(raw: dict[str, Any], source: str) -> Scenario:
-    """Rewrite the short forms in place: filter = false, [model.valve] D_fall; return the scenario.
-
-    One sensor period is both the sensor's and the firmware's; the gears and ratios of [vehicle] become
-    those of plant and controller.
-    """
-    controller = raw.get("controller")
-    if isinstance(controller, dict) and isinstance(controller.get("filter"), bool):
-        controller["filter"] = {"enabled": controller["filter"]}
-    if isinstance(model := raw.get("model"), dict):
-        raw["model"] = dict(_flat(model, source, ""))
-    scenario = typed_toml.convert(raw, Scenario, source)
-    if "period_s" in raw.get("sensor", {}):
-        _inside(raw, "controller", "sensor")["period_s"] = raw["sensor"]["period_s"]
-    if vehicle := raw.get("vehicle"):
-        ratios = {key: vehicle[key] for key in vehicle if key.startswith("ratio_")}
-        gears = {key: vehicle[key] for key in vehicle if key.startswith("gear_")}
-        driveline, broadcast = _inside(raw, "driveline"), _inside(raw, "controller", "broadcast")
-        driveline.update({"follows_requests": True} | driveline | ratios)
-        broadcast.update({"etc2_period_s": 0.1} | broadcast | ratios | gears)
-    return scenario
-
-
-def _inside(raw: dict[str, Any], *keys: str) -> Any:
-    """Return the table inside tables that is reached by keys, each made if missing."""
-    for key in keys:
-        raw = raw.setdefault(key, {})
-    return raw
-
-
-def _flat(table: Mapping[str, Any], source: str, prefix: str) -> Iterable[tuple[str, Any]]:
-    for key, value in table.items():
-        if isinstance(value, dict):
-            if prefix.count(".") > 3:
-                inside = typed_toml.one_line(f"model.{prefix}{key}")
-                raise InputError(f"{source}: {inside}: nested too deeply; expected section.key")
-            yield from _flat(value, source, f"{prefix}{key}.")
-        else:
-            yield prefix + key, value
-
-
-def _parameters(model_set: str, source: str) -> ParameterSet:
-    try:
-        return _nominal() if model_set == "nominal" else _load(model_set)
-    except InputError as error:
-        raise InputError(f"{source}: model_set: {typed_toml.one_line(str(error))}") from None
-
-
-def _load(model_set: str) -> ParameterSet:
-    from plant.parameters import load as load_parameters
-
-    return load_parameters(model_set)
-
-
-@functools.cache
-def _nominal() -> ParameterSet:
-    """Return the set that every scenario starts from, which cannot be changed and is read once."""
-    return _load("nominal")
-
-
-def _overridden(
-    parameters: ParameterSet, changes: Mapping[str, float | list[float]], source: str
-) -> ParameterSet:
-    try:
-        if any(path.startswith("effect.") for path in changes):
-            from plant.effects import overridden
-
-            return overridden(parameters, changes)
-        return parameters.override(changes)
-    except InputError as error:
-        raise InputError(f"{source}: model: {error}") from None
-
-
-def _apply(raw: dict[str, Any], text: str, parameters: ParameterSet) -> None:
-    """Apply one PATH=VALUE to the raw scenario."""
-    path, value = overrides.parse_setting(text)
-    if path in parameters or path.startswith("effect."):
-        raw.setdefault("model", {})[path] = value
-        return
-    if path == "controller.filter" and isinstance(value, bool):
-        path = "controller.filter.enabled"
-    if path.startswith(_STRATEGY) and _set_strategy(raw, path.removeprefix(_STRATEGY), value):
-        return
-    if not overrides.set_value(raw, Scenario, path, value):
-        known = [*overrides.leaf_paths(Scenario, raw), *parameters]
-        near = nearest(path, known, 5, 0.4) or ["valve.D_fall", "controller.period_s"]
-        raise InputError(
-            f"--set {typed_toml.one_line(path)}: no such value; nearest: {', '.join(near)}"
-        )
-
-
-_STRATEGY = "controller.strategy_parameters."
-
-
-def _set_strategy(raw: dict[str, Any], path: str, value: Any) -> bool:
-    """Set a strategy's own setting, nested ones too; the firmware refuses names it does not have."""
-    *tables, name = path.split(".")
-    try:
-        at = _inside(raw, "controller", "strategy_parameters", *tables)
-    except AttributeError:  # a value, not a table
-        return False
-    if not isinstance(at, dict) or not name or "" in tables:
-        return False
-    at[name] = value
-    return True
-
-
-def _check_consistent(scenario: Scenario, source: str) -> None:
-    """Check what involves several values.  Raises InputError with the first contradiction."""
+def check_consistent(scenario: Scenario, source: str) -> None:
+    """Check what involves several values.  Raises InputError with the first error."""
     for line in _inconsistencies(scenario):
         raise InputError(f"{source}: {line}")
     try:
@@ -422,7 +165,7 @@ def _check_consistent(scenario: Scenario, source: str) -> None:
 
 def _inconsistencies(scenario: Scenario) -> Iterator[str]:
     if not scenario.name.isprintable():  # pictures, pages and JUnit files hold the name
-        name = typed_toml.one_line(scenario.name)
+        name = one_line(scenario.name)
         yield f"name: {name!r}; expected printable characters only"
     last, end = -1.0, scenario.duration_s
     for index, request in enumerate(scenario.request):
@@ -446,6 +189,11 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
         yield "memory: given; expected none unless controller.strategy learns"
     if scenario.vehicle is not None and scenario.driver != DriverTable():
         yield "driver: given; expected none with [vehicle], which has its own periods"
+    if scenario.vehicle is not None:
+        gears = scenario.vehicle.gear_backward, scenario.vehicle.gear_forward
+        if 0 in gears or gears[0] == gears[1]:
+            yield f"vehicle.gear_backward, gear_forward: {gears[0]}, {gears[1]}; expected two different gears, none of them 0"
+    yield from _impossible_limits(scenario.expect)
     if len(set(scenario.plant.charged)) != len(scenario.plant.charged):
         yield "plant.charged: a chamber twice; expected each once"
     for name in FAULT_TABLES[1:]:  # a FaultPlan checks the first one
@@ -453,3 +201,15 @@ def _inconsistencies(scenario: Scenario) -> Iterator[str]:
             if fault.end_s is not None and fault.end_s <= fault.start_s:
                 key = f"{name}[{index}].end_s: {fault.end_s}"
                 yield f"{key}; expected after its start, {fault.start_s} s"
+
+
+def _impossible_limits(expect: Expectations) -> Iterator[str]:
+    named = [
+        (f"expect.metrics.{name}", each.min, each.max) for name, each in expect.metrics.items()
+    ]
+    named += [(f"expect.timing[{k}]", t.min_s, t.max_s) for k, t in enumerate(expect.timing)]
+    for key, low, high in named:
+        if low is None and high is None:
+            yield f"{key}: neither a smallest nor a largest value; expected one of them"
+        elif low is not None and high is not None and low > high:
+            yield f"{key}: from {low} to {high}; expected the smallest value first"

@@ -26,12 +26,13 @@ def embedded(where: str, folder: Path, source: str) -> str:
     else:
         name = str(folder / where)
         try:
-            held = Path(name).read_bytes()
+            with Path(name).open("rb") as file:
+                held = file.read(MOST_BYTES + 1)
         except (OSError, ValueError) as error:
             why = os_error_text(error) if isinstance(error, OSError) else "no file name"
             raise InputError(f"{source}: memory: {why}; expected a file") from None
     if len(held) > MOST_BYTES:
-        raise InputError(f"{name}: {len(held)} bytes; expected at most {MOST_BYTES}")
+        raise InputError(f"{name}: too long; expected a memory of at most {MOST_BYTES} bytes")
     return CONTENT + base64.b64encode(held).decode()
 
 

@@ -1,58 +1,54 @@
 """Search the softest worst-case arrival over the loads of a family.
 
-A policy is a stem with a branch for each load, see `sil.studies.policies`. Here the stem is a row of
-segments: segment k is timed from where the branch of the load before it begins, so a change of an
-early segment moves all later ones along with the releases.
-
-Two parts work together. The global one is evolutionary. Every policy of a population has a child:
-one segment is drawn anew or moved, or the later segments of another policy are taken. With the stem
-given each load has a problem of its own, so each load takes the best of several branches: its own,
-near ones, those of other policies and new ones. A child that is softer replaces its parent. The
-population becomes smaller as the budget is spent. New pulses are long enough to move a plunger and
-few, because each one costs time. Several populations are searched one after the other, because a
-single one may end far above the best; a last one begins with their best. The local part is a sequential linear programme: slopes of every
-impact and arrival by finite differences, then the step that lowers the worst load most while all
-arrive in time. Every value found belongs to a policy that exists: it is an upper estimate of the true
-bound.
+A policy is a stem of segments with a branch for each load, see `sil.studies.segments`.
+The search goes from load to load, in the order in which they are revealed. Level k adds segment k and
+the branch of load k to partial policies of the level before. Two figures say how good one is: the
+hardest impact of its loads so far, and the release of the last load, because all may lose only so
+much time. A level retains those with the earliest release for some limits of the impact, and only a
+few of each topology (which pulses there are), as what suits the next load is not known yet.
+The best whole policies are refined by a sequential linear programme: slopes of every impact and
+arrival by finite differences, then the step that lowers the worst load most while all arrive in time.
+The next pass starts from them, with lower limits. Several hunts begin without any policy, as each may
+end in another topology, some far softer than others; the last pass starts from the best of all. Every value found belongs to a policy that exists: it is an upper
+estimate of the true bound.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from sil.studies.minimax import DIFFERENCE, MEAN_WEIGHT, merits, programme
-from sil.studies.policies import Arrivals, Bools, FamilyModel, Floats, Ints, Layout
+from sil.studies.minimax import merits
+from sil.studies.policies import Arrivals, FamilyModel, Floats, Ints, Layout
 from sil.studies.pulses import changes, stem_spans
+from sil.studies.segments import ABSENT, UNITS_PER_S, Member, SegmentModel
 
-UNITS_PER_S = 100.0
-ABSENT = -0.2
-"""Length of a pulse that is not there, in 10 ms."""
 LONGER = 1.002
 """Length of the shortest new pulse, as a share of the delay of its valve."""
-POPULATIONS, LARGE = 8, 300_000
-"""Populations of a search at most, and simulations for each of them."""
-LAST_SHARE = 0.2
-"""Share of the simulations for the last population, which begins with the best of the others."""
-FEWEST = 4
-"""Policies of a population at its end."""
-BATCH = 24
-"""Least number of new policies of a generation."""
-A_POLICY = 2000
-"""Simulations for each policy with which a population begins."""
-FIRST_TRIES = 12
-TRIES = 8
-"""Branches tried for each load of a first policy, and of a new one."""
-SHARE = 0.25, 0.5, 0.65
-"""New policies: up to the first share by crossing, up to the next with a new segment, then with a new
-valve of a segment; of the others one segment is moved."""
+HUNTS, PASSES = 2, (0.06, 0.14, 0.2)
+"""Hunts where no other number is asked for, and the passes of each as shares of all simulations; with
+more hunts they are shorter. The last pass gets what remains."""
+LIMITS = 0.3, 0.6, 0.9
+"""Limits of the impact, as shares of the hardest of the best policy; at first of half the plain push."""
+RETAINED, ALIKE = 32, 3
+"""Partial policies that a level retains for each limit, and how many of them of one topology."""
+PRICE_S_PER_M_S = 0.1
+"""What an impact above the limit costs, in time."""
+FIRST_SHARE, FIRST_TRIES = 0.25, 10
+"""Share of a level's simulations for random pulses, and branches tried with each."""
+NEW, TRIES = 64, 6
+"""New partial policies of a generation, and branches tried with each."""
+ELITES, USES = 8, 12
+"""Whole policies from which a pass starts, and how often a level uses their pulses."""
+NEW_VALVE, NEW_PARENT = 0.2, 0.4
+"""Partial policies up to the first share: new pulses of one valve; up to the next: another parent."""
 PULSES = 0.1, 0.55, 0.25, 0.1
 """How often a new segment has no pulse, one, two and three."""
-REFINED = 16
-"""Of this many policies of a population, one is refined in each generation."""
-STEPS = 3
-"""Steps of a refinement."""
+REFINED = 0.15
+"""Share of a pass for refinement."""
+STEPS, MORE_STEPS = 8, 20
+"""Steps of the refinement of each policy, and of the best two."""
 HALVINGS = 5
 """Budgets at which the best so far is reported: the whole, a half, a quarter ..."""
 
@@ -68,92 +64,43 @@ class Policy:
 
 
 @dataclass(frozen=True)
-class Member:
-    """A policy of a population: segments [k, valves, ...], branches [loads, valves, ...], cost [loads]."""
+class Partial:
+    """Partial policies [n]: segments [n, k, valves, ...], branches [n, loads, valves, ...].
+
+    cost_m_s [n]: the hardest of the loads so far; last_s [n]: release of the last load; parent [n]:
+    number in the level before.
+    """
 
     segments: Floats
     branches: Floats
+    revealed_s: Floats
     cost_m_s: Floats
+    last_s: Floats
+    parent: Ints
 
-    @property
-    def merit_m_s(self) -> float:
-        """The worst load, and a little of the others."""
-        return float(self.cost_m_s.max() + MEAN_WEIGHT * self.cost_m_s.sum())
+    def take(self, which: Ints) -> Partial:
+        """Return some of the policies, by number [chosen]."""
+        return Partial(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    def joined(self, others: Partial) -> Partial:
+        """Return these policies and others."""
+        pairs = ((getattr(self, field.name), getattr(others, field.name)) for field in fields(self))
+        return Partial(*map(np.concatenate, pairs))
 
 
-class Search:
-    """One search for a family, reproducible by its seed; `best` is the best policy so far.
-
-    branch: pulses of each valve in a branch, 0 for no branches; pulses: of each valve in a segment.
-    """
+class Search(SegmentModel):
+    """One search for a family, reproducible by its seed; `best` is the best policy so far."""
 
     def __init__(
         self, model: FamilyModel, valves: str, pulses: int, branch: int, seed: int
     ) -> None:
-        self.model = model
-        self.order = model.order
-        self.rank = np.argsort(self.order)
-        self.count = model.loads if branch else 1
-        self.pulses = pulses
-        self.layout = Layout(valves, self.count * pulses, branch)
+        super().__init__(model, valves, pulses, branch)
         self.rng = np.random.default_rng(seed)
         self.best = Policy(np.inf, np.zeros(0), np.zeros(0), self.layout)
         revealed_s = UNITS_PER_S * model.begin_s(model.plain.revealed_s[0, 0])[self.order]
         self.spans = np.diff(revealed_s[: self.count], prepend=0.0)
         if not branch:
             self.spans = UNITS_PER_S * model.limit_s.max(keepdims=True)
-        rise_s, fall_s = model.valve_s
-        self.lead = UNITS_PER_S * np.array([fall_s if v == "B" else rise_s for v in valves])
-
-    def stems(
-        self,
-        segments: Floats,
-        first: Ints | None = None,
-        known_s: Floats | None = None,
-        last: int | None = None,
-    ) -> tuple[Floats, Floats]:
-        """Return stems [n, valves, variables] of segments, and when they reveal each load [n, loads].
-
-        first: [n], the first segment that differs from those whose loads are revealed at known_s.
-        """
-        n = len(segments)
-        revealed_s = np.full((n, self.model.loads), np.inf)
-        if known_s is not None:
-            revealed_s[:] = known_s
-        timed = segments.copy()
-        for k in range(self.count):
-            if k:
-                begin_s = self.model.begin_s(revealed_s)[:, self.order[k - 1]]
-                timed[:, k, :, 0::2] += UNITS_PER_S * begin_s[:, None, None]
-            if self.layout.branch and n and k < (last or self.count):
-                changed = np.ones(n, dtype=np.bool_) if first is None else first <= k
-                if not changed.any():
-                    continue
-                stems = joined(timed[changed, : k + 1])
-                load = int(self.order[k])
-                revealed_s[changed, load] = self.model.reveals_s(stems, self.layout, load)
-        return joined(timed), revealed_s
-
-    def fly(self, segments: Floats, branches: Floats) -> Arrivals:
-        """Simulate segments [n, k, valves, ...] with tries of branches [n, tries, loads, valves, ...]."""
-        stems, revealed_s = self.stems(segments)
-        if not self.layout.branch:
-            return self.model.fly(stems, None, self.layout)
-        return self.model.branched(stems, branches, self.layout, revealed_s)
-
-    def members(self, segments: Floats, branches: Floats) -> list[Member]:
-        """Return members of segments [n, ...] and branches [n, loads, ...]."""
-        cost_m_s = merits(self.fly(segments, branches[:, None]))[:, 0]
-        return [Member(*each) for each in zip(segments, branches, cost_m_s, strict=True)]
-
-    def best_tries(self, segments: Floats, branches: Floats) -> list[Member]:
-        """Return members of segments [n, ...], each load with the best of its branches [n, tries, ...].
-
-        Branches of different tries may need the same coil at the same time, so they are tried together.
-        """
-        tries = merits(self.fly(segments, branches)).argmin(axis=1)
-        rows, loads = np.arange(len(segments))[:, None], np.arange(self.model.loads)
-        return self.members(segments, branches[rows, tries, loads])
 
     def note(self, member: Member) -> None:
         """Make a member the best policy if it is one, as `FamilyModel.fly` judges it."""
@@ -176,10 +123,11 @@ class Search:
         return self._pulses(start, np.where(rank < number, length, np.nan))
 
     def random_branches(self, n: int, tries: int) -> Floats:
-        """Return random branches [n, tries, loads, valves, variables]; they cut the stem's pulses."""
+        """Return random branches [n, tries, valves, variables] of a load; they cut the stem's pulses."""
         rng = self.rng
-        shape = n, tries, self.model.loads, len(self.lead), self.layout.branch
-        start = np.where(rng.random(shape) < 0.3, 0.0, rng.uniform(0.0, 1.5, shape))
+        shape = n, tries, len(self.lead), self.layout.branch
+        ahead = UNITS_PER_S * max(-self.model.delay_s, 0.0)
+        start = np.where(rng.random(shape) < 0.3, 0.0, rng.uniform(0.0, 1.5 + ahead, shape))
         length = np.where(rng.random(shape) < 0.6, rng.exponential(1.0, shape), np.nan)
         pulses = self._pulses(start, length)
         return np.concatenate([pulses, np.zeros((*shape[:-1], 1))], axis=-1)
@@ -193,163 +141,175 @@ class Search:
         length = np.where(np.isnan(length), ABSENT, LONGER * lead + length)
         return np.stack([start - lead, length], axis=-1).reshape(*start.shape[:-1], -1)
 
-    def children(self, population: list[Member], parents: Ints) -> list[Member]:
-        """Return a new policy of each of the parents [n], numbers in the population."""
-        rng, n, loads = self.rng, len(parents), np.arange(self.model.loads)
-        all_segments = np.array([member.segments for member in population])
-        all_branches = np.array([member.branches for member in population])
-        worst = np.array([population[number].cost_m_s.argmax() for number in parents])
-        segments, branches = all_segments[parents], all_branches[parents]
-        fresh, width = self.random_segments(n), 10.0 ** rng.uniform(-2.0, 0.3, n)
-        rank = np.minimum(self.rank[worst], self.count - 1)
-        near = np.maximum(rank - (rng.random(n) < 0.3), 0)
-        chosen = np.where(rng.random(n) < 0.6, near, rng.integers(self.count, size=n))
-        for child, kind in enumerate(rng.random(n)):
-            k = int(chosen[child])
-            if kind < SHARE[0] and self.count > 1:
-                other, cut = rng.integers(len(population)), rng.integers(1, self.count)
-                segments[child, cut:] = all_segments[other, cut:]
-                branches[child, self.rank >= cut] = all_branches[other, self.rank >= cut]
-                if rng.random() < 0.5:
-                    continue
-            elif kind < SHARE[1]:
-                segments[child, k] = fresh[child, k]
-            elif kind < SHARE[2]:
-                valve = rng.integers(len(self.lead))
-                segments[child, k, valve] = fresh[child, k, valve]
-            moved = (k, int(rng.integers(self.count))) if rng.random() < 0.3 else (k,)
-            for part in (segments[child, each] for each in moved):
-                part += width[child] * rng.standard_normal(part.shape) * (part > ABSENT)
-        if not self.layout.branch:
-            return self.members(segments, branches)
-        tries = np.repeat(branches[:, None], TRIES, axis=1)
-        step = width[:, None, None, None, None] * rng.standard_normal(tries[:, 1:3].shape)
-        step[..., -1] = 0.0
-        tries[:, 1:3] += step * (rng.random(step.shape) < 0.5)
-        for number in (3, 4, 5):  # the last one: of any load
-            others = rng.integers(len(population), size=(n, len(loads)))
-            whose = loads if number < 5 else rng.integers(len(loads), size=others.shape)
-            tries[:, number] = all_branches[others, whose]
-        tries[:, 6:] = self.random_branches(n, TRIES - 6)
-        return self.best_tries(segments, tries)
-
-    def slopes(self, member: Member) -> tuple[Ints, Arrivals, Arrivals]:
-        """Return the segments' variables that act, and arrivals after a step in each variable.
-
-        Variables [n, 2]: segment and index in it; a step is `DIFFERENCE` in 10 ms.
-        The first arrivals are after steps of the segments' variables, the second after none and after
-        steps of the variables of all branches.
-        """
-        flat = member.segments.reshape(self.count, -1)
-        acts = np.repeat(member.segments[..., 1::2] > 0.0, 2, axis=-1).reshape(flat.shape)
-        active = np.argwhere(acts)
-        n = len(active)
-        stems, revealed_s = self.stems(member.segments[None])
-        moved = np.repeat(flat[None], n, axis=0)
-        moved[np.arange(n), active[:, 0], active[:, 1]] += DIFFERENCE
-        moved = moved.reshape(n, *member.segments.shape)
-        if not self.layout.branch:
-            base = self.model.fly(stems, None, self.layout)
-            return active, self.model.fly(joined(moved), None, self.layout), base
-        branches = member.branches[None, None]
-        near, near_s = self.stems(moved, active[:, 0], revealed_s)
-        begin = UNITS_PER_S * self.model.begin_s(revealed_s[0])
-        starts = flat[:, active[:, 1] - active[:, 1] % 2][active[:, 0], np.arange(n)]
-        starts += np.where(active[:, 0] > 0, begin[self.order[active[:, 0] - 1]], 0.0)
-        which: Bools = self.rank >= active[:, :1]
-        which |= starts[:, None] < begin + member.branches[..., -1].max(axis=1) + 0.1
-        first = self.model.branched(
-            near, np.repeat(branches, n, axis=0), self.layout, near_s, which
-        )
-        size = int(np.prod(self.layout.branch_shape))
-        steps = np.concatenate([np.zeros((1, size)), DIFFERENCE * np.eye(size)])
-        stepped = branches + steps.reshape(-1, 1, 1, *self.layout.branch_shape)
-        n = len(stepped)
-        second = self.model.branched(
-            np.repeat(stems, n, axis=0), stepped, self.layout, np.repeat(revealed_s, n, axis=0)
-        )
-        return active, first, second
-
-    def refine(self, member: Member, steps: int) -> Member:
-        """Return a member after some steps of the sequential linear programme."""
-        reach = 0.1
-        for _step in range(steps):
-            if not (member.segments[..., 1::2] > 0.0).any():
-                return member
-            active, first, second = self.slopes(member)
-            if not np.isfinite(second.late_s[0]).all():
-                return member
-            step = programme(active, first, second, reach)
-            if step is None:
-                return member
-            scales = np.array([2.0, 1.0, 0.4, 0.1])[:, None]
-            segments = np.repeat(member.segments[None], len(scales), axis=0)
-            flat = segments.reshape(len(scales), self.count, -1)
-            flat[:, active[:, 0], active[:, 1]] += scales * step[: len(active)]
-            branches = np.repeat(member.branches[None], len(scales), axis=0)
-            if self.layout.branch:
-                branches += (scales * step[len(active) :]).reshape(branches.shape)
-            found = self.members(segments, branches)
-            k = min(range(len(found)), key=lambda k: found[k].merit_m_s)
-            gain = member.merit_m_s - found[k].merit_m_s
-            if gain > 1e-5:
-                member = found[k]
-            reach *= float(scales[k, 0]) if gain > 0.0 else 0.05
-            if reach < 1e-3:
-                break
-        return member
-
-    def run(self, budget: int) -> list[float]:
-        """Search with a number of simulations; return the best in m/s at parts of it, the whole last.
-
-        Some populations one after the other, then one of the best of them all.
-        """
+    def run(self, budget: int, hunts: int = HUNTS) -> list[float]:
+        """Search with a number of simulations; return the best in m/s at parts of it, the whole last."""
         history: list[float] = []
-        parts = [budget >> k for k in range(HALVINGS - 1, -1, -1)]
-        begin, spent = self.model.runs, 0
-        count = min(POPULATIONS, max(1, budget // LARGE))
-        each = int((1.0 - LAST_SHARE) * budget / count)
-        most = max(2 * FEWEST, each // A_POLICY)
+        begin, spent = self.model.runs, 0.0
         best: list[Member] = []
-        for number in range(count + 1):
-            population = self.first(most) if number < count else best
-            start, until = spent, each * (number + 1) if number < count else budget
-            size = len(population)
-            while spent < until:
-                share = (spent - start) / (until - start)
-                population = self.generation(population, round(size * (1.0 - 1.3 * share)))
-                spent = self.model.runs - begin
-                while len(history) < HALVINGS and spent >= parts[len(history)]:
+        shares = [HUNTS / hunts * share for share in PASSES]
+        for hunt in range(hunts + 1):
+            elites = [] if hunt < hunts else self.elites(best)
+            for share in shares if hunt < hunts else [1.0 - HUNTS * sum(PASSES)]:
+                spent += share
+                while 2.0 ** (len(history) + 1 - HALVINGS) < 0.999 * spent:
                     history.append(self.best.cost_m_s)
-            best += sorted(population, key=lambda member: member.merit_m_s)[:FEWEST]
-        return history
+                if self.model.runs - begin < budget * spent:
+                    elites = self.one_pass(elites, begin + int(budget * spent))
+            best += elites
+        return [*history, self.best.cost_m_s]
 
-    def generation(self, population: list[Member], allowed: int) -> list[Member]:
-        """Return the best policies of a population, of them and their children the softer ones."""
-        population = sorted(population, key=lambda member: member.merit_m_s)[: max(FEWEST, allowed)]
-        parents = np.resize(np.arange(len(population)), max(len(population), BATCH))
-        for number, child in zip(parents, self.children(population, parents), strict=True):
-            population[number] = min(population[number], child, key=lambda m: m.merit_m_s)
-        for _time in range(max(1, len(population) // REFINED)):
-            k = int(self.rng.integers(len(population)) * self.rng.random())
-            new = self.refine(population[k], STEPS)
-            population[k] = min(population[k], new, key=lambda m: m.merit_m_s)
-            self.note(population[k])
-        self.note(min(population, key=lambda member: member.merit_m_s))
-        return population
+    def one_pass(self, elites: list[Member], until: int) -> list[Member]:
+        """Return the best whole policies after a pass up to a number of simulations."""
+        budget = until - self.model.runs
+        pool = self.levels(elites, int((1.0 - REFINED) * budget))
+        _topologies, first = np.unique(self.topology(pool.segments), return_index=True)
+        found = []
+        for k in np.sort(first)[:ELITES]:
+            member = self.members(pool.segments[k, None], pool.branches[k, None])[0]
+            found.append(self.refine(member, STEPS))
+            if self.model.runs >= until:
+                break
+        elites = self.elites(elites + found)
+        elites[:2] = [self.refine(member, MORE_STEPS) for member in elites[:2]]
+        elites = self.elites(elites)
+        self.note(elites[0])
+        return elites
 
-    def first(self, count: int) -> list[Member]:
-        """Return the first population: the best of many random policies."""
-        n = 4 * count
-        found = self.best_tries(self.random_segments(n), self.random_branches(n, FIRST_TRIES))
-        return sorted(found, key=lambda member: member.merit_m_s)[:count]
+    def elites(self, members: list[Member]) -> list[Member]:
+        """Return the best policies, one of each topology, the best first."""
+        found: dict[float, Member] = {}
+        for member in sorted(members, key=lambda member: member.merit_m_s):
+            found.setdefault(float(self.topology(member.segments[None])[0]), member)
+        return list(found.values())[:ELITES]
 
+    def levels(self, elites: list[Member], budget: int) -> Partial:
+        """Return whole policies of a pass, the softest first, after a number of simulations."""
+        loads, valves = self.model.loads, len(self.lead)
+        nothing = Partial(
+            np.zeros((1, self.count, valves, 2 * self.pulses)),
+            np.zeros((1, loads, valves, 2 * self.layout.branch + 1)),
+            np.full((1, loads), np.inf),
+            np.zeros(1),
+            np.zeros(1),
+            np.zeros(1, dtype=np.int64),
+        )
+        nothing.segments[..., 1::2] = ABSENT
+        nothing.branches[..., 1::2] = ABSENT
+        pool = nothing
+        aim_m_s = (
+            elites[0].cost_m_s.max() if elites else 0.5 * self.model.plain.impact_stay_m_s.max()
+        )
+        limits_m_s = float(aim_m_s) * np.array(LIMITS)
+        for k in range(self.count):
+            pool = pool.joined(self.begun(elites, nothing, k)) if elites and k else pool
+            share = 2.0 * (k + 2) / (self.count * (self.count + 3))  # later levels are harder
+            pool = self.level(k, pool, elites, limits_m_s, int(share * budget))
+        return pool.take(np.argsort(pool.cost_m_s, kind="stable"))
 
-def joined(segments: Floats) -> Floats:
-    """Return the stems [n, valves, variables] of segments [n, k, valves, ...]."""
-    return np.moveaxis(segments, 1, 2).reshape(
-        len(segments), segments.shape[2], segments.shape[1] * segments.shape[3]
-    )
+    def begun(self, elites: list[Member], nothing: Partial, k: int) -> Partial:
+        """Return the first k segments of whole policies, with the branches of the loads so far."""
+        found, loads = nothing.take(np.zeros(len(elites), dtype=np.int64)), self.order[:k]
+        segments = np.array([member.segments for member in elites])
+        found.segments[:, :k] = segments[:, :k]
+        found.branches[:, loads] = np.array([member.branches for member in elites])[:, loads]
+        found.revealed_s[:, loads] = self.stems(segments)[1][:, loads]
+        found.cost_m_s[:] = np.array([member.cost_m_s for member in elites])[:, loads].max(axis=1)
+        return found
+
+    def level(
+        self, k: int, parents: Partial, elites: list[Member], limits_m_s: Floats, budget: int
+    ) -> Partial:
+        """Return partial policies with segment k, after a number of simulations, by limits [limits]."""
+        until = self.model.runs + budget
+        pool = self.first(k, parents, elites, int(FIRST_SHARE * budget))
+        while self.model.runs < until:
+            pool = self.retained(pool.joined(self.moved(k, parents, pool)), limits_m_s)
+        return self.retained(pool, limits_m_s)
+
+    def first(self, k: int, parents: Partial, elites: list[Member], budget: int) -> Partial:
+        """Return partial policies with random pulses, an eighth of them with none; then those of elites."""
+        n, load = max(NEW, budget // (FIRST_TRIES + 2)), int(self.order[k])
+        parent = self.rng.integers(len(parents.parent), size=n)
+        segments = self.random_segments(n)[:, k]
+        segments[: n // 8, :, 0::2], segments[: n // 8, :, 1::2] = 0.0, ABSENT
+        branches = self.random_branches(n, FIRST_TRIES)
+        if elites:
+            uses = np.arange(min(n // 3, USES * len(elites))) % len(elites)
+            segments[-len(uses) :] = np.array([member.segments[k] for member in elites])[uses]
+            branches[-len(uses) :, 0] = np.array([m.branches[load] for m in elites])[uses]
+            parent[-len(elites) :] = np.arange(-len(elites), 0) % len(parents.parent) if k else 0
+        return self.judged(k, parents, parent, segments, branches)
+
+    def moved(self, k: int, parents: Partial, pool: Partial) -> Partial:
+        """Return partial policies near those of a pool."""
+        rng, load = self.rng, int(self.order[k])
+        which = rng.integers(len(pool.parent), size=NEW)
+        parent, segments = pool.parent[which], pool.segments[which, k]
+        kind, width = rng.random(NEW), 10.0 ** rng.uniform(-2.5, 0.2, NEW)
+        other = (kind >= NEW_VALVE) & (kind < NEW_PARENT)
+        parent[other] = rng.integers(len(parents.parent), size=NEW)[other]
+        step = width[:, None, None] * rng.standard_normal(segments.shape)
+        step *= (segments > ABSENT) & (rng.random(segments.shape) < 0.5)
+        moves = (kind >= NEW_PARENT) | (other & (rng.random(NEW) < 0.5))
+        segments[moves] += step[moves]
+        valve = rng.integers(len(self.lead), size=NEW)
+        new = np.flatnonzero(kind < NEW_VALVE)
+        segments[new, valve[new]] = self.random_segments(NEW)[new, k, valve[new]]
+        branches = np.repeat(pool.branches[which, load][:, None], TRIES, axis=1)
+        step = width[:, None, None, None] * rng.standard_normal(branches[:, 1:3].shape)
+        step[..., -1] = 0.0
+        branches[:, 1:3] += step * (rng.random(step.shape) < 0.5)
+        branches[:, 3] = pool.branches[rng.integers(len(pool.parent), size=NEW), load]
+        branches[:, 4:] = self.random_branches(NEW, TRIES - 4)
+        return self.judged(k, parents, parent, segments, branches)
+
+    def judged(
+        self, k: int, parents: Partial, parent: Ints, segments: Floats, branches: Floats
+    ) -> Partial:
+        """Return partial policies of parents, segments k [n, valves, ...] and branches [n, tries, ...].
+
+        Each has the softest of its branches.
+        """
+        n, load = len(parent), int(self.order[k])
+        found = parents.take(parent)
+        found.segments[:, k] = segments
+        if not self.layout.branch:
+            members = self.members(found.segments, found.branches)
+            cost_m_s = np.array([member.cost_m_s.max() for member in members])
+            return replace(found, cost_m_s=cost_m_s, parent=parent)
+        stems, revealed_s = self.stems(
+            found.segments, np.full(n, k), parents.revealed_s[parent], k + 1
+        )
+        tried = np.repeat(found.branches[:, None], branches.shape[1], axis=1)
+        tried[:, :, load] = branches
+        which = np.zeros((n, self.model.loads), dtype=np.bool_)
+        which[:, load] = True
+        arrivals = self.model.branched(stems, tried, self.layout, revealed_s, which)
+        cost_m_s = merits(arrivals)[:, :, load]
+        best = cost_m_s.argmin(axis=1)
+        found.branches[:, load] = branches[np.arange(n), best]
+        last_s = np.zeros(n)
+        if k < self.count - 1:
+            last_s = self.model.reveals_s(stems, self.layout, int(self.order[-1]))
+            last_s[np.isinf(last_s)] = 1.0
+        cost_m_s = np.maximum(found.cost_m_s, cost_m_s.min(axis=1))
+        return Partial(found.segments, found.branches, revealed_s, cost_m_s, last_s, parent)
+
+    def retained(self, pool: Partial, limits_m_s: Floats) -> Partial:
+        """Return the partial policies with the earliest release for each limit [limits] of the impact."""
+        topology, chosen = self.topology(pool.segments), set()
+        for limit_m_s in limits_m_s:
+            excess_m_s = np.maximum(pool.cost_m_s - limit_m_s, 0.0)
+            loss_s = pool.last_s + PRICE_S_PER_M_S * excess_m_s
+            last, count, alike = -1.0, 0, dict.fromkeys(topology, 0)
+            for k in np.argsort(loss_s, kind="stable"):
+                if alike[topology[k]] < ALIKE and loss_s[k] - last > 1e-6:
+                    last, count = loss_s[k], count + 1
+                    alike[topology[k]] += 1
+                    chosen.add(int(k))
+                if count == RETAINED:
+                    break
+        return pool.take(np.array(sorted(chosen)))
 
 
 def arrivals_of(model: FamilyModel, policy: Policy) -> Arrivals:

@@ -220,7 +220,9 @@ def completed(study: LoadedStudy, folder: Path) -> tuple[int, int]:
         raise InputError(f"{path}: line 1: not this study's columns")
     for expected, text in enumerate(lines[1:]):
         if text.split(",", 1)[0] != str(expected):
-            raise InputError(f"{path}: line {expected + 2}: not row {expected}")
+            raise InputError(
+                f"{path}: line {expected + 2}: not row {expected}; expected the rows in order, or --force"
+            )
     return len(lines) - 1, length
 
 

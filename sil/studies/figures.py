@@ -8,7 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sil.report.figure import Band, ColourScale, Figure, Floats, Panel, Series, Span, Stack
+from plant.parameters import load
+from sil.files import quantity
+from sil.report.figure import Band, ColourScale, Figure, Floats, Note, Panel, Series, Span, Stack
 from sil.report.theme import SERIES
 from sil.studies.rows import columns
 from sil.studies.study import LoadedStudy, Sweep
@@ -70,17 +72,22 @@ def swept_figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
     return found
 
 
-def pareto_figure(study: LoadedStudy, table: Table) -> Figure:
+def pareto_figure(
+    study: LoadedStudy,
+    table: Table,
+    references: Mapping[str, Mapping[str, Mapping[str, float]]] | None = None,
+) -> Figure:
     """Return the first metric over each of the others shown first, with the front of each group.
 
-    A row is on the front if no other of its group is better in both.
+    A row is on the front if no other of its group is better in both. references: figures that are
+    marked by name, by group.
     """
     first, *others = read_metrics(study)
     title, unit, y = _scaled(table, first)
     stacks = []
     for other in others:
         name, other_unit, x = _scaled(table, other)
-        lines = []
+        lines, notes = [], []
         for k, (label, rows) in enumerate(row_groups(study, table).items()):
             rows = rows[np.isfinite(x[rows]) & np.isfinite(y[rows])]
             rows = rows[np.argsort(x[rows], kind="stable")]
@@ -90,15 +97,28 @@ def pareto_figure(study: LoadedStudy, table: Table) -> Figure:
             dots = rows[:: -(-len(rows) // MOST_DOTS) or 1]
             lines.append(Series("", x[dots], y[dots], role, "dots", width=1.5))
             lines.append(Series(label or "front", x[front], y[front], role, "stepped", width=2.4))
-        stacks.append(
-            Stack(f"{name}, {other_unit}", [Panel(title, unit, lines, height=320)], width=5.5)
-        )
+            for text, figures in (references or {}).get(label, {}).items():
+                at, high = (shown(metric)[2] * figures[metric] for metric in (other, first))
+                lines.append(Series("", np.array([at]), np.array([high]), "ink", "dots", width=3.0))
+                notes.append(Note(at, high, text, role, up=6.0 if k % 2 else -6.0, bold=True))
+        panel = Panel(title, unit, lines, notes=notes, height=320)
+        stacks.append(Stack(f"{name}, {other_unit}", [panel], width=5.5))
     return Figure(stacks, title_of(study), "lines: the front, nothing is better in both")
 
 
 def unit_of(sweep: Sweep) -> tuple[str, float]:
-    """Return the unit in which a swept value is shown, and its factor; times are in ms."""
-    return ("ms", 1e3) if sweep.unit == "s" else (sweep.unit, 1.0)
+    """Return the unit in which a swept value is shown, and its factor; times are in ms.
+
+    Without `unit` and `label`, a parameter of the plant has its own and a setting that of its name.
+    """
+    unit = sweep.unit
+    if not unit and not sweep.label:
+        model = load()
+        own = (
+            model.entries[sweep.path].unit if sweep.path in model else quantity.unit_of(sweep.path)
+        )
+        unit = own.replace("-", "")
+    return ("ms", 1e3) if unit == "s" else (unit, 1.0)
 
 
 def axis_of(sweep: Sweep) -> tuple[str, float]:

@@ -16,6 +16,7 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
+from can_dbc import typed_toml
 from can_dbc.errors import InputError
 
 BEGIN_S = 0.1
@@ -33,9 +34,20 @@ EXAM_N_S = tuple(float(each) for each in np.geomspace(18.0, 250.0, 14))
 """Nominal impulses of an examination."""
 
 
-Assumed = tuple[
-    Annotated[float, msgspec.Meta(ge=0.0, le=1e7)], Annotated[str, msgspec.Meta(min_length=8)]
-]
+RANGES = {
+    **dict.fromkeys(("cone_drift", "cold_start", "direct"), (0.0, 1.0)),
+    **dict.fromkeys(("ambient_k", "warm_k"), (200.0, 450.0)),
+    **dict.fromkeys(("cone_wander_shifts", "drag_fold_k", "warm_up_s"), (1e-3, 1e7)),
+}
+"""Numbers of the population with narrower limits: shares, temperatures, and divisors."""
+ORDERED = tuple(
+    (f"{name}_low_{unit}", f"{name}_high_{unit}")
+    for name, unit in (("supply", "pa"), ("speed", "rad_s"), ("direct", "s"))
+)
+"""Limits of which the first may not be above the second."""
+
+AssumedValue = Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
+Assumed = tuple[AssumedValue, Annotated[str, msgspec.Meta(min_length=8)]]
 """A number of the population, with its source or the reason for it."""
 
 
@@ -333,10 +345,18 @@ class Truck:
 
 def truck_table(table: TruckTable, changed: Mapping[str, Any]) -> TruckTable:
     """Return a population with some of its numbers replaced. Raises InputError for wrong ones."""
-    new = {}
-    for name, value in changed.items():
-        try:
-            new[name] = msgspec.convert((value, "set by the study"), Assumed)
-        except msgspec.ValidationError as error:
-            raise InputError(f"truck.{name}: {error}") from None
-    return msgspec.structs.replace(table, **new)
+    new = {
+        name: (typed_toml.convert(value, AssumedValue, key=f"truck.{name}"), "set by the study")
+        for name, value in changed.items()
+    }
+    table = msgspec.structs.replace(table, **new)
+    of = {name: getattr(table, name)[0] for name in table.__struct_fields__}
+    for name, (least, most) in RANGES.items():
+        if not least <= of[name] <= most:
+            raise InputError(f"truck.{name}: {of[name]:g}; expected {least:g} to {most:g}")
+    for low, high in ORDERED:
+        if of[low] > of[high]:
+            raise InputError(
+                f"truck.{low}: {of[low]:g}; expected at most truck.{high}, {of[high]:g}"
+            )
+    return table

@@ -11,7 +11,8 @@ from msgspec import structs
 
 from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
-from sil.simulation import scenario
+from sil.simulation import load_scenario
+from sil.studies.fleet import FleetTable
 from sil.studies.rows import columns
 from sil.studies.study import DRAWN, MOST_ROWS, LoadedStudy, Study, Sweep, groups_of
 
@@ -43,7 +44,10 @@ def load_study(where: str, effects: Sequence[str] = ()) -> LoadedStudy:
         known = shipped()
         if where not in known:
             near = nearest(where, known, cutoff=0.3) or list(known)
-            raise InputError(f"study {where!r}: no such study; nearest: {', '.join(near)}")
+            name = typed_toml.one_line(where)
+            if path.is_file():
+                raise InputError(f"{name}: not a study file; expected a name that ends in .toml")
+            raise InputError(f"study {name!r}: no such study; nearest: {', '.join(near)}")
         path = known[where]
     study = typed_toml.convert(typed_toml.read_toml(path), Study, str(path))
     files = [str(path.parent / file) for file in study.effects] + list(effects)
@@ -70,7 +74,7 @@ def base_of(study: Study, path: Path) -> tuple[dict[str, Any], Path] | None:
         return None
     near = path.parent / study.scenario
     try:
-        table, found = scenario.read(str(near) if near.is_file() else study.scenario)
+        table, found = load_scenario.read(str(near) if near.is_file() else study.scenario)
     except InputError as error:
         raise InputError(f"{path}: scenario: {error}") from None
     return table, found
@@ -81,6 +85,11 @@ def check_shape(study: Study, source: str) -> None:
     allowed, expected = BASES[study.kind]
     if (study.scenario is not None, study.stroke is not None) not in allowed:
         raise InputError(f"{source}: expected {expected}, where kind is {study.kind}")
+    if study.kind != "learned" and (
+        study.truck is not None or study.factor or study.fleet != FleetTable()
+    ):
+        what = "[truck], [[factor]] or [fleet]: given"
+        raise InputError(f'{source}: {what}; expected none without kind = "learned"')
     if study.kind == "tuning" and not (study.load and study.strategy):
         raise InputError(f"{source}: a tuning needs [[load]] and [[strategy]]; expected both")
     if study.kind == "learned" and not study.strategy:

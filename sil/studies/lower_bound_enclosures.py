@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from can_dbc.errors import InputError
 from plant.kernel.compiled import kernel
-from plant.kernel.layout import FlowMap
-from plant.kernel.record_views import flow_map
+from plant.kernel.layout import FlowMap, flow_map
 from plant.parts.flow import charge, discharge
 
 Floats = NDArray[np.float64]

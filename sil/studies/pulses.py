@@ -36,19 +36,23 @@ def changes(begin: Floats, end: Floats) -> Floats:
     return found[:, : max(1, int(np.isfinite(found).sum(axis=1).max(initial=0)))]
 
 
-def valve_switches(given: list[Floats], limit_s: Floats, rise_s: float, fall_s: float) -> Floats:
+def valve_switches(
+    given: list[Floats], limit_s: Floats, rise_s: float | Floats, fall_s: float | Floats
+) -> Floats:
     """Return the switches [runs, k, 4] of `Strokes` for changes of the commands (B, N, F) [runs, j], s.
 
-    B is on from 0 s. At the limit [runs] all commands return to the plain push.
+    rise_s, fall_s: delays of all valves, or [runs], or [3, runs] for each valve. B is on from 0 s.
+    At the limit [runs] all commands return to the plain push.
     """
     plungers = []
+    rises_s, falls_s = (np.broadcast_to(each, (3, len(limit_s))) for each in (rise_s, fall_s))
     for chamber, times in enumerate(given):
         coil = np.where(times < limit_s[:, None], times, np.inf)
         odd = np.isfinite(coil).sum(axis=1) % 2 == 1
         back = np.where(odd, limit_s, np.inf)[:, None]
         start = np.zeros((len(coil), 1 if chamber == 0 else 0))
         coil = np.sort(np.hstack([start, coil, back]), axis=1)
-        time_s, position = plunger_moves(coil, rise_s, fall_s)
+        time_s, position = plunger_moves(coil, rises_s[chamber], falls_s[chamber])
         plungers.append(np.stack([time_s, np.full_like(time_s, chamber), position], axis=2))
     switches = np.concatenate(plungers, axis=1)
     order = np.argsort(switches[:, :, 0], axis=1, kind="stable")[:, :, None]
@@ -57,7 +61,9 @@ def valve_switches(given: list[Floats], limit_s: Floats, rise_s: float, fall_s: 
     return np.concatenate([switches[:, :needed], np.zeros((len(switches), needed, 1))], axis=2)
 
 
-def plunger_moves(commands: Floats, rise_s: float, fall_s: float) -> tuple[Floats, Floats]:
+def plunger_moves(
+    commands: Floats, rise_s: float | Floats, fall_s: float | Floats
+) -> tuple[Floats, Floats]:
     """Return times [runs, k] in s and positions (1 open) of a valve's plunger, as `Valve` moves it.
 
     commands [runs, k]: instants in s at which the coil changes, the first one on, ascending,

@@ -20,7 +20,7 @@ from can_dbc.errors import InputError
 from sil.studies.fleet import Factor, FleetTable, TruckTable
 
 if TYPE_CHECKING:
-    from sil.simulation.scenario import Loaded
+    from sil.simulation.load_scenario import Loaded
 
 
 Value = float | int | bool | str
@@ -52,7 +52,7 @@ class StrokeBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Valve commands: time in s, valve, duty."""
     until_s: Annotated[float, msgspec.Meta(ge=0.001, le=LONGEST_S)] = 0.3
     """Simulated time."""
-    supply_pressure_pa: float = 900000.0
+    supply_pressure_pa: Annotated[float, msgspec.Meta(ge=1e5, le=2e6)] = 900000.0
     """Supply pressure, absolute."""
     load: Literal["none", "damper", "spring"] = "none"
     """What is coupled to the stay."""
@@ -62,9 +62,9 @@ class StrokeBase(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Chambers at supply pressure at the start."""
     mounted: bool = False
     """Mounted on the gearbox."""
-    mesh_force_n: float = 0.0
+    mesh_force_n: Annotated[float, msgspec.Meta(ge=0.0, le=1e5)] = 0.0
     """Peak of the force against meshing."""
-    sync_impulse_n_s: float = 0.0
+    sync_impulse_n_s: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] = 0.0
     """Impulse that the synchronizer needs."""
 
 
@@ -148,22 +148,22 @@ class TuningTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A study; exactly one of `scenario` and `stroke` is the base, bounds have none.
-
-    kind: what a row is. runs: one shift. bounds: the softest worst-case stop found for the family
-    "bound.family" of loads at the information delay "bound.delay_s". lower_bound: the softest stop
-    that is not excluded by a proof. budget: the delays of one shift. tuning: the best parameters of
-    a strategy over all loads together. sensitivity: margins of the headlines of "Why feedback fails".
-    learned: the shifts of one truck in sequence.
-    """
+    """A study; exactly one of `scenario` and `stroke` is the base, bounds have none."""
 
     name: Name
     """Name of the study."""
     description: str = ""
     """What the study shows."""
     kind: Kind = "runs"
+    """What a row is. "runs": one shift. "bounds": the softest worst-case stop found for the family
+    bound.family of loads at the information delay bound.delay_s. "lower_bound": the softest stop
+    that is not excluded by a proof. "budget": the delays of one shift. "tuning": the best parameters
+    of a strategy over all loads together. "sensitivity": margins of the headlines of "Why feedback
+    fails". "learned": the shifts of one truck in sequence."""
     bounds: BoundsTable = BoundsTable()
+    """Size of the search of a study of kind bounds."""
     tuning: TuningTable = TuningTable()
+    """Size of the search of a study of kind tuning."""
     truck: TruckTable | None = None
     """The population of a study of kind learned; if left out, that of the shipped study learned."""
     factor: list[Factor] = []
@@ -282,7 +282,7 @@ class LoadedStudy:
 
         Raises InputError for settings that it does not accept.
         """
-        from sil.simulation.scenario import from_table
+        from sil.simulation.load_scenario import from_table
 
         assert self.base is not None
         table, path = self.base

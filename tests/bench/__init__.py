@@ -1,4 +1,4 @@
-"""Measurements side by side, in one run: each figure beside a floor or a peer, as a ratio.
+"""Measurements side by side, in one run: each figure next to a floor or a peer, as a ratio.
 
 `python -m tests.bench [NAME...]` prints tables; nothing here is a test with a time limit.
 """

@@ -1,4 +1,4 @@
-"""The length stroke with its three valves: our kernels beside our own scipy path, the tests' judge."""
+"""The length stroke with its three valves: our kernels against our own scipy path, the tests' judge."""
 
 from __future__ import annotations
 

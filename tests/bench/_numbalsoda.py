@@ -1,7 +1,7 @@
 """The fixed-piston stroke by numbalsoda's DOP853 with events; imports numbalsoda when called.
 
 Restarted at breakaway and stop, all of it compiled; the first step is given, as its own choice was
-seen to hang at rest.
+observed to hang at rest.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Two threads on a batch, beside two processes of a plain C loop on the same machine."""
+"""Two threads on a batch, against two processes of a plain C loop on the same machine."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Bodies of which force and position are known, drawn at random, and how they are judged.
 
-Integrated by scipy's LSODA under a controller that follows a reference: nothing of the engine that
-judges them. `python -m tests.bench bodies` prints a table; $OPC4_FIRST (0) is the first number drawn from.
+Integrated by scipy's LSODA under a controller that follows a reference, or (held) exactly from sample to
+sample: nothing of the engine that judges them. `python -m tests.bench bodies` prints a table; $OPC4_FIRST (0) is the first number drawn from.
 """
 
 from __future__ import annotations
@@ -17,9 +17,11 @@ from scipy.integrate import solve_ivp
 
 from can_dbc.errors import InputError
 from sil.diagnosis.force_rig import diagnose_force
+from tests.bench._held_bodies import draw_held
 
 KINDS = {
     "plain": 60,
+    "held": 50,
     "k_p": 25,
     "stribeck": 20,
     "asymmetry": 20,
@@ -160,7 +162,7 @@ def corrupt(
 
 def judge(folder: Path, kind: str, seed: int) -> tuple[str, list[str], float, float, float]:
     """Return verdict, causes, largest probability, residual over noise, and the noise over the true."""
-    true = draw(folder, kind, seed)
+    true = draw_held(folder, seed) if kind == "held" else draw(folder, kind, seed)
     try:
         found = diagnose_force(folder)
     except InputError as error:
@@ -177,7 +179,7 @@ def judge(folder: Path, kind: str, seed: int) -> tuple[str, list[str], float, fl
 
 def is_right(kind: str, verdict: str, causes: list[str]) -> bool:
     """Return whether a verdict is what a careful engineer would say."""
-    if kind == "plain":
+    if kind in ("plain", "held"):
         return verdict == "consistent"
     if kind in EXPECTED:
         return verdict in ("named", "ambiguous") and EXPECTED[kind] in causes
@@ -186,7 +188,7 @@ def is_right(kind: str, verdict: str, causes: list[str]) -> bool:
     return verdict in ("cannot_tell", "refused")
 
 
-def measure(count: int = 200) -> Iterator[str]:
+def measure(count: int = 250) -> Iterator[str]:
     """Lines: what is not right as it comes, then a table by kind."""
     total: Counter[tuple[str, str]] = Counter()
     right: Counter[str] = Counter()
@@ -194,12 +196,12 @@ def measure(count: int = 200) -> Iterator[str]:
     first = int(os.environ.get("OPC4_FIRST", "0"))
     with tempfile.TemporaryDirectory() as name:
         for kind, share in KINDS.items():
-            for seed in range(first, first + max(1, share * count // 200)):
+            for seed in range(first, first + max(1, share * count // 250)):
                 answer = judge(Path(name) / f"{kind}{seed}", kind, seed)
                 good = is_right(kind, *answer[:2])
                 total[kind, answer[0]] += 1
                 right[kind] += good
-                alarms += kind == "plain" and not good
+                alarms += kind in ("plain", "held") and not good
                 unexplained += answer[0] == "consistent" and answer[3] > 3.0
                 if not good:
                     yield f"not right: {kind} {seed}: {answer}"

@@ -58,7 +58,7 @@ def measure() -> Iterator[str]:
     ours = time.perf_counter() - begun
     yield (
         f"fit of {clog.name} to {STROKES} strokes, {len(start)} shared parameters: {ours:.2f} s, "
-        f"{fit.iterations} iterations, {count} simulations, {1e3 * ours / count:.2f} ms each all told"
+        f"{fit.iterations} iterations, {count} simulations, {1e3 * ours / count:.2f} ms each in all"
     )
     theirs = 0.0
     for stroke in strokes:

@@ -2,7 +2,8 @@
 
 Every cell holds the campaigns of $OPC4_CAMPAIGNS (folders `example` and `blind_*`) and clean ones made
 by the judge of the tests. What was found is stored line by line in $OPC4_STUDY (runs/instruments), so a
-stopped study continues; $OPC4_CELLS limits it to cells such as "1000x2,100x1-" (- means without gauges).
+stopped study continues; $OPC4_CELLS limits it to cells such as "1000x2,100x1-" (- means without gauges),
+$OPC4_ONLY to campaigns such as "example,clean_901".
 `python -m tests.bench instruments` prints what is wrong and a table.
 """
 
@@ -78,7 +79,7 @@ def outcome(causes: list[dict[str, Any]], found: dict[str, Any]) -> str:
     """Return right, unable (says so) or wrong, for what full instruments show and what was found."""
     true = {cause["id"] for cause in causes}
     classes = {cause["class"] for cause in causes}
-    told = {cause["id"]: cause for cause in found["causes"]}
+    named = {cause["id"]: cause for cause in found["causes"]}
     verdict = found["verdict"]
     if verdict == "cannot_tell":
         return "unable"
@@ -90,15 +91,15 @@ def outcome(causes: list[dict[str, Any]], found: dict[str, Any]) -> str:
         )
     if not true:
         return "wrong"
-    wrong = {name: cause for name, cause in told.items() if name not in true}
+    wrong = {name: cause for name, cause in named.items() if name not in true}
     grouped = {other for group in found["rivals"] if set(group) & true for other in group}
     if any(
         c["probability"] > 0.5 and n not in grouped and n != "unnamed" for n, c in wrong.items()
     ):
         return "wrong"
-    if set(told) <= true:
+    if set(named) <= true:
         return "right"
-    if true & (set(told) | grouped) or told.get("unnamed", {}).get("class") in classes:
+    if true & (set(named) | grouped) or named.get("unnamed", {}).get("class") in classes:
         return "unable"
     return "wrong"
 
@@ -135,10 +136,10 @@ def judged(source: Path, folder: Path, cell: tuple[int, int, bool]) -> dict[str,
     from sil.campaign.campaign import load_campaign
     from sil.diagnosis.diagnosis import diagnose
 
-    place = resampled(source, folder / "resampled", *cell)
+    campaign = resampled(source, folder / "resampled", *cell)
     begun = time.perf_counter()
     try:
-        found = diagnose(load_campaign(place), load(), workers=1).as_json()
+        found = diagnose(load_campaign(campaign), load(), workers=1).as_json()
     except InputError as error:
         found = {
             "verdict": "cannot_tell",
@@ -175,6 +176,8 @@ def measure() -> Iterator[str]:
         if not (clean / "campaign.toml").exists():
             write_campaign(clean, hide((), "easy", seed), seed, STROKES)
         sources.append(clean)
+    only = os.environ.get("OPC4_ONLY", "")
+    sources = [source for source in sources if not only or source.name in only.split(",")]
     path = folder / "results.jsonl"
     rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     done = {(row["campaign"], row["cell"]) for row in rows}

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from sil.simulation import scenario
+from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
 from tests.browser.conftest import started
 from tests.browser.live_page import Live, Page
@@ -23,7 +23,7 @@ def measure() -> Iterator[str]:
     for number in range(12):
         changed = [f"valve.D_fall={0.01 + 1e-4 * number:.4f}"]
         begin = time.perf_counter()
-        run_in_memory(scenario.load(NAME, settings=changed))
+        run_in_memory(load_scenario.load(NAME, settings=changed))
         alone.append(1e3 * (time.perf_counter() - begin))
     with tempfile.TemporaryDirectory() as folder, started(Path(folder) / "profile") as browser:
         live = Live(Path(folder))

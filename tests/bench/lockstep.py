@@ -25,8 +25,8 @@ CAN_FRAME = struct.Struct("=IB3x8s")
 
 def measure() -> Iterator[str]:
     """Lines of the table; CAN interfaces that exist are measured too."""
+    from sil.simulation.load_scenario import load
     from sil.simulation.runner import run
-    from sil.simulation.scenario import load
 
     loaded = load(SCENARIO)
     simulated = loaded.scenario.duration_s
@@ -71,10 +71,11 @@ def plant_alone(simulated_s: float) -> float:
     """Wall seconds of the plant's equations over the same grants, valves switching as in a shift."""
     import numpy as np
 
+    from plant.kernel.packing import Load
     from plant.parameters import load
     from plant.systems.length_stroke import LengthStroke
 
-    stroke = LengthStroke(load(), initial="B", mounted=True)
+    stroke = LengthStroke(load(), initial="B", load=Load(mounted=True))
     switches = {10: [(0, 1, 1.0)], 40: [(0, 1, 0.0), (0, 2, 1.0)], 70: [(0, 2, 0.0)]}
     grant = round(GRANT_S * 1e9)
     begin = time.perf_counter()

@@ -67,7 +67,7 @@ def made_log(path: Path, duration_s: int) -> Path:
     from sil.coupling.bus import Delivery
     from sil.recording.recorder import BusLog
     from sil.simulation.in_memory import run_in_memory
-    from sil.simulation.scenario import from_table
+    from sil.simulation.load_scenario import from_table
 
     requests = [
         {"at_s": 0.1 + 0.5 * k, "gear": GEARS[k % len(GEARS)]} for k in range(2 * duration_s - 1)
@@ -150,12 +150,12 @@ def peak_memory(what: str, log: Path) -> tuple[int, int]:
     """Frames and peak memory in KiB of a process that reads or replays a log."""
     root = Path(__file__).resolve().parent.parent.parent
     command = [sys.executable, "-c", MEMORY, what, str(log)]
-    told = subprocess.run(
+    reported = subprocess.run(
         command,
         capture_output=True,
         text=True,
         check=True,
         env=os.environ | {"PYTHONPATH": str(root)},
     )
-    frames, peak = told.stdout.split()
+    frames, peak = reported.stdout.split()
     return int(frames), int(peak)

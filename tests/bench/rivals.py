@@ -73,7 +73,7 @@ class Problem:
 
 
 def ours(problem: Problem) -> Found:
-    """Return what the diagnosis says; a verdict that says it cannot tell names nothing."""
+    """Return what the diagnosis says; the verdict cannot_tell names nothing."""
     found = diagnose(problem.campaign, problem.parameters, workers=1)
     verdict = found.verdict
     best = min(item.score for item in found.judged)
@@ -296,14 +296,14 @@ def measure() -> Iterator[str]:
             continue
         true, level = drawn(number)
         hidden = hide(() if true == NONE else (true,), level, SEED + number)
-        place = write_campaign(folder / f"campaign_{number}", hidden, SEED + number, STROKES)
-        problem = Problem(place)
+        campaign = write_campaign(folder / f"campaign_{number}", hidden, SEED + number, STROKES)
+        problem = Problem(campaign)
         row: dict[str, Any] = {"number": number, "true": true, "level": level, "found": {}}
         for name, way in WAYS.items():
             begun = time.process_time()
             stated, score = way(problem)
             row["found"][name] = [stated, score, time.process_time() - begun]
-        shutil.rmtree(place)
+        shutil.rmtree(campaign)
         rows.append(row)
         with path.open("a", encoding="utf-8") as out:
             out.write(json.dumps(row) + "\n")

@@ -5,7 +5,7 @@ through all gears. Eight simulated hours took 17 minutes, so a day should take a
 them to judge it, and 8 GB of disk.
 
 Memory does not grow while a run is simulated. Judging it reads the run from disk minute by minute;
-what grows then is what result.json tells of each shift, some 2 KiB.
+what grows then is what result.json holds of each shift, some 2 KiB.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def one(name: str, duration_s: float, options: list[str], out: Path) -> Iterator
     yield f"  frames lost: {lost(result, duration_s)}"
     for who in sorted({who for row in rows for who in row}):
         sizes = np.array([row.get(who, np.nan) for row in rows])
-        yield "  " + told(who, times, sizes, written_s)
+        yield "  " + line(who, times, sizes, written_s)
     if "late_p50_s" in speed:
         late = ", ".join(f"{q} {1e3 * speed[f'late_{q}_s']:.3f} ms" for q in ("p50", "p99", "max"))
         yield f"  jitter: instants late by {late}; {speed['overruns']:.0f} overruns"
@@ -160,7 +160,7 @@ def resident_mib(pid: int) -> float:
     return pages * 4096 / MIB
 
 
-def told(who: str, times: np.ndarray, sizes: np.ndarray, written_s: float) -> str:
+def line(who: str, times: np.ndarray, sizes: np.ndarray, written_s: float) -> str:
     """How memory went: after a tenth of the run, at its end, growth as a fitted line; and judged."""
     seen = np.isfinite(sizes)
     t, y = times[seen], sizes[seen]

@@ -14,8 +14,8 @@ from controller.learning import METHODS
 from controller.strategies import NAMES
 
 ARITHMETIC = frozenset(("BINARY_OP", "UNARY_NEGATIVE", "COMPARE_OP"))
-COUNTED_STEPS = 6
-"""Steps of a push whose operations are counted, spread over it; the greatest counts."""
+MOST_COUNTED = 1_500_000
+"""Operations after which no more steps are counted: it takes long; the greatest step counts."""
 
 
 def operations(call: Any, *arguments: Any) -> tuple[Any, int]:
@@ -55,7 +55,7 @@ def cost(name: str) -> tuple[float, float, int]:
     """Median and greatest microseconds of a step of a push, and its greatest count of operations."""
     from controller.strategies import Strategy, strategy_class
     from sil.simulation.in_memory import run_in_memory
-    from sil.simulation.scenario import load
+    from sil.simulation.load_scenario import load
 
     kind: type[Strategy] = strategy_class(name)
     plain = kind.command
@@ -70,7 +70,7 @@ def cost(name: str) -> tuple[float, float, int]:
         return answer
 
     def counting(self: Strategy, *arguments: Any) -> Any:
-        if len(counts) >= COUNTED_STEPS:
+        if sum(counts) >= MOST_COUNTED:
             return plain(self, *arguments)
         answer, counted = operations(plain, self, *arguments)
         counts.append(counted)
@@ -89,7 +89,7 @@ def learning_cost(method: str) -> tuple[int, int]:
     """Greatest count of operations after a shift of the strategy that learns, and bytes of memory."""
     from controller.strategies.learned import Learned
     from sil.simulation.in_memory import run_in_memory
-    from sil.simulation.scenario import load
+    from sil.simulation.load_scenario import load
 
     plain, counts = Learned.ended, [0]
 

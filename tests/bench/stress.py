@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from can_dbc.messages import Fault, Gear
+from sil.simulation.load_scenario import load
 from sil.simulation.runner import Finished, run
 from sil.simulation.safety import figures
-from sil.simulation.scenario import load
 
 SCENARIOS = Path(__file__).parent / "disturbed"
 FIRST = (
@@ -31,7 +31,7 @@ FIRST = (
 )
 HEAD = (
     f"{'scenario':18}{'load':>6}{'frames':>8}{'errors':>7}{'lost':>6}{'command':>10}{'refused':>9}"
-    f"{'taken':>7}  {'asked/truly/told':27}{'impact':>7}{'orphan':>8}{'false':>7}  reported"
+    f"{'taken':>7}  {'asked/true/reported':27}{'impact':>7}{'orphan':>8}{'false':>7}  reported"
 )
 
 
@@ -41,7 +41,7 @@ def measure() -> Iterator[str]:
     for name in FIRST:
         yield line(load(str(SCENARIOS / f"{name}.toml")))
     yield "command: longest time from release to arrival of a valve command, ms; lost: overwritten"
-    yield "before they were sent, dropped or sent into a bus-off; told -: at the end no status is believed;"
+    yield "before they were sent, dropped or sent into a bus-off; reported -: at the end no status is valid;"
     yield "refused: by the end-to-end check, of an intruder's frames"
     yield "or of what their counters did to ours; taken: an intruder's frame taken for a good one;"
     yield "orphan: ms a coil stayed on without a living controller; false: ms a gear was reported"
@@ -76,7 +76,7 @@ def line(loaded: Any) -> str:
     lost = sum(bus[k] for k in ("lost", "overwritten", "dropped_full", "dropped_bus_off"))
     command = next(m for m in bus["messages"] if m["name"] == "ValveCommand")["longest_response_s"]
     asked = loaded.scenario.request[-1].gear
-    truly, told = (
+    truly, reported = (
         "-" if math.isnan(safety[k]) else Gear(int(safety[k])).name.lower()
         for k in ("end_gear", "reported_gear")
     )
@@ -84,7 +84,7 @@ def line(loaded: Any) -> str:
     names = " ".join(f.name or "" for f in Fault if f and f in bits).lower() or "-"
     return (
         f"{loaded.scenario.name:18}{bus['load']:6.0%}{bus['frames']:8d}{bus['error_frames']:7d}"
-        f"{lost:6d}{1e3 * command:10.2f}{refused:9d}{taken:7d}  {f'{asked}/{truly}/{told}':27}"
+        f"{lost:6d}{1e3 * command:10.2f}{refused:9d}{taken:7d}  {f'{asked}/{truly}/{reported}':27}"
         f"{safety['worst_impact_m_s']:7.2f}{1e3 * safety['orphan_energised_s']:8.0f}"
         f"{1e3 * safety['false_gear_s']:7.0f}  {names}"
     )

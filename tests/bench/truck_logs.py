@@ -17,7 +17,7 @@ from sil.logs import LogFrame, open_writer
 from sil.shift_diagnosis.judge import judge_shifts
 from sil.shift_diagnosis.page import interval
 from sil.shift_diagnosis.shifts import shifts_of
-from sil.simulation import scenario
+from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
 
 NEUTRAL_S = (0.55, 0.75)
@@ -87,7 +87,7 @@ def truck_log(
         raw["driveline"] = {"residual_rad_s": 8.0}
         raw["sensor"] |= {"noise_sd_s": 0.0}
     settings += [f"{name}={value!r}" for name, value in (cause or {}).items()]
-    loaded = scenario.from_table(raw, "drawn", settings=settings, seed=seed)
+    loaded = load_scenario.from_table(raw, "drawn", settings=settings, seed=seed)
     run = run_in_memory(loaded)
     with open_writer(str(path)) as writer:
         for entry in run.record.frames:

@@ -39,10 +39,10 @@ BUS_NS = 500_000
 class Session:
     """Controller, toy actuator and driver, everything by frames."""
 
-    def __init__(self, config: FirmwareConfig, wishes: Sequence[tuple[int, Gear]]) -> None:
+    def __init__(self, config: FirmwareConfig, requests: Sequence[tuple[int, Gear]]) -> None:
         self.node = ControllerNode(config)
         self.stay = Stay()
-        self.wishes = wishes
+        self.requests = requests
         self.sent: Sent = []
         self.receivers = {
             spec_of(kind).can_id: Receiver(kind)
@@ -65,7 +65,7 @@ class Session:
                 speeds = DrivelineSpeeds(50.0, 50.0)
                 waiting.append((now_ns + 2 * MS, self._protect_speeds.protect(speeds)))
             if now_ns % (20 * MS) == 3 * MS:
-                gear = [g for at_ms, g in self.wishes if now_ns >= at_ms * MS][-1]
+                gear = [g for at_ms, g in self.requests if now_ns >= at_ms * MS][-1]
                 waiting.append((now_ns + MS, self._protect_request.protect(ShiftRequest(gear))))
             if now_ns == next_ns:
                 due = sorted((d for d in waiting if d[0] <= now_ns), key=lambda d: d[0])

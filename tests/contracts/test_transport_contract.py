@@ -329,7 +329,7 @@ def test_the_channel_is_free_again_after_a_run_that_was_killed(
     assert run.sha256() == reference
 
 
-def test_a_socket_left_behind_is_replaced_but_a_file_is_not(tmp_path: Path, reference: str) -> None:
+def test_a_socket_left_behind_is_replaced(tmp_path: Path, reference: str) -> None:
     path = address.socket_path(channel_name("local").removeprefix("local:"))
     left = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     left.bind(str(path))
@@ -338,6 +338,10 @@ def test_a_socket_left_behind_is_replaced_but_a_file_is_not(tmp_path: Path, refe
     with toy_run("local", tmp_path / "run", END_NS) as run:
         run.lockstep.run()
     assert run.sha256() == reference
+
+
+def test_a_file_in_place_of_the_socket_is_refused_and_left_as_it_was() -> None:
+    path = address.socket_path(channel_name("local").removeprefix("local:"))
     path.write_text("mine")
     with pytest.raises(RunError, match="Address already in use"):
         Hub(str(path), [])

@@ -44,7 +44,7 @@ class ToyRun:
 
 
 def channel_name(transport: str) -> str:
-    """Return what a node is told: the toy runs' local channel is named after this process."""
+    """Return the channel that a node is given: the toy runs' local channel is named after this process."""
     return f"local:toy-{os.getpid()}" if transport == "local" else transport
 
 

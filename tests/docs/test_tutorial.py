@@ -27,15 +27,15 @@ def commands(text: str) -> Iterator[tuple[list[str], int]]:
     for line in text.strip().splitlines():
         if not line.startswith(ELSEWHERE):
             command, _, remark = line.partition("#")
-            told = re.search(r"exit (\d)", remark)
-            yield command.split(), int(told[1]) if told else 0
+            output = re.search(r"exit (\d)", remark)
+            yield command.split(), int(output[1]) if output else 0
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
     """The folder after the whole tutorial, and the commands that were run."""
     folder = tmp_path_factory.mktemp("tutorial")
-    told = []
+    output = []
     for language, text in STEP.findall(TUTORIAL):
         if language != "sh":
             named = FILE.match(text)
@@ -51,8 +51,8 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
                 assert words[0] == "opc4"
                 run = run_opc4(folder, *words[1:], timeout=1200.0)
                 assert run.returncode == expected, run.stderr + run.stdout
-            told.append(" ".join(words))
-    return folder, told
+            output.append(" ".join(words))
+    return folder, output
 
 
 def result(folder: Path) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from plant.devices.position_circuit import SensorFault
 from plant.devices.signal_faults import SpeedFault, TemperatureFault
 from plant.devices.valve_faults import ValveFault
 from sil.coupling.faults import BusFault, FrozenCounter
-from sil.simulation.scenario import Loaded, from_table
+from sil.simulation.load_scenario import Loaded, from_table
 
 SHIFTS = {"N-B": ("neutral", "backward"), "B-N": ("backward", "neutral"),
           "N-F": ("neutral", "forward"), "F-N": ("forward", "neutral"),
@@ -151,23 +151,23 @@ def state(table: dict[str, Any], fault: Fault, rng: random.Random) -> None:
         load = {"extra_load": round(rng.uniform(0.2, 1.5), 3), "extra_priority": rng.randint(0, 7)}
         table.setdefault("bus", {}).update(load, send_buffer=32)
         return
-    told: dict[str, Any] = {"kind": fault.kind, **window(rng)}
+    stated: dict[str, Any] = {"kind": fault.kind, **window(rng)}
     names = [f.name for f in msgspec.structs.fields(struct_of(fault))]
     for place in ("message", "node", "valve"):
         if place in names:
-            told[place] = fault.whom
+            stated[place] = fault.whom
     for name in names:
         if name not in PLACE and (name in NEEDED or rng.random() < 0.5):
-            told[name] = PARAMETERS[name](rng)
+            stated[name] = PARAMETERS[name](rng)
     if fault.kind == "replayed":
-        told["delay_s"] = _repeated_after(fault.whom, rng)
+        stated["delay_s"] = _repeated_after(fault.whom, rng)
     if fault.kind in ("dead", "sent"):
-        told.pop("end_s", None)
+        stated.pop("end_s", None)
     elif fault.kind == "stalled":
-        told.setdefault("end_s", round(told["start_s"] + 0.2, 4))
+        stated.setdefault("end_s", round(stated["start_s"] + 0.2, 4))
     elif fault.kind == "babbling":
         table.setdefault("bus", {})["send_buffer"] = 32
-    table.setdefault(fault.where, []).append(told)
+    table.setdefault(fault.where, []).append(stated)
 
 
 def faults_of(number: int) -> list[Fault]:

@@ -140,11 +140,11 @@ def test_killed_at_any_moment(name: str, made: Path, tmp_path: Path) -> None:
         time.sleep(rng.uniform(0.1, 1.1 * took_s))
         process.kill()
         process.communicate()
-        told = state(tmp_path / "out")
-        assert told == "complete" or "cut off" in told or told == "nothing"
+        label = state(tmp_path / "out")
+        assert label == "complete" or "cut off" in label or label == "nothing"
         assert {p.name for p in tmp_path.iterdir()} <= {"out", "runs"}
         now = files(tmp_path / "out")
-        if told == "complete":
+        if label == "complete":
             old = now
         for file in {"result.json", "diff.json", "results.csv", "diagnosis.json"} & set(old):
             assert old[file] in (now.get(file), now.get(f"previous/{file}"))
@@ -175,13 +175,13 @@ def test_interrupted_at_any_moment(name: str, made: Path, tmp_path: Path) -> Non
         process = started(command, folder)
         time.sleep(wait_s)
         process.send_signal(signal.SIGINT)
-        _, told = process.communicate(timeout=120.0)
-        lines = [line for line in told.splitlines() if "compiling" not in line]
-        assert process.returncode in (0, 1, 3), told
-        assert "Traceback" not in told, told
-        assert len(lines) <= 2, told
+        _, output = process.communicate(timeout=120.0)
+        lines = [line for line in output.splitlines() if "compiling" not in line]
+        assert process.returncode in (0, 1, 3), output
+        assert "Traceback" not in output, output
+        assert len(lines) <= 2, output
         if process.returncode == 3:
-            assert "interrupted" in told
+            assert "interrupted" in output
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -222,11 +222,11 @@ def test_no_room_on_the_disk(name: str, room: int, made: Path, tmp_path: Path) -
         resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
 
     process = started([*commands(made)[name], "--out", "out"], tmp_path, limit)
-    _, told = process.communicate(timeout=300.0)
-    assert "Traceback" not in told, told
-    assert process.returncode in (0, 1, 3), told
+    _, output = process.communicate(timeout=300.0)
+    assert "Traceback" not in output, output
+    assert process.returncode in (0, 1, 3), output
     if process.returncode == 3:
-        assert "too large" in told
+        assert "too large" in output
         # the first file of a diagnosis, a picture, is larger: nothing is left of it
         nothing = room == 1_000 or name == "diagnose"
         assert state(tmp_path / "out") not in ("complete", *([] if nothing else ["nothing"]))

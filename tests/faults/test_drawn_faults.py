@@ -13,7 +13,8 @@ from sil.recording.end_to_end import EndToEnd
 from sil.recording.run_record import RunRecord
 from sil.simulation import safety
 from sil.simulation.in_memory import run_in_memory
-from sil.simulation.scenario import Scenario, from_table
+from sil.simulation.load_scenario import from_table
+from sil.simulation.scenario import Scenario
 from sil.studies.load_study import load_study
 from tests.faults.drawn import (
     STRUCTS,
@@ -30,10 +31,10 @@ from tests.faults.drawn import (
 def lies(scenario: Scenario) -> bool:
     """Whether the position reading may be wrong for good without looking so.
 
-    One sensor cannot be told from a motion by itself; the fault table shows what happens then.
+    One sensor cannot be distinguished from a motion by itself; the fault table shows what happens then.
     """
-    told = (*scenario.sensor_fault, *scenario.temperature_fault)
-    return any(fault.kind in ("wrong", "stuck") for fault in told)
+    faults = (*scenario.sensor_fault, *scenario.temperature_fault)
+    return any(fault.kind in ("wrong", "stuck") for fault in faults)
 
 
 def repeated_taken(record: RunRecord, message: str = "ControllerStatus") -> int:
@@ -86,11 +87,15 @@ def test_everything_that_a_scenario_lets_fail_is_drawn() -> None:
     assert {faults_of(number)[0] for number in range(len(every))} == set(every)
     # what the fault table states can be drawn, and what a scenario states as a list of faults
     stated = {
-        Fault(where, told["kind"], told.get("message") or told.get("node") or told.get("valve", ""))
+        Fault(
+            where,
+            entry["kind"],
+            entry.get("message") or entry.get("node") or entry.get("valve", ""),
+        )
         for variant in load_study("faults").study.variant
         for where, entries in variant.set.items()
         if isinstance(entries, list)
-        for told in entries
+        for entry in entries
     }
     assert stated and stated <= set(every)
     lists = {f.name for f in msgspec.structs.fields(Scenario) if f.name.endswith("fault")}
@@ -105,7 +110,7 @@ def test_every_parameter_of_every_fault_is_drawn() -> None:
         table: dict[str, Any] = {}
         for _ in range(16):
             state(table, fault, rng)
-        drawn = {name for told in table[fault.where] for name in told}
+        drawn = {name for entry in table[fault.where] for name in entry}
         names = {f.name for f in msgspec.structs.fields(struct_of(fault))} | {"kind"}
         assert drawn == names - ({"end_s"} if fault.kind in ("dead", "sent") else set()), fault
 
@@ -118,9 +123,9 @@ def test_repeated_reports_pass_for_new_after_a_round_of_the_counter() -> None:
         loaded = from_table(base("N-B") | {"fault": [fault]}, "test")
         record = run_in_memory(loaded).record
         found[delay_s] = repeated_taken(record)
-        told = safety.figures(record, loaded.scenario)
-        assert told["false_gear_s"] <= safety.sight_s(loaded.scenario) + delay_s
-        assert (told["false_gear_s"] > safety.sight_s(loaded.scenario)) == (delay_s == 0.155)
+        figures = safety.figures(record, loaded.scenario)
+        assert figures["false_gear_s"] <= safety.sight_s(loaded.scenario) + delay_s
+        assert (figures["false_gear_s"] > safety.sight_s(loaded.scenario)) == (delay_s == 0.155)
     assert found[0.1] == 0 and found[0.155] > 90
 
 

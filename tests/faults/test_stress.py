@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sil.simulation import runner, scenario
+from sil.simulation import load_scenario, runner
 from sil.simulation.in_memory import run_in_memory
 from tests.bench import stress
 
@@ -18,7 +18,7 @@ def test_every_scenario_is_in_the_table() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", stress.FIRST)
 def test_no_coil_is_orphaned_and_nothing_forged_is_taken(name: str, tmp_path: Path) -> None:
-    loaded = scenario.load(str(stress.SCENARIOS / f"{name}.toml"))
+    loaded = load_scenario.load(str(stress.SCENARIOS / f"{name}.toml"))
     finished = runner.run(loaded, tmp_path)
     assert finished.result.complete
     safety = stress.safety_of(finished, loaded)
@@ -31,6 +31,6 @@ def test_no_coil_is_orphaned_and_nothing_forged_is_taken(name: str, tmp_path: Pa
 
 @pytest.mark.slow
 def test_drifting_clocks_are_the_same_in_two_processes(tmp_path: Path) -> None:
-    loaded = scenario.load(str(stress.SCENARIOS / "drift.toml"))
+    loaded = load_scenario.load(str(stress.SCENARIOS / "drift.toml"))
     result = runner.run(loaded, tmp_path, transport="local").result
     assert result.trace_sha256 == run_in_memory(loaded).trace_sha256

@@ -1,7 +1,7 @@
 """Hostile input for every command, in this process: random bytes, huge numbers, deep nesting, bombs, tricks.
 
 `python -m tests.fuzz.hostile COUNT [SEED]` runs as many cases and prints what came of them. A case fails
-when an exception leaves `main`, when it takes too long, when bad input is not told in one line, or when
+when an exception leaves `main`, when it takes too long, when bad input is not refused in one line, or when
 a file appears outside --out.
 """
 
@@ -231,10 +231,10 @@ class Bench:
         else:
             raw = spoilt_bytes(rng, raw)
         Path(f"x.{suffix}").write_bytes(raw)
-        told = rng.choice((["convert", f"x.{suffix}", "y." + rng.choice(("log", "asc", "csv", "blf"))],
+        words = rng.choice((["convert", f"x.{suffix}", "y." + rng.choice(("log", "asc", "csv", "blf"))],
                            ["replay", f"x.{suffix}", "--summary"],
                            ["replay", f"x.{suffix}", "--out", "out"]))  # fmt: skip
-        return "log", told
+        return "log", words
 
     def _campaign(self, rng: random.Random) -> tuple[str, list[str]]:
         Path("c").mkdir()
@@ -340,9 +340,9 @@ def bomb(rng: random.Random) -> bytes:
 @contextlib.contextmanager
 def quiet() -> Iterator[io.StringIO]:
     """What is printed, instead of printing it."""
-    told = io.StringIO()
-    with contextlib.redirect_stderr(told), contextlib.redirect_stdout(io.StringIO()):
-        yield told
+    output = io.StringIO()
+    with contextlib.redirect_stderr(output), contextlib.redirect_stdout(io.StringIO()):
+        yield output
 
 
 @contextlib.contextmanager
@@ -389,7 +389,7 @@ def ended(main: Callable[[list[str]], int], words: list[str]) -> tuple[str, str]
         raise Hung
 
     signal.signal(signal.SIGPROF, hang)
-    with quiet() as told:
+    with quiet() as output:
         signal.setitimer(signal.ITIMER_PROF, LONGEST_S)
         try:
             code = main(words)
@@ -399,7 +399,7 @@ def ended(main: Callable[[list[str]], int], words: list[str]) -> tuple[str, str]
             return "raised", traceback.format_exc()
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0.0)
-    text = told.getvalue()
+    text = output.getvalue()
     if code not in (0, 1, 2, 3):
         return "code", f"exit code {code}"
     if "Traceback" in text:
@@ -412,7 +412,7 @@ def ended(main: Callable[[list[str]], int], words: list[str]) -> tuple[str, str]
 
 
 def campaign_of_cases(
-    count: int, seed: int, told: Callable[[str], None]
+    count: int, seed: int, report: Callable[[str], None]
 ) -> tuple[Counter[str], int]:
     """Run cases; how they ended by kind, and how many failed."""
     ends: Counter[str] = Counter()
@@ -444,7 +444,7 @@ def campaign_of_cases(
                 ends[f"{kind}: {how}"] += 1
                 if wrong:
                     failures += 1
-                    told(f"case {seed}:{number}: {words!r}: {how}: {wrong}")
+                    report(f"case {seed}:{number}: {words!r}: {how}: {wrong}")
                 if number % FORGET_EVERY == 0:
                     gc.unfreeze()  # a command's process freezes what it has loaded
                     gc.collect()

@@ -133,34 +133,22 @@ def fuzz_channel(seed: int, cases: int) -> Counter[E2eStatus]:
     return outcome
 
 
-def check_codec(seed: int, cases: int) -> None:
+@pytest.mark.parametrize(
+    ("seed", "cases"), [(1, FEW), pytest.param(3, MANY, marks=pytest.mark.slow)]
+)
+def test_mutated_frames(seed: int, cases: int) -> None:
     outcome = fuzz_codec(seed, cases)
     assert outcome["decoded"] > cases // 10
     assert outcome["refused"] > cases // 10
 
 
-def check_channel(seed: int, cases: int) -> None:
+@pytest.mark.parametrize(
+    ("seed", "cases"), [(2, FEW), pytest.param(4, MANY, marks=pytest.mark.slow)]
+)
+def test_mutated_frames_on_a_channel(seed: int, cases: int) -> None:
     outcome = fuzz_channel(seed, cases)
     for status in (E2eStatus.OK, E2eStatus.ERROR, E2eStatus.OK_SOME_LOST, E2eStatus.SYNC):
         assert outcome[status] > cases // 200, status
-
-
-def test_mutated_frames() -> None:
-    check_codec(1, FEW)
-
-
-def test_mutated_frames_on_a_channel() -> None:
-    check_channel(2, FEW)
-
-
-@pytest.mark.slow
-def test_many_mutated_frames() -> None:
-    check_codec(3, MANY)
-
-
-@pytest.mark.slow
-def test_many_mutated_frames_on_a_channel() -> None:
-    check_channel(4, MANY)
 
 
 def test_every_identifier_near_ours_is_refused() -> None:

@@ -77,12 +77,12 @@ def require_replayed_or_refused(path: Path) -> bool:
     return True
 
 
-def test_broken_logs_are_replayed_or_refused(tmp_path: Path) -> None:
-    replayed = [require_replayed_or_refused(broken(seed, tmp_path)) for seed in range(60)]
-    assert 15 < sum(replayed) < 55
-
-
-@pytest.mark.slow
-def test_many_broken_logs_are_replayed_or_refused(tmp_path: Path) -> None:
-    replayed = [require_replayed_or_refused(broken(seed, tmp_path)) for seed in range(60, 500)]
-    assert 150 < sum(replayed) < 400
+@pytest.mark.parametrize(
+    ("seeds", "fewest", "most"),
+    [(range(60), 15, 55), pytest.param(range(60, 500), 150, 400, marks=pytest.mark.slow)],
+)
+def test_broken_logs_are_replayed_or_refused(
+    seeds: range, fewest: int, most: int, tmp_path: Path
+) -> None:
+    replayed = [require_replayed_or_refused(broken(seed, tmp_path)) for seed in seeds]
+    assert fewest < sum(replayed) < most

@@ -48,7 +48,7 @@ class Bare(HybridSystem):
         *,
         place: str | float | None = None,
         charged: Sequence[str] = (),
-        damper: str | None = None,
+        damper: str = "none",
         tolerance: float = 1e-8,
     ) -> None:
         self.chambers = ("1", "2") if system == FIXED else ("B", "N", "F")

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+from typing import Any
+
+from plant.kernel.packing import Load
+from plant.parameters import ParameterSet
+from plant.systems.length_stroke import LengthStroke
 from plant.systems.stroke import StrokeConditions
 from tests.reference.actuator import Case
 
@@ -22,6 +28,12 @@ def conditions_of(case: Case) -> StrokeConditions:
         mesh_force_n=case.mesh_force_n,
         sync_impulse_n_s=case.sync_impulse_n_s,
     )
+
+
+def length_stroke(parameters: ParameterSet, **given: Any) -> LengthStroke:
+    """The length stroke under what is given, loads and other conditions together."""
+    load = {item.name: given.pop(item.name) for item in fields(Load) if item.name in given}
+    return LengthStroke(parameters, load=Load(**load), **given)
 
 
 def every_stroke() -> dict[str, Case]:

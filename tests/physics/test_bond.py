@@ -9,7 +9,7 @@ from can_dbc.errors import InputError
 from plant.parameters import load as load_set
 from plant.parameters import parse
 from sil.simulation.in_memory import Run, run_in_memory
-from sil.simulation.scenario import load
+from sil.simulation.load_scenario import load
 
 JOINED = "length.F_bond=1e6"
 

@@ -13,6 +13,7 @@ from plant.effects.stroke_conditions import StrokeConditions
 from plant.errors import InputError
 from plant.parameters import load
 from plant.systems.stroke import simulate
+from sil.simulation import load_scenario
 
 VALUES = {
     "acting": (1.0, "-"),
@@ -146,3 +147,8 @@ def test_an_incomplete_cylinder_is_refused(tmp_path) -> None:
     path.write_text("\n".join(x for x in text.splitlines() if "bore" not in x), encoding="utf-8")
     with pytest.raises(InputError, match=r"no cylinder\.bore; expected all of cylinder\.acting"):
         load(path)
+
+
+def test_a_run_refuses_a_cylinder(tmp_path) -> None:
+    with pytest.raises(InputError, match=r"states a \[cylinder\], which shifts no gears"):
+        load_scenario.load("lab_n_b", model=str(model(tmp_path)))

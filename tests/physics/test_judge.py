@@ -42,7 +42,7 @@ NAMES = {
     "block": "block",
     "unblock": "unblock",
 }
-# Where more than one thing breaks away or parts at an instant, either name may be told.
+# Where more than one thing breaks away or parts at an instant, either name may be reported.
 EITHER = ("breakaway", "separation")
 
 
@@ -88,9 +88,9 @@ def check(case: Case) -> None:
     assert np.ptp(theirs[:, 0]) > 8e-3  # it was a stroke
     ours, theirs = pressures(case, stroke, judged)
     assert np.max(np.abs(ours - theirs)) < 50.0
-    told = [h for h in judged.happenings if h.name in NAMES]
-    assert any(h.name == "stop" for h in told)
-    for happening in told:
+    reported = [h for h in judged.happenings if h.name in NAMES]
+    assert any(h.name == "stop" for h in reported)
+    for happening in reported:
         near = [e for e in stroke.events if abs(e.time_s - happening.time_s) < 1e-6]
         same = [e for e in near if alike(happening, e.name)]
         # at rest after the stroke the order of equal instants may differ; moving, nothing is missed
@@ -100,7 +100,7 @@ def check(case: Case) -> None:
             assert same[0].position_m == pytest.approx(happening.position_m, abs=1e-9)
     for event in stroke.events:
         if event.energy_j > 1e-9:
-            assert any(abs(event.time_s - h.time_s) < 1e-6 for h in told), event
+            assert any(abs(event.time_s - h.time_s) < 1e-6 for h in reported), event
 
 
 @pytest.mark.parametrize("name", FAST)

@@ -9,6 +9,7 @@ from plant.errors import InputError
 from plant.kernel.layout import LengthState
 from plant.systems.length_stroke import LengthStroke
 from tests.physics.bare import MS, NOMINAL
+from tests.physics.strokes import length_stroke
 
 STROKE, FREE = 0.01285, 0.013
 LOADS = {
@@ -53,7 +54,7 @@ def run(
 @pytest.mark.parametrize("load", sorted(LOADS))
 @pytest.mark.parametrize(("start", "first", "last"), [("B", 1, 2), ("F", 1, 0)])
 def test_full_shift_through_neutral(load: str, start: str, first: int, last: int) -> None:
-    actuator = LengthStroke(NOMINAL, initial=start, **LOADS[load])  # type: ignore[arg-type]
+    actuator = length_stroke(NOMINAL, initial=start, **LOADS[load])
     switches = [
         (10 * MS, first, 1.0),
         (300 * MS, first, 0.0),
@@ -74,7 +75,7 @@ def test_full_shift_through_neutral(load: str, start: str, first: int, last: int
 @pytest.mark.parametrize("start", ["B", "N", "F"])
 @pytest.mark.parametrize("load", sorted(LOADS))
 def test_both_engaging_chambers_charged(load: str, start: str) -> None:
-    actuator = LengthStroke(NOMINAL, initial=start, **LOADS[load])  # type: ignore[arg-type]
+    actuator = length_stroke(NOMINAL, initial=start, **LOADS[load])
     y = run(actuator, 500, [(10 * MS, 0, 1.0), (15 * MS, 2, 1.0), (400 * MS, 0, 0.0)])
     within(actuator, y)
     # B and F push against each other: until B is vented nothing reaches the other end
@@ -97,7 +98,7 @@ def test_all_three_charged_at_once() -> None:
 
 
 def test_venting_neutral_in_the_middle_of_the_motion_and_charging_it_again() -> None:
-    actuator = LengthStroke(NOMINAL, initial="B", mounted=True, pull_force_n=900.0)
+    actuator = length_stroke(NOMINAL, initial="B", mounted=True, pull_force_n=900.0)
     y = run(
         actuator, 500, [(10 * MS, 1, 1.0), (45 * MS, 1, 0.0), (90 * MS, 1, 1.0), (400 * MS, 1, 0.0)]
     )

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant.equations.damper_pressure import steady_oil_pressure
 from plant.kernel.layout import FIXED, LENGTH
 from plant.kernel.packing import Load, pack
+from plant.parts.damper import steady_oil_pressure
 from tests.physics.bare import NOMINAL
 from tests.reference import parts
 

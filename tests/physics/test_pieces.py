@@ -8,6 +8,7 @@ import pytest
 from plant.integrator.hybrid import Event
 from plant.systems.length_stroke import LengthStroke
 from tests.physics.bare import MS, NOMINAL
+from tests.physics.strokes import length_stroke
 
 END = 300 * MS
 SWITCHES = [(18 * MS, 0, 1.0), (235 * MS, 0, 0.0)]
@@ -20,7 +21,7 @@ LOADS = [
 
 def pieces(bounds: list[int], load: dict[str, object], samples: int = 0) -> LengthStroke:
     """The same N-B shift, advanced from bound to bound."""
-    actuator = LengthStroke(NOMINAL, **load)  # type: ignore[arg-type]
+    actuator = length_stroke(NOMINAL, **load)
     before = 0
     for bound in bounds:
         inside = [s for s in SWITCHES if before < s[0] <= bound]
@@ -32,7 +33,7 @@ def pieces(bounds: list[int], load: dict[str, object], samples: int = 0) -> Leng
     return actuator
 
 
-def told(actuator: LengthStroke) -> list[Event]:
+def reported(actuator: LengthStroke) -> list[Event]:
     """Its events without those of the oil, which empties asymptotically and fills at any touch."""
     return [event for event in actuator.events if not event.name.startswith("oil")]
 
@@ -42,9 +43,9 @@ def told(actuator: LengthStroke) -> list[Event]:
 def test_pieces_give_the_same_events(load: dict[str, object], period: int) -> None:
     whole = pieces([END], load)
     parts = pieces([*range(period, END, period), END], load)
-    assert [e.name for e in told(parts)] == [e.name for e in told(whole)]
-    assert len(told(whole)) > 3
-    for a, b in zip(told(parts), told(whole), strict=True):
+    assert [e.name for e in reported(parts)] == [e.name for e in reported(whole)]
+    assert len(reported(whole)) > 3
+    for a, b in zip(reported(parts), reported(whole), strict=True):
         assert a.time_s == pytest.approx(b.time_s, abs=1e-8)
         assert a.speed_m_s == pytest.approx(b.speed_m_s, rel=3e-6)
     assert parts.balance().closed
@@ -55,7 +56,7 @@ def test_tight_pieces_agree_to_a_nanosecond(load: dict[str, object]) -> None:
     tight = {**load, "tolerance": 1e-11}
     whole = pieces([END], tight)
     parts = pieces([*range(10 * MS, END, 10 * MS), END], tight)
-    for a, b in zip(told(parts), told(whole), strict=True):
+    for a, b in zip(reported(parts), reported(whole), strict=True):
         assert a.time_s == pytest.approx(b.time_s, abs=1e-9)
 
 

@@ -20,7 +20,7 @@ Rhs = Callable[[float, Floats], Floats]
 
 PARTS = (
     "stage_1", "stage_2", "stage_3", "stage_4", "stage_5", "stage_6", "local_error",
-    "error_norm", "explicit_step", "explicit_dense", "dense_element", "dense_quartic", "interpolate",
+    "error_norm", "explicit_step", "explicit_dense", "dense_element", "interpolate",
     "interpolated", "differentiate", "factorise", "solve", "stiff_stage", "stiff_step", "combined", "stiff_dense",
 )  # fmt: skip
 

@@ -10,9 +10,9 @@ from scipy.integrate import quad
 
 from plant.kernel.layout import LENGTH, LengthState, Parameters
 from plant.parts.loads import barrier
-from plant.systems.length_stroke import LengthStroke
 from plant.systems.stroke import StrokeConditions, simulate
 from tests.physics.bare import AIRLESS, MS, NOMINAL, SMOOTH, Bare
+from tests.physics.strokes import length_stroke
 
 FREE = {**AIRLESS, **SMOOTH}
 STROKE, X_MESH, W_MESH, W_PULL = 0.01285, 0.008, 0.002, 0.005
@@ -136,7 +136,7 @@ def test_out_of_gear_the_synchronizer_lets_the_stay_pass_and_blocks_the_other_si
 
 
 def test_a_new_impulse_blocks_the_next_engagement_again() -> None:
-    actuator = LengthStroke(NOMINAL, sync_impulse_n_s=5.0, mounted=True)
+    actuator = length_stroke(NOMINAL, sync_impulse_n_s=5.0, mounted=True)
     actuator.advance(150 * MS, [(0, 0, 1.0)])
     assert [e.name for e in actuator.events if "block" in e.name] == ["block", "unblock"]
     assert actuator.spent_impulse_n_s == 5.0

@@ -60,7 +60,7 @@ class Happening(NamedTuple):
 
 @dataclass(frozen=True)
 class Case:
-    """What the judge is told of a stroke."""
+    """What the judge knows of a stroke."""
 
     kind: str
     supply_pa: float = 900000.0
@@ -379,7 +379,7 @@ class Actuator:
 
     def collide(self, y: State) -> tuple[str, float]:
         """Resolve every closing contact; returns "stop" or "block" and its speed, or ("", 0)."""
-        told = ("", 0.0)
+        impact = ("", 0.0)
         for b in range(1, self.bodies):
             if abs(y[2 * b]) <= NEAR_M and y[2 * b + 1] == 0.0:
                 y[2 * b] = 0.0  # seated
@@ -393,8 +393,8 @@ class Actuator:
             wall = self.wall(y)
             if wall is not None:
                 at, is_block = wall
-                if abs(y[1]) > told[1]:
-                    told = ("block" if is_block else "stop", abs(y[1]))
+                if abs(y[1]) > impact[1]:
+                    impact = ("block" if is_block else "stop", abs(y[1]))
                 y[0], y[1] = at, 0.0 if is_block else self.bounced(y[1])
                 busy = True
             for contact in self.contacts:
@@ -405,7 +405,7 @@ class Actuator:
                     self.merge(y, contact)
                     busy = True
             if not busy:
-                return told
+                return impact
         raise AssertionError(f"collision without end at {y}")
 
     def bounced(self, speed: float) -> float:
@@ -540,13 +540,13 @@ class Actuator:
         for contact in self.contacts:
             if name == f"meet {contact.name}" or contact in mode.joints:
                 y[2 * contact.piston] = y[0] - contact.sign * contact.offset
-        told, speed = self.collide(y)
+        impact, speed = self.collide(y)
         released = name.removeprefix("part ") if name.startswith("part") else ""
         after = self.choose(y, released, name.startswith("slip"))
         # a slip after which the same bodies rest only moved the load from one to the other
         moved = not name.startswith("slip") or after.directions != mode.directions
-        if told or (name and moved):
-            happenings.append(Happening(t, told or name, y[0], speed))
+        if impact or (name and moved):
+            happenings.append(Happening(t, impact or name, y[0], speed))
         return after
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sil.simulation import runner, scenario
+from sil.simulation import load_scenario, runner
 
 ShippedRun = Callable[[str], tuple[runner.Finished, Path]]
 
@@ -20,7 +20,7 @@ def shipped_run(tmp_path_factory: pytest.TempPathFactory) -> ShippedRun:
     def of(name: str) -> tuple[runner.Finished, Path]:
         if name not in known:
             folder = tmp_path_factory.mktemp(name)
-            known[name] = runner.run(scenario.load(name), folder), folder
+            known[name] = runner.run(load_scenario.load(name), folder), folder
         return known[name]
 
     return of

@@ -10,8 +10,8 @@ import pytest
 from sil.claims.claim import MET, PARTLY, check, chosen
 from sil.report.run_figure import run_figure
 from sil.simulation.in_memory import Run, run_in_memory
+from sil.simulation.load_scenario import load
 from sil.simulation.runner import run
-from sil.simulation.scenario import load
 
 
 def shift(*settings: str) -> Run:

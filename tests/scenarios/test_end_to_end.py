@@ -8,7 +8,7 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
-from sil.simulation import runner, scenario
+from sil.simulation import load_scenario, runner
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -64,7 +64,7 @@ def test_same_run_twice_gives_the_same_bits(tmp_path: Path) -> None:
     for number in ("1", "2"):
         (tmp_path / number).mkdir()
         hashes.append(
-            runner.run(scenario.load("full_shift"), tmp_path / number).result.trace_sha256
+            runner.run(load_scenario.load("full_shift"), tmp_path / number).result.trace_sha256
         )
     assert hashes[0] == hashes[1] and len(hashes[0] or "") == 64
     for file in ("bus.log", "trace.csv", "events.jsonl"):

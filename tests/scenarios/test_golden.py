@@ -12,12 +12,12 @@ from can_dbc.codec import can_id_of, decode
 from can_dbc.frame import Frame
 from can_dbc.messages import ControllerStatus
 from controller.shift import TRANSITIONS
-from sil.simulation import scenario
+from sil.simulation import load_scenario
 from tests import golden_replays
 from tests.conftest import ROOT
 
 FOLDER = ROOT / "tests" / "golden"
-NAMES = sorted(scenario.shipped())
+NAMES = sorted(load_scenario.shipped())
 
 
 def test_there_is_one_small_log_for_every_shipped_scenario() -> None:
@@ -74,10 +74,10 @@ def test_an_update_tells_what_changed_and_records_it(
     assert "valve B closes 3 samples (30 ms) later, once out of 1" in capsys.readouterr().out
 
     assert golden_replays.main([str(tmp_path), name, "--update"]) == 0
-    told = capsys.readouterr().out
-    assert "lab_n_b: recorded anew: 525 frames" in told
-    assert "valve B closes 3 samples (30 ms) later, once out of 1" in told
-    assert "gone.log.gz: removed, its scenario is gone" in told
+    output = capsys.readouterr().out
+    assert "lab_n_b: recorded anew: 525 frames" in output
+    assert "valve B closes 3 samples (30 ms) later, once out of 1" in output
+    assert "gone.log.gz: removed, its scenario is gone" in output
     assert golden_replays.golden_path(tmp_path, name).read_bytes() == whole
 
     assert golden_replays.main([str(tmp_path), name, "--update"]) == 0

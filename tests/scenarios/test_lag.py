@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sil.simulation import metrics, runner, scenario
+from sil.simulation import load_scenario, metrics, runner
 from sil.simulation.in_memory import run_in_memory
 
 PHASES_MS = range(10)
@@ -19,7 +19,7 @@ def lags(*settings: str) -> dict[str, np.ndarray]:
     """Shift the sensor, the firmware stays: the stroke begins at ten phases of their raster."""
     rows = []
     for phase in PHASES_MS:
-        loaded = scenario.load(
+        loaded = load_scenario.load(
             "lab_n_b", settings=[*settings, f"valve.D_rise={0.008 + 1e-3 * phase}"]
         )
         (shift,) = run_in_memory(loaded).shifts
@@ -42,9 +42,9 @@ def test_lag(settings: tuple[str, ...], at_10: float, at_90: float) -> None:
     of a single run is that mean, within what its one phase can know; so is the bus log's."""
     found = lags(*settings)
     assert np.ptp(found["held_10"]) > 0.005  # a single held lag depends on the phase
-    for share, told in ((10, at_10), (90, at_90)):
+    for share, expected in ((10, at_10), (90, at_90)):
         mean = float(np.mean(found[f"held_{share}"]))
-        assert mean == pytest.approx(told, abs=2.5e-3)
+        assert mean == pytest.approx(expected, abs=2.5e-3)
         for source in ("position", "bus"):
             single = found[f"{source}_lag_{share}"]
             assert float(np.mean(single)) == pytest.approx(mean, abs=1.2e-3)
@@ -62,8 +62,8 @@ def test_the_filter_makes_it_three_times_slower_and_growing() -> None:
 
 
 def test_the_metric_is_the_shifts(tmp_path: Path) -> None:
-    finished = runner.run(scenario.load("lab_n_b"), tmp_path)
-    assert finished.shifts == run_in_memory(scenario.load("lab_n_b")).shifts
+    finished = runner.run(load_scenario.load("lab_n_b"), tmp_path)
+    assert finished.shifts == run_in_memory(load_scenario.load("lab_n_b")).shifts
     figures, (shift,) = finished.result.metrics, finished.shifts
     assert figures["position_lag_10_s"] == shift.position_lag_10_s
     assert isinstance(shift, metrics.Shift)

@@ -75,3 +75,46 @@ def test_a_bad_file_is_one_line(opc4, tmp_path, command) -> None:
     done = opc4(*command, "--effects", "mine.py")
     assert done.returncode == 2 and "mine.py:1: not valid Python: '(' was never" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+CAMPAIGN = """
+name = "plan"
+rig = "length"
+atmosphere_pa = 101325.0
+temperature_k = 293.15
+sample_rate_hz = 1000.0
+[[stroke]]
+file = "one.csv"
+label = "N-B"
+kind = "N-B"
+supply_pressure_pa = 900000.0
+load = "none"
+rest_s = 60.0
+commands = [[0.01, "B", 0.98]]
+charged_before = []
+"""
+AT_61 = "    if values['force_n'] == 61.0:\n        values['none']\n    grip.add"
+NOT_A_NUMBER = (
+    "    if 0.007 < position_m < 0.0075:\n        force_n = end_m / (end_m - end_m)\n    left_m"
+)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code", "message"),
+    [
+        (
+            "    grip.add",
+            AT_61,
+            2,
+            "mine.py:28: KeyError: 'none'; expected no error at force_n=61, ",
+        ),
+        ("    left_m", NOT_A_NUMBER, 3, "one.csv: integration stopped after 0.04"),
+    ],
+)
+def test_what_shows_only_in_a_stroke_is_one_line(opc4, tmp_path, old, new, code, message) -> None:
+    (tmp_path / "mine.py").write_text(SEAL.read_text(encoding="utf-8").replace(old, new, 1))
+    (tmp_path / "plan").mkdir()
+    (tmp_path / "plan" / "campaign.toml").write_text(CAMPAIGN, encoding="utf-8")
+    done = opc4("simulate", "plan", *GIVEN, "--set", "effect.end_seal.force_n=61", "--quiet")
+    assert done.returncode == code and message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1

@@ -11,17 +11,17 @@ from can_dbc.contract import DBC_PATH
 from can_dbc.messages import ControllerStatus, PlantMotion
 from sil.log_replay.replay import ReplayRequest, ReplayResult, replay
 from sil.logs import open_log
-from sil.simulation import runner, scenario
+from sil.simulation import load_scenario, runner
 from sil.simulation.in_memory import run_in_memory
 from tests.scenarios.conftest import ShippedRun
 
-NAMES = sorted(scenario.shipped())
+NAMES = sorted(load_scenario.shipped())
 SOME = ("bus_off", "full_shift", "late_valve_commands", "strategy_predictive")
 
 
 def recorded(folder: Path, name: str, *settings: str) -> Path:
     folder.mkdir()
-    runner.run(scenario.load(name, settings=settings), folder)
+    runner.run(load_scenario.load(name, settings=settings), folder)
     return folder / "bus.log"
 
 
@@ -61,13 +61,13 @@ def coil_edges_ns(log: Path, period_ns: int) -> dict[tuple[str, bool], list[int]
     for frame in open_log(log):
         tick = frame.time_ns // period_ns
         if frame.can_id == valves.frame_id:
-            told = valves.decode(frame.data, decode_choices=False)
+            signals = valves.decode(frame.data, decode_choices=False)
             for c in "BNF":
-                by_tick.setdefault(tick, {})[c] = told[f"Duty{c}"] > 33.0
+                by_tick.setdefault(tick, {})[c] = signals[f"Duty{c}"] > 33.0
         elif frame.can_id == blow.frame_id:
-            told = blow.decode(frame.data, decode_choices=False)
-            if told["BlowActive"]:
-                by_tick[tick]["BNF"[int(told["BlowChamber"])]] = True
+            signals = blow.decode(frame.data, decode_choices=False)
+            if signals["BlowActive"]:
+                by_tick[tick]["BNF"[int(signals["BlowChamber"])]] = True
     edges: dict[tuple[str, bool], list[int]] = {}
     before = dict.fromkeys("BNF", False)
     for tick in sorted(by_tick):
@@ -93,7 +93,7 @@ def test_the_filter_removed_moves_every_edge_as_two_runs_say(
         chamber = result.signal.name[-1]
         assert not result.matching.dropped and not result.matching.added
         for up in (True, False):
-            told = [
+            moves = [
                 shift
                 for (i, _), shift in zip(result.matching.pairs, result.shift_ns, strict=True)
                 if result.signal.recorded[i].up is up
@@ -102,8 +102,8 @@ def test_the_filter_removed_moves_every_edge_as_two_runs_say(
                 y - x
                 for x, y in zip(a.get((chamber, up), []), b.get((chamber, up), []), strict=True)
             ]
-            assert told == runs
-            moved += sum(1 for shift in told if shift)
+            assert moves == runs
+            moved += sum(1 for shift in moves if shift)
     assert moved >= 1
 
 
@@ -122,7 +122,7 @@ def test_the_loop_closed_gives_what_a_run_of_that_firmware_gives(
     log = shipped_run(name)[1] / "bus.log"
     found = replay(ReplayRequest(str(log), settings=[setting], closed_loop=True))
     assert found.plant is not None and found.plant.closed_ns == closed_ns
-    run = run_in_memory(scenario.load(name, settings=[setting])).record
+    run = run_in_memory(load_scenario.load(name, settings=[setting])).record
     positions = [motion.position_m for _, motion in run.of(PlantMotion)]
     assert [p.replayed_m for p in found.plant.positions][: len(positions)] == positions
     period_ns, states = found.grid.period_ns, []
@@ -138,7 +138,7 @@ def test_a_loop_that_never_parts_stays_open(shipped_run: ShippedRun) -> None:
     assert not found.differs and found.plant is not None and found.plant.closed_ns is None
 
 
-def test_a_plant_that_is_another_is_told_from_a_unit_that_is_another(
+def test_a_plant_that_is_another_is_reported_from_a_unit_that_is_another(
     shipped_run: ShippedRun,
 ) -> None:
     log = shipped_run("lab_n_b")[1] / "bus.log"

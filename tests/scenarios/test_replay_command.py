@@ -25,9 +25,9 @@ def test_a_run_replayed_as_it_was_and_without_its_filter(opc4: Run, tmp_path: Pa
     same = opc4("replay", "run/bus.log", "--out", "same")
     assert same.returncode == 0, same.stderr
     assert "no difference" in same.stdout
-    told = json.loads((tmp_path / "same/diff.json").read_text())
-    assert told["differs"] is False
-    assert told["frames"]["accounted"] == told["frames"]["total"] > 500
+    output = json.loads((tmp_path / "same/diff.json").read_text())
+    assert output["differs"] is False
+    assert output["frames"]["accounted"] == output["frames"]["total"] > 500
 
     changed = opc4("replay", "run/bus.log", "--set", "controller.filter=false", "--out", "changed")
     assert changed.returncode == 1, changed.stderr
@@ -61,8 +61,8 @@ def test_a_log_with_other_identifiers_needs_their_database(
     assert main(call) == 0
     assert json.loads(capsys.readouterr().out)["kind"] == "truck"  # of whichever control unit
     assert main([*call, "--dbc", str(database), "--force"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["ticks"] == 70 and told["frames"]["foreign"] == 0
+    output = json.loads(capsys.readouterr().out)
+    assert output["ticks"] == 70 and output["frames"]["foreign"] == 0
 
 
 def test_tolerances_from_a_file_and_a_folder_that_is_taken(

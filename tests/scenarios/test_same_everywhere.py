@@ -16,14 +16,14 @@ import pytest
 from can_dbc.errors import InputError
 from can_dbc.frame import Frame
 from sil.coupling.transports.link import open_link, take_part
-from sil.simulation import runner, scenario
+from sil.simulation import load_scenario, runner
 from tests.conftest import ROOT
 from tests.scenarios.conftest import ShippedRun
 
 
 def run(folder: Path, name: str, **how: object) -> runner.Finished:
     folder.mkdir()
-    return runner.run(scenario.load(name), folder, **how)  # type: ignore[arg-type]
+    return runner.run(load_scenario.load(name), folder, **how)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", ["lab_n_b", "lost_frames", "dead_controller"])
@@ -53,7 +53,7 @@ def test_another_seed_matters_only_where_something_is_random(tmp_path: Path) -> 
         for seed in (1, 2):
             folder = tmp_path / f"{name}-{seed}"
             folder.mkdir()
-            finished = runner.run(scenario.load(name, seed=seed), folder)
+            finished = runner.run(load_scenario.load(name, seed=seed), folder)
             hashes[name, seed] = finished.result.trace_sha256
     assert hashes["lab_n_b", 1] == hashes["lab_n_b", 2]
     assert hashes["lost_frames", 1] != hashes["lost_frames", 2]
@@ -61,28 +61,28 @@ def test_another_seed_matters_only_where_something_is_random(tmp_path: Path) -> 
 
 def test_a_speed_that_cannot_be_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="real-time factor"):
-        runner.run(scenario.load("lab_n_b"), tmp_path, speed=0.0)
+        runner.run(load_scenario.load("lab_n_b"), tmp_path, speed=0.0)
     with pytest.raises(InputError, match="--external"):
-        runner.run(scenario.load("lab_n_b"), tmp_path, external=["plant"])
+        runner.run(load_scenario.load("lab_n_b"), tmp_path, external=["plant"])
 
 
 @pytest.mark.parametrize("transport", ["inproc", "local"])
 @pytest.mark.parametrize(
-    ("setting", "told"),
+    ("setting", "complaint"),
     [
         ("position_sensor.t_mid=1", "sensor.capture_s: 0.0015; expected at least"),
         ("length.V_N0=6e-5", "length.V_N0: 6e-05 m^3 leaves chamber N no volume"),
     ],
 )
 def test_what_only_the_plant_can_refuse_is_bad_input_on_every_transport(
-    transport: str, setting: str, told: str, tmp_path: Path
+    transport: str, setting: str, complaint: str, tmp_path: Path
 ) -> None:
     folder = tmp_path / "run"
     folder.mkdir()
     with pytest.raises(InputError) as caught:
-        runner.run(scenario.load("lab_n_b", settings=[setting]), folder, transport=transport)
-    assert str(caught.value).startswith(str(scenario.shipped()["lab_n_b"]) + ": ")
-    assert told in str(caught.value)
+        runner.run(load_scenario.load("lab_n_b", settings=[setting]), folder, transport=transport)
+    assert str(caught.value).startswith(str(load_scenario.shipped()["lab_n_b"]) + ": ")
+    assert complaint in str(caught.value)
     assert not folder.exists()
 
 
@@ -145,7 +145,7 @@ def test_a_plant_that_records_elsewhere_is_named(tmp_path: Path) -> None:
             words[words.index("--out") + 1] = str(tmp_path / "elsewhere")
             nodes.append(subprocess.Popen([sys.executable, "-m", "sil.cli", *words], cwd=ROOT))
 
-    loaded = scenario.load("lab_n_b")
+    loaded = load_scenario.load("lab_n_b")
     finished = runner.run(loaded, folder, transport="local", external=["plant"], say=start)
     assert nodes[0].wait(60.0) == 0
     assert not finished.result.complete
@@ -181,7 +181,7 @@ def test_a_guest_announced_in_the_scenario_sends_too(
 ) -> None:
     """The same guest gives the same bits; in one process, where it cannot join, it is refused."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
-    loaded = scenario.load("lab_n_b", settings=["bus.guest=true"])
+    loaded = load_scenario.load("lab_n_b", settings=["bus.guest=true"])
     results = []
     for name in ("first", "second"):
         (folder := tmp_path / name).mkdir()

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from sil.simulation import runner, scenario
+from sil.simulation import load_scenario, runner
 from tests.scenarios.conftest import ShippedRun
 
-NAMES = sorted(scenario.shipped())
+NAMES = sorted(load_scenario.shipped())
 
 
 def test_at_least_the_promised_scenarios_are_shipped() -> None:
@@ -73,12 +73,14 @@ def test_no_coil_is_released_during_a_handover(name: str, shipped_run: ShippedRu
 
 def test_a_result_runs_again_as_it_was(tmp_path: Path) -> None:
     first = runner.run(
-        scenario.load("lab_n_b", settings=["valve.D_fall=0.02", "controller.filter=false"], seed=7),
+        load_scenario.load(
+            "lab_n_b", settings=["valve.D_fall=0.02", "controller.filter=false"], seed=7
+        ),
         tmp_path,
     )
     again_folder = tmp_path / "again"
     again_folder.mkdir()
-    again = runner.run(scenario.load(str(tmp_path / "result.json")), again_folder)
+    again = runner.run(load_scenario.load(str(tmp_path / "result.json")), again_folder)
     assert again.result.trace_sha256 == first.result.trace_sha256
     assert again.result.scenario == first.result.scenario
     assert first.result.model["valve.D_fall"] == 0.02
@@ -86,7 +88,7 @@ def test_a_result_runs_again_as_it_was(tmp_path: Path) -> None:
 
 def test_an_expectation_that_does_not_hold_fails_the_run(tmp_path: Path) -> None:
     finished = runner.run(
-        scenario.load("lab_n_b", settings=["expect.final_gear=forward"]), tmp_path
+        load_scenario.load("lab_n_b", settings=["expect.final_gear=forward"]), tmp_path
     )
     assert finished.result.complete and not finished.result.passed
     assert finished.result.status == "failed"

@@ -8,7 +8,7 @@ import pytest
 
 from controller.learning import METHODS
 from controller.strategies import NAMES
-from sil.simulation import runner, scenario
+from sil.simulation import load_scenario, runner
 from sil.simulation.in_memory import run_in_memory
 from tests.bench.strategies import cost, learning_cost
 
@@ -16,14 +16,14 @@ STRATEGIES = [name for name in NAMES if name != "open_loop"]
 
 
 def test_every_strategy_has_a_scenario() -> None:
-    assert {f"strategy_{name}" for name in STRATEGIES} <= set(scenario.shipped())
+    assert {f"strategy_{name}" for name in STRATEGIES} <= set(load_scenario.shipped())
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STRATEGIES)
 def test_same_bits_in_its_own_process(name: str, tmp_path: Path) -> None:
-    memory = run_in_memory(scenario.load(f"strategy_{name}"))
-    finished = runner.run(scenario.load(f"strategy_{name}"), tmp_path, transport="local")
+    memory = run_in_memory(load_scenario.load(f"strategy_{name}"))
+    finished = runner.run(load_scenario.load(f"strategy_{name}"), tmp_path, transport="local")
     assert finished.result.passed
     assert finished.result.scenario["controller"]["strategy"] == name
     assert finished.result.trace_sha256 == memory.trace_sha256
@@ -34,9 +34,9 @@ def test_same_bits_in_its_own_process(name: str, tmp_path: Path) -> None:
 def test_same_bits_in_its_own_process_over_vcan(name: str, tmp_path: Path) -> None:
     """Up to the stop and a little beyond: there the strategy has done all that it does."""
     gearbox = name in ("blow_cut", "synchro_brake", "fixed_programme", "learned")
-    table, _path = scenario.read(f"strategy_{name}")
+    table, _path = load_scenario.read(f"strategy_{name}")
     table["duration_s"], table["request"] = 0.4 if gearbox else 0.2, table["request"][:1]
-    loaded = scenario.from_table(table, name)
+    loaded = load_scenario.from_table(table, name)
     memory = run_in_memory(loaded)
     finished = runner.run(loaded, tmp_path, transport="vcan0")
     assert memory.shifts[-1].arrived_s is not None

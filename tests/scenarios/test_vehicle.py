@@ -31,8 +31,8 @@ from sil.logs.frame import LogFrame
 from sil.report.run_figure import run_figure
 from sil.report.vehicle_figure import without_torque
 from sil.simulation.in_memory import Run, run_in_memory
+from sil.simulation.load_scenario import load
 from sil.simulation.runner import run
-from sil.simulation.scenario import load
 
 NAME = "truck_torque_to_torque"
 RPM = 30.0 / np.pi

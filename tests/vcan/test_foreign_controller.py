@@ -84,10 +84,10 @@ def test_the_shift_of_a_c_controller_completes(
         coordinator = running.enter_context(shift(tmp_path, "out"))
         if first == "run":
             foreign = running.enter_context(joined(controller))
-        told, complaints = coordinator.communicate(timeout=PATIENCE_S)
+        reported, complaints = coordinator.communicate(timeout=PATIENCE_S)
         assert foreign.wait(5.0) == 0
-    assert coordinator.returncode == 0, complaints + told
-    result = json.loads(told)
+    assert coordinator.returncode == 0, complaints + reported
+    result = json.loads(reported)
     assert result["passed"] and result["complete"]
     assert result["metrics"]["shifts"][-1]["to_gear"] == "forward"
     assert result["metrics"]["shifts"][-1]["confirmed_s"] is not None
@@ -120,10 +120,10 @@ def test_a_second_one_is_refused_and_without_the_first_the_run_ends(
             )
             assert (second.returncode, second.stderr) == (2, "refused: reason 3\n")
             first.kill()
-        told, complaints = coordinator.communicate(timeout=PATIENCE_S)
+        reported, complaints = coordinator.communicate(timeout=PATIENCE_S)
     assert coordinator.returncode == 3
     assert "controller did not answer within 2 s: it stalled" in complaints
-    assert json.loads(told)["complete"] is False
+    assert json.loads(reported)["complete"] is False
 
 
 def test_the_tutorial_s_own_program_joins(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Recordings of vcan0 by candump beside a run of either mode, and a foreign controller on it."""
+"""Recordings of vcan0 by candump next to a run of either mode, and a foreign controller on it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The coupling on a real SocketCAN channel, with the tools of the trade beside it."""
+"""The coupling on a real SocketCAN channel, with the usual tools next to it."""
 
 from __future__ import annotations
 
@@ -115,10 +115,10 @@ def test_the_hash_is_the_same_at_every_speed(speed: str, recorded: Path, opc4: R
     )  # fmt: skip
     result = result_of(done)
     assert result["trace_sha256"] == expected["trace_sha256"]
-    told = result["speed"]
-    assert isinstance(told, dict)
-    assert told["loop_wall_s"] >= 0.95 * 0.7 / float(speed)
-    assert told["late_max_s"] >= told["late_p99_s"] >= told["late_p50_s"] >= 0.0
+    reported = result["speed"]
+    assert isinstance(reported, dict)
+    assert reported["loop_wall_s"] >= 0.95 * 0.7 / float(speed)
+    assert reported["late_max_s"] >= reported["late_p99_s"] >= reported["late_p50_s"] >= 0.0
 
 
 def test_canplayer_plays_our_log(recorded: Path, tmp_path: Path) -> None:
@@ -158,10 +158,10 @@ def test_kill_9_of_a_process_ends_the_run(name: str, tmp_path: Path) -> None:
             if f"\0{name}\0".encode() in Path(f"/proc/{pid}/cmdline").read_bytes()
         )
         os.kill(victim, signal.SIGKILL)
-        told, complaints = process.communicate(timeout=PATIENCE_S)
+        reported, complaints = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 3
     assert f"{name} was killed by SIGKILL (at 0." in complaints
-    result = json.loads(told)
+    result = json.loads(reported)
     assert result["complete"] is False and name in result["why"]
     frames = frames_of(log)
     assert len(frames) >= 100

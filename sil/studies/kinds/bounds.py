@@ -1,7 +1,9 @@
 """Rows that are bounds: the softest stop found for a family of loads at an information delay.
 
 A row sets `bound.family`, `bound.delay_s` and if wanted `bound.extra_s`, `bound.valves`,
-`bound.simulations` and `bound.known`, the share to which the impulse is known before the stroke; all other settings change the model. `sil.studies.bound_search` searches, twice.
+`bound.simulations` and `bound.hunts` of each search, and `bound.known`, the share to which the impulse
+is known before the stroke; all other settings change the model. `sil.studies.bound_search` searches,
+twice.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from plant.parameters import ParameterSet, load
 from sil.report.figure import MS, Figure, Floats, Panel, Rule, Series, Span, Stack
 from sil.studies.bound_search import (
     HALVINGS,
+    HUNTS,
     Search,
     arrivals_of,
     stem_switches,
@@ -43,7 +46,7 @@ LAST_MS = 64.0
 """Right end of the figure."""
 
 
-SETTINGS = ("family", "delay_s", "extra_s", "valves", "simulations", "known")
+SETTINGS = ("family", "delay_s", "extra_s", "valves", "simulations", "hunts", "known")
 """Settings `bound....` of a row."""
 
 COLUMNS = (
@@ -65,6 +68,8 @@ COLUMNS = (
 PARTS = [f"1/{1 << k}" for k in range(HALVINGS - 1, 0, -1)]
 """Parts of the budget at which the searches' best so far is stored; the last is the whole."""
 HISTORY = tuple(f"search_{k}_m_s {part}" for k in (1, 2) for part in PARTS)
+MOST_HUNTS = 1000
+"""Hunts of a search, at most."""
 KNOWN_SHARE = 20
 """The search for one known load has the budget of the family divided by this."""
 KNOWN = "impulse known before the stroke to +-, %"
@@ -86,16 +91,16 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     own, model = row.split({"bound": SETTINGS})
     for name, allowed in (("family", FAMILIES), ("valves", VALVES)):
         if own.setdefault(name, "all" if name == "valves" else "") not in allowed:
-            raise InputError(f"bound.{name}: {own[name]!r}; expected {', '.join(allowed)}")
+            shown = repr(own[name]) if own[name] else "missing"
+            raise InputError(f"bound.{name}: {shown}; expected {', '.join(allowed)}")
     table, family = study.study.bounds, FAMILIES[str(own["family"])]
     delay_s = number("delay_s", own.get("delay_s"), -1.0)
     extra_s = number("extra_s", own.get("extra_s", table.extra_s), 0.0)
     valves = VALVES[str(own["valves"])]
     parameters = load(study.study.model).override(model)  # type: ignore[arg-type]
     values = tuple(sorted(model.items()))
-    budget = own.get("simulations", table.simulations)
-    if isinstance(budget, bool) or not isinstance(budget, int) or budget < 1:
-        raise InputError(f"bound.simulations: {budget!r}; expected a whole number from 1")
+    budget = count("simulations", own.get("simulations", table.simulations))
+    hunts = count("hunts", own.get("hunts", HUNTS), MOST_HUNTS)
     parts = [family]
     if "known" in own:
         if family is not GEARBOX:
@@ -103,7 +108,15 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
         parts = around(family, number("known", own["known"], 0.0, ""))
     found = [
         searched(
-            parameters, each, delay_s, extra_s, valves, table, budget // len(parts), len(parts) > 1
+            parameters,
+            each,
+            delay_s,
+            extra_s,
+            valves,
+            table,
+            budget // len(parts),
+            hunts,
+            len(parts) > 1,
         )
         for each in parts
     ]
@@ -156,25 +169,38 @@ def searched(
     valves: str,
     table: BoundsTable,
     budget: int,
+    hunts: int,
     nearby: bool,
 ) -> Found:
     """Search the softest policy of a family twice, each with a budget of simulations.
 
-    nearby: its loads are nearly the same, so that few pulses serve them all.
+    nearby: its loads are nearly the same, so that few pulses serve them all. If the release is known
+    ahead, half of the budget goes to policies that do not use it.
     """
     model = FamilyModel(parameters, family, delay_s, extra_s)
-    pulses, branch = 1, 1
+    shapes = [(1, 1)]  # pulses of each valve in a segment, and in a branch
     late = (model.plain.revealed_s + delay_s > model.limit_s - USELESS_S).all()
     if nearby and (late or model.loads == 1):
-        pulses, branch = 2, 0
+        shapes = [(2, 0)]
+    elif nearby and delay_s < 0.0:
+        shapes = [(2, 0), (1, 1)]
     elif late:
-        pulses, branch, budget = 4, 0, budget // 4
-    searches = [Search(model, valves, pulses, branch, table.seed + k) for k in range(2)]
-    history = np.array([search.run(max(budget, 1)) for search in searches])
-    best = min((search.best for search in searches), key=lambda policy: policy.cost_m_s)
+        shapes, budget = [(4, 0)], budget // 4
+    history, policies = [], []
+    for seed in (table.seed, table.seed + 1):
+        searches = [Search(model, valves, *shape, seed) for shape in shapes]
+        parts = [search.run(max(budget // len(shapes), 1), hunts) for search in searches]
+        policies += [search.best for search in searches]
+        # the first has half of the budget, so the whole of its own is a half of both
+        history.append(
+            parts[0] if len(parts) == 1 else [*parts[0][1:], min(each[-1] for each in parts)]
+        )
+    best = min(policies, key=lambda policy: policy.cost_m_s)
     arrivals = arrivals_of(model, best)
     lost_s = float((arrivals.arrival_s[0, 0] - model.plain.arrival_s[0, 0]).max())
-    return Found(best.cost_m_s, history, arrivals, lost_s, stem_switches(best), model.runs)
+    return Found(
+        best.cost_m_s, np.array(history), arrivals, lost_s, stem_switches(best), model.runs
+    )
 
 
 def around(family: Family, known: float) -> list[Family]:
@@ -193,9 +219,17 @@ def around(family: Family, known: float) -> list[Family]:
     return found
 
 
+def count(name: str, value: Setting, most: int = 10**9) -> int:
+    """Return a whole number of the row's settings, 1 to `most`. Raises InputError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
+        raise InputError(f"bound.{name}: {value!r}; expected a whole number, 1 to {most}")
+    return value
+
+
 def number(name: str, value: Setting | None, low: float, unit: str = " s") -> float:
     """Return a number of the row's settings, `low` to 1. Raises InputError for anything else."""
-    expected = f"bound.{name}: {value!r}; expected {low:g} to 1{unit}"
+    shown = "missing" if value is None else repr(value)
+    expected = f"bound.{name}: {shown}; expected {low:g} to 1{unit}"
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= 1.0:
         raise InputError(expected)
     return float(value)
@@ -330,7 +364,7 @@ def _convergence(study: LoadedStudy, table: Table) -> Figure:
 
 def _variants(table: Table) -> list[str]:
     """Return the variant of each row, or the delays of its valves if they are swept."""
-    if "valve.D_rise" not in table.numbers or "valve.D_fall" not in table.numbers:
+    if "variant" in table.texts or not {"valve.D_rise", "valve.D_fall"} <= table.numbers.keys():
         return table.texts.get("variant", [""] * table.size)
     delays_s = zip(table.numbers["valve.D_rise"], table.numbers["valve.D_fall"], strict=True)
     return [f"opens {MS * rise:g}, closes {MS * fall:g} ms" for rise, fall in delays_s]

@@ -27,7 +27,7 @@ from sil.coupling.frame_bits import frame_bits
 from sil.recording.run_record import BusFrame
 from sil.report.figure import MS, Figure, Note, Panel, Span, Stack
 from sil.simulation.in_memory import Run, run_in_memory
-from sil.simulation.scenario import Loaded
+from sil.simulation.load_scenario import Loaded
 from sil.studies.figures import numbered, row_labels
 from sil.studies.rows import FAILED, RowResult
 from sil.studies.study import LoadedStudy, Row

@@ -12,7 +12,7 @@ from can_dbc.messages import ControllerStatus, Fault
 from sil.report.figure import Figure
 from sil.simulation import safety
 from sil.simulation.in_memory import Run, run_in_memory
-from sil.simulation.scenario import Loaded
+from sil.simulation.load_scenario import Loaded
 from sil.studies.fault_table import fault_table, outcomes_figure
 from sil.studies.figures import swept_figures
 from sil.studies.rows import FAILED, PASSED, RowResult

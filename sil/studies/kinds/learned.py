@@ -16,11 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from can_dbc import typed_toml
+from controller.learning import Sensitivities
 from sil.report.figure import MS, Figure, Panel, Rule, Series, Stack
 from sil.simulation.in_memory import run_in_memory
-from sil.simulation.scenario import Loaded
+from sil.simulation.load_scenario import Loaded
 from sil.studies.figures import title_of
-from sil.studies.fleet import EXAM_N_S, Drawn, Truck, TruckTable, truck_table
+from sil.studies.fleet import EXAM_N_S, OWN, Drawn, Truck, TruckTable, truck_table
 from sil.studies.kinds.bounds import KNOWN, SHIPPED, known_panel
 from sil.studies.rows import FAILED, PASSED, RowResult
 from sil.studies.study import LoadedStudy, Row, texts_of
@@ -47,6 +49,10 @@ COLUMNS = (
 )
 LEARNED = "learned"
 """The strategy that has a memory, and that claims the two limits."""
+MODES = "forgets", "knows"
+"""Settings of a strategy: see `run_shifts`."""
+TABLES_OPEN_S, TABLES_MESH_N = 0.0083, 1300.0
+"""Opening delay and meshing force for which the strategy's programmes were made."""
 HARDER_M_S = 0.05
 LONGER_S = 0.03
 """Limits against the open loop in the same shift."""
@@ -77,15 +83,19 @@ def run_shifts(
     drawn: Sequence[Drawn],
     memory: bytes = b"",
     forgets: bool = False,
+    knows: bool = False,
 ) -> Iterator[Outcome]:
     """Run drawn shifts one after another and yield what each did; the memory is handed on.
 
     settings: of the control unit and of other hardware. forgets: the memory is erased instead.
+    knows: the unit is given the true numbers of each shift instead (`truth`).
     Raises InputError for settings that the scenario does not accept, RunError if a run cannot finish.
     """
     learns = settings.get("controller.strategy") == LEARNED
     for each in drawn:
         known = each.known if learns else {}
+        if knows:
+            known, memory = truth(each)
         run = run_in_memory(make(texts_of({**each.settings, **known, **settings})), memory)
         memory = b"" if forgets else run.memory
         shift = run.shifts[-1]
@@ -99,6 +109,29 @@ def run_shifts(
             lost,
             memory,
         )
+
+
+def truth(drawn: Drawn) -> tuple[dict[str, Any], bytes]:
+    """Return the true numbers of a shift as strategy learned takes them: settings and memory.
+
+    The age of the reported speeds stays unknown: without any doubt of the release it does not count.
+    """
+    own = (OWN + ".{}").format
+    exact = {
+        "driveline.noise_rad_s": 0.0,
+        own("scatter"): 0.0,
+        own("close_s"): drawn.settings["valve.D_fall"],
+        own("close_per_k"): 0.0,
+        own("supply_pa"): drawn.settings["plant.supply_pressure_pa"],
+        own("impulse_per_rad_s"): drawn.known[own("impulse_per_rad_s")]
+        * (drawn.impulse_n_s / drawn.expected_n_s),
+    }
+    unit = Sensitivities()
+    later_s = drawn.settings["valve.D_rise"] - TABLES_OPEN_S
+    mesh = drawn.settings["plant.mesh_force_n"] / TABLES_MESH_N - 1.0
+    unit.values[:29] = [0.0, 0.0, 0.0, later_s, *[0.0] * 25]
+    unit.values[31:] = [mesh, 0.0, mesh, 0.0]
+    return drawn.known | exact, unit.dump()
 
 
 def columns(study: LoadedStudy) -> tuple[str, ...]:
@@ -115,8 +148,12 @@ def columns(study: LoadedStudy) -> tuple[str, ...]:
 
 def run(study: LoadedStudy, row: Row) -> RowResult:
     """Run the shifts of the row's truck. Raises InputError for settings that are not accepted."""
-    changed, own = row.split({"fleet": ("truck", "forgets"), "truck": TruckTable.__struct_fields__})
-    number, forgets = changed.pop("truck"), bool(changed.pop("forgets", False))
+    changed, own = row.split({"fleet": ("truck", *MODES), "truck": TruckTable.__struct_fields__})
+    number = changed.pop("truck")
+    modes = {
+        name: typed_toml.convert(changed.pop(name, False), bool, key=f"fleet.{name}")
+        for name in MODES
+    }
     hardware = {
         name: value
         for name, value in own.items()
@@ -134,12 +171,12 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     plain = reference(study, hardware, drawn)
     found = plain
     if own != hardware:
-        found = list(run_shifts(study.loaded, own, drawn, forgets=forgets))
+        found = list(run_shifts(study.loaded, own, drawn, b"", **modes))
     at = fleet.examined_after
     examined = [
         math.inf if each.lost else each.impact_m_s
         for shift in exam
-        for each in run_shifts(study.loaded, own, [shift], found[at - 1].memory)
+        for each in run_shifts(study.loaded, own, [shift], found[at - 1].memory, **modes)
     ]
     impact_m_s = np.array([each.impact_m_s for each in found])
     lost_s = np.array([a.time_s - b.time_s if not a.lost else math.nan
@@ -298,7 +335,8 @@ def _learning(study: LoadedStudy, table: Table) -> Panel:
 def _possible(study: LoadedStudy, table: Table) -> Panel:
     """Return the bounds over how well an impulse is known, and on them the trucks' examinations.
 
-    A strategy is drawn at two standard deviations of the scatter between shifts: 95 % of them.
+    A strategy is drawn at two standard deviations of the scatter between shifts: 95 % of them, at 0
+    if it is given the true numbers; those at one scatter are drawn next to each other.
     """
     with open(SHIPPED.with_name("bounds_known.csv"), encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -306,13 +344,19 @@ def _possible(study: LoadedStudy, table: Table) -> Panel:
     panel = known_panel({name: np.array([float(row[name]) for row in rows]) for name in names})
     assert study.study.truck is not None
     scatter = {choice.name: choice.set.get("truck.cone_shift") for choice in study.study.load}
+    knows = {each.name for each in study.study.strategy if each.set.get("fleet.knows")}
     points = []
-    for k, (label, which) in enumerate(row_groups(study, table).items()):
-        sd = scatter.get(label.split(" / ")[-1]) or study.study.truck.cone_shift[0]
-        x = 200.0 * float(sd)  # type: ignore[arg-type]
+    groups = row_groups(study, table)
+    for k, (label, which) in enumerate(groups.items()):
+        sd = scatter.get(label.split(" / ")[-1])
+        sd = study.study.truck.cone_shift[0] if sd is None else sd
+        x = 0.0 if label.split(" / ")[0] in knows else 200.0 * float(sd)  # type: ignore[arg-type]
         exam_m_s = table.numbers["examined_worst_m_s"][which]
         ends = np.array([np.median(exam_m_s), exam_m_s.max()])
-        points.append(Series(label, np.full(2, x), ends, f"series{k % 8}", "marked", width=4.0))
+        apart = 0.12 * (k - len(groups) // 2) if x else 0.0
+        points.append(
+            Series(label, np.full(2, x + apart), ends, f"series{k % 8}", "marked", width=4.0)
+        )
     text = "scatter between shifts, 2 sd: assumed"
     rule = Rule(200.0 * study.study.truck.cone_shift[0], text, "faint")
     title = "Worst of the impulses; strategies: median truck and worst truck"

@@ -22,13 +22,23 @@ from sil.studies.rows import RowResult
 from sil.studies.study import LoadedStudy, Row
 from sil.studies.table import Table
 
-COLUMNS = ("certified_m_s", "found_m_s", "damper_m_s", "open_loop_m_s", "leaves", "failed")
+COLUMNS = (
+    "certified_m_s",
+    "found_m_s",
+    "all_valves_m_s",
+    "damper_m_s",
+    "open_loop_m_s",
+    "leaves",
+    "failed",
+)
+NEUTRAL = "N alone"
+"""The variant of the shipped study `bounds_valves` with the valves that the proof covers."""
 MOST_NODES = 60_000
 """Sets of commands that a proof may look at; beyond it a bound counts as not proven."""
 
 
 def columns(study: LoadedStudy) -> tuple[str, ...]:
-    """Return the certified bound, the softest policy found, damper, plain push, size of the proof."""
+    """Return the certified bound, the softest found with valve N and with all, damper, plain push, size of the proof."""
     return COLUMNS
 
 
@@ -41,7 +51,8 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
         float(FamilyModel(parameters, family, 0.0, 0.0).plain.impact_stay_m_s.max())
         for family in (GEARBOX, GEARBOX.under(load="damper"))
     )
-    found = bound_m_s, _found_m_s(held, row.settings), damper, plain, len(leaves), 0.0
+    softest = (_found_m_s(held, row.settings, name) for name in ("bounds_valves.csv", "bounds.csv"))
+    found = bound_m_s, *softest, damper, plain, len(leaves), 0.0
     return RowResult(dict(zip(COLUMNS, map(float, found), strict=True)))
 
 
@@ -54,16 +65,17 @@ def _held_model(study: LoadedStudy, row: Row) -> HeldModel:
     return HeldModel(parameters, delay_s, extra_s)
 
 
-def _found_m_s(held: HeldModel, settings: Mapping[str, object]) -> float:
-    """Return the softest policy of all valves in the shipped bounds, in m/s; NaN if none is like the row."""
+def _found_m_s(held: HeldModel, settings: Mapping[str, object], name: str) -> float:
+    """Return the softest policy, of valve N if there is a choice, in a shipped table; NaN without a row."""
     valves = ("valve.D_rise", "valve.D_fall")
     if set(settings) - {*valves, "bound.delay_s"}:
         return math.nan
     wanted = {name: held.parameters.value(name) for name in valves}
     wanted["bound.delay_s"] = held.delay_s
-    with open(SHIPPED, encoding="utf-8", newline="") as file:
+    with open(SHIPPED.with_name(name), encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
-            if all(float(row[name]) == value for name, value in wanted.items()):
+            same = all(float(row[path]) == value for path, value in wanted.items())
+            if same and row.get("variant", NEUTRAL) == NEUTRAL:
                 return float(row["bound_m_s"])
     return math.nan
 
@@ -80,15 +92,21 @@ def files(study: LoadedStudy, table: Table) -> Iterator[tuple[str, str]]:
 
 
 def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
-    """Return certified bound and softest policy found over the information delay."""
+    """Return certified bound and softest policy found over the information delay, the interval between as a line."""
     delay_ms = MS * table.numbers["bound.delay_s"]
     order = np.argsort(delay_ms)
+    certified_m_s, found_m_s = table.numbers["certified_m_s"], table.numbers["found_m_s"]
     lines = [
-        Series(name, delay_ms[order], table.numbers[column][order], role, "dots", width=4.0)
-        for name, column, role in (
-            ("certified: no braking by valve N is softer", "certified_m_s", "series0"),
-            ("softest found, all valves", "found_m_s", "series1"),
+        Series(name, delay_ms[order], speed_m_s[order], role, "dots", width=4.0)
+        for name, speed_m_s, role in (
+            ("certified: no braking by valve N is softer", certified_m_s, "series0"),
+            ("softest found, valve N", found_m_s, "series1"),
+            ("softest found, all valves", table.numbers["all_valves_m_s"], "series3"),
         )
+    ]
+    lines += [
+        Series("", np.full(2, delay_ms[k]), np.array([certified_m_s[k], found_m_s[k]]), "series1")
+        for k in order
     ]
     title, rules = "Impact speed at the stop", levels(table.numbers, 0)
     panel = Panel(title, "m/s", lines, rules=rules, limits=(0.0, 1.5), height=380)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from can_dbc.errors import RunError
+from can_dbc.errors import InputError, RunError
 from plant.effects import overridden
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.errors import IntegrationError
@@ -15,10 +19,10 @@ from plant.parameters import load
 from plant.systems.stroke import Stroke, simulate
 from sil.report.figure import BAR, MM, MS, Figure, Panel, Series, Stack
 from sil.simulation.impacts import PICK_UP, counted, worst_speed_m_s
-from sil.studies.figures import COLOURS, row_labels, swept_figures, title_of
-from sil.studies.rows import FAILED, PASSED, RowResult
+from sil.studies.figures import COLOURS, pareto_figure, row_labels, swept_figures, title_of
+from sil.studies.rows import FAILED, PASSED, RowResult, run_row
 from sil.studies.study import LoadedStudy, Row, StrokeBase
-from sil.studies.table import Table
+from sil.studies.table import Table, row_groups
 
 COLUMNS = (
     "arrival_s",
@@ -128,9 +132,40 @@ def _stroke_of(base: StrokeBase, study: LoadedStudy, row: Row) -> Stroke:
 
 
 def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
-    """Return metrics over sweeps and choices, of a small study also the strokes over time."""
+    """Return metrics over sweeps and choices, of a small study also the strokes over time.
+
+    A front has the actuator of the base next to it, with and without the oil damper.
+    """
     found = swept_figures(study, table)
+    if "pareto" in found:
+        found["pareto"] = pareto_figure(study, table, _references(study, table))
     return found | ({"curves": _curves_figure(study, table)} if study.size <= MOST_CURVES else {})
+
+
+def _references(study: LoadedStudy, table: Table) -> dict[str, dict[str, Mapping[str, float]]]:
+    """Return the figures of each group with nothing swept, without load and with the oil damper.
+
+    A swept effect is absent as a whole; what is no stroke without the swept values is left out.
+    """
+    groups: dict[str, dict[str, Mapping[str, float]]] = {}
+    swept = {_whole(sweep.path) for sweep in study.study.sweep}
+    first = {int(rows[0]): label for label, rows in row_groups(study, table).items()}
+    for row in itertools.islice(study.rows(), max(first) + 1):
+        if row.number not in first:
+            continue
+        held = {path: value for path, value in row.settings.items() if _whole(path) not in swept}
+        found = groups.setdefault(first[row.number], {})
+        for name, hung in (("nothing changed", "none"), ("oil damper", "damper")):
+            with contextlib.suppress(InputError):
+                result = run_row(study, replace(row, settings=held | {"stroke.load": hung}))
+                if result.outcome == PASSED:
+                    found[name] = result.figures
+    return groups
+
+
+def _whole(path: str) -> str:
+    """Return the effect of a path effect.ID.PARAMETER, any other path as it is."""
+    return path.rpartition(".")[0] if path.startswith("effect.") else path
 
 
 def _curves_figure(study: LoadedStudy, table: Table) -> Figure:

@@ -29,7 +29,7 @@ from can_dbc.errors import InputError, RunError
 from controller import strategies
 from sil.report.figure import VIRIDIS, ColourScale, Figure, Panel, Span, Stack
 from sil.simulation.in_memory import run_in_memory
-from sil.simulation.scenario import Loaded
+from sil.simulation.load_scenario import Loaded
 from sil.studies.figures import (
     cells_of,
     grid_of,

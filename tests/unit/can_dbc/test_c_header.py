@@ -14,13 +14,15 @@ from can_dbc.contract import DBC_PATH
 
 
 def test_every_message_has_the_identifier_of_the_dbc() -> None:
-    told = {n: int(i, 16) for n, i in re.findall(r"#define (\w+) 0x([0-9A-F]{8})u\n", header())}
+    reported = {n: int(i, 16) for n, i in re.findall(r"#define (\w+) 0x([0-9A-F]{8})u\n", header())}
     wanted = {
         re.sub(r"(?<!^)(?=[A-Z])", "_", message.name).upper(): message.frame_id
         for message in cantools.database.load_file(DBC_PATH).messages
     }
-    assert told and told.items() <= wanted.items()
-    assert {"SHIFT_REQUEST", "POSITION_PULSE", "VALVE_COMMAND", "CONTROLLER_STATUS"} <= set(told)
+    assert reported and reported.items() <= wanted.items()
+    assert {"SHIFT_REQUEST", "POSITION_PULSE", "VALVE_COMMAND", "CONTROLLER_STATUS"} <= set(
+        reported
+    )
 
 
 def test_protected_messages_have_sixteen_data_ids() -> None:

@@ -94,22 +94,9 @@ def test_problems_carry_the_name_of_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (
-            changed("0|16@1+", "0|16@3+"),
-            "x.dbc: line 5: signal Left has byte order '3'; expected 0 (big-endian) or 1",
-        ),
         (changed("BO_ 5 Speeds: 8 A", "BO_ 5 Speeds 8 A"), "x.dbc: line 4: column 14"),
         (changed('1 "slow" ;', '1 "slow'), "x.dbc: line 16: column 25: "),
-        (
-            changed("VAL_ 5 Left", "VAL_ 6 Left"),
-            "x.dbc: line 16: not a DBC that can be",
-        ),
-        (changed('"GenMsgCycleTime" BO_ 5 20', '"Nothing" BO_ 5 20'), "x.dbc: line 15: refers to"),
         (changed("Speeds: 8 A", "Speeds: 1786 A"), "x.dbc: line 4: message Speeds has 1786 bytes"),
-        (
-            changed("Speeds: 8 A", "Speeds: 9" + 30 * "9" + " A"),
-            "x.dbc: line 4: message Speeds has 99999999999999999999 bytes",
-        ),
         (changed("7|8@0+", "7|99999@0+"), "x.dbc: line 9: signal Load reaches bit 99999; expected"),
         (changed("7|8@0+", "14281|8@0+"), "x.dbc: line 9: signal Load reaches bit 14281;"),
         (
@@ -117,28 +104,12 @@ def test_problems_carry_the_name_of_the_file(tmp_path: Path) -> None:
             "x.dbc: line 8: message Speeds is declared twice",
         ),
         (
-            changed("BO_ 2566844926 Engine", "BO_ 05 Engine"),
-            "x.dbc: line 8: messages Speeds and Engine share an identifier",
-        ),
-        (
-            GOOD + "SG_MUL_VAL_ 5 Left Right 0-4000000000;\n",
-            "x.dbc: line 17: multiplexer range 0-4000000000; expected at most 4096 values",
-        ),
-        (
             GOOD + "SG_MUL_VAL_ 5 Left Right 0-1,5-" + 40 * "9" + ";\n",
             "x.dbc: line 17: multiplexer range 5-99999999999999999999; expected",
         ),
         (
-            changed("(1,0) [0|0]", "(0,0) [0|0]"),
-            "x.dbc: line 8: signal Load of Engine: factor 0",
-        ),
-        (
             changed("(1,0) [0|0]", "(1e400,0) [0|0]"),
             "x.dbc: line 8: signal Load of Engine: inf; expected a finite number",
-        ),
-        (
-            changed("BO_ 5 20", "BO_ 5 -5"),
-            "x.dbc: line 4: message Speeds: cycle time '-5'; expected 0 to 10^12",
         ),
         (
             changed("INT -10 65535", "FLOAT 0 65535").replace("BO_ 5 20", "BO_ 5 1e400"),
@@ -239,23 +210,10 @@ def test_what_is_no_text(content: bytes, expected: str) -> None:
     assert refusal(content) == expected
 
 
-def test_quoted_text_is_not_taken_for_statements() -> None:
-    """The comment in GOOD quotes a message of 9999 bytes; lines behind it still count right."""
-    assert refusal(GOOD + "nonsense\n").startswith("x.dbc: line 17: column 1: ")
-
-
 def test_large_files_are_refused_with_their_line() -> None:
     filler = f'CM_ BU_ A "{"x" * 200_000}";\n'
     line = refusal(changed("VAL_ 5 Left", "VAL_ 6 Left").replace("CM_ SG_", filler + "CM_ SG_"))
     assert line.startswith("x.dbc: line 17: not a DBC that can be understood (ValueError: unused")
-
-
-def test_long_reasons_are_cut() -> None:
-    names = [f"S{'x' * 120}{number}" for number in range(2)]
-    text = "BO_ 5 M: 8 A\n" + "".join(f' SG_ {n} : 0|8@1+ (1,0) [0|0] "" B\n' for n in names)
-    line = refusal(text)
-    assert line.endswith("...")
-    assert line.startswith("x.dbc: line 3: The signals S")
 
 
 MULTIPLEXED = """BU_: A
@@ -308,7 +266,9 @@ def test_an_error_that_names_nothing_has_no_line() -> None:
 def test_cut_reasons_have_their_length() -> None:
     names = [f"S{'x' * 120}{number}" for number in range(2)]
     text = "BO_ 5 M: 8 A\n" + "".join(f' SG_ {n} : 0|8@1+ (1,0) [0|0] "" B\n' for n in names)
-    assert len(refusal(text)) == len("x.dbc: line 3: ") + 160
+    line = refusal(text)
+    assert line.startswith("x.dbc: line 3: The signals S") and line.endswith("...")
+    assert len(line) == len("x.dbc: line 3: ") + 160
     assert dbc._reason(KeyError(158 * "x")) == f"refers to '{158 * 'x'}', which is not declared"
 
 
@@ -368,9 +328,9 @@ WORD_BY_WORD = (
 )
 
 
-@pytest.mark.parametrize(("text", "told"), WORD_BY_WORD)
-def test_refusals_word_by_word(text: str, told: str) -> None:
-    assert refusal(text) == f"x.dbc: line {told}"
+@pytest.mark.parametrize(("text", "reported"), WORD_BY_WORD)
+def test_refusals_word_by_word(text: str, reported: str) -> None:
+    assert refusal(text) == f"x.dbc: line {reported}"
 
 
 def test_limits_are_still_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

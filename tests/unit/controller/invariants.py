@@ -63,7 +63,7 @@ def check_invariants(rows: Sequence[Row], config: FirmwareConfig | None = None) 
             assert confirmed is Gear.UNKNOWN
             assert status.faults & ~(Fault.REQUEST_LOST | Fault.SPEEDS_LOST)
 
-        # a gear is confirmed only while the believed position is there, and never during a push
+        # a gear is confirmed only while the estimate is there, and never during a push
         if state in (ShiftState.PUSH, ShiftState.CONFIRM, ShiftState.INIT):
             assert confirmed is Gear.UNKNOWN
         if status.faults & (Fault.POSITION_LOST | Fault.POSITION_IMPLAUSIBLE | Fault.SENSOR_STUCK):

@@ -98,13 +98,7 @@ def test_every_number_has_bounds(kind: type[msgspec.Struct]) -> None:
 LINES = [
     ({"perid_s": 0.01}, "s.toml: perid_s: unknown; expected one of period_s"),
     ({"filter": {"ordr": 2}}, "s.toml: filter.ordr: unknown; expected one of order"),
-    (
-        {"blow": {"x": 1}},
-        "s.toml: blow.x: unknown; expected one of duration_s, cut",
-    ),
     ({"period_s": 0.03}, "s.toml: period_s: 0.03 is wrong; expected number <= 0.02"),
-    ({"period_s": "fast"}, "s.toml: period_s: 'fast' is wrong; expected number"),
-    ({"blow": {"cut": 1}}, "s.toml: blow.cut: 1 is wrong; expected text"),
     ({"filter": 3}, "s.toml: filter: 3 is wrong; expected table"),
     (
         {"blow": {"cut": "early"}},

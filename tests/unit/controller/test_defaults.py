@@ -14,7 +14,7 @@ import pytest
 
 from can_dbc.errors import InputError
 from can_dbc.messages import Chamber, Gear
-from controller.config import FirmwareConfig, create_strategy
+from controller.config import FirmwareConfig
 from controller.estimator import ObserverSettings
 from controller.light_model import ModelSettings
 from controller.settings import (
@@ -108,10 +108,5 @@ def test_commands_and_defaults_of_a_push() -> None:
     nobody = ShiftContext(
         Gear.NEUTRAL, Gear.NEUTRAL, Chamber.N, Chamber.B, 0, 0, (None, None, None)
     )
-    assert nobody[-3:] == (None, 0, None)
+    assert nobody[-4:] == (None, 0, None, True)
     assert OFF == (0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize("name", list(NAMES))
-def test_a_strategy_knows_its_name(name: str) -> None:
-    assert create_strategy(FirmwareConfig(strategy=name)).name == name

@@ -95,11 +95,6 @@ class TestShifts:
         ).run(900)
         assert rig.when(S.PUSH, 1) == 250 * MS
 
-    def test_without_speeds_the_blow_is_full(self) -> None:
-        rig = shift(F, (100, B)).run(900)
-        assert rig.spent_ms(S.BLOW) == pytest.approx(300.0)
-        assert rig.last.status.faults == Fault.SPEEDS_LOST
-
     def test_waits_for_the_speeds_when_told_to(self) -> None:
         config = FirmwareConfig(shift=ShiftConfig(wait_for_sync=True))
         rig = shift(
@@ -191,8 +186,8 @@ class TestChangingRequests:
 
     def test_a_driver_who_cannot_decide(self) -> None:
         gears = [B, F, N, F, B]
-        wishes = [(100.0 + 35.0 * i, gears[i * i % 5]) for i in range(60)]
-        rig = shift(N, *wishes, (2300, F)).run(3500)
+        requests = [(100.0 + 35.0 * i, gears[i * i % 5]) for i in range(60)]
+        rig = shift(N, *requests, (2300, F)).run(3500)
         check_invariants(rig.rows)
         assert not rig.faults() & ~Fault.SPEEDS_LOST
         assert rig.last.status.confirmed is F

@@ -50,7 +50,7 @@ class TestPositionFaults:
         assert at.state is S.FAULT
         assert at.out.status.faults & Fault.POSITION_LOST
         check_invariants(rig.rows)
-        # the position is back, the fault stays told, until another request comes
+        # the position is back, the fault stays reported, until another request comes
         assert rig.last.status.state is S.FAULT
         assert rig.last.status.faults == Fault.POSITION_LOST | Fault.SPEEDS_LOST
         rig.run(1800)
@@ -151,8 +151,8 @@ class TestPositionFaults:
         assert S.PUSH in states
         assert states[-1] is S.FAULT
         assert {r.out.status.confirmed for r in rig.rows if r.time_ns >= 100 * MS} == {U}
-        told = [r.out.status.faults for r in rig.rows if 700 * MS <= r.time_ns < 1590 * MS]
-        assert all(f & Fault.SENSOR_STUCK for f in told)
+        reported = [r.out.status.faults for r in rig.rows if 700 * MS <= r.time_ns < 1590 * MS]
+        assert all(f & Fault.SENSOR_STUCK for f in reported)
         # it comes back to life: the push for neutral cannot show it, the one for forward does
         rig.stay.position_m = 0.004
         rig.run(3500)

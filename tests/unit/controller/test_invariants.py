@@ -152,7 +152,7 @@ def test_promises_hold_at_length(config: FirmwareConfig, scenes: list[Scene]) ->
 def troubled(draw: st.DrawFn) -> Rig:
     """A rig with a restless driver, a stay that may be blocked, a sensor that fails at times."""
     gears = st.sampled_from([Gear.NEUTRAL, Gear.BACKWARD, Gear.FORWARD])
-    wishes = [(100.0 + 10.0 * draw(st.integers(0, 150)), draw(gears)) for _ in range(8)]
+    requests = [(100.0 + 10.0 * draw(st.integers(0, 150)), draw(gears)) for _ in range(8)]
     start_m = draw(st.sampled_from([0.0, 0.01285, -0.01285]))
     fault = draw(st.sampled_from(["none", "none", "lost", "stuck", "spikes", "silent"]))
     begin_ns = draw(st.integers(10, 150)) * 10 * MS
@@ -177,7 +177,7 @@ def troubled(draw: st.DrawFn) -> Rig:
 
     return Rig(
         stay=Stay(position_m=start_m, block_m=draw(st.sampled_from([None, None, 0.006]))),
-        request=asks((0.0, Gear.NEUTRAL), *sorted(wishes)),
+        request=asks((0.0, Gear.NEUTRAL), *sorted(requests)),
         speeds=lambda now_ns: DrivelineSpeeds(0.0, 0.0),
         pulse=pulse,
         position_state=position_state,

@@ -42,7 +42,7 @@ def held(
     """Return (time, estimate) of every status while the stay moves along a path."""
     firmware = Firmware(config)
     sensor_s = config.sensor.period_s
-    told: list[tuple[float, float]] = []
+    reported: list[tuple[float, float]] = []
     taken = 0
     for k in range(round(0.35 / config.period_s)):
         tick_s = k * config.period_s
@@ -53,12 +53,12 @@ def held(
             taken += 1
         inputs = Inputs(tuple(pulses), position_state=E2eState.VALID)
         out = firmware.step(k * config.period_ns, inputs)
-        told.append((tick_s + PUBLISHED_S, out.status.estimate_m))
-    return told
+        reported.append((tick_s + PUBLISHED_S, out.status.estimate_m))
+    return reported
 
 
-def first_above(told: list[tuple[float, float]], level_m: float) -> float:
-    return next(time_s for time_s, estimate_m in told if estimate_m >= level_m)
+def first_above(reported: list[tuple[float, float]], level_m: float) -> float:
+    return next(time_s for time_s, estimate_m in reported if estimate_m >= level_m)
 
 
 def lags_ms(config: FirmwareConfig, path: Path, lead_s: float) -> tuple[float, float]:
@@ -66,10 +66,10 @@ def lags_ms(config: FirmwareConfig, path: Path, lead_s: float) -> tuple[float, f
     low_s = high_s = 0.0
     for phase in range(PHASES):
         started_s = 0.1 + phase / PHASES * config.period_s
-        told = held(config, path, started_s, lead_s)
+        reported = held(config, path, started_s, lead_s)
         for share in (0.1, 0.9):
             true_s = next(t * 1e-5 for t in range(2000) if path(t * 1e-5) >= share * STROKE_M)
-            lag_s = first_above(told, share * STROKE_M) - started_s - true_s
+            lag_s = first_above(reported, share * STROKE_M) - started_s - true_s
             if share == 0.1:
                 low_s += lag_s
             else:
@@ -113,8 +113,8 @@ def test_a_slow_ramp_lags_by_the_closed_form() -> None:
     lags = []
     for phase in range(PHASES):
         started_s = 0.1 + phase / PHASES * 0.01
-        told = held(FirmwareConfig(), slow, started_s, 0.005)
-        lags.append(first_above(told, 0.008) - started_s - 0.16)
+        reported = held(FirmwareConfig(), slow, started_s, 0.005)
+        lags.append(first_above(reported, 0.008) - started_s - 0.16)
     mean_ms = 1e3 * sum(lags) / PHASES
     closed_ms = 1e3 * delay_at_rest_s(6, 22.0, 100.0) + 5.0 - 0.45 + 0.4 + 5.0
     assert mean_ms == pytest.approx(closed_ms, abs=0.7)  # a timer tick is 0.9 ms of this ramp

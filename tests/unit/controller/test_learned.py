@@ -45,6 +45,7 @@ def push(
     report_ms: int = 10,
     healthy: bool = True,
     confirmed: bool = True,
+    first_rad_s: float = 0.0,
     **shift: Any,
 ) -> list[Duties]:
     """Push with a synchronizer that takes `friction` times the impulse that its speeds call for.
@@ -66,6 +67,8 @@ def push(
             at_s = max(at_s - later_s, strategy._undisturbed_s)
         share = exp(TABLE.spent(at_s)[0]) / (friction * impulse_n_s + 1e-9) if ms > 60 else 0.0
         apart_rad_s = before_rad_s * max(0.0, 1.0 - share) if ms < lost_ms else None
+        if ms == 0 and apart_rad_s is not None:
+            apart_rad_s += first_rad_s
         position_m = 0.012 if share > 1.0 else 0.005
         estimate = Estimate(
             True, position_m, position_m, 0.0, (Sample(position_m, position_m, 0.0),)
@@ -137,8 +140,9 @@ def test_the_speeds_of_this_shift_correct_what_is_expected() -> None:
         {"leg": Gear.NEUTRAL, "charged": Chamber.B},
         {"attempt": 1},
         {"energised_ns": (None, 10**9 - 100 * MS, None)},
+        {"steady": False},
     ],
-    ids=["neutral", "again", "air in N"],
+    ids=["neutral", "again", "air in N", "speeds have jumped"],
 )
 def test_the_plain_push(changed: dict[str, Any]) -> None:
     strategy = practised()
@@ -149,8 +153,35 @@ def test_the_plain_push(changed: dict[str, Any]) -> None:
 
 
 def test_filled_before_power_on() -> None:
-    assert plain(push(practised(rest_s=0.2), 140.0))
-    assert not plain(push(practised(rest_s=0.3), 140.0))
+    assert plain(push(practised(rest_s=0.19), 140.0))
+    assert not plain(push(practised(rest_s=0.2), 140.0))
+
+
+def test_air_left_in_neutral_delays_the_release_that_is_expected() -> None:
+    """Filled 0.2 s ago it delays by 1 ms; less by e-folds later, more behind valves that close late."""
+    expected_s = []
+    for rest_s, coil_k in ((60.0, 293.15), (0.2, 293.15), (0.2265, 293.15), (0.2, 280.0)):
+        strategy = practised(rest_s=rest_s)
+        push(strategy, 140.0, coil_k=coil_k)
+        assert strategy._expected is not None
+        expected_s.append(strategy._late_s - strategy.parameters.late_s)
+    assert expected_s[:3] == pytest.approx([0.0, 0.001, 0.001 / 2.71828], abs=1e-8)
+    assert 0.00105 < expected_s[3] < 0.0012
+    slow = practised(rest_s=0.2, close_s=0.036)
+    push(slow, 140.0, coil_k=293.15)
+    assert slow._late_s - slow.parameters.late_s == pytest.approx(0.001 * exp(1.0 / 26.5))
+    later = practised(rest_s=0.2)
+    push(later, 140.0)
+    empty = practised()
+    push(empty, 140.0)
+    assert later._expected is not None and empty._expected is not None
+    assert later._expected.prior_s - empty._expected.prior_s == pytest.approx(0.001)
+
+
+def test_a_blow_of_this_unit_ends_a_step_after_it_was_commanded_last() -> None:
+    for blown_ms, acts in ((200, False), (210, True)):
+        filled = (None, 10**9 - blown_ms * MS, None)
+        assert plain(push(practised(), 140.0, energised_ns=filled)) != acts
 
 
 def test_without_speeds_and_without_a_fall_of_them() -> None:
@@ -165,6 +196,23 @@ def test_without_speeds_and_without_a_fall_of_them() -> None:
     given = push(strategy, 140.0, lost_ms=150)
     assert given[15:] == [PUSHES] * len(given[15:])
     assert strategy.correction.values == practised().correction.values
+
+
+@pytest.mark.parametrize("impulse_n_s", [35.0, 100.0])
+def test_a_synchronizer_that_works_far_too_little_makes_the_push_plain(impulse_n_s: float) -> None:
+    assert not plain(push(practised(), impulse_n_s))
+    assert plain(push(practised(), impulse_n_s, friction=6.0))
+
+
+def test_speeds_that_jump_before_the_push_make_it_plain() -> None:
+    assert not plain(push(practised(), 100.0, first_rad_s=2.0))
+    assert plain(push(practised(), 100.0, first_rad_s=5.0))
+
+
+def test_speeds_that_differ_in_a_gear_make_the_next_two_pushes_plain() -> None:
+    strategy = practised()
+    push(strategy, 140.0, until_ms=150)
+    assert [plain(push(strategy, 100.0)) for _ in range(3)] == [True, True, False]
 
 
 def test_reports_at_every_second_step_are_enough() -> None:
@@ -192,13 +240,21 @@ def test_after_a_fault_two_pushes_are_plain_and_nothing_is_practised(end: dict[s
 def test_known_to_be_light_strong_known_to_be_heavy_plain() -> None:
     """The meshing force decides; light shifts that stop at the teeth, or do not, teach it."""
     given = []
-    for mesh in (0.0, -0.05, 0.09):
+    for mesh in (0.0, -0.05, 0.13):
         strategy = practised()
         strategy.correction.resisted(0, mesh, 1e-5)
         given.append([push(strategy, n_s) for n_s in (65.0, 95.0, 150.0, 230.0)])
     strong, lighter, heavy = given
     assert strong == lighter != [push(practised(), n_s) for n_s in (65.0, 95.0, 150.0, 230.0)]
     assert all(plain(each) for each in heavy)
+
+
+def test_the_context_is_where_the_impulse_is_in_the_tables() -> None:
+    strategy = practised()
+    for impulse_n_s, share in ((16.0, 0.0), (66.3, 0.5), (275.0, 1.0)):
+        push(strategy, impulse_n_s)
+        assert strategy._expected is not None
+        assert strategy._expected.context.share == pytest.approx(share, abs=0.005)
 
 
 @pytest.mark.parametrize(("travel_s", "sign"), [(0.021, 0), (0.025, -1), (0.08, 1)])
@@ -222,6 +278,14 @@ def test_an_outlier_teaches_nothing_and_three_do() -> None:
         assert strategy.correction.values == practised().correction.values
     push(strategy, 35.0, friction=1.9)
     assert strategy.correction.values != practised().correction.values
+
+
+def test_outliers_in_a_row_are_evidence_those_between_good_pushes_are_not() -> None:
+    strategy = practised()
+    for _ in range(4):
+        push(strategy, 35.0, friction=1.9)
+        push(strategy, 35.0)
+    assert strategy.correction.values[5] < practised().correction.fresh[5] / 2.0
 
 
 def test_a_push_that_ends_before_the_release_teaches_nothing() -> None:

@@ -68,6 +68,7 @@ def test_any_bytes_are_survived(name: str, memory: bytes) -> None:
     ("magic", "version", "number", "value"),
     [
         (b"OPC5", VERSION, 0, 0.0),
+        (MAGIC, 2, 0, 0.0),
         (MAGIC, VERSION + 1, 0, 0.0),
         (MAGIC, VERSION, 99, 0.0),
         (MAGIC, VERSION, 0, float("nan")),

@@ -220,13 +220,13 @@ def test_observer_without_errors_is_the_model() -> None:
 def test_observer_finds_a_load_that_holds_the_stay() -> None:
     config = FirmwareConfig(filter=FilterConfig(enabled=False))
     observer = Observer(config, ModelSettings(), ObserverSettings())
-    believed = []
+    estimated = []
     for tick in range(1, 21):
         observer.advance(tick * 0.01, 0.0, 1)  # it does not move
         observer.command(True, False)
-        believed.append(observer.travelled_m)
+        estimated.append(observer.travelled_m)
     assert observer.motion.load_n > 500.0
-    assert max(believed[-5:]) < 0.5 * STROKE_M
+    assert max(estimated[-5:]) < 0.5 * STROKE_M
 
 
 def test_observer_forgets_on_reset() -> None:

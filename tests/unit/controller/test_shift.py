@@ -243,15 +243,6 @@ class TestPush:
         assert bench.until(S.IDLE) == 110
         assert bench.machine.confirmed is B
 
-    def test_a_retry_is_not_taken_for_stuck(self) -> None:
-        """It stands where the first attempt left it: blocked, but the sensor has moved before."""
-        bench = Bench(N).pushing(B)
-        bench.step(gear=U, run=1)
-        bench.until(S.VENT)
-        bench.until(S.PUSH)
-        bench.until(S.FAULT)
-        assert bench.machine.raised is Fault.SHIFT_TIMEOUT
-
     def test_a_new_leg_has_all_its_attempts(self) -> None:
         bench = Bench(B).pushing(F)
         bench.step(gear=U, run=1)

@@ -180,7 +180,7 @@ class TestAfterwards:
         assert bench.step(requested=F) is S.PUSH
 
     @pytest.mark.parametrize("state", [S.HOLD, S.VENT])
-    def test_a_gear_that_slips_out_is_told_and_seen_again(self, state: ShiftState) -> None:
+    def test_a_gear_that_slips_out_is_reported_and_seen_again(self, state: ShiftState) -> None:
         bench = Bench(N).blowing(B)
         bench.until(state)
         assert bench.step(gear=U, run=1) is state

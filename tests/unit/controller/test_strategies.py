@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import re
-
 import pytest
 
-from can_dbc.errors import InputError
 from can_dbc.messages import Chamber, Gear
 from controller import strategies
 from controller.config import FirmwareConfig, create_strategy
@@ -68,22 +65,6 @@ def test_the_blow_is_as_configured_unless_a_strategy_says_otherwise() -> None:
     strategy = create_strategy(FirmwareConfig())
     for follows in (False, True):
         assert strategy.blow_s(0.123, Gear.NEUTRAL, follows) == 0.123
-
-
-def test_unknown_name() -> None:
-    said = "strategy: 'open-loop' is unknown; expected one of open_loop"
-    with pytest.raises(InputError, match=f"^{re.escape(said)}$"):
-        strategies.parameters("open-loop", {})
-
-
-def test_unknown_parameter() -> None:
-    said = "strategy_parameters.gain: unknown; expected none"
-    with pytest.raises(InputError, match=f"^{re.escape(said)}$"):
-        strategies.parameters("open_loop", {"gain": 2.0})
-
-
-def test_off_is_off() -> None:
-    assert Duties(0.0, 0.0, 0.0) == OFF
 
 
 def test_only_a_strategy_that_learns_has_a_memory() -> None:

@@ -1,4 +1,4 @@
-"""Blow cut, air cushion, sliding mode, synchro brake: what they command for what they are told."""
+"""Blow cut, air cushion, sliding mode, synchro brake: their commands for given inputs."""
 
 from __future__ import annotations
 
@@ -99,8 +99,8 @@ def test_sliding_mode_takes_the_side_of_its_surface(speed_m_s: float, duties: Du
 Fall = tuple[float, float, float]  # difference at time 0 rad/s, its fall rad/s2, growth rad/s3
 
 
-def told(fall: Fall, at_ms: int, leg: Gear = Gear.BACKWARD) -> ShiftContext:
-    """A push told every 10 ms of a difference that falls as a parabola."""
+def reported(fall: Fall, at_ms: int, leg: Gear = Gear.BACKWARD) -> ShiftContext:
+    """A push with a report every 10 ms of a speed difference that falls as a parabola."""
     apart, rate, growth = fall
     t_s = 0.01 * (at_ms // 10)
     left = max(0.0, apart - rate * t_s - 0.5 * growth * t_s * t_s)
@@ -111,7 +111,7 @@ def told(fall: Fall, at_ms: int, leg: Gear = Gear.BACKWARD) -> ShiftContext:
 def commanded(strategy: Strategy, fall: Fall, leg: Gear = Gear.BACKWARD) -> list[Duties]:
     """Duties every 5 ms up to 150 ms."""
     still = seen(0.003, 0.0)
-    return [strategy.command(t * MS, still, told(fall, t, leg)) for t in range(0, 150, 5)]
+    return [strategy.command(t * MS, still, reported(fall, t, leg)) for t in range(0, 150, 5)]
 
 
 def test_a_fixed_programme_acts_at_its_times_whatever_is_measured() -> None:
@@ -151,7 +151,7 @@ def test_the_synchro_brake_acts_before_the_speeds_are_equal(leg: Gear) -> None:
 @pytest.mark.parametrize(
     ("fall", "parameters"),
     [
-        ((55.0, 500.0, 1000.0), {"least_lead_s": 0.09}),  # told too late: after three reports
+        ((55.0, 500.0, 1000.0), {"least_lead_s": 0.09}),  # known too late: after three reports
         ((20.0, 200.0, 0.0), {}),  # too little force
         ((30.0, 0.0, 0.0), {}),  # nothing falls
     ],
@@ -211,15 +211,15 @@ def test_the_burst_of_air_begins_at_its_trigger_and_lasts_its_time() -> None:
 
 
 @pytest.mark.parametrize(("leg", "sign"), [(Gear.BACKWARD, 1.0), (Gear.FORWARD, -1.0)])
-def test_what_a_braking_strategy_is_told_to_decide_on(
+def test_what_a_braking_strategy_is_given_to_decide_on(
     leg: Gear, sign: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     strategy = made("air_cushion", patience_s=0.25)
     assert isinstance(strategy, IntoGear)
-    told: list[Progress] = []
+    reported: list[Progress] = []
 
     def decide(seen: Progress) -> Command:
-        told.append(seen)
+        reported.append(seen)
         return Command(True, True)
 
     monkeypatch.setattr(strategy, "decide", decide)
@@ -228,13 +228,13 @@ def test_what_a_braking_strategy_is_told_to_decide_on(
     into = push(leg)._replace(start_ns=100 * MS, apart_rad_s=-7.5, apart_ns=70 * MS)
     both = Duties(0.98, 0.98, 0.0) if sign > 0 else Duties(0.0, 0.98, 0.98)
     assert strategy.command(130 * MS, late, into) == both
-    assert told == [Progress(pytest.approx(0.03), 0.003, 0.75, 2, 7.5, pytest.approx(-0.03))]
+    assert reported == [Progress(pytest.approx(0.03), 0.003, 0.75, 2, 7.5, pytest.approx(-0.03))]
     assert strategy.command(350 * MS - 1, late, into) == both
     alone = Duties(0.98, 0.0, 0.0) if sign > 0 else Duties(0.0, 0.0, 0.98)
     assert strategy.command(350 * MS, late, into) == alone
     assert strategy.command(130 * MS, late, into._replace(attempt=1)) == alone
     strategy.command(130 * MS, late, into._replace(apart_rad_s=None))
-    assert told[-1].apart_rad_s is None and len(told) == 3
+    assert reported[-1].apart_rad_s is None and len(reported) == 3
 
 
 def test_at_the_end_the_sliding_mode_still_presses_on() -> None:

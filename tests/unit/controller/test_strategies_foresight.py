@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
+from itertools import chain
 from typing import Any
 
 import pytest
@@ -73,15 +74,15 @@ def test_with_the_true_model_and_quick_hardware_the_stop_is_soft(name: str) -> N
 def test_a_trial_is_the_observer_s_model_run_on() -> None:
     strategy = made("predictive", **QUICK_VALVES)
     strategy.observer.command(True, False)
-    told = strategy.trial(1e9, 1e9, 1e9, 1e9)
+    found = strategy.trial(1e9, 1e9, 1e9, 1e9)
     speed_m_s = 0.0
     observer = strategy.observer
     while observer.motion.stay_m < observer.model.stroke_m:
         speed_m_s = observer.motion.stay_m_s
         observer.advance(observer.time_s + STEP_S, 0.0, 0)
-    assert told.speed_m_s == speed_m_s
-    assert told.left_m == 0.0
-    assert told.time_s == pytest.approx(observer.time_s, abs=1.01 * STEP_S)
+    assert found.speed_m_s == speed_m_s
+    assert found.left_m == 0.0
+    assert found.time_s == pytest.approx(observer.time_s, abs=1.01 * STEP_S)
 
 
 def test_a_trial_leaves_the_observer_as_it_was() -> None:
@@ -214,8 +215,8 @@ def test_the_observer_is_brought_up_to_now_and_told_what_was_chosen(
     strategy = create_strategy(FirmwareConfig(strategy="predictive"))
     assert isinstance(strategy, Foresight)
     calls: list[tuple[object, ...]] = []
-    monkeypatch.setattr(strategy.observer, "advance", lambda *told: calls.append(told))
-    monkeypatch.setattr(strategy.observer, "command", lambda *told: calls.append(told))
+    monkeypatch.setattr(strategy.observer, "advance", lambda *given: calls.append(given))
+    monkeypatch.setattr(strategy.observer, "command", lambda *given: calls.append(given))
 
     def plan(spent_s: float) -> Command:
         calls.append((spent_s,))
@@ -267,35 +268,9 @@ def test_a_trial_is_the_model_with_the_commands_at_their_steps(
 
 
 N = 1e9  # never
-TRIED = (
-    (N, N, N, N),
-    (0, 1, N, N),
-    (0, 1, 0, 1),
-    (0, 2, N, N),
-    (0, 2, 0, 2),
-    (0, 4, N, N),
-    (0, 4, 0, 4),
-    (1, 2, N, N),
-    (1, 2, 1, 2),
-    (1, 3, N, N),
-    (1, 3, 1, 3),
-    (1, 5, N, N),
-    (1, 5, 1, 5),
-    (2, 3, N, N),
-    (2, 3, 2, 3),
-    (2, 4, N, N),
-    (2, 4, 2, 4),
-    (2, 6, N, N),
-    (2, 6, 2, 6),
-    (3, 4, N, N),
-    (3, 4, 3, 4),
-    (3, 5, N, N),
-    (3, 5, 3, 5),
-    (3, 7, N, N),
-    (3, 7, 3, 7),
-    (N, N, 0, 1),
-    (N, N, 0, 2),
-)
+BURSTS = [(begin, begin + lasts) for begin in range(4) for lasts in (1, 2, 4)]
+CHARGED = [[(*burst, N, N), (*burst, *burst)] for burst in BURSTS]
+TRIED = ((N, N, N, N), *chain(*CHARGED), (N, N, 0, 1), (N, N, 0, 2))
 
 
 def test_the_sequences_that_are_tried_in_periods() -> None:

@@ -192,24 +192,24 @@ def pulse_s(position_m: float, temperature_k: float = 293.15, tick_s: float = 1e
     return round((0.0009 + 0.022 * position_m) * warmth / tick_s) * tick_s
 
 
-def asks(*wishes: tuple[float, Gear]) -> Callable[[int], ShiftRequest]:
+def asks(*requests: tuple[float, Gear]) -> Callable[[int], ShiftRequest]:
     """A driver: from each time (ms) on, that gear."""
 
     def request(now_ns: int) -> ShiftRequest:
-        gear = wishes[0][1]
-        for at_ms, wish in wishes:
+        gear = requests[0][1]
+        for at_ms, asked_gear in requests:
             if now_ns >= at_ms * MS:
-                gear = wish
+                gear = asked_gear
         return ShiftRequest(gear)
 
     return request
 
 
-def shift(start: Gear, *wishes: tuple[float, Gear], **more: Any) -> Rig:
+def shift(start: Gear, *requests: tuple[float, Gear], **more: Any) -> Rig:
     """A rig that stands in a gear, is asked for it, and later for what is given (ms, gear)."""
     return Rig(
         stay=more.pop("stay", Stay(position_m=AT[start])),
-        request=asks((0.0, start), *wishes),
+        request=asks((0.0, start), *requests),
         **more,
     )
 

@@ -28,9 +28,10 @@ from plant.devices.driveline import DrivelineConfig
 from plant.devices.position_circuit import SensorConfig, SensorFault
 from plant.devices.sensors import InductiveSensor
 from plant.devices.valve_driver import ValveDriverConfig
-from plant.node import TRACE_COLUMNS, PlantConfig, PlantNode
+from plant.node import PlantConfig, PlantNode
 from plant.parameters import load
 from plant.systems.length_stroke import LengthStroke
+from plant.trace import TRACE_COLUMNS
 
 MS = 1_000_000
 NOMINAL = load("nominal")
@@ -247,18 +248,18 @@ def test_sensor_faults_reach_the_bus(kind: str) -> None:
     plain = Run(PlantConfig(), SHIFT_TO_B, 300).of(PositionPulse)
     faulty = Run(PlantConfig(sensor_faults=(fault,)), SHIFT_TO_B, 300).of(PositionPulse)
     assert faulty[:5] == plain[:5]
-    told = [m.pulse_s for _, m in faulty[5:] if isinstance(m, PositionPulse)]
+    reported = [m.pulse_s for _, m in faulty[5:] if isinstance(m, PositionPulse)]
     match kind:
         case "off":
-            assert told == []
+            assert reported == []
         case "stuck":
-            assert len(set(told)) == 1 and len(told) == 25
+            assert len(set(reported)) == 1 and len(reported) == 25
         case "intermittent":
-            assert 4 <= len(told) <= 21 and set(faulty[5:]) < set(plain[5:])
+            assert 4 <= len(reported) <= 21 and set(faulty[5:]) < set(plain[5:])
         case "slow":
             assert faulty[5:] == plain[5::4]
         case "garbage":
-            assert len(set(told)) > 20
+            assert len(set(reported)) > 20
 
 
 # --- driver, valves and loads ---------------------------------------------------------------------
@@ -378,7 +379,7 @@ def test_trace_rows_are_regular_and_show_what_changed_at_their_instant(lab: Run)
         assert not rows[column].any()
 
 
-def test_events_are_told_in_order_and_the_balance_once(lab: Run) -> None:
+def test_events_are_reported_in_order_and_the_balance_once(lab: Run) -> None:
     times = [t for t, _, _ in lab.events]
     assert times == sorted(times)
     lab.node.close()

@@ -101,3 +101,12 @@ def test_the_second_truck_reproduces_the_window_of_the_thesis() -> None:
         assert 0.070 <= together <= 0.120
     for force_n in truck.values("synchronizer.F_pull_typ"):
         assert 0.040 <= stroke("B-N", "N", force_n, 0.0)[1] <= 0.1005
+
+
+def test_a_base_is_found_next_to_its_file_and_may_not_lead_back(tmp_path: Path) -> None:
+    (tmp_path / "first.toml").write_text('[base]\nmodel = "second.toml"\n')
+    (tmp_path / "second.toml").write_text('[base]\nmodel = "nominal"\n')
+    assert load(tmp_path / "first.toml").value("valve.D_fall") == 0.035
+    (tmp_path / "second.toml").write_text('[base]\nmodel = "first.toml"\n')
+    with pytest.raises(InputError, match=r"first\.toml: base\.model: leads back to this file"):
+        load(tmp_path / "first.toml")

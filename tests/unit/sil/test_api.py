@@ -40,22 +40,17 @@ def test_run_is_the_command(tmp_path: Path) -> None:
     found = api.run("lab_n_b", {"controller.filter": False})
     main(
         [
-            "run",
-            "lab_n_b",
-            "--set",
-            "controller.filter=false",
-            "--no-report",
-            "--out",
-            str(tmp_path / "r"),
+            *["run", "lab_n_b", "--set", "controller.filter=false", "--no-report", "--out"],
+            f"{tmp_path}/r",
         ]
     )
-    told = json.loads((tmp_path / "r" / "result.json").read_text())
-    assert found.trace_sha256 == told["trace_sha256"]
-    assert found.passed is told["passed"] is False
-    assert found.metrics["impact_speed_m_s"] == told["metrics"]["impact_speed_m_s"]
+    output = json.loads((tmp_path / "r" / "result.json").read_text())
+    assert found.trace_sha256 == output["trace_sha256"]
+    assert found.passed is output["passed"] is False
+    assert found.metrics["impact_speed_m_s"] == output["metrics"]["impact_speed_m_s"]
     assert found.signals["position_m"].max() == pytest.approx(0.01285)
     assert len(found.estimate[0]) == len(found.estimate[1]) > 10
-    assert len(found.frames) == told["metrics"]["frames"]
+    assert len(found.frames) == output["metrics"]["frames"]
     assert repr(found).startswith("Run(failed, 18 of 22 checks met, 1 shifts in 51.1")
     assert len(repr(found)) < 120 and found.warnings == []
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from sil.simulation.scenario import shipped
+from sil.simulation.load_scenario import shipped
 from tests.conftest import ROOT
 
 FIXTURE_TEST = """
@@ -64,21 +64,21 @@ PLUGIN = _plugin()
 
 
 def test_scenarios_and_the_fixture_are_tests(project: Path) -> None:
-    code, told = run(project)
-    assert code == 1 and "2 failed, 2 passed" in told
-    assert "final gear: backward, expected forward" in told
-    assert "broken.toml: name: 3 is wrong" in told or "broken.toml: name" in told
-    assert "Traceback" not in told
+    code, output = run(project)
+    assert code == 1 and "2 failed, 2 passed" in output
+    assert "final gear: backward, expected forward" in output
+    assert "broken.toml: name: 3 is wrong" in output or "broken.toml: name" in output
+    assert "Traceback" not in output
 
 
 def test_the_runs_are_kept(project: Path) -> None:
-    code, told = run(project, "--opc4-out", "kept", "scenarios/good.toml")
-    assert code == 0 and "1 passed" in told
+    code, output = run(project, "--opc4-out", "kept", "scenarios/good.toml")
+    assert code == 0 and "1 passed" in output
     kept = {path.name for path in (project / "kept" / "good").iterdir()}
     assert {"result.json", "bus.log", "trace.csv", "shift.png", "report.html"} <= kept
 
 
 def test_nothing_is_collected_without_the_configuration(project: Path) -> None:
     (project / "pytest.ini").write_text("[pytest]\n")
-    code, told = run(project, "scenarios")
-    assert code == 5 and "no tests ran" in told
+    code, output = run(project, "scenarios")
+    assert code == 5 and "no tests ran" in output

@@ -59,7 +59,7 @@ def test_an_effect_is_stated_consistently(item) -> None:
     assert len(set(names)) == len(names)
     for parameter in item.parameters:
         assert parameter.low <= parameter.neutral <= parameter.high and parameter.typical > 0.0
-    fixable = {p.name for p in item.parameters if not p.fitted}
+    fixable = {p.name for p in item.parameters if p.optional or not p.fitted}
     for variant in item.variants:
         assert set(variant.fixed) <= fixable
     assert len({variant.name for variant in item.variants}) == len(item.variants)

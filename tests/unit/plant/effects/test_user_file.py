@@ -6,9 +6,11 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from plant.effects import CATALOGUE, look_alikes, overridden
+from plant.effects import CATALOGUE, added_term, look_alikes, overridden
+from plant.effects.stroke_conditions import StrokeConditions
 from plant.effects.user_file import (
     _LOADED,
     MARK,
@@ -17,8 +19,10 @@ from plant.effects.user_file import (
     loaded_effects,
     probe_setups,
 )
-from plant.errors import InputError
+from plant.errors import InputError, IntegrationError
 from plant.parameters import load
+from plant.systems.setup import make_setup
+from plant.systems.stroke import simulate
 
 SEAL = Path(__file__).with_name("end_seal.py").read_text(encoding="utf-8")
 
@@ -77,12 +81,14 @@ WRONG = {
     "no import": ("math import exp", "maths import exp", r":3: ModuleNotFoundError: No module named"),
     "missing field": (", typical=50.0", "", r":21: TypeError: EffectParameter\(\) missing .* 'typical'"),
     "missing what": ('"force",\n', "\n", r":\d+: (TypeError|.*what)"),
+    "no prior": ('look_alikes=', 'variants=(effect.__globals__["Variant"](prior=0.0),), look_alikes=', r"variant '': prior 0.0; expected more than 0"),
     "id exists": ('"end_seal"', '"exhaust_clog"', r":\d+: effect 'exhaust_clog': exists already"),
     "id": ('"end_seal"', '"End seal"', r": effect 'End seal': expected an id in lower case"),
     "bounds": (SIZE, SIZE.replace("low=0.0", "low=1.0"), r"force_n: neutral 0; expected it from low 1"),
     "bound": ("high=2000.0", "high='x'", r"force_n: high 'x'; expected a finite number"),
     "sign": ("sign=1", "sign=3", r"force_n: sign 3; expected -1, 0 or 1"),
     "look-alike": ("static_friction", "static_fricton", r"'static_fricton' is no effect; .* nearest: static_f"),
+    "look-alike without a comma": ('("friction_bump", "static_friction")', '("friction_bump")', r"look_alikes: 'friction_bump'; expected a tuple of ids"),
     "needs": ("    look", '    needs=("oil",),\n    look', r"needs: 'oil'; expected damper, internal"),
     "scope": ("    look", '    scope="me",\n    look', r"scope 'me'; expected unit, run, stroke"),
     "field": ("    look", "    colour=3,\n    look", r": TypeError: .*colour"),
@@ -112,6 +118,69 @@ def test_a_wrong_file_is_refused_in_one_line(write, case) -> None:
     assert said.startswith(path) and "\n" not in said
     assert "expected" in said and re.search(message, said), said
     assert "end_seal" not in CATALOGUE and not loaded_effects()
+
+
+def test_a_term_that_does_not_return_is_refused(write, monkeypatch) -> None:
+    monkeypatch.setattr(added_term, "LONGEST_S", 0.05)
+    path = write(GRIP, "    while force_n < 1e9:\n        force_n += 1.0\n    return force_n")
+    with pytest.raises(
+        InputError, match=r"mine\.py:9: grip\(.*\) does not return within 0.05 s; exp"
+    ):
+        load_effects(path)
+
+
+AT_61 = "    if values['force_n'] == 61.0:\n        {}\n    grip.add"
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("raise KeyError('oops')", r"mine\.py:28: KeyError: 'oops'; expected"),
+        ("raise SystemExit(4)", r"mine\.py:28: SystemExit: 4; expected"),
+        ("setup.p.f_run_s = 'x'", r"mine\.py:28: ValueError: could not convert string to float"),
+        ("setup.p.f_run_s = float('nan')", r"mine\.py:16: effect 'end_seal': at force_n=61, .* not finite"),
+    ],
+)  # fmt: skip
+def test_an_error_at_values_that_were_not_tried_is_one_line(write, line, message) -> None:
+    load_effects(write("    grip.add", AT_61.format(line)))
+    changes = {"effect.end_seal.force_n": 61.0, "effect.end_seal.length_m": 0.002}
+    parameters = overridden(load(), changes)
+    with pytest.raises(InputError, match=message) as caught:
+        make_setup(parameters, StrokeConditions("N-B", 9e5, ()))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_term_that_is_no_number_somewhere_ends_the_stroke(write) -> None:
+    between = "if 0.0070 < abs(position_m) < 0.0075:\n        return (force_n - force_n) / (end_m - end_m)"
+    load_effects(write(GRIP, f"    {between}\n{GRIP}"))
+    changes = {"effect.end_seal.force_n": 61.0, "effect.end_seal.length_m": 0.002}
+    conditions = StrokeConditions("N-B", 9e5, ((0.01, "B", 0.98),))
+    with pytest.raises(IntegrationError, match="the state is not finite"):
+        simulate(overridden(load(), changes), conditions, np.linspace(0.0, 0.1, 11))
+
+
+NO_ROOM = r"mine\.py: 4 added terms of 12 values on one stroke; expected at most"
+NOT_FINITE = r"mine\.py: \S*/imported_{}\.py:16: effect 'end_seal': at .* not finite"
+
+
+@pytest.mark.parametrize(
+    ("number", "line", "message"),
+    [
+        (1, "for _ in range(60):\n        grip.add", NO_ROOM),
+        (2, "setup.p.f_run_s = float('inf')\n    grip.add", NOT_FINITE.format(2)),
+    ],
+)
+def test_an_imported_effect_is_refused_in_one_line(
+    tmp_path, monkeypatch, number, line, message
+) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    helper = SEAL.replace("grip.add", line)
+    (tmp_path / f"imported_{number}.py").write_text(helper, encoding="utf-8")
+    path = tmp_path / "mine.py"
+    path.write_text(f"from imported_{number} import EFFECTS\n", encoding="utf-8")
+    with pytest.raises(InputError, match=message) as caught:
+        load_effects(str(path))
+    assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
 
 
 def test_a_missing_file_is_refused() -> None:

@@ -8,8 +8,8 @@ import pytest
 from numba.core.errors import TypingError
 
 from plant.kernel import checked, views
-from plant.kernel.records import Record, Value, block
-from plant.kernel.views import discarding, lane, named, rows, view
+from plant.kernel.records import Record, Value, block, interleaved
+from plant.kernel.views import discarding, lane, named, view
 
 WIDTH = 4
 
@@ -35,16 +35,6 @@ def double_from(array, offset):
 
 
 @numba.njit
-def transpose(array, out):
-    a = rows(view(array, 0), 3)
-    b = rows(view(out, 0), 2)
-    for i in range(2):
-        row = a[i]
-        for j in range(3):
-            b[j, i] = row[j]
-
-
-@numba.njit
 def sums_of_lanes(array, out):
     v = view(array, 0)
     for k in range(WIDTH):
@@ -56,13 +46,6 @@ def test_elements_and_tails():
     array = np.arange(8.0)
     double_from(array, 2)
     assert array.tolist() == [0.0, 1.0, 4.0, 6.0, 8.0, -1.0, 6.0, 7.0]
-
-
-def test_rows():
-    array = np.arange(6.0).reshape(2, 3)
-    out = np.zeros((3, 2))
-    transpose(array, out)
-    assert np.array_equal(out, array.T)
 
 
 def test_lanes_are_columns():
@@ -136,6 +119,14 @@ def test_a_record_refuses_unknown_names():
         read(np.zeros(10))
 
 
+def test_interleaved_copies_are_the_lanes():
+    lanes = np.arange(10.0 * WIDTH).reshape(Sample.size, WIDTH)
+    all_lanes = interleaved(Sample, WIDTH)(lanes.reshape(-1))
+    assert all_lanes.last.tolist() == lanes[Sample.last].tolist()
+    assert all_lanes.pair.tolist() == lanes[Sample.pair].reshape(-1).tolist()
+    assert all_lanes.matrix.tolist() == lanes[Sample.matrix].reshape(2, -1).tolist()
+
+
 def test_a_record_of_many_strokes_has_columns():
     many = Sample(np.arange(20.0).reshape(2, 10))
     assert many.first.tolist() == [0.0, 10.0]
@@ -147,7 +138,7 @@ def test_checked_views_read_as_compiled_ones():
     array, lanes = np.arange(10.0), np.zeros((Sample.size, WIDTH))
     expected, expected_lanes = array.copy(), lanes.copy()
     shuffle(expected, expected_lanes)
-    plain = {name: getattr(checked, name) for name in ("view", "rows", "lane")}
+    plain = {name: getattr(checked, name) for name in ("view", "lane")}
     body = shuffle.py_func
     scope = {**body.__globals__, **plain, "sample": checked.named(Sample)}
     type(body)(body.__code__, scope)(array, lanes)

@@ -36,12 +36,13 @@ def test_valve_delays_reach_the_valves() -> None:
     model = extended("valve_open_delay", delay_s=(0.004, "s"))
     node = PlantNode(PlantConfig(), model)
     plain = PlantNode(PlantConfig(), load())
-    assert node.valves[0].timing.rise_ns == plain.valves[0].timing.rise_ns + 4_000_000
-    assert node.valves[0].timing.fall_ns == plain.valves[0].timing.fall_ns
+    late, prompt = (each.valve_group.valves[0].timing for each in (node, plain))
+    assert late.rise_ns == prompt.rise_ns + 4_000_000
+    assert late.fall_ns == prompt.fall_ns
 
 
 @pytest.mark.parametrize(
-    ("name", "values", "told"),
+    ("name", "values", "reported"),
     [
         ("residual_pressure", {"pressure_pa": (3e3, "Pa")}, "single stroke"),
         ("dead_volume_charge", {"volume_m3": (5e-6, "m^3")}, "single stroke"),
@@ -49,8 +50,8 @@ def test_valve_delays_reach_the_valves() -> None:
         ("dynamic_friction", {"factor": (30.0, "-")}, "expected 0.2 to 10"),
     ],
 )
-def test_what_a_run_cannot_apply_is_refused(name, values, told) -> None:
-    with pytest.raises(InputError, match=told):
+def test_what_a_run_cannot_apply_is_refused(name, values, reported) -> None:
+    with pytest.raises(InputError, match=reported):
         LengthStroke(extended(name, **values))
 
 

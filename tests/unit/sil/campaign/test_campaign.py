@@ -68,3 +68,9 @@ def test_a_file_that_is_no_plain_name_is_refused(tmp_path: Path, name: str) -> N
     (folder / "campaign.toml").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match="expected the name of a file next to"):
         load_campaign(str(folder))
+
+
+def test_a_file_of_two_strokes_is_refused(tmp_path: Path) -> None:
+    folder = written(tmp_path / "twice", TEXT[TEXT.index("[[stroke]]") :])
+    with pytest.raises(InputError, match=r"stroke\[1\]\.file: 'stroke_001.csv' twice"):
+        load_campaign(str(folder))

@@ -16,12 +16,12 @@ from sil.logs import LogFrame, open_writer
 
 def test_bus_prints_transports_load_and_worst_cases(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["bus", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["transports"]["inproc"] and told["transports"]["local"]
-    assert [m["name"] for m in told["messages"]][:2] == ["ValveCommand", "SafetyBlow"]
+    output = json.loads(capsys.readouterr().out)
+    assert output["transports"]["inproc"] and output["transports"]["local"]
+    assert [m["name"] for m in output["messages"]][:2] == ["ValveCommand", "SafetyBlow"]
     # The first waits for one frame under way and itself: two of the longest, 160 bits each.
-    assert told["messages"][0]["worst_case_s"] == pytest.approx(2 * 160 * 2e-6)
-    assert all(m["in_time"] for m in told["messages"])
+    assert output["messages"][0]["worst_case_s"] == pytest.approx(2 * 160 * 2e-6)
+    assert all(m["in_time"] for m in output["messages"])
 
 
 def test_bus_at_half_the_rate_takes_twice_as_long(capsys: pytest.CaptureFixture[str]) -> None:
@@ -52,9 +52,10 @@ def test_bus_of_another_database(tmp_path: Path, capsys: pytest.CaptureFixture[s
     file.write_text("nonsense")
     assert cli.main(["bus", "--dbc", str(file)]) == 2
     assert cli.main(["bus", "--dbc", str(file), "--scenario", "lab_n_b"]) == 2
+    assert cli.main(["bus", "--bitrate", "0"]) == 2
     assert cli.main(["bus", "--bitrate", "3"]) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert len(told) == 3
+    output = capsys.readouterr().err.splitlines()
+    assert len(output) == 4
 
 
 def test_a_database_that_is_no_file_is_refused(

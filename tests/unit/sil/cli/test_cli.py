@@ -18,7 +18,13 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 HEAVY = (
     *("numpy", "numba", "scipy", "can", "cantools", "matplotlib", "jinja2", "msgspec", "e2e"),
-    *("plant", "controller", "can_dbc.codec", "sil.simulation.scenario", "sil.simulation.runner"),
+    *(
+        "plant",
+        "controller",
+        "can_dbc.codec",
+        "sil.simulation.load_scenario",
+        "sil.simulation.runner",
+    ),
 )
 
 
@@ -40,8 +46,8 @@ def test_every_command_has_help_with_an_example(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main([name, "--help"]) == 0
-    told = capsys.readouterr().out
-    assert f"opc4 {name} " in told[told.index("example:") :]
+    output = capsys.readouterr().out
+    assert f"opc4 {name} " in output[output.index("example:") :]
     assert importlib.import_module(f"sil.cli.{name}").__doc__
 
 
@@ -54,8 +60,8 @@ def test_no_command_and_unknown_command_are_bad_usage(capsys: pytest.CaptureFixt
 def test_bad_usage_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["run"]) == 2
     assert cli.main(["run", "lab_n_b", "--forc"]) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert len(told) == 2 and "opc4 run --list" in told[0] and "--help" in told[1]
+    output = capsys.readouterr().err.splitlines()
+    assert len(output) == 2 and "opc4 run --list" in output[0] and "--help" in output[1]
 
 
 def test_a_place_for_junit_that_does_not_exist_is_bad_input(
@@ -65,11 +71,23 @@ def test_a_place_for_junit_that_does_not_exist_is_bad_input(
     assert "--junit: no such folder" in capsys.readouterr().err
 
 
+def test_an_empty_argument_and_a_folder_for_junit_are_bad_input(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["run", "lab_n_b", "--out", ""]) == 2
+    assert capsys.readouterr().err == "opc4: an empty argument; expected none\n"
+    assert cli.main(["run", "lab_n_b", "--out", "", "--json"]) == 2
+    found = json.loads(capsys.readouterr().out)
+    assert found == {"error": "an empty argument; expected none", "exit_code": 2}
+    assert cli.main(["run", "lab_n_b", "--junit", str(tmp_path)]) == 2
+    assert "--junit: is a folder; expected a file" in capsys.readouterr().err
+
+
 def test_bad_input_is_exit_2_and_one_json_object(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["run", "no_such_scenario", "--json"]) == 2
-    told = capsys.readouterr()
-    assert json.loads(told.out)["exit_code"] == 2
-    assert told.err.count("\n") == 1 and "no_such_scenario" in told.err
+    output = capsys.readouterr()
+    assert json.loads(output.out)["exit_code"] == 2
+    assert output.err.count("\n") == 1 and "no_such_scenario" in output.err
 
 
 def shell(line: str, **environment: str) -> subprocess.CompletedProcess[str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from sil import cli
-from sil.simulation import build, scenario
+from sil.simulation import build, load_scenario, scenario
 
 
 @pytest.fixture(autouse=True)
@@ -70,7 +70,7 @@ def test_a_participants_process_runs_this_code_whatever_lies_around(tmp_path: Pa
     for name in ("sil", "controller", "can_dbc"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('another program')")
     (tmp_path / build.SCENARIO).write_text(
-        json.dumps({"scenario": scenario.expanded(scenario.load("lab_n_b").scenario)})
+        json.dumps({"scenario": scenario.expanded(load_scenario.load("lab_n_b").scenario)})
     )
     command = build.node_command("controller", "nocan9", tmp_path)
     done = subprocess.run(

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from sil import api
-from sil.cli import main
+from sil.cli import main, whatif
 
 STUDY = """
 name = "pressures"
@@ -83,3 +83,8 @@ def test_repeating_an_interrupted_sweep_names_resume(tmp_path: Path, capsys: Any
     assert (out / "results.csv").read_bytes() == whole[:-5]
     assert main(["whatif", path, "--out", str(out), "--resume"]) == 0
     assert (out / "results.csv").read_bytes() == whole
+
+
+def test_a_row_without_chosen_metrics_is_counted() -> None:
+    assert whatif._metrics_line({"rows": 1}, []) == "1 row"
+    assert whatif._metrics_line({"rows": 2}, []) == "2 rows"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -42,7 +41,7 @@ def test_one_frame_arrives_at_the_end_of_its_frame() -> None:
 
 
 def test_length_scales_with_the_bit_rate() -> None:
-    for bitrate, bit_ns in ((125_000, 8_000), (250_000, 4_000), (1_000_000, 1_000)):
+    for bitrate, bit_ns in ((10_000, 100_000), (125_000, 8_000), (1_000_000, 1_000)):
         bus = BusModel(bitrate)
         bus.queue(0, USUAL, "plant")
         (delivery,) = bus.advance(10**9)
@@ -63,17 +62,6 @@ def test_the_lowest_identifier_goes_first_and_is_followed_by_the_intermission() 
     ]
 
 
-def test_a_frame_on_the_bus_is_not_interrupted() -> None:
-    bus = BusModel()
-    bus.queue(0, SLACK, "a")
-    bus.queue(1, URGENT, "b")
-    first = duration_ns(SLACK)
-    assert [d.arrival_ns for d in bus.advance(10**9)] == [
-        first,
-        first + GAP + duration_ns(URGENT),
-    ]
-
-
 def test_frames_released_at_the_instant_reached_still_compete() -> None:
     """What is released at T, after the bus advanced to T, takes part in the arbitration at T."""
     bus = BusModel()
@@ -86,24 +74,6 @@ def test_frames_released_at_the_instant_reached_still_compete() -> None:
     assert late.advance(501) == []
     late.queue(501, URGENT, "b")
     assert [d.frame for d in late.advance(10**9)] == [SLACK, URGENT]
-
-
-def test_release_during_the_intermission_waits_for_its_end() -> None:
-    bus = BusModel()
-    bus.queue(0, URGENT, "a")
-    end_ns = duration_ns(URGENT)
-    bus.queue(end_ns + 1, SLACK, "b")
-    bus.queue(end_ns + GAP, USUAL, "b")
-    assert [d.arrival_ns for d in bus.advance(10**9)][1] == end_ns + GAP + duration_ns(USUAL)
-
-
-def test_equal_identifiers_keep_the_order_of_release() -> None:
-    bus = BusModel()
-    second, first = Frame(7, b"2"), Frame(7, b"1")
-    bus.queue(20, second, "a")
-    bus.queue(10, first, "a")
-    bus.queue(0, SLACK, "b")
-    assert [d.frame for d in bus.advance(10**9)] == [SLACK, first, second]
 
 
 def test_equal_identifiers_released_together_keep_the_order_of_queueing() -> None:
@@ -390,23 +360,6 @@ def test_overload_starves_the_less_urgent_only() -> None:
 def test_bit_rates_that_do_not_fit_are_refused(bitrate: int) -> None:
     with pytest.raises(InputError, match=f"bitrate: {bitrate} bit/s; expected 10000 to 1000000"):
         BusModel(bitrate)
-
-
-def test_the_limits_of_the_bit_rate_fit() -> None:
-    assert BusModel(10_000).bit_ns == 100_000
-    assert BusModel(1_000_000).bit_ns == 1_000
-
-
-def test_same_traffic_same_result() -> None:
-    def once() -> list[Delivery]:
-        rng = random.Random(5)
-        sent = [
-            Offer(rng.randrange(3_000_000), Frame(rng.choice((1, 2, 3)), rng.randbytes(8)))
-            for _ in range(50)
-        ]
-        return run(BusModel(), sent, [])
-
-    assert once() == once()
 
 
 def test_newer_content_overwrites_what_its_sender_has_waiting_in_the_same_mailbox() -> None:

@@ -200,9 +200,9 @@ def test_everybody_sends_on_a_free_running_bus() -> None:
 
 @pytest.mark.usefixtures("_runtime")
 def test_a_bus_that_does_not_come_is_reported() -> None:
-    told: list[str] = []
+    reported: list[str] = []
     with pytest.raises(RunError, match=r"no run on local:nobody within 0\.05 s"):
-        open_bus("local:nobody", 0.05, told.append)
-    assert len(told) == 1
+        open_bus("local:nobody", 0.05, reported.append)
+    assert len(reported) == 1
     with pytest.raises(InputError, match="expected local:NAME or the name of a CAN interface"):
         open_bus("nocan9")

@@ -11,7 +11,9 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil.cli import main
-from sil.diagnosis.force_record import smoothed
+from sil.diagnosis.force_checks import odd_channels
+from sil.diagnosis.force_fit import Bank, gain_in_errors
+from sil.diagnosis.force_record import read_motion, smoothed
 from sil.diagnosis.force_rig import diagnose_force
 
 HEAD = """name = "bench"
@@ -120,6 +122,20 @@ def test_a_reversed_sign_is_no_diagnosis(tmp_path, capsys, column) -> None:
     assert "sign of the driving force" in plain["findings"][0]
 
 
+def test_a_combination_of_parameters_is_surer_than_its_parts(tmp_path) -> None:
+    # Coulomb and viscous friction move against each other; the power that they take hardly varies
+    bank = Bank(read_motion(rig(tmp_path / "a", per_pa=3e-5)))
+    plain = bank.attempt(())
+    parts = np.diag([0.2, 0.05, 0.0, 0.0])
+    alone = [bank.free_combination(weights, ()) for weights in parts]
+    for k, (value, deviation) in enumerate(alone):
+        assert value == pytest.approx(parts[k, k] * plain.values[k])
+        assert deviation == pytest.approx(parts[k, k] * plain.deviations[k])
+    power, spread = bank.free_combination(parts.sum(axis=0), ())
+    assert power == pytest.approx(sum(value for value, _deviation in alone))
+    assert spread < 0.7 * sum(deviation for _value, deviation in alone)
+
+
 def test_a_hole_in_the_force_is_refused(tmp_path) -> None:
     folder = changed(
         rig(tmp_path / "a"), "f", lambda f: np.where(np.arange(len(f)) == 40, np.nan, f)
@@ -149,6 +165,27 @@ def test_a_corrupted_record_is_no_diagnosis(tmp_path, column, change, why) -> No
     plain = diagnose_force(changed(rig(tmp_path / "a"), column, change)).as_json()
     assert plain["verdict"] == "cannot_tell" and not plain["causes"]
     assert any(why in line for line in plain["findings"])
+
+
+def test_a_stuck_force_is_found_though_a_pressure_is_added(tmp_path) -> None:
+    folder = rig(tmp_path / "a", head=HEAD + "[body]\npiston_area_m2 = 1e-4\n")
+    noise = np.random.default_rng(2).normal(0.0, 300.0, 10000)
+    changed(folder, "pressure_pa", lambda p: p + noise)
+    changed(folder, "f", lambda f: np.where(abs(np.arange(len(f)) - 900) > 200, f, f[900]))
+    assert "stuck or saturated" in diagnose_force(folder).doubts[0]
+
+
+def test_a_force_that_changes_its_sign_where_the_body_turns_has_no_spikes() -> None:
+    t = np.arange(4000) / 500.0
+    signals = np.array([np.sin(3.0 * t), 50.0 * np.cos(t), np.full(len(t), np.nan)])
+    turn, middle = 1309, 1047  # cos(3 t) = 0, sin(3 t) = 0
+    for row, found in (
+        (turn, []),
+        (middle, [f"force: 1 spikes, the first at sample {middle + 1}"]),
+    ):
+        changed = signals.copy()
+        changed[1, row : row + 2] += 80.0
+        assert odd_channels("a.csv", changed, 0) == [f"a.csv: {text}" for text in found]
 
 
 def test_the_command_writes_page_and_json(tmp_path, capsys) -> None:
@@ -230,6 +267,72 @@ def test_dead_volume_and_exponent_that_move_together_cannot_be_told(tmp_path, cu
         assert "dead volume and exponent move together" in found["findings"][0]
 
 
+@pytest.mark.parametrize("steps", [-0.5, 0.5])
+def test_a_force_half_a_sampling_step_off_is_moved(tmp_path, steps) -> None:
+    t = (np.arange(10000) - steps) / 500.0
+    v = 0.21 * np.cos(2.1 * t) + 0.228 * np.cos(5.7 * t)
+    force = 20.0 * (-0.441 * np.sin(2.1 * t) - 1.2996 * np.sin(5.7 * t)) + 15.0 * np.sign(v)
+    force += 80.0 * v + np.random.default_rng(1).normal(0.0, 0.01, len(t))
+    folder = changed(rig(tmp_path / "a"), "f", lambda f: force)
+    t += steps / 500.0
+    exact = 100.0 * np.sin(2.1 * t) + 40.0 * np.sin(5.7 * t)
+    found = diagnose_force(changed(folder, "x_mm", lambda x: exact + 0.01 * (x - exact)))
+    assert found.verdict == "consistent" and found.over_noise(found.plain) < 1.25
+    (text,) = [line for line in found.findings() if "within a sampling step" in line]
+    assert float(text.split()[4]) == pytest.approx(0.001, rel=0.02)
+    assert ("late" if steps > 0 else "early") in text
+
+
+def test_a_gain_in_every_stroke_is_sure_though_strokes_differ(tmp_path) -> None:
+    bank = Bank(read_motion(rig(tmp_path / "a")))
+    other, item = bank.attempt(()), bank.attempt(())
+    sizes = 10.0 ** np.linspace(0.0, 3.0, len(other.squares))
+    other.squares, item.squares = sizes, 0.01 * sizes
+    assert gain_in_errors(item, other) > 100.0
+    item.squares = sizes * np.where(np.arange(len(sizes)) % 2, 0.01, 1.9)
+    assert gain_in_errors(item, other) < 3.0
+
+
+@pytest.mark.parametrize("force", [0.0, 5.0])
+def test_a_constant_force_cannot_tell(tmp_path, capsys, force) -> None:
+    folder = changed(rig(tmp_path / "a"), "f", lambda f: 0.0 * f + force)
+    assert main(["diagnose", str(folder), "--out", str(tmp_path / "out"), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["verdict"] == "cannot_tell" and not found["causes"]
+    assert any("is constant" in line for line in found["findings"])
+
+
+def test_a_pressure_that_drives_is_moved_with_the_force_in_each_file(tmp_path) -> None:
+    t = np.arange(5000) / 500.0
+    s = t - 0.001
+    v = 0.21 * np.cos(2.1 * s) + 0.228 * np.cos(5.7 * s)
+    a = -0.441 * np.sin(2.1 * s) - 1.2996 * np.sin(5.7 * s)
+    force = 20.0 * a + 15.0 * np.sign(v) + 80.0 * v
+    noise = np.random.default_rng(1).normal(0.0, 1.0, (2, len(t)))
+    x = 0.1 * np.sin(2.1 * t) + 0.04 * np.sin(5.7 * t) + 1e-8 * noise[0]
+    pressure = (force + 0.01 * noise[1]) / 1e-3
+    folder = written(tmp_path / "a", "piston_area_m2 = 1e-3", position_m=x, pressure_pa=pressure)
+    (folder / "b.csv").write_bytes((folder / "a.csv").read_bytes())
+    with (folder / "campaign.toml").open("a", encoding="utf-8") as file:
+        file.write('[[stroke]]\nfile = "b.csv"\n')
+    found = diagnose_force(folder)
+    assert any("within a sampling step" in line for line in found.findings())
+    raw = found.record.raw
+    assert raw.pressure_pa is not None and list(found.record.starts) == [0, 5000]
+    assert 1e-3 * raw.pressure_pa == pytest.approx(raw.force_n)
+    assert np.ptp(raw.force_n[:5000] - raw.force_n[5000:]) == 0.0  # nothing crosses the joint
+    assert np.median(np.abs(raw.pressure_pa[:5000] - pressure)) > 10.0  # moved at all
+
+
+def test_another_rate_than_the_file_s_needs_no_pressure(tmp_path) -> None:
+    folder = rig(tmp_path / "a", stribeck_n=25.0, head=HEAD.replace("500.0", "250.0"))
+    file = folder / "a.csv"
+    without = [line.rpartition(",")[0] for line in file.read_text().splitlines()]
+    file.write_text("\n".join(without) + "\n", encoding="utf-8")
+    found = diagnose_force(folder)
+    assert found.record.step_s == 1.0 / 250.0 and found.leader.ids == ("stribeck",)
+
+
 def test_a_rotary_axis_has_its_units(tmp_path) -> None:
     folder = rig(
         tmp_path / "a",
@@ -252,4 +355,13 @@ def test_a_rotary_axis_has_its_units(tmp_path) -> None:
 def test_bad_descriptions_are_named(tmp_path, old, new, why) -> None:
     folder = rig(tmp_path / "a", head=HEAD.replace(old, new))
     with pytest.raises(InputError, match=why.replace("[", r"\[")):
+        diagnose_force(folder)
+
+
+@pytest.mark.parametrize("name", ["a.csv", "./a.csv", "../a/a.csv"])
+def test_a_file_of_two_strokes_is_refused(tmp_path, name) -> None:
+    folder = rig(tmp_path / "a")
+    with (folder / "campaign.toml").open("a", encoding="utf-8") as file:
+        file.write(f'[[stroke]]\nfile = "{name}"\n')
+    with pytest.raises(InputError, match=rf"stroke\[1\]\.file: '{name}' twice"):
         diagnose_force(folder)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sil.cli import main
-from sil.diagnosis.new_campaign import guess, unit_of
+from sil.diagnosis.new_campaign import draft, guess, unit_of
 
 
 @pytest.mark.parametrize(
@@ -22,7 +24,27 @@ def test_units_are_found_in_names(name: str, unit: str) -> None:
 
 def test_time_is_what_increases() -> None:
     columns = {"a [s]": np.zeros(3), "b [s]": np.arange(3.0), "Weg": np.ones(3)}
-    assert guess(columns) == {"time_s": ("b [s]", 1.0, True), "position_m": ("Weg", 1.0, False)}
+    found = {"time_s": ("b [s]", 1.0, True), "position_m": ("Weg", 1.0, False)}
+    assert guess(columns, {}) == found
+    found = {"time_s": ("b [s]", 1.0, True), "position_m": ("Weg", 1e-3, True)}
+    assert guess(columns, {"Weg": "mm", "a [s]": "V"}) == found
+
+
+def test_a_stored_unit_is_drafted_and_a_channel_without_values_is_not_used(tmp_path: Path) -> None:
+    h5py = importlib.import_module("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, unit in (("time_s", "ms"), ("lvdt", "mm"), ("kraft", b"kN"), ("a", "mm")):
+            file[name] = np.arange(300.0) * (np.nan if name == "a" else 1.0)
+            file[name].attrs["unit"] = unit
+    (tmp_path / "new").mkdir()
+    draft(tmp_path / "new", [tmp_path / "a.h5"])
+    table = tomllib.loads((tmp_path / "new" / "campaign.toml").read_text(encoding="utf-8"))
+    assert table["sample_rate_hz"] == 1000.0
+    assert table["columns"] == {
+        "time_s": {"column": "time_s", "scale": 1e-3},
+        "position_m": {"column": "lvdt", "scale": 1e-3},
+        "force_n": {"column": "kraft", "scale": 1e3},
+    }
 
 
 def test_a_draft_is_diagnosed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -65,3 +87,51 @@ def test_files_that_differ_and_several_campaigns_are_refused(
     assert "other columns than" in capsys.readouterr().err
     assert main(["diagnose", str(tmp_path), str(tmp_path)]) == 2
     assert "several campaigns" in capsys.readouterr().err
+
+
+def test_a_stored_unit_that_fits_nothing_is_not_guessed_by_its_name() -> None:
+    values = {name: np.arange(3.0) for name in ("time", "force", "pos")}
+    found = guess(values, {"time": "s", "force": "V", "pos": "mm"})
+    assert found == {"time_s": ("time", 1.0, True), "position_m": ("pos", 0.001, True)}
+
+
+def test_a_draft_is_not_replaced_and_files_may_lie_in_its_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "bench"
+    folder.mkdir()
+    rows = "\n".join(f"{1e-3 * k},{1e-5 * k * k},{k % 7}" for k in range(300))
+    (folder / "a.csv").write_text(f"time_s,position_m,force_n\n{rows}\n")
+    assert main(["diagnose", "--new", str(folder), str(tmp_path / "none.csv")]) == 2
+    assert sorted(path.name for path in folder.iterdir()) == ["a.csv"]
+    assert main(["diagnose", "--new", str(folder), str(folder / "a.csv")]) == 0
+    (folder / "campaign.toml").write_text("# edited")
+    for more, said in (
+        ([], "campaign.toml: exists; expected a new folder, or --force"),
+        (["--out", "x"], "--out: not together with --new"),
+        (["--force"], "a second file a.csv; expected different names"),
+    ):
+        files = [str(folder / "a.csv")] * 2
+        assert main(["diagnose", *more, "--new", str(folder), *files]) == 2
+        assert said in capsys.readouterr().err
+    assert (folder / "campaign.toml").read_text() == "# edited"
+
+
+def test_a_measured_file_in_the_folder_is_not_replaced_unasked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "bench"
+    folder.mkdir()
+    rows = "\n".join(f"{1e-3 * k},{1e-5 * k * k},{k % 7}" for k in range(300))
+    (folder / "a.csv").write_text("measured before")
+    (tmp_path / "a.csv").write_text(f"time_s,position_m,force_n\n{rows}\n")
+    command = ["diagnose", "--new", str(folder), str(tmp_path / "a.csv")]
+    assert main(command) == 2
+    assert "a.csv: exists, and is not" in capsys.readouterr().err
+    assert [path.name for path in folder.iterdir()] == ["a.csv"]
+    assert (folder / "a.csv").read_text() == "measured before"
+    assert main([*command, "--force"]) == 0
+    assert (folder / "a.csv").read_text().startswith("time_s")
+    for place in ("a.csv", "a.csv/new"):
+        assert main(["diagnose", "--new", str(tmp_path / place), str(tmp_path / "a.csv")]) == 2
+        assert f"{place}: --new: " in capsys.readouterr().err

@@ -9,6 +9,7 @@ from can_dbc.errors import InputError
 from plant.parameters import load
 from sil.campaign.campaign import Campaign, load_campaign, write_record
 from sil.diagnosis.checks import observed
+from sil.diagnosis.noise import noise_of
 
 
 def changed(clean: Campaign, folder, every: int, change) -> Campaign:
@@ -47,3 +48,20 @@ def test_a_reversed_sign_is_said_as_such(clean, tmp_path, name) -> None:
     with pytest.raises(InputError, match=f"{name}: .* sign is reversed .state scale = -1") as error:
         observed(campaign, load())
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("count", [250, 500, 2000])
+def test_the_noise_of_a_short_record_is_not_underestimated(count: int) -> None:
+    rng = np.random.default_rng(3)
+    path = 50.0 * np.sin(0.05 * np.arange(count))
+    found = [noise_of(path + rng.normal(0.0, 2.0, count)) for _ in range(40)]
+    # the quietest of eight bands alone would give 0.63 of it with 250 samples
+    assert np.mean(found) == pytest.approx(2.0, rel=0.16)
+    assert np.mean(found) > 1.7
+
+
+def test_motion_in_a_part_of_the_spectrum_is_not_taken_for_noise() -> None:
+    rng = np.random.default_rng(4)
+    t = np.arange(4000)
+    vibration = 10.0 * np.sin(0.6 * np.pi * t)
+    assert noise_of(vibration + rng.normal(0.0, 1.0, len(t))) == pytest.approx(1.0, rel=0.1)

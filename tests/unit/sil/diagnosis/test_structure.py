@@ -46,7 +46,7 @@ def test_position_alone_tells_nothing_apart() -> None:
     structure = analyse(["position"], False)
     groups = structure.groups()
     assert len(groups) == 1 and len(groups[0]) == len(structure.detectable)
-    assert "nothing can be told apart" in structure.sentence()
+    assert "no two can be distinguished" in structure.sentence()
 
 
 def test_more_channels_never_isolate_less() -> None:

@@ -13,7 +13,7 @@ import os, time
 from sil.diagnosis.workers import spread_out
 
 def work(item):
-    print(os.getpid(), flush=True)
+    os.write(1, b"%d\\n" % os.getpid())
     time.sleep(600.0)
 
 spread_out(work, [0, 1], 2)
@@ -36,8 +36,10 @@ def test_workers_end_when_their_parent_is_killed() -> None:
     command = [sys.executable, "-c", WAITING]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
-        pids = [int(parent.stdout.readline()) for _ in range(2)]
+        try:
+            pids = [int(parent.stdout.readline()) for _ in range(2)]
+        finally:
+            parent.kill()
         assert len({*pids, parent.pid}) == 3
-        parent.kill()
         # ends when no worker holds the pipe any more
         assert parent.communicate(timeout=60.0) == ("", None)

@@ -19,6 +19,7 @@ class Terminal(io.StringIO):
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     now = [100.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(progress, "_silent", False)  # whatever command has run here with --quiet
     return now
 
 
@@ -59,6 +60,5 @@ def test_none_of_quick_work_and_none_when_silent(
     with progress.Progress("rows") as report:
         report(1, 2)
     assert stream.getvalue() == ""
-    monkeypatch.setattr(progress, "_silent", False)
     progress.silence()
     assert shown(clock, io.StringIO(), monkeypatch) == ""

@@ -33,4 +33,7 @@ def test_units_follow_from_names() -> None:
     assert [unit_of(n) for n in ("impulse_n_s", "speed_m_s", "late_m_s2", "duty", "delay_s")] == [
         "N s", "m/s", "m/s²", "", "s",
     ]  # fmt: skip
+    assert [unit_of(n) for n in ("supply_fill_pa_s", "drag_n_m", "supply_v", "resistance_ohm")] == [
+        "Pa/s", "N m", "V", "Ω",
+    ]  # fmt: skip
     assert quantity(900_000.0, "Pa") == "9 bar" and quantity(2.0, "s") == "2 s"

@@ -36,14 +36,14 @@ def test_a_clean_campaign_stands_on_the_floor(clean_model) -> None:
     for name, channel in found.channels.items():
         assert channel.rms < channel.band + 0.02, name
     assert np.all(np.abs(fit.shared) < 4.0)
-    assert screen(clean_model, fit, list(ALL.values()))[0].gain < 12.0
+    assert screen(Fitter(clean_model), fit, list(ALL.values()))[0].gain < 12.0
 
 
 def test_a_hidden_effect_is_recovered_with_its_score_first(tmp_path) -> None:
     model = model_of(made(tmp_path, with_effect("exhaust_clog", factor=0.8), seed=5, count=5))
     fitter = Fitter(model)
     healthy = fitter.fit()
-    scores = screen(model, healthy, list(ALL.values()))
+    scores = screen(fitter, healthy, list(ALL.values()))
     assert scores[0].gain > 500.0
     assert scores[0].candidate.id == "exhaust_clog"
     start = np.concatenate([np.zeros(healthy.layout.healthy), [-0.5]])

@@ -54,3 +54,10 @@ def test_candidates_travel_by_name_and_variants_exclude_each_other() -> None:
 def test_fewer_channels_mean_fewer_candidates() -> None:
     few = {item.id for item in candidates(())}
     assert not few & {"oil_aeration", "sensor_gain", "clock_skew", "free_play"}
+
+
+def test_a_clock_may_be_off_without_drifting_at_half_the_prior() -> None:
+    """As simple as the sensor's delay that looks the same: neither is preferred for its form."""
+    clock = [item for item in candidates(("internal position",)) if item.id == "clock_skew"]
+    assert [len(item.parameters) for item in clock] == [2, 1]
+    assert sum(item.prior for item in clock) == 1.0

@@ -20,7 +20,7 @@ from plant.parameters import load
 from plant.systems.length_stroke import LengthStroke
 from sil.cli import main
 from sil.fmu.slave import release_static_state
-from sil.simulation import scenario
+from sil.simulation import load_scenario
 
 MS = 1_000_000
 STEP_S = 0.001
@@ -138,14 +138,14 @@ def test_the_firmware_unit_answers_as_the_firmware_does(units: dict[str, Path]) 
         input=inputs,
         output=outputs,
     )
-    firmware = Firmware(scenario.load("lab_n_b").scenario.controller)
+    firmware = Firmware(load_scenario.load("lab_n_b").scenario.controller)
     valid = E2eState.VALID
-    for k, told in enumerate(inputs):
+    for k, reported in enumerate(inputs):
         out = firmware.step(
             10 * MS * k,
             Inputs(
-                (PositionPulse(told["pulse_s"], told["coil_temperature_k"], k),),
-                ShiftRequest(Gear(told["request"])),
+                (PositionPulse(reported["pulse_s"], reported["coil_temperature_k"], k),),
+                ShiftRequest(Gear(reported["request"])),
                 DrivelineSpeeds(0.0, 0.0),
                 *(valid, valid, valid),
             ),
@@ -161,7 +161,7 @@ def test_the_firmware_unit_answers_as_the_firmware_does(units: dict[str, Path]) 
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "reported"),
     [
         (["plant", "x.txt"], "expected OUT.fmu"),
         (["plant", "none/x.fmu"], "no such folder"),
@@ -169,12 +169,12 @@ def test_the_firmware_unit_answers_as_the_firmware_does(units: dict[str, Path]) 
     ],
 )
 def test_bad_input_is_one_line(
-    arguments: list[str], told: str, tmp_path: Path, capsys: Any, monkeypatch: Any
+    arguments: list[str], reported: str, tmp_path: Path, capsys: Any, monkeypatch: Any
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["fmu", *arguments]) == 2
     complaint = capsys.readouterr().err
-    assert told in complaint and complaint.count("\n") == 1
+    assert reported in complaint and complaint.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 

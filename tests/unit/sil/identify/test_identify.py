@@ -109,10 +109,10 @@ def test_friction_is_recovered_both_ways(plain: Campaign) -> None:
     for item in found.estimates:
         assert item.low <= TRUTH[item.path] <= item.high, item
         assert item.high - item.low < 0.25 * TRUTH[item.path]
-    for item in found.beside:
+    for item in found.by_thesis:
         assert item.low <= TRUTH[item.path] <= item.high, item
     narrow = {e.path: e.high - e.low for e in found.estimates}
-    wide = {e.path: e.high - e.low for e in found.beside}
+    wide = {e.path: e.high - e.low for e in found.by_thesis}
     assert narrow["friction_fixed.beta"] < wide["friction_fixed.beta"]
 
 

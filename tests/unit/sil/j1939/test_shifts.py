@@ -125,14 +125,6 @@ def plain(found: Iterable[Shift]) -> list[tuple[int, int, int | None, int | None
     ]
 
 
-def test_identifiers_are_split() -> None:
-    parts = split_id(0x18FEF100)
-    assert (parts.priority, parts.pgn, parts.source) == (6, 65265, 0)
-    assert split_id(0x0CF00203).pgn == 61442
-    assert split_id(0x18EAFF0B).destination == 0xFF
-    assert split_id(0x18EA0B27).pgn == 0xEA00
-
-
 def test_seven_shifts_of_a_truck() -> None:
     found = shifts(truck())
     assert plain(found) == SEVEN
@@ -197,32 +189,30 @@ def test_not_available_samples_change_nothing() -> None:
         assert (shift.from_gear, shift.to_gear) == (old, new)
 
 
-def test_without_the_flag_the_gears_decide() -> None:
-    found = shifts(truck(flags=False))
+def is_etc1(frame: LogFrame) -> bool:
+    return split_id(frame.can_id).pgn == 61442
+
+
+WITHOUT_FLAG = truck(flags=False)
+
+
+@pytest.mark.parametrize(
+    "log",
+    [
+        WITHOUT_FLAG,
+        [frame for frame in truck() if not is_etc1(frame)],
+        [f._replace(data=b"\xcc" + f.data[1:]) if is_etc1(f) else f for f in WITHOUT_FLAG],
+    ],
+    ids=["flag not available", "no ETC1", "flag never moves"],
+)
+def test_without_the_flag_the_gears_decide(log: list[LogFrame]) -> None:
+    found = shifts(log)
     assert {shift.method for shift in found} == {"gear"}
-    assert [(shift.from_gear, shift.to_gear) for shift in found] == [
-        (old, new) for _, _, old, new in SEVEN
-    ]
+    assert [(shift.from_gear, shift.to_gear) for shift in found] == [row[2:] for row in SEVEN]
     for shift, (begin, end, _, _) in zip(found, SEVEN, strict=True):
         if shift.from_gear:
             assert shift.start_ns - START_NS == pytest.approx((begin + 150) * MS, abs=130 * MS)
         assert shift.end_ns - START_NS == pytest.approx((end + 60) * MS, abs=130 * MS)
-
-
-def test_without_etc1_the_gears_decide() -> None:
-    log = [frame for frame in truck() if split_id(frame.can_id).pgn != 61442]
-    assert [(s.from_gear, s.to_gear) for s in shifts(log)] == [(o, n) for _, _, o, n in SEVEN]
-
-
-def test_a_flag_that_never_moves_leaves_it_to_the_gears() -> None:
-    log = truck(flags=False)
-    still = [
-        frame._replace(data=b"\xcc" + frame.data[1:])
-        if split_id(frame.can_id).pgn == 61442
-        else frame
-        for frame in log
-    ]
-    assert len(shifts(still)) == 7
 
 
 def test_without_etc2_gears_are_unknown() -> None:
@@ -332,7 +322,7 @@ def test_gears_alone_of_two_senders_show_no_shift_twice() -> None:
     assert [(s.from_gear, s.to_gear) for s in found] == [(old, new) for _, _, old, new in SEVEN]
 
 
-def test_without_gears_the_ratios_are_told() -> None:
+def test_without_gears_the_ratios_are_reported() -> None:
     found = shifts(truck(gears=False, speeds=True))
     assert len(found) == 7
     assert "? to ?, ratio 11.70 to 9.20" in str(found[1])
@@ -352,7 +342,7 @@ def test_duplicated_frames_are_no_second_sample() -> None:
     assert summary.chatter == 1
 
 
-def test_shifts_cut_off_by_the_log_are_told() -> None:
+def test_shifts_cut_off_by_the_log_are_reported() -> None:
     log = [
         frame for frame in truck() if START_NS + 2_300 * MS < frame.time_ns < START_NS + 24_400 * MS
     ]
@@ -363,7 +353,7 @@ def test_shifts_cut_off_by_the_log_are_told() -> None:
 
 
 def test_a_clock_that_steps_back_joins_nothing() -> None:
-    """Ten hours back in the middle of a shift: that shift is told as unfinished."""
+    """Ten hours back in the middle of a shift: that shift is reported as unfinished."""
     log = [
         frame._replace(time_ns=frame.time_ns - 36_000 * 10**9)
         if frame.time_ns > START_NS + 8_400 * MS
@@ -377,6 +367,19 @@ def test_a_clock_that_steps_back_joins_nothing() -> None:
     assert "the clock stepped back 1 times" in summary.notes[0]
 
 
+def test_a_clock_that_steps_back_makes_no_negative_shift() -> None:
+    """Without the flag, the gears before the step and after it are of two drives."""
+    log = [
+        frame._replace(time_ns=frame.time_ns - 104 * 10**9)
+        if frame.time_ns > START_NS + 8_300 * MS
+        else frame
+        for frame in truck([(5_000, 5_600, 1, 2), (8_000, 8_600, 2, 3)], flags=False, end_ms=12_000)
+    ]
+    found = shifts(log)
+    assert [(s.from_gear, s.to_gear, s.method) for s in found] == [(0, 3, "gear"), (1, 2, "gear")]
+    assert all(0 < shift.duration_s < 2 for shift in found)
+
+
 def test_slow_etc1_is_believed() -> None:
     """At 100 ms a shift may be a single sample; that is no chatter."""
     drive: Drive = [(2_000, 2_100, 1, 2), (5_000, 5_400, 2, 3)]
@@ -385,7 +388,7 @@ def test_slow_etc1_is_believed() -> None:
     assert len(found) == 2
 
 
-def test_gear_changes_outside_of_shifts_are_told_apart() -> None:
+def test_gear_changes_outside_of_shifts_are_reported_apart() -> None:
     """Rolling out of gear at a stop is no flagged shift."""
     log = truck()
     late = [
@@ -510,16 +513,3 @@ def test_a_gap_within_a_flagged_shift_is_stated() -> None:
     assert second.silent_ns / 1e9 == pytest.approx(3.0, abs=0.02)
     assert "3.0" in str(second) and "of it not recorded" in str(second)
     assert any("not recorded for over 1 s in 1 shifts" in note for note in found.notes)
-
-
-def test_a_clock_that_steps_back_makes_no_negative_shift() -> None:
-    frames = truck([(5_000, 5_600, 1, 2), (8_000, 8_600, 2, 3)], flags=False, end_ms=12_000)
-    stepped = [
-        frame._replace(time_ns=frame.time_ns - 104_000 * MS)
-        if frame.time_ns > START_NS + 8_300 * MS
-        else frame
-        for frame in frames
-    ]
-    found = shifts(stepped)
-    assert [(s.from_gear, s.to_gear) for s in found] == [(0, 3), (1, 2)]
-    assert all(0 < shift.duration_s < 2 for shift in found)

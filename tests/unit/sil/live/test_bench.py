@@ -19,7 +19,8 @@ from sil.api import run
 from sil.live import bench
 from sil.live.bench import SLIDERS, Asked
 from sil.simulation.in_memory import Run
-from sil.simulation.scenario import Request, shipped
+from sil.simulation.load_scenario import shipped
+from sil.simulation.scenario import Request
 
 KNOWN = {name: name for name in shipped()}
 NAME = "truck_into_gear_easy"

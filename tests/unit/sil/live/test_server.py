@@ -17,7 +17,7 @@ import pytest
 from can_dbc.errors import InputError
 from sil.live import server
 from sil.live.server import HOST, MOST_CONNECTIONS, Bench, serve
-from sil.simulation.scenario import shipped
+from sil.simulation.load_scenario import shipped
 from tests.conftest import Run, run_opc4
 
 

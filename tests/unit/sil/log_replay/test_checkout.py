@@ -19,7 +19,7 @@ from sil.log_replay.recorded_frames import OWN_IDS
 from sil.log_replay.replay import ReplayRequest, replay
 from sil.nodes.own_firmware import OwnController
 from sil.simulation.in_memory import run_in_memory
-from sil.simulation.scenario import load
+from sil.simulation.load_scenario import load
 from tests.conftest import ROOT
 from tests.unit.sil.log_replay.golden_logs import arrivals, golden
 

@@ -104,7 +104,7 @@ def test_no_other_matching_costs_less(a: list[Edge], b: list[Edge], window: int)
     assert cost + window * (len(found.dropped) + len(found.added)) == least(0, 0)
 
 
-def test_shifts_are_told_in_samples_and_ms_with_how_often() -> None:
+def test_shifts_are_reported_in_samples_and_ms_with_how_often() -> None:
     signal = SwitchingSignal("valve B", "opens", "closes")
     for k in range(14):
         late = 30 * MS if k in (3, 9) else 0
@@ -129,8 +129,8 @@ def test_a_lane_notes_changes_only_and_tells_what_is_gone_or_new() -> None:
 
 
 @pytest.mark.parametrize(
-    ("shift_ms", "told"),
+    ("shift_ms", "reported"),
     [(30, "3 samples (30 ms) later"), (-10, "1 sample (10 ms) earlier"), (12.5, "12.5 ms later")],
 )
-def test_a_shift_that_is_no_whole_sample_is_told_in_ms(shift_ms: float, told: str) -> None:
-    assert shift_text(round(shift_ms * MS), 10 * MS) == told
+def test_a_shift_that_is_no_whole_sample_is_reported_in_ms(shift_ms: float, reported: str) -> None:
+    assert shift_text(round(shift_ms * MS), 10 * MS) == reported

@@ -14,7 +14,7 @@ from sil.log_replay.recorded_frames import ID_OF
 from sil.log_replay.replay import ReplayRequest, ReplayResult, replay
 from sil.log_replay.signals import Options
 from sil.logs import LogFrame
-from sil.simulation import scenario
+from sil.simulation import load_scenario, scenario
 from sil.simulation.in_memory import run_in_memory
 from tests.unit.sil.log_replay.golden_logs import frames, golden, write
 
@@ -28,7 +28,7 @@ def long_log(seconds: int) -> list[LogFrame]:
         {"at_s": 0.1 + 0.8 * k, "gear": ("backward", "neutral")[k % 2]} for k in range(2 * seconds)
     ]
     table = {"name": "long", "duration_s": 1.6 * seconds, "request": requests}
-    run = run_in_memory(scenario.from_table(table, "test"))
+    run = run_in_memory(load_scenario.from_table(table, "test"))
     return [LogFrame(f.arrival_ns, *f.frame, channel="can0") for f in run.record.frames]
 
 
@@ -96,7 +96,7 @@ def test_a_hampered_unit_and_bus_are_replayed_as_they_were(tmp_path: Path) -> No
     ]
     requests = [{"at_s": 0.1, "gear": "backward"}, {"at_s": 0.7, "gear": "neutral"}]
     table = {"name": "hampered", "duration_s": 1.2, "request": requests, "fault": faults}
-    run = run_in_memory(scenario.from_table(table, "test"))
+    run = run_in_memory(load_scenario.from_table(table, "test"))
     log = [LogFrame(f.arrival_ns, *f.frame, channel="can0") for f in run.record.frames]
     found = replayed(tmp_path, log)
     assert not found.differs, found.comparison.first
@@ -141,7 +141,7 @@ def test_an_odd_period_of_a_known_run_is_that_of_the_run(tmp_path: Path) -> None
         "request": [{"at_s": 0.1, "gear": "backward"}],
         "controller": {"period_s": 0.010003},
     }
-    loaded = scenario.from_table(table, "test")
+    loaded = load_scenario.from_table(table, "test")
     run = run_in_memory(loaded)
     (tmp_path / "result.json").write_text(
         json.dumps({"scenario": scenario.expanded(loaded.scenario)})

@@ -10,7 +10,7 @@ import pytest
 from can_dbc.errors import InputError
 from sil.log_replay.options import find_settings
 from sil.log_replay.tick_grid import survey
-from sil.simulation import scenario
+from sil.simulation import load_scenario, scenario
 from tests.unit.sil.log_replay.golden_logs import arrivals
 
 FOUND = survey(arrivals("firmware_2500us"))
@@ -18,7 +18,7 @@ FOUND = survey(arrivals("firmware_2500us"))
 
 def result(folder: Path, name: str) -> Path:
     path = folder / "result.json"
-    path.write_text(json.dumps({"scenario": scenario.expanded(scenario.load(name).scenario)}))
+    path.write_text(json.dumps({"scenario": scenario.expanded(load_scenario.load(name).scenario)}))
     return folder / "bus.log"
 
 

@@ -34,15 +34,15 @@ def test_the_page_of_no_difference_shows_what_was_compared(tmp_path: Path) -> No
 
 
 def test_the_text_has_edges_first_difference_and_waveforms() -> None:
-    told = text(FOUND)
-    assert "  safety blow begins 3 samples (30 ms) earlier, twice out of 2\n" in told
-    assert "first difference at 0.180000 s\n  ControllerStatus.estimate_m: recorded" in told
+    reported = text(FOUND)
+    assert "  safety blow begins 3 samples (30 ms) earlier, twice out of 2\n" in reported
+    assert "first difference at 0.180000 s\n  ControllerStatus.estimate_m: recorded" in reported
     assert (
         "first command that differs at 0.210000 s\n  SafetyBlow.chamber: recorded NONE, replayed N\n"
-        in told
+        in reported
     )
     recorded, replayed = (
-        re.search(rf"{side} (_+#+_+)\n", told) for side in ("recorded", "replayed")
+        re.search(rf"{side} (_+#+_+)\n", reported) for side in ("recorded", "replayed")
     )
     assert recorded and replayed
     assert recorded[1].count("#") - replayed[1].count("#") == 3
@@ -50,13 +50,13 @@ def test_the_text_has_edges_first_difference_and_waveforms() -> None:
 
 
 def test_the_values_are_plain_json() -> None:
-    told = json.loads(json.dumps(as_dict(FOUND)))
-    assert told["differs"] is True
-    lane = next(lane for lane in told["edges"] if lane["name"] == "valve F")
+    reported = json.loads(json.dumps(as_dict(FOUND)))
+    assert reported["differs"] is True
+    lane = next(lane for lane in reported["edges"] if lane["name"] == "valve F")
     assert lane["matched"][1]["shift_ms"] == -30.0
-    assert told["frames"]["accounted"] == told["frames"]["total"] == 1200
-    assert told["first_command"]["time_s"] == 0.21
-    assert told["signals"]["ValveCommand.duty_n"]["differing"] == 3
+    assert reported["frames"]["accounted"] == reported["frames"]["total"] == 1200
+    assert reported["first_command"]["time_s"] == 0.21
+    assert reported["signals"]["ValveCommand.duty_n"]["differing"] == 3
 
 
 def test_what_is_printed_is_short() -> None:

@@ -9,10 +9,10 @@ import pytest
 from can_dbc.messages import PositionPulse
 from sil.log_replay.recorded_frames import Arrival
 from sil.log_replay.tick_grid import make_grid, survey
-from sil.simulation import scenario
+from sil.simulation import load_scenario
 from tests.unit.sil.log_replay.golden_logs import arrivals
 
-NAMES = sorted(scenario.shipped())
+NAMES = sorted(load_scenario.shipped())
 COMPUTATION = 100_000
 
 
@@ -22,7 +22,7 @@ def moved(log: list[Arrival], by_ns: int) -> list[Arrival]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_period_bit_rate_and_phase_of_every_golden_log(name: str) -> None:
-    scene = scenario.load(name).scenario
+    scene = load_scenario.load(name).scenario
     found = survey(arrivals(name), None)
     assert found.period_ns == scene.controller.period_ns
     assert found.bitrate in (scene.bus.bitrate, None)

@@ -1,4 +1,4 @@
-"""Which ticks ran: losses, delays, silence off the bus, standstill and holes told apart."""
+"""Which ticks ran: losses, delays, silence off the bus, standstill and holes distinguished."""
 
 from __future__ import annotations
 

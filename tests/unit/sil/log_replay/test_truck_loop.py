@@ -15,7 +15,7 @@ from sil.log_replay.truck_loop import Input, OurShift, inputs_of, side, simulate
 from sil.log_replay.truck_replay import ComparedShift, verdict
 from sil.log_replay.truck_shift import RecordedShift, recorded_shift
 from sil.logs import LogFrame
-from sil.simulation import scenario
+from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
 from tests.unit.sil.log_replay.truck_synthesis import MadeShift, Truck, replace, without
 
@@ -160,7 +160,7 @@ def test_our_own_bus_read_as_a_truck_s_gives_our_own_times() -> None:
         "driveline": {"output_rad_s": 80.0, "gear_step_rad_s": 24.0, "engine_delay_s": 0.0, "engine_ramp_rad_s2": 120.0},
         "controller": {"blow": {"cut": "none"}},
     }  # fmt: skip
-    run = run_in_memory(scenario.from_table(made, "own"))
+    run = run_in_memory(load_scenario.from_table(made, "own"))
     frames = [LogFrame(e.arrival_ns, e.frame.can_id, e.frame.data) for e in run.record.frames]
     log = TruckLog("own.log", MAPPING)
     assert log.read(frames)

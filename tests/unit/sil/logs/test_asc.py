@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -11,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
-from sil.logs import LogFrame, LogReport, convert, open_log, open_logs, open_writer
+from sil.logs import LogFrame, LogReport, convert, open_log, open_writer
 from sil.logs.asc import parse_event
-from sil.logs.format import NotAFrame
+from sil.logs.format import ZONE_NOTE, NotAFrame
 from sil.logs.frame import require_possible
 from sil.logs.times import utc_ns
 
@@ -218,6 +216,7 @@ def test_times_of_python_can_count_from_the_trigger_block(tmp_path: Path) -> Non
     reader = open_log(path)
     assert [f.time_ns for f in reader] == [500_000_000]
     assert reader.report.start_ns == utc_ns(2022, 4, 28, 10, 44, 55)
+    assert reader.report.notes == [ZONE_NOTE]
     target = tmp_path / "log.log"
     convert(path, target)
     (frame,) = open_log(target)
@@ -246,25 +245,6 @@ def test_a_frame_before_the_start_is_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-ASC2LOG = shutil.which("asc2log")
-if ASC2LOG is not None:
-
-    def test_can_utils_read_our_asc(tmp_path: Path) -> None:
-        asc, log = tmp_path / "log.asc", tmp_path / "log.log"
-        frames = [
-            LogFrame(
-                i * 1_000_000, 0x100 + i, bytes(i % 9), i % 2 == 0, channel="1", direction="Rx"
-            )
-            for i in range(20)
-        ]
-        with open_writer(asc) as writer:
-            for frame in frames:
-                writer.write(frame)
-        subprocess.run([str(ASC2LOG), "-I", asc, "-O", log], check=True)
-        found = [(f.can_id, f.extended, f.data) for f in open_log(log)]
-        assert found == [(f.can_id, f.extended, f.data) for f in frames]
-
-
 HEADER = "date Sat Sep 30 10:06:13.191 PM 2017\nbase hex  timestamps absolute\n"
 
 
@@ -275,24 +255,6 @@ def read_text(
     path.write_text(text)
     reader = open_log(path, strict=strict)
     return list(reader), reader.report
-
-
-def test_the_start_is_said_to_be_taken_as_utc(tmp_path: Path) -> None:
-    _, report = read_text(tmp_path, HEADER + "   0.5 1  123             Rx   d 1 00\n")
-    assert report.start_ns == 1506809173191000000
-    assert report.notes == ["the start in the header names no time zone; it is taken as UTC"]
-
-
-def test_converting_keeps_the_date_of_the_trigger_block(tmp_path: Path) -> None:
-    """As python-can writes it: the date is when the file was written."""
-    text = (
-        "date Sun Nov 22 15:46:24.784 2026\nbase hex  timestamps absolute\n"
-        "Begin Triggerblock Sat Sep 30 15:06:15.500 2017\n 0.000000 Start of measurement\n"
-        " 0.250000 1  123x            Rx   d 2 01 02\n"
-    )
-    (tmp_path / "a.asc").write_text(text)
-    (frame,) = open_logs([tmp_path / "a.asc"])
-    assert frame.time_ns == 1506783975750000000
 
 
 @pytest.mark.parametrize("cut", ["1  18FE", "1  18FEF100x", "1  18FEF100x       R"])
@@ -317,9 +279,3 @@ def test_decimal_length_codes_of_canfd_lines_are_read(tmp_path: Path) -> None:
     assert [len(frame.data) for frame in frames] == [12, 16, 32, 64]
     assert report.skipped == 0
     assert any("length codes of CANFD lines are decimal" in note for note in report.notes)
-
-
-def test_remote_frames_of_log2asc_are_classic(tmp_path: Path) -> None:
-    line = "   0.0 CANFD   1 Rx   123     0 0 0  0   130000  130       10 0 0 0 0 0\n"
-    (frame,), _ = read_text(tmp_path, HEADER + line)
-    assert frame.remote and not frame.fd

@@ -13,7 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
-from sil.logs import LogFrame, blf, open_log
+from sil.logs import LogFrame, open_log
+from sil.logs import blf_objects as blf
+from sil.logs.blf import BlfReader
 from sil.logs.report import LogReport
 
 START_NS = 1_700_000_000_123 * 10**6
@@ -64,9 +66,7 @@ def objects(data: bytes) -> tuple[list[LogFrame], LogReport]:
     """The frames in data as they are in a file, and the report of them."""
     report = LogReport("log.blf", "blf")
     source: Any = io.BytesIO(file_of(data))
-    return [
-        frame for batch in blf.BlfReader(source, report, "auto") for frame in batch.frames
-    ], report
+    return [frame for batch in BlfReader(source, report, "auto") for frame in batch.frames], report
 
 
 def one(body: bytes, kind: int, **header: int) -> LogFrame | None:

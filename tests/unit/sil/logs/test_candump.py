@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -12,7 +10,7 @@ from hypothesis import strategies as st
 
 from can_dbc.errors import InputError
 from sil.logs import LogFrame, open_log, open_writer
-from sil.logs.candump import look_like_deltas, parse_line, plain_frames
+from sil.logs.candump import FORMAT, look_like_deltas, parse_line, plain_frames
 from sil.logs.format import NotAFrame
 from sil.logs.frame import require_possible
 
@@ -412,16 +410,13 @@ def test_numbered_channels_count_from_can0(tmp_path: Path) -> None:
     assert [f.channel for f in open_log(path)] == ["can0", "can1", "can0", "vcan3"]
 
 
-LOG2ASC = shutil.which("log2asc")
-if LOG2ASC is not None:
-
-    def test_can_utils_read_our_log(tmp_path: Path) -> None:
-        """log2asc of can-utils takes our log, and we its ASC, with the same frames."""
-        path, asc = tmp_path / "log.log", tmp_path / "log.asc"
-        frames = [frame(at(i * 1000), 0x100 + i, "11" * (i % 9), direction="Rx") for i in range(20)]
-        with open_writer(path) as writer:
-            for one in frames:
-                writer.write(one)
-        subprocess.run([str(LOG2ASC), "-I", path, "-O", asc, "can0"], check=True)
-        found = [(f.can_id, f.data) for f in open_log(asc)]
-        assert found == [(f.can_id, f.data) for f in frames]
+@pytest.mark.parametrize(
+    ("head", "found"),
+    [
+        (b"# x\nDROPCOUNT: dropped 7 CAN frames on 'can0' socket (total drops 7)\n", True),
+        (b"my notes: DROPCOUNT: dropped 7 CAN frames\n", False),
+        (b"DROPCOUNT: dropped all CAN frames\n", False),
+    ],
+)
+def test_losses_alone_are_recognised_by_their_line(head: bytes, found: bool) -> None:
+    assert FORMAT.recognise(head) is found

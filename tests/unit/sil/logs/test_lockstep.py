@@ -1,4 +1,4 @@
-"""A capture taken beside a lockstep run gives the frames of the simulated bus, each once."""
+"""A capture taken next to a lockstep run gives the frames of the simulated bus, each once."""
 
 from __future__ import annotations
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import gzip
 import json
 import os
 import resource
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -191,6 +194,33 @@ def test_a_log_that_finds_no_room_leaves_nothing_behind(name: str, tmp_path: Pat
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, allowed)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", ["log", "asc", "trc", "csv", "blf", "mf4"])
+def test_only_what_is_patched_waits_to_be_packed(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a usable folder for temporary files, and then without any temporary file."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
+    frames = [LogFrame(i * 10**6, i, bytes(8), channel="1", direction="Rx") for i in range(3000)]
+    plain, packed = tmp_path / f"plain.{suffix}", tmp_path / f"packed.{suffix}.gz"
+    for path in (plain, packed):
+        with open_writer(path) as writer:
+            for frame in frames:
+                writer.write(frame)
+    assert gzip.decompress(packed.read_bytes()) == plain.read_bytes()
+    packed.unlink()
+
+    def full(**_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", full)
+    if suffix in ("blf", "mf4"):
+        with pytest.raises(InputError, match=r"gz: No space left on device; expected a folder to"):
+            open_writer(packed)
+    else:
+        open_writer(packed).abort()
+    assert list(tmp_path.iterdir()) == [plain]
 
 
 def test_channels_get_numbers_and_losses_are_counted(tmp_path: Path) -> None:

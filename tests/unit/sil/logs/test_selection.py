@@ -64,3 +64,8 @@ def test_a_date_needs_a_log_with_dates() -> None:
     relative = [frame._replace(time_ns=frame.time_ns - START_NS) for frame in FRAMES]
     with pytest.raises(InputError, match="a date, but the times of the log count from its start"):
         list(Selection.parse(since="2020-01-01").select(iter([relative])))
+
+
+def test_an_end_before_the_beginning_is_refused() -> None:
+    with pytest.raises(InputError, match="--until: 1; expected a time after --since, 2"):
+        Selection.parse(since="2", until="1")

@@ -12,7 +12,7 @@ from can_dbc.errors import RunError
 from sil.cli import main
 from sil.nodes import own_firmware
 from sil.simulation.in_memory import run_in_memory
-from sil.simulation.scenario import load
+from sil.simulation.load_scenario import load
 
 SCENARIO = """
 name = "own"
@@ -47,7 +47,7 @@ def test_it_is_found_beside_the_scenario_and_from_the_command_line(
 
 
 @pytest.mark.parametrize(
-    ("program", "firmware", "told"),
+    ("program", "firmware", "reported"),
     [
         (OURS, "none.py", "no such file"),
         (OURS, ".", "is a folder; expected FILE.py"),
@@ -61,7 +61,7 @@ def test_it_is_found_beside_the_scenario_and_from_the_command_line(
     ],
 )  # fmt: skip
 def test_bad_files_are_refused_in_one_line(
-    program: str, firmware: str, told: str, tmp_path: Path, capsys: Any
+    program: str, firmware: str, reported: str, tmp_path: Path, capsys: Any
 ) -> None:
     path = scenario_with(tmp_path, program, firmware)
     for transport in ("inproc", "local"):
@@ -69,7 +69,7 @@ def test_bad_files_are_refused_in_one_line(
         code = main(["run", str(path), "--transport", transport, "--out", str(out)])
         complaint = capsys.readouterr().err.strip().splitlines()
         assert code == 2, transport
-        assert told in complaint[-1] and not any("Traceback" in line for line in complaint)
+        assert reported in complaint[-1] and not any("Traceback" in line for line in complaint)
 
 
 STEP = """

@@ -16,7 +16,7 @@ from sil.coupling.faults import Babbling, Replayed, Sent, Spoofed, window_of
 from sil.nodes.simulated import Drifting, DriverNode, IntruderNode, TrafficNode
 from sil.recording.end_to_end import EndToEnd
 from sil.recording.run_record import BusFrame, RunRecord
-from sil.simulation import scenario
+from sil.simulation import load_scenario
 
 MS = 1_000_000
 REQUEST = Frame(can_id_of(ShiftRequest), bytes(8))
@@ -116,8 +116,8 @@ def test_what_the_checks_of_the_frames_found_is_counted() -> None:
 
 def test_an_overloaded_bus_needs_a_limit_of_what_waits() -> None:
     with pytest.raises(InputError, match=r"bus\.send_buffer: missing"):
-        scenario.load("lab_n_b", settings=["bus.extra_load=1.2"])
-    assert scenario.load("lab_n_b", settings=["bus.extra_load=1.2", "bus.send_buffer=8"])
+        load_scenario.load("lab_n_b", settings=["bus.extra_load=1.2"])
+    assert load_scenario.load("lab_n_b", settings=["bus.extra_load=1.2", "bus.send_buffer=8"])
 
 
 def sent_by(driver: DriverNode, end_ms: int) -> list[tuple[int, Frame]]:

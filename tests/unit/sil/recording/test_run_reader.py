@@ -14,7 +14,7 @@ from sil.recording import run_reader
 from sil.recording.recorder import EventLog, FrameWriter, TraceWriter
 from sil.recording.run_reader import RowReader, event_of, open_trace
 from sil.recording.run_record import STORED_FRAME, BusFrame, PlantEvent, StoredFrames
-from sil.simulation import metrics, runner, scenario
+from sil.simulation import load_scenario, metrics, runner
 
 SENDERS = ("driver", "controller")
 IDS = (0x0CFF2503, 0x18FF2690)
@@ -69,7 +69,7 @@ def test_in_many_pieces_or_one_the_result_is_the_same(
     for piece_s in (run_reader.PIECE_S, 0.07):
         monkeypatch.setattr(run_reader, "PIECE_S", piece_s)
         (folder := tmp_path / str(piece_s)).mkdir()
-        finished = runner.run(scenario.load(name), folder)
+        finished = runner.run(load_scenario.load(name), folder)
         assert finished.result.complete and finished.record is not None
         rows = len(finished.record.truth["time_s"])
         found.append((finished, rows, (folder / "trace.csv").read_bytes()))

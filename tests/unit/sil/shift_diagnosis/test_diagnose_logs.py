@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from sil.cli import main
+from sil.shift_diagnosis.linear import NOISE
+from sil.shift_diagnosis.model import catalogue
+from sil.shift_diagnosis.verdict import Judged, ShiftDiagnosis
 
 
 def diagnosed(log: Path, out: Path) -> tuple[int, dict]:
@@ -44,6 +48,15 @@ def test_a_healthy_truck_is_consistent(nominal_log: Path, tmp_path: Path) -> Non
     assert f"valve_open_delay {noticed['valve_open_delay']['value']:.2g} s" in timing
     assert 0.0005 < noticed["valve_open_delay"]["value"] < 0.02
     assert noticed["end_stop_bounce"]["value"] is None
+
+
+def test_of_many_causes_that_are_alike_the_likeliest_are_reported() -> None:
+    causes = [cause for cause in catalogue() if cause.sign][:30]
+    alike = {cause.effect.id: 0.04 for cause in causes[:20]}
+    shares = alike | {causes[-1].effect.id: 0.001, "healthy": 0.001}
+    judged = [Judged(SimpleNamespace(cause=cause), 0.0, 1.0) for cause in causes]
+    found = ShiftDiagnosis("ambiguous", (), tuple(judged), shares, (), True, NOISE, (), {})
+    assert {item.id for item in found.named} == set(alike)
 
 
 def test_a_log_without_commands_is_one_line(

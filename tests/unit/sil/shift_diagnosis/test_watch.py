@@ -32,6 +32,19 @@ def fleet(folder: Path) -> None:
     observations(folder / "two" / "1.csv", sizes, 8, 2000)
 
 
+def test_a_few_shifts_are_not_called_steady(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs, out = tmp_path / "fleet" / "one", tmp_path / "out"
+    for part, (shifts, verdict) in enumerate([(119, "cannot_tell"), (1, "steady")]):
+        observations(logs / f"{part}.csv", np.zeros((shifts, 2)), part, 119 * part)
+        assert main(["watch", str(tmp_path / "fleet"), "--out", str(out), "--json"]) == 0
+        (truck,) = json.loads(capsys.readouterr().out)["trucks"]
+        assert truck["verdict"] == verdict
+        assert (truck["lines"] == ["a change can be found from 120 shifts on"]) is (part == 0)
+        assert ("too few shifts to tell" in (out / "report.html").read_text()) is (part == 0)
+
+
 def test_a_fleet_is_watched(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fleet(tmp_path / "fleet")
     assert main(["watch", str(tmp_path / "fleet"), "--out", str(tmp_path / "out"), "--json"]) == 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from can_dbc.messages import Gear
-from sil.simulation import metrics, scenario
+from sil.simulation import load_scenario, metrics
 from sil.simulation.impacts import counted, worst_speed_m_s
 from sil.simulation.in_memory import Run, run_in_memory
 from tests.unit.sil import made_run
@@ -23,7 +23,7 @@ BLOW_INSIDE = [
 
 @pytest.fixture(scope="module")
 def cushion() -> Run:
-    return run_in_memory(scenario.load("strategy_air_cushion", settings=BLOW_INSIDE))
+    return run_in_memory(load_scenario.load("strategy_air_cushion", settings=BLOW_INSIDE))
 
 
 def test_only_the_first_contact_of_a_pick_up_is_not_counted() -> None:
@@ -63,7 +63,7 @@ def test_a_gear_confirmed_before_the_stay_arrives_fails_the_scenario(cushion: Ru
     assert cushion.shifts[0].confirmed_early_s == pytest.approx(0.0138, abs=5e-4)
     failed = {check.name for check in cushion.checks if not check.passed}
     assert "confirmed before arrival" in failed
-    shipped = run_in_memory(scenario.load("strategy_air_cushion"))
+    shipped = run_in_memory(load_scenario.load("strategy_air_cushion"))
     assert shipped.shifts[0].confirmed_early_s == 0.0
     assert all(check.passed for check in shipped.checks)
 
@@ -82,5 +82,7 @@ def test_arrival_means_staying() -> None:
 
 
 def test_the_strategies_differ_where_they_are_shipped() -> None:
-    runs = [run_in_memory(scenario.load(f"strategy_{n}")) for n in ("air_cushion", "bang_bang")]
+    runs = [
+        run_in_memory(load_scenario.load(f"strategy_{n}")) for n in ("air_cushion", "bang_bang")
+    ]
     assert runs[0].trace_sha256 != runs[1].trace_sha256

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -78,31 +80,13 @@ def test_lags_from_truth_and_from_the_bus_alone() -> None:
 
 def cut_off_requests(record: made_run.RunRecord) -> made_run.RunRecord:
     asking = {entry.frame.can_id for entry, _ in record.of(ShiftRequest)}
-    frames = [f for f in record.frames if f.frame.can_id not in asking]
-    return made_run.RunRecord(
-        record.truth,
-        record.events,
-        frames,
-        record.stroke_m,
-        record.free_travel_m,
-        record.supply_pressure_pa,
-        record.moving_mass_kg,
-    )
+    return replace(record, frames=[f for f in record.frames if f.frame.can_id not in asking])
 
 
 def test_a_request_that_leads_nowhere_has_no_times() -> None:
     record = made_run.made()
     record.truth["position_m"][:] = 0.0  # type: ignore[index]
-    stuck = made_run.RunRecord(
-        truth=record.truth,
-        events=[],
-        frames=record.frames,
-        stroke_m=record.stroke_m,
-        free_travel_m=record.free_travel_m,
-        supply_pressure_pa=record.supply_pressure_pa,
-        moving_mass_kg=record.moving_mass_kg,
-    )
-    found = metrics.shifts(stuck, Gear.NEUTRAL)
+    found = metrics.shifts(replace(record, events=[]), Gear.NEUTRAL)
     assert found[0].arrived_s is None and found[0].shift_time_s is None
     assert found[0].position_lag_10_s is None
     assert metrics.summary(found, 0.0, 0, 0)["shift_time_s"] is None
@@ -125,14 +109,11 @@ def test_a_run_that_ended_early_has_the_figures_it_got_to(end_s: float) -> None:
     whole = made_run.made()
     for frames_end_s in (0.0, 0.1003, end_s, 0.4):
         rows = whole.truth["time_s"] <= end_s
-        cut = made_run.RunRecord(
+        cut = replace(
+            whole,
             truth={name: column[rows] for name, column in whole.truth.items()},
             events=[e for e in whole.events if e.time_s <= end_s],
             frames=[f for f in whole.frames if f.arrival_ns <= frames_end_s * 1e9],
-            stroke_m=whole.stroke_m,
-            free_travel_m=whole.free_travel_m,
-            supply_pressure_pa=whole.supply_pressure_pa,
-            moving_mass_kg=whole.moving_mass_kg,
         )
         found = metrics.shifts(cut, Gear.NEUTRAL)
         assert len(found) == (frames_end_s >= 0.1003)

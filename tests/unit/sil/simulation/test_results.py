@@ -32,8 +32,8 @@ def made(**changes: object) -> Result:
 
 
 def test_json_has_no_nan_and_the_promised_names() -> None:
-    told = json.loads(as_json(made(metrics={"a": float("nan"), "b": [float("inf"), 1.0]})))
-    assert told["metrics"] == {"a": None, "b": [None, 1.0]}
+    output = json.loads(as_json(made(metrics={"a": float("nan"), "b": [float("inf"), 1.0]})))
+    assert output["metrics"] == {"a": None, "b": [None, 1.0]}
     assert {
         "passed",
         "expectations",
@@ -42,7 +42,7 @@ def test_json_has_no_nan_and_the_promised_names() -> None:
         "seed",
         "versions",
         "scenario",
-    } <= (told.keys())
+    } <= (output.keys())
     assert finite({1: (float("-inf"), "x")}) == {"1": [None, "x"]}
 
 

@@ -55,14 +55,8 @@ def test_page_is_well_formed_and_needs_no_network() -> None:
 def test_an_overloaded_bus_is_a_warning_with_its_cause_in_result_and_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    settings = [
-        "--set",
-        "bus.bitrate=250000",
-        "--set",
-        "duration_s=0.3",
-        "--set",
-        "expect.min_frames=1",
-    ]
+    values = ("bus.bitrate=250000", "duration_s=0.3", "expect.min_frames=1")
+    settings = [word for value in values for word in ("--set", value)]
     assert main(["run", "firmware_2500us", *settings, "--out", str(tmp_path / "out")]) == 1
     shown = capsys.readouterr()
     (warning,) = json.loads((tmp_path / "out" / "result.json").read_text())["warnings"]

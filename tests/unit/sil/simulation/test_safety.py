@@ -13,7 +13,7 @@ from can_dbc.codec import can_id_of
 from can_dbc.messages import Fault, Gear, ValveCommand
 from sil.simulation import safety
 from sil.simulation.in_memory import run_in_memory
-from sil.simulation.scenario import from_table
+from sil.simulation.load_scenario import from_table
 from tests.faults.drawn import base
 
 
@@ -60,11 +60,7 @@ def test_a_report_of_a_gear_the_stay_is_not_in_is_found() -> None:
     loaded = from_table(base("N-B"), "test")
     record = run_in_memory(loaded).record
     moved = dict(record.truth) | {"position_m": np.zeros_like(record.truth["position_m"])}
-    fooled = type(record)(
-        moved, record.events, record.frames, record.stroke_m, record.free_travel_m,
-        record.supply_pressure_pa,
-        record.moving_mass_kg,
-    )  # fmt: skip
+    fooled = dataclasses.replace(record, truth=moved)
     assert safety.false_gear_s(record, loaded.scenario) == 0.0
     assert safety.false_gear_s(fooled, loaded.scenario) > 0.3
 

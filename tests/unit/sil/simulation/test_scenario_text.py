@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from sil.simulation.expectations import Expectations
-from sil.simulation.scenario import from_table, load, shipped
+from sil.simulation.load_scenario import from_table, load, shipped
 from sil.simulation.scenario_text import scenario_toml
 
 

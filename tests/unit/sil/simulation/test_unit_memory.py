@@ -9,8 +9,8 @@ import pytest
 
 from can_dbc.errors import InputError
 from sil.simulation.in_memory import run_in_memory
+from sil.simulation.load_scenario import from_table, load, read
 from sil.simulation.runner import run
-from sil.simulation.scenario import from_table, load, read
 from sil.simulation.unit_memory import content, embedded
 
 LEARNED = ['controller.strategy="learned"']
@@ -47,7 +47,7 @@ def test_other_strategies_leave_none(tmp_path: Path) -> None:
         ("", "here: memory: FOLDER: Is a directory; expected a file"),
         ("nul\0", "here: memory: no file name; expected a file"),
         ("base64:?", "here: memory: not base64; expected a file"),
-        ("large.bin", "FOLDER/large.bin: 4097 bytes; expected at most 4096"),
+        ("large.bin", "FOLDER/large.bin: too long; expected a memory of at most 4096 bytes"),
     ],
 )
 def test_what_cannot_be_a_memory_is_refused(memory: str, said: str, tmp_path: Path) -> None:

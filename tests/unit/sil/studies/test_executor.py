@@ -197,6 +197,6 @@ def test_a_cluster_of_two_worker_processes_gives_the_same_bytes(
     assert (out / RESULTS).read_bytes() == whole
 
 
-def test_a_cluster_that_is_not_there_is_told(sweep: Path, tmp_path: Path) -> None:
+def test_a_cluster_that_is_not_there_is_reported(sweep: Path, tmp_path: Path) -> None:
     with pytest.raises(RunError, match="cannot be reached"):
         run_study(load_study(str(sweep)), tmp_path, cluster="tcp://127.0.0.1:9")

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from sil.report.figure import Panel
-from sil.studies.figures import MOST_DOTS, swept_figures
+from sil.studies.figures import MOST_DOTS, axis_of, swept_figures
 from sil.studies.kinds import stroke
 from sil.studies.load_study import load_study
-from sil.studies.study import LoadedStudy
+from sil.studies.study import LoadedStudy, Sweep
 from sil.studies.table import Table
 
 LOOP = """
@@ -109,3 +109,17 @@ def test_strokes_of_a_small_study_lie_over_one_time(tmp_path: Path) -> None:
     light, heavy = (line.y for line in panels[0].series)
     assert light[-1] == heavy[-1] == pytest.approx(12.85)
     assert light.sum() > heavy.sum()  # the lighter one is there first
+
+
+@pytest.mark.parametrize(
+    ("sweep", "label"),
+    [
+        (Sweep(path="valve.D_fall"), ("valve.D_fall, ms", 1e3)),
+        (Sweep(path="controller.period_s"), ("controller.period_s, ms", 1e3)),
+        (Sweep(path="plant.mesh_force_n"), ("plant.mesh_force_n, N", 1.0)),
+        (Sweep(path="effect.inlet_clog.factor"), ("effect.inlet_clog.factor", 1.0)),
+        (Sweep(path="valve.D_fall", label="share"), ("share", 1.0)),
+    ],
+)
+def test_an_axis_has_the_unit_of_what_is_swept(sweep: Sweep, label: tuple[str, float]) -> None:
+    assert axis_of(sweep) == label

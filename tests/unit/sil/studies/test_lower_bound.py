@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import csv
 import json
 import math
 from typing import Any
@@ -16,6 +17,8 @@ from plant.kernel.compiled import plain
 from plant.kernel.layout import FlowMap
 from plant.parameters import load as load_parameters
 from plant.parts.flow import charge, discharge
+from sil.studies.kinds.bounds import SHIPPED
+from sil.studies.kinds.lower_bound import NEUTRAL
 from sil.studies.lower_bound import HeldModel, Node, certificate
 from sil.studies.lower_bound_enclosures import STEP_S, check_maps, stop_speed
 from sil.studies.policies import GEARBOX, FamilyModel, Layout
@@ -161,6 +164,18 @@ def test_no_random_policy_is_softer(delay_s: float) -> None:
 def test_no_policy_of_thousands_is_softer(delay_s: float) -> None:
     for seed in range(5):
         assert hardest_of_random(delay_s, 1000, seed) >= CERTIFIED[delay_s]
+
+
+def test_what_was_found_with_valve_n_is_above_the_proof_and_the_damper() -> None:
+    """The shipped table holds both ends of the interval: a policy that exists, and above what is proven."""
+    with open(SHIPPED.with_name("bounds_valves.csv"), encoding="utf-8", newline="") as file:
+        found = [row for row in csv.DictReader(file) if row["variant"] == NEUTRAL]
+    rows = [row for row in found if float(row["bound.delay_s"]) in CERTIFIED]
+    assert len(rows) == len(CERTIFIED)
+    for row in rows:
+        found_m_s = float(row["bound_m_s"])
+        assert CERTIFIED[float(row["bound.delay_s"])] <= found_m_s < float(row["open_loop_m_s"])
+        assert found_m_s > float(row["damper_m_s"])
 
 
 def test_nothing_is_proven_above_a_policy_that_exists(held: HeldModel) -> None:

@@ -100,7 +100,7 @@ def test_a_load_that_is_not_revealed_yet_does_not_act_on_the_commands(delay_s: f
     model = FamilyModel(PARAMETERS, GEARBOX, delay_s, 0.03)
     search = Search(model, "BNF", 2, 1, 3)
     layout, (stems, _revealed_s) = search.layout, search.stems(search.random_segments(6))
-    branches = search.random_branches(6, 6)
+    branches = np.stack([search.random_branches(6, 6) for _ in search.order], axis=2)
     found = model.fly(stems, branches, layout)
     begin_s = np.minimum(found.revealed_s, model.limit_s) + delay_s
     coils = model.changes(layout, *model.spans(layout, stems, branches, begin_s))
@@ -125,7 +125,8 @@ def test_a_load_that_is_not_revealed_yet_does_not_act_on_the_commands(delay_s: f
 def test_a_blow_of_a_piston_counts_though_the_stay_stops_softly() -> None:
     model = FamilyModel(PARAMETERS, LABORATORY, 0.0, 0.03)
     search = Search(model, "BNF", 4, 0, 4)
-    found = search.fly(search.random_segments(100), np.zeros(0))
+    stems, _revealed_s = search.stems(search.random_segments(100))
+    found = model.fly(stems, None, search.layout)
     arrived = np.isfinite(found.impact_worst_m_s)
     hidden = arrived & (found.impact_worst_m_s > found.impact_stay_m_s + 0.1)
     assert hidden.any()

@@ -7,7 +7,6 @@ import random
 import select
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import can
 import pytest
@@ -124,111 +123,86 @@ def test_the_end_of_a_run_is_reported() -> None:
     bus.shutdown()
 
 
-def run_hub(channel: str) -> Hub:
-    """A hub of a run that waits for its controller."""
-    return Hub(channel, ["controller"])
-
-
 def frame(number: int) -> Delivery:
     return Delivery(number * 1000, Frame(0x0CFF2503, number.to_bytes(8, "big")), "controller", 0)
 
 
-def test_a_monitor_sees_delivered_frames_at_their_simulated_times() -> None:
-    hub = run_hub("run")
-    try:
-        with LocalBus("run") as early, LocalBus("run") as filtered:
-            filtered.set_filters([{"can_id": 1, "can_mask": 0x1FFFFFFF}])
+def test_a_monitor_sees_delivered_frames_at_their_simulated_times(hub: Hub) -> None:
+    with LocalBus("bench") as early, LocalBus("bench") as filtered:
+        filtered.set_filters([{"can_id": 1, "can_mask": 0x1FFFFFFF}])
+        hub.idle(0.0)
+        hub.deliver([frame(number) for number in range(1, 4)])
+        with LocalBus("bench") as late:
             hub.idle(0.0)
-            hub.deliver([frame(number) for number in range(1, 4)])
-            with LocalBus("run") as late:
-                hub.idle(0.0)
-                hub.deliver([frame(4)])
-                seen = [early.recv(1.0) for _ in range(4)]
-                assert [m.timestamp for m in seen if m] == [1e-6, 2e-6, 3e-6, 4e-6]
-                assert content(late.recv(1.0)) == content(seen[3])
-                assert filtered.recv(0.1) is None
-            hub.idle(0.0)
-            hub.deliver([frame(5)])
-            assert content(early.recv(1.0))[1] == (5).to_bytes(8, "big")
-    finally:
-        hub.close(aborted=True)
+            hub.deliver([frame(4)])
+            seen = [early.recv(1.0) for _ in range(4)]
+            assert [m.timestamp for m in seen if m] == [1e-6, 2e-6, 3e-6, 4e-6]
+            assert content(late.recv(1.0)) == content(seen[3])
+            assert filtered.recv(0.1) is None
+        hub.idle(0.0)
+        hub.deliver([frame(5)])
+        assert content(early.recv(1.0))[1] == (5).to_bytes(8, "big")
 
 
-def test_sending_is_refused_and_a_foreign_frame_is_ignored() -> None:
-    hub = run_hub("run")
-    try:
-        with LocalBus("run") as monitor, LocalBus("run") as other:
-            hub.idle(0.0)
-            with pytest.raises(can.CanOperationError, match="frames from its participants only"):
-                monitor.send(message(1))
-            assert monitor._connection is not None
-            monitor._connection.send(wire.real(Frame(0x0CFF0001, b"")))
-            hub.idle(0.05)
-            assert other.recv(0.05) is None
-        (line,) = hub.warnings
-        assert "take no part" in line
-    finally:
-        hub.close(aborted=True)
+def test_sending_is_refused_and_a_foreign_frame_is_ignored(hub: Hub) -> None:
+    with LocalBus("bench") as monitor, LocalBus("bench") as other:
+        hub.idle(0.0)
+        with pytest.raises(can.CanOperationError, match="frames from its participants only"):
+            monitor.send(message(1))
+        assert monitor._connection is not None
+        monitor._connection.send(wire.real(Frame(0x0CFF0001, b"")))
+        hub.idle(0.05)
+        assert other.recv(0.05) is None
+    (line,) = hub.warnings
+    assert "take no part" in line
 
 
 def test_a_monitor_that_does_not_read_is_disconnected_and_delays_no_one(
-    monkeypatch: pytest.MonkeyPatch,
+    hub: Hub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "MONITOR_BACKLOG_BYTES", 100_000)
-    hub = run_hub("run")
-    try:
-        with LocalBus("run") as lazy, LocalBus("run") as busy:
+    with LocalBus("bench") as lazy, LocalBus("bench") as busy:
+        hub.idle(0.0)
+        for number in range(10_000):
+            hub.deliver([frame(number)])
+            assert content(busy.recv(1.0))[1] == number.to_bytes(8, "big")
+        assert "did not read" in hub.warnings[0]
+        got = []
+        with pytest.raises(can.CanOperationError, match="did not read"):
+            while True:
+                got.append(content(lazy.recv(1.0))[1])
+        assert got == [n.to_bytes(8, "big") for n in range(len(got))], "no hole before the end"
+        assert 100 < len(got) < 10_000
+
+
+def test_a_monitor_that_catches_up_misses_nothing(hub: Hub) -> None:
+    with LocalBus("bench") as slow:
+        hub.idle(0.0)
+        for number in range(5_000):
+            hub.deliver([frame(number)])
+        found = []
+        while len(found) < 5_000:
             hub.idle(0.0)
-            for number in range(10_000):
-                hub.deliver([frame(number)])
-                assert content(busy.recv(1.0))[1] == number.to_bytes(8, "big")
-            assert "did not read" in hub.warnings[0]
-            got = []
-            with pytest.raises(can.CanOperationError, match="did not read"):
-                while True:
-                    got.append(content(lazy.recv(1.0))[1])
-            assert got == [n.to_bytes(8, "big") for n in range(len(got))], "no hole before the end"
-            assert 100 < len(got) < 10_000
-    finally:
-        hub.close(aborted=True)
+            while (got := slow.recv(0.0)) is not None:
+                found.append(int.from_bytes(got.data, "big"))
+        assert found == list(range(5_000))
 
 
-def test_a_monitor_that_catches_up_misses_nothing() -> None:
-    hub = run_hub("run")
-    try:
-        with LocalBus("run") as slow:
-            hub.idle(0.0)
-            for number in range(5_000):
-                hub.deliver([frame(number)])
-            found = []
-            while len(found) < 5_000:
-                hub.idle(0.0)
-                while (got := slow.recv(0.0)) is not None:
-                    found.append(int.from_bytes(got.data, "big"))
-            assert found == list(range(5_000))
-    finally:
-        hub.close(aborted=True)
-
-
-def test_garbage_never_ends_a_hub(tmp_path: Path) -> None:
+def test_garbage_never_ends_a_hub(hub: Hub) -> None:
     import socket
 
     generator = random.Random(7)
-    hub = run_hub("run")
-    try:
-        for _ in range(300):
-            stranger = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            stranger.connect(str(hub.path))
-            for _ in range(generator.randrange(1, 4)):
-                stranger.send(generator.randbytes(generator.choice([1, 16, 17, 32, 160, 1024])))
-            hub.idle(0.0)
-            stranger.close()
-        hub.idle(0.05)
-        assert len([line for line in hub.warnings if "sent garbage" in line]) > 100
-        assert not hub._connections
-        with LocalBus("run") as monitor:
-            hub.idle(0.0)
-            hub.deliver([frame(1)])
-            assert monitor.recv(1.0) is not None
-    finally:
-        hub.close(aborted=True)
+    for _ in range(300):
+        stranger = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        stranger.connect(str(hub.path))
+        for _ in range(generator.randrange(1, 4)):
+            stranger.send(generator.randbytes(generator.choice([1, 16, 17, 32, 160, 1024])))
+        hub.idle(0.0)
+        stranger.close()
+    hub.idle(0.05)
+    assert len([line for line in hub.warnings if "sent garbage" in line]) > 100
+    assert not hub._connections
+    with LocalBus("bench") as monitor:
+        hub.idle(0.0)
+        hub.deliver([frame(1)])
+        assert monitor.recv(1.0) is not None

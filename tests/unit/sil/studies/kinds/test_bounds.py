@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
+from plant.parameters import load as load_parameters
 from sil.cli import main
 from sil.studies import executor, policies
+from sil.studies.bound_search import Search
 from sil.studies.kinds import bounds
 from sil.studies.kinds.bounds import PARTS, SHIPPED, TUNED, delay_of, worst_over
 from sil.studies.kinds.budget import BARS, closed, simulated
 from sil.studies.load_study import load_study
+from sil.studies.study import BoundsTable
 
 BUDGET = """
 name = "two"
@@ -35,7 +38,7 @@ kind = "bounds"
 simulations = 1500
 [[sweep]]
 path = "bound.delay_s"
-values = [0.048, 0.06]
+values = [0.2, 0.25]
 [[load]]
 name = "laboratory"
 set = { "bound.family" = "laboratory" }
@@ -94,13 +97,17 @@ def test_a_study_of_bounds_and_the_same_bytes_by_two_workers(tmp_path: Path) -> 
     [
         (BOUNDS.replace('"laboratory" }', '"gear box" }'), "laboratory"),
         (BOUNDS.replace("bound.delay_s", "bound.delay"), "delay_s"),
-        (BOUNDS.replace("[0.048, 0.06]", "[true]"), "-1 to 1 s"),
+        (BOUNDS.replace("[0.2, 0.25]", "[true]"), "-1 to 1 s"),
         (BOUNDS.replace("bound.delay_s", "bound.valves"), "all, firmware, neutral"),
         (BOUNDS.replace('"laboratory" }', '"laboratory", "bound.known" = 0.1 }'), "gearbox"),
         (BOUNDS.replace('"laboratory" }', '"gearbox", "bound.known" = 1.1 }'), "0 to 1"),
         (
             BOUNDS.replace('"laboratory" }', '"laboratory", "bound.simulations" = 0 }'),
             "whole number",
+        ),
+        (
+            BOUNDS.replace('"laboratory" }', '"laboratory", "bound.hunts" = 1001 }'),
+            "1 to 1000",
         ),
         (BOUNDS.replace('kind = "bounds"', 'kind = "bound"'), "kind"),
         (BOUNDS.replace('kind = "bounds"', 'kind = "bounds"\nscenario = "lab_n_b"'), "no scenario"),
@@ -165,6 +172,29 @@ def test_the_shipped_bounds_are_no_harder_than_any_policy_known() -> None:
     assert float(points[8.0, 35.0, 48.0]["bound_m_s"]) > damper_m_s  # 48 ms late is not
 
 
+@pytest.mark.parametrize("name", ["bounds", "bounds_valves"])
+def test_a_shipped_table_has_every_row_of_its_study(name: str) -> None:
+    study = load_study(name)
+    shipped = rows_of(SHIPPED.with_name(f"{name}.csv"))
+    assert [int(row["row"]) for row in shipped] == list(range(study.size))
+    for row, expected in zip(shipped, study.rows(), strict=True):
+        for sweep in study.study.sweep:
+            assert float(row[sweep.path]) == expected.settings[sweep.path]
+        searches = [float(row["search_1_m_s"]), float(row["search_2_m_s"])]
+        assert float(row["bound_m_s"]) <= min(searches) + 1e-9 and row["failed"] == "0.0"
+
+
+def test_known_at_once_the_release_is_enough_for_the_valves_that_the_firmware_uses() -> None:
+    found = {
+        (row["variant"], float(row["bound.delay_s"])): row
+        for row in rows_of(SHIPPED.with_name("bounds_valves.csv"))
+    }
+    both = "B and N, as the firmware"
+    at_once = found[both, 0.0]
+    assert float(at_once["bound_m_s"]) < float(at_once["damper_m_s"])
+    assert float(at_once["bound_m_s"]) < float(found[both, 0.01]["bound_m_s"])
+
+
 def test_what_the_shipped_tuning_says() -> None:
     tuned = {(row["variant"], row["strategy"]): row for row in rows_of(TUNED)}
     plain, mpc = tuned["today", "open loop"], tuned["today", "predictive"]
@@ -205,6 +235,22 @@ def test_a_load_that_is_known_to_a_share_stands_for_its_neighbours() -> None:
     found = [[case.sync_impulse_n_s for case in family.cases] for family in near]
     assert found[0] == pytest.approx([16.2, 17.1, 18.0, 18.9, 19.8])
     assert [each[2] for each in found] == [18.0, 40.0, 78.0, 140.0, 250.0]
+
+
+def test_who_knows_the_release_ahead_may_ignore_it() -> None:
+    """Of two halves of the budget the first is for policies without information."""
+    near, table = bounds.around(policies.GEARBOX, 0.02)[0], BoundsTable(seed=3)
+    parameters = load_parameters("nominal")
+    found = bounds.searched(parameters, near, -0.03, 0.03, "N", table, 1200, 2, True)
+    blind = [
+        Search(policies.FamilyModel(parameters, near, 0.048, 0.03), "N", 2, 0, seed)
+        for seed in (3, 4)
+    ]
+    for search, history in zip(blind, found.history, strict=True):
+        whole = search.run(600)
+        assert list(history[:-1]) == pytest.approx(whole[1:]) and history[-1] <= history[-2]
+        assert whole[-1] < policies.NOT_ARRIVED
+    assert found.best_m_s == found.history[:, -1].min() == found.arrivals.impact_worst_m_s.max()
 
 
 def test_bounds_over_the_share_are_drawn_with_what_earlier_information_reaches() -> None:

@@ -11,7 +11,7 @@ from scipy import signal
 
 from controller.settings import FilterConfig
 from plant.parameters import load as load_parameters
-from sil.simulation.scenario import load
+from sil.simulation.load_scenario import load
 from sil.studies.kinds import budget as budgets
 from sil.studies.kinds.budget import BARS, NoBudgetError, budget_of, simulated
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -77,8 +78,15 @@ def test_exchanged_valves_open_later_in_every_second_truck() -> None:
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"cone_shift": -0.1}, "truck.cone_shift: Expected `float` >= 0.0"),
-        ({"cone_shift": "much"}, "truck.cone_shift: Expected `float`, got `str`"),
+        ({"cone_shift": -0.1}, "^truck.cone_shift: -0.1 is wrong; expected number >= 0.0$"),
+        ({"cone_shift": "much"}, "^truck.cone_shift: 'much' is wrong; expected number$"),
+        ({"warm_k": 60.0}, "^truck.warm_k: 60; expected 200 to 450$"),
+        ({"direct": 15.0}, "^truck.direct: 15; expected 0 to 1$"),
+        ({"warm_up_s": 0.0}, "^truck.warm_up_s: 0; expected 0.001 to 1e"),
+        (
+            {"supply_low_pa": 9.5e5},
+            "^truck.supply_low_pa: 950000; expected at most truck.supply_high_pa, 900000$",
+        ),
     ],
 )
 def test_numbers_of_the_population_are_checked(changed: dict[str, float], message: str) -> None:
@@ -126,6 +134,46 @@ def test_the_memory_is_handed_on_or_erased() -> None:
     assert erased == [b"", b""]
     again = learned.run_shifts(study.loaded, own, shifts[1:], kept[0])
     assert [each.memory for each in again] == kept[1:]
+
+
+def test_a_unit_that_is_given_the_truth_acts_at_once_and_is_softer() -> None:
+    """Than a new unit is in each of these shifts, on average: in some both take the same programme."""
+    study = load_study(str(SHIPPED_STUDY))
+    shifts, _exam = Truck(TABLE, POPULATION.factor, FleetTable(shifts=40), 2, NOMINAL).shifts()
+    large = [
+        each for each in shifts if each.impulse_n_s > 80.0 and "plant.charged" not in each.settings
+    ][:6]
+    own = {"controller.strategy": "learned"}
+    plain, fresh, knowing = (
+        np.array([
+            found.impact_m_s
+            for each in large
+            for found in learned.run_shifts(study.loaded, settings, [each], knows=knows)
+        ])
+        for settings, knows in (({}, False), (own, False), (own, True))
+    )  # fmt: skip
+    assert knowing[0] < plain[0] - 0.2
+    assert knowing.mean() < fresh.mean() - 0.02
+    assert (fresh <= plain).all()
+
+
+def test_an_input_speed_that_jumps_before_the_request_makes_the_push_plain() -> None:
+    """The jump is over before the push, in which the speeds look as if they were right."""
+    study = load_study(str(SHIPPED_STUDY))
+    shifts, _exam = Truck(TABLE, POPULATION.factor, FleetTable(shifts=10), 2, NOMINAL).shifts()
+    own = {"controller.strategy": "learned"}
+    acted = 0
+    for each in (each for each in shifts if "plant.charged" not in each.settings):
+        _, memory = learned.truth(each)
+        for start_s in (None, 0.08):
+            fault = {"speed_fault": [{"kind": "wrong", "start_s": start_s}] if start_s else []}
+            hit = [replace(each, settings=each.settings | fault)]
+            (found,) = learned.run_shifts(study.loaded, own, hit, memory)
+            (plain,) = learned.run_shifts(study.loaded, {}, hit)
+            differs = found.impact_m_s != plain.impact_m_s
+            assert not (start_s and differs)
+            acted += differs
+    assert acted > 3
 
 
 @pytest.mark.slow

@@ -10,12 +10,24 @@ import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
+from plant.parameters import ParameterSet, load
 from sil.cli import main
-from sil.studies.kinds.sensitivity import HEADLINES, holds, total_indices
+from sil.report.figure import Floats
+from sil.studies.assumptions import FACTORS, NOT_VARIED, inferred, varied
+from sil.studies.kinds.sensitivity import (
+    HEADLINES,
+    OFTEN,
+    figures,
+    files,
+    holds,
+    in_words,
+    total_indices,
+)
 from sil.studies.load_study import load_study
-from sil.studies.rows import run_row
-from sil.studies.study import Design, Row, Sweep, inside, radial_points
+from sil.studies.rows import columns, run_row
+from sil.studies.study import Design, LoadedStudy, Row, Sweep, inside, radial_points
 from sil.studies.summary import quantiles, share_interval
+from sil.studies.table import Table
 
 
 def test_a_radial_design_changes_one_value_at_a_time() -> None:
@@ -52,16 +64,134 @@ def test_one_at_a_time_begins_with_the_model_as_it_is() -> None:
     for row in others:
         changed = [path for path, value in row.settings.items() if value != first.settings[path]]
         assert len(changed) == 1
-    assert load_study("sensitivity_global").size == 40 * 10
+    radial = load_study("sensitivity_global")
+    assert radial.size == 40 * 10
+    assert not set(OFTEN) & set(columns(radial)) and set(OFTEN) < set(columns(study))
+
+
+def test_every_inferred_number_is_varied_or_named_with_a_reason() -> None:
+    parameters = load()
+    named = {path for paths in NOT_VARIED.values() for path in paths}
+    swept = {
+        path
+        for sweep in load_study("sensitivity").study.sweep
+        for path in varied(parameters, sweep.path)
+    }
+    assert set(inferred(parameters)) <= swept | named
+    assert named <= set(inferred(parameters)) and not named & swept
+
+
+@pytest.mark.slow
+def test_the_numbers_that_are_not_varied_decide_no_headline() -> None:
+    study, parameters = load_study("sensitivity"), load()
+    others = {"damper.air_fraction": 1.0, "gauge.adc_bits": 1.25}
+    changed: dict[str, float | str] = {
+        path: others.get(path, 1.5) * parameters.value(path)
+        for paths in NOT_VARIED.values()
+        for path in paths
+        if not isinstance(parameters[path].value, tuple)
+    }
+    nominal, other = (run_row(study, Row(0, (), given)).figures for given in ({}, changed))
+    assert set(HEADLINES) < set(nominal)
+    assert dict(nominal) == dict(other)
+
+
+@pytest.mark.parametrize("name", FACTORS)
+def test_a_factor_of_one_changes_nothing_and_its_maps_have_no_jump(name: str) -> None:
+    parameters = load()
+    for path, value in FACTORS[name](parameters, 1.0).items():
+        assert value == pytest.approx(parameters[path].value, rel=1e-12), path
+    for factor in (0.7, 1.5):
+        changed = parameters.override(FACTORS[name](parameters, factor))
+        split = changed.value("flow_charge.y_split"), changed.value("flow_discharge.z_split")
+        for table, at in zip(("flow_charge", "flow_discharge"), split, strict=True):
+            low, high = (
+                np.polynomial.Polynomial(changed.values(f"{table}.{part}"))(at)
+                for part in ("c_low", "c_high")
+            )
+            assert low == pytest.approx(high, rel=1e-6)
+
+
+def test_factors_keep_what_they_should() -> None:
+    parameters = load()
+
+    def dead_m3(changed: ParameterSet) -> float:
+        value = changed.value
+        swept = value("length.A_p") * (value("length.x_free_total") + value("length.stroke"))
+        return value("length.V_N0") - swept
+
+    for name in ("piston_area", "travel", "free_travel"):
+        changed = parameters.override(FACTORS[name](parameters, 1.1))
+        assert changed.value("length.V_N0") > 1.01 * parameters.value("length.V_N0")
+        assert dead_m3(changed) == pytest.approx(dead_m3(parameters))
+    shares = FACTORS["stay_friction"](parameters, 1.5)
+    assert shares["friction_length.F_sf_s"] == pytest.approx(46.5)
+    assert shares["friction_length.F_sf_p"] == pytest.approx(24.5)
+    shape = parameters.override(FACTORS["charge_shape"](parameters, 0.5))
+    low = (
+        np.polynomial.Polynomial(each.values("flow_charge.c_low")) for each in (parameters, shape)
+    )
+    nominal, stretched = low
+    assert stretched(0.8) == pytest.approx(nominal(0.9))
+
+
+def made_up() -> tuple[LoadedStudy, dict[str, Floats], dict[str, Floats]]:
+    """Return the shipped study, its swept values, and margins of 0.5 for every headline, each [rows]."""
+    study = load_study("sensitivity")
+    rows = list(study.rows())
+    swept = {
+        sweep.path: np.array([row.settings[sweep.path] for row in rows])
+        for sweep in study.study.sweep
+    }
+    return study, swept, {name: np.full(len(rows), 0.5) for name in HEADLINES}
+
+
+def test_the_tables_name_what_turns_and_what_is_not_varied() -> None:
+    """Made-up margins: all 0.5 but the first headline with the heaviest gearbox."""
+    study, swept, margins = made_up()
+    margins["damper_m_s"][swept["truck.m_gearbox"] == 120.0] = -0.25
+    ((name, text),) = files(study, Table({}, swept | margins, study.size))
+    assert name == "sensitivity.md"
+    turning, others = text.split("| turns none |")
+    assert "1. the oil damper softens the hardest of the gearbox loads: 0.50 m/s" in turning
+    assert "| gearbox mass, kg: 3 to 120 | **-0.25 to 0.50; holds: 3 to 90** | none |" in turning
+    assert turning.count("holds") == 1
+    assert others.count("\n| ") == len(study.study.sweep) - 1
+    assert all(path in others for paths in NOT_VARIED.values() for path in paths)
+
+
+def test_a_headline_without_any_row_is_not_run_and_not_drawn() -> None:
+    study, swept, margins = made_up()
+    margins["late_s"][:] = np.nan
+    table = Table({}, swept | margins, study.size)
+    ((_name, text),) = files(study, table)
+    assert text.count("not run") == len(study.study.sweep)
+    drawn = [len(stack.panels[0].spans) for stack in figures(study, table)["sensitivity"].stacks]
+    assert drawn == [0 if name == "late_s" else len(study.study.sweep) for name in HEADLINES]
+
+
+@pytest.mark.parametrize("name", ["charge_shape", "discharge_shape", "travel"])
+def test_a_factor_of_nothing_is_refused(name: str) -> None:
+    row = Row(0, (), {f"factor.{name}": 0.0})
+    with pytest.raises(InputError, match=rf"factor\.{name}: 0; expected above 0$"):
+        run_row(load_study("sensitivity"), row)
+
+
+def test_a_range_in_words() -> None:
+    x = np.array([1.0, 2.0, 3.0])
+    assert in_words(x, np.array([0.3, 0.302, 0.301]), 2) == "none"
+    assert in_words(x, np.array([0.3, 0.5, np.nan]), 2) == "0.30 to 0.50"
+    assert in_words(x, np.full(3, np.nan), 2) == "not run"
+    assert in_words(x, np.array([-0.1, 0.5, 0.2]), 2) == "**-0.10 to 0.50; holds: 2 to 3**"
+    assert in_words(x, np.array([-0.001, -0.001, -0.001]), 2) == "**-0.00 to -0.00; holds: never**"
 
 
 def test_a_heavy_gearbox_turns_a_headline() -> None:
     """With 120 kg a stroke lasts longer than 48 ms after its release, or nearly."""
-    study = load_study("sensitivity")
+    study = load_study("sensitivity_global")
     nominal, heavy = (
         run_row(study, Row(0, (), {"truck.m_gearbox": mass})).figures for mass in (9.0, 160.0)
     )
-    assert set(HEADLINES) < set(nominal)
     assert nominal["late_s"] > 0.02 > 0.0 > heavy["late_s"]
     assert nominal["damper_m_s"] > 0.7 > 0.3 > heavy["damper_m_s"]
     assert nominal["cushion_m_s"] == heavy["cushion_m_s"]

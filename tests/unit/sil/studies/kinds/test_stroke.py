@@ -64,3 +64,37 @@ def test_nothing_is_better_than_the_front_in_both(study: LoadedStudy) -> None:
     assert (np.diff(front.x) >= 0.0).all() and (np.diff(front.y) < 0.0).all()
     for x, y in zip(dots.x, dots.y, strict=True):
         assert not ((x < front.x) & (y < front.y)).any()
+
+
+def test_a_front_shows_the_unchanged_actuator_without_and_with_the_oil_damper(
+    study: LoadedStudy,
+) -> None:
+    rows = [(row, run_row(study, row)) for row in study.rows()]
+    numbers = {name: [found.figures[name] for _, found in rows] for name in stroke.COLUMNS}
+    swept = "effect.exhaust_clog.factor"
+    numbers[swept] = [float(str(row.settings[swept])) for row, _ in rows]
+    table = Table({}, {name: np.array(values) for name, values in numbers.items()}, len(rows))
+    panel = stroke.figures(study, table)["pareto"].stacks[0].panels[0]
+    plain, damped = panel.notes
+    assert (plain.text, damped.text) == ("nothing changed", "oil damper")
+    nominal = run_row(study, Row(0, (), {})).figures
+    assert plain.x == 1e3 * nominal["arrival_s"]
+    assert damped.y < 0.5 * plain.y
+
+
+def test_a_front_needs_no_reference_of_an_effect_with_more_parameters(tmp_path: Path) -> None:
+    """Whose other parameters a choice states: nothing swept is the stroke without the effect."""
+    bump = "effect.friction_bump."
+    (tmp_path / "s.toml").write_text(
+        DESIGN.replace("effect.exhaust_clog.factor", f"{bump}force_n").replace("0.02", "1.0")
+        .replace("high = 1.0", "high = 50.0").replace("samples = 8", "samples = 2")
+        + f'[[load]]\nname = "bump"\nset = {{ "{bump}position_m" = 0.006, "{bump}width_m" = 0.001 }}\n'
+    )  # fmt: skip
+    study = load_study(str(tmp_path / "s.toml"))
+    rows = [(row, run_row(study, row)) for row in study.rows()]
+    numbers = {name: [found.figures[name] for _, found in rows] for name in stroke.COLUMNS}
+    numbers[f"{bump}force_n"] = [float(str(row.settings[f"{bump}force_n"])) for row, _ in rows]
+    texts = {"load": ["bump"] * len(rows)}
+    table = Table(texts, {name: np.array(values) for name, values in numbers.items()}, len(rows))
+    notes = stroke.figures(study, table)["pareto"].stacks[0].panels[0].notes
+    assert [note.text for note in notes] == ["nothing changed", "oil damper"]

@@ -11,7 +11,7 @@ import pytest
 from controller import strategies
 from sil.cli import main
 from sil.simulation.in_memory import run_in_memory
-from sil.simulation.scenario import Loaded, load
+from sil.simulation.load_scenario import Loaded, load
 from sil.studies.kinds import tuning
 from sil.studies.kinds.tuning import Arrival
 from sil.studies.study import TuningTable

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from can_dbc import typed_toml
 from can_dbc.errors import InputError
 from sil.files import overrides
-from sil.simulation import scenario
+from sil.simulation import load_scenario, scenario
 from sil.simulation.scenario import Scenario
 
 GOOD = """\
@@ -26,10 +26,10 @@ gear = "backward"
 """
 
 
-def load(tmp_path: Path, text: str, **options: Any) -> scenario.Loaded:
+def load(tmp_path: Path, text: str, **options: Any) -> load_scenario.Loaded:
     file = tmp_path / "s.toml"
     file.write_text(text)
-    return scenario.load(str(file), **options)
+    return load_scenario.load(str(file), **options)
 
 
 def refused(tmp_path: Path, text: str, **options: Any) -> str:
@@ -47,11 +47,19 @@ def test_defaults_are_those_of_the_parts(tmp_path: Path) -> None:
     assert loaded.parameters.value("valve.D_fall") == 0.035
     expanded = scenario.expanded(loaded.scenario)
     assert expanded["controller"]["filter"]["fc_hz"] == 22.0
-    assert scenario.from_table(expanded, "x").scenario == loaded.scenario
+    assert load_scenario.from_table(expanded, "x").scenario == loaded.scenario
+
+
+def test_a_list_of_an_expanded_scenario_is_changed_by_index(tmp_path: Path) -> None:
+    raw = scenario.expanded(load(tmp_path, GOOD + '[plant]\ncharged = ["N"]\n').scenario)
+    changed = load_scenario.from_table(raw, "x", settings=["plant.charged[0]=B"])
+    assert changed.scenario.plant.charged == ("B",)
+    with pytest.raises(InputError, match=r"plant\.charged\[1\]"):
+        load_scenario.from_table(raw, "x", settings=["plant.charged[1]=B"])
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "complaint"),
     [
         (GOOD + "[expect.metrics]\nlag={}", "expect.metrics.lag: unknown; expected one of"),
         (GOOD + "[plant]\nmounted=1", "plant.mounted: 1 is wrong; expected true or false"),
@@ -64,6 +72,19 @@ def test_defaults_are_those_of_the_parts(tmp_path: Path) -> None:
         (GOOD.replace("0.5", "'x'"), "s.toml: duration_s: 'x' is wrong; expected number"),
         (GOOD.replace("0.5", "0.1"), "request[0].at_s: 0.1; expected before the end, 0.1 s"),
         (GOOD.replace("at_s = 0.1\n", ""), "request[0].at_s: missing; expected a value"),
+        (
+            GOOD + "[expect]\nmetrics = { shift_time_s = { min = 2, max = 1 } }\n",
+            "expect.metrics.shift_time_s: from 2.0 to 1.0; expected the smallest value first",
+        ),
+        (
+            GOOD + '[[expect.timing]]\nto = "arrived"\n',
+            "expect.timing[0]: neither a smallest nor a largest value; expected one of them",
+        ),
+        (
+            GOOD
+            + "[vehicle]\ngear_backward = 0\ngear_forward = 1\nratio_backward = 2\nratio_forward = 1\n",
+            "vehicle.gear_backward, gear_forward: 0, 1; expected two different gears, none of them 0",
+        ),
         (GOOD.replace('gear = "backward"', ""), "gear: missing; expected one of neutral, backward"),
         (GOOD + GOOD[GOOD.index("[[") :], "request[1].at_s: 0.1; expected later than"),
         (
@@ -102,24 +123,24 @@ def test_defaults_are_those_of_the_parts(tmp_path: Path) -> None:
         ("", "name: missing"),
     ],
 )
-def test_complaint(tmp_path: Path, text: str, told: str) -> None:
-    assert told in refused(tmp_path, text)
+def test_complaint(tmp_path: Path, text: str, complaint: str) -> None:
+    assert complaint in refused(tmp_path, text)
 
 
 def test_places_of_files(tmp_path: Path) -> None:
     for where in ("no/such.toml", "lab_n_x", "x" * 5000, "a\0b"):
         with pytest.raises(InputError):
-            scenario.load(where)
+            load_scenario.load(where)
     with pytest.raises(InputError, match=r"expected one of lab_n_[bf]"):
-        scenario.load("lab_n_x")
+        load_scenario.load("lab_n_x")
     (tmp_path / "latin.toml").write_bytes(b'name = "\xe9"')
     with pytest.raises(InputError, match="byte 8: not UTF-8"):
-        scenario.load(str(tmp_path / "latin.toml"))
+        load_scenario.load(str(tmp_path / "latin.toml"))
     (tmp_path / "r.json").write_text("[]")
     with pytest.raises(InputError, match="no scenario in it"):
-        scenario.load(str(tmp_path / "r.json"))
+        load_scenario.load(str(tmp_path / "r.json"))
     with pytest.raises(InputError):
-        scenario.load(str(tmp_path))
+        load_scenario.load(str(tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -155,7 +176,7 @@ def test_sensor_period_sets_the_firmwares_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("setting", "told"),
+    ("setting", "complaint"),
     [
         ("valve.D_fal=1", "--set valve.D_fal: no such value; nearest: valve.D_fall"),
         ("controller.perod_s=1", "nearest: controller.period_s"),
@@ -175,8 +196,8 @@ def test_sensor_period_sets_the_firmwares_too(tmp_path: Path) -> None:
         ("plant.damper=wet", "--set: plant.damper: 'wet' is unknown; expected one of"),
     ],
 )
-def test_set_is_refused(tmp_path: Path, setting: str, told: str) -> None:
-    assert told in refused(tmp_path, GOOD, settings=[setting])
+def test_set_is_refused(tmp_path: Path, setting: str, complaint: str) -> None:
+    assert complaint in refused(tmp_path, GOOD, settings=[setting])
 
 
 def test_periods_that_contradict_each_other_are_named_with_the_cause(tmp_path: Path) -> None:
@@ -203,7 +224,7 @@ def test_model_file_and_seed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["lost_frames", "truck_torque_to_torque"])
 def test_every_settable_path_of_a_scenario_can_be_set_to_what_it_is(name: str) -> None:
-    raw = scenario.expanded(scenario.load(name).scenario)
+    raw = scenario.expanded(load_scenario.load(name).scenario)
     absent = [key for key, value in raw.items() if value is None]
     found = list(overrides.leaf_paths(Scenario, raw))
     paths = [path for path in found if path.split(".")[0] not in absent]
@@ -219,7 +240,7 @@ def test_every_settable_path_of_a_scenario_can_be_set_to_what_it_is(name: str) -
 
 # --- files mutated at random ---------------------------------------------------------------------
 
-SHIPPED = [tomllib.loads(p.read_text()) for p in scenario.shipped().values()]
+SHIPPED = [tomllib.loads(p.read_text()) for p in load_scenario.shipped().values()]
 NAMES = st.sampled_from(
     ["name", "request", "gear", "at_s", "controller", "filter", "fault", "kind", "model", "expect"]
 ) | st.text(max_size=6)
@@ -269,13 +290,14 @@ def mutated(draw: st.DrawFn) -> dict[str, Any]:
 
 def check_taken_or_refused(table: dict[str, Any]) -> None:
     try:
-        loaded = scenario.from_table(table, "s.toml")
+        loaded = load_scenario.from_table(table, "s.toml")
     except InputError as error:
-        told = str(error)
-        assert "\n" not in told and told.startswith("s.toml: ") and len(told) < 1000
+        line = str(error)
+        assert "\n" not in line and line.startswith("s.toml: ") and len(line) < 1000
     else:
         assert (
-            scenario.from_table(scenario.expanded(loaded.scenario), "x").scenario == loaded.scenario
+            load_scenario.from_table(scenario.expanded(loaded.scenario), "x").scenario
+            == loaded.scenario
         )
 
 
@@ -295,7 +317,7 @@ def test_very_many_mutated_scenarios(table: dict[str, Any]) -> None:
 def test_a_model_parameter_with_a_line_break_is_refused_in_one_line() -> None:
     table = {**tomllib.loads(GOOD), "model": {"\n": 0.005}}
     with pytest.raises(InputError, match=r"^s.toml: model: nominal: \\n: no such parameter"):
-        scenario.from_table(table, "s.toml")
+        load_scenario.from_table(table, "s.toml")
 
 
 @settings(max_examples=200, deadline=None)
@@ -312,14 +334,14 @@ def test_any_bytes_are_refused_in_one_line(raw: bytes) -> None:
 def test_any_setting_is_taken_or_refused_in_one_line(path: str, value: str) -> None:
     table = tomllib.loads(GOOD)
     try:
-        scenario.from_table(table, "s.toml", settings=[f"{path}={value}"])
+        load_scenario.from_table(table, "s.toml", settings=[f"{path}={value}"])
     except InputError as error:
         assert "\n" not in str(error)
 
 
 def test_a_strategy_s_own_settings_are_set_by_path() -> None:
-    plain = scenario.load("strategy_bang_bang").scenario.controller.strategy_parameters
-    loaded = scenario.load(
+    plain = load_scenario.load("strategy_bang_bang").scenario.controller.strategy_parameters
+    loaded = load_scenario.load(
         "strategy_bang_bang",
         settings=[
             "controller.strategy_parameters.brake_s=0.011",
@@ -330,4 +352,6 @@ def test_a_strategy_s_own_settings_are_set_by_path() -> None:
     assert found == {**plain, "brake_s": 0.011, "model": {**plain["model"], "valve_close_s": 0.007}}
     for bad in ("break_s=1", "model.valve_clos_s=1", "brake_s.x=1", "brake_s=-1"):
         with pytest.raises(InputError, match=r"strategy_parameters.*(expected|nearest)"):
-            scenario.load("strategy_bang_bang", settings=[f"controller.strategy_parameters.{bad}"])
+            load_scenario.load(
+                "strategy_bang_bang", settings=[f"controller.strategy_parameters.{bad}"]
+            )

@@ -1,0 +1,243 @@
+"""Scenarios from a TOML file or a result.json: short forms, overrides, parameters of the plant."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import functools
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+
+from can_dbc import typed_toml
+from can_dbc.errors import InputError, nearest, unknown_name
+from sil.files import overrides
+from sil.nodes.own_firmware import absolute
+from sil.simulation.scenario import Scenario, check_consistent
+from sil.simulation.unit_memory import embedded
+
+if TYPE_CHECKING:
+    from plant.parameters import ParameterSet
+
+SHIPPED = Path(__file__).parent / "scenarios"
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A scenario with its model parameters, overrides applied."""
+
+    scenario: Scenario
+    parameters: ParameterSet
+    source: str
+
+
+def shipped() -> dict[str, Path]:
+    """Return the scenarios that come with the package, by name."""
+    return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
+
+
+class Overrides(TypedDict, total=False):
+    """What replaces values of a scenario file."""
+
+    model: str | None
+    """Parameter set or model file of the plant."""
+    settings: Sequence[str]
+    """Texts PATH=VALUE; PATH names a value of the scenario, the firmware (controller...), sensor,
+    bus, or model (valve.D_fall)."""
+    effects: Sequence[str]
+    """Files of a user's own effects."""
+    seed: int | None
+    """Seed of all random numbers."""
+
+
+def load(where: str, **given: Unpack[Overrides]) -> Loaded:
+    """Load a scenario file, or a shipped scenario by name, and apply overrides.
+
+    A result.json is loaded as the scenario that it holds.
+    Raises InputError naming file and key, what is wrong and what was expected.
+    """
+    table, path = read(where)
+    return from_table(table, str(path), folder=path.parent, **given)
+
+
+def read(where: str) -> tuple[dict[str, Any], Path]:
+    """Return a scenario file, or a shipped scenario by name, as parsed, and its path."""
+    path = find(where)
+    return _read(path), path
+
+
+def from_table(
+    table: Mapping[str, Any], source: str, *, folder: Path = Path(), **given: Unpack[Overrides]
+) -> Loaded:
+    """Build a scenario from a parsed file; `source` names it, `folder` holds its model files.
+
+    Raises InputError as `load` does.
+    """
+    model, seed = given.get("model"), given.get("seed")
+    settings, effects = given.get("settings", ()), given.get("effects", ())
+    raw = copy.deepcopy(dict(table))
+    scenario = _checked(raw, source)
+    if model is not None:
+        raw["model_set"] = model
+    elif scenario.model_set.endswith(".toml"):
+        raw["model_set"] = str(folder / scenario.model_set)
+    if scenario.firmware:
+        raw["firmware"] = absolute(scenario.firmware, folder)
+    if scenario.memory:
+        raw["memory"] = embedded(scenario.memory, folder, source)
+    if scenario.effects or effects:
+        from plant.effects.user_file import load_effects
+
+        files = [str(folder / file) for file in scenario.effects] + list(effects)
+        raw["effects"] = list(dict.fromkeys(load_effects(file) for file in files))
+    parameters = _parameters(raw.get("model_set", scenario.model_set), source)
+    if settings or seed is not None:
+        for text in settings:
+            _apply(raw, text, parameters)
+        if seed is not None:
+            raw["seed"] = seed
+        typed_toml.refuse_not_finite(raw, "--set")
+        scenario = _checked(raw, "--set")
+        if scenario.firmware:
+            raw["firmware"] = absolute(scenario.firmware, Path())
+        if scenario.memory:
+            raw["memory"] = embedded(scenario.memory, Path(), "--set")
+    scenario = typed_toml.convert(raw, Scenario, source)
+    check_consistent(scenario, source)
+    return Loaded(scenario, _overridden(parameters, scenario.model, source), source)
+
+
+def find(where: str) -> Path:
+    """Return the file of a scenario given by path or by shipped name. Raises InputError."""
+    path = Path(where)
+    with contextlib.suppress(OSError, ValueError):  # a name too long, or with a null byte
+        if path.is_file():
+            return path
+    known = shipped()
+    if where in known:
+        return known[where]
+    if "/" in where or where.endswith((".toml", ".json")):
+        raise InputError(f"{typed_toml.one_line(where)}: file: not found; expected a scenario")
+    raise InputError(f"{typed_toml.one_line(where)}: scenario: {unknown_name(where, known)}")
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if path.suffix != ".json":
+        return typed_toml.read_toml(path)
+    try:
+        held = json.loads(path.read_text(encoding="utf-8"))
+        table = held["scenario"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        raise InputError(f"{path}: file: no scenario in it; expected a result.json") from None
+    if not isinstance(table, dict):
+        raise InputError(f"{path}: scenario: not a table; expected that of a result.json")
+    return table
+
+
+def _checked(raw: dict[str, Any], source: str) -> Scenario:
+    """Rewrite the short forms in place: filter = false, [model.valve] D_fall; return the scenario.
+
+    One sensor period is both the sensor's and the firmware's; the gears and ratios of [vehicle] become
+    those of plant and controller.
+    """
+    controller = raw.get("controller")
+    if isinstance(controller, dict) and isinstance(controller.get("filter"), bool):
+        controller["filter"] = {"enabled": controller["filter"]}
+    if isinstance(model := raw.get("model"), dict):
+        raw["model"] = dict(_flat(model, source, ""))
+    scenario = typed_toml.convert(raw, Scenario, source)
+    if "period_s" in raw.get("sensor", {}):
+        _inside(raw, "controller", "sensor")["period_s"] = raw["sensor"]["period_s"]
+    if vehicle := raw.get("vehicle"):
+        ratios = {key: vehicle[key] for key in vehicle if key.startswith("ratio_")}
+        gears = {key: vehicle[key] for key in vehicle if key.startswith("gear_")}
+        driveline, broadcast = _inside(raw, "driveline"), _inside(raw, "controller", "broadcast")
+        driveline.update({"follows_requests": True} | driveline | ratios)
+        broadcast.update({"etc2_period_s": 0.1} | broadcast | ratios | gears)
+    return scenario
+
+
+def _inside(raw: dict[str, Any], *keys: str) -> Any:
+    """Return the table inside tables that is reached by keys, each made if missing."""
+    for key in keys:
+        raw = raw.setdefault(key, {})
+    return raw
+
+
+def _flat(table: Mapping[str, Any], source: str, prefix: str) -> Iterable[tuple[str, Any]]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            if prefix.count(".") > 3:
+                inside = typed_toml.one_line(f"model.{prefix}{key}")
+                raise InputError(f"{source}: {inside}: nested too deeply; expected section.key")
+            yield from _flat(value, source, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value
+
+
+def _parameters(model_set: str, source: str) -> ParameterSet:
+    try:
+        return _nominal() if model_set == "nominal" else _load(model_set)
+    except InputError as error:
+        raise InputError(f"{source}: model_set: {typed_toml.one_line(str(error))}") from None
+
+
+def _load(model_set: str) -> ParameterSet:
+    from plant.parameters import load_actuator
+
+    return load_actuator(model_set)
+
+
+@functools.cache
+def _nominal() -> ParameterSet:
+    """Return the set that every scenario starts from, which cannot be changed and is read once."""
+    return _load("nominal")
+
+
+def _overridden(
+    parameters: ParameterSet, changes: Mapping[str, float | list[float]], source: str
+) -> ParameterSet:
+    try:
+        if any(path.startswith("effect.") for path in changes):
+            from plant.effects import overridden
+
+            return overridden(parameters, changes)
+        return parameters.override(changes)
+    except InputError as error:
+        raise InputError(f"{source}: model: {error}") from None
+
+
+def _apply(raw: dict[str, Any], text: str, parameters: ParameterSet) -> None:
+    """Apply one PATH=VALUE to the raw scenario."""
+    path, value = overrides.parse_setting(text)
+    if path in parameters or path.startswith("effect."):
+        raw.setdefault("model", {})[path] = value
+        return
+    if path == "controller.filter" and isinstance(value, bool):
+        path = "controller.filter.enabled"
+    if path.startswith(_STRATEGY) and _set_strategy(raw, path.removeprefix(_STRATEGY), value):
+        return
+    if not overrides.set_value(raw, Scenario, path, value):
+        known = [*overrides.leaf_paths(Scenario, raw), *parameters]
+        near = nearest(path, known, 5, 0.4) or ["valve.D_fall", "controller.period_s"]
+        raise InputError(
+            f"--set {typed_toml.one_line(path)}: no such value; nearest: {', '.join(near)}"
+        )
+
+
+_STRATEGY = "controller.strategy_parameters."
+
+
+def _set_strategy(raw: dict[str, Any], path: str, value: Any) -> bool:
+    """Set a strategy's own setting, nested ones too; the firmware refuses names it does not have."""
+    *tables, name = path.split(".")
+    try:
+        at = _inside(raw, "controller", "strategy_parameters", *tables)
+    except AttributeError:  # a value, not a table
+        return False
+    if not isinstance(at, dict) or not name or "" in tables:
+        return False
+    at[name] = value
+    return True

@@ -1,0 +1,161 @@
+"""Count the shifts in which strategy learned exceeds its limits, in trucks with faults.
+
+python -m tests.bench._learned_safety FIRST LAST SHIFTS
+
+Trucks FIRST to LAST of the shipped population (seed `SEED`), each with one kind of fault; every
+second one gets other valves after a third of its shifts. A shift is beyond the limits if it is more
+than 0.05 m/s harder or 30 ms longer than the open loop under the same fault, or loses a gear that
+the open loop engages. The open loop is run only where the programme differs from the plain push.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta
+
+from controller.strategies.into_gear import PUSH
+from controller.strategies.learned import Learned
+from sil.studies.fleet import OWN, Drawn, FleetTable, Truck
+from sil.studies.kinds.learned import HARDER_M_S, LONGER_S, Outcome, nominal, run_shifts
+from sil.studies.load_study import load_study
+
+SEED = 19
+HIT = 0.3
+"""Share of the shifts that a fault hits which is not there for good."""
+UNCONFIRMED = "not confirmed: the sensor failed before"
+"""A gear that is engaged, by a sensor that fails within the shift: no violation if it fails."""
+SHORT_S = 0.45
+KINDS = ("none", "update missed", "memory damaged", "thermometer", "speeds", "position", "valve",
+         "frames lost", "supply late")  # fmt: skip
+THERMOMETER = (
+    {"kind": "stuck", "value_k": 253.15},
+    {"kind": "stuck", "value_k": 293.15},
+    {"kind": "stuck", "value_k": 353.15},
+    {"kind": "wrong", "offset_k": 20.0},
+    {"kind": "wrong", "offset_k": -20.0},
+    {"kind": "off"},
+    {"kind": "garbage"},
+    {"kind": "intermittent"},
+)
+SPEEDS = "delayed", "garbage", "intermittent", "off", "slow", "stuck", "wrong"
+POSITION = "delayed", "garbage", "intermittent", "off", "slow", "stuck", "wrong"
+VALVE = ({"kind": "slow", "factor": 1.2}, {"kind": "slow", "factor": 1.5}, {"kind": "intermittent"},
+         {"kind": "delayed", "delay_s": 0.003}, {"kind": "off"})  # fmt: skip
+MESSAGES = "DrivelineSpeeds", "PositionPulse"
+
+
+def faulty(kind: str, drawn: list[Drawn], rng: np.random.Generator) -> Iterator[Drawn]:
+    """Yield the shifts of a truck with a kind of fault: some of them, or all from a shift on."""
+    begin = int(rng.integers(len(drawn)))
+    thermometer = THERMOMETER[rng.integers(len(THERMOMETER))]
+    valve = VALVE[rng.integers(len(VALVE))] | {"valve": "BNF"[rng.integers(3)]}
+    for k, each in enumerate(drawn):
+        start_s, hit = float(rng.uniform(0.0, 0.35)), rng.random() < HIT
+        known, added = each.known, dict[str, Any]()
+        if kind == "thermometer" and k >= begin:
+            added["temperature_fault"] = [thermometer]
+        elif kind == "valve" and k >= begin:
+            added["valve_fault"] = [valve]
+        elif kind == "supply late":
+            known = known | {f"{OWN}.supply_pa": drawn[max(0, k - 5)].known[f"{OWN}.supply_pa"]}
+        elif kind == "speeds" and hit:
+            added["speed_fault"] = [{"kind": str(rng.choice(SPEEDS)), "start_s": start_s}]
+        elif kind == "position" and hit:
+            added["sensor_fault"] = [{"kind": str(rng.choice(POSITION)), "start_s": start_s}]
+        elif kind == "frames lost" and hit:
+            lost = {"kind": "loss", "message": str(rng.choice(MESSAGES)), "probability": 0.5}
+            added["fault"] = [lost | {"start_s": start_s}]
+        yield replace(each, settings=each.settings | added, known=known)
+
+
+def recalled(kind: str, before: bytes, after: bytes, rng: np.random.Generator) -> bytes:
+    """Return the memory with which the next shift begins: that before a shift, or damaged, at times."""
+    if kind == "update missed" and rng.random() < HIT:
+        return before
+    if kind == "memory damaged" and rng.random() < HIT and after:
+        bits = np.unpackbits(np.frombuffer(after, np.uint8))
+        bits[rng.integers(len(bits), size=rng.integers(1, 20))] ^= 1
+        return np.packbits(bits).tobytes()[: rng.integers(1, len(after) + 1)]
+    return after
+
+
+def shortened(drawn: Drawn) -> Drawn:
+    """Return a shift that is simulated until an ordinary one is confirmed, not its safety blow."""
+    return replace(
+        drawn,
+        settings=drawn.settings | {"duration_s": drawn.settings["request"][0]["at_s"] + SHORT_S},
+    )
+
+
+def broken(found: Outcome, open_loop: Outcome) -> str:
+    """Return what of a shift is beyond the limits against the open loop, empty if nothing is."""
+    harder_m_s, longer_s = found.impact_m_s - open_loop.impact_m_s, found.time_s - open_loop.time_s
+    if found.lost and not open_loop.lost:
+        return found.lost if found.lost == "did not arrive" else UNCONFIRMED
+    if harder_m_s > HARDER_M_S:
+        return f"{harder_m_s:.3f} m/s harder"
+    return f"{1e3 * longer_s:.0f} ms longer" if not found.lost and longer_s > LONGER_S else ""
+
+
+def beyond(number: int, shifts: int) -> Iterator[tuple[int, bool, str]]:
+    """Yield number, whether a programme was followed, and what is beyond the limits of each shift."""
+    study = load_study("learned")
+    assert study.study.truck is not None
+    acted: list[bool] = []
+    plain = Learned.decide
+
+    def noting(self: Learned, *arguments: Any) -> Any:
+        command = plain(self, *arguments)
+        acted.append(command != PUSH)
+        return command
+
+    rng = np.random.default_rng([SEED, number])
+    kind = KINDS[number % len(KINDS)]
+    fleet = FleetTable(shifts=shifts, seed=SEED, exchanged_at=shifts // 3)
+    truck = Truck(study.study.truck, study.study.factor, fleet, number, nominal(study, {}))
+    memory, own = b"", {"controller.strategy": "learned"}
+    try:
+        setattr(Learned, "decide", noting)  # noqa: B010
+        for k, each in enumerate(faulty(kind, truck.shifts()[0], rng), 1):
+            acted.clear()
+            what = ""
+            for shift in (shortened(each), each):
+                (found,) = run_shifts(study.loaded, own, [shift], memory)
+                if any(acted):
+                    (open_loop,) = run_shifts(study.loaded, {}, [shift])
+                    what = broken(found, open_loop)
+                if not (found.lost or what):
+                    break
+            memory = recalled(kind, memory, found.memory, rng)
+            yield k, any(acted), what
+    finally:
+        setattr(Learned, "decide", plain)  # noqa: B010
+
+
+def main(first: int, last: int, shifts: int) -> None:
+    """Print each shift beyond the limits, and after each truck the count of all until then."""
+    run, acted, unconfirmed, bad = Counter[str](), 0, 0, Counter[str]()
+    for number in range(first, last + 1):
+        kind = KINDS[number % len(KINDS)]
+        for k, programme, what in beyond(number, shifts):
+            run[kind] += 1
+            acted += programme
+            unconfirmed += what == UNCONFIRMED and kind == "position"
+            if what and not (what == UNCONFIRMED and kind == "position"):
+                bad[kind] += 1
+                print(f"truck {number} ({kind}), shift {k}: {what}", flush=True)
+        total, wrong = run.total(), bad.total()
+        most = beta.ppf(0.95, wrong + 1, total - wrong)
+        print(f"{number}: {total} shifts, {acted} by a programme, {wrong} beyond the limits, "
+              f"{unconfirmed} not confirmed by a sensor that failed; "
+              f"rate below {most:.1e} (95 %); {dict(bad)} of {dict(run)}", flush=True)  # fmt: skip
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:4]))
