@@ -45,7 +45,7 @@ test: $(VENV)/.dev
 	$(PY) -m pytest -m "$(MARK)" -n $(JOBS) --maxprocesses 4 --dist worksteal tests
 
 slow: $(VENV)/.dev
-	$(PY) -m pytest -m "slow and not vcan and not browser" tests
+	$(PY) -m pytest -m "slow and not vcan and not browser" -n $(JOBS) --maxprocesses 4 --dist worksteal tests
 
 lint: $(VENV)/.dev
 	$(VENV)/bin/ruff check .

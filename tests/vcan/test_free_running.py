@@ -14,7 +14,7 @@ import pytest
 
 from can_dbc.contract import DBC_PATH
 from can_dbc.e2e import PROTECTED
-from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames, counter_of
+from sil.log_replay.recorded_frames import OWN_IDS, Arrival, RecordedFrames, counter_of
 from sil.log_replay.replay import ReplayRequest, replay
 from sil.logs import open_log
 from tests.vcan.test_vcan import PATIENCE_S, Frames, candump, frames_of
@@ -25,6 +25,8 @@ ROOT = Path(__file__).resolve().parents[2]
 FOREIGN = ROOT / "tests" / "foreign_controller" / "free_controller.py"
 HELD_S = 0.05
 TICK_S = 0.01
+ROUND_NS = 150_000_000
+"""Just below 16 cycles of 10 ms, after which a counter has the same value again."""
 EDGES = 2
 """Of each valve and blow in a shift: on and off."""
 
@@ -79,8 +81,9 @@ def test_a_recorded_shift_in_real_time_has_each_message_once_and_replays(tmp_pat
         assert {can_id for can_id, _ in recorded} <= OWN_IDS.keys()
         require_part(frames_of(folder / "bus.log"), recorded)
         for kind in PROTECTED:
-            seen = [counter_of(a.frame) for a in RecordedFrames(open_log(log)) if a.kind is kind]
-            assert seen and all(a != b for a, b in pairwise(seen)), f"{kind.__name__} twice"
+            seen = [a for a in RecordedFrames(open_log(log)) if a.kind is kind]
+            assert len(seen) > 20
+            assert not any(repeats(a, b) for a, b in pairwise(seen)), f"{kind.__name__} twice"
         jitters.append(largest_jitter_s(folder))
         if jitters[-1] < HELD_S:
             require_replay(folder / "bus.log", ("ValveCommand.", "SafetyBlow."), 0)
@@ -92,6 +95,12 @@ def test_a_recorded_shift_in_real_time_has_each_message_once_and_replays(tmp_pat
     # candump's log also holds the start of the control unit, when nobody has requested anything yet, and
     # by its times an input near a tick may count one tick later: each edge may be one tick apart
     require_replay(log, ("ValveCommand.duty", "SafetyBlow."), EDGES)
+
+
+def repeats(first: Arrival, second: Arrival) -> bool:
+    """Say whether a frame came again; a machine that stands still may skip a whole round of the counter."""
+    soon = second.time_ns - first.time_ns < ROUND_NS
+    return soon and counter_of(first.frame) == counter_of(second.frame)
 
 
 def require_part(part: Frames, whole: Frames) -> None:

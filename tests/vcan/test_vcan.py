@@ -106,7 +106,7 @@ def test_the_hash_is_that_of_one_process_and_of_the_local_bus(recorded: Path, op
         assert result_of(done)["trace_sha256"] == expected
 
 
-@pytest.mark.parametrize("speed", ["0.25", "1", "2"])
+@pytest.mark.parametrize("speed", ["0.5", "2"])
 def test_the_hash_is_the_same_at_every_speed(speed: str, recorded: Path, opc4: Run) -> None:
     expected = json.loads((recorded / "run" / "result.json").read_text())
     done = opc4(
