@@ -19,7 +19,7 @@ SHELL = ("sh", "text", "console")
 GUIDES = [
     page
     for page, path in PAGES.items()
-    if (page == "README.md" or page.startswith("docs/how-to/"))
+    if page.startswith(("README.md", "docs/how-to/", "docs/explanation/why_feedback_fails.md"))
     and page != "docs/how-to/python.md"
     and any(block.language in SHELL and "opc4 " in block.text for block in blocks(path))
 ]
