@@ -56,6 +56,10 @@ class ColumnMap(Struct, frozen=True, forbid_unknown_fields=True):
     offset: float = 0.0
     delay_s: Annotated[float, Meta(ge=-1e3, le=1e3)] = 0.0
 
+    def __post_init__(self) -> None:
+        if self.scale == 0.0:
+            raise InputError("scale: 0 makes every value the same; expected another number")
+
 
 class StrokeTable(Struct, frozen=True, forbid_unknown_fields=True):
     """One [[stroke]] of campaign.toml."""

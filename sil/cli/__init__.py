@@ -56,11 +56,15 @@ opc4 --completion bash|zsh|fish prints the shell's completion of commands, optio
 """
 
 
+class _UsageError(Exception):
+    """What is wrong with the arguments, in one line."""
+
+
 class _Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(BAD_INPUT, f"{self.prog}: {_shortened(message)}; see {self.prog} --help\n")
+        raise _UsageError(f"{_shortened(message)}; see {self.prog} --help")
 
 
 def _shortened(message: str) -> str:
@@ -198,10 +202,7 @@ def _main(arguments: list[str]) -> int:
     ):  # as of an unset variable of a shell; Path("") would be the current folder
         refused = "an empty argument; expected none"
     if refused:
-        print(f"opc4: {refused}", file=sys.stderr)
-        if "--json" in arguments:
-            print(json.dumps({"error": refused, "exit_code": BAD_INPUT}))
-        return BAD_INPUT
+        return _refuse("opc4", refused, arguments)
     if not arguments or arguments[0] in ("-h", "--help"):
         rows = "\n".join(f"  {name:<10} {summary}" for name, summary in COMMANDS.items())
         print(_HELP.format(commands=rows), end="")
@@ -220,11 +221,8 @@ def _main(arguments: list[str]) -> int:
         from can_dbc.errors import nearest
 
         near = nearest(name, COMMANDS) or list(COMMANDS)
-        print(
-            f"opc4: no command {_shortened(repr(name))}; nearest: {', '.join(near)}",
-            file=sys.stderr,
-        )
-        return BAD_INPUT
+        refused = f"no command {_shortened(repr(name))}; nearest: {', '.join(near)}"
+        return _refuse("opc4", refused, arguments)
     try:
         command: Any = importlib.import_module(f"sil.cli.{name}")
     except ModuleNotFoundError as error:
@@ -232,13 +230,23 @@ def _main(arguments: list[str]) -> int:
         return NOT_FINISHED
     try:
         parsed = parser(name, command).parse_args(arguments[1:])
-    except SystemExit as leaving:
-        return leaving.code if isinstance(leaving.code, int) else BAD_INPUT
+    except _UsageError as error:
+        return _refuse(f"opc4 {name}", str(error), arguments)
+    except SystemExit:  # --help
+        return PASSED
     if parsed.quiet:
         from sil.files import progress
 
         progress.silence()
     return _guarded(name, command, parsed)
+
+
+def _refuse(program: str, why: str, arguments: Sequence[str]) -> int:
+    """Report arguments that no command takes; return the exit code."""
+    print(f"{program}: {why}", file=sys.stderr)
+    if "--json" in arguments:
+        print(json.dumps({"error": why, "exit_code": BAD_INPUT}))
+    return BAD_INPUT
 
 
 def parser(name: str, command: Any) -> argparse.ArgumentParser:

@@ -96,7 +96,7 @@ def new_campaign(arguments: argparse.Namespace) -> int:
     Raises InputError for files that cannot be read or copied, and a campaign that is there already.
     """
     from sil.diagnosis.new_campaign import draft
-    from sil.files.output_folder import locked_folder
+    from sil.files.output_folder import locked_folder, without_parent_steps
 
     for option, unset in (
         ("out", None),
@@ -110,13 +110,14 @@ def new_campaign(arguments: argparse.Namespace) -> int:
     if (arguments.new / "campaign.toml").exists() and not arguments.force:
         what = "exists; expected a new folder, or --force to draft it anew"
         raise InputError(f"{arguments.new / 'campaign.toml'}: {what}")
-    is_new = not arguments.new.exists()
-    with locked_folder(arguments.new, "--new") as folder:
+    path = without_parent_steps(arguments.new)
+    made = [place for place in (path, *path.parents) if not place.exists()]
+    with locked_folder(path, "--new") as folder:
         try:
             asked = draft(folder, [Path(file) for file in arguments.campaign], arguments.force)
         except InputError:
-            if is_new:
-                folder.rmdir()
+            for place in made:
+                place.rmdir()
             raise
     if arguments.json:
         print(json.dumps({"campaign": str(folder), "questions": asked}, ensure_ascii=False))

@@ -28,6 +28,7 @@ from sil.diagnosis.terms import try_terms
 from sil.diagnosis.verdict import (
     CLAIM,
     CLAIM_PER_STROKE,
+    Held,
     Judged,
     Verdict,
     acceptable,
@@ -126,14 +127,15 @@ def diagnose(
             f"{campaign.folder}: the nominal model cannot follow this campaign: {error}"
         ) from None
     search.stages.until(85.0)
-    judged = _judged(search, held_out, workers)
+    held: Held = {}
+    judged = _judged(search, held_out, workers, held)
     verdict = decide(judged, len(strokes))
     search.stages.until(95.0)
     alike = bool(verdict.claimed) and search.try_alike(
         verdict.leader.training, min(verdict.gains.values())
     )
     if try_terms(search, verdict, judged) or alike:
-        judged = _judged(search, held_out, workers)
+        judged = _judged(search, held_out, workers, held)
         verdict = decide(judged, len(strokes))
     # what follows counts in the processes that it runs in
     refusals = Refusals(search.fitter.refusals)
@@ -265,11 +267,11 @@ def available(strokes: Sequence[StrokeObservation]) -> list[Candidate]:
     return candidates({need for need, present in has.items() if present})
 
 
-def _judged(search: Search, held_out: tuple[int, ...], workers: int) -> list[Judged]:
+def _judged(search: Search, held_out: tuple[int, ...], workers: int, held: Held) -> list[Judged]:
     """Held-out judgement of the healthy fit and of the best acceptable ones."""
     ones, twos, threes = (search.fits.of_size(count) for count in (1, 2, 3))
     chosen = [search.healthy, *ones[:8], *twos[:8], *threes[:2]]
-    judged = judge(search.fitter, chosen, held_out, workers)
+    judged = judge(search.fitter, chosen, held_out, workers, held)
     accepted = [item for item in judged if acceptable(item)]
     weigh(accepted)
     return accepted

@@ -9,7 +9,7 @@ Checked by: tests/unit/sil/diagnosis/test_force_rig.py
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -175,29 +175,31 @@ def read_motion(path: str | Path) -> Recorded:
     findings: list[str] = []
     doubts: list[str] = []
     parts: list[Floats] = []
-    noise: list[tuple[float, float, int]] = []
-    for record in records:
+    noise: list[tuple[float, float]] = []
+    for record, own_step in zip(records, usual, strict=True):
         signals = _signals(record, rig.body)
+        if own_step < 0.99 * step:
+            findings.append(
+                f"{record.path.name}: {1.0 / own_step:.4g} samples a second, compared at {1.0 / step:.4g}: "
+                "by sample_rate_hz, or the slowest file"
+            )
         if record.dialect:
             findings.append(f"{record.path.name}: read as {record.dialect}")
         # a stuck force is hidden by the pressures that are added to it
         own = next((record[name] for name in FORCES if name in record), signals[1])
         checked = np.vstack([signals[0], own, signals[2]])
-        noise.append((noise_of(signals[1]), noise_of(signals[0]), len(record)))
+        sds = noise_of(signals[1]), noise_of(signals[0])
         for rows in _parts(record, findings):
             if (record.time_s[rows[-1]] - record.time_s[rows[0]]) / step < MARGIN:
                 continue
             doubts += odd_channels(record.path.name, checked[:, rows], int(rows[0]))
             parts.append(_even(record.time_s[rows], signals[:, rows], step))
+            noise.append(sds)
     if not parts:
         raise InputError(
             f"{file.parent}: no {FEWEST_SAMPLES} samples without a gap; expected strokes"
         )
-    weights = [count for *_sds, count in noise]
-    force_sd, position_sd = (
-        float(np.sqrt(np.average([sds[k] ** 2 for sds in noise], weights=weights))) for k in (0, 1)
-    )
-    return _judged(rig, parts, step, (force_sd, position_sd), rotary, findings, doubts)
+    return _judged(rig, parts, step, noise, rotary, findings, doubts)
 
 
 def _signals(record: Record, body: Body) -> Floats:
@@ -254,14 +256,21 @@ def _judged(
     rig: ForceRig,
     parts: list[Floats],
     step: float,
-    noise: tuple[float, float],
+    noise: Sequence[tuple[float, float]],
     rotary: bool,
     findings: list[str],
     doubts: list[str],
 ) -> Recorded:
-    """Return the parts [3, m] as one record: filtered, its strokes found, slow samples left out."""
+    """Return the parts [3, m] as one record: filtered, its strokes found, slow samples left out.
+
+    noise: of force and position in each part.
+    """
+    lengths = [part.shape[1] for part in parts]
+    _force_sd, position_sd = _joint_noise(noise, lengths)
     width = (
-        _width(parts, noise[1]) if rig.body.smooth_s is None else max(1.0, rig.body.smooth_s / step)
+        _width(parts, position_sd)
+        if rig.body.smooth_s is None
+        else max(1.0, rig.body.smooth_s / step)
     )
     speeds = [smoothed(part[0], width, 1) / step for part in parts]
     x, f, p = np.concatenate(parts, axis=1)
@@ -304,7 +313,7 @@ def _judged(
         stroke,
         width,
         step,
-        *noise,
+        *_joint_noise(noise, np.add.reduceat(judged.astype(int), np.flatnonzero(starts)).tolist()),
         held_out,
         rig.body,
         ROTARY if rotary else {},
@@ -312,6 +321,14 @@ def _judged(
         tuple(doubts),
         stride,
     )
+
+
+def _joint_noise(
+    noise: Sequence[tuple[float, float]], counts: Sequence[int]
+) -> tuple[float, float]:
+    """Return the noise of force and position of parts that contribute so many samples."""
+    force_sd, position_sd = np.sqrt(np.average(np.square(noise), axis=0, weights=counts))
+    return float(force_sd), float(position_sd)
 
 
 def _inner(count: int, reach: int) -> NDArray[np.bool_]:

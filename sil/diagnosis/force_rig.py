@@ -238,17 +238,14 @@ def diagnose_force(path: str | Path) -> ForceDiagnosis:
     """
     record = read_motion(path)
     bank, tried = _tried(record)
-    late_s = _late_within_a_step_s(bank, min(tried, key=lambda item: item.rms_n))
+    judged, verdict = _decided(tried)
+    late_s = _late_within_a_step_s(bank, min(tried, key=lambda item: item.rms_n), verdict.leader)
     if late_s:
         record = _sooner(record, late_s)
         bank, tried = _tried(record)
+        judged, verdict = _decided(tried)
     plain = tried[0]
     singles = [item for item in tried if len(item.groups) == 1]
-    by_names = {frozenset(item.names): item for item in tried}
-    judged = [item for item in tried if _acceptable(item, by_names)]
-    judged.sort(key=lambda item: item.score)
-    weigh(judged)
-    verdict = decide(judged, len(plain.squares))
     smooth = bank.add_smooth()
     doubts = (*record.doubts, *_doubts(bank, plain))
     rest = ("", "", 0.0)
@@ -270,14 +267,24 @@ def _tried(record: Recorded) -> tuple[Bank, list[Tried]]:
     return bank, tried
 
 
-def _late_within_a_step_s(bank: Bank, best: Tried) -> float:
+def _decided(tried: Sequence[Tried]) -> tuple[list[Tried], Verdict[Tried]]:
+    """Return the hypotheses that are physical, best first, and the verdict on them."""
+    by_names = {frozenset(item.names): item for item in tried}
+    judged = [item for item in tried if _acceptable(item, by_names)]
+    judged.sort(key=lambda item: item.score)
+    weigh(judged)
+    return judged, decide(judged, len(tried[0].squares))
+
+
+def _late_within_a_step_s(bank: Bank, best: Tried, leader: Tried) -> float:
     """Return by how much the force is late against the position [s], 0 unless that explains a residual.
 
-    A command that is held from sample to sample acts half a step before it is recorded.
+    A command that is held from sample to sample acts half a step before it is recorded. The delay is
+    what `best` leaves of it, which may be all that is left of the leader's residual.
     """
-    ratio = best.rms_n / best.noise_n
-    if ratio <= EXPLAINED:
+    if leader.rms_n <= EXPLAINED * leader.noise_n:
         return 0.0
+    ratio = best.rms_n / best.noise_n
     record = bank.record
     base = np.linalg.qr(bank.columns[:, bank.own(best.groups)])[0]
     rate = record.filtered(record.raw.force_n, 1)[record.judged]

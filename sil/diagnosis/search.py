@@ -1,7 +1,7 @@
 """Search over hypotheses: the healthy plant, every single cause, pairs of the promising ones.
 
 Everything here uses the training strokes alone; the held-out strokes judge afterwards.
-Checked by: tests/unit/sil/diagnosis/test_diagnose.py
+Checked by: tests/unit/sil/diagnosis/test_search.py, test_diagnose.py
 """
 
 from __future__ import annotations
@@ -70,8 +70,12 @@ class Fits(dict[str, FitResult]):
     """Fits by name."""
 
     def add(self, fit: FitResult) -> None:
-        """Store a fit unless a better one of the same hypothesis is there."""
-        if fit.name not in self or fit.cost < self[fit.name].cost:
+        """Store a fit unless a better one of the same hypothesis, in any order, is there."""
+        causes = {item.name for item in fit.candidates}
+        same = (name for name, f in self.items() if {c.name for c in f.candidates} == causes)
+        old = next(same, "")
+        if not old or fit.cost < self[old].cost:
+            self.pop(old, None)
             self[fit.name] = fit
 
     def ordered(self) -> list[FitResult]:
@@ -256,12 +260,14 @@ class Search:
             return
         best = fits[0]
         tasks = []
-        for index, member in enumerate(best.candidates):
+        for index, (member, own) in enumerate(zip(best.candidates, best.values, strict=True)):
             for other in self.candidates:
                 if other.id == member.id and other.name != member.name:
-                    members = (*best.candidates[:index], other, *best.candidates[index + 1 :])
+                    start = tuple(own.get(p.name, p.neutral) for p in other.parameters)
+                    members, point = list(best.candidates), list(best.point)
+                    members[index], point[index] = other, start
                     begin = (best.shared, best.stroke)
-                    tasks.append(Task(members, (best.point,), begin, FIRST_ITERATIONS))
+                    tasks.append(Task(tuple(members), (tuple(point),), begin, FIRST_ITERATIONS))
         self.polish(self.run_tasks(tasks)[:1])
 
     def try_alike(self, leader: FitResult, gain: float) -> bool:

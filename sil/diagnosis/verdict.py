@@ -154,10 +154,22 @@ class Judged:
         return slight_causes(self)
 
 
+Held = dict[str, tuple[FitResult, FitResult | None]]
+"""Fits by name, and what the held-out strokes made of them: None if they cannot be simulated."""
+
+
 def judge(
-    fitter: Fitter, fits: Sequence[FitResult], held_out: Sequence[int], workers: int = 1
+    fitter: Fitter,
+    fits: Sequence[FitResult],
+    held_out: Sequence[int],
+    workers: int = 1,
+    known: Held | None = None,
 ) -> list[Judged]:
-    """Held-out evaluation of fits, best score first."""
+    """Held-out evaluation of fits, best score first.
+
+    known: earlier evaluations, which are not repeated; new ones are added.
+    """
+    known = {} if known is None else known
     model = fitter.model
     # offsets of gauges that no training stroke has: held-out ones determine them
     training = set(range(len(model.strokes))) - set(held_out)
@@ -176,8 +188,11 @@ def judge(
             return None
 
     found = []
-    answers = fitted(fitter, work, fits, workers) if held_out else [None] * len(fits)
-    for fit, held in zip(fits, answers, strict=True):
+    new = [f for f in fits if held_out and (f.name not in known or known[f.name][0] is not f)]
+    for fit, answer in zip(new, fitted(fitter, work, new, workers), strict=True):
+        known[fit.name] = fit, answer
+    for fit in fits:
+        held = known[fit.name][1] if held_out else None
         if held_out and held is None:
             continue
         score, both = 0.5 * fit.evidence(), fit

@@ -55,8 +55,11 @@ def position_m(force_n: np.ndarray, step_s: float, body: dict[str, float]) -> np
     return found
 
 
-def draw_held(folder: Path, seed: int) -> dict[str, float]:
-    """Write a campaign of one plain body; return what is true of it."""
+def draw_held(folder: Path, seed: int, uneven: float = 1.0) -> dict[str, float]:
+    """Write a campaign of one plain body; return what is true of it.
+
+    uneven: up to this many times the noise in each file.
+    """
     rng = np.random.default_rng([seed, 98])
     rate = float(rng.choice([250.0, 500.0, 1000.0]))
     mass = 10.0 ** rng.uniform(-0.3, 2.0)
@@ -71,13 +74,15 @@ def draw_held(folder: Path, seed: int) -> dict[str, float]:
     folder.mkdir(parents=True)
     lines = ['name = "body"', 'rig = "force"', f"sample_rate_hz = {rate}"]
     step_m = 0.0
+    more = uneven ** np.random.default_rng([seed, 99]).random(STROKES)
     for number in range(STROKES):
         t = np.arange(int(rng.uniform(2.0, 4.0) * rate)) / rate
         force = size * held_force(SHAPES[seed % len(SHAPES)], t, rng)
         x = position_m(force, 1.0 / rate, body)
         step_m = step_m or fine * float(np.ptp(x))
-        x = np.round((x + rng.normal(0.0, step_m, len(t))) / step_m) * step_m
-        force = np.round((force + rng.normal(0.0, noise, len(t))) / (0.5 * noise)) * (0.5 * noise)
+        x = np.round((x + more[number] * rng.normal(0.0, step_m, len(t))) / step_m) * step_m
+        force = force + more[number] * rng.normal(0.0, noise, len(t))
+        force = np.round(force / (0.5 * noise)) * (0.5 * noise)
         file, header = f"{number}.csv", "time_s,position_m,force_n"
         np.savetxt(
             folder / file, np.column_stack([t, x, force]), "%.9g", ",", header=header, comments=""

@@ -1,7 +1,7 @@
 """Bodies of which force and position are known, drawn at random, and how they are judged.
 
-Integrated by scipy's LSODA under a controller that follows a reference, or (held) exactly from sample to
-sample: nothing of the engine that judges them. `python -m tests.bench bodies` prints a table; $OPC4_FIRST (0) is the first number drawn from.
+Integrated by scipy's LSODA under a controller that follows a reference, or (held, and uneven: noise that differs
+between files) exactly from sample to sample: nothing of the engine that judges them. `python -m tests.bench bodies` prints a table; $OPC4_FIRST (0) is the first number drawn from.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from tests.bench._held_bodies import draw_held
 KINDS = {
     "plain": 60,
     "held": 50,
+    "uneven": 50,
     "k_p": 25,
     "stribeck": 20,
     "asymmetry": 20,
@@ -162,7 +163,10 @@ def corrupt(
 
 def judge(folder: Path, kind: str, seed: int) -> tuple[str, list[str], float, float, float]:
     """Return verdict, causes, largest probability, residual over noise, and the noise over the true."""
-    true = draw_held(folder, seed) if kind == "held" else draw(folder, kind, seed)
+    if kind in ("held", "uneven"):
+        true = draw_held(folder, seed, uneven=5.0 if kind == "uneven" else 1.0)
+    else:
+        true = draw(folder, kind, seed)
     try:
         found = diagnose_force(folder)
     except InputError as error:
@@ -179,7 +183,7 @@ def judge(folder: Path, kind: str, seed: int) -> tuple[str, list[str], float, fl
 
 def is_right(kind: str, verdict: str, causes: list[str]) -> bool:
     """Return whether a verdict is what a careful engineer would say."""
-    if kind in ("plain", "held"):
+    if kind in ("plain", "held", "uneven"):
         return verdict == "consistent"
     if kind in EXPECTED:
         return verdict in ("named", "ambiguous") and EXPECTED[kind] in causes
@@ -188,7 +192,7 @@ def is_right(kind: str, verdict: str, causes: list[str]) -> bool:
     return verdict in ("cannot_tell", "refused")
 
 
-def measure(count: int = 250) -> Iterator[str]:
+def measure(count: int = 300) -> Iterator[str]:
     """Lines: what is not right as it comes, then a table by kind."""
     total: Counter[tuple[str, str]] = Counter()
     right: Counter[str] = Counter()
@@ -196,12 +200,12 @@ def measure(count: int = 250) -> Iterator[str]:
     first = int(os.environ.get("OPC4_FIRST", "0"))
     with tempfile.TemporaryDirectory() as name:
         for kind, share in KINDS.items():
-            for seed in range(first, first + max(1, share * count // 250)):
+            for seed in range(first, first + max(1, share * count // 300)):
                 answer = judge(Path(name) / f"{kind}{seed}", kind, seed)
                 good = is_right(kind, *answer[:2])
                 total[kind, answer[0]] += 1
                 right[kind] += good
-                alarms += kind in ("plain", "held") and not good
+                alarms += kind in ("plain", "held", "uneven") and not good
                 unexplained += answer[0] == "consistent" and answer[3] > 3.0
                 if not good:
                     yield f"not right: {kind} {seed}: {answer}"

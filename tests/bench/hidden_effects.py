@@ -90,8 +90,8 @@ def row_of(number: int, case: str, hidden: Any, plain: dict[str, Any], seconds: 
     )
 
 
-def one(number: int, folder: Path, strokes: int = STROKES, workers: int = 1) -> Row:
-    """Make campaign `number` and diagnose it."""
+def one(number: int, folder: Path) -> Row | str:
+    """Make campaign `number` and diagnose it; return why, if it cannot be made."""
     from plant.parameters import load
     from sil.campaign.campaign import load_campaign
     from sil.diagnosis.diagnosis import diagnose
@@ -99,9 +99,12 @@ def one(number: int, folder: Path, strokes: int = STROKES, workers: int = 1) -> 
     from tests.hidden_effects.draws import drawn
 
     case, hidden = drawn(number)
-    campaign = write_campaign(folder / f"campaign_{number:04d}", hidden, number, strokes)
+    try:
+        campaign = write_campaign(folder / f"campaign_{number:04d}", hidden, number, STROKES)
+    except (AssertionError, ValueError) as error:
+        return str(error)
     begun = time.perf_counter()
-    plain = diagnose(load_campaign(campaign), load(), workers=workers).as_json()
+    plain = diagnose(load_campaign(campaign), load(), workers=1).as_json()
     seconds = time.perf_counter() - begun
     shutil.rmtree(campaign)
     return row_of(number, case, hidden, plain, seconds)
@@ -136,10 +139,9 @@ def measure() -> Iterator[str]:
     for number in range(first, first + count):
         if number in done or (cases and drawn(number)[0] not in cases.split(",")):
             continue
-        try:
-            row = one(number, folder)
-        except (AssertionError, ValueError) as error:
-            yield f"{number}: cannot be made: {error}"
+        row = one(number, folder)
+        if isinstance(row, str):
+            yield f"{number}: cannot be made: {row}"
             continue
         rows.append(row)
         with path.open("a", encoding="utf-8") as out:

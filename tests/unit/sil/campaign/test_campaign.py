@@ -74,3 +74,9 @@ def test_a_file_of_two_strokes_is_refused(tmp_path: Path) -> None:
     folder = written(tmp_path / "twice", TEXT[TEXT.index("[[stroke]]") :])
     with pytest.raises(InputError, match=r"stroke\[1\]\.file: 'stroke_001.csv' twice"):
         load_campaign(str(folder))
+
+
+def test_a_scale_of_zero_is_refused(tmp_path: Path) -> None:
+    folder = written(tmp_path / "flat", '[columns]\nposition_m = { column = "x", scale = 0 }\n')
+    with pytest.raises(InputError, match=r"columns.position_m.scale: 0 makes every value the same"):
+        load_campaign(str(folder))

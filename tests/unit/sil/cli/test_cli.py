@@ -64,6 +64,14 @@ def test_bad_usage_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(output) == 2 and "opc4 run --list" in output[0] and "--help" in output[1]
 
 
+@pytest.mark.parametrize("words", [["run", "lab_n_b", "--forc"], ["diagnose"], ["rnu"], []])
+def test_bad_usage_is_one_json_object(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([*words, "--json"]) == 2
+    output = capsys.readouterr()
+    found = json.loads(output.out)
+    assert found["exit_code"] == 2 and output.err.endswith(f": {found['error']}\n")
+
+
 def test_a_place_for_junit_that_does_not_exist_is_bad_input(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

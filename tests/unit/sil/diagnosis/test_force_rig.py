@@ -15,6 +15,7 @@ from sil.diagnosis.force_checks import odd_channels
 from sil.diagnosis.force_fit import Bank, gain_in_errors
 from sil.diagnosis.force_record import read_motion, smoothed
 from sil.diagnosis.force_rig import diagnose_force
+from tests.bench._held_bodies import draw_held
 
 HEAD = """name = "bench"
 rig = "force"
@@ -331,6 +332,28 @@ def test_another_rate_than_the_file_s_needs_no_pressure(tmp_path) -> None:
     file.write_text("\n".join(without) + "\n", encoding="utf-8")
     found = diagnose_force(folder)
     assert found.record.step_s == 1.0 / 250.0 and found.leader.ids == ("stribeck",)
+    (text,) = [line for line in found.findings() if "samples a second" in line]
+    assert text.startswith("a.csv: 500 samples a second, compared at 250: by sample_rate_hz")
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_plain_bodies_with_other_noise_in_each_file_are_consistent(tmp_path, seed) -> None:
+    draw_held(tmp_path / "a", seed, uneven=5.0)
+    found = diagnose_force(tmp_path / "a")
+    assert found.verdict == "consistent" and not found.leader.groups
+
+
+def test_noise_is_that_of_the_judged_samples(tmp_path) -> None:
+    folder = rig(tmp_path / "a")
+    names, *rows = (folder / "a.csv").read_text(encoding="utf-8").splitlines()
+    rest = [row.split(",") for row in rows]
+    for row in rest[2000:]:  # hardly a motion, and little noise of force
+        row[1:3] = [rest[2000][1], f"{15.0 + 0.01 * float(row[2]):.6f}"]
+    lines = [names, *(",".join(row) for row in rest)]
+    (folder / "b.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with (folder / "campaign.toml").open("a", encoding="utf-8") as file:
+        file.write('[[stroke]]\nfile = "b.csv"\n')
+    assert read_motion(folder).force_sd_n == pytest.approx(1.0, rel=0.15)
 
 
 def test_a_rotary_axis_has_its_units(tmp_path) -> None:

@@ -104,6 +104,9 @@ def test_a_draft_is_not_replaced_and_files_may_lie_in_its_folder(
     (folder / "a.csv").write_text(f"time_s,position_m,force_n\n{rows}\n")
     assert main(["diagnose", "--new", str(folder), str(tmp_path / "none.csv")]) == 2
     assert sorted(path.name for path in folder.iterdir()) == ["a.csv"]
+    for deep in ("p/q/r", "p/../q/r", "bench/q"):
+        assert main(["diagnose", "--new", str(tmp_path / deep), str(tmp_path / "none.csv")]) == 2
+    assert [path.name for path in tmp_path.rglob("*")] == ["bench", "a.csv"]
     assert main(["diagnose", "--new", str(folder), str(folder / "a.csv")]) == 0
     (folder / "campaign.toml").write_text("# edited")
     for more, said in (

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from plant.effects import CATALOGUE
-from sil.diagnosis.verdict import EFFECTIVE, by_cause, decide, slight_causes, weigh
+from plant.errors import IntegrationError
+from sil.diagnosis.verdict import EFFECTIVE, Held, by_cause, decide, judge, slight_causes, weigh
+from sil.fitting.refused import Refusals
 
 
 def entry(
@@ -162,3 +164,23 @@ def test_what_leaves_most_of_a_misfit_explains_nothing(left, claimed) -> None:
     healthy = entry(60000.0, 20000.0, excess=100000.0, beyond=99000.0)
     cause = entry(20000.0, 8000.0, "exhaust_clog", excess=left, beyond=left - 1000.0)
     assert verdict(healthy, cause).claimed == claimed
+
+
+def test_a_fit_that_the_held_out_strokes_refuse_is_counted_once() -> None:
+    def refuse(*_words: object, **_options: object) -> None:
+        raise IntegrationError("too stiff")
+
+    stroke = SimpleNamespace(channels=[])
+    model = SimpleNamespace(strokes=[stroke, stroke], offsets=(), unit=())
+    fitter = SimpleNamespace(model=model, refusals=Refusals(), fit=refuse)
+    one, two = (
+        SimpleNamespace(name=name, shared=[], candidates=[SimpleNamespace(name=name, id=name)])
+        for name in ("stribeck", "free_play")
+    )
+    known: Held = {}
+    assert judge(fitter, [one], [1], known=known) == []
+    assert judge(fitter, [one, two], [1], known=known) == []
+    assert {name: item.lost for name, item in fitter.refusals.items()} == {
+        "stribeck": 1,
+        "free_play": 1,
+    }
