@@ -131,10 +131,11 @@ def diagnose(
     judged = _judged(search, held_out, workers, held)
     verdict = decide(judged, len(strokes))
     search.stages.until(95.0)
-    alike = bool(verdict.claimed) and search.try_alike(
-        verdict.leader.training, min(verdict.gains.values())
-    )
-    if try_terms(search, verdict, judged) or alike:
+    leader = verdict.leader
+    more = bool(verdict.claimed) and search.try_alike(leader.training, min(verdict.gains.values()))
+    if verdict.claimed and leader.whole.beyond > 0.0:  # the held-out strokes may show it alone
+        more = search.try_variants(leader.training) or more
+    if try_terms(search, verdict, judged) or more:
         judged = _judged(search, held_out, workers, held)
         verdict = decide(judged, len(strokes))
     # what follows counts in the processes that it runs in

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from plant.effects.effect import Starts
 from plant.errors import IntegrationError
 from sil.campaign.campaign import Floats
 from sil.diagnosis.screening import Score, screen
@@ -111,6 +112,7 @@ class Search:
         self.fits = Fits()
         self.first: list[FitResult] = []
         self.known: dict[str, dict[int, Block]] = {}
+        self.varied: set[str] = set()
         self.scores: list[Score] = []
 
     def run(self) -> None:
@@ -120,7 +122,9 @@ class Search:
         self.singles()
         self.stages.until(75.0)
         self.pairs()
-        self.variants()
+        best = self.fits.ordered()[:1]
+        if best and misfit(self.model, best[0]).beyond > 0.0:
+            self.try_variants(best[0])
 
     # --- fits ---------------------------------------------------------------------------------
     def attempt(self, task: Task) -> FitResult | None:
@@ -253,22 +257,34 @@ class Search:
             tasks.append(Task(both, tuple(starts), (one.shared, one.stroke), FIRST_ITERATIONS))
         return tasks
 
-    def variants(self) -> None:
-        """Try the best hypothesis with each of its causes in its other variants."""
-        fits = self.fits.ordered()
-        if not fits or misfit(self.model, fits[0]).beyond == 0.0:
-            return
-        best = fits[0]
+    def try_variants(self, best: FitResult) -> bool:
+        """Try a hypothesis with each of its causes in its other variants; True if any was tried.
+
+        What is added to a large cause is easily mistaken for another one of its class: the causes of
+        a pair are replaced by those too.
+        """
+        if best.name in self.varied:
+            return False
+        self.varied.add(best.name)
+        begin = (best.shared, best.stroke)
         tasks = []
         for index, (member, own) in enumerate(zip(best.candidates, best.values, strict=True)):
+            before, after = best.candidates[:index], best.candidates[index + 1 :]
             for other in self.candidates:
-                if other.id == member.id and other.name != member.name:
-                    start = tuple(own.get(p.name, p.neutral) for p in other.parameters)
-                    members, point = list(best.candidates), list(best.point)
-                    members[index], point[index] = other, start
-                    begin = (best.shared, best.stroke)
-                    tasks.append(Task(tuple(members), (tuple(point),), begin, FIRST_ITERATIONS))
+                if other.name == member.name or not compatible(other, (*before, *after)):
+                    continue
+                starts: Starts = ()
+                if other.id == member.id:
+                    starts = (tuple(own.get(p.name, p.neutral) for p in other.parameters),)
+                elif len(best.candidates) > 1 and other.cause_class == member.cause_class:
+                    starts = other.starts
+                points = tuple(
+                    (*best.point[:index], start, *best.point[index + 1 :]) for start in starts
+                )
+                if points:
+                    tasks.append(Task((*before, other, *after), points, begin, FIRST_ITERATIONS))
         self.polish(self.run_tasks(tasks)[:1])
+        return bool(tasks)
 
     def try_alike(self, leader: FitResult, gain: float) -> bool:
         """Fit what the leader's covariance cannot distinguish from its one cause; True if there is any.

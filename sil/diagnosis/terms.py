@@ -88,7 +88,7 @@ def try_terms(search: Search, verdict: Verdict[Judged], judged: Sequence[Judged]
     owes its agreement to scatter that healthy strokes do not have.
     """
     best = min(judged, key=lambda item: item.score)
-    detail = SMALL * max(1.0, verdict.healthy.whole.excess) + 0.02 * best.whole.count
+    detail = SMALL * max(1.0, verdict.healthy.whole.excess) + best.whole.detail
     if best.whole.beyond <= detail and not strained(best.training):
         return False
     tasks = []

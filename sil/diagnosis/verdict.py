@@ -343,7 +343,7 @@ def _surest_of(leader: Explanation, healthy: Explanation) -> float:
     if UNNAMED in leader.ids:
         return DOUBTED
     left = leader.whole.beyond / max(healthy.whole.excess, 1e-9)
-    if leader.whole.beyond <= 0.02 * leader.whole.count or left <= LEFT[0]:
+    if leader.whole.beyond <= leader.whole.detail or left <= LEFT[0]:
         return SUREST
     doubt = min(1.0, np.log(left / LEFT[0]) / np.log(LEFT[1] / LEFT[0]))
     return float(SUREST - (SUREST - DOUBTED) * doubt)

@@ -29,17 +29,32 @@ FLOOR_SPREAD = {"position": 0.03, "pressure": 0.004, "oil": 0.008, "internal": 0
 EXPLAINED = 1.25
 """Residual over expected noise up to which noise explains it: the noise is an estimate itself."""
 
+DETAIL = 0.02
+"""Excess per number that is a detail, if no channel by itself ..."""
+
+LOCAL = 1.0
+"""... has more than this: one of few numbers counts little in the whole."""
+
 STRAIN_LEVEL = 1e-6
 """How rarely the scatter of healthy strokes, or a unit's tolerances, may come out so wide."""
 
 
 @dataclass(frozen=True)
 class ChannelMisfit:
-    """One channel over some strokes: rms over its floor, how many numbers, and the band's edge."""
+    """One channel over some strokes: rms over its floor, how many numbers, and the band's edge.
+
+    floor: mean square of its standardised residuals when nothing is wrong.
+    """
 
     rms: float
     count: int
     band: float
+    floor: float = 1.0
+
+    @property
+    def beyond(self) -> float:
+        """Mean square of the standardised residuals beyond the band."""
+        return max(0.0, (self.rms**2 - self.band**2) * self.floor)
 
 
 @dataclass(frozen=True)
@@ -63,6 +78,12 @@ class Misfit:
     def beyond(self) -> float:
         """Excess that is surely not noise."""
         return max(0.0, self.excess - self.band)
+
+    @property
+    def detail(self) -> float:
+        """Excess beyond the band that is a detail: none if a channel by itself is far off."""
+        is_local = any(item.beyond > LOCAL for item in self.channels.values())
+        return 0.0 if is_local else DETAIL * self.count
 
     @property
     def rms(self) -> float:
@@ -93,7 +114,9 @@ def misfit(model: CampaignModel, fit: FitResult) -> Misfit:
         total = sum(float(part @ part) for part, _floor, _spread in own)
         floor = sum(item[1] for item in own)
         share = float(np.hypot(own[0][2] / (floor / n) ** 0.5, np.sqrt(0.5 / n)))
-        channels[name] = ChannelMisfit(float(np.sqrt(total / floor)), n, 1.0 + 3.0 * share)
+        channels[name] = ChannelMisfit(
+            float(np.sqrt(total / floor)), n, 1.0 + 3.0 * share, floor / n
+        )
         excess += total - floor
         variance += (2.0 * share * floor) ** 2
     count = sum(channel.count for channel in channels.values())

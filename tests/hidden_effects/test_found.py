@@ -13,8 +13,9 @@ import pytest
 from plant.parameters import load
 from sil.campaign.campaign import load_campaign
 from sil.diagnosis.diagnosis import diagnose
-from tests.bench.hidden_effects import Row, row_of
+from tests.bench.hidden_effects import STROKES, Row, row_of
 from tests.hidden_effects.campaign import hide, write_campaign
+from tests.hidden_effects.draws import drawn
 
 
 def diagnosed(folder: Path, names: tuple[str, ...], seed: int, strokes: int, level="easy") -> Row:
@@ -53,3 +54,25 @@ def test_a_drag_that_no_cause_describes_gets_no_wrong_name(tmp_path) -> None:
     row = diagnosed(tmp_path, ("drag of speed squared",), 51, 6)
     assert row.verdict != "consistent"
     assert row.wrong_name <= 0.5, row
+
+
+def judged(folder: Path, number: int) -> Row:
+    """A campaign of the study."""
+    case, hidden = drawn(number)
+    written = write_campaign(folder / "campaign", hidden, number, STROKES)
+    found = diagnose(load_campaign(written), load(), workers=1).as_json()
+    return row_of(number, case, hidden, found, 0.0)
+
+
+@pytest.mark.slow
+def test_a_delay_next_to_a_large_volume_is_not_taken_for_another_one(tmp_path) -> None:
+    row = judged(tmp_path, 3105)
+    assert row.names == ("valve_open_delay", "dead_volume_charge")
+    assert row.on_truth > 0.9 and row.wrong_name < 0.1, row
+
+
+@pytest.mark.slow
+def test_a_bent_sensor_is_not_taken_for_its_gain(tmp_path) -> None:
+    row = judged(tmp_path, 3085)
+    assert row.names == ("bent sensor",) and row.verdict == "unnamed"
+    assert row.found[0][1] == "internal sensor" and row.wrong_name < 0.5, row

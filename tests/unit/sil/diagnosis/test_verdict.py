@@ -10,6 +10,7 @@ import pytest
 from plant.effects import CATALOGUE
 from plant.errors import IntegrationError
 from sil.diagnosis.verdict import EFFECTIVE, Held, by_cause, decide, judge, slight_causes, weigh
+from sil.fitting.floor import ChannelMisfit, Misfit
 from sil.fitting.refused import Refusals
 
 
@@ -21,7 +22,7 @@ def entry(
         ids=ids,
         name="+".join(ids) or "healthy",
         whole=SimpleNamespace(
-            beyond=beyond, excess=excess, count=10000, rms=(1.0 + excess / 10000) ** 0.5
+            beyond=beyond, excess=excess, detail=200.0, rms=(1.0 + excess / 10000) ** 0.5
         ),
         held_cost=0.5 * held_chi2,
         slight=(),
@@ -164,6 +165,15 @@ def test_what_leaves_most_of_a_misfit_explains_nothing(left, claimed) -> None:
     healthy = entry(60000.0, 20000.0, excess=100000.0, beyond=99000.0)
     cause = entry(20000.0, 8000.0, "exhaust_clog", excess=left, beyond=left - 1000.0)
     assert verdict(healthy, cause).claimed == claimed
+
+
+def test_a_channel_that_is_far_off_is_no_detail() -> None:
+    def whole(rms: float) -> Misfit:
+        few = ChannelMisfit(rms, 300, 1.9, 0.03)
+        return Misfit({"a": ChannelMisfit(1.0, 100000, 1.01), "b": few}, 700.0, 100.0, 100300)
+
+    assert whole(2.5).detail == pytest.approx(2006.0)
+    assert whole(16.0).detail == 0.0
 
 
 def test_a_fit_that_the_held_out_strokes_refuse_is_counted_once() -> None:
