@@ -82,7 +82,7 @@ class Learned(IntoGear):
     earlier shifts taught; while the synchronizer works, the fall of the difference corrects it until
     the programme begins. Afterwards the release that was measured teaches the next shift. Without
     valid speeds, with air left in the neutral chamber, and after a fault it is the open loop.
-    At most 100 operations a step, 400 after a shift. Assumes an engine without torque meanwhile.
+    At most 100 operations a step, 300 after a shift. Assumes an engine without torque meanwhile.
     """
 
     class Parameters(IntoGearParameters, frozen=True):

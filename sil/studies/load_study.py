@@ -12,6 +12,7 @@ from msgspec import structs
 from can_dbc import typed_toml
 from can_dbc.errors import InputError, nearest, unknown_name
 from sil.simulation import load_scenario
+from sil.studies.assumptions import LEAST
 from sil.studies.fleet import FleetTable
 from sil.studies.rows import columns
 from sil.studies.study import DRAWN, MOST_ROWS, LoadedStudy, Study, Sweep, groups_of
@@ -58,7 +59,7 @@ def load_study(where: str, effects: Sequence[str] = ()) -> LoadedStudy:
     if study.kind == "learned" and study.truck is None:
         shipped_one = load_study("learned").study
         study = structs.replace(study, truck=shipped_one.truck, factor=shipped_one.factor)
-    for check in (check_shape, check_names, check_size):
+    for check in (check_shape, check_names, check_conditions, check_size):
         check(study, str(path))
     loaded = LoadedStudy(study, str(path), base_of(study, path))
     check_metrics(loaded)
@@ -142,6 +143,24 @@ def check_names(study: Study, source: str) -> None:
             raise InputError(f"{source}: {field}: {name[:60]!r}; expected printable characters")
     if "/" in study.name or "\\" in study.name or study.name.startswith("."):
         raise InputError(f"{source}: name: {study.name!r}; expected a name, not a path")
+
+
+def check_conditions(study: Study, source: str) -> None:
+    """Refuse conditions of a sensitivity study below their least value. Raises InputError."""
+    if study.kind != "sensitivity":
+        return
+    given: list[tuple[str, object]] = [
+        (sweep.path, value)
+        for sweep in study.sweep
+        for value in sweep.values or (sweep.low, sweep.high)
+    ]
+    given += [
+        pair for items in groups_of(study).values() for item in items for pair in item.set.items()
+    ]
+    for path, value in given:
+        least = LEAST.get(path, -math.inf)
+        if isinstance(value, (int, float)) and value < least:
+            raise InputError(f"{source}: {path}: {value:g}; expected {least:g} or more")
 
 
 def check_size(study: Study, source: str) -> None:

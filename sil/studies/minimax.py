@@ -18,15 +18,24 @@ LOST_M_S = 6.0
 """Cost of a load that does not arrive."""
 
 
-def merits(arrivals: Arrivals) -> Floats:
-    """Return costs [..., loads] in m/s, smooth over an arrival that is late."""
+def merits(
+    arrivals: Arrivals, price_m_s_per_s: float = LATE_M_S_PER_S, late_m_s: float = 0.0
+) -> Floats:
+    """Return costs [..., loads] in m/s; for a late arrival more: late_m_s and its delay at a price."""
     late_s = np.where(np.isfinite(arrivals.late_s), arrivals.late_s, 0.0)
-    cost = arrivals.parts_m_s.max(axis=-1) + LATE_M_S_PER_S * np.maximum(late_s, 0.0)
+    cost = arrivals.parts_m_s.max(axis=-1) + price_m_s_per_s * np.maximum(late_s, 0.0)
+    cost += late_m_s * (late_s > 0.0)
     found: Floats = np.where(np.isfinite(arrivals.late_s), cost, LOST_M_S)
     return found
 
 
-def programme(active: Ints, first: Arrivals, second: Arrivals, reach: float) -> Floats | None:
+def programme(
+    active: Ints,
+    first: Arrivals,
+    second: Arrivals,
+    reach: float,
+    price_m_s_per_s: float = LATE_M_S_PER_S,
+) -> Floats | None:
     """Return the step [variables] in 10 ms, at most `reach`, that lowers the worst impact most.
 
     Variables of the segments, active [n, 2], then of the branch of each load. Loads whose arrival a variable does
@@ -79,7 +88,7 @@ def programme(active: Ints, first: Arrivals, second: Arrivals, reach: float) -> 
     price = np.zeros(width + 2 * loads + 1)
     price[width : width + loads] = MEAN_WEIGHT
     price[width + loads] = 1.0
-    price[width + loads + 1 :] = 1e-3 * LATE_M_S_PER_S
+    price[width + loads + 1 :] = 1e-3 * price_m_s_per_s
     bounds = np.zeros((len(price), 2))
     bounds[:width] = -reach, reach
     easy = base.max(axis=1) < EASY * base.max()

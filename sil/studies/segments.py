@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sil.studies.minimax import DIFFERENCE, MEAN_WEIGHT, merits, programme
+from sil.studies.minimax import DIFFERENCE, LATE_M_S_PER_S, MEAN_WEIGHT, merits, programme
 from sil.studies.policies import Arrivals, Bools, FamilyModel, Floats, Ints, Layout
 
 UNITS_PER_S = 100.0
@@ -44,6 +44,7 @@ class SegmentModel:
         self.rank = np.argsort(self.order)
         self.count = model.loads if branch else 1
         self.pulses = pulses
+        self.price_m_s_per_s, self.late_m_s = LATE_M_S_PER_S, 0.0
         self.layout = Layout(valves, self.count * pulses, branch)
         rise_s, fall_s = model.valve_s
         self.lead = UNITS_PER_S * np.array([fall_s if v == "B" else rise_s for v in valves])
@@ -84,7 +85,8 @@ class SegmentModel:
             found = self.model.branched(stems, branches[:, None], self.layout, revealed_s)
         else:
             found = self.model.fly(stems, None, self.layout)
-        return [Member(*each) for each in zip(segments, branches, merits(found)[:, 0], strict=True)]
+        cost_m_s = merits(found, self.price_m_s_per_s, self.late_m_s)[:, 0]
+        return [Member(*each) for each in zip(segments, branches, cost_m_s, strict=True)]
 
     def topology(self, segments: Floats) -> Floats:
         """Return a number [n] for which pulses of segments [n, k, valves, ...] move a plunger."""
@@ -138,7 +140,7 @@ class SegmentModel:
             active, first, second = self.slopes(member)
             if not np.isfinite(second.late_s[0]).all():
                 return member
-            step = programme(active, first, second, reach)
+            step = programme(active, first, second, reach, self.price_m_s_per_s)
             if step is None:
                 return member
             scales = np.array([2.0, 1.0, 0.4, 0.1])[:, None]

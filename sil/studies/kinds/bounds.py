@@ -1,9 +1,10 @@
 """Rows that are bounds: the softest stop found for a family of loads at an information delay.
 
 A row sets `bound.family`, `bound.delay_s` and if wanted `bound.extra_s`, `bound.valves`,
-`bound.simulations` and `bound.hunts` of each search, and `bound.known`, the share to which the impulse
-is known before the stroke; all other settings change the model. `sil.studies.bound_search` searches,
-twice.
+`bound.simulations`, `bound.hunts` and `bound.moves` (the share of the simulations that goes to moves
+after the hunts) of each search, and `bound.known`, the share to which the impulse is known before the
+stroke; all other settings change the model. `sil.studies.bound_search` searches, twice, with moves
+`sil.studies.bound_moves`.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from can_dbc.errors import InputError
 from plant.parameters import ParameterSet, load
 from sil.report.figure import MS, Figure, Floats, Panel, Rule, Series, Span, Stack
+from sil.studies.bound_moves import MovingSearch
 from sil.studies.bound_search import (
     HALVINGS,
     HUNTS,
@@ -46,7 +48,7 @@ LAST_MS = 64.0
 """Right end of the figure."""
 
 
-SETTINGS = ("family", "delay_s", "extra_s", "valves", "simulations", "hunts", "known")
+SETTINGS = ("family", "delay_s", "extra_s", "valves", "simulations", "hunts", "moves", "known")
 """Settings `bound....` of a row."""
 
 COLUMNS = (
@@ -101,6 +103,7 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
     values = tuple(sorted(model.items()))
     budget = count("simulations", own.get("simulations", table.simulations))
     hunts = count("hunts", own.get("hunts", HUNTS), MOST_HUNTS)
+    moves = number("moves", own.get("moves", 0.0), 0.0, "")
     parts = [family]
     if "known" in own:
         if family is not GEARBOX:
@@ -116,6 +119,7 @@ def run(study: LoadedStudy, row: Row) -> RowResult:
             table,
             budget // len(parts),
             hunts,
+            moves,
             len(parts) > 1,
         )
         for each in parts
@@ -170,9 +174,12 @@ def searched(
     table: BoundsTable,
     budget: int,
     hunts: int,
+    moves: float,
     nearby: bool,
 ) -> Found:
     """Search the softest policy of a family twice, each with a budget of simulations.
+
+    moves: share of the budget that goes to moves after the hunts.
 
     nearby: its loads are nearly the same, so that few pulses serve them all. If the release is known
     ahead, half of the budget goes to policies that do not use it.
@@ -188,7 +195,12 @@ def searched(
         shapes, budget = [(4, 0)], budget // 4
     history, policies = [], []
     for seed in (table.seed, table.seed + 1):
-        searches = [Search(model, valves, *shape, seed) for shape in shapes]
+        searches = [
+            MovingSearch(model, valves, *shape, seed, moves)
+            if moves
+            else Search(model, valves, *shape, seed)
+            for shape in shapes
+        ]
         parts = [search.run(max(budget // len(shapes), 1), hunts) for search in searches]
         policies += [search.best for search in searches]
         # the first has half of the budget, so the whole of its own is a half of both

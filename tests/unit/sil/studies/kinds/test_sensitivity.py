@@ -177,6 +177,23 @@ def test_a_factor_of_nothing_is_refused(name: str) -> None:
         run_row(load_study("sensitivity"), row)
 
 
+@pytest.mark.parametrize(
+    ("path", "value", "least"),
+    [("stroke.mesh_force_n", "-1.0", "0"), ("stroke.supply_pressure_pa", "9e4", "100000")],
+)
+def test_a_condition_below_its_least_value_is_refused_when_loading(
+    tmp_path: Path, path: str, value: str, least: str
+) -> None:
+    head = 'name = "own"\ndescription = "d"\nkind = "sensitivity"\nreads = ["late_s"]\n'
+    swept = f'[[sweep]]\npath = "{path}"\nvalues = [9e5, {value}]\n'
+    chosen = f'[[variant]]\nname = "v"\nset = {{ "{path}" = {value} }}\n'
+    for given in (swept, chosen):
+        file = tmp_path / "own.toml"
+        file.write_text(f'{head}[design]\nkind = "grid"\n{given}')
+        with pytest.raises(InputError, match=rf"{path}: -?\d+; expected {least} or more$"):
+            load_study(str(file))
+
+
 def test_a_range_in_words() -> None:
     x = np.array([1.0, 2.0, 3.0])
     assert in_words(x, np.array([0.3, 0.302, 0.301]), 2) == "none"
