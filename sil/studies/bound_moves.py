@@ -70,11 +70,14 @@ class MovingSearch(Search):
         for _hunt in range(hunts):
             found: list[Member] = []
             for share in passes:
-                found = self.one_pass(found, until(share))
+                end = until(share)
+                if self.model.runs < end or not (best or found):
+                    found = self.one_pass(found, end)
             best += found
         for _round in range(ROUNDS):
             self.price_m_s_per_s, self.late_m_s = LATE_M_S_PER_S, 0.0
-            best = self.one_pass(self.elites(best), until(PASS * self.moves / ROUNDS))
+            if self.model.runs < (end := until(PASS * self.moves / ROUNDS)):
+                best = self.one_pass(self.elites(best), end)
             self.price_m_s_per_s, self.late_m_s = PRICE_M_S_PER_S, LATE_M_S
             best = [self.members(each.segments[None], each.branches[None])[0] for each in best]
             best = self.improved(self.distinct(best), until((1.0 - PASS) * self.moves / ROUNDS))

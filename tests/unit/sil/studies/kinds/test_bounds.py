@@ -109,6 +109,7 @@ def test_a_study_of_bounds_and_the_same_bytes_by_two_workers(tmp_path: Path) -> 
             BOUNDS.replace('"laboratory" }', '"laboratory", "bound.hunts" = 1001 }'),
             "1 to 1000",
         ),
+        (BOUNDS.replace('"laboratory" }', '"laboratory", "bound.moves" = 1.1 }'), "0 to 1"),
         (BOUNDS.replace('kind = "bounds"', 'kind = "bound"'), "kind"),
         (BOUNDS.replace('kind = "bounds"', 'kind = "bounds"\nscenario = "lab_n_b"'), "no scenario"),
         (BUDGET.replace('scenario = "lab_n_b"', ""), "scenario ="),
@@ -241,7 +242,7 @@ def test_who_knows_the_release_ahead_may_ignore_it() -> None:
     """Of two halves of the budget the first is for policies without information."""
     near, table = bounds.around(policies.GEARBOX, 0.02)[0], BoundsTable(seed=3)
     parameters = load_parameters("nominal")
-    found = bounds.searched(parameters, near, -0.03, 0.03, "N", table, 1200, 2, True)
+    found = bounds.searched(parameters, near, -0.03, 0.03, "N", table, 1200, 2, 0.0, True)
     blind = [
         Search(policies.FamilyModel(parameters, near, 0.048, 0.03), "N", 2, 0, seed)
         for seed in (3, 4)
