@@ -40,8 +40,10 @@ FIRST_PRICE_M_S_PER_S = 50.0
 """What a late arrival costs at first, so that a move which softens a load may cost time."""
 PRICE_M_S_PER_S, LATE_M_S = 3000.0, 1.0
 """What a late arrival costs: more than a later stop ever gains, and more than other loads have."""
-ROUNDS, PASS = 6, 0.5
+ROUNDS, PASS = 8, 0.6
 """Rounds of a pass and of moves, and the share of the pass."""
+ROUND_LIMITS = 0.6, 0.8, 0.92
+"""Limits of the impact in these passes, see `sil.studies.bound_search.LIMITS`."""
 
 
 class MovingSearch(Search):
@@ -74,6 +76,7 @@ class MovingSearch(Search):
                 if self.model.runs < end or not (best or found):
                     found = self.one_pass(found, end)
             best += found
+        self.limits = ROUND_LIMITS
         for _round in range(ROUNDS):
             self.price_m_s_per_s, self.late_m_s = LATE_M_S_PER_S, 0.0
             if self.model.runs < (end := until(PASS * self.moves / ROUNDS)):

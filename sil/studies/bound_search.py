@@ -96,6 +96,7 @@ class Search(SegmentModel):
     ) -> None:
         super().__init__(model, valves, pulses, branch)
         self.rng = np.random.default_rng(seed)
+        self.limits = LIMITS
         self.best = Policy(np.inf, np.zeros(0), np.zeros(0), self.layout)
         revealed_s = UNITS_PER_S * model.begin_s(model.plain.revealed_s[0, 0])[self.order]
         self.spans = np.diff(revealed_s[: self.count], prepend=0.0)
@@ -199,7 +200,7 @@ class Search(SegmentModel):
         aim_m_s = (
             elites[0].cost_m_s.max() if elites else 0.5 * self.model.plain.impact_stay_m_s.max()
         )
-        limits_m_s = float(aim_m_s) * np.array(LIMITS)
+        limits_m_s = float(aim_m_s) * np.array(self.limits)
         for k in range(self.count):
             pool = pool.joined(self.begun(elites, nothing, k)) if elites and k else pool
             share = 2.0 * (k + 2) / (self.count * (self.count + 3))  # later levels are harder
