@@ -1,10 +1,11 @@
-"""Improve the whole policies of short hunts by moves: pulses come, go and change, branches, too.
+"""Improve the whole policies of short hunts, by passes with closer limits and by moves.
 
-A move changes a policy at one segment or load; then every load takes the softest of some branches near
-its own. The best of a generation are refined by linear programmes, and replace the hardest of the
-policies so far. So what a level of `sil.studies.bound_search` drops early, because it suits only the
-loads that come later, is still found. A late arrival costs more here: at the price of the hunts the
-softest policy may be some microseconds late, which makes it none.
+A move changes a policy at one segment or load: pulses come, go and change, branches, too. Then every
+load takes the softest of some branches near its own. The best of a generation are refined by linear
+programmes, and replace the hardest of the policies so far. So what a level of
+`sil.studies.bound_search` drops early, because it suits only the loads that come later, is still
+found. A late arrival costs more here: at the price of the hunts the softest policy may be some
+microseconds late, which makes it none.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ ROUND_LIMITS = 0.6, 0.8, 0.92
 
 
 class MovingSearch(Search):
-    """A search of which a share of the simulations goes to moves after its hunts."""
+    """A search of which a share of the simulations goes to passes and moves after its hunts."""
 
     def __init__(
         self, model: FamilyModel, valves: str, pulses: int, branch: int, seed: int, moves: float

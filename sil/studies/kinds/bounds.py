@@ -1,8 +1,8 @@
 """Rows that are bounds: the softest stop found for a family of loads at an information delay.
 
 A row sets `bound.family`, `bound.delay_s` and if wanted `bound.extra_s`, `bound.valves`,
-`bound.simulations`, `bound.hunts` and `bound.moves` (the share of the simulations that goes to moves
-after the hunts) of each search, and `bound.known`, the share to which the impulse is known before the
+`bound.simulations`, `bound.hunts` and `bound.moves` (the share of the simulations that goes to passes
+and moves after the hunts) of each search, and `bound.known`, the share to which the impulse is known before the
 stroke; all other settings change the model. `sil.studies.bound_search` searches, twice, with moves
 `sil.studies.bound_moves`.
 """
