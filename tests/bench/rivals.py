@@ -291,7 +291,8 @@ def measure() -> Iterator[str]:
     path = folder / "results.jsonl"
     rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     done = {row["number"] for row in rows}
-    for number in range(int(os.environ.get("OPC4_STUDY_CAMPAIGNS", "24"))):
+    first = int(os.environ.get("OPC4_FIRST", "0"))
+    for number in range(first, first + int(os.environ.get("OPC4_STUDY_CAMPAIGNS", "24"))):
         if number in done:
             continue
         true, level = drawn(number)
@@ -307,10 +308,10 @@ def measure() -> Iterator[str]:
         rows.append(row)
         with path.open("a", encoding="utf-8") as out:
             out.write(json.dumps(row) + "\n")
-        first = {
+        likeliest = {
             n: max(t, key=t.__getitem__, default="-") for n, (t, _s, _c) in row["found"].items()
         }
-        yield f"{number}: {true} {level} -> {first}"
+        yield f"{number}: {true} {level} -> {likeliest}"
     yield from table(rows)
 
 
