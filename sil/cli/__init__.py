@@ -120,6 +120,11 @@ def command() -> NoReturn:
     A signal that is ignored, as SIGHUP under nohup, stays ignored. Standard streams that are closed
     are replaced by the null device.
     """
+    for library in (
+        "OPENBLAS",
+        "MKL",
+    ):  # matrices are small: threads of workers only wait for each other
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     for number in _ENDING_SIGNALS:
         if signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, signal.default_int_handler)

@@ -5,7 +5,7 @@ forward and removed backward, the score chi squared + parameters times log of th
 regression: sequential thresholded least squares of the healthy residual on the linear response to
 every cause. Classifier: a network of one hidden layer, trained for each campaign's own strokes on virtual
 campaigns, about as many simulations as the diagnosis takes. $OPC4_STUDY names the folder (runs/rivals), where
-what was found is stored line by line; $OPC4_STUDY_CAMPAIGNS how many (24), every third of them clean.
+what was found is stored line by line; $OPC4_STUDY_CAMPAIGNS how many (24), every third of them clean, $OPC4_FIRST the first (0).
 """
 
 from __future__ import annotations

@@ -165,3 +165,18 @@ def test_other_errors_of_a_destructor_are_reported() -> None:
     words = [sys.executable, "-c", DISCARDED.format(error="ValueError('odd')").replace("60.0", "0")]
     process = subprocess.run(words, capture_output=True, text=True, timeout=50.0, check=True)
     assert process.stdout == "slept\n" and "ValueError: odd" in process.stderr
+
+
+def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise() -> None:
+    line = "import atexit, os; atexit.register(lambda: print(os.environ['OPENBLAS_NUM_THREADS']))"
+    code = f"{line}; from sil.cli import command; command()"
+    for given, used in ((None, "1"), ("3", "3")):
+        own = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+        done = subprocess.run(
+            [sys.executable, "-c", code, "--version"],
+            env=own | ({} if given is None else {"OPENBLAS_NUM_THREADS": given}),
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+        assert done.stdout.splitlines()[-1] == used
