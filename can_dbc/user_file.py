@@ -39,8 +39,9 @@ def read_user_file(
         raise InputError(f"{source}: {error.strerror}; expected {expected}") from None
     except InputError:
         raise
-    except ValueError as error:  # a null byte, an unencodable character
-        raise InputError(f"{source!r}: {error}; expected {expected}") from None
+    except ValueError as error:
+        why = "a null byte in the name" if "\0" in str(source) else error  # or one of no encoding
+        raise InputError(f"{source!r}: {why}; expected {expected}") from None
     if len(content) > most_bytes:
         raise InputError(
             f"{source}: larger than {_size(most_bytes)}; expected {expected}, at most that large"

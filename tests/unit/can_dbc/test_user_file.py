@@ -18,7 +18,7 @@ def test_what_is_no_regular_file_is_refused(tmp_path: Path) -> None:
         (tmp_path / "pipe", "is a device or pipe"),
         (tmp_path, "is a folder"),
         (tmp_path / "none", "no such file"),
-        ("null\0byte", "null byte"),
+        ("null\0byte", "null byte in the name"),
     ):
         with pytest.raises(InputError, match=rf"{what}; expected a DBC file"):
             read_user_file(path, "a DBC file")

@@ -111,6 +111,7 @@ def test_progress_is_shown_over_all_files(
 ) -> None:
     monkeypatch.setattr(progress, "FIRST_AFTER_S", 0.0)
     monkeypatch.setattr(progress, "LINE_EVERY_S", 0.0)
+    monkeypatch.setattr(progress, "_silent", False)  # whatever command has run here with --quiet
     made(tmp_path / "a.log", range(20_000))
     made(tmp_path / "b.log", range(20_000, 40_000))
     paths = [tmp_path / "b.log", tmp_path / "a.log"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -77,8 +78,8 @@ def test_killed_and_resumed_nothing_is_lost(
     monkeypatch.setattr(watching, "_observations", killed)
     with pytest.raises(BaseException):  # noqa: B017 - however the command ends
         assert main(["watch", target, "--out", str(tmp_path / "out")]) == 0
-    store = sqlite3.connect(tmp_path / "out" / watching.STORE)
-    assert store.execute("select count(*) from log").fetchone() == (2,)
+    with closing(sqlite3.connect(tmp_path / "out" / watching.STORE)) as store:
+        assert store.execute("select count(*) from log").fetchone() == (2,)
     main(["watch", target, "--out", str(tmp_path / "out")])
     assert len(calls) == 6  # two were not read again
     whole, resumed = (
