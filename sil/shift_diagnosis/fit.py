@@ -40,6 +40,8 @@ COARSE_M: Final = (1e-3, 1e-4)
 """Noise with which a fit begins."""
 NEAR: Final = 5.0
 """Half chi squared per number up to which a fit begins with the noise itself."""
+FARTHEST: Final = 15.0
+"""Largest deviation of a truck's own quantity that a fit tries, in standard deviations."""
 UNABLE: Final = 1e7
 """Cost of a shift that cannot be simulated."""
 CONVERGED: Final = 0.3
@@ -99,7 +101,7 @@ class Fitter:
         At first coarsely: with little noise, the residual of a start far away has many minima.
         Derivatives are computed again only where steps by those of an earlier point gain nothing.
         """
-        now = self.at(cause, start)
+        now, units = self.at(cause, start), len(self.names)
         noises = [self.noise]
         if not self.noise.weights and now.half_chi2 > NEAR * now.linear.count.sum():
             noises = [replace(self.noise, position_m=m) for m in COARSE_M] + noises
@@ -110,6 +112,8 @@ class Fitter:
                 trials = [estimates(now.linear, damping)[0] for damping in DAMPINGS]
                 ahead, here = trials[0], now.linear.values
                 trials += [here + share * (ahead - here) for share in SHARES]
+                for trial in trials:
+                    np.clip(trial[:units], -FARTHEST, FARTHEST, out=trial[:units])
                 costs, x = self.costs(cause, trials, now.linear)
                 best = int(np.argmin(costs))
                 if costs[best] <= now.half_chi2 - CONVERGED:

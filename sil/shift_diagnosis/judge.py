@@ -27,9 +27,11 @@ from sil.shift_diagnosis.linear import (
     estimates,
     explained,
     linearise,
+    point_of,
     projected,
 )
-from sil.shift_diagnosis.model import DIFFERENCE, LEAST_NOISE_M, Cause, PlantModel, catalogue
+from sil.shift_diagnosis.loads import BARRIERS, CONE, own_loads, vary
+from sil.shift_diagnosis.model import DIFFERENCE, LEAST_NOISE_M, Cause, PlantModel, Point, catalogue
 from sil.shift_diagnosis.shifts import LEAD_S, Shift
 from sil.shift_diagnosis.starts import usual_starts
 from sil.shift_diagnosis.verdict import (
@@ -72,6 +74,10 @@ RESTARTS: Final = 3
 SAME: Final = 0.995
 """Correlation of what two causes do from which one of them is not offered."""
 FEWEST_SHIFTS: Final = 3
+SCANS: Final = 2
+"""Rounds of loads found and a healthy truck fitted with them."""
+ODD, MOST_ODD = 3.0, 0.15
+"""Chi squared per number, of the shifts' median, from which a shift is odd; and how many may be."""
 
 
 def judge_shifts(
@@ -84,7 +90,7 @@ def judge_shifts(
         text = f"{len(used)} usable shifts; at least {FEWEST_SHIFTS} are needed to judge"
         return ShiftDiagnosis("cannot_tell", tuple(used), (), {}, (), True, NOISE, (text,), {})
     models = [PlantModel(parameters, mounted) for mounted in (True, False)]
-    fitter, healthy = healthy_fit(models, _spread(used, FIT_SHIFTS), Noise(rest_noise_m(used)))
+    fitter, healthy, used = _with_loads(models, used, Noise(rest_noise_m(used)))
     say(20.0, 100.0)
     causes = catalogue()
     linear = _linear(fitter, used, healthy, causes, DIFFERENCE)
@@ -99,10 +105,11 @@ def judge_shifts(
         minima[cause] = tuple(f.size for f in own if f.cost < own[0].cost + AS_GOOD)
         say(40.0 + 30.0 * (number + 1) / len(chosen), 100.0)
     fits.sort(key=lambda fit: fit.cost)
-    leading = [fitter.settle(fits[0]), *fits[1:LEADING]]
+    fits[0] = fitter.settle(fits[0])
     whole = Fitter(fitter.model, used, fitter.noise)
-    best = min((whole.fit(f.cause, f.point, rounds=8) for f in leading), key=lambda fit: fit.cost)
-    whole.noise = replace(whole.noise, weights=best.linear.weights)
+    best = _best_on_all(whole, fits)
+    weights, odd = _without_odd(best)
+    whole.noise = replace(whole.noise, weights=weights)
     judged = [
         _judged(whole, fit.cause, fit.point)
         for fit in fits
@@ -119,6 +126,9 @@ def judge_shifts(
         probabilities[item.id] = probabilities.get(item.id, 0.0) + item.probability
     detectable = detectable_of(_linear(whole, used, judged[0].fit, causes, SECANT), ids)
     verdict, findings = verdict_of(judged, probabilities, detectable)
+    if odd:
+        text = f"{odd} of {len(used)} shifts fit far worse than the others and count less"
+        findings = [text, *findings]
     return ShiftDiagnosis(
         verdict, tuple(used), tuple(judged), probabilities, detectable, fitter.model.mounted,
         fitter.noise, tuple(findings), fitter.model.unit,
@@ -145,6 +155,54 @@ def healthy_fit(
         starts.append((fitter, fitter.fit(None, np.zeros(len(fitter.names)))))
     fitter, healthy = min(starts, key=lambda pair: pair[1].half_chi2)
     return fitter, fitter.settle(healthy)
+
+
+def _is_explained(fit: Fit) -> bool:
+    """Return whether noise explains what a fit leaves."""
+    return fit.half_chi2 < 0.5 * EXPLAINED * int(fit.linear.count.sum())
+
+
+def _with_loads(
+    models: Sequence[PlantModel], used: Sequence[Shift], noise: Noise
+) -> tuple[Fitter, Fit, list[Shift]]:
+    """Fit a healthy truck; return it with the shifts, which have loads of their own where needed.
+
+    That is without speeds in the log, or where a truck with equal loads does not explain its shifts
+    and loads that differ explain them better.
+    """
+    silent = any(np.isnan(shift.difference_rad_s) for shift in used)
+    found: list[tuple[Fitter, Fit, list[Shift]]] = []
+    if not silent:
+        found = [(*healthy_fit(models, _spread(used, FIT_SHIFTS), noise), list(used))]
+        if _is_explained(found[0][1]):
+            return found[0]
+    for free in (CONE if silent else BARRIERS, BARRIERS + CONE):
+        for model in models if silent else models[:1]:
+            own, point = list(used), Point()
+            for _ in range(SCANS):
+                own = own_loads(model, own, point, free)
+                few = _spread(own, FIT_SHIFTS)
+                fitter, healthy = healthy_fit([model], few, replace(noise, loads=free))
+                point = Point(point_of(model, fitter.names, healthy.values))
+            if silent or vary(own, used):
+                found.append((fitter, healthy, own))
+        best = min(found, key=lambda item: item[1].cost, default=None)
+        if best is not None and _is_explained(best[1]):
+            break
+    assert best is not None
+    return best
+
+
+def _without_odd(best: Fit) -> tuple[tuple[Floats, ...], int]:
+    """Return the weights of the shifts, and how many count less: few that fit far worse than most."""
+    linear = best.linear
+    each = linear.misfit / np.maximum(linear.count, 1)
+    limit = ODD * max(1.0, float(np.median(each)))
+    odd = each > limit
+    if odd.sum() > MOST_ODD * len(each):
+        return linear.weights, 0
+    shares = np.minimum(1.0, limit / np.maximum(each, limit))
+    return tuple(s * w for s, w in zip(shares, linear.weights, strict=True)), int(odd.sum())
 
 
 def rest_noise_m(shifts: Sequence[Shift]) -> float:
@@ -174,6 +232,12 @@ def _judged(whole: Fitter, cause: Cause | None, start: Floats) -> Judged:
     return Judged(final, final.cost, float(final.linear.misfit.sum()) / count)
 
 
+def _best_on_all(whole: Fitter, fits: Sequence[Fit]) -> Fit:
+    """Return the leading hypothesis, of fits to some shifts in order, that is best on all shifts."""
+    finals = (whole.fit(fit.cause, fit.point, rounds=8) for fit in fits[:LEADING])
+    return min(finals, key=lambda fit: fit.cost)
+
+
 def _promising(
     fitter: Fitter, healthy: Fit, linear: Linear, causes: Sequence[Cause]
 ) -> list[tuple[Cause, list[Floats]]]:
@@ -182,8 +246,7 @@ def _promising(
     By the linear model; where a healthy truck is not enough or a strange one, by fits to a few shifts
     from there, and by the sizes that come near in a usual truck.
     """
-    enough = healthy.half_chi2 < 0.5 * EXPLAINED * int(healthy.linear.count.sum())
-    strained = not enough or np.max(np.abs(healthy.values)) > STRAINED
+    strained = not _is_explained(healthy) or np.max(np.abs(healthy.values)) > STRAINED
     quick = Fitter(fitter.model, _spread(fitter.shifts, QUICK_SHIFTS), fitter.noise)
     usual = usual_starts(quick, causes, COARSE_M[0]) if strained else {}
     base, _point = explained(linear)

@@ -35,6 +35,10 @@ CLIFF_M: Final = 15e-3
 """Motion of a pulse by one standard deviation or typical size that is no longer linear."""
 REWEIGHTED: Final = 12
 """Rounds of reweighting by the priors' tails."""
+LOAD_SHARE: Final = 0.6
+"""How far a load differs between shifts, as a share of how far it does between trucks."""
+KINK_S: Final = 6e-4
+"""How far the instants of a shift, of its release or arrival, scatter between shifts."""
 SIZE_PRIOR: Final = 3.0
 """Standard deviation of a cause's size, in typical ones."""
 
@@ -110,26 +114,38 @@ class Noise:
     """What makes two equal shifts differ on the bus.
 
     position_m: of a pulse. scatter: that of the shifts, as a share of the model's. weights: if given,
-    of each shift [pulses, pulses], instead of those that follow at a point.
+    of each shift [pulses, pulses], instead of those that follow at a point. loads: quantities of the
+    unit that are unknown in each shift, too.
     """
 
     position_m: float = LEAST_NOISE_M
     scatter: float = 1.0
     weights: tuple[Floats, ...] = ()
+    loads: tuple[str, ...] = ()
 
     def covariance(
-        self, model: PlantModel, shift: Shift, speed_m_s: Floats, slopes: Mapping[str, Floats]
+        self,
+        model: PlantModel,
+        shift: Shift,
+        speed_m_s: Floats,
+        slopes: Mapping[str, Floats],
+        kink_m: Floats,
     ) -> Floats:
-        """Return the covariance [pulses, pulses, m^2] of a shift, by its slopes [pulses] per unit."""
+        """Return the covariance [pulses, pulses, m^2] of a shift, by its slopes [pulses] per unit.
+
+        kink_m: [pulses], how much further than by its speed the stay is KINK_S before or after.
+        """
         shares = {name: self.scatter * sd for name, sd in model.each.items()}
         if shift.end in "BF":
             error = SPEED_NOISE_RAD_S / max(abs(shift.difference_rad_s), SPEED_NOISE_RAD_S)
+            error = 0.0 if np.isnan(error) else error
             shares[f"cone_{shift.end}"] = float(np.hypot(shares[f"cone_{shift.end}"], error))
+        shares |= {name: LOAD_SHARE * model.unit[name] for name in self.loads}
         spread = np.stack(
             [slopes[name] * sd / model.unit[name] for name, sd in shares.items() if name in slopes],
             1,
         )
-        own = np.diag(self.position_m**2 + (JITTER_S * speed_m_s) ** 2)
+        own = np.diag(self.position_m**2 + (JITTER_S * speed_m_s) ** 2 + kink_m**2)
         return np.asarray(own + spread @ spread.T)
 
 
@@ -171,8 +187,12 @@ def linearise(
         here.with_cause(cause, active.get(cause, 0.0) + step)
         for cause, step in zip(causes, steps, strict=True)
     ]
+    points += [here.moved("latency", KINK_S), here.moved("latency", -KINK_S)]
     x, v, done = model.predict(shifts, points)
     base, speed = x[:, 0], v[:, 0]
+    beyond = np.abs(x[:, -2:] - base[:, None]).max(axis=1) - KINK_S * np.abs(speed)
+    kink = np.maximum(beyond, 0.0)
+    x, done = x[:, :-2], done[:, :-2]
     scale = np.array([difference] * len(moved) + steps)
     by = np.where(done[:, 1:, None], x[:, 1:] - base[:, None], 0.0) / scale[:, None]
     column = {name: by[:, k] for k, name in enumerate(moved)} | {
@@ -194,7 +214,7 @@ def linearise(
             weights.append(np.zeros((n, n)))
             continue
         units = dict(zip(names, slopes[k].T[: len(names)], strict=True))
-        covariance = noise.covariance(model, shift, speed[k, :n], units)
+        covariance = noise.covariance(model, shift, speed[k, :n], units, kink[k, :n])
         weights.append(np.linalg.inv(covariance))
         volume[k] = np.linalg.slogdet(covariance / LEAST_NOISE_M**2)[1]
     sizes = np.array([active.get(cause, 0.0) for cause in causes])

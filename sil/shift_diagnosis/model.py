@@ -35,6 +35,8 @@ TINY_FORCE_N: Final = 1e-6
 """Holds every stroke in the scalar kernel, which knows all terms."""
 IMPULSE_PER_SPEED: Final = 0.25 / 0.09
 """Impulse of the cone per speed difference, N s per rad/s: that of the default driveline."""
+TYPICAL_DIFFERENCE_RAD_S: Final = 15.0
+"""Speed difference where the log has none."""
 MESH_N, PULL_N = (600.0, 500.0), (300.0, 400.0)
 """Barriers into and out of gear: guess and standard deviation."""
 JITTER_S: Final = 5e-5
@@ -226,7 +228,11 @@ class PlantModel:
                 setup = setups[j, supply]
                 p = setup.p.copy()
                 cone = point.amounts.get(f"cone_{shift.end}", 0.0)
-                p.sync_impulse = IMPULSE_PER_SPEED * abs(shift.difference_rad_s) * np.exp(cone)
+                speed = abs(shift.difference_rad_s)
+                speed = TYPICAL_DIFFERENCE_RAD_S if np.isnan(speed) else speed
+                p.sync_impulse = IMPULSE_PER_SPEED * speed * np.exp(cone)
+                p.mesh_force = max(TINY_FORCE_N, p.mesh_force + shift.load_n)
+                p.pull_force = max(0.0, p.pull_force + shift.load_n)
                 timing = setup.timing.rise_ns, setup.timing.fall_ns
                 if timing not in schedules:
                     schedules[timing] = _moves(shift, setup)

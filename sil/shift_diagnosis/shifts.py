@@ -57,8 +57,8 @@ class Shift:
 
     start, end: gears, N, B or F. commands: (time, chamber 0 to 2, duty). time_s, position_m: [n], the
     instants that the pulses measured, if nothing delays them, and the positions that they report.
-    difference_rad_s: input minus output speed before the gear is engaged. supply_pa: absolute, NaN
-    if the log has none.
+    difference_rad_s: input minus output speed before the gear is engaged. supply_pa: absolute. Both
+    are NaN if the log has none. load_n: barrier of this shift less that of the truck's shifts.
     """
 
     source: str
@@ -70,6 +70,7 @@ class Shift:
     position_m: Floats
     difference_rad_s: float
     supply_pa: float
+    load_n: float = 0.0
 
 
 @dataclass
@@ -270,7 +271,7 @@ class ShiftCutter:
                 message = decode(frame)
                 assert isinstance(message, DrivelineSpeeds)
                 return message.input_rad_s - message.output_rad_s
-        return 0.0
+        return float("nan")
 
 
 def shifts_of(

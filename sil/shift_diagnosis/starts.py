@@ -38,7 +38,7 @@ def usual_starts(
     noise_m: of a position [m]; larger than the sensor's, because slopes are those of a healthy truck.
     """
     units = len(fitter.names)
-    noise = Noise(position_m=noise_m)
+    noise = Noise(position_m=noise_m, loads=fitter.noise.loads)
     usual = linearise(fitter.model, fitter.shifts, np.zeros(units), noise=noise)
     tried = [
         (cause, sign * size)

@@ -19,6 +19,9 @@ from sil.shift_diagnosis.page import interval
 from sil.shift_diagnosis.shifts import shifts_of
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
+from tests.hidden_effects import effects
+from tests.reference.truck import StalledError, write_log
+from tests.reference.truck import drawn_truck as drawn_reference
 
 NEUTRAL_S = (0.55, 0.75)
 """Time between two requests."""
@@ -122,13 +125,67 @@ def drawn_cause(severity: float, generator: np.random.Generator) -> tuple[str, d
     return name, {path: float(low * (high / low) ** severity), **OPTIONAL.get(path, {})}
 
 
-def one(seed: int, shifts: int, severity: float | None, folder: Path) -> dict[str, Any]:
-    """Draw a log, diagnose it, and return what was hidden and what was found."""
+FOREIGN_CAUSES = (
+    "dynamic_friction", "static_friction", "friction_asymmetry", "seal_pressure_friction",
+    "piston_leak", "leak_to_atmosphere", "supply_low", "hose_droop", "valve_open_delay",
+    "valve_slow_close", "exhaust_clog", "inlet_clog", "free_play", "stop_wear", "external_force",
+    "detent", "sensor_temperature", "sensor_gain", "sensor_delay", "added_mass",
+)  # fmt: skip
+"""Causes of a log by the other implementation (tests/reference), sizes as in tests/hidden_effects."""
+LAYOUTS: dict[str, dict[str, bool]] = {
+    "steady": {},
+    "air": {"air": True},
+    "varying": {"varying": True},
+    "silent": {"speeds": False},
+    "both": {"speeds": False, "varying": True},
+}
+"""What differs on the bus, and whether the loads of the gearbox do from shift to shift."""
+
+
+def by_plant(
+    path: Path, seed: int, shifts: int, severity: float | None
+) -> tuple[str, dict[str, float]]:
+    """Write a log by the project's own plant; return the cause hidden in it and its settings."""
     generator = np.random.default_rng([seed, 7])
     name, cause = ("", {}) if severity is None else drawn_cause(severity, generator)
+    truck_log(path, seed, shifts, cause)
+    return name, cause
+
+
+def by_reference(
+    path: Path, seed: int, shifts: int, severity: float | None, layout: str = "steady"
+) -> tuple[str, dict[str, float]]:
+    """Write a log by tests/reference; return the cause hidden in it and its changes.
+
+    A cause with which a shift does not arrive is drawn again, weaker.
+    """
+    rng = np.random.default_rng([seed, 8])
+    name = "" if severity is None else str(rng.choice(FOREIGN_CAUSES))
+    for _ in range(6):
+        change = effects.draw(name, severity or 0.0, rng) if name else {}
+        truck = drawn_reference(rng, change, **LAYOUTS[layout])
+        try:
+            write_log(path, truck, shifts, rng)
+        except StalledError:
+            severity = 0.6 * (severity or 0.0)
+            continue
+        return name, change
+    raise StalledError(f"{name}, drawn six times")
+
+
+def one(
+    seed: int, shifts: int, severity: float | None, folder: Path, layout: str = ""
+) -> dict[str, Any]:
+    """Draw a log, diagnose it, and return what was hidden and what was found.
+
+    layout: of a log by tests/reference; none: by the project's own plant.
+    """
     path = folder / f"{seed}.log"
     began = perf_counter()
-    truck_log(path, seed, shifts, cause)
+    if layout:
+        name, cause = by_reference(path, seed, shifts, severity, layout)
+    else:
+        name, cause = by_plant(path, seed, shifts, severity)
     ran = perf_counter()
     found = judge_shifts(
         list(shifts_of(str(path), load("nominal"), None, Counter())), load("nominal")
@@ -139,6 +196,7 @@ def one(seed: int, shifts: int, severity: float | None, folder: Path) -> dict[st
     noticed = [item.value for item in found.detectable if item.cause.effect.id == name]
     return {
         "seed": seed,
+        "layout": layout,
         "shifts": shifts,
         "severity": severity,
         "hidden": name,
@@ -152,6 +210,7 @@ def one(seed: int, shifts: int, severity: float | None, folder: Path) -> dict[st
         "chi2": [round(found.healthy.chi2, 2), round(found.best.chi2, 2)],
         "mounted": found.mounted,
         "seconds": [round(ran - began, 1), round(perf_counter() - ran, 1)],
+        "findings": found.findings[:1],
     }
 
 
@@ -195,13 +254,23 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
 
 
 def measure(
-    logs: int = 200, first: int = 1000, store: Path = Path("truck_logs.jsonl"), shifts: int = 0
+    logs: int = 200,
+    first: int = 1000,
+    store: Path = Path("truck_logs.jsonl"),
+    shifts: int = 0,
+    layouts: tuple[str, ...] = ("",),
 ) -> Iterator[str]:
-    """Judge drawn logs, a third of them healthy; results are added to `store` as they come."""
+    """Judge drawn logs, a third of them healthy; results are added to `store` as they come.
+
+    layouts: drawn in turn, as in `one`.
+    """
     for seed in range(first, first + logs):
         generator = np.random.default_rng([seed, 3])
         severity = None if seed % 3 == 0 else float(generator.uniform())
         count = shifts or int(10.0 * 50.0 ** float(generator.uniform()))
-        with TemporaryDirectory() as folder, store.open("a") as file:
-            file.write(json.dumps(one(seed, count, severity, Path(folder))) + "\n")
+        layout = layouts[seed // 3 % len(layouts)]
+        with TemporaryDirectory() as folder:
+            found = one(seed, count, severity, Path(folder), layout)
+        with store.open("a") as file:
+            file.write(json.dumps(found) + "\n")
     yield from table([json.loads(line) for line in store.read_text().splitlines()])

@@ -75,16 +75,18 @@ DAMPER = ("oil_aeration", "damper_clog", "damper_misalignment")
 SENSOR = ("sensor_temperature", "sensor_gain", "sensor_delay", "clock_skew")
 
 
-def size(row: tuple[str, str, float, float, float], level: str, rng: Rng) -> float:
-    """A size of that level, spread evenly in its logarithm."""
+def size(row: tuple[str, str, float, float, float], level: str | float, rng: Rng) -> float:
+    """A size of that level, spread evenly in its logarithm; a number: 0 medium, 1 the largest."""
     easy, most, medium = row[2:]
+    if not isinstance(level, str):
+        return float(medium * (most / medium) ** level)
     if level == "small":
         return SMALL * medium
     low, high = (easy, most) if level == "easy" else (min(medium, easy), max(medium, easy))
     return exp(rng.uniform(log(low), log(high)))
 
 
-def draw(name: str, level: str, rng: Rng) -> Change:
+def draw(name: str, level: str | float, rng: Rng) -> Change:
     """The changes that hide this effect, of a size of this level ("easy", "medium", "small")."""
     row = SIZES.get(name) or FOREIGN[name]
     key, amount = row[1], size(row, level, rng)

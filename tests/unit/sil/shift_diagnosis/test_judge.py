@@ -1,0 +1,104 @@
+"""Parts of the judgement: rivals of the best cause, which hypothesis leads, odd shifts, own loads."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from plant.parameters import load
+from sil.shift_diagnosis.fit import Fitter
+from sil.shift_diagnosis.judge import (
+    LEADING,
+    _best_on_all,
+    _is_explained,
+    _judged,
+    _with_loads,
+    _with_rivals,
+    _without_odd,
+)
+from sil.shift_diagnosis.linear import Noise
+from sil.shift_diagnosis.model import Cause, PlantModel, catalogue
+from sil.shift_diagnosis.shifts import Shift, shifts_of
+from sil.shift_diagnosis.verdict import SEPARABLE, weighed
+from tests.bench.truck_logs import by_reference, truck_log
+
+
+def only(name: str) -> Cause:
+    return next(cause for cause in catalogue() if cause.effect.id == name)
+
+
+def cut(path: Path) -> list[Shift]:
+    return list(shifts_of(str(path), load("nominal"), None, Counter()))
+
+
+def test_what_looks_like_the_best_cause_is_fitted_too(tmp_path: Path) -> None:
+    path = tmp_path / "late.log"
+    truck_log(path, 2, 4, {"effect.valve_open_delay.delay_s": 0.007}, nominal=True)
+    whole = Fitter(PlantModel(load("nominal"), True), cut(path))
+    late, alike, other = only("valve_open_delay"), only("sensor_delay"), only("stop_wear")
+    found = [
+        _judged(whole, None, np.zeros(len(whole.names))),
+        _judged(whole, late, np.append(np.zeros(len(whole.names)), 2.0)),
+    ]
+    assert found[1].cost < found[0].cost
+    rivals = _with_rivals(whole, weighed(found, 3), [late, alike, other])
+    costs = {item.id: item.cost for item in rivals}
+    # a late pulse is a late valve; an end stop elsewhere is not
+    assert set(costs) == {"healthy", "valve_open_delay", "sensor_delay"}
+    assert costs["sensor_delay"] < costs["valve_open_delay"] + 0.5 * SEPARABLE
+    (rival,) = [item for item in rivals if item.id == "sensor_delay"]
+    assert rival.fit.cause.value(rival.size[0]) == pytest.approx(0.007, abs=0.002)
+
+
+def test_a_healthy_truck_has_no_rivals(nominal_log: Path) -> None:
+    whole = Fitter(PlantModel(load("nominal"), True), cut(nominal_log)[:2])
+    found = weighed([_judged(whole, None, np.zeros(len(whole.names)))], 1)
+    assert _with_rivals(whole, found, [only("sensor_delay")]) == found
+
+
+def test_of_the_leading_hypotheses_the_best_on_all_shifts_is_taken() -> None:
+    costs = [5.0, 4.0, 3.0, 2.0, 1.0]
+    fits = [SimpleNamespace(cause=k, point=k) for k in range(len(costs))]
+    asked: list[int] = []
+
+    def fit(cause: int, _point: int, rounds: int) -> SimpleNamespace:
+        asked.append(cause)
+        return SimpleNamespace(cause=cause, cost=costs[cause])
+
+    best = _best_on_all(SimpleNamespace(fit=fit), fits)
+    assert best.cause == LEADING - 1
+    assert asked == list(range(LEADING))
+
+
+def test_few_odd_shifts_count_less() -> None:
+    weights = tuple(np.eye(10) for _ in range(20))
+
+    def fit(odd: int) -> SimpleNamespace:
+        misfit = np.where(np.arange(20) < odd, 300.0, 10.0)
+        count = np.full(20, 10)
+        return SimpleNamespace(linear=SimpleNamespace(misfit=misfit, count=count, weights=weights))
+
+    scaled, odd = _without_odd(fit(2))
+    assert odd == 2
+    assert scaled[0][0, 0] == pytest.approx(0.1) and scaled[5] == pytest.approx(np.eye(10))
+    # many are no oddity
+    assert _without_odd(fit(5)) == (weights, 0)
+
+
+@pytest.mark.parametrize("layout", ["steady", "silent", "both"])
+def test_shifts_of_another_implementation_are_explained(layout: str, tmp_path: Path) -> None:
+    path = tmp_path / "truck.log"
+    by_reference(path, 12, 8, None, layout)
+    shifts = cut(path)
+    assert all(np.isnan(s.difference_rad_s) == (layout != "steady") for s in shifts if s.end != "N")
+    parameters = load("nominal")
+    models = [PlantModel(parameters, mounted) for mounted in (True, False)]
+    fitter, healthy, own = _with_loads(models, shifts, Noise())
+    assert fitter.model.mounted and _is_explained(healthy)
+    assert np.max(np.abs(healthy.values)) < 3.0
+    varied = any(shift.load_n for shift in own)
+    assert varied == (layout == "both")

@@ -1,0 +1,54 @@
+"""Loads of single shifts: those put into a shift are found from its pulses."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from plant.parameters import load
+from sil.shift_diagnosis.loads import BARRIERS, CONE, own_loads, vary
+from sil.shift_diagnosis.model import PlantModel, Point
+from sil.shift_diagnosis.shifts import Shift, shifts_of
+
+
+@pytest.fixture(scope="module")
+def shifts(nominal_log: Path) -> list[Shift]:
+    return list(shifts_of(str(nominal_log), load("nominal"), None, Counter()))
+
+
+def loaded(model: PlantModel, shift: Shift, speed_rad_s: float, load_n: float) -> Shift:
+    """Return a shift with these loads, its positions those of the model."""
+    longer = np.append(shift.time_s, shift.time_s[-1] + 0.01 * np.arange(1, 11))
+    own = replace(shift, difference_rad_s=speed_rad_s, load_n=load_n, time_s=longer)
+    x, _v, done = model.predict([replace(own, position_m=np.zeros(len(longer)))], [Point()])
+    assert done.all()
+    return replace(own, position_m=x[0, 0])
+
+
+def test_loads_are_found(shifts: list[Shift]) -> None:
+    model = PlantModel(load("nominal"), True)
+    into = next(s for s in shifts if s.end in "BF")
+    out = next(s for s in shifts if s.end == "N")
+    true = [loaded(model, into, speed, 200.0) for speed in (5.0, 12.0, 25.0)]
+    true += [loaded(model, out, 0.0, n) for n in (-250.0, 300.0, 600.0)]
+    unknown = [replace(s, load_n=0.0, difference_rad_s=float("nan")) for s in true]
+    found = own_loads(model, unknown, Point(), BARRIERS + CONE)
+    for own, right in zip(found, true, strict=True):
+        if right.end in "BF":
+            assert own.difference_rad_s == pytest.approx(right.difference_rad_s, abs=0.8)
+        else:
+            assert own.load_n == pytest.approx(right.load_n, abs=60.0)
+    assert vary(found, true)
+
+
+def test_what_is_not_free_stays(shifts: list[Shift]) -> None:
+    model = PlantModel(load("nominal"), True)
+    found = own_loads(model, shifts, Point(), CONE)
+    assert all(s.load_n == 0.0 for s in found)
+    found = own_loads(model, shifts, Point(), BARRIERS)
+    assert [s.difference_rad_s for s in found] == [s.difference_rad_s for s in shifts]
+    assert not vary(shifts, shifts)
