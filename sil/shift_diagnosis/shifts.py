@@ -43,6 +43,9 @@ LEAD_S: Final = 0.05
 """Simulated time of a shift before its first command."""
 VENTED_S: Final = 0.27
 """Time after which the chambers of closed valves are at the atmosphere's pressure."""
+NO_BLOWS: Final = 20
+"""Commands without any SafetyBlow from which the log is taken as one without them."""
+NO_BLOW: Final = SafetyBlow(Chamber.NONE, False, 0.0)
 LONGEST_S: Final = 4.0
 MOST_PULSES: Final = 96
 FRAME_S: Final = 0.00026
@@ -107,12 +110,16 @@ class ShiftCutter:
         self._supply_pa = float("nan")
         self.skipped: Counter[str] = Counter()
         self.frames: Counter[type] = Counter()
+        self._no_blow = Protector(SafetyBlow)
 
     def take(self, arrival: Arrival) -> Shift | None:
         """Take a frame; return the shift that it completes."""
         time_ns, kind, frame = arrival
         if kind in COMMANDS:
-            for at_ns, duties in self._driver.advance(time_ns, [(time_ns, frame)]):
+            received = [(time_ns, frame)]
+            if not self.frames[SafetyBlow] and self.frames[ValveCommand] >= NO_BLOWS:
+                received.append((time_ns, self._no_blow.protect(NO_BLOW)))
+            for at_ns, duties in self._driver.advance(time_ns, received):
                 if (ended := self._command(at_ns, duties)) is not None:
                     return ended
         elif kind is PositionPulse:
@@ -347,8 +354,7 @@ class Translator:
             b, n, f = (min(max(known.get(name, 0.0), 0.0), 1.0) for name in DUTIES)
             command = ValveCommand(b, n, f, Gear.UNKNOWN)
             yield Arrival(at, ValveCommand, self._command.protect(command))
-            blow = SafetyBlow(Chamber.NONE, False, 0.0)
-            yield Arrival(at, SafetyBlow, self._blow.protect(blow))
+            yield Arrival(at, SafetyBlow, self._blow.protect(NO_BLOW))
         if "pulse_s" in carried:
             pulse = PositionPulse(carried["pulse_s"], known["coil_temperature_k"], self._pulses)
             self._pulses = self._pulses + 1 & 0xFF

@@ -175,7 +175,7 @@ def _drive(truck: Truck, shifts: int, rng: np.random.Generator) -> _Drive:
     """Drive so many shifts: each pushed until three pulses show its gear, then blown."""
     times, positions, differences = [np.array([0.0])], [np.array([0.0])], [np.array([0.0])]
     commands: list[tuple[float, int]] = []
-    gear, at_s, difference = "N", 0.4, 0.0
+    gear, at_s = "N", 0.4
     stroke = float(parts.nominal()["length.stroke"])
     for _ in range(shifts):
         target = str(rng.choice(["B", "F"])) if gear == "N" else "N"

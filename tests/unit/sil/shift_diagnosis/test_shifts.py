@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from can_dbc.codec import can_id_of
 from can_dbc.contract import DBC_PATH
 from can_dbc.errors import InputError
+from can_dbc.messages import DrivelineSpeeds, SafetyBlow
 from plant.parameters import load
 from sil.j1939.mapping import SignalMapping
 from sil.logs import open_log, open_writer
@@ -94,3 +96,27 @@ def test_another_layout_gives_the_same_shifts(nominal_log: Path, tmp_path: Path)
         assert own.difference_rad_s == pytest.approx(other.difference_rad_s)
         n = min(len(own.position_m), len(other.position_m))
         assert np.allclose(own.position_m[:n], other.position_m[:n], atol=1e-9)
+
+
+def without(kind: type, log: Path, path: Path) -> Path:
+    """Copy a log without the frames of a message."""
+    with open_writer(str(path)) as writer:
+        for entry in open_log(str(log)):
+            if entry.can_id != can_id_of(kind):
+                writer.write(entry)
+    return path
+
+
+def test_a_log_without_blows_has_the_same_shifts(nominal_log: Path, tmp_path: Path) -> None:
+    whole, own = cut(nominal_log), cut(without(SafetyBlow, nominal_log, tmp_path / "own.log"))
+    assert [(s.start, s.end) for s in own] == [(s.start, s.end) for s in whole]
+    # the push ends at the confirmation, where the firmware's blow would go on
+    assert own[0].commands[0] == pytest.approx(whole[0].commands[0], abs=1e-3)
+
+
+def test_a_log_without_speeds_has_shifts_of_unknown_difference(
+    nominal_log: Path, tmp_path: Path
+) -> None:
+    own = cut(without(DrivelineSpeeds, nominal_log, tmp_path / "own.log"))
+    assert np.isnan([s.difference_rad_s for s in own if s.end in "BF"]).all()
+    assert len(own) == len(cut(nominal_log))
