@@ -215,28 +215,48 @@ def one(
 
 
 def share(hits: int, count: int) -> str:
-    """Return a share with its 95 % interval (Jeffreys)."""
-    from scipy.stats import beta
-
+    """Return a share with its 95 % interval (Wilson)."""
     if count == 0:
         return "-"
-    low, high = beta.ppf([0.025, 0.975], hits + 0.5, count - hits + 0.5)
-    return f"{hits}/{count} ({100 * low:.0f}-{100 * high:.0f} %)"
+    z = 1.96
+    middle = (hits + z * z / 2.0) / (count + z * z)
+    half = z / (count + z * z) * np.sqrt(hits * (count - hits) / count + z * z / 4.0)
+    return f"{hits}/{count} ({100 * (middle - half):.0f}-{100 * (middle + half):.0f} %)"
+
+
+ALARMS = ("named", "ambiguous", "unnamed")
 
 
 def table(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Yield the lines of the table of all results."""
+    """Yield the lines of the table of all results, of the plant's own logs and of the others."""
+    for title, is_own in (("own plant", True), ("tests/reference", False)):
+        drawn = [row for row in rows if is_own == (not row["layout"])]
+        if drawn:
+            yield f"## logs drawn by {title}"
+            yield from _found(drawn)
+
+
+def _found(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield the lines of one implementation."""
     clean = [row for row in rows if not row["hidden"]]
     faulty = [row for row in rows if row["hidden"]]
-    alarms = sum(row["verdict"] in ("named", "ambiguous", "unnamed") for row in clean)
+    for layout in sorted({row["layout"] for row in clean}):
+        own = [row for row in clean if row["layout"] == layout]
+        alarms = sum(row["verdict"] in ALARMS for row in own)
+        yield f"healthy trucks with an alarm, {layout or 'own'}: {share(alarms, len(own))}"
+    alarms = sum(row["verdict"] in ALARMS for row in clean)
     yield f"healthy trucks with an alarm: {share(alarms, len(clean))}"
     wrong = [r for r in rows if r["verdict"] == "named" and r["best"] != r["hidden"]]
     yield f"a wrong cause above 0.8: {share(len(wrong), len(rows))}"
-    sure = [r for r in rows if r["interval"]]
-    held = sum(r["interval"][0] <= r["size"][0] <= r["interval"][2] for r in sure)
-    yield f"sizes of reported hidden causes in their 95 % interval: {share(held, len(sure))}"
-    yield "| severity | shifts | alarm | hidden cause in what is reported | named alone |"
-    yield "|---|---|---|---|---|"
+    sure = [r for r in rows if r["interval"] and not r["layout"]]
+    if sure:  # sizes of the other implementation are in other units
+        held = sum(r["interval"][0] <= r["size"][0] <= r["interval"][2] for r in sure)
+        yield f"sizes of reported hidden causes in their 95 % interval: {share(held, len(sure))}"
+    found = [row for row in faulty if row["verdict"] in ALARMS]
+    first = sum(row["best"] == row["hidden"] for row in found)
+    yield f"the hidden cause first, of alarms: {share(first, len(found))}"
+    yield "| severity | shifts | alarm | hidden cause in what is reported | first | named alone |"
+    yield "|---|---|---|---|---|---|"
     for low in (0.0, 1 / 3, 2 / 3):
         for least, most in ((0, 20), (20, 80), (80, 600)):
             own = [
@@ -244,12 +264,13 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
                 for row in faulty
                 if low <= row["severity"] < low + 1 / 3 and least <= row["shifts"] < most
             ]
-            alarm = sum(row["verdict"] in ("named", "ambiguous", "unnamed") for row in own)
+            alarm = sum(row["verdict"] in ALARMS for row in own)
             held = sum(row["hidden"] in row["reported"] for row in own)
+            first = sum(row["best"] == row["hidden"] for row in own)
             named = sum(row["verdict"] == "named" and row["best"] == row["hidden"] for row in own)
             yield (
                 f"| {low:.2f} to {low + 1 / 3:.2f} | {least} to {most} | {share(alarm, len(own))} "
-                f"| {share(held, len(own))} | {share(named, len(own))} |"
+                f"| {share(held, len(own))} | {share(first, len(own))} | {share(named, len(own))} |"
             )
 
 
@@ -257,18 +278,18 @@ def measure(
     logs: int = 200,
     first: int = 1000,
     store: Path = Path("truck_logs.jsonl"),
-    shifts: int = 0,
-    layouts: tuple[str, ...] = ("",),
+    most: int = 500,
+    layouts: tuple[str, ...] = ("steady", "varying", "silent", "both", "air"),
 ) -> Iterator[str]:
-    """Judge drawn logs, a third of them healthy; results are added to `store` as they come.
+    """Judge drawn logs, a quarter of them healthy; results are added to `store` as they come.
 
-    layouts: drawn in turn, as in `one`.
+    most: shifts; at least 10. layouts: in turn, as in `one`.
     """
     for seed in range(first, first + logs):
         generator = np.random.default_rng([seed, 3])
-        severity = None if seed % 3 == 0 else float(generator.uniform())
-        count = shifts or int(10.0 * 50.0 ** float(generator.uniform()))
-        layout = layouts[seed // 3 % len(layouts)]
+        severity = None if seed % 4 == 0 else float(generator.uniform())
+        count = int(10.0 * (most / 10.0) ** float(generator.uniform()))
+        layout = layouts[(seed // 4 + seed) % len(layouts)]
         with TemporaryDirectory() as folder:
             found = one(seed, count, severity, Path(folder), layout)
         with store.open("a") as file:
