@@ -37,8 +37,13 @@ REWEIGHTED: Final = 12
 """Rounds of reweighting by the priors' tails."""
 LOAD_SHARE: Final = 0.6
 """How far a load differs between shifts, as a share of how far it does between trucks."""
-KINK_S: Final = 6e-4
-"""How far the instants of a shift, of its release or arrival, scatter between shifts."""
+TRIED_S: Final[Floats] = 1e-3 * np.array([-4.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 4.0])
+"""Times before and after a pulse at which the stay is simulated, too: for kinks of the motion."""
+INSTANT_S: Final = (5e-4, 2e-3)
+"""Least and largest standard deviation assumed of the instants of a shift, between shifts."""
+MOVING_M_S: Final = 0.1
+NORMAL: Final = ((-2.0, 0.054), (-1.0, 0.242), (1.0, 0.242), (2.0, 0.054))
+"""Standard deviations and the share of a normal distribution near each."""
 SIZE_PRIOR: Final = 3.0
 """Standard deviation of a cause's size, in typical ones."""
 
@@ -129,13 +134,14 @@ class Noise:
         shift: Shift,
         speed_m_s: Floats,
         slopes: Mapping[str, Floats],
-        kink_m: Floats,
+        apart_m: Floats,
     ) -> Floats:
         """Return the covariance [pulses, pulses, m^2] of a shift, by its slopes [pulses] per unit.
 
-        kink_m: [pulses], how much further than by its speed the stay is KINK_S before or after.
+        apart_m: [TRIED_S, pulses], how far from the stay at a pulse it is at these times from it.
         """
         shares = {name: self.scatter * sd for name, sd in model.each.items()}
+        shares |= {name: model.each[name] for name in shares if name.startswith("cone")}
         if shift.end in "BF":
             error = SPEED_NOISE_RAD_S / max(abs(shift.difference_rad_s), SPEED_NOISE_RAD_S)
             error = 0.0 if np.isnan(error) else error
@@ -145,8 +151,33 @@ class Noise:
             [slopes[name] * sd / model.unit[name] for name, sd in shares.items() if name in slopes],
             1,
         )
-        own = np.diag(self.position_m**2 + (JITTER_S * speed_m_s) ** 2 + kink_m**2)
+        kink = _kink_variance(apart_m, np.abs(speed_m_s), np.sqrt(np.sum(spread**2, axis=1)))
+        own = np.diag(self.position_m**2 + (JITTER_S * speed_m_s) ** 2 + kink)
         return np.asarray(own + spread @ spread.T)
+
+
+def _kink_variance(apart_m: Floats, speed_m_s: Floats, spread_m: Floats) -> Floats:
+    """Return the variance [pulses, m^2] that instants that scatter add beyond what the speed says.
+
+    A pulse just behind an arrival shows nothing of it by its slopes. How far the instants scatter
+    follows from the spread [pulses, m] of the moving stay.
+    """
+    moving = speed_m_s > MOVING_M_S
+    instant = np.max(spread_m[moving] / speed_m_s[moving], initial=0.0)
+    instant = float(np.clip(instant, *INSTANT_S))
+    variance = np.zeros(len(speed_m_s))
+    for at, share in NORMAL:
+        by = abs(at) * instant
+        near = np.abs(TRIED_S) if at > 0.0 else -np.abs(TRIED_S)
+        side = np.flatnonzero(TRIED_S == near)
+        side = side[np.argsort(np.abs(TRIED_S[side]))]
+        times = np.append(0.0, np.abs(TRIED_S[side]))
+        k = int(np.clip(np.searchsorted(times, by) - 1, 0, len(times) - 2))
+        w = (by - times[k]) / (times[k + 1] - times[k])
+        distances = np.vstack([np.zeros(len(speed_m_s)), apart_m[side]])
+        away = (1.0 - w) * distances[k] + w * distances[k + 1]
+        variance += share * np.maximum(away - by * speed_m_s, 0.0) ** 2
+    return variance
 
 
 NOISE: Final = Noise()
@@ -187,12 +218,11 @@ def linearise(
         here.with_cause(cause, active.get(cause, 0.0) + step)
         for cause, step in zip(causes, steps, strict=True)
     ]
-    points += [here.moved("latency", KINK_S), here.moved("latency", -KINK_S)]
+    points += [here.moved("latency", float(by)) for by in TRIED_S]
     x, v, done = model.predict(shifts, points)
     base, speed = x[:, 0], v[:, 0]
-    beyond = np.abs(x[:, -2:] - base[:, None]).max(axis=1) - KINK_S * np.abs(speed)
-    kink = np.maximum(beyond, 0.0)
-    x, done = x[:, :-2], done[:, :-2]
+    apart = np.abs(x[:, -len(TRIED_S) :] - base[:, None])
+    x, done = x[:, : -len(TRIED_S)], done[:, : -len(TRIED_S)]
     scale = np.array([difference] * len(moved) + steps)
     by = np.where(done[:, 1:, None], x[:, 1:] - base[:, None], 0.0) / scale[:, None]
     column = {name: by[:, k] for k, name in enumerate(moved)} | {
@@ -214,7 +244,7 @@ def linearise(
             weights.append(np.zeros((n, n)))
             continue
         units = dict(zip(names, slopes[k].T[: len(names)], strict=True))
-        covariance = noise.covariance(model, shift, speed[k, :n], units, kink[k, :n])
+        covariance = noise.covariance(model, shift, speed[k, :n], units, apart[k, :, :n])
         weights.append(np.linalg.inv(covariance))
         volume[k] = np.linalg.slogdet(covariance / LEAST_NOISE_M**2)[1]
     sizes = np.array([active.get(cause, 0.0) for cause in causes])
