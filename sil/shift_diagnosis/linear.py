@@ -37,13 +37,13 @@ REWEIGHTED: Final = 12
 """Rounds of reweighting by the priors' tails."""
 LOAD_SHARE: Final = 0.6
 """How far a load differs between shifts, as a share of how far it does between trucks."""
-TRIED_S: Final[Floats] = 1e-3 * np.array([-4.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 4.0])
+TRIED_S: Final[Floats] = 1e-3 * np.array([0.5, 1.0, 2.0, 4.0])
 """Times before and after a pulse at which the stay is simulated, too: for kinks of the motion."""
 INSTANT_S: Final = (5e-4, 2e-3)
 """Least and largest standard deviation assumed of the instants of a shift, between shifts."""
 MOVING_M_S: Final = 0.1
-NORMAL: Final = ((-2.0, 0.054), (-1.0, 0.242), (1.0, 0.242), (2.0, 0.054))
-"""Standard deviations and the share of a normal distribution near each."""
+NORMAL: Final = ((1.0, 0.242), (2.0, 0.054))
+"""Standard deviations on one side, and the share of a normal distribution near each."""
 SIZE_PRIOR: Final = 3.0
 """Standard deviation of a cause's size, in typical ones."""
 
@@ -138,7 +138,7 @@ class Noise:
     ) -> Floats:
         """Return the covariance [pulses, pulses, m^2] of a shift, by its slopes [pulses] per unit.
 
-        apart_m: [TRIED_S, pulses], how far from the stay at a pulse it is at these times from it.
+        apart_m: [2, TRIED_S, pulses], how far the stay then is from where it is at a pulse.
         """
         shares = {name: self.scatter * sd for name, sd in model.each.items()}
         shares |= {name: model.each[name] for name in shares if name.startswith("cone")}
@@ -165,19 +165,17 @@ def _kink_variance(apart_m: Floats, speed_m_s: Floats, spread_m: Floats) -> Floa
     moving = speed_m_s > MOVING_M_S
     instant = np.max(spread_m[moving] / speed_m_s[moving], initial=0.0)
     instant = float(np.clip(instant, *INSTANT_S))
-    variance = np.zeros(len(speed_m_s))
-    for at, share in NORMAL:
-        by = abs(at) * instant
-        near = np.abs(TRIED_S) if at > 0.0 else -np.abs(TRIED_S)
-        side = np.flatnonzero(TRIED_S == near)
-        side = side[np.argsort(np.abs(TRIED_S[side]))]
-        times = np.append(0.0, np.abs(TRIED_S[side]))
-        k = int(np.clip(np.searchsorted(times, by) - 1, 0, len(times) - 2))
-        w = (by - times[k]) / (times[k + 1] - times[k])
-        distances = np.vstack([np.zeros(len(speed_m_s)), apart_m[side]])
-        away = (1.0 - w) * distances[k] + w * distances[k + 1]
-        variance += share * np.maximum(away - by * speed_m_s, 0.0) ** 2
-    return variance
+    times, zero = np.append(0.0, TRIED_S), np.zeros((1, len(speed_m_s)))
+    variance = zero[0]
+    for side in apart_m:
+        distances = np.vstack([zero, side])
+        for at, share in NORMAL:
+            by = at * instant
+            k = int(np.searchsorted(times, by)) - 1
+            w = (by - times[k]) / (times[k + 1] - times[k])
+            away = (1.0 - w) * distances[k] + w * distances[k + 1]
+            variance = variance + share * np.maximum(away - by * speed_m_s, 0.0) ** 2
+    return np.asarray(variance)
 
 
 NOISE: Final = Noise()
@@ -218,11 +216,12 @@ def linearise(
         here.with_cause(cause, active.get(cause, 0.0) + step)
         for cause, step in zip(causes, steps, strict=True)
     ]
-    points += [here.moved("latency", float(by)) for by in TRIED_S]
+    points += [here.moved("latency", side * by) for side in (1.0, -1.0) for by in TRIED_S.tolist()]
     x, v, done = model.predict(shifts, points)
     base, speed = x[:, 0], v[:, 0]
-    apart = np.abs(x[:, -len(TRIED_S) :] - base[:, None])
-    x, done = x[:, : -len(TRIED_S)], done[:, : -len(TRIED_S)]
+    near = 2 * len(TRIED_S)
+    apart = np.abs(x[:, -near:] - base[:, None]).reshape(len(x), 2, len(TRIED_S), -1)
+    x, done = x[:, :-near], done[:, :-near]
     scale = np.array([difference] * len(moved) + steps)
     by = np.where(done[:, 1:, None], x[:, 1:] - base[:, None], 0.0) / scale[:, None]
     column = {name: by[:, k] for k, name in enumerate(moved)} | {
@@ -244,7 +243,7 @@ def linearise(
             weights.append(np.zeros((n, n)))
             continue
         units = dict(zip(names, slopes[k].T[: len(names)], strict=True))
-        covariance = noise.covariance(model, shift, speed[k, :n], units, apart[k, :, :n])
+        covariance = noise.covariance(model, shift, speed[k, :n], units, apart[k, :, :, :n])
         weights.append(np.linalg.inv(covariance))
         volume[k] = np.linalg.slogdet(covariance / LEAST_NOISE_M**2)[1]
     sizes = np.array([active.get(cause, 0.0) for cause in causes])
