@@ -163,8 +163,8 @@ def _kink_variance(apart_m: Floats, speed_m_s: Floats, spread_m: Floats) -> Floa
     follows from the spread [pulses, m] of the moving stay.
     """
     moving = speed_m_s > MOVING_M_S
-    instant = np.max(spread_m[moving] / speed_m_s[moving], initial=0.0)
-    instant = float(np.clip(instant, *INSTANT_S))
+    longest = np.max(spread_m[moving] / speed_m_s[moving], initial=0.0)
+    instant = float(np.clip(longest, *INSTANT_S))
     times, zero = np.append(0.0, TRIED_S), np.zeros((1, len(speed_m_s)))
     variance = zero[0]
     for side in apart_m:
