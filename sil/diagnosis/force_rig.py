@@ -51,6 +51,8 @@ LEAST_OF_EXCESS = 0.5
 """A cause explains at least this share of the misfit that is there without it ..."""
 LEAST_OF_LATE = 0.2
 """... and a delay within a sampling step this share."""
+HELD = 0.1
+"""This near to half a step early, in steps, the force is held from sample to sample."""
 DESCRIBED = 0.2
 """A function describes a residual if it removes this share of its squares."""
 
@@ -292,19 +294,27 @@ def _late_within_a_step_s(bank: Bank, best: Tried, leader: Tried) -> float:
     late_s = -float(rest @ moved / (moved @ moved))
     left = ratio**2 * float(np.mean((rest + late_s * moved) ** 2) / np.mean(rest**2))
     explains = left - 1.0 < (1.0 - LEAST_OF_LATE) * (ratio**2 - 1.0)
-    return late_s if explains and abs(late_s) <= record.step_s else 0.0
+    if not explains or abs(late_s) > record.step_s:
+        return 0.0
+    half_s = 0.5 * record.step_s
+    return -half_s if abs(late_s + half_s) < HELD * record.step_s else late_s
 
 
 def _sooner(record: Recorded, late_s: float) -> Recorded:
     """Return a record with its driving force taken so much earlier, and a finding that says so.
 
-    A pressure that the force comes from is moved with it.
+    A pressure that the force comes from is moved with it. What is held over a step h acts as
+    F(t - h/2) + h^2/24 F'', to the next order in h: its mean over the step.
     """
-    from scipy.ndimage import shift
+    from scipy.ndimage import correlate1d, shift
+
+    held = 1.0 / 24.0 if late_s == -0.5 * record.step_s else 0.0
 
     def moved(values: Floats) -> Floats:
         parts = np.split(values, record.starts[1:])
-        return np.concatenate([shift(p, -late_s / record.step_s, mode="nearest") for p in parts])
+        parts = [shift(p, -late_s / record.step_s, mode="nearest") for p in parts]
+        mean = (held, 1.0 - 2.0 * held, held)
+        return np.concatenate([correlate1d(p, mean, mode="nearest") for p in parts])
 
     pressure = record.raw.pressure_pa
     if pressure is not None and (record.body.piston_area_m2 or record.body.area_2_m2):

@@ -33,8 +33,8 @@ def noise_of(values: Floats) -> float:
     """Return the standard deviation of the noise of a sample of values [n].
 
     By sixth differences, which motion hardly changes, and by the quiet parts of the upper half of the
-    spectrum; not less than the rounding of the values. The quietest part alone would be too quiet in
-    a short record: parts that differ from it by chance count with it.
+    spectrum; not less than the rounding of the values. The quietest part alone would be too quiet by
+    chance: parts count that differ by chance from the second quietest.
     """
     differences = np.diff(values, 6)
     robust = float(np.median(np.abs(differences))) / (0.6745 * comb(12, 6) ** 0.5)
@@ -43,7 +43,11 @@ def noise_of(values: Floats) -> float:
     bands = np.array_split(power[len(power) // 2 : -1], 8)
     levels = np.array([np.median(band) for band in bands])
     chance = np.exp(CHANCE / len(bands[-1]) ** 0.5)
-    quiet = [b for b, level in zip(bands, levels, strict=True) if level <= chance * levels.min()]
+    quiet = [
+        band
+        for band, level in zip(bands, levels, strict=True)
+        if level <= chance * np.sort(levels)[1]
+    ]
     spectral = float(np.median(np.concatenate(quiet))) / np.log(2.0)
     return float(max(min(robust, spectral**0.5), rounding_of(values) / 12.0**0.5))
 
