@@ -4,7 +4,7 @@ Every hypothesis, none or one cause, is fitted together with all in which health
 scored by its evidence (Laplace). The priors of the truck's quantities have heavy tails, so that an
 unusual truck is not called a faulty one. Where the best hypothesis
 leaves more than noise, all scores count less in proportion.
-Checked by: tests/unit/sil/shift_diagnosis/test_diagnose_logs.py
+Checked by: tests/unit/sil/shift_diagnosis/test_judge.py, test_diagnose_logs.py
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from sil.shift_diagnosis.linear import (
     estimates,
     explained,
     linearise,
-    point_of,
     projected,
+    unit_names,
 )
-from sil.shift_diagnosis.loads import BARRIERS, CONE, own_loads, vary
-from sil.shift_diagnosis.model import DIFFERENCE, LEAST_NOISE_M, Cause, PlantModel, Point, catalogue
+from sil.shift_diagnosis.loads import BARRIERS, CONE, own_loads, vary, without_speeds
+from sil.shift_diagnosis.model import DIFFERENCE, LEAST_NOISE_M, Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import LEAD_S, Shift
 from sil.shift_diagnosis.starts import usual_starts
 from sil.shift_diagnosis.verdict import (
@@ -90,7 +90,7 @@ def judge_shifts(
         text = f"{len(used)} usable shifts; at least {FEWEST_SHIFTS} are needed to judge"
         return ShiftDiagnosis("cannot_tell", tuple(used), (), {}, (), True, NOISE, (text,), {})
     models = [PlantModel(parameters, mounted) for mounted in (True, False)]
-    fitter, healthy, used = _with_loads(models, used, Noise(rest_noise_m(used)))
+    fitter, healthy, used = loaded_fit(models, used, Noise(rest_noise_m(used)))
     say(20.0, 100.0)
     causes = catalogue()
     linear = _linear(fitter, used, healthy, causes, DIFFERENCE)
@@ -162,7 +162,7 @@ def _is_explained(fit: Fit) -> bool:
     return fit.half_chi2 < 0.5 * EXPLAINED * int(fit.linear.count.sum())
 
 
-def _with_loads(
+def loaded_fit(
     models: Sequence[PlantModel], used: Sequence[Shift], noise: Noise
 ) -> tuple[Fitter, Fit, list[Shift]]:
     """Fit a healthy truck; return it with the shifts, which have loads of their own where needed.
@@ -170,7 +170,7 @@ def _with_loads(
     That is without speeds in the log, or where a truck with equal loads does not explain its shifts
     and loads that differ explain them better.
     """
-    silent = any(np.isnan(shift.difference_rad_s) for shift in used)
+    silent = without_speeds(used)
     found: list[tuple[Fitter, Fit, list[Shift]]] = []
     if not silent:
         found = [(*healthy_fit(models, _spread(used, FIT_SHIFTS), noise), list(used))]
@@ -178,12 +178,12 @@ def _with_loads(
             return found[0]
     for free in (CONE if silent else BARRIERS, BARRIERS + CONE):
         for model in models if silent else models[:1]:
-            own, point = list(used), Point()
+            own, values = list(used), np.zeros(len(unit_names(model)))
             for _ in range(SCANS):
-                own = own_loads(model, own, point, free)
+                own = own_loads(model, own, values, free)
                 few = _spread(own, FIT_SHIFTS)
                 fitter, healthy = healthy_fit([model], few, replace(noise, loads=free))
-                point = Point(point_of(model, fitter.names, healthy.values))
+                values = healthy.values
             if silent or vary(own, used):
                 found.append((fitter, healthy, own))
         best = min(found, key=lambda item: item[1].cost, default=None)

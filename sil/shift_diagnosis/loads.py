@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from sil.shift_diagnosis.linear import Floats
+from sil.shift_diagnosis.linear import Floats, point_of, unit_names
 from sil.shift_diagnosis.model import IMPULSE_PER_SPEED, PlantModel, Point
 from sil.shift_diagnosis.shifts import Shift
 
@@ -37,10 +37,21 @@ TOLERANCE_M, TOLERANCE_S = 1e-4, 5e-4
 """What a pulse may be off in a scan, by position and by time."""
 
 
+def without_speeds(shifts: Sequence[Shift]) -> bool:
+    """Return whether speeds are missing for some of the shifts."""
+    return any(np.isnan(shift.difference_rad_s) for shift in shifts)
+
+
 def own_loads(
-    model: PlantModel, shifts: Sequence[Shift], point: Point, free: Sequence[str]
+    model: PlantModel, shifts: Sequence[Shift], values: Floats, free: Sequence[str]
 ) -> list[Shift]:
-    """Return the shifts with the loads, of those that are free, that suit each best at a point."""
+    """Return the shifts with the loads, of those that are free, that suit each best.
+
+    values: of the truck's quantities [units], in prior standard deviations.
+    """
+    if not free:
+        return list(shifts)
+    point = Point(point_of(model, unit_names(model), values))
     return [_scanned(model, shift, point, free) for shift in shifts]
 
 

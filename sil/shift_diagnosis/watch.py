@@ -23,8 +23,9 @@ from sil.files.progress import Progress
 from sil.fitting.hypotheses import scaled_of
 from sil.j1939.mapping import SignalMapping
 from sil.logs import FORMATS
-from sil.shift_diagnosis.judge import FIT_SHIFTS, healthy_fit, rest_noise_m
+from sil.shift_diagnosis.judge import FIT_SHIFTS, loaded_fit, rest_noise_m
 from sil.shift_diagnosis.linear import Floats, Noise, linearise
+from sil.shift_diagnosis.loads import CONE, own_loads, without_speeds
 from sil.shift_diagnosis.model import Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import Shift, shifts_of
 from sil.shift_diagnosis.track import Change, Track
@@ -50,7 +51,8 @@ create table if not exists odd (truck text, number integer, time_s real, path te
 class Reference(msgspec.Struct):
     """Where a truck's shifts are linearised: its own quantities, as its first log shows them.
 
-    values: in prior standard deviations; chi2: per number, of its usual shifts.
+    values: in prior standard deviations; chi2: per number, of its usual shifts; loads: those that
+    each shift has of its own.
     """
 
     mounted: bool
@@ -59,6 +61,7 @@ class Reference(msgspec.Struct):
     scatter: float
     chi2: float
     shifts: int
+    loads: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -205,8 +208,11 @@ class Watch:
             reference = reference or self._reference(some)
             count += len(some)
             model = self._model(reference.mounted)
-            noise = Noise(reference.noise_m, reference.scatter)
-            linear = linearise(model, some, np.array(reference.values), self._causes, noise=noise)
+            at = np.array(reference.values)
+            free = reference.loads or (CONE if without_speeds(some) else ())
+            some = own_loads(model, some, at, free)
+            noise = Noise(reference.noise_m, reference.scatter, loads=free)
+            linear = linearise(model, some, at, self._causes, noise=noise)
             chi2 = linear.misfit / np.maximum(linear.count, 1)
             odd = (chi2 > ODD * reference.chi2) & (chi2 > ODD) | (linear.count == 0)
             # after a lasting change every shift is far from the first ones: then none is odd
@@ -228,16 +234,17 @@ class Watch:
 
     def _reference(self, shifts: Sequence[Shift]) -> Reference:
         """Fit a truck's own quantities to its first shifts."""
-        few = list(shifts[: 2 * FIT_SHIFTS])
         models = [self._model(mounted) for mounted in (True, False)]
-        fitter, best = healthy_fit(models, few[:FIT_SHIFTS], Noise(rest_noise_m(few)))
+        few = shifts[: 2 * FIT_SHIFTS]
+        fitter, best, few = loaded_fit(models, few, Noise(rest_noise_m(few)))
         linear = linearise(fitter.model, few, best.values, noise=fitter.noise)
         chi2 = float(np.median(linear.misfit / np.maximum(linear.count, 1)))
         mounted = fitter.model.mounted
         noise = fitter.noise
         return Reference(
-            mounted, best.values.tolist(), noise.position_m, noise.scatter, max(chi2, 0.1), len(few)
-        )
+            mounted, best.values.tolist(), noise.position_m, noise.scatter, max(chi2, 0.1), len(few),
+            noise.loads,
+        )  # fmt: skip
 
     def trucks(self) -> Iterator[Watched]:
         """Yield every truck of the store, by name."""

@@ -289,7 +289,7 @@ def measure(
         generator = np.random.default_rng([seed, 3])
         severity = None if seed % 4 == 0 else float(generator.uniform())
         count = int(10.0 * (most / 10.0) ** float(generator.uniform()))
-        layout = layouts[(seed // 4 + seed) % len(layouts)]
+        layout = layouts[(seed // 4 + seed % 4) % len(layouts)]
         with TemporaryDirectory() as folder:
             found = one(seed, count, severity, Path(folder), layout)
         with store.open("a") as file:

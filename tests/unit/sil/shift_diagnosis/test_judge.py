@@ -16,9 +16,9 @@ from sil.shift_diagnosis.judge import (
     _best_on_all,
     _is_explained,
     _judged,
-    _with_loads,
     _with_rivals,
     _without_odd,
+    loaded_fit,
 )
 from sil.shift_diagnosis.linear import Noise
 from sil.shift_diagnosis.model import Cause, PlantModel, catalogue
@@ -97,7 +97,7 @@ def test_shifts_of_another_implementation_are_explained(layout: str, tmp_path: P
     assert all(np.isnan(s.difference_rad_s) == (layout != "steady") for s in shifts if s.end != "N")
     parameters = load("nominal")
     models = [PlantModel(parameters, mounted) for mounted in (True, False)]
-    fitter, healthy, own = _with_loads(models, shifts, Noise())
+    fitter, healthy, own = loaded_fit(models, shifts, Noise())
     assert fitter.model.mounted and _is_explained(healthy)
     assert np.max(np.abs(healthy.values)) < 3.0
     varied = any(shift.load_n for shift in own)

@@ -36,7 +36,7 @@ def test_loads_are_found(shifts: list[Shift]) -> None:
     true = [loaded(model, into, speed, 200.0) for speed in (5.0, 12.0, 25.0)]
     true += [loaded(model, out, 0.0, n) for n in (-250.0, 300.0, 600.0)]
     unknown = [replace(s, load_n=0.0, difference_rad_s=float("nan")) for s in true]
-    found = own_loads(model, unknown, Point(), BARRIERS + CONE)
+    found = own_loads(model, unknown, np.zeros(17), BARRIERS + CONE)
     for own, right in zip(found, true, strict=True):
         if right.end in "BF":
             assert own.difference_rad_s == pytest.approx(right.difference_rad_s, abs=0.8)
@@ -47,8 +47,8 @@ def test_loads_are_found(shifts: list[Shift]) -> None:
 
 def test_what_is_not_free_stays(shifts: list[Shift]) -> None:
     model = PlantModel(load("nominal"), True)
-    found = own_loads(model, shifts, Point(), CONE)
+    found = own_loads(model, shifts, np.zeros(17), CONE)
     assert all(s.load_n == 0.0 for s in found)
-    found = own_loads(model, shifts, Point(), BARRIERS)
+    found = own_loads(model, shifts, np.zeros(17), BARRIERS)
     assert [s.difference_rad_s for s in found] == [s.difference_rad_s for s in shifts]
     assert not vary(shifts, shifts)

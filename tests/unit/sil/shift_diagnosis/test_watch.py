@@ -7,12 +7,15 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
 from sil.cli import main
 from sil.shift_diagnosis import watch as watching
+from sil.shift_diagnosis.loads import CONE
+from tests.bench.truck_logs import by_reference
 
 
 def observations(path: Path, sizes: np.ndarray, seed: int, begin: int = 0) -> None:
@@ -167,3 +170,20 @@ def test_a_folder_without_logs_is_refused(
 ) -> None:
     assert main(["watch", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_truck_without_speeds_on_its_bus_is_watched(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "fleet" / "silent" / "1.log"
+    log.parent.mkdir(parents=True)
+    by_reference(log, 12, 16, None, "silent")
+    assert main(["watch", str(tmp_path / "fleet"), "--out", str(tmp_path / "out"), "--json"]) == 0
+    (truck,) = json.loads(capsys.readouterr().out)["trucks"]
+    assert truck["shifts"] >= 15
+    with closing(sqlite3.connect(tmp_path / "out" / "watch.sqlite")) as store:
+        (reference,) = store.execute("select reference from truck").fetchone()
+        assert store.execute("select count(*) from odd").fetchone() == (0,)
+    reference = msgspec.msgpack.decode(reference, type=watching.Reference)
+    assert reference.loads == CONE
+    assert reference.chi2 < 1.5
