@@ -74,6 +74,8 @@ RESTARTS: Final = 3
 SAME: Final = 0.995
 """Correlation of what two causes do from which one of them is not offered."""
 FEWEST_SHIFTS: Final = 3
+VARIES_PA: Final = 2e4
+"""Standard deviation of the supply pressure from which what depends on it can be distinguished."""
 SCANS: Final = 2
 """Rounds of loads found and a healthy truck fitted with them."""
 ODD, MOST_ODD = 3.0, 0.15
@@ -92,7 +94,7 @@ def judge_shifts(
     models = [PlantModel(parameters, mounted) for mounted in (True, False)]
     fitter, healthy, used = loaded_fit(models, used, Noise(rest_noise_m(used)))
     say(20.0, 100.0)
-    causes = catalogue()
+    causes = _offered(used)
     linear = _linear(fitter, used, healthy, causes, DIFFERENCE)
     alone = linear.information.sum(axis=0)[linear.units :, linear.units :]
     causes = [cause for k, cause in enumerate(causes) if not _repeats(k, causes, alone)]
@@ -155,6 +157,14 @@ def healthy_fit(
         starts.append((fitter, fitter.fit(None, np.zeros(len(fitter.names)))))
     fitter, healthy = min(starts, key=lambda pair: pair[1].half_chi2)
     return fitter, fitter.settle(healthy)
+
+
+def _offered(shifts: Sequence[Shift]) -> list[Cause]:
+    """Return the catalogue's causes, those by the supply pressure only if that is known to vary."""
+    supplies = [s.supply_pa for s in shifts if not np.isnan(s.supply_pa)]
+    varies = len(supplies) > 1 and float(np.std(supplies)) > VARIES_PA
+    by_supply = [bool(c.effect.switching) and not c.effect.tolerance for c in catalogue()]
+    return [c for c, own in zip(catalogue(), by_supply, strict=True) if varies or not own]
 
 
 def _is_explained(fit: Fit) -> bool:

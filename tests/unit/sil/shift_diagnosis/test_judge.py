@@ -16,6 +16,7 @@ from sil.shift_diagnosis.judge import (
     _best_on_all,
     _is_explained,
     _judged,
+    _offered,
     _with_rivals,
     _without_odd,
     loaded_fit,
@@ -102,3 +103,15 @@ def test_shifts_of_another_implementation_are_explained(layout: str, tmp_path: P
     assert np.max(np.abs(healthy.values)) < 3.0
     varied = any(shift.load_n for shift in own)
     assert varied == (layout == "both")
+
+
+@pytest.mark.parametrize(
+    ("supplies", "offered"), [((np.nan,) * 4, False), ((9e5,) * 4, False), ((6e5, 9e5) * 2, True)]
+)
+def test_a_cause_by_supply_is_offered_if_the_supply_varies(
+    supplies: tuple[float, ...], offered: bool
+) -> None:
+    shifts = [SimpleNamespace(supply_pa=supply) for supply in supplies]
+    ids = {cause.effect.id for cause in _offered(shifts)}
+    assert ("valve_delay_pressure" in ids) is offered
+    assert "valve_open_delay" in ids
