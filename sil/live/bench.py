@@ -38,7 +38,7 @@ from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.load_scenario import Loaded
 from sil.simulation.scenario import FAULT_TABLES, Request, Scenario, expanded
 from sil.simulation.scenario_text import scenario_toml
-from sil.studies.kinds.bounds import SHIPPED as STORED_BOUNDS
+from sil.studies.bound_figures import SHIPPED as STORED_BOUNDS
 
 if TYPE_CHECKING:
     import can

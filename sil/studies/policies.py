@@ -40,6 +40,8 @@ AGAIN_S = 1e-7
 SAME_S = 1e-6
 NOT_ARRIVED = 2.0
 """Least cost of an arrival that is too late or does not last, m/s; above every impact."""
+THESIS_DELAYS_S = (("sensor", 0.030), ("velocity", 0.010), ("valve", 0.008))
+"""Delays of information and of a valve as the thesis counts them (4.2.1)."""
 
 
 PUSH = StrokeConditions("N-B", 900000.0, ((0.0, "B", FULL_DUTY),))

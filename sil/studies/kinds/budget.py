@@ -29,11 +29,11 @@ from sil.report.figure import MS, Figure, Note, Panel, Span, Stack
 from sil.simulation.in_memory import Run, run_in_memory
 from sil.simulation.load_scenario import Loaded
 from sil.studies.figures import numbered, row_labels
+from sil.studies.policies import THESIS_DELAYS_S
 from sil.studies.rows import FAILED, RowResult
 from sil.studies.study import LoadedStudy, Row
 from sil.studies.table import Table
 
-THESIS_S = (("sensor", 0.030), ("velocity", 0.010), ("valve", 0.008))
 THESIS_WINDOW_S = 0.040
 BRAKE_PA = 100000.0
 """Rise of the neutral chamber's pressure that counts as a brake: about 250 N on the piston."""
@@ -253,7 +253,7 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
 def _thesis_bar() -> tuple[list[Span], list[Note]]:
     """Return the thesis's own delays (4.2.1) as the first bar, and its slack."""
     spans, left = [], 0.0
-    for name, delay_s in THESIS_S:
+    for name, delay_s in THESIS_DELAYS_S:
         label = f"{name} {MS * delay_s:.0f}"
         spans.append(Span(left, left + MS * delay_s, "measured", label, -0.3, 0.3))
         left += MS * delay_s

@@ -21,9 +21,9 @@ from controller.learning import Sensitivities
 from sil.report.figure import MS, Figure, Panel, Rule, Series, Stack
 from sil.simulation.in_memory import run_in_memory
 from sil.simulation.load_scenario import Loaded
+from sil.studies.bound_figures import KNOWN, SHIPPED, known_panel
 from sil.studies.figures import title_of
 from sil.studies.fleet import EXAM_N_S, OWN, Drawn, Truck, TruckTable, truck_table
-from sil.studies.kinds.bounds import KNOWN, SHIPPED, known_panel
 from sil.studies.rows import FAILED, PASSED, RowResult
 from sil.studies.study import LoadedStudy, Row, texts_of
 from sil.studies.table import Table, row_groups

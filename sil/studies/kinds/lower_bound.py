@@ -14,8 +14,9 @@ import numpy as np
 
 from plant.parameters import load
 from sil.report.figure import MS, Figure, Panel, Series, Stack
+from sil.studies.bound_figures import SHIPPED, levels
 from sil.studies.figures import title_of
-from sil.studies.kinds.bounds import SHIPPED, levels, number
+from sil.studies.kinds.bounds import number
 from sil.studies.lower_bound import HeldModel, best_proof, certificate
 from sil.studies.policies import GEARBOX, FamilyModel
 from sil.studies.rows import RowResult

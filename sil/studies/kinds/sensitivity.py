@@ -27,7 +27,15 @@ from sil.simulation.load_scenario import load as load_scenario
 from sil.studies.assumptions import CONDITIONS, FACTORS, NOT_VARIED
 from sil.studies.figures import numbered, title_of
 from sil.studies.load_study import load_study
-from sil.studies.policies import GEARBOX, NOT_ARRIVED, PUSH, Family, FamilyModel, Layout
+from sil.studies.policies import (
+    GEARBOX,
+    NOT_ARRIVED,
+    PUSH,
+    THESIS_DELAYS_S,
+    Family,
+    FamilyModel,
+    Layout,
+)
 from sil.studies.rows import NOT_RUN, PASSED, RowResult
 from sil.studies.study import LoadedStudy, Row, texts_of
 from sil.studies.table import Table
@@ -53,7 +61,7 @@ OFTEN_STRATEGIES = "open loop", "synchro brake", "oil damper"
 SCATTERED, SHIFTS, OFTEN_LOAD = "how_often", 10, "gearbox, 250 N s"
 """The study of which the shifts with scatter are the first, and its load."""
 
-THESIS_S = 0.048
+THESIS_S = sum(delay_s for _name, delay_s in THESIS_DELAYS_S)
 EXTRA_S = 0.03
 GENERATIONS = 15
 RESAMPLES = 1000

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from plant.parameters import load as load_parameters
+from sil.studies.bound_figures import SHIPPED, envelope
 from sil.studies.bound_search import Partial, Policy, Search, arrivals_of, stem_switches
-from sil.studies.kinds.bounds import SHIPPED, envelope
 from sil.studies.policies import (
     FAMILIES,
     GEARBOX,

@@ -17,7 +17,7 @@ from plant.kernel.compiled import plain
 from plant.kernel.layout import FlowMap
 from plant.parameters import load as load_parameters
 from plant.parts.flow import charge, discharge
-from sil.studies.kinds.bounds import SHIPPED
+from sil.studies.bound_figures import SHIPPED
 from sil.studies.kinds.lower_bound import NEUTRAL
 from sil.studies.lower_bound import HeldModel, Node, certificate
 from sil.studies.lower_bound_enclosures import STEP_S, check_maps, stop_speed

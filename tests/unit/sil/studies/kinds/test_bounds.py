@@ -13,9 +13,16 @@ from can_dbc.errors import InputError
 from plant.parameters import load as load_parameters
 from sil.cli import main
 from sil.studies import executor, policies
+from sil.studies.bound_figures import (
+    PARTS,
+    SHIPPED,
+    TUNED,
+    delay_of,
+    known_panel,
+    worst_over,
+)
 from sil.studies.bound_search import Search
 from sil.studies.kinds import bounds
-from sil.studies.kinds.bounds import PARTS, SHIPPED, TUNED, delay_of, worst_over
 from sil.studies.kinds.budget import BARS, closed, simulated
 from sil.studies.load_study import load_study
 from sil.studies.study import BoundsTable
@@ -262,7 +269,7 @@ def test_bounds_over_the_share_are_drawn_with_what_earlier_information_reaches()
         "open_loop_m_s": np.full(6, 1.37),
         "damper_m_s": np.full(6, 0.6),
     }
-    panel = bounds.known_panel(columns)
+    panel = known_panel(columns)
     late, early = panel.series
     assert late.y.tolist() == [0.4, 0.8]
     assert early.y.tolist() == [0.4, 0.7]
