@@ -113,7 +113,7 @@ def judge_shifts(
     weights, odd = _without_odd(best)
     whole.noise = replace(whole.noise, weights=weights)
     judged = [
-        _judged(whole, fit.cause, fit.point)
+        _judged(whole, fit.cause, best.point if fit.cause is best.cause else fit.point)
         for fit in fits
         if fit.cause is None or fit.cost < fits[0].cost + HOPELESS
     ]

@@ -221,7 +221,7 @@ def share(hits: int, count: int) -> str:
     z = 1.96
     middle = (hits + z * z / 2.0) / (count + z * z)
     half = z / (count + z * z) * np.sqrt(hits * (count - hits) / count + z * z / 4.0)
-    return f"{hits}/{count} ({100 * (middle - half):.0f}-{100 * (middle + half):.0f} %)"
+    return f"{hits}/{count} ({100 * max(middle - half, 0.0):.0f}-{100 * (middle + half):.0f} %)"
 
 
 ALARMS = ("named", "ambiguous", "unnamed")
