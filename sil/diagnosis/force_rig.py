@@ -281,7 +281,7 @@ def _decided(tried: Sequence[Tried]) -> tuple[list[Tried], Verdict[Tried]]:
 def _late_within_a_step_s(bank: Bank, best: Tried, leader: Tried) -> float:
     """Return by how much the force is late against the position [s], 0 unless that explains a residual.
 
-    A command that is held from sample to sample acts half a step before it is recorded. The delay is
+    A command that is held from sample to sample acts half a step after it is recorded. The delay is
     what `best` leaves of it, which may be all that is left of the leader's residual.
     """
     if leader.rms_n <= EXPLAINED * leader.noise_n:
