@@ -22,6 +22,7 @@ from sil.diagnosis.force_terms import (
     SMOOTH,
     Term,
     centred,
+    difference,
     hats,
     named_terms,
 )
@@ -399,9 +400,3 @@ def _jackknife(differences: Floats) -> Floats:
     """
     count = len(differences)
     return np.asarray(np.sqrt((count - 1) / count * np.sum(differences**2, axis=0)))
-
-
-def difference(base: Floats, column: Floats) -> float:
-    """Return the share of a column [n] that orthonormal columns [n, k] cannot make up."""
-    rest = column - base @ (base.T @ column)
-    return float(np.linalg.norm(rest) / (np.linalg.norm(column) + 1e-300))

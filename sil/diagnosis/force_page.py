@@ -11,7 +11,7 @@ import numpy as np
 
 from sil.campaign.campaign import Floats
 from sil.diagnosis.force_fit import gain_in_errors
-from sil.diagnosis.force_rig import DETECTABILITY, ForceDiagnosis
+from sil.diagnosis.force_result import DETECTABILITY, ForceDiagnosis
 from sil.files.atomic import write_atomically
 from sil.report.figure import Figure, Panel, Series, Stack
 from sil.report.picture import save

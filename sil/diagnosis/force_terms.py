@@ -127,3 +127,9 @@ def hats(values: Floats, sign: Floats | None = None) -> Floats:
     nodes = np.unique(np.quantile(values, np.linspace(0.005, 0.995, NODES)))
     table = np.column_stack([np.interp(values, nodes, row) for row in np.eye(len(nodes))])
     return table if sign is None else table * sign[:, None]
+
+
+def difference(base: Floats, column: Floats) -> float:
+    """Return the share of a column [n] that orthonormal columns [n, k] cannot make up."""
+    rest = column - base @ (base.T @ column)
+    return float(np.linalg.norm(rest) / (np.linalg.norm(column) + 1e-300))
