@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import shlex
 import sys
@@ -111,13 +112,14 @@ def new_campaign(arguments: argparse.Namespace) -> int:
         what = "exists; expected a new folder, or --force to draft it anew"
         raise InputError(f"{arguments.new / 'campaign.toml'}: {what}")
     path = without_parent_steps(arguments.new)
-    made = [place for place in (path, *path.parents) if not place.exists()]
+    made = [each for each in (path, *path.parents) if not each.exists()]
     with locked_folder(path, "--new") as folder:
         try:
             asked = draft(folder, [Path(file) for file in arguments.campaign], arguments.force)
-        except InputError:
-            for place in made:
-                place.rmdir()
+        except BaseException:
+            with contextlib.suppress(OSError):  # what another program has put there stays
+                for each in made:
+                    each.rmdir()
             raise
     if arguments.json:
         print(json.dumps({"campaign": str(folder), "questions": asked}, ensure_ascii=False))

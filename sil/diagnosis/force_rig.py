@@ -107,9 +107,10 @@ def _late_within_a_step_s(bank: Bank, best: Tried, leader: Tried) -> float:
     rate = record.filtered(record.raw.force_n, 1)[record.judged]
     rest, moved = (values - base @ (base.T @ values) for values in (bank.target, rate))
     late_s = -float(rest @ moved / (moved @ moved))
+    error_s = float(np.sqrt(rest @ rest / (moved @ moved) / best.count))
     left = ratio**2 * float(np.mean((rest + late_s * moved) ** 2) / np.mean(rest**2))
     explains = left - 1.0 < (1.0 - LEAST_OF_LATE) * (ratio**2 - 1.0)
-    if not explains or abs(late_s) > record.step_s:
+    if not explains or not SURE * error_s < abs(late_s) <= record.step_s:
         return 0.0
     half_s = 0.5 * record.step_s
     return -half_s if abs(late_s + half_s) < HELD * record.step_s else late_s

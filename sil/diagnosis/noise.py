@@ -34,7 +34,7 @@ def noise_of(values: Floats) -> float:
 
     By sixth differences, which motion hardly changes, and by the quiet parts of the upper half of the
     spectrum; not less than the rounding of the values. The quietest part alone would be too quiet by
-    chance: parts count that differ by chance from the second quietest.
+    chance, so every part counts that is as quiet as the second quietest, within what chance allows.
     """
     differences = np.diff(values, 6)
     robust = float(np.median(np.abs(differences))) / (0.6745 * comb(12, 6) ** 0.5)

@@ -30,10 +30,10 @@ EXPLAINED = 1.25
 """Residual over expected noise up to which noise explains it: the noise is an estimate itself."""
 
 DETAIL = 0.02
-"""Excess per number that is a detail, if no channel by itself ..."""
+"""Excess per number that is a detail, unless a channel by itself is far off: see `LOCAL`."""
 
 LOCAL = 1.0
-"""... has more than this: one of few numbers counts little in the whole."""
+"""Excess per number of one channel that is no detail, although a channel of few numbers counts little."""
 
 STRAIN_LEVEL = 1e-6
 """How rarely the scatter of healthy strokes, or a unit's tolerances, may come out so wide."""

@@ -154,22 +154,24 @@ def by_plant(
 
 def by_reference(
     path: Path, seed: int, shifts: int, severity: float | None, layout: str = "steady"
-) -> tuple[str, dict[str, float]]:
-    """Write a log by tests/reference; return the cause hidden in it and its changes.
+) -> tuple[str, dict[str, float], float | None]:
+    """Write a log by tests/reference; return the cause hidden in it, its changes and its severity.
 
-    A cause with which a shift does not arrive is drawn again, weaker.
+    A cause with which a shift does not arrive is drawn again, weaker; a healthy truck is not.
     """
     rng = np.random.default_rng([seed, 8])
     name = "" if severity is None else str(rng.choice(FOREIGN_CAUSES))
-    for _ in range(6):
-        change = effects.draw(name, severity or 0.0, rng) if name else {}
+    for weaker in (1.0, 0.6, 0.36, 0.2, 0.1, 0.0):
+        hidden = None if severity is None else weaker * severity
+        change = effects.draw(name, hidden or 0.0, rng) if name else {}
         truck = drawn_reference(rng, change, **LAYOUTS[layout])
         try:
             write_log(path, truck, shifts, rng)
         except StalledError:
-            severity = 0.6 * (severity or 0.0)
+            if not name:
+                raise
             continue
-        return name, change
+        return name, change, hidden
     raise StalledError(f"{name}, drawn six times")
 
 
@@ -183,7 +185,7 @@ def one(
     path = folder / f"{seed}.log"
     began = perf_counter()
     if layout:
-        name, cause = by_reference(path, seed, shifts, severity, layout)
+        name, cause, severity = by_reference(path, seed, shifts, severity, layout)
     else:
         name, cause = by_plant(path, seed, shifts, severity)
     ran = perf_counter()
@@ -230,7 +232,7 @@ ALARMS = ("named", "ambiguous", "unnamed")
 def table(rows: list[dict[str, Any]]) -> Iterator[str]:
     """Yield the lines of the table of all results, of the plant's own logs and of the others."""
     for title, is_own in (("own plant", True), ("tests/reference", False)):
-        drawn = [row for row in rows if is_own == (not row["layout"])]
+        drawn = [row for row in rows if is_own == (not row.get("layout"))]
         if drawn:
             yield f"## logs drawn by {title}"
             yield from _found(drawn)

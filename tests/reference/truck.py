@@ -36,7 +36,6 @@ BLOW_S = 0.15
 LONGEST_S = 2.0
 CAPTURE_S = 0.0015
 FRAME_S = 0.00026
-RAMP_RAD_S2 = 150.0
 OUTPUT_RAD_S = 80.0
 PERIOD_S = 0.01
 
@@ -162,7 +161,10 @@ def _shift(
             try:
                 states = actuator.solve(times, rtol=rtol, max_step=step).states
                 break
-            except (ValueError, AssertionError):  # an event lost in rounding: other steps
+            except (
+                ValueError,
+                AssertionError,
+            ):  # the solver lost an event in rounding: smaller steps
                 continue
         else:
             raise StalledError("no solution")
