@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -106,17 +107,14 @@ def judge_shifts(
         fits.append(own[0])
         minima[cause] = tuple(f.size for f in own if f.cost < own[0].cost + AS_GOOD)
         say(40.0 + 30.0 * (number + 1) / len(chosen), 100.0)
-    fits.sort(key=lambda fit: fit.cost)
-    fits[0] = fitter.settle(fits[0])
+    close = _close(fits)
+    close[0] = fitter.settle(close[0])
     whole = Fitter(fitter.model, used, fitter.noise)
-    best = _best_on_all(whole, fits)
-    weights, odd = _without_odd(best)
+    leading = _on_all(whole, close)
+    weights, odd = _without_odd(leading[0])
     whole.noise = replace(whole.noise, weights=weights)
-    judged = [
-        _judged(whole, fit.cause, best.point if fit.cause is best.cause else fit.point)
-        for fit in fits
-        if fit.cause is None or fit.cost < fits[0].cost + HOPELESS
-    ]
+    starts = {fit.cause: fit.point for fit in (*close, *leading)}
+    judged = [_judged(whole, cause, start) for cause, start in starts.items()]
     say(80.0, 100.0)
     ids = len({cause.effect.id for cause in causes})
     judged = weighed(judged, ids)
@@ -129,8 +127,7 @@ def judge_shifts(
     detectable = detectable_of(_linear(whole, used, judged[0].fit, causes, SECANT), ids)
     verdict, findings = verdict_of(judged, probabilities, detectable)
     if odd:
-        text = f"{odd} of {len(used)} shifts fit far worse than the others and count less"
-        findings = [text, *findings]
+        verdict, findings = _beside_odd(verdict, findings, used, odd)
     return ShiftDiagnosis(
         verdict, tuple(used), tuple(judged), probabilities, detectable, fitter.model.mounted,
         fitter.noise, tuple(findings), fitter.model.unit,
@@ -187,7 +184,7 @@ def loaded_fit(
         if _is_explained(found[0][1]):
             return found[0]
     for free in (CONE if silent else BARRIERS, BARRIERS + CONE):
-        for model in models if silent else models[:1]:
+        for model in models if silent else [found[0][0].model]:
             own, values = list(used), np.zeros(len(unit_names(model)))
             for _ in range(SCANS):
                 own = own_loads(model, own, values, free)
@@ -203,24 +200,38 @@ def loaded_fit(
     return best
 
 
-def _without_odd(best: Fit) -> tuple[tuple[Floats, ...], int]:
-    """Return the weights of the shifts, and how many count less: few that fit far worse than most."""
+def _without_odd(best: Fit) -> tuple[tuple[Floats, ...], list[int]]:
+    """Return the weights of the shifts, and which count less: few that fit far worse than most."""
     linear = best.linear
     each = linear.misfit / np.maximum(linear.count, 1)
     limit = ODD * max(1.0, float(np.median(each)))
     odd = each > limit
     if odd.sum() > MOST_ODD * len(each):
-        return linear.weights, 0
+        return linear.weights, []
     shares = np.minimum(1.0, limit / np.maximum(each, limit))
-    return tuple(s * w for s, w in zip(shares, linear.weights, strict=True)), int(odd.sum())
+    weights = tuple(s * w for s, w in zip(shares, linear.weights, strict=True))
+    return weights, np.flatnonzero(odd).tolist()
+
+
+def _beside_odd(
+    verdict: str, findings: Sequence[str], shifts: Sequence[Shift], odd: Sequence[int]
+) -> tuple[str, list[str]]:
+    """Return verdict and findings of shifts some of which are odd: they are not consistent."""
+    names = ", ".join(f"{shifts[k].begin_s:.2f} s of {Path(shifts[k].source).name}" for k in odd)
+    text = (
+        f"{len(odd)} of {len(shifts)} shifts fit far worse than the others and count less; "
+        f"they begin at {names}"
+    )
+    return ("cannot_tell" if verdict == "consistent" else verdict), [text, *findings]
 
 
 def rest_noise_m(shifts: Sequence[Shift]) -> float:
     """Return the standard deviation of a position before the first motion, at least the timer's [m]."""
     rests = [s.position_m[s.time_s < LEAD_S] for s in shifts]
-    squares = np.concatenate(
-        [(r - np.mean(r)) ** 2 * len(r) / (len(r) - 1) for r in rests if len(r) > 1]
-    )
+    own = [(r - np.mean(r)) ** 2 * len(r) / (len(r) - 1) for r in rests if len(r) > 1]
+    if not own:
+        return LEAST_NOISE_M
+    squares = np.concatenate(own)
     return float(max(LEAST_NOISE_M, np.sqrt(np.mean(squares))))
 
 
@@ -242,10 +253,20 @@ def _judged(whole: Fitter, cause: Cause | None, start: Floats) -> Judged:
     return Judged(final, final.cost, float(final.linear.misfit.sum()) / count)
 
 
-def _best_on_all(whole: Fitter, fits: Sequence[Fit]) -> Fit:
-    """Return the leading hypothesis, of fits to some shifts in order, that is best on all shifts."""
-    finals = (whole.fit(fit.cause, fit.point, rounds=8) for fit in fits[:LEADING])
-    return min(finals, key=lambda fit: fit.cost)
+def _close(fits: Sequence[Fit]) -> list[Fit]:
+    """Return the healthy truck and the causes that are not hopeless, the best first.
+
+    All are fits to the same shifts with the same noise: else their costs cannot be compared.
+    """
+    least = min(fit.cost for fit in fits)
+    close = [fit for fit in fits if fit.cause is None or fit.cost < least + HOPELESS]
+    return sorted(close, key=lambda fit: fit.cost)
+
+
+def _on_all(whole: Fitter, fits: Sequence[Fit]) -> list[Fit]:
+    """Return the leading hypotheses, of fits to some shifts in order, on all shifts, best first."""
+    finals = [whole.fit(fit.cause, fit.point, rounds=8) for fit in fits[:LEADING]]
+    return sorted(finals, key=lambda fit: fit.cost)
 
 
 def _promising(

@@ -60,6 +60,8 @@ def _scanned(model: PlantModel, shift: Shift, point: Point, free: Sequence[str])
     into_gear = shift.end in "BF"
     impulse = 0.5 * LARGEST_N_S
     best = replace(shift, load_n=0.0)
+    if np.isnan(best.difference_rad_s):
+        best = replace(best, difference_rad_s=impulse / IMPULSE_PER_SPEED)  # where the scan begins
     wide = 1.0
     for _ in range(ROUNDS):
         if into_gear and f"cone_{shift.end}" in free:
@@ -67,21 +69,23 @@ def _scanned(model: PlantModel, shift: Shift, point: Point, free: Sequence[str])
                 impulse + wide * 0.5 * LARGEST_N_S * np.linspace(-1.0, 1.0, STEPS), 0
             )
             variants = [replace(best, difference_rad_s=float(j / IMPULSE_PER_SPEED)) for j in tried]
-            best = _nearest(model, variants, point)
-            impulse = best.difference_rad_s * IMPULSE_PER_SPEED
+            best = _nearest(model, best, variants, point)
+            impulse = abs(best.difference_rad_s) * IMPULSE_PER_SPEED
         if ("mesh" if into_gear else "pull") in free:
             offsets = best.load_n + wide * RANGE_N * np.linspace(-1.0, 1.0, STEPS)
-            best = _nearest(model, [replace(best, load_n=float(n)) for n in offsets], point)
+            variants = [replace(best, load_n=float(n)) for n in offsets]
+            best = _nearest(model, best, variants, point)
         wide *= NARROWER
     return best
 
 
-def _nearest(model: PlantModel, variants: Sequence[Shift], point: Point) -> Shift:
-    """Return that of one shift's variants whose motion comes nearest to its pulses."""
+def _nearest(model: PlantModel, shift: Shift, variants: Sequence[Shift], point: Point) -> Shift:
+    """Return that of variants of `shift` whose motion comes nearest; itself if none can be simulated."""
     x, v, done = model.predict(variants, [point])
-    recorded = variants[0].position_m
+    if not done.any():
+        return shift
     tolerance = TOLERANCE_M**2 + (TOLERANCE_S * v[:, 0]) ** 2
-    misfit: Floats = np.log1p((recorded - x[:, 0]) ** 2 / tolerance).sum(axis=1)
+    misfit: Floats = np.log1p((shift.position_m - x[:, 0]) ** 2 / tolerance).sum(axis=1)
     misfit += 0.5 * np.array([shift.load_n / USUAL_N for shift in variants]) ** 2
     return variants[int(np.argmin(np.where(done[:, 0], misfit, np.inf)))]
 

@@ -31,7 +31,7 @@ from sil.shift_diagnosis.shifts import Shift, shifts_of
 from sil.shift_diagnosis.track import Change, Track
 
 STORE: Final = "watch.sqlite"
-STORE_VERSION: Final = 2
+STORE_VERSION: Final = 3
 AT_ONCE: Final = 200
 """Shifts that are simulated in one call."""
 ODD: Final = 8.0

@@ -12,17 +12,21 @@ import pytest
 from plant.parameters import load
 from sil.shift_diagnosis.fit import Fitter
 from sil.shift_diagnosis.judge import (
+    HOPELESS,
     LEADING,
-    _best_on_all,
+    _beside_odd,
+    _close,
     _is_explained,
     _judged,
     _offered,
+    _on_all,
     _with_rivals,
     _without_odd,
     loaded_fit,
+    rest_noise_m,
 )
 from sil.shift_diagnosis.linear import Noise
-from sil.shift_diagnosis.model import Cause, PlantModel, catalogue
+from sil.shift_diagnosis.model import LEAST_NOISE_M, Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import Shift, shifts_of
 from sil.shift_diagnosis.verdict import SEPARABLE, weighed
 from tests.bench.truck_logs import by_reference, truck_log
@@ -70,9 +74,15 @@ def test_of_the_leading_hypotheses_the_best_on_all_shifts_is_taken() -> None:
         asked.append(cause)
         return SimpleNamespace(cause=cause, cost=costs[cause])
 
-    best = _best_on_all(SimpleNamespace(fit=fit), fits)
-    assert best.cause == LEADING - 1
+    finals = _on_all(SimpleNamespace(fit=fit), fits)
+    assert [final.cause for final in finals] == list(range(LEADING))[::-1]
     assert asked == list(range(LEADING))
+
+
+def test_only_hopeless_causes_are_not_fitted_to_all_shifts() -> None:
+    costs = {"near": HOPELESS - 1.0, "best": 0.0, "hopeless": HOPELESS + 1.0, None: 1e3}
+    fits = [SimpleNamespace(cause=cause, cost=cost) for cause, cost in costs.items()]
+    assert [fit.cause for fit in _close(fits)] == ["best", "near", None]
 
 
 def test_few_odd_shifts_count_less() -> None:
@@ -84,10 +94,26 @@ def test_few_odd_shifts_count_less() -> None:
         return SimpleNamespace(linear=SimpleNamespace(misfit=misfit, count=count, weights=weights))
 
     scaled, odd = _without_odd(fit(2))
-    assert odd == 2
+    assert odd == [0, 1]
     assert scaled[0][0, 0] == pytest.approx(0.1) and scaled[5] == pytest.approx(np.eye(10))
     # many are no oddity
-    assert _without_odd(fit(5)) == (weights, 0)
+    assert _without_odd(fit(5)) == (weights, [])
+
+
+def test_beside_odd_shifts_a_truck_is_not_consistent() -> None:
+    shifts = [SimpleNamespace(begin_s=10.0 * k, source="logs/a.log") for k in range(20)]
+    verdict, findings = _beside_odd("consistent", ["other"], shifts, [3, 7])
+    assert verdict == "cannot_tell"
+    assert findings[0].startswith("2 of 20 shifts fit far worse than the others")
+    assert findings[0].endswith("they begin at 30.00 s of a.log, 70.00 s of a.log")
+    assert findings[1:] == ["other"]
+    assert _beside_odd("named", [], shifts, [3])[0] == "named"
+
+
+def test_one_pulse_at_rest_shows_no_noise() -> None:
+    time_s, position_m = np.array([0.03, 0.2]), np.array([0.001, 0.01])
+    shift = SimpleNamespace(time_s=time_s, position_m=position_m)
+    assert rest_noise_m([shift, shift]) == LEAST_NOISE_M
 
 
 @pytest.mark.parametrize("layout", ["steady", "silent", "both"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -42,6 +43,8 @@ def test_loads_are_found(shifts: list[Shift]) -> None:
             assert own.difference_rad_s == pytest.approx(right.difference_rad_s, abs=0.8)
         else:
             assert own.load_n == pytest.approx(right.load_n, abs=60.0)
+    # the slower the speeds meet, the more of the barrier shows
+    assert found[0].load_n == pytest.approx(200.0, abs=60.0)
     assert vary(found, true)
 
 
@@ -51,4 +54,16 @@ def test_what_is_not_free_stays(shifts: list[Shift]) -> None:
     assert all(s.load_n == 0.0 for s in found)
     found = own_loads(model, shifts, np.zeros(17), BARRIERS)
     assert [s.difference_rad_s for s in found] == [s.difference_rad_s for s in shifts]
-    assert not vary(shifts, shifts)
+    assert not vary(own_loads(model, shifts, np.zeros(17), BARRIERS + CONE), shifts)
+
+
+def test_a_shift_that_cannot_be_simulated_stays_as_it_is(shifts: list[Shift]) -> None:
+    model = PlantModel(load("nominal"), True)
+    into = next(s for s in shifts if s.end in "BF")
+
+    def unable(variants: list[Shift], _points: list[Point]) -> tuple[np.ndarray, ...]:
+        nothing = np.full((len(variants), 1, len(into.time_s)), np.nan)
+        return nothing, nothing, np.zeros((len(variants), 1), dtype=bool)
+
+    broken = SimpleNamespace(predict=unable, unit=model.unit, mounted=True)
+    assert own_loads(broken, [into], np.zeros(17), BARRIERS + CONE) == [into]
