@@ -31,7 +31,7 @@ from sil.shift_diagnosis.linear import (
     projected,
     unit_names,
 )
-from sil.shift_diagnosis.loads import BARRIERS, CONE, own_loads, vary, without_speeds
+from sil.shift_diagnosis.loads import BARRIERS, CONE, own_loads, vary, with_speeds, without_speeds
 from sil.shift_diagnosis.model import DIFFERENCE, LEAST_NOISE_M, Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import LEAD_S, Shift
 from sil.shift_diagnosis.starts import usual_starts
@@ -88,10 +88,14 @@ def judge_shifts(
 ) -> ShiftDiagnosis:
     """Judge the shifts of one truck against the plant of a parameter set."""
     say = progress or (lambda _done, _all: None)
-    used = _spread(shifts, MOST_SHIFTS)
+    left_out = Counter[str]()
+    used = _spread(with_speeds(shifts, left_out), MOST_SHIFTS)
+    missing = [f"{n} shifts {why} left out" for why, n in left_out.items()]
     if len(used) < FEWEST_SHIFTS:
         text = f"{len(used)} usable shifts; at least {FEWEST_SHIFTS} are needed to judge"
-        return ShiftDiagnosis("cannot_tell", tuple(used), (), {}, (), True, NOISE, (text,), {})
+        return ShiftDiagnosis(
+            "cannot_tell", tuple(used), (), {}, (), True, NOISE, (text, *missing), {}
+        )
     models = [PlantModel(parameters, mounted) for mounted in (True, False)]
     fitter, healthy, used = loaded_fit(models, used, Noise(rest_noise_m(used)))
     say(20.0, 100.0)
@@ -130,7 +134,7 @@ def judge_shifts(
         verdict, findings = _beside_odd(verdict, findings, used, odd)
     return ShiftDiagnosis(
         verdict, tuple(used), tuple(judged), probabilities, detectable, fitter.model.mounted,
-        fitter.noise, tuple(findings), fitter.model.unit,
+        fitter.noise, (*findings, *missing), fitter.model.unit,
     )  # fmt: skip
 
 

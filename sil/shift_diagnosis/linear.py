@@ -144,7 +144,6 @@ class Noise:
         shares |= {name: model.each[name] for name in shares if name.startswith("cone")}
         if shift.end in "BF":
             error = SPEED_NOISE_RAD_S / max(abs(shift.difference_rad_s), SPEED_NOISE_RAD_S)
-            error = 0.0 if np.isnan(error) else error
             shares[f"cone_{shift.end}"] = float(np.hypot(shares[f"cone_{shift.end}"], error))
         shares |= {name: LOAD_SHARE * model.unit[name] for name in self.loads}
         spread = np.stack(
@@ -216,12 +215,13 @@ def linearise(
         here.with_cause(cause, active.get(cause, 0.0) + step)
         for cause, step in zip(causes, steps, strict=True)
     ]
-    points += [here.moved("latency", side * by) for side in (1.0, -1.0) for by in TRIED_S.tolist()]
+    count, times = len(points), () if noise.weights else TRIED_S
+    points += [here.moved("latency", side * by) for side in (1.0, -1.0) for by in times]
     x, v, done = model.predict(shifts, points)
     base, speed = x[:, 0], v[:, 0]
-    near = 2 * len(TRIED_S)
-    apart = np.abs(x[:, -near:] - base[:, None]).reshape(len(x), 2, len(TRIED_S), -1)
-    x, done = x[:, :-near], done[:, :-near]
+    near = np.where(done[:, count:, None], np.abs(x[:, count:] - base[:, None]), 0.0)
+    apart = near.reshape(len(x), 2, len(times), base.shape[1])
+    x, done = x[:, :count], done[:, :count]
     scale = np.array([difference] * len(moved) + steps)
     by = np.where(done[:, 1:, None], x[:, 1:] - base[:, None], 0.0) / scale[:, None]
     column = {name: by[:, k] for k, name in enumerate(moved)} | {

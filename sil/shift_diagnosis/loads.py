@@ -8,6 +8,7 @@ Checked by: tests/unit/sil/shift_diagnosis/test_loads.py
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
@@ -35,6 +36,19 @@ NARROWER: Final = 0.3
 """Share of its range that a scan leaves to the next."""
 TOLERANCE_M, TOLERANCE_S = 1e-4, 5e-4
 """What a pulse may be off in a scan, by position and by time."""
+
+
+def with_speeds(shifts: Sequence[Shift], skipped: Counter[str]) -> list[Shift]:
+    """Return the shifts less those few that lack speeds, which `skipped` counts.
+
+    Where half or more of those into gear lack them, all stay, as shifts of a log without speeds.
+    """
+    into_gear = sum(shift.end in "BF" for shift in shifts)
+    lacking = sum(bool(np.isnan(shift.difference_rad_s)) for shift in shifts)
+    if not 0 < 2 * lacking < into_gear:
+        return list(shifts)
+    skipped["into gear without speeds"] += lacking
+    return [shift for shift in shifts if not np.isnan(shift.difference_rad_s)]
 
 
 def without_speeds(shifts: Sequence[Shift]) -> bool:

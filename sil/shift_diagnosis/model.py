@@ -35,8 +35,6 @@ TINY_FORCE_N: Final = 1e-6
 """Holds every stroke in the scalar kernel, which knows all terms."""
 IMPULSE_PER_SPEED: Final = 0.25 / 0.09
 """Impulse of the cone per speed difference, N s per rad/s: that of the default driveline."""
-TYPICAL_DIFFERENCE_RAD_S: Final = 15.0
-"""Speed difference where the log has none."""
 MESH_N, PULL_N = (600.0, 500.0), (300.0, 400.0)
 """Barriers into and out of gear: guess and standard deviation."""
 JITTER_S: Final = 5e-5
@@ -94,7 +92,7 @@ def shift_priors(parameters: ParameterSet) -> dict[str, float]:
 
 
 SHOWN: Final = ("latency", "offset", "gain")
-"""Quantities that act on what is reported alone; no stroke is simulated for them."""
+"""Quantities that act on what is reported alone: slopes by them need no stroke."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,8 +210,10 @@ class PlantModel:
 
         Returns positions [m] and speeds [m/s] that the pulses would report, both
         [shifts, points, pulses] with NaN behind a shift's last pulse, and whether [shifts, points]
-        could be simulated.
+        could be simulated. Raises ValueError for a shift whose speed difference is not known.
         """
+        if any(np.isnan(shift.difference_rad_s) for shift in shifts):
+            raise ValueError("a shift without a speed difference; expected one found by own_loads")
         most = max(len(shift.time_s) for shift in shifts)
         count, here = len(points), len(shifts)
         setups: dict[tuple[int, float], Setup] = {}
@@ -228,9 +228,7 @@ class PlantModel:
                 setup = setups[j, supply]
                 p = setup.p.copy()
                 cone = point.amounts.get(f"cone_{shift.end}", 0.0)
-                speed = abs(shift.difference_rad_s)
-                speed = TYPICAL_DIFFERENCE_RAD_S if np.isnan(speed) else speed
-                p.sync_impulse = IMPULSE_PER_SPEED * speed * np.exp(cone)
+                p.sync_impulse = IMPULSE_PER_SPEED * abs(shift.difference_rad_s) * np.exp(cone)
                 p.mesh_force = max(TINY_FORCE_N, p.mesh_force + shift.load_n)
                 p.pull_force = max(0.0, p.pull_force + shift.load_n)
                 timing = setup.timing.rise_ns, setup.timing.fall_ns

@@ -117,7 +117,8 @@ class ShiftCutter:
         time_ns, kind, frame = arrival
         if kind in COMMANDS:
             received = [(time_ns, frame)]
-            if not self.frames[SafetyBlow] and self.frames[ValveCommand] >= NO_BLOWS:
+            silent = not self.frames[SafetyBlow] and self.frames[ValveCommand] >= NO_BLOWS
+            if silent and kind is ValveCommand:
                 received.append((time_ns, self._no_blow.protect(NO_BLOW)))
             for at_ns, duties in self._driver.advance(time_ns, received):
                 if (ended := self._command(at_ns, duties)) is not None:
@@ -245,6 +246,9 @@ class ShiftCutter:
             return "without motion, or without a gear at the end"
         last = min(int(moving[-1]) + 7, len(position), first + MOST_PULSES)
         used = slice(first, last)
+        difference = 0.0
+        if gears[1] != "N":
+            difference = self._difference(episode, origin_ns, measured_s[used], position[used])
         return Shift(
             self._source,
             episode.begin_ns / _NS,
@@ -255,7 +259,7 @@ class ShiftCutter:
             ),
             measured_s[used],
             position[used],
-            self._difference(episode, origin_ns, measured_s[used], position[used]),
+            difference,
             self._supply_pa,
         )
 

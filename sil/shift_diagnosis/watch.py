@@ -25,7 +25,7 @@ from sil.j1939.mapping import SignalMapping
 from sil.logs import FORMATS
 from sil.shift_diagnosis.judge import FIT_SHIFTS, loaded_fit, rest_noise_m
 from sil.shift_diagnosis.linear import Floats, Noise, linearise
-from sil.shift_diagnosis.loads import CONE, own_loads, without_speeds
+from sil.shift_diagnosis.loads import CONE, own_loads, with_speeds, without_speeds
 from sil.shift_diagnosis.model import Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import Shift, shifts_of
 from sil.shift_diagnosis.track import Change, Track
@@ -205,11 +205,13 @@ class Watch:
         changes: list[Change] = []
         count = 0
         while some := list(islice(shifts, AT_ONCE)):
+            some = with_speeds(some, skipped)
             reference = reference or self._reference(some)
             count += len(some)
             model = self._model(reference.mounted)
             at = np.array(reference.values)
-            free = reference.loads or (CONE if without_speeds(some) else ())
+            cone = CONE if without_speeds(some) else ()
+            free = tuple(dict.fromkeys((*reference.loads, *cone)))
             some = own_loads(model, some, at, free)
             noise = Noise(reference.noise_m, reference.scatter, loads=free)
             linear = linearise(model, some, at, self._causes, noise=noise)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from plant.parameters import load
-from sil.shift_diagnosis.loads import BARRIERS, CONE, own_loads, vary
+from sil.shift_diagnosis.loads import BARRIERS, CONE, own_loads, vary, with_speeds
 from sil.shift_diagnosis.model import PlantModel, Point
 from sil.shift_diagnosis.shifts import Shift, shifts_of
 
@@ -67,3 +67,16 @@ def test_a_shift_that_cannot_be_simulated_stays_as_it_is(shifts: list[Shift]) ->
 
     broken = SimpleNamespace(predict=unable, unit=model.unit, mounted=True)
     assert own_loads(broken, [into], np.zeros(17), BARRIERS + CONE) == [into]
+
+
+@pytest.mark.parametrize(("lacking", "left_out"), [(0, 0), (1, 1), (4, 4), (5, 0), (10, 0)])
+def test_few_shifts_without_speeds_are_left_out(
+    shifts: list[Shift], lacking: int, left_out: int
+) -> None:
+    into = next(s for s in shifts if s.end in "BF")
+    out = next(s for s in shifts if s.end == "N")
+    silent = replace(into, difference_rad_s=float("nan"))
+    log = [silent] * lacking + [into] * (10 - lacking) + [out] * 5
+    skipped = Counter[str]()
+    assert with_speeds(log, skipped) == log[left_out:]
+    assert skipped.total() == left_out

@@ -11,6 +11,7 @@ import pytest
 
 from plant.parameters import load
 from sil.shift_diagnosis.linear import (
+    TRIED_S,
     Noise,
     estimates,
     explained,
@@ -76,3 +77,32 @@ def test_a_cause_is_hidden_by_what_trucks_differ_in(shifts: list[Shift]) -> None
     best, point = explained(delayed, k)
     assert best < explained(delayed)[0] - 3.0
     assert point[-1] == pytest.approx(3.0, abs=1.0)
+
+
+def test_an_unknown_speed_is_not_simulated(shifts: list[Shift]) -> None:
+    model = PlantModel(load("nominal"), mounted=True)
+    with pytest.raises(ValueError, match="speed difference"):
+        model.predict([replace(shifts[0], difference_rad_s=float("nan"))], [Point()])
+
+
+def test_kinks_that_cannot_be_simulated_add_nothing(
+    shifts: list[Shift], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = PlantModel(load("nominal"), mounted=True)
+    predict, asked = model.predict, []
+
+    def broken(own: list[Shift], points: list[Point]) -> tuple[np.ndarray, ...]:
+        x, v, done = predict(own, points)
+        asked.append(len(points))
+        x[:, -2 * len(TRIED_S) :], done[:, -2 * len(TRIED_S) :] = np.nan, False
+        return x, v, done
+
+    whole = linearise(model, shifts[:1], np.zeros(17))
+    monkeypatch.setattr(model, "predict", broken)
+    found = linearise(model, shifts[:1], np.zeros(17))
+    assert np.isfinite(found.weights[0]).all()
+    # a kink makes a pulse count less
+    with_kinks, without = (np.diag(np.linalg.inv(own.weights[0])) for own in (whole, found))
+    assert (with_kinks > without - 1e-15).all() and with_kinks.max() > 2.0 * without.min()
+    linearise(model, shifts[:1], np.zeros(17), noise=Noise(weights=found.weights))
+    assert asked[1] == asked[0] - 2 * len(TRIED_S)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,11 +12,13 @@ import pytest
 from can_dbc.codec import can_id_of
 from can_dbc.contract import DBC_PATH
 from can_dbc.errors import InputError
-from can_dbc.messages import DrivelineSpeeds, SafetyBlow
+from can_dbc.frame import Frame
+from can_dbc.messages import DrivelineSpeeds, SafetyBlow, ValveCommand
 from plant.parameters import load
 from sil.j1939.mapping import SignalMapping
+from sil.log_replay.recorded_frames import OWN_IDS, RecordedFrames
 from sil.logs import open_log, open_writer
-from sil.shift_diagnosis.shifts import Shift, shifts_of
+from sil.shift_diagnosis.shifts import NO_BLOWS, Shift, ShiftCutter, shifts_of
 
 MAP = """
 [[signal]]
@@ -112,6 +115,21 @@ def test_a_log_without_blows_has_the_same_shifts(nominal_log: Path, tmp_path: Pa
     assert [(s.start, s.end) for s in own] == [(s.start, s.end) for s in whole]
     # the push ends at the confirmation, where the firmware's blow would go on
     assert own[0].commands[0] == pytest.approx(whole[0].commands[0], abs=1e-3)
+
+
+def test_no_blow_is_added_to_a_first_blow(nominal_log: Path) -> None:
+    cutter = ShiftCutter("a.log", load("nominal"))
+    received: list[int] = []
+
+    def advance(_until_ns: int, frames: list[tuple[int, Frame]]) -> list[object]:
+        received.append(len(frames))
+        return []
+
+    cutter._driver = SimpleNamespace(advance=advance)
+    frames = RecordedFrames(open_log(str(nominal_log)), ids=OWN_IDS, path=str(nominal_log))
+    for kind in (ValveCommand,) * NO_BLOWS + (ValveCommand, SafetyBlow, ValveCommand):
+        cutter.take(next(arrival for arrival in frames if arrival.kind is kind))
+    assert received == [1] * NO_BLOWS + [2, 1, 1]
 
 
 def test_a_log_without_speeds_has_shifts_of_unknown_difference(

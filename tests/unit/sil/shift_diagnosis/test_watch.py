@@ -12,10 +12,15 @@ import numpy as np
 import pytest
 
 from can_dbc.errors import InputError
+from can_dbc.messages import DrivelineSpeeds
+from plant.parameters import load
 from sil.cli import main
 from sil.shift_diagnosis import watch as watching
-from sil.shift_diagnosis.loads import CONE
+from sil.shift_diagnosis.linear import Linear, linearise
+from sil.shift_diagnosis.loads import BARRIERS, CONE
+from sil.shift_diagnosis.shifts import Shift
 from tests.bench.truck_logs import by_reference
+from tests.unit.sil.shift_diagnosis.test_shifts import without
 
 
 def observations(path: Path, sizes: np.ndarray, seed: int, begin: int = 0) -> None:
@@ -187,3 +192,22 @@ def test_a_truck_without_speeds_on_its_bus_is_watched(
     reference = msgspec.msgpack.decode(reference, type=watching.Reference)
     assert reference.loads == CONE
     assert reference.chi2 < 1.5
+
+
+def test_a_truck_that_no_longer_sends_its_speeds_is_watched(
+    nominal_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    silent = without(DrivelineSpeeds, nominal_log, tmp_path / "silent.log")
+    reference = watching.Reference(True, [0.0] * 17, 2e-5, 1.0, 1.0, 24, BARRIERS)
+    asked: list[tuple[str, ...]] = []
+
+    def watched(model: object, shifts: list[Shift], *rest: object, **options: object) -> Linear:
+        asked.append(options["noise"].loads)  # type: ignore[attr-defined]
+        assert not any(np.isnan(shift.difference_rad_s) for shift in shifts)
+        return linearise(model, shifts, *rest, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(watching, "linearise", watched)
+    with closing(watching.Watch(tmp_path / "store", load("nominal"))) as watch:
+        _track, after, _changes, count, _skipped = watch._shifts("a", str(silent), None, reference)
+    assert asked == [BARRIERS + CONE]
+    assert (after, count) == (reference, 5)
