@@ -60,7 +60,7 @@ STRAINED: Final = 2.3
 """Deviation of a truck's own quantity, in standard deviations, that a cause might explain."""
 WORTH_A_FIT: Final = 2.0
 """Gain in log evidence by the linear model from which a cause is fitted."""
-FARTHEST: Final = 8.0
+LARGEST_START: Final = 8.0
 """Largest value from which a fit begins, in standard deviations and typical sizes."""
 AS_GOOD: Final = 5.0
 """Log evidence within which another minimum of a fit is as good: its size is in the interval."""
@@ -164,8 +164,7 @@ def _offered(shifts: Sequence[Shift]) -> list[Cause]:
     """Return the catalogue's causes, those by the supply pressure only if that is known to vary."""
     supplies = [s.supply_pa for s in shifts if not np.isnan(s.supply_pa)]
     varies = len(supplies) > 1 and float(np.std(supplies)) > VARIES_PA
-    by_supply = [bool(c.effect.switching) and not c.effect.tolerance for c in catalogue()]
-    return [c for c, own in zip(catalogue(), by_supply, strict=True) if varies or not own]
+    return [c for c in catalogue() if varies or not c.effect.switching or c.effect.tolerance]
 
 
 def _is_explained(fit: Fit) -> bool:
@@ -288,7 +287,7 @@ def _promising(
     found: list[tuple[float, Cause, list[Floats]]] = []
     for cause in causes:
         cost, point = explained(linear, linear.causes.index(cause))
-        gain, starts = base - cost, [np.clip(point, -FARTHEST, FARTHEST)]
+        gain, starts = base - cost, [np.clip(point, -LARGEST_START, LARGEST_START)]
         if cause.sign * point[-1] < 0.0:
             gain, starts = 0.0, []
         if strained:

@@ -138,7 +138,7 @@ class Noise:
     ) -> Floats:
         """Return the covariance [pulses, pulses, m^2] of a shift, by its slopes [pulses] per unit.
 
-        apart_m: [2, TRIED_S, pulses], how far the stay then is from where it is at a pulse.
+        apart_m: [2, TRIED_S, pulses], how far the stay moves within TRIED_S before and after a pulse.
         """
         shares = {name: self.scatter * sd for name, sd in model.each.items()}
         shares |= {name: model.each[name] for name in shares if name.startswith("cone")}
@@ -158,8 +158,8 @@ class Noise:
 def _kink_variance(apart_m: Floats, speed_m_s: Floats, spread_m: Floats) -> Floats:
     """Return the variance [pulses, m^2] that instants that scatter add beyond what the speed says.
 
-    A pulse just behind an arrival shows nothing of it by its slopes. How far the instants scatter
-    follows from the spread [pulses, m] of the moving stay.
+    Just after the stay arrives its speed is 0, although it moved shortly before. The scatter of the
+    instants follows from the spread [pulses, m] while it moves.
     """
     moving = speed_m_s > MOVING_M_S
     longest = np.max(spread_m[moving] / speed_m_s[moving], initial=0.0)

@@ -210,7 +210,7 @@ class Watch:
             count += len(some)
             model = self._model(reference.mounted)
             at = np.array(reference.values)
-            cone = CONE if without_speeds(some) else ()
+            cone = CONE if without_speeds(some) else ()  # a later log may lack what the first had
             free = tuple(dict.fromkeys((*reference.loads, *cone)))
             some = own_loads(model, some, at, free)
             noise = Noise(reference.noise_m, reference.scatter, loads=free)
@@ -222,8 +222,7 @@ class Watch:
             for k in np.flatnonzero(odd).tolist()[:MOST_ODD]:
                 values = truck, track.shifts, some[k].begin_s, path, float(chi2[k])
                 self._connection.execute("insert into odd values (?, ?, ?, ?, ?)", values)
-            n = linear.units
-            usual = ~odd
+            n, usual = linear.units, ~odd
             times = np.array([shift.begin_s for shift in some])
             information = linear.information[usual][:, n:, n:]
             changes += track.take(information, linear.score[usual][:, n:], times[usual])

@@ -11,8 +11,10 @@ import pytest
 
 from plant.parameters import load
 from sil.shift_diagnosis.linear import (
+    INSTANT_S,
     TRIED_S,
     Noise,
+    _kink_variance,
     estimates,
     explained,
     hidden_cost,
@@ -106,3 +108,15 @@ def test_kinks_that_cannot_be_simulated_add_nothing(
     assert (with_kinks > without - 1e-15).all() and with_kinks.max() > 2.0 * without.min()
     linearise(model, shifts[:1], np.zeros(17), noise=Noise(weights=found.weights))
     assert asked[1] == asked[0] - 2 * len(TRIED_S)
+
+
+def test_a_kink_adds_the_way_that_the_speed_does_not_say() -> None:
+    speed_m_s = np.array([0.5, 0.0, 0.0])  # moving, just arrived, at rest for long
+    moved_m = 0.5 * TRIED_S[:, None] * np.array([1.0, 1.0, 0.0])
+    apart_m = np.array([moved_m, moved_m * np.array([1.0, 0.0, 0.0])])
+    found = _kink_variance(apart_m, speed_m_s, np.zeros(3))
+    # 1 and 2 standard deviations of the least scatter, on one side, at their shares of a normal one
+    way_m = 0.5 * INSTANT_S[0]
+    assert found == pytest.approx([0.0, 0.242 * way_m**2 + 0.054 * (2.0 * way_m) ** 2, 0.0])
+    later = _kink_variance(apart_m, speed_m_s, np.array([5e-4, 0.0, 0.0]))
+    assert later[1] == pytest.approx(4.0 * found[1])
