@@ -204,16 +204,19 @@ def loaded_fit(
 
 
 def _without_odd(best: Fit) -> tuple[tuple[Floats, ...], list[int]]:
-    """Return the weights of the shifts, and which count less: few that fit far worse than most."""
+    """Return the weights of the shifts, and which count less.
+
+    These are few that fit far worse than most, and all that cannot be simulated.
+    """
     linear = best.linear
     each = linear.misfit / np.maximum(linear.count, 1)
     limit = ODD * max(1.0, float(np.median(each)))
-    odd = each > limit
+    odd, unable = each > limit, linear.count == 0
     if odd.sum() > MOST_ODD * len(each):
-        return linear.weights, []
+        return linear.weights, np.flatnonzero(unable).tolist()
     shares = np.minimum(1.0, limit / np.maximum(each, limit))
     weights = tuple(s * w for s, w in zip(shares, linear.weights, strict=True))
-    return weights, np.flatnonzero(odd).tolist()
+    return weights, np.flatnonzero(odd | unable).tolist()
 
 
 def _beside_odd(
@@ -222,8 +225,8 @@ def _beside_odd(
     """Return verdict and findings of shifts some of which are odd: they are not consistent."""
     names = ", ".join(f"{shifts[k].begin_s:.2f} s of {Path(shifts[k].source).name}" for k in odd)
     text = (
-        f"{len(odd)} of {len(shifts)} shifts fit far worse than the others and count less; "
-        f"they begin at {names}"
+        f"{len(odd)} of {len(shifts)} shifts fit far worse than the others, or cannot be "
+        f"simulated, and count less; they begin at {names}"
     )
     return ("cannot_tell" if verdict == "consistent" else verdict), [text, *findings]
 

@@ -88,14 +88,17 @@ def test_only_hopeless_causes_are_not_fitted_to_all_shifts() -> None:
 def test_few_odd_shifts_count_less() -> None:
     weights = tuple(np.eye(10) for _ in range(20))
 
-    def fit(odd: int) -> SimpleNamespace:
+    def fit(odd: int, unable: int = 0) -> SimpleNamespace:
         misfit = np.where(np.arange(20) < odd, 300.0, 10.0)
-        count = np.full(20, 10)
+        count = np.where(np.arange(20) < 20 - unable, 10, 0)
         return SimpleNamespace(linear=SimpleNamespace(misfit=misfit, count=count, weights=weights))
 
     scaled, odd = _without_odd(fit(2))
     assert odd == [0, 1]
     assert scaled[0][0, 0] == pytest.approx(0.1) and scaled[5] == pytest.approx(np.eye(10))
+    # what cannot be simulated leaves no residual, and is not explained either
+    assert _without_odd(fit(0, unable=1))[1] == [19]
+    assert _without_odd(fit(5, unable=1))[1] == [19]
     # many are no oddity
     assert _without_odd(fit(5)) == (weights, [])
 
