@@ -137,8 +137,10 @@ def test_without_compilation_the_plant_is_refused_in_one_line() -> None:
 
 
 DISCARDED = """
-import sys, time
+import signal, sys, time
 from sil import cli
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background of a shell
 
 class Ends:
     def __del__(self):
