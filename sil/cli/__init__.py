@@ -120,11 +120,8 @@ def command() -> NoReturn:
     A signal that is ignored, as SIGHUP under nohup, stays ignored. Standard streams that are closed
     are replaced by the null device.
     """
-    for library in (
-        "OPENBLAS",
-        "MKL",
-    ):  # matrices are small: threads of workers only wait for each other
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # the matrices are small: threads only wait for each other
     for number in _ENDING_SIGNALS:
         if signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, signal.default_int_handler)

@@ -43,11 +43,8 @@ def noise_of(values: Floats) -> float:
     bands = np.array_split(power[len(power) // 2 : -1], 8)
     levels = np.array([np.median(band) for band in bands])
     chance = np.exp(CHANCE / len(bands[-1]) ** 0.5)
-    quiet = [
-        band
-        for band, level in zip(bands, levels, strict=True)
-        if level <= chance * np.sort(levels)[1]
-    ]
+    most = chance * np.sort(levels)[1]
+    quiet = [band for band, level in zip(bands, levels, strict=True) if level <= most]
     spectral = float(np.median(np.concatenate(quiet))) / np.log(2.0)
     return float(max(min(robust, spectral**0.5), rounding_of(values) / 12.0**0.5))
 

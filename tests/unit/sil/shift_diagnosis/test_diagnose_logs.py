@@ -29,6 +29,7 @@ def test_late_valves_are_found_with_what_looks_alike(late_log: Path, tmp_path: P
     assert set(causes) == {"valve_open_delay", "sensor_delay"}
     delay = causes["valve_open_delay"]["parameters"]["delay_s"]
     assert delay["low"] < 0.007 < delay["high"]
+    # wide: 6 shifts, and pulses near kinks of the motion count less
     assert delay["high"] - delay["low"] < 0.009
     groups = [g for g in found["groups"] if set(causes) <= set(g["causes"])]
     assert any("pressures" in text for text in groups[0]["measure"])
