@@ -17,12 +17,13 @@ from math import isfinite, sqrt
 from typing import ClassVar, NamedTuple
 
 MAGIC = b"OPC4"
-VERSION = 3
+VERSION = 4
 UNKNOWN_MESH = 0.054
 """Scatter of the meshing force between gears, relative."""
-HEADER = struct.Struct("<4sBBIBbb")
+HEADER = struct.Struct("<4sBBIBbbf")
 CHECKSUM = struct.Struct("<I")
-
+SURPRISING, RECENT = 6.0, 16.0
+"""The square of an error, by its variance, counts up to the first; the mean is over so many shifts."""
 
 STOPS, LIGHT, LIGHT_PER_PA = 0.33, 2.72, 2.6e-6
 PASSES_S, STOPPED_S, STOPPED_AT_S, STOPPED_PER_S = 0.0215, 0.04, 0.045, 2.2
@@ -100,6 +101,8 @@ class Correction(abc.ABC):
         self.values = list(self.fresh)
         self.outliers = [0, 0]
         """By direction, outliers in a row, signed by their side."""
+        self.surprise = 1.0
+        """Mean square of the latest errors, each by the variance that was expected of it."""
 
     @abc.abstractmethod
     def offset(self, context: Context) -> Offset:
@@ -130,6 +133,14 @@ class Correction(abc.ABC):
         self.forget(direction)
         return True
 
+    def note(self, error_s: float, variance: float) -> None:
+        """Take how far a release was from what was expected, and the variance expected of that.
+
+        Outliers count as well: a unit whose errors are larger than it expects knows less than it says.
+        """
+        square = min(error_s * error_s / variance, SURPRISING)
+        self.surprise += (square - self.surprise) / RECENT
+
     def forget(self, direction: int) -> None:
         """Begin anew with a direction."""
         size = len(self.fresh) // 2
@@ -137,8 +148,9 @@ class Correction(abc.ABC):
         self.values[begin : begin + size] = self.fresh[begin : begin + size]
 
     def dump(self) -> bytes:
-        """Return the memory: version, method, shifts, numbers, checksum."""
-        body = HEADER.pack(MAGIC, VERSION, self.number, self.shifts, self.plain, *self.outliers)
+        """Return the memory: version, method, shifts, surprise, numbers, checksum."""
+        head = MAGIC, VERSION, self.number, self.shifts, self.plain, *self.outliers, self.surprise
+        body = HEADER.pack(*head)
         body += struct.pack(f"<{len(self.values)}f", *self.values)
         return body + CHECKSUM.pack(zlib.crc32(body))
 
@@ -150,13 +162,18 @@ class Correction(abc.ABC):
         body = memory[:size]
         if CHECKSUM.unpack(memory[size:])[0] != zlib.crc32(body):
             return
-        magic, version, number, shifts, plain, *outliers = HEADER.unpack(body[: HEADER.size])
+        magic, version, number, shifts, plain, *outliers, surprise = HEADER.unpack(
+            body[: HEADER.size]
+        )
         values = struct.unpack(f"<{len(self.fresh)}f", body[HEADER.size :])
         if (magic, version, number) != (MAGIC, VERSION, self.number):
+            return
+        if not 0.0 <= surprise <= SURPRISING:
             return
         pairs = zip(values, self.largest, strict=True)
         if all(isfinite(value) and abs(value) <= most for value, most in pairs):
             self.shifts, self.plain, self.outliers = shifts, plain, outliers
+            self.surprise = surprise
             self.values = list(values)
 
 

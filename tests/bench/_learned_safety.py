@@ -29,7 +29,8 @@ SEED = 19
 HIT = 0.3
 """Share of the shifts that a fault hits which is not there for good."""
 UNCONFIRMED = "not confirmed: the sensor failed before"
-"""A gear that is engaged, by a sensor that fails within the shift: no violation if it fails."""
+"""A gear that is engaged, but the position's reports fail within the shift: counted separately."""
+OF_POSITION = "position", "frames lost"
 SHORT_S = 0.45
 KINDS = ("none", "update missed", "memory damaged", "thermometer", "speeds", "position", "valve",
          "frames lost", "supply late")  # fmt: skip
@@ -146,8 +147,9 @@ def main(first: int, last: int, shifts: int) -> None:
         for k, programme, what in beyond(number, shifts):
             run[kind] += 1
             acted += programme
-            unconfirmed += what == UNCONFIRMED and kind == "position"
-            if what and not (what == UNCONFIRMED and kind == "position"):
+            if what == UNCONFIRMED and kind in OF_POSITION:
+                unconfirmed += 1
+            elif what:
                 bad[kind] += 1
                 print(f"truck {number} ({kind}), shift {k}: {what}", flush=True)
         total, wrong = run.total(), bad.total()

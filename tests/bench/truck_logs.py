@@ -13,10 +13,8 @@ from typing import Any
 import numpy as np
 
 from plant.parameters import load
+from sil.cli import main
 from sil.logs import LogFrame, open_writer
-from sil.shift_diagnosis.judge import judge_shifts
-from sil.shift_diagnosis.page import interval
-from sil.shift_diagnosis.shifts import shifts_of
 from sil.simulation import load_scenario
 from sil.simulation.in_memory import run_in_memory
 from tests.hidden_effects import effects
@@ -189,13 +187,13 @@ def one(
     else:
         name, cause = by_plant(path, seed, shifts, severity)
     ran = perf_counter()
-    found = judge_shifts(
-        list(shifts_of(str(path), load("nominal"), None, Counter())), load("nominal")
-    )
+    out = folder / f"{seed}"
+    code = main(["diagnose", str(path), "--out", str(out), "--quiet"])
+    found = json.loads((out / "diagnosis.json").read_text())
     path.unlink()
-    best = found.named[0].id if found.named else ""
-    own = next((interval(item) for item in found.named if item.id == name), None)
-    noticed = [item.value for item in found.detectable if item.cause.effect.id == name]
+    causes = {item["id"]: item for item in found["causes"]}
+    own = next(iter(causes[name]["parameters"].values())) if name in causes else None
+    chi2 = found["chi2_per_number"] or {"healthy": 0.0, "best": 0.0}
     return {
         "seed": seed,
         "layout": layout,
@@ -203,16 +201,17 @@ def one(
         "severity": severity,
         "hidden": name,
         "size": list(cause.values())[:1],
-        "verdict": found.verdict,
-        "reported": {item.id: round(found.probabilities[item.id], 3) for item in found.named},
-        "best": best,
-        "healthy": round(found.probabilities.get("healthy", 1.0), 4),
-        "interval": own and [own.low, own.value, own.high],
-        "noticed_from": noticed,
-        "chi2": [round(found.healthy.chi2, 2), round(found.best.chi2, 2)],
-        "mounted": found.mounted,
+        "exit": code,
+        "verdict": found["verdict"],
+        "reported": {key: round(item["probability"], 3) for key, item in causes.items()},
+        "best": next(iter(causes), ""),
+        "healthy": found["probabilities"].get("healthy", 1.0),
+        "interval": own and [own["low"], own["value"], own["high"]],
+        "noticed_from": [i["value"] for i in found["detectable"] if i["cause"].split(".")[0] == name],
+        "groups": [group["causes"] for group in found["groups"]],
+        "chi2": [round(chi2["healthy"], 2), round(chi2["best"], 2)],
         "seconds": [round(ran - began, 1), round(perf_counter() - ran, 1)],
-        "findings": found.findings[:1],
+        "findings": found["findings"][:1],
     }
 
 

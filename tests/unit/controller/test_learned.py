@@ -288,6 +288,24 @@ def test_outliers_in_a_row_are_evidence_those_between_good_pushes_are_not() -> N
     assert strategy.correction.values[5] < practised().correction.fresh[5] / 2.0
 
 
+def test_errors_larger_than_expected_make_it_plain_until_they_are_not() -> None:
+    """Shifts in turn 5 % harder and lighter than expected, by a unit that expects 2 %; power-offs between."""
+    strategy, memory, surprised = practised(), b"", []
+    for k in range(40):
+        strategy.correction.values[:30] = practised().correction.values[:30]
+        given = push(strategy, 140.0, friction=1.05 if k % 2 else 0.95)
+        surprised.append(plain(given))
+        memory = strategy.memory
+        strategy = learned()
+        strategy.recall(memory)
+    assert not any(surprised[:4])
+    assert all(surprised[20:])
+    for _ in range(30):
+        strategy.correction.values[:30] = practised().correction.values[:30]
+        given = push(strategy, 140.0)
+    assert not plain(given)
+
+
 def test_a_push_that_ends_before_the_release_teaches_nothing() -> None:
     strategy = practised()
     push(strategy, 140.0, until_ms=120)

@@ -29,6 +29,7 @@ def taught(name: str) -> bytes:
         method.learn(LARGE if k % 2 else SMALL, 0.001 * k, 0.5)
         method.shifts += 1
     method.plain = 2
+    method.note(0.002, 1e-6)
     return method.dump()
 
 
@@ -38,7 +39,7 @@ def test_a_memory_comes_back_as_it_was(name: str) -> None:
     again = METHODS[name]()
     again.load(memory)
     assert again.dump() == memory != METHODS[name]().dump()
-    assert (again.shifts, again.plain) == (5, 2)
+    assert (again.shifts, again.plain, round(again.surprise, 4)) == (5, 2, 1.1875)
     assert len(memory) <= 4096
 
 
@@ -65,23 +66,26 @@ def test_any_bytes_are_survived(name: str, memory: bytes) -> None:
 
 @names
 @pytest.mark.parametrize(
-    ("magic", "version", "number", "value"),
+    ("magic", "version", "number", "value", "surprise"),
     [
-        (b"OPC5", VERSION, 0, 0.0),
-        (MAGIC, 2, 0, 0.0),
-        (MAGIC, VERSION + 1, 0, 0.0),
-        (MAGIC, VERSION, 99, 0.0),
-        (MAGIC, VERSION, 0, float("nan")),
-        (MAGIC, VERSION, 0, float("inf")),
-        (MAGIC, VERSION, 0, 1e9),
+        (b"OPC5", VERSION, 0, 0.0, 1.0),
+        (MAGIC, 3, 0, 0.0, 1.0),
+        (MAGIC, VERSION + 1, 0, 0.0, 1.0),
+        (MAGIC, VERSION, 99, 0.0, 1.0),
+        (MAGIC, VERSION, 0, float("nan"), 1.0),
+        (MAGIC, VERSION, 0, float("inf"), 1.0),
+        (MAGIC, VERSION, 0, 1e9, 1.0),
+        (MAGIC, VERSION, 0, 0.0, -0.1),
+        (MAGIC, VERSION, 0, 0.0, 6.1),
+        (MAGIC, VERSION, 0, 0.0, float("nan")),
     ],
 )
 def test_a_right_checksum_is_not_enough(
-    name: str, magic: bytes, version: int, number: int, value: float
+    name: str, magic: bytes, version: int, number: int, value: float, surprise: float
 ) -> None:
     method = METHODS[name]()
     values = [value] + [0.0] * (len(method.fresh) - 1)
-    body = HEADER.pack(magic, version, number or method.number, 7, 0, 0, 0)
+    body = HEADER.pack(magic, version, number or method.number, 7, 0, 0, 0, surprise)
     body += struct.pack(f"<{len(values)}f", *values)
     method.load(body + struct.pack("<I", zlib.crc32(body)))
     assert method.dump() == METHODS[name]().dump()
@@ -147,6 +151,18 @@ def test_a_search_moves_to_the_softer_side() -> None:
     offset_s = method.offset(LARGE).later_s
     assert offset_s == pytest.approx(0.006, abs=0.0025)
     assert METHODS["search"]().offset(LARGE).later_s == pytest.approx(0.001)
+
+
+def test_the_surprise_is_the_mean_square_of_the_latest_errors_limited() -> None:
+    method = Sensitivities()
+    for _ in range(200):
+        method.note(0.003, 4e-6)
+    assert method.surprise == pytest.approx(2.25, abs=0.01)
+    method.note(1.0, 4e-6)
+    assert method.surprise == pytest.approx(2.25 + (6.0 - 2.25) / 16.0, abs=0.01)
+    for _ in range(200):
+        method.note(0.0, 4e-6)
+    assert method.surprise < 1e-4
 
 
 def test_outliers_on_one_side_are_evidence_and_others_are_not() -> None:
