@@ -103,8 +103,8 @@ class Fitter:
         """
         now, units = self.at(cause, start), len(self.names)
         noises = [self.noise]
-        if not self.noise.weights and now.half_chi2 > NEAR * now.linear.count.sum():
-            noises = [replace(self.noise, position_m=m) for m in COARSE_M] + noises
+        if now.half_chi2 > NEAR * now.linear.count.sum():
+            noises = [replace(self.noise, position_m=m, weights=()) for m in COARSE_M] + noises
         for noise in noises:
             now = now if len(noises) == 1 else self.at(cause, now.point, noise)
             steps, fresh = list(DIFFERENCES), True

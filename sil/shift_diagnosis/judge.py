@@ -19,7 +19,7 @@ import numpy as np
 
 from plant.parameters import ParameterSet
 from sil.files.progress import Progress
-from sil.shift_diagnosis.fit import COARSE_M, Fit, Fitter
+from sil.shift_diagnosis.fit import COARSE_M, FARTHEST, Fit, Fitter
 from sil.shift_diagnosis.linear import (
     NOISE,
     Floats,
@@ -342,13 +342,22 @@ def _with_rivals(whole: Fitter, judged: Sequence[Judged], causes: Sequence[Cause
 def _healthy_again(whole: Fitter, judged: Sequence[Judged]) -> list[Judged]:
     """Return the hypotheses, the healthy truck fitted from where the best causes are, too.
 
-    The residual has several minima: what a cause gained by another start is not its merit.
+    The residual has several minima: what a cause gained by another start is not its merit. A fit
+    begins where the truck's quantities take over what the cause does, as far as they can by the
+    linear model; if it ends elsewhere, the healthy truck is still no worse than that model says.
     """
     best = next(item for item in judged if item.fit.cause is None)
     causes = [item for item in judged if item.fit.cause is not None]
     for item in [item for item in causes if item.probability > ALARM][:RESTARTS]:
-        again = _judged(whole, None, item.fit.values)
-        best = again if again.cost < best.cost else best
+        fit, units = item.fit, item.fit.linear.units
+        taken_over = fit.covariance[:units, -1] / fit.covariance[-1, -1] * fit.size
+        for start in (fit.values - taken_over, fit.values):
+            again = _judged(whole, None, np.clip(start, -FARTHEST, FARTHEST))
+            best = again if again.cost < best.cost else best
+        lost = 0.5 * (item.size[0] / item.size[1]) ** 2
+        if item.fit.half_chi2 + lost < best.cost:
+            chi2 = item.chi2 + 2.0 * lost / max(1, int(fit.linear.count.sum()) - units)
+            best = replace(best, cost=fit.half_chi2 + lost, chi2=min(best.chi2, chi2))
     return [best, *causes]
 
 

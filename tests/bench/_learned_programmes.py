@@ -16,6 +16,7 @@ four minutes on one core for each strength.
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
@@ -108,13 +109,20 @@ def _directions(count: int, length: float, seed: int) -> Floats:
 class Draws(FamilyModel):
     """The plain push under draws around one impulse, and what programmes do in each of them."""
 
-    def __init__(self, strength: Strength, bar: float, close_s: float, impulse_n_s: float) -> None:
+    def __init__(
+        self,
+        strength: Strength,
+        bar: float,
+        close_s: float,
+        impulse_n_s: float,
+        sds: Mapping[str, float] = SD,
+    ) -> None:
         small, large = strength.impulse
         sd = float(np.interp(impulse_n_s, (60.0, 110.0), (small, large)))
         z = draws()
         heavier, mesh_sd = strength.mesh
-        mesh = np.where(z[:, 1] > 0.0, heavier + mesh_sd * z[:, 1], SD["mesh"] * z[:, 1])
-        changed = {name: sd_of * z[:, 1 + k] for k, (name, sd_of) in enumerate(SD.items())}
+        mesh = np.where(z[:, 1] > 0.0, heavier + mesh_sd * z[:, 1], sds["mesh"] * z[:, 1])
+        changed = {name: sd_of * z[:, 1 + k] for k, (name, sd_of) in enumerate(sds.items())}
         setups = []
         for k in range(len(z)):
             factors = {each: round(float(np.exp(changed[each][k])), 2)
