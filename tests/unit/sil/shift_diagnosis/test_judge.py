@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ from sil.shift_diagnosis.judge import (
     LEADING,
     _beside_odd,
     _close,
+    _healthy_again,
     _is_explained,
     _judged,
     _offered,
@@ -28,7 +30,7 @@ from sil.shift_diagnosis.judge import (
 from sil.shift_diagnosis.linear import Noise
 from sil.shift_diagnosis.model import LEAST_NOISE_M, Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import Shift, shifts_of
-from sil.shift_diagnosis.verdict import SEPARABLE, weighed
+from sil.shift_diagnosis.verdict import ALARM, SEPARABLE, weighed
 from tests.bench.truck_logs import by_reference, truck_log
 
 
@@ -63,6 +65,25 @@ def test_a_healthy_truck_has_no_rivals(nominal_log: Path) -> None:
     whole = Fitter(PlantModel(load("nominal"), True), cut(nominal_log)[:2])
     found = weighed([_judged(whole, None, np.zeros(len(whole.names)))], 1)
     assert _with_rivals(whole, found, [only("sensor_delay")]) == found
+
+
+@pytest.mark.parametrize(("delay_s", "is_worth_it"), [(0.0, False), (0.007, True)])
+def test_a_healthy_truck_that_was_fitted_badly_is_no_worse_than_the_information_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, delay_s: float, is_worth_it: bool
+) -> None:
+    path = tmp_path / "truck.log"
+    cause = {"effect.valve_open_delay.delay_s": delay_s} if delay_s else {}
+    truck_log(path, 2, 4, cause, nominal=True)
+    whole = Fitter(PlantModel(load("nominal"), True), cut(path))
+    zeros = np.zeros(len(whole.names))
+    late = _judged(whole, only("valve_open_delay"), np.append(zeros, 2.0))
+    stuck = replace(_judged(whole, None, zeros), cost=1e6, chi2=1e3)
+    monkeypatch.setattr("sil.shift_diagnosis.judge._judged", lambda *_: stuck)
+    found = weighed(_healthy_again(whole, weighed([stuck, late], 1)), 1)
+    healthy = next(item for item in found if item.fit.cause is None)
+    assert healthy.cost < stuck.cost
+    assert late.chi2 <= healthy.chi2 < stuck.chi2
+    assert (healthy.probability < ALARM) == is_worth_it
 
 
 def test_of_the_leading_hypotheses_the_best_on_all_shifts_is_taken() -> None:
