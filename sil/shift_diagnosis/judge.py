@@ -32,7 +32,7 @@ from sil.shift_diagnosis.linear import (
     unit_names,
 )
 from sil.shift_diagnosis.loads import BARRIERS, CONE, own_loads, vary, with_speeds, without_speeds
-from sil.shift_diagnosis.model import DIFFERENCE, LEAST_NOISE_M, Cause, PlantModel, catalogue
+from sil.shift_diagnosis.model import LEAST_NOISE_M, Cause, PlantModel, catalogue
 from sil.shift_diagnosis.shifts import LEAD_S, Shift
 from sil.shift_diagnosis.starts import usual_starts
 from sil.shift_diagnosis.verdict import (
@@ -65,7 +65,7 @@ LARGEST_START: Final = 8.0
 AS_GOOD: Final = 5.0
 """Log evidence within which another minimum of a fit is as good: its size is in the interval."""
 SECANT: Final = 0.5
-"""Step of the differences for intervals and for what would show: positions have kinks."""
+"""Step of the differences for intervals: positions have kinks."""
 NEAREST: Final = 6
 """Causes that come nearest to the shifts in a usual truck and are fitted from there, too."""
 QUICK_SHIFTS: Final = 6
@@ -100,7 +100,7 @@ def judge_shifts(
     fitter, healthy, used = loaded_fit(models, used, Noise(rest_noise_m(used)))
     say(20.0, 100.0)
     causes = _offered(used)
-    linear = _linear(fitter, used, healthy, causes, DIFFERENCE)
+    linear = _linear(fitter, used, healthy, causes)
     alone = linear.information.sum(axis=0)[linear.units :, linear.units :]
     causes = [cause for k, cause in enumerate(causes) if not _repeats(k, causes, alone)]
     say(40.0, 100.0)
@@ -128,7 +128,7 @@ def judge_shifts(
     probabilities: dict[str, float] = {}
     for item in judged:
         probabilities[item.id] = probabilities.get(item.id, 0.0) + item.probability
-    detectable = detectable_of(_linear(whole, used, judged[0].fit, causes, SECANT), ids)
+    detectable = detectable_of(_linear(whole, used, judged[0].fit, causes), ids)
     verdict, findings = verdict_of(judged, probabilities, detectable)
     if odd:
         verdict, findings = _beside_odd(verdict, findings, used, odd)
@@ -138,14 +138,13 @@ def judge_shifts(
     )  # fmt: skip
 
 
-def _linear(
-    fitter: Fitter, shifts: Sequence[Shift], at: Fit, causes: Sequence[Cause], difference: float
-) -> Linear:
-    """Return shifts linearised around a hypothesis' truck, with the causes' sizes at 0."""
-    return linearise(
-        fitter.model, shifts, at.values, causes, noise=replace(fitter.noise, weights=()),
-        difference=difference,
-    )  # fmt: skip
+def _linear(fitter: Fitter, shifts: Sequence[Shift], at: Fit, causes: Sequence[Cause]) -> Linear:
+    """Return shifts linearised around a hypothesis' truck, with the causes' sizes at 0.
+
+    Steps are small: with large ones, what is not linear looks like something that only the cause does.
+    """
+    noise = replace(fitter.noise, weights=())
+    return linearise(fitter.model, shifts, at.values, causes, noise=noise)
 
 
 def healthy_fit(

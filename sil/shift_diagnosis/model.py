@@ -25,7 +25,7 @@ from plant.integrator.loop import DONE
 from plant.kernel.layout import LENGTH, LengthState, Modes
 from plant.kernel.packing import fresh_modes, initial_state
 from plant.parameters import ParameterSet
-from sil.fitting.hypotheses import value_of
+from sil.fitting.hypotheses import scaled_of, value_of
 from sil.shift_diagnosis.shifts import Shift
 
 Floats = NDArray[np.float64]
@@ -123,6 +123,14 @@ class Cause:
     def sign(self) -> int:
         """+1 or -1 if only such sizes are physical, 0 if both are."""
         return 1 if self.is_narrowing else self.parameter.sign
+
+    def sizes(self, most: float) -> tuple[float, float]:
+        """Return the least and the largest physical size, of at most so many typical ones."""
+        low, high = (0.0 if self.sign > 0 else -most), (0.0 if self.sign < 0 else most)
+        if self.is_narrowing:
+            return low, high
+        own = self.parameter
+        return max(low, scaled_of(own, own.low)), min(high, scaled_of(own, own.high))
 
     def value(self, size: float) -> float:
         """Return the parameter's value [its unit] at a size in typical ones."""

@@ -102,8 +102,13 @@ def interval(item: Judged) -> Interval:
 
 
 def alike_of(found: ShiftDiagnosis, cause: Cause) -> tuple[str, ...]:
-    """Return the ids of the causes that these shifts cannot distinguish from one."""
-    return next((item.alike for item in found.detectable if item.cause.name == cause.name), ())
+    """Return the ids of the causes that these shifts cannot distinguish from one.
+
+    Whichever of two is tested against the other: one of them might be noticed at no size.
+    """
+    own = next((item.alike for item in found.detectable if item.cause.name == cause.name), ())
+    others = [item.cause.effect.id for item in found.detectable if cause.effect.id in item.alike]
+    return tuple(dict.fromkeys((*own, *others)))
 
 
 def groups_of(found: ShiftDiagnosis) -> list[dict[str, Any]]:

@@ -1,6 +1,6 @@
 """The verdict on fitted hypotheses: which cause, how sure, and what would not have been noticed.
 
-Checked by: tests/unit/sil/shift_diagnosis/test_diagnose_logs.py
+Checked by: tests/unit/sil/shift_diagnosis/test_verdict.py, test_diagnose_logs.py
 """
 
 from __future__ import annotations
@@ -37,6 +37,8 @@ EXPLAINED: Final = 1.5
 """Chi squared per number up to which noise explains the rest."""
 SEPARABLE: Final = 9.0
 """Chi squared by which two causes must differ to count as separable: three standard deviations."""
+LARGEST: Final = 10.0
+"""Size up to which another cause is tried, in typical ones: three deviations of a size's prior."""
 STRANGE: Final = 3.0
 """Deviation of a truck's own quantity that is not called healthy without doubt."""
 DOUBTED: Final = 0.2
@@ -82,8 +84,9 @@ class Judged:
 class Detectable:
     """What the bus shows of a cause: the smallest size it would show, and what looks the same.
 
-    size: in typical ones, noticed in nine of ten trucks; None: at no size. alike: causes that cannot
-    be distinguished from it at that size or the typical one, whichever is larger.
+    size: in typical ones, noticed in nine of ten trucks; None: at no size. alike: ids of causes, of
+    any physical size up to LARGEST, that cannot be distinguished from it at its size or the typical
+    one, whichever is larger; none if it would be noticed at no size.
     """
 
     cause: Cause
@@ -161,8 +164,7 @@ def detectable_of(linear: Linear, ids: int) -> tuple[Detectable, ...]:
     """Return what the shifts show of each cause, from their Fisher information.
 
     A cause is noticed if the evidence that it leaves in a truck called healthy is enough for an
-    alarm. Two causes of sizes a and b differ by |a x - b y|^2 in units of the noise, with the truck's
-    own quantities marginalised; of b the best physical one is taken.
+    alarm. A cause that would be noticed at no size looks like a healthy truck, not like a cause.
     """
     linear = linear.without_cliffs()
     causes, (information, _score) = linear.causes, projected(linear)
@@ -175,19 +177,37 @@ def detectable_of(linear: Linear, ids: int) -> tuple[Detectable, ...]:
     for k, cause in enumerate(causes):
         first = int(np.argmax(noticed[k]))
         size = float(SCANNED[first]) * (cause.sign or 1)
-        shown = noticed[k, first] and cause.value(size) != cause.value(0.9 * size)
-        tested = max(abs(size), 1.0) if shown else 1.0
-        alike = []
-        for j, other in enumerate(causes):
-            if other.effect.id == cause.effect.id:
-                continue
-            across = float(information[k, j])
-            reachable = cause.sign * other.sign * across >= 0.0
-            same = across**2 / diagonal[j] if reachable else 0.0
-            if tested**2 * (diagonal[k] - same) < SEPARABLE:
-                alike.append(other.effect.id)
-        found.append(Detectable(cause, size if shown else None, tuple(dict.fromkeys(alike))))
+        if not noticed[k, first] or cause.value(size) == cause.value(0.9 * size):
+            found.append(Detectable(cause, None, ()))
+            continue
+        tested = max(abs(size), 1.0) * (cause.sign or 1)
+        apart = distances(information, causes, k, tested)
+        alike = [
+            other.effect.id
+            for other, by in zip(causes, apart.tolist(), strict=True)
+            if by < SEPARABLE and other.effect.id != cause.effect.id
+        ]
+        found.append(Detectable(cause, size, tuple(dict.fromkeys(alike))))
     return tuple(found)
+
+
+def distances(information: Floats, causes: Sequence[Cause], k: int, size: float) -> Floats:
+    """Return how far [causes] cause k of a size a is from each, of that one's best size b.
+
+    d = a^2 I_kk - 2 a b I_kj + b^2 I_jj, in chi squared, with the truck's own quantities marginalised;
+    b is physical and at most LARGEST. information: [causes, causes]; size: in typical ones. Where
+    both signs of cause k are physical, the nearer one counts.
+    """
+    found = np.empty(len(causes))
+    for j, other in enumerate(causes):
+        own, across = max(float(information[j, j]), 1e-12), float(information[k, j])
+        low, high = other.sizes(LARGEST)
+        signed = (size,) if causes[k].sign else (size, -size)
+        best = [(a, min(max(a * across / own, low), high)) for a in signed]
+        found[j] = min(
+            a * a * float(information[k, k]) - 2.0 * a * b * across + b * b * own for a, b in best
+        )
+    return found
 
 
 def verdict_of(

@@ -138,10 +138,10 @@ class Changed(Actuator):
     def limits(self, y: State, body: int) -> tuple[float, float]:
         low, high = super().limits(y, body)
         if body == 0:
-            worn = self.c.get("stop_m", 0.0)
-            if high > 0.0 and self.case.kind in ("fixed", "N-B", "B-N"):
+            worn, block = self.c.get("stop_m", 0.0), self.v["synchronizer.x_block"]
+            if high > 0.0 and high != block and self.case.kind in ("fixed", "N-B", "B-N"):
                 high += worn
-            if low < 0.0 and self.case.kind in ("N-F", "F-N"):
+            if low < 0.0 and low != -block and self.case.kind in ("N-F", "F-N"):
                 low -= worn
         return low, high
 

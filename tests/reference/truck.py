@@ -123,7 +123,21 @@ class _Bus:
 
 
 @dataclass(frozen=True)
-class _Drive:
+class Pushed:
+    """One shift of a drive: its kind, such as N-B, the impulse of its cone, and its times.
+
+    begin_s: the command reaches the valve; off_s: the tick of the command that ends it.
+    """
+
+    kind: str
+    impulse_n_s: float
+    difference_rad_s: float
+    begin_s: float
+    off_s: float
+
+
+@dataclass(frozen=True)
+class Drive:
     """Motion and commands of a whole drive.
 
     time_s, position_m, difference_rad_s: [n]. commands: (tick s, chamber or -1).
@@ -133,12 +147,16 @@ class _Drive:
     position_m: np.ndarray
     difference_rad_s: np.ndarray
     commands: list[tuple[float, int]]
+    shifts: list[Pushed]
 
 
-def _shift(
+def moved(
     truck: Truck, kind: str, impulse: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return times from the first command on, positions, and impulse spent of one shift."""
+    """Return times from the first command on, positions, and impulse spent of one shift.
+
+    Raises StalledError if it does not arrive.
+    """
     v = parts.nominal(truck.values)
     own = dict(truck.change)
     own["friction"] *= 1.0 + v["repeatability.friction_sd"] * rng.normal()
@@ -173,10 +191,14 @@ def _shift(
     raise StalledError(kind)
 
 
-def _drive(truck: Truck, shifts: int, rng: np.random.Generator) -> _Drive:
-    """Drive so many shifts: each pushed until three pulses show its gear, then blown."""
+def drive(truck: Truck, shifts: int, rng: np.random.Generator) -> Drive:
+    """Drive so many shifts: each pushed until three pulses show its gear, then blown.
+
+    Raises StalledError if a shift does not arrive.
+    """
     times, positions, differences = [np.array([0.0])], [np.array([0.0])], [np.array([0.0])]
     commands: list[tuple[float, int]] = []
+    pushed: list[Pushed] = []
     gear, at_s = "N", 0.4
     stroke = float(parts.nominal()["length.stroke"])
     for _ in range(shifts):
@@ -184,7 +206,7 @@ def _drive(truck: Truck, shifts: int, rng: np.random.Generator) -> _Drive:
         impulse = float(rng.uniform(*truck.impulse_n_s)) if target != "N" else 0.0
         tick = np.ceil(at_s / PERIOD_S) * PERIOD_S
         begin = tick + FRAME_S
-        time_s, x, spent = _shift(truck, f"{gear}-{target}", impulse, rng)
+        time_s, x, spent = moved(truck, f"{gear}-{target}", impulse, rng)
         cone = truck.cone_n_s_rad * (1.0 + 0.04 * rng.normal())
         before = impulse / cone * float(rng.choice((-1.0, 1.0)))
         if target != "N":  # the engine has synchronised to what the cone has to take
@@ -205,19 +227,24 @@ def _drive(truck: Truck, shifts: int, rng: np.random.Generator) -> _Drive:
         confirmed = pulses[sure + NEAR_PULSES - 1] + CAPTURE_S + FRAME_S
         off = np.ceil((confirmed + BLOW_S) / PERIOD_S) * PERIOD_S
         commands += [(tick, "BNF".index("N" if target == "N" else target)), (off, -1)]
+        pushed.append(Pushed(f"{gear}-{target}", impulse, before, begin, off))
         at_s = off + float(rng.uniform(0.45, 0.7))
         gear = target
     times.append(np.array([at_s]))
     positions.append(positions[-1][-1:])
     differences.append(differences[-1][-1:])
-    return _Drive(*map(np.concatenate, (times, positions, differences)), commands)
+    return Drive(*map(np.concatenate, (times, positions, differences)), commands, pushed)
 
 
 def write_log(path: Path, truck: Truck, shifts: int, rng: np.random.Generator) -> None:
     """Write the log of a drive. Raises StalledError if a shift does not arrive."""
-    drive = _drive(truck, shifts, rng)
-    v, bus, end = parts.nominal(), _Bus(rng), drive.time_s[-1]
-    chamber, queue = -1, list(drive.commands)
+    write_drive(path, truck, drive(truck, shifts, rng), rng)
+
+
+def write_drive(path: Path, truck: Truck, driven: Drive, rng: np.random.Generator) -> None:
+    """Write the log of what was driven."""
+    v, bus, end = parts.nominal(), _Bus(rng), driven.time_s[-1]
+    chamber, queue = -1, list(driven.commands)
     for tick in np.arange(1, int(end / PERIOD_S)) * PERIOD_S:
         while queue and queue[0][0] <= tick + 1e-6:
             chamber = queue.pop(0)[1]
@@ -226,14 +253,14 @@ def write_log(path: Path, truck: Truck, shifts: int, rng: np.random.Generator) -
         bus.send(tick, ValveCommand(*duties, gear))
         bus.send(tick, SafetyBlow(Chamber.NONE, False, 0.0))
         if truck.speeds:
-            index = np.searchsorted(drive.time_s, tick - 0.003)
-            known = float(drive.difference_rad_s[max(index - 1, 0)]) + 0.1 * rng.normal()
+            index = np.searchsorted(driven.time_s, tick - 0.003)
+            known = float(driven.difference_rad_s[max(index - 1, 0)]) + 0.1 * rng.normal()
             bus.send(tick - 0.003, DrivelineSpeeds(OUTPUT_RAD_S + known, OUTPUT_RAD_S))
     change = truck.change
     warm = 1.0 + v["position_sensor.temp_coeff"] * change.get("warmer_k", 0.0)
     tick, mid = v["position_sensor.timer_resolution"], v["position_sensor.t_mid"]
     for number, start in enumerate(truck.phase_s + PERIOD_S * np.arange(int(end / PERIOD_S) - 1)):
-        x = np.interp(start + 0.5 * mid, drive.time_s, drive.position_m)
+        x = np.interp(start + 0.5 * mid, driven.time_s, driven.position_m)
         x *= 1.0 + change.get("gain", 0.0)
         shaken = (mid + v["position_sensor.slope"] * x) * warm + 2e-7 * rng.normal()
         pulse = PositionPulse(round(shaken / tick) * tick, 293.15, number % 256)

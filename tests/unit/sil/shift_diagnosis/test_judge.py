@@ -20,6 +20,7 @@ from sil.shift_diagnosis.judge import (
     _healthy_again,
     _is_explained,
     _judged,
+    _linear,
     _offered,
     _on_all,
     _with_rivals,
@@ -27,11 +28,14 @@ from sil.shift_diagnosis.judge import (
     loaded_fit,
     rest_noise_m,
 )
-from sil.shift_diagnosis.linear import Noise
-from sil.shift_diagnosis.model import LEAST_NOISE_M, Cause, PlantModel, catalogue
+from sil.shift_diagnosis.linear import TAIL, Noise, projected
+from sil.shift_diagnosis.model import LEAST_NOISE_M, Cause, PlantModel, catalogue, unit_priors
 from sil.shift_diagnosis.shifts import Shift, shifts_of
 from sil.shift_diagnosis.verdict import ALARM, SEPARABLE, weighed
+from tests.bench._bus_information import quiet_truck
+from tests.bench.bus_groups import PHASE_S
 from tests.bench.truck_logs import by_reference, truck_log
+from tests.reference.truck import write_log
 
 
 def only(name: str) -> Cause:
@@ -138,6 +142,20 @@ def test_one_pulse_at_rest_shows_no_noise() -> None:
     time_s, position_m = np.array([0.03, 0.2]), np.array([0.001, 0.01])
     shift = SimpleNamespace(time_s=time_s, position_m=position_m)
     assert rest_noise_m([shift, shift]) == LEAST_NOISE_M
+
+
+def test_what_trucks_differ_in_hides_the_same_as_a_cause(tmp_path: Path) -> None:
+    path, truck = tmp_path / "quiet.log", quiet_truck(phase_s=PHASE_S)
+    write_log(path, truck, 8, np.random.default_rng(5))
+    fitter = Fitter(PlantModel(load("nominal"), True), cut(path))
+    healthy = fitter.at(None, np.zeros(len(fitter.names)))
+    low = only("supply_low")
+    information, _score = projected(_linear(fitter, fitter.shifts, healthy, [low]).without_cliffs())
+    # a share of the supply, known within 3 %: no log can show more of it than this prior leaves
+    most = (
+        (low.parameter.typical / unit_priors(load("nominal"))["supply"]) ** 2 * (TAIL + 1.0) / TAIL
+    )
+    assert 0.0 < information[0, 0] < 1.1 * most
 
 
 @pytest.mark.parametrize("layout", ["steady", "silent", "both"])

@@ -1,0 +1,82 @@
+"""What would show, and what looks the same, by hand-made information."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sil.shift_diagnosis.linear import Linear
+from sil.shift_diagnosis.model import Cause, catalogue
+from sil.shift_diagnosis.page import alike_of, groups_of
+from sil.shift_diagnosis.verdict import LARGEST, Detectable, detectable_of, distances
+
+
+def only(name: str) -> Cause:
+    return next(cause for cause in catalogue() if cause.effect.id == name)
+
+
+LATE, DELAYED, HOLLOW = only("valve_open_delay"), only("sensor_delay"), only("exhaust_clog")
+FORCE, SKEWED = only("external_force"), only("friction_asymmetry")
+
+
+def linear(causes: list[Cause], slopes: list[list[float]]) -> Linear:
+    """One shift whose pulses are shown in full, next to a quantity of the truck that does nothing."""
+    columns = np.array([[0.0] * len(slopes[0]), *slopes]).T
+    n = len(columns)
+    return Linear(
+        ("friction",), tuple(causes), np.zeros(1 + len(causes)), (np.zeros(n),), (1e-3 * columns,),
+        (1e6 * np.eye(n),), np.zeros(1),
+    )  # fmt: skip
+
+
+def test_the_other_cause_takes_its_best_size() -> None:
+    information = np.array([[4.0, 3.0], [3.0, 9.0]])
+    d = distances(information, [LATE, DELAYED], 0, 6.0)
+    # b = 6 * 3 / 9 = 2: what is left is a^2 (4 - 3^2 / 9)
+    assert d == pytest.approx([0.0, 36.0 * 3.0])
+
+
+def test_the_other_cause_is_physical_and_not_larger_than_the_limit() -> None:
+    information = np.array([[100.0, 1.0], [1.0, 0.01]])
+    # by b = 6 * 1 / 0.01 = 600 the two would be the same
+    allowed = 36.0 * 100.0 - 12.0 * LARGEST + 0.01 * LARGEST**2
+    assert distances(information, [LATE, DELAYED], 0, 6.0)[1] == pytest.approx(allowed)
+    # of a clog, only a negative size is physical
+    assert HOLLOW.sign == -1
+    assert distances(information, [LATE, HOLLOW], 0, 6.0)[1] == pytest.approx(3600.0)
+    assert distances(information, [HOLLOW, LATE], 0, -6.0)[1] == pytest.approx(3600.0)
+
+
+def test_of_a_cause_of_both_signs_the_nearer_counts() -> None:
+    information = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    assert distances(information, [FORCE, LATE], 0, 6.0)[1] == pytest.approx(0.0)
+    assert distances(information, [LATE, FORCE], 0, 6.0)[1] == pytest.approx(0.0)
+    assert distances(information, [LATE, DELAYED], 0, 6.0)[1] == pytest.approx(36.0)
+
+
+def test_sizes_end_where_the_parameter_does() -> None:
+    low, high = SKEWED.sizes(LARGEST)
+    assert (low, high) == pytest.approx((-0.95 / 0.3, 0.95 / 0.3))
+    assert LATE.sizes(LARGEST) == (0.0, LARGEST)
+    assert HOLLOW.sizes(LARGEST) == (-LARGEST, 0.0)
+    assert only("hose_droop").sizes(LARGEST) == (0.0, LARGEST)
+
+
+def test_what_would_be_noticed_at_no_size_looks_like_no_cause() -> None:
+    slopes = [[5.0, 0.0], [5.0, 0.1], [0.0, 1e-6]]
+    found = detectable_of(linear([LATE, DELAYED, FORCE], slopes), 3)
+    late, delayed, nothing = found
+    assert late.size is not None and late.alike == ("sensor_delay",)
+    assert delayed.size is not None and delayed.alike == ("valve_open_delay",)
+    assert (nothing.size, nothing.value, nothing.alike) == (None, None, ())
+
+
+def test_causes_are_alike_whichever_was_tested() -> None:
+    found = (Detectable(LATE, 1.0, ()), Detectable(DELAYED, 9.0, ("valve_open_delay",)))
+    diagnosis = SimpleNamespace(detectable=found)
+    assert alike_of(diagnosis, LATE) == ("sensor_delay",)
+    assert alike_of(diagnosis, DELAYED) == ("valve_open_delay",)
+    (group,) = groups_of(diagnosis)
+    assert group["causes"] == ["sensor_delay", "valve_open_delay"]
