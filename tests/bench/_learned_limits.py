@@ -17,7 +17,17 @@ from pathlib import Path
 import numpy as np
 
 from sil.studies.policies import Floats
-from tests.bench._learned_programmes import FAR, NEAR, NONE, SD, STRENGTHS, Draws, Strength, read, tidy
+from tests.bench._learned_programmes import (
+    FAR,
+    NEAR,
+    NONE,
+    SD,
+    STRENGTHS,
+    Draws,
+    Strength,
+    read,
+    tidy,
+)
 
 EXACT = 1e-6
 STRONG = STRENGTHS[1]

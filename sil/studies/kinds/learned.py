@@ -49,6 +49,8 @@ COLUMNS = (
 )
 LEARNED = "learned"
 """The strategy that has a memory, and that claims the two limits."""
+COLOURS = 8
+"""Of lines; from then on they are dashed."""
 MODES = "forgets", "knows"
 """Settings of a strategy: see `run_shifts`."""
 TABLES_OPEN_S, TABLES_MESH_N = 0.0083, 1300.0
@@ -309,7 +311,7 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
         shares = np.linspace(0.0, 100.0, 201)
         lines = [
             Series(label, factor * quantiles_of(series(table, name, rows), 0.01 * shares), shares,
-                   f"series{k % 8}", width=2.0)
+                   f"series{k % COLOURS}", dashed=k >= COLOURS, width=2.0)
             for k, (label, rows) in enumerate(groups.items())
         ]  # fmt: skip
         panel = Panel(title, "%", lines, limits=(0.0, 100.0), height=380)
@@ -319,17 +321,22 @@ def figures(study: LoadedStudy, table: Table) -> dict[str, Figure]:
 
 
 def _learning(study: LoadedStudy, table: Table) -> Panel:
-    """Return median and 95 % quantile of the impacts over the shifts."""
+    """Return median and, of few strategies, 95 % quantile of the impacts over the shifts."""
     lines: list[Series] = []
-    for k, (label, rows) in enumerate(row_groups(study, table).items()):
+    groups = row_groups(study, table)
+    few = len(groups) <= COLOURS
+    for k, (label, rows) in enumerate(groups.items()):
         x, parts = blocks(series(table, "impact_m_s", rows))
-        for name, share, dashed in ((label, 0.5, False), (f"{label}, 95 %", 0.95, True)):
+        wanted = [(label, 0.5, k >= COLOURS, 2.2)]
+        if few:
+            wanted.append((f"{label}, 95 %", 0.95, True, 1.2))
+        for name, share, dashed, width in wanted:
             y = np.array([np.quantile(part, share) for part in parts])
-            width = 1.2 if dashed else 2.2
-            lines.append(Series(name, x, y, f"series{k % 8}", dashed=dashed, width=width))
+            lines.append(Series(name, x, y, f"series{k % COLOURS}", dashed=dashed, width=width))
     at = study.study.fleet.exchanged_at
     rules = [Rule(float(at), "valves of every second truck exchanged", "alarm")] if at else []
-    return Panel("Hardest impact, median and 95 %", "m/s", lines, rules=rules, height=400)
+    title = "Hardest impact, median and 95 %" if few else "Hardest impact, median"
+    return Panel(title, "m/s", lines, rules=rules, height=400)
 
 
 def _possible(study: LoadedStudy, table: Table) -> Panel:
@@ -353,9 +360,9 @@ def _possible(study: LoadedStudy, table: Table) -> Panel:
         x = 0.0 if label.split(" / ")[0] in knows else 200.0 * float(sd)  # type: ignore[arg-type]
         exam_m_s = table.numbers["examined_worst_m_s"][which]
         ends = np.array([np.median(exam_m_s), exam_m_s.max()])
-        apart = 0.12 * (k - len(groups) // 2) if x else 0.0
+        apart = 0.25 * (k - len(groups) // 2) if x else 0.0
         points.append(
-            Series(label, np.full(2, x + apart), ends, f"series{k % 8}", "marked", width=4.0)
+            Series(label, np.full(2, x + apart), ends, f"series{k % COLOURS}", "marked", width=4.0)
         )
     text = "scatter between shifts, 2 sd: assumed"
     rule = Rule(200.0 * study.study.truck.cone_shift[0], text, "faint")
