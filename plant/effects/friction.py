@@ -81,6 +81,8 @@ def stribeck(setup: Setup, values: dict[str, float]) -> None:
     "force",
     "more friction in one direction than in the other",
     EffectParameter("asymmetry", "-", 0.0, -0.95, 0.95, 0.3),
+    choice("linkage", "-", 0.0, 0.0, 1.0),
+    variants=(Variant(), Variant("of the linkage", {"linkage": 1.0}, needs=("truck",))),
     look_alikes=("external_force",),
     force=ForceTerm(
         "viscous_n_s_m",
@@ -91,8 +93,15 @@ def stribeck(setup: Setup, values: dict[str, float]) -> None:
     ),
 )
 def asymmetry(setup: Setup, values: dict[str, float]) -> None:
-    """Friction times 1 + a towards + (backward, extension), 1 - a towards -."""
-    setup.p.asymmetry = values["asymmetry"]
+    """Friction times 1 + a towards + (backward, extension), 1 - a towards -.
+
+    That of stay and pistons or, linkage 1, of a gearbox's linkage: that does not depend on the speed,
+    so more of it in one direction is a constant force, and is modelled as one.
+    """
+    if values["linkage"] == 1.0:
+        setup.p.f_external -= values["asymmetry"] * setup.p.f_linkage
+    else:
+        setup.p.asymmetry = values["asymmetry"]
 
 
 SPOTS_M = (0.003, 0.0065, 0.010)

@@ -72,6 +72,8 @@ QUICK_SHIFTS: Final = 6
 """Shifts that a cause is fitted to in a first search."""
 RESTARTS: Final = 3
 """Causes from whose fits the healthy truck is fitted again."""
+SECOND: Final = 5
+"""Causes that are fitted from the truck of the best one."""
 SAME: Final = 0.995
 """Correlation of what two causes do from which one of them is not offered."""
 FEWEST_SHIFTS: Final = 3
@@ -111,6 +113,7 @@ def judge_shifts(
         fits.append(own[0])
         minima[cause] = tuple(f.size for f in own if f.cost < own[0].cost + AS_GOOD)
         say(40.0 + 30.0 * (number + 1) / len(chosen), 100.0)
+    fits += _second(fitter, fits, causes)
     close = _close(fits)
     close[0] = fitter.settle(close[0])
     whole = Fitter(fitter.model, used, fitter.noise)
@@ -265,7 +268,10 @@ def _close(fits: Sequence[Fit]) -> list[Fit]:
     """
     least = min(fit.cost for fit in fits)
     close = [fit for fit in fits if fit.cause is None or fit.cost < least + HOPELESS]
-    return sorted(close, key=lambda fit: fit.cost)
+    found: dict[Cause | None, Fit] = {}
+    for fit in sorted(close, key=lambda fit: fit.cost):
+        found.setdefault(fit.cause, fit)
+    return list(found.values())
 
 
 def _on_all(whole: Fitter, fits: Sequence[Fit]) -> list[Fit]:
@@ -310,6 +316,26 @@ def _promising(
     return [(c, [*own, *([usual[c][1]] if c in near else [])]) for c, own in starts_of.items()]
 
 
+def _second(fitter: Fitter, fits: Sequence[Fit], causes: Sequence[Cause]) -> list[Fit]:
+    """Return fits of the causes that the linear model favours around the best cause's truck.
+
+    The first ones begin around a healthy truck, which a cause may have made strange: their minima
+    are then next to it. Of each cause the better fit is judged.
+    """
+    best = min(fits, key=lambda fit: fit.cost)
+    healthy = next(fit for fit in fits if fit.cause is None)
+    if best.cause is None or healthy.cost - best.cost < SEPARABLE:
+        return []
+    linear = _linear(fitter, fitter.shifts, best, causes)
+    points = [(*explained(linear, k), cause) for k, cause in enumerate(causes)]
+    points = [item for item in points if item[2].sign * item[1][-1] >= 0.0]
+    points = sorted((item for item in points if item[2] is not best.cause), key=lambda i: i[0])
+    limit = np.append(np.full(linear.units, FARTHEST), LARGEST_START)
+    return [
+        fitter.fit(cause, np.clip(point, -limit, limit)) for _cost, point, cause in points[:SECOND]
+    ]
+
+
 def _with_rivals(whole: Fitter, judged: Sequence[Judged], causes: Sequence[Cause]) -> list[Judged]:
     """Return the hypotheses, those that look like the best cause fitted from where that one is."""
     best = next((item for item in judged if item.fit.cause is not None), None)
@@ -328,7 +354,9 @@ def _with_rivals(whole: Fitter, judged: Sequence[Judged], causes: Sequence[Cause
         own, across = max(float(information[j, j]), 1e-12), float(information[k, j])
         start = size * across / own
         left = size**2 * float(information[k, k]) - start**2 * own
-        if j == k or left > 4.0 * SEPARABLE or other.sign * start < 0.0:
+        declared = other.effect.id in cause.effect.look_alikes + (cause.effect.id,)
+        declared |= cause.effect.id in other.effect.look_alikes
+        if j == k or other.sign * start < 0.0 or (left > 4.0 * SEPARABLE and not declared):
             continue
         item = _judged(whole, other, np.append(best.fit.values, start))
         if left < SEPARABLE:  # a minimum does not separate what the information cannot
