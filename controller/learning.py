@@ -324,6 +324,9 @@ class Search(Map):
     probe_s = 0.001
     step_s = 0.001
 
+    def note(self, error_s: float, variance: float) -> None:
+        """Do nothing: errors teach this method nothing, so they need not become smaller."""
+
     def _later_s(self, context: Context) -> float:
         """Return the offset of the context and the probe of this shift."""
         offset_s, last = self.values[self._at(context) : self._at(context) + 2]

@@ -102,8 +102,8 @@ class Fitter:
         Derivatives are computed again only where steps by those of an earlier point gain nothing.
         """
         now, units = self.at(cause, start), len(self.names)
-        noises = [self.noise]
-        if now.half_chi2 > NEAR * now.linear.count.sum():
+        first, noises = now, [self.noise]
+        if 0.5 * now.linear.misfit.sum() > NEAR * now.linear.count.sum():
             noises = [replace(self.noise, position_m=m, weights=()) for m in COARSE_M] + noises
         for noise in noises:
             now = now if len(noises) == 1 else self.at(cause, now.point, noise)
@@ -124,7 +124,7 @@ class Fitter:
                 else:
                     break
             now = self.at(cause, now.point, noise)
-        return now
+        return now if now.half_chi2 <= first.half_chi2 or not self.noise.weights else first
 
     def settle(self, fit: Fit) -> Fit:
         """Estimate how much the shifts scatter by the likelihood; return the fit with that."""
@@ -181,9 +181,9 @@ class Fitter:
         return total, x
 
     def _split(self, cause: Cause | None, at: Floats) -> tuple[Floats, float]:
-        """Return the unit's quantities, and the cause's size not on its unphysical side."""
+        """Return the unit's quantities, and the cause's size within what is physical."""
         values = at[: len(self.names)]
         if cause is None or len(at) == len(values):
             return values, 0.0
-        size, sign = float(at[-1]), cause.sign
-        return values, size if sign == 0 else sign * max(0.0, sign * size)
+        low, high = cause.sizes(np.inf)
+        return values, min(max(float(at[-1]), low), high)

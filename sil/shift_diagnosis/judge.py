@@ -22,6 +22,7 @@ from sil.files.progress import Progress
 from sil.shift_diagnosis.fit import COARSE_M, FARTHEST, Fit, Fitter
 from sil.shift_diagnosis.linear import (
     NOISE,
+    SIZE_PRIOR,
     Floats,
     Linear,
     Noise,
@@ -74,6 +75,10 @@ RESTARTS: Final = 3
 """Causes from whose fits the healthy truck is fitted again."""
 SECOND: Final = 5
 """Causes that are fitted from the truck of the best one."""
+NEARLY: Final = 0.5
+"""Chi squared per number by which a rival's fit may be worse than that of the best cause."""
+SHOWN: Final = 0.5
+"""Share of the prior's variance of a size above which shifts say nothing of it."""
 SAME: Final = 0.995
 """Correlation of what two causes do from which one of them is not offered."""
 FEWEST_SHIFTS: Final = 3
@@ -106,15 +111,20 @@ def judge_shifts(
     alone = linear.information.sum(axis=0)[linear.units :, linear.units :]
     causes = [cause for k, cause in enumerate(causes) if not _repeats(k, causes, alone)]
     say(40.0, 100.0)
-    fits, minima = [healthy], dict[Cause | None, tuple[float, ...]]()
+    fits = [healthy]
     chosen = _promising(fitter, healthy, linear, causes)
     for number, (cause, points) in enumerate(chosen):
-        own = sorted((fitter.fit(cause, at) for at in points), key=lambda fit: fit.cost)
-        fits.append(own[0])
-        minima[cause] = tuple(f.size for f in own if f.cost < own[0].cost + AS_GOOD)
+        fits += [fitter.fit(cause, at) for at in points]
         say(40.0 + 30.0 * (number + 1) / len(chosen), 100.0)
     fits += _second(fitter, fits, causes)
     close = _close(fits)
+    minima = {
+        best.cause: tuple(
+            fit.size for fit in fits if fit.cause is best.cause and fit.cost < best.cost + AS_GOOD
+        )
+        for best in close
+        if best.cause is not None
+    }
     close[0] = fitter.settle(close[0])
     whole = Fitter(fitter.model, used, fitter.noise)
     leading = _on_all(whole, close)
@@ -127,7 +137,10 @@ def judge_shifts(
     judged = weighed(judged, ids)
     judged = weighed(_with_rivals(whole, judged, causes), ids)
     judged = weighed(_healthy_again(whole, judged), ids)
-    judged = [replace(item, minima=minima.get(item.fit.cause, ())) for item in judged]
+    judged = [
+        item if item.fit.cause is None else replace(item, minima=minima.get(item.fit.cause, ()))
+        for item in judged
+    ]
     probabilities: dict[str, float] = {}
     for item in judged:
         probabilities[item.id] = probabilities.get(item.id, 0.0) + item.probability
@@ -324,7 +337,7 @@ def _second(fitter: Fitter, fits: Sequence[Fit], causes: Sequence[Cause]) -> lis
     """
     best = min(fits, key=lambda fit: fit.cost)
     healthy = next(fit for fit in fits if fit.cause is None)
-    if best.cause is None or healthy.cost - best.cost < SEPARABLE:
+    if best.cause is None or healthy.cost - best.cost < 0.5 * SEPARABLE:
         return []
     linear = _linear(fitter, fitter.shifts, best, causes)
     points = [(*explained(linear, k), cause) for k, cause in enumerate(causes)]
@@ -354,12 +367,14 @@ def _with_rivals(whole: Fitter, judged: Sequence[Judged], causes: Sequence[Cause
         own, across = max(float(information[j, j]), 1e-12), float(information[k, j])
         start = size * across / own
         left = size**2 * float(information[k, k]) - start**2 * own
-        declared = other.effect.id in cause.effect.look_alikes + (cause.effect.id,)
+        declared = other.effect.id in (*cause.effect.look_alikes, cause.effect.id)
         declared |= cause.effect.id in other.effect.look_alikes
         if j == k or other.sign * start < 0.0 or (left > 4.0 * SEPARABLE and not declared):
             continue
+        start = float(np.clip(start, *other.sizes(LARGEST_START)))
         item = _judged(whole, other, np.append(best.fit.values, start))
-        if left < SEPARABLE:  # a minimum does not separate what the information cannot
+        # a minimum does not separate what the information cannot, if that fit is a fit at all
+        if left < SEPARABLE and item.chi2 < best.chi2 + NEARLY:
             item = replace(item, cost=min(item.cost, best.cost + 0.5 * left))
         if other not in found or item.cost < found[other].cost:
             found[other] = item
@@ -381,10 +396,14 @@ def _healthy_again(whole: Fitter, judged: Sequence[Judged]) -> list[Judged]:
         for start in (fit.values - taken_over, fit.values):
             again = _judged(whole, None, np.clip(start, -FARTHEST, FARTHEST))
             best = again if again.cost < best.cost else best
-        lost = 0.5 * (item.size[0] / item.size[1]) ** 2
-        if item.fit.half_chi2 + lost < best.cost:
+        variance = float(fit.covariance[-1, -1])
+        lost = 0.5 * float(fit.estimate[-1]) ** 2 / variance
+        # of a cause that does nothing there, the prior alone is left: the linear model says nothing
+        cost = fit.half_chi2 + 0.5 * float(fit.linear.volume.sum()) + lost
+        if variance < SHOWN * SIZE_PRIOR**2 and cost < best.cost:
             chi2 = item.chi2 + 2.0 * lost / max(1, int(fit.linear.count.sum()) - units)
-            best = replace(best, cost=fit.half_chi2 + lost, chi2=min(best.chi2, chi2))
+            moved = whole.at(None, np.clip(fit.values - taken_over, -FARTHEST, FARTHEST))
+            best = replace(best, fit=moved, cost=cost, chi2=min(best.chi2, chi2))
     return [best, *causes]
 
 

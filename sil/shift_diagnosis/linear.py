@@ -210,7 +210,7 @@ def linearise(
     moved = [name for name in names if name not in SHOWN]
     points = [here]
     points += [here.moved(name, difference * model.unit[name]) for name in moved]
-    steps = [difference if cause.sign >= 0 else -difference for cause in causes]
+    steps = [_step(cause, active.get(cause, 0.0), difference) for cause in causes]
     points += [
         here.with_cause(cause, active.get(cause, 0.0) + step)
         for cause, step in zip(causes, steps, strict=True)
@@ -251,6 +251,13 @@ def linearise(
         names, tuple(causes), np.concatenate([values, sizes]), residuals_of(shifts, base),
         tuple(slopes), tuple(weights), volume,
     )  # fmt: skip
+
+
+def _step(cause: Cause, size: float, difference: float) -> float:
+    """Return a step from a size that stays physical, of a difference: at a bound nothing changes."""
+    step = difference if cause.sign >= 0 else -difference
+    low, high = cause.sizes(np.inf)
+    return step if low <= size + step <= high else -step
 
 
 def prior_cost(values: Floats) -> float:

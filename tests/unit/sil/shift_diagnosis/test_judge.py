@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from plant.parameters import load
+from sil.fitting.hypotheses import candidates
 from sil.shift_diagnosis.fit import Fitter
 from sil.shift_diagnosis.judge import (
     HOPELESS,
@@ -25,11 +26,19 @@ from sil.shift_diagnosis.judge import (
     _on_all,
     _with_rivals,
     _without_odd,
+    judge_shifts,
     loaded_fit,
     rest_noise_m,
 )
 from sil.shift_diagnosis.linear import TAIL, Noise, projected
-from sil.shift_diagnosis.model import LEAST_NOISE_M, Cause, PlantModel, catalogue, unit_priors
+from sil.shift_diagnosis.model import (
+    LEAST_NOISE_M,
+    Cause,
+    PlantModel,
+    Point,
+    catalogue,
+    unit_priors,
+)
 from sil.shift_diagnosis.shifts import Shift, shifts_of
 from sil.shift_diagnosis.verdict import ALARM, SEPARABLE, weighed
 from tests.bench._bus_information import quiet_truck
@@ -80,6 +89,7 @@ def test_a_healthy_truck_that_was_fitted_badly_is_no_worse_than_the_information_
     truck_log(path, 2, 4, cause, nominal=True)
     whole = Fitter(PlantModel(load("nominal"), True), cut(path))
     zeros = np.zeros(len(whole.names))
+    whole.noise = replace(whole.noise, weights=whole.at(None, zeros).linear.weights)
     late = _judged(whole, only("valve_open_delay"), np.append(zeros, 2.0))
     stuck = replace(_judged(whole, None, zeros), cost=1e6, chi2=1e3)
     monkeypatch.setattr("sil.shift_diagnosis.judge._judged", lambda *_: stuck)
@@ -88,6 +98,39 @@ def test_a_healthy_truck_that_was_fitted_badly_is_no_worse_than_the_information_
     assert healthy.cost < stuck.cost
     assert late.chi2 <= healthy.chi2 < stuck.chi2
     assert (healthy.probability < ALARM) == is_worth_it
+
+
+@pytest.mark.slow
+def test_a_cause_at_its_bound_is_not_given_to_the_healthy_truck(tmp_path: Path) -> None:
+    """There a size changes nothing, and says nothing of how much worse a healthy truck is."""
+    path = tmp_path / "truck.log"
+    truck_log(path, 2, 5, {"effect.static_friction.factor": 10.0}, nominal=True)
+    found = judge_shifts(cut(path), load("nominal"))
+    assert found.probabilities["healthy"] < ALARM
+    assert max(found.probabilities, key=found.probabilities.__getitem__) == "static_friction"
+
+
+def test_more_friction_of_the_linkage_in_one_direction_is_a_force(tmp_path: Path) -> None:
+    """In a truck's log; the two cannot be distinguished. Sizes are physical ones."""
+    path = tmp_path / "truck.log"
+    truck_log(path, 2, 3, nominal=True)
+    model = PlantModel(load("nominal"), True)
+    force = only("external_force")
+    skewed = next(cause for cause in catalogue() if cause.variant.fixed == {"linkage": 1.0})
+    assert skewed.effect.id == "friction_asymmetry"
+    linkage_n = load("nominal").value("truck.F_gearbox")
+    force_n = -0.5 * linkage_n
+    points = [
+        Point({}, ((force, force_n / force.parameter.typical),)),
+        Point({}, ((skewed, 0.5 / skewed.parameter.typical),)),
+        Point(),
+    ]
+    x, _v, _done = model.predict(cut(path), points)
+    assert np.nanmax(np.abs(x[:, 0] - x[:, 1])) < 1e-9
+    assert np.nanmax(np.abs(x[:, 0] - x[:, 2])) > 1e-4
+    assert skewed.effect.id not in {  # on a rig without a gearbox it is not offered
+        item.effect.id for item in candidates(()) if item.fixed == {"linkage": 1.0}
+    }
 
 
 def test_of_the_leading_hypotheses_the_best_on_all_shifts_is_taken() -> None:
