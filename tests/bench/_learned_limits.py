@@ -54,16 +54,17 @@ class Known:
         return Draws(strength, BAR, CLOSE_S, impulse_n_s, sds)
 
 
+OWN_MESH = (0.0, 0.025)
 NO_MESH, NO_IMPULSE = (0.0, EXACT), (EXACT, EXACT)
 KNOWN = (
     Known("as the strong programmes"),
-    Known("meshing force of the table, to 2.5 %", mesh=(0.0, 0.025)),
+    Known("meshing force of the table, to 2.5 %", mesh=OWN_MESH),
     Known("meshing force exact", mesh=NO_MESH, exact=("mesh",)),
     Known("impulse exact", impulse=NO_IMPULSE),
     Known("delays exact", exact=("rise", "fall")),
     Known("friction, flows and supply exact", exact=OTHERS[2:]),
     Known("all exact but impulse", mesh=NO_MESH, exact=(*OTHERS, "mesh")),
-    Known("all exact but meshing force", impulse=NO_IMPULSE, exact=OTHERS),
+    Known("all exact but meshing force", NO_IMPULSE, OWN_MESH, OTHERS),
     Known("all exact", NO_IMPULSE, NO_MESH, (*OTHERS, "mesh")),
 )
 
