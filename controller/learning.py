@@ -22,6 +22,8 @@ UNKNOWN_MESH = 0.054
 """Scatter of the meshing force between gears, relative."""
 HEADER = struct.Struct("<4sBBIBbbf")
 CHECKSUM = struct.Struct("<I")
+RELEASE_S = 0.0012
+"""Scatter of a release that was measured under a plain push."""
 SURPRISING, RECENT = 6.0, 16.0
 """The square of an error, by its variance, counts up to the first; the mean is over so many shifts."""
 
@@ -196,7 +198,6 @@ class Sensitivities(Correction):
     fresh += (0.0, UNKNOWN_MESH**2) * 2
     largest = (0.5, 0.5, 0.2, 0.02, 0.02, *(1.0,) * 25, 20.0, *(1.0,) * 4)
     mesh_drift = 0.002**2
-    measured_s = 0.0012
     drift = (0.0045**2, 0.0045**2, 0.0003**2, 0.00005**2, 0.0)
     again = (0.03**2, 0.03**2, 0.003**2, 0.002**2, 0.0)
     """Added to the variances when the errors lean to one side."""
@@ -221,7 +222,7 @@ class Sensitivities(Correction):
         """Update the numbers and their covariances."""
         for k, added in enumerate(self.drift):
             self.values[5 + 6 * k] += added
-        total = self.offset(context).measured + self.measured_s * self.measured_s
+        total = self.offset(context).measured + RELEASE_S * RELEASE_S
         slope_s, own = context.slope_s, context.direction
         of = [
             slope_s * row[own] + slope_s * context.drag * row[2] + row[3] + row[4]
