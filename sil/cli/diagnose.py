@@ -157,8 +157,9 @@ def run_logs(arguments: argparse.Namespace) -> int:
 
     name = Path(arguments.campaign[0]).name.split(".")[0]
     logs, skipped = arguments.campaign, Counter[str]()
-    with Progress(f"diagnosing {name}", "%") as progress:
-        found = diagnosed(logs, arguments.model, (arguments.map, arguments.dbc), skipped, progress)
+    layout, workers = (arguments.map, arguments.dbc), max(1, arguments.workers)
+    with Progress(f"diagnosing {name}", "%", at_once=True) as progress:
+        found = diagnosed(logs, arguments.model, layout, skipped, progress, workers)
     folder = prepare_folder(arguments.out, f"{name}-diagnosis", arguments.force)
     values = finite(as_json(found, logs, dict(skipped)) | {"effects": stamps})
     write_files(found, values, folder, arguments.model, shlex.join(["opc4", *sys.argv[1:]]))

@@ -5,13 +5,16 @@ Checked by: tests/unit/sil/shift_diagnosis/test_diagnose_logs.py
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import log, log1p
 from typing import Final
 
 import numpy as np
 
+from sil.diagnosis.workers import spread_out
+from sil.fitting.fit import Show, no_progress
 from sil.shift_diagnosis.linear import (
     NOISE,
     SIZE_PRIOR,
@@ -44,6 +47,8 @@ FARTHEST: Final = 15.0
 """Largest deviation of a truck's own quantity that a fit tries, in standard deviations."""
 UNABLE: Final = 1e7
 """Cost of a shift that cannot be simulated."""
+LATEST: Final = 4
+"""Points that are remembered."""
 CONVERGED: Final = 0.3
 """Gain in half chi squared below which a fit ends."""
 
@@ -88,12 +93,36 @@ class Fit:
         return cost - log(2.0) * (self.cause.sign != 0)  # the prior's other half is not physical
 
 
+def fits_of(
+    work: Callable[[Cause | None, Floats], Fit],
+    items: Sequence[tuple[Cause | None, Floats]],
+    workers: int,
+    progress: Show = no_progress,
+) -> list[Fit]:
+    """Return work(cause, start) of every item, on so many processes, with the items' own causes."""
+
+    def bare(k: int) -> Fit:
+        fit = work(*items[k])
+        return replace(fit, cause=None, linear=replace(fit.linear, causes=()))
+
+    fits = spread_out(bare, range(len(items)), workers, progress)
+    pairs = zip(fits, (cause for cause, _start in items), strict=True)
+    return [
+        fit
+        if cause is None
+        else replace(fit, cause=cause, linear=replace(fit.linear, causes=(cause,)))
+        for fit, cause in pairs
+    ]
+
+
 class Fitter:
     """Fits hypotheses to the same shifts of one truck."""
 
     def __init__(self, model: PlantModel, shifts: Sequence[Shift], noise: Noise = NOISE) -> None:
         self.model, self.shifts, self.noise = model, list(shifts), noise
         self.names = unit_names(model)
+        self._latest: deque[tuple[object, Noise, Fit]] = deque(maxlen=LATEST)
+        """Latest points: a fit that gains nothing ends where it was linearised before."""
 
     def fit(self, cause: Cause | None, start: Floats, rounds: int = 16) -> Fit:
         """Fit the unit's quantities, and a cause's size, from a point [units, or units + 1].
@@ -146,12 +175,17 @@ class Fitter:
     ) -> Fit:
         """Return the hypothesis linearised at a point [units, or more: then the cause's size]."""
         values, size = self._split(cause, point)
+        noise = noise or self.noise
+        key = cause, values.tobytes(), size, difference
+        for known, of_noise, fit in self._latest:
+            if known == key and of_noise is noise:
+                return fit
         causes = () if cause is None else (cause,)
         active = {} if cause is None else {cause: size}
-        linear = linearise(
-            self.model, self.shifts, values, causes, active, noise or self.noise, difference
-        )
-        return Fit(values, cause, size, linear, *estimates(linear))
+        linear = linearise(self.model, self.shifts, values, causes, active, noise, difference)
+        fit = Fit(values, cause, size, linear, *estimates(linear))
+        self._latest.append((key, noise, fit))
+        return fit
 
     def _moved(self, now: Fit, trial: Floats, position_m: Floats) -> Fit:
         """Return a fit at another point, its positions [shifts, pulses] simulated, slopes as before."""

@@ -10,16 +10,19 @@ Checked by: tests/unit/sil/shift_diagnosis/test_judge.py, test_diagnose_logs.py
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from plant.parameters import ParameterSet
+from sil.diagnosis.workers import Stages
 from sil.files.progress import Progress
-from sil.shift_diagnosis.fit import COARSE_M, FARTHEST, Fit, Fitter
+from sil.fitting.fit import no_progress
+from sil.shift_diagnosis.fit import COARSE_M, FARTHEST, Fit, Fitter, fits_of
 from sil.shift_diagnosis.linear import (
     NOISE,
     SIZE_PRIOR,
@@ -38,6 +41,7 @@ from sil.shift_diagnosis.shifts import LEAD_S, Shift
 from sil.shift_diagnosis.starts import usual_starts
 from sil.shift_diagnosis.verdict import (
     ALARM,
+    DOUBTED,
     EXPLAINED,
     SEPARABLE,
     Judged,
@@ -82,6 +86,9 @@ SHOWN: Final = 0.5
 SAME: Final = 0.995
 """Correlation of what two causes do from which one of them is not offered."""
 FEWEST_SHIFTS: Final = 3
+Items = Sequence[tuple[Cause | None, Floats]]
+Run = Callable[[Callable[[Cause | None, Floats], Fit], Items], list[Fit]]
+"""Fits of causes from their starts, on some processes."""
 VARIES_PA: Final = 2e4
 """Standard deviation of the supply pressure from which what depends on it can be distinguished."""
 SCANS: Final = 2
@@ -91,10 +98,13 @@ ODD, MOST_ODD = 3.0, 0.15
 
 
 def judge_shifts(
-    shifts: Sequence[Shift], parameters: ParameterSet, progress: Progress | None = None
+    shifts: Sequence[Shift],
+    parameters: ParameterSet,
+    progress: Progress | None = None,
+    workers: int = 1,
 ) -> ShiftDiagnosis:
-    """Judge the shifts of one truck against the plant of a parameter set."""
-    say = progress or (lambda _done, _all: None)
+    """Judge the shifts of one truck against the plant of a parameter set, on so many processes."""
+    stages = Stages(progress or no_progress)
     left_out = Counter[str]()
     used = _spread(with_speeds(shifts, left_out), MOST_SHIFTS)
     missing = [f"{n} shifts {why} left out" for why, n in left_out.items()]
@@ -105,18 +115,15 @@ def judge_shifts(
         )
     models = [PlantModel(parameters, mounted) for mounted in (True, False)]
     fitter, healthy, used = loaded_fit(models, used, Noise(rest_noise_m(used)))
-    say(20.0, 100.0)
+    stages.until(15.0)(1.0, 1.0)
     causes = _offered(used)
     linear = _linear(fitter, used, healthy, causes)
     alone = linear.information.sum(axis=0)[linear.units :, linear.units :]
     causes = [cause for k, cause in enumerate(causes) if not _repeats(k, causes, alone)]
-    say(40.0, 100.0)
-    fits = [healthy]
-    chosen = _promising(fitter, healthy, linear, causes)
-    for number, (cause, points) in enumerate(chosen):
-        fits += [fitter.fit(cause, at) for at in points]
-        say(40.0 + 30.0 * (number + 1) / len(chosen), 100.0)
-    fits += _second(fitter, fits, causes)
+    run = partial(fits_of, workers=workers)
+    chosen = _promising(fitter, healthy, linear, causes, partial(run, progress=stages.until(35.0)))
+    fits = [healthy, *run(fitter.fit, chosen, progress=stages.until(50.0))]
+    fits += _second(fitter, fits, causes, partial(run, progress=stages.until(55.0)))
     close = _close(fits)
     minima = {
         best.cause: tuple(
@@ -127,15 +134,17 @@ def judge_shifts(
     }
     close[0] = fitter.settle(close[0])
     whole = Fitter(fitter.model, used, fitter.noise)
-    leading = _on_all(whole, close)
+    leading = _on_all(whole, close, partial(run, progress=stages.until(60.0)))
     weights, odd = _without_odd(leading[0])
     whole.noise = replace(whole.noise, weights=weights)
     starts = {fit.cause: fit.point for fit in (*close, *leading)}
-    judged = [_judged(whole, cause, start) for cause, start in starts.items()]
-    say(80.0, 100.0)
+    finish = partial(_final, whole)
     ids = len({cause.effect.id for cause in causes})
-    judged = weighed(judged, ids)
-    judged = weighed(_with_rivals(whole, judged, causes), ids)
+    finals = run(finish, list(starts.items()), progress=stages.until(75.0))
+    judged = weighed([Judged.of(fit) for fit in finals], ids)
+    if not _is_settled(judged, ids):
+        own = partial(run, progress=stages.until(95.0))
+        judged = weighed(_with_rivals(whole, judged, causes, own), ids)
     judged = weighed(_healthy_again(whole, judged), ids)
     judged = [
         item if item.fit.cause is None else replace(item, minima=minima.get(item.fit.cause, ()))
@@ -263,15 +272,14 @@ def _spread(shifts: Sequence[Shift], most: int) -> list[Shift]:
     return [shifts[k] for k in np.linspace(0, len(shifts) - 1, most).round().astype(int)]
 
 
-def _judged(whole: Fitter, cause: Cause | None, start: Floats) -> Judged:
+def _final(whole: Fitter, cause: Cause | None, start: Floats) -> Fit:
     """Return a hypothesis fitted to all shifts, from where some of them left it."""
     final = whole.fit(cause, start, rounds=8)
     wide = whole.at(cause, final.point, difference=SECANT).linear
     covariance = estimates(wide.without_cliffs())[1]  # near a kink, slopes claim too much
     if covariance[-1, -1] > final.covariance[-1, -1]:
         final = replace(final, covariance=covariance)
-    count = max(1, int(final.linear.count.sum()) - final.linear.units)
-    return Judged(final, final.cost, float(final.linear.misfit.sum()) / count)
+    return final
 
 
 def _close(fits: Sequence[Fit]) -> list[Fit]:
@@ -287,16 +295,17 @@ def _close(fits: Sequence[Fit]) -> list[Fit]:
     return list(found.values())
 
 
-def _on_all(whole: Fitter, fits: Sequence[Fit]) -> list[Fit]:
+def _on_all(whole: Fitter, fits: Sequence[Fit], run: Run) -> list[Fit]:
     """Return the leading hypotheses, of fits to some shifts in order, on all shifts, best first."""
-    finals = [whole.fit(fit.cause, fit.point, rounds=8) for fit in fits[:LEADING]]
+    items: Items = [(fit.cause, fit.point) for fit in fits[:LEADING]]
+    finals = run(partial(whole.fit, rounds=8), items)
     return sorted(finals, key=lambda fit: fit.cost)
 
 
 def _promising(
-    fitter: Fitter, healthy: Fit, linear: Linear, causes: Sequence[Cause]
-) -> list[tuple[Cause, list[Floats]]]:
-    """Return the causes worth a fit, each with the points [units + 1] to begin from.
+    fitter: Fitter, healthy: Fit, linear: Linear, causes: Sequence[Cause], run: Run
+) -> list[tuple[Cause, Floats]]:
+    """Return the causes worth a fit, each as often as there are points [units + 1] to begin from.
 
     By the linear model; where a healthy truck is not enough or a strange one, by fits to a few shifts
     from there, and by the sizes that come near in a usual truck.
@@ -305,6 +314,17 @@ def _promising(
     quick = Fitter(fitter.model, _spread(fitter.shifts, QUICK_SHIFTS), fitter.noise)
     usual = usual_starts(quick, causes, COARSE_M[0]) if strained else {}
     base, _point = explained(linear)
+    quickly: dict[Cause, Fit] = {}
+    if strained:
+        items: Items = [
+            (cause, np.append(healthy.values, sign))
+            for cause in causes
+            for sign in ((1.0, -1.0) if cause.sign == 0 else (float(cause.sign),))
+        ]
+        tried = run(partial(quick.fit, rounds=4), items)
+        for fit in sorted(tried, key=lambda fit: fit.cost):
+            assert fit.cause is not None
+            quickly.setdefault(fit.cause, fit)
     found: list[tuple[float, Cause, list[Floats]]] = []
     for cause in causes:
         cost, point = explained(linear, linear.causes.index(cause))
@@ -312,9 +332,7 @@ def _promising(
         if cause.sign * point[-1] < 0.0:
             gain, starts = 0.0, []
         if strained:
-            signs = (1.0, -1.0) if cause.sign == 0 else (float(cause.sign),)
-            fits = [quick.fit(cause, np.append(healthy.values, s), rounds=4) for s in signs]
-            best = min(fits, key=lambda fit: fit.cost)
+            best = quickly[cause]
             found.append((-best.cost, cause, [best.point, *starts]))
         elif gain > WORTH_A_FIT:
             found.append((gain, cause, starts))
@@ -326,10 +344,14 @@ def _promising(
             ids[cause.effect.id] += 1
     near = sorted(usual, key=lambda cause: usual[cause][0])[:NEAREST]
     starts_of = dict(chosen) | {cause: [] for cause in near if cause not in dict(chosen)}
-    return [(c, [*own, *([usual[c][1]] if c in near else [])]) for c, own in starts_of.items()]
+    return [
+        (cause, point)
+        for cause, own in starts_of.items()
+        for point in (*own, *([usual[cause][1]] if cause in near else []))
+    ]
 
 
-def _second(fitter: Fitter, fits: Sequence[Fit], causes: Sequence[Cause]) -> list[Fit]:
+def _second(fitter: Fitter, fits: Sequence[Fit], causes: Sequence[Cause], run: Run) -> list[Fit]:
     """Return fits of the causes that the linear model favours around the best cause's truck.
 
     The first ones begin around a healthy truck, which a cause may have made strange: their minima
@@ -344,12 +366,22 @@ def _second(fitter: Fitter, fits: Sequence[Fit], causes: Sequence[Cause]) -> lis
     points = [item for item in points if item[2].sign * item[1][-1] >= 0.0]
     points = sorted((item for item in points if item[2] is not best.cause), key=lambda i: i[0])
     limit = np.append(np.full(linear.units, FARTHEST), LARGEST_START)
-    return [
-        fitter.fit(cause, np.clip(point, -limit, limit)) for _cost, point, cause in points[:SECOND]
+    items: Items = [
+        (cause, np.clip(point, -limit, limit)) for _cost, point, cause in points[:SECOND]
     ]
+    return run(fitter.fit, items)
 
 
-def _with_rivals(whole: Fitter, judged: Sequence[Judged], causes: Sequence[Cause]) -> list[Judged]:
+def _is_settled(judged: Sequence[Judged], ids: int) -> bool:
+    """Return whether no alarm could follow if every cause were as probable as the best one."""
+    healthy = next(item.probability for item in judged if item.fit.cause is None)
+    best = max((item.probability for item in judged if item.fit.cause is not None), default=0.0)
+    return healthy > DOUBTED * (healthy + ids * best)
+
+
+def _with_rivals(
+    whole: Fitter, judged: Sequence[Judged], causes: Sequence[Cause], run: Run
+) -> list[Judged]:
     """Return the hypotheses, those that look like the best cause fitted from where that one is."""
     best = next((item for item in judged if item.fit.cause is not None), None)
     if best is None or best.probability < ALARM:
@@ -363,6 +395,8 @@ def _with_rivals(whole: Fitter, judged: Sequence[Judged], causes: Sequence[Cause
     information = projected(linear)[0]
     found = {item.fit.cause: item for item in judged}
     k = list(causes).index(cause)
+    apart: dict[Cause, float] = {}
+    items: list[tuple[Cause | None, Floats]] = []
     for j, other in enumerate(causes):
         own, across = max(float(information[j, j]), 1e-12), float(information[k, j])
         start = size * across / own
@@ -372,12 +406,16 @@ def _with_rivals(whole: Fitter, judged: Sequence[Judged], causes: Sequence[Cause
         if j == k or other.sign * start < 0.0 or (left > 4.0 * SEPARABLE and not declared):
             continue
         start = float(np.clip(start, *other.sizes(LARGEST_START)))
-        item = _judged(whole, other, np.append(best.fit.values, start))
+        items.append((other, np.append(best.fit.values, start)))
+        apart[other] = left
+    for fit in run(partial(_final, whole), items):
+        rival, item = fit.cause, Judged.of(fit)
+        assert rival is not None
         # a minimum does not separate what the information cannot, if that fit is a fit at all
-        if left < SEPARABLE and item.chi2 < best.chi2 + NEARLY:
-            item = replace(item, cost=min(item.cost, best.cost + 0.5 * left))
-        if other not in found or item.cost < found[other].cost:
-            found[other] = item
+        if apart[rival] < SEPARABLE and item.chi2 < best.chi2 + NEARLY:
+            item = replace(item, cost=min(item.cost, best.cost + 0.5 * apart[rival]))
+        if rival not in found or item.cost < found[rival].cost:
+            found[rival] = item
     return list(found.values())
 
 
@@ -394,7 +432,7 @@ def _healthy_again(whole: Fitter, judged: Sequence[Judged]) -> list[Judged]:
         fit, units = item.fit, item.fit.linear.units
         taken_over = fit.covariance[:units, -1] / fit.covariance[-1, -1] * fit.size
         for start in (fit.values - taken_over, fit.values):
-            again = _judged(whole, None, np.clip(start, -FARTHEST, FARTHEST))
+            again = Judged.of(_final(whole, None, np.clip(start, -FARTHEST, FARTHEST)))
             best = again if again.cost < best.cost else best
         variance = float(fit.covariance[-1, -1])
         lost = 0.5 * float(fit.estimate[-1]) ** 2 / variance

@@ -22,7 +22,7 @@ from plant.effects.setup import Setup
 from plant.effects.stroke_conditions import StrokeConditions
 from plant.effects.tolerances import shift as shift_by
 from plant.integrator.loop import DONE
-from plant.kernel.layout import LENGTH, LengthState, Modes
+from plant.kernel.layout import LENGTH, LengthState, Modes, Parameters
 from plant.kernel.packing import fresh_modes, initial_state
 from plant.parameters import ParameterSet
 from sil.fitting.hypotheses import scaled_of, value_of
@@ -170,6 +170,12 @@ class Point:
     amounts: Mapping[str, float] = field(default_factory=dict)
     causes: tuple[tuple[Cause, float], ...] = ()
 
+    @property
+    def motion(self) -> tuple[object, ...]:
+        """What the motion depends on: all but what acts on its report."""
+        amounts = {name: by for name, by in self.amounts.items() if name not in SHOWN}
+        return (*sorted(amounts.items()), self.causes)
+
     def moved(self, name: str, by: float) -> Point:
         """Return the point with one amount changed."""
         return Point({**self.amounts, name: self.amounts.get(name, 0.0) + by}, self.causes)
@@ -190,14 +196,17 @@ class PlantModel:
         self.supply_pa = parameters.value("supply.P_s")
         self.unit, self.each = unit_priors(parameters), shift_priors(parameters)
         self.latency_s = parameters.value("position_sensor.latency")
+        self._setups: dict[float, Setup] = {}
 
     def setup(self, point: Point, supply_pa: float) -> Setup:
         """Return the actuator at a point, at a stated supply [Pa]."""
-        conditions = StrokeConditions(
-            kind="N-B", supply_pressure_pa=supply_pa, commands=(), mounted=self.mounted
-        )
-        setup = Setup.of(self.parameters, conditions)
-        apply_effects(setup, self.parameters)
+        if supply_pa not in self._setups:
+            conditions = StrokeConditions(
+                kind="N-B", supply_pressure_pa=supply_pa, commands=(), mounted=self.mounted
+            )
+            self._setups[supply_pa] = Setup.of(self.parameters, conditions)
+            apply_effects(self._setups[supply_pa], self.parameters)
+        setup = self._setups[supply_pa].copy()
         p, amount = setup.p, point.amounts.get
         for name in ("friction", "rise", "fall", "flow_in", "flow_out", "volume_a", "volume_b"):
             shift_by(setup, name, amount(name, 0.0))
@@ -223,55 +232,81 @@ class PlantModel:
         if any(np.isnan(shift.difference_rad_s) for shift in shifts):
             raise ValueError("a shift without a speed difference; expected one found by own_loads")
         most = max(len(shift.time_s) for shift in shifts)
-        count, here = len(points), len(shifts)
-        setups: dict[tuple[int, float], Setup] = {}
-        times = np.empty((here, count, most))
-        packed, flow, initial, modes, moves = [], [], [], [], []
-        for k, shift in enumerate(shifts):
-            supply = self.supply_pa if np.isnan(shift.supply_pa) else shift.supply_pa
+        found = np.full((2, len(shifts), len(points), most), np.nan)
+        done = np.empty((len(shifts), len(points)), dtype=np.bool_)
+        same: dict[tuple[object, ...], list[int]] = {}
+        for j, point in enumerate(points):
+            same.setdefault(point.motion, []).append(j)
+        for size in sorted({len(own) for own in same.values()}):
+            groups = [own for own in same.values() if len(own) == size]
+            x, v, able = self._strokes(shifts, [[points[j] for j in own] for own in groups])
+            for k, own in enumerate(groups):
+                found[:, :, own], done[:, own] = [x[:, k], v[:, k]], able[:, k, None]
+        return found[0], found[1], done
+
+    def _strokes(
+        self, shifts: Sequence[Shift], groups: Sequence[Sequence[Point]]
+    ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Simulate every shift once for each group of points of the same motion, all of one length.
+
+        Returns positions and speeds [shifts, groups, points, pulses], and whether [shifts, groups]
+        could be simulated.
+        """
+        each = [self.supply_pa if np.isnan(s.supply_pa) else s.supply_pa for s in shifts]
+        setups = {pa: [self.setup(own[0], pa) for own in groups] for pa in dict.fromkeys(each)}
+        of_usual = setups[min(setups)]
+        late_s = np.array([self._late_s(own, s) for own, s in zip(groups, of_usual, strict=True)])
+        most = max(len(shift.time_s) for shift in shifts)
+        ends = [np.pad(s.time_s, (0, most - len(s.time_s)), "edge") for s in shifts]
+        times = np.maximum(np.array(ends)[:, None, None] - late_s[..., None], 0.0)
+        shape = times.shape
+        flat = times.reshape(len(shifts) * len(groups), -1)
+        order = np.argsort(flat, axis=1, kind="stable")
+        instants = np.take_along_axis(flat, order, 1)
+        cones = {end: np.exp([own[0].amounts.get(f"cone_{end}", 0.0) for own in groups])
+                 for end in {s.end for s in shifts}}  # fmt: skip
+        packed = {pa: Parameters(np.array([s.p.array for s in own])) for pa, own in setups.items()}
+        modes = {pa: [_modes(s) for s in own] for pa, own in setups.items()}
+        rows, initial, moves = [], [], []
+        for shift, pa in zip(shifts, each, strict=True):
+            p = packed[pa].copy()
+            p.sync_impulse = IMPULSE_PER_SPEED * abs(shift.difference_rad_s) * cones[shift.end]
+            p.mesh_force = np.maximum(TINY_FORCE_N, p.mesh_force + shift.load_n)
+            p.pull_force = np.maximum(0.0, p.pull_force + shift.load_n)
+            rows.append(p.array)
+            initial.append(initial_state(LENGTH, p, position=shift.start, charged=()))
             schedules: dict[tuple[int, int], Floats] = {}
-            for j, point in enumerate(points):
-                if (j, supply) not in setups:
-                    setups[j, supply] = self.setup(point, supply)
-                setup = setups[j, supply]
-                p = setup.p.copy()
-                cone = point.amounts.get(f"cone_{shift.end}", 0.0)
-                p.sync_impulse = IMPULSE_PER_SPEED * abs(shift.difference_rad_s) * np.exp(cone)
-                p.mesh_force = max(TINY_FORCE_N, p.mesh_force + shift.load_n)
-                p.pull_force = max(0.0, p.pull_force + shift.load_n)
+            for setup in setups[pa]:
                 timing = setup.timing.rise_ns, setup.timing.fall_ns
                 if timing not in schedules:
                     schedules[timing] = _moves(shift, setup)
-                m = fresh_modes(LENGTH, setup.conditions.loads())
-                m.line = 1 if setup.has_line else 0
-                packed.append(p.array)
-                flow.append(setup.c)
-                initial.append(initial_state(LENGTH, p, position=shift.start, charged=()))
-                modes.append(m.array[: Modes.size])
                 moves.append(schedules[timing])
-                late_s = point.amounts.get("latency", 0.0) + setup.chain.latency_s - self.latency_s
-                times[k, j, : len(shift.time_s)] = shift.time_s - late_s
-                times[k, j, len(shift.time_s) :] = shift.time_s[-1] - late_s
-        flat = np.maximum(times.reshape(here * count, most), 0.0)
         strokes = Strokes(
             system=LENGTH,
-            packed=np.array(packed),
-            flow=shared(flow),
-            initial=np.array(initial),
-            modes=shared(modes),
+            packed=np.concatenate(rows),
+            flow=shared([setup.c for pa in each for setup in setups[pa]]),
+            initial=np.concatenate(initial),
+            modes=shared([own for pa in each for own in modes[pa]]),
             valves=np.zeros((1, 3)),
             switches=_filled(moves),
-            duration_s=flat[:, -1] + 1e-6,
+            duration_s=instants[:, -1] + 1e-6,
         )
-        result = simulate_batch(strokes, sample_s=flat, columns=[LengthState.x_s, LengthState.v_s])
-        samples = result.samples.reshape(here, count, most, 2)
-        for (j, supply), setup in setups.items():
-            if supply == min(own for other, own in setups if other == j):
-                samples[:, j, :, 0] = self._reported(samples[:, j, :, 0], setup, points[j])
+        columns = [LengthState.x_s, LengthState.v_s]
+        result = simulate_batch(strokes, sample_s=instants, columns=columns)
+        samples = np.empty_like(result.samples)
+        np.put_along_axis(samples, order[..., None], result.samples, 1)
+        x, v = samples.reshape(*shape, 2).transpose(4, 0, 1, 2, 3)
+        for k, (own, setup) in enumerate(zip(groups, of_usual, strict=True)):
+            for n, point in enumerate(own):
+                x[:, k, n] = self._reported(x[:, k, n], setup, point)
         for k, shift in enumerate(shifts):
-            samples[k, :, len(shift.time_s) :] = np.nan
-        done = (result.status == DONE).reshape(here, count)
-        return samples[..., 0], samples[..., 1], done
+            x[k, ..., len(shift.time_s) :] = v[k, ..., len(shift.time_s) :] = np.nan
+        return x, v, (result.status == DONE).reshape(shape[:2])
+
+    def _late_s(self, points: Sequence[Point], setup: Setup) -> Floats:
+        """Return how much earlier than stated the pulses measure [points]."""
+        own_s = setup.chain.latency_s - self.latency_s
+        return np.array([point.amounts.get("latency", 0.0) + own_s for point in points])
 
     def _reported(self, position_m: Floats, setup: Setup, point: Point) -> Floats:
         """Return what the sensor reports of true positions, without the timer's rounding."""
@@ -280,6 +315,14 @@ class PlantModel:
         found = chain.calibration.position_m(pulses, chain.measured_temperature_k)
         amount = point.amounts.get
         return setup.reported_m(found) * (1.0 + amount("gain", 0.0)) + amount("offset", 0.0)
+
+
+def _modes(setup: Setup) -> NDArray[np.int64]:
+    """Return the modes with which a stroke begins."""
+    m = fresh_modes(LENGTH, setup.conditions.loads())
+    m.line = 1 if setup.has_line else 0
+    found: NDArray[np.int64] = m.array[: Modes.size]
+    return found
 
 
 def _moves(shift: Shift, setup: Setup) -> Floats:

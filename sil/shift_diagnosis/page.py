@@ -239,6 +239,7 @@ def diagnosed(
     layout: tuple[str | None, str | None],
     skipped: Counter[str],
     progress: Progress,
+    workers: int = 1,
 ) -> ShiftDiagnosis:
     """Read the shifts of one truck's logs and judge them; `skipped` counts those left out.
 
@@ -247,7 +248,7 @@ def diagnosed(
     parameters = load_actuator(model)
     mapping = SignalMapping(*layout) if any(layout) else None
     shifts = [s for path in logs for s in shifts_of(path, parameters, mapping, skipped)]
-    return judge_shifts(shifts, parameters, progress)
+    return judge_shifts(shifts, parameters, progress, workers)
 
 
 def write_files(

@@ -62,6 +62,12 @@ class Judged:
     minima: tuple[float, ...] = ()
     probability: float = 0.0
 
+    @classmethod
+    def of(cls, fit: Fit) -> Judged:
+        """Return the hypothesis of a fit to all shifts."""
+        count = max(1, int(fit.linear.count.sum()) - fit.linear.units)
+        return cls(fit, fit.cost, float(fit.linear.misfit.sum()) / count)
+
     @property
     def name(self) -> str:
         """Name of the cause."""

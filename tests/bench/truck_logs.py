@@ -187,7 +187,7 @@ def one(
         name, cause = by_plant(path, seed, shifts, severity)
     ran = perf_counter()
     out = folder / f"{seed}"
-    code = main(["diagnose", str(path), "--out", str(out), "--quiet"])
+    code = main(["diagnose", str(path), "--out", str(out), "--quiet", "--workers", "1"])
     found = json.loads((out / "diagnosis.json").read_text())
     path.unlink()
     causes = {item["id"]: item for item in found["causes"]}

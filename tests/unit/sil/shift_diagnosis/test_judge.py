@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,15 +13,16 @@ import pytest
 
 from plant.parameters import load
 from sil.fitting.hypotheses import candidates
-from sil.shift_diagnosis.fit import Fitter
+from sil.shift_diagnosis.fit import Fitter, fits_of
 from sil.shift_diagnosis.judge import (
     HOPELESS,
     LEADING,
     _beside_odd,
     _close,
+    _final,
     _healthy_again,
     _is_explained,
-    _judged,
+    _is_settled,
     _linear,
     _offered,
     _on_all,
@@ -40,7 +42,7 @@ from sil.shift_diagnosis.model import (
     unit_priors,
 )
 from sil.shift_diagnosis.shifts import Shift, shifts_of
-from sil.shift_diagnosis.verdict import ALARM, SEPARABLE, weighed
+from sil.shift_diagnosis.verdict import ALARM, DOUBTED, SEPARABLE, Judged, weighed
 from tests.bench._bus_information import quiet_truck
 from tests.bench.bus_groups import PHASE_S
 from tests.bench.truck_logs import by_reference, truck_log
@@ -49,6 +51,13 @@ from tests.reference.truck import write_log
 
 def only(name: str) -> Cause:
     return next(cause for cause in catalogue() if cause.effect.id == name)
+
+
+def judged(whole: Fitter, cause: Cause | None, start: np.ndarray) -> Judged:
+    return Judged.of(_final(whole, cause, start))
+
+
+in_turn = partial(fits_of, workers=1)
 
 
 def cut(path: Path) -> list[Shift]:
@@ -61,11 +70,11 @@ def test_what_looks_like_the_best_cause_is_fitted_too(tmp_path: Path) -> None:
     whole = Fitter(PlantModel(load("nominal"), True), cut(path))
     late, alike, other = only("valve_open_delay"), only("sensor_delay"), only("stop_wear")
     found = [
-        _judged(whole, None, np.zeros(len(whole.names))),
-        _judged(whole, late, np.append(np.zeros(len(whole.names)), 2.0)),
+        judged(whole, None, np.zeros(len(whole.names))),
+        judged(whole, late, np.append(np.zeros(len(whole.names)), 2.0)),
     ]
     assert found[1].cost < found[0].cost
-    rivals = _with_rivals(whole, weighed(found, 3), [late, alike, other])
+    rivals = _with_rivals(whole, weighed(found, 3), [late, alike, other], in_turn)
     costs = {item.id: item.cost for item in rivals}
     # a late pulse is a late valve; an end stop elsewhere is not
     assert set(costs) == {"healthy", "valve_open_delay", "sensor_delay"}
@@ -76,8 +85,8 @@ def test_what_looks_like_the_best_cause_is_fitted_too(tmp_path: Path) -> None:
 
 def test_a_healthy_truck_has_no_rivals(nominal_log: Path) -> None:
     whole = Fitter(PlantModel(load("nominal"), True), cut(nominal_log)[:2])
-    found = weighed([_judged(whole, None, np.zeros(len(whole.names)))], 1)
-    assert _with_rivals(whole, found, [only("sensor_delay")]) == found
+    found = weighed([judged(whole, None, np.zeros(len(whole.names)))], 1)
+    assert _with_rivals(whole, found, [only("sensor_delay")], in_turn) == found
 
 
 @pytest.mark.parametrize(("delay_s", "is_worth_it"), [(0.0, False), (0.007, True)])
@@ -90,9 +99,9 @@ def test_a_healthy_truck_that_was_fitted_badly_is_no_worse_than_the_information_
     whole = Fitter(PlantModel(load("nominal"), True), cut(path))
     zeros = np.zeros(len(whole.names))
     whole.noise = replace(whole.noise, weights=whole.at(None, zeros).linear.weights)
-    late = _judged(whole, only("valve_open_delay"), np.append(zeros, 2.0))
-    stuck = replace(_judged(whole, None, zeros), cost=1e6, chi2=1e3)
-    monkeypatch.setattr("sil.shift_diagnosis.judge._judged", lambda *_: stuck)
+    late = judged(whole, only("valve_open_delay"), np.append(zeros, 2.0))
+    stuck = replace(judged(whole, None, zeros), cost=1e6, chi2=1e3)
+    monkeypatch.setattr("sil.shift_diagnosis.judge.Judged.of", lambda _fit: stuck)
     found = weighed(_healthy_again(whole, weighed([stuck, late], 1)), 1)
     healthy = next(item for item in found if item.fit.cause is None)
     assert healthy.cost < stuck.cost
@@ -142,9 +151,25 @@ def test_of_the_leading_hypotheses_the_best_on_all_shifts_is_taken() -> None:
         asked.append(cause)
         return SimpleNamespace(cause=cause, cost=costs[cause])
 
-    finals = _on_all(SimpleNamespace(fit=fit), fits)
+    finals = _on_all(SimpleNamespace(fit=fit), fits, lambda work, items: [work(*i) for i in items])
     assert [final.cause for final in finals] == list(range(LEADING))[::-1]
     assert asked == list(range(LEADING))
+
+
+@pytest.mark.parametrize(
+    ("healthy", "best", "is_settled"), [(0.9, 0.05, True), (0.3, 0.3, False), (0.9, 0.6, False)]
+)
+def test_rivals_are_fitted_only_where_they_could_raise_an_alarm(
+    healthy: float, best: float, is_settled: bool
+) -> None:
+    ids = 10
+    found = [
+        SimpleNamespace(probability=healthy, fit=SimpleNamespace(cause=None)),
+        SimpleNamespace(probability=best, fit=SimpleNamespace(cause="other")),
+    ]
+    assert _is_settled(found, ids) is is_settled
+    # even if all causes turned out to be as probable as the best one
+    assert (healthy / (healthy + ids * best) > DOUBTED) is is_settled
 
 
 def test_only_hopeless_causes_are_not_fitted_to_all_shifts() -> None:

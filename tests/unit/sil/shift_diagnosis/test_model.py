@@ -120,3 +120,18 @@ def test_a_kink_adds_the_way_that_the_speed_does_not_say() -> None:
     assert found == pytest.approx([0.0, 0.242 * way_m**2 + 0.054 * (2.0 * way_m) ** 2, 0.0])
     later = _kink_variance(apart_m, speed_m_s, np.array([5e-4, 0.0, 0.0]))
     assert later[1] == pytest.approx(4.0 * found[1])
+
+
+def test_points_of_one_motion_are_read_from_one_stroke(shifts: list[Shift]) -> None:
+    """Pulses that come later see the same motion: the same as by strokes of their own."""
+    model = PlantModel(load("nominal"), mounted=True)
+    later = [Point({"latency": by}) for by in (0.0, 1e-3, -2e-3)]
+    points = [*later, Point({"rise": 1e-3, "offset": 1e-4, "gain": 0.01})]
+    together = model.predict(shifts, points)
+    for j, point in enumerate(points):
+        alone = PlantModel(load("nominal"), mounted=True).predict(shifts, [point])
+        for found, own in zip(together, alone, strict=True):
+            assert np.allclose(found[:, j], own[:, 0], rtol=0.0, atol=1e-12, equal_nan=True)
+    x, again = together[0], model.predict(shifts, points)[0]
+    assert np.array_equal(x, again, equal_nan=True)
+    assert np.nanmax(np.abs(x[:, 1] - x[:, 0])) > 1e-4
