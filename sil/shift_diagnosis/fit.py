@@ -99,7 +99,10 @@ def fits_of(
     workers: int,
     progress: Show = no_progress,
 ) -> list[Fit]:
-    """Return work(cause, start) of every item, on so many processes, with the items' own causes."""
+    """Return work(cause, start [units, or units + 1]) of every item, on so many processes.
+
+    Each fit has its item's own cause, as a cause's functions cannot leave a process. Units as `Fit`.
+    """
 
     def bare(k: int) -> Fit:
         fit = work(*items[k])
