@@ -17,7 +17,10 @@ from typing import NamedTuple
 NEVER = 1 << 30
 """A step that never comes."""
 CAREFUL, STRONG = range(2)
-"""Strengths: for what a new unit knows; for a release and a meshing force that are well known."""
+"""Strengths: for what a new unit knows; the first of those for a release and a meshing force that are
+well known, one for each level of the force."""
+LIGHTEST, PER_LEVEL, LEVELS = -0.08, 0.04, 7
+"""Meshing force of the first level, by which share more than that of the tables, and from one to the next."""
 
 
 class Pulse(NamedTuple):

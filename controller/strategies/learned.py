@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import copysign, exp, log, sqrt
+from math import ceil, copysign, exp, log, sqrt
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from msgspec import Struct
@@ -18,7 +18,16 @@ from controller.learning import (
     heavier_by,
 )
 from controller.position import Estimate
-from controller.programmes import CAREFUL, STRONG, Nearby, Programme, library
+from controller.programmes import (
+    CAREFUL,
+    LEVELS,
+    LIGHTEST,
+    PER_LEVEL,
+    STRONG,
+    Nearby,
+    Programme,
+    library,
+)
 from controller.settings import ControlConfig, bounded
 from controller.strategies import Duties, ShiftContext
 from controller.strategies.into_gear import PUSH, Command, IntoGear, IntoGearParameters, Progress
@@ -43,11 +52,12 @@ KNOWN, KNOWN_LESS, WELL = 0.065, 0.065 - 0.048, 0.37
 """Scatter, relative, of small impulses for which the careful programmes were made, and by how much less
 of large ones (which the speeds of the shift show); the share of its square of the strong ones."""
 SMALL_SHARE, PER_SHARE = 0.465, 4.7
-MESH_VARIANCE = 0.02 * 0.02
-"""Square of the scatter of the meshing force from shift to shift: assumed."""
-HEAVIEST = ((0.16, 0.2315), (0.095, 0.147))
-"""By which share more meshing force than that of the tables the programmes of each strength are made
-to bear, at `LIKELY` and at `UNLIKELY` standard deviations."""
+MESH_VARIANCE = 0.02 * 0.02 + 0.015 * 0.015
+"""Squares of the scatter of the meshing force from shift to shift, assumed, and of what all measurements
+of it have in common in a unit, by friction and flows of its actuator (20 trucks, known forces)."""
+BEARS, BEARS_MORE = (0.16, 0.055), (0.2315, 0.107)
+"""By which share more meshing force than that of the tables the careful programmes are made to bear,
+and the strong ones than that of their level: at `LIKELY` and at `UNLIKELY` standard deviations."""
 ARRIVED = 0.9
 """Share of the stroke at which the stay has passed the teeth."""
 LIKELY, UNLIKELY = 2.2, 4.0
@@ -145,7 +155,7 @@ class Learned(IntoGear):
         """Forget the push; what was learned stays."""
         self._direction: int | None = None  # none before the first step
         self._plain, self._waits = False, False
-        self._mesh = 0.0, 0.0
+        self._careful, self._strong = False, LEVELS
         self._tables: Nearby
         self._close_s, self._cold, self._drag, self._late_s = 0.0, 0.0, 0.0, 0.0
         self._sum_rad_s, self._count = 0.0, 0
@@ -193,7 +203,10 @@ class Learned(IntoGear):
             self.correction.plain -= 1
         heavier, variance = self.correction.heavier(self._direction)
         sd = sqrt(variance + MESH_VARIANCE)
-        self._mesh = heavier + LIKELY * sd, heavier + UNLIKELY * sd
+        likely, unlikely = heavier + LIKELY * sd, heavier + UNLIKELY * sd
+        self._careful = likely <= BEARS[CAREFUL] and unlikely <= BEARS_MORE[CAREFUL]
+        level = max(likely - BEARS[STRONG], unlikely - BEARS_MORE[STRONG])
+        self._strong = max(ceil((level - LIGHTEST) / PER_LEVEL), 0)
         coil_k = REFERENCE_K if shift.coil_k is None else shift.coil_k
         warmer_k = min(max(coil_k, COLDEST_K), WARMEST_K) - REFERENCE_K
         self._close_s = own.close_s * exp(own.close_per_k * warmer_k)
@@ -247,15 +260,11 @@ class Learned(IntoGear):
         delay_s = expected.offset.delay_s
         if self.correction.surprise > SURPRISED:
             return None
-        if delay_s <= SLOW_S and expected.variance <= WELL * expected.limit and self._bears(STRONG):
-            return STRONG
+        is_well_known = delay_s <= SLOW_S and expected.variance <= WELL * expected.limit
+        if is_well_known and self._strong < LEVELS:
+            return STRONG + self._strong
         careful = delay_s <= SLOWEST_S and expected.variance <= expected.limit
-        return CAREFUL if careful and self._bears(CAREFUL) else None
-
-    def _bears(self, strength: int) -> bool:
-        """Return whether programmes of a strength bear the meshing force that is to be expected."""
-        (likely, unlikely), (most_likely, most) = self._mesh, HEAVIEST[strength]
-        return likely <= most_likely and unlikely <= most
+        return CAREFUL if careful and self._careful else None
 
     def _note(self, spent_s: float, apart_s: float, apart_rad_s: float) -> None:
         """Take a report: of the speeds before the push, or while the synchronizer works."""

@@ -109,7 +109,7 @@ class TruckTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     inertia_forward: Assumed
     """Inertia of the input side in the forward gear, by that in the backward gear."""
     mesh_n: Assumed
-    """Median of the peak of the meshing force, and that of the examination."""
+    """Median of the peak of the meshing force."""
     mesh_unit: Assumed
     """Peak of the meshing force: sd between gears and trucks."""
     mesh_shift: Assumed
@@ -281,11 +281,11 @@ class Truck:
         )
 
     def _examined(self, k: int, impulse_n_s: float) -> Drawn:
-        """Return a shift that nominally needs an impulse, at 9 bar and 20 degrees Celsius."""
+        """Return a shift into the first gear that nominally needs an impulse, at 9 bar and 20 °C."""
         gain_m, inertia = (
             self._nominal[f"driveline.{name}"] for name in ("cone_gain_m", "inertia_kg_m2")
         )
-        mesh_n = self._of["mesh_n"] * self._factor("mesh_shift")
+        mesh_n = self.mesh_n["backward"] * self._factor("mesh_shift")
         fixed = {"plant.supply_pressure_pa": 9e5, "plant.mesh_force_n": mesh_n}
         speed_rad_s = impulse_n_s * gain_m / inertia
         gain_m = self._cone_gain_m(k, "backward")

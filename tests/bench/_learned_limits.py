@@ -22,15 +22,15 @@ from tests.bench._learned_programmes import (
     NEAR,
     NONE,
     SD,
-    STRENGTHS,
     Draws,
     Strength,
     read,
+    strong,
     tidy,
 )
 
 EXACT = 1e-6
-STRONG = STRENGTHS[1]
+STRONG = strong(0.0)
 OTHERS = ("rise", "fall", "friction", "inlet", "exhaust", "supply")
 IMPULSES = (40.0, 57.0, 83.0, 140.0, 230.0)
 SEARCHES = 3
@@ -45,27 +45,26 @@ class Known:
     name: str
     impulse: tuple[float, float] = STRONG.impulse
     mesh: tuple[float, float] = STRONG.mesh
+    lighter: tuple[float, float] = STRONG.lighter
     exact: tuple[str, ...] = field(default=())
 
     def draws(self, impulse_n_s: float) -> Draws:
         """Return the plain push and its draws with what is known in this case."""
         sds = {name: EXACT if name in self.exact else sd for name, sd in SD.items()}
-        strength = Strength(self.name, self.impulse, self.mesh)
+        strength = Strength(self.name, self.impulse, self.mesh, self.lighter)
         return Draws(strength, BAR, CLOSE_S, impulse_n_s, sds)
 
 
-OWN_MESH = (0.0, 0.025)
 NO_MESH, NO_IMPULSE = (0.0, EXACT), (EXACT, EXACT)
 KNOWN = (
     Known("as the strong programmes"),
-    Known("meshing force of the table, to 2.5 %", mesh=OWN_MESH),
-    Known("meshing force exact", mesh=NO_MESH, exact=("mesh",)),
+    Known("meshing force exact", mesh=NO_MESH, lighter=NO_MESH),
     Known("impulse exact", impulse=NO_IMPULSE),
     Known("delays exact", exact=("rise", "fall")),
     Known("friction, flows and supply exact", exact=OTHERS[2:]),
-    Known("all exact but impulse", mesh=NO_MESH, exact=(*OTHERS, "mesh")),
-    Known("all exact but meshing force", NO_IMPULSE, OWN_MESH, OTHERS),
-    Known("all exact", NO_IMPULSE, NO_MESH, (*OTHERS, "mesh")),
+    Known("all exact but impulse", mesh=NO_MESH, lighter=NO_MESH, exact=OTHERS),
+    Known("all exact but meshing force", NO_IMPULSE, exact=OTHERS),
+    Known("all exact", NO_IMPULSE, NO_MESH, NO_MESH, OTHERS),
 )
 
 

@@ -1,6 +1,6 @@
 """Search the programmes of `controller/programmes.csv`, the tables of strategy learned.
 
-python -m tests.bench._learned_programmes FILE
+python -m tests.bench._learned_programmes FILE [WORKERS]
 
 For each supply pressure, closing delay and impulse: programmes of at most two spans of venting the
 driving chamber and two of filling the neutral one, in steps of 10 ms. They are judged under draws of
@@ -8,9 +8,8 @@ all that the unit does not know (`Strength`, `SD`): by mean and hardest of all i
 expected, while 4.3 standard deviations away, in random directions and along single axes, none may be
 0.03 m/s harder or 27 ms later than the plain push in the same draw. The best that also stays within
 0.04 m/s in 480 more such draws, 60 of them with exchanged valves and 60 with one valve that is
-suddenly slow, is taken; where none does, the push is left plain. A programme of FILE that passes is
-kept; the search for others begins with those of FILE, or with a grid if there is no such file; some
-four minutes on one core for each strength.
+suddenly slow, is taken; where none does, the push is left plain. The search begins with the programmes of FILE, or
+with a grid if there is no such file; some six minutes on one core for each strength.
 """
 
 from __future__ import annotations
@@ -25,9 +24,11 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import norm, qmc
 
+from controller.programmes import LEVELS, LIGHTEST, PER_LEVEL
 from plant.batch.batch import Strokes
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
+from sil.diagnosis.workers import spread_out
 from sil.simulation.load_scenario import load
 from sil.studies.policies import PUSH, Arrivals, Family, FamilyModel, Floats, Ints, Layout
 from sil.studies.pulses import stem_spans
@@ -42,14 +43,15 @@ EXTRA_S, HARDER_M_S = 0.027, 0.03
 SD = {"mesh": 0.054, "rise": 0.0004, "fall": 0.0015, "supply": 0.016, "friction": 0.07,
       "inlet": 0.01, "exhaust": 0.01}  # fmt: skip
 """Of trucks and shifts (sil/studies/shipped/learned.toml), and the tables' distance in pressure
-and closing delay; in s or relative."""
+and closing delay; in s or relative. That of the meshing force is `Strength`'s where it is known."""
 LAYOUT = Layout("BN", 2, 0)
 NONE = np.array([[[0.0, -1.0, 0.0, -1.0]] * 2])
 NEAR, FAR, PROOF, EXCHANGED, SINGLE, DEVIATIONS = 20, 24, 360, 60, 60, 4.3
 SLOWER = 1.2
 """Delays of a single valve that is suddenly slow, by its own: half of them the driving chamber's."""
 SOME = [*range(4), *range(NEAR, NEAR + 8)]
-ROUNDS, PROOFS = 1, 20
+ROUNDS, PROOFS = 1, 40
+BEST, CHILDREN = 80, 32
 FIRST = 2
 """No span begins before this step."""
 
@@ -58,17 +60,24 @@ FIRST = 2
 class Strength:
     """What is known: impulse to a relative sd (of small and large ones), and meshing force.
 
-    mesh: the heaviest that is to be expected beyond its sd, and that sd towards heavier ones.
+    mesh: the heaviest that is to be expected beyond its sd, and that sd towards heavier ones, by the
+    force of `MESH_N`. lighter: the heaviest of the lighter ones, and their sd.
     """
 
     name: str
     impulse: tuple[float, float]
     mesh: tuple[float, float]
+    lighter: tuple[float, float] = (0.0, SD["mesh"])
+
+
+def strong(heavier: float) -> Strength:
+    """Return what is known of a gear whose meshing force was found to be at most so much heavier."""
+    return Strength(f"strong {heavier:.2f}", (0.04, 0.031), (heavier, 0.025), (heavier, PER_LEVEL))
 
 
 STRENGTHS = (
     Strength("careful", (0.065, 0.05), (0.09, 0.033)),
-    Strength("strong", (0.04, 0.031), (0.04, 0.025)),
+    *(strong(LIGHTEST + k * PER_LEVEL) for k in range(LEVELS)),
 )
 """The order is that of `controller.programmes`."""
 
@@ -120,8 +129,8 @@ class Draws(FamilyModel):
         small, large = strength.impulse
         sd = float(np.interp(impulse_n_s, (60.0, 110.0), (small, large)))
         z = draws()
-        heavier, mesh_sd = strength.mesh
-        mesh = np.where(z[:, 1] > 0.0, heavier + mesh_sd * z[:, 1], sds["mesh"] * z[:, 1])
+        (heavier, more), (lighter, less) = strength.mesh, strength.lighter
+        mesh = np.where(z[:, 1] > 0.0, heavier + more * z[:, 1], lighter + less * z[:, 1])
         changed = {name: sd_of * z[:, 1 + k] for k, (name, sd_of) in enumerate(sds.items())}
         setups = []
         for k in range(len(z)):
@@ -183,7 +192,7 @@ class Draws(FamilyModel):
         if len(pool) > 400:
             pool = pool[self.under(pool, [0]).cost_m_s[:, 0] <= self.plain_m_s[0]]
             pool = pool[np.argsort(self.costs(pool, few))[:400]]
-        pool = np.concatenate([NONE, pool[np.argsort(self.costs(pool, some))[:24]]])
+        pool = np.concatenate([NONE, pool[np.argsort(self.costs(pool, some))[:BEST]]])
         costs = self.costs(pool, every)
         for turn in range(ROUNDS + PROOFS):
             at = int(np.argmin(costs))
@@ -197,7 +206,7 @@ class Draws(FamilyModel):
                 continue
             parents = np.repeat(pool[np.argsort(costs)[:8]], 6, axis=0)
             children = np.unique([self.changed(each, rng) for each in parents], axis=0)
-            children = children[np.argsort(self.costs(children, some))[:16]]
+            children = children[np.argsort(self.costs(children, some))[:CHILDREN]]
             pool = np.concatenate([pool, children])
             costs = np.concatenate([costs, self.costs(children, every)])
         else:
@@ -274,21 +283,14 @@ def read(path: Path) -> dict[Key, Floats]:
     return found
 
 
-def search(
-    strength: Strength, known: dict[Key, Floats], given: dict[Key, Floats]
-) -> dict[Key, tuple[float, str]]:
-    """Return release under the plain push and line of each row, from those near it that are known.
-
-    given: the programme [2, 4] of each row, which is kept if it passes.
-    """
+def search(strength: Strength, given: Mapping[Key, Floats]) -> dict[Key, tuple[float, str]]:
+    """Return release under the plain push and line of each row, from given programmes near it."""
     rng = np.random.default_rng(0)
+    known = dict(given)
     lines: dict[Key, tuple[float, str]] = {}
     for bar, close_ms, n in product(SUPPLY_BAR, CLOSE_MS, range(len(IMPULSES_N_S))):
         model = Draws(strength, bar, 1e-3 * close_ms, float(IMPULSES_N_S[n]))
         row = bar, close_ms, n
-        if row in given and not model.failed(given[row]):
-            lines[row] = float(model.plain_s[0]), model.line(given[row])
-            continue
         near = [
             programmes
             for (p, c, m), programmes in known.items()
@@ -302,13 +304,10 @@ def search(
     return lines
 
 
-def main(path: Path) -> None:
+def main(path: Path, workers: int) -> None:
     """Search all strengths, beginning with the programmes of the file if there is one; write it."""
-    known = read(path)
-    given = [
-        {row: programmes[k] for row, programmes in known.items()} for k in range(len(STRENGTHS))
-    ]
-    strengths = [search(each, known, kept) for each, kept in zip(STRENGTHS, given, strict=True)]
+    given = read(path)
+    strengths = spread_out(lambda each: search(each, given), STRENGTHS, workers)
     text = [
         "# Made by python -m tests.bench._learned_programmes; each line: supply in bar, closing",
         "# delay in ms, impulse in N s, release of the plain push in 0.1 ms; for each strength:",
@@ -322,4 +321,4 @@ def main(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 1)
