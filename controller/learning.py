@@ -35,6 +35,9 @@ more force than that of the tables a push stops at the teeth, over the logarithm
 much more or less it was, over the time from release to arrival; and how well that is known."""
 HEAVIEST_TESTED = 0.1225
 """Meshing force, as above, up to which the time to pass the teeth was fitted."""
+ALIKE = 0.015
+"""What all measurements of the meshing force in a unit have in common, by friction and flows of its
+actuator: scatter in 20 trucks with known forces."""
 UNDERSTATED_FROM, UNDERSTATED = 0.1, 0.6
 """Beyond the first the fit understates a heavier one by this share of the excess (20 trucks)."""
 
@@ -79,8 +82,8 @@ class Offset(NamedTuple):
     """How much later than in the tables a release comes, and how well that is known.
 
     later_s: of the release; delay_s: the part of it that is delay. age_s: how much older than assumed
-    the speeds are by which it is measured. variance: of the release; of what is measured, and its
-    covariance with the release, s2.
+    the speeds are by which it is measured. variance: of the release; measured: of what is measured of
+    it; timing: of delay and age together, s2.
     """
 
     later_s: float
@@ -88,7 +91,7 @@ class Offset(NamedTuple):
     age_s: float
     variance: float
     measured: float
-    common: float
+    timing: float
 
 
 class Correction(abc.ABC):
@@ -115,8 +118,13 @@ class Correction(abc.ABC):
         """Return how much later than in the tables the release comes."""
 
     @abc.abstractmethod
-    def learn(self, context: Context, error_s: float, impact_m_s: float) -> None:
-        """Take how much later than expected a release came, and how hard the stop was."""
+    def learn(
+        self, context: Context, error_s: float, impact_m_s: float, variance: float = RELEASE_S**2
+    ) -> None:
+        """Take how much later than expected a release came, and how hard the stop was.
+
+        variance: of the error as it was measured, s2.
+        """
 
     def heavier(self, direction: int) -> tuple[float, float]:
         """Return by which share the teeth resist more than those of the tables, and its variance."""
@@ -217,16 +225,19 @@ class Sensitivities(Correction):
         of_own += drag * (with_drag + with_drag + drag * by[17]) + context.scatter * context.scatter
         delay += drag * by[18]
         variance = slope_s * (slope_s * of_own + delay + delay) + by[23]
-        common = variance + slope_s * (age + drag * by[19]) + by[24]
-        measured = common + common - variance + by[29]
+        common = slope_s * (age + drag * by[19]) + by[24]
+        measured = variance + common + common + by[29]
+        timing = by[23] + by[24] + by[24] + by[29]
         later_s = slope_s * (by[own] + drag * by[2]) + by[3]
-        return Offset(later_s, by[3], by[4], variance, measured, common)
+        return Offset(later_s, by[3], by[4], variance, measured, timing)
 
-    def learn(self, context: Context, error_s: float, impact_m_s: float) -> None:
+    def learn(
+        self, context: Context, error_s: float, impact_m_s: float, variance: float = RELEASE_S**2
+    ) -> None:
         """Update the numbers and their covariances."""
         for k, added in enumerate(self.drift):
             self.values[5 + 6 * k] += added
-        total = self.offset(context).measured + RELEASE_S * RELEASE_S
+        total = self.offset(context).measured + variance
         slope_s, own = context.slope_s, context.direction
         of = [
             slope_s * row[own] + slope_s * context.drag * row[2] + row[3] + row[4]
@@ -247,7 +258,7 @@ class Sensitivities(Correction):
     def heavier(self, direction: int) -> tuple[float, float]:
         """Return what the pushes of this direction have shown."""
         at = 31 + 2 * direction
-        return self.values[at], self.values[at + 1]
+        return self.values[at], max(self.values[at + 1], ALIKE * ALIKE)
 
     def resisted(self, direction: int, share: float, variance: float) -> None:
         """Move to what was measured, by how well it is known."""
@@ -288,14 +299,16 @@ class Map(Correction):
         own = self._at(context)
         sd_s = context.slope_s * (WELL_KNOWN if self.values[own + 1] >= KNOWN_AFTER else UNKNOWN)
         variance = sd_s * sd_s
-        return Offset(self._later_s(context), 0.0, 0.0, variance, variance, variance)
+        return Offset(self._later_s(context), 0.0, 0.0, variance, variance, 0.0)
 
     def _later_s(self, context: Context) -> float:
         own, first = self._at(context), 2 * BINS * context.direction
         met = [at for at in range(first, first + 2 * BINS, 2) if self.values[at + 1] > 0.0]
         return self.values[min(met, key=lambda at: abs(at - own))] if met else 0.0
 
-    def learn(self, context: Context, error_s: float, impact_m_s: float) -> None:
+    def learn(
+        self, context: Context, error_s: float, impact_m_s: float, variance: float = RELEASE_S**2
+    ) -> None:
         """Move the offset of the context towards what would have been right."""
         at = self._at(context)
         right_s = self._later_s(context) + error_s
@@ -337,7 +350,9 @@ class Search(Map):
         offset_s, last = self.values[self._at(context) : self._at(context) + 2]
         return offset_s + (-self.probe_s if last < 0.0 else self.probe_s)
 
-    def learn(self, context: Context, error_s: float, impact_m_s: float) -> None:
+    def learn(
+        self, context: Context, error_s: float, impact_m_s: float, variance: float = RELEASE_S**2
+    ) -> None:
         """Compare with the trial on the other side."""
         at = self._at(context)
         offset_s, last = self.values[at : at + 2]

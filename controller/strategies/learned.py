@@ -10,7 +10,6 @@ from msgspec import Struct
 from can_dbc.messages import Gear
 from controller.learning import (
     METHODS,
-    RELEASE_S,
     WEIGHED,
     Context,
     Correction,
@@ -52,9 +51,8 @@ KNOWN, KNOWN_LESS, WELL = 0.065, 0.065 - 0.048, 0.37
 """Scatter, relative, of small impulses for which the careful programmes were made, and by how much less
 of large ones (which the speeds of the shift show); the share of its square of the strong ones."""
 SMALL_SHARE, PER_SHARE = 0.465, 4.7
-MESH_VARIANCE = 0.02 * 0.02 + 0.015 * 0.015
-"""Squares of the scatter of the meshing force from shift to shift, assumed, and of what all measurements
-of it have in common in a unit, by friction and flows of its actuator (20 trucks, known forces)."""
+MESH_VARIANCE = 0.02 * 0.02
+"""Square of the scatter of the meshing force from shift to shift: assumed."""
 BEARS, BEARS_MORE = (0.16, 0.055), (0.2315, 0.107)
 """By which share more meshing force than that of the tables the careful programmes are made to bear,
 and the strong ones than that of their level: at `LIKELY` and at `UNLIKELY` standard deviations."""
@@ -65,8 +63,11 @@ LIKELY, UNLIKELY = 2.2, 4.0
 REST_S, REST_CLOSE_S, AIR_S, AIR_FOLD_S = 0.2, 0.035, 0.001, 0.0265
 """So long after neutral was filled through a valve with this closing delay, its air delays a release by
 so much, and less e-fold with every last; fitted to plain pushes of 25 to 230 N s, 0.16 to 0.3 s after."""
-MEASURED_S = 0.002
-"""Scatter of a release that was found between two reports."""
+MEASURED_S = 0.0015
+"""Scatter of the release of a plain push that was found between two reports."""
+FOLLOWED_S, PER_DELAY = 0.001, 0.12
+"""The same by a programme: at first, and by how much it delays the release (734 shifts of 20 trucks,
+each again without the programme)."""
 LONGEST_S = 1e9
 SURPRISED = 1.9
 """Mean square of the latest errors, by what was expected of them, from which on every push is plain:
@@ -247,6 +248,8 @@ class Learned(IntoGear):
         if expected.offset.delay_s > SLOW_S:
             target_s -= expected.offset.delay_s
         programme = table.row(target_s, step, strength)
+        if programme is None and CAREFUL < strength < LEVELS:  # too late; a harder one may begin later
+            programme = table.row(target_s, step, strength + 1)
         if programme is None or step < programme.begin:
             return
         self._programme, self._target_s = programme, target_s
@@ -321,20 +324,20 @@ class Learned(IntoGear):
         spent, rate_s = table.spent(apart_s - expected.age_s - delay_s)
         found_s = table.release(spent - log(given))[0] + delay_s
         noise = REPORT_RAD_S * self._count / (given * self._sum_rad_s)
-        timing = TIMING_S / rate_s
+        timing = (TIMING_S * TIMING_S + offset.timing) / (rate_s * rate_s)
         slope_s = expected.context.slope_s
-        variance = (noise * noise + timing * timing) * slope_s * slope_s
-        total = offset.measured + variance
+        variance = (noise * noise + timing) * slope_s * slope_s
+        total = offset.variance + variance
         later_s = found_s - expected.prior_s
         unlikely = later_s * later_s > UNLIKELY * UNLIKELY * total
         if not is_measured and (later_s < 0.0 or not unlikely):
             return
         self._found = found_s, variance
         if self._programme is None:
-            weight = offset.common / total
+            weight = offset.variance / total
             self._expected = expected._replace(
                 used_s=expected.prior_s + weight * later_s,
-                variance=LONGEST_S if unlikely else offset.variance - weight * offset.common,
+                variance=LONGEST_S if unlikely else (1.0 - weight) * offset.variance,
             )
 
     def _measure(self, apart_s: float, apart_rad_s: float, before_rad_s: float) -> None:
@@ -366,10 +369,10 @@ class Learned(IntoGear):
         correction.shifts = min(correction.shifts + 1, 0xFFFFFFFF)
         if self._plain or expected is None or self._released_s is None:
             return
-        error_s = self._error_s(expected, self._released_s)
-        measured = expected.offset.measured
-        correction.note(error_s, measured + RELEASE_S * RELEASE_S)
-        limit_s = max(self.parameters.outlier_s, UNLIKELY * sqrt(measured))
+        error_s, variance = self._error(expected, self._released_s)
+        total = expected.offset.measured + variance
+        correction.note(error_s, total)
+        limit_s = max(self.parameters.outlier_s, UNLIKELY * sqrt(total))
         is_outlier = abs(error_s) > limit_s
         if is_outlier:
             correction.plain = self.parameters.plain_pushes
@@ -378,7 +381,7 @@ class Learned(IntoGear):
         if not is_outlier or correction.is_evidence(
             expected.context.direction, error_s, self.parameters.outliers
         ):
-            correction.learn(expected.context, error_s, self._fastest_m_s)
+            correction.learn(expected.context, error_s, self._fastest_m_s, variance)
             if self._programme is None and self._arrived_s is not None:
                 travel_s = self._arrived_s - self._released_s - expected.age_s
                 self._weigh(expected, expected.prior_s + error_s, travel_s)
@@ -391,20 +394,22 @@ class Learned(IntoGear):
         if found is not None:
             self.correction.resisted(expected.context.direction, found, WEIGHED * WEIGHED)
 
-    def _error_s(self, expected: Expected, released_s: float) -> float:
-        """Return how much later than expected beforehand the plain push would have been released."""
-        late_s = released_s - expected.used_s
+    def _error(self, expected: Expected, released_s: float) -> tuple[float, float]:
+        """Return how much later than expected beforehand the plain push would have been released.
+
+        And the variance of that, as it was measured.
+        """
+        late_s, measured_s = released_s - expected.used_s, MEASURED_S
         if (programme := self._programme) is not None:
-            late_s -= programme.released_s - programme.plain_s
-            late_s -= (programme.gain - 1.0) * (self._target_s - programme.plain_s)
+            delayed_s = programme.released_s - programme.plain_s
+            late_s -= delayed_s + (programme.gain - 1.0) * (self._target_s - programme.plain_s)
             late_s /= programme.gain
+            measured_s = FOLLOWED_S + PER_DELAY * abs(delayed_s)
         late_s += expected.used_s - expected.prior_s
+        measured = measured_s * measured_s
         if self._found is not None:
             found_s, variance = self._found
-            measured_s = MEASURED_S + (
-                0.0 if programme is None else 0.5 * abs(programme.released_s - programme.plain_s)
-            )
-            measured = measured_s * measured_s
             share = measured / (measured + variance)
             late_s += share * (found_s - expected.prior_s - late_s)
-        return late_s
+            measured *= 1.0 - share
+        return late_s, measured
