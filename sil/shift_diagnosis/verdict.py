@@ -29,6 +29,11 @@ from sil.shift_diagnosis.shifts import Shift
 HEALTHY_PRIOR: Final = 0.5
 EFFECTIVE: Final = 4.0
 """Effective observations of the error that a fit's minimum has, in log evidence between causes."""
+MINIMUM: Final = 2.0
+"""Log evidence by which equally good minima differ."""
+REPEATED: Final = 30
+"""Shifts from which on more of them separate two causes no better: what the model of a truck gets
+wrong is the same in each."""
 ALARM: Final = 0.01
 """Probability of a healthy truck below which something is claimed to be wrong."""
 CERTAIN: Final = 0.8
@@ -147,9 +152,12 @@ class ShiftDiagnosis:
 def weighed(judged: Sequence[Judged], ids: int) -> list[Judged]:
     """Return the hypotheses with their probabilities, the most probable first.
 
-    A cause that is behind another counts by Student's form: their fits end in one of many minima.
+    A cause that is behind another counts by Student's form: their fits end in one of many minima,
+    and the differences between truck and model repeat from shift to shift.
     """
     scale = max(1.0, min(item.chi2 for item in judged))
+    shifts = len(judged[0].fit.linear.misfit)
+    between = scale * MINIMUM * max(1.0, shifts / REPEATED)
     variants = Counter(item.id for item in judged)
     least = min((item.cost for item in judged if item.fit.cause), default=0.0)
     logs = np.zeros(len(judged))
@@ -158,7 +166,7 @@ def weighed(judged: Sequence[Judged], ids: int) -> list[Judged]:
             logs[k] = log(HEALTHY_PRIOR) - item.cost / scale
         else:
             prior = log((1.0 - HEALTHY_PRIOR) / ids / variants[item.id])
-            behind = 0.5 * EFFECTIVE * log1p(2.0 * (item.cost - least) / scale / EFFECTIVE)
+            behind = 0.5 * EFFECTIVE * log1p(2.0 * (item.cost - least) / between / EFFECTIVE)
             logs[k] = prior - least / scale - behind
     weights = np.exp(logs - np.max(logs))
     weights /= weights.sum()
