@@ -53,7 +53,7 @@ of large ones (which the speeds of the shift show); the share of its square of t
 SMALL_SHARE, PER_SHARE = 0.465, 4.7
 MESH_VARIANCE = 0.02 * 0.02
 """Square of the scatter of the meshing force from shift to shift: assumed."""
-BEARS, BEARS_MORE = (0.16, 0.055), (0.2315, 0.107)
+BEARS, BEARS_MORE = (0.16, 0.056), (0.2315, 0.107)
 """By which share more meshing force than that of the tables the careful programmes are made to bear,
 and the strong ones than that of their level: at `LIKELY` and at `UNLIKELY` standard deviations."""
 ARRIVED = 0.9

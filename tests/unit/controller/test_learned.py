@@ -10,9 +10,9 @@ import pytest
 from can_dbc.messages import Chamber, Gear
 from controller.config import FirmwareConfig, create_strategy
 from controller.position import Estimate, Sample
-from controller.programmes import library
+from controller.programmes import STRONG, Programme, library
 from controller.strategies import Duties, ShiftContext, one_chamber
-from controller.strategies.learned import DRAG_FOLD_K, WARM_K, Learned
+from controller.strategies.learned import DRAG_FOLD_K, MEASURED_S, WARM_K, Learned
 
 MS = 1_000_000
 TABLE = library().near(9e5, 0.035).nearest
@@ -198,7 +198,7 @@ def test_without_speeds_and_without_a_fall_of_them() -> None:
     assert strategy.correction.values == practised().correction.values
 
 
-@pytest.mark.parametrize("impulse_n_s", [35.0, 100.0])
+@pytest.mark.parametrize("impulse_n_s", [45.0, 100.0])
 def test_a_synchronizer_that_works_far_too_little_makes_the_push_plain(impulse_n_s: float) -> None:
     assert not plain(push(practised(), impulse_n_s))
     assert plain(push(practised(), impulse_n_s, friction=6.0))
@@ -237,16 +237,58 @@ def test_after_a_fault_two_pushes_are_plain_and_nothing_is_practised(end: dict[s
     assert not plain(push(again, 60.0))
 
 
-def test_known_to_be_light_strong_known_to_be_heavy_plain() -> None:
-    """The meshing force decides; light shifts that stop at the teeth, or do not, teach it."""
-    given = []
-    for mesh in (0.0, -0.05, 0.13):
+def test_the_heavier_a_gear_is_known_to_be_the_more_its_programmes_bear() -> None:
+    """Each level is for 4 % more meshing force; beyond the last one the push is plain."""
+    levels, given = [], []
+    for mesh in (-0.3, -0.2, -0.05, 0.0, 0.1, 0.25):
         strategy = practised()
         strategy.correction.resisted(0, mesh, 1e-5)
         given.append([push(strategy, n_s) for n_s in (65.0, 95.0, 150.0, 230.0)])
-    strong, lighter, heavy = given
-    assert strong == lighter != [push(practised(), n_s) for n_s in (65.0, 95.0, 150.0, 230.0)]
-    assert all(plain(each) for each in heavy)
+        levels.append(strategy._strong)
+    assert levels == [0, 0, 1, 2, 5, 9]
+    lightest, lighter, _, usual, heavy, heaviest = given
+    assert lightest == lighter != usual != heavy
+    assert not any(plain(each) for each in usual)
+    assert all(plain(each) for each in heaviest)
+
+
+def test_a_programme_that_is_known_too_late_gives_way_to_one_of_the_next_level() -> None:
+    strategy = practised()
+    strategy.correction.resisted(0, 0.0, 1e-5)
+    push(strategy, 140.0)
+    assert strategy._expected is not None
+    expected = strategy._expected._replace(used_s=0.1175)
+    own, heavier = (TABLE.rows[STRONG + strategy._strong + k] for k in (0, 1))
+    assert own[23].begin < own[24].begin < 8 == heavier[24].begin
+    for step, taken in ((own[24].begin, own[24]), (8, heavier[24]), (9, None)):
+        strategy._programme = None
+        strategy._choose(expected, step)
+        assert strategy._programme == taken
+
+
+def test_a_release_counts_by_how_well_it_is_measured() -> None:
+    """By the reports before the push, by a plain push, and less the more a programme delays it."""
+    strategy = practised()
+    assert plain(push(strategy, 20.0))
+    expected = strategy._expected
+    assert expected is not None
+    strategy._found = None
+    error_s, variance = strategy._error(expected, expected.prior_s + 0.003)
+    assert error_s == pytest.approx(0.003)
+    assert variance == pytest.approx(MEASURED_S**2)
+    strategy._found = expected.prior_s + 0.001, MEASURED_S**2
+    error_s, variance = strategy._error(expected, expected.prior_s + 0.003)
+    assert error_s == pytest.approx(0.002), "both count alike"
+    assert variance == pytest.approx(0.5 * MEASURED_S**2)
+    strategy._found = None
+    variances = []
+    for later_s in (0.0, 0.01):
+        strategy._target_s = expected.used_s
+        strategy._programme = Programme(expected.used_s, expected.used_s + later_s, 1.0, (), (), 5)
+        error_s, variance = strategy._error(expected, expected.used_s + later_s)
+        assert error_s == pytest.approx(expected.used_s - expected.prior_s, abs=1e-9)
+        variances.append(variance)
+    assert variances == pytest.approx([0.001**2, 0.0022**2])
 
 
 def test_the_context_is_where_the_impulse_is_in_the_tables() -> None:

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import struct
 import zlib
+from math import log
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.learning import (
+    ALIKE,
     HEADER,
     MAGIC,
     METHODS,
+    STOPPED_PER_S,
+    UNDERSTATED,
     UNKNOWN_MESH,
     VERSION,
     Context,
     Sensitivities,
+    heavier_by,
 )
 
 LARGE, SMALL = Context(0, 0.09, 0.9), Context(0, 0.015, 0.1)
@@ -126,6 +131,21 @@ def test_the_meshing_force_of_each_direction() -> None:
         method.resisted(1, 0.06, 0.026**2)
     assert method.heavier(1) == pytest.approx((0.0567, 0.013**2), abs=2e-4)
     assert method.heavier(0) == METHODS["map"]().heavier(0) == (0.0, UNKNOWN_MESH**2)
+    for _ in range(40):
+        method.resisted(1, 0.06, 0.026**2)
+    assert method.heavier(1) == pytest.approx((0.06, ALIKE**2), abs=2e-4), (
+        "what all have in common stays"
+    )
+
+
+def test_heavier_teeth_stop_a_push_for_longer_and_far_heavier_ones_are_understated() -> None:
+    found = [heavier_by(log(18.0), travel_s, 9e5) for travel_s in (0.0216, 0.05, 0.06, 0.09, 0.1)]
+    light, stopped, longer, longest, last = (share for share in found if share is not None)
+    assert light < 0.0 < stopped < longer < 0.1 < longest
+    assert longer - stopped == pytest.approx(STOPPED_PER_S * 0.01)
+    assert last - longest == pytest.approx((1.0 + UNDERSTATED) * STOPPED_PER_S * 0.01)
+    assert heavier_by(log(18.0), 0.02, 9e5) is None, "no resistance"
+    assert heavier_by(log(30.0), 0.05, 9e5) is None, "a large impulse"
 
 
 @pytest.mark.parametrize("name", ["sensitivities", "map", "iterative"])

@@ -10,7 +10,16 @@ import pytest
 from sil.shift_diagnosis.linear import Linear
 from sil.shift_diagnosis.model import Cause, catalogue
 from sil.shift_diagnosis.page import alike_of, groups_of
-from sil.shift_diagnosis.verdict import LARGEST, Detectable, detectable_of, distances
+from sil.shift_diagnosis.verdict import (
+    ALARM,
+    CERTAIN,
+    LARGEST,
+    Detectable,
+    Judged,
+    detectable_of,
+    distances,
+    weighed,
+)
 
 
 def only(name: str) -> Cause:
@@ -80,3 +89,27 @@ def test_causes_are_alike_whichever_was_tested() -> None:
     assert alike_of(diagnosis, DELAYED) == ("valve_open_delay",)
     (group,) = groups_of(diagnosis)
     assert group["causes"] == ["sensor_delay", "valve_open_delay"]
+
+
+def judged(cause: Cause | None, cost: float, shifts: int) -> Judged:
+    """A hypothesis whose fit is to so many shifts."""
+    linear = SimpleNamespace(misfit=np.ones(shifts))
+    return Judged(SimpleNamespace(cause=cause, linear=linear), cost, 1.0)
+
+
+@pytest.mark.parametrize(("behind", "shifts", "named"), [
+    (3.0, 10, False), (15.0, 10, True), (15.0, 30, True), (15.0, 120, False), (80.0, 120, True),
+])  # fmt: skip
+def test_evidence_between_causes_ends_where_models_of_trucks_do(
+    behind: float, shifts: int, named: bool
+) -> None:
+    """Of 120 shifts it counts as that of 30; a healthy truck is excluded by all of it."""
+    hypotheses = [
+        judged(LATE, 0.0, shifts),
+        judged(FORCE, behind, shifts),
+        judged(None, 15.0, shifts),
+    ]
+    found = {item.id: item.probability for item in weighed(hypotheses, 20)}
+    assert (found["valve_open_delay"] > CERTAIN) == named
+    assert found["healthy"] < ALARM
+    assert sum(found.values()) == pytest.approx(1.0)
