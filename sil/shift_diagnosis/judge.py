@@ -266,13 +266,14 @@ def rest_noise_m(shifts: Sequence[Shift]) -> float:
 
 
 def _spread(shifts: Sequence[Shift], most: int) -> list[Shift]:
-    """Return at most so many shifts, evenly spread, of every target gear its share.
+    """Return at most so many shifts, evenly spread, of those between two gears their share.
 
     Into gear and out of it come in turn: every second shift would be of one kind.
     """
     if len(shifts) <= most:
         return list(shifts)
-    order = sorted(range(len(shifts)), key=lambda k: shifts[k].end)  # stable: in time within a gear
+    # stable: in time among shifts between the same gears
+    order = sorted(range(len(shifts)), key=lambda k: (shifts[k].start, shifts[k].end))
     taken = np.linspace(0, len(shifts) - 1, most).round().astype(int)
     return [shifts[k] for k in sorted(order[at] for at in taken)]
 

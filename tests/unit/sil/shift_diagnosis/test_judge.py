@@ -144,16 +144,19 @@ def test_more_friction_of_the_linkage_in_one_direction_is_a_force(tmp_path: Path
 
 
 @pytest.mark.parametrize("count", [13, 23, 67, 120])
-def test_the_shifts_fitted_first_hold_every_gear(count: int) -> None:
+def test_the_shifts_fitted_first_are_of_every_kind(count: int) -> None:
     """Into gear and out of it come in turn: every second shift was only of one kind."""
-    ends = ["B" if k % 4 == 0 else "F" if k % 2 == 0 else "N" for k in range(count)]
-    shifts = [SimpleNamespace(end=end, begin_s=float(k)) for k, end in enumerate(ends)]
+    ways = [("N", "B"), ("B", "N"), ("N", "F"), ("F", "N")]
+    shifts = [
+        SimpleNamespace(start=start, end=end, begin_s=float(k))
+        for k, (start, end) in enumerate((ways * count)[:count])
+    ]
     taken = _spread(shifts, 12)
     assert len(taken) == 12
     assert taken == sorted(taken, key=lambda shift: shift.begin_s)
-    found, given = (Counter(shift.end for shift in each) for each in (taken, shifts))
-    for end, number in given.items():
-        assert abs(found[end] - 12 * number / count) <= 1.5
+    found, given = (Counter((shift.start, shift.end) for shift in each) for each in (taken, shifts))
+    for way, number in given.items():
+        assert abs(found[way] - 12 * number / count) <= 1.5
     assert taken[-1].begin_s > 0.7 * count > 0.3 * count > taken[0].begin_s
     assert _spread(shifts[:12], 12) == shifts[:12]
 
