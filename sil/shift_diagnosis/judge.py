@@ -143,9 +143,15 @@ def judge_shifts(
     finals = run(finish, list(starts.items()), progress=stages.until(75.0))
     judged = weighed([Judged.of(fit) for fit in finals], ids)
     if not _is_settled(judged, ids):
-        own = partial(run, progress=stages.until(95.0))
+        own = partial(run, progress=stages.until(80.0))
         judged = weighed(_with_rivals(whole, judged, causes, own), ids)
     judged = weighed(_healthy_again(whole, judged), ids)
+    if _healthy_share(judged) < DOUBTED:
+        own = partial(run, progress=stages.until(90.0))
+        judged = weighed(_second_attempt(fitter, whole, judged, causes, own), ids)
+        own = partial(run, progress=stages.until(97.0))
+        judged = weighed(_with_rivals(whole, judged, causes, own), ids)
+        judged = weighed(_healthy_again(whole, judged), ids)
     judged = [
         item if item.fit.cause is None else replace(item, minima=minima.get(item.fit.cause, ()))
         for item in judged
@@ -380,9 +386,46 @@ def _second(fitter: Fitter, fits: Sequence[Fit], causes: Sequence[Cause], run: R
 
 def _is_settled(judged: Sequence[Judged], ids: int) -> bool:
     """Return whether no alarm could follow if every cause were as probable as the best one."""
-    healthy = next(item.probability for item in judged if item.fit.cause is None)
+    healthy = _healthy_share(judged)
     best = max((item.probability for item in judged if item.fit.cause is not None), default=0.0)
     return healthy > DOUBTED * (healthy + ids * best)
+
+
+def _healthy_share(judged: Sequence[Judged]) -> float:
+    """Return the probability of a healthy truck."""
+    return next(item.probability for item in judged if item.fit.cause is None)
+
+
+def _second_attempt(
+    fitter: Fitter, whole: Fitter, judged: Sequence[Judged], causes: Sequence[Cause], run: Run
+) -> list[Judged]:
+    """Return the hypotheses, every cause fitted once more before one of them is claimed.
+
+    First to some shifts, from a usual truck, from the healthy one, and from the best cause's; then
+    the best variant of each effect to all. What the first search left out need not be worse.
+    """
+    usual = usual_starts(fitter, causes, COARSE_M[0])
+    trucks = [item.fit for item in judged if item.fit.cause is None]
+    trucks += [item.fit for item in judged if item.fit.cause is not None][:1]
+    items: list[tuple[Cause | None, Floats]] = [(cause, usual[cause][1]) for cause in causes]
+    for truck in trucks:
+        linear = _linear(fitter, fitter.shifts, truck, causes)
+        for k, cause in enumerate(causes):
+            size = explained(linear, k)[1][-1]
+            if cause is not truck.cause and cause.sign * size >= 0.0:
+                start = float(np.clip(size, *cause.sizes(LARGEST_START)))
+                items.append((cause, np.append(truck.values, start)))
+    first: dict[str, Fit] = {}
+    for fit in sorted(run(fitter.fit, items), key=lambda fit: fit.cost):
+        assert fit.cause is not None
+        first.setdefault(fit.cause.effect.id, fit)
+    finals = run(partial(_final, whole), [(fit.cause, fit.point) for fit in first.values()])
+    found = {item.fit.cause: item for item in judged}
+    for item in map(Judged.of, finals):
+        before = found.get(item.fit.cause)
+        if before is None or item.cost < before.cost:
+            found[item.fit.cause] = item
+    return list(found.values())
 
 
 def _with_rivals(
@@ -401,12 +444,13 @@ def _with_rivals(
     information = projected(linear)[0]
     found = {item.fit.cause: item for item in judged}
     k = list(causes).index(cause)
+    whole_effect = size**2 * float(information[k, k])
     apart: dict[Cause, float] = {}
     items: list[tuple[Cause | None, Floats]] = []
     for j, other in enumerate(causes):
         own, across = max(float(information[j, j]), 1e-12), float(information[k, j])
         start = size * across / own
-        left = size**2 * float(information[k, k]) - start**2 * own
+        left = whole_effect - start**2 * own
         declared = other.effect.id in (*cause.effect.look_alikes, cause.effect.id)
         declared |= cause.effect.id in other.effect.look_alikes
         if j == k or other.sign * start < 0.0 or (left > 4.0 * SEPARABLE and not declared):
@@ -418,7 +462,7 @@ def _with_rivals(
         rival, item = fit.cause, Judged.of(fit)
         assert rival is not None
         # a minimum does not separate what the information cannot, if that fit is a fit at all
-        if apart[rival] < SEPARABLE and item.chi2 < best.chi2 + NEARLY:
+        if apart[rival] < min(SEPARABLE, 0.5 * whole_effect) and item.chi2 < best.chi2 + NEARLY:
             item = replace(item, cost=min(item.cost, best.cost + 0.5 * apart[rival]))
         if rival not in found or item.cost < found[rival].cost:
             found[rival] = item

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import log, log1p
+from math import exp, log, log1p
 from typing import Final
 
 import numpy as np
@@ -153,23 +153,28 @@ def weighed(judged: Sequence[Judged], ids: int) -> list[Judged]:
     """Return the hypotheses with their probabilities, the most probable first.
 
     A cause that is behind another counts by Student's form: their fits end in one of many minima,
-    and the differences between truck and model repeat from shift to shift.
+    and the differences between truck and model repeat from shift to shift. What all causes together
+    have against a healthy truck is their evidence as it is.
     """
     scale = max(1.0, min(item.chi2 for item in judged))
     shifts = len(judged[0].fit.linear.misfit)
     between = scale * MINIMUM * max(1.0, shifts / REPEATED)
     variants = Counter(item.id for item in judged)
     least = min((item.cost for item in judged if item.fit.cause), default=0.0)
-    logs = np.zeros(len(judged))
+    logs, shares = np.zeros(len(judged)), np.zeros(len(judged))
     for k, item in enumerate(judged):
         if item.fit.cause is None:
             logs[k] = log(HEALTHY_PRIOR) - item.cost / scale
         else:
-            prior = log((1.0 - HEALTHY_PRIOR) / ids / variants[item.id])
+            prior = (1.0 - HEALTHY_PRIOR) / ids / variants[item.id]
             behind = 0.5 * EFFECTIVE * log1p(2.0 * (item.cost - least) / between / EFFECTIVE)
-            logs[k] = prior - least / scale - behind
+            logs[k] = log(prior) - item.cost / scale
+            shares[k] = prior * exp(-behind)
     weights = np.exp(logs - np.max(logs))
     weights /= weights.sum()
+    wrong = np.array([item.fit.cause is not None for item in judged])
+    if wrong.any():
+        weights[wrong] = weights[wrong].sum() * shares[wrong] / shares[wrong].sum()
     pairs = zip(judged, weights.tolist(), strict=True)
     return sorted((replace(i, probability=w) for i, w in pairs), key=lambda i: -i.probability)
 
