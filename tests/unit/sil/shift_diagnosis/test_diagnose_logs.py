@@ -26,12 +26,15 @@ def test_late_valves_are_found_with_what_looks_alike(late_log: Path, tmp_path: P
     assert found["verdict"] == "ambiguous"
     causes = {cause["id"]: cause for cause in found["causes"]}
     # a pulse that is late and a valve that is late are the same on this bus
-    assert set(causes) == {"valve_open_delay", "sensor_delay"}
+    alike = {"valve_open_delay", "sensor_delay"}
+    assert set(list(causes)[:2]) == alike
+    assert all(causes[name]["probability"] > 0.3 for name in alike)
+    assert all(cause["probability"] < 0.1 for cause in found["causes"] if cause["id"] not in alike)
     delay = causes["valve_open_delay"]["parameters"]["delay_s"]
     assert delay["low"] < 0.007 < delay["high"]
     # wide: 6 shifts, and pulses near kinks of the motion count less
     assert delay["high"] - delay["low"] < 0.009
-    groups = [g for g in found["groups"] if set(causes) <= set(g["causes"])]
+    groups = [g for g in found["groups"] if alike <= set(g["causes"])]
     assert any("pressures" in text for text in groups[0]["measure"])
     assert (tmp_path / "report.html").stat().st_size > 20_000
     assert (tmp_path / "shifts.png").exists()

@@ -26,6 +26,7 @@ from sil.shift_diagnosis.judge import (
     _linear,
     _offered,
     _on_all,
+    _second_attempt,
     _spread,
     _with_rivals,
     _without_odd,
@@ -82,6 +83,37 @@ def test_what_looks_like_the_best_cause_is_fitted_too(tmp_path: Path) -> None:
     assert costs["sensor_delay"] < costs["valve_open_delay"] + 0.5 * SEPARABLE
     (rival,) = [item for item in rivals if item.id == "sensor_delay"]
     assert rival.fit.cause.value(rival.size[0]) == pytest.approx(0.007, abs=0.002)
+
+
+def test_the_second_attempt_finds_what_the_first_search_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "late.log"
+    truck_log(path, 2, 4, {"effect.valve_open_delay.delay_s": 0.007}, nominal=True)
+    whole = Fitter(PlantModel(load("nominal"), True), cut(path))
+    late, hollow, warm = only("valve_open_delay"), only("exhaust_clog"), only("sensor_temperature")
+    zeros = np.zeros(len(whole.names))
+    first = [judged(whole, None, zeros), judged(whole, warm, np.append(zeros, 0.5))]
+    found = _second_attempt(whole, whole, weighed(first, 3), [late, hollow, warm], in_turn)
+    costs = {item.id: item.cost for item in found}
+    assert set(costs) == {"healthy", "valve_open_delay", "exhaust_clog", "sensor_temperature"}
+    assert min(costs, key=costs.__getitem__) == "valve_open_delay"
+    assert costs["valve_open_delay"] < costs["healthy"] - 5.0
+    # what was found before is lost by no worse fit
+    assert costs["sensor_temperature"] <= first[1].cost
+
+
+def test_what_explains_less_than_it_leaves_is_no_rival_by_its_information(tmp_path: Path) -> None:
+    """Next to a cause of a tiny size everything is, also what does nothing at all."""
+    path = tmp_path / "usual.log"
+    truck_log(path, 2, 4, nominal=True)
+    whole = Fitter(PlantModel(load("nominal"), True), cut(path))
+    late, alike, other = only("valve_open_delay"), only("sensor_delay"), only("stop_wear")
+    zeros = np.zeros(len(whole.names))
+    best = Judged.of(whole.at(late, np.append(zeros, 0.05)))
+    found = [replace(best, cost=best.cost - 20.0), Judged.of(whole.at(None, zeros))]
+    rivals = _with_rivals(whole, weighed(found, 3), [late, alike, other], in_turn)
+    costs = {item.id: item.cost for item in rivals}
+    assert costs["sensor_delay"] < found[0].cost + 0.5 * SEPARABLE
+    assert costs["stop_wear"] > found[0].cost + 0.5 * SEPARABLE
 
 
 def test_a_healthy_truck_has_no_rivals(nominal_log: Path) -> None:

@@ -113,3 +113,14 @@ def test_evidence_between_causes_ends_where_models_of_trucks_do(
     assert (found["valve_open_delay"] > CERTAIN) == named
     assert found["healthy"] < ALARM
     assert sum(found.values()) == pytest.approx(1.0)
+
+
+def test_many_causes_that_do_next_to_nothing_are_no_alarm_together() -> None:
+    others = [cause for cause in catalogue() if cause.effect.id != LATE.effect.id]
+    firsts = list({cause.effect.id: cause for cause in others}.values())[:19]
+    hypotheses = [judged(cause, 6.0, 120) for cause in firsts]
+    hypotheses += [judged(LATE, 0.0, 120), judged(None, 6.0, 120)]
+    found = {item.id: item.probability for item in weighed(hypotheses, 20)}
+    assert found["healthy"] > ALARM
+    # by Bayes' rule: 0.5 e^-6 against 0.5 / 20 (1 + 19 e^-6)
+    assert found["healthy"] == pytest.approx(0.0452, abs=1e-3)
