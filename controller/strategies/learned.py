@@ -248,7 +248,8 @@ class Learned(IntoGear):
         if expected.offset.delay_s > SLOW_S:
             target_s -= expected.offset.delay_s
         programme = table.row(target_s, step, strength)
-        if programme is None and CAREFUL < strength < LEVELS:  # too late; a harder one may begin later
+        if programme is None and CAREFUL < strength < LEVELS:
+            # too late for this one; a harder one may begin later
             programme = table.row(target_s, step, strength + 1)
         if programme is None or step < programme.begin:
             return
