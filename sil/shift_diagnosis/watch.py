@@ -23,7 +23,7 @@ from sil.files.progress import Progress
 from sil.fitting.hypotheses import scaled_of
 from sil.j1939.mapping import SignalMapping
 from sil.logs import FORMATS
-from sil.shift_diagnosis.judge import FIT_SHIFTS, loaded_fit, rest_noise_m
+from sil.shift_diagnosis.healthy import FIT_SHIFTS, loaded_fit, rest_noise_m
 from sil.shift_diagnosis.linear import Floats, Noise, linearise
 from sil.shift_diagnosis.loads import CONE, own_loads, with_speeds, without_speeds
 from sil.shift_diagnosis.model import Cause, PlantModel, catalogue

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from plant.parameters import load
-from sil.shift_diagnosis.judge import rest_noise_m
+from sil.shift_diagnosis.healthy import rest_noise_m
 from sil.shift_diagnosis.linear import Noise, linearise, projected
 from sil.shift_diagnosis.model import PlantModel, catalogue
 from sil.shift_diagnosis.shifts import shifts_of

@@ -28,8 +28,9 @@ def test_late_valves_are_found_with_what_looks_alike(late_log: Path, tmp_path: P
     # a pulse that is late and a valve that is late are the same on this bus
     alike = {"valve_open_delay", "sensor_delay"}
     assert set(list(causes)[:2]) == alike
-    assert all(causes[name]["probability"] > 0.3 for name in alike)
-    assert all(cause["probability"] < 0.1 for cause in found["causes"] if cause["id"] not in alike)
+    shares = [cause["probability"] for cause in found["causes"]]
+    # six shifts: what explains them less well is not excluded, but far less probable
+    assert sum(shares[:2]) > 0.5 and all(3.0 * share < shares[1] for share in shares[2:])
     delay = causes["valve_open_delay"]["parameters"]["delay_s"]
     assert delay["low"] < 0.007 < delay["high"]
     # wide: 6 shifts, and pulses near kinks of the motion count less
