@@ -24,8 +24,9 @@ HEADER = struct.Struct("<4sBBIBbbf")
 CHECKSUM = struct.Struct("<I")
 RELEASE_S = 0.0012
 """Scatter of a release that was measured under a plain push."""
-SURPRISING, RECENT = 6.0, 16.0
-"""The square of an error, by its variance, counts up to the first; the mean is over so many shifts."""
+SURPRISING, OUTLYING, RECENT = 6.0, 64.0, 16.0
+"""The square of an error, by its variance, counts up to the first, that of an outlier up to the second;
+the mean is over so many shifts."""
 
 STOPS, LIGHT, LIGHT_PER_PA = 0.33, 2.72, 2.6e-6
 PASSES_S, STOPPED_S, STOPPED_AT_S, STOPPED_PER_S = 0.0215, 0.04, 0.045, 2.2
@@ -147,12 +148,13 @@ class Correction(abc.ABC):
         self.forget(direction)
         return True
 
-    def note(self, error_s: float, variance: float) -> None:
+    def note(self, error_s: float, variance: float, is_outlier: bool = False) -> None:
         """Take how far a release was from what was expected, and the variance expected of that.
 
-        Outliers count as well: a unit whose errors are larger than it expects knows less than it says.
+        A unit whose errors are larger than it expects knows less than it says; a gross outlier counts
+        for many shifts, since a valve that failed once, as by a loose contact, will fail again.
         """
-        square = min(error_s * error_s / variance, SURPRISING)
+        square = min(error_s * error_s / variance, OUTLYING if is_outlier else SURPRISING)
         self.surprise += (square - self.surprise) / RECENT
 
     def forget(self, direction: int) -> None:
@@ -182,7 +184,7 @@ class Correction(abc.ABC):
         values = struct.unpack(f"<{len(self.fresh)}f", body[HEADER.size :])
         if (magic, version, number) != (MAGIC, VERSION, self.number):
             return
-        if not 0.0 <= surprise <= SURPRISING:
+        if not 0.0 <= surprise <= OUTLYING:
             return
         pairs = zip(values, self.largest, strict=True)
         if all(isfinite(value) and abs(value) <= most for value, most in pairs):
@@ -342,7 +344,7 @@ class Search(Map):
     probe_s = 0.001
     step_s = 0.001
 
-    def note(self, error_s: float, variance: float) -> None:
+    def note(self, error_s: float, variance: float, is_outlier: bool = False) -> None:
         """Do nothing: errors teach this method nothing, so they need not become smaller."""
 
     def _later_s(self, context: Context) -> float:

@@ -372,9 +372,9 @@ class Learned(IntoGear):
             return
         error_s, variance = self._error(expected, self._released_s)
         total = expected.offset.measured + variance
-        correction.note(error_s, total)
         limit_s = max(self.parameters.outlier_s, UNLIKELY * sqrt(total))
         is_outlier = abs(error_s) > limit_s
+        correction.note(error_s, total, is_outlier)
         if is_outlier:
             correction.plain = self.parameters.plain_pushes
         else:

@@ -1,9 +1,10 @@
 """Count the shifts in which strategy learned exceeds its limits, in trucks with faults.
 
-python -m tests.bench._learned_safety FIRST LAST SHIFTS
+python -m tests.bench._learned_safety FIRST LAST SHIFTS [KIND]
 
-Trucks FIRST to LAST of the shipped population (seed `SEED`), each with one kind of fault; every
-second one gets other valves after a third of its shifts. A shift is beyond the limits if it is more
+Trucks FIRST to LAST of the shipped population (seed `SEED`), each with one kind of fault in turn, or
+all with `KIND`, "loose contact" of a driving valve among them; every second one gets other valves
+after a third of its shifts. A shift is beyond the limits if it is more
 than 0.05 m/s harder or 30 ms longer than the open loop under the same fault, or loses a gear that
 the open loop engages. The open loop is run only where the programme differs from the plain push.
 """
@@ -34,6 +35,7 @@ OF_POSITION = "position", "frames lost"
 SHORT_S = 0.45
 KINDS = ("none", "update missed", "memory damaged", "thermometer", "speeds", "position", "valve",
          "frames lost", "supply late")  # fmt: skip
+LOOSE = "loose contact"
 THERMOMETER = (
     {"kind": "stuck", "value_k": 253.15},
     {"kind": "stuck", "value_k": 293.15},
@@ -63,6 +65,8 @@ def faulty(kind: str, drawn: list[Drawn], rng: np.random.Generator) -> Iterator[
             added["temperature_fault"] = [thermometer]
         elif kind == "valve" and k >= begin:
             added["valve_fault"] = [valve]
+        elif kind == LOOSE and k >= begin:
+            added["valve_fault"] = [{"kind": "intermittent", "valve": "BF"[begin % 2]}]
         elif kind == "supply late":
             known = known | {f"{OWN}.supply_pa": drawn[max(0, k - 5)].known[f"{OWN}.supply_pa"]}
         elif kind == "speeds" and hit:
@@ -104,7 +108,7 @@ def broken(found: Outcome, open_loop: Outcome) -> str:
     return f"{1e3 * longer_s:.0f} ms longer" if not found.lost and longer_s > LONGER_S else ""
 
 
-def beyond(number: int, shifts: int) -> Iterator[tuple[int, bool, str]]:
+def beyond(number: int, shifts: int, kind: str) -> Iterator[tuple[int, bool, str]]:
     """Yield number, whether a programme was followed, and what is beyond the limits of each shift."""
     study = load_study("learned")
     assert study.study.truck is not None
@@ -117,7 +121,6 @@ def beyond(number: int, shifts: int) -> Iterator[tuple[int, bool, str]]:
         return command
 
     rng = np.random.default_rng([SEED, number])
-    kind = KINDS[number % len(KINDS)]
     fleet = FleetTable(shifts=shifts, seed=SEED, exchanged_at=shifts // 3)
     truck = Truck(study.study.truck, study.study.factor, fleet, number, nominal(study, {}))
     memory, own = b"", {"controller.strategy": "learned"}
@@ -139,12 +142,14 @@ def beyond(number: int, shifts: int) -> Iterator[tuple[int, bool, str]]:
         setattr(Learned, "decide", plain)  # noqa: B010
 
 
-def main(first: int, last: int, shifts: int) -> None:
+def main(first: int, last: int, shifts: int, only: str = "") -> None:
     """Print each shift beyond the limits, and after each truck the count of all until then."""
+    if only not in ("", LOOSE, *KINDS):
+        sys.exit(f"KIND: {only!r}; expected one of {', '.join((LOOSE, *KINDS))}")
     run, acted, unconfirmed, bad = Counter[str](), 0, 0, Counter[str]()
     for number in range(first, last + 1):
-        kind = KINDS[number % len(KINDS)]
-        for k, programme, what in beyond(number, shifts):
+        kind = only or KINDS[number % len(KINDS)]
+        for k, programme, what in beyond(number, shifts, kind):
             run[kind] += 1
             acted += programme
             if what == UNCONFIRMED and kind in OF_POSITION:
@@ -160,4 +165,4 @@ def main(first: int, last: int, shifts: int) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:4]))
+    main(*map(int, sys.argv[1:4]), *sys.argv[4:5])

@@ -348,6 +348,16 @@ def test_errors_larger_than_expected_make_it_plain_until_they_are_not() -> None:
     assert not plain(given)
 
 
+def test_after_a_gross_outlier_it_is_plain_for_many_pushes() -> None:
+    """As by a loose contact of a valve: two good pushes are no sign that it has healed."""
+    strategy = practised()
+    push(strategy, 35.0, friction=1.9)
+    strategy.correction.plain = 0
+    pushes = [plain(push(strategy, 140.0)) for _ in range(30)]
+    assert all(pushes[:8])
+    assert not pushes[-1]
+
+
 def test_a_push_that_ends_before_the_release_teaches_nothing() -> None:
     strategy = practised()
     push(strategy, 140.0, until_ms=120)

@@ -82,7 +82,7 @@ def test_any_bytes_are_survived(name: str, memory: bytes) -> None:
         (MAGIC, VERSION, 0, float("inf"), 1.0),
         (MAGIC, VERSION, 0, 1e9, 1.0),
         (MAGIC, VERSION, 0, 0.0, -0.1),
-        (MAGIC, VERSION, 0, 0.0, 6.1),
+        (MAGIC, VERSION, 0, 0.0, 64.1),
         (MAGIC, VERSION, 0, 0.0, float("nan")),
     ],
 )
@@ -181,6 +181,11 @@ def test_the_surprise_is_the_mean_square_of_the_latest_errors_limited() -> None:
     assert method.surprise == pytest.approx(2.25, abs=0.01)
     method.note(1.0, 4e-6)
     assert method.surprise == pytest.approx(2.25 + (6.0 - 2.25) / 16.0, abs=0.01)
+    method.surprise = 1.0
+    method.note(0.0088, 4e-6, is_outlier=True)
+    assert method.surprise == pytest.approx(1.0 + (4.4**2 - 1.0) / 16.0)
+    method.note(1.0, 4e-6, is_outlier=True)
+    assert method.surprise == pytest.approx(6.0, abs=0.1)
     for _ in range(200):
         method.note(0.0, 4e-6)
     assert method.surprise < 1e-4
