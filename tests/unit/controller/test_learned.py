@@ -348,11 +348,16 @@ def test_errors_larger_than_expected_make_it_plain_until_they_are_not() -> None:
     assert not plain(given)
 
 
-def test_after_a_gross_outlier_it_is_plain_for_many_pushes() -> None:
-    """As by a loose contact of a valve: two good pushes are no sign that it has healed."""
+def test_a_stop_at_the_teeth_after_a_programme_makes_many_pushes_plain() -> None:
+    """As by a valve that did not open again: good pushes in between are no sign that it has healed."""
     strategy = practised()
-    push(strategy, 35.0, friction=1.9)
-    strategy.correction.plain = 0
+    assert not plain(push(strategy, 140.0))
+    assert strategy._released_s is not None
+    arrived = Estimate(True, 0.012, 0.012, 0.0, ())
+    for travel_s, plain_pushes in ((0.03, 0), (0.2, 2)):
+        strategy._arrived_s = strategy._released_s + travel_s
+        strategy.ended(10**9, arrived, True, True)
+        assert strategy.correction.plain == plain_pushes
     pushes = [plain(push(strategy, 140.0)) for _ in range(30)]
     assert all(pushes[:8])
     assert not pushes[-1]
