@@ -24,6 +24,7 @@ from tests.bench._learned_programmes import (
     SD,
     Draws,
     Strength,
+    grid,
     read,
     strong,
     tidy,
@@ -85,7 +86,7 @@ def table(impulse_n_s: float) -> list[tuple[str, float, float]]:
         for (bar, close_ms, _), programmes in read(PROGRAMMES).items()
         if bar == BAR and close_ms == 1e3 * CLOSE_S
     ]
-    pool = np.unique(np.concatenate([NONE, *near, models[0].grid()]), axis=0)
+    pool = np.unique(np.concatenate([NONE, *near, grid(float(models[0].plain_s[0]))]), axis=0)
     found = [NONE]
     for seed in range(SEARCHES):
         for model in models:

@@ -15,7 +15,7 @@ with a grid if there is no such file; some six minutes on one core for each stre
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
@@ -26,6 +26,7 @@ from scipy.stats import norm, qmc
 
 from controller.programmes import LEVELS, LIGHTEST, PER_LEVEL
 from plant.batch.batch import Strokes
+from plant.effects.setup import Setup
 from plant.parameters import ParameterSet
 from plant.systems.setup import make_setup
 from sil.diagnosis.workers import spread_out
@@ -115,7 +116,31 @@ def _directions(count: int, length: float, seed: int) -> Floats:
     return found
 
 
-class Draws(FamilyModel):
+class Pushes(FamilyModel):
+    """Plain pushes with delays [3, pushes] of the valves, s, and what programmes do in each of them."""
+
+    def __init__(self, setups: Sequence[Setup], rise_s: Floats, fall_s: Floats) -> None:
+        self._rise_s, self._fall_s = rise_s, fall_s
+        super().__init__(varied(), Family("g", "unblock", (setups[0].conditions,)), 0.0, 0.0)
+        self.loads = len(setups)
+        self._base = Strokes.from_setups(setups, 1.0)
+        self.limit_s = np.full(self.loads, 0.5)
+        self.plain = self.under(NONE, range(self.loads))
+        self.plain_m_s, self.plain_s = self.plain.cost_m_s[0], self.plain.revealed_s[0]
+
+    def under(self, programmes: Floats, which: range | list[int]) -> Arrivals:
+        """Return arrivals [n, which] of programmes [n, 2, 4]."""
+        given = self.changes(LAYOUT, *stem_spans(programmes))
+        repeated = [np.repeat(each, len(which), axis=0) for each in given]
+        found = self._simulate(repeated, np.tile(np.array(which), len(programmes)))
+        return found.reshaped((len(programmes), len(which)))
+
+    def _simulate(self, given: list[Floats], load: Ints, hold_s: float = 0.05) -> Arrivals:
+        self.valve_s = self._rise_s[:, load], self._fall_s[:, load]  # type: ignore[assignment]
+        return super()._simulate(given, load, hold_s)
+
+
+class Draws(Pushes):
     """The plain push under draws around one impulse, and what programmes do in each of them."""
 
     def __init__(
@@ -145,29 +170,12 @@ class Draws(FamilyModel):
                 sync_impulse_n_s=impulse_n_s * float(np.exp(sd * z[k, 0])),
             )
             setups.append(make_setup(varied(**factors), case))
-        self._rise_s, self._fall_s = np.full((3, 1), OPEN_S), np.full((3, 1), close_s)
-        super().__init__(varied(), Family("g", "unblock", (setups[0].conditions,)), 0.0, 0.0)
-        self.impulse_n_s, self.loads = impulse_n_s, len(z)
-        self._base = Strokes.from_setups(setups, 1.0)
-        slower = np.ones((3, self.loads))
+        self.impulse_n_s = impulse_n_s
+        slower = np.ones((3, len(z)))
         slower[0, -SINGLE::2] = slower[1, 1 - SINGLE :: 2] = SLOWER
-        self._rise_s = slower * (OPEN_S + changed["rise"])
-        self._fall_s = slower * (close_s + changed["fall"])
-        self.limit_s = np.full(self.loads, 0.5)
-        self.plain = self.under(NONE, range(self.loads))
-        self.plain_m_s, self.plain_s = self.plain.cost_m_s[0], self.plain.revealed_s[0]
+        rise_s, fall_s = (OPEN_S + changed["rise"], close_s + changed["fall"])
+        super().__init__(setups, slower * rise_s, slower * fall_s)
         self.limit_s = self.plain.arrival_s[0] + EXTRA_S
-
-    def under(self, programmes: Floats, which: range | list[int]) -> Arrivals:
-        """Return arrivals [n, which] of programmes [n, 2, 4]."""
-        given = self.changes(LAYOUT, *stem_spans(programmes))
-        repeated = [np.repeat(each, len(which), axis=0) for each in given]
-        found = self._simulate(repeated, np.tile(np.array(which), len(programmes)))
-        return found.reshaped((len(programmes), len(which)))
-
-    def _simulate(self, given: list[Floats], load: Ints, hold_s: float = 0.05) -> Arrivals:
-        self.valve_s = self._rise_s[:, load], self._fall_s[:, load]  # type: ignore[assignment]
-        return super()._simulate(given, load, hold_s)
 
     def costs(self, programmes: Floats, which: range | list[int]) -> Floats:
         """Return mean and worst impact [n] near what is expected, far more for an unsafe one."""
@@ -227,15 +235,6 @@ class Draws(FamilyModel):
         over = self.over(programme[None], range(first, self.loads))[0]
         return [first + int(at) for at in np.argsort(-over)[:3] if over[at] > 0.0]
 
-    def grid(self) -> Floats:
-        """Return programmes [n, 2, 4] of one span of each valve near the release."""
-        at, made = int(100.0 * self.plain_s[0]), []
-        spans = range(-9, 2), (0, 4, 5, 6, 8), range(-6, 4), (0, 1, 2, 4, 7)
-        for vent, vents, brake, brakes in product(*spans):
-            if min(at + vent, at + brake) > 0 and vents + brakes > 0:
-                made.append([[at + vent, vents, 0, -1], [at + brake, brakes, 0, -1]])
-        return np.unique(tidy(np.array(made, dtype=float)), axis=0)
-
     def changed(self, programme: Floats, rng: np.random.Generator) -> Floats:
         """Return a programme with one to three numbers changed."""
         made = programme.copy()
@@ -255,6 +254,19 @@ class Draws(FamilyModel):
         gain = float(np.clip((released_s[1] - released_s[2]) / rise_s, 0.7, 2.0))
         steps = ",".join(f"{step:.0f}" for step in programme.ravel())
         return f"{1e4 * released_s[0]:.0f},{gain:.2f},{steps}"
+
+
+def grid(
+    release_s: float,
+    vents: Sequence[int] = (0, 4, 5, 6, 8),
+    brakes: Sequence[int] = (0, 1, 2, 4, 7),
+) -> Floats:
+    """Return programmes [n, 2, 4] of one span of each valve, of these lengths, near the release."""
+    at, made = int(100.0 * release_s), []
+    for vent, vented, brake, braked in product(range(-9, 2), vents, range(-6, 4), brakes):
+        if min(at + vent, at + brake) > 0 and vented + braked > 0:
+            made.append([[at + vent, vented, 0, -1], [at + brake, braked, 0, -1]])
+    return np.unique(tidy(np.array(made, dtype=float)), axis=0)
 
 
 def tidy(programmes: Floats) -> Floats:
@@ -296,7 +308,7 @@ def search(strength: Strength, given: Mapping[Key, Floats]) -> dict[Key, tuple[f
             for (p, c, m), programmes in known.items()
             if abs(p - bar) < 0.6 and abs(c - close_ms) < 5.0 and abs(m - n) < 3
         ]
-        pool = np.unique(np.concatenate(near or [model.grid()]), axis=0)
+        pool = np.unique(np.concatenate(near or [grid(float(model.plain_s[0]))]), axis=0)
         found = model.best(tidy(pool), rng)
         known[row] = np.concatenate([found, known.get(row, NONE)])
         lines[row] = float(model.plain_s[0]), model.line(found[0])
